@@ -1,0 +1,37 @@
+"""Fit the Phong illumination model to images, with honest error bars."""
+
+from phongfit.geometry.cameras import (
+    AbstractCamera as AbstractCamera,
+    OrthographicCamera as OrthographicCamera,
+    PerspectiveCamera as PerspectiveCamera,
+    look_at as look_at,
+)
+from phongfit.geometry.surfaces import (
+    AbstractSurface as AbstractSurface,
+    GBuffer as GBuffer,
+    NormalMap as NormalMap,
+    Sphere as Sphere,
+)
+from phongfit.geometry.tracing import trace as trace
+from phongfit.lights import (
+    AbstractLight as AbstractLight,
+    DirectionalLight as DirectionalLight,
+    PointLight as PointLight,
+    SpotLight as SpotLight,
+)
+from phongfit.material import PRESETS as PRESETS, Material as Material, preset as preset
+from phongfit.reflectance import (
+    AbstractSpecular as AbstractSpecular,
+    BlinnPhong as BlinnPhong,
+    Phong as Phong,
+    blinn_from_phong as blinn_from_phong,
+    phong_from_blinn as phong_from_blinn,
+)
+from phongfit.rendering.film import Film as Film
+from phongfit.rendering.render import render as render
+from phongfit.rendering.terms import (
+    ShadingTerms as ShadingTerms,
+    combine as combine,
+    terms as terms,
+)
+from phongfit.scene import Scene as Scene

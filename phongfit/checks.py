@@ -1,0 +1,100 @@
+"""Turning what a user wrote into arrays, and saying plainly what is wrong with it.
+
+A constructor checks shapes always. Values are checked at once where they are known, and
+with `eqx.error_if` where they are traced (inside `jit`, `vmap` or `grad`).
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+
+def as_floats(name: str, value: Any) -> Float[Array, "..."]:
+    """`value` as an array of the default float type; `ValueError` names `name`."""
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: {value!r} is not an array of numbers") from error
+    if jnp.issubdtype(array.dtype, jnp.complexfloating):
+        raise ValueError(f"{name}: complex numbers came, real ones are wanted")
+    return array.astype(jnp.result_type(float))
+
+
+def as_vector(name: str, value: Any) -> Float[Array, "3"]:
+    """`value` as a vector of shape (3,); `ValueError` names `name`."""
+    array = as_floats(name, value)
+    if array.shape != (3,):
+        raise ValueError(f"{name}: shape {array.shape} came, (3,) is wanted")
+    return require(name, array, np.isfinite, jnp.isfinite, "finite numbers")
+
+
+def as_scalar(name: str, value: Any) -> Float[Array, ""]:
+    """`value` as one finite number of shape (); `ValueError` names `name`."""
+    array = as_floats(name, value)
+    if array.shape != ():
+        raise ValueError(f"{name}: shape {array.shape} came, one number is wanted")
+    return require(name, array, np.isfinite, jnp.isfinite, "a finite number")
+
+
+def as_light(name: str, value: Any) -> Float[Array, "3"]:
+    """`value`, one number or three, as RGB light of shape (3,), finite and ≥ 0."""
+    array = as_floats(name, value)
+    if array.shape not in ((), (1,), (3,)):
+        raise ValueError(f"{name}: shape {array.shape} came, () or (3,) is wanted")
+    return at_least(name, jnp.broadcast_to(array, (3,)), 0)
+
+
+def as_reflectance(name: str, value: Any) -> Float[Array, "..."]:
+    """`value` as it came if its shape is () or ends in 1 or 3 (the colour), ≥ 0."""
+    array = as_floats(name, value)
+    if array.ndim > 0 and array.shape[-1] not in (1, 3):
+        raise ValueError(
+            f"{name}: shape {array.shape} came; the last axis is colour and is 1 or 3 "
+            f"(one number for each of {array.shape[-1]} materials has shape "
+            f"({array.shape[-1]}, 1))"
+        )
+    return at_least(name, array, 0)
+
+
+def at_least(name: str, array: Array, lowest: float) -> Array:
+    """`array` if all of it is finite and ≥ `lowest`, else an error naming `name`."""
+
+    def fine(xp: Any) -> Callable[[Any], Any]:
+        return lambda a: xp.isfinite(a) & (a >= lowest)
+
+    return require(name, array, fine(np), fine(jnp), f"finite numbers ≥ {lowest:g}")
+
+
+def nonzero(name: str, vector: Float[Array, "3"]) -> Float[Array, "3"]:
+    """`vector` if it has a direction, else an error naming `name`."""
+
+    def fine(a: Any) -> Any:
+        return (a != 0).any()
+
+    return require(name, vector, fine, fine, "a vector other than zero")
+
+
+def require(
+    name: str,
+    array: Array,
+    known: Callable[[np.ndarray], Any],
+    traced: Callable[[Array], Bool[Array, "..."]],
+    wanted: str,
+) -> Array:
+    """`array` if the test holds everywhere, else an error that names it.
+
+    `known` tests a NumPy array: no compilation for what a user typed. `traced` tests a
+    traced one.
+    """
+    if isinstance(array, jax.core.Tracer):
+        return eqx.error_if(array, ~traced(array), f"{name}: {wanted} wanted")
+    values = np.asarray(array)
+    if not np.all(known(values)):
+        came = np.array2string(values, threshold=6, precision=6)
+        raise ValueError(f"{name}: {came} came, {wanted} wanted")
+    return array

@@ -1,0 +1,156 @@
+"""Surfaces: what a camera sees of them, before any light."""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from phongfit.checks import as_floats, as_scalar, as_vector, require
+from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera, Ray
+from phongfit.vectors import Vec3, dot, normalize
+
+
+class GBuffer(eqx.Module):
+    """Geometry, resolved once: per pixel where it looks at, and how that is turned.
+
+    Outside `mask` the entries are harmless placeholders.
+    """
+
+    position: Float[Array, "height width 3"]
+    normal: Float[Array, "height width 3"]
+    to_viewer: Float[Array, "height width 3"]
+    mask: Bool[Array, "height width"]
+
+
+GBuffer.__init__.__doc__ = """**Arguments:**
+
+- `position`: world units.
+- `normal`, `to_viewer`: unit vectors, away from the surface.
+- `mask`: true where the pixel sees the surface.
+"""
+
+
+class AbstractSurface(eqx.Module):
+    """Asked by a camera, answers with a [`GBuffer`][]."""
+
+    @abc.abstractmethod
+    def trace(self, camera: AbstractCamera) -> GBuffer:
+        """What each pixel of `camera` sees of this surface."""
+
+
+class Sphere(AbstractSurface):
+    """A ball with exact normals, seen from outside."""
+
+    center: Float[Array, "3"]
+    radius: Float[Array, ""]
+
+    def __init__(self, center: Any = (0.0, 0.0, 0.0), radius: Any = 1.0):
+        """**Arguments:** `center` and `radius` > 0, in world units.
+
+        **Raises:** `ValueError` that names the argument.
+        """
+
+        def positive(a: Any) -> Any:
+            return a > 0
+
+        self.center = as_vector("center", center)
+        self.radius = require(
+            "radius", as_scalar("radius", radius), positive, positive, "a number > 0"
+        )
+
+    def intersect(self, ray: Ray) -> tuple[Vec3, Vec3, Bool[Array, ""]]:
+        """Where one ray first meets the sphere from outside.
+
+        **Returns:** position, unit normal, and whether there is such a place.
+        """
+        offset = ray.origin - self.center
+        # Distance from the centre to the ray, squared, as a vector rejection: the
+        # textbook's b² − 4ac cancels badly for a far camera in float32.
+        along = dot(offset, ray.direction)
+        nearest = offset - along * ray.direction
+        discriminant = self.radius**2 - dot(nearest, nearest)
+        hit = discriminant > 0
+        half_chord = jnp.sqrt(jnp.where(hit, discriminant, 1))
+        distance = -along - half_chord
+        hit = hit & (distance > 0)
+        normal = (nearest - half_chord * ray.direction) / self.radius
+        normal = jnp.where(hit, normalize(normal), -ray.direction)
+        position = jnp.where(hit, self.center + self.radius * normal, self.center)
+        return position, normal, hit
+
+    def trace(self, camera: AbstractCamera) -> GBuffer:
+        pixels = jax.vmap(jax.vmap(self.intersect))
+        position, normal, mask = pixels(camera.rays())
+        to_viewer = jax.vmap(jax.vmap(camera.to_viewer))(position)
+        return GBuffer(position, normal, to_viewer, mask)
+
+
+class NormalMap(AbstractSurface):
+    """A normal for every pixel, as photometric stereo and scanners give it."""
+
+    normals: Float[Array, "height width 3"]
+    mask: Bool[Array, "height width"]
+    positions: Float[Array, "height width 3"] | None
+
+    def __init__(self, normals: Any, mask: Any = None, positions: Any = None):
+        """**Arguments:**
+
+        - `normals`: (H, W, 3), in the world's axes; any length. A zero normal is
+            outside the surface.
+        - `mask`: (H, W), true where there is surface; default everywhere.
+        - `positions`: (H, W, 3), world units. Without them only directional lights and
+            an orthographic camera can be used, for which positions do not matter.
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        normals = as_floats("normals", normals)
+        if normals.ndim != 3 or normals.shape[-1] != 3:
+            raise ValueError(
+                f"normals: shape {normals.shape} came, (height, width, 3) is wanted"
+            )
+        size = normals.shape[:2]
+        mask = jnp.ones(size, bool) if mask is None else jnp.asarray(mask)
+        if mask.shape != size:
+            raise ValueError(f"mask: shape {mask.shape} came, {size} is wanted")
+        mask = mask.astype(bool)
+        if positions is not None:
+            positions = as_floats("positions", positions)
+            if positions.shape != normals.shape:
+                raise ValueError(
+                    f"positions: shape {positions.shape} came, {normals.shape} wanted"
+                )
+
+        def finite(a: Any) -> Any:
+            return abs(a) < jnp.inf
+
+        inside = mask[..., None]
+        for name, array in (("normals", normals), ("positions", positions)):
+            if array is not None:
+                known = jnp.where(inside, array, 0)
+                require(name, known, finite, finite, "finite numbers inside the mask")
+        normals = jax.vmap(jax.vmap(normalize))(jnp.where(inside, normals, 0))
+        self.mask = mask & jnp.any(normals != 0, axis=-1)
+        inside = self.mask[..., None]
+        placeholder = jnp.broadcast_to(jnp.array([0, 0, 1], normals.dtype), (*size, 3))
+        self.normals = jnp.where(inside, normals, placeholder)
+        self.positions = None if positions is None else jnp.where(inside, positions, 0)
+
+    def trace(self, camera: AbstractCamera) -> GBuffer:
+        if self.mask.shape != (camera.height, camera.width):
+            raise ValueError(
+                f"surface: a normal map of {self.mask.shape} pixels came, the camera "
+                f"wants ({camera.height}, {camera.width})"
+            )
+        if self.positions is not None:
+            positions = self.positions
+        elif isinstance(camera, OrthographicCamera):
+            positions = jnp.zeros_like(self.normals)
+        else:
+            raise ValueError(
+                "surface: a normal map without positions needs an orthographic camera"
+            )
+        to_viewer = jax.vmap(jax.vmap(camera.to_viewer))(positions)
+        return GBuffer(positions, self.normals, to_viewer, self.mask)

@@ -1,0 +1,218 @@
+"""Lights: from a point to the direction, and what arrives there.
+
+A light knows no material. Its own `ambient` and `specular` colours are those of OpenGL:
+0 and the same as `intensity` unless given.
+"""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from phongfit.checks import (
+    as_light,
+    as_scalar,
+    as_vector,
+    at_least,
+    nonzero,
+    require,
+)
+from phongfit.vectors import Scalar, Vec3, dot, norm, normalize, power
+
+
+class Illumination(eqx.Module):
+    """What one light does at one point, attenuation and spot included."""
+
+    to_light: Vec3
+    intensity: Vec3
+    specular: Vec3
+    ambient: Vec3
+
+
+Illumination.__init__.__doc__ = """**Arguments:**
+
+- `to_light`: unit vector from the point to the light.
+- `intensity`, `specular`, `ambient`: RGB that arrives for the diffuse, specular and
+    ambient term.
+"""
+
+
+class AbstractLight(eqx.Module):
+    """Asked for one point, answers with an [`Illumination`][]."""
+
+    @abc.abstractmethod
+    def illuminate(self, position: Vec3) -> Illumination:
+        """Direction and light that arrives at `position` (world units)."""
+
+
+def _arriving(
+    to_light: Vec3,
+    share: Scalar | float,
+    intensity: Vec3,
+    specular: Vec3 | None,
+    ambient: Vec3,
+) -> Illumination:
+    specular = intensity if specular is None else specular
+    return Illumination(to_light, share * intensity, share * specular, share * ambient)
+
+
+def _own_colour(name: str, value: Any) -> Vec3 | None:
+    return None if value is None else as_light(name, value)
+
+
+class DirectionalLight(AbstractLight):
+    """Parallel rays: the sun, or a lamp far away."""
+
+    direction: Float[Array, "3"]
+    intensity: Float[Array, "3"]
+    specular: Float[Array, "3"] | None
+    ambient: Float[Array, "3"]
+
+    def __init__(
+        self,
+        direction: Any,
+        intensity: Any = 1.0,
+        *,
+        specular: Any = None,
+        ambient: Any = 0.0,
+    ):
+        """**Arguments:**
+
+        - `direction`: from the scene *to* the light; any length but 0.
+        - `intensity`: RGB, or one number for all three.
+        - `specular`, `ambient`: own colours, RGB; default `intensity` and 0.
+
+        **Raises:** `ValueError` for a zero direction or a negative colour.
+        """
+        self.direction = nonzero("direction", as_vector("direction", direction))
+        self.intensity = as_light("intensity", intensity)
+        self.specular = _own_colour("specular", specular)
+        self.ambient = as_light("ambient", ambient)
+
+    def illuminate(self, position: Vec3) -> Illumination:
+        del position
+        return _arriving(
+            normalize(self.direction), 1.0, self.intensity, self.specular, self.ambient
+        )
+
+
+def _as_attenuation(value: Any) -> Vec3:
+    attenuation = at_least("attenuation", as_vector("attenuation", value), 0)
+    return nonzero("attenuation", attenuation)
+
+
+def _attenuation(coefficients: Vec3, distance: Scalar) -> Scalar:
+    constant, linear, quadratic = coefficients
+    denominator = constant + linear * distance + quadratic * distance**2
+    # No light has a finite brightness at its own place without a constant term.
+    return jnp.where(
+        denominator > 0, 1 / jnp.where(denominator > 0, denominator, 1), jnp.inf
+    )
+
+
+class PointLight(AbstractLight):
+    r"""A bulb: light falls off as $1 / (a_0 + a_1 d + a_2 d^2)$."""
+
+    position: Float[Array, "3"]
+    intensity: Float[Array, "3"]
+    attenuation: Float[Array, "3"]
+    specular: Float[Array, "3"] | None
+    ambient: Float[Array, "3"]
+
+    def __init__(
+        self,
+        position: Any,
+        intensity: Any = 1.0,
+        *,
+        attenuation: Any = (1.0, 0.0, 0.0),
+        specular: Any = None,
+        ambient: Any = 0.0,
+    ):
+        """**Arguments:**
+
+        - `position`: world units.
+        - `intensity`: RGB, or one number for all three.
+        - `attenuation`: $a_0, a_1, a_2$ per 1, world unit and its square; all ≥ 0, not
+            all 0. The default does not fall off.
+        - `specular`, `ambient`: own colours, RGB; default `intensity` and 0.
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        self.position = as_vector("position", position)
+        self.intensity = as_light("intensity", intensity)
+        self.attenuation = _as_attenuation(attenuation)
+        self.specular = _own_colour("specular", specular)
+        self.ambient = as_light("ambient", ambient)
+
+    def illuminate(self, position: Vec3) -> Illumination:
+        offset = self.position - position
+        share = _attenuation(self.attenuation, norm(offset))
+        return _arriving(
+            normalize(offset), share, self.intensity, self.specular, self.ambient
+        )
+
+
+class SpotLight(AbstractLight):
+    r"""A point light in a hood: $\cos^e$ of the angle from its axis, 0 past the cutoff.
+
+    ??? cite "Source"
+        Segal and Akeley, *The OpenGL graphics system, version 1.5*, section 2.14.1.
+    """
+
+    position: Float[Array, "3"]
+    axis: Float[Array, "3"]
+    cutoff: Float[Array, ""]
+    exponent: Float[Array, ""]
+    intensity: Float[Array, "3"]
+    attenuation: Float[Array, "3"]
+    specular: Float[Array, "3"] | None
+    ambient: Float[Array, "3"]
+
+    def __init__(
+        self,
+        position: Any,
+        axis: Any,
+        intensity: Any = 1.0,
+        *,
+        cutoff: Any = 45.0,
+        exponent: Any = 0.0,
+        attenuation: Any = (1.0, 0.0, 0.0),
+        specular: Any = None,
+        ambient: Any = 0.0,
+    ):
+        """**Arguments:**
+
+        - `position`: world units.
+        - `axis`: the way the lamp shines, any length but 0.
+        - `intensity`: RGB, or one number for all three.
+        - `cutoff`: half the cone's angle in degrees, in (0, 90].
+        - `exponent`: how the light falls off from the axis to the cutoff, ≥ 0.
+        - `attenuation`, `specular`, `ambient`: as in [`PointLight`][].
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        self.position = as_vector("position", position)
+        self.axis = nonzero("axis", as_vector("axis", axis))
+
+        def inside(angle: Any) -> Any:
+            return (angle > 0) & (angle <= 90)
+
+        self.cutoff = require(
+            "cutoff", as_scalar("cutoff", cutoff), inside, inside, "degrees in (0, 90]"
+        )
+        self.exponent = at_least("exponent", as_scalar("exponent", exponent), 0)
+        self.intensity = as_light("intensity", intensity)
+        self.attenuation = _as_attenuation(attenuation)
+        self.specular = _own_colour("specular", specular)
+        self.ambient = as_light("ambient", ambient)
+
+    def illuminate(self, position: Vec3) -> Illumination:
+        offset = self.position - position
+        to_light = normalize(offset)
+        cosine = dot(-to_light, normalize(self.axis))
+        inside = cosine >= jnp.cos(jnp.deg2rad(self.cutoff))
+        spot = jnp.where(inside, power(cosine, self.exponent), 0)
+        share = spot * _attenuation(self.attenuation, norm(offset))
+        return _arriving(to_light, share, self.intensity, self.specular, self.ambient)

@@ -1,0 +1,77 @@
+"""The unknowns: what a surface does with light."""
+
+import difflib
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from phongfit.checks import as_reflectance
+from phongfit.presets import OPENGL_MATERIALS
+
+
+class Material(eqx.Module):
+    r"""Reflectances $\rho_d, \rho_s, \rho_a$, exponent $f$ and own light of a surface.
+
+    $$I = \text{emission} + I_a \rho_a + \sum_{\text{lights}} I_s (\rho_d \max(s \cdot
+    m, 0) + \rho_s \cos^f)$$
+
+    Every leaf has shape () (one number for all channels) or ends in a colour axis of
+    1 or 3: (3,) is one material, (M, 3) is M materials, (H, W, 3) is a map.
+    """
+
+    diffuse: Float[Array, "..."]
+    specular: Float[Array, "..."]
+    shininess: Float[Array, "..."]
+    ambient: Float[Array, "..."]
+    emission: Float[Array, "..."]
+
+    def __init__(
+        self,
+        diffuse: Any = 0.8,
+        specular: Any = 0.0,
+        shininess: Any = 32.0,
+        ambient: Any = 0.2,
+        emission: Any = 0.0,
+    ):
+        r"""**Arguments:**
+
+        - `diffuse`: Lambert reflectance $\rho_d$ (GL_DIFFUSE, Kd).
+        - `specular`: strength of the highlight $\rho_s$ (GL_SPECULAR, Ks).
+        - `shininess`: exponent $f$ (GL_SHININESS, Ns). A larger $f$ makes a *narrower*
+            highlight, since $\cos^f$ falls off faster; some lecture notes have it the
+            other way round. As a rule, plastics lie in 5–10 and metals in 100–200; real
+            photographs fit well beyond. Phong's and Blinn's exponents differ by about
+            a factor of 4 for the same highlight: see [`blinn_from_phong`][].
+        - `ambient`: share $\rho_a$ of the ambient light that is sent back (GL_AMBIENT,
+            Ka).
+        - `emission`: light of its own (GL_EMISSION, Ke), where white is 1.
+
+        **Raises:** `ValueError` that names the argument: a negative or non-finite
+        number, or a last axis that is not 1 or 3.
+        """
+        self.diffuse = as_reflectance("diffuse", diffuse)
+        self.specular = as_reflectance("specular", specular)
+        self.shininess = as_reflectance("shininess", shininess)
+        self.ambient = as_reflectance("ambient", ambient)
+        self.emission = as_reflectance("emission", emission)
+
+
+PRESETS = tuple(OPENGL_MATERIALS)
+
+
+def preset(name: str) -> Material:
+    """One of the 24 classic OpenGL materials, for the Blinn-Phong model.
+
+    **Arguments:** `name`: one of `phongfit.PRESETS`, such as `"brass"`; spaces and
+    hyphens count as underscores.
+
+    **Raises:** `ValueError` for any other name, with the nearest that there is.
+    """
+    key = name.strip().lower().replace(" ", "_").replace("-", "_")
+    if key not in OPENGL_MATERIALS:
+        near = difflib.get_close_matches(key, PRESETS, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else f": {', '.join(PRESETS)}"
+        raise ValueError(f"name: there is no preset {name!r}{hint}")
+    ambient, diffuse, specular, shininess = OPENGL_MATERIALS[key]
+    return Material(diffuse, specular, shininess, ambient)

@@ -1,0 +1,157 @@
+"""Light meets surface, at one point: Lambert's, Phong's and Blinn's laws.
+
+Everything here takes unit vectors of shape (3,) that point away from the surface; the
+caller batches with `vmap`.
+"""
+
+import abc
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from phongfit.vectors import Scalar, Vec3, dot, normalize, power
+
+
+def lambert(normal: Vec3, to_light: Vec3) -> Scalar:
+    r"""Share of a light's intensity that a matte surface sends back.
+
+    $\max(s \cdot m, 0)$: none from behind.
+
+    **Arguments:**
+
+    - `normal`: unit surface normal $m$.
+    - `to_light`: unit vector $s$ from the surface to the light.
+
+    **Returns:**
+
+    A number in [0, 1], no unit.
+
+    ??? cite "Source"
+        Lambert, *Photometria*, 1760.
+    """
+    return jnp.maximum(dot(to_light, normal), 0)
+
+
+def mirror(normal: Vec3, to_light: Vec3) -> Vec3:
+    r"""Direction $r = 2 (s \cdot m) m - s$ of the ideal reflection of a light.
+
+    **Arguments:** as in [`lambert`][]. **Returns:** a unit vector.
+    """
+    return 2 * dot(to_light, normal) * normal - to_light
+
+
+def halfway(to_light: Vec3, to_viewer: Vec3) -> Vec3:
+    r"""Half vector $h = (s + v) / |s + v|$; zero where $s = -v$.
+
+    **Arguments:** unit vectors to light and viewer. **Returns:** a unit vector.
+    """
+    return normalize(to_light + to_viewer)
+
+
+class AbstractSpecular(eqx.Module):
+    """A highlight: a cosine that geometry fixes, and a lobe that the exponent shapes.
+
+    The split is what makes fits fast: the cosine is computed once, the lobe at every
+    step.
+    """
+
+    @abc.abstractmethod
+    def cosine(self, normal: Vec3, to_light: Vec3, to_viewer: Vec3) -> Scalar:
+        """Cosine of the angle from the highlight's centre; 0 where there is none."""
+
+    @abc.abstractmethod
+    def lobe(
+        self, cosine: Float[Array, "..."], shininess: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """Height of the highlight at `cosine`, elementwise, for ρ_s = 1."""
+
+    @abc.abstractmethod
+    def diffuse_scale(self) -> float:
+        """What the diffuse term is multiplied by in this model's convention."""
+
+
+def _gated(cosine: Scalar, normal: Vec3, to_light: Vec3, gate: bool) -> Scalar:
+    return jnp.where(dot(to_light, normal) > 0, cosine, 0) if gate else cosine
+
+
+class Phong(AbstractSpecular):
+    r"""Phong's highlight $\max(r \cdot v, 0)^f$, $r = 2 (s \cdot m) m - s$.
+
+    ??? cite "Source"
+        Phong, *Illumination for computer generated pictures*, CACM 18(6), 1975.
+    """
+
+    gate: bool = eqx.field(static=True, default=True)
+
+    def cosine(self, normal: Vec3, to_light: Vec3, to_viewer: Vec3) -> Scalar:
+        cosine = dot(mirror(normal, to_light), to_viewer)
+        return _gated(cosine, normal, to_light, self.gate)
+
+    def lobe(
+        self, cosine: Float[Array, "..."], shininess: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        return power(cosine, shininess)
+
+    def diffuse_scale(self) -> float:
+        return 1.0
+
+
+Phong.__init__.__doc__ = """**Arguments:**
+
+- `gate`: no highlight where the light is behind the surface (s·m ≤ 0), as in OpenGL;
+    `False` is the textbook's bare formula.
+"""
+
+
+class BlinnPhong(AbstractSpecular):
+    r"""Blinn's highlight $\max(h \cdot m, 0)^f$, $h = (s + v) / |s + v|$.
+
+    ??? cite "Source"
+        Blinn, *Models of light reflection for computer synthesized pictures*,
+        SIGGRAPH 1977.
+    """
+
+    gate: bool = eqx.field(static=True, default=True)
+    normalized: bool = eqx.field(static=True, default=False)
+
+    def cosine(self, normal: Vec3, to_light: Vec3, to_viewer: Vec3) -> Scalar:
+        cosine = dot(halfway(to_light, to_viewer), normal)
+        return _gated(cosine, normal, to_light, self.gate)
+
+    def lobe(
+        self, cosine: Float[Array, "..."], shininess: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        height = (shininess + 2) / (2 * math.pi) if self.normalized else 1
+        return height * power(cosine, shininess)
+
+    def diffuse_scale(self) -> float:
+        return 1 / math.pi if self.normalized else 1.0
+
+
+BlinnPhong.__init__.__doc__ = r"""**Arguments:**
+
+- `gate`: as in [`Phong`][].
+- `normalized`: scale the lobe by $(f+2)/(2\pi)$ and the diffuse term by $1/\pi$.
+"""
+
+
+def blinn_from_phong(shininess: Float[Array, "..."]) -> Float[Array, "..."]:
+    r"""Blinn exponent with about the highlight that Phong's `shininess` gives: $4 f$.
+
+    Where light, viewer and normal share a plane, the angle between $h$ and $m$ is half
+    of that between $r$ and $v$, and $\cos^{4f}(\theta/2) \approx \cos^f \theta$ near
+    the centre of the highlight.
+
+    **Arguments:** `shininess`: Phong exponents, any shape. **Returns:** Blinn's.
+
+    ??? cite "Source"
+        Fisher and Woo, *R·E versus N·H specular highlights*, Graphics Gems IV, 1994.
+    """
+    return 4 * shininess
+
+
+def phong_from_blinn(shininess: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Phong exponent for a Blinn exponent: the inverse of [`blinn_from_phong`][]."""
+    return shininess / 4

@@ -1,0 +1,87 @@
+"""Film: from linear light to the numbers in a file, and back."""
+
+from typing import Any, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Encoding = Literal["linear", "srgb"]
+ENCODINGS: tuple[Encoding, ...] = ("linear", "srgb")
+
+
+def encode(linear: Float[Array, "..."], encoding: Encoding) -> Float[Array, "..."]:
+    """Linear light in [0, 1] as the numbers of `encoding`, in [0, 1].
+
+    ??? cite "Source"
+        IEC 61966-2-1 (sRGB), 1999.
+    """
+    if encoding == "linear":
+        return linear
+    # Double where: the power has an infinite slope at 0, where it is not used.
+    curved = linear > 0.0031308
+    root = 1.055 * jnp.where(curved, linear, 1) ** (1 / 2.4) - 0.055
+    return jnp.where(curved, root, 12.92 * linear)
+
+
+def decode(encoded: Float[Array, "..."], encoding: Encoding) -> Float[Array, "..."]:
+    """The inverse of [`encode`][]."""
+    if encoding == "linear":
+        return encoded
+    curved = encoded > 0.04045
+    root = ((jnp.where(curved, encoded, 1) + 0.055) / 1.055) ** 2.4
+    return jnp.where(curved, root, encoded / 12.92)
+
+
+class Film(eqx.Module):
+    """What happens to light on its way into an image: clamp, encode, quantise."""
+
+    clamp: bool = eqx.field(static=True)
+    encoding: Encoding = eqx.field(static=True)
+    bits: int | None = eqx.field(static=True)
+
+    def __init__(
+        self,
+        clamp: bool = True,
+        encoding: Encoding = "linear",
+        bits: int | None = None,
+    ):
+        """**Arguments:**
+
+        - `clamp`: show min(I, 1), and nothing below 0. `False` is for floating-point
+            images that were never cut off.
+        - `encoding`: `"linear"` or `"srgb"`.
+        - `bits`: round to 2^bits levels; default not at all. Rounding has no useful
+            derivative: leave it off where gradients are wanted.
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        self.clamp = bool(clamp)
+        self.encoding = as_encoding(encoding)
+        self.bits = as_bits(bits)
+        if not self.clamp and (self.bits is not None or self.encoding != "linear"):
+            raise ValueError("clamp: needed where a film encodes or rounds")
+
+    def expose(self, light: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Linear light of any shape as what is stored, in [0, 1] if clamped."""
+        shown = jnp.clip(light, 0, 1) if self.clamp else light
+        encoded = encode(shown, self.encoding)
+        if self.bits is None:
+            return encoded
+        levels = 2**self.bits - 1
+        return jnp.round(encoded * levels) / levels
+
+
+def as_encoding(value: Any) -> Encoding:
+    """`value` if it names an encoding, else a `ValueError`."""
+    if value not in ENCODINGS:
+        wanted = " or ".join(repr(name) for name in ENCODINGS)
+        raise ValueError(f"encoding: {value!r} came, {wanted} is wanted")
+    return value
+
+
+def as_bits(value: Any) -> int | None:
+    """`value` if it is a bit depth (None, 1 … 16), else a `ValueError`."""
+    if value is not None and value not in range(1, 17):
+        raise ValueError(f"bits: {value!r} came, None or 1 … 16 is wanted")
+    return value

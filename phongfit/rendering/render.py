@@ -1,0 +1,43 @@
+"""A renderer is trace, terms, combine and film; nothing more."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from phongfit.geometry.surfaces import GBuffer
+from phongfit.geometry.tracing import trace
+from phongfit.material import Material
+from phongfit.rendering.film import Film
+from phongfit.rendering.terms import combine, terms
+from phongfit.scene import Scene
+
+
+def render(
+    scene: Scene,
+    material: Material,
+    *,
+    film: Film | None = None,
+    gbuffer: GBuffer | None = None,
+) -> Float[Array, "height width 3"]:
+    """An image of a scene: differentiable in every array, `jit`- and `vmap`-able.
+
+    **Arguments:**
+
+    - `scene`: geometry and lights.
+    - `material`: leaves of shape () or (3,), or maps of shape (height, width, 3).
+    - `film`: default clamps to [0, 1] and leaves the light linear.
+    - `gbuffer`: from [`trace`][], to render the same geometry again at less cost.
+
+    **Returns:** (height, width, 3), row 0 at the top, as the film stores it.
+    """
+    gbuffer = trace(scene.surface, scene.camera) if gbuffer is None else gbuffer
+    return _shade(scene, material, Film() if film is None else film, gbuffer)
+
+
+@eqx.filter_jit
+def _shade(
+    scene: Scene, material: Material, film: Film, gbuffer: GBuffer
+) -> Float[Array, "height width 3"]:
+    light = combine(terms(scene, gbuffer), material)
+    background = jnp.broadcast_to(scene.background, light.shape)
+    return film.expose(jnp.where(gbuffer.mask[..., None], light, background))

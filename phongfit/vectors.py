@@ -1,0 +1,39 @@
+"""Vector algebra that stays finite, with its derivatives, at the awkward points."""
+
+from typing import TypeAlias
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Vec3: TypeAlias = Float[Array, "3"]
+Scalar: TypeAlias = Float[Array, ""]
+
+
+def dot(a: Vec3, b: Vec3) -> Scalar:
+    r"""$a \cdot b$ of two vectors of shape (3,)."""
+    return jnp.sum(a * b)
+
+
+def norm(vector: Vec3) -> Scalar:
+    r"""Length $|a|$ in the vector's own units; its gradient at zero is zero."""
+    squared = dot(vector, vector)
+    positive = squared > 0
+    # The double where: the branch not taken must have a finite derivative too.
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
+
+
+def normalize(vector: Vec3) -> Vec3:
+    r"""Unit vector $a / |a|$; a zero vector stays zero, and so does its gradient."""
+    length = norm(vector)
+    return vector / jnp.where(length > 0, length, 1)
+
+
+def power(base: Float[Array, "..."], exponent: Float[Array, "..."]) -> Array:
+    r"""$\max(x, 0)^f$, elementwise, finite to second order in both arguments.
+
+    `maximum(x, 0) ** f` gives NaN gradients in $f$ and infinite ones in $x$ where
+    $x \le 0$; here they are zero.
+    """
+    positive = base > 0
+    logarithm = jnp.log(jnp.where(positive, base, 1))
+    return jnp.where(positive, jnp.exp(exponent * logarithm), 0)
