@@ -8,9 +8,9 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 
@@ -91,7 +91,7 @@ def require(
     `known` tests a NumPy array: no compilation for what a user typed. `traced` tests a
     traced one.
     """
-    if isinstance(array, jax.core.Tracer):
+    if isinstance(array, Tracer):
         return eqx.error_if(array, ~traced(array), f"{name}: {wanted} wanted")
     values = np.asarray(array)
     if not np.all(known(values)):
