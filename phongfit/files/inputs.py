@@ -66,14 +66,14 @@ def inside(folder: Path, name: str) -> Path:
     # A name that Windows would take elsewhere is no use on other systems either.
     anchored = PurePosixPath(name).anchor or PureWindowsPath(name).anchor
     if not parts or anchored or ".." in parts or "\\" in name or "\0" in name:
-        raise ValueError(f"{name!r} came, the name of a file in {folder} is wanted")
+        raise ValueError(f"{name!r} came, the name of a file in this folder is wanted")
     path = folder / name
     try:
         resolved = path.resolve()
     except (OSError, RuntimeError) as error:
         raise ValueError(f"{name!r}: is a link that leads nowhere") from error
     if not resolved.is_relative_to(folder.resolve()):
-        raise ValueError(f"{name!r}: is a link that leads out of {folder}")
+        raise ValueError(f"{name!r}: is a link that leads out of this folder")
     return path
 
 
@@ -84,3 +84,13 @@ def naming(prefix: str) -> Iterator[None]:
         yield
     except ValueError as error:
         raise ValueError(f"{prefix}: {error}") from error
+
+
+@contextlib.contextmanager
+def naming_field(record: str) -> Iterator[None]:
+    """The same for errors that begin with the name of a field of `record`."""
+    try:
+        yield
+    except ValueError as error:
+        # A matrix takes several lines, a message only one.
+        raise ValueError(f"{record}.{' '.join(str(error).split())}") from error
