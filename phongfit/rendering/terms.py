@@ -33,7 +33,7 @@ class ShadingTerms(eqx.Module):
         *batch, lights = self.cosine.shape
         channels = 1 if shininess.ndim == 0 else shininess.shape[-1]
         # One lobe serves all channels where they share the exponent.
-        exponent = _spread(shininess, (*batch, channels))[..., None, :]
+        exponent = _spread("shininess", shininess, (*batch, channels))[..., None, :]
         exponent = jnp.broadcast_to(exponent, (*batch, lights, channels))
         lobe = self.model.lobe(self.cosine[..., None], exponent)
         return jnp.sum(self.strength * lobe, axis=-2)
@@ -48,9 +48,16 @@ ShadingTerms.__init__.__doc__ = """**Arguments:**
 """
 
 
-def _spread(leaf: Float[Array, "..."], shape: tuple[int, ...]) -> Float[Array, "..."]:
+def _spread(
+    name: str, leaf: Float[Array, "..."], shape: tuple[int, ...]
+) -> Float[Array, "..."]:
     """A leaf of a material, broadcast to `shape`, whose last axis is colour."""
     missing = len(shape) - leaf.ndim
+    if missing < 0 or any(
+        have not in (1, want)
+        for have, want in zip(leaf.shape, shape[missing:], strict=True)
+    ):
+        raise ValueError(f"{name}: shape {leaf.shape} came, {shape} or less is wanted")
     return jnp.broadcast_to(leaf.reshape((1,) * missing + leaf.shape), shape)
 
 
@@ -110,11 +117,14 @@ def combine(terms: ShadingTerms, material: Material) -> Float[Array, "*batch 3"]
     **Arguments:** `terms` of any batch shape; `material` whose leaves broadcast to it.
 
     **Returns:** linear RGB of the batch shape and 3.
+
+    **Raises:** `ValueError` that names the leaf which does not broadcast.
     """
     shape = terms.diffuse.shape
     return (
-        _spread(material.emission, shape)
-        + _spread(material.ambient, shape) * terms.ambient
-        + _spread(material.diffuse, shape) * terms.diffuse
-        + _spread(material.specular, shape) * terms.specular(material.shininess)
+        _spread("emission", material.emission, shape)
+        + _spread("ambient", material.ambient, shape) * terms.ambient
+        + _spread("diffuse", material.diffuse, shape) * terms.diffuse
+        + _spread("specular", material.specular, shape)
+        * terms.specular(material.shininess)
     )
