@@ -215,13 +215,24 @@ def _search(
     noise_given: bool,
     max_steps: int,
 ) -> tuple[Problem, Array, bool, int]:
-    """Start, then solve until the noise level that it rests on is what it leaves."""
-    subset = samples.take(choose_subset(samples))
-    y = scan(subset, unknowns, clamp)
-    resolution = float(jnp.finfo(y.dtype).eps)
+    """Scan, then solve for a few samples, then for all of them."""
+    few = samples.take(choose_subset(samples))
+    y = scan(few, unknowns, clamp)
     # Before the noise is known the clamp is a hard one.
-    sigma = jnp.asarray(1.0 if noise_given else resolution, y.dtype)
-    problem = Problem(samples, unknowns, sigma, loss, clamp)
+    sigma = 1.0 if noise_given else float(jnp.finfo(y.dtype).eps)
+    problem = Problem(few, unknowns, jnp.asarray(sigma, y.dtype), loss, clamp)
+    problem, y, converged, steps = _solve_noise(problem, y, noise_given, max_steps)
+    if few.target.shape[0] < samples.target.shape[0]:
+        problem = dataclasses.replace(problem, samples=samples)
+        problem, y, converged, more = _solve_noise(problem, y, noise_given, max_steps)
+        steps += more
+    return problem, y, converged, steps
+
+
+def _solve_noise(
+    problem: Problem, y: Float[Array, " n"], noise_given: bool, max_steps: int
+) -> tuple[Problem, Array, bool, int]:
+    """Solve until the noise level that it rests on is the one that it leaves."""
     if not noise_given:
         problem = _with_sigma(problem, _noise_level(problem, y, robust=True))
     steps = 0
@@ -230,7 +241,7 @@ def _search(
         y, steps = solution.y, steps + int(solution.steps)
         if noise_given:
             break
-        robust = not _is_linear(loss)
+        robust = not _is_linear(problem.loss)
         before, after = float(problem.sigma), _noise_level(problem, y, robust)
         problem = _with_sigma(problem, after)
         if after > 0.97 * before:
@@ -306,7 +317,8 @@ def _report(
 ) -> Fit:
     """The result in the user's units, with warnings in words."""
     unknowns = problem.unknowns
-    values = np.asarray(unknowns.values(y), float)
+    bounds = unknowns.bounds
+    values = np.clip(np.asarray(unknowns.values(y), float), *bounds.T)
     # d f / d log f = f.
     scale = np.where(unknowns.logarithmic, values, 1.0)
     residual = np.asarray(problem.residual(y), float)
@@ -328,9 +340,6 @@ def _report(
             f"{correlation:.2f}. The model does not describe the image fully; errors "
             f"are widened {np.sqrt(inflation):.1f} times, and cannot tell a bias"
         )
-    bounds = np.stack(
-        [np.asarray(unknowns.values(b)) for b in (unknowns.lower, unknowns.upper)], 1
-    )
     result = Fit(
         material=unknowns.with_leaves(jnp.asarray(values, y.dtype)),
         stderr=_error_material(unknowns, errors),
@@ -340,7 +349,7 @@ def _report(
         covariance=covariance,
         at_bound=at_bound,
         untold=untold,
-        bounds=bounds.astype(float),
+        bounds=bounds,
         noise=float(problem.sigma),
         noise_given=noise_given,
         chi_squared=chi_squared,

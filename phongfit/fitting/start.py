@@ -65,6 +65,7 @@ def scan(samples: Samples, unknowns: Unknowns, clamp: bool) -> Float[Array, " n"
         return _best_reflectances(samples, unknowns, exponent, clamp)
 
     vectors, costs = jax.lax.map(at, exponents)
+    costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
     vectors = jax.vmap(lambda v, g: _with_exponent(unknowns, v, g))(vectors, grid)
     best = jnp.argmin(jnp.sum(costs, axis=-1))
     y = vectors[best]
@@ -156,7 +157,7 @@ def _solve(
     gradient = -jnp.einsum("cki,ck->i", select, moment)
     # A ridge far below any measurement, for columns that are zero or alike.
     diagonal = jnp.diag(hessian)
-    ridge = 1e-6 * jnp.maximum(diagonal, 1e-6 * jnp.max(diagonal))
+    ridge = 1e-6 * jnp.maximum(diagonal, jnp.max(diagonal))
     ridge = jnp.where(ridge > 0, ridge, 1)
     return minimize_in_box(
         hessian + jnp.diag(ridge), gradient, unknowns.lower, unknowns.upper

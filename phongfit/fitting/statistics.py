@@ -170,8 +170,9 @@ def _untold(
     diagonal = np.diag(bread)
     silent = diagonal <= _threshold(resolution) * max(diagonal.max(), 1e-300)
     reasons = [
-        f"{label} cannot be told: {_SILENT[kind]}"
-        for label, kind in zip(labels[silent], kinds[silent], strict=True)
+        f"{', '.join(labels[silent & (kinds == kind)])} cannot be told: {words}"
+        for kind, words in _SILENT.items()
+        if (silent & (kinds == kind)).any()
     ]
     untold = silent.copy()
     heard = np.flatnonzero(~silent)

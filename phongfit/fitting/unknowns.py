@@ -65,6 +65,15 @@ class Unknowns(eqx.Module):
         """Parameters in the user's units: exponents instead of their logarithms."""
         return jnp.where(jnp.asarray(self.logarithmic), jnp.exp(y), y)
 
+    @property
+    def bounds(self) -> np.ndarray:
+        """(n, 2): lower and upper bounds in the user's units."""
+        edges = np.stack([self.lower, self.upper], axis=-1).astype(float)
+        edges[self.logarithmic] = np.exp(edges[self.logarithmic])
+        # A logarithm of single precision gives back 1000 as 1000.00012.
+        digits = 6 if self.lower.dtype == np.float32 else 14
+        return np.vectorize(lambda x: float(f"{x:.{digits}g}"))(edges)
+
     def with_leaves(self, values: Float[Array, " n"]) -> Material:
         """A material with the wanted leaves from `values`, in the user's units."""
         material = self.known
