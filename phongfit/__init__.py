@@ -1,5 +1,7 @@
 """Fit the Phong illumination model to images, with honest error bars."""
 
+from phongfit.fitting.fit import fit as fit
+from phongfit.fitting.result import Fit as Fit
 from phongfit.geometry.cameras import (
     AbstractCamera as AbstractCamera,
     OrthographicCamera as OrthographicCamera,
@@ -35,5 +37,3 @@ from phongfit.rendering.terms import (
     terms as terms,
 )
 from phongfit.scene import Scene as Scene
-from phongfit.fitting.fit import fit as fit
-from phongfit.fitting.result import Fit as Fit

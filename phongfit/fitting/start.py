@@ -103,13 +103,15 @@ def _best_reflectances(
     # What was clipped says only that the light is no less than white: at first it is
     # left out, then it counts where the model falls short of white.
     weight = jnp.where(white & clamp, 0, samples.weight)
-    y = jnp.zeros_like(unknowns.lower)
-    light = jnp.zeros_like(samples.target)
-    for _ in range(3 if clamp else 1):
+
+    def step(weight: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
         y = _solve(basis, samples.target, weight, select, offset, unknowns)
         light = jnp.einsum("nck,ck->nc", basis, offset + select @ y)
-        missed = white & (light < 1)
-        weight = jnp.where(white & clamp & ~missed, 0, samples.weight)
+        beyond = white & clamp & (light >= 1)
+        return jnp.where(beyond, 0, samples.weight), (y, light)
+
+    _, (vectors, lights) = jax.lax.scan(step, weight, length=3 if clamp else 1)
+    y, light = vectors[-1], lights[-1]
     shown = jnp.clip(light, 0, 1) if clamp else light
     left = jnp.sum(samples.weight * (shown - samples.target) ** 2, axis=0)
     return y, left

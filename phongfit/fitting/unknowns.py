@@ -61,9 +61,10 @@ class Unknowns(eqx.Module):
         """The material that the solver's vector stands for."""
         return self.with_leaves(self.values(y))
 
-    def values(self, y: Float[Array, " n"]) -> Float[Array, " n"]:
+    def values(self, y: Any) -> Any:
         """Parameters in the user's units: exponents instead of their logarithms."""
-        return jnp.where(jnp.asarray(self.logarithmic), jnp.exp(y), y)
+        xp = np if isinstance(y, np.ndarray) else jnp
+        return xp.where(self.logarithmic, xp.exp(y), y)
 
     @property
     def bounds(self) -> np.ndarray:
@@ -74,11 +75,11 @@ class Unknowns(eqx.Module):
         digits = 6 if self.lower.dtype == np.float32 else 14
         return np.vectorize(lambda x: float(f"{x:.{digits}g}"))(edges)
 
-    def with_leaves(self, values: Float[Array, " n"]) -> Material:
+    def with_leaves(self, values: Any) -> Material:
         """A material with the wanted leaves from `values`, in the user's units."""
         material = self.known
         for name, part in self.parts(values).items():
-            leaf = part if part.shape[-1] > 1 else part[0]
+            leaf = jnp.asarray(part if part.shape[-1] > 1 else part[0])
 
             def where(m: Material, name: str = name) -> Array:
                 return getattr(m, name)

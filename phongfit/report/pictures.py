@@ -15,13 +15,12 @@ INCHES = 2.1
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One image and its fit: linear light (H, W, 3), and two lines of text."""
+    """One image and its fit: linear light (H, W, 3), and a line of text."""
 
     target: Any
     fitted: Any
     residual: Any
     title: str
-    caption: str = ""
 
 
 def displayed(image: Any) -> np.ndarray:
@@ -59,7 +58,6 @@ def comparison(
         bar = figure.colorbar(shown, ax=line[2], fraction=0.046, pad=0.03)
         bar.ax.tick_params(labelsize=7)
         line[0].set_title(row.title, fontsize=9, loc="left")
-        line[1].set_title(row.caption, fontsize=7, loc="left")
         for axis in line:
             axis.set_xticks([])
             axis.set_yticks([])
