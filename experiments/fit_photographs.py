@@ -142,10 +142,8 @@ def main(
     }
     guesses = {name: predict(unseen, result.material) for name, result in fits.items()}
     scores = {name: rmse_over_mean(unseen, guess) for name, guess in guesses.items()}
-    print(
-        f"{data.name}: fitted to {len(seen.images)} photographs, {len(unseen.images)} "
-        "left out\n"
-    )
+    counts = f"{len(seen.images)} photographs, {len(unseen.images)} left out"
+    print(f"{data.name}: fitted to {counts}\n")
     show("each channel its own ρ_s and f", fits["free"], scores["free"])
     show("ρ_s and f shared by the channels", fits["shared"], scores["shared"])
     print(f"matte surface, for comparison: RMSE / mean {_triple(scores['matte'])}")
@@ -172,7 +170,9 @@ def _figure(data: Dataset, predicted: list[np.ndarray]):
         mask = data.masks[k][..., None]
         difference = np.where(mask, data.images[k] - predicted[k], 0)
         rows.append(Row(data.images[k], predicted[k], difference, data.names[k]))
-    return comparison(rows, ("photograph", "prediction"), 1 / max(brightest, 1e-6))
+    return comparison(
+        rows, ("photograph", "prediction"), brighten=1 / max(brightest, 1e-6)
+    )
 
 
 if __name__ == "__main__":

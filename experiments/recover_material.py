@@ -172,7 +172,7 @@ def main(
         for warning in (*result["warnings"], *result["wrong"]):
             console.print(f"  ! {warning}")
         console.print()
-    save_picture(picture, comparison(rows))
+    save_picture(picture, comparison(rows, blocks=2))
     save_numbers(json, results)
     failed = [result["name"] for result in results if result["wrong"]]
     told = sum(int(np.isfinite(result["stderr"]).sum()) for result in results)

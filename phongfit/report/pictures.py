@@ -29,7 +29,11 @@ def displayed(image: Any) -> np.ndarray:
 
 
 def comparison(
-    rows: Sequence[Row], names: tuple[str, str] = ("target", "fit"), brighten: float = 1
+    rows: Sequence[Row],
+    names: tuple[str, str] = ("target", "fit"),
+    *,
+    brighten: float = 1.0,
+    blocks: int = 1,
 ) -> Figure:
     """A row for each image: target, fit, and a map of the residual with its scale.
 
@@ -38,15 +42,20 @@ def comparison(
     - `rows`: what to show.
     - `names`: of the first two columns; the third is their difference.
     - `brighten`: factor on the light that is shown, for dark photographs.
+    - `blocks`: how many rows stand side by side.
     """
+    lines = -(-len(rows) // blocks)
     figure, axes = plt.subplots(
-        len(rows),
-        3,
-        figsize=(3.6 * INCHES, (INCHES + 0.42) * len(rows) + 0.3),
+        lines,
+        3 * blocks,
+        figsize=(3.6 * INCHES * blocks, (INCHES + 0.42) * lines + 0.3),
         squeeze=False,
         layout="constrained",
     )
-    for line, row in zip(axes, rows, strict=True):
+    blocked = axes.reshape(lines * blocks, 3)
+    for axis in blocked[len(rows) :].ravel():
+        axis.set_axis_off()
+    for line, row in zip(blocked, rows, strict=False):
         line[0].imshow(displayed(brighten * np.asarray(row.target)))
         line[1].imshow(displayed(brighten * np.asarray(row.fitted)))
         # One number a pixel: the channel that is furthest off, with its sign.
@@ -61,8 +70,7 @@ def comparison(
         for axis in line:
             axis.set_xticks([])
             axis.set_yticks([])
-    for axis, name in zip(
-        axes[-1], (*names, f"{names[0]} − {names[1]} (linear light)"), strict=True
-    ):
+    columns = (*names, f"{names[0]} − {names[1]} (linear light)")
+    for axis, name in zip(axes[-1], columns * blocks, strict=True):
         axis.set_xlabel(name, fontsize=9)
     return figure
