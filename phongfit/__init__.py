@@ -1,10 +1,18 @@
 """Fit the Phong illumination model to images, with honest error bars."""
 
+from phongfit.environment import Fog as Fog
 from phongfit.geometry.cameras import (
     AbstractCamera as AbstractCamera,
     OrthographicCamera as OrthographicCamera,
     PerspectiveCamera as PerspectiveCamera,
     look_at as look_at,
+)
+from phongfit.geometry.meshes import Mesh as Mesh, join as join
+from phongfit.geometry.shading import (
+    AbstractShading as AbstractShading,
+    FlatShading as FlatShading,
+    GouraudShading as GouraudShading,
+    PhongShading as PhongShading,
 )
 from phongfit.geometry.surfaces import (
     AbstractSurface as AbstractSurface,
@@ -19,7 +27,12 @@ from phongfit.lights import (
     PointLight as PointLight,
     SpotLight as SpotLight,
 )
-from phongfit.material import PRESETS as PRESETS, Material as Material, preset as preset
+from phongfit.material import (
+    PRESETS as PRESETS,
+    Material as Material,
+    preset as preset,
+    stack_materials as stack_materials,
+)
 from phongfit.reflectance import (
     AbstractSpecular as AbstractSpecular,
     BlinnPhong as BlinnPhong,
@@ -28,6 +41,10 @@ from phongfit.reflectance import (
     phong_from_blinn as phong_from_blinn,
 )
 from phongfit.rendering.film import Film as Film
+from phongfit.rendering.pixels import (
+    PixelTerms as PixelTerms,
+    pixel_terms as pixel_terms,
+)
 from phongfit.rendering.render import render as render
 from phongfit.rendering.terms import (
     ShadingTerms as ShadingTerms,

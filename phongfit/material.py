@@ -1,9 +1,12 @@
 """The unknowns: what a surface does with light."""
 
 import difflib
+from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from phongfit.checks import as_reflectance
@@ -55,6 +58,36 @@ class Material(eqx.Module):
         self.shininess = as_reflectance("shininess", shininess)
         self.ambient = as_reflectance("ambient", ambient)
         self.emission = as_reflectance("emission", emission)
+
+
+def stack_materials(materials: Iterable[Material]) -> Material:
+    """Several materials as one `Material` of leaves (M, 3), for `material_index`.
+
+    **Arguments:** `materials`: leaves of shape () or (3,), or already several: (M, 3).
+
+    **Returns:** all of them, in order. The exponent has shape (M, 1) if no material has
+    three of its own.
+
+    **Raises:** `ValueError` if there are none, or one is a map.
+    """
+    materials = list(materials)
+    if not materials:
+        raise ValueError("materials: none came, at least one is wanted")
+
+    def rows(material: Material) -> list[Array]:
+        leaves = [jnp.atleast_2d(leaf) for leaf in jax.tree.leaves(material)]
+        if any(leaf.ndim > 2 for leaf in leaves):
+            raise ValueError("materials: a map came, single materials are wanted")
+        count = max(len(leaf) for leaf in leaves)
+        return [jnp.broadcast_to(leaf, (count, leaf.shape[1])) for leaf in leaves]
+
+    def stack(*leaves: Array) -> Array:
+        channels = max(leaf.shape[1] for leaf in leaves)
+        spread = [jnp.broadcast_to(leaf, (len(leaf), channels)) for leaf in leaves]
+        return jnp.concatenate(spread)
+
+    stacked = [stack(*leaves) for leaves in zip(*map(rows, materials), strict=True)]
+    return jax.tree.unflatten(jax.tree.structure(materials[0]), stacked)
 
 
 PRESETS = tuple(OPENGL_MATERIALS)
