@@ -52,3 +52,5 @@ from phongfit.rendering.terms import (
     terms as terms,
 )
 from phongfit.scene import Scene as Scene
+from phongfit.fitting.fit import fit as fit
+from phongfit.fitting.result import Fit as Fit

@@ -1,0 +1,53 @@
+"""A data set: photographs, the scene of each, and which samples may be used."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from phongfit.material import Material
+from phongfit.rendering.film import Film
+from phongfit.scene import Scene
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Images of one material, as [`fit`][] takes them.
+
+    - `name`: of the folder it came from.
+    - `scenes`: one for each image; they may share surface and camera.
+    - `images`: linear light, (H, W, 3).
+    - `masks`: true where a sample may be used, (H, W) or, by channel, (H, W, 3).
+    - `names`: the images' file names.
+    - `film`: how light became the images' numbers.
+    - `truth`: the material, where it is known.
+    """
+
+    name: str
+    scenes: tuple[Scene, ...]
+    images: tuple[Float[np.ndarray, "height width 3"], ...]
+    masks: tuple[Bool[np.ndarray, "height width *channel"], ...]
+    names: tuple[str, ...]
+    film: Film
+    truth: Material | None = None
+
+    def __post_init__(self) -> None:
+        counts = [len(self.scenes), len(self.images), len(self.masks), len(self.names)]
+        if len(set(counts)) != 1 or not self.images:
+            raise ValueError(
+                f"scenes, images, masks, names: {counts} of them came, as many of each "
+                "are wanted, and at least one"
+            )
+        for scene, image, mask, name in zip(
+            self.scenes, self.images, self.masks, self.names, strict=True
+        ):
+            size = (scene.camera.height, scene.camera.width)
+            for what, array, wanted in (
+                ("image", image, [(*size, 3)]),
+                ("mask", mask, [size, (*size, 3)]),
+            ):
+                if array.shape not in wanted:
+                    raise ValueError(
+                        f"{name}: {what} of shape {array.shape} came, the camera's "
+                        f"{' or '.join(str(shape) for shape in wanted)} is wanted"
+                    )

@@ -1,0 +1,134 @@
+"""Photographs in the layout of DiLiGenT.
+
+??? cite "Source"
+    Shi, Mo, Wu, Duan, Yeung and Tan, *A benchmark dataset and evaluation for
+    non-Lambertian and uncalibrated photometric stereo*, TPAMI 41(2), 2019.
+"""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import scipy.io
+from jaxtyping import Bool, Float
+
+from phongfit.files.dataset import Dataset
+from phongfit.files.images import read_image, read_mask
+from phongfit.files.inputs import inside, naming, read_bytes, read_table, read_text
+from phongfit.geometry.cameras import OrthographicCamera
+from phongfit.geometry.surfaces import NormalMap
+from phongfit.lights import DirectionalLight
+from phongfit.rendering.film import Film
+from phongfit.scene import Scene
+
+
+def is_diligent(folder: Path) -> bool:
+    """Whether a folder looks like one of DiLiGenT's."""
+    return (folder / "filenames.txt").exists()
+
+
+def read_diligent(
+    folder: str | os.PathLike[str],
+    *,
+    min_cosine: float = -1.0,
+    min_facing: float = -1.0,
+) -> Dataset:
+    """One object of DiLiGenT: linear photographs, each under one distant light.
+
+    They are divided by the intensities of their lights, so that each light's intensity
+    is 1, and saturated samples are masked, channel by channel.
+
+    **Arguments:**
+
+    - `folder`: holds `filenames.txt`, the photographs in it, `light_directions.txt`,
+        `light_intensities.txt`, `mask.png` and `Normal_gt.mat`.
+    - `min_cosine`: samples with n·l up to this are masked too: there light that
+        bounced from elsewhere, and the shadow's edge, outweigh the light itself.
+    - `min_facing`: pixels with n_z up to this are masked too: on the rim a pixel
+        averages over many normals.
+
+    **Raises:** `ValueError` that names the file that is missing or wrong.
+    """
+    folder = Path(folder)
+    names = tuple(read_text(inside(folder, "filenames.txt")).split())
+    directions = _read_rows(folder, "light_directions.txt", len(names))
+    intensities = _read_rows(folder, "light_intensities.txt", len(names))
+    _check_lights(folder, directions, intensities)
+    inside_mask = read_mask(inside(folder, "mask.png"))
+    surface = _read_surface(folder, inside_mask)
+    normals = np.asarray(surface.normals, np.float64)
+    used = inside_mask & (normals[..., 2] > min_facing)
+    height, width = inside_mask.shape
+    camera = OrthographicCamera(width, height)
+    scenes, images, masks = [], [], []
+    for name, direction, intensity in zip(names, directions, intensities, strict=True):
+        image = _read_photograph(folder, name, inside_mask.shape)
+        cosine = normals @ (direction / np.linalg.norm(direction))
+        scenes.append(Scene(surface, camera, DirectionalLight(direction)))
+        images.append(image / intensity.astype(image.dtype))
+        # Divided, 65535 is a different number in each channel, so this comes first.
+        masks.append((used & (cosine > min_cosine))[..., None] & (image < 1))
+    return Dataset(
+        folder.resolve().name,
+        tuple(scenes),
+        tuple(images),
+        tuple(masks),
+        names,
+        # Nothing that is left in the masks was cut off.
+        Film(clamp=False),
+    )
+
+
+def _read_rows(folder: Path, name: str, count: int) -> Float[np.ndarray, "count 3"]:
+    path = inside(folder, name)
+    table = read_table(path, 3)
+    if len(table) != count or count == 0:
+        raise ValueError(
+            f"{path}: {len(table)} lines came, one for each of the {count} photographs "
+            "in filenames.txt is wanted"
+        )
+    return table
+
+
+def _check_lights(
+    folder: Path, directions: np.ndarray, intensities: np.ndarray
+) -> None:
+    for name, fine, wanted in (
+        ("light_directions.txt", np.any(directions != 0, axis=1), "a vector but zero"),
+        ("light_intensities.txt", np.all(intensities > 0, axis=1), "numbers > 0"),
+    ):
+        if not fine.all():
+            line = int(np.argmin(fine))
+            raise ValueError(f"{folder / name}: light {line + 1}: {wanted} wanted")
+
+
+def _read_surface(folder: Path, mask: Bool[np.ndarray, "height width"]) -> NormalMap:
+    path = inside(folder, "Normal_gt.mat")
+    read_bytes(path)
+    wanted = (*mask.shape, 3)
+    try:
+        # Asked first: a small file can hold very many equal numbers.
+        shapes = {name: shape for name, shape, _ in scipy.io.whosmat(path)}
+        shape = shapes.get("Normal_gt")
+        if shape != wanted:
+            raise ValueError(
+                f"Normal_gt of shape {shape} came, mask.png wants {wanted}"
+            )
+        normals = scipy.io.loadmat(path, variable_names=["Normal_gt"])["Normal_gt"]
+        return NormalMap(normals, mask)
+    except Exception as error:
+        # A broken file makes this reader raise nearly anything.
+        raise ValueError(f"{path}: {error or type(error).__name__}") from error
+
+
+def _read_photograph(
+    folder: Path, name: str, size: tuple[int, ...]
+) -> Float[np.ndarray, "height width 3"]:
+    with naming(f"{folder / 'filenames.txt'}"):
+        path = inside(folder, name)
+    image = read_image(path, "linear")
+    if image.shape[:2] != size:
+        raise ValueError(
+            f"{path}: {image.shape[:2]} pixels came, mask.png wants {size}"
+        )
+    return image

@@ -1,0 +1,192 @@
+"""Images on disk: read as linear light, written in a stated encoding."""
+
+import os
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, UInt
+
+from phongfit.files.formats import READERS, WRITERS, Refused
+from phongfit.files.inputs import read_bytes
+from phongfit.files.outputs import replacing
+from phongfit.rendering.film import Encoding, as_encoding, decode, encode
+
+Bits = Literal[8, 16, 32]
+"""A channel's size in a file; 32 is a floating-point number."""
+
+
+def read_image(
+    path: str | os.PathLike[str], encoding: Encoding
+) -> Float[np.ndarray, "height width 3"]:
+    """An image as linear light, where 1 is the largest number of an integer format.
+
+    PNG and TIFF of 8 and 16 bits, JPEG, floating-point TIFF, Radiance HDR and EXR.
+    Grey becomes three equal channels. An EXIF rotation is not applied.
+
+    **Arguments:**
+
+    - `path`: the suffix tells the format.
+    - `encoding`: `"linear"` or `"srgb"`: what the numbers in the file are. A fit in the
+        wrong one is wrong, so it is never guessed. Floating-point formats are linear.
+
+    **Raises:** `ValueError` that names the file: it is missing, broken, of an unknown
+    format, too large, partly transparent, or holds NaN or infinity.
+    """
+    path = Path(path)
+    encoding = as_encoding(encoding)
+    numbers = _opaque(path, _read_numbers(path))
+    if numbers.dtype.kind == "f":
+        if encoding != "linear":
+            raise ValueError(
+                f"{path}: encoding {encoding!r} came, floating-point images are linear"
+            )
+        image = numbers.astype(_float_type())
+        if not np.isfinite(image).all():
+            raise ValueError(f"{path}: has NaN or infinite pixels")
+    else:
+        image = from_levels(numbers, encoding)
+    return np.repeat(image, 3 // image.shape[-1], axis=-1)
+
+
+def read_mask(path: str | os.PathLike[str]) -> Bool[np.ndarray, "height width"]:
+    """A mask from an image: true where it is nearer to its brightest grey than to 0.
+
+    **Raises:** `ValueError` that names the file, as in [`read_image`][].
+    """
+    # Relative to the brightest, since masks of 0 and 1 are as common as 0 and 255.
+    path = Path(path)
+    grey = _opaque(path, _read_numbers(path)).max(axis=-1)
+    return grey > grey.max() / 2
+
+
+def write_image(
+    path: str | os.PathLike[str],
+    image: Any,
+    encoding: Encoding,
+    bits: Bits | None = None,
+) -> None:
+    """Write linear light to a file, in one piece.
+
+    **Arguments:**
+
+    - `path`: the suffix tells the format: `.png` (8, 16 bits), `.jpg` (8), `.tif` (8,
+        16, 32), `.hdr` (32), `.exr` (32).
+    - `image`: (H, W, 3), or (H, W) for grey, linear.
+    - `encoding`: `"linear"` or `"srgb"`; it must be told again when the file is read.
+    - `bits`: per channel; default the fewest that the format has. 8 and 16 cut off
+        what is below 0 or above 1; 32 is floating-point, linear and not cut off.
+
+    **Raises:** `ValueError` that names the file or the argument, `OSError` if the file
+    cannot be written.
+    """
+    path = Path(path)
+    writers = WRITERS.get(path.suffix.lower())
+    if writers is None:
+        raise ValueError(f"{path}: {_wanted_suffix(path, WRITERS)}")
+    depth = min(writers) if bits is None else bits
+    if depth not in writers:
+        depths = " or ".join(str(known) for known in writers)
+        raise ValueError(f"{path}: bits: {depth!r} came, {depths} is wanted")
+    light = _as_image(path, image)
+    if depth != 32:
+        numbers = to_levels(light, encoding, depth)
+    elif as_encoding(encoding) == "linear":
+        numbers = light.astype(np.float32)
+    else:
+        raise ValueError(
+            f"{path}: encoding {encoding!r} came, floating-point images are linear"
+        )
+    with replacing(path) as temporary:
+        writers[depth](temporary, numbers)
+
+
+def to_levels(
+    light: Float[Any, "..."], encoding: Encoding, bits: int
+) -> UInt[np.ndarray, "..."]:
+    """Linear light, of any shape, as the whole numbers of 8 or 16 bits in a file."""
+    # In double precision: the curve of sRGB has to give all 65536 levels back.
+    with jax.enable_x64(True):
+        shown = jnp.clip(jnp.asarray(np.asarray(light, np.float64)), 0, 1)
+        levels = jnp.round(encode(shown, as_encoding(encoding)) * (2**bits - 1))
+        return np.asarray(levels).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def from_levels(
+    levels: UInt[np.ndarray, "..."], encoding: Encoding
+) -> Float[np.ndarray, "..."]:
+    """The whole numbers of an image file as linear light: the inverse of the above."""
+    highest = np.iinfo(levels.dtype).max
+    # A table, since there are fewer levels than pixels.
+    with jax.enable_x64(True):
+        encoded = jnp.asarray(np.arange(highest + 1) / highest)
+        table = np.asarray(decode(encoded, as_encoding(encoding)))
+    return table.astype(_float_type())[levels]
+
+
+def _float_type() -> np.dtype:
+    return np.dtype(jnp.result_type(float))
+
+
+def _wanted_suffix(path: Path, known: Any) -> str:
+    came = f"suffix {path.suffix!r}" if path.suffix else "no suffix"
+    return f"{came} came, one of {' '.join(known)} is wanted"
+
+
+def _as_image(path: Path, image: Any) -> np.ndarray:
+    light = np.asarray(image)
+    if light.ndim == 2:
+        light = np.stack([light] * 3, axis=-1)
+    if light.ndim != 3 or light.shape[-1] != 3 or 0 in light.shape:
+        raise ValueError(
+            f"{path}: an image of shape {light.shape} came, (height, width, 3) wanted"
+        )
+    light = light.astype(np.float64)
+    if not np.isfinite(light).all():
+        raise ValueError(f"{path}: the image has NaN or infinite pixels")
+    return light
+
+
+def _read_numbers(path: Path) -> np.ndarray:
+    """What stands in the file: (H, W, channels), whole numbers or floats."""
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise ValueError(f"{path}: {_wanted_suffix(path, READERS)}")
+    data = read_bytes(path)
+    try:
+        numbers = reader(data, path)
+    except Refused as error:
+        raise ValueError(f"{path}: {error}") from None
+    except Exception as error:
+        # Decoders raise whatever they like for what is broken, SyntaxError included.
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ValueError(
+            f"{path}: is broken or no {path.suffix} image: {reason}"
+        ) from error
+    numbers = numbers[..., None] if numbers.ndim == 2 else numbers
+    if numbers.ndim != 3 or 0 in numbers.shape:
+        raise ValueError(f"{path}: shape {numbers.shape} came, one image is wanted")
+    if numbers.dtype not in (np.uint8, np.uint16) and numbers.dtype.kind != "f":
+        raise ValueError(
+            f"{path}: samples of type {numbers.dtype} came, uint8, uint16 or floats "
+            "are wanted"
+        )
+    return numbers
+
+
+def _opaque(path: Path, numbers: np.ndarray) -> np.ndarray:
+    """Without its alpha channel, which must not matter."""
+    channels = numbers.shape[-1]
+    if channels not in (1, 2, 3, 4):
+        raise ValueError(f"{path}: {channels} channels came, 1, 3 or those + alpha")
+    if channels in (1, 3):
+        return numbers
+    highest = 1 if numbers.dtype.kind == "f" else np.iinfo(numbers.dtype).max
+    if not (numbers[..., -1] == highest).all():
+        raise ValueError(
+            f"{path}: is partly transparent, an opaque image is wanted (what lies "
+            "behind it is unknown; leave pixels out with a mask)"
+        )
+    return numbers[..., :-1]

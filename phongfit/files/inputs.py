@@ -1,0 +1,96 @@
+"""What comes from outside: read within limits, and from inside its folder only."""
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+import numpy as np
+from jaxtyping import Float
+
+MAX_BYTES = 2**31
+"""Files with more bytes are refused; no image that is read here needs them."""
+
+
+def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
+    """The whole of a file.
+
+    **Raises:** `ValueError` that names the file: it is missing, no plain file, may not
+    be read, or has more than `limit` bytes.
+    """
+    try:
+        # A device or a pipe might never end.
+        if path.exists() and not path.is_file():
+            raise ValueError(f"{path}: is not a file")
+        size = path.stat().st_size
+        if size > limit:
+            raise ValueError(f"{path}: {size} bytes came, at most {limit} wanted")
+        return path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def read_text(path: Path, limit: int = 2**24) -> str:
+    """The whole of a text file, in UTF-8; raises as [`read_bytes`][] does."""
+    try:
+        return read_bytes(path, limit).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: is no text in UTF-8") from error
+
+
+def read_table(path: Path, columns: int) -> Float[np.ndarray, "rows columns"]:
+    """Finite numbers, `columns` in a line, between white space.
+
+    **Raises:** `ValueError` that names the file and the line.
+    """
+    rows = []
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        if not line.strip():
+            continue
+        with naming(f"{path}: line {number}"):
+            row = [float(word) for word in line.split()]
+            if len(row) != columns or not np.isfinite(row).all():
+                raise ValueError(f"{line!r} came, {columns} finite numbers wanted")
+            rows.append(row)
+    return np.array(rows).reshape(-1, columns)
+
+
+def inside(folder: Path, name: str) -> Path:
+    """The file called `name` in `folder`, or below it.
+
+    A data set may come from anyone: it must not name files elsewhere.
+
+    **Raises:** `ValueError` for an absolute name, one with `..`, or a symbolic link
+    that leads out of the folder.
+    """
+    parts = PurePosixPath(name).parts
+    # A name that Windows would take elsewhere is no use on other systems either.
+    anchored = PurePosixPath(name).anchor or PureWindowsPath(name).anchor
+    if not parts or anchored or ".." in parts or "\\" in name or "\0" in name:
+        raise ValueError(f"{name!r} came, the name of a file in this folder is wanted")
+    path = folder / name
+    try:
+        resolved = path.resolve()
+    except (OSError, RuntimeError) as error:
+        raise ValueError(f"{name!r}: is a link that leads nowhere") from error
+    if not resolved.is_relative_to(folder.resolve()):
+        raise ValueError(f"{name!r}: is a link that leads out of this folder")
+    return path
+
+
+@contextlib.contextmanager
+def naming(prefix: str) -> Iterator[None]:
+    """Put `prefix` before the message of a `ValueError` from the block."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{prefix}: {error}") from error
+
+
+@contextlib.contextmanager
+def naming_field(record: str) -> Iterator[None]:
+    """The same for errors that begin with the name of a field of `record`."""
+    try:
+        yield
+    except ValueError as error:
+        # A matrix takes several lines, a message only one.
+        raise ValueError(f"{record}.{' '.join(str(error).split())}") from error

@@ -1,0 +1,191 @@
+"""Outputs appear whole or not at all: written under another name, then moved."""
+
+import contextlib
+import json
+import math
+import os
+import secrets
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+LINE_WIDTH = 88
+
+
+@contextlib.contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A name in the same folder to write to; moved to `path` if all goes well.
+
+    Whatever ends the block early, an interrupt too, removes what was written, and a
+    file that stood at `path` before stays as it was.
+
+    **Arguments:** `path`: the file to make or to replace.
+
+    **Returns:** a context manager that gives the name; its suffix is that of `path`,
+    since many writers choose the format by it.
+
+    **Raises:** `OSError` that names `path`.
+    """
+    path = Path(path)
+    _check_folder(path.parent, path)
+    if path.is_dir():
+        raise OSError(f"{path}: is a folder, a file name is wanted")
+    temporary = _sibling(path)
+    try:
+        with _blaming(path, temporary):
+            yield temporary
+            os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def replacing_folder(
+    path: str | os.PathLike[str],
+    may_replace: Callable[[str], bool] | None = None,
+) -> Iterator[Path]:
+    """An empty folder to fill, which becomes `path` if all goes well.
+
+    **Arguments:**
+
+    - `path`: the folder to make. One that is there must be empty.
+    - `may_replace`: tells of a name in a folder that is there whether it may be lost;
+        if all of them may, the whole folder is replaced.
+
+    **Returns:** a context manager that gives the folder to fill.
+
+    **Raises:** `OSError` that names `path`, and what is in the way.
+    """
+    # A link is followed, and "." gets its name.
+    path = Path(path).resolve()
+    _check_folder(path.parent, path)
+    _check_replaceable(path, may_replace)
+    temporary = _sibling(path)
+    try:
+        with _blaming(path, temporary):
+            temporary.mkdir()
+            yield temporary
+            _swap(temporary, path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _check_folder(folder: Path, path: Path) -> None:
+    if not folder.is_dir():
+        raise OSError(f"{path}: there is no folder {folder} to write it to")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise OSError(f"{path}: the folder {folder} may not be written to")
+
+
+def _check_replaceable(path: Path, may_replace: Callable[[str], bool] | None) -> None:
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise OSError(f"{path}: is a file, a folder is wanted")
+    names = sorted(entry.name for entry in path.iterdir())
+    if names and may_replace is None:
+        raise OSError(f"{path}: the folder is not empty")
+    for name in names:
+        if may_replace is not None and not may_replace(name):
+            raise OSError(f"{path}: is not replaced, since it holds {name}")
+
+
+def _sibling(path: Path) -> Path:
+    # Not `tempfile`, whose files only their owner may read.
+    return path.with_name(f".{path.stem}-{secrets.token_hex(6)}{path.suffix}")
+
+
+def _swap(new: Path, path: Path) -> None:
+    if not path.exists():
+        os.replace(new, path)
+        return
+    old = _sibling(path)
+    os.replace(path, old)
+    try:
+        os.replace(new, path)
+    except BaseException:
+        os.replace(old, path)
+        raise
+    shutil.rmtree(old)
+
+
+@contextlib.contextmanager
+def _blaming(path: Path, temporary: Path) -> Iterator[None]:
+    """A user knows `path`: errors should not speak of the temporary name."""
+    try:
+        yield
+    except OSError as error:
+        # Some errors of a full disk carry no name at all.
+        named = "" if error.filename is None else os.fspath(error.filename)
+        if error.errno is not None and (not named or str(temporary) in str(named)):
+            raise OSError(f"{path}: cannot be written: {error.strerror}") from error
+        raise
+
+
+def write_json(path: str | os.PathLike[str], data: Any) -> None:
+    """Write `data` as strict JSON, in one piece.
+
+    Arrays become lists, in as few digits as give back the same number of their own
+    precision; NaN and infinity, which JSON does not know, become null. Keys keep their
+    order, and short lists stay on one line.
+
+    **Arguments:** `path`; `data`: mappings, sequences, arrays, numbers, text, paths.
+
+    **Raises:** `TypeError` for other data, `OSError` that names `path`.
+    """
+    text = _layout(plain(data), 0) + "\n"
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def plain(value: Any) -> Any:
+    """`value` as what JSON knows: see [`write_json`][]."""
+    if isinstance(value, jax.Array | np.ndarray | np.generic):
+        return _plain_array(np.asarray(value))
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    raise TypeError(f"{type(value).__name__} has no place in JSON")
+
+
+def _plain_array(array: np.ndarray) -> Any:
+    if array.ndim > 0:
+        return [_plain_array(item) for item in array]
+    if array.dtype.kind != "f":
+        return plain(array.item())
+    # By way of its shortest text, 0.1 of single precision is 0.1 and not
+    # 0.10000000149011612.
+    return plain(float(str(array[()])))
+
+
+def _layout(value: Any, indent: int) -> str:
+    line = json.dumps(value, ensure_ascii=False, allow_nan=False)
+    nested = isinstance(value, dict) or (
+        isinstance(value, list) and any(isinstance(item, dict) for item in value)
+    )
+    if not value or not isinstance(value, dict | list):
+        return line
+    if not nested and indent + len(line) <= LINE_WIDTH:
+        return line
+    inner = " " * (indent + 2)
+    if isinstance(value, dict):
+        items = [
+            f"{inner}{json.dumps(key, ensure_ascii=False)}: {_layout(item, indent + 2)}"
+            for key, item in value.items()
+        ]
+        opening, closing = "{", "}"
+    else:
+        items = [inner + _layout(item, indent + 2) for item in value]
+        opening, closing = "[", "]"
+    return f"{opening}\n" + ",\n".join(items) + f"\n{' ' * indent}{closing}"

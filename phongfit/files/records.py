@@ -1,0 +1,174 @@
+"""JSON files as records: read strictly, with errors that a person can act on."""
+
+import difflib
+import json
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    StringConstraints,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from phongfit.files.inputs import naming, read_text
+
+
+class AbstractRecord(BaseModel):
+    """An object in a JSON file; keys that it does not know are errors."""
+
+    model_config = ConfigDict(
+        extra="forbid", allow_inf_nan=False, strict=True, frozen=True
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_keys(cls, data: Any) -> Any:
+        # Before pydantic's own check, which does not say what the known keys are.
+        known = list(cls.model_fields)
+        for key in data if isinstance(data, dict) else ():
+            if key not in known:
+                near = difflib.get_close_matches(key, known, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else f"known: {known}"
+                raise _complain(f"{shorten(key)} is no key of it; {hint}")
+        return data
+
+
+def _complain(text: str) -> PydanticCustomError:
+    # The text is not the template itself, since it may hold braces.
+    return PydanticCustomError("phongfit", "{text}", {"text": text})
+
+
+def _as_three(value: Any) -> Any:
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        raise _complain(f"{shorten(value)} came, three numbers are wanted")
+    return tuple(value)
+
+
+def _as_rows(value: Any) -> Any:
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        raise _complain(f"{shorten(value)} came, three rows are wanted")
+    return tuple(value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _as_colour(value: Any) -> Any:
+    leaf = _as_leaf(value)
+    return leaf * 3 if len(leaf) == 1 else leaf
+
+
+def _as_leaf(value: Any) -> Any:
+    if _is_number(value):
+        return (value,)
+    if isinstance(value, list | tuple) and len(value) in (1, 3):
+        return tuple(value)
+    raise _complain(f"{shorten(value)} came, one number or three are wanted")
+
+
+Vector = Annotated[tuple[float, float, float], BeforeValidator(_as_three)]
+"""Three numbers."""
+
+Matrix = Annotated[tuple[Vector, Vector, Vector], BeforeValidator(_as_rows)]
+"""Three rows of three numbers."""
+
+Colour = Annotated[tuple[float, float, float], BeforeValidator(_as_colour)]
+"""RGB; one number stands for three equal ones."""
+
+Leaf = Annotated[tuple[float, ...], BeforeValidator(_as_leaf)]
+"""A leaf of a material: one number for all channels, or RGB."""
+
+FileName = Annotated[str, StringConstraints(min_length=1, max_length=255)]
+"""A file in the folder of the file that names it."""
+
+Record = TypeVar("Record", bound=AbstractRecord)
+
+
+def read_record(path: Path, kind: type[Record]) -> Record:
+    """The record that a JSON file holds.
+
+    **Raises:** `ValueError` that names the file and, for the first thing that is wrong,
+    the field, what came and what is wanted.
+    """
+    text = read_text(path)
+    with naming(str(path)):
+        data = _parse_json(text)
+        try:
+            return kind.model_validate(data)
+        except ValidationError as error:
+            raise ValueError(_explain(error.errors()[0], data)) from None
+
+
+def _parse_json(text: str) -> Any:
+    try:
+        return json.loads(
+            text, object_pairs_hook=_unique_keys, parse_constant=_refuse_constant
+        )
+    except RecursionError:
+        raise ValueError("is nested too deeply") from None
+    except json.JSONDecodeError as error:
+        raise ValueError(f"is no JSON: {error}") from None
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    record = dict(pairs)
+    if len(record) != len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"the key {shorten(twice)} came twice in one object")
+    return record
+
+
+def _refuse_constant(name: str) -> Any:
+    raise ValueError(f"{name} came, finite numbers are wanted")
+
+
+def shorten(value: Any) -> str:
+    """`value` as JSON, cut to what fits into one line of a message."""
+    text = json.dumps(value, ensure_ascii=False, default=repr)
+    return text if len(text) <= 60 else text[:57] + "…"
+
+
+def _explain(error: ErrorDetails, data: Any) -> str:
+    """`lights[1].direction: what came, what is wanted`."""
+    place = _locate(error["loc"], data, absent=error["type"] == "missing")
+    came = error["input"]
+    message, context = error["msg"], error.get("ctx", {})
+    match error["type"]:
+        case "missing":
+            return f"{place}: is missing"
+        case "union_tag_not_found" if isinstance(came, dict):
+            return f"{place}.kind: is missing"
+        case "union_tag_invalid":
+            tag, wanted = shorten(context["tag"]), context["expected_tags"]
+            return f"{place}.kind: {tag} came, one of {wanted} is wanted"
+        case "union_tag_not_found" | "model_type" | "model_attributes_type":
+            return f"{place}: {shorten(came)} came, an object {{…}} is wanted"
+        case "phongfit":
+            return f"{place}: {message}"
+    wanted = message.removeprefix("Input should be ")
+    return f"{place}: {shorten(came)} came, {wanted} is wanted"
+
+
+def _locate(location: tuple[int | str, ...], data: Any, absent: bool) -> str:
+    """A place in a JSON file in the usual notation; its end may be `absent` there.
+
+    pydantic's places also hold the kinds of records, which are no keys of the data.
+    """
+    place = ""
+    for step in location[:-1] if absent else location:
+        if isinstance(step, int):
+            place += f"[{step}]"
+        elif isinstance(data, dict) and step in data:
+            place += f".{step}"
+        else:
+            continue
+        data = data[step]
+    place += f".{location[-1]}" if absent else ""
+    return place.removeprefix(".") or "the file"

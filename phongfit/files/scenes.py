@@ -1,0 +1,232 @@
+"""Scene files: `scene.json`, with the images of a data set or without."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from phongfit.files.arrays import write_array
+from phongfit.files.dataset import Dataset
+from phongfit.files.describe import describe, describe_material, describe_surface
+from phongfit.files.images import read_image, read_mask, write_image
+from phongfit.files.inputs import inside, naming, naming_field
+from phongfit.files.outputs import write_json
+from phongfit.files.records import read_record
+from phongfit.files.schema import (
+    SCENE_FORMAT,
+    TRUTH_FORMAT,
+    ImageRecord,
+    SceneRecord,
+    TruthRecord,
+)
+from phongfit.geometry.cameras import AbstractCamera
+from phongfit.geometry.surfaces import AbstractSurface, NormalMap
+from phongfit.material import Material
+from phongfit.rendering.film import Film
+from phongfit.scene import Scene
+
+SCENE_FILE = "scene.json"
+TRUTH_FILE = "truth.json"
+
+
+def load_scene(path: str | os.PathLike[str]) -> Scene:
+    """A scene from its file, or from the folder of a data set, with all lights on.
+
+    **Raises:** `ValueError` that names the file, the field, what came and what is
+    wanted.
+    """
+    path = _scene_file(path)
+    return _build_scene(path, read_record(path, SceneRecord))
+
+
+def save_scene(
+    path: str | os.PathLike[str],
+    scene: Scene,
+    *,
+    film: Film | None = None,
+    images: Sequence[ImageRecord] = (),
+) -> None:
+    """Write a scene so that [`load_scene`][] gives it back.
+
+    **Arguments:**
+
+    - `path`: a file name, or a folder that gets a `scene.json`. The arrays of a normal
+        map go into files beside it.
+    - `scene`: with all lights that are on in one of `images`.
+    - `film`: how light became the numbers of `images`; needed with them.
+    - `images`: for a data set, what was photographed.
+
+    **Raises:** `ValueError` for a part that scene files do not know, `OSError` if a
+    file cannot be written.
+    """
+    path = _scene_file(path)
+    surface, arrays = describe_surface(scene.surface, path.stem)
+    data: dict[str, Any] = {
+        "format": SCENE_FORMAT,
+        "version": 1,
+        "surface": surface,
+        "camera": describe(scene.camera),
+        "lights": [describe(light) for light in scene.lights],
+        "ambient": scene.ambient,
+        "background": scene.background,
+        "specular": describe(scene.specular),
+    }
+    if film is not None:
+        data["encoding"] = film.encoding
+        data["clamped"] = film.clamp
+        data |= {} if film.bits is None else {"bits": film.bits}
+    if images:
+        data["images"] = [image.model_dump(exclude_none=True) for image in images]
+    for name, array in arrays.items():
+        _write_beside(path.with_name(name), array)
+    write_json(path, data)
+
+
+def load_truth(path: str | os.PathLike[str]) -> Material:
+    """The material in a `truth.json`.
+
+    **Raises:** `ValueError` as [`load_scene`][] does.
+    """
+    path = Path(path)
+    record = read_record(path, TruthRecord)
+    with naming(str(path)), naming_field("material"):
+        return record.material.build()
+
+
+def save_truth(
+    path: str | os.PathLike[str],
+    material: Material,
+    *,
+    noise: float | None = None,
+    seed: int | None = None,
+) -> None:
+    """Write what the images of a data set were made of.
+
+    **Arguments:**
+
+    - `material`: leaves of shape () or (3,).
+    - `noise`: standard deviation in linear light, where white is 1.
+    - `seed`: of the noise.
+    """
+    settings = {"noise": noise, "seed": seed}
+    known = {name: value for name, value in settings.items() if value is not None}
+    head = {"format": TRUTH_FORMAT, "version": 1}
+    write_json(path, head | {"material": describe_material(material)} | known)
+
+
+def read_scene_dataset(folder: str | os.PathLike[str]) -> Dataset:
+    """A data set whose `scene.json` lists its images.
+
+    **Raises:** `ValueError` that names the file, the field, what came and what is
+    wanted.
+    """
+    folder = Path(folder)
+    path = folder / SCENE_FILE
+    record = read_record(path, SceneRecord)
+    scene = _build_scene(path, record)
+    with naming(str(path)):
+        _check_images(record)
+    read = [_read_entry(path, record, scene, at) for at in range(len(record.images))]
+    truth = folder / TRUTH_FILE
+    return Dataset(
+        name=folder.resolve().name,
+        scenes=tuple(scene for scene, _, _ in read),
+        images=tuple(image for _, image, _ in read),
+        masks=tuple(mask for _, _, mask in read),
+        names=tuple(entry.file for entry in record.images),
+        film=record.film(),
+        truth=load_truth(truth) if truth.exists() else None,
+    )
+
+
+def _scene_file(path: str | os.PathLike[str]) -> Path:
+    path = Path(path)
+    return path / SCENE_FILE if path.is_dir() else path
+
+
+def _build_scene(path: Path, record: SceneRecord) -> Scene:
+    with naming(str(path)):
+        with naming_field("surface"):
+            surface = record.surface.build(path.parent)
+        with naming_field("camera"):
+            camera = record.camera.build()
+        _check_fit(surface, camera)
+        lights = []
+        for at, light in enumerate(record.lights):
+            with naming_field(f"lights[{at}]"):
+                lights.append(light.build())
+        return Scene(
+            surface,
+            camera,
+            lights,
+            record.ambient,
+            specular=record.specular.build(),
+            background=record.background,
+        )
+
+
+def _check_fit(surface: AbstractSurface, camera: AbstractCamera) -> None:
+    size = (camera.height, camera.width)
+    if isinstance(surface, NormalMap) and surface.mask.shape != size:
+        raise ValueError(
+            f"surface: a normal map of {surface.mask.shape} pixels came, the camera "
+            f"wants {size}"
+        )
+
+
+def _check_images(record: SceneRecord) -> None:
+    if not record.images:
+        raise ValueError("images: is missing, a data set lists at least one")
+    if record.encoding is None:
+        raise ValueError("encoding: is missing, 'linear' or 'srgb' is wanted")
+    count = len(record.lights)
+    for at, image in enumerate(record.images):
+        lights = image.lights or []
+        if len(set(lights)) != len(lights) or not set(lights) <= set(range(count)):
+            raise ValueError(
+                f"images[{at}].lights: {lights} came, different numbers from 0 to "
+                f"{count - 1} are wanted"
+            )
+
+
+def _read_entry(
+    path: Path, record: SceneRecord, scene: Scene, at: int
+) -> tuple[
+    Scene, Float[np.ndarray, "height width 3"], Bool[np.ndarray, "height width"]
+]:
+    """Scene, image and mask of one photograph of a data set."""
+    entry, size = record.images[at], (scene.camera.height, scene.camera.width)
+    with naming(f"{path}: images[{at}]"):
+        file = inside(path.parent, entry.file)
+        mask_file = None if entry.mask is None else inside(path.parent, entry.mask)
+    image = read_image(file, record.encoding or "linear")
+    mask = np.ones(size, bool) if mask_file is None else read_mask(mask_file)
+    for source, shape in ((file, image.shape[:2]), (mask_file, mask.shape)):
+        if shape != size:
+            raise ValueError(
+                f"{source}: {shape[1]} × {shape[0]} pixels came, the camera in "
+                f"{path.name} wants {size[1]} × {size[0]}"
+            )
+    return _with_lights(scene, entry.lights), image, mask
+
+
+def _with_lights(scene: Scene, on: Sequence[int] | None) -> Scene:
+    lights = scene.lights if on is None else [scene.lights[index] for index in on]
+    return Scene(
+        scene.surface,
+        scene.camera,
+        lights,
+        scene.ambient,
+        specular=scene.specular,
+        background=scene.background,
+    )
+
+
+def _write_beside(path: Path, array: np.ndarray) -> None:
+    if path.suffix == ".npy":
+        write_array(path, array)
+    else:
+        write_image(path, array.astype(float), "linear")

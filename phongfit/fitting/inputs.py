@@ -1,0 +1,115 @@
+"""What a user hands to a fit, checked and in one form."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from phongfit.scene import Scene
+
+
+@dataclasses.dataclass(frozen=True)
+class Photograph:
+    """One image, its scene, and how much each of its samples counts."""
+
+    name: str
+    scene: Scene
+    image: np.ndarray
+    weight: np.ndarray
+
+
+def as_photographs(
+    scene: Scene | Sequence[Scene], image: Any, mask: Any, weights: Any, noise: Any
+) -> list[Photograph]:
+    """Arguments of [`fit`][] as a list of photographs.
+
+    **Raises:** `ValueError` that names the argument, and which of several it is.
+    """
+    single = isinstance(scene, Scene)
+    scenes = [scene] if single else list(scene)
+    if not scenes or not all(isinstance(s, Scene) for s in scenes):
+        raise ValueError("scene: a Scene, or a sequence of at least one, is wanted")
+    images = [image] if single else _sequence("image", image, len(scenes))
+    masks, weightings, noises = (
+        [given] * len(scenes)
+        if single or given is None or (name == "noise" and np.ndim(given) == 0)
+        else _sequence(name, given, len(scenes))
+        for name, given in (("mask", mask), ("weights", weights), ("noise", noise))
+    )
+    models = {s.specular for s in scenes}
+    if len(models) > 1:
+        raise ValueError("scene: all scenes must have the same specular model")
+    return [
+        _photograph("" if single else f"[{k}]", *parts)
+        for k, parts in enumerate(
+            zip(scenes, images, masks, weightings, noises, strict=True)
+        )
+    ]
+
+
+def _sequence(name: str, given: Any, count: int) -> list[Any]:
+    try:
+        entries = list(given)
+    except TypeError as error:
+        raise ValueError(
+            f"{name}: {count} came as scenes, so a sequence is wanted"
+        ) from error
+    if len(entries) != count:
+        raise ValueError(f"{name}: {len(entries)} came for {count} scenes")
+    return entries
+
+
+def _photograph(
+    which: str, scene: Scene, image: Any, mask: Any, weights: Any, noise: Any
+) -> Photograph:
+    shape = (scene.camera.height, scene.camera.width, 3)
+    pixels = np.asarray(image)
+    if pixels.dtype.kind != "f":
+        raise ValueError(
+            f"image{which}: {pixels.dtype} values came; linear light as floats is "
+            "wanted, where white is 1 (see read_image)"
+        )
+    if pixels.shape != shape:
+        raise ValueError(
+            f"image{which}: shape {pixels.shape} came, the scene's camera wants {shape}"
+        )
+    pixels = pixels.astype(jnp.result_type(float))
+    weight = np.ones(shape, pixels.dtype)
+    if mask is not None:
+        weight *= _per_sample(f"mask{which}", mask, shape).astype(bool)
+    if weights is not None:
+        values = _per_sample(f"weights{which}", weights, shape)
+        if not np.all(np.isfinite(values) & (values >= 0)):
+            raise ValueError(f"weights{which}: finite numbers ≥ 0 are wanted")
+        weight *= values
+    if noise is not None:
+        values = _per_sample(f"noise{which}", noise, shape)
+        if not np.all(np.isfinite(values) & (values > 0)):
+            raise ValueError(f"noise{which}: finite numbers > 0 are wanted")
+        weight /= values**2
+    if not weight.any():
+        raise ValueError(f"mask{which}: mask and weights leave no pixel")
+    wrong = ~np.isfinite(pixels) & (weight > 0)
+    if wrong.any():
+        y, x, c = np.argwhere(wrong)[0]
+        raise ValueError(
+            f"image{which}: {np.count_nonzero(wrong)} samples are NaN or infinite, the "
+            f"first in row {y}, column {x}, channel {c}; mask them out"
+        )
+    return Photograph(f"image{which}", scene, np.where(weight > 0, pixels, 0), weight)
+
+
+def _per_sample(name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """A number, (H, W) or (H, W, 3) as (H, W, 3)."""
+    values = np.asarray(given)
+    if values.dtype.kind not in "bfiu":
+        raise ValueError(f"{name}: {values.dtype} values came, numbers are wanted")
+    if values.shape == shape[:2]:
+        values = values[..., None]
+    elif values.shape not in ((), shape):
+        raise ValueError(
+            f"{name}: shape {values.shape} came, {shape[:2]} or {shape} is wanted"
+        )
+    return np.broadcast_to(values, shape)

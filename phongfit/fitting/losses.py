@@ -1,0 +1,106 @@
+r"""How much a residual counts, in units of its standard deviation.
+
+A loss is $\rho(z)$ with $z = (r/\sigma)^2$ and $\rho(z) \approx z$ for small $z$. The
+constants give 95 % efficiency on Gaussian noise.
+
+??? cite "Source"
+    Holland and Welsch, *Robust regression using iteratively reweighted least-squares*,
+    Commun. Stat. Theory Methods 6(9), 1977; Huber, *Robust statistics*, 1981.
+"""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Values = Float[Array, "..."]
+
+
+class AbstractLoss(eqx.Module):
+    r"""A loss, written as the root $\tilde r = r \sqrt{\rho(r^2) / r^2}$.
+
+    The sum of $\tilde r^2$ is the robust cost, so that a plain least-squares solver
+    minimises it.
+    """
+
+    @abc.abstractmethod
+    def ratio(self, z: Values) -> Values:
+        r"""$\rho(z) / z$ for $z > 0$: 1 for small $z$, falling."""
+
+    def root(self, residual: Values) -> Values:
+        r"""$\tilde r$ for residuals in standard deviations, elementwise."""
+        z = residual**2
+        # Below rounding the ratio is 1, and 0 / 0 must not be asked for.
+        large = z > jnp.finfo(z.dtype).eps
+        ratio = jnp.where(large, self.ratio(jnp.where(large, z, 1)), 1)
+        return residual * jnp.sqrt(ratio)
+
+
+class Linear(AbstractLoss):
+    r"""Least squares: $\rho(z) = z$."""
+
+    def ratio(self, z: Values) -> Values:
+        return jnp.ones_like(z)
+
+
+class Huber(AbstractLoss):
+    r"""$z$ up to $k^2$, then $2 k \sqrt z - k^2$: outliers pull, but no harder."""
+
+    k: float = eqx.field(static=True, default=1.345)
+
+    def ratio(self, z: Values) -> Values:
+        outer = jnp.maximum(z, self.k**2)
+        return jnp.where(z <= self.k**2, 1, (2 * self.k * outer**0.5 - self.k**2) / z)
+
+
+class SoftL1(AbstractLoss):
+    r"""$2 k^2 (\sqrt{1 + z/k^2} - 1)$: Huber's loss without the corner."""
+
+    k: float = eqx.field(static=True, default=1.345)
+
+    def ratio(self, z: Values) -> Values:
+        # (√(1+x) − 1) / x, in the form that does not cancel for small x.
+        return 2 / (jnp.sqrt(1 + z / self.k**2) + 1)
+
+
+class Cauchy(AbstractLoss):
+    r"""$k^2 \ln(1 + z/k^2)$: outliers pull ever less."""
+
+    k: float = eqx.field(static=True, default=2.385)
+
+    def ratio(self, z: Values) -> Values:
+        x = z / self.k**2
+        return jnp.log1p(x) / x
+
+
+class Tukey(AbstractLoss):
+    r"""$\tfrac{k^2}{3} (1 - (1 - z/k^2)^3)$, then constant: outliers pull not at all.
+
+    Wants a good starting point, which [`fit`][] gives it.
+    """
+
+    k: float = eqx.field(static=True, default=4.685)
+
+    def ratio(self, z: Values) -> Values:
+        inside = jnp.minimum(z / self.k**2, 1)
+        # (1 − (1−x)³) / 3 = x − x² + x³/3, divided by z = k² x where x < 1.
+        return (inside - inside**2 + inside**3 / 3) * self.k**2 / z
+
+
+LOSSES: dict[str, AbstractLoss] = {
+    "linear": Linear(),
+    "huber": Huber(),
+    "soft_l1": SoftL1(),
+    "cauchy": Cauchy(),
+    "tukey": Tukey(),
+}
+
+
+def as_loss(value: str | AbstractLoss) -> AbstractLoss:
+    """A loss from its name, or the loss itself; `ValueError` for anything else."""
+    if isinstance(value, AbstractLoss):
+        return value
+    if value not in LOSSES:
+        raise ValueError(f"loss: {value!r} came, one of {', '.join(LOSSES)} is wanted")
+    return LOSSES[value]

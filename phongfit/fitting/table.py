@@ -1,0 +1,75 @@
+"""A fit as text, as users of lmfit like it."""
+
+import textwrap
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from phongfit.fitting.result import Fit
+
+
+def fit_table(fit: "Fit", least_correlation: float = 0.1, most: int = 10) -> str:
+    """Value ± standard error, correlations and warnings, for a fixed-width font."""
+    lines = [*_head(fit), "", *_parameters(fit)]
+    correlations = _correlations(fit, least_correlation, most)
+    if correlations:
+        title = f"correlations (of those ≥ {least_correlation:g}, the largest {most})"
+        lines += ["", title, *correlations]
+    if fit.warnings:
+        lines += ["", "warnings"]
+        for warning in fit.warnings:
+            lines += textwrap.wrap(
+                warning, 86, initial_indent="  ! ", subsequent_indent="    "
+            )
+    return "\n".join(lines)
+
+
+def _head(fit: "Fit") -> list[str]:
+    images = f"{fit.images} image" + ("s" if fit.images > 1 else "")
+    noise = "given" if fit.noise_given else "estimated"
+    state = "converged" if fit.converged else "NOT CONVERGED"
+    return [
+        f"phongfit: {images}, {fit.samples:,} samples, {fit.model}, {fit.film}",
+        f"  {state} after {fit.steps} steps: {fit.reason}",
+        f"  loss {fit.loss}, noise {fit.noise:.3g} ({noise}), "
+        f"reduced χ² {fit.reduced_chi_squared:.4g}",
+    ]
+
+
+def _parameters(fit: "Fit") -> list[str]:
+    width = max(len(label) for label in fit.labels)
+    rows = [f"  {'':<{width}}  {'value':>12}  {'std. error':>12}  {'%':>8}"]
+    for label, value, error, bound, untold in zip(
+        fit.labels, fit.values, fit.errors, fit.at_bound, fit.untold, strict=True
+    ):
+        row = f"  {label:<{width}}  {_number(value, error):>12}"
+        if untold:
+            row += "   ± ∞  cannot be told"
+        else:
+            share = f"{100 * error / abs(value):8.2g}" if value else f"{'–':>8}"
+            row += f"  ±{error:>11.2g}  {share}"
+            row += "  at its bound" if bound else ""
+        rows.append(row)
+    return rows
+
+
+def _number(value: float, error: float) -> str:
+    """`value` to the digit where its error begins, and one more."""
+    if not np.isfinite(error) or error <= 0:
+        return f"{value:.5g}"
+    digits = int(np.clip(1 - np.floor(np.log10(error)), 0, 9))
+    return f"{value:.{digits}f}"
+
+
+def _correlations(fit: "Fit", least: float, most: int) -> list[str]:
+    matrix = fit.correlation
+    pairs = [
+        (matrix[i, j], fit.labels[i], fit.labels[j])
+        for i in range(len(fit.labels))
+        for j in range(i)
+        if abs(matrix[i, j]) >= least
+    ]
+    pairs.sort(key=lambda pair: -abs(pair[0]))
+    width = max(len(label) for label in fit.labels)
+    return [f"  {a:<{width}}  {b:<{width}}  {c:+.3f}" for c, a, b in pairs[:most]]

@@ -1,0 +1,186 @@
+"""For gradient-check tests of your own: three ways to a derivative must agree."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from phongfit.vectors import Scalar
+
+
+def check_gradients(
+    function: Callable[[Any], Float[Array, "..."]],
+    point: PyTree,
+    *,
+    order: int = 2,
+    finite_differences: bool = True,
+    rtol: float = 1e-5,
+    atol: float = 1e-6,
+) -> None:
+    r"""Forward mode, reverse mode and finite differences agree for every entry.
+
+    All of it is done in float64, whatever precision is set. First derivatives are those
+    of a contraction $g(x) = w \cdot \text{function}(x)$ with fixed random weights $w$
+    (1 for a function of one number), so that an image costs no more than a number, and
+    errors in two pixels do not cancel. Second derivatives are forward over reverse,
+    against central differences of the gradient.
+
+    ```python
+    check_gradients(lambda both: pf.render(*both), (scene, material))
+    ```
+
+    **Arguments:**
+
+    - `function`: takes a pytree like `point`, returns an array; `jit`-able. Arrays that
+        it closes over keep their precision: have what is made of floats made inside, or
+        in `point`.
+    - `point`: any pytree. Its floats are differentiated, everything else (whole
+        numbers, bools, strings, None) is left alone.
+    - `order`: 1 for gradients, 2 for second derivatives as well.
+    - `finite_differences`: `False` at a kink, where there is nothing that they could
+        converge to: then both modes must be finite and agree (to second order, forward
+        over reverse and reverse over reverse).
+    - `rtol`, `atol`: allowed are differences up to `atol` + `rtol` × the largest of the
+        numbers compared. Differences are good to about 1e-10 of `function`, and to
+        4e-11 of its third derivative (step 6e-6 × max(|x|, 1)).
+
+    **Raises:** `AssertionError` that names the worst entry by its path, such as
+    `.lights[0].position[2]`, with the numbers; `ValueError` that names the argument if
+    there is nothing to differentiate.
+    """
+    if order not in (1, 2):
+        raise ValueError(f"order: {order!r} came, 1 or 2 is wanted")
+    with jax.enable_x64(True):
+        leaves, rebuild = _as_vector_space(point)
+        start = np.concatenate([leaf.ravel() for _, leaf in leaves])
+
+        def contracted(vector: Float[Array, " n"]) -> Scalar:
+            return _contract(function(rebuild(vector)))
+
+        gradient = jax.grad(contracted)
+        value, first = _derivatives(contracted, start, finite_differences)
+        second = {}
+        if order == 1:
+            first["reverse"] = np.asarray(jax.jit(gradient)(start))
+        else:
+            first["reverse"], second = _derivatives(gradient, start, finite_differences)
+            if not finite_differences:
+                second["reverse"] = np.asarray(jax.jit(jax.jacrev(gradient))(start))
+    if not np.isfinite(value):
+        raise AssertionError(f"function: its value at the point is not finite: {value}")
+    name = _namer(leaves)
+    _compare("gradient", first, name, rtol, atol)
+    if second:
+
+        def pair(row: int, column: int) -> str:
+            return f"{name(row)} and {name(column)}"
+
+        _compare("second derivative", second, pair, rtol, atol)
+
+
+Leaves = list[tuple[str, np.ndarray]]
+
+
+def _as_vector_space(point: PyTree) -> tuple[Leaves, Callable[[Array], PyTree]]:
+    """The floats of a pytree with their paths, and the way back from one vector."""
+    floats, rest = eqx.partition(point, eqx.is_inexact_array_like)
+    with_paths, structure = jax.tree_util.tree_flatten_with_path(floats)
+    if not with_paths:
+        raise ValueError("point: no float came, something to differentiate is wanted")
+    for path, leaf in with_paths:
+        if np.iscomplexobj(leaf):
+            raise ValueError(f"point: {_path(path)} is complex, real numbers wanted")
+    leaves = [(_path(path), np.asarray(leaf, np.float64)) for path, leaf in with_paths]
+    ends = np.cumsum([leaf.size for _, leaf in leaves])[:-1]
+
+    def rebuild(vector: Array) -> PyTree:
+        parts = jnp.split(vector, ends)
+        shaped = [
+            p.reshape(leaf.shape) for p, (_, leaf) in zip(parts, leaves, strict=True)
+        ]
+        return eqx.combine(jax.tree.unflatten(structure, shaped), rest)
+
+    return leaves, rebuild
+
+
+def _path(path: tuple[Any, ...]) -> str:
+    return jax.tree_util.keystr(path) or "point"
+
+
+def _namer(leaves: Leaves) -> Callable[[int], str]:
+    """From an entry's place in the vector to a name such as `.diffuse[2]`."""
+
+    def name(entry: int) -> str:
+        for path, leaf in leaves:
+            if entry < leaf.size:
+                place = np.unravel_index(entry, leaf.shape)
+                return path + (f"[{', '.join(map(str, place))}]" if place else "")
+            entry -= leaf.size
+        raise IndexError(entry)
+
+    return name
+
+
+def _contract(output: Float[Array, "..."]) -> Scalar:
+    if output.dtype != jnp.float64:
+        raise ValueError(
+            f"function: returned {output.dtype} for float64 input, which finite "
+            "differences cannot be told from"
+        )
+    if output.size == 1:
+        return output.reshape(())
+    weights = np.random.default_rng(0).standard_normal(output.shape)
+    return jnp.sum(output * weights)
+
+
+def _derivatives(
+    function: Callable[[Array], Array], point: np.ndarray, differences: bool
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """The value, and its derivative by several ways, whose last axis is `point`'s.
+
+    One entry at a time, so that memory stays that of one evaluation, and one compiled
+    function serves both ways: compilation is what takes time here.
+    """
+    pushed = jax.jit(lambda x, tangent: jax.jvp(function, (x,), (tangent,)))
+    # The cube root balances what rounding and the third derivative take away.
+    steps = np.cbrt(np.finfo(np.float64).eps) * np.maximum(np.abs(point), 1)
+    forward, central = [], []
+    for entry, step in enumerate(steps):
+        unit = np.zeros_like(point)
+        unit[entry] = 1
+        forward.append(pushed(point, unit)[1])
+        if differences:
+            above, below = point + step * unit, point - step * unit
+            rise = pushed(above, unit)[0] - pushed(below, unit)[0]
+            # Divided by the step that rounding left, not by the one that was meant.
+            central.append(rise / (above - below)[entry])
+    ways = {"forward": forward} | ({"finite differences": central} if central else {})
+    value = np.asarray(pushed(point, np.zeros_like(point))[0])
+    return value, {way: np.stack(slopes, axis=-1) for way, slopes in ways.items()}
+
+
+def _compare(
+    what: str,
+    found: dict[str, np.ndarray],
+    name: Callable[..., str],
+    rtol: float,
+    atol: float,
+) -> None:
+    ways = np.stack(list(found.values()))
+    finite = np.isfinite(ways).all(axis=0)
+    ways = np.where(finite, ways, 0)
+    allowed = atol + rtol * np.abs(ways).max(axis=0)
+    excess = np.where(finite, np.ptp(ways, axis=0) - allowed, np.inf)
+    wrong = excess > 0
+    if not wrong.any():
+        return
+    worst = np.unravel_index(np.argmax(excess), excess.shape)
+    numbers = ", ".join(f"{way} {value[worst]:.9g}" for way, value in found.items())
+    raise AssertionError(
+        f"{what} at {name(*worst)}: {numbers}; allowed difference {allowed[worst]:.1g}"
+        f" ({wrong.sum()} of {wrong.size} entries disagree)"
+    )
