@@ -109,9 +109,13 @@ def nonzero(name: str, vector: Float[Array, "3"]) -> Float[Array, "3"]:
     """`vector` if it has a direction, else an error naming `name`."""
 
     def fine(a: Any) -> Any:
-        return (a != 0).any()
+        # Neither so short nor so long that its square is lost in this precision.
+        squared = (a * a).sum()
+        return (squared >= np.finfo(a.dtype).tiny) & (squared < np.inf)
 
-    return require(name, vector, fine, fine, "a vector other than zero")
+    wanted = "a vector whose length is neither zero nor too large to square"
+    with np.errstate(over="ignore", under="ignore"):
+        return require(name, vector, fine, fine, wanted)
 
 
 def require(

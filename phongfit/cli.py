@@ -1,11 +1,14 @@
 """What all commands share: options in, one clear line and an exit status out."""
 
 import contextlib
+import dataclasses
 import functools
+import inspect
 import io
 import os
 import re
 import sys
+import typing
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -13,6 +16,7 @@ import tyro
 
 BAD_INPUT = 2
 INTERRUPTED = 130
+PIPE_CLOSED = 141
 
 
 def run(
@@ -23,7 +27,7 @@ def run(
 ) -> int:
     """Call a typed function with options from the command line.
 
-    A parameter is an option; one that is a dataclass is an option for each field.
+    Each parameter is an option; if there is only one, a dataclass, each of its fields.
 
     **Arguments:**
 
@@ -43,6 +47,10 @@ def run(
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except KeyboardInterrupt:
         return _stop("interrupted", INTERRUPTED)
+    except BrokenPipeError:
+        # Whoever read the output, such as `head`, has seen enough.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return PIPE_CLOSED
     except OSError as error:
         return _stop(_explain(error), BAD_INPUT)
     except ValueError as error:
@@ -65,25 +73,32 @@ def _parse(
 ) -> Callable[[], int | None]:
     """The call that the options ask for, not yet made."""
 
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return _call(function, functools.partial(tyro.cli, args=args, prog=prog))
+    except SystemExit as stop:
+        if stop.code in (0, None):
+            raise
+        raise ValueError(f"{_first_words(complaint.getvalue())} (see --help)") from None
+
+
+def _call(
+    function: Callable[..., int | None], parse: Callable[..., Any]
+) -> Callable[[], int | None]:
+    about = inspect.getdoc(function)
+    hints = typing.get_type_hints(function)
+    kinds = [hints.get(name) for name in inspect.signature(function).parameters]
+    if len(kinds) == 1 and dataclasses.is_dataclass(kinds[0]):
+        # Asked for directly, so that options are named --bits, not --options.bits.
+        return functools.partial(function, parse(kinds[0], description=about))
+
     # Put off, since the parser would report the function's own errors as its own.
     @functools.wraps(function)
     def later(*args: Any, **kwargs: Any) -> Callable[[], int | None]:
         return functools.partial(function, *args, **kwargs)
 
-    complaint = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(complaint):
-            return tyro.cli(
-                later,
-                args=args,
-                prog=prog,
-                # Options are named after the fields alone: --bits, not --options.bits.
-                config=(tyro.conf.OmitArgPrefixes,),
-            )
-    except SystemExit as stop:
-        if stop.code in (0, None):
-            raise
-        raise ValueError(f"{_first_words(complaint.getvalue())} (see --help)") from None
+    return parse(later, description=about)
 
 
 def _first_words(box: str) -> str:

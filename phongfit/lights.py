@@ -106,16 +106,20 @@ class DirectionalLight(AbstractLight):
 
 def _as_attenuation(value: Any) -> Vec3:
     attenuation = at_least("attenuation", as_vector("attenuation", value), 0)
-    return nonzero("attenuation", attenuation)
+
+    def some(a: Any) -> Any:
+        return (a > 0).any()
+
+    return require("attenuation", attenuation, some, some, "one coefficient above 0")
 
 
 def _attenuation(coefficients: Vec3, distance: Scalar) -> Scalar:
     constant, linear, quadratic = coefficients
     denominator = constant + linear * distance + quadratic * distance**2
-    # No light has a finite brightness at its own place without a constant term.
-    return jnp.where(
-        denominator > 0, 1 / jnp.where(denominator > 0, denominator, 1), jnp.inf
-    )
+    positive = denominator > 0
+    # At its own place a light without a constant term lights nothing, rather than
+    # infinitely: it has no direction there, and 0 times infinity would be NaN.
+    return jnp.where(positive, 1 / jnp.where(positive, denominator, 1), 0)
 
 
 class PointLight(AbstractLight):

@@ -101,7 +101,7 @@ def preset(name: str) -> Material:
 
     **Raises:** `ValueError` for any other name, with the nearest that there is.
     """
-    key = name.strip().lower().replace(" ", "_").replace("-", "_")
+    key = str(name).strip().lower().replace(" ", "_").replace("-", "_")
     if key not in OPENGL_MATERIALS:
         near = difflib.get_close_matches(key, PRESETS, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else f": {', '.join(PRESETS)}"

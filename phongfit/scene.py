@@ -63,7 +63,10 @@ class Scene(eqx.Module):
         **Raises:** `ValueError` that names the argument.
         """
         camera = OrthographicCamera() if camera is None else camera
-        lights = (lights,) if isinstance(lights, AbstractLight) else tuple(lights)
+        lights = (lights,) if isinstance(lights, AbstractLight) else lights
+        if not isinstance(lights, Iterable):
+            raise ValueError(f"lights: {lights!r} came, a list of lights is wanted")
+        lights = tuple(lights)
         specular = BlinnPhong() if specular is None else specular
         shading = PhongShading() if shading is None else shading
         for name, value, kind in (

@@ -5,6 +5,7 @@ top left; centres are at half integers.
 """
 
 import abc
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -14,7 +15,7 @@ import numpy as np
 from equinox import AbstractVar
 from jaxtyping import Array, Float
 
-from phongfit.checks import as_floats, as_scalar, as_vector, require
+from phongfit.checks import as_floats, as_scalar, as_vector, nonzero, require
 from phongfit.vectors import Scalar, Vec3, normalize
 
 
@@ -65,10 +66,15 @@ def _as_rotation(value: Any) -> Float[Array, "3 3"]:
     if rotation.shape != (3, 3):
         raise ValueError(f"rotation: shape {rotation.shape} came, (3, 3) is wanted")
 
-    def orthonormal(r: Any) -> Any:
-        return abs(r.T @ r - np.eye(3, dtype=r.dtype)) < 1e-4
+    def fine(xp: Any) -> Callable[[Any], Any]:
+        # x × y = z tells a rotation from a mirror, which would swap left and right.
+        return lambda r: (
+            (abs(r.T @ r - np.eye(3, dtype=r.dtype)) < 1e-4).all()
+            & (abs(xp.cross(r[:, 0], r[:, 1]) - r[:, 2]) < 1e-3).all()
+        )
 
-    return require("rotation", rotation, orthonormal, orthonormal, "orthonormal axes")
+    wanted = "orthonormal, right-handed axes"
+    return require("rotation", rotation, fine(np), fine(jnp), wanted)
 
 
 def _positive(name: str, value: Any, below: float = np.inf) -> Scalar:
@@ -93,14 +99,14 @@ def look_at(position: Any, target: Any, up: Any = (0, 1, 0)) -> Float[Array, "3 
     def apart(a: Any) -> Any:
         return (a != 0).any()
 
-    require("position", back, apart, apart, "a place other than target")
+    back = require("position", back, apart, apart, "a place other than target")
     back = normalize(back)
-    right = jnp.cross(as_vector("up", up), back)
+    right = jnp.cross(normalize(nonzero("up", as_vector("up", up))), back)
 
     def aslant(a: Any) -> Any:
         return abs(a).max() > 1e-6
 
-    require("up", right, aslant, aslant, "a direction not along the view")
+    right = require("up", right, aslant, aslant, "a direction not along the view")
     right = normalize(right)
     return jnp.stack([right, jnp.cross(back, right), back], axis=1)
 

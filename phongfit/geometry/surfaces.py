@@ -170,10 +170,9 @@ class NormalMap(AbstractSurface):
                 f"normals: shape {normals.shape} came, (height, width, 3) is wanted"
             )
         size = normals.shape[:2]
-        mask = jnp.ones(size, bool) if mask is None else jnp.asarray(mask)
+        mask = jnp.ones(size, bool) if mask is None else as_floats("mask", mask) != 0
         if mask.shape != size:
             raise ValueError(f"mask: shape {mask.shape} came, {size} is wanted")
-        mask = mask.astype(bool)
         if positions is not None:
             positions = as_floats("positions", positions)
             if positions.shape != normals.shape:
@@ -184,17 +183,19 @@ class NormalMap(AbstractSurface):
         def finite(a: Any) -> Any:
             return abs(a) < jnp.inf
 
-        inside = mask[..., None]
-        for name, array in (("normals", normals), ("positions", positions)):
-            if array is not None:
-                known = jnp.where(inside, array, 0)
-                require(name, known, finite, finite, "finite numbers inside the mask")
-        normals = jax.vmap(jax.vmap(normalize))(jnp.where(inside, normals, 0))
+        def known(name: str, array: Array) -> Array:
+            array = jnp.where(mask[..., None], array, 0)
+            wanted = "finite numbers inside the mask"
+            return require(name, array, finite, finite, wanted)
+
+        normals = jax.vmap(jax.vmap(normalize))(known("normals", normals))
         self.mask = mask & jnp.any(normals != 0, axis=-1)
         inside = self.mask[..., None]
         placeholder = jnp.broadcast_to(jnp.array([0, 0, 1], normals.dtype), (*size, 3))
         self.normals = jnp.where(inside, normals, placeholder)
-        self.positions = None if positions is None else jnp.where(inside, positions, 0)
+        if positions is not None:
+            positions = jnp.where(inside, known("positions", positions), 0)
+        self.positions = positions
         self.material_index, self._materials = as_indices(
             "material_index", material_index, size
         )

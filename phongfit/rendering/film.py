@@ -4,6 +4,7 @@ from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 Encoding = Literal["linear", "srgb"]
@@ -82,6 +83,9 @@ def as_encoding(value: Any) -> Encoding:
 
 def as_bits(value: Any) -> int | None:
     """`value` if it is a bit depth (None, 1 … 16), else a `ValueError`."""
-    if value is not None and value not in range(1, 17):
+    if value is None:
+        return None
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or not 1 <= value <= 16:
         raise ValueError(f"bits: {value!r} came, None or 1 … 16 is wanted")
-    return value
+    return int(value)

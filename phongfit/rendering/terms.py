@@ -33,26 +33,26 @@ class ShadingTerms(eqx.Module):
 
     def specular(self, shininess: Float[Array, "..."]) -> Float[Array, "*batch 3"]:
         """Basis image S(f), for an exponent as a leaf of a [`Material`][]."""
-        shininess = self.leaf(shininess)
+        shininess = self.leaf("shininess", shininess)
         *batch, lights = self.cosine.shape
         channels = 1 if shininess.ndim == 0 else shininess.shape[-1]
         # One lobe serves all channels where they share the exponent.
-        exponent = _spread(shininess, (*batch, channels))[..., None, :]
+        exponent = _spread("shininess", shininess, (*batch, channels))[..., None, :]
         exponent = jnp.broadcast_to(exponent, (*batch, lights, channels))
         lobe = self.model.lobe(self.cosine[..., None], exponent)
         return jnp.sum(self.strength * lobe, axis=-2)
 
-    def leaf(self, leaf: Float[Array, "..."]) -> Float[Array, "..."]:
-        """A leaf of a material, as it is at the points where there are several.
+    def leaf(self, name: str, leaf: Float[Array, "..."]) -> Float[Array, "..."]:
+        """A leaf of a [`Material`][], as it is at the points where there are several.
 
-        **Raises:** `ValueError` if it holds fewer materials than the points want.
+        **Raises:** `ValueError` that names the leaf if it holds too few materials.
         """
         if self.material_index is None or leaf.ndim != 2 or len(leaf) == 1:
             return leaf
         if len(leaf) < self.materials:
             raise ValueError(
-                f"material: a leaf of shape {leaf.shape} holds {len(leaf)} materials, "
-                f"the surface is made of {self.materials}"
+                f"{name}: shape {leaf.shape} came, a row for each of the surface's "
+                f"{self.materials} materials is wanted"
             )
         return leaf[self.material_index]
 
@@ -68,16 +68,17 @@ ShadingTerms.__init__.__doc__ = """**Arguments:**
 """
 
 
-def _spread(leaf: Float[Array, "..."], shape: tuple[int, ...]) -> Float[Array, "..."]:
+def _spread(
+    name: str, leaf: Float[Array, "..."], shape: tuple[int, ...]
+) -> Float[Array, "..."]:
     """A leaf of a material, broadcast to `shape`, whose last axis is colour."""
     missing = len(shape) - leaf.ndim
-    padded = (1,) * missing + leaf.shape
-    if missing < 0 or any(n not in (1, m) for n, m in zip(padded, shape, strict=True)):
-        raise ValueError(
-            f"material: a leaf of shape {leaf.shape} came, one that broadcasts to "
-            f"{shape}, the points that are lit, is wanted"
-        )
-    return jnp.broadcast_to(leaf.reshape(padded), shape)
+    if missing < 0 or any(
+        have not in (1, want)
+        for have, want in zip(leaf.shape, shape[missing:], strict=True)
+    ):
+        raise ValueError(f"{name}: shape {leaf.shape} came, {shape} or less is wanted")
+    return jnp.broadcast_to(leaf.reshape((1,) * missing + leaf.shape), shape)
 
 
 def point_terms(
@@ -190,16 +191,16 @@ def combine(terms: ShadingTerms, material: Material) -> Float[Array, "*batch 3"]
 
     **Returns:** linear RGB of the batch shape and 3.
 
-    **Raises:** `ValueError` if a leaf fits neither.
+    **Raises:** `ValueError` that names the leaf which fits neither.
     """
     shape = terms.diffuse.shape
 
-    def at_points(leaf: Float[Array, "..."]) -> Float[Array, "*batch 3"]:
-        return _spread(terms.leaf(leaf), shape)
+    def at_points(name: str, leaf: Float[Array, "..."]) -> Float[Array, "*batch 3"]:
+        return _spread(name, terms.leaf(name, leaf), shape)
 
     return (
-        at_points(material.emission)
-        + at_points(material.ambient) * terms.ambient
-        + at_points(material.diffuse) * terms.diffuse
-        + at_points(material.specular) * terms.specular(material.shininess)
+        at_points("emission", material.emission)
+        + at_points("ambient", material.ambient) * terms.ambient
+        + at_points("diffuse", material.diffuse) * terms.diffuse
+        + at_points("specular", material.specular) * terms.specular(material.shininess)
     )

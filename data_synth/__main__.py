@@ -1,0 +1,227 @@
+"""`python -m data_synth OUT_DIR`: a data set with known truth."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import jax
+import numpy as np
+import tyro
+
+from data_synth.dataset import deal, make_dataset
+from data_synth.lights import LightKind, exposure, make_lights
+from data_synth.writing import write_dataset
+from phongfit import (
+    AbstractCamera,
+    AbstractLight,
+    BlinnPhong,
+    Material,
+    OrthographicCamera,
+    PerspectiveCamera,
+    Phong,
+    Scene,
+    Sphere,
+    preset,
+)
+from phongfit.cli import run
+from phongfit.files.dataset import Dataset
+from phongfit.rendering.film import Encoding
+
+Numbers = tuple[float, ...]
+
+PLASTIC = Material((0.6, 0.3, 0.2), 0.3, 60.0, (0.5, 0.25, 0.15))
+
+MAX_RESOLUTION = 8192
+
+
+def _shown(metavar: str, default: str) -> Any:
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
+
+
+Leaf = Annotated[Numbers, _shown("X|R G B", "the material's")]
+
+
+@dataclass(frozen=True)
+class Options:
+    out_dir: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT_DIR")]
+    """Folder to make: images, scene.json, truth.json, contact_sheet.png."""
+
+    material: str = "plastic"
+    """An orange plastic, or preset:NAME for one of the 24 classic OpenGL materials,
+    such as preset:brass. The five options below replace single values of it."""
+
+    diffuse: Leaf = ()
+    """Lambert reflectance."""
+
+    specular: Leaf = ()
+    """Strength of the highlight."""
+
+    shininess: Leaf = ()
+    """Exponent of the highlight; larger is sharper."""
+
+    ambient: Leaf = ()
+    """Share of the ambient light that is sent back."""
+
+    emission: Leaf = ()
+    """Light of its own, where white is 1."""
+
+    model: Literal["blinn-phong", "phong"] = "blinn-phong"
+    """Model of the highlight."""
+
+    lights: int = 4
+    """Number of lights, spread around the camera."""
+
+    light_kind: LightKind = "directional"
+    """Kind of the lights; mixed takes the three in turn."""
+
+    images: Annotated[int | None, _shown("INT", "one for each light")] = None
+    """Number of images, to which the lights are dealt out; 1 has all in one."""
+
+    intensity: Annotated[
+        Numbers, _shown("X|R G B", "the brightest sample reaches 95 % of white")
+    ] = ()
+    """What each light sends to the ball's centre."""
+
+    ambient_light: Annotated[Numbers, _shown("X|R G B", "0.15")] = (0.15,)
+    """The ambient light."""
+
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Centre of the ball, world units."""
+
+    radius: float = 1.0
+    """Radius of the ball, world units."""
+
+    camera: Literal["orthographic", "perspective"] = "orthographic"
+    """Kind of the camera, which looks along -z."""
+
+    resolution: int = 256
+    """Width and height of the images, pixels."""
+
+    noise: float = 0.0
+    """Standard deviation of Gaussian noise in linear light, where white is 1."""
+
+    bits: Literal[8, 16] = 8
+    """Bits per sample of the PNG images."""
+
+    encoding: Encoding = "srgb"
+    """Encoding of the PNG images."""
+
+    seed: int = 0
+    """Of the noise: the same seed gives the same files."""
+
+    overwrite: bool = False
+    """Replace an older data set in OUT_DIR."""
+
+
+def make(options: Options) -> Dataset:
+    """The data set that the options describe.
+
+    **Raises:** `ValueError` that names the option.
+    """
+    if not 1 <= options.resolution <= MAX_RESOLUTION:
+        raise ValueError(
+            f"resolution: {options.resolution} came, 1 … {MAX_RESOLUTION} is wanted"
+        )
+    if not 0 <= options.seed < 2**32:
+        raise ValueError(f"seed: {options.seed} came, 0 … {2**32 - 1} is wanted")
+    material = _material(options)
+    scene = Scene(
+        Sphere(options.center, options.radius),
+        _camera(options),
+        ambient=_number("ambient_light", options.ambient_light),
+        specular=BlinnPhong() if options.model == "blinn-phong" else Phong(),
+    )
+    if options.intensity:
+        intensity = _number("intensity", options.intensity)
+    else:
+        scenes = deal(scene, _lights(options, 1.0), options.images)
+        intensity = exposure(scenes, material)
+    return make_dataset(
+        material,
+        key=jax.random.key(options.seed),
+        surface=scene.surface,
+        camera=scene.camera,
+        lights=_lights(options, intensity),
+        images=options.images,
+        ambient=scene.ambient,
+        specular=scene.specular,
+        noise=options.noise,
+        bits=options.bits,
+        encoding=options.encoding,
+        name=options.out_dir.resolve().name,
+    )
+
+
+def _number(name: str, values: Numbers) -> float | Numbers:
+    if len(values) not in (1, 3):
+        raise ValueError(f"{name}: {len(values)} numbers came, 1 or 3 are wanted")
+    return values[0] if len(values) == 1 else values
+
+
+def _material(options: Options) -> Material:
+    kind, _, name = options.material.partition(":")
+    if kind not in ("plastic", "preset") or (kind == "plastic" and name):
+        raise ValueError(
+            f"material: {options.material!r} came, plastic or preset:NAME is wanted"
+        )
+    base = PLASTIC if kind == "plastic" else preset(name)
+    leaves = {
+        "diffuse": options.diffuse,
+        "specular": options.specular,
+        "shininess": options.shininess,
+        "ambient": options.ambient,
+        "emission": options.emission,
+    }
+    given = {name: _number(name, leaf) for name, leaf in leaves.items() if leaf}
+    return Material(**({name: getattr(base, name) for name in leaves} | given))
+
+
+def _lights(options: Options, intensity: float | Numbers) -> tuple[AbstractLight, ...]:
+    return make_lights(
+        options.lights,
+        options.light_kind,
+        intensity=intensity,
+        center=options.center,
+        radius=options.radius,
+    )
+
+
+def _camera(options: Options) -> AbstractCamera:
+    """The ball fills ten elevenths of the image's height."""
+    x, y, z = options.center
+    size, position = options.resolution, (x, y, z + 5 * options.radius)
+    if options.camera == "orthographic":
+        view = 2.2 * options.radius
+        return OrthographicCamera(size, size, view_height=view, position=position)
+    fov = 1.1 * 2 * math.degrees(math.asin(1 / 5))
+    return PerspectiveCamera(size, size, fov_y=fov, position=position)
+
+
+def main(options: Options) -> int:
+    """Make a data set with known truth: photographs of a ball, to be fitted.
+
+    It holds PNG images, scene.json (camera, surface, lights, models, encoding),
+    truth.json (the material) and contact_sheet.png, which shows it all at a glance.
+    For example: python -m data_synth out/brass --material preset:brass --noise 0.01
+    """
+    dataset = make(options)
+    write_dataset(
+        dataset,
+        options.out_dir,
+        noise=options.noise,
+        seed=options.seed,
+        overwrite=options.overwrite,
+    )
+    height, width, _ = dataset.images[0].shape
+    white = np.mean([image >= 1 for image in dataset.images])
+    print(
+        f"{options.out_dir}: {len(dataset.images)} × {width} × {height} pixels, "
+        f"{options.bits}-bit {options.encoding}; {100 * white:.2g} % of the samples "
+        "are white"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(main, prog="python -m data_synth"))

@@ -1,0 +1,138 @@
+"""Made-up photographs of a known material."""
+
+from collections.abc import Iterable
+from typing import Any, Literal
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from data_synth.lights import exposure, make_lights
+from phongfit import (
+    AbstractCamera,
+    AbstractLight,
+    AbstractSpecular,
+    Film,
+    Material,
+    OrthographicCamera,
+    Scene,
+    Sphere,
+    render,
+    trace,
+)
+from phongfit.files.dataset import Dataset
+from phongfit.files.images import from_levels, to_levels
+from phongfit.geometry.surfaces import AbstractSurface, GBuffer
+from phongfit.rendering.film import Encoding
+
+
+def make_dataset(
+    material: Material,
+    *,
+    key: PRNGKeyArray,
+    surface: AbstractSurface | None = None,
+    camera: AbstractCamera | None = None,
+    lights: Iterable[AbstractLight] | None = None,
+    images: int | None = None,
+    ambient: Any = 0.2,
+    specular: AbstractSpecular | None = None,
+    noise: float = 0.0,
+    bits: Literal[8, 16] | None = 8,
+    encoding: Encoding = "srgb",
+    name: str = "synthetic",
+) -> Dataset:
+    """Photographs of `material`, as they come back from a file.
+
+    **Arguments:**
+
+    - `material`: the truth.
+    - `key`: of the noise.
+    - `surface`, `camera`: default a ball of radius 1 that fills 256 × 256 pixels.
+    - `lights`: default four directional ones, so bright that nothing is cut off.
+    - `images`: how many; the lights are dealt out to them in turn. 1 has all lights in
+        one image; the default is an image for each light.
+    - `ambient`: the ambient light I_a, RGB or one number.
+    - `specular`: model of the highlight, default Blinn-Phong.
+    - `noise`: standard deviation of Gaussian noise in linear light, where white is 1;
+        added before anything is cut off or rounded.
+    - `bits`, `encoding`: of the images' numbers; without `bits` they are not rounded.
+    - `name`: of the data set.
+
+    **Returns:** a data set with linear images and `truth`.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    if not (np.isfinite(noise) and noise >= 0):
+        raise ValueError(f"noise: {noise} came, a number ≥ 0 is wanted")
+    film = Film(encoding=encoding, bits=bits)
+    if bits not in (None, 8, 16):
+        raise ValueError(f"bits: {bits} came, 8, 16 or None is wanted")
+    surface = Sphere() if surface is None else surface
+    camera = OrthographicCamera() if camera is None else camera
+
+    whole = Scene(surface, camera, (), ambient, specular=specular)
+    if lights is None:
+        lit = deal(whole, make_lights(), images)
+        lights = make_lights(intensity=exposure(lit, material))
+    scenes = deal(whole, tuple(lights), images)
+    gbuffer = trace(surface, camera)
+    photographs = tuple(
+        _photograph(scene, material, gbuffer, film, noise, jax.random.fold_in(key, at))
+        for at, scene in enumerate(scenes)
+    )
+    suffix = ".tif" if bits is None else ".png"
+    return Dataset(
+        name=name,
+        scenes=scenes,
+        images=photographs,
+        masks=(np.ones((camera.height, camera.width), bool),) * len(scenes),
+        names=tuple(f"{at + 1:03d}{suffix}" for at in range(len(scenes))),
+        film=film,
+        truth=material,
+    )
+
+
+def deal(
+    scene: Scene, lights: tuple[AbstractLight, ...], images: int | None
+) -> tuple[Scene, ...]:
+    """`scene` once for each image, with lights that are dealt out like cards.
+
+    **Raises:** `ValueError` if an image would have none.
+    """
+    count = len(lights) if images is None else images
+    if not 1 <= count <= len(lights):
+        raise ValueError(
+            f"images: {count} came, 1 … {len(lights)} are wanted (each needs a light)"
+        )
+    return tuple(
+        Scene(
+            scene.surface,
+            scene.camera,
+            lights[at::count],
+            scene.ambient,
+            specular=scene.specular,
+            background=scene.background,
+        )
+        for at in range(count)
+    )
+
+
+def _photograph(
+    scene: Scene,
+    material: Material,
+    gbuffer: GBuffer,
+    film: Film,
+    noise: float,
+    key: PRNGKeyArray,
+) -> Float[np.ndarray, "height width 3"]:
+    light = render(scene, material, film=Film(clamp=False), gbuffer=gbuffer)
+    return develop(light + noise * jax.random.normal(key, light.shape), film)
+
+
+def develop(
+    light: Float[Array, "height width 3"], film: Film
+) -> Float[np.ndarray, "height width 3"]:
+    """What is left of linear light after it has been stored and read again."""
+    if film.bits is None:
+        return np.clip(np.asarray(light), 0, 1)
+    return from_levels(to_levels(light, film.encoding, film.bits), film.encoding)

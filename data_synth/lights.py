@@ -1,0 +1,133 @@
+"""Lights that make a fit well posed: all around the camera, none behind the object."""
+
+from typing import Any, Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from phongfit import (
+    AbstractLight,
+    DirectionalLight,
+    Film,
+    Material,
+    PointLight,
+    Scene,
+    SpotLight,
+    render,
+    trace,
+)
+
+LightKind = Literal["directional", "point", "spot", "mixed"]
+
+WIDEST = np.deg2rad(60)
+"""No light is further from the camera's axis: its highlight would lie on the rim."""
+
+DISTANCE = 4.0
+"""Of point lights and spot lights from the object's centre, in radii."""
+
+PEAK = 0.95
+"""How bright the brightest sample is made: nothing is cut off, but for the noise."""
+
+
+def spread_directions(count: int) -> Float[np.ndarray, "count 3"]:
+    """Unit vectors, spread evenly over the cap around +z that is `WIDEST` wide.
+
+    ??? cite "Source"
+        Swinbank and Purser, *Fibonacci grids: a novel approach to global modelling*,
+        Q. J. R. Meteorol. Soc. 132, 2006.
+    """
+    steps = np.arange(count)
+    z = 1 - (steps + 0.5) / count * (1 - np.cos(WIDEST))
+    # The first at the upper right, where lamps stand by custom.
+    turn = np.pi / 4 + steps * np.pi * (3 - np.sqrt(5))
+    across = np.sqrt(1 - z**2)
+    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
+
+
+def make_lights(
+    count: int = 4,
+    kind: LightKind = "directional",
+    *,
+    intensity: Any = 1.0,
+    center: Any = (0.0, 0.0, 0.0),
+    radius: float = 1.0,
+) -> tuple[AbstractLight, ...]:
+    """Lights around an object that is seen from +z.
+
+    **Arguments:**
+
+    - `count`: how many, ≥ 1.
+    - `kind`: `"mixed"` takes directional, point and spot in turn.
+    - `intensity`: RGB or one number, what arrives at the object's centre.
+    - `center`, `radius`: of the object, world units.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    if count < 1:
+        raise ValueError(f"lights: {count} came, at least 1 is wanted")
+    makers = {"directional": _directional, "point": _point, "spot": _spot}
+    turns = tuple(makers) if kind == "mixed" else (kind,)
+    return tuple(
+        makers[turns[at % len(turns)]](direction, intensity, np.asarray(center), radius)
+        for at, direction in enumerate(spread_directions(count).round(4))
+    )
+
+
+def _directional(
+    direction: np.ndarray, intensity: Any, center: np.ndarray, radius: float
+) -> AbstractLight:
+    del center, radius
+    return DirectionalLight(direction, intensity)
+
+
+def _point(
+    direction: np.ndarray, intensity: Any, center: np.ndarray, radius: float
+) -> AbstractLight:
+    far = DISTANCE * radius
+    # The inverse-square law, with 1 at the object's centre.
+    return PointLight(
+        center + far * direction, intensity, attenuation=(0, 0, far**-2.0)
+    )
+
+
+def _spot(
+    direction: np.ndarray, intensity: Any, center: np.ndarray, radius: float
+) -> AbstractLight:
+    far = DISTANCE * radius
+    # The cone is wider than the object (14.5°): a pixel on a hard edge would depend on
+    # the last digit. The exponent halves the light towards the object's rim.
+    return SpotLight(
+        center + far * direction,
+        -direction,
+        intensity,
+        cutoff=20.0,
+        exponent=20.0,
+        attenuation=(0, 0, far**-2.0),
+    )
+
+
+def exposure(scenes: tuple[Scene, ...], material: Material) -> float:
+    """By how much all lights may be scaled until the brightest sample is at `PEAK`.
+
+    **Raises:** `ValueError` if ambient light and emission alone are brighter.
+    """
+    gbuffer = trace(scenes[0].surface, scenes[0].camera)
+    film = Film(clamp=False)
+    factors = []
+    for scene in scenes:
+        unlit = Scene(scene.surface, scene.camera, ambient=scene.ambient)
+        base = render(unlit, material, film=film, gbuffer=gbuffer)
+        light = render(scene, material, film=film, gbuffer=gbuffer) - base
+        lit = gbuffer.mask[..., None] & (light > 0)
+        room = jnp.where(lit, (PEAK - base) / jnp.where(lit, light, 1), jnp.inf)
+        factors.append(float(room.min()))
+    factor = min(factors)
+    if factor <= 0:
+        raise ValueError(
+            "ambient_light: with the material's ambient and emission it is nearly "
+            "white by itself; less is wanted, or the intensity of the lights given"
+        )
+    # Three digits, rounded down, are easier to read in a file.
+    unit = 10.0 ** (np.floor(np.log10(factor)) - 2) if np.isfinite(factor) else 1.0
+    return float(np.floor(factor / unit) * unit) if np.isfinite(factor) else 1.0

@@ -1,0 +1,139 @@
+"""The contact sheet: a data set at a glance."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from phongfit import AbstractLight, DirectionalLight, Material, PointLight, SpotLight
+from phongfit.files.dataset import Dataset
+from phongfit.files.images import to_levels
+
+PAPER, INK, PALE = "#1e1f22", "#f0f0ec", "#a8a8a2"
+HEAD, GAP = 0.85, 0.4
+"""Inches above the images, and below each for its caption."""
+
+LABELS = {"linear": "linear", "srgb": "sRGB"}
+
+
+def contact_sheet(
+    dataset: Dataset, *, noise: float | None = None, seed: int | None = None
+) -> Figure:
+    """Every image as a screen shows it, with its lights; the truth is the title.
+
+    **Arguments:** as in [`write_dataset`][].
+    """
+    count = len(dataset.images)
+    columns = _columns(count)
+    rows = math.ceil(count / columns)
+    cell = {1: 4.6, 2: 3.4}.get(columns, 2.6)
+    width = max(columns * cell + 0.3, 6.4)
+    height = rows * (cell + GAP) + HEAD
+    figure = Figure(figsize=(width, height), facecolor=PAPER)
+    for text, color, size, down in (
+        (_truth(dataset.truth), INK, 12, 0.3),
+        (_settings(dataset, noise, seed), PALE, 9, 0.58),
+    ):
+        # A letter is about 0.6 of its size wide, and an inch has 72 points.
+        size = min(size, 72 * width * 0.96 / (0.6 * len(text)))
+        figure.text(0.5, 1 - down / height, text, color=color, size=size, ha="center")
+    left = (width - columns * cell) / 2
+    for at in range(count):
+        row, column = divmod(at, columns)
+        # Inches from the left and the top, and then what the figure wants.
+        x = left + column * cell + 0.08
+        y = HEAD + row * (cell + GAP)
+        side = cell - 0.16
+        axes = figure.add_axes(
+            (x / width, 1 - (y + side) / height, side / width, side / height)
+        )
+        _show(axes, dataset, at)
+    return figure
+
+
+def _columns(count: int) -> int:
+    """So many that few cells stay empty, and that the sheet is wider than high."""
+    root = math.sqrt(count)
+    choices = range(math.ceil(root), math.ceil(2 * root) + 1)
+    return min(choices, key=lambda n: (-count % n, abs(n**2 / count - 1.6)))
+
+
+def _show(axes: Axes, dataset: Dataset, at: int) -> None:
+    axes.imshow(_screen(dataset.images[at]))
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_color("#4a4b50")
+    lights = caption(dataset.scenes[at].lights)
+    name = Path(dataset.names[at]).stem
+    axes.set_xlabel(f"{name}   {lights}", color=INK, size=7.5, labelpad=5)
+
+
+def _screen(image: Float[np.ndarray, "height width 3"]) -> np.ndarray:
+    return to_levels(image, "srgb", 8)
+
+
+def caption(lights: tuple[AbstractLight, ...]) -> str:
+    """The lights in a few words."""
+    if len(lights) == 1:
+        return _describe(lights[0])
+    kinds = [_describe(light).split(",")[0] for light in lights]
+    counts = {kind: kinds.count(kind) for kind in kinds}
+    words = " + ".join(f"{number} {kind}" for kind, number in counts.items())
+    return f"{words} lights" if lights else "no light"
+
+
+def _describe(light: AbstractLight) -> str:
+    match light:
+        case DirectionalLight():
+            direction = np.asarray(light.direction)
+            return f"directional, from {_vector(direction / np.linalg.norm(direction))}"
+        case PointLight():
+            return f"point, at {_vector(np.asarray(light.position))}"
+        case SpotLight():
+            return f"spot, at {_vector(np.asarray(light.position))}"
+    return type(light).__name__
+
+
+def _vector(vector: Float[np.ndarray, "3"]) -> str:
+    numbers = ", ".join(f"{number:.2f}" for number in vector)
+    return f"({numbers})".replace("-", "\N{MINUS SIGN}")
+
+
+def _truth(material: Material | None) -> str:
+    if material is None:
+        return "material unknown"
+    leaves = [
+        ("diffuse", material.diffuse),
+        ("specular", material.specular),
+        ("shininess", material.shininess),
+        ("ambient", material.ambient),
+    ]
+    if np.any(np.asarray(material.emission)):
+        leaves.append(("emission", material.emission))
+    return "     ".join(f"{name} {_leaf(np.asarray(leaf))}" for name, leaf in leaves)
+
+
+def _leaf(leaf: np.ndarray) -> str:
+    leaf = leaf.ravel()
+    if leaf.size > 3:
+        return "map"
+    numbers = leaf[:1] if np.ptp(leaf) == 0 else leaf
+    return " ".join(f"{number:.3g}" for number in numbers)
+
+
+def _settings(dataset: Dataset, noise: float | None, seed: int | None) -> str:
+    height, width, _ = dataset.images[0].shape
+    film = dataset.film
+    depth = "float" if film.bits is None else f"{film.bits}-bit"
+    parts = [
+        f"{len(dataset.images)} × {width} × {height} pixels",
+        f"{depth} {LABELS[film.encoding]}",
+        type(dataset.scenes[0].specular).__name__,
+    ]
+    parts += [] if noise is None else [f"noise {noise:g}"]
+    parts += [] if seed is None else [f"seed {seed}"]
+    return "   ·   ".join(parts)

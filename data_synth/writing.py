@@ -1,0 +1,110 @@
+"""A data set as a folder that a person can look into."""
+
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from data_synth.sheet import contact_sheet
+from phongfit import AbstractLight, Scene
+from phongfit.files.dataset import Dataset
+from phongfit.files.images import Bits, write_image
+from phongfit.files.outputs import replacing_folder
+from phongfit.files.scenes import SCENE_FILE, TRUTH_FILE, save_scene, save_truth
+from phongfit.files.schema import ImageRecord
+
+SHEET_FILE = "contact_sheet.png"
+
+OURS = re.compile(
+    rf"\d{{3,}}(_mask)?\.(png|tif)|scene_\w+\.(npy|png)"
+    rf"|{re.escape(SCENE_FILE)}|{re.escape(TRUTH_FILE)}|{re.escape(SHEET_FILE)}"
+)
+"""Names that a data set has: a folder with others is not overwritten."""
+
+
+def write_dataset(
+    dataset: Dataset,
+    out_dir: str | os.PathLike[str],
+    *,
+    noise: float | None = None,
+    seed: int | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write images, `scene.json`, `truth.json` and a contact sheet: all or nothing.
+
+    **Arguments:**
+
+    - `dataset`: of one surface, camera and ambient light.
+    - `out_dir`: the folder to make, and those above it; if it is there it must be
+        empty.
+    - `noise`, `seed`: what the images were made with, for `truth.json`.
+    - `overwrite`: an older data set at `out_dir` may be replaced, but nothing else.
+
+    **Raises:** `OSError` if the folder cannot be written, `ValueError` for a data set
+    that the files cannot hold.
+    """
+    Path(out_dir).parent.mkdir(parents=True, exist_ok=True)
+    with replacing_folder(out_dir, _is_ours if overwrite else None) as folder:
+        entries = _write_images(folder, dataset)
+        scene = _whole_scene(dataset.scenes)
+        save_scene(folder / SCENE_FILE, scene, film=dataset.film, images=entries)
+        if dataset.truth is not None:
+            save_truth(folder / TRUTH_FILE, dataset.truth, noise=noise, seed=seed)
+        sheet = contact_sheet(dataset, noise=noise, seed=seed)
+        sheet.savefig(folder / SHEET_FILE, dpi=120)
+
+
+def _is_ours(name: str) -> bool:
+    return OURS.fullmatch(name) is not None
+
+
+def _write_images(folder: Path, dataset: Dataset) -> list[ImageRecord]:
+    lights = _all_lights(dataset.scenes)
+    film, entries = dataset.film, []
+    for scene, image, mask, name in zip(
+        dataset.scenes, dataset.images, dataset.masks, dataset.names, strict=True
+    ):
+        write_image(folder / name, image, film.encoding, _file_bits(film.bits))
+        mask_name = None
+        if not mask.all():
+            mask_name = f"{Path(name).stem}_mask.png"
+            write_image(folder / mask_name, mask.astype(float), "linear")
+        on = [_index(lights, light) for light in scene.lights]
+        entries.append(ImageRecord(file=name, lights=on, mask=mask_name))
+    return entries
+
+
+def _file_bits(bits: int | None) -> Bits:
+    match bits:
+        case None:
+            return 32
+        case 8 | 16:
+            return bits
+    raise ValueError(f"bits: {bits} came, 8, 16 or None is wanted")
+
+
+def _all_lights(scenes: Sequence[Scene]) -> list[AbstractLight]:
+    """Each light of a series once, in the order in which they come up."""
+    lights: list[AbstractLight] = []
+    for scene in scenes:
+        for light in scene.lights:
+            if not any(light is known for known in lights):
+                lights.append(light)
+    return lights
+
+
+def _index(lights: Sequence[AbstractLight], light: AbstractLight) -> int:
+    return next(at for at, known in enumerate(lights) if known is light)
+
+
+def _whole_scene(scenes: Sequence[Scene]) -> Scene:
+    """The scene with every light that is on in one of `scenes`."""
+    first = scenes[0]
+    return Scene(
+        first.surface,
+        first.camera,
+        _all_lights(scenes),
+        first.ambient,
+        specular=first.specular,
+        background=first.background,
+    )
