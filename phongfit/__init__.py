@@ -1,13 +1,20 @@
 """Fit the Phong illumination model to images, with honest error bars."""
 
 from phongfit.environment import Fog as Fog
+from phongfit.files.meshes import load_mesh as load_mesh
+from phongfit.files.mtl import read_mtl as read_mtl, write_mtl as write_mtl
+from phongfit.fitting.fit import fit as fit
+from phongfit.fitting.result import Fit as Fit
+from phongfit.geometry import shapes as shapes
 from phongfit.geometry.cameras import (
     AbstractCamera as AbstractCamera,
     OrthographicCamera as OrthographicCamera,
     PerspectiveCamera as PerspectiveCamera,
     look_at as look_at,
 )
+from phongfit.geometry.implicit import ImplicitSurface as ImplicitSurface
 from phongfit.geometry.meshes import Mesh as Mesh, join as join
+from phongfit.geometry.parametric import tessellate as tessellate
 from phongfit.geometry.shading import (
     AbstractShading as AbstractShading,
     FlatShading as FlatShading,
@@ -32,6 +39,7 @@ from phongfit.material import (
     Material as Material,
     preset as preset,
     stack_materials as stack_materials,
+    unstack_materials as unstack_materials,
 )
 from phongfit.reflectance import (
     AbstractSpecular as AbstractSpecular,
@@ -52,5 +60,3 @@ from phongfit.rendering.terms import (
     terms as terms,
 )
 from phongfit.scene import Scene as Scene
-from phongfit.fitting.fit import fit as fit
-from phongfit.fitting.result import Fit as Fit

@@ -90,6 +90,30 @@ def stack_materials(materials: Iterable[Material]) -> Material:
     return jax.tree.unflatten(jax.tree.structure(materials[0]), stacked)
 
 
+def unstack_materials(material: Material, count: int | None = None) -> list[Material]:
+    """The inverse of [`stack_materials`][]: one `Material` for each row of its leaves.
+
+    **Arguments:** `count`: how many; default as many as the leaves hold.
+
+    **Raises:** `ValueError` for a leaf of another number of rows, and for a map.
+    """
+    held = [len(leaf) for leaf in jax.tree.leaves(material) if leaf.ndim == 2]
+    count = max(held, default=1) if count is None else count
+
+    def row(leaf: Array, i: int) -> Array:
+        if leaf.ndim < 2:
+            return leaf
+        if leaf.ndim > 2 or len(leaf) not in (1, count):
+            raise ValueError(
+                f"material: a leaf of shape {leaf.shape} came, {count} rows are wanted"
+            )
+        return leaf[min(i, len(leaf) - 1)]
+
+    return [
+        jax.tree.map(lambda leaf, i=i: row(leaf, i), material) for i in range(count)
+    ]
+
+
 PRESETS = tuple(OPENGL_MATERIALS)
 
 

@@ -10,8 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from phongfit.vectors import Scalar, Vec3, dot, norm, normalize
 
@@ -97,6 +95,10 @@ def split_creases(
     - for every vertex of the mesh cut open, which vertex of `vertices` it is;
     - the faces as indices of these.
     """
+    # Here, since it takes a third of a second that most programs need not wait.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     a, b, c = (vertices[faces[:, k]].astype(float) for k in range(3))
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1, keepdims=True)

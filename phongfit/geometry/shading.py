@@ -159,13 +159,24 @@ GouraudShading.__init__.__doc__ = """**Arguments:**
 class FlatShading(AbstractShading):
     """One colour a face, lit at one point of it."""
 
-    at: Place = eqx.field(static=True, default="centroid")
-    clamp: bool = eqx.field(static=True, default=False)
+    at: Place = eqx.field(static=True)
+    clamp: bool = eqx.field(static=True)
 
-    def __check_init__(self):
-        if self.at not in PLACES:
+    def __init__(self, at: Place = "centroid", clamp: bool = False):
+        """**Arguments:**
+
+        - `at`: `"centroid"` with the face's own normal, as in the textbook, or
+            `"last_vertex"` with that vertex's normal, as in OpenGL's GL_FLAT.
+        - `clamp`: cut the faces' colours off at 1 at once, as OpenGL does: seen only in
+            fog.
+
+        **Raises:** `ValueError` for another place.
+        """
+        if at not in PLACES:
             wanted = " or ".join(repr(name) for name in PLACES)
-            raise ValueError(f"at: {self.at!r} came, {wanted} is wanted")
+            raise ValueError(f"at: {at!r} came, {wanted} is wanted")
+        self.at = at
+        self.clamp = bool(clamp)
 
     def check(self, surface: AbstractSurface) -> None:
         _as_mesh(surface)
@@ -194,16 +205,6 @@ class FlatShading(AbstractShading):
             behind = _seen_from_behind(mesh, gbuffer)
             index = jnp.where(behind, index + len(mesh.faces), index)
         return Interpolation(index[..., None], jnp.ones_like(weights[..., :1]))
-
-
-FlatShading.__init__.__doc__ = """**Arguments:**
-
-- `at`: `"centroid"` with the face's own normal, as in the textbook, or `"last_vertex"`
-    with that vertex's normal, as in OpenGL's GL_FLAT.
-- `clamp`: cut the faces' colours off at 1 at once, as OpenGL does: seen only in fog.
-
-**Raises:** `ValueError` for another place.
-"""
 
 
 def _as_mesh(surface: AbstractSurface) -> Mesh:
