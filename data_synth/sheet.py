@@ -30,15 +30,15 @@ def contact_sheet(
     columns = _columns(count)
     rows = math.ceil(count / columns)
     cell = {1: 4.6, 2: 3.4}.get(columns, 2.6)
-    width = max(columns * cell + 0.3, 6.4)
+    width = max(columns * cell + 0.3, 7.0)
     height = rows * (cell + GAP) + HEAD
     figure = Figure(figsize=(width, height), facecolor=PAPER)
     for text, color, size, down in (
         (_truth(dataset.truth), INK, 12, 0.3),
         (_settings(dataset, noise, seed), PALE, 9, 0.58),
     ):
-        # A letter is about 0.6 of its size wide, and an inch has 72 points.
-        size = min(size, 72 * width * 0.96 / (0.6 * len(text)))
+        # A letter is about 0.53 of its size wide, and an inch has 72 points.
+        size = min(size, 72 * width * 0.96 / (0.53 * len(text)))
         figure.text(0.5, 1 - down / height, text, color=color, size=size, ha="center")
     left = (width - columns * cell) / 2
     for at in range(count):

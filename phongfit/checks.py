@@ -17,7 +17,9 @@ from jaxtyping import Array, Bool, Float, Int
 def as_floats(name: str, value: Any) -> Float[Array, "..."]:
     """`value` as an array of the default float type; `ValueError` names `name`."""
     try:
-        array = jnp.asarray(value)
+        # Too large for the precision is infinite, which is refused in its own words.
+        with np.errstate(over="ignore"):
+            array = jnp.asarray(value)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: {value!r} is not an array of numbers") from error
     if jnp.issubdtype(array.dtype, jnp.complexfloating):

@@ -25,7 +25,7 @@ def norm(vector: Vec3) -> Scalar:
 def normalize(vector: Vec3) -> Vec3:
     r"""Unit vector $a / |a|$; a zero vector stays zero, and so does its gradient."""
     length = norm(vector)
-    return vector / jnp.where(length > 0, length, 1)
+    return vector / jnp.where(length > 0, length, jnp.inf)
 
 
 def power(base: Float[Array, "..."], exponent: Float[Array, "..."]) -> Array:

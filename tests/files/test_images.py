@@ -1,0 +1,286 @@
+"""Images: every bit in, every bit out, and one clear line for what is broken."""
+
+import struct
+import zlib
+
+import imagecodecs
+import imageio.v3 as iio
+import jax.numpy as jnp
+import numpy as np
+import OpenEXR
+import pytest
+
+from phongfit import Film
+from phongfit.files.images import (
+    from_levels,
+    read_image,
+    read_mask,
+    to_levels,
+    write_image,
+)
+
+FORMATS = [
+    (".png", 8, 0.5 / 255),
+    (".png", 16, 0.5 / 65535),
+    (".tif", 8, 0.5 / 255),
+    (".tiff", 16, 0.5 / 65535),
+    (".tif", 32, 0),
+    (".exr", 32, 0),
+    (".hdr", 32, 2**-8),
+    # Last, since it alone loses a little each time.
+    (".jpg", 8, 0.03),
+]
+
+
+@pytest.fixture
+def picture():
+    # Smooth, since a JPEG is.
+    y, x = np.mgrid[0:24, 0:32] / 32
+    return np.stack([x, y, (x + y) / 2], axis=-1).astype(jnp.result_type(float))
+
+
+@pytest.mark.parametrize("suffix, bits, error", FORMATS)
+def test_round_trip(tmp_path, picture, suffix, bits, error):
+    path = tmp_path / f"a{suffix}"
+    write_image(path, picture, "linear", bits)
+    back = read_image(path, "linear")
+    assert back.shape == picture.shape and back.dtype == picture.dtype
+    np.testing.assert_allclose(back, picture, rtol=0, atol=error + 1e-7)
+
+
+@pytest.mark.parametrize("suffix, bits", [row[:2] for row in FORMATS[:-1]])
+def test_written_again_it_is_the_same(tmp_path, picture, suffix, bits):
+    first, second = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
+    encoding = "linear" if bits == 32 else "srgb"
+    write_image(first, picture, encoding, bits)
+    write_image(second, read_image(first, encoding), encoding, bits)
+    assert first.read_bytes() == second.read_bytes()
+
+
+@pytest.mark.parametrize("encoding", ["linear", "srgb"])
+@pytest.mark.parametrize("dtype, bits", [(np.uint8, 8), (np.uint16, 16)])
+def test_every_level_survives(encoding, dtype, bits):
+    levels = np.arange(2**bits).astype(dtype)
+    light = from_levels(levels, encoding)
+    assert np.array_equal(to_levels(light, encoding, bits), levels)
+
+
+def test_film_and_file_agree(picture):
+    exposed = np.asarray(Film(encoding="srgb", bits=8).expose(jnp.asarray(picture)))
+    np.testing.assert_array_equal(
+        np.round(exposed * 255), to_levels(picture, "srgb", 8)
+    )
+
+
+def test_srgb_by_hand(tmp_path):
+    # IEC 61966-2-1: code 188 is (188/255 → 0.50289) linear; 10 is on the straight part.
+    path = tmp_path / "a.png"
+    path.write_bytes(imagecodecs.png_encode(np.array([[188, 10]], np.uint8)))
+    light = read_image(path, "srgb")
+    np.testing.assert_allclose(light[0, 0], [0.50289] * 3, atol=1e-5)
+    np.testing.assert_allclose(light[0, 1], [10 / 255 / 12.92] * 3, rtol=1e-6)
+
+
+def test_all_16_bits_of_a_png(tmp_path):
+    # Neighbours that differ in the lowest bit only: 8 bits would make them equal.
+    levels = np.array([[[256, 257, 258], [65533, 65534, 65535]]], np.uint16)
+    path = tmp_path / "a.png"
+    path.write_bytes(imagecodecs.png_encode(levels))
+    light = read_image(path, "linear")
+    assert np.array_equal(np.round(light.astype(float) * 65535), levels)
+
+
+def test_other_bit_depths_and_greys_of_a_png(tmp_path):
+    grey = tmp_path / "grey.png"
+    grey.write_bytes(imagecodecs.png_encode(np.array([[0, 1000, 65535]], np.uint16)))
+    assert np.array_equal(
+        read_image(grey, "linear")[0] * 65535, [[0] * 3, [1000] * 3, [65535] * 3]
+    )
+
+
+def test_alpha(tmp_path):
+    path = tmp_path / "a.png"
+    rgba = np.full((2, 2, 4), 255, np.uint8)
+    path.write_bytes(imagecodecs.png_encode(rgba))
+    assert read_image(path, "linear").shape == (2, 2, 3)
+    rgba[0, 0, 3] = 254
+    path.write_bytes(imagecodecs.png_encode(rgba))
+    with pytest.raises(ValueError, match=r"a\.png: is partly transparent"):
+        read_image(path, "linear")
+
+
+def test_tiff_with_a_plane_for_each_channel(tmp_path):
+    path = tmp_path / "a.tif"
+    planes = np.arange(18, dtype=np.uint8).reshape(3, 2, 3)
+    path.write_bytes(
+        imagecodecs.tiff_encode(planes, photometric="rgb", planarconfig="separate")
+    )
+    expected = np.moveaxis(planes, 0, -1)
+    assert np.array_equal(np.round(read_image(path, "linear") * 255), expected)
+
+
+def test_exr_with_separate_and_half_channels(tmp_path):
+    path = tmp_path / "a.exr"
+    numbers = (np.arange(18, dtype=np.float16) / 16).reshape(2, 3, 3)
+    channels = {c: np.ascontiguousarray(numbers[..., i]) for i, c in enumerate("RGB")}
+    with OpenEXR.File({"type": OpenEXR.scanlineimage}, channels) as file:
+        file.write(str(path))
+    assert np.array_equal(read_image(path, "linear"), numbers)
+    with OpenEXR.File({"type": OpenEXR.scanlineimage}, {"Z": channels["R"]}) as file:
+        file.write(str(path))
+    with pytest.raises(ValueError, match=r"a\.exr: channels Z came"):
+        read_image(path, "linear")
+
+
+def test_exposure_of_a_radiance_picture(tmp_path, picture):
+    path = tmp_path / "a.hdr"
+    write_image(path, picture, "linear", 32)
+    light = read_image(path, "linear")
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"FORMAT", b"EXPOSURE=2.0\nEXPOSURE=4\nFORMAT"))
+    np.testing.assert_allclose(read_image(path, "linear"), light / 8, rtol=1e-6)
+
+
+def test_integers_are_clamped_and_floats_are_not(tmp_path):
+    light = np.array([[[-1, 0.5, 7]]])
+    write_image(tmp_path / "a.png", light, "linear", 8)
+    assert np.array_equal(
+        read_image(tmp_path / "a.png", "linear")[0, 0] * 255, [0, 128, 255]
+    )
+    write_image(tmp_path / "a.exr", light, "linear")
+    assert np.array_equal(read_image(tmp_path / "a.exr", "linear"), light)
+
+
+def test_mask_of_0_and_1_or_0_and_255(tmp_path):
+    path = tmp_path / "mask.png"
+    for white in (1, 255):
+        path.write_bytes(
+            imagecodecs.png_encode(np.array([[0, white, white]], np.uint8))
+        )
+        assert np.array_equal(read_mask(path), [[False, True, True]])
+    path.write_bytes(imagecodecs.png_encode(np.zeros((1, 3), np.uint8)))
+    assert not read_mask(path).any()
+
+
+def _png_header(width: int, height: int) -> bytes:
+    """A PNG that promises much and holds nothing."""
+    chunk = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    parts = b"\0\0\0\r" + chunk + struct.pack(">I", zlib.crc32(chunk))
+    return b"\x89PNG\r\n\x1a\n" + parts + b"\0\0\0\0IEND\xaeB`\x82"
+
+
+HUGE_HDR = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 99999 +X 99999\n"
+HUGE_TIFF = b"II*\0" + struct.pack(
+    "<IHHHIIHHIII", 8, 2, 256, 4, 1, 99999, 257, 4, 1, 99999, 0
+)
+
+BROKEN = {
+    "empty.png": (b"", "does not start as a PNG"),
+    "text.png": (b"hello", "does not start as a PNG"),
+    "text.jpg": (b"hello", "is broken or no .jpg image"),
+    "text.tif": (b"hello", "does not start as a TIFF"),
+    "text.hdr": (b"hello", "does not start as a Radiance"),
+    "text.exr": (b"hello", "is broken or no .exr image"),
+    "text.gif": (b"GIF89a", "suffix '.gif' came, one of .png"),
+    "nothing": (b"", "no suffix came"),
+    "bomb.png": (_png_header(60000, 60000), "60000 × 60000 pixels came"),
+    "bomb.hdr": (HUGE_HDR, "99999 × 99999 pixels came"),
+    "bomb.tif": (HUGE_TIFF, "99999 × 99999 pixels came"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken_files(tmp_path, name, capfd):
+    data, message = BROKEN[name]
+    path = tmp_path / name
+    path.write_bytes(data)
+    _check_one_line(path, message, capfd)
+
+
+@pytest.mark.parametrize("suffix, bits, error", FORMATS)
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.9])
+def test_truncated_files(tmp_path, picture, suffix, bits, error, share, capfd):
+    path = tmp_path / f"a{suffix}"
+    noisy = picture + np.random.default_rng(0).uniform(0, 0.1, picture.shape)
+    write_image(path, noisy, "linear", bits)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+    _check_one_line(path, "is broken", capfd)
+
+
+def test_png_without_its_end(tmp_path, picture, capfd):
+    path = tmp_path / "a.png"
+    write_image(path, picture, "linear")
+    path.write_bytes(path.read_bytes()[:-6])
+    _check_one_line(path, "is truncated", capfd)
+
+
+def _check_one_line(path, message, capfd) -> None:
+    with pytest.raises(ValueError) as caught:
+        read_image(path, "linear")
+    text = str(caught.value)
+    assert text.startswith(str(path)) and message in text and "\n" not in text
+    # Libraries must not talk to the user past us.
+    assert capfd.readouterr() == ("", "")
+
+
+def test_missing_file_folder_and_device(tmp_path):
+    with pytest.raises(ValueError, match=r"a\.png: cannot be read: No such file"):
+        read_image(tmp_path / "a.png", "linear")
+    (tmp_path / "b.png").mkdir()
+    with pytest.raises(ValueError, match=r"b\.png: is not a file"):
+        read_image(tmp_path / "b.png", "linear")
+    (tmp_path / "c.png").symlink_to("/dev/zero")
+    with pytest.raises(ValueError, match=r"c\.png: is not a file"):
+        read_image(tmp_path / "c.png", "linear")
+
+
+def test_cmyk_and_inverted_grey_are_refused(tmp_path):
+    grey = np.zeros((4, 4), np.uint8)
+    path = tmp_path / "a.tif"
+    path.write_bytes(imagecodecs.tiff_encode(grey, photometric="miniswhite"))
+    with pytest.raises(ValueError, match=r"a\.tif: photometric interpretation 0"):
+        read_image(path, "linear")
+    path = tmp_path / "a.jpg"
+    iio.imwrite(path, np.zeros((8, 8, 4), np.uint8), plugin="pillow", mode="CMYK")
+    with pytest.raises(ValueError, match=r"a\.jpg: CMYK came"):
+        read_image(path, "linear")
+
+
+def test_nan_pixels(tmp_path):
+    path = tmp_path / "a.exr"
+    light = np.full((2, 2, 3), np.nan, np.float32)
+    with OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": light}) as file:
+        file.write(str(path))
+    with pytest.raises(ValueError, match=r"a\.exr: has NaN or infinite pixels"):
+        read_image(path, "linear")
+
+
+def test_encoding_is_never_guessed(tmp_path, picture):
+    with pytest.raises(TypeError, match="encoding"):
+        read_image(tmp_path / "a.png")  # pyright: ignore
+    with pytest.raises(ValueError, match="encoding: 'gamma' came"):
+        read_image(tmp_path / "a.png", "gamma")  # pyright: ignore
+    write_image(tmp_path / "a.exr", picture, "linear")
+    with pytest.raises(ValueError, match="floating-point images are linear"):
+        read_image(tmp_path / "a.exr", "srgb")
+
+
+@pytest.mark.parametrize(
+    "name, image, encoding, bits, message",
+    [
+        ("a.png", np.zeros((2, 3, 4)), "linear", 8, r"shape \(2, 3, 4\) came"),
+        ("a.png", np.zeros((0, 3, 3)), "linear", 8, r"shape \(0, 3, 3\) came"),
+        ("a.png", np.full((2, 3, 3), np.nan), "linear", 8, "NaN"),
+        ("a.png", np.full((2, 3, 3), np.inf), "linear", 8, "infinite"),
+        ("a.png", np.zeros((2, 3, 3)), "linear", 32, "bits: 32 came, 8 or 16"),
+        ("a.jpg", np.zeros((2, 3, 3)), "linear", 16, "bits: 16 came, 8"),
+        ("a.exr", np.zeros((2, 3, 3)), "srgb", 32, "floating-point images are lin"),
+        ("a.bmp", np.zeros((2, 3, 3)), "linear", 8, "suffix '.bmp' came"),
+        ("a.png", np.zeros((2, 3, 3)), "gamma", 8, "encoding: 'gamma' came"),
+    ],
+)
+def test_what_cannot_be_written(tmp_path, name, image, encoding, bits, message):
+    with pytest.raises(ValueError, match=message):
+        write_image(tmp_path / name, image, encoding, bits)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,242 @@
+"""Scene files: exact round trips, and errors that name the field."""
+
+import json
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.files.scenes import load_scene, load_truth, save_scene, save_truth
+from phongfit.geometry.cameras import AbstractCamera
+
+LIGHTS = (
+    pf.DirectionalLight((1, 1, 2), 0.7),
+    pf.PointLight((1, 2, 3), (0.1, 0.2, 0.3), attenuation=(0, 0.1, 0.3), specular=0.3),
+    pf.SpotLight((1, 2, 3), (0, 0, -1), cutoff=33, exponent=2.5, ambient=0.1),
+)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        pf.OrthographicCamera(5, 4),
+        pf.PerspectiveCamera.look_at((1, 2, 3.3), width=5, height=4, fov_y=33.3),
+    ],
+)
+@pytest.mark.parametrize(
+    "specular", [pf.Phong(gate=False), pf.BlinnPhong(normalized=True)]
+)
+def test_round_trip_is_exact(tmp_path, camera: AbstractCamera, specular):
+    sphere = pf.Sphere((0.1, -0.7, 1 / 3), 1.3)
+    scene = pf.Scene(sphere, camera, LIGHTS, 0.3, specular=specular, background=0.1)
+    save_scene(tmp_path, scene)
+    assert eqx.tree_equal(load_scene(tmp_path), scene)
+    assert eqx.tree_equal(load_scene(tmp_path / "scene.json"), scene)
+
+
+def test_normal_map_goes_into_files_beside_it(tmp_path):
+    normals = np.random.default_rng(0).normal(size=(4, 5, 3))
+    mask = np.arange(20).reshape(4, 5) % 3 > 0
+    camera = pf.OrthographicCamera(5, 4)
+    for positions in (None, normals * 2):
+        surface = pf.NormalMap(normals, mask, positions)
+        save_scene(tmp_path / "a.json", pf.Scene(surface, camera))
+        back = load_scene(tmp_path / "a.json").surface
+        assert isinstance(back, pf.NormalMap)
+        assert np.array_equal(back.mask, surface.mask)
+        # Normals are brought to length 1 again, which may turn the last bit.
+        np.testing.assert_allclose(back.normals, surface.normals, rtol=1e-6)
+        assert eqx.tree_equal(back.positions, surface.positions)
+
+
+def test_a_kind_that_files_do_not_know(tmp_path):
+    class Laser(pf.AbstractLight):
+        def illuminate(self, position):
+            raise NotImplementedError
+
+    scene = pf.Scene(pf.Sphere(), lights=Laser())
+    with pytest.raises(ValueError, match="Laser: cannot be saved"):
+        save_scene(tmp_path, scene)
+    assert not list(tmp_path.iterdir())
+
+
+def test_defaults_and_look_at_by_hand(tmp_path):
+    camera = {"kind": "perspective", "width": 4, "height": 3, "position": [0, 0, 5]}
+    data = {
+        "format": "phongfit scene",
+        "version": 1,
+        "surface": {"kind": "sphere"},
+        "camera": camera | {"target": [0, 0, 0], "up": [1, 0, 0]},
+        "lights": [{"kind": "directional", "direction": [0, 0, 1]}],
+    }
+    (tmp_path / "scene.json").write_text(json.dumps(data))
+    scene = load_scene(tmp_path)
+    expected = pf.Scene(
+        pf.Sphere(),
+        pf.PerspectiveCamera.look_at((0, 0, 5), up=(1, 0, 0), width=4, height=3),
+        pf.DirectionalLight((0, 0, 1)),
+    )
+    assert eqx.tree_equal(scene, expected)
+
+
+def _change(*path_and_value):
+    """The good file with one value set, or removed where it is `...`."""
+    *path, key, value = path_and_value
+
+    def change(data):
+        for step in path:
+            data = data[step]
+        if value is ...:
+            del data[key]
+        else:
+            data[key] = value
+
+    return change
+
+
+MAP = {"kind": "normal_map", "normals": "n.npy"}
+
+WRONG = [
+    (_change("colour", 3), "the file: \"colour\" is no key of it; known: ['format'"),
+    (_change("ambeint", 3), "\"ambeint\" is no key of it; did you mean 'ambient'?"),
+    (_change("lights", 1, "intensty", 1), 'lights[1]: "intensty" is no key'),
+    (_change("camera", "fov", 30), 'camera: "fov" is no key'),
+    (_change("lights", 0, "direction", [0, 0, 0]), "lights[0].direction: [0. 0. 0.]"),
+    (_change("lights", 0, "direction", [0, 1]), "lights[0].direction: [0, 1] came, th"),
+    (
+        _change("lights", 0, "direction", [0, "a", 1]),
+        'lights[0].direction[1]: "a" came',
+    ),
+    (_change("lights", 0, "direction", ...), "lights[0].direction: is missing"),
+    (
+        _change("lights", 0, "intensity", [0, -1, 0]),
+        "lights[0].intensity: [ 0. -1. 0.]",
+    ),
+    (_change("lights", 0, "intensity", -1), "lights[0].intensity: [-1. -1. -1.] came"),
+    (
+        _change("lights", 0, "intensity", "much"),
+        'lights[0].intensity: "much" came, one',
+    ),
+    (_change("lights", 0, "intensity", True), "lights[0].intensity: true came, one"),
+    (
+        _change("lights", 1, "attenuation", [0, 0, 0]),
+        "lights[1].attenuation: [0. 0. 0.]",
+    ),
+    (_change("lights", 2, "axis", [0, 0, 0]), "lights[2].axis: [0. 0. 0.] came"),
+    (_change("lights", 2, "cutoff_degrees", 91), "lights[2].cutoff_degrees: 91 came"),
+    (_change("lights", 2, "exponent", -1), "lights[2].exponent: -1. came"),
+    (_change("lights", 0, "kind", "laser"), 'lights[0].kind: "laser" came, one of'),
+    (_change("lights", 0, "kind", ...), "lights[0].kind: is missing"),
+    (_change("lights", 0, 3), "lights[0]: 3 came, an object {…} is wanted"),
+    (_change("lights", 3), "lights: 3 came, a valid list is wanted"),
+    (_change("camera", "width", 0), "camera.width: 0 came"),
+    (_change("camera", "width", 2.5), "camera.width: 2.5 came, a valid integer"),
+    (_change("camera", "width", 2**26), "camera.width: 67108864 × 4 pixels came"),
+    (_change("camera", "fov_y_degrees", 180), "camera.fov_y_degrees: 180 came, less"),
+    (_change("camera", "target", [0, 0, 0]), "camera.rotation: came beside target"),
+    (_change("camera", "rotation", [[1, 0, 0]]), "camera.rotation: [[1, 0, 0]] came"),
+    (
+        _change("camera", "rotation", [[1, 0, 0], [0, 1, 0], [0, 0, 2]]),
+        "camera.rotation: [[1. 0. 0.] [0. 1. 0.] [0. 0. 2.]] came, orthonormal",
+    ),
+    (_change("surface", "radius", -1), "surface.radius: -1. came, a number > 0"),
+    (_change("surface", "kind", "cube"), 'surface.kind: "cube" came'),
+    (_change("surface", MAP), "surface.normals: "),
+    (_change("surface", MAP | {"normals": "../n.npy"}), "surface.normals: '../n.npy'"),
+    (_change("surface", MAP | {"mask": "/m.png"}), "surface."),
+    (_change("specular", "gate", 1), "specular.gate: 1 came, a valid boolean"),
+    (_change("specular", "kind", "ward"), 'specular.kind: "ward" came'),
+    (_change("ambient", None), "ambient: null came"),
+    (_change("ambient", -0.5), "ambient: [-0.5 -0.5 -0.5] came"),
+    (_change("format", "mesh"), "format: \"mesh\" came, 'phongfit scene' is wanted"),
+    (_change("version", 2), "version: 2 came, 1 is wanted"),
+    (_change("encoding", "gamma"), "encoding: \"gamma\" came, 'linear' or 'srgb'"),
+    (_change("bits", 17), "bits: 17 came"),
+    (_change("surface", ...), "surface: is missing"),
+]
+
+
+@pytest.mark.parametrize("change, message", WRONG, ids=[row[1] for row in WRONG])
+def test_wrong_values(tmp_path, change, message):
+    camera = pf.PerspectiveCamera(5, 4)
+    save_scene(tmp_path, pf.Scene(pf.Sphere(), camera, LIGHTS, specular=pf.Phong()))
+    data = json.loads((tmp_path / "scene.json").read_text())
+    change(data)
+    _check_error(tmp_path, json.dumps(data), message)
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("", "is no JSON"),
+        ('{"format": ', "is no JSON: Expecting value: line 1"),
+        ("[]", "the file: [] came, an object {…} is wanted"),
+        ('{"ambient": NaN}', "NaN came, finite numbers are wanted"),
+        ('{"ambient": -Infinity}', "-Infinity came, finite numbers are wanted"),
+        ('{"a": 1, "a": 2}', 'the key "a" came twice'),
+        ("[" * 100000, "is nested too deeply"),
+        ('{"version": ' + "9" * 5000 + "}", "Exceeds the limit"),
+        (" " * (2**24 + 1), "bytes came, at most"),
+    ],
+    ids=["empty", "cut", "list", "nan", "inf", "twice", "deep", "digits", "huge"],
+)
+def test_wrong_json(tmp_path, text, message):
+    _check_error(tmp_path, text, message)
+
+
+def test_infinite_numbers(tmp_path):
+    save_scene(tmp_path, pf.Scene(pf.Sphere(), lights=LIGHTS))
+    text = (tmp_path / "scene.json").read_text().replace("0.7", "1e999", 1)
+    _check_error(tmp_path, text, "lights[0].intensity[0]: Infinity came, a finite")
+
+
+def test_normal_maps_that_do_not_fit(tmp_path):
+    save_scene(
+        tmp_path,
+        pf.Scene(pf.NormalMap(np.ones((4, 5, 3))), pf.OrthographicCamera(5, 4)),
+    )
+    text = (tmp_path / "scene.json").read_text()
+    wrong = text.replace('"width": 5', '"width": 6')
+    _check_error(tmp_path, wrong, "surface: a normal map of (4, 5) pixels came")
+    for array, message in (
+        (np.ones((4, 5)), "surface.normals: shape (4, 5) came"),
+        (np.full((4, 5, 3), np.nan), "surface.normals: "),
+        (np.array([{}]), "surface.normals: "),
+    ):
+        np.save(tmp_path / "scene_normals.npy", array)
+        _check_error(tmp_path, text, message)
+    data = (tmp_path / "scene_normals.npy").read_bytes()
+    (tmp_path / "scene_normals.npy").write_bytes(data[:-10])
+    _check_error(tmp_path, text, "scene_normals.npy: cannot be read")
+    np.savez(tmp_path / "n.npz", other=np.ones((4, 5, 3)))
+    text = text.replace("scene_normals.npy", "n.npz")
+    _check_error(tmp_path, text, "['other'] came, an array 'normals' is wanted")
+    np.savez(tmp_path / "n.npz", normals=np.ones((4, 5, 3)))
+    (tmp_path / "scene.json").write_text(text)
+    assert isinstance(load_scene(tmp_path).surface, pf.NormalMap)
+
+
+def _check_error(folder, text, message) -> None:
+    path = folder / "scene.json"
+    path.write_text(text)
+    with pytest.raises(ValueError) as caught:
+        load_scene(folder)
+    told = str(caught.value)
+    assert told.startswith(f"{path}: ") and message in told and "\n" not in told
+
+
+def test_truth_round_trip(tmp_path):
+    path = tmp_path / "truth.json"
+    material = pf.Material((0.6, 1 / 3, 0.2), 0.3, 60.0, 0.5)
+    save_truth(path, material, noise=0.01, seed=3)
+    assert eqx.tree_equal(load_truth(path), material)
+    data = json.loads(path.read_text())
+    assert data["noise"] == 0.01 and data["seed"] == 3
+    assert data["material"]["shininess"] == 60
+    data["material"]["shininess"] = -1
+    path.write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=r"truth\.json: material\.shininess: -1"):
+        load_truth(path)
+    with pytest.raises(ValueError, match=r"diffuse: shape \(2, 3\) came"):
+        save_truth(path, pf.Material(np.ones((2, 3))))

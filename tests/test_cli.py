@@ -1,0 +1,86 @@
+"""The shell around all commands."""
+
+from dataclasses import dataclass
+
+import pytest
+
+from phongfit.cli import run
+
+
+@dataclass(frozen=True)
+class Options:
+    count: int
+    """How many."""
+
+    name: str = "ball"
+    """Of what."""
+
+
+def command(options: Options) -> int:
+    """Answer how many there are."""
+    return options.count
+
+
+def test_exit_status_is_the_functions():
+    assert run(command, ["--count", "1"]) == 1
+    assert run(lambda: None, []) == 0
+
+
+def test_functions_without_a_dataclass():
+    def add(first: int, second: int = 2) -> int:
+        return first + second
+
+    assert run(add, ["--first", "3"]) == 5
+
+
+def test_help(capsys):
+    assert run(command, ["--help"], prog="count") == 0
+    text = capsys.readouterr().out
+    assert "Answer how many there are." in text
+    assert "How many." in text and "usage: count" in text
+
+
+@pytest.mark.parametrize(
+    "args, words",
+    [
+        (["--count", "many"], "many"),
+        (["--cuont", "1"], "--cuont"),
+        ([], "--count"),
+        (["--count"], "--count"),
+    ],
+)
+def test_bad_options(args, words, capsys):
+    assert run(command, args) == 2
+    _check_error(capsys, words)
+
+
+@pytest.mark.parametrize(
+    "error, status, message",
+    [
+        (ValueError("mask:\n  leaves nothing"), 2, "error: mask: leaves nothing"),
+        (OSError("out: is full"), 2, "error: out: is full"),
+        (FileNotFoundError(2, "No such file", "a.png"), 2, "a.png: No such file"),
+        (KeyboardInterrupt(), 130, "error: interrupted"),
+    ],
+)
+def test_bad_input(error, status, message, capsys):
+    def fail() -> None:
+        raise error
+
+    assert run(fail, []) == status
+    _check_error(capsys, message)
+
+
+def test_our_own_bugs_stay_visible():
+    def fail() -> None:
+        raise TypeError("a bug")
+
+    with pytest.raises(TypeError, match="a bug"):
+        run(fail, [])
+
+
+def _check_error(capsys, words) -> None:
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.startswith("error: ") and words in output.err
+    assert output.err.endswith("\n") and output.err.count("\n") == 1
