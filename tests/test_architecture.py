@@ -1,0 +1,131 @@
+"""Data flows one way: who may import whom, read from the source."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+# From left to right; each may import those to its left. A name of several parts that
+# share a place may import one another.
+ORDER = [
+    {"checks", "vectors"},
+    {"presets"},
+    {"material", "reflectance", "lights", "testing"},
+    {"geometry"},
+    {"scene"},
+    {"rendering"},
+    {"fitting"},
+    {"files"},
+    {"report"},
+    {"cli", "__main__"},
+]
+PLACE = {part: place for place, parts in enumerate(ORDER) for part in parts}
+# What only one part may know.
+KEPT = {
+    "optimistix": "fitting",
+    "imageio": "files",
+    "imagecodecs": "files",
+    "OpenEXR": "files",
+}
+MODULES = [
+    path.relative_to(ROOT)
+    for top in ("phongfit", "data_synth", "experiments")
+    for path in sorted((ROOT / top).rglob("*.py"))
+]
+
+
+def imported(source: str, package: str) -> set[str]:
+    """Every module that a source imports, anywhere in it, by its full name."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = package.split(".")[: 1 - node.level or None] if node.level else []
+            origin = ".".join([*base, *([node.module] if node.module else [])])
+            found |= {f"{origin}.{alias.name}" for alias in node.names}
+    return found
+
+
+def violations(path: Path, source: str) -> list[str]:
+    """What this module imports and may not, in words."""
+    top, *parts = path.with_suffix("").parts
+    package = ".".join(path.parts[:-1])
+    wrong = []
+    for name in sorted(imported(source, package)):
+        first, _, rest = name.partition(".")
+        if first in ("tests", "experiments") and first != top:
+            wrong.append(f"{path} imports {first}")
+        elif first == "data_synth" and top == "phongfit":
+            wrong.append(f"{path} imports data_synth")
+        elif first in KEPT and top != "experiments":
+            if (top, parts[0]) != ("phongfit", KEPT[first]):
+                wrong.append(f"{path}: only phongfit/{KEPT[first]} may import {first}")
+        elif first == top == "phongfit" and parts != ["__init__"]:
+            wrong += _to_the_right(path, parts[0], rest.split(".")[0])
+    return wrong
+
+
+def _to_the_right(path: Path, importer: str, part: str) -> list[str]:
+    if part not in PLACE:
+        # `import phongfit` or `from phongfit import Sphere` asks for all of it.
+        return [f"{path} imports the whole of phongfit"]
+    if importer != part and PLACE[importer] <= PLACE[part]:
+        if not {importer, part} <= {"checks", "vectors"}:
+            return [f"{path} imports phongfit.{part}, which is not to its left"]
+    return []
+
+
+@pytest.mark.parametrize("path", MODULES, ids=str)
+def test_imports_go_left(path):
+    assert violations(path, (ROOT / path).read_text()) == []
+
+
+def test_every_part_has_its_place():
+    parts = {
+        path.parts[1].removesuffix(".py")
+        for path in MODULES
+        if path.parts[0] == "phongfit"
+    }
+    assert parts - {"__init__"} <= set(PLACE)
+
+
+@pytest.mark.parametrize(
+    "path, source",
+    [
+        ("phongfit/geometry/cameras.py", "from phongfit.scene import Scene"),
+        ("phongfit/geometry/cameras.py", "from ..rendering.film import Film"),
+        ("phongfit/geometry/cameras.py", "from .. import scene"),
+        ("phongfit/material.py", "from phongfit import lights"),
+        ("phongfit/lights.py", "import phongfit.reflectance"),
+        ("phongfit/rendering/film.py", "def f():\n    import phongfit.files.images"),
+        ("phongfit/files/images.py", "import phongfit as pf"),
+        ("phongfit/fitting/fit.py", "from phongfit import Sphere"),
+        ("phongfit/fitting/fit.py", "import data_synth"),
+        ("phongfit/fitting/fit.py", "from experiments.benchmark import adam"),
+        ("phongfit/report/page.py", "import optimistix as optx"),
+        ("phongfit/report/page.py", "import imageio.v3"),
+        ("data_synth/dataset.py", "from optimistix import least_squares"),
+        ("data_synth/dataset.py", "import experiments"),
+        ("data_synth/dataset.py", "import tests.helpers"),
+    ],
+)
+def test_a_wrong_import_is_seen(path, source):
+    assert len(violations(Path(path), source)) == 1
+
+
+@pytest.mark.parametrize(
+    "path, source",
+    [
+        ("phongfit/geometry/cameras.py", "from phongfit.lights import PointLight"),
+        ("phongfit/geometry/cameras.py", "from .surfaces import Sphere"),
+        ("phongfit/fitting/fit.py", "import optimistix as optx\nimport jax"),
+        ("phongfit/__init__.py", "from phongfit.fitting.fit import fit"),
+        ("data_synth/dataset.py", "import phongfit as pf"),
+        ("experiments/benchmark.py", "import phongfit, data_synth, optimistix"),
+    ],
+)
+def test_a_right_import_is_fine(path, source):
+    assert violations(Path(path), source) == []
