@@ -176,4 +176,4 @@ def seen(
     image: Float[np.ndarray, "height width 3"], background: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, "height width"]:
     """Where an image of 16 bits is not of the background's colour."""
-    return np.any(abs(image - background) > 0.5 / 65535, axis=-1, keepdims=True)[..., 0]
+    return np.asarray(np.any(abs(image - background) > 0.5 / 65535, axis=-1))

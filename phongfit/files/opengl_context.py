@@ -89,13 +89,10 @@ def apply_scene(
     gl.glEnable(gl.GL_LIGHTING)
     gl.glEnable(gl.GL_DEPTH_TEST)
     gl.glEnable(gl.GL_NORMALIZE)
-    _switch(gl, gl.GL_CULL_FACE, not getattr(scene.surface, "two_sided", False))
     model = state["light_model"]
     gl.glLightModelfv(gl.GL_LIGHT_MODEL_AMBIENT, model["GL_LIGHT_MODEL_AMBIENT"])
     local = model["GL_LIGHT_MODEL_LOCAL_VIEWER"]
     gl.glLightModeli(gl.GL_LIGHT_MODEL_LOCAL_VIEWER, int(local))
-    two_sided = getattr(scene.surface, "two_sided", False)
-    gl.glLightModeli(gl.GL_LIGHT_MODEL_TWO_SIDE, int(two_sided))
     gl.glShadeModel(getattr(gl, state["shade_model"]))
     if bool(gl.glClampColor):
         gl.glClampColor(gl.GL_CLAMP_VERTEX_COLOR, int(state["clamp_vertex_color"]))
@@ -130,6 +127,8 @@ def draw_mesh(mesh: Mesh, material: Material, *, nearest: bool = False) -> None:
     faces = np.asarray(mesh.faces, np.uint32)
     index = mesh.material_index
     owner = np.zeros(len(faces), int) if index is None else np.asarray(index)
+    _switch(gl, gl.GL_CULL_FACE, not mesh.two_sided)
+    gl.glLightModeli(gl.GL_LIGHT_MODEL_TWO_SIDE, int(mesh.two_sided))
     gl.glEnableClientState(gl.GL_VERTEX_ARRAY)
     gl.glEnableClientState(gl.GL_NORMAL_ARRAY)
     gl.glVertexPointer(3, gl.GL_FLOAT, 0, vertices)
