@@ -118,7 +118,9 @@ def check_light(light: AbstractLight) -> None:
     assert np.all(np.diff(along.intensity, axis=0) <= CLOSE)
 
     here = light.illuminate(place)
-    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(here))
+    near(here.distance, 0 if hasattr(light, "position") else np.inf)
+    for leaf in (here.to_light, here.intensity, here.specular, here.ambient):
+        assert np.all(np.isfinite(leaf))
     slopes = jax.jacrev(lambda at: light.illuminate(at).intensity)(place)
     assert np.all(np.isfinite(slopes))
 

@@ -150,7 +150,11 @@ class Mesh(AbstractSurface):
 
     def trace(self, camera: AbstractCamera) -> GBuffer:
         rays, seen, inside = _aim(self, camera)
-        require("camera", inside, np.logical_not, jnp.logical_not, "a place in no face")
+        inside = jax.lax.stop_gradient(inside)
+        if isinstance(inside, Tracer):
+            seen = eqx.error_if(seen, inside, "camera: its position lies in a face")
+        elif inside:
+            raise ValueError(f"camera: its position {camera.position} lies in a face")
         face = first_faces(self.vertices, self.faces, seen, rays)
         if not isinstance(face, Tracer) and not np.any(np.asarray(face) >= 0):
             warnings.warn(

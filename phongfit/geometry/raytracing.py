@@ -125,7 +125,8 @@ class _Tree:
         limit = None
         if distance is not None:
             left = distance.ravel() / self.size - skipped
-            limit = np.minimum(left, 1e30).astype(np.float32)
+            # Embree takes a negative limit for its own sign of a ray that is blocked.
+            limit = np.clip(left, 0, 1e30).astype(np.float32)
         return self.scene.run(
             start.astype(np.float32), along.astype(np.float32), limit, query
         )
