@@ -3,6 +3,7 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from phongfit.environment import Fog as Fog
 from phongfit.fitting.fit import fit as fit
 from phongfit.fitting.losses import (
     AbstractLoss as AbstractLoss,
@@ -16,11 +17,21 @@ from phongfit.fitting.result import Fit as Fit
 from phongfit.fitting.solver import (
     BoundedLevenbergMarquardt as BoundedLevenbergMarquardt,
 )
+from phongfit.geometry import shapes as shapes
 from phongfit.geometry.cameras import (
     AbstractCamera as AbstractCamera,
     OrthographicCamera as OrthographicCamera,
     PerspectiveCamera as PerspectiveCamera,
     look_at as look_at,
+)
+from phongfit.geometry.implicit import ImplicitSurface as ImplicitSurface
+from phongfit.geometry.meshes import Mesh as Mesh, join as join
+from phongfit.geometry.parametric import tessellate as tessellate
+from phongfit.geometry.shading import (
+    AbstractShading as AbstractShading,
+    FlatShading as FlatShading,
+    GouraudShading as GouraudShading,
+    PhongShading as PhongShading,
 )
 from phongfit.geometry.surfaces import (
     AbstractSurface as AbstractSurface,
@@ -35,7 +46,13 @@ from phongfit.lights import (
     PointLight as PointLight,
     SpotLight as SpotLight,
 )
-from phongfit.material import PRESETS as PRESETS, Material as Material, preset as preset
+from phongfit.material import (
+    PRESETS as PRESETS,
+    Material as Material,
+    preset as preset,
+    stack_materials as stack_materials,
+    unstack_materials as unstack_materials,
+)
 from phongfit.reflectance import (
     AbstractSpecular as AbstractSpecular,
     BlinnPhong as BlinnPhong,
@@ -44,6 +61,10 @@ from phongfit.reflectance import (
     phong_from_blinn as phong_from_blinn,
 )
 from phongfit.rendering.film import Film as Film
+from phongfit.rendering.pixels import (
+    PixelTerms as PixelTerms,
+    pixel_terms as pixel_terms,
+)
 from phongfit.rendering.render import render as render
 from phongfit.rendering.terms import (
     ShadingTerms as ShadingTerms,
@@ -62,6 +83,8 @@ if TYPE_CHECKING:
         read_image as read_image,
         write_image as write_image,
     )
+    from phongfit.files.meshes import load_mesh as load_mesh
+    from phongfit.files.mtl import read_mtl as read_mtl, write_mtl as write_mtl
     from phongfit.files.scenes import (
         load_scene as load_scene,
         save_scene as save_scene,
@@ -70,11 +93,14 @@ if TYPE_CHECKING:
 # Decoders and validators take long to import: only who reads a file waits for them.
 _ON_DEMAND = {
     "Dataset": "phongfit.files.datasets",
+    "load_mesh": "phongfit.files.meshes",
     "load_scene": "phongfit.files.scenes",
     "read_dataset": "phongfit.files.datasets",
+    "read_mtl": "phongfit.files.mtl",
     "read_image": "phongfit.files.images",
     "save_scene": "phongfit.files.scenes",
     "write_image": "phongfit.files.images",
+    "write_mtl": "phongfit.files.mtl",
 }
 
 

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 
 def as_floats(name: str, value: Any) -> Float[Array, "..."]:
@@ -63,6 +63,41 @@ def as_reflectance(name: str, value: Any) -> Float[Array, "..."]:
             f"({array.shape[-1]}, 1))"
         )
     return at_least(name, array, 0)
+
+
+def as_integers(name: str, value: Any, lowest: int, below: float) -> np.ndarray:
+    """`value` as known whole numbers in [lowest, below); `ValueError` names `name`.
+
+    A NumPy array: they say what belongs together, and that is never traced.
+    """
+    if isinstance(value, Tracer):
+        raise ValueError(f"{name}: a traced array came, known numbers are wanted")
+    array = np.asarray(value)
+    if array.dtype.kind not in "iu":
+        raise ValueError(f"{name}: {array.dtype} came, whole numbers are wanted")
+    wrong = (array < lowest) | (array >= below)
+    if wrong.any():
+        where = tuple(int(i) for i in np.argwhere(wrong)[0])
+        raise ValueError(
+            f"{name}: {array[where]} came at {where}, whole numbers ≥ {lowest} and < "
+            f"{below} are wanted"
+        )
+    return array.astype(np.int32)
+
+
+def as_indices(
+    name: str, value: Any, shape: tuple[int, ...]
+) -> tuple[Int[Array, "..."] | None, int]:
+    """`value` as material indices of `shape`, and how many materials that makes.
+
+    `None`, which is one material, stays `None`.
+    """
+    if value is None:
+        return None, 1
+    array = as_integers(name, value, 0, np.inf)
+    if array.shape != shape:
+        raise ValueError(f"{name}: shape {array.shape} came, {shape} is wanted")
+    return jnp.asarray(array), int(array.max(initial=0)) + 1
 
 
 def at_least(name: str, array: Array, lowest: float) -> Array:

@@ -29,6 +29,7 @@ class Illumination(eqx.Module):
     intensity: Vec3
     specular: Vec3
     ambient: Vec3
+    distance: Scalar
 
 
 Illumination.__init__.__doc__ = """**Arguments:**
@@ -36,6 +37,7 @@ Illumination.__init__.__doc__ = """**Arguments:**
 - `to_light`: unit vector from the point to the light.
 - `intensity`, `specular`, `ambient`: RGB that arrives for the diffuse, specular and
     ambient term.
+- `distance`: from the point to the light, world units; inf for parallel rays.
 """
 
 
@@ -53,9 +55,12 @@ def _arriving(
     intensity: Vec3,
     specular: Vec3 | None,
     ambient: Vec3,
+    distance: Scalar,
 ) -> Illumination:
     specular = intensity if specular is None else specular
-    return Illumination(to_light, share * intensity, share * specular, share * ambient)
+    return Illumination(
+        to_light, share * intensity, share * specular, share * ambient, distance
+    )
 
 
 def _own_colour(name: str, value: Any) -> Vec3 | None:
@@ -92,9 +97,10 @@ class DirectionalLight(AbstractLight):
         self.ambient = as_light("ambient", ambient)
 
     def illuminate(self, position: Vec3) -> Illumination:
-        del position
+        far = jnp.full((), jnp.inf, position.dtype)
+        to_light = normalize(self.direction)
         return _arriving(
-            normalize(self.direction), 1.0, self.intensity, self.specular, self.ambient
+            to_light, 1.0, self.intensity, self.specular, self.ambient, far
         )
 
 
@@ -152,9 +158,15 @@ class PointLight(AbstractLight):
 
     def illuminate(self, position: Vec3) -> Illumination:
         offset = self.position - position
-        share = _attenuation(self.attenuation, norm(offset))
+        distance = norm(offset)
+        share = _attenuation(self.attenuation, distance)
         return _arriving(
-            normalize(offset), share, self.intensity, self.specular, self.ambient
+            normalize(offset),
+            share,
+            self.intensity,
+            self.specular,
+            self.ambient,
+            distance,
         )
 
 
@@ -218,5 +230,8 @@ class SpotLight(AbstractLight):
         cosine = dot(-to_light, normalize(self.axis))
         inside = cosine >= jnp.cos(jnp.deg2rad(self.cutoff))
         spot = jnp.where(inside, power(cosine, self.exponent), 0)
-        share = spot * _attenuation(self.attenuation, norm(offset))
-        return _arriving(to_light, share, self.intensity, self.specular, self.ambient)
+        distance = norm(offset)
+        share = spot * _attenuation(self.attenuation, distance)
+        return _arriving(
+            to_light, share, self.intensity, self.specular, self.ambient, distance
+        )

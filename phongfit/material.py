@@ -1,9 +1,12 @@
 """The unknowns: what a surface does with light."""
 
 import difflib
+from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from phongfit.checks import as_reflectance
@@ -55,6 +58,60 @@ class Material(eqx.Module):
         self.shininess = as_reflectance("shininess", shininess)
         self.ambient = as_reflectance("ambient", ambient)
         self.emission = as_reflectance("emission", emission)
+
+
+def stack_materials(materials: Iterable[Material]) -> Material:
+    """Several materials as one `Material` of leaves (M, 3), for `material_index`.
+
+    **Arguments:** `materials`: leaves of shape () or (3,), or already several: (M, 3).
+
+    **Returns:** all of them, in order. The exponent has shape (M, 1) if no material has
+    three of its own.
+
+    **Raises:** `ValueError` if there are none, or one is a map.
+    """
+    materials = list(materials)
+    if not materials:
+        raise ValueError("materials: none came, at least one is wanted")
+
+    def rows(material: Material) -> list[Array]:
+        leaves = [jnp.atleast_2d(leaf) for leaf in jax.tree.leaves(material)]
+        if any(leaf.ndim > 2 for leaf in leaves):
+            raise ValueError("materials: a map came, single materials are wanted")
+        count = max(len(leaf) for leaf in leaves)
+        return [jnp.broadcast_to(leaf, (count, leaf.shape[1])) for leaf in leaves]
+
+    def stack(*leaves: Array) -> Array:
+        channels = max(leaf.shape[1] for leaf in leaves)
+        spread = [jnp.broadcast_to(leaf, (len(leaf), channels)) for leaf in leaves]
+        return jnp.concatenate(spread)
+
+    stacked = [stack(*leaves) for leaves in zip(*map(rows, materials), strict=True)]
+    return jax.tree.unflatten(jax.tree.structure(materials[0]), stacked)
+
+
+def unstack_materials(material: Material, count: int | None = None) -> list[Material]:
+    """The inverse of [`stack_materials`][]: one `Material` for each row of its leaves.
+
+    **Arguments:** `count`: how many; default as many as the leaves hold.
+
+    **Raises:** `ValueError` for a leaf of another number of rows, and for a map.
+    """
+    held = [len(leaf) for leaf in jax.tree.leaves(material) if leaf.ndim == 2]
+    count = max(held, default=1) if count is None else count
+
+    def row(leaf: Array, i: int) -> Array:
+        if leaf.ndim < 2:
+            return leaf
+        if leaf.ndim > 2 or len(leaf) not in (1, count):
+            raise ValueError(
+                f"material: a leaf of shape {leaf.shape} came, {count} rows are wanted"
+            )
+        return leaf[min(i, len(leaf) - 1)]
+
+    return [
+        jax.tree.map(lambda leaf, i=i: row(leaf, i), material) for i in range(count)
+    ]
 
 
 PRESETS = tuple(OPENGL_MATERIALS)

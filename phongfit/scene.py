@@ -7,21 +7,28 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from phongfit.checks import as_light
+from phongfit.environment import Fog
 from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera
-from phongfit.geometry.surfaces import AbstractSurface, NormalMap
+from phongfit.geometry.shading import AbstractShading, PhongShading
+from phongfit.geometry.surfaces import AbstractSurface, GBuffer, NormalMap
+from phongfit.geometry.tracing import trace
 from phongfit.lights import AbstractLight, DirectionalLight
 from phongfit.reflectance import AbstractSpecular, BlinnPhong
 
 
 class Scene(eqx.Module):
-    """Surface, camera and lights, and the model of the highlight."""
+    """Surface, camera and lights, and how light is computed and travels."""
 
     surface: AbstractSurface
     camera: AbstractCamera
     lights: tuple[AbstractLight, ...]
     ambient: Float[Array, "3"]
     specular: AbstractSpecular
+    shading: AbstractShading
+    fog: Fog | None
     background: Float[Array, "3"]
+    shadows: bool = eqx.field(static=True)
+    local_viewer: bool | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -31,7 +38,11 @@ class Scene(eqx.Module):
         ambient: Any = 0.0,
         *,
         specular: AbstractSpecular | None = None,
+        shading: AbstractShading | None = None,
+        fog: Fog | None = None,
+        shadows: bool = False,
         background: Any = 0.0,
+        local_viewer: bool | None = None,
     ):
         """**Arguments:**
 
@@ -40,7 +51,14 @@ class Scene(eqx.Module):
         - `lights`: any number, of any kinds.
         - `ambient`: the ambient light I_a, RGB or one number.
         - `specular`: model of the highlight, default [`BlinnPhong`][].
-        - `background`: RGB where a pixel sees no surface.
+        - `shading`: where light is computed, default [`PhongShading`][]: per pixel.
+        - `fog`: default none.
+        - `shadows`: whether surfaces throw hard shadows.
+        - `background`: RGB where a pixel sees no surface; there is no fog there.
+        - `local_viewer`: where the viewer is when light is computed. Default: where
+            the camera has it. `True` and `False` are OpenGL's
+            GL_LIGHT_MODEL_LOCAL_VIEWER: at the camera's position, even if its rays are
+            parallel, and far away along its axis, even if they are not.
 
         **Raises:** `ValueError` that names the argument.
         """
@@ -50,23 +68,49 @@ class Scene(eqx.Module):
             raise ValueError(f"lights: {lights!r} came, a list of lights is wanted")
         lights = tuple(lights)
         specular = BlinnPhong() if specular is None else specular
+        shading = PhongShading() if shading is None else shading
         for name, value, kind in (
             ("surface", surface, AbstractSurface),
             ("camera", camera, AbstractCamera),
             ("specular", specular, AbstractSpecular),
+            ("shading", shading, AbstractShading),
+            ("fog", fog, Fog | None),
+            ("shadows", shadows, bool),
+            ("local_viewer", local_viewer, bool | None),
             *(("lights", light, AbstractLight) for light in lights),
         ):
             if not isinstance(value, kind):
-                raise ValueError(f"{name}: {value!r} came, {kind.__name__} wanted")
+                wanted = getattr(kind, "__name__", kind)
+                raise ValueError(f"{name}: {value!r} came, {wanted} wanted")
         if isinstance(surface, NormalMap) and surface.positions is None:
             if not all(isinstance(light, DirectionalLight) for light in lights):
                 raise ValueError(
                     "lights: a normal map without positions can be lit by directional "
                     "lights only, since no other light knows its distance"
                 )
+            if fog is not None or shadows:
+                raise ValueError(
+                    f"{'fog' if fog is not None else 'shadows'}: a normal map without "
+                    "positions knows neither depth nor what is in a light's way"
+                )
+        shading.check(surface)
         self.surface = surface
         self.camera = camera
         self.lights = lights
         self.ambient = as_light("ambient", ambient)
         self.specular = specular
+        self.shading = shading
+        self.fog = fog
         self.background = as_light("background", background)
+        self.shadows = shadows
+        self.local_viewer = local_viewer
+
+    def trace(self) -> GBuffer:
+        """The scene's geometry, resolved once: see [`trace`][]."""
+        return trace(
+            self.surface,
+            self.camera,
+            self.lights,
+            shadows=self.shadows,
+            shading=self.shading,
+        )

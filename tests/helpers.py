@@ -126,6 +126,8 @@ def check_light(light: AbstractLight) -> None:
     assert all(
         np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(here(light, place))
     )
+    at_place = light.illuminate(place)
+    near(at_place.distance, 0 if hasattr(light, "position") else np.inf)
 
 
 def _moved(light: AbstractLight, turn: np.ndarray, shift: np.ndarray) -> AbstractLight:

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 ORDER = [
     {"checks", "vectors"},
     {"presets"},
-    {"material", "reflectance", "lights", "testing"},
+    {"material", "reflectance", "lights", "environment", "testing"},
     {"geometry"},
     {"scene"},
     {"rendering"},
@@ -28,6 +28,9 @@ KEPT = {
     "imageio": "files",
     "imagecodecs": "files",
     "OpenEXR": "files",
+    "trimesh": "files",
+    "OpenGL": "files",
+    "embreex": "geometry",
 }
 MODULES = [
     path.relative_to(ROOT)

@@ -6,9 +6,9 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from phongfit.checks import as_floats, as_scalar, as_vector, require
+from phongfit.checks import as_floats, as_indices, as_scalar, as_vector, require
 from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera, Ray
 from phongfit.vectors import Vec3, dot, normalize
 
@@ -23,6 +23,11 @@ class GBuffer(eqx.Module):
     normal: Float[Array, "height width 3"]
     to_viewer: Float[Array, "height width 3"]
     mask: Bool[Array, "height width"]
+    material_index: Int[Array, "height width"] | None = None
+    surface_normal: Float[Array, "height width 3"] | None = None
+    face: Int[Array, "height width"] | None = None
+    barycentrics: Float[Array, "height width 3"] | None = None
+    visibility: Float[Array, "*points lights"] | None = None
 
 
 GBuffer.__init__.__doc__ = """**Arguments:**
@@ -30,6 +35,13 @@ GBuffer.__init__.__doc__ = """**Arguments:**
 - `position`: world units.
 - `normal`, `to_viewer`: unit vectors, away from the surface.
 - `mask`: true where the pixel sees the surface.
+- `material_index`: which of several materials; `None` where there is one.
+- `surface_normal`: unit normal of the face itself where `normal` is interpolated;
+    `None` where the two are the same.
+- `face`, `barycentrics`: of a mesh: which face, and the weights of its corners.
+- `visibility`: 1 where the light reaches the point and 0 in shadow, for each light at
+    the points where the shading method lights the surface (pixels, faces, vertices);
+    `None` without shadows.
 """
 
 
@@ -39,6 +51,30 @@ class AbstractSurface(eqx.Module):
     @abc.abstractmethod
     def trace(self, camera: AbstractCamera) -> GBuffer:
         """What each pixel of `camera` sees of this surface."""
+
+    @abc.abstractmethod
+    def reached(
+        self,
+        position: Float[Array, "*batch 3"],
+        normal: Float[Array, "*batch 3"],
+        to_light: Float[Array, "*batch 3"],
+        distance: Float[Array, "*batch"],
+    ) -> Bool[Array, "*batch"]:
+        """Whether light reaches points of the surface past the surface itself.
+
+        **Arguments:**
+
+        - `position`, `normal`: points and their unit normals, of any batch shape.
+        - `to_light`, `distance`: unit vector to the light and how far away it is, world
+            units (may be inf).
+
+        **Raises:** `ValueError` if this surface cannot tell.
+        """
+
+    @property
+    def materials(self) -> int:
+        """How many materials the surface tells apart."""
+        return 1
 
 
 class Sphere(AbstractSurface):
@@ -81,11 +117,24 @@ class Sphere(AbstractSurface):
         position = jnp.where(hit, self.center + self.radius * normal, self.center)
         return position, normal, hit
 
+    @eqx.filter_jit
     def trace(self, camera: AbstractCamera) -> GBuffer:
         pixels = jax.vmap(jax.vmap(self.intersect))
         position, normal, mask = pixels(camera.rays())
         to_viewer = jax.vmap(jax.vmap(camera.to_viewer))(position)
         return GBuffer(position, normal, to_viewer, mask)
+
+    def reached(
+        self,
+        position: Float[Array, "*batch 3"],
+        normal: Float[Array, "*batch 3"],
+        to_light: Float[Array, "*batch 3"],
+        distance: Float[Array, "*batch"],
+    ) -> Bool[Array, "*batch"]:
+        del position
+        # From a point of a sphere, the way through it is 2 r |s·m| long.
+        chord = -2 * self.radius * jnp.sum(normal * to_light, axis=-1)
+        return (chord <= 0) | (distance <= chord)
 
 
 class NormalMap(AbstractSurface):
@@ -94,8 +143,16 @@ class NormalMap(AbstractSurface):
     normals: Float[Array, "height width 3"]
     mask: Bool[Array, "height width"]
     positions: Float[Array, "height width 3"] | None
+    material_index: Int[Array, "height width"] | None
+    _materials: int = eqx.field(static=True)
 
-    def __init__(self, normals: Any, mask: Any = None, positions: Any = None):
+    def __init__(
+        self,
+        normals: Any,
+        mask: Any = None,
+        positions: Any = None,
+        material_index: Any = None,
+    ):
         """**Arguments:**
 
         - `normals`: (H, W, 3), in the world's axes; any length. A zero normal is
@@ -103,6 +160,7 @@ class NormalMap(AbstractSurface):
         - `mask`: (H, W), true where there is surface; default everywhere.
         - `positions`: (H, W, 3), world units. Without them only directional lights and
             an orthographic camera can be used, for which positions do not matter.
+        - `material_index`: (H, W) whole numbers ≥ 0: which of several materials.
 
         **Raises:** `ValueError` that names the argument.
         """
@@ -138,7 +196,11 @@ class NormalMap(AbstractSurface):
         if positions is not None:
             positions = jnp.where(inside, known("positions", positions), 0)
         self.positions = positions
+        self.material_index, self._materials = as_indices(
+            "material_index", material_index, size
+        )
 
+    @eqx.filter_jit
     def trace(self, camera: AbstractCamera) -> GBuffer:
         if self.mask.shape != (camera.height, camera.width):
             raise ValueError(
@@ -154,4 +216,20 @@ class NormalMap(AbstractSurface):
                 "surface: a normal map without positions needs an orthographic camera"
             )
         to_viewer = jax.vmap(jax.vmap(camera.to_viewer))(positions)
-        return GBuffer(positions, self.normals, to_viewer, self.mask)
+        return GBuffer(
+            positions, self.normals, to_viewer, self.mask, self.material_index
+        )
+
+    def reached(
+        self,
+        position: Float[Array, "*batch 3"],
+        normal: Float[Array, "*batch 3"],
+        to_light: Float[Array, "*batch 3"],
+        distance: Float[Array, "*batch"],
+    ) -> Bool[Array, "*batch"]:
+        del position, normal, to_light, distance
+        raise ValueError("shadows: a normal map does not know what is in a light's way")
+
+    @property
+    def materials(self) -> int:
+        return self._materials

@@ -1,17 +1,68 @@
 """Geometry is resolved once; every render and every step of a fit reuses it."""
 
+from collections.abc import Iterable
+
 import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from phongfit.geometry.cameras import AbstractCamera
+from phongfit.geometry.shading import AbstractShading, LightingPoints, PhongShading
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer
+from phongfit.lights import AbstractLight
 
 
-@eqx.filter_jit
-def trace(surface: AbstractSurface, camera: AbstractCamera) -> GBuffer:
+def trace(
+    surface: AbstractSurface,
+    camera: AbstractCamera,
+    lights: Iterable[AbstractLight] = (),
+    *,
+    shadows: bool = False,
+    shading: AbstractShading | None = None,
+) -> GBuffer:
     """What each pixel of `camera` sees of `surface`: see [`GBuffer`][].
 
-    Differentiable in the arrays of both, except for which pixels see the surface.
+    Differentiable in all arrays, except for which pixels see the surface and which
+    points lie in shadow. [`Scene`][]`.trace()` does this for a scene.
 
-    **Raises:** `ValueError` if the two do not fit together.
+    **Arguments:**
+
+    - `surface`, `camera`: what is looked at, and from where.
+    - `lights`: which may be in shadow, in the scene's order.
+    - `shadows`: find out which lights reach the surface, where it is lit.
+    - `shading`: where that is; default [`PhongShading`][]: in the pixels.
+
+    **Raises:** `ValueError` if the two do not fit together, or the surface cannot tell
+    its shadows.
     """
-    return surface.trace(camera)
+    gbuffer = surface.trace(camera)
+    if not shadows:
+        return gbuffer
+    shading = PhongShading() if shading is None else shading
+    points = shading.points(surface, camera, gbuffer)
+    return eqx.tree_at(
+        lambda g: g.visibility,
+        gbuffer,
+        visibility(surface, tuple(lights), points),
+        is_leaf=lambda leaf: leaf is None,
+    )
+
+
+def visibility(
+    surface: AbstractSurface, lights: tuple[AbstractLight, ...], points: LightingPoints
+) -> Float[Array, "*points lights"]:
+    """1 where a light reaches a point of the surface, 0 in a hard shadow."""
+    *batch, _ = points.position.shape
+    seen = []
+    for light in lights:
+        flat = points.position.reshape(-1, 3)
+        arriving = jax.vmap(light.illuminate)(flat)
+        to_light = arriving.to_light.reshape(*batch, 3)
+        distance = arriving.distance.reshape(*batch)
+        seen.append(
+            surface.reached(points.position, points.surface_normal, to_light, distance)
+        )
+    if not seen:
+        return jnp.zeros((*batch, 0), points.position.dtype)
+    return jnp.stack(seen, axis=-1).astype(points.position.dtype)

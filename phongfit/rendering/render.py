@@ -1,14 +1,13 @@
-"""A renderer is trace, terms, combine and film; nothing more."""
+"""A renderer is trace, terms, radiance and film; nothing more."""
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from phongfit.geometry.surfaces import GBuffer
-from phongfit.geometry.tracing import trace
 from phongfit.material import Material
 from phongfit.rendering.film import Film
-from phongfit.rendering.terms import combine, terms
+from phongfit.rendering.pixels import pixel_terms
 from phongfit.scene import Scene
 
 
@@ -24,13 +23,14 @@ def render(
     **Arguments:**
 
     - `scene`: geometry and lights.
-    - `material`: leaves of shape () or (3,), or maps of shape (height, width, 3).
+    - `material`: leaves of shape () or (3,), maps of shape (height, width, 3) with
+        Phong shading, or (M, 3) where the surface is made of M materials.
     - `film`: default clamps to [0, 1] and leaves the light linear.
-    - `gbuffer`: from [`trace`][], to render the same geometry again at less cost.
+    - `gbuffer`: from `scene.trace()`, to render the same geometry again at less cost.
 
     **Returns:** (height, width, 3), row 0 at the top, as the film stores it.
     """
-    gbuffer = trace(scene.surface, scene.camera) if gbuffer is None else gbuffer
+    gbuffer = scene.trace() if gbuffer is None else gbuffer
     return _shade(scene, material, Film() if film is None else film, gbuffer)
 
 
@@ -38,6 +38,6 @@ def render(
 def _shade(
     scene: Scene, material: Material, film: Film, gbuffer: GBuffer
 ) -> Float[Array, "height width 3"]:
-    light = combine(terms(scene, gbuffer), material)
+    light = pixel_terms(scene, gbuffer).radiance(material)
     background = jnp.broadcast_to(scene.background, light.shape)
     return film.expose(jnp.where(gbuffer.mask[..., None], light, background))

@@ -6,20 +6,21 @@ $$I = \text{emission} + \rho_a A + \rho_d D + \rho_s S(f)$$
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.lights import AbstractLight
 from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular, lambert
 from phongfit.scene import Scene
-from phongfit.vectors import Vec3
+from phongfit.vectors import Vec3, normalize
 
 
 class ShadingTerms(eqx.Module):
     """The basis images A and D, and what S(f) is made of, light by light.
 
-    `batch` is () for one point, (N,) for samples, (height, width) for an image.
+    `batch` is () for one point, (N,) for samples, faces or vertices, (height, width)
+    for an image.
     """
 
     ambient: Float[Array, "*batch 3"]
@@ -27,9 +28,12 @@ class ShadingTerms(eqx.Module):
     cosine: Float[Array, "*batch lights"]
     strength: Float[Array, "*batch lights 3"]
     model: AbstractSpecular
+    material_index: Int[Array, "*batch"] | None = None
+    materials: int = eqx.field(static=True, default=1)
 
     def specular(self, shininess: Float[Array, "..."]) -> Float[Array, "*batch 3"]:
         """Basis image S(f), for an exponent as a leaf of a [`Material`][]."""
+        shininess = self.leaf("shininess", shininess)
         *batch, lights = self.cosine.shape
         channels = 1 if shininess.ndim == 0 else shininess.shape[-1]
         # One lobe serves all channels where they share the exponent.
@@ -38,6 +42,20 @@ class ShadingTerms(eqx.Module):
         lobe = self.model.lobe(self.cosine[..., None], exponent)
         return jnp.sum(self.strength * lobe, axis=-2)
 
+    def leaf(self, name: str, leaf: Float[Array, "..."]) -> Float[Array, "..."]:
+        """A leaf of a [`Material`][], as it is at the points where there are several.
+
+        **Raises:** `ValueError` that names the leaf if it holds too few materials.
+        """
+        if self.material_index is None or leaf.ndim != 2 or len(leaf) == 1:
+            return leaf
+        if len(leaf) < self.materials:
+            raise ValueError(
+                f"{name}: shape {leaf.shape} came, a row for each of the surface's "
+                f"{self.materials} materials is wanted"
+            )
+        return leaf[self.material_index]
+
 
 ShadingTerms.__init__.__doc__ = """**Arguments:**
 
@@ -45,6 +63,8 @@ ShadingTerms.__init__.__doc__ = """**Arguments:**
 - `cosine`: of the angle from each light's highlight.
 - `strength`: RGB of each light's highlight at its centre, for ρ_s = 1.
 - `model`: turns `cosine` into the height of the highlight.
+- `material_index`: which of `materials` each point is made of: a leaf of shape (M, 3)
+    or (M, 1) is then M materials. `None` where there is one.
 """
 
 
@@ -68,6 +88,7 @@ def point_terms(
     position: Vec3,
     normal: Vec3,
     to_viewer: Vec3,
+    visibility: Float[Array, " lights"] | None = None,
 ) -> ShadingTerms:
     """The terms at one point.
 
@@ -75,16 +96,20 @@ def point_terms(
 
     - `lights`, `ambient`, `model`: as in [`Scene`][].
     - `position`: world units; `normal`, `to_viewer`: unit vectors.
+    - `visibility`: how much of each light reaches the point, in [0, 1]; default all.
+        Their ambient light is not shadowed.
     """
     diffuse = jnp.zeros_like(ambient)
     cosines, strengths = [], []
-    for light in lights:
+    if visibility is None:
+        visibility = jnp.ones(len(lights), ambient.dtype)
+    for light, visible in zip(lights, visibility, strict=True):
         arriving = light.illuminate(position)
         ambient = ambient + arriving.ambient
         share = model.diffuse_scale() * lambert(normal, arriving.to_light)
-        diffuse = diffuse + share * arriving.intensity
+        diffuse = diffuse + visible * share * arriving.intensity
         cosines.append(model.cosine(normal, arriving.to_light, to_viewer))
-        strengths.append(arriving.specular)
+        strengths.append(visible * arriving.specular)
     dtype = ambient.dtype
     return ShadingTerms(
         ambient=ambient,
@@ -97,34 +122,85 @@ def point_terms(
 
 @eqx.filter_jit
 def terms(scene: Scene, gbuffer: GBuffer) -> ShadingTerms:
-    """The terms of a scene, per pixel of a [`GBuffer`][] that was traced from it.
+    """The terms of a scene, at every point that its shading method lights.
 
+    These are the pixels of the [`GBuffer`][], which was traced from the scene, or its
+    mesh's faces or vertices: see [`pixel_terms`][] for what an image is made of.
     Outside the buffer's mask they are finite and mean nothing.
-    """
 
-    def at(position: Vec3, normal: Vec3, to_viewer: Vec3) -> ShadingTerms:
+    **Raises:** `ValueError` if the buffer was traced without the scene's shadows.
+    """
+    points = scene.shading.points(scene.surface, scene.camera, gbuffer)
+
+    def at(
+        position: Vec3, normal: Vec3, to_viewer: Vec3, visibility: Array | None
+    ) -> ShadingTerms:
         return point_terms(
-            scene.lights, scene.ambient, scene.specular, position, normal, to_viewer
+            scene.lights,
+            scene.ambient,
+            scene.specular,
+            position,
+            normal,
+            _to_viewer(scene, position, to_viewer),
+            visibility,
         )
 
-    pixels = jax.vmap(jax.vmap(at))
-    return pixels(gbuffer.position, gbuffer.normal, gbuffer.to_viewer)
+    for _ in points.position.shape[:-1]:
+        at = jax.vmap(at)
+    visibility = _visibility(scene, gbuffer, points.position.shape[:-1])
+    computed = at(points.position, points.normal, points.to_viewer, visibility)
+    return ShadingTerms(
+        computed.ambient,
+        computed.diffuse,
+        computed.cosine,
+        computed.strength,
+        scene.specular,
+        points.material_index,
+        scene.surface.materials,
+    )
+
+
+def _to_viewer(scene: Scene, position: Vec3, to_viewer: Vec3) -> Vec3:
+    if scene.local_viewer is None:
+        return to_viewer
+    if scene.local_viewer:
+        return normalize(scene.camera.position - position)
+    return scene.camera.rotation[:, 2]
+
+
+def _visibility(
+    scene: Scene, gbuffer: GBuffer, points: tuple[int, ...]
+) -> Float[Array, "*points lights"] | None:
+    if not scene.shadows:
+        return None
+    wanted = (*points, len(scene.lights))
+    if gbuffer.visibility is None or gbuffer.visibility.shape != wanted:
+        came = None if gbuffer.visibility is None else gbuffer.visibility.shape
+        raise ValueError(
+            f"gbuffer: its visibility has shape {came}, {wanted} is wanted for the "
+            "shadows of this scene: trace it with scene.trace()"
+        )
+    return gbuffer.visibility
 
 
 def combine(terms: ShadingTerms, material: Material) -> Float[Array, "*batch 3"]:
     r"""$\text{emission} + \rho_a A + \rho_d D + \rho_s S(f)$, before any clamp.
 
-    **Arguments:** `terms` of any batch shape; `material` whose leaves broadcast to it.
+    **Arguments:** `terms` of any batch shape; `material` whose leaves broadcast to it,
+    or hold a material for each index in `terms`.
 
     **Returns:** linear RGB of the batch shape and 3.
 
-    **Raises:** `ValueError` that names the leaf which does not broadcast.
+    **Raises:** `ValueError` that names the leaf which fits neither.
     """
     shape = terms.diffuse.shape
+
+    def at_points(name: str, leaf: Float[Array, "..."]) -> Float[Array, "*batch 3"]:
+        return _spread(name, terms.leaf(name, leaf), shape)
+
     return (
-        _spread("emission", material.emission, shape)
-        + _spread("ambient", material.ambient, shape) * terms.ambient
-        + _spread("diffuse", material.diffuse, shape) * terms.diffuse
-        + _spread("specular", material.specular, shape)
-        * terms.specular(material.shininess)
+        at_points("emission", material.emission)
+        + at_points("ambient", material.ambient) * terms.ambient
+        + at_points("diffuse", material.diffuse) * terms.diffuse
+        + at_points("specular", material.specular) * terms.specular(material.shininess)
     )

@@ -1,0 +1,179 @@
+"""Scenes that other renderers drew: their files.
+
+`NAME.json` says what is in a scene, `NAME.npz` holds the mesh and the image. Two kinds
+are known, told apart by what they name: those of OpenGL's fixed-function pipeline, and
+those of a ray tracer (POV-Ray).
+"""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+import phongfit as pf
+from phongfit.files.inputs import naming, read_text
+from phongfit.files.opengl import (
+    fog_from_opengl,
+    light_from_opengl,
+    material_from_opengl,
+    shading_from_opengl,
+)
+
+Arrays = dict[str, np.ndarray]
+
+
+class VertexColors(NamedTuple):
+    """Light as it was computed at some vertices, before interpolation and fog."""
+
+    vertices: Int[np.ndarray, " n"]
+    colors: Float[np.ndarray, "n 3"]
+
+
+class Reference(NamedTuple):
+    """A scene with its material, and what another renderer made of it.
+
+    `covered` is where its image shows the mesh; `bound` the difference in an image that
+    it can be held to.
+    """
+
+    name: str
+    scene: pf.Scene
+    material: pf.Material
+    film: pf.Film
+    image: Float[np.ndarray, "height width 3"]
+    covered: Bool[np.ndarray, "height width"]
+    vertex_colors: VertexColors | None
+    bound: float
+
+
+def find_references(folder: Path) -> list[Path]:
+    """The scenes in a folder. **Raises:** `ValueError` if there are none."""
+    paths = sorted(folder.glob("*.json"))
+    if not paths:
+        raise ValueError(f"{folder}: there is no NAME.json of a scene in this folder")
+    return paths
+
+
+def read_reference(path: Path) -> Reference:
+    """One scene, from `NAME.json` and `NAME.npz` beside it.
+
+    **Raises:** `ValueError` that names the file and what is wrong with it.
+    """
+    with naming(str(path)):
+        try:
+            said = json.loads(read_text(path))
+            with np.load(path.with_suffix(".npz")) as file:
+                arrays = dict(file)
+            reader: Callable[..., Reference]
+            reader = _opengl if "shade_model" in said else _raytraced
+            return reader(path.stem, said, arrays)
+        except KeyError as error:
+            raise ValueError(f"{error} is missing") from error
+        except (OSError, TypeError) as error:
+            raise ValueError(str(error)) from error
+
+
+def _opengl(name: str, said: dict[str, Any], arrays: Arrays) -> Reference:
+    model = said["light_model"]
+    shading = shading_from_opengl(said["shade_model"], said["clamp_vertex_color"])
+    scene = pf.Scene(
+        pf.Mesh(arrays["vertices"], arrays["faces"], arrays["normals"]),
+        _opengl_camera(said),
+        [light_from_opengl(light) for light in said["lights"]],
+        model["GL_LIGHT_MODEL_AMBIENT"][:3],
+        shading=shading,
+        fog=fog_from_opengl(_fog(said["fog"])),
+        background=said["background"],
+        local_viewer=model["GL_LIGHT_MODEL_LOCAL_VIEWER"],
+    )
+    return Reference(
+        name=name,
+        scene=scene,
+        material=material_from_opengl(said["material"]),
+        film=pf.Film(clamp=shading.clamp),
+        image=arrays["image"],
+        covered=arrays["depth"] < 1,
+        vertex_colors=_vertex_colors(said["shade_model"], arrays),
+        bound=1e-4,
+    )
+
+
+def _opengl_camera(said: dict[str, Any]) -> pf.AbstractCamera:
+    projection = said["projection"]
+    place = said["eye"], said["target"], said["up"]
+    width, height = said["width"], said["height"]
+    if projection["kind"] == "perspective":
+        return pf.PerspectiveCamera.look_at(
+            *place, width=width, height=height, fov_y=projection["fovy_degrees"]
+        )
+    right, top = projection["right"], projection["top"]
+    if projection["left"] != -right or projection["bottom"] != -top:
+        raise ValueError("projection: one off the axis came, a centred one is wanted")
+    if not np.isclose(right / top, width / height):
+        raise ValueError("projection: square pixels are wanted, others came")
+    return pf.OrthographicCamera.look_at(
+        *place, width=width, height=height, view_height=2 * top
+    )
+
+
+def _fog(said: dict[str, Any] | None) -> dict[str, Any] | None:
+    if said is None:
+        return None
+    return {name: value for name, value in said.items() if name.startswith("GL_")}
+
+
+def _vertex_colors(shade_model: str, arrays: Arrays) -> VertexColors:
+    # A flat face is lit at its last vertex.
+    faces = arrays["faces"]
+    lit = faces[:, 2] if shade_model == "GL_FLAT" else np.unique(faces)
+    return VertexColors(lit, arrays["vertex_colors"][lit])
+
+
+def _raytraced(name: str, said: dict[str, Any], arrays: Arrays) -> Reference:
+    camera, model = said["camera"], said["specular_model"]
+    models = {"phong": pf.Phong(), "blinn-phong": pf.BlinnPhong()}
+    if model not in models:
+        raise ValueError(
+            f"specular_model: {model!r} came, one of {list(models)} wanted"
+        )
+    scene = pf.Scene(
+        pf.Mesh(
+            arrays["vertices"],
+            arrays["faces"],
+            arrays["normals"],
+            arrays.get("face_material"),
+        ),
+        pf.PerspectiveCamera.look_at(
+            camera["eye"],
+            camera["target"],
+            camera["up"],
+            width=said["width"],
+            height=said["height"],
+            fov_y=camera["fovy_degrees"],
+        ),
+        [pf.PointLight(one["position"], one["intensity"]) for one in said["lights"]],
+        said["ambient_light"],
+        specular=models[model],
+        shadows=True,
+        background=said["background"],
+    )
+    return Reference(
+        name=name,
+        scene=scene,
+        material=pf.stack_materials(pf.Material(**one) for one in said["materials"]),
+        film=pf.Film(),
+        image=arrays["image"],
+        covered=seen(arrays["image"], np.asarray(said["background"])),
+        vertex_colors=None,
+        bound=2 / 255,
+    )
+
+
+def seen(
+    image: Float[np.ndarray, "height width 3"], background: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, "height width"]:
+    """Where an image of 16 bits is not of the background's colour."""
+    return np.asarray(np.any(abs(image - background) > 0.5 / 65535, axis=-1))

@@ -1,0 +1,77 @@
+"""What lies between a surface and the eye."""
+
+from typing import Any, Literal, get_args
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from phongfit.checks import as_light, as_scalar, at_least
+from phongfit.vectors import Scalar
+
+FogMode = Literal["linear", "exp", "exp2"]
+FOG_MODES: tuple[FogMode, ...] = get_args(FogMode)
+
+
+class Fog(eqx.Module):
+    r"""Light that fades into a colour with the depth $z$ along the viewing axis.
+
+    $$I = f\,I_\text{surface} + (1 - f)\,C \qquad f = \frac{e - z}{e - s},
+    \quad e^{-\rho z} \quad\text{or}\quad e^{-(\rho z)^2}$$
+
+    with $f$ cut to [0, 1]: `"linear"`, `"exp"` and `"exp2"`.
+
+    ??? cite "Source"
+        Segal and Akeley, *The OpenGL graphics system, version 1.5*, section 3.10.
+    """
+
+    color: Float[Array, "3"]
+    mode: FogMode = eqx.field(static=True)
+    density: Float[Array, ""]
+    start: Float[Array, ""]
+    end: Float[Array, ""]
+
+    def __init__(
+        self,
+        color: Any = 0.5,
+        mode: FogMode = "exp",
+        *,
+        density: Any = 1.0,
+        start: Any = 0.0,
+        end: Any = 1.0,
+    ):
+        r"""**Arguments:**
+
+        - `color`: $C$, RGB or one number.
+        - `mode`: `"linear"`, `"exp"` or `"exp2"`.
+        - `density`: $\rho$ ≥ 0, per world unit, of the two exponential modes.
+        - `start`, `end`: depths, world units, between which linear fog sets in;
+            different from each other.
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        if mode not in FOG_MODES:
+            wanted = " or ".join(repr(name) for name in FOG_MODES)
+            raise ValueError(f"mode: {mode!r} came, {wanted} is wanted")
+        self.color = as_light("color", color)
+        self.mode = mode
+        self.density = at_least("density", as_scalar("density", density), 0)
+        self.start = as_scalar("start", start)
+        self.end = as_scalar("end", end)
+        known = not any(isinstance(x, Tracer) for x in (self.start, self.end))
+        if mode == "linear" and known and self.start == self.end:
+            raise ValueError(f"end: {end} came, a depth other than start is wanted")
+
+    def transmittance(self, depth: Scalar) -> Scalar:
+        """Share in [0, 1] of the surface's light that comes through.
+
+        **Arguments:** `depth` along the viewing axis, world units.
+        """
+        if self.mode == "linear":
+            share = (self.end - depth) / (self.end - self.start)
+        elif self.mode == "exp":
+            share = jnp.exp(-self.density * depth)
+        else:
+            share = jnp.exp(-((self.density * depth) ** 2))
+        return jnp.clip(share, 0, 1)

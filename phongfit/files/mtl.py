@@ -1,0 +1,130 @@
+"""Materials of Wavefront OBJ files: `.mtl`.
+
+??? cite "Source"
+    Alias|Wavefront, *Object files (.obj) and material library files (.mtl)*, appendix
+    B1 of the Advanced Visualizer manual, 1992.
+"""
+
+import os
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phongfit.files.inputs import naming, read_text
+from phongfit.files.limits import colour, exponent, limited
+from phongfit.files.outputs import replacing
+from phongfit.material import Material
+
+MAX_NS = 1000.0
+FORMAT = ".mtl"
+
+COLOURS = {"Ka": "ambient", "Kd": "diffuse", "Ks": "specular", "Ke": "emission"}
+TEXTURES = ("map_", "bump", "disp", "decal", "refl", "norm")
+
+
+def read_mtl(path: str | os.PathLike[str]) -> dict[str, Material]:
+    """The materials of a `.mtl` file by their names, in the file's order.
+
+    Ka, Kd, Ks, Ke and Ns are read; what a material leaves out is the default of
+    [`Material`][]. With `illum 0` the colour Kd is shown as it is, and with `illum 1`
+    there is no highlight. Transparency and refraction are no part of the model and are
+    passed over. So are textures, with a warning that says whether the file is there.
+
+    **Raises:** `ValueError` that names the file and the line.
+    """
+    path = Path(path)
+    materials: dict[str, Material] = {}
+    name, fields = None, {}
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        key, *words = line.split("#", 1)[0].split() or [""]
+        with naming(f"{path}: line {number}"):
+            if key == "newmtl":
+                if not words:
+                    raise ValueError("newmtl: a name is wanted")
+                if name is not None:
+                    materials[name] = _material(fields)
+                name, fields = " ".join(words), {}
+            elif key in COLOURS or key in ("Ns", "illum"):
+                if name is None:
+                    raise ValueError(f"{key}: came before the first newmtl")
+                fields[key] = _numbers(key, words)
+            elif key.lower().startswith(TEXTURES):
+                _warn_texture(path, number, name, words)
+    if name is not None:
+        materials[name] = _material(fields)
+    return materials
+
+
+def _numbers(key: str, words: list[str]) -> Any:
+    wanted = (1, 3) if key in COLOURS else (1,)
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in wanted or not np.isfinite(numbers).all() or min(numbers) < 0:
+        count = "1 or 3 numbers" if key in COLOURS else "1 number"
+        raise ValueError(f"{key}: {' '.join(words)!r} came, {count} ≥ 0 wanted")
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def _material(fields: dict[str, Any]) -> Material:
+    leaves = {leaf: fields[key] for key, leaf in COLOURS.items() if key in fields}
+    if "Ns" in fields:
+        leaves["shininess"] = fields["Ns"]
+    illumination = fields.get("illum", 2)
+    if illumination < 2:
+        leaves["specular"] = 0.0
+    if illumination == 0:
+        leaves |= {"ambient": 0.0, "diffuse": 0.0, "emission": fields.get("Kd", 0.8)}
+    return Material(**leaves)
+
+
+def _warn_texture(path: Path, number: int, name: str | None, words: list[str]) -> None:
+    # Options such as `-s 1 1 1` come before the file's name.
+    file = words[-1] if words else ""
+    here = (path.parent / file).is_file()
+    warnings.warn(
+        f"{path}: line {number}: texture {file!r} of material {name!r} "
+        f"{'is not read' if here else 'is missing'}: the material has one colour",
+        stacklevel=3,
+    )
+
+
+def write_mtl(
+    path: str | os.PathLike[str],
+    materials: Mapping[str, Material],
+    *,
+    nearest: bool = False,
+) -> None:
+    """Write materials as a `.mtl` file, in one piece.
+
+    **Arguments:**
+
+    - `materials`: by name; several in one go through [`unstack_materials`][].
+    - `nearest`: write the nearest that `.mtl` holds, with a warning, where it cannot
+        hold a material: colours above 1 (but for Ke), an exponent above 1000, or one
+        for each channel.
+
+    **Raises:** `ValueError` that names the material and the leaf, unless `nearest`, and
+    for a name that is empty or has line breaks; `OSError` that names the file.
+    """
+    blocks = [_block(name, material, nearest) for name, material in materials.items()]
+    with replacing(path) as temporary:
+        temporary.write_text("\n".join(blocks), encoding="utf-8")
+
+
+def _block(name: str, material: Material, nearest: bool) -> str:
+    if not name or name != " ".join(name.split()) or "#" in name:
+        raise ValueError(f"materials: {name!r} came, a name on one line is wanted")
+    lines = [f"newmtl {name}"]
+    with naming(name):
+        for key, leaf in COLOURS.items():
+            rgb = colour(leaf, getattr(material, leaf))
+            if key != "Ke":
+                rgb = limited(leaf, rgb, 1.0, FORMAT, nearest)
+            lines.append(f"{key} {' '.join(f'{channel:.9g}' for channel in rgb)}")
+        lines.append(f"Ns {exponent(material, MAX_NS, FORMAT, nearest):.9g}")
+    return "\n".join([*lines, "illum 2", ""])

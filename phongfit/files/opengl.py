@@ -1,0 +1,338 @@
+"""Materials, lights and scenes as the fixed-function OpenGL 1.x takes them, both ways.
+
+Parameters are dicts from OpenGL's own names to numbers, as `glMaterialfv`, `glLightfv`,
+`glFogfv` and `glLightModelfv` want them. No OpenGL is needed here; see
+[`phongfit.files.opengl_context`][] for a live one.
+
+??? cite "Source"
+    Segal and Akeley, *The OpenGL graphics system, version 1.5*, section 2.14.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from phongfit.environment import Fog, FogMode
+from phongfit.files.limits import colour, exponent, limited, lost
+from phongfit.geometry.cameras import (
+    AbstractCamera,
+    OrthographicCamera,
+    PerspectiveCamera,
+)
+from phongfit.geometry.shading import AbstractShading, FlatShading, GouraudShading
+from phongfit.lights import AbstractLight, DirectionalLight, PointLight, SpotLight
+from phongfit.material import Material
+from phongfit.reflectance import BlinnPhong
+from phongfit.scene import Scene
+
+Parameters = dict[str, Any]
+
+MAX_SHININESS = 128.0
+MAX_SPOT_EXPONENT = 128.0
+MAX_LIGHTS = 8
+FORMAT = "OpenGL"
+
+FOG_MODES: dict[FogMode, str] = {
+    "linear": "GL_LINEAR",
+    "exp": "GL_EXP",
+    "exp2": "GL_EXP2",
+}
+
+
+def _rgba(rgb: Any) -> list[float]:
+    return [*(float(channel) for channel in np.asarray(rgb)), 1.0]
+
+
+def _known(record: str, parameters: Mapping[str, Any], known: set[str]) -> None:
+    for name in parameters:
+        if name not in known:
+            raise ValueError(f"{record}: it has no {name}; known: {sorted(known)}")
+
+
+def material_to_opengl(material: Material, *, nearest: bool = False) -> Parameters:
+    """A material as the arguments of `glMaterialfv` and `glMaterialf`.
+
+    OpenGL's highlight is that of [`BlinnPhong`][]: an exponent that was fitted with
+    [`Phong`][] goes through [`blinn_from_phong`][] first.
+
+    **Arguments:**
+
+    - `material`: one; several go through [`unstack_materials`][].
+    - `nearest`: give the nearest that OpenGL holds, with a warning, where it cannot
+        hold the material: an exponent above 128, or one for each channel.
+
+    **Returns:** GL_AMBIENT, GL_DIFFUSE, GL_SPECULAR, GL_EMISSION: RGBA; GL_SHININESS.
+
+    **Raises:** `ValueError` that names the leaf, unless `nearest`.
+    """
+    return {
+        "GL_AMBIENT": _rgba(colour("ambient", material.ambient)),
+        "GL_DIFFUSE": _rgba(colour("diffuse", material.diffuse)),
+        "GL_SPECULAR": _rgba(colour("specular", material.specular)),
+        "GL_EMISSION": _rgba(colour("emission", material.emission)),
+        "GL_SHININESS": exponent(material, MAX_SHININESS, FORMAT, nearest),
+    }
+
+
+def material_from_opengl(parameters: Mapping[str, Any]) -> Material:
+    """The inverse of [`material_to_opengl`][]; what is left out is OpenGL's default.
+
+    Alpha is dropped. **Raises:** `ValueError` for a name that materials do not have.
+    """
+    both = parameters.get("GL_AMBIENT_AND_DIFFUSE")
+    defaults = {
+        "GL_AMBIENT": (0.2, 0.2, 0.2) if both is None else both,
+        "GL_DIFFUSE": (0.8, 0.8, 0.8) if both is None else both,
+        "GL_SPECULAR": (0.0, 0.0, 0.0),
+        "GL_EMISSION": (0.0, 0.0, 0.0),
+        "GL_SHININESS": 0.0,
+    }
+    _known("material", parameters, {*defaults, "GL_AMBIENT_AND_DIFFUSE"})
+    values = defaults | dict(parameters)
+    return Material(
+        diffuse=values["GL_DIFFUSE"][:3],
+        specular=values["GL_SPECULAR"][:3],
+        shininess=values["GL_SHININESS"],
+        ambient=values["GL_AMBIENT"][:3],
+        emission=values["GL_EMISSION"][:3],
+    )
+
+
+def light_to_opengl(light: AbstractLight, *, nearest: bool = False) -> Parameters:
+    """A light as the arguments of `glLightfv` and `glLightf`.
+
+    Position and direction are in world space: they are to be set while the modelview
+    matrix is that of the camera alone.
+
+    **Arguments:**
+
+    - `light`: a directional, point or spot light.
+    - `nearest`: as in [`material_to_opengl`][]; here for a spot's exponent above 128.
+
+    **Returns:** GL_AMBIENT, GL_DIFFUSE, GL_SPECULAR, GL_POSITION (w = 0 for a
+    direction), and of the three attenuations and of GL_SPOT_DIRECTION, GL_SPOT_EXPONENT
+    and GL_SPOT_CUTOFF those that the light has.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    if not isinstance(light, DirectionalLight | PointLight | SpotLight):
+        raise ValueError(f"light: OpenGL has no {type(light).__name__}")
+    specular = light.intensity if light.specular is None else light.specular
+    parameters: Parameters = {
+        "GL_AMBIENT": _rgba(light.ambient),
+        "GL_DIFFUSE": _rgba(light.intensity),
+        "GL_SPECULAR": _rgba(specular),
+    }
+    if isinstance(light, DirectionalLight):
+        return parameters | {"GL_POSITION": [*_floats(light.direction), 0.0]}
+    constant, linear, quadratic = _floats(light.attenuation)
+    parameters |= {
+        "GL_POSITION": [*_floats(light.position), 1.0],
+        "GL_CONSTANT_ATTENUATION": constant,
+        "GL_LINEAR_ATTENUATION": linear,
+        "GL_QUADRATIC_ATTENUATION": quadratic,
+    }
+    if isinstance(light, PointLight):
+        return parameters
+    spot = limited("exponent", light.exponent, MAX_SPOT_EXPONENT, FORMAT, nearest)
+    return parameters | {
+        "GL_SPOT_DIRECTION": _floats(light.axis),
+        "GL_SPOT_EXPONENT": float(spot),
+        "GL_SPOT_CUTOFF": float(light.cutoff),
+    }
+
+
+def _floats(array: Float[Array, " n"]) -> list[float]:
+    return [float(value) for value in np.asarray(array)]
+
+
+def light_from_opengl(parameters: Mapping[str, Any]) -> AbstractLight:
+    """The inverse of [`light_to_opengl`][]; what is left out is GL_LIGHT0's default.
+
+    **Raises:** `ValueError` for a name that lights do not have, or for a spot of
+    parallel light.
+    """
+    defaults = {
+        "GL_AMBIENT": (0.0, 0.0, 0.0),
+        "GL_DIFFUSE": (1.0, 1.0, 1.0),
+        "GL_SPECULAR": (1.0, 1.0, 1.0),
+        "GL_POSITION": (0.0, 0.0, 1.0, 0.0),
+        "GL_CONSTANT_ATTENUATION": 1.0,
+        "GL_LINEAR_ATTENUATION": 0.0,
+        "GL_QUADRATIC_ATTENUATION": 0.0,
+        "GL_SPOT_DIRECTION": (0.0, 0.0, -1.0),
+        "GL_SPOT_EXPONENT": 0.0,
+        "GL_SPOT_CUTOFF": 180.0,
+    }
+    _known("light", parameters, set(defaults))
+    values = defaults | dict(parameters)
+    intensity = values["GL_DIFFUSE"][:3]
+    own = {"specular": values["GL_SPECULAR"][:3], "ambient": values["GL_AMBIENT"][:3]}
+    place = np.asarray(values["GL_POSITION"], float)
+    if place.shape != (4,):
+        raise ValueError(f"GL_POSITION: shape {place.shape} came, (4,) is wanted")
+    spot = values["GL_SPOT_CUTOFF"] != 180
+    if place[3] == 0:
+        if spot:
+            raise ValueError(
+                "GL_SPOT_CUTOFF: a light with w = 0 has no place, and here no cone"
+            )
+        return DirectionalLight(place[:3], intensity, **own)
+    falloff = [
+        values[f"GL_{name}_ATTENUATION"] for name in ("CONSTANT", "LINEAR", "QUADRATIC")
+    ]
+    position = place[:3] / place[3]
+    if not spot:
+        return PointLight(position, intensity, attenuation=falloff, **own)
+    return SpotLight(
+        position,
+        values["GL_SPOT_DIRECTION"],
+        intensity,
+        cutoff=values["GL_SPOT_CUTOFF"],
+        exponent=values["GL_SPOT_EXPONENT"],
+        attenuation=falloff,
+        **own,
+    )
+
+
+def fog_to_opengl(fog: Fog | None, *, nearest: bool = False) -> Parameters | None:
+    """Fog as the arguments of `glFog`; `None` where it is disabled.
+
+    **Raises:** `ValueError` for a colour above 1, unless `nearest`.
+    """
+    if fog is None:
+        return None
+    color = limited("color", fog.color, 1.0, FORMAT, nearest)
+    return {
+        "GL_FOG_MODE": FOG_MODES[fog.mode],
+        "GL_FOG_COLOR": _rgba(color),
+        "GL_FOG_DENSITY": float(fog.density),
+        "GL_FOG_START": float(fog.start),
+        "GL_FOG_END": float(fog.end),
+    }
+
+
+def fog_from_opengl(parameters: Mapping[str, Any] | None) -> Fog | None:
+    """The inverse of [`fog_to_opengl`][]; what is left out is OpenGL's default.
+
+    **Raises:** `ValueError` for a name or a mode that fog does not have.
+    """
+    if parameters is None:
+        return None
+    defaults = {
+        "GL_FOG_MODE": "GL_EXP",
+        "GL_FOG_COLOR": (0.0, 0.0, 0.0),
+        "GL_FOG_DENSITY": 1.0,
+        "GL_FOG_START": 0.0,
+        "GL_FOG_END": 1.0,
+    }
+    _known("fog", parameters, set(defaults))
+    values: Parameters = defaults | dict(parameters)
+    modes: dict[str, FogMode] = {name: mode for mode, name in FOG_MODES.items()}
+    mode = values["GL_FOG_MODE"]
+    if mode not in modes:
+        raise ValueError(
+            f"GL_FOG_MODE: {values['GL_FOG_MODE']!r} came, {list(modes)} wanted"
+        )
+    return Fog(
+        values["GL_FOG_COLOR"][:3],
+        modes[mode],
+        density=values["GL_FOG_DENSITY"],
+        start=values["GL_FOG_START"],
+        end=values["GL_FOG_END"],
+    )
+
+
+def shading_to_opengl(shading: AbstractShading, *, nearest: bool = False) -> str:
+    """A shading method as the argument of `glShadeModel`.
+
+    **Raises:** `ValueError` for one that OpenGL does not have: Phong shading, and flat
+    shading by centroids; unless `nearest`.
+    """
+    if isinstance(shading, FlatShading):
+        if shading.at == "centroid":
+            lost(f"shading: {FORMAT} lights a face at its last vertex", nearest)
+        return "GL_FLAT"
+    if not isinstance(shading, GouraudShading):
+        lost(f"shading: {FORMAT} has no {type(shading).__name__}", nearest)
+    return "GL_SMOOTH"
+
+
+def shading_from_opengl(shade_model: str, clamp: bool = True) -> AbstractShading:
+    """The inverse; `clamp` is GL_CLAMP_VERTEX_COLOR. **Raises:** `ValueError`."""
+    if shade_model == "GL_FLAT":
+        return FlatShading("last_vertex", clamp)
+    if shade_model == "GL_SMOOTH":
+        return GouraudShading(clamp)
+    raise ValueError(f"shade_model: {shade_model!r} came, GL_FLAT or GL_SMOOTH wanted")
+
+
+def camera_to_opengl(
+    camera: AbstractCamera, near: float = 0.1, far: float = 100.0
+) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]:
+    """Projection and modelview matrix, for `glLoadTransposeMatrixd`.
+
+    **Arguments:** `camera`; `near`, `far`: depths between which things are drawn, world
+    units. **Returns:** matrices that multiply column vectors from the left.
+
+    **Raises:** `ValueError` for a camera of another kind.
+    """
+    aspect = camera.width / camera.height
+    projection = np.zeros((4, 4))
+    if isinstance(camera, OrthographicCamera):
+        scale = 2 / float(camera.view_height)
+        projection[2, 2:] = -2 / (far - near), -(far + near) / (far - near)
+        projection[3, 3] = 1
+    elif isinstance(camera, PerspectiveCamera):
+        scale = 1 / math.tan(math.radians(float(camera.fov_y)) / 2)
+        projection[2, 2:] = -(far + near) / (far - near), -2 * far * near / (far - near)
+        projection[3, 2] = -1
+    else:
+        raise ValueError(f"camera: OpenGL has no {type(camera).__name__}")
+    projection[0, 0], projection[1, 1] = scale / aspect, scale
+    rotation = np.asarray(camera.rotation, float)
+    modelview = np.eye(4)
+    modelview[:3, :3] = rotation.T
+    modelview[:3, 3] = -rotation.T @ np.asarray(camera.position, float)
+    return projection, modelview
+
+
+def scene_to_opengl(scene: Scene, *, nearest: bool = False) -> Parameters:
+    """All of a scene's state but the mesh and its material.
+
+    **Arguments:**
+
+    - `scene`: lit by at most 8 lights, with OpenGL's own highlight, [`BlinnPhong`][].
+    - `nearest`: leave out, with a warning, what OpenGL does not have (shadows, Phong
+        shading, another model of the highlight).
+
+    **Returns:** `light_model`, `shade_model`, `clamp_vertex_color`, `lights`, `fog` and
+    `background`.
+
+    **Raises:** `ValueError` that names the field, unless `nearest`; for too many lights
+    always.
+    """
+    if len(scene.lights) > MAX_LIGHTS:
+        raise ValueError(f"lights: {len(scene.lights)} came, OpenGL has {MAX_LIGHTS}")
+    if scene.specular != BlinnPhong():
+        lost(f"specular: {FORMAT} has {BlinnPhong()}, {scene.specular} came", nearest)
+    if scene.shadows:
+        lost(f"shadows: {FORMAT} throws none", nearest)
+    local = scene.local_viewer
+    if local is None:
+        local = not isinstance(scene.camera, OrthographicCamera)
+    background = limited("background", scene.background, 1.0, FORMAT, nearest)
+    return {
+        "light_model": {
+            "GL_LIGHT_MODEL_AMBIENT": _rgba(scene.ambient),
+            "GL_LIGHT_MODEL_LOCAL_VIEWER": local,
+        },
+        "shade_model": shading_to_opengl(scene.shading, nearest=nearest),
+        "clamp_vertex_color": scene.shading.clamp,
+        "lights": [light_to_opengl(light, nearest=nearest) for light in scene.lights],
+        "fog": fog_to_opengl(scene.fog, nearest=nearest),
+        "background": [float(channel) for channel in background],
+    }

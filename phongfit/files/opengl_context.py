@@ -1,0 +1,141 @@
+"""A live OpenGL context, through PyOpenGL: the extra `phongfit[opengl]`.
+
+A program that draws with the fixed-function pipeline calls these between its own calls,
+with its context current, to see what a fitted material looks like.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from phongfit.files.opengl import (
+    MAX_LIGHTS,
+    Parameters,
+    camera_to_opengl,
+    light_to_opengl,
+    material_to_opengl,
+    scene_to_opengl,
+)
+from phongfit.geometry.meshes import Mesh
+from phongfit.lights import AbstractLight
+from phongfit.material import Material, unstack_materials
+from phongfit.scene import Scene
+
+
+def _gl() -> Any:
+    try:
+        import OpenGL.GL
+    except ImportError as error:
+        raise ImportError(
+            "PyOpenGL is missing: install phongfit with its extra, phongfit[opengl]"
+        ) from error
+    return OpenGL.GL
+
+
+def apply_material(
+    material: Material, face: str = "GL_FRONT_AND_BACK", *, nearest: bool = False
+) -> None:
+    """Set the material of what is drawn next.
+
+    **Arguments:** `material`, `nearest`: as in [`material_to_opengl`][], which says
+    what is raised; `face`: GL_FRONT, GL_BACK or both.
+    """
+    gl = _gl()
+    for name, value in material_to_opengl(material, nearest=nearest).items():
+        call = gl.glMaterialf if isinstance(value, float) else gl.glMaterialfv
+        call(getattr(gl, face), getattr(gl, name), value)
+
+
+def apply_light(light: AbstractLight, number: int, *, nearest: bool = False) -> None:
+    """Set and switch on light `number`, from 0.
+
+    The modelview matrix must be that of the camera alone: OpenGL applies it to the
+    light's position. See [`light_to_opengl`][] for `nearest` and what is raised.
+    """
+    _set_light(_gl(), number, light_to_opengl(light, nearest=nearest))
+
+
+def _set_light(gl: Any, number: int, parameters: Parameters) -> None:
+    light = gl.GL_LIGHT0 + number
+    # What a light does not have, the one before may have left behind.
+    point = {
+        "GL_CONSTANT_ATTENUATION": 1.0,
+        "GL_LINEAR_ATTENUATION": 0.0,
+        "GL_QUADRATIC_ATTENUATION": 0.0,
+        "GL_SPOT_EXPONENT": 0.0,
+        "GL_SPOT_CUTOFF": 180.0,
+    }
+    for name, value in (point | parameters).items():
+        call = gl.glLightf if isinstance(value, float) else gl.glLightfv
+        call(light, getattr(gl, name), value)
+    gl.glEnable(light)
+
+
+def apply_scene(
+    scene: Scene, *, near: float = 0.1, far: float = 100.0, nearest: bool = False
+) -> None:
+    """Set camera, lights, light model, shade model, fog and clear colour.
+
+    **Arguments:** `scene`, `nearest`: as in [`scene_to_opengl`][], which says what is
+    raised; `near`, `far`: depths between which things are drawn, world units.
+    """
+    gl = _gl()
+    state = scene_to_opengl(scene, nearest=nearest)
+    projection, modelview = camera_to_opengl(scene.camera, near, far)
+    gl.glMatrixMode(gl.GL_PROJECTION)
+    gl.glLoadMatrixd(projection.T.copy())
+    gl.glMatrixMode(gl.GL_MODELVIEW)
+    gl.glLoadMatrixd(modelview.T.copy())
+    gl.glEnable(gl.GL_LIGHTING)
+    gl.glEnable(gl.GL_DEPTH_TEST)
+    gl.glEnable(gl.GL_NORMALIZE)
+    model = state["light_model"]
+    gl.glLightModelfv(gl.GL_LIGHT_MODEL_AMBIENT, model["GL_LIGHT_MODEL_AMBIENT"])
+    local = model["GL_LIGHT_MODEL_LOCAL_VIEWER"]
+    gl.glLightModeli(gl.GL_LIGHT_MODEL_LOCAL_VIEWER, int(local))
+    gl.glShadeModel(getattr(gl, state["shade_model"]))
+    if bool(gl.glClampColor):
+        gl.glClampColor(gl.GL_CLAMP_VERTEX_COLOR, int(state["clamp_vertex_color"]))
+    for number in range(MAX_LIGHTS):
+        gl.glDisable(gl.GL_LIGHT0 + number)
+    for number, light in enumerate(state["lights"]):
+        _set_light(gl, number, light)
+    _set_fog(gl, state["fog"])
+    gl.glClearColor(*state["background"], 1.0)
+
+
+def _switch(gl: Any, what: Any, on: bool) -> None:
+    (gl.glEnable if on else gl.glDisable)(what)
+
+
+def _set_fog(gl: Any, fog: Parameters | None) -> None:
+    _switch(gl, gl.GL_FOG, fog is not None)
+    if fog is None:
+        return
+    gl.glHint(gl.GL_FOG_HINT, gl.GL_NICEST)
+    gl.glFogi(gl.GL_FOG_MODE, getattr(gl, fog["GL_FOG_MODE"]))
+    gl.glFogfv(gl.GL_FOG_COLOR, fog["GL_FOG_COLOR"])
+    for name in ("GL_FOG_DENSITY", "GL_FOG_START", "GL_FOG_END"):
+        gl.glFogf(getattr(gl, name), fog[name])
+
+
+def draw_mesh(mesh: Mesh, material: Material, *, nearest: bool = False) -> None:
+    """Draw a mesh, with one material or one for each of its `material_index`."""
+    gl = _gl()
+    vertices = np.asarray(mesh.vertices, np.float32)
+    normals = np.asarray(mesh.vertex_normals(), np.float32)
+    faces = np.asarray(mesh.faces, np.uint32)
+    index = mesh.material_index
+    owner = np.zeros(len(faces), int) if index is None else np.asarray(index)
+    _switch(gl, gl.GL_CULL_FACE, not mesh.two_sided)
+    gl.glLightModeli(gl.GL_LIGHT_MODEL_TWO_SIDE, int(mesh.two_sided))
+    gl.glEnableClientState(gl.GL_VERTEX_ARRAY)
+    gl.glEnableClientState(gl.GL_NORMAL_ARRAY)
+    gl.glVertexPointer(3, gl.GL_FLOAT, 0, vertices)
+    gl.glNormalPointer(gl.GL_FLOAT, 0, normals)
+    for number, one in enumerate(unstack_materials(material, mesh.materials)):
+        own = np.ascontiguousarray(faces[owner == number])
+        apply_material(one, nearest=nearest)
+        gl.glDrawElements(gl.GL_TRIANGLES, own.size, gl.GL_UNSIGNED_INT, own)
+    gl.glDisableClientState(gl.GL_NORMAL_ARRAY)
+    gl.glDisableClientState(gl.GL_VERTEX_ARRAY)

@@ -1,0 +1,154 @@
+"""Surfaces given as a function F(p) that is 0 on them, traced ray by ray."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from phongfit.checks import as_vector, require
+from phongfit.geometry.cameras import AbstractCamera, Ray
+from phongfit.geometry.normals import implicit_normal
+from phongfit.geometry.surfaces import AbstractSurface, GBuffer
+from phongfit.vectors import Scalar, Vec3, dot
+
+
+class ImplicitSurface(AbstractSurface):
+    r"""The places in a box where $F(p) = 0$, seen from where $F > 0$."""
+
+    function: Callable[[Vec3], Scalar]
+    lower: Float[Array, "3"]
+    upper: Float[Array, "3"]
+    steps: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        function: Callable[[Vec3], Scalar],
+        lower: Any = (-1.0, -1.0, -1.0),
+        upper: Any = (1.0, 1.0, 1.0),
+        *,
+        steps: int = 128,
+    ):
+        """**Arguments:**
+
+        - `function`: p → F(p), positive outside, written in `jax.numpy`; a callable
+            `equinox.Module` if its numbers should have gradients.
+        - `lower`, `upper`: corners of the box that is searched, world units.
+        - `steps`: into which a ray's way through the box is cut; a part of the surface
+            that is thinner can be missed.
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        if not callable(function):
+            raise ValueError(f"function: {function!r} came, a function is wanted")
+        if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+            raise ValueError(f"steps: {steps!r} came, a whole number ≥ 1 is wanted")
+        self.function = function
+        self.lower = as_vector("lower", lower)
+        self.upper = as_vector("upper", upper)
+
+        def positive(a: Any) -> Any:
+            return a > 0
+
+        size = self.upper - self.lower
+        require("upper", size, positive, positive, "a corner above lower on each axis")
+        self.steps = steps
+
+    @eqx.filter_jit
+    def trace(self, camera: AbstractCamera) -> GBuffer:
+        position, normal, mask = jax.vmap(jax.vmap(self.intersect))(camera.rays())
+        to_viewer = jax.vmap(jax.vmap(camera.to_viewer))(position)
+        return GBuffer(position, normal, to_viewer, mask)
+
+    def intersect(self, ray: Ray) -> tuple[Vec3, Vec3, Bool[Array, ""]]:
+        """Where one ray first meets the surface from outside.
+
+        **Returns:** position, unit normal, and whether there is such a place.
+        """
+        near, far = self._span(ray)
+        hit, before, after = self._first_entry(ray, near, far)
+        distance = jax.lax.stop_gradient(self._bisect(ray, before, after))
+        # One Newton step: it polishes the place, and by the implicit function theorem
+        # its derivative is that of the place.
+        position = ray.origin + distance * ray.direction
+        slope = dot(jax.grad(self.function)(position), ray.direction)
+        falling = hit & (slope < 0)
+        step = self.function(position) / jnp.where(falling, slope, 1)
+        distance = distance - jnp.where(falling, step, 0)
+        position = ray.origin + distance * ray.direction
+        position = jnp.where(hit, position, (self.lower + self.upper) / 2)
+        normal = implicit_normal(self.function, position)
+        return position, jnp.where(hit, normal, -ray.direction), hit
+
+    @eqx.filter_jit
+    def reached(
+        self,
+        position: Float[Array, "*batch 3"],
+        normal: Float[Array, "*batch 3"],
+        to_light: Float[Array, "*batch 3"],
+        distance: Float[Array, "*batch"],
+    ) -> Bool[Array, "*batch"]:
+        # Off the surface by a part of the step that would miss a detail anyway.
+        lift = 0.05 * jnp.max(self.upper - self.lower) / self.steps
+
+        def one(
+            position: Vec3, normal: Vec3, to_light: Vec3, distance: Scalar
+        ) -> Array:
+            away = dot(normal, to_light) > 0
+            ray = Ray(position + lift * normal, to_light)
+            near, far = self._span(ray)
+            far = jnp.minimum(far, distance)
+            hit, _, _ = self._first_entry(ray, near, far)
+            return away & ~hit
+
+        for _ in distance.shape:
+            one = jax.vmap(one)
+        return one(position, normal, to_light, distance)
+
+    def _span(self, ray: Ray) -> tuple[Scalar, Scalar]:
+        """Distances at which a ray enters and leaves the box; the first is not less
+        than 0, and is the larger if the ray misses."""
+        along = ray.direction
+        tiny = jnp.finfo(along.dtype).tiny
+        along = jnp.where(jnp.abs(along) > tiny, along, tiny)
+        one = (self.lower - ray.origin) / along
+        other = (self.upper - ray.origin) / along
+        near = jnp.max(jnp.minimum(one, other))
+        return jnp.maximum(near, 0), jnp.min(jnp.maximum(one, other))
+
+    def _first_entry(
+        self, ray: Ray, near: Scalar, far: Scalar
+    ) -> tuple[Bool[Array, ""], Scalar, Scalar]:
+        """Whether F turns negative on the way, and the step in which it first does."""
+        near, far = jax.lax.stop_gradient((near, far))
+        through = far > near
+        near, far = jnp.where(through, near, 0), jnp.where(through, far, 1)
+        width = (far - near) / self.steps
+
+        def value(distance: Scalar) -> Scalar:
+            return self.function(ray.origin + distance * ray.direction)
+
+        def step(carry: tuple[Array, Array, Array], i: Array) -> tuple[Any, None]:
+            found, entry, last = carry
+            here = near + (i + 1).astype(near.dtype) * width
+            now = value(here)
+            enters = ~found & (last > 0) & (now <= 0)
+            return (found | enters, jnp.where(enters, here, entry), now), None
+
+        start = (jnp.array(False), far, value(near))
+        (found, entry, _), _ = jax.lax.scan(step, start, jnp.arange(self.steps))
+        return found & through, entry - width, entry
+
+    def _bisect(self, ray: Ray, before: Scalar, after: Scalar) -> Scalar:
+        def halve(_: Any, span: tuple[Array, Array]) -> tuple[Array, Array]:
+            low, high = span
+            middle = (low + high) / 2
+            outside = self.function(ray.origin + middle * ray.direction) > 0
+            return jnp.where(outside, middle, low), jnp.where(outside, high, middle)
+
+        halvings = 2 * np.finfo(before.dtype).nmant // 3
+        low, high = jax.lax.fori_loop(0, halvings, halve, (before, after))
+        return (low + high) / 2

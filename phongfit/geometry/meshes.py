@@ -1,0 +1,305 @@
+"""Triangle meshes: what a camera sees of them, and where they can be lit."""
+
+import warnings
+from collections.abc import Iterable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float, Int
+
+from phongfit.checks import as_floats, as_indices, as_integers, as_scalar, require
+from phongfit.geometry.cameras import AbstractCamera, Ray
+from phongfit.geometry.normals import (
+    WEIGHTINGS,
+    Weighting,
+    face_normal,
+    face_normals,
+    split_creases,
+    vertex_normals,
+)
+from phongfit.geometry.raytracing import blocked, first_faces
+from phongfit.geometry.surfaces import AbstractSurface, GBuffer
+from phongfit.vectors import Vec3, dot, norm, normalize
+
+# A shadow ray starts this far off its face, as a share of the mesh's size: past the
+# rounding of Embree's float32, and well below anything that casts a shadow.
+LIFT = 2e-6
+
+
+class Corners(eqx.Module):
+    """Which pairs of a vertex and a material are in use, and by which faces.
+
+    Light at a vertex depends on the material: a vertex where two meet is lit twice.
+    """
+
+    vertex: Int[Array, " pairs"]
+    material: Int[Array, " pairs"]
+    pair: Int[Array, "faces 3"]
+
+    def __init__(
+        self,
+        faces: Int[np.ndarray, "faces 3"],
+        material_index: Int[np.ndarray, " faces"] | None,
+    ):
+        """**Arguments:** as in [`Mesh`][]."""
+        material = (
+            np.zeros(len(faces), int) if material_index is None else material_index
+        )
+        count = int(material.max()) + 1
+        key = faces.astype(np.int64) * count + material[:, None]
+        used, pair = np.unique(key, return_inverse=True)
+        self.vertex = jnp.asarray((used // count).astype(np.int32))
+        self.material = jnp.asarray((used % count).astype(np.int32))
+        self.pair = jnp.asarray(pair.reshape(faces.shape).astype(np.int32))
+
+
+class Mesh(AbstractSurface):
+    """Triangles, seen from the side on which their corners run counter-clockwise."""
+
+    vertices: Float[Array, "vertices 3"]
+    faces: Int[Array, "faces 3"]
+    normals: Float[Array, "vertices 3"] | None
+    material_index: Int[Array, " faces"] | None
+    corners: "Corners"
+    weighting: Weighting = eqx.field(static=True)
+    two_sided: bool = eqx.field(static=True)
+    _materials: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        vertices: Any,
+        faces: Any,
+        normals: Any = None,
+        material_index: Any = None,
+        *,
+        weighting: Weighting = "area",
+        crease_angle: float | None = None,
+        two_sided: bool = False,
+    ):
+        """**Arguments:**
+
+        - `vertices`: (V, 3), world units.
+        - `faces`: (F, 3) indices of vertices, counter-clockwise seen from outside.
+        - `normals`: (V, 3), of any length; default computed from the faces around.
+        - `material_index`: (F,) whole numbers ≥ 0: which of several materials a face is
+            made of. Each leaf of the `Material` then has shape (M, 3), (M, 1) or ().
+        - `weighting`: of the faces around a vertex, `"area"` or `"angle"`.
+        - `crease_angle`: degrees; an edge between faces whose normals differ by more is
+            sharp, and its vertices are doubled. Default: every edge is smooth.
+        - `two_sided`: a face is seen from behind too, its normal turned to the viewer.
+            By default it cannot be seen from there, as with GL_CULL_FACE; it throws a
+            shadow either way.
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        vertices = as_floats("vertices", vertices)
+        if vertices.ndim != 2 or vertices.shape[1] != 3:
+            raise ValueError(f"vertices: shape {vertices.shape} came, (V, 3) is wanted")
+        if np.size(faces) == 0:
+            raise ValueError("faces: none came, a mesh of at least one is wanted")
+        faces = as_integers("faces", faces, 0, len(vertices))
+        if faces.ndim != 2 or faces.shape[1] != 3:
+            raise ValueError(f"faces: shape {faces.shape} came, (F, 3) is wanted")
+        if weighting not in WEIGHTINGS:
+            wanted = " or ".join(repr(name) for name in WEIGHTINGS)
+            raise ValueError(f"weighting: {weighting!r} came, {wanted} is wanted")
+        require("vertices", vertices, np.isfinite, jnp.isfinite, "finite numbers")
+        if normals is not None:
+            normals = as_floats("normals", normals)
+            if normals.shape != vertices.shape:
+                raise ValueError(
+                    f"normals: shape {normals.shape} came, {vertices.shape} is wanted"
+                )
+            require("normals", normals, np.isfinite, jnp.isfinite, "finite numbers")
+            normals = jax.vmap(normalize)(normals)
+        if crease_angle is not None:
+            if normals is not None:
+                raise ValueError("crease_angle: only for normals that are computed")
+            angle = float(as_scalar("crease_angle", crease_angle))
+            known = np.asarray(jax.lax.stop_gradient(vertices))
+            origin, faces = split_creases(known, faces, angle)
+            vertices = vertices[origin]
+        self.vertices = vertices
+        self.faces = jnp.asarray(faces)
+        self.normals = normals
+        self.material_index, self._materials = as_indices(
+            "material_index", material_index, (len(faces),)
+        )
+        index = self.material_index
+        self.corners = Corners(faces, None if index is None else np.asarray(index))
+        self.weighting = weighting
+        self.two_sided = bool(two_sided)
+
+    @property
+    def materials(self) -> int:
+        return self._materials
+
+    def vertex_normals(self) -> Float[Array, "vertices 3"]:
+        """Unit normals of the vertices, as given or from the faces around them."""
+        if self.normals is not None:
+            return self.normals
+        return vertex_normals(self.vertices, self.faces, self.weighting)
+
+    def face_normals(self) -> Float[Array, "faces 3"]:
+        """Unit normals of the faces; zero for degenerate ones."""
+        return face_normals(self.vertices, self.faces)
+
+    def trace(self, camera: AbstractCamera) -> GBuffer:
+        rays, seen, inside = _aim(self, camera)
+        inside = jax.lax.stop_gradient(inside)
+        if isinstance(inside, Tracer):
+            seen = eqx.error_if(seen, inside, "camera: its position lies in a face")
+        elif inside:
+            raise ValueError(f"camera: its position {camera.position} lies in a face")
+        face = first_faces(self.vertices, self.faces, seen, rays)
+        if not isinstance(face, Tracer) and not np.any(np.asarray(face) >= 0):
+            warnings.warn(
+                "surface: no pixel sees the mesh. It lies outside the view, or its "
+                "faces show their backs (two_sided=True shows these).",
+                stacklevel=3,
+            )
+        return _interpolate(self, camera, rays, face)
+
+    def reached(
+        self,
+        position: Float[Array, "*batch 3"],
+        normal: Float[Array, "*batch 3"],
+        to_light: Float[Array, "*batch 3"],
+        distance: Float[Array, "*batch"],
+    ) -> Bool[Array, "*batch"]:
+        # Off the face on the side of the light: a face is never in its own shadow.
+        lift = LIFT * _size(self)
+        side = jnp.sum(normal * to_light, axis=-1, keepdims=True)
+        origin = position + jnp.where(side < 0, -lift, lift) * normal
+        rays = Ray(origin, to_light)
+        return ~blocked(self.vertices, self.faces, rays, distance - lift)
+
+
+def _size(mesh: Mesh) -> Float[Array, ""]:
+    used = mesh.vertices[mesh.faces.ravel()]
+    return jnp.max(jnp.max(used, axis=0) - jnp.min(used, axis=0))
+
+
+def _in_face(point: Vec3, a: Vec3, b: Vec3, c: Vec3, slack: Array) -> Bool[Array, ""]:
+    """Whether a point lies in a triangle, give or take `slack` in world units."""
+    normal = normalize(face_normal(a, b, c))
+    in_plane = jnp.abs(dot(point - a, normal)) <= slack
+    inward = [
+        dot(jnp.cross(end - start, point - start), normal) >= -slack * norm(end - start)
+        for start, end in ((a, b), (b, c), (c, a))
+    ]
+    return in_plane & jnp.all(jnp.stack(inward)) & jnp.any(normal != 0)
+
+
+@eqx.filter_jit
+def _aim(
+    mesh: Mesh, camera: AbstractCamera
+) -> tuple[Ray, Bool[Array, " faces"], Bool[Array, ""]]:
+    """The camera's rays, which faces they can meet, and whether it sits in a face."""
+    a, b, c = jnp.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    to_viewer = jax.vmap(camera.to_viewer)(a)
+    toward = jnp.sum(jax.vmap(face_normal)(a, b, c) * to_viewer, axis=-1)
+    seen = (toward != 0) if mesh.two_sided else (toward > 0)
+    slack = 1e-6 * _size(mesh)
+    inside = jax.vmap(_in_face, in_axes=(None, 0, 0, 0, None))
+    return camera.rays(), seen, jnp.any(inside(camera.position, a, b, c, slack))
+
+
+def barycentrics(ray: Ray, a: Vec3, b: Vec3, c: Vec3) -> Vec3:
+    """Weights of a triangle's corners where a ray meets its plane.
+
+    Since they come from the ray and not from the image plane, what is interpolated with
+    them is perspective-correct.
+
+    **Returns:** three numbers that sum to 1; (1, 0, 0) where ray and plane are
+    parallel.
+
+    ??? cite "Source"
+        Möller and Trumbore, *Fast, minimum storage ray/triangle intersection*, Journal
+        of Graphics Tools 2(1), 1997.
+    """
+    offset, one, other = ray.origin - a, b - a, c - a
+    across = jnp.cross(ray.direction, other)
+    determinant = dot(across, one)
+    parallel = determinant == 0
+    scale = 1 / jnp.where(parallel, 1, determinant)
+    u = dot(across, offset) * scale
+    v = dot(jnp.cross(offset, one), ray.direction) * scale
+    weights = jnp.stack([1 - u - v, u, v])
+    return jnp.where(parallel, jnp.eye(3, dtype=weights.dtype)[0], weights)
+
+
+@eqx.filter_jit
+def _interpolate(
+    mesh: Mesh, camera: AbstractCamera, rays: Ray, face: Int[Array, "height width"]
+) -> GBuffer:
+    mask = face >= 0
+    face = jnp.where(mask, face, 0)
+    corners = mesh.faces[face]
+    a, b, c = jnp.moveaxis(mesh.vertices[corners], -2, 0)
+    weights = jax.vmap(jax.vmap(barycentrics))(rays, a, b, c)
+    first = jnp.eye(3, dtype=weights.dtype)[0]
+    weights = jnp.where(mask[..., None], weights, first)
+
+    def mean(values: Array) -> Array:
+        return jnp.sum(weights[..., None] * values[corners], axis=-2)
+
+    position = mean(mesh.vertices)
+    to_viewer = jax.vmap(jax.vmap(camera.to_viewer))(position)
+    # Renormalised, since interpolation shortens it.
+    normal = jax.vmap(jax.vmap(normalize))(mean(mesh.vertex_normals()))
+    surface_normal = mesh.face_normals()[face]
+    if mesh.two_sided:
+        behind = jnp.sum(surface_normal * to_viewer, axis=-1, keepdims=True) < 0
+        normal = jnp.where(behind, -normal, normal)
+        surface_normal = jnp.where(behind, -surface_normal, surface_normal)
+    index = mesh.material_index
+    return GBuffer(
+        position=position,
+        normal=normal,
+        to_viewer=to_viewer,
+        mask=mask,
+        material_index=None if index is None else index[face],
+        surface_normal=surface_normal,
+        face=face,
+        barycentrics=weights,
+    )
+
+
+def join(meshes: Iterable[Mesh]) -> Mesh:
+    """Several objects as one mesh, each with materials of its own.
+
+    The materials of the first come first: a mesh without `material_index` counts as one
+    material. The joined `Material` is made with [`stack_materials`][].
+
+    **Raises:** `ValueError` if there are none, or they differ in `two_sided`.
+    """
+    meshes = list(meshes)
+    if not meshes:
+        raise ValueError("meshes: none came, at least one is wanted")
+    if len({mesh.two_sided for mesh in meshes}) > 1:
+        raise ValueError("meshes: some are two-sided and some are not")
+    faces, indices, vertices, materials = [], [], 0, 0
+    for mesh in meshes:
+        index = mesh.material_index
+        own = np.zeros(len(mesh.faces), int) if index is None else np.asarray(index)
+        faces.append(np.asarray(mesh.faces) + vertices)
+        indices.append(own + materials)
+        vertices += len(mesh.vertices)
+        materials += mesh.materials
+    # Different ways to compute normals cannot be joined, but what they give can.
+    given = len({(m.weighting, m.normals is None) for m in meshes}) > 1
+    given = given or meshes[0].normals is not None
+    normals = jnp.concatenate([m.vertex_normals() for m in meshes]) if given else None
+    return Mesh(
+        jnp.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate(faces),
+        normals,
+        np.concatenate(indices),
+        weighting=meshes[0].weighting,
+        two_sided=meshes[0].two_sided,
+    )

@@ -1,0 +1,151 @@
+r"""Normals: of a face, of a vertex, of a parametric and of an implicit surface.
+
+Faces are wound counter-clockwise seen from outside, so that normals point outwards.
+"""
+
+from collections.abc import Callable
+from typing import Literal, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from phongfit.vectors import Scalar, Vec3, dot, norm, normalize
+
+Weighting = Literal["area", "angle"]
+WEIGHTINGS: tuple[Weighting, ...] = get_args(Weighting)
+
+
+def face_normal(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
+    r"""$(b - a) \times (c - a)$ of one triangle: its length is twice the area.
+
+    **Arguments:** the corners, world units. **Returns:** not a unit vector; zero for a
+    degenerate triangle.
+    """
+    return jnp.cross(b - a, c - a)
+
+
+def face_normals(
+    vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"]
+) -> Float[Array, "faces 3"]:
+    """Unit normal of every face; zero, with zero gradient, for a degenerate one."""
+    a, b, c = jnp.moveaxis(vertices[faces], 1, 0)
+    return jax.vmap(normalize)(jax.vmap(face_normal)(a, b, c))
+
+
+def _angle(corner: Vec3, following: Vec3, preceding: Vec3) -> Scalar:
+    """Angle at a triangle's corner, radians: finite where two corners coincide."""
+    one, other = following - corner, preceding - corner
+    sine, cosine = norm(jnp.cross(one, other)), dot(one, other)
+    degenerate = (sine == 0) & (cosine == 0)
+    return jnp.arctan2(sine, jnp.where(degenerate, 1, cosine))
+
+
+def vertex_normals(
+    vertices: Float[Array, "vertices 3"],
+    faces: Int[Array, "faces 3"],
+    weighting: Weighting = "area",
+) -> Float[Array, "vertices 3"]:
+    r"""Unit normal of every vertex: the mean over the faces around it.
+
+    $$m \propto \sum_{\text{faces}} w \, m_{\text{face}}$$
+
+    **Arguments:**
+
+    - `vertices`: world units.
+    - `faces`: indices of the corners.
+    - `weighting`: $w$ is the face's `"area"`, or its `"angle"` at the vertex, which
+        does not depend on how a polygon was cut into triangles.
+
+    **Returns:** zero, with zero gradient, for a vertex of no face and for one of
+    degenerate faces only.
+
+    ??? cite "Source"
+        Thürmer and Wüthrich, *Computing vertex normals from polygonal facets*, Journal
+        of Graphics Tools 3(1), 1998, for the angle.
+    """
+    corners = jnp.moveaxis(vertices[faces], 1, 0)
+    normals = jax.vmap(face_normal)(*corners)
+    total = jnp.zeros_like(vertices)
+    for k in range(3):
+        share = normals
+        if weighting == "angle":
+            here, following, preceding = (corners[(k + i) % 3] for i in range(3))
+            angle = jax.vmap(_angle)(here, following, preceding)
+            share = angle[:, None] * jax.vmap(normalize)(normals)
+        total = total.at[faces[:, k]].add(share)
+    return jax.vmap(normalize)(total)
+
+
+def split_creases(
+    vertices: Float[np.ndarray, "vertices 3"],
+    faces: Int[np.ndarray, "faces 3"],
+    angle: float,
+) -> tuple[Int[np.ndarray, " corners"], Int[np.ndarray, "faces 3"]]:
+    """Cut a mesh open along its sharp edges, so that normals are not averaged across.
+
+    **Arguments:**
+
+    - `vertices`, `faces`: the mesh.
+    - `angle`: degrees between the normals of two faces above which their edge is sharp.
+
+    **Returns:**
+
+    - for every vertex of the mesh cut open, which vertex of `vertices` it is;
+    - the faces as indices of these.
+    """
+    # Here, since it takes a third of a second that most programs need not wait.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    a, b, c = (vertices[faces[:, k]].astype(float) for k in range(3))
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = normals / np.where(length > 0, length, 1)
+
+    # Two entries that follow each other in `order` are two faces at the same edge.
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    corner = np.arange(faces.size)
+    after = np.roll(corner.reshape(-1, 3), -1, axis=1).ravel()
+    edge = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=1)
+    low = np.where(start < end, corner, after)
+    high = np.where(start < end, after, corner)
+    order = np.lexsort(edge.T)
+    one, other = order[:-1], order[1:]
+    smooth = (edge[one] == edge[other]).all(axis=1)
+    cosine = (normals[one // 3] * normals[other // 3]).sum(axis=1)
+    smooth &= cosine >= np.cos(np.deg2rad(angle)) - 1e-9
+    one, other = one[smooth], other[smooth]
+
+    # Corners that meet at a smooth edge are one vertex.
+    rows = np.concatenate([low[one], high[one]])
+    columns = np.concatenate([low[other], high[other]])
+    links = coo_array((np.ones(len(rows)), (rows, columns)), (faces.size, faces.size))
+    count, group = connected_components(links, directed=False)
+    vertex = np.zeros(count, faces.dtype)
+    vertex[group] = faces.ravel()
+    return vertex, group.reshape(-1, 3).astype(faces.dtype)
+
+
+def parametric_normal(
+    function: Callable[[Scalar, Scalar], Vec3], u: Scalar, v: Scalar
+) -> Vec3:
+    r"""Unit normal $\partial p / \partial u \times \partial p / \partial v$.
+
+    **Arguments:** `function`: (u, v) → p, in world units; `u`, `v`: where.
+
+    **Returns:** zero where the derivatives are parallel, as at the pole of a sphere.
+    """
+    along_u, along_v = jax.jacfwd(function, argnums=(0, 1))(u, v)
+    return normalize(jnp.cross(along_u, along_v))
+
+
+def implicit_normal(function: Callable[[Vec3], Scalar], position: Vec3) -> Vec3:
+    r"""Unit normal $\nabla F / |\nabla F|$ of a surface $F = 0$ with $F > 0$ outside.
+
+    **Arguments:** `function`: p → F(p); `position`: where, world units.
+
+    **Returns:** zero where the gradient is zero.
+    """
+    return normalize(jax.grad(function)(position))

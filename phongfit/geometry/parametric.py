@@ -1,0 +1,82 @@
+"""Surfaces given as a function (u, v) → p, cut into triangles."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from phongfit.checks import as_floats, require
+from phongfit.geometry.meshes import Mesh
+from phongfit.geometry.normals import parametric_normal
+from phongfit.vectors import Scalar, Vec3, norm
+
+
+def tessellate(
+    function: Callable[[Scalar, Scalar], Vec3],
+    u: Any = (0.0, 1.0),
+    v: Any = (0.0, 1.0),
+    *,
+    columns: int = 32,
+    rows: int = 32,
+    two_sided: bool = False,
+) -> Mesh:
+    r"""A mesh whose vertices lie on a surface and carry its exact normals.
+
+    Its front is where $\partial p / \partial u \times \partial p / \partial v$ points.
+
+    **Arguments:**
+
+    - `function`: (u, v) → p, world units; written in `jax.numpy`.
+    - `u`, `v`: first and last value of the parameters.
+    - `columns`, `rows`: steps in u and in v; each cell is two triangles.
+    - `two_sided`: as in [`Mesh`][].
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    us, vs = _steps("u", u, "columns", columns), _steps("v", v, "rows", rows)
+    middle = (us[0] + us[-1]) / 2, (vs[0] + vs[-1]) / 2
+
+    def at(u: Scalar, v: Scalar) -> tuple[Vec3, Vec3]:
+        # At a pole the derivatives are parallel up to rounding, which would decide
+        # where the normal points: that of a place close by is taken there.
+        close = np.sqrt(np.finfo(u.dtype).eps)
+        along_u, along_v = jax.jacfwd(function, argnums=(0, 1))(u, v)
+        across = norm(jnp.cross(along_u, along_v))
+        pole = across <= close * jnp.maximum(norm(along_u), norm(along_v)) ** 2
+        shift = jnp.where(pole, close, 0)
+        inner_u, inner_v = u + shift * (middle[0] - u), v + shift * (middle[1] - v)
+        return function(u, v), parametric_normal(function, inner_u, inner_v)
+
+    grid = jax.vmap(jax.vmap(at, in_axes=(0, None)), in_axes=(None, 0))
+    vertices, normals = grid(us, vs)
+    if vertices.shape != (rows + 1, columns + 1, 3):
+        raise ValueError(
+            f"function: a point of shape {vertices.shape[2:]} came, (3,) is wanted"
+        )
+    return Mesh(
+        vertices.reshape(-1, 3),
+        _cells(columns, rows),
+        normals.reshape(-1, 3),
+        two_sided=two_sided,
+    )
+
+
+def _steps(name: str, ends: Any, count_name: str, count: Any) -> Float[Array, " steps"]:
+    ends = as_floats(name, ends)
+    if ends.shape != (2,):
+        raise ValueError(f"{name}: shape {ends.shape} came, (first, last) is wanted")
+    require(name, ends, np.isfinite, jnp.isfinite, "finite numbers")
+    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+        raise ValueError(f"{count_name}: {count!r} came, a whole number ≥ 1 is wanted")
+    return jnp.linspace(ends[0], ends[1], count + 1)
+
+
+def _cells(columns: int, rows: int) -> np.ndarray:
+    """Two triangles for each cell of a grid of vertices, counted row by row."""
+    row, column = (index.ravel() for index in np.indices((rows, columns)))
+    a = row * (columns + 1) + column
+    b, c, d = a + 1, a + columns + 2, a + columns + 1
+    return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])

@@ -1,0 +1,165 @@
+"""Embree, on the host: which face a ray meets first, and whether one is in its way.
+
+Both are answers without a derivative; what is interpolated from them has one. Inside
+`jit` and `vmap` they are callbacks, elsewhere plain calls, and the last few are
+remembered: the same rays through the same mesh are not traced again.
+"""
+
+import functools
+import hashlib
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float, Int
+
+from phongfit.geometry.cameras import Ray
+
+
+def first_faces(
+    vertices: Float[Array, "vertices 3"],
+    faces: Int[Array, "faces 3"],
+    visible: Bool[Array, " faces"],
+    rays: Ray,
+) -> Int[Array, "*batch"]:
+    """Index of the face that each ray meets first, −1 where it meets none.
+
+    **Arguments:**
+
+    - `vertices`, `faces`: the mesh.
+    - `visible`: false for faces that rays pass through.
+    - `rays`: of any batch shape.
+    """
+    *batch, _ = rays.direction.shape
+    shape = jax.ShapeDtypeStruct((*batch,), jnp.int32)
+    return _on_host(
+        _first_faces, shape, vertices, faces, visible, rays.origin, rays.direction
+    )
+
+
+def blocked(
+    vertices: Float[Array, "vertices 3"],
+    faces: Int[Array, "faces 3"],
+    rays: Ray,
+    distance: Float[Array, "*batch"],
+) -> Bool[Array, "*batch"]:
+    """Whether a face lies on each ray nearer than `distance` (may be inf)."""
+    shape = jax.ShapeDtypeStruct(distance.shape, jnp.bool_)
+    return _on_host(
+        _blocked, shape, vertices, faces, rays.origin, rays.direction, distance
+    )
+
+
+def _on_host(
+    function: Callable[..., np.ndarray], result: jax.ShapeDtypeStruct, *arrays: Array
+) -> Array:
+    # Derivatives stop here, which also makes the arrays concrete inside a plain `grad`.
+    arrays = jax.lax.stop_gradient(arrays)
+    if any(isinstance(array, Tracer) for array in arrays):
+        return jax.pure_callback(function, result, *arrays, vmap_method="sequential")
+    return jnp.asarray(function(*arrays))
+
+
+class _Content:
+    """Arrays that are equal, and hash alike, where their bytes are."""
+
+    def __init__(self, arrays: tuple[np.ndarray, ...]):
+        self.arrays = arrays
+        digest = hashlib.blake2b(digest_size=16)
+        for array in arrays:
+            digest.update(repr((array.shape, array.dtype.str)).encode())
+            digest.update(np.ascontiguousarray(array).data)
+        self.digest = digest.digest()
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Content) and self.digest == other.digest
+
+
+def _remembered(maxsize: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        remembered = functools.lru_cache(maxsize)(lambda key: function(*key.arrays))
+
+        @functools.wraps(function)
+        def call(*arrays: Any) -> Any:
+            return remembered(_Content(tuple(np.asarray(array) for array in arrays)))
+
+        return call
+
+    return decorate
+
+
+class _Tree:
+    """A bounding volume hierarchy. Embree computes in float32: it gets the mesh moved
+    to the origin and of size 1, and rays that start near it."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray):
+        corners = vertices[np.unique(faces)].astype(float)
+        lowest, highest = corners.min(axis=0), corners.max(axis=0)
+        self.center = (lowest + highest) / 2
+        self.size = np.linalg.norm(highest - lowest) / 2 or 1.0
+        self.scene = EmbreeScene(robust=True)
+        unit = ((vertices - self.center) / self.size).astype(np.float32)
+        TriangleMesh(self.scene, unit, np.ascontiguousarray(faces, np.int32))
+
+    def run(
+        self,
+        origin: np.ndarray,
+        direction: np.ndarray,
+        query: str,
+        distance: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Embree's answer for each ray: −1 for none."""
+        start = (origin.reshape(-1, 3) - self.center) / self.size
+        along = direction.reshape(-1, 3)
+        # Nothing lies further than 1 from the origin, so that far can be skipped.
+        skipped = np.maximum(-(start * along).sum(axis=1) - 2, 0)
+        start = start + skipped[:, None] * along
+        limit = None
+        if distance is not None:
+            left = distance.ravel() / self.size - skipped
+            # Embree takes a negative limit for its own sign of a ray that is blocked.
+            limit = np.clip(left, 0, 1e30).astype(np.float32)
+        return self.scene.run(
+            start.astype(np.float32), along.astype(np.float32), limit, query
+        )
+
+
+@_remembered(4)
+def _tree(vertices: np.ndarray, faces: np.ndarray) -> _Tree:
+    return _Tree(vertices, faces)
+
+
+@_remembered(8)
+def _first_faces(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    visible: np.ndarray,
+    origin: np.ndarray,
+    direction: np.ndarray,
+) -> np.ndarray:
+    chosen = np.flatnonzero(visible)
+    if len(chosen) == 0:
+        return np.full(direction.shape[:-1], -1, np.int32)
+    found = _tree(vertices, faces[chosen]).run(origin, direction, "INTERSECT")
+    face = np.where(found < 0, -1, chosen[found]).astype(np.int32)
+    return face.reshape(direction.shape[:-1])
+
+
+@_remembered(8)
+def _blocked(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    origin: np.ndarray,
+    direction: np.ndarray,
+    distance: np.ndarray,
+) -> np.ndarray:
+    found = _tree(vertices, faces).run(origin, direction, "OCCLUDED", distance)
+    return (found >= 0).reshape(distance.shape)

@@ -1,0 +1,239 @@
+"""Shading methods: where a surface is lit, and how that light spreads to the pixels.
+
+Light at the chosen points is linear in the reflectances, and so is what is interpolated
+from it: whatever the method, the image stays linear in them.
+"""
+
+import abc
+from typing import Literal, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from equinox import AbstractVar
+from jaxtyping import Array, Float, Int
+
+from phongfit.geometry.cameras import AbstractCamera
+from phongfit.geometry.meshes import Mesh
+from phongfit.geometry.surfaces import AbstractSurface, GBuffer
+
+Place = Literal["centroid", "last_vertex"]
+PLACES: tuple[Place, ...] = get_args(Place)
+
+
+class LightingPoints(eqx.Module):
+    """Where light meets the surface: pixels, faces or vertices."""
+
+    position: Float[Array, "*points 3"]
+    normal: Float[Array, "*points 3"]
+    surface_normal: Float[Array, "*points 3"]
+    to_viewer: Float[Array, "*points 3"]
+    material_index: Int[Array, "*points"] | None
+
+
+LightingPoints.__init__.__doc__ = """**Arguments:**
+
+- `position`: world units.
+- `normal`: the unit normal that is lit; `surface_normal`: that of the surface itself,
+    from which shadow rays start.
+- `to_viewer`: unit vectors.
+- `material_index`: which of several materials; `None` where there is one.
+"""
+
+
+class Interpolation(eqx.Module):
+    """A pixel's value as a weighted sum of values at a few points."""
+
+    index: Int[Array, "*batch corners"]
+    weight: Float[Array, "*batch corners"]
+
+    def __call__(
+        self, values: Float[Array, "points channels"]
+    ) -> Float[Array, "*batch channels"]:
+        return jnp.sum(self.weight[..., None] * values[self.index], axis=-2)
+
+
+Interpolation.__init__.__doc__ = """**Arguments:** `index` of the points, and their
+`weight`, which sum to 1."""
+
+
+class AbstractShading(eqx.Module):
+    """Chooses the points that are lit, and spreads their light to the pixels."""
+
+    clamp: AbstractVar[bool]
+
+    @abc.abstractmethod
+    def check(self, surface: AbstractSurface) -> None:
+        """**Raises:** `ValueError` if this surface cannot be shaded like this."""
+
+    @abc.abstractmethod
+    def points(
+        self, surface: AbstractSurface, camera: AbstractCamera, gbuffer: GBuffer
+    ) -> LightingPoints:
+        """Where the surface is lit, as it was traced by the camera."""
+
+    @abc.abstractmethod
+    def interpolation(
+        self, surface: AbstractSurface, gbuffer: GBuffer
+    ) -> Interpolation | None:
+        """From these points to the pixels; `None` if the points are the pixels."""
+
+
+class PhongShading(AbstractShading):
+    """Normals are interpolated and every pixel is lit.
+
+    ??? cite "Source"
+        Phong, *Illumination for computer generated pictures*, CACM 18(6), 1975.
+    """
+
+    clamp: bool = eqx.field(static=True, default=False, init=False)
+
+    def check(self, surface: AbstractSurface) -> None:
+        del surface
+
+    def points(
+        self, surface: AbstractSurface, camera: AbstractCamera, gbuffer: GBuffer
+    ) -> LightingPoints:
+        del surface, camera
+        own = gbuffer.surface_normal
+        return LightingPoints(
+            position=gbuffer.position,
+            normal=gbuffer.normal,
+            surface_normal=gbuffer.normal if own is None else own,
+            to_viewer=gbuffer.to_viewer,
+            material_index=gbuffer.material_index,
+        )
+
+    def interpolation(
+        self, surface: AbstractSurface, gbuffer: GBuffer
+    ) -> Interpolation | None:
+        del surface, gbuffer
+        return None
+
+
+class GouraudShading(AbstractShading):
+    """Vertices are lit, and their colours interpolated: highlights can fall between.
+
+    ??? cite "Source"
+        Gouraud, *Continuous shading of curved surfaces*, IEEE Transactions on Computers
+        20(6), 1971.
+    """
+
+    clamp: bool = eqx.field(static=True, default=False)
+
+    def check(self, surface: AbstractSurface) -> None:
+        _as_mesh(surface)
+
+    def points(
+        self, surface: AbstractSurface, camera: AbstractCamera, gbuffer: GBuffer
+    ) -> LightingPoints:
+        del gbuffer
+        mesh = _as_mesh(surface)
+        vertex = mesh.corners.vertex
+        position = mesh.vertices[vertex]
+        normal = mesh.vertex_normals()[vertex]
+        to_viewer = jax.vmap(camera.to_viewer)(position)
+        index = None if mesh.material_index is None else mesh.corners.material
+        front = LightingPoints(position, normal, normal, to_viewer, index)
+        return _both_sides(front) if mesh.two_sided else front
+
+    def interpolation(
+        self, surface: AbstractSurface, gbuffer: GBuffer
+    ) -> Interpolation | None:
+        mesh = _as_mesh(surface)
+        face, weights = _hits(gbuffer)
+        index = mesh.corners.pair[face]
+        if mesh.two_sided:
+            behind = _seen_from_behind(mesh, gbuffer)[..., None]
+            index = jnp.where(behind, index + len(mesh.corners.vertex), index)
+        return Interpolation(index, weights)
+
+
+GouraudShading.__init__.__doc__ = """**Arguments:**
+
+- `clamp`: cut the vertices' colours off at 1 before they are interpolated, as OpenGL
+    does.
+"""
+
+
+class FlatShading(AbstractShading):
+    """One colour a face, lit at one point of it."""
+
+    at: Place = eqx.field(static=True)
+    clamp: bool = eqx.field(static=True)
+
+    def __init__(self, at: Place = "centroid", clamp: bool = False):
+        """**Arguments:**
+
+        - `at`: `"centroid"` with the face's own normal, as in the textbook, or
+            `"last_vertex"` with that vertex's normal, as in OpenGL's GL_FLAT.
+        - `clamp`: cut the faces' colours off at 1 at once, as OpenGL does: seen only in
+            fog.
+
+        **Raises:** `ValueError` for another place.
+        """
+        if at not in PLACES:
+            wanted = " or ".join(repr(name) for name in PLACES)
+            raise ValueError(f"at: {at!r} came, {wanted} is wanted")
+        self.at = at
+        self.clamp = bool(clamp)
+
+    def check(self, surface: AbstractSurface) -> None:
+        _as_mesh(surface)
+
+    def points(
+        self, surface: AbstractSurface, camera: AbstractCamera, gbuffer: GBuffer
+    ) -> LightingPoints:
+        del gbuffer
+        mesh = _as_mesh(surface)
+        own = mesh.face_normals()
+        if self.at == "centroid":
+            position, normal = jnp.mean(mesh.vertices[mesh.faces], axis=1), own
+        else:
+            last = mesh.faces[:, 2]
+            position, normal = mesh.vertices[last], mesh.vertex_normals()[last]
+        to_viewer = jax.vmap(camera.to_viewer)(position)
+        front = LightingPoints(position, normal, own, to_viewer, mesh.material_index)
+        return _both_sides(front) if mesh.two_sided else front
+
+    def interpolation(
+        self, surface: AbstractSurface, gbuffer: GBuffer
+    ) -> Interpolation | None:
+        mesh = _as_mesh(surface)
+        index, weights = _hits(gbuffer)
+        if mesh.two_sided:
+            behind = _seen_from_behind(mesh, gbuffer)
+            index = jnp.where(behind, index + len(mesh.faces), index)
+        return Interpolation(index[..., None], jnp.ones_like(weights[..., :1]))
+
+
+def _as_mesh(surface: AbstractSurface) -> Mesh:
+    if not isinstance(surface, Mesh):
+        raise ValueError(
+            f"shading: flat and Gouraud shading need a Mesh, {type(surface).__name__} "
+            "came"
+        )
+    return surface
+
+
+def _hits(gbuffer: GBuffer) -> tuple[Array, Array]:
+    if gbuffer.face is None or gbuffer.barycentrics is None:
+        raise ValueError("gbuffer: one traced from a mesh is wanted, with its faces")
+    return gbuffer.face, gbuffer.barycentrics
+
+
+def _both_sides(front: LightingPoints) -> LightingPoints:
+    """The points once more, seen from behind."""
+    back = LightingPoints(
+        front.position,
+        -front.normal,
+        -front.surface_normal,
+        front.to_viewer,
+        front.material_index,
+    )
+    return jax.tree.map(lambda one, other: jnp.concatenate([one, other]), front, back)
+
+
+def _seen_from_behind(mesh: Mesh, gbuffer: GBuffer) -> Array:
+    normal = mesh.face_normals()[gbuffer.face]
+    return jnp.sum(normal * gbuffer.to_viewer, axis=-1) < 0

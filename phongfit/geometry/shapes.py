@@ -1,0 +1,187 @@
+"""Ready shapes, each as F(p) to be traced and as p(u, v) to be cut into triangles."""
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from phongfit.checks import as_scalar, require
+from phongfit.geometry.implicit import ImplicitSurface
+from phongfit.geometry.meshes import Mesh
+from phongfit.geometry.parametric import tessellate
+from phongfit.vectors import Scalar, Vec3, norm
+
+
+class AbstractShape(eqx.Module):
+    """A surface around the origin, written down twice."""
+
+    @abc.abstractmethod
+    def implicit(self, position: Vec3) -> Scalar:
+        """F(p): 0 on the surface, positive outside."""
+
+    @abc.abstractmethod
+    def parametric(self, u: Scalar, v: Scalar) -> Vec3:
+        """p(u, v) for u and v in [0, 1], world units."""
+
+    @abc.abstractmethod
+    def corner(self) -> Float[Array, "3"]:
+        """Corner of a box that the shape fills, or that bounds it if it is open."""
+
+    def surface(self, *, steps: int = 128) -> ImplicitSurface:
+        """The shape to be traced as it is: see [`ImplicitSurface`][]."""
+        corner = self.corner()
+        return ImplicitSurface(self.implicit, -corner, corner, steps=steps)
+
+    def mesh(
+        self, columns: int = 64, rows: int = 32, *, two_sided: bool = False
+    ) -> Mesh:
+        """The shape cut into triangles, with exact normals: see [`tessellate`][]."""
+        return tessellate(
+            self.parametric, columns=columns, rows=rows, two_sided=two_sided
+        )
+
+
+# A little more room than a closed shape fills, which must not touch the box's sides.
+ROOM = 1.01
+
+
+def _size(name: str, value: Any) -> Scalar:
+    def positive(a: Any) -> Any:
+        return a > 0
+
+    return require(name, as_scalar(name, value), positive, positive, "a number > 0")
+
+
+def _turn(share: Scalar) -> tuple[Scalar, Scalar]:
+    angle = 2 * np.pi * share
+    return jnp.cos(angle), jnp.sin(angle)
+
+
+class Ball(AbstractShape):
+    """A sphere; u is longitude, v latitude from the south pole at −y."""
+
+    radius: Float[Array, ""]
+
+    def __init__(self, radius: Any = 1.0):
+        """**Arguments:** `radius` > 0, world units, else `ValueError`."""
+        self.radius = _size("radius", radius)
+
+    def implicit(self, position: Vec3) -> Scalar:
+        return norm(position) - self.radius
+
+    def parametric(self, u: Scalar, v: Scalar) -> Vec3:
+        x, z = _turn(-u)
+        latitude = np.pi * (v - 0.5)
+        ring = jnp.cos(latitude)
+        return self.radius * jnp.stack([ring * x, jnp.sin(latitude), ring * z])
+
+    def corner(self) -> Float[Array, "3"]:
+        return jnp.broadcast_to(ROOM * self.radius, (3,))
+
+
+class Torus(AbstractShape):
+    """A ring around the z axis."""
+
+    major: Float[Array, ""]
+    minor: Float[Array, ""]
+
+    def __init__(self, major: Any = 0.75, minor: Any = 0.25):
+        """**Arguments:** `major` > 0, from the centre to the middle of the tube, and
+        `minor` > 0, the tube's radius, world units, else `ValueError`."""
+        self.major = _size("major", major)
+        self.minor = _size("minor", minor)
+
+    def implicit(self, position: Vec3) -> Scalar:
+        across = norm(position[:2]) - self.major
+        return norm(jnp.stack([across, position[2]])) - self.minor
+
+    def parametric(self, u: Scalar, v: Scalar) -> Vec3:
+        (x, y), (out, up) = _turn(u), _turn(v)
+        ring = self.major + self.minor * out
+        return jnp.stack([ring * x, ring * y, self.minor * up])
+
+    def corner(self) -> Float[Array, "3"]:
+        outer = self.major + self.minor
+        return ROOM * jnp.stack([outer, outer, self.minor])
+
+
+class Cylinder(AbstractShape):
+    """A tube around the y axis, open at both ends and seen from outside."""
+
+    radius: Float[Array, ""]
+    height: Float[Array, ""]
+
+    def __init__(self, radius: Any = 0.5, height: Any = 2.0):
+        """**Arguments:** both > 0, world units, else `ValueError`."""
+        self.radius = _size("radius", radius)
+        self.height = _size("height", height)
+
+    def implicit(self, position: Vec3) -> Scalar:
+        return norm(position[jnp.array([0, 2])]) - self.radius
+
+    def parametric(self, u: Scalar, v: Scalar) -> Vec3:
+        x, z = _turn(-u)
+        return jnp.stack([self.radius * x, self.height * (v - 0.5), self.radius * z])
+
+    def corner(self) -> Float[Array, "3"]:
+        side = ROOM * self.radius
+        return jnp.stack([side, self.height / 2, side])
+
+
+class HeightField(AbstractShape):
+    """A relief z = h(x, y) over a rectangle, seen from +z."""
+
+    function: Callable[[Scalar, Scalar], Scalar]
+    width: Float[Array, ""]
+    height: Float[Array, ""]
+    relief: Float[Array, ""]
+
+    def __init__(
+        self,
+        function: Callable[[Scalar, Scalar], Scalar],
+        width: Any = 2.0,
+        height: Any = 2.0,
+        relief: Any = 1.0,
+    ):
+        """**Arguments:**
+
+        - `function`: h, world units, written in `jax.numpy`.
+        - `width` (x), `height` (y): of the rectangle, world units > 0.
+        - `relief`: |h| stays below this, world units > 0.
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        if not callable(function):
+            raise ValueError(f"function: {function!r} came, a function is wanted")
+        self.function = function
+        self.width = _size("width", width)
+        self.height = _size("height", height)
+        self.relief = _size("relief", relief)
+
+    def implicit(self, position: Vec3) -> Scalar:
+        x, y, z = position
+        return z - self.function(x, y)
+
+    def parametric(self, u: Scalar, v: Scalar) -> Vec3:
+        x, y = self.width * (u - 0.5), self.height * (v - 0.5)
+        return jnp.stack([x, y, self.function(x, y)])
+
+    def corner(self) -> Float[Array, "3"]:
+        return jnp.stack([self.width / 2, self.height / 2, self.relief])
+
+
+def _level(x: Scalar, y: Scalar) -> Scalar:
+    del y
+    return jnp.zeros_like(x)
+
+
+def plane(width: Any = 2.0, height: Any = 2.0) -> HeightField:
+    """A rectangle that faces +z.
+
+    **Arguments:** `width` (x), `height` (y), world units > 0, else `ValueError`.
+    """
+    return HeightField(_level, width, height)

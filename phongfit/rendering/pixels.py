@@ -1,0 +1,119 @@
+"""From light at the points that were lit to light in the pixels."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float, Int
+
+from phongfit.geometry.shading import Interpolation
+from phongfit.geometry.surfaces import GBuffer
+from phongfit.material import Material
+from phongfit.rendering.terms import ShadingTerms, combine, terms
+from phongfit.scene import Scene
+
+
+class Haze(eqx.Module):
+    """What fog leaves of each pixel's light, and what it adds."""
+
+    transmittance: Float[Array, "*batch 1"]
+    color: Float[Array, "3"]
+
+    def __call__(self, light: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+        fogged = jnp.broadcast_to(self.color, light.shape)
+        return self.transmittance * light + (1 - self.transmittance) * fogged
+
+
+class PixelTerms(eqx.Module):
+    r"""All that an image is made of but the material: geometry, lights and fog, fixed.
+
+    [`PixelTerms.radiance`][] is a pure function of the material, and linear in the
+    reflectances: light at the points, clamped there if the shading says so,
+    interpolated, and mixed with fog.
+    """
+
+    terms: ShadingTerms
+    interpolation: Interpolation | None
+    haze: Haze | None
+    clamp: bool = eqx.field(static=True)
+
+    def radiance(self, material: Material) -> Float[Array, "*batch 3"]:
+        """Linear RGB of every pixel, before the film's clamp.
+
+        **Raises:** `ValueError` if the material's leaves do not fit: see [`combine`][].
+        """
+        light = combine(self.terms, material)
+        if self.clamp:
+            light = jnp.clip(light, 0, 1)
+        if self.interpolation is not None:
+            light = self.interpolation(light)
+        return light if self.haze is None else self.haze(light)
+
+    def select(self, pixels: Int[Array, " n"]) -> "PixelTerms":
+        """The same for some pixels only: the batch shape becomes (n,).
+
+        Faces and vertices that these pixels do not show are dropped, unless `pixels` is
+        traced.
+
+        **Arguments:** `pixels`: flat indices, row by row: y · width + x.
+        """
+        haze = self.haze
+        if haze is not None:
+            haze = Haze(haze.transmittance.reshape(-1, 1)[pixels], haze.color)
+        if self.interpolation is None:
+            chosen, interpolation = _gather(self.terms, pixels), None
+        else:
+            corners = self.interpolation.index.shape[-1]
+            index = self.interpolation.index.reshape(-1, corners)[pixels]
+            weight = self.interpolation.weight.reshape(-1, corners)[pixels]
+            chosen = self.terms
+            if not isinstance(index, Tracer):
+                used, position = np.unique(np.asarray(index), return_inverse=True)
+                index = jnp.asarray(position.reshape(index.shape).astype(np.int32))
+                chosen = _gather(chosen, jnp.asarray(used))
+            interpolation = Interpolation(index, weight)
+        return PixelTerms(chosen, interpolation, haze, self.clamp)
+
+
+PixelTerms.__init__.__doc__ = """**Arguments:**
+
+- `terms`: at the points that are lit.
+- `interpolation`: from the points to the pixels; `None` if the points are the pixels.
+- `haze`: fog per pixel; `None` without.
+- `clamp`: whether light is cut off at 1 at the points, before interpolation and fog.
+"""
+
+
+def _gather(terms: ShadingTerms, index: Int[Array, " n"]) -> ShadingTerms:
+    """The terms at some points, counted row by row."""
+    batch = terms.diffuse.ndim - 1
+
+    def at(array: Any) -> Array:
+        return array.reshape(-1, *array.shape[batch:])[index]
+
+    # The model's own arrays, if it has any, are of no point.
+    return eqx.tree_at(lambda t: t.model, jax.tree.map(at, terms), terms.model)
+
+
+@eqx.filter_jit
+def pixel_terms(scene: Scene, gbuffer: GBuffer) -> PixelTerms:
+    """What the image of a scene is made of, save for the material.
+
+    **Arguments:** `gbuffer`: from `scene.trace()`. Outside its mask the pixels are
+    finite and mean nothing.
+
+    **Raises:** `ValueError` if the buffer was traced without the scene's shadows.
+    """
+    haze = None
+    if scene.fog is not None:
+        depth = jax.vmap(jax.vmap(scene.camera.depth))(gbuffer.position)
+        haze = Haze(scene.fog.transmittance(depth)[..., None], scene.fog.color)
+    return PixelTerms(
+        terms(scene, gbuffer),
+        scene.shading.interpolation(scene.surface, gbuffer),
+        haze,
+        scene.shading.clamp,
+    )
