@@ -38,14 +38,25 @@ def as_photographs(
         else _sequence(name, given, len(scenes))
         for name, given in (("mask", mask), ("weights", weights), ("noise", noise))
     )
-    if any(s.specular != scenes[0].specular for s in scenes):
-        raise ValueError("scene: all scenes must have the same specular model")
+    _check_alike(scenes)
     return [
         _photograph("" if single else f"[{k}]", *parts)
         for k, parts in enumerate(
             zip(scenes, images, masks, weightings, noises, strict=True)
         )
     ]
+
+
+def _check_alike(scenes: list[Scene]) -> None:
+    """Images of one fit may differ in light and view, not in how light is computed."""
+    for what, of in (
+        ("specular model", lambda s: s.specular),
+        ("shading", lambda s: s.shading),
+        ("number of materials", lambda s: s.surface.materials),
+        ("use of fog", lambda s: s.fog is not None),
+    ):
+        if any(of(scene) != of(scenes[0]) for scene in scenes):
+            raise ValueError(f"scene: all scenes must have the same {what}")
 
 
 def _sequence(name: str, given: Any, count: int) -> list[Any]:

@@ -69,7 +69,7 @@ def summarize(
         chi_squared=float(np.sum(np.asarray(at.residual, float) ** 2)),
         neighbour_correlation=correlation,
         loss=type(problem.loss).__name__,
-        model=type(problem.samples.terms.model).__name__,
+        model=type(problem.samples.pixels.terms.model).__name__,
         film=_film_words(film),
         converged=found.converged,
         steps=found.steps,
@@ -144,16 +144,19 @@ def _beyond_sense(
     reasons = [*uncertainty.reasons]
     labels = np.array(unknowns.labels)
     width = np.asarray(unknowns.upper) - np.asarray(unknowns.lower)
-    kinds = np.repeat(unknowns.names, unknowns.sizes)
+    kinds, owners = unknowns.kinds, unknowns.owners
     with np.errstate(invalid="ignore"):
         vague = ~untold & (uncertainty.stderr > width)
         dark = (kinds == "specular") & (y < 3 * uncertainty.stderr)
     for label in labels[vague]:
         reasons.append(f"{label} cannot be told: its error is wider than its bounds")
     untold |= vague
-    if (kinds == "specular").any() and dark[kinds == "specular"].all():
-        unseen = (kinds == "shininess") & ~untold
-        for label in labels[unseen]:
-            reasons.append(f"{label} cannot be told: specular is 0 within its error")
-        untold |= unseen
+    for owner in np.unique(owners[kinds == "specular"]):
+        if dark[(kinds == "specular") & (owners == owner)].all():
+            unseen = (kinds == "shininess") & (owners == owner) & ~untold
+            for label in labels[unseen]:
+                reasons.append(
+                    f"{label} cannot be told: specular is 0 within its error"
+                )
+            untold |= unseen
     return untold, tuple(reasons)
