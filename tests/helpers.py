@@ -123,9 +123,11 @@ def check_light(light: AbstractLight) -> None:
         slopes = jax.jacrev(lambda at: light.illuminate(at).intensity)(place)
         return light.illuminate(place), slopes
 
-    assert all(
-        np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(here(light, place))
-    )
+    arriving, slopes = here(light, place)
+    near(arriving.distance, 0 if hasattr(light, "position") else np.inf)
+    colours = (arriving.intensity, arriving.specular, arriving.ambient)
+    for array in (arriving.to_light, *colours, slopes):
+        assert np.all(np.isfinite(array))
     at_place = light.illuminate(place)
     near(at_place.distance, 0 if hasattr(light, "position") else np.inf)
 
