@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from phongfit.fitting.diagnostics import neighbour_correlation, variance_inflation
-from phongfit.fitting.problem import Problem, evaluate
+from phongfit.fitting.problem import Evaluation, Problem, evaluate
 from phongfit.fitting.result import Fit
 from phongfit.fitting.search import Found
 from phongfit.fitting.statistics import Statistics, statistics
@@ -62,7 +62,7 @@ def summarize(
         bounds=unknowns.bounds,
         fitted=fitted[0] if single else tuple(fitted),
         residuals=residuals[0] if single else tuple(residuals),
-        noise=float(problem.sigma),
+        noise=_typical_noise(problem, at),
         noise_given=noise_given,
         samples=int(sum(mask.sum() for mask in used)),
         images=len(used),
@@ -89,6 +89,11 @@ def summarize(
 
 _CONVERGED = "steps and changes of the residuals fell below the tolerance"
 _STOPPED = "the limit of steps was reached, or the numbers left the finite"
+
+
+def _typical_noise(problem: Problem, at: Evaluation) -> float:
+    used = np.asarray(problem.samples.weight) > 0
+    return float(np.median(np.asarray(at.noise)[used]))
 
 
 def _misfit(

@@ -20,11 +20,10 @@ class Haze(eqx.Module):
     """What fog leaves of each pixel's light, and what it adds."""
 
     transmittance: Float[Array, "*batch 1"]
-    color: Float[Array, "*#batch 3"]
+    color: Float[Array, "*batch 3"]
 
     def __call__(self, light: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-        fogged = jnp.broadcast_to(self.color, light.shape)
-        return self.transmittance * light + (1 - self.transmittance) * fogged
+        return self.transmittance * light + (1 - self.transmittance) * self.color
 
 
 class PixelTerms(eqx.Module):
@@ -96,8 +95,10 @@ class PixelTerms(eqx.Module):
         """
         haze = self.haze
         if haze is not None:
-            color = jnp.broadcast_to(haze.color, (len(pixels), 3))
-            haze = Haze(haze.transmittance.reshape(-1, 1)[pixels], color)
+            haze = Haze(
+                haze.transmittance.reshape(-1, 1)[pixels],
+                haze.color.reshape(-1, 3)[pixels],
+            )
         if self.interpolation is None:
             chosen, interpolation = _gather(self.terms, pixels), None
         else:
@@ -151,7 +152,8 @@ def pixel_terms(scene: Scene, gbuffer: GBuffer) -> PixelTerms:
     haze = None
     if scene.fog is not None:
         depth = jax.vmap(jax.vmap(scene.camera.depth))(gbuffer.position)
-        haze = Haze(scene.fog.transmittance(depth)[..., None], scene.fog.color)
+        color = jnp.broadcast_to(scene.fog.color, (*depth.shape, 3))
+        haze = Haze(scene.fog.transmittance(depth)[..., None], color)
     return PixelTerms(
         terms(scene, gbuffer),
         scene.shading.interpolation(scene.surface, gbuffer),
