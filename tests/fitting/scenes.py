@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 import phongfit as pf
@@ -80,7 +79,7 @@ def developed(light: np.ndarray, film: pf.Film) -> np.ndarray:
     if film.bits is not None:
         top = 2**film.bits - 1
         shown = np.round(shown * top) / top
-    return np.asarray(decode(jnp.asarray(shown), film.encoding))
+    return decode(shown, film.encoding)
 
 
 class Case(NamedTuple):
