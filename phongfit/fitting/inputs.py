@@ -1,7 +1,7 @@
 """What a user hands to a fit, checked and in one form."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -28,13 +28,13 @@ def as_photographs(
     **Raises:** `ValueError` that names the argument, and which of several it is.
     """
     single = isinstance(scene, Scene)
-    scenes = [scene] if single else list(scene)
+    scenes = list(scene) if isinstance(scene, Iterable) else [scene]
     if not scenes or not all(isinstance(s, Scene) for s in scenes):
         raise ValueError("scene: a Scene, or a sequence of at least one, is wanted")
     images = [image] if single else _sequence("image", image, len(scenes))
     masks, weightings, noises = (
         [given] * len(scenes)
-        if single or given is None or (name == "noise" and np.ndim(given) == 0)
+        if single or given is None or (name == "noise" and _is_number(given))
         else _sequence(name, given, len(scenes))
         for name, given in (("mask", mask), ("weights", weights), ("noise", noise))
     )
@@ -57,6 +57,11 @@ def _check_alike(scenes: list[Scene]) -> None:
     ):
         if any(of(scene) != of(scenes[0]) for scene in scenes):
             raise ValueError(f"scene: all scenes must have the same {what}")
+
+
+def _is_number(given: Any) -> bool:
+    # NumPy would make an array of a list first, which fails for images of two sizes.
+    return not isinstance(given, list | tuple) and np.ndim(given) == 0
 
 
 def _sequence(name: str, given: Any, count: int) -> list[Any]:
