@@ -122,7 +122,7 @@ def _selection(unknowns: Unknowns) -> tuple[Array, Array]:
             channels = range(3) if column < 0 else [column]
             select[owner, channels, REFLECTANCES.index(kind), entry] = 1
     leaves = [_rows(getattr(unknowns.known, name), unknowns) for name in REFLECTANCES]
-    offset = jnp.where(wanted, jnp.stack(leaves, axis=-1), 0)
+    offset = jnp.where(wanted, 0, jnp.stack(leaves, axis=-1))
     return jnp.asarray(select, unknowns.lower.dtype), offset
 
 
