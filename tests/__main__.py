@@ -10,7 +10,7 @@ import tempfile
 
 
 def main() -> int:
-    """Both runs; the second one's output follows the first's. 1 if one of them fails."""
+    """Both runs, the second one's output after the first's; 1 if one of them fails."""
     command = [sys.executable, "-m", "pytest", "-q", *sys.argv[1:]]
     with tempfile.TemporaryFile("w+") as later:
         double = subprocess.Popen(
