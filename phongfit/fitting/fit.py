@@ -49,7 +49,9 @@ def fit(
     - `scene`: one, or a sequence of scenes (lights, views) of one material.
     - `image`: (height, width, 3) linear light where white is 1, or a sequence of these,
         one a scene.
-    - `unknowns`: leaves of the material to be found.
+    - `unknowns`: leaves of the material to be found; where the surface is made of M
+        materials, of each of them: the leaves that come back have shape (M, 3) or
+        (M, 1).
     - `per_channel`: those of them with one value for each of red, green and blue; the
         others have one for all.
     - `known`: values of the leaves that are not unknown; default no reflectance, no

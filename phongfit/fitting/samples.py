@@ -62,15 +62,12 @@ def gather(
         # Padding repeats pixels, with no weight.
         padded = np.resize(index, size) if len(index) else np.zeros(size, int)
         present = (np.arange(size) < len(index))[:, None]
-        numbers = (a.reshape(-1, 3)[padded] for a in (image, weight * 1, step))
-        target, weight, step = numbers
-        part = Samples(
-            _with_lobes(view, lobes).select(jnp.asarray(padded)),
-            jnp.asarray(target),
-            jnp.asarray(np.where(present, weight, 0)),
-            jnp.asarray(step),
+        target, weight, step = (
+            array.reshape(-1, 3)[padded] for array in (image, weight, step)
         )
-        parts.append(part)
+        numbers = (target, np.where(present, weight, 0), step)
+        pixels = _with_lobes(view, lobes).select(jnp.asarray(padded))
+        parts.append(Samples(pixels, *map(jnp.asarray, numbers)))
     return parts[0] if len(parts) == 1 else _join(_apart(parts))
 
 
