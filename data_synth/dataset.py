@@ -1,5 +1,6 @@
 """Made-up photographs of a known material."""
 
+import dataclasses
 from collections.abc import Iterable
 from typing import Any, Literal
 
@@ -105,15 +106,7 @@ def deal(
             f"images: {count} came, 1 … {len(lights)} are wanted (each needs a light)"
         )
     return tuple(
-        Scene(
-            scene.surface,
-            scene.camera,
-            lights[at::count],
-            scene.ambient,
-            specular=scene.specular,
-            background=scene.background,
-        )
-        for at in range(count)
+        dataclasses.replace(scene, lights=lights[at::count]) for at in range(count)
     )
 
 

@@ -1,5 +1,6 @@
 """A data set as a folder that a person can look into."""
 
+import dataclasses
 import os
 import re
 from collections.abc import Sequence
@@ -99,12 +100,4 @@ def _index(lights: Sequence[AbstractLight], light: AbstractLight) -> int:
 
 def _whole_scene(scenes: Sequence[Scene]) -> Scene:
     """The scene with every light that is on in one of `scenes`."""
-    first = scenes[0]
-    return Scene(
-        first.surface,
-        first.camera,
-        _all_lights(scenes),
-        first.ambient,
-        specular=first.specular,
-        background=first.background,
-    )
+    return dataclasses.replace(scenes[0], lights=_all_lights(scenes))

@@ -4,11 +4,19 @@ from typing import Any
 
 import numpy as np
 
+from phongfit.environment import Fog
 from phongfit.files.outputs import plain
 from phongfit.geometry.cameras import (
     AbstractCamera,
     OrthographicCamera,
     PerspectiveCamera,
+)
+from phongfit.geometry.meshes import Mesh
+from phongfit.geometry.shading import (
+    AbstractShading,
+    FlatShading,
+    GouraudShading,
+    PhongShading,
 )
 from phongfit.geometry.surfaces import AbstractSurface, NormalMap, Sphere
 from phongfit.lights import AbstractLight, DirectionalLight, PointLight, SpotLight
@@ -18,7 +26,9 @@ from phongfit.reflectance import AbstractSpecular, BlinnPhong, Phong
 Described = dict[str, Any]
 
 
-def describe(value: AbstractCamera | AbstractLight | AbstractSpecular) -> Described:
+def describe(
+    value: AbstractCamera | AbstractLight | AbstractSpecular | AbstractShading | Fog,
+) -> Described:
     """A part of a scene as its record reads it.
 
     **Raises:** `ValueError` if there is no record for its kind.
@@ -46,6 +56,22 @@ def describe(value: AbstractCamera | AbstractLight | AbstractSpecular) -> Descri
                 "attenuation": value.attenuation,
             }
             return plain(own | _colours(value))
+        case FlatShading():
+            return {"kind": "flat", "at": value.at, "clamp": value.clamp}
+        case GouraudShading():
+            return {"kind": "gouraud", "clamp": value.clamp}
+        case PhongShading():
+            return {"kind": "phong"}
+        case Fog():
+            return plain(
+                {
+                    "color": value.color,
+                    "mode": value.mode,
+                    "density": value.density,
+                    "start": value.start,
+                    "end": value.end,
+                }
+            )
         case Phong():
             return {"kind": "phong", "gate": value.gate}
         case BlinnPhong():
@@ -87,14 +113,27 @@ def describe_surface(
                 "mask": f"{stem}_mask.png",
                 "positions": f"{stem}_positions.npy",
             }
-            arrays = {
-                files[name]: np.asarray(array)
-                for name in files
-                if (array := getattr(surface, name)) is not None
-            }
-            named = {name: file for name, file in files.items() if file in arrays}
+            named, arrays = _in_files(surface, files)
             return {"kind": "normal_map", **named}, arrays
+        case Mesh():
+            names = ("vertices", "faces", "normals", "material_index")
+            files = {name: f"{stem}_{name}.npy" for name in names}
+            named, arrays = _in_files(surface, files)
+            own = {"weighting": surface.weighting, "two_sided": surface.two_sided}
+            return {"kind": "mesh", **named, **own}, arrays
     raise ValueError(f"{type(surface).__name__}: cannot be saved in a scene file")
+
+
+def _in_files(
+    surface: AbstractSurface, files: dict[str, str]
+) -> tuple[dict[str, str], dict[str, np.ndarray]]:
+    """Which file holds which of a surface's arrays, and what goes into each."""
+    arrays = {
+        file: np.asarray(array)
+        for name, file in files.items()
+        if (array := getattr(surface, name)) is not None
+    }
+    return {name: file for name, file in files.items() if file in arrays}, arrays
 
 
 def describe_material(material: Material) -> Described:

@@ -1,5 +1,6 @@
 """Scene files: `scene.json`, with the images of a data set or without."""
 
+import dataclasses
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -54,7 +55,7 @@ def save_scene(
     **Arguments:**
 
     - `path`: a file name, or a folder that gets a `scene.json`. The arrays of a normal
-        map go into files beside it.
+        map or a mesh go into files beside it.
     - `scene`: with all lights that are on in one of `images`.
     - `film`: how light became the numbers of `images`; needed with them.
     - `images`: for a data set, what was photographed.
@@ -73,7 +74,13 @@ def save_scene(
         "ambient": scene.ambient,
         "background": scene.background,
         "specular": describe(scene.specular),
+        "shading": describe(scene.shading),
+        "shadows": scene.shadows,
     }
+    if scene.fog is not None:
+        data["fog"] = describe(scene.fog)
+    if scene.local_viewer is not None:
+        data["local_viewer"] = scene.local_viewer
     if film is not None:
         data["encoding"] = film.encoding
         data["clamped"] = film.clamp
@@ -158,13 +165,21 @@ def _build_scene(path: Path, record: SceneRecord) -> Scene:
         for at, light in enumerate(record.lights):
             with naming_field(f"lights[{at}]"):
                 lights.append(light.build())
+        fog = None
+        if record.fog is not None:
+            with naming_field("fog"):
+                fog = record.fog.build()
         return Scene(
             surface,
             camera,
             lights,
             record.ambient,
             specular=record.specular.build(),
+            shading=record.shading.build(),
+            fog=fog,
+            shadows=record.shadows,
             background=record.background,
+            local_viewer=record.local_viewer,
         )
 
 
@@ -214,15 +229,9 @@ def _read_entry(
 
 
 def _with_lights(scene: Scene, on: Sequence[int] | None) -> Scene:
-    lights = scene.lights if on is None else [scene.lights[index] for index in on]
-    return Scene(
-        scene.surface,
-        scene.camera,
-        lights,
-        scene.ambient,
-        specular=scene.specular,
-        background=scene.background,
-    )
+    if on is None:
+        return scene
+    return dataclasses.replace(scene, lights=[scene.lights[index] for index in on])
 
 
 def _write_beside(path: Path, array: np.ndarray) -> None:

@@ -11,10 +11,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from phongfit.environment import Fog, FogMode
 from phongfit.files.arrays import read_array
 from phongfit.files.formats import MAX_PIXELS
 from phongfit.files.images import read_mask
 from phongfit.files.inputs import inside, naming
+from phongfit.files.meshes import load_mesh
 from phongfit.files.records import (
     AbstractRecord,
     Colour,
@@ -28,6 +30,15 @@ from phongfit.geometry.cameras import (
     OrthographicCamera,
     PerspectiveCamera,
     look_at,
+)
+from phongfit.geometry.meshes import Mesh
+from phongfit.geometry.normals import Weighting
+from phongfit.geometry.shading import (
+    AbstractShading,
+    FlatShading,
+    GouraudShading,
+    PhongShading,
+    Place,
 )
 from phongfit.geometry.surfaces import AbstractSurface, NormalMap, Sphere
 from phongfit.lights import AbstractLight, DirectionalLight, PointLight, SpotLight
@@ -70,7 +81,49 @@ class NormalMapRecord(AbstractRecord):
         )
 
 
-SurfaceRecord = Annotated[SphereRecord | NormalMapRecord, Field(discriminator="kind")]
+class MeshRecord(AbstractRecord):
+    """Arrays in files of their own, as [`save_scene`][] writes them."""
+
+    kind: Literal["mesh"]
+    vertices: FileName
+    faces: FileName
+    normals: FileName | None = None
+    material_index: FileName | None = None
+    weighting: Weighting = "area"
+    two_sided: bool = False
+
+    def build(self, folder: Path) -> AbstractSurface:
+        def read(name: str, file: str | None) -> Any:
+            with naming(name):
+                return None if file is None else read_array(inside(folder, file), name)
+
+        return Mesh(
+            read("vertices", self.vertices),
+            read("faces", self.faces),
+            read("normals", self.normals),
+            read("material_index", self.material_index),
+            weighting=self.weighting,
+            two_sided=self.two_sided,
+        )
+
+
+class MeshFileRecord(AbstractRecord):
+    """A mesh in a common format: see [`load_mesh`][]."""
+
+    kind: Literal["mesh_file"]
+    file: FileName
+    two_sided: bool = False
+
+    def build(self, folder: Path) -> AbstractSurface:
+        with naming("file"):
+            path = inside(folder, self.file)
+        return load_mesh(path, two_sided=self.two_sided).mesh
+
+
+SurfaceRecord = Annotated[
+    SphereRecord | NormalMapRecord | MeshRecord | MeshFileRecord,
+    Field(discriminator="kind"),
+]
 
 
 # Cameras.
@@ -233,6 +286,55 @@ class BlinnPhongRecord(AbstractRecord):
 SpecularRecord = Annotated[PhongRecord | BlinnPhongRecord, Field(discriminator="kind")]
 
 
+# Shading methods and fog.
+
+
+class FlatRecord(AbstractRecord):
+    kind: Literal["flat"]
+    at: Place = "centroid"
+    clamp: bool = False
+
+    def build(self) -> AbstractShading:
+        return FlatShading(self.at, self.clamp)
+
+
+class GouraudRecord(AbstractRecord):
+    kind: Literal["gouraud"]
+    clamp: bool = False
+
+    def build(self) -> AbstractShading:
+        return GouraudShading(self.clamp)
+
+
+class PhongShadingRecord(AbstractRecord):
+    kind: Literal["phong"]
+
+    def build(self) -> AbstractShading:
+        return PhongShading()
+
+
+ShadingRecord = Annotated[
+    FlatRecord | GouraudRecord | PhongShadingRecord, Field(discriminator="kind")
+]
+
+
+class FogRecord(AbstractRecord):
+    color: Colour
+    mode: FogMode = "exp"
+    density: float = 1.0
+    start: float = 0.0
+    end: float = 1.0
+
+    def build(self) -> Fog:
+        return Fog(
+            self.color,
+            self.mode,
+            density=self.density,
+            start=self.start,
+            end=self.end,
+        )
+
+
 # Whole files.
 
 
@@ -255,6 +357,10 @@ class SceneRecord(AbstractRecord):
     ambient: Colour = (0.0, 0.0, 0.0)
     background: Colour = (0.0, 0.0, 0.0)
     specular: SpecularRecord = BlinnPhongRecord(kind="blinn-phong")
+    shading: ShadingRecord = PhongShadingRecord(kind="phong")
+    fog: FogRecord | None = None
+    shadows: bool = False
+    local_viewer: bool | None = None
     encoding: Encoding | None = None
     bits: Annotated[int, Field(ge=1, le=16)] | None = None
     clamped: bool = True

@@ -226,6 +226,39 @@ def _check_error(folder, text, message) -> None:
     assert told.startswith(f"{path}: ") and message in told and "\n" not in told
 
 
+@pytest.mark.parametrize(
+    "shading",
+    [pf.FlatShading("last_vertex", True), pf.GouraudShading(clamp=True)],
+    ids=["flat", "gouraud"],
+)
+def test_round_trip_of_a_mesh_in_fog(tmp_path, shading):
+    ring = pf.shapes.Torus().mesh(8, 6)
+    mesh = pf.Mesh(ring.vertices, ring.faces, None, np.arange(len(ring.faces)) % 2)
+    scene = pf.Scene(
+        mesh,
+        pf.PerspectiveCamera(8, 6),
+        pf.PointLight((1, 2, 3)),
+        shading=shading,
+        fog=pf.Fog((0.1, 0.2, 0.3), "linear", start=2, end=9),
+        shadows=True,
+        local_viewer=False,
+    )
+    save_scene(tmp_path, scene)
+    assert eqx.tree_equal(load_scene(tmp_path), scene)
+
+
+def test_a_mesh_in_a_common_format(tmp_path):
+    (tmp_path / "t.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    text = """{"format": "phongfit scene", "version": 1,
+      "surface": {"kind": "mesh_file", "file": "FILE"},
+      "camera": {"kind": "orthographic", "width": 4, "height": 4}}"""
+    (tmp_path / "scene.json").write_text(text.replace("FILE", "t.obj"))
+    surface = load_scene(tmp_path).surface
+    assert isinstance(surface, pf.Mesh) and len(surface.faces) == 1
+    _check_error(tmp_path, text.replace("FILE", "u.obj"), "u.obj")
+    _check_error(tmp_path, text.replace("FILE", "../t.obj"), "surface.file: ")
+
+
 def test_truth_round_trip(tmp_path):
     path = tmp_path / "truth.json"
     material = pf.Material((0.6, 1 / 3, 0.2), 0.3, 60.0, 0.5)
