@@ -1,10 +1,22 @@
 """Fit the Phong illumination model to images, with honest error bars."""
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from phongfit.environment import Fog as Fog
-from phongfit.files.meshes import load_mesh as load_mesh
-from phongfit.files.mtl import read_mtl as read_mtl, write_mtl as write_mtl
 from phongfit.fitting.fit import fit as fit
+from phongfit.fitting.losses import (
+    AbstractLoss as AbstractLoss,
+    Cauchy as Cauchy,
+    Huber as Huber,
+    Linear as Linear,
+    SoftL1 as SoftL1,
+    Tukey as Tukey,
+)
 from phongfit.fitting.result import Fit as Fit
+from phongfit.fitting.solver import (
+    BoundedLevenbergMarquardt as BoundedLevenbergMarquardt,
+)
 from phongfit.geometry import shapes as shapes
 from phongfit.geometry.cameras import (
     AbstractCamera as AbstractCamera,
@@ -60,3 +72,45 @@ from phongfit.rendering.terms import (
     terms as terms,
 )
 from phongfit.scene import Scene as Scene
+
+if TYPE_CHECKING:
+    from phongfit import testing as testing
+    from phongfit.files.datasets import (
+        Dataset as Dataset,
+        read_dataset as read_dataset,
+    )
+    from phongfit.files.images import (
+        read_image as read_image,
+        write_image as write_image,
+    )
+    from phongfit.files.meshes import load_mesh as load_mesh
+    from phongfit.files.mtl import read_mtl as read_mtl, write_mtl as write_mtl
+    from phongfit.files.scenes import (
+        load_scene as load_scene,
+        save_scene as save_scene,
+    )
+
+# Decoders and validators take long to import: only who reads a file waits for them.
+_ON_DEMAND = {
+    "Dataset": "phongfit.files.datasets",
+    "load_mesh": "phongfit.files.meshes",
+    "load_scene": "phongfit.files.scenes",
+    "read_dataset": "phongfit.files.datasets",
+    "read_image": "phongfit.files.images",
+    "read_mtl": "phongfit.files.mtl",
+    "save_scene": "phongfit.files.scenes",
+    "write_image": "phongfit.files.images",
+    "write_mtl": "phongfit.files.mtl",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "testing":
+        return importlib.import_module("phongfit.testing")
+    if name in _ON_DEMAND:
+        return getattr(importlib.import_module(_ON_DEMAND[name]), name)
+    raise AttributeError(f"module 'phongfit' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_ON_DEMAND, "testing"])

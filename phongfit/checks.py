@@ -16,15 +16,17 @@ from jaxtyping import Array, Bool, Float, Int
 
 def as_floats(name: str, value: Any) -> Float[Array, "..."]:
     """`value` as an array of the default float type; `ValueError` names `name`."""
+    wanted = jnp.result_type(float)
     try:
-        # Too large for the precision is infinite, which is refused in its own words.
-        with np.errstate(over="ignore"):
+        # By way of NumPy where it can be: that compiles nothing.
+        array = value if isinstance(value, Array) else np.asarray(value)
+        if array.dtype.kind not in "bfiucV":
             array = jnp.asarray(value)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: {value!r} is not an array of numbers") from error
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
         raise ValueError(f"{name}: complex numbers came, real ones are wanted")
-    return array.astype(jnp.result_type(float))
+    return jnp.asarray(array if array.dtype == wanted else array.astype(wanted))
 
 
 def as_vector(name: str, value: Any) -> Float[Array, "3"]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from phongfit.geometry.cameras import AbstractCamera
 from phongfit.geometry.surfaces import AbstractSurface
+from phongfit.geometry.tracing import trace
 from phongfit.lights import AbstractLight
 from phongfit.reflectance import AbstractSpecular
 from phongfit.testing import check_gradients
@@ -117,12 +118,15 @@ def check_light(light: AbstractLight) -> None:
     along = illuminate(light, floats(np.asarray(place) + away))
     assert np.all(np.diff(along.intensity, axis=0) <= CLOSE)
 
-    here = light.illuminate(place)
-    near(here.distance, 0 if hasattr(light, "position") else np.inf)
-    for leaf in (here.to_light, here.intensity, here.specular, here.ambient):
+    @eqx.filter_jit
+    def here(light, place):
+        slopes = jax.jacrev(lambda at: light.illuminate(at).intensity)(place)
+        return light.illuminate(place), slopes
+
+    arriving, slopes = here(light, place)
+    near(arriving.distance, 0 if hasattr(light, "position") else np.inf)
+    for leaf in (arriving.to_light, arriving.intensity, arriving.specular, slopes):
         assert np.all(np.isfinite(leaf))
-    slopes = jax.jacrev(lambda at: light.illuminate(at).intensity)(place)
-    assert np.all(np.isfinite(slopes))
 
 
 def _moved(light: AbstractLight, turn: np.ndarray, shift: np.ndarray) -> AbstractLight:
@@ -139,14 +143,17 @@ def check_surface(surface: AbstractSurface, camera: AbstractCamera) -> None:
 
     The camera must see some of it, at no more than some ten pixels.
     """
-    buffer = surface.trace(camera)
+    buffer = trace(surface, camera)
     size = (camera.height, camera.width)
     assert buffer.mask.shape == size and buffer.mask.dtype == bool
     for array in (buffer.position, buffer.normal, buffer.to_viewer):
         assert array.shape == (*size, 3)
         assert np.all(np.isfinite(array)), "placeholders must be finite"
     assert buffer.mask.any()
-    normal, to_viewer = buffer.normal[buffer.mask], buffer.to_viewer[buffer.mask]
+    mask = np.asarray(buffer.mask)
+    normal, to_viewer = (
+        np.asarray(vectors)[mask] for vectors in (buffer.normal, buffer.to_viewer)
+    )
     near(np.linalg.norm(normal, axis=-1), 1)
     near(np.linalg.norm(to_viewer, axis=-1), 1)
     assert np.all(np.sum(normal * to_viewer, axis=-1) > 0)
@@ -160,28 +167,31 @@ def check_surface(surface: AbstractSurface, camera: AbstractCamera) -> None:
 
 def check_camera(camera: AbstractCamera) -> None:
     """A camera: unit rays, row 0 at the top, x to the right, half-integer centres."""
-    rays = camera.rays()
+    rays = eqx.filter_jit(type(camera).rays)(camera)
     height, width = camera.height, camera.width
     assert rays.direction.shape == rays.origin.shape == (height, width, 3)
     near(np.linalg.norm(rays.direction, axis=-1), 1)
 
     right, up, back = np.asarray(camera.rotation).T
-    points = np.asarray(rays.origin + 3 * rays.direction)
+    points = np.asarray(rays.origin) + 3 * np.asarray(rays.direction)
     assert np.all(np.diff(points @ right, axis=1) > 0), "x goes to the right"
     assert np.all(np.diff(points @ up, axis=0) < 0), "row 0 is at the top"
-    assert np.all(rays.direction @ back < 0), "looks along its own −z"
+    assert np.all(np.asarray(rays.direction) @ back < 0), "looks along its own −z"
 
     # The middle of the image lies between the pixels of an even grid.
-    middle = camera.ray(floats(width / 2), floats(height / 2))
+    ray = jax.jit(lambda x, y: camera.ray(x, y))
+    middle = ray(floats(width / 2), floats(height / 2))
     near(middle.direction, -back)
     near(middle.origin, camera.position)
-    centre = camera.ray(floats(1.5), floats(0.5))
-    near(centre.direction, rays.direction[0, 1])
-    near(centre.origin, rays.origin[0, 1])
+    centre = ray(floats(1.5), floats(0.5))
+    near(centre.direction, np.asarray(rays.direction)[0, 1])
+    near(centre.origin, np.asarray(rays.origin)[0, 1])
 
     # Back along the ray is towards the viewer, and depth is measured along the axis.
-    to_viewer = jax.vmap(jax.vmap(camera.to_viewer))(floats(points))
-    near(to_viewer, -rays.direction)
-    depth = jax.vmap(jax.vmap(camera.depth))(floats(points))
+    at_points = jax.jit(
+        jax.vmap(jax.vmap(lambda at: (camera.to_viewer(at), camera.depth(at))))
+    )
+    to_viewer, depth = at_points(floats(points))
+    near(to_viewer, -np.asarray(rays.direction))
     near(depth, (np.asarray(camera.position) - points) @ back)
     assert np.all(depth > 0)

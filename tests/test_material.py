@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from tests.helpers import floats, near
+from tests.helpers import EPS, floats, near
 
 # Some rows of the table, as they stand in it: ambient, diffuse, specular, shininess.
 CLASSICS = {
@@ -36,10 +36,10 @@ COLOURS = ("black", "cyan", "green", "red", "white", "yellow")
 @pytest.mark.parametrize("name", CLASSICS)
 def test_classic_materials(name):
     material, (ambient, diffuse, specular, shininess) = pf.preset(name), CLASSICS[name]
-    near(material.ambient, ambient)
-    near(material.diffuse, diffuse)
-    near(material.specular, specular)
-    near(material.shininess, shininess)
+    near(material.ambient, ambient, EPS)
+    near(material.diffuse, diffuse, EPS)
+    near(material.specular, specular, EPS)
+    near(material.shininess, shininess, EPS)
     near(material.emission, 0)
 
 

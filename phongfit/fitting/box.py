@@ -27,7 +27,7 @@ def minimize_in_box(
 
     **Arguments:**
 
-    - `hessian`: symmetric and positive definite.
+    - `hessian`: symmetric, positive semidefinite, with a positive diagonal.
     - `gradient`: at $p = 0$.
     - `lower`, `upper`: the box; may be infinite.
 
@@ -82,6 +82,12 @@ def _solve_free(
     # Scaled to a unit diagonal, so that units do not decide what counts as singular.
     scale = jax.lax.rsqrt(jnp.diag(hessian))
     scaled = jnp.where(both, hessian * scale[:, None] * scale[None, :], identity)
-    factor = jax.scipy.linalg.cho_factor(scaled)
-    step = jax.scipy.linalg.cho_solve(factor, jnp.where(free, slope * scale, 0))
-    return jnp.where(free, -step * scale, 0)
+    wanted = jnp.where(free, slope * scale, 0)
+
+    def solve(ridge: float) -> Float[Array, " n"]:
+        factor = jax.scipy.linalg.cho_factor(scaled + ridge * identity)
+        return jnp.where(free, -jax.scipy.linalg.cho_solve(factor, wanted) * scale, 0)
+
+    # Rounding can make a singular matrix indefinite: then a shorter step must do.
+    step = solve(8 * slope.shape[0] * float(jnp.finfo(slope.dtype).eps))
+    return jnp.where(jnp.all(jnp.isfinite(step)), step, solve(1e-3))

@@ -31,7 +31,7 @@ def neighbour_correlation(residuals: list[np.ndarray], used: list[np.ndarray]) -
 
 
 def variance_inflation(correlation: float) -> float:
-    r"""Factor on variances when neighbours correlate: $(\frac{1+c}{1-c})^2$, at least 1.
+    r"""Factor on variances if neighbours correlate: $(\frac{1+c}{1-c})^2$, at least 1.
 
     Pixels that repeat one another are fewer independent ones. The factor is that of a
     first-order autoregressive process along each image axis.

@@ -38,8 +38,7 @@ def as_photographs(
         else _sequence(name, given, len(scenes))
         for name, given in (("mask", mask), ("weights", weights), ("noise", noise))
     )
-    models = {s.specular for s in scenes}
-    if len(models) > 1:
+    if any(s.specular != scenes[0].specular for s in scenes):
         raise ValueError("scene: all scenes must have the same specular model")
     return [
         _photograph("" if single else f"[{k}]", *parts)

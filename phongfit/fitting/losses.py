@@ -9,6 +9,7 @@ constants give 95 % efficiency on Gaussian noise.
 """
 
 import abc
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,8 +22,10 @@ class AbstractLoss(eqx.Module):
     r"""A loss, written as the root $\tilde r = r \sqrt{\rho(r^2) / r^2}$.
 
     The sum of $\tilde r^2$ is the robust cost, so that a plain least-squares solver
-    minimises it.
+    minimises it. `robust` tells that outliers are expected.
     """
+
+    robust: ClassVar[bool]
 
     @abc.abstractmethod
     def ratio(self, z: Values) -> Values:
@@ -40,6 +43,8 @@ class AbstractLoss(eqx.Module):
 class Linear(AbstractLoss):
     r"""Least squares: $\rho(z) = z$."""
 
+    robust: ClassVar[bool] = False
+
     def ratio(self, z: Values) -> Values:
         return jnp.ones_like(z)
 
@@ -47,6 +52,7 @@ class Linear(AbstractLoss):
 class Huber(AbstractLoss):
     r"""$z$ up to $k^2$, then $2 k \sqrt z - k^2$: outliers pull, but no harder."""
 
+    robust: ClassVar[bool] = True
     k: float = eqx.field(static=True, default=1.345)
 
     def ratio(self, z: Values) -> Values:
@@ -57,6 +63,7 @@ class Huber(AbstractLoss):
 class SoftL1(AbstractLoss):
     r"""$2 k^2 (\sqrt{1 + z/k^2} - 1)$: Huber's loss without the corner."""
 
+    robust: ClassVar[bool] = True
     k: float = eqx.field(static=True, default=1.345)
 
     def ratio(self, z: Values) -> Values:
@@ -67,6 +74,7 @@ class SoftL1(AbstractLoss):
 class Cauchy(AbstractLoss):
     r"""$k^2 \ln(1 + z/k^2)$: outliers pull ever less."""
 
+    robust: ClassVar[bool] = True
     k: float = eqx.field(static=True, default=2.385)
 
     def ratio(self, z: Values) -> Values:
@@ -80,6 +88,7 @@ class Tukey(AbstractLoss):
     Wants a good starting point, which [`fit`][] gives it.
     """
 
+    robust: ClassVar[bool] = True
     k: float = eqx.field(static=True, default=4.685)
 
     def ratio(self, z: Values) -> Values:

@@ -21,8 +21,8 @@ def clipped_mean(light: Values, sigma: Float[Array, ""] | Values) -> Values:
     r"""Mean of $\min(\max(I + \sigma n, 0), 1)$ with $n$ standard normal, elementwise.
 
     $I - \sigma g(\tfrac{1-I}{\sigma}) + \sigma g(\tfrac{I}{\sigma})$ with $g(z) =
-    \phi(z) - z Q(z)$. For $\sigma \to 0$ it is the hard clamp; its slope beyond white is
-    the chance that noise brings the pixel back below it.
+    \phi(z) - z Q(z)$. For $\sigma \to 0$ it is the hard clamp; its slope beyond white
+    is the chance that noise brings the pixel back below it.
 
     ??? cite "Source"
         Tobin, *Estimation of relationships for limited dependent variables*,
@@ -63,9 +63,9 @@ def rounding_steps(image: np.ndarray, film: Film) -> np.ndarray:
     if film.bits is None:
         return np.zeros_like(image)
     top = 2**film.bits - 1
-    level = np.round(np.asarray(encode(jnp.asarray(image), film.encoding)) * top)
+    level = np.round(encode(image, film.encoding) * top)
     edges = np.clip(np.stack([level - 0.5, level + 0.5]) / top, 0, 1)
-    low, high = np.asarray(decode(jnp.asarray(edges), film.encoding))
+    low, high = decode(edges, film.encoding)
     return (high - low).astype(image.dtype)
 
 
@@ -88,7 +88,7 @@ def find_film(images: list[np.ndarray]) -> Film:
 
 
 def _is_rounded(image: np.ndarray, encoding: Encoding, bits: int) -> bool:
-    levels = np.asarray(encode(jnp.asarray(image), encoding)) * (2**bits - 1)
+    levels = encode(image, encoding) * (2**bits - 1)
     return bool(np.all(np.abs(levels - np.round(levels)) < 0.02))
 
 

@@ -7,7 +7,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from phongfit.fitting.losses import AbstractLoss
-from phongfit.fitting.noise import clipped_mean
+from phongfit.fitting.noise import clipped_mean, clipped_variance_share
 from phongfit.fitting.samples import Samples
 from phongfit.fitting.solver import BoundedLevenbergMarquardt
 from phongfit.fitting.unknowns import Unknowns
@@ -73,7 +73,7 @@ def solve(problem: Problem, start: Float[Array, " n"], max_steps: int) -> Soluti
     solution = optx.least_squares(
         residual, solver, start, max_steps=max_steps, throw=False
     )
-    cost = jnp.sum(residual(solution.value, None) ** 2)
+    cost = 2 * solution.state.f_info.as_min()
     return Solution(
         solution.value,
         cost,
@@ -82,29 +82,53 @@ def solve(problem: Problem, start: Float[Array, " n"], max_steps: int) -> Soluti
     )
 
 
-class Linearization(eqx.Module):
-    """What statistics need of the solution, sample by sample."""
+class Evaluation(eqx.Module):
+    """What is left over at a point, sample by sample."""
 
     difference: Float[Array, "samples 3"]
-    jacobian: Float[Array, "unknowns samples 3"]
-    light: Float[Array, "samples 3"]
+    residual: Float[Array, "samples 3"]
+    noise: Float[Array, "samples 3"]
+    deviation: Float[Array, "samples 3"]
+    variance_share: Float[Array, "samples 3"]
+
+
+Evaluation.__init__.__doc__ = """**Arguments:**
+
+- `difference`: model − image in linear light; 0 where a sample is left out.
+- `residual`: the same in standard deviations.
+- `noise`, `deviation`: standard deviations before and after rounding.
+- `variance_share`: what clipping leaves of the noise's variance, 0 … 1.
+"""
 
 
 @eqx.filter_jit
-def linearize(problem: Problem, y: Float[Array, " n"]) -> Linearization:
-    """Differences model − image, and the derivative of the prediction at y."""
-    shown, derivative = jax.linearize(problem.predict, y)
-    jacobian = jax.vmap(derivative)(jnp.eye(y.size, dtype=y.dtype))
+def evaluate(problem: Problem, y: Float[Array, " n"]) -> Evaluation:
+    """Differences between model and image, and what noise they are measured by."""
     used = problem.samples.weight > 0
-    return Linearization(
-        jnp.where(used, shown - problem.samples.target, 0),
-        jnp.where(used, jacobian, 0),
-        problem.samples.light(problem.unknowns.material(y)),
+    noise = problem.noise()
+    light = problem.samples.light(problem.unknowns.material(y))
+    share = jnp.ones_like(light)
+    if problem.clamp:
+        share = clipped_variance_share(light, noise)
+    return Evaluation(
+        jnp.where(used, problem.predict(y) - problem.samples.target, 0),
+        problem.residual(y),
+        noise,
+        problem.deviation(),
+        jnp.where(used, share, 0),
     )
 
 
 @eqx.filter_jit
-def differences(problem: Problem, y: Float[Array, " n"]) -> Float[Array, "samples 3"]:
-    """Model − image; 0 where a sample is left out."""
-    used = problem.samples.weight > 0
-    return jnp.where(used, problem.predict(y) - problem.samples.target, 0)
+def linearize(
+    problem: Problem, y: Float[Array, " n"]
+) -> tuple[Float[Array, "unknowns samples 3"], Array, Array]:
+    r"""The Jacobian of the residuals, and the loss's $\psi$ and $\psi'$ there."""
+    residual, derivative = jax.linearize(problem.residual, y)
+    jacobian = jax.vmap(derivative)(jnp.eye(y.size, dtype=y.dtype))
+
+    def psi(r: Array) -> Array:
+        return jax.grad(lambda r: jnp.sum(problem.loss.root(r) ** 2) / 2)(r)
+
+    score, slope = jax.jvp(psi, (residual,), (jnp.ones_like(residual),))
+    return jacobian, score, slope

@@ -49,7 +49,7 @@ class Fit:
 
     @property
     def reduced_chi_squared(self) -> float:
-        """χ² a degree of freedom: near 1 where noise was given and the model is right."""
+        """χ² a degree of freedom: near 1 where the noise given is right."""
         return self.chi_squared / max(self.degrees_of_freedom, 1)
 
     @property
@@ -94,12 +94,12 @@ class Fit:
 
 Fit.__init__.__doc__ = """**Arguments:**
 
-- `material`, `stderr`: the estimate, and a material of its standard errors: infinite for
-    what cannot be told, 0 for what was known.
+- `material`, `stderr`: the estimate, and a material of its standard errors: infinite
+    for what cannot be told, 0 for what was known.
 - `labels`, `values`, `errors`: the unknowns as vectors, such as `diffuse.red`.
 - `covariance`: of `values`. NaN rows for unknowns at a bound or not told.
-- `at_bound`: true where the estimate lies on its bound. Its error is then one-sided: how
-    far into the box the data let it go.
+- `at_bound`: true where the estimate lies on its bound. Its error is then one-sided:
+    how far into the box the data let it go.
 - `untold`: true where the data leave the value open.
 - `bounds`: (n, 2), lower and upper.
 - `fitted`, `residuals`: images (H, W, 3), linear light, one or a tuple as they were

@@ -22,6 +22,7 @@ class Samples(eqx.Module):
         """Unclamped linear light that the model predicts for each sample."""
         return combine(self.terms, material)
 
+    @eqx.filter_jit
     def take(self, index: Int[Array, " m"]) -> "Samples":
         """Some of the samples."""
         return jax.tree.map(lambda leaf: leaf[index], self)
@@ -59,8 +60,11 @@ def gather(
         present = np.arange(size) < len(index)
         part = _gather(term, image, weight, step, padded, present)
         parts.append(_with_lobes(part, lobes))
-    if len(parts) == 1:
-        return parts[0]
+    return parts[0] if len(parts) == 1 else _join(parts)
+
+
+@jax.jit
+def _join(parts: list[Samples]) -> Samples:
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 

@@ -141,8 +141,8 @@ class RoundingTolerantTrustRegion(optx.AbstractSearch):
 def _sum_squares(f_info: Any, difference: PyTree[Array]) -> Scalar:
     """Squares of the residuals that the linear model predicts after a step."""
     change = f_info.jac.mv(difference)
-    predicted = jax.tree.map(jnp.add, f_info.residual, change)
-    return sum(jnp.sum(leaf**2) for leaf in jax.tree.leaves(predicted))
+    predicted, _ = ravel_pytree(jax.tree.map(jnp.add, f_info.residual, change))
+    return jnp.sum(predicted**2)
 
 
 RoundingTolerantTrustRegion.__init__.__doc__ = """**Arguments:**
@@ -157,8 +157,8 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
     """Levenberg-Marquardt for least squares in a box: a descent and a search.
 
     The bounds hold exactly at every point that is evaluated, and may bind at the
-    solution. In float32 it does not stall where the decrease of the cost falls below its
-    rounding: see [`RoundingTolerantTrustRegion`][].
+    solution. In float32 it does not stall where the decrease of the cost falls below
+    its rounding: see [`RoundingTolerantTrustRegion`][].
 
     ??? cite "Source"
         Kanzow, Yamashita and Fukushima, *Levenberg-Marquardt methods with strong local
@@ -166,11 +166,11 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         J. Comput. Appl. Math. 172, 2004.
     """
 
-    rtol: ScalarLike
-    atol: ScalarLike
+    rtol: Any
+    atol: Any
     norm: Callable[[PyTree], Scalar]
-    descent: BoxDampedNewtonDescent
-    search: RoundingTolerantTrustRegion
+    descent: Any
+    search: Any
     verbose: Callable[..., None]
 
     def __init__(

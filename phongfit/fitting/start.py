@@ -65,6 +65,7 @@ def scan(samples: Samples, unknowns: Unknowns, clamp: bool) -> Float[Array, " n"
         return _best_reflectances(samples, unknowns, exponent, clamp)
 
     vectors, costs = jax.lax.map(at, exponents)
+    costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
     vectors = jax.vmap(lambda v, g: _with_exponent(unknowns, v, g))(vectors, grid)
     best = jnp.argmin(jnp.sum(costs, axis=-1))
     y = vectors[best]
@@ -102,13 +103,15 @@ def _best_reflectances(
     # What was clipped says only that the light is no less than white: at first it is
     # left out, then it counts where the model falls short of white.
     weight = jnp.where(white & clamp, 0, samples.weight)
-    y = jnp.zeros_like(unknowns.lower)
-    light = jnp.zeros_like(samples.target)
-    for _ in range(3 if clamp else 1):
+
+    def step(weight: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
         y = _solve(basis, samples.target, weight, select, offset, unknowns)
         light = jnp.einsum("nck,ck->nc", basis, offset + select @ y)
-        missed = white & (light < 1)
-        weight = jnp.where(white & clamp & ~missed, 0, samples.weight)
+        beyond = white & clamp & (light >= 1)
+        return jnp.where(beyond, 0, samples.weight), (y, light)
+
+    _, (vectors, lights) = jax.lax.scan(step, weight, length=3 if clamp else 1)
+    y, light = vectors[-1], lights[-1]
     shown = jnp.clip(light, 0, 1) if clamp else light
     left = jnp.sum(samples.weight * (shown - samples.target) ** 2, axis=0)
     return y, left
@@ -156,7 +159,7 @@ def _solve(
     gradient = -jnp.einsum("cki,ck->i", select, moment)
     # A ridge far below any measurement, for columns that are zero or alike.
     diagonal = jnp.diag(hessian)
-    ridge = 1e-6 * jnp.maximum(diagonal, 1e-6 * jnp.max(diagonal))
+    ridge = 1e-6 * jnp.maximum(diagonal, jnp.max(diagonal))
     ridge = jnp.where(ridge > 0, ridge, 1)
     return minimize_in_box(
         hessian + jnp.diag(ridge), gradient, unknowns.lower, unknowns.upper

@@ -2,15 +2,11 @@
 
 import dataclasses
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from phongfit.fitting.losses import AbstractLoss
-from phongfit.fitting.noise import clipped_variance_share, shared_rounding_variance
-from phongfit.fitting.problem import Linearization, Problem
+from phongfit.fitting.noise import shared_rounding_variance
+from phongfit.fitting.problem import Evaluation, Problem, linearize
 from phongfit.fitting.unknowns import Unknowns
 
 
@@ -31,36 +27,22 @@ class Statistics:
     reasons: tuple[str, ...]
 
 
-@eqx.filter_jit
-def score(loss: AbstractLoss, residual: Array) -> tuple[Array, Array]:
-    r"""$\psi(r)$, the derivative of half the loss, and $\psi'(r)$, elementwise."""
-
-    def psi(r: Array) -> Array:
-        return jax.grad(lambda r: jnp.sum(loss.root(r) ** 2) / 2)(r)
-
-    return jax.jvp(psi, (residual,), (jnp.ones_like(residual),))
-
-
 def statistics(
-    problem: Problem, y: Float[Array, " n"], linear: Linearization, inflation: float
+    problem: Problem, y: Float[Array, " n"], at: Evaluation, inflation: float
 ) -> Statistics:
     """Sandwich covariance of a bounded fit, its free part, and what cannot be told.
 
     **Arguments:**
 
-    - `problem`, `y`, `linear`: the problem, its solution, and [`linearize`][] there.
+    - `problem`, `y`, `at`: the problem, its solution, and [`evaluate`][] there.
     - `inflation`: factor on all variances for residuals that are not independent.
     """
     used = np.asarray(problem.samples.weight).ravel() > 0
-    deviation = np.asarray(problem.deviation(), float).ravel()[used]
-    columns = np.asarray(linear.jacobian).reshape(len(y), -1)[:, used] / deviation
-    residual = np.asarray(linear.difference, float).ravel()[used] / deviation
-    psi, slope = (
-        np.asarray(part, float)
-        for part in score(problem.loss, jnp.asarray(residual, y.dtype))
-    )
+    jacobian, psi, slope = linearize(problem, y)
+    columns = np.asarray(jacobian, float).reshape(len(y), -1)[:, used]
+    psi, slope = (np.asarray(part, float).ravel()[used] for part in (psi, slope))
     bread = columns @ columns.T
-    meat = _meat(problem, linear, columns, used, deviation)
+    meat = _meat(problem, at, columns, used)
     if np.ptp(slope) > 0:
         # A loss that bends: the variance of its score over its slope, squared.
         meat = meat * np.mean(psi**2) / np.mean(slope) ** 2
@@ -70,7 +52,7 @@ def statistics(
         np.asarray(problem.unknowns.upper),
     )
     at_bound = (position <= lower) | (position >= upper)
-    resolution = float(jnp.finfo(y.dtype).eps)
+    resolution = float(np.finfo(y.dtype).eps)
     untold, reasons = _untold(bread, problem.unknowns, resolution)
     at_bound &= ~untold
 
@@ -87,38 +69,31 @@ def statistics(
     pull = np.abs(columns @ psi)
     for k in np.flatnonzero(at_bound):
         others = np.append(np.flatnonzero(free & ~untold), k)
-        curvature = 1 / _inverse(bread[np.ix_(others, others)], resolution)[-1, -1]
-        # pull·d + curvature·d²/2 = 1/2, solved without cancellation.
-        reach = 1 / (pull[k] + np.sqrt(pull[k] ** 2 + curvature))
-        stderr[k] = np.sqrt(inflation) * reach
+        inverse = _inverse(bread[np.ix_(others, others)], resolution)
+        variance = (inverse @ meat[np.ix_(others, others)] @ inverse)[-1, -1]
+        curvature = 1 / inverse[-1, -1]
+        rise = inflation * variance * curvature
+        # pull·d + curvature·d²/2 = rise/2, solved without cancellation.
+        stderr[k] = rise / (pull[k] + np.sqrt(pull[k] ** 2 + rise * curvature))
     return Statistics(covariance, stderr, untold, at_bound, reasons)
 
 
 def _meat(
-    problem: Problem,
-    linear: Linearization,
-    columns: np.ndarray,
-    used: np.ndarray,
-    deviation: np.ndarray,
+    problem: Problem, at: Evaluation, columns: np.ndarray, used: np.ndarray
 ) -> np.ndarray:
     """Covariance of the sum of scores: independent noise, and shared rounding.
 
     A region of one colour rounds as one, so samples of one channel and level are taken
     to share the part of their rounding error that noise does not dither.
     """
-    noise = np.asarray(problem.noise(), float).ravel()[used]
-    step = np.asarray(problem.samples.step, float).ravel()[used]
-    light = np.asarray(linear.light).ravel()[used]
-    share = np.ones_like(noise)
-    if problem.clamp:
-        share = np.asarray(
-            clipped_variance_share(jnp.asarray(light), jnp.asarray(noise, light.dtype)),
-            float,
-        )
+    noise, deviation, share, step = (
+        np.asarray(part, float).ravel()[used]
+        for part in (at.noise, at.deviation, at.variance_share, problem.samples.step)
+    )
     common = shared_rounding_variance(step, noise)
     alone = (noise**2 * share + step**2 / 12 - common) / deviation**2
     meat = (columns * alone) @ columns.T
-    if common.any():
+    if np.any(common > 1e-6 * deviation**2):
         target = np.asarray(problem.samples.target).ravel()[used]
         channel = np.broadcast_to(np.arange(3), (len(used) // 3, 3)).ravel()[used]
         level = np.unique(target, return_inverse=True)[1]
@@ -132,7 +107,7 @@ def _meat(
 
 
 def _normalized(bread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A matrix with a unit diagonal, and the roots of the old one (1 where it was 0)."""
+    """A matrix with a unit diagonal, and the roots of the old one (1 for 0)."""
     root = np.sqrt(np.diag(bread))
     root = np.where(root > 0, root, 1)
     return bread / np.outer(root, root), root
@@ -170,8 +145,9 @@ def _untold(
     diagonal = np.diag(bread)
     silent = diagonal <= _threshold(resolution) * max(diagonal.max(), 1e-300)
     reasons = [
-        f"{label} cannot be told: {_SILENT[kind]}"
-        for label, kind in zip(labels[silent], kinds[silent], strict=True)
+        f"{', '.join(labels[silent & (kinds == kind)])} cannot be told: {words}"
+        for kind, words in _SILENT.items()
+        if (silent & (kinds == kind)).any()
     ]
     untold = silent.copy()
     heard = np.flatnonzero(~silent)

@@ -61,15 +61,25 @@ class Unknowns(eqx.Module):
         """The material that the solver's vector stands for."""
         return self.with_leaves(self.values(y))
 
-    def values(self, y: Float[Array, " n"]) -> Float[Array, " n"]:
+    def values(self, y: Any) -> Any:
         """Parameters in the user's units: exponents instead of their logarithms."""
-        return jnp.where(jnp.asarray(self.logarithmic), jnp.exp(y), y)
+        xp = np if isinstance(y, np.ndarray) else jnp
+        return xp.where(self.logarithmic, xp.exp(y), y)
 
-    def with_leaves(self, values: Float[Array, " n"]) -> Material:
+    @property
+    def bounds(self) -> np.ndarray:
+        """(n, 2): lower and upper bounds in the user's units."""
+        edges = np.stack([self.lower, self.upper], axis=-1).astype(float)
+        edges[self.logarithmic] = np.exp(edges[self.logarithmic])
+        # A logarithm of single precision gives back 1000 as 1000.00012.
+        digits = 6 if self.lower.dtype == np.float32 else 14
+        return np.vectorize(lambda x: float(f"{x:.{digits}g}"))(edges)
+
+    def with_leaves(self, values: Any) -> Material:
         """A material with the wanted leaves from `values`, in the user's units."""
         material = self.known
         for name, part in self.parts(values).items():
-            leaf = part if part.shape[-1] > 1 else part[0]
+            leaf = jnp.asarray(part if part.shape[-1] > 1 else part[0])
 
             def where(m: Material, name: str = name) -> Array:
                 return getattr(m, name)

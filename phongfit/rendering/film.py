@@ -11,27 +11,36 @@ Encoding = Literal["linear", "srgb"]
 ENCODINGS: tuple[Encoding, ...] = ("linear", "srgb")
 
 
-def encode(linear: Float[Array, "..."], encoding: Encoding) -> Float[Array, "..."]:
+def encode(linear: Any, encoding: Encoding) -> Any:
     """Linear light in [0, 1] as the numbers of `encoding`, in [0, 1].
+
+    JAX arrays, or NumPy's, of any shape.
 
     ??? cite "Source"
         IEC 61966-2-1 (sRGB), 1999.
     """
     if encoding == "linear":
         return linear
+    xp = _namespace(linear)
     # Double where: the power has an infinite slope at 0, where it is not used.
     curved = linear > 0.0031308
-    root = 1.055 * jnp.where(curved, linear, 1) ** (1 / 2.4) - 0.055
-    return jnp.where(curved, root, 12.92 * linear)
+    root = 1.055 * xp.where(curved, linear, 1) ** (1 / 2.4) - 0.055
+    return xp.where(curved, root, 12.92 * linear)
 
 
-def decode(encoded: Float[Array, "..."], encoding: Encoding) -> Float[Array, "..."]:
+def decode(encoded: Any, encoding: Encoding) -> Any:
     """The inverse of [`encode`][]."""
     if encoding == "linear":
         return encoded
+    xp = _namespace(encoded)
     curved = encoded > 0.04045
-    root = ((jnp.where(curved, encoded, 1) + 0.055) / 1.055) ** 2.4
-    return jnp.where(curved, root, encoded / 12.92)
+    root = ((xp.where(curved, encoded, 1) + 0.055) / 1.055) ** 2.4
+    return xp.where(curved, root, encoded / 12.92)
+
+
+def _namespace(values: Any) -> Any:
+    """NumPy for NumPy's arrays, as files give them: nothing need be compiled."""
+    return np if isinstance(values, np.ndarray | np.generic) else jnp
 
 
 class Film(eqx.Module):

@@ -1,0 +1,179 @@
+"""Question: how well does one material explain real photographs of a real object?
+
+Reads a folder of photographs (DiLiGenT's layout, or that of `data_synth`), fits one
+material to the 1st, 3rd, 5th, … and predicts the 2nd, 4th, 6th, …, which the fit has
+not seen. Printed are the parameters with their errors, exponents once for each channel
+and once shared, and the root mean square of the prediction's error over the mean of the
+photographs, channel by channel. There is no true material to compare with. The exit
+status is 1 if a prediction is no better than that of a matte surface, or if a fit does
+not converge.
+"""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+import phongfit as pf
+from experiments.output import JsonFile, PictureFile, save_numbers, save_picture
+from phongfit.cli import run
+from phongfit.files.dataset import Dataset
+from phongfit.files.datasets import read_dataset, read_diligent
+from phongfit.files.diligent import is_diligent
+from phongfit.report.pictures import Row, comparison
+
+# At the edge of the shadow, and on the rim, neighbouring normals and light that bounced
+# count for more than the model.
+MIN_COSINE = 0.05
+MIN_FACING = 0.15
+SHOWN = 3
+
+# A constant stands for all light that came by way of the room.
+ROOM = 1.0
+
+MATTE = ("ambient", "diffuse")
+WHOLE = ("ambient", "diffuse", "specular", "shininess")
+
+
+def read(folder: Path) -> Dataset:
+    """The photographs, with samples left out that no model of one material explains."""
+    if is_diligent(folder):
+        data = read_diligent(folder, min_cosine=MIN_COSINE, min_facing=MIN_FACING)
+    else:
+        data = read_dataset(folder)
+    masks = tuple(
+        # Where one channel is saturated, its neighbours are blurred by it.
+        mask.all(axis=-1) if mask.ndim == 3 else mask
+        for mask in data.masks
+    )
+    lit = tuple(
+        dataclasses.replace(scene, ambient=np.full(3, ROOM, image.dtype))
+        for scene, image in zip(data.scenes, data.images, strict=True)
+    )
+    scenes = lit if is_diligent(folder) else data.scenes
+    return dataclasses.replace(data, masks=masks, scenes=scenes)
+
+
+def half(data: Dataset, first: int) -> Dataset:
+    """Every second photograph, from the given one on."""
+    pick = slice(first, None, 2)
+    return dataclasses.replace(
+        data,
+        scenes=data.scenes[pick],
+        images=data.images[pick],
+        masks=data.masks[pick],
+        names=data.names[pick],
+    )
+
+
+def predict(data: Dataset, material: pf.Material) -> list[np.ndarray]:
+    """What the material would look like in each photograph."""
+    film = pf.Film(clamp=data.film.clamp)
+    return [np.asarray(pf.render(s, material, film=film)) for s in data.scenes]
+
+
+def rmse_over_mean(data: Dataset, predicted: list[np.ndarray]) -> np.ndarray:
+    """Root mean square of the error over the mean light, for each channel."""
+    images, errors, weights = [], [], []
+    for image, guess, mask, scene in zip(
+        data.images, predicted, data.masks, data.scenes, strict=True
+    ):
+        seen = mask & np.asarray(pf.trace(scene.surface, scene.camera).mask)
+        weights.append(seen.sum())
+        images.append(image[seen].sum(axis=0, dtype=float))
+        errors.append(((guess - image)[seen].astype(float) ** 2).sum(axis=0))
+    count = np.sum(weights)
+    return np.sqrt(np.sum(errors, axis=0) / count) / (np.sum(images, axis=0) / count)
+
+
+def fit(data: Dataset, unknowns: tuple[str, ...], shared: tuple[str, ...]) -> pf.Fit:
+    """One material for all photographs of a data set."""
+    return pf.fit(
+        data.scenes,
+        data.images,
+        mask=data.masks,
+        film=data.film,
+        unknowns=unknowns,
+        per_channel=tuple(name for name in unknowns if name not in shared),
+        # Polished metal goes beyond the default bound of 1000.
+        bounds={"shininess": (1.0, 5000.0)},
+    )
+
+
+def show(title: str, result: pf.Fit, score: np.ndarray) -> None:
+    """A fit and its score, as text."""
+    print(f"{title}\n{result}\n")
+    print(f"  left-out photographs, RMSE / mean (R G B): {_triple(score)}\n")
+
+
+def _triple(score: np.ndarray) -> str:
+    return " ".join(f"{value:.4f}" for value in score)
+
+
+def main(
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER")],
+    picture: PictureFile = Path("out/fit_photographs.png"),
+    json: JsonFile = None,
+) -> int:
+    """How well does one material explain real photographs of a real object?
+
+    Fits one material to the 1st, 3rd, 5th, … photograph of a folder and predicts the
+    2nd, 4th, 6th, …; prints the parameters with errors, and RMSE / mean of the
+    prediction for each channel; draws photograph, prediction and difference.
+
+    Args:
+        folder: DiLiGenT's layout, or that of data_synth.
+        picture: Where the picture goes.
+        json: Where the numbers go: rmse_over_mean, material, stderr, and more.
+    """
+    if not folder.is_dir():
+        print(f"skipped: there is no folder {folder}")
+        return 0
+    data = read(folder)
+    if len(data.images) < 2:
+        raise ValueError(f"{folder}: one photograph came, at least two are wanted")
+    seen, unseen = half(data, 0), half(data, 1)
+    fits = {
+        "free": fit(seen, WHOLE, ()),
+        "shared": fit(seen, WHOLE, ("specular", "shininess")),
+        "matte": fit(seen, MATTE, ()),
+    }
+    guesses = {name: predict(unseen, result.material) for name, result in fits.items()}
+    scores = {name: rmse_over_mean(unseen, guess) for name, guess in guesses.items()}
+    counts = f"{len(seen.images)} photographs, {len(unseen.images)} left out"
+    print(f"{data.name}: fitted to {counts}\n")
+    show("each channel its own ρ_s and f", fits["free"], scores["free"])
+    show("ρ_s and f shared by the channels", fits["shared"], scores["shared"])
+    print(f"matte surface, for comparison: RMSE / mean {_triple(scores['matte'])}")
+    save_picture(picture, _figure(unseen, guesses["free"]))
+    save_numbers(json, _numbers(fits, scores))
+    better = all((scores[name] < scores["matte"]).all() for name in ("free", "shared"))
+    return 0 if better and all(f.converged for f in fits.values()) else 1
+
+
+def _numbers(fits: dict[str, pf.Fit], scores: dict[str, np.ndarray]) -> dict:
+    numbers: dict = {"rmse_over_mean": scores["free"]}
+    numbers |= fits["free"].to_dict()
+    numbers["shared"] = {"rmse_over_mean": scores["shared"], **fits["shared"].to_dict()}
+    numbers["matte"] = {"rmse_over_mean": scores["matte"], **fits["matte"].to_dict()}
+    return numbers
+
+
+def _figure(data: Dataset, predicted: list[np.ndarray]):
+    """A few of the photographs that the fit has not seen."""
+    shown = np.unique(np.linspace(0, len(data.images) - 1, SHOWN + 2)[1:-1].astype(int))
+    brightest = max(float(np.quantile(data.images[k], 0.995)) for k in shown)
+    rows = []
+    for k in shown:
+        mask = data.masks[k][..., None]
+        difference = np.where(mask, data.images[k] - predicted[k], 0)
+        rows.append(Row(data.images[k], predicted[k], difference, data.names[k]))
+    return comparison(
+        rows, ("photograph", "prediction"), brighten=1 / max(brightest, 1e-6)
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(main, prog="python -m experiments.fit_photographs"))
