@@ -62,7 +62,7 @@ def test_one_part_shades_another():
 
     surface = pf.ImplicitSurface(two, (-1.1, -1.1, -1.1), (1.1, 1.1, 2))
     view = pf.OrthographicCamera.look_at(
-        (5, 0, 0.5), (0, 0, 0.5), width=40, height=40, view_height=3.2
+        (5, 0, 0.5), (0, 0, 0.5), width=64, height=64, view_height=3.2
     )
     light = pf.DirectionalLight((0, 0, 1))
     buffer = pf.trace(surface, view, [light], shadows=True)

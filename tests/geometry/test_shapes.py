@@ -35,8 +35,10 @@ def test_both_ways_to_write_it_down_are_the_same_surface(shape):
     near(mesh.normals, expected, 1e-3 if floats(0).dtype == np.float32 else 1e-7)
     # The faces look the same way as their corners.
     faces = np.sum(mesh.face_normals()[:, None] * mesh.normals[mesh.faces], axis=-1)
-    degenerate = np.linalg.norm(mesh.face_normals(), axis=1) < 0.5
-    assert np.all(faces[~degenerate] > 0.3)
+    a, b, c = np.moveaxis(np.asarray(mesh.vertices[mesh.faces]), 1, 0)
+    # At a pole, faces have no area but for rounding.
+    proper = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-4
+    assert np.all(faces[proper] > 0.3) and proper.mean() > 0.7
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda s: type(s).__name__)
@@ -60,7 +62,7 @@ def test_traced_and_tessellated_they_look_alike(shape):
 @pytest.mark.parametrize("shape", [Torus(0.7, 0.3), HeightField(waves)])
 def test_contract(shape):
     view = pf.PerspectiveCamera.look_at(
-        (0.2, 1.8, 4), (0, 0.7, 0), width=3, height=2, fov_y=4
+        (0.2, 1.8, 4), (0.03, 0.71, 0), width=3, height=2, fov_y=4
     )
     check_surface(shape.surface(), view)
     check_surface(shape.mesh(8, 6), view)
@@ -71,11 +73,12 @@ def test_gradients_reach_the_numbers_of_a_shape():
         (0.1, 0.7, 4), (0, 0.7, 0), width=2, height=2, fov_y=3
     )
 
-    def image(torus):
-        scene = pf.Scene(torus.surface(), view, pf.PointLight((1, 2, 3)), 0.2)
-        return pf.render(scene, pf.Material(0.6))
+    def image(parts):
+        torus, view, light = parts
+        return pf.render(pf.Scene(torus.surface(), view, light, 0.2), pf.Material(0.6))
 
-    check_gradients(image, Torus(0.7, 0.3), order=1)
+    point = (Torus(0.7, 0.3), view, pf.PointLight((1, 2, 3)))
+    check_gradients(image, point, order=1)
 
 
 def test_a_sphere_of_triangles_has_whole_poles():
