@@ -1,5 +1,7 @@
 """What an image is made of, for every shading method: the fit rests on it."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,7 +16,7 @@ from tests.helpers import CLOSE, floats, near
 BASE = pf.shapes.HeightField(lambda x, y: 0.2 * jnp.sin(4 * x) * jnp.cos(3 * y)).mesh(
     5, 4
 )
-SHEET = dict(
+SHEET: dict[str, Any] = dict(
     vertices=np.asarray(BASE.vertices),
     faces=np.asarray(BASE.faces),
     normals=np.asarray(BASE.normals),
@@ -40,7 +42,7 @@ def world(shading, **keywords):
     )
     fog = pf.Fog((0.2, 0.3, 0.4), "exp", density=0.1)
     mesh = pf.Mesh(**SHEET, material_index=INDEX)
-    options = dict(shadows=True, fog=fog, background=0.1) | keywords
+    options: dict[str, Any] = dict(shadows=True, fog=fog, background=0.1) | keywords
     return pf.Scene(mesh, view, lights, 0.3, shading=shading, **options)
 
 
