@@ -98,6 +98,7 @@ _ON_DEMAND = {
     "read_dataset": "phongfit.files.datasets",
     "read_mtl": "phongfit.files.mtl",
     "read_image": "phongfit.files.images",
+    "read_mtl": "phongfit.files.mtl",
     "save_scene": "phongfit.files.scenes",
     "write_image": "phongfit.files.images",
     "write_mtl": "phongfit.files.mtl",

@@ -4,17 +4,15 @@ import io
 import os
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import trimesh
 
 from phongfit.files.inputs import inside, naming, read_bytes, read_text
 from phongfit.files.mtl import read_mtl
 from phongfit.geometry.meshes import Mesh
 from phongfit.material import Material, stack_materials
-
-if TYPE_CHECKING:
-    import trimesh
 
 FORMATS = (".obj", ".ply", ".stl", ".gltf", ".glb", ".off")
 MAX_BYTES = 2**31
@@ -84,10 +82,7 @@ class _Folder:
         return read_bytes(inside(self.folder, name), MAX_BYTES)
 
 
-def _parse(path: Path, content: bytes, resolver: Any) -> "trimesh.Scene":
-    # Here, since it takes half a second that most programs need not wait.
-    import trimesh
-
+def _parse(path: Path, content: bytes, resolver: Any) -> trimesh.Scene:
     try:
         with warnings.catch_warnings():
             # How trimesh parses is not for its callers to hear.
@@ -137,7 +132,7 @@ class _Part(NamedTuple):
     material: Any
 
 
-def _parts(scene: "trimesh.Scene") -> list[_Part]:
+def _parts(scene: trimesh.Scene) -> list[_Part]:
     parts = []
     for node in scene.graph.nodes_geometry:
         transform, name = scene.graph[node]

@@ -28,6 +28,8 @@ from phongfit.vectors import Vec3, dot, norm, normalize
 # A shadow ray starts this far off its face, as a share of the mesh's size: past the
 # rounding of Embree's float32, and well below anything that casts a shadow.
 LIFT = 2e-6
+# And this far past the rounding of a mesh's own coordinates, in units of it.
+ROUNDINGS = 4
 
 
 class Corners(eqx.Module):
@@ -172,7 +174,9 @@ class Mesh(AbstractSurface):
         distance: Float[Array, "*batch"],
     ) -> Bool[Array, "*batch"]:
         # Off the face on the side of the light: a face is never in its own shadow.
-        lift = LIFT * _size(self)
+        precision = float(jnp.finfo(position.dtype).eps)
+        furthest = jnp.max(jnp.abs(self.vertices[self.faces.ravel()]))
+        lift = LIFT * _size(self) + ROUNDINGS * precision * furthest
         side = jnp.sum(normal * to_light, axis=-1, keepdims=True)
         origin = position + jnp.where(side < 0, -lift, lift) * normal
         rays = Ray(origin, to_light)

@@ -37,6 +37,9 @@ def tessellate(
     **Raises:** `ValueError` that names the argument.
     """
     us, vs = _steps("u", u, "columns", columns), _steps("v", v, "rows", rows)
+    point = jax.eval_shape(function, us[0], vs[0])
+    if point.shape != (3,):
+        raise ValueError(f"function: a point of shape {point.shape} came, not (3,)")
     middle = (us[0] + us[-1]) / 2, (vs[0] + vs[-1]) / 2
 
     def at(u: Scalar, v: Scalar) -> tuple[Vec3, Vec3]:
@@ -52,10 +55,6 @@ def tessellate(
 
     grid = jax.vmap(jax.vmap(at, in_axes=(0, None)), in_axes=(None, 0))
     vertices, normals = grid(us, vs)
-    if vertices.shape != (rows + 1, columns + 1, 3):
-        raise ValueError(
-            f"function: a point of shape {vertices.shape[2:]} came, (3,) is wanted"
-        )
     return Mesh(
         vertices.reshape(-1, 3),
         _cells(columns, rows),

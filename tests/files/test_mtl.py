@@ -1,0 +1,155 @@
+import numpy as np
+import pytest
+
+import phongfit as pf
+from tests.helpers import near
+
+FULL = """# two materials
+newmtl red clay   # a name of two words
+Ka 0.1 0.2 0.3
+Kd 0.4 0.5 0.6
+Ks 0.7 0.8 0.9
+Ke 1.5 0 0
+Ns 250
+Ni 1.45
+d 1.0
+illum 2
+
+newmtl plain
+Kd 0.25
+"""
+
+
+def read(tmp_path, text):
+    path = tmp_path / "some.mtl"
+    path.write_text(text)
+    return pf.read_mtl(path)
+
+
+def test_what_is_read(tmp_path):
+    materials = read(tmp_path, FULL)
+    assert list(materials) == ["red clay", "plain"]
+    clay, plain = materials.values()
+    near(clay.ambient, (0.1, 0.2, 0.3))
+    near(clay.diffuse, (0.4, 0.5, 0.6))
+    near(clay.specular, (0.7, 0.8, 0.9))
+    near(clay.emission, (1.5, 0, 0))
+    near(clay.shininess, 250)
+    near(plain.diffuse, 0.25)
+    default = pf.Material()
+    for leaf in ("ambient", "specular", "emission", "shininess"):
+        near(getattr(plain, leaf), getattr(default, leaf))
+
+
+def test_illumination_models(tmp_path):
+    lines = "Ka 0.1 0.1 0.1\nKd 0.5 0.6 0.7\nKs 1 1 1\n"
+    constant, matte, shiny = (
+        read(tmp_path, f"newmtl a\n{lines}illum {number}\n")["a"]
+        for number in (0, 1, 7)
+    )
+    near(constant.emission, (0.5, 0.6, 0.7))
+    near(constant.diffuse, 0)
+    near(constant.specular, 0)
+    near(matte.specular, 0)
+    near(matte.diffuse, (0.5, 0.6, 0.7))
+    near(shiny.specular, (1, 1, 1))
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_textures_are_passed_over_with_a_word(tmp_path, there):
+    if there:
+        (tmp_path / "wood.png").write_bytes(b"")
+    word = "is not read" if there else "is missing"
+    with pytest.warns(
+        UserWarning, match=rf"line 3: texture 'wood.png' of .*'a' {word}"
+    ):
+        materials = read(
+            tmp_path, "newmtl a\nKd 0.5 0.5 0.5\nmap_Kd -s 2 2 1 wood.png\n"
+        )
+    near(materials["a"].diffuse, 0.5)
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("Kd 1 1 1\n", "line 1: Kd: came before"),
+        ("newmtl\n", "line 1: newmtl: a name"),
+        ("newmtl a\nKd 1 1\n", "line 2: Kd: '1 1' came, 1 or 3 numbers"),
+        ("newmtl a\nKd spectral file.rfl 1\n", "line 2: Kd: "),
+        ("newmtl a\nNs -1\n", "line 2: Ns: '-1' came, 1 number"),
+        ("newmtl a\nNs nan\n", "line 2: Ns: "),
+        ("newmtl a\nNs\n", "line 2: Ns: "),
+    ],
+)
+def test_broken_files(tmp_path, text, said):
+    with pytest.raises(ValueError, match=f"some.mtl: {said}"):
+        read(tmp_path, text)
+
+
+def test_a_missing_file(tmp_path):
+    with pytest.raises(ValueError, match="none.mtl: cannot be read"):
+        pf.read_mtl(tmp_path / "none.mtl")
+
+
+def test_what_is_written_is_read_again(tmp_path):
+    rng = np.random.default_rng(0)
+    several = pf.Material(
+        rng.uniform(0, 1, (3, 3)),
+        rng.uniform(0, 1, (3, 1)),
+        rng.uniform(1, 1000, (3, 1)),
+        rng.uniform(0, 1, (3, 3)),
+        rng.uniform(0, 2, (3, 3)),
+    )
+    names = ["a", "b c", "ü"]
+    materials = dict(zip(names, pf.unstack_materials(several), strict=True))
+    pf.write_mtl(tmp_path / "out.mtl", materials)
+    found = pf.read_mtl(tmp_path / "out.mtl")
+    assert list(found) == names
+    for name in names:
+        for leaf in ("ambient", "diffuse", "specular", "emission", "shininess"):
+            one = np.broadcast_to(getattr(materials[name], leaf), (3,))
+            near(np.broadcast_to(getattr(found[name], leaf), (3,)), one, 1e-7)
+
+
+@pytest.mark.parametrize(
+    "material, said, leaf, taken",
+    [
+        (
+            pf.Material(shininess=1500),
+            "shininess: 1500 came, .mtl holds at most 1000",
+            "shininess",
+            1000,
+        ),
+        (
+            pf.Material(shininess=(10, 10, 80)),
+            "shininess: 10, 10, 80 came, .mtl holds one",
+            "shininess",
+            20,
+        ),
+        (
+            pf.Material(diffuse=(0.5, 1.25, 0)),
+            "diffuse: 1.25 came",
+            "diffuse",
+            (0.5, 1, 0),
+        ),
+    ],
+)
+def test_out_of_range(tmp_path, material, said, leaf, taken):
+    path = tmp_path / "out.mtl"
+    with pytest.raises(ValueError, match=f"^a: {said}"):
+        pf.write_mtl(path, {"a": material})
+    assert not path.exists()
+    with pytest.warns(UserWarning, match=said):
+        pf.write_mtl(path, {"a": material}, nearest=True)
+    near(getattr(pf.read_mtl(path)["a"], leaf), taken, 1e-6)
+
+
+@pytest.mark.parametrize("name", ["", "a\nb", " a", "a#b"])
+def test_bad_names(tmp_path, name):
+    with pytest.raises(ValueError, match="^materials: "):
+        pf.write_mtl(tmp_path / "out.mtl", {name: pf.Material()})
+
+
+def test_maps_have_no_place(tmp_path):
+    with pytest.raises(ValueError, match="^a: diffuse: shape"):
+        pf.write_mtl(tmp_path / "out.mtl", {"a": pf.Material(np.zeros((4, 5, 3)))})

@@ -1,0 +1,189 @@
+"""OpenGL itself draws with the parameters that phongfit hands it: Mesa, off screen.
+
+In a process of its own, since PyOpenGL fixes its platform when it is first imported.
+"""
+
+import ctypes.util
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.files import opengl_context
+
+ROOT = Path(__file__).parents[2]
+SIZE = 96
+missing = [
+    what
+    for what, there in (
+        ("PyOpenGL (the extra opengl)", importlib.util.find_spec("OpenGL")),
+        ("libosmesa6", ctypes.util.find_library("OSMesa")),
+    )
+    if not there
+]
+needs_mesa = pytest.mark.skipif(
+    bool(missing), reason=f"{' and '.join(missing)} not installed"
+)
+
+
+def scenes():
+    """Scenes with their materials, between them all of what OpenGL can do."""
+    torus = pf.shapes.Torus().mesh(24, 16)
+    ball = pf.shapes.Ball(0.8).mesh(16, 9)
+    pair = pf.join([torus, ball])
+    tube = pf.shapes.Cylinder(0.6, 1.4).mesh(16, 4, two_sided=True)
+    near_view = pf.PerspectiveCamera.look_at(
+        (1, 2, 3), width=SIZE, height=SIZE, fov_y=40
+    )
+    parallel = pf.OrthographicCamera.look_at((1, 2, 3), width=SIZE, height=SIZE)
+    lights = (
+        # No vertex at the horizon, where the highlight is there or not by rounding.
+        pf.DirectionalLight((1, 0.9, 0.3), (0.3, 0.2, 0.1), specular=0.4, ambient=0.05),
+        pf.PointLight((0, 1, 3), 0.6, attenuation=(0.5, 0.1, 0.05)),
+        pf.SpotLight((1, 2, 2), (-1, -2, -2), 0.7, cutoff=25, exponent=3),
+    )
+    shiny = pf.Material((0.6, 0.3, 0.2), 0.5, 40.0, 0.4, (0.02, 0.01, 0.03))
+    two = pf.stack_materials([shiny, pf.preset("brass")])
+    smooth, flat = pf.GouraudShading(clamp=True), pf.FlatShading("last_vertex", True)
+    bright = pf.Material(1.0, 1.0, 5.0, 1.0)
+    return [
+        (
+            pf.Scene(torus, near_view, lights, 0.2, shading=smooth, background=0.1),
+            shiny,
+        ),
+        (pf.Scene(torus, near_view, lights, 0.2, shading=flat), shiny),
+        (pf.Scene(pair, near_view, lights, 0.2, shading=smooth), two),
+        (
+            pf.Scene(
+                pair,
+                near_view,
+                lights,
+                0.2,
+                shading=smooth,
+                fog=pf.Fog((0.3, 0.4, 0.5), "linear", start=2, end=5),
+                local_viewer=False,
+            ),
+            two,
+        ),
+        (
+            pf.Scene(
+                ball,
+                parallel,
+                lights,
+                0.3,
+                shading=flat,
+                fog=pf.Fog(0.4, "exp2", density=0.2),
+            ),
+            bright,
+        ),
+        (
+            pf.Scene(
+                torus,
+                parallel,
+                lights,
+                shading=pf.GouraudShading(),
+                fog=pf.Fog((0, 0.1, 0), density=0.1),
+                local_viewer=True,
+            ),
+            bright,
+        ),
+        (pf.Scene(tube, near_view, lights, 0.2, shading=smooth), shiny),
+    ]
+
+
+def draw_all(out: str) -> None:
+    """Have Mesa draw every scene, and save the images: run in a process of its own."""
+    from OpenGL import osmesa
+
+    gl = opengl_context._gl()
+    context = osmesa.OSMesaCreateContextExt(osmesa.OSMESA_RGBA, 32, 0, 0, None)
+    buffer = np.zeros((SIZE, SIZE, 4), np.float32)
+    assert osmesa.OSMesaMakeCurrent(context, buffer, gl.GL_FLOAT, SIZE, SIZE)
+    gl.glClampColor(gl.GL_CLAMP_FRAGMENT_COLOR, gl.GL_FALSE)
+    images = []
+    for scene, material in scenes():
+        opengl_context.apply_scene(scene, near=0.5, far=10)
+        gl.glClear(gl.GL_COLOR_BUFFER_BIT | gl.GL_DEPTH_BUFFER_BIT)
+        assert isinstance(scene.surface, pf.Mesh)
+        opengl_context.draw_mesh(scene.surface, material)
+        gl.glFinish()
+        assert gl.glGetError() == gl.GL_NO_ERROR
+        images.append(buffer[::-1, :, :3].copy())
+    np.savez(out, *images)
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    out = tmp_path_factory.mktemp("opengl") / "images.npz"
+    code = f"from {__name__} import draw_all; draw_all({str(out)!r})"
+    subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"PYOPENGL_PLATFORM": "osmesa"},
+        cwd=ROOT,
+        check=True,
+    )
+    with np.load(out) as images:
+        return [images[name] for name in images.files]
+
+
+@needs_mesa
+@pytest.mark.parametrize("number", range(len(scenes())))
+def test_opengl_sees_what_phongfit_does(drawn, number):
+    scene, material = scenes()[number]
+    gbuffer = scene.trace()
+    film = pf.Film(clamp=scene.shading.clamp)
+    image = np.asarray(pf.render(scene, material, film=film, gbuffer=gbuffer))
+    error = abs(image - drawn[number]).max(axis=-1)
+    assert np.median(error) < 1e-6
+    # A pixel whose centre lies on an edge may fall to either side.
+    assert (error < 1e-4).mean() > 0.995
+    mask = np.asarray(gbuffer.mask)
+    assert 0.1 < mask.mean() < 0.9
+    assert (error[mask] < 1e-4).mean() > 0.99
+    assert np.std(drawn[number][mask]) > 0.02, "there is something to see"
+
+
+def test_without_pyopengl_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "OpenGL", None)
+    monkeypatch.setitem(sys.modules, "OpenGL.GL", None)
+    with pytest.raises(ImportError, match=r"phongfit\[opengl\]"):
+        opengl_context.apply_material(pf.Material())
+
+
+class Recorder:
+    """Stands in for OpenGL: names are what they are called, calls are written down."""
+
+    def __init__(self):
+        self.calls = []
+
+    def __getattr__(self, name):
+        if name.startswith("GL_LIGHT") and name[8:].isdigit():
+            return int(name[8:])
+        if name == "GL_LIGHT0":
+            return 0
+        if name.startswith("GL_"):
+            return name
+        return lambda *arguments: self.calls.append((name, *arguments))
+
+
+def test_calls_of_a_material_and_a_light(monkeypatch):
+    gl = Recorder()
+    monkeypatch.setattr(opengl_context, "_gl", lambda: gl)
+    opengl_context.apply_material(pf.Material(0.5, shininess=20), "GL_FRONT")
+    assert ("glMaterialfv", "GL_FRONT", "GL_DIFFUSE", [0.5, 0.5, 0.5, 1.0]) in gl.calls
+    assert ("glMaterialf", "GL_FRONT", "GL_SHININESS", 20.0) in gl.calls
+    opengl_context.apply_light(pf.DirectionalLight((1, 2, 3)), 2)
+    assert ("glLightfv", 2, "GL_POSITION", [1.0, 2.0, 3.0, 0.0]) in gl.calls
+    # What another light may have left behind is put back.
+    assert ("glLightf", 2, "GL_SPOT_CUTOFF", 180.0) in gl.calls
+    assert ("glEnable", 2) in gl.calls
+    with pytest.raises(ValueError, match="^shininess: 200 came"):
+        opengl_context.apply_material(pf.Material(shininess=200))
+    with pytest.warns(UserWarning, match="shininess: 200 came"):
+        opengl_context.apply_material(pf.Material(shininess=200), nearest=True)
+    assert gl.calls[-1] == ("glMaterialf", "GL_FRONT_AND_BACK", "GL_SHININESS", 128.0)
