@@ -1,5 +1,7 @@
 """Contracts of the interfaces: a new class earns its place with a three-line test."""
 
+from typing import TypeVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,6 +15,7 @@ from phongfit.reflectance import AbstractSpecular
 from phongfit.testing import check_gradients
 
 EPS = float(jnp.finfo(jnp.result_type(float)).eps)
+T = TypeVar("T")
 # Some hundred roundings in the precision of this run: 1e-5 or 1e-14.
 CLOSE = 100 * EPS
 
@@ -31,6 +34,12 @@ def unit(*vector: float) -> jax.Array:
 def floats(array) -> jax.Array:
     """An array in the run's precision."""
     return jnp.asarray(array, jnp.result_type(float))
+
+
+def known(value: T | None) -> T:
+    """What is there in this case, though elsewhere it may be None."""
+    assert value is not None
+    return value
 
 
 def random_units(count: int, seed: int = 0) -> np.ndarray:
