@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -18,15 +19,20 @@ def as_floats(name: str, value: Any) -> Float[Array, "..."]:
     """`value` as an array of the default float type; `ValueError` names `name`."""
     wanted = jnp.result_type(float)
     try:
-        # By way of NumPy where it can be: that compiles nothing.
-        array = value if isinstance(value, Array) else np.asarray(value)
+        # By way of NumPy where it can be: that compiles nothing. It cannot where a
+        # tracer hides in a list.
+        traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
+        given = isinstance(value, Array)
+        array = value if given else (jnp if traced else np).asarray(value)
         if array.dtype.kind not in "bfiucV":
             array = jnp.asarray(value)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: {value!r} is not an array of numbers") from error
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
         raise ValueError(f"{name}: complex numbers came, real ones are wanted")
-    return jnp.asarray(array if array.dtype == wanted else array.astype(wanted))
+    # Too large for the precision is infinite, which is refused in its own words.
+    with np.errstate(over="ignore"):
+        return jnp.asarray(array if array.dtype == wanted else array.astype(wanted))
 
 
 def as_vector(name: str, value: Any) -> Float[Array, "3"]:

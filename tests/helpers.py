@@ -135,8 +135,9 @@ def check_light(light: AbstractLight) -> None:
 
     arriving, slopes = here(light, place)
     near(arriving.distance, 0 if hasattr(light, "position") else np.inf)
-    for leaf in (arriving.to_light, arriving.intensity, arriving.specular, slopes):
-        assert np.all(np.isfinite(leaf))
+    colours = (arriving.intensity, arriving.specular, arriving.ambient)
+    for array in (arriving.to_light, *colours, slopes):
+        assert np.all(np.isfinite(array))
 
 
 def _moved(light: AbstractLight, turn: np.ndarray, shift: np.ndarray) -> AbstractLight:

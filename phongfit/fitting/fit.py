@@ -17,10 +17,9 @@ from phongfit.fitting.search import search
 from phongfit.fitting.summary import summarize
 from phongfit.fitting.unknowns import Unknowns, make_unknowns
 from phongfit.geometry.surfaces import GBuffer
-from phongfit.geometry.tracing import trace
 from phongfit.material import Material
 from phongfit.rendering.film import Film
-from phongfit.rendering.terms import ShadingTerms, combine, terms
+from phongfit.rendering.pixels import PixelTerms, pixel_terms
 from phongfit.scene import Scene
 
 
@@ -50,7 +49,9 @@ def fit(
     - `scene`: one, or a sequence of scenes (lights, views) of one material.
     - `image`: (height, width, 3) linear light where white is 1, or a sequence of these,
         one a scene.
-    - `unknowns`: leaves of the material to be found.
+    - `unknowns`: leaves of the material to be found; where the surface is made of M
+        materials, of each of them: the leaves that come back have shape (M, 3) or
+        (M, 1).
     - `per_channel`: those of them with one value for each of red, green and blue; the
         others have one for all.
     - `known`: values of the leaves that are not unknown; default no reflectance, no
@@ -77,17 +78,18 @@ def fit(
     """
     photographs = as_photographs(scene, image, mask, weights, noise)
     known = Material(0.0, 0.0, 32.0, 0.0) if known is None else known
-    layout = make_unknowns(unknowns, per_channel, known, bounds or {})
+    materials = photographs[0].scene.surface.materials
+    layout = make_unknowns(unknowns, per_channel, known, bounds or {}, materials)
     film = _checked_film(film, photographs)
     loss = as_loss(loss)
 
     geometry = [_resolve(p.scene) for p in photographs]
-    shading = [shaded for _, shaded in geometry]
+    views = [view for _, view in geometry]
     weighted = [_weights(p, g) for p, (g, _) in zip(photographs, geometry, strict=True)]
     _check_samples(weighted, layout)
-    _check_constants(layout, shading, weighted)
+    _check_constants(layout, views)
     samples = gather(
-        shading,
+        views,
         [p.image for p in photographs],
         weighted,
         [rounding_steps(p.image, film) for p in photographs],
@@ -114,26 +116,26 @@ def fit(
     )
 
 
-def _resolve(scene: Scene) -> tuple[GBuffer, ShadingTerms]:
-    gbuffer = trace(scene.surface, scene.camera)
-    return gbuffer, terms(scene, gbuffer)
+def _resolve(scene: Scene) -> tuple[GBuffer, PixelTerms]:
+    gbuffer = scene.trace()
+    return gbuffer, pixel_terms(scene, gbuffer)
 
 
 @eqx.filter_jit
-def _expose(shaded: ShadingTerms, material: Material, clamp: bool) -> Array:
-    light = combine(shaded, material)
+def _expose(view: PixelTerms, material: Material, clamp: bool) -> Array:
+    light = view.radiance(material)
     return jnp.clip(light, 0, 1) if clamp else light
 
 
 def _shown(
     gbuffer: GBuffer,
-    shaded: ShadingTerms,
+    view: PixelTerms,
     scene: Scene,
     material: Material,
     clamp: bool,
 ) -> np.ndarray:
     """The fitted image in linear light."""
-    light = np.asarray(_expose(shaded, material, clamp))
+    light = np.asarray(_expose(view, material, clamp))
     mask = np.asarray(gbuffer.mask)[..., None]
     return np.where(mask, light, np.asarray(scene.background))
 
@@ -168,18 +170,11 @@ def _check_samples(weights: list[np.ndarray], unknowns: Unknowns) -> None:
         )
 
 
-def _check_constants(
-    unknowns: Unknowns, shading: list[ShadingTerms], weights: list[np.ndarray]
-) -> None:
+def _check_constants(unknowns: Unknowns, views: list[PixelTerms]) -> None:
     """Ambient and emission are one constant wherever the ambient light is the same."""
     if not {"ambient", "emission"} <= set(unknowns.names):
         return
-    light = np.concatenate(
-        [
-            np.asarray(shaded.ambient)[weight.any(axis=-1)]
-            for shaded, weight in zip(shading, weights, strict=True)
-        ]
-    )
+    light = np.concatenate([np.asarray(v.terms.ambient).reshape(-1, 3) for v in views])
     if np.all(np.ptp(light, axis=0) <= 1e-6 * np.abs(light).max()):
         raise ValueError(
             "unknowns: ambient and emission both came, but under constant ambient "

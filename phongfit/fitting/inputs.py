@@ -1,7 +1,7 @@
 """What a user hands to a fit, checked and in one form."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -28,24 +28,40 @@ def as_photographs(
     **Raises:** `ValueError` that names the argument, and which of several it is.
     """
     single = isinstance(scene, Scene)
-    scenes = [scene] if single else list(scene)
+    scenes = list(scene) if isinstance(scene, Iterable) else [scene]
     if not scenes or not all(isinstance(s, Scene) for s in scenes):
         raise ValueError("scene: a Scene, or a sequence of at least one, is wanted")
     images = [image] if single else _sequence("image", image, len(scenes))
     masks, weightings, noises = (
         [given] * len(scenes)
-        if single or given is None or (name == "noise" and np.ndim(given) == 0)
+        if single or given is None or (name == "noise" and _is_number(given))
         else _sequence(name, given, len(scenes))
         for name, given in (("mask", mask), ("weights", weights), ("noise", noise))
     )
-    if any(s.specular != scenes[0].specular for s in scenes):
-        raise ValueError("scene: all scenes must have the same specular model")
+    _check_alike(scenes)
     return [
         _photograph("" if single else f"[{k}]", *parts)
         for k, parts in enumerate(
             zip(scenes, images, masks, weightings, noises, strict=True)
         )
     ]
+
+
+def _check_alike(scenes: list[Scene]) -> None:
+    """Images of one fit may differ in light and view, not in how light is computed."""
+    for what, of in (
+        ("specular model", lambda s: s.specular),
+        ("shading", lambda s: s.shading),
+        ("number of materials", lambda s: s.surface.materials),
+        ("use of fog", lambda s: s.fog is not None),
+    ):
+        if any(of(scene) != of(scenes[0]) for scene in scenes):
+            raise ValueError(f"scene: all scenes must have the same {what}")
+
+
+def _is_number(given: Any) -> bool:
+    # NumPy would make an array of a list first, which fails for images of two sizes.
+    return not isinstance(given, list | tuple) and np.ndim(given) == 0
 
 
 def _sequence(name: str, given: Any, count: int) -> list[Any]:

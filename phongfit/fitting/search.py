@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from phongfit.fitting.losses import AbstractLoss
 from phongfit.fitting.problem import Evaluation, Problem, evaluate, solve
 from phongfit.fitting.samples import Samples
-from phongfit.fitting.start import choose_subset, scan
+from phongfit.fitting.start import choose_few, scan
 from phongfit.fitting.unknowns import Unknowns
 
 # A pass solves with the noise level that the pass before left over.
@@ -35,13 +35,13 @@ def search(
     max_steps: int,
 ) -> Found:
     """The least cost, without a starting guess."""
-    few = samples.take(choose_subset(samples))
+    few = choose_few(samples)
     y = scan(few, unknowns, clamp)
     # Before the noise is known the clamp is a hard one.
     sigma = 1.0 if noise_given else float(np.finfo(y.dtype).eps)
     problem = Problem(few, unknowns, jnp.asarray(sigma, y.dtype), loss, clamp)
     found = _solve(problem, y, noise_given, max_steps)
-    if few.target.shape[0] == samples.target.shape[0]:
+    if few is samples:
         return found
     problem = dataclasses.replace(found.problem, samples=samples)
     last = _solve(problem, found.y, noise_given, max_steps)

@@ -63,8 +63,9 @@ class BoxDampedNewtonDescent(optx.AbstractDescent):
             ravel_pytree(tree)[0] for tree in (state.y, self.lower, self.upper)
         )
         diagonal = jnp.diag(state.hessian)
-        # A parameter that does nothing here still needs a positive curvature.
-        least = jnp.finfo(y.dtype).eps * jnp.max(diagonal)
+        # A parameter that does nothing here still needs a positive curvature; so small
+        # that one which does little is not slowed down to a creep without an end.
+        least = jnp.finfo(y.dtype).eps ** 2 * jnp.max(diagonal)
         least = jnp.where(least > 0, least, 1)
         diagonal = jnp.maximum(diagonal, least)
         damped = state.hessian + jnp.diag(self.damping / step_size * diagonal + least)

@@ -8,96 +8,84 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.box import minimize_in_box
 from phongfit.fitting.samples import Samples
 from phongfit.fitting.unknowns import REFLECTANCES, Unknowns
-from phongfit.material import Material
+from phongfit.rendering.pixels import PixelTerms
 
 CANDIDATES = 48
 SUBSET = 4096
 
 
-def choose_subset(samples: Samples) -> Int[Array, " m"]:
-    """Indices of a few thousand samples: evenly spread, and the nearest to highlights.
+def choose_few(samples: Samples) -> Samples:
+    """A few thousand samples: evenly spread ones, and the nearest to highlights.
 
     A narrow highlight covers few pixels, but only these know f.
     """
-    weight = np.asarray(samples.weight).any(axis=-1)
-    present = np.flatnonzero(weight)
+    present = np.flatnonzero(np.asarray(samples.weight).any(axis=-1))
     if len(present) <= SUBSET:
-        return jnp.asarray(np.resize(present, _round_up(len(present))))
+        return samples
     even = present[np.linspace(0, len(present) - 1, SUBSET // 2).astype(int)]
-    cosine = np.asarray(samples.terms.cosine)
-    lit = np.asarray(samples.terms.strength).any(axis=-1)
-    nearest = np.where(lit, cosine, 0).max(axis=-1, initial=0)[present]
+    nearest = _nearness(samples.pixels)[present]
     bright = present[np.argpartition(nearest, -SUBSET // 2)[-SUBSET // 2 :]]
-    return jnp.asarray(np.concatenate([even, bright]))
+    return samples.take(np.concatenate([even, bright]))
 
 
-def _round_up(count: int) -> int:
-    """A size out of a short series, at least `count`."""
-    return min(SUBSET, 2 ** (max(count - 1, 255)).bit_length())
+def _nearness(pixels: PixelTerms) -> np.ndarray:
+    """Largest cosine from any highlight, pixel by pixel."""
+    lit = np.asarray(pixels.terms.strength).any(axis=-1)
+    nearest = np.where(lit, np.asarray(pixels.terms.cosine), 0).max(axis=-1, initial=0)
+    if pixels.interpolation is None:
+        return nearest
+    return nearest[np.asarray(pixels.interpolation.index)].max(axis=-1)
 
 
 @eqx.filter_jit
 def scan(samples: Samples, unknowns: Unknowns, clamp: bool) -> Float[Array, " n"]:
     """The best starting vector for the solver, over a grid of exponents.
 
-    Where exponents differ between channels, each takes its own best.
+    Where exponents differ between channels or materials, each takes its own best.
     """
     wanted = "shininess" in unknowns.names
-    known = unknowns.known.shininess
     if wanted:
         low, high = (
-            unknowns.parts(edge)["shininess"]
+            unknowns.parts(edge)["shininess"][0]
             for edge in (unknowns.lower, unknowns.upper)
         )
-        share = jnp.linspace(0, 1, CANDIDATES, dtype=low.dtype)
-        grid = low[0] + (high[0] - low[0]) * share
+        grid = low + (high - low) * jnp.linspace(0, 1, CANDIDATES, dtype=low.dtype)
         exponents = jnp.exp(grid)
     else:
-        grid = jnp.zeros((1,), known.dtype)
-        exponents = known[None]
+        grid = jnp.zeros((1,), unknowns.lower.dtype)
+        exponents = unknowns.known.shininess[None]
 
     def at(exponent: Array) -> tuple[Array, Array]:
         return _best_reflectances(samples, unknowns, exponent, clamp)
 
     vectors, costs = jax.lax.map(at, exponents)
     costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
-    vectors = jax.vmap(lambda v, g: _with_exponent(unknowns, v, g))(vectors, grid)
-    best = jnp.argmin(jnp.sum(costs, axis=-1))
-    y = vectors[best]
-    if wanted and unknowns.parts(y)["shininess"].shape == (3,):
-        own = jnp.argmin(costs, axis=0)
-        y = _with_exponent(unknowns, y, grid[own])
+    own = jnp.argmin(costs, axis=0)
+    common = jnp.argmin(jnp.sum(costs, axis=-1), axis=0)
+    per_channel = wanted and unknowns.channels[unknowns.names.index("shininess")] > 1
+    alone = (unknowns.columns >= 0) & per_channel
+    chosen = jnp.where(
+        alone, own[unknowns.owners, unknowns.columns], common[unknowns.owners]
+    )
+    y = vectors[chosen, np.arange(len(chosen))]
+    y = jnp.where(unknowns.logarithmic, grid[chosen], y)
     return jnp.clip(y, unknowns.lower, unknowns.upper)
-
-
-def _with_exponent(
-    unknowns: Unknowns, y: Float[Array, " n"], exponent: Float[Array, "..."]
-) -> Float[Array, " n"]:
-    parts = unknowns.parts(y)
-    if "shininess" in parts:
-        parts["shininess"] = jnp.broadcast_to(exponent, parts["shininess"].shape)
-    return jnp.concatenate([parts[name] for name in unknowns.names])
 
 
 def _best_reflectances(
     samples: Samples, unknowns: Unknowns, exponent: Float[Array, "..."], clamp: bool
-) -> tuple[Float[Array, " n"], Float[Array, "3"]]:
-    """For one exponent: the best vector, and what is left over in each channel."""
-    terms = samples.terms
-    basis = jnp.stack(
-        [
-            terms.ambient,
-            terms.diffuse,
-            terms.specular(exponent),
-            jnp.ones_like(terms.diffuse),
-        ],
-        axis=-1,
-    )
+) -> tuple[Float[Array, " n"], Float[Array, "materials 3"]]:
+    """For one exponent: the best vector, and what each material's channels leave."""
+    basis = samples.pixels.basis(exponent)
+    target = samples.target - samples.pixels.fog_light()
+    owner = samples.pixels.material_index()
+    owner = jnp.zeros(target.shape[0], int) if owner is None else owner
+    members = owner[None] == jnp.arange(unknowns.materials)[:, None]
     select, offset = _selection(unknowns)
     white = samples.target >= 1
     # What was clipped says only that the light is no less than white: at first it is
@@ -105,62 +93,75 @@ def _best_reflectances(
     weight = jnp.where(white & clamp, 0, samples.weight)
 
     def step(weight: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
-        y = _solve(basis, samples.target, weight, select, offset, unknowns)
-        light = jnp.einsum("nck,ck->nc", basis, offset + select @ y)
-        beyond = white & clamp & (light >= 1)
+        sums = _sums(basis, target, weight, members)
+        y = _solve(*sums, select, offset, unknowns)
+        reflectances = (offset + select @ y)[owner]
+        light = jnp.einsum("nck,nck->nc", basis, reflectances)
+        beyond = white & clamp & (light >= target)
         return jnp.where(beyond, 0, samples.weight), (y, light)
 
     _, (vectors, lights) = jax.lax.scan(step, weight, length=3 if clamp else 1)
-    y, light = vectors[-1], lights[-1]
-    shown = jnp.clip(light, 0, 1) if clamp else light
-    left = jnp.sum(samples.weight * (shown - samples.target) ** 2, axis=0)
-    return y, left
+    shown = lights[-1] + (samples.target - target)
+    shown = jnp.clip(shown, 0, 1) if clamp else shown
+    left = samples.weight * (shown - samples.target) ** 2
+    return vectors[-1], members.astype(left.dtype) @ left
 
 
 def _selection(unknowns: Unknowns) -> tuple[Array, Array]:
-    """How a vector makes the reflectances (3, 4): `offset + select @ y`.
+    """How a vector makes reflectances (M, 3, 4): `offset + select @ y`.
 
-    The channels are rows; the columns are those of `REFLECTANCES`.
+    The columns are those of `REFLECTANCES`.
     """
-    dtype = unknowns.lower.dtype
-    select = np.zeros((3, len(REFLECTANCES), unknowns.lower.size))
-    offset = jnp.stack(
-        [_channels(unknowns.known, name) for name in REFLECTANCES], axis=-1
-    )
-    wanted = np.zeros(len(REFLECTANCES), bool)
-    for name, entries in unknowns.parts(np.arange(unknowns.lower.size)).items():
-        if name in REFLECTANCES:
-            column = REFLECTANCES.index(name)
-            select[range(3), column, np.broadcast_to(entries, 3)] = 1
-            wanted[column] = True
-    return jnp.asarray(select, dtype), jnp.where(wanted[None], 0, offset)
+    size = unknowns.lower.size
+    select = np.zeros((unknowns.materials, 3, len(REFLECTANCES), size))
+    wanted = np.array([name in unknowns.names for name in REFLECTANCES])
+    for entry, (kind, owner, column) in enumerate(
+        zip(unknowns.kinds, unknowns.owners, unknowns.columns, strict=True)
+    ):
+        if kind in REFLECTANCES:
+            channels = range(3) if column < 0 else [column]
+            select[owner, channels, REFLECTANCES.index(kind), entry] = 1
+    leaves = [_rows(getattr(unknowns.known, name), unknowns) for name in REFLECTANCES]
+    offset = jnp.where(wanted, 0, jnp.stack(leaves, axis=-1))
+    return jnp.asarray(select, unknowns.lower.dtype), offset
 
 
-def _channels(material: Material, name: str) -> Float[Array, "3"]:
-    leaf = getattr(material, name)
-    return jnp.broadcast_to(leaf.reshape(-1), (3,))
+def _rows(leaf: Float[Array, "..."], unknowns: Unknowns) -> Float[Array, "materials 3"]:
+    """A known leaf, for each material and channel."""
+    leaf = leaf.reshape((1,) * (2 - leaf.ndim) + leaf.shape)
+    return jnp.broadcast_to(leaf, (unknowns.materials, 3))
 
 
-def _solve(
+def _sums(
     basis: Float[Array, "samples 3 4"],
     target: Float[Array, "samples 3"],
     weight: Float[Array, "samples 3"],
-    select: Float[Array, "3 4 n"],
-    offset: Float[Array, "3 4"],
+    members: Bool[Array, "materials samples"],
+) -> tuple[Float[Array, "materials 3 4 4"], Float[Array, "materials 3 4"]]:
+    """Sums of products of the basis, and with the target, for each material."""
+    exact = jax.lax.Precision.HIGHEST
+
+    def of(member: Bool[Array, " samples"]) -> tuple[Array, Array]:
+        weighted = basis * jnp.where(member[:, None], weight, 0)[..., None]
+        gram = jnp.einsum("nck,ncl->ckl", weighted, basis, precision=exact)
+        moment = jnp.einsum("nck,nc->ck", weighted, target, precision=exact)
+        return gram, moment
+
+    return jax.lax.map(of, members)
+
+
+def _solve(
+    gram: Float[Array, "materials 3 4 4"],
+    moment: Float[Array, "materials 3 4"],
+    select: Float[Array, "materials 3 4 n"],
+    offset: Float[Array, "materials 3 4"],
     unknowns: Unknowns,
 ) -> Float[Array, " n"]:
     """Bounded linear least squares for the reflectances, from sums of products."""
-    weighted = basis * weight[..., None]
-    exact = jax.lax.Precision.HIGHEST
-    gram = jnp.einsum("nck,ncl->ckl", weighted, basis, precision=exact)
-    moment = jnp.einsum("nck,nc->ck", weighted, target, precision=exact)
-    moment = moment - jnp.einsum("ckl,cl->ck", gram, offset)
-    hessian = jnp.einsum("cki,ckl,clj->ij", select, gram, select)
-    gradient = -jnp.einsum("cki,ck->i", select, moment)
+    moment = moment - jnp.einsum("mckl,mcl->mck", gram, offset)
+    hessian = jnp.einsum("mcki,mckl,mclj->ij", select, gram, select)
+    gradient = -jnp.einsum("mcki,mck->i", select, moment)
     # A ridge far below any measurement, for columns that are zero or alike.
-    diagonal = jnp.diag(hessian)
-    ridge = 1e-6 * jnp.maximum(diagonal, jnp.max(diagonal))
-    ridge = jnp.where(ridge > 0, ridge, 1)
-    return minimize_in_box(
-        hessian + jnp.diag(ridge), gradient, unknowns.lower, unknowns.upper
-    )
+    ridge = 1e-6 * jnp.max(jnp.diag(hessian))
+    ridge = jnp.where(ridge > 0, ridge, 1) * jnp.eye(len(gradient), dtype=gram.dtype)
+    return minimize_in_box(hessian + ridge, gradient, unknowns.lower, unknowns.upper)

@@ -141,7 +141,7 @@ def _untold(
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Which unknowns the Jacobian leaves open, and why, in words."""
     labels = np.array(unknowns.labels)
-    kinds = np.repeat(unknowns.names, unknowns.sizes)
+    kinds = unknowns.kinds
     diagonal = np.diag(bread)
     silent = diagonal <= _threshold(resolution) * max(diagonal.max(), 1e-300)
     reasons = [

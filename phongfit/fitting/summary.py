@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from phongfit.fitting.diagnostics import neighbour_correlation, variance_inflation
-from phongfit.fitting.problem import Problem, evaluate
+from phongfit.fitting.problem import Evaluation, Problem, evaluate
 from phongfit.fitting.result import Fit
 from phongfit.fitting.search import Found
 from phongfit.fitting.statistics import Statistics, statistics
@@ -62,14 +62,14 @@ def summarize(
         bounds=unknowns.bounds,
         fitted=fitted[0] if single else tuple(fitted),
         residuals=residuals[0] if single else tuple(residuals),
-        noise=float(problem.sigma),
+        noise=_typical_noise(problem, at),
         noise_given=noise_given,
         samples=int(sum(mask.sum() for mask in used)),
         images=len(used),
         chi_squared=float(np.sum(np.asarray(at.residual, float) ** 2)),
         neighbour_correlation=correlation,
         loss=type(problem.loss).__name__,
-        model=type(problem.samples.terms.model).__name__,
+        model=type(problem.samples.pixels.terms.model).__name__,
         film=_film_words(film),
         converged=found.converged,
         steps=found.steps,
@@ -89,6 +89,11 @@ def summarize(
 
 _CONVERGED = "steps and changes of the residuals fell below the tolerance"
 _STOPPED = "the limit of steps was reached, or the numbers left the finite"
+
+
+def _typical_noise(problem: Problem, at: Evaluation) -> float:
+    used = np.asarray(problem.samples.weight) > 0
+    return float(np.median(np.asarray(at.noise)[used]))
 
 
 def _misfit(
@@ -144,16 +149,19 @@ def _beyond_sense(
     reasons = [*uncertainty.reasons]
     labels = np.array(unknowns.labels)
     width = np.asarray(unknowns.upper) - np.asarray(unknowns.lower)
-    kinds = np.repeat(unknowns.names, unknowns.sizes)
+    kinds, owners = unknowns.kinds, unknowns.owners
     with np.errstate(invalid="ignore"):
         vague = ~untold & (uncertainty.stderr > width)
         dark = (kinds == "specular") & (y < 3 * uncertainty.stderr)
     for label in labels[vague]:
         reasons.append(f"{label} cannot be told: its error is wider than its bounds")
     untold |= vague
-    if (kinds == "specular").any() and dark[kinds == "specular"].all():
-        unseen = (kinds == "shininess") & ~untold
-        for label in labels[unseen]:
-            reasons.append(f"{label} cannot be told: specular is 0 within its error")
-        untold |= unseen
+    for owner in np.unique(owners[kinds == "specular"]):
+        if dark[(kinds == "specular") & (owners == owner)].all():
+            unseen = (kinds == "shininess") & (owners == owner) & ~untold
+            for label in labels[unseen]:
+                reasons.append(
+                    f"{label} cannot be told: specular is 0 within its error"
+                )
+            untold |= unseen
     return untold, tuple(reasons)

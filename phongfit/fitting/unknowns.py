@@ -31,22 +31,52 @@ DEFAULT_BOUNDS = {
 class Unknowns(eqx.Module):
     """Which leaves of a material are wanted, per channel or shared, and their box.
 
-    A vector y holds the entries of the leaves in `names`, one after the other.
+    A vector y holds the entries of the leaves in `names`, one after the other; of M
+    materials each has its own entries, material after material.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
-    sizes: tuple[int, ...] = eqx.field(static=True)
+    channels: tuple[int, ...] = eqx.field(static=True)
+    materials: int = eqx.field(static=True)
     known: Material
     lower: Float[Array, " n"]
     upper: Float[Array, " n"]
 
     @property
+    def sizes(self) -> tuple[int, ...]:
+        """How many entries each leaf has."""
+        return tuple(self.materials * channels for channels in self.channels)
+
+    @property
+    def kinds(self) -> np.ndarray:
+        """The leaf that each entry belongs to."""
+        return np.repeat(self.names, self.sizes)
+
+    @property
+    def owners(self) -> np.ndarray:
+        """The material, 0 … M − 1, that each entry belongs to."""
+        rows = np.arange(self.materials)
+        return np.concatenate([np.repeat(rows, count) for count in self.channels])
+
+    @property
+    def columns(self) -> np.ndarray:
+        """The channel that each entry belongs to; −1 where it is shared by all."""
+        rows = [
+            np.tile(np.arange(count) if count > 1 else [-1], self.materials)
+            for count in self.channels
+        ]
+        return np.concatenate(rows)
+
+    @property
     def labels(self) -> tuple[str, ...]:
-        """A name for every entry, such as `diffuse.red` or `shininess`."""
+        """A name for every entry: `diffuse.red`, or of several `ambient[2].red`."""
         return tuple(
-            f"{name}.{channel}" if size > 1 else name
-            for name, size in zip(self.names, self.sizes, strict=True)
-            for channel in CHANNELS[:size]
+            name
+            + (f"[{owner}]" if self.materials > 1 else "")
+            + (f".{CHANNELS[column]}" if column >= 0 else "")
+            for name, owner, column in zip(
+                self.kinds, self.owners, self.columns, strict=True
+            )
         )
 
     def parts(self, vector: Any) -> dict[str, Any]:
@@ -78,19 +108,22 @@ class Unknowns(eqx.Module):
     def with_leaves(self, values: Any) -> Material:
         """A material with the wanted leaves from `values`, in the user's units."""
         material = self.known
-        for name, part in self.parts(values).items():
-            leaf = jnp.asarray(part if part.shape[-1] > 1 else part[0])
+        for (name, part), count in zip(
+            self.parts(values).items(), self.channels, strict=True
+        ):
+            shape = (count,) if count > 1 else ()
+            shape = shape if self.materials == 1 else (self.materials, count)
 
             def where(m: Material, name: str = name) -> Array:
                 return getattr(m, name)
 
-            material = eqx.tree_at(where, material, leaf)
+            material = eqx.tree_at(where, material, jnp.asarray(part.reshape(shape)))
         return material
 
     @property
     def logarithmic(self) -> np.ndarray:
         """True where the solver works with a logarithm."""
-        return np.repeat([name == "shininess" for name in self.names], self.sizes)
+        return self.kinds == "shininess"
 
 
 def make_unknowns(
@@ -98,8 +131,9 @@ def make_unknowns(
     per_channel: Sequence[str],
     known: Material,
     bounds: Mapping[str, tuple[float, float]],
+    materials: int = 1,
 ) -> Unknowns:
-    """The unknowns of a fit, checked.
+    """The unknowns of a fit, checked; of `materials` materials each has its own.
 
     **Raises:** `ValueError` that names the argument and the entry that is wrong.
     """
@@ -117,19 +151,20 @@ def make_unknowns(
         raise ValueError("unknowns: none came, at least one is wanted")
     if len(set(unknowns)) != len(unknowns):
         raise ValueError(f"unknowns: a name came twice: {', '.join(unknowns)}")
+    rows = () if materials == 1 else ((materials, 1), (materials, 3))
     for name in LEAVES:
         shape = getattr(known, name).shape
-        if shape not in ((), (1,), (3,)):
-            raise ValueError(f"known: {name} has shape {shape}, () or (3,) is wanted")
+        if shape not in ((), (1,), (3,), *rows):
+            wanted = ", ".join(map(str, ((), (3,), *rows)))
+            raise ValueError(f"known: {name} has shape {shape}, one of {wanted} wanted")
     # In the order of the table that users read, whatever the order they were named in.
     names = tuple(name for name in LEAVES if name in unknowns)
-    sizes = tuple(3 if name in per_channel else 1 for name in names)
+    channels = tuple(3 if name in per_channel else 1 for name in names)
     boxes = [_box(name, bounds.get(name, DEFAULT_BOUNDS[name])) for name in names]
-    lower, upper = np.repeat(np.array(boxes), sizes, axis=0).T
-    dtype = jnp.result_type(float)
-    return Unknowns(
-        names, sizes, known, jnp.asarray(lower, dtype), jnp.asarray(upper, dtype)
-    )
+    counts = [materials * count for count in channels]
+    lower, upper = np.repeat(np.array(boxes, jnp.result_type(float)), counts, axis=0).T
+    edges = jnp.asarray(lower), jnp.asarray(upper)
+    return Unknowns(names, channels, materials, known, *edges)
 
 
 def _box(name: str, box: tuple[float, float]) -> tuple[float, float]:

@@ -20,11 +20,10 @@ class Haze(eqx.Module):
     """What fog leaves of each pixel's light, and what it adds."""
 
     transmittance: Float[Array, "*batch 1"]
-    color: Float[Array, "3"]
+    color: Float[Array, "*batch 3"]
 
     def __call__(self, light: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-        fogged = jnp.broadcast_to(self.color, light.shape)
-        return self.transmittance * light + (1 - self.transmittance) * fogged
+        return self.transmittance * light + (1 - self.transmittance) * self.color
 
 
 class PixelTerms(eqx.Module):
@@ -52,6 +51,40 @@ class PixelTerms(eqx.Module):
             light = self.interpolation(light)
         return light if self.haze is None else self.haze(light)
 
+    def basis(self, shininess: Float[Array, "..."]) -> Float[Array, "*batch 3 4"]:
+        """Radiance for each reflectance of 1: ambient, diffuse, specular, emission.
+
+        With [`PixelTerms.fog_light`][] this is the whole image, save for a clamp at the
+        points.
+
+        **Arguments:** `shininess`: as a leaf of a [`Material`][].
+        """
+        at_points = (
+            self.terms.ambient,
+            self.terms.diffuse,
+            self.terms.specular(shininess),
+            jnp.ones_like(self.terms.diffuse),
+        )
+        return jnp.stack([self._spread(values) for values in at_points], axis=-1)
+
+    def fog_light(self) -> Float[Array, "*batch 3"]:
+        """What fog alone adds to each pixel."""
+        dark = jnp.zeros_like(self._spread(self.terms.diffuse))
+        return dark if self.haze is None else self.haze(dark)
+
+    def material_index(self) -> Int[Array, "*batch"] | None:
+        """Which of several materials each pixel shows; `None` where there is one."""
+        index = self.terms.material_index
+        if index is None or self.interpolation is None:
+            return index
+        # All points that a pixel interpolates are of the pixel's face, and material.
+        return index[self.interpolation.index[..., 0]]
+
+    def _spread(self, values: Float[Array, "*points 3"]) -> Float[Array, "*batch 3"]:
+        if self.interpolation is not None:
+            values = self.interpolation(values)
+        return values if self.haze is None else self.haze.transmittance * values
+
     def select(self, pixels: Int[Array, " n"]) -> "PixelTerms":
         """The same for some pixels only: the batch shape becomes (n,).
 
@@ -62,7 +95,10 @@ class PixelTerms(eqx.Module):
         """
         haze = self.haze
         if haze is not None:
-            haze = Haze(haze.transmittance.reshape(-1, 1)[pixels], haze.color)
+            haze = Haze(
+                haze.transmittance.reshape(-1, 1)[pixels],
+                haze.color.reshape(-1, 3)[pixels],
+            )
         if self.interpolation is None:
             chosen, interpolation = _gather(self.terms, pixels), None
         else:
@@ -73,7 +109,7 @@ class PixelTerms(eqx.Module):
             if not isinstance(index, Tracer):
                 used, position = np.unique(np.asarray(index), return_inverse=True)
                 index = jnp.asarray(position.reshape(index.shape).astype(np.int32))
-                chosen = _gather(chosen, jnp.asarray(used))
+                chosen = _gather(chosen, jnp.asarray(np.resize(used, _size(used))))
             interpolation = Interpolation(index, weight)
         return PixelTerms(chosen, interpolation, haze, self.clamp)
 
@@ -87,6 +123,12 @@ PixelTerms.__init__.__doc__ = """**Arguments:**
 """
 
 
+def _size(used: np.ndarray) -> int:
+    """At least as many points as are used, out of few sizes: each is a compilation."""
+    return 2 ** int(max(len(used) - 1, 63)).bit_length()
+
+
+@eqx.filter_jit
 def _gather(terms: ShadingTerms, index: Int[Array, " n"]) -> ShadingTerms:
     """The terms at some points, counted row by row."""
     batch = terms.diffuse.ndim - 1
@@ -110,7 +152,8 @@ def pixel_terms(scene: Scene, gbuffer: GBuffer) -> PixelTerms:
     haze = None
     if scene.fog is not None:
         depth = jax.vmap(jax.vmap(scene.camera.depth))(gbuffer.position)
-        haze = Haze(scene.fog.transmittance(depth)[..., None], scene.fog.color)
+        color = jnp.broadcast_to(scene.fog.color, (*depth.shape, 3))
+        haze = Haze(scene.fog.transmittance(depth)[..., None], color)
     return PixelTerms(
         terms(scene, gbuffer),
         scene.shading.interpolation(scene.surface, gbuffer),

@@ -1,0 +1,283 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+import pytest
+import scipy.optimize
+
+from phongfit.fitting.solver import BoundedLevenbergMarquardt
+from tests.helpers import EPS, floats, near
+
+DOUBLE = EPS < 1e-10
+# What is left of a cost that could be 0, and how well a minimum is found.
+RTOL = 1e-8 if DOUBLE else 1e-5
+INFINITE = (-np.inf, np.inf)
+
+
+@eqx.filter_jit
+def _run(residual, start, lower, upper, max_steps, rtol):
+    solver = BoundedLevenbergMarquardt(rtol=rtol, atol=rtol, lower=lower, upper=upper)
+    return optx.least_squares(
+        lambda y, args: residual(y),
+        solver,
+        start,
+        max_steps=max_steps,
+        throw=False,
+    )
+
+
+def minimize(residual, start, lower, upper, max_steps=500, rtol=RTOL):
+    """The solver's answer from a start; bounds are numbers or of the start's shape."""
+    start = floats(start)
+    lower, upper = (jnp.broadcast_to(floats(b), start.shape) for b in (lower, upper))
+    return _run(residual, start, lower, upper, max_steps, rtol)
+
+
+# From Moré, Garbow and Hillstrom, ACM TOMS 7(1), 1981, with boxes of our own. Each
+# takes the module that it computes with: SciPy is given NumPy's double precision.
+def rosenbrock(x, xp=jnp):
+    return xp.stack([10 * (x[1] - x[0] ** 2), 1 - x[0]])
+
+
+def freudenstein_roth(x, xp=jnp):
+    a = ((5 - x[1]) * x[1] - 2) * x[1]
+    b = ((x[1] + 1) * x[1] - 14) * x[1]
+    return xp.stack([x[0] - 13 + a, x[0] - 29 + b])
+
+
+def beale(x, xp=jnp):
+    return xp.stack(
+        [y - x[0] * (1 - x[1] ** k) for k, y in ((1, 1.5), (2, 2.25), (3, 2.625))]
+    )
+
+
+def powell_singular(x, xp=jnp):
+    a, b, c, d = x
+    return xp.stack(
+        [a + 10 * b, 5**0.5 * (c - d), (b - 2 * c) ** 2, 10**0.5 * (a - d) ** 2]
+    )
+
+
+def wood(x, xp=jnp):
+    a, b, c, d = x
+    return xp.stack(
+        [
+            10 * (b - a**2),
+            1 - a,
+            90**0.5 * (d - c**2),
+            1 - c,
+            10**0.5 * (b + d - 2),
+            0.1**0.5 * (b - d),
+        ]
+    )
+
+
+def bard(x, xp=jnp):
+    y = np.array(
+        [0.14, 0.18, 0.22, 0.25, 0.29, 0.32, 0.35, 0.39]
+        + [0.37, 0.58, 0.73, 0.96, 1.34, 2.10, 4.39]
+    )
+    u = np.arange(1.0, 16)
+    v, w = 16 - u, np.minimum(u, 16 - u)
+    y, u, v, w = (xp.asarray(part, x.dtype) for part in (y, u, v, w))
+    return y - (x[0] + u / (v * x[1] + w * x[2]))
+
+
+def kowalik_osborne(x, xp=jnp):
+    y = [0.1957, 0.1947, 0.1735, 0.1600, 0.0844, 0.0627]
+    y += [0.0456, 0.0342, 0.0323, 0.0235, 0.0246]
+    u = [4, 2, 1, 0.5, 0.25, 0.167, 0.125, 0.1, 0.0833, 0.0714, 0.0625]
+    y, u = xp.asarray(y, x.dtype), xp.asarray(u, x.dtype)
+    return y - x[0] * (u**2 + u * x[1]) / (u**2 + u * x[2] + x[3])
+
+
+def box_three(x, xp=jnp):
+    t = xp.asarray(np.arange(1, 11) / 10, x.dtype)
+    return xp.exp(-t * x[0]) - xp.exp(-t * x[1]) - x[2] * (xp.exp(-t) - xp.exp(-10 * t))
+
+
+def brown_almost_linear(x, xp=jnp):
+    total = xp.sum(x) - (len(x) + 1)
+    return xp.concatenate([x[:-1] + total, xp.stack([xp.prod(x) - 1])])
+
+
+PROBLEMS = [
+    (rosenbrock, (-1.2, 1), INFINITE),
+    (rosenbrock, (-1.2, 1), ((-5, -5), (0.5, 5))),
+    (rosenbrock, (-1.2, 2), ((-5, 1.5), (5, 5))),
+    (rosenbrock, (-0.5, 1), ((-2, -2), (-0.1, 5))),
+    (freudenstein_roth, (6, 6), ((0, 4.5), (20, 30))),
+    (freudenstein_roth, (12, 6), ((11.5, 0), (20, 30))),
+    (beale, (1, 1), INFINITE),
+    (beale, (1, 0.7), ((0.6, 0.5), (10, 100))),
+    (beale, (1, 1), ((-10, -10), (2.5, 10))),
+    (powell_singular, (3, -1, 0, 1), INFINITE),
+    (powell_singular, (3, -1, 0, 1), ((0.1, -20, -1, -1), (100, 20, 1, 50))),
+    (wood, (-3, -1, -3, -1), ((-100, -100, -100, -100), (0, 10, 100, 100))),
+    (bard, (1, 1, 1), ((-0.25, 0.01, 0.01), INFINITE[1:] * 3)),
+    (bard, (1, 1, 1), ((0.1, 0, 0), (50, 100, 1.5))),
+    (kowalik_osborne, (0.25, 0.39, 0.415, 0.39), (-10, 10)),
+    (
+        kowalik_osborne,
+        (0.25, 0.39, 0.415, 0.39),
+        ((0, -1, 0.13, 0.12), (10, 12, 13, 14)),
+    ),
+    (box_three, (0, 8, 5), ((0, 5, 0), (2, 9.5, 20))),
+    (brown_almost_linear, (0.5,) * 5, ((0.1,) * 5, (0.9, 5, 5, 5, 5))),
+]
+
+
+@pytest.mark.parametrize("residual, start, box", PROBLEMS)
+def test_against_scipy(residual, start, box):
+    expected = scipy.optimize.least_squares(
+        lambda x: residual(x, np),
+        np.array(start, float),
+        bounds=tuple(np.broadcast_to(np.array(e, float), len(start)) for e in box),
+        method="trf",
+        xtol=1e-14,
+        ftol=1e-14,
+        gtol=1e-14,
+        max_nfev=5000,
+    )
+    solution = minimize(residual, start, *box)
+    assert solution.result == optx.RESULTS.successful
+    point = np.asarray(solution.value)
+    lower, upper = (np.asarray(floats(edge)) for edge in box)
+    assert np.all((lower <= point) & (point <= upper))
+    cost = np.sum(residual(point.astype(float), np) ** 2) / 2
+    # Rounded bounds and points cost something, by themselves.
+    assert cost <= expected.cost * (1 + 100 * EPS) + (1e-12 if DOUBLE else 2e-7)
+
+
+def test_scipy_binds_in_many():
+    """So that the comparison above is one of bounds too."""
+    bound = 0
+    for residual, start, box in PROBLEMS:
+        edges = [floats(edge) for edge in box]
+        point = minimize(residual, start, *box).value
+        bound += bool(jnp.any((point == edges[0]) | (point == edges[1])))
+    assert bound >= 8
+
+
+@pytest.mark.parametrize("residual, start, box", [PROBLEMS[k] for k in (1, 4, 8, 10)])
+def test_bounds_hold_wherever_the_function_is_asked(residual, start, box):
+    asked = []
+
+    def watched(x):
+        jax.debug.callback(lambda x: asked.append(np.array(x)), x)
+        return residual(x)
+
+    value = minimize(watched, start, *box).value
+    jax.effects_barrier()
+    assert len(asked) > 3 and np.array_equal(asked[0], floats(start))
+    lower, upper = (np.asarray(floats(edge)) for edge in box)
+    assert np.all((lower <= np.array(asked)) & (np.array(asked) <= upper))
+    # The bound is met to the last bit, not nearly.
+    assert np.any((value == lower) | (value == upper))
+
+
+def test_bounds_are_met_to_the_last_bit():
+    # y + (bound − y) is not bound for many pairs of floats: try a lot of them.
+    rng = np.random.default_rng(0)
+    bounds = floats(np.array([0.1, 1 / 3, 0.7, 1e-5]).repeat(100)[:, None])
+    starts = bounds + floats(rng.uniform(0, 3, bounds.shape))
+
+    @eqx.filter_vmap
+    def end(start, bound):
+        upper = floats([np.inf])
+        return _run(lambda y: y + 1, start, bound, upper, 50, RTOL).value
+
+    assert np.array_equal(end(starts, bounds), bounds)
+
+
+def test_pytrees():
+    def residual(y):
+        return {"line": y["slope"] * x + y["ends"][0] - target, "end": y["ends"][1] - 5}
+
+    x = floats(np.linspace(0, 1, 7))
+    target = 3 * x - 2
+    start = {"slope": floats(0.0), "ends": floats([0.0, 0.0])}
+    lower = {"slope": floats(-10.0), "ends": floats([-1.5, -np.inf])}
+    upper = {"slope": floats(10.0), "ends": floats([9.0, 4.0])}
+    solution = _run(residual, start, lower, upper, 100, RTOL)
+    assert solution.result == optx.RESULTS.successful
+    # With the offset at −1.5 the best slope is 3 − ½ Σx / Σx².
+    assert solution.value["ends"][0] == floats(-1.5)
+    assert solution.value["ends"][1] == floats(4.0)
+    best = 3 - 0.5 * np.sum(np.asarray(x)) / np.sum(np.asarray(x) ** 2)
+    near(solution.value["slope"], best, 1e3 * EPS)
+
+
+def test_no_stall_where_nothing_is_left():
+    """Zero residual at the solution: the predicted decrease drowns in rounding."""
+    x = floats(np.linspace(0, 4, 60))
+    rng = np.random.default_rng(0)
+
+    @eqx.filter_vmap
+    def steps_and_error(truth, start):
+        def model(y):
+            return y[0] * jnp.exp(-jnp.exp(y[1]) * x) + y[2]
+
+        def residual(y):
+            return model(y) - model(truth)
+
+        box = floats([-20.0] * 3), floats([20.0] * 3)
+        solution = _run(residual, start, *box, 100, 50 * EPS)
+        return (
+            solution.stats["num_steps"],
+            solution.result == optx.RESULTS.successful,
+            jnp.max(jnp.abs(residual(solution.value))),
+        )
+
+    truth = floats(rng.uniform([0.5, -1, -1], [2, 1, 1], (100, 3)))
+    start = truth + floats(rng.uniform(-0.3, 0.3, (100, 3)))
+    steps, successful, error = steps_and_error(truth, start)
+    assert np.all(successful)
+    assert np.max(steps) <= 30
+    assert np.max(error) < 100 * EPS
+
+
+def test_an_unknown_that_is_hardly_felt_ends_too():
+    # The second residual is noise of rounding beside the first, and asks for 1e3.
+    def residual(y):
+        return jnp.stack([1e3 * (y[0] - 0.5) + 30, 1e-3 * y[1] - 1, 40 + 0 * y[0]])
+
+    solution = minimize(residual, (0.0, 0.0), 0.0, 1.0, max_steps=30)
+    assert solution.result == optx.RESULTS.successful
+    near(solution.value[0], 0.47, 1e3 * EPS)
+    assert solution.value[1] == 1
+
+
+def test_an_unknown_that_does_nothing_stays():
+    solution = minimize(lambda y: jnp.stack([y[0] - 2, 3 * y[0]]), (1.0, 0.3), -5, 5)
+    assert solution.result == optx.RESULTS.successful
+    near(solution.value, [0.2, 0.3], 1e3 * EPS)
+
+
+def test_failure_is_data():
+    short = minimize(rosenbrock, (-1.2, 1.0), -5, 5, max_steps=3)
+    assert short.result == optx.RESULTS.nonlinear_max_steps_reached
+    assert np.all(np.isfinite(short.value))
+
+    never = minimize(lambda y: jnp.log(-1 - y**2), (1.0, 2.0), -5, 5, max_steps=20)
+    assert never.result != optx.RESULTS.successful
+
+
+def test_a_region_without_numbers_is_avoided():
+    # The first, too long step lands where the root of a negative number is asked for.
+    def residual(y):
+        return jnp.sqrt(y) - 0.1
+
+    solution = minimize(residual, (4.0,), -10.0, 10.0)
+    assert solution.result == optx.RESULTS.successful
+    near(solution.value, 0.01, 1e-3)
+
+
+def test_start_on_a_bound_and_fixed_unknowns():
+    solution = minimize(rosenbrock, (2.0, 0.25), (0.5, 0.25), (2.0, 0.25))
+    assert solution.result == optx.RESULTS.successful
+    assert solution.value[1] == 0.25
+    # The root of d/dx: -400 x (1/4 - x²) = 2 (1 - x).
+    (best,) = [x.real for x in np.roots([400, 0, -98, -2]) if 0.5 < x.real < 2]
+    near(solution.value[0], best, 1e4 * EPS)
