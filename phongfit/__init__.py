@@ -96,7 +96,6 @@ _ON_DEMAND = {
     "load_mesh": "phongfit.files.meshes",
     "load_scene": "phongfit.files.scenes",
     "read_dataset": "phongfit.files.datasets",
-    "read_mtl": "phongfit.files.mtl",
     "read_image": "phongfit.files.images",
     "read_mtl": "phongfit.files.mtl",
     "save_scene": "phongfit.files.scenes",
