@@ -15,14 +15,18 @@ from jaxtyping import Bool, Float, Int
 
 import phongfit as pf
 from phongfit.files.inputs import naming, read_text
-from phongfit.files.opengl import (
-    fog_from_opengl,
-    light_from_opengl,
-    material_from_opengl,
-    shading_from_opengl,
-)
+from phongfit.files.opengl import material_from_opengl
+from phongfit.files.opengl_scene import scene_from_opengl
 
 Arrays = dict[str, np.ndarray]
+
+OPENGL_STATE = (
+    "light_model",
+    "shade_model",
+    "clamp_vertex_color",
+    "lights",
+    "background",
+)
 
 
 class VertexColors(NamedTuple):
@@ -77,23 +81,15 @@ def read_reference(path: Path) -> Reference:
 
 
 def _opengl(name: str, said: dict[str, Any], arrays: Arrays) -> Reference:
-    model = said["light_model"]
-    shading = shading_from_opengl(said["shade_model"], said["clamp_vertex_color"])
-    scene = pf.Scene(
-        pf.Mesh(arrays["vertices"], arrays["faces"], arrays["normals"]),
-        _opengl_camera(said),
-        [light_from_opengl(light) for light in said["lights"]],
-        model["GL_LIGHT_MODEL_AMBIENT"][:3],
-        shading=shading,
-        fog=fog_from_opengl(_fog(said["fog"])),
-        background=said["background"],
-        local_viewer=model["GL_LIGHT_MODEL_LOCAL_VIEWER"],
-    )
+    state = {name: said[name] for name in OPENGL_STATE}
+    state["fog"] = _parameters(said["fog"])
+    mesh = pf.Mesh(arrays["vertices"], arrays["faces"], arrays["normals"])
+    scene = scene_from_opengl(mesh, _opengl_camera(said), state)
     return Reference(
         name=name,
         scene=scene,
         material=material_from_opengl(said["material"]),
-        film=pf.Film(clamp=shading.clamp),
+        film=pf.Film(clamp=scene.shading.clamp),
         image=arrays["image"],
         covered=arrays["depth"] < 1,
         vertex_colors=_vertex_colors(said["shade_model"], arrays),
@@ -119,7 +115,8 @@ def _opengl_camera(said: dict[str, Any]) -> pf.AbstractCamera:
     )
 
 
-def _fog(said: dict[str, Any] | None) -> dict[str, Any] | None:
+def _parameters(said: dict[str, Any] | None) -> dict[str, Any] | None:
+    """OpenGL's own names only; notes for the reader stand between them."""
     if said is None:
         return None
     return {name: value for name, value in said.items() if name.startswith("GL_")}

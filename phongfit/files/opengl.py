@@ -1,14 +1,13 @@
-"""Materials, lights and scenes as the fixed-function OpenGL 1.x takes them, both ways.
+"""Materials, lights and fog as the fixed-function OpenGL 1.x takes them, both ways.
 
-Parameters are dicts from OpenGL's own names to numbers, as `glMaterialfv`, `glLightfv`,
-`glFogfv` and `glLightModelfv` want them. No OpenGL is needed here; see
+Parameters are dicts from OpenGL's own names to numbers, as `glMaterialfv`, `glLightfv`
+and `glFogfv` want them. No OpenGL is needed here; see
 [`phongfit.files.opengl_context`][] for a live one.
 
 ??? cite "Source"
     Segal and Akeley, *The OpenGL graphics system, version 1.5*, section 2.14.
 """
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,23 +15,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.environment import Fog, FogMode
-from phongfit.files.limits import colour, exponent, limited, lost
-from phongfit.geometry.cameras import (
-    AbstractCamera,
-    OrthographicCamera,
-    PerspectiveCamera,
-)
-from phongfit.geometry.shading import AbstractShading, FlatShading, GouraudShading
+from phongfit.files.limits import colour, exponent, limited
 from phongfit.lights import AbstractLight, DirectionalLight, PointLight, SpotLight
 from phongfit.material import Material
-from phongfit.reflectance import BlinnPhong
-from phongfit.scene import Scene
 
 Parameters = dict[str, Any]
 
 MAX_SHININESS = 128.0
 MAX_SPOT_EXPONENT = 128.0
-MAX_LIGHTS = 8
 FORMAT = "OpenGL"
 
 FOG_MODES: dict[FogMode, str] = {
@@ -42,11 +32,13 @@ FOG_MODES: dict[FogMode, str] = {
 }
 
 
-def _rgba(rgb: Any) -> list[float]:
+def rgba(rgb: Any) -> list[float]:
+    """A colour with the alpha that OpenGL wants, as plain numbers."""
     return [*(float(channel) for channel in np.asarray(rgb)), 1.0]
 
 
-def _known(record: str, parameters: Mapping[str, Any], known: set[str]) -> None:
+def check_names(record: str, parameters: Mapping[str, Any], known: set[str]) -> None:
+    """**Raises:** `ValueError` for a name that is not among the known ones."""
     for name in parameters:
         if name not in known:
             raise ValueError(f"{record}: it has no {name}; known: {sorted(known)}")
@@ -69,10 +61,10 @@ def material_to_opengl(material: Material, *, nearest: bool = False) -> Paramete
     **Raises:** `ValueError` that names the leaf, unless `nearest`.
     """
     return {
-        "GL_AMBIENT": _rgba(colour("ambient", material.ambient)),
-        "GL_DIFFUSE": _rgba(colour("diffuse", material.diffuse)),
-        "GL_SPECULAR": _rgba(colour("specular", material.specular)),
-        "GL_EMISSION": _rgba(colour("emission", material.emission)),
+        "GL_AMBIENT": rgba(colour("ambient", material.ambient)),
+        "GL_DIFFUSE": rgba(colour("diffuse", material.diffuse)),
+        "GL_SPECULAR": rgba(colour("specular", material.specular)),
+        "GL_EMISSION": rgba(colour("emission", material.emission)),
         "GL_SHININESS": exponent(material, MAX_SHININESS, FORMAT, nearest),
     }
 
@@ -90,7 +82,7 @@ def material_from_opengl(parameters: Mapping[str, Any]) -> Material:
         "GL_EMISSION": (0.0, 0.0, 0.0),
         "GL_SHININESS": 0.0,
     }
-    _known("material", parameters, {*defaults, "GL_AMBIENT_AND_DIFFUSE"})
+    check_names("material", parameters, {*defaults, "GL_AMBIENT_AND_DIFFUSE"})
     values = defaults | dict(parameters)
     return Material(
         diffuse=values["GL_DIFFUSE"][:3],
@@ -122,9 +114,9 @@ def light_to_opengl(light: AbstractLight, *, nearest: bool = False) -> Parameter
         raise ValueError(f"light: OpenGL has no {type(light).__name__}")
     specular = light.intensity if light.specular is None else light.specular
     parameters: Parameters = {
-        "GL_AMBIENT": _rgba(light.ambient),
-        "GL_DIFFUSE": _rgba(light.intensity),
-        "GL_SPECULAR": _rgba(specular),
+        "GL_AMBIENT": rgba(light.ambient),
+        "GL_DIFFUSE": rgba(light.intensity),
+        "GL_SPECULAR": rgba(specular),
     }
     if isinstance(light, DirectionalLight):
         return parameters | {"GL_POSITION": [*_floats(light.direction), 0.0]}
@@ -167,7 +159,7 @@ def light_from_opengl(parameters: Mapping[str, Any]) -> AbstractLight:
         "GL_SPOT_EXPONENT": 0.0,
         "GL_SPOT_CUTOFF": 180.0,
     }
-    _known("light", parameters, set(defaults))
+    check_names("light", parameters, set(defaults))
     values = defaults | dict(parameters)
     intensity = values["GL_DIFFUSE"][:3]
     own = {"specular": values["GL_SPECULAR"][:3], "ambient": values["GL_AMBIENT"][:3]}
@@ -208,7 +200,7 @@ def fog_to_opengl(fog: Fog | None, *, nearest: bool = False) -> Parameters | Non
     color = limited("color", fog.color, 1.0, FORMAT, nearest)
     return {
         "GL_FOG_MODE": FOG_MODES[fog.mode],
-        "GL_FOG_COLOR": _rgba(color),
+        "GL_FOG_COLOR": rgba(color),
         "GL_FOG_DENSITY": float(fog.density),
         "GL_FOG_START": float(fog.start),
         "GL_FOG_END": float(fog.end),
@@ -229,7 +221,7 @@ def fog_from_opengl(parameters: Mapping[str, Any] | None) -> Fog | None:
         "GL_FOG_START": 0.0,
         "GL_FOG_END": 1.0,
     }
-    _known("fog", parameters, set(defaults))
+    check_names("fog", parameters, set(defaults))
     values: Parameters = defaults | dict(parameters)
     modes: dict[str, FogMode] = {name: mode for mode, name in FOG_MODES.items()}
     mode = values["GL_FOG_MODE"]
@@ -244,95 +236,3 @@ def fog_from_opengl(parameters: Mapping[str, Any] | None) -> Fog | None:
         start=values["GL_FOG_START"],
         end=values["GL_FOG_END"],
     )
-
-
-def shading_to_opengl(shading: AbstractShading, *, nearest: bool = False) -> str:
-    """A shading method as the argument of `glShadeModel`.
-
-    **Raises:** `ValueError` for one that OpenGL does not have: Phong shading, and flat
-    shading by centroids; unless `nearest`.
-    """
-    if isinstance(shading, FlatShading):
-        if shading.at == "centroid":
-            lost(f"shading: {FORMAT} lights a face at its last vertex", nearest)
-        return "GL_FLAT"
-    if not isinstance(shading, GouraudShading):
-        lost(f"shading: {FORMAT} has no {type(shading).__name__}", nearest)
-    return "GL_SMOOTH"
-
-
-def shading_from_opengl(shade_model: str, clamp: bool = True) -> AbstractShading:
-    """The inverse; `clamp` is GL_CLAMP_VERTEX_COLOR. **Raises:** `ValueError`."""
-    if shade_model == "GL_FLAT":
-        return FlatShading("last_vertex", clamp)
-    if shade_model == "GL_SMOOTH":
-        return GouraudShading(clamp)
-    raise ValueError(f"shade_model: {shade_model!r} came, GL_FLAT or GL_SMOOTH wanted")
-
-
-def camera_to_opengl(
-    camera: AbstractCamera, near: float = 0.1, far: float = 100.0
-) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]:
-    """Projection and modelview matrix, for `glLoadTransposeMatrixd`.
-
-    **Arguments:** `camera`; `near`, `far`: depths between which things are drawn, world
-    units. **Returns:** matrices that multiply column vectors from the left.
-
-    **Raises:** `ValueError` for a camera of another kind.
-    """
-    aspect = camera.width / camera.height
-    projection = np.zeros((4, 4))
-    if isinstance(camera, OrthographicCamera):
-        scale = 2 / float(camera.view_height)
-        projection[2, 2:] = -2 / (far - near), -(far + near) / (far - near)
-        projection[3, 3] = 1
-    elif isinstance(camera, PerspectiveCamera):
-        scale = 1 / math.tan(math.radians(float(camera.fov_y)) / 2)
-        projection[2, 2:] = -(far + near) / (far - near), -2 * far * near / (far - near)
-        projection[3, 2] = -1
-    else:
-        raise ValueError(f"camera: OpenGL has no {type(camera).__name__}")
-    projection[0, 0], projection[1, 1] = scale / aspect, scale
-    rotation = np.asarray(camera.rotation, float)
-    modelview = np.eye(4)
-    modelview[:3, :3] = rotation.T
-    modelview[:3, 3] = -rotation.T @ np.asarray(camera.position, float)
-    return projection, modelview
-
-
-def scene_to_opengl(scene: Scene, *, nearest: bool = False) -> Parameters:
-    """All of a scene's state but the mesh and its material.
-
-    **Arguments:**
-
-    - `scene`: lit by at most 8 lights, with OpenGL's own highlight, [`BlinnPhong`][].
-    - `nearest`: leave out, with a warning, what OpenGL does not have (shadows, Phong
-        shading, another model of the highlight).
-
-    **Returns:** `light_model`, `shade_model`, `clamp_vertex_color`, `lights`, `fog` and
-    `background`.
-
-    **Raises:** `ValueError` that names the field, unless `nearest`; for too many lights
-    always.
-    """
-    if len(scene.lights) > MAX_LIGHTS:
-        raise ValueError(f"lights: {len(scene.lights)} came, OpenGL has {MAX_LIGHTS}")
-    if scene.specular != BlinnPhong():
-        lost(f"specular: {FORMAT} has {BlinnPhong()}, {scene.specular} came", nearest)
-    if scene.shadows:
-        lost(f"shadows: {FORMAT} throws none", nearest)
-    local = scene.local_viewer
-    if local is None:
-        local = not isinstance(scene.camera, OrthographicCamera)
-    background = limited("background", scene.background, 1.0, FORMAT, nearest)
-    return {
-        "light_model": {
-            "GL_LIGHT_MODEL_AMBIENT": _rgba(scene.ambient),
-            "GL_LIGHT_MODEL_LOCAL_VIEWER": local,
-        },
-        "shade_model": shading_to_opengl(scene.shading, nearest=nearest),
-        "clamp_vertex_color": scene.shading.clamp,
-        "lights": [light_to_opengl(light, nearest=nearest) for light in scene.lights],
-        "fog": fog_to_opengl(scene.fog, nearest=nearest),
-        "background": [float(channel) for channel in background],
-    }

@@ -8,14 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from phongfit.files.opengl import (
-    MAX_LIGHTS,
-    Parameters,
-    camera_to_opengl,
-    light_to_opengl,
-    material_to_opengl,
-    scene_to_opengl,
-)
+from phongfit.files.opengl import Parameters, light_to_opengl, material_to_opengl
+from phongfit.files.opengl_scene import MAX_LIGHTS, camera_to_opengl, scene_to_opengl
 from phongfit.geometry.meshes import Mesh
 from phongfit.lights import AbstractLight
 from phongfit.material import Material, unstack_materials

@@ -108,6 +108,10 @@ class ImplicitSurface(AbstractSurface):
             one = jax.vmap(one)
         return one(position, normal, to_light, distance)
 
+    @property
+    def materials(self) -> int:
+        return 1
+
     def _span(self, ray: Ray) -> tuple[Scalar, Scalar]:
         """Distances at which a ray enters and leaves the box; the first is not less
         than 0, and is the larger if the ray misses."""

@@ -72,9 +72,9 @@ class AbstractSurface(eqx.Module):
         """
 
     @property
+    @abc.abstractmethod
     def materials(self) -> int:
         """How many materials the surface tells apart."""
-        return 1
 
 
 class Sphere(AbstractSurface):
@@ -135,6 +135,10 @@ class Sphere(AbstractSurface):
         # From a point of a sphere, the way through it is 2 r |s·m| long.
         chord = -2 * self.radius * jnp.sum(normal * to_light, axis=-1)
         return (chord <= 0) | (distance <= chord)
+
+    @property
+    def materials(self) -> int:
+        return 1
 
 
 class NormalMap(AbstractSurface):

@@ -9,13 +9,16 @@ import pytest
 
 import phongfit as pf
 from phongfit.files.opengl import (
-    camera_to_opengl,
     fog_from_opengl,
     fog_to_opengl,
     light_from_opengl,
     light_to_opengl,
     material_from_opengl,
     material_to_opengl,
+)
+from phongfit.files.opengl_scene import (
+    camera_to_opengl,
+    scene_from_opengl,
     scene_to_opengl,
     shading_from_opengl,
     shading_to_opengl,
@@ -30,6 +33,8 @@ class Glow(pf.AbstractLight):
         raise NotImplementedError
 
 
+BOX = pf.shapes.plane().mesh(1, 1)
+VIEW = pf.PerspectiveCamera()
 COLOURS = dict(specular=(0.1, 0.2, 0.3), ambient=(0.01, 0.02, 0.03))
 
 
@@ -63,6 +68,10 @@ def test_a_material():
 
 
 def test_what_opengl_takes_for_granted():
+    dull = scene_from_opengl(BOX, VIEW, {})
+    near(dull.ambient, 0.2)
+    assert dull.lights == () and dull.shading == pf.GouraudShading(clamp=True)
+    assert dull.local_viewer is False and dull.fog is None
     same(
         material_from_opengl({}),
         pf.Material((0.8,) * 3, (0,) * 3, 0, (0.2,) * 3, (0,) * 3),
@@ -198,6 +207,11 @@ def test_shading_that_opengl_does_not_have(shading, nearest):
         (lambda: fog_from_opengl({"GL_FOG_MODE": "exp"}), "GL_FOG_MODE: 'exp' came"),
         (lambda: fog_from_opengl({"start": 1}), "fog: it has no start"),
         (lambda: shading_from_opengl("GL_PHONG"), "shade_model: 'GL_PHONG'"),
+        (lambda: scene_from_opengl(BOX, VIEW, {"sun": 1}), "state: it has no sun"),
+        (
+            lambda: scene_from_opengl(BOX, VIEW, {"light_model": {"GL_FOG": 1}}),
+            "light_model: it has no GL_FOG",
+        ),
         (lambda: fog_to_opengl(pf.Fog(2)), "color: 2 came"),
         (lambda: light_to_opengl(Glow()), "light: OpenGL has no Glow"),
     ],
@@ -228,9 +242,6 @@ def test_matrices_send_a_pixels_ray_to_that_pixel(camera):
         near(clip[2] / clip[3], expected)
 
 
-BOX = pf.shapes.plane().mesh(1, 1)
-
-
 def scene(**keywords):
     options: dict[str, Any] = dict(shading=pf.GouraudShading(clamp=True)) | keywords
     return pf.Scene(
@@ -249,6 +260,8 @@ def test_a_scene():
         light_from_opengl(state["lights"][0]),
         light_from_opengl(light_to_opengl(scene().lights[0])),
     )
+    again = scene_from_opengl(BOX, pf.PerspectiveCamera(), state)
+    assert scene_to_opengl(again) == state
     # An orthographic camera has parallel rays, as OpenGL's viewer has by default.
     flat = eqx.tree_at(lambda s: s.camera, scene(), pf.OrthographicCamera())
     assert scene_to_opengl(flat)["light_model"]["GL_LIGHT_MODEL_LOCAL_VIEWER"] is False

@@ -1,0 +1,166 @@
+"""Whole scenes as state of the fixed-function OpenGL 1.x, both ways.
+
+Light model, shade model and matrices here; their parts in [`phongfit.files.opengl`][].
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from phongfit.files.limits import limited, lost
+from phongfit.files.opengl import (
+    FORMAT,
+    Parameters,
+    check_names,
+    fog_from_opengl,
+    fog_to_opengl,
+    light_from_opengl,
+    light_to_opengl,
+    rgba,
+)
+from phongfit.geometry.cameras import (
+    AbstractCamera,
+    OrthographicCamera,
+    PerspectiveCamera,
+)
+from phongfit.geometry.shading import AbstractShading, FlatShading, GouraudShading
+from phongfit.geometry.surfaces import AbstractSurface
+from phongfit.reflectance import BlinnPhong
+from phongfit.scene import Scene
+
+MAX_LIGHTS = 8
+
+
+def shading_to_opengl(shading: AbstractShading, *, nearest: bool = False) -> str:
+    """A shading method as the argument of `glShadeModel`.
+
+    **Raises:** `ValueError` for one that OpenGL does not have: Phong shading, and flat
+    shading by centroids; unless `nearest`.
+    """
+    if isinstance(shading, FlatShading):
+        if shading.at == "centroid":
+            lost(f"shading: {FORMAT} lights a face at its last vertex", nearest)
+        return "GL_FLAT"
+    if not isinstance(shading, GouraudShading):
+        lost(f"shading: {FORMAT} has no {type(shading).__name__}", nearest)
+    return "GL_SMOOTH"
+
+
+def shading_from_opengl(shade_model: str, clamp: bool = True) -> AbstractShading:
+    """The inverse; `clamp` is GL_CLAMP_VERTEX_COLOR. **Raises:** `ValueError`."""
+    if shade_model == "GL_FLAT":
+        return FlatShading("last_vertex", clamp)
+    if shade_model == "GL_SMOOTH":
+        return GouraudShading(clamp)
+    raise ValueError(f"shade_model: {shade_model!r} came, GL_FLAT or GL_SMOOTH wanted")
+
+
+def camera_to_opengl(
+    camera: AbstractCamera, near: float = 0.1, far: float = 100.0
+) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]:
+    """Projection and modelview matrix, for `glLoadTransposeMatrixd`.
+
+    **Arguments:** `camera`; `near`, `far`: depths between which things are drawn, world
+    units. **Returns:** matrices that multiply column vectors from the left.
+
+    **Raises:** `ValueError` for a camera of another kind.
+    """
+    aspect = camera.width / camera.height
+    projection = np.zeros((4, 4))
+    if isinstance(camera, OrthographicCamera):
+        scale = 2 / float(camera.view_height)
+        projection[2, 2:] = -2 / (far - near), -(far + near) / (far - near)
+        projection[3, 3] = 1
+    elif isinstance(camera, PerspectiveCamera):
+        scale = 1 / math.tan(math.radians(float(camera.fov_y)) / 2)
+        projection[2, 2:] = -(far + near) / (far - near), -2 * far * near / (far - near)
+        projection[3, 2] = -1
+    else:
+        raise ValueError(f"camera: OpenGL has no {type(camera).__name__}")
+    projection[0, 0], projection[1, 1] = scale / aspect, scale
+    rotation = np.asarray(camera.rotation, float)
+    modelview = np.eye(4)
+    modelview[:3, :3] = rotation.T
+    modelview[:3, 3] = -rotation.T @ np.asarray(camera.position, float)
+    return projection, modelview
+
+
+def scene_to_opengl(scene: Scene, *, nearest: bool = False) -> Parameters:
+    """All of a scene's state but the mesh and its material.
+
+    **Arguments:**
+
+    - `scene`: lit by at most 8 lights, with OpenGL's own highlight, [`BlinnPhong`][].
+    - `nearest`: leave out, with a warning, what OpenGL does not have (shadows, Phong
+        shading, another model of the highlight).
+
+    **Returns:** `light_model`, `shade_model`, `clamp_vertex_color`, `lights`, `fog` and
+    `background`.
+
+    **Raises:** `ValueError` that names the field, unless `nearest`; for too many lights
+    always.
+    """
+    if len(scene.lights) > MAX_LIGHTS:
+        raise ValueError(f"lights: {len(scene.lights)} came, OpenGL has {MAX_LIGHTS}")
+    if scene.specular != BlinnPhong():
+        lost(f"specular: {FORMAT} has {BlinnPhong()}, {scene.specular} came", nearest)
+    if scene.shadows:
+        lost(f"shadows: {FORMAT} throws none", nearest)
+    local = scene.local_viewer
+    if local is None:
+        local = not isinstance(scene.camera, OrthographicCamera)
+    background = limited("background", scene.background, 1.0, FORMAT, nearest)
+    return {
+        "light_model": {
+            "GL_LIGHT_MODEL_AMBIENT": rgba(scene.ambient),
+            "GL_LIGHT_MODEL_LOCAL_VIEWER": local,
+        },
+        "shade_model": shading_to_opengl(scene.shading, nearest=nearest),
+        "clamp_vertex_color": scene.shading.clamp,
+        "lights": [light_to_opengl(light, nearest=nearest) for light in scene.lights],
+        "fog": fog_to_opengl(scene.fog, nearest=nearest),
+        "background": [float(channel) for channel in background],
+    }
+
+
+def scene_from_opengl(
+    surface: AbstractSurface, camera: AbstractCamera, state: Mapping[str, Any]
+) -> Scene:
+    """The inverse of [`scene_to_opengl`][]: a scene in OpenGL's light.
+
+    **Arguments:** `surface`, a mesh; `camera`: see [`camera_to_opengl`][]; `state`:
+    what is left out is OpenGL's default.
+
+    **Raises:** `ValueError` for a name that OpenGL's state does not have.
+    """
+    defaults: Parameters = {
+        "light_model": {},
+        "shade_model": "GL_SMOOTH",
+        "clamp_vertex_color": True,
+        "lights": [],
+        "fog": None,
+        "background": (0.0, 0.0, 0.0),
+    }
+    check_names("state", state, set(defaults))
+    values = defaults | dict(state)
+    model: Parameters = {
+        "GL_LIGHT_MODEL_AMBIENT": (0.2, 0.2, 0.2),
+        "GL_LIGHT_MODEL_LOCAL_VIEWER": False,
+    }
+    check_names("light_model", values["light_model"], set(model))
+    model |= values["light_model"]
+    return Scene(
+        surface,
+        camera,
+        [light_from_opengl(light) for light in values["lights"]],
+        model["GL_LIGHT_MODEL_AMBIENT"][:3],
+        shading=shading_from_opengl(
+            values["shade_model"], values["clamp_vertex_color"]
+        ),
+        fog=fog_from_opengl(values["fog"]),
+        background=values["background"],
+        local_viewer=bool(model["GL_LIGHT_MODEL_LOCAL_VIEWER"]),
+    )
