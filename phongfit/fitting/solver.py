@@ -73,6 +73,16 @@ class BoxDampedNewtonDescent(optx.AbstractDescent):
         return from_flat(_landing(y, step, lower, upper)), optx.RESULTS.successful
 
 
+def expected_decrease(descent: BoxDampedNewtonDescent, state: _State) -> Scalar:
+    """How much a full step from the last accepted point should lower half the cost.
+
+    By the linear model of the residuals there, within the box.
+    """
+    step, _ = descent.step(jnp.asarray(1 / descent.damping), state)
+    flat, _ = ravel_pytree(step)
+    return -flat @ (state.gradient + state.hessian @ flat / 2)
+
+
 def _landing(
     y: Float[Array, " n"],
     step: Float[Array, " n"],
