@@ -25,6 +25,7 @@ class _State(eqx.Module):
     y: PyTree[Array]
     hessian: Float[Array, "n n"]
     gradient: Float[Array, " n"]
+    cost: Scalar
 
 
 class BoxDampedNewtonDescent(optx.AbstractDescent):
@@ -43,7 +44,8 @@ class BoxDampedNewtonDescent(optx.AbstractDescent):
     def init(self, y: PyTree[Array], f_info_struct: Any) -> _State:
         del f_info_struct
         flat, _ = ravel_pytree(y)
-        return _State(y, jnp.zeros((flat.size, flat.size), flat.dtype), flat)
+        cost = jnp.zeros((), flat.dtype)
+        return _State(y, jnp.zeros((flat.size, flat.size), flat.dtype), flat, cost)
 
     def query(self, y: PyTree[Array], f_info: Any, state: _State) -> _State:
         del state
@@ -53,7 +55,7 @@ class BoxDampedNewtonDescent(optx.AbstractDescent):
         exact = jax.lax.Precision.HIGHEST
         hessian = jnp.matmul(jacobian.T, jacobian, precision=exact)
         gradient = jnp.matmul(jacobian.T, residual, precision=exact)
-        return _State(y, hessian, gradient)
+        return _State(y, hessian, gradient, jnp.sum(residual**2) / 2)
 
     def step(
         self, step_size: Scalar, state: _State
@@ -63,24 +65,34 @@ class BoxDampedNewtonDescent(optx.AbstractDescent):
             ravel_pytree(tree)[0] for tree in (state.y, self.lower, self.upper)
         )
         diagonal = jnp.diag(state.hessian)
-        # A parameter that does nothing here still needs a positive curvature; so small
-        # that one which does little is not slowed down to a creep without an end.
-        least = jnp.finfo(y.dtype).eps ** 2 * jnp.max(diagonal)
-        least = jnp.where(least > 0, least, 1)
-        diagonal = jnp.maximum(diagonal, least)
-        damped = state.hessian + jnp.diag(self.damping / step_size * diagonal + least)
-        step = minimize_in_box(damped, state.gradient, lower - y, upper - y)
+        still = _unfelt(diagonal, state, upper - lower)
+        # What does nothing at all here still needs a positive curvature.
+        diagonal = jnp.where(diagonal > 0, diagonal, 1)
+        damped = jnp.fill_diagonal(
+            state.hessian, (1 + self.damping / step_size) * diagonal, inplace=False
+        )
+        step = minimize_in_box(
+            damped,
+            state.gradient,
+            jnp.where(still, 0, lower - y),
+            jnp.where(still, 0, upper - y),
+        )
         return from_flat(_landing(y, step, lower, upper)), optx.RESULTS.successful
 
 
-def expected_decrease(descent: BoxDampedNewtonDescent, state: _State) -> Scalar:
-    """How much a full step from the last accepted point should lower half the cost.
+def _unfelt(
+    diagonal: Float[Array, " n"], state: _State, width: Float[Array, " n"]
+) -> Bool[Array, " n"]:
+    """Parameters that the residuals hardly feel, and that the cost would not feel.
 
-    By the linear model of the residuals there, within the box.
+    They rest: their steps are arbitrary, and without an end in sight.
     """
-    step, _ = descent.step(jnp.asarray(1 / descent.damping), state)
-    flat, _ = ravel_pytree(step)
-    return -flat @ (state.gradient + state.hessian @ flat / 2)
+    resolution = jnp.finfo(diagonal.dtype).eps
+    faint = diagonal <= resolution * jnp.max(diagonal)
+    slope = jnp.abs(state.gradient)
+    parabola = slope * (slope / jnp.where(diagonal > 0, 2 * diagonal, jnp.inf))
+    gain = jnp.minimum(parabola, slope * width)
+    return faint & (gain <= resolution * state.cost)
 
 
 def _landing(
