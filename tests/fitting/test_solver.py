@@ -239,14 +239,23 @@ def test_no_stall_where_nothing_is_left():
 
 
 def test_an_unknown_that_is_hardly_felt_ends_too():
-    # The second residual is noise of rounding beside the first, and asks for 1e3.
-    def residual(y):
-        return jnp.stack([1e3 * (y[0] - 0.5) + 30, 1e-3 * y[1] - 1, 40 + 0 * y[0]])
+    # What there is to gain from the second drowns in the rest of the cost.
+    @eqx.filter_vmap
+    def end(felt):
+        def residual(y):
+            first = 1e3 * (y[0] - 0.5) + 30
+            return jnp.stack([first, felt * (y[1] - 3), 40 + 0 * y[0]])
 
-    solution = minimize(residual, (0.0, 0.0), 0.0, 1.0, max_steps=30)
-    assert solution.result == optx.RESULTS.successful
-    near(solution.value[0], 0.47, 1e3 * EPS)
-    assert solution.value[1] == 1
+        lower, upper = floats([0.0, 0.0]), floats([1.0, 1.0])
+        solution = _run(residual, floats([0.0, 0.25]), lower, upper, 30, RTOL)
+        return solution.value, solution.result == optx.RESULTS.successful
+
+    felt = 10.0 ** np.arange(-18, 0, 0.25)
+    value, successful = end(floats(felt))
+    assert np.all(successful)
+    near(value[:, 0], 0.47, 1e3 * EPS)
+    assert np.all((value[:, 1] == 0.25) | (value[:, 1] == 1))
+    assert np.all(value[felt > 0.01, 1] == 1)
 
 
 def test_an_unknown_that_does_nothing_stays():

@@ -1,0 +1,142 @@
+"""The truth comes back: from noise-free floats, and from 8 bits with clipped pixels."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from tests.fitting.scenes import (
+    SIZE,
+    TRUTH,
+    Case,
+    as_vector,
+    ball,
+    photograph,
+    random_case,
+    two_lights,
+)
+from tests.helpers import EPS
+
+DOUBLE = EPS < 1e-10
+EXPONENTS = (1.0, 2.0, 5.0, 20.0, 60.0, 200.0)
+KINDS = ("directional", "point", "spot")
+
+
+def check_exact(scene: pf.Scene, truth: pf.Material) -> None:
+    """Every parameter to 1e-4 in single precision, 1e-7 in double, relatively."""
+    image = np.asarray(pf.render(scene, truth))
+    assert image.max() < 1
+    fit = pf.fit(scene, image)
+    assert fit.converged and not fit.untold.any()
+    np.testing.assert_allclose(
+        fit.values, as_vector(truth), rtol=1e-7 if DOUBLE else 1e-4
+    )
+    # Its error says so too: rounding of the arithmetic is all there is.
+    assert np.all(fit.errors < (1e-8 if DOUBLE else 1e-2) * fit.values)
+    assert fit.noise < 64 * EPS
+
+
+def with_exponent(shininess: float, height: float = 1.0) -> pf.Material:
+    specular = height * np.asarray(TRUTH.specular)
+    return pf.Material(TRUTH.diffuse, specular, shininess, TRUTH.ambient)
+
+
+@pytest.mark.parametrize("shininess", EXPONENTS)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("model", [pf.BlinnPhong(), pf.Phong()])
+def test_noise_free(model, kind, shininess):
+    check_exact(ball(kind, model), with_exponent(shininess))
+
+
+@pytest.mark.parametrize("shininess", EXPONENTS)
+def test_noise_free_normalized(shininess):
+    scene = ball(specular=pf.BlinnPhong(normalized=True))
+    check_exact(scene, with_exponent(shininess, 2 * np.pi / (shininess + 2)))
+
+
+@pytest.mark.parametrize("shininess", EXPONENTS)
+def test_noise_free_without_a_gate(shininess):
+    lights = (pf.DirectionalLight((1, 1, -0.3), 0.4), two_lights("point")[1])
+    model = pf.Phong(gate=False)
+    scene = pf.Scene(pf.Sphere(), ball().camera, lights, ambient=0.3, specular=model)
+    gated = pf.Scene(pf.Sphere(), ball().camera, lights, ambient=0.3)
+    truth = with_exponent(shininess)
+    assert np.any(pf.render(scene, truth) != pf.render(gated, truth))
+    check_exact(scene, truth)
+
+
+@pytest.mark.parametrize("shininess", EXPONENTS)
+def test_noise_free_under_one_light(shininess):
+    light = pf.DirectionalLight((1, 1, 2), 0.5)
+    scene = pf.Scene(pf.Sphere(), ball().camera, light, ambient=0.3)
+    check_exact(scene, with_exponent(shininess))
+
+
+@pytest.mark.parametrize("shininess", EXPONENTS)
+def test_noise_free_under_a_light_of_each_kind(shininess):
+    lights = [two_lights(kind)[kind != "directional"] for kind in KINDS]
+    camera = pf.PerspectiveCamera(SIZE, SIZE, position=(0.5, 0.2, 4.5), fov_y=28)
+    scene = pf.Scene(pf.Sphere(), camera, lights, ambient=(0.3, 0.2, 0.4))
+    check_exact(scene, with_exponent(shininess))
+
+
+# The smaller number always; all of them with `-m slow`.
+MANY = pytest.mark.parametrize("count", [40, pytest.param(500, marks=pytest.mark.slow)])
+
+
+def random_fits(count: int, noise: float) -> Iterator[tuple[Case, np.ndarray, pf.Fit]]:
+    for seed in range(count):
+        case = random_case(seed)
+        image = photograph(
+            case.scene, case.material, noise=noise, film=case.film, seed=1000 + seed
+        )
+        fit = pf.fit(case.scene, image)
+        assert fit.converged, f"seed {seed}: {fit}"
+        assert np.all(np.isfinite(fit.values)) and not np.any(np.isnan(fit.errors))
+        assert np.all(np.isfinite(fit.residuals))
+        assert fit.film == f"clamped, 8-bit {case.film.encoding}"
+        yield case, image, fit
+
+
+def check_errors(offs: list[np.ndarray], fits: list[pf.Fit]) -> None:
+    """Within 4 standard errors but for 1 %; few without an error, each for a reason."""
+    told = np.array([~fit.untold for fit in fits])
+    within = np.abs(np.array(offs)[told]) <= 4
+    assert within.mean() >= 0.99, f"{(~within).sum()} of {within.size} beyond 4 σ"
+    assert told.mean() >= 0.97, f"{(~told).sum()} of {told.size} have no error"
+    for fit in fits:
+        reasons = [w for w in fit.warnings if "cannot be told" in w]
+        for label in np.array(fit.labels)[fit.untold]:
+            assert any(label in reason for reason in reasons)
+        assert np.array_equal(np.isinf(fit.errors), fit.untold)
+
+
+@MANY
+def test_random_scenes_with_noise(count):
+    offs, fits, clipped = [], [], []
+    for case, _, fit in random_fits(count, noise=0.01):
+        offs.append((fit.values - as_vector(case.material)) / fit.errors)
+        fits.append(fit)
+        clipped.append(case.clipped)
+        assert 0.009 < fit.noise < 0.011
+    assert min(clipped) < 0.02 and 0.15 < max(clipped) < 0.21
+    check_errors(offs, fits)
+    # Nor are the errors too wide.
+    told = np.array([~fit.untold for fit in fits])
+    typical = np.median(np.abs(np.array(offs)[told]))
+    assert 0.6 < typical < 0.75
+
+
+@MANY
+def test_random_scenes_without_noise(count):
+    offs, fits = [], []
+    for case, image, fit in random_fits(count, noise=0.0):
+        offs.append((fit.values - as_vector(case.material)) / fit.errors)
+        fits.append(fit)
+        levels = [
+            np.round(np.asarray(case.film.expose(light)) * 255)
+            for light in (image, fit.fitted)
+        ]
+        assert np.abs(levels[0] - levels[1]).max() <= 1
+    check_errors(offs, fits)

@@ -1,0 +1,154 @@
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.files.outputs import write_json
+from phongfit.fitting.table import fit_table
+from phongfit.material import Material
+
+LABELS = ("diffuse.red", "diffuse.green", "specular", "shininess")
+COVARIANCE = np.array(
+    [
+        [0.0001, -0.00005, 0, np.nan],
+        [-0.00005, 0.0001, 0.00009, np.nan],
+        [0, 0.00009, 0.0004, np.nan],
+        [np.nan, np.nan, np.nan, np.inf],
+    ]
+)
+
+
+def result(**changes) -> pf.Fit:
+    """A result written by hand, so that its table can be read off."""
+    return dataclasses.replace(
+        pf.Fit(
+            material=Material((0.5, 0.25, 0.0), 0.125, 40.0),
+            stderr=Material((0.01, 0.01, 0.0), 0.02, 0.0),
+            labels=LABELS,
+            values=np.array([0.5, 0.25, 0.125, 40.0]),
+            errors=np.array([0.01, 0.01, 0.02, np.inf]),
+            covariance=COVARIANCE,
+            at_bound=np.zeros(4, bool),
+            untold=np.array([False, False, False, True]),
+            bounds=np.array([[0, 1], [0, 1], [0, 1], [1, 1000]]),
+            fitted=np.zeros((2, 2, 3)),
+            residuals=np.zeros((2, 2, 3)),
+            noise=0.0123,
+            noise_given=False,
+            samples=12345,
+            images=1,
+            chi_squared=12342.0,
+            neighbour_correlation=0.0,
+            loss="Linear",
+            model="BlinnPhong",
+            film="clamped, 8-bit srgb",
+            converged=True,
+            steps=7,
+            reason="it was good",
+            warnings=("shininess cannot be told: " + 20 * "because it is so, ",),
+        ),
+        **changes,
+    )
+
+
+def rows(text: str) -> dict[str, list[str]]:
+    """The words of each line of the table of parameters, by its first."""
+    lines = [line.split() for line in text.splitlines() if "±" in line]
+    return {first: rest for first, *rest in lines}
+
+
+def test_values_and_errors():
+    table = rows(str(result()))
+    assert table["diffuse.red"] == ["0.500", "±", "0.01", "2"]
+    assert table["specular"] == ["0.125", "±", "0.02", "16"]
+    assert table["shininess"] == ["40", "±", "∞", "cannot", "be", "told"]
+
+
+def test_head():
+    text = str(result())
+    for words in (
+        "1 image, 12,345 samples, BlinnPhong, clamped, 8-bit srgb",
+        "converged after 7 steps: it was good",
+        "noise 0.0123 (estimated)",
+        "reduced χ² 1",
+        "loss Linear",
+    ):
+        assert words in text
+    several = str(result(images=3, noise_given=True, converged=False))
+    for words in ("3 images", "(given)", "NOT CONVERGED after 7"):
+        assert words in several
+
+
+def test_at_a_bound():
+    at_bound = np.array([True, False, False, False])
+    values = np.array([0.0, 0.25, 0.125, 40.0])
+    table = str(result(at_bound=at_bound, values=values))
+    marked = [line for line in table.splitlines() if "at its bound" in line]
+    assert len(marked) == 1 and "diffuse.red" in marked[0]
+    # Nothing is a share of zero.
+    assert "–" in marked[0] and "inf" not in marked[0]
+
+
+def test_correlations_by_size():
+    lines = str(result()).splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith("correlations"))
+    found = [line.split() for line in lines[start + 1 : start + 4]]
+    # -0.00005 / 0.0001, and 0.00009 / (0.01 · 0.02).
+    assert found[0] == ["diffuse.green", "diffuse.red", "-0.500"]
+    assert found[1] == ["specular", "diffuse.green", "+0.450"]
+    assert len(found[2]) == 0
+    assert "correlations" not in fit_table(result(), least_correlation=0.6)
+    few = fit_table(result(), most=1)
+    assert "-0.500" in few and "+0.450" not in few
+
+
+def test_warnings_and_width():
+    text = str(result())
+    assert text.count("  ! ") == 1
+    # Wrapped, not cut.
+    assert " ".join(text.split()).count("because it is so,") == 20
+    assert max(len(line) for line in text.splitlines()) <= 90
+    assert "warnings" not in str(result(warnings=()))
+
+
+def test_extreme_numbers_stay_in_their_columns():
+    values = np.array([1e-7, 0.99999999, 0.5, 999.99])
+    errors = np.array([3e-9, 1e-12, 0.0, 123.0])
+    untold = np.zeros(4, bool)
+    text = str(result(values=values, errors=errors, untold=untold))
+    assert "nan" not in text.lower()
+    assert max(len(line) for line in text.splitlines()) <= 90
+    lines = [line for line in text.splitlines() if "±" in line]
+    assert len({line.index("±") for line in lines}) == 1
+
+
+def test_repr_is_the_table():
+    assert repr(result()) == str(result()) == fit_table(result())
+
+
+def test_numbers_of_a_result():
+    fit = result()
+    assert fit.degrees_of_freedom == 12345 - 3
+    assert fit.reduced_chi_squared == pytest.approx(1.0)
+    correlation = fit.correlation
+    assert np.allclose(np.diag(correlation)[:3], 1)
+    assert np.all(np.isnan(correlation[3]))
+    assert correlation[1, 0] == pytest.approx(-0.5)
+
+
+def test_json(tmp_path):
+    path = tmp_path / "fit.json"
+    fit = result()
+    write_json(path, fit.to_dict())
+    read = json.loads(path.read_text())
+    assert read["values"] == [0.5, 0.25, 0.125, 40.0]
+    assert read["errors"] == [0.01, 0.01, 0.02, None]
+    assert read["labels"] == list(LABELS)
+    assert read["material"]["diffuse"] == [0.5, 0.25, 0.0]
+    assert read["untold"] == [False, False, False, True]
+    assert read["warnings"] == list(fit.warnings)
+    assert read["converged"] is True and read["steps"] == 7
+    assert read["covariance"][0][:3] == [0.0001, -0.00005, 0]
+    assert not {"fitted", "residuals"} & set(read)
