@@ -1,7 +1,10 @@
 """The suite runs once in float32 and once in float64: see `python -m tests`."""
 
+import gc
+
 import jax
 import matplotlib
+import pytest
 from hypothesis import settings
 
 matplotlib.use("agg")
@@ -10,3 +13,20 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 # Compilation makes the first example slow, which says nothing about the code.
 settings.register_profile("phongfit", deadline=None, derandomize=True)
 settings.load_profile("phongfit")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _settled_memory():
+    """What JAX has compiled stays: the collector need not look at it again."""
+    yield
+    gc.freeze()
+
+
+def pytest_collection_modifyitems(items):
+    """A check in float64, whatever the run, is made in one of the runs only."""
+    if jax.config.jax_enable_x64:
+        return
+    once = pytest.mark.skip(reason="runs in float64 alone")
+    for item in items:
+        if item.get_closest_marker("float64"):
+            item.add_marker(once)

@@ -9,11 +9,8 @@ from jaxtyping import Array, Float, Int
 from phongfit.fitting.losses import AbstractLoss
 from phongfit.fitting.noise import clipped_mean, clipped_variance_share
 from phongfit.fitting.samples import Samples
-from phongfit.fitting.solver import BoundedLevenbergMarquardt, expected_decrease
+from phongfit.fitting.solver import BoundedLevenbergMarquardt
 from phongfit.fitting.unknowns import Unknowns
-
-# Of half the cost, in σ²: an estimate moves by less than a twentieth of its error.
-NEGLIGIBLE = 1e-3
 
 
 class Problem(eqx.Module):
@@ -77,10 +74,7 @@ def solve(problem: Problem, start: Float[Array, " n"], max_steps: int) -> Soluti
         residual, solver, start, max_steps=max_steps, throw=False
     )
     cost = 2 * solution.state.f_info.as_min()
-    # An unknown that the image cannot tell may wander for ever: what counts is whether
-    # the next step would still change anything, in units of the noise.
-    left = expected_decrease(solver.descent, solution.state.descent_state)
-    done = (solution.result == optx.RESULTS.successful) | (left < NEGLIGIBLE)
+    done = solution.result == optx.RESULTS.successful
     return Solution(
         solution.value, cost, solution.stats["num_steps"], done & jnp.isfinite(cost)
     )
