@@ -1,0 +1,327 @@
+"""`fit` as users call it: images, masks, weights, films, known values, losses."""
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.files.outputs import write_json
+from tests.fitting.scenes import SIZE, TRUTH, as_vector, ball, photograph
+from tests.helpers import EPS, near
+
+SCENE = ball()
+NOISE = 0.01
+NOISY = photograph(SCENE, TRUTH, noise=NOISE)
+MASK = np.asarray(SCENE.trace().mask)
+
+
+def check_near_truth(fit: pf.Fit, truth: pf.Material = TRUTH) -> None:
+    """Converged, and every leaf within 4.5 of its standard errors."""
+    assert fit.converged
+    for name in ("ambient", "diffuse", "specular", "shininess", "emission"):
+        off = np.asarray(getattr(fit.material, name)) - getattr(truth, name)
+        error = np.asarray(getattr(fit.stderr, name))
+        assert np.all(np.abs(off) <= 4.5 * error + 100 * EPS), name
+
+
+def test_what_comes_back():
+    fit = pf.fit(SCENE, NOISY)
+    check_near_truth(fit)
+    assert fit.labels == (
+        *("ambient.red", "ambient.green", "ambient.blue"),
+        *("diffuse.red", "diffuse.green", "diffuse.blue"),
+        *("specular.red", "specular.green", "specular.blue"),
+        "shininess",
+    )
+    near(fit.values, as_vector(fit.material), 1e-6)
+    near(fit.errors, as_vector(fit.stderr), 1e-6)
+    near(fit.errors**2, np.diag(fit.covariance), 1e-5)
+    near(fit.covariance, fit.covariance.T, 1e-12)
+    assert np.all(np.linalg.eigvalsh(fit.correlation) > 0)
+    assert fit.material.shininess.shape == () and fit.stderr.shininess.shape == ()
+    assert fit.images == 1 and fit.samples == 3 * MASK.sum()
+    assert fit.degrees_of_freedom == fit.samples - 10
+    assert 0.9 * NOISE < fit.noise < 1.1 * NOISE
+    assert (fit.loss, fit.model) == ("Linear", "BlinnPhong")
+    assert 1 < fit.steps < 50 and not fit.warnings
+
+
+def test_images_that_come_back():
+    fit = pf.fit(SCENE, NOISY)
+    assert fit.fitted.shape == fit.residuals.shape == (SIZE, SIZE, 3)
+    near(fit.fitted[MASK], np.asarray(pf.render(SCENE, fit.material))[MASK], 1e-5)
+    near(fit.residuals[MASK], (NOISY - fit.fitted)[MASK], 1e-5)
+    assert np.all(fit.residuals[~MASK] == 0)
+    chi_squared = np.sum((fit.residuals / fit.noise) ** 2)
+    assert fit.chi_squared == pytest.approx(chi_squared, rel=1e-3)
+
+
+def test_the_background_is_shown_and_not_fitted():
+    grey = pf.Scene(
+        SCENE.surface, SCENE.camera, SCENE.lights, 0.3, background=(0.1, 0.2, 0.3)
+    )
+    image = np.where(MASK[..., None], NOISY, np.random.default_rng(0).random(3))
+    fit = pf.fit(grey, image)
+    near(fit.fitted[0, 0], [0.1, 0.2, 0.3])
+    near(fit.values, pf.fit(SCENE, NOISY).values, 1e-5)
+
+
+def test_the_least_cost():
+    """No material near by explains the image better."""
+    fit = pf.fit(SCENE, NOISY, noise=NOISE)
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        step = 0.02 * fit.errors * rng.normal(size=10)
+        values = fit.values + step
+        other = pf.Material(values[3:6], values[6:9], values[9], values[:3])
+        off = np.asarray(pf.render(SCENE, other), float) - NOISY
+        assert np.sum(off[MASK] ** 2) / NOISE**2 >= fit.chi_squared * (1 - 1e-5)
+
+
+def test_shared_and_per_channel():
+    truth = pf.Material(TRUTH.diffuse, 0.3, (10.0, 20.0, 40.0), 0.4)
+    image = photograph(SCENE, truth, noise=NOISE)
+    fit = pf.fit(SCENE, image, per_channel=("diffuse", "shininess"))
+    check_near_truth(fit, truth)
+    assert fit.labels == (
+        "ambient",
+        *("diffuse.red", "diffuse.green", "diffuse.blue"),
+        "specular",
+        *("shininess.red", "shininess.green", "shininess.blue"),
+    )
+    assert fit.material.specular.shape == () and fit.material.shininess.shape == (3,)
+    # Three channels tell of the shared ones.
+    apart = pf.fit(SCENE, image)
+    assert fit.stderr.ambient < 0.75 * np.min(np.asarray(apart.stderr.ambient))
+    # And one exponent for all does not explain these channels.
+    assert apart.chi_squared * apart.noise**2 > 1.1 * fit.chi_squared * fit.noise**2
+
+
+def test_known_values_stay():
+    names = ("diffuse", "shininess")
+    fit = pf.fit(SCENE, NOISY, unknowns=names, known=TRUTH)
+    check_near_truth(fit)
+    for name in ("ambient", "specular"):
+        assert np.array_equal(getattr(fit.material, name), getattr(TRUTH, name))
+        assert np.all(np.asarray(getattr(fit.stderr, name)) == 0)
+    # To know more is to be more certain.
+    free = pf.fit(SCENE, NOISY)
+    for name in names:
+        ours = np.asarray(getattr(fit.stderr, name))
+        assert np.all(ours < np.asarray(getattr(free.stderr, name)))
+
+
+def test_emission_instead_of_ambient():
+    truth = pf.Material(TRUTH.diffuse, TRUTH.specular, 20.0, 0.0, (0.1, 0.05, 0.02))
+    image = photograph(SCENE, truth, noise=NOISE)
+    names = ("diffuse", "specular", "shininess", "emission")
+    fit = pf.fit(SCENE, image, unknowns=names, per_channel=names[:2] + names[3:])
+    check_near_truth(fit, truth)
+
+
+def test_bounds():
+    bounds = {"diffuse": (0.0, 0.5), "shininess": (25.0, 80.0)}
+    fit = pf.fit(SCENE, NOISY, bounds=bounds)
+    assert fit.converged
+    # The solver holds the logarithm of an exponent to its bound.
+    assert fit.values[3] == 0.5 and fit.values[9] == pytest.approx(25, rel=4 * EPS)
+    assert fit.at_bound[[3, 9]].all()
+    assert np.array_equal(fit.bounds[3], [0, 0.5])
+    assert np.array_equal(fit.bounds[9], [25, 80])
+    assert np.all((fit.bounds[:, 0] <= fit.values) & (fit.values <= fit.bounds[:, 1]))
+
+
+def test_several_images():
+    """Two lights, one at a time: each image alone tells less."""
+    # The other light is off, not away: so the images share one compilation.
+    off = pf.DirectionalLight((0, 0, 1), 0.0)
+    scenes = [
+        pf.Scene(SCENE.surface, SCENE.camera, (light, off), SCENE.ambient)
+        for light in SCENE.lights
+    ]
+    images = [photograph(s, TRUTH, noise=NOISE, seed=k) for k, s in enumerate(scenes)]
+    fit = pf.fit(scenes, images)
+    check_near_truth(fit)
+    assert fit.images == 2 and fit.samples == 6 * MASK.sum()
+    assert isinstance(fit.fitted, tuple) and isinstance(fit.residuals, tuple)
+    for shown, left, image in zip(fit.fitted, fit.residuals, images, strict=True):
+        near(left[MASK], (image - shown)[MASK], 1e-5)
+    # The same answer in another order, and less certainty from one.
+    turned = pf.fit(scenes[::-1], images[::-1])
+    near(turned.values, fit.values, 1e-4)
+    alone = pf.fit(scenes[0], images[0])
+    assert np.all(fit.errors < alone.errors)
+    # A list of one is one, but comes back as a list.
+    listed = pf.fit(scenes[:1], images[:1])
+    near(listed.values, alone.values, 1e-6)
+    assert isinstance(listed.fitted, tuple) and len(listed.fitted) == 1
+
+
+def test_each_image_has_its_mask_and_noise():
+    broken = photograph(SCENE, TRUTH, noise=0.03, seed=1)
+    broken[:16] = 0.9
+    lower = np.zeros((SIZE, SIZE), bool)
+    lower[16:] = True
+    fit = pf.fit(
+        [SCENE, SCENE], [NOISY, broken], mask=[MASK, lower], noise=[NOISE, 0.03]
+    )
+    check_near_truth(fit)
+    assert 0.9 < fit.reduced_chi_squared < 1.1
+    assert fit.samples == 3 * (MASK.sum() + (MASK & lower).sum())
+    assert np.all(fit.residuals[1][:16] == 0)
+
+
+def test_masked_pixels_do_not_matter():
+    mask = MASK.copy()
+    mask[15, 10:20] = False
+    image = NOISY.copy()
+    image[~mask] = np.nan
+    fit = pf.fit(SCENE, image, mask=mask)
+    other = pf.fit(SCENE, np.where(mask[..., None], NOISY, 0.77), mask=mask)
+    assert np.array_equal(fit.values, other.values)
+    weighted = pf.fit(SCENE, image, weights=mask.astype(float))
+    assert np.array_equal(fit.values, weighted.values)
+    assert fit.samples == weighted.samples == 3 * mask.sum()
+    check_near_truth(fit)
+
+
+def test_one_channel_may_be_masked():
+    mask = np.repeat(MASK[..., None], 3, axis=-1)
+    mask[:, :16, 0] = False
+    image = np.where(mask, NOISY, 5.0)
+    fit = pf.fit(SCENE, image, mask=mask)
+    check_near_truth(fit)
+    whole = pf.fit(SCENE, NOISY)
+    assert fit.errors[3] > 1.05 * whole.errors[3]
+    assert fit.errors[4] == pytest.approx(whole.errors[4], rel=0.05)
+
+
+def test_weights_are_relative():
+    weights = np.random.default_rng(1).uniform(0.5, 2, MASK.shape)
+    fit = pf.fit(SCENE, NOISY, weights=weights)
+    check_near_truth(fit)
+    scaled = pf.fit(SCENE, NOISY, weights=100 * weights)
+    near(scaled.values, fit.values, 1e-4)
+    near(scaled.errors / fit.errors, 1, 1e-3)
+    assert not np.allclose(fit.values, pf.fit(SCENE, NOISY).values, rtol=1e-5)
+
+
+def test_weight_two_is_seeing_twice():
+    ours = pf.fit(SCENE, NOISY, weights=np.full(MASK.shape, 2.0), noise=NOISE)
+    twice = pf.fit([SCENE, SCENE], [NOISY, NOISY], noise=NOISE)
+    near(ours.values, twice.values, 1e-4)
+    near(ours.errors / twice.errors, 1, 1e-3)
+
+
+@pytest.mark.parametrize(
+    "film, words",
+    [
+        (pf.Film(bits=8), "clamped, 8-bit linear"),
+        (pf.Film(encoding="srgb", bits=8), "clamped, 8-bit srgb"),
+        (pf.Film(encoding="srgb", bits=16), "clamped, 16-bit srgb"),
+        (pf.Film(), "clamped, not rounded"),
+    ],
+)
+def test_film_found_or_given(film, words):
+    image = photograph(SCENE, TRUTH, noise=NOISE, film=film)
+    found, given = pf.fit(SCENE, image), pf.fit(SCENE, image, film=film)
+    assert found.film == given.film == words
+    near(found.values, given.values, 1e-6)
+    check_near_truth(found)
+
+
+def test_a_film_that_was_never_clamped():
+    lights = [pf.DirectionalLight((1, 1, 2), 3.0), pf.DirectionalLight((-1, 0, 1), 0.2)]
+    bright = pf.Scene(SCENE.surface, SCENE.camera, lights, ambient=0.3)
+    free = pf.Film(clamp=False)
+    image = photograph(bright, TRUTH, noise=NOISE, film=free)
+    assert image.max() > 1.5 and image.min() < 0
+    found = pf.fit(bright, image)
+    assert found.film == "not clamped, not rounded"
+    check_near_truth(found)
+    # Clipped, the same scene tells less.
+    clipped = pf.fit(bright, np.clip(image, 0, 1))
+    check_near_truth(clipped)
+    assert np.all(clipped.errors > found.errors)
+    assert np.all(clipped.errors[6:] > 3 * found.errors[6:])
+
+
+def test_the_wrong_model_is_told():
+    """Blinn's highlight for Phong's, under a light from the side."""
+    lights = (pf.DirectionalLight((4, 1, 1), 0.5), SCENE.lights[1])
+    scenes = [
+        pf.Scene(SCENE.surface, SCENE.camera, lights, 0.3, specular=model)
+        for model in (pf.Phong(), pf.BlinnPhong())
+    ]
+    fit = pf.fit(scenes[1], photograph(scenes[0], TRUTH, noise=0.002))
+    assert fit.converged and fit.neighbour_correlation > 0.1
+    widening = (1 + fit.neighbour_correlation) / (1 - fit.neighbour_correlation)
+    (warning,) = fit.warnings
+    assert warning.startswith("residuals are not noise")
+    assert f"errors are widened {widening:.1f} times" in warning
+
+
+def test_noise_that_is_wrong_is_told():
+    fit = pf.fit(SCENE, NOISY, noise=NOISE / 3)
+    assert fit.reduced_chi_squared == pytest.approx(9, rel=0.1)
+    assert any("3.0 times as large as the noise" in w for w in fit.warnings)
+
+
+def test_too_few_steps_are_told():
+    fit = pf.fit(SCENE, NOISY, max_steps=1)
+    assert not fit.converged
+    assert any("did not converge" in warning for warning in fit.warnings)
+    assert "NOT CONVERGED" in str(fit)
+    assert np.all(np.isfinite(fit.values))
+
+
+def garbage(share: float, seed: int = 0) -> np.ndarray:
+    """The noisy image with a share of its pixels replaced by chance."""
+    rng = np.random.default_rng(seed)
+    hit = rng.random((SIZE, SIZE, 1)) < share
+    return np.where(hit, rng.random(NOISY.shape), NOISY)
+
+
+@pytest.mark.parametrize("loss", ["huber", "soft_l1", "cauchy", "tukey"])
+def test_robust_losses_bear_garbage(loss):
+    image = garbage(0.2)
+    fit = pf.fit(SCENE, image, loss=loss)
+    assert fit.converged and fit.loss.lower() == loss.replace("_", "")
+    off = np.abs(fit.values / as_vector(TRUTH) - 1)
+    limit = {"huber": 0.15, "soft_l1": 0.15, "cauchy": 0.06, "tukey": 0.06}[loss]
+    assert np.all(off < limit), dict(zip(fit.labels, off, strict=True))
+    assert fit.noise < 2 * NOISE
+    # Without any, next to nothing is lost.
+    plain, robust = pf.fit(SCENE, NOISY), pf.fit(SCENE, NOISY, loss=loss)
+    check_near_truth(robust)
+    assert np.all(np.abs(robust.errors / plain.errors - 1) < 0.15)
+
+
+def test_least_squares_do_not():
+    fit = pf.fit(SCENE, garbage(0.2))
+    assert np.max(np.abs(fit.values / as_vector(TRUTH) - 1)) > 0.3
+    assert fit.noise > 10 * NOISE
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.0])
+def test_print(noise):
+    fit = pf.fit(SCENE, photograph(SCENE, TRUTH, noise=noise, film=pf.Film(bits=8)))
+    text = str(fit)
+    assert max(len(line) for line in text.splitlines()) <= 90
+    for label in fit.labels:
+        assert f"  {label} " in text
+    assert text.count("±") == 10 and "correlations" in text
+
+
+def test_a_result_becomes_json(tmp_path):
+    scene = ball(ambient=0.0)
+    fit = pf.fit(scene, photograph(scene, TRUTH, noise=NOISE))
+    assert fit.untold[:3].all()
+    path = tmp_path / "fit.json"
+    write_json(path, fit.to_dict())
+    assert '"stderr"' in path.read_text() and "Infinity" not in path.read_text()
+
+
+def test_both_precisions_of_image():
+    single = pf.fit(SCENE, NOISY.astype(np.float32))
+    double = pf.fit(SCENE, NOISY.astype(np.float64))
+    near(single.values, double.values, 1e-5)
