@@ -2,10 +2,11 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 
 from phongfit.fitting.diagnostics import neighbour_correlation, variance_inflation
-from phongfit.fitting.problem import Evaluation, Problem, evaluate
+from phongfit.fitting.problem import Evaluation, Problem, evaluate, linearize
 from phongfit.fitting.result import Fit
 from phongfit.fitting.search import Found
 from phongfit.fitting.statistics import Statistics, statistics
@@ -40,7 +41,7 @@ def summarize(
     correlation = _misfit(problem, residuals, used)
     inflation = variance_inflation(correlation)
     uncertainty = statistics(problem, found.y, at, inflation)
-    untold, reasons = _beyond_sense(unknowns, y, uncertainty)
+    untold, reasons = _beyond_sense(problem, y, uncertainty)
     at_bound = uncertainty.at_bound & ~untold
     values = np.clip(unknowns.values(y.astype(float)), *unknowns.bounds.T)
     # d f / d log f = f.
@@ -142,9 +143,10 @@ def _errors_as_material(unknowns: Unknowns, errors: np.ndarray) -> Material:
 
 
 def _beyond_sense(
-    unknowns: Unknowns, y: np.ndarray, uncertainty: Statistics
+    problem: Problem, y: np.ndarray, uncertainty: Statistics
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Unknowns whose error, though finite, says that nothing is known."""
+    unknowns = problem.unknowns
     untold = uncertainty.untold.copy()
     reasons = [*uncertainty.reasons]
     labels = np.array(unknowns.labels)
@@ -164,4 +166,29 @@ def _beyond_sense(
                     f"{label} cannot be told: specular is 0 within its error"
                 )
             untold |= unseen
+    for entry in np.flatnonzero((kinds == "specular") & ~untold):
+        exponents = (kinds == "shininess") & (owners == owners[entry])
+        if exponents.any() and untold[exponents].all():
+            if not _told_for_all_exponents(problem, y, int(entry), exponents):
+                words = "some exponents would hide the highlight where no pixel is used"
+                reasons.append(f"{labels[entry]} cannot be told: {words}")
+                untold[entry] = True
     return untold, tuple(reasons)
+
+
+def _told_for_all_exponents(
+    problem: Problem, y: np.ndarray, entry: int, exponents: np.ndarray
+) -> bool:
+    """Whether a reflectance is told whatever the exponent, which is not, may be."""
+    lower, upper = (
+        np.asarray(edge) for edge in (problem.unknowns.lower, problem.unknowns.upper)
+    )
+    for share in np.linspace(0, 1, 7):
+        there = np.where(exponents, lower + share * (upper - lower), y)
+        slope = np.asarray(linearize(problem, jnp.asarray(there, y.dtype))[0])[entry]
+        # In standard deviations, and the other unknowns only add to it.
+        if 1 / (np.sqrt(np.sum(slope.astype(float) ** 2)) + 1e-30) > (
+            upper[entry] - lower[entry]
+        ):
+            return False
+    return True

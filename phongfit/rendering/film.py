@@ -72,7 +72,7 @@ class Film(eqx.Module):
         if not self.clamp and (self.bits is not None or self.encoding != "linear"):
             raise ValueError("clamp: needed where a film encodes or rounds")
 
-    def expose(self, light: Float[Array, "..."]) -> Float[Array, "..."]:
+    def expose(self, light: Any) -> Float[Array, "..."]:
         """Linear light of any shape as what is stored, in [0, 1] if clamped."""
         shown = jnp.clip(light, 0, 1) if self.clamp else light
         encoded = encode(shown, self.encoding)

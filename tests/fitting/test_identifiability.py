@@ -1,0 +1,152 @@
+"""No finite error for what the image cannot tell, and the reason in words."""
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from tests.fitting.scenes import SIZE, TRUTH, as_vector, ball, photograph
+
+NOISES = pytest.mark.parametrize("noise", [0.0, 0.01])
+PLATE = pf.Scene(
+    pf.NormalMap(np.broadcast_to([0.0, 0.0, 1.0], (SIZE, SIZE, 3))),
+    pf.OrthographicCamera(SIZE, SIZE),
+    pf.DirectionalLight((1, 1, 2), 0.7),
+    ambient=0.3,
+)
+COLOURS = ("red", "green", "blue")
+
+
+def check_untold(fit: pf.Fit, names: tuple[str, ...], words: str) -> None:
+    """Exactly the leaves of these names have no finite error, for this reason."""
+    untold = [label for label in fit.labels if label.split(".")[0] in names]
+    assert np.array(fit.labels)[fit.untold].tolist() == untold
+    assert np.array_equal(np.isinf(fit.errors), fit.untold)
+    assert np.array_equal(np.isinf(np.diag(fit.covariance)), fit.untold)
+    reasons = [warning for warning in fit.warnings if words in warning]
+    assert reasons, fit.warnings
+    assert all(any(label in reason for reason in reasons) for label in untold)
+    for name in names:
+        assert np.all(np.isinf(getattr(fit.stderr, name)))
+    assert str(fit).count("cannot be told") >= len(untold)
+
+
+@NOISES
+def test_a_flat_plate(noise):
+    """Parallel light, seen from far: one colour everywhere, ten unknowns."""
+    fit = pf.fit(PLATE, photograph(PLATE, TRUTH, noise=noise))
+    assert fit.converged
+    names = ("ambient", "diffuse", "specular", "shininess")
+    check_untold(fit, names, "cannot be told apart: they change the image alike")
+    assert np.abs(np.mean(fit.residuals)) < 1e-3
+
+
+@NOISES
+def test_a_flat_plate_with_one_unknown(noise):
+    """What is left of it can be told, where the rest is known."""
+    image = photograph(PLATE, TRUTH, noise=noise)
+    fit = pf.fit(PLATE, image, unknowns=("diffuse",), known=TRUTH)
+    assert np.all(np.abs(fit.values - TRUTH.diffuse) < np.maximum(4 * fit.errors, 1e-6))
+    assert np.all(fit.errors < 1e-3) and not fit.warnings
+
+
+@NOISES
+def test_no_highlight(noise):
+    matte = pf.Material(TRUTH.diffuse, 0.0, 20.0, TRUTH.ambient)
+    fit = pf.fit(ball(), photograph(ball(), matte, noise=noise))
+    assert fit.converged
+    check_untold(fit, ("shininess",), "shininess cannot be told: ")
+    assert np.all(fit.values[6:9] <= 4 * fit.errors[6:9])
+    assert any("specular is 0" in warning for warning in fit.warnings)
+
+
+@NOISES
+def test_no_ambient_light(noise):
+    scene = ball(ambient=0.0)
+    fit = pf.fit(scene, photograph(scene, TRUTH, noise=noise))
+    assert fit.converged
+    check_untold(fit, ("ambient",), "no ambient light falls on a pixel that is used")
+    others = np.abs(fit.values - as_vector(TRUTH))[3:]
+    assert np.all(others < np.maximum(4.5 * fit.errors[3:], 1e-4))
+
+
+@NOISES
+def test_a_highlight_that_is_masked(noise):
+    """Whatever f is, if it is large: ρ_s may be anything."""
+    shiny = pf.Material(TRUTH.diffuse, TRUTH.specular, 300.0, TRUTH.ambient)
+    mirror = pf.Material(0.0, 1.0, 300.0, 0.0)
+    seen = np.asarray(pf.render(ball(ambient=0.0), mirror)).max(axis=-1) > 1e-7
+    assert 10 < seen.sum() < 300
+    fit = pf.fit(ball(), photograph(ball(), shiny, noise=noise), mask=~seen)
+    check_untold(fit, ("specular", "shininess"), "cannot be told")
+
+
+def test_everything_is_black():
+    fit = pf.fit(ball(), np.zeros((SIZE, SIZE, 3)))
+    assert fit.converged
+    assert fit.at_bound[:9].all() and fit.untold[9]
+    assert np.all(fit.values[:9] == 0)
+    assert np.all(fit.errors[:9] < 0.01)
+
+
+def test_ambient_and_emission_under_different_ambient_light():
+    """One constant in one image, two in two."""
+    truth = pf.Material(TRUTH.diffuse, TRUTH.specular, 20.0, 0.5, (0.05, 0.1, 0.15))
+    scenes = [ball(ambient=ambient) for ambient in (0.1, 0.4)]
+    images = [
+        photograph(scene, truth, noise=0.01, seed=k) for k, scene in enumerate(scenes)
+    ]
+    fit = pf.fit(
+        scenes,
+        images,
+        unknowns=("ambient", "diffuse", "specular", "shininess", "emission"),
+        per_channel=("diffuse", "specular", "emission"),
+    )
+    assert fit.converged and not fit.untold.any()
+    off = np.asarray(fit.material.emission) - np.asarray(truth.emission)
+    assert np.all(np.abs(off) < 4 * np.asarray(fit.stderr.emission))
+    assert abs(float(fit.material.ambient) - 0.5) < 4 * float(fit.stderr.ambient)
+
+
+def test_a_bound_that_binds_is_marked():
+    truth = pf.Material((0.6, 0.3, 0.0), TRUTH.specular, 20.0, TRUTH.ambient)
+    offs, bound = [], []
+    for seed in range(24):
+        fit = pf.fit(ball(), photograph(ball(), truth, noise=0.01, seed=seed))
+        assert fit.converged and not fit.untold.any()
+        assert not np.delete(fit.at_bound, 5).any()
+        bound.append(bool(fit.at_bound[5]))
+        offs.append((fit.values - as_vector(truth)) / fit.errors)
+        words = "diffuse.blue lies at its bound: its error is one-sided"
+        assert (words in fit.warnings) == bound[-1]
+        if bound[-1]:
+            assert fit.values[5] == 0
+            assert np.all(np.isnan(fit.covariance[5]))
+            assert "at its bound" in str(fit)
+            assert 0.0005 < fit.errors[5] < 0.01
+    # Noise pulls it below 0 every second time.
+    assert 4 < sum(bound) < 20
+    assert np.all(np.abs(offs) < 4.5)
+
+
+def test_the_upper_bound_too():
+    truth = pf.Material(TRUTH.diffuse, (1.0, 0.8, 0.9), 20.0, TRUTH.ambient)
+    fit = pf.fit(ball(), photograph(ball(), truth))
+    assert np.flatnonzero(fit.at_bound).tolist() in ([6], [])
+    tight = pf.fit(ball(), photograph(ball(), truth), bounds={"specular": (0, 0.85)})
+    assert np.flatnonzero(tight.at_bound).tolist() == [6, 8]
+    assert tight.values[6] == tight.values[8] == np.float32(0.85) or (
+        tight.values[6] == tight.values[8] == 0.85
+    )
+
+
+@pytest.mark.parametrize("colour", range(3))
+def test_one_channel_without_light(colour):
+    """A light that lacks a colour says nothing of the reflectance there."""
+    intensity = np.full(3, 0.5)
+    intensity[colour] = 0
+    scene = pf.Scene(
+        pf.Sphere(), ball().camera, pf.DirectionalLight((1, 1, 2), intensity), 0.3
+    )
+    fit = pf.fit(scene, photograph(scene, TRUTH, noise=0.01))
+    expected = [f"{name}.{COLOURS[colour]}" for name in ("diffuse", "specular")]
+    assert np.array(fit.labels)[fit.untold].tolist() == expected
