@@ -1,5 +1,6 @@
 """From light at the points that were lit to light in the pixels."""
 
+import math
 from typing import Any
 
 import equinox as eqx
@@ -131,10 +132,12 @@ def _size(used: np.ndarray) -> int:
 @eqx.filter_jit
 def _gather(terms: ShadingTerms, index: Int[Array, " n"]) -> ShadingTerms:
     """The terms at some points, counted row by row."""
-    batch = terms.diffuse.ndim - 1
+    *batch, _ = terms.diffuse.shape
+    # Not −1: without lights, some arrays are empty.
+    points = math.prod(batch)
 
     def at(array: Any) -> Array:
-        return array.reshape(-1, *array.shape[batch:])[index]
+        return array.reshape(points, *array.shape[len(batch) :])[index]
 
     # The model's own arrays, if it has any, are of no point.
     return eqx.tree_at(lambda t: t.model, jax.tree.map(at, terms), terms.model)

@@ -105,6 +105,16 @@ def test_no_acne_on_a_coarse_mesh_of_any_size_and_place(size, place):
         assert (mask & (facing > 0)).sum() > 100
 
 
+def test_a_face_is_never_in_its_own_shadow():
+    # A light just below its plane, that its interpolated normals still look at.
+    tilted = np.array([[1, 0, 0.2]] * 3)
+    mesh = pf.Mesh([[-2, -2, 0], [2, -2, 0], [0, 3, 0]], [[0, 1, 2]], tilted)
+    light = pf.DirectionalLight((1, 0, -0.1))
+    gbuffer = pf.trace(mesh, VIEW, [light], shadows=True)
+    assert gbuffer.mask.any()
+    assert np.all(known(gbuffer.visibility)[gbuffer.mask] == 1)
+
+
 @pytest.mark.parametrize(
     "shading, points",
     [
