@@ -1,8 +1,7 @@
 """Stated errors against what really happens, and against lmfit's."""
 
-from functools from typing import Any
-
-import lru_cache
+from functools import lru_cache
+from typing import Any
 
 import lmfit
 import numpy as np
@@ -74,9 +73,7 @@ def test_correlations_are_what_happens():
     assert np.max(np.abs(fit.correlation[~np.eye(10, dtype=bool)])) > 0.8
 
 
-def lmfit_result(
-    image: np.ndarray, scale_covar: bool
-) -> Any:
+def lmfit_result(image: np.ndarray, scale_covar: bool) -> Any:
     """What lmfit says of the same image, with a model written out in NumPy."""
     buffer = SCENE.trace()
     seen = np.asarray(buffer.mask)
