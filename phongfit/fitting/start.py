@@ -85,7 +85,8 @@ def _best_reflectances(
     target = samples.target - samples.pixels.fog_light()
     owner = samples.pixels.material_index()
     owner = jnp.zeros(target.shape[0], int) if owner is None else owner
-    members = owner[None] == jnp.arange(unknowns.materials)[:, None]
+    rows = jnp.arange(unknowns.materials, dtype=owner.dtype)
+    members = owner[None] == rows[:, None]
     select, offset = _selection(unknowns)
     white = samples.target >= 1
     # What was clipped says only that the light is no less than white: at first it is
