@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from phongfit.environment import Fog as Fog
 from phongfit.fitting.fit import fit as fit
+from phongfit.fitting.implicit import refit as refit
 from phongfit.fitting.losses import (
     AbstractLoss as AbstractLoss,
     Cauchy as Cauchy,
@@ -13,7 +14,12 @@ from phongfit.fitting.losses import (
     SoftL1 as SoftL1,
     Tukey as Tukey,
 )
-from phongfit.fitting.result import Fit as Fit
+from phongfit.fitting.predict import (
+    Prediction as Prediction,
+    predict_errors as predict_errors,
+)
+from phongfit.fitting.profile import Profile as Profile, ProfilePair as ProfilePair
+from phongfit.fitting.result import Estimate as Estimate, Fit as Fit
 from phongfit.fitting.solver import (
     BoundedLevenbergMarquardt as BoundedLevenbergMarquardt,
 )

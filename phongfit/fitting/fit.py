@@ -1,5 +1,6 @@
 """`fit`: images and geometry in, a material with error bars out."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,27 +11,35 @@ from jaxtyping import Array
 
 from phongfit.fitting.inputs import Photograph, as_photographs
 from phongfit.fitting.losses import AbstractLoss, as_loss
+from phongfit.fitting.layout import Tie, make_unknowns
 from phongfit.fitting.noise import find_film, rounding_steps
 from phongfit.fitting.result import Fit
-from phongfit.fitting.samples import gather
+from phongfit.fitting.samples import Source, gather, seen_pixels
 from phongfit.fitting.search import search
+from phongfit.fitting.start import choose_few
 from phongfit.fitting.summary import summarize
-from phongfit.fitting.unknowns import Unknowns, make_unknowns
-from phongfit.geometry.surfaces import GBuffer
+from phongfit.fitting.unknowns import Unknowns, in_units
 from phongfit.material import Material
 from phongfit.rendering.film import Film
 from phongfit.rendering.pixels import PixelTerms, pixel_terms
 from phongfit.scene import Scene
+
+DEFAULT_UNKNOWNS = ("ambient", "diffuse", "specular", "shininess")
+DEFAULT_PER_CHANNEL = ("ambient", "diffuse", "specular")
 
 
 def fit(
     scene: Scene | Sequence[Scene],
     image: Any,
     *,
-    unknowns: Sequence[str] = ("ambient", "diffuse", "specular", "shininess"),
-    per_channel: Sequence[str] = ("ambient", "diffuse", "specular"),
+    unknowns: Sequence[str] = DEFAULT_UNKNOWNS,
+    per_channel: Sequence[str] = DEFAULT_PER_CHANNEL,
     known: Material | None = None,
+    per_image: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
+    fixed: Mapping[str, Any] | None = None,
+    ties: Mapping[str, Tie] | None = None,
+    priors: Mapping[str, tuple[Any, float]] | None = None,
     mask: Any = None,
     weights: Any = None,
     noise: Any = None,
@@ -51,13 +60,22 @@ def fit(
         one a scene.
     - `unknowns`: leaves of the material to be found; where the surface is made of M
         materials, of each of them: the leaves that come back have shape (M, 3) or
-        (M, 1).
-    - `per_channel`: those of them with one value for each of red, green and blue; the
-        others have one for all.
+        (M, 1). Arrays of the scene by their place, such as
+        `"scene.lights[0].direction"` or `"scene.fog.density"`, which start from what
+        the scene has; directions stay on the sphere. `"exposure"`: what the light of
+        each image is multiplied by.
+    - `per_channel`: those of them with one value for each of red, green and blue; other
+        colours have one for all.
+    - `per_image`: arrays of the scenes of which each image has its own.
     - `known`: values of the leaves that are not unknown; default no reflectance, no
         emission and an exponent of 32.
-    - `bounds`: name → (low, high), in place of 0 … 1 for reflectances and emission and
-        1 … 1000 for shininess.
+    - `bounds`: name or label → (low, high), in place of 0 … 1 for reflectances and
+        emission and 1 … 1000 for shininess. Labels are those of the result:
+        `"diffuse.red"`, `"exposure[1]"`, `"scenes[1].lights[0].position.x"`.
+    - `fixed`: name or label → the value it is held at.
+    - `ties`: name or label → another one, or (factor, other), which it follows.
+    - `priors`: name or label → (mean, standard deviation), in the user's units: what is
+        known beforehand, as one more measurement.
     - `mask`: (height, width) or (height, width, 3), true where a sample is used; with
         several scenes a sequence. Pixels that see no surface are never used.
     - `weights`: relative inverse variances, shaped as `mask`; 0 leaves a sample out.
@@ -76,39 +94,53 @@ def fit(
     pixels, a mask that leaves nothing, fewer samples than unknowns, ambient and
     emission both unknown where no pixel can tell them apart.
     """
-    photographs = as_photographs(scene, image, mask, weights, noise)
-    known = Material(0.0, 0.0, 32.0, 0.0) if known is None else known
-    materials = photographs[0].scene.surface.materials
-    layout = make_unknowns(unknowns, per_channel, known, bounds or {}, materials)
-    film = _checked_film(film, photographs)
-    loss = as_loss(loss)
-
-    geometry = [_resolve(p.scene) for p in photographs]
-    views = [view for _, view in geometry]
-    weighted = [_weights(p, g) for p, (g, _) in zip(photographs, geometry, strict=True)]
-    _check_samples(weighted, layout)
-    _check_constants(layout, views)
-    samples = gather(
-        views,
-        [p.image for p in photographs],
-        weighted,
-        [rounding_steps(p.image, film) for p in photographs],
+    setting = set_up(
+        scene,
+        image,
+        unknowns=unknowns,
+        per_channel=per_channel,
+        per_image=per_image,
+        known=known,
+        bounds=bounds,
+        fixed=fixed,
+        ties=ties,
+        priors=priors,
+        mask=mask,
+        weights=weights,
+        noise=noise,
+        film=film,
     )
-    found = search(samples, layout, loss, film.clamp, noise is not None, max_steps)
-    used = [weight > 0 for weight in weighted]
-    material = layout.with_leaves(layout.values(np.asarray(found.y)))
-    fitted = [
-        _shown(g, s, p.scene, material, film.clamp)
-        for p, (g, s) in zip(photographs, geometry, strict=True)
+    layout, sources, film = setting.unknowns, setting.sources, setting.film
+    relight = layout.of_scene and not setting.moving
+    seen = seen_pixels(sources)
+    few = choose_few(sources, seen)
+    found = search(
+        None if few is None else gather(sources, few, relight),
+        gather(sources, seen, relight),
+        layout,
+        as_loss(loss),
+        film.clamp,
+        noise is not None,
+        max_steps,
+    )
+    entries = np.asarray(in_units(layout, found.y)[0])
+    scenes = layout.scenes(entries, tuple(source.scene for source in sources))
+    shown = [
+        _shown(source, scene, setting, entries, exposure)
+        for source, scene, exposure in zip(
+            sources, scenes, layout.exposures(entries), strict=True
+        )
     ]
+    used = [source.weight > 0 for source in sources]
     residuals = [
-        np.where(mask, p.image - shown, 0)
-        for p, shown, mask in zip(photographs, fitted, used, strict=True)
+        np.where(mask, source.image - light, 0)
+        for source, light, mask in zip(sources, shown, used, strict=True)
     ]
     return summarize(
         found,
         film=film,
-        fitted=fitted,
+        scenes=scenes,
+        fitted=shown,
         residuals=residuals,
         used=used,
         single=isinstance(scene, Scene),
@@ -116,26 +148,95 @@ def fit(
     )
 
 
-def _resolve(scene: Scene) -> tuple[GBuffer, PixelTerms]:
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """What is asked, checked: unknowns, images with their geometry, and the film.
+
+    `moving` tells that rays must be traced anew for every guess.
+    """
+
+    unknowns: Unknowns
+    sources: list[Source]
+    film: Film
+    moving: bool
+
+
+def set_up(
+    scene: Scene | Sequence[Scene],
+    image: Any,
+    *,
+    unknowns: Sequence[str] = DEFAULT_UNKNOWNS,
+    per_channel: Sequence[str] = DEFAULT_PER_CHANNEL,
+    per_image: Sequence[str] = (),
+    known: Material | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    fixed: Mapping[str, Any] | None = None,
+    ties: Mapping[str, Tie] | None = None,
+    priors: Mapping[str, tuple[Any, float]] | None = None,
+    mask: Any = None,
+    weights: Any = None,
+    noise: Any = None,
+    film: Film | None = None,
+) -> Setting:
+    """Arguments of [`fit`][], checked and in one form.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    photographs = as_photographs(scene, image, mask, weights, noise)
+    scenes = tuple(p.scene for p in photographs)
+    layout = make_unknowns(
+        unknowns,
+        per_channel,
+        Material(0.0, 0.0, 32.0, 0.0) if known is None else known,
+        bounds or {},
+        materials=scenes[0].surface.materials,
+        scenes=scenes,
+        per_image=per_image,
+        fixed=fixed,
+        ties=ties,
+        priors=priors,
+    )
+    film = _checked_film(film, photographs)
+    sources = [as_source(p, film) for p in photographs]
+    _check_samples(sources, layout)
+    _check_constants(layout, sources)
+    # Shadows move with the lights that throw them.
+    shadows = any(scene.shadows for scene in scenes)
+    moving = layout.moves_geometry or (shadows and layout.moves_lights)
+    return Setting(layout, sources, film, moving)
+
+
+def as_source(photograph: Photograph, film: Film) -> Source:
+    """A photograph with its geometry resolved; pixels that see nothing have no weight."""
+    scene, image = photograph.scene, photograph.image
     gbuffer = scene.trace()
-    return gbuffer, pixel_terms(scene, gbuffer)
+    weight = np.where(np.asarray(gbuffer.mask)[..., None], photograph.weight, 0)
+    return Source(
+        scene,
+        gbuffer,
+        pixel_terms(scene, gbuffer),
+        image,
+        weight.astype(image.dtype),
+        rounding_steps(image, film),
+    )
 
 
 @eqx.filter_jit
-def _expose(view: PixelTerms, material: Material, clamp: bool) -> Array:
-    light = view.radiance(material)
+def _expose(view: PixelTerms, material: Material, clamp: bool, exposure: Array) -> Array:
+    light = view.radiance(material) * exposure
     return jnp.clip(light, 0, 1) if clamp else light
 
 
 def _shown(
-    gbuffer: GBuffer,
-    view: PixelTerms,
-    scene: Scene,
-    material: Material,
-    clamp: bool,
+    source: Source, scene: Scene, setting: Setting, entries: np.ndarray, exposure: Array
 ) -> np.ndarray:
     """The fitted image in linear light."""
-    light = np.asarray(_expose(view, material, clamp))
+    unknowns, gbuffer, view = setting.unknowns, source.gbuffer, source.pixels
+    if unknowns.of_scene:
+        gbuffer = scene.trace() if setting.moving else gbuffer
+        view = pixel_terms(scene, gbuffer)
+    material = unknowns.with_leaves(entries)
+    light = np.asarray(_expose(view, material, setting.film.clamp, exposure))
     mask = np.asarray(gbuffer.mask)[..., None]
     return np.where(mask, light, np.asarray(scene.background))
 
@@ -153,29 +254,28 @@ def _checked_film(film: Film | None, photographs: list[Photograph]) -> Film:
     return film
 
 
-def _weights(photograph: Photograph, gbuffer: GBuffer) -> np.ndarray:
-    """Weights of the pixels that see the surface; the others have none."""
-    seen = np.asarray(gbuffer.mask)[..., None]
-    return np.where(seen, photograph.weight, 0).astype(photograph.image.dtype)
-
-
-def _check_samples(weights: list[np.ndarray], unknowns: Unknowns) -> None:
-    count = sum(int(np.count_nonzero(weight)) for weight in weights)
+def _check_samples(sources: list[Source], unknowns: Unknowns) -> None:
+    count = sum(int(np.count_nonzero(source.weight)) for source in sources)
     if count == 0:
         raise ValueError("mask: it leaves no pixel that sees the surface")
-    if count <= len(unknowns.labels):
+    free = unknowns.lower.size
+    if count + sum(unknowns.has_prior) <= free:
         raise ValueError(
-            f"mask: {count} samples are left for {len(unknowns.labels)} unknowns; more "
+            f"mask: {count} samples are left for {free} unknowns; more "
             "samples than unknowns are wanted"
         )
 
 
-def _check_constants(unknowns: Unknowns, views: list[PixelTerms]) -> None:
+def _check_constants(unknowns: Unknowns, sources: list[Source]) -> None:
     """Ambient and emission are one constant wherever the ambient light is the same."""
     if not {"ambient", "emission"} <= set(unknowns.names):
         return
-    light = np.concatenate([np.asarray(v.terms.ambient).reshape(-1, 3) for v in views])
-    if np.all(np.ptp(light, axis=0) <= 1e-6 * np.abs(light).max()):
+    light = np.concatenate(
+        [np.asarray(source.pixels.terms.ambient).reshape(-1, 3) for source in sources]
+    )
+    free = set(np.array(unknowns.entry_leaf)[unknowns.owned])
+    known = {"ambient", "emission"} - free or any(unknowns.has_prior)
+    if not known and np.all(np.ptp(light, axis=0) <= 1e-6 * np.abs(light).max()):
         raise ValueError(
             "unknowns: ambient and emission both came, but under constant ambient "
             "light they are one constant; leave one out"

@@ -12,6 +12,7 @@ import abc
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -38,6 +39,14 @@ class AbstractLoss(eqx.Module):
         large = z > jnp.finfo(z.dtype).eps
         ratio = jnp.where(large, self.ratio(jnp.where(large, z, 1)), 1)
         return residual * jnp.sqrt(ratio)
+
+    def score(self, residual: Values) -> tuple[Values, Values]:
+        r"""$\psi(r) = \tfrac12 \frac{d}{dr} \rho(r^2)$ and its slope, elementwise."""
+
+        def psi(residual: Values) -> Values:
+            return jax.grad(lambda r: jnp.sum(self.root(r) ** 2) / 2)(residual)
+
+        return jax.jvp(psi, (residual,), (jnp.ones_like(residual),))
 
 
 class Linear(AbstractLoss):

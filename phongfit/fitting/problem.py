@@ -1,15 +1,12 @@
-"""The least-squares problem: residuals in standard deviations, and how it is solved."""
+"""The least-squares problem: residuals in standard deviations."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from phongfit.fitting.losses import AbstractLoss
 from phongfit.fitting.noise import clipped_mean, clipped_variance_share
-from phongfit.fitting.samples import Samples
-from phongfit.fitting.solver import BoundedLevenbergMarquardt
+from phongfit.fitting.samples import Channels, Samples
 from phongfit.fitting.unknowns import Unknowns
 
 
@@ -22,72 +19,68 @@ class Problem(eqx.Module):
     loss: AbstractLoss
     clamp: bool = eqx.field(static=True)
 
-    def noise(self) -> Float[Array, "n 3"]:
+    def noise(self) -> Float[Array, "3 n"]:
         """Standard deviation of each sample before rounding; 1 where it is left out."""
         used = self.samples.weight > 0
         return jnp.where(
             used, self.sigma / jnp.sqrt(jnp.where(used, self.samples.weight, 1)), 1
         )
 
-    def predict(self, y: Float[Array, " n"]) -> Float[Array, "samples 3"]:
-        """Mean of what the film shows of each sample."""
-        light = self.samples.light(self.unknowns.material(y))
-        return clipped_mean(light, self.noise()) if self.clamp else light
+    def light(self, y: Float[Array, " n"]) -> Float[Array, "3 samples"]:
+        """Linear light, before the film, that the model predicts for each sample."""
+        entries = self.unknowns.entries(y)
+        light = self.channels(entries).light(self.unknowns.with_leaves(entries))
+        exposure = self.exposure(entries)
+        return light if exposure is None else light * exposure
 
-    def deviation(self) -> Float[Array, "samples 3"]:
+    def channels(self, entries: Float[Array, " entries"]) -> Channels:
+        """What the samples see in the scenes that the entries make."""
+        if not self.unknowns.of_scene:
+            return self.samples.channels
+        scenes = tuple(view.scene for view in self.samples.views)
+        return self.samples.lit(self.unknowns.scenes(entries, scenes))
+
+    def exposure(
+        self, entries: Float[Array, " entries"]
+    ) -> Float[Array, "1 samples"] | None:
+        """What the light of each sample is multiplied by; `None` if it is known."""
+        if not self.unknowns.exposed:
+            return None
+        return self.unknowns.exposures(entries)[self.samples.image][None]
+
+    def deviation(self) -> Float[Array, "3 samples"]:
         """Standard deviation of each sample, rounding included."""
         return jnp.sqrt(self.noise() ** 2 + self.samples.step**2 / 12)
 
-    def residual(self, y: Float[Array, " n"]) -> Float[Array, "samples 3"]:
+    def residual(self, y: Float[Array, " n"]) -> Float[Array, "3 samples"]:
         """(model − image) in standard deviations; 0 where a sample is left out."""
-        difference = (self.predict(y) - self.samples.target) / self.deviation()
+        return self.compare(self.light(y))
+
+    def compare(self, light: Float[Array, "3 samples"]) -> Float[Array, "3 samples"]:
+        """Residuals of any light, before the film, that a model may predict.
+
+        The model's prediction is the mean of what the film shows.
+        """
+        shown = clipped_mean(light, self.noise()) if self.clamp else light
+        difference = (shown - self.samples.target) / self.deviation()
         return jnp.where(self.samples.weight > 0, difference, 0)
 
-
-class Solution(eqx.Module):
-    """Where the solver stopped, and why."""
-
-    y: Float[Array, " n"]
-    cost: Float[Array, ""]
-    steps: Int[Array, ""]
-    converged: Array
-
-
-@eqx.filter_jit
-def solve(problem: Problem, start: Float[Array, " n"], max_steps: int) -> Solution:
-    """Bounded Levenberg-Marquardt from `start`; failure is data, not an exception."""
-
-    def residual(y: Array, args: None) -> Array:
-        del args
-        return problem.loss.root(problem.residual(y))
-
-    resolution = float(jnp.finfo(start.dtype).eps)
-    tolerance = max(resolution**0.7, 1e-8)
-    solver = BoundedLevenbergMarquardt(
-        rtol=tolerance,
-        # In standard deviations: below the rounding of the prediction nothing counts.
-        atol=tolerance + 8 * resolution / problem.sigma,
-        lower=problem.unknowns.lower,
-        upper=problem.unknowns.upper,
-    )
-    solution = optx.least_squares(
-        residual, solver, start, max_steps=max_steps, throw=False
-    )
-    cost = 2 * solution.state.f_info.as_min()
-    done = solution.result == optx.RESULTS.successful
-    return Solution(
-        solution.value, cost, solution.stats["num_steps"], done & jnp.isfinite(cost)
-    )
+    def group(self) -> Int[Array, " samples"]:
+        """Which of [`Unknowns`][]`.groups` groups each sample belongs to."""
+        owner = self.samples.material_index()
+        if not self.unknowns.differs_between_images:
+            return owner
+        return owner * self.unknowns.images + self.samples.image
 
 
 class Evaluation(eqx.Module):
     """What is left over at a point, sample by sample."""
 
-    difference: Float[Array, "samples 3"]
-    residual: Float[Array, "samples 3"]
-    noise: Float[Array, "samples 3"]
-    deviation: Float[Array, "samples 3"]
-    variance_share: Float[Array, "samples 3"]
+    difference: Float[Array, "3 samples"]
+    residual: Float[Array, "3 samples"]
+    noise: Float[Array, "3 samples"]
+    deviation: Float[Array, "3 samples"]
+    variance_share: Float[Array, "3 samples"]
 
 
 Evaluation.__init__.__doc__ = """**Arguments:**
@@ -102,31 +95,11 @@ Evaluation.__init__.__doc__ = """**Arguments:**
 @eqx.filter_jit
 def evaluate(problem: Problem, y: Float[Array, " n"]) -> Evaluation:
     """Differences between model and image, and what noise they are measured by."""
-    used = problem.samples.weight > 0
-    noise = problem.noise()
-    light = problem.samples.light(problem.unknowns.material(y))
+    noise, deviation = problem.noise(), problem.deviation()
+    light = problem.light(y)
     share = jnp.ones_like(light)
     if problem.clamp:
         share = clipped_variance_share(light, noise)
-    return Evaluation(
-        jnp.where(used, problem.predict(y) - problem.samples.target, 0),
-        problem.residual(y),
-        noise,
-        problem.deviation(),
-        jnp.where(used, share, 0),
-    )
-
-
-@eqx.filter_jit
-def linearize(
-    problem: Problem, y: Float[Array, " n"]
-) -> tuple[Float[Array, "unknowns samples 3"], Array, Array]:
-    r"""The Jacobian of the residuals, and the loss's $\psi$ and $\psi'$ there."""
-    residual, derivative = jax.linearize(problem.residual, y)
-    jacobian = jax.vmap(derivative)(jnp.eye(y.size, dtype=y.dtype))
-
-    def psi(r: Array) -> Array:
-        return jax.grad(lambda r: jnp.sum(problem.loss.root(r) ** 2) / 2)(r)
-
-    score, slope = jax.jvp(psi, (residual,), (jnp.ones_like(residual),))
-    return jacobian, score, slope
+    share = jnp.where(problem.samples.weight > 0, share, 0)
+    residual = problem.compare(light)
+    return Evaluation(residual * deviation, residual, noise, deviation, share)

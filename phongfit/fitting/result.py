@@ -1,12 +1,26 @@
 """What a fit gives back."""
 
 import dataclasses
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.stats
 
+from phongfit.fitting.profile import LEVELS, profile, profile_pair
+from phongfit.fitting.search import Found
 from phongfit.fitting.table import fit_table
+from phongfit.fitting.unknowns import Unknowns
 from phongfit.material import Material
+
+
+class Estimate(NamedTuple):
+    """One leaf, or one number of it, as a fit found it."""
+
+    value: np.ndarray
+    error: np.ndarray
+    at_bound: np.ndarray
+    untold: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -14,11 +28,14 @@ class Fit:
     """A material with its uncertainty, and how it came about.
 
     Arrays are NumPy's; entries of `values`, `errors`, `covariance` and the flags are in
-    the order of `labels`.
+    the order of `labels`. `fit["diffuse"]` or `fit["diffuse.red"]` is an
+    [`Estimate`][].
     """
 
     material: Material
     stderr: Material
+    scene: Any
+    exposure: np.ndarray
     labels: tuple[str, ...]
     values: np.ndarray
     errors: np.ndarray
@@ -26,12 +43,14 @@ class Fit:
     at_bound: np.ndarray
     untold: np.ndarray
     bounds: np.ndarray
+    tied: np.ndarray
     fitted: Any
     residuals: Any
     noise: float
     noise_given: bool
     samples: int
     images: int
+    degrees_of_freedom: int
     chi_squared: float
     neighbour_correlation: float
     loss: str
@@ -41,11 +60,62 @@ class Fit:
     steps: int
     reason: str
     warnings: tuple[str, ...]
+    found: Found = dataclasses.field(compare=False)
 
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Samples less unknowns that were free."""
-        return self.samples - int(np.sum(~self.at_bound & ~self.untold))
+    def __getitem__(self, name: str) -> Estimate:
+        """A leaf by its name, or one number by its label.
+
+        **Raises:** `KeyError` that says what there is.
+        """
+        entries = [
+            k
+            for k, label in enumerate(self.labels)
+            if label == name or (label.startswith(name) and label[len(name)] in ".[")
+        ]
+        if not entries:
+            raise KeyError(f"{name!r} came, one of {', '.join(self.labels)} is wanted")
+        chosen = entries[0] if self.labels[entries[0]] == name else entries
+        return Estimate(
+            self.values[chosen],
+            self.errors[chosen],
+            self.at_bound[chosen],
+            self.untold[chosen],
+        )
+
+    def intervals(self, level: float = 0.95) -> np.ndarray:
+        """Intervals that hold the truth with a chance of `level`, by Student's t.
+
+        **Returns:** (n, 2), cut to the bounds, which are all that is left of what
+        cannot be told. At a bound they are one-sided.
+
+        **Raises:** `ValueError` if `level` is not in (0, 1).
+        """
+        if not 0 < level < 1:
+            raise ValueError(f"level: {level!r} came, a number in (0, 1) is wanted")
+        reach = scipy.stats.t.ppf((1 + level) / 2, max(self.degrees_of_freedom, 1))
+        edges = self.values[:, None] + reach * self.errors[:, None] * [[-1, 1]]
+        return np.clip(edges, self.bounds[:, :1], self.bounds[:, 1:])
+
+    def profile(
+        self, name: str, other: str | None = None, *, levels: Sequence[float] = LEVELS
+    ) -> Any:
+        """Profile-likelihood intervals of one unknown, or regions of a pair.
+
+        The unknown is held at values around its estimate and all others are fitted
+        again: [`Profile`][], or [`ProfilePair`][] for two. Where the model bends, this
+        says more than a standard error does.
+
+        **Arguments:**
+
+        - `name`, `other`: labels, such as `"shininess"` or `"diffuse.red"`.
+        - `levels`: chances, in (0, 1), that the intervals hold the truth.
+
+        **Raises:** `ValueError` for a name that was not free, or a level out of range.
+        """
+        if other is None:
+            return profile(self.found, name, self.degrees_of_freedom, tuple(levels))
+        pair = (name, other)
+        return profile_pair(self.found, pair, self.degrees_of_freedom, tuple(levels))
 
     @property
     def reduced_chi_squared(self) -> float:
@@ -72,6 +142,7 @@ class Fit:
             "covariance": self.covariance,
             "at_bound": self.at_bound,
             "untold": self.untold,
+            "exposure": self.exposure,
             "noise": self.noise,
             "samples": self.samples,
             "reduced_chi_squared": self.reduced_chi_squared,
@@ -96,19 +167,31 @@ Fit.__init__.__doc__ = """**Arguments:**
 
 - `material`, `stderr`: the estimate, and a material of its standard errors: infinite
     for what cannot be told, 0 for what was known.
+- `scene`, `exposure`: the scene or scenes with what was unknown of them, and what each
+    image's light was multiplied by.
 - `labels`, `values`, `errors`: the unknowns as vectors, such as `diffuse.red`.
 - `covariance`: of `values`. NaN rows for unknowns at a bound or not told.
 - `at_bound`: true where the estimate lies on its bound. Its error is then one-sided:
     how far into the box the data let it go.
 - `untold`: true where the data leave the value open.
 - `bounds`: (n, 2), lower and upper.
+- `tied`: true for what follows another entry.
 - `fitted`, `residuals`: images (H, W, 3), linear light, one or a tuple as they were
     given; `residuals` is image − fitted, 0 where a sample was left out.
 - `noise`: standard deviation of a sample, in linear light where white is 1.
 - `samples`: pixels times channels used.
+- `degrees_of_freedom`: samples and priors less unknowns that were free.
 - `chi_squared`: sum of the squared residuals in standard deviations.
 - `neighbour_correlation`: of residuals; well above 0 where the model does not describe
     the image. Errors are then widened.
 - `converged`, `steps`, `reason`: how the solver ended.
 - `warnings`: plain sentences.
+- `found`: the solved problem, which [`Fit`][]`.profile` and [`refit`][] go on from.
 """
+
+
+def errors_as_material(unknowns: Unknowns, errors: np.ndarray) -> Material:
+    """Errors of all entries as a material; what was known has none."""
+    none = Material(0.0, 0.0, 0.0, 0.0, 0.0)
+    kind = np.asarray(unknowns.lower).dtype
+    return dataclasses.replace(unknowns, known=none).with_leaves(errors.astype(kind))

@@ -6,91 +6,224 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from phongfit.geometry.shading import Interpolation
+from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
-from phongfit.rendering.pixels import PixelTerms
+from phongfit.rendering.pixels import PixelTerms, pixel_terms
+from phongfit.scene import Scene
+
+
+class View(eqx.Module):
+    """One image's scene, and where in the image its samples lie.
+
+    `gbuffer` is that of the samples alone; `None` if rays must be traced again whenever
+    the scene changes, or if it never does.
+    """
+
+    scene: Scene
+    gbuffer: GBuffer | None
+    index: Int[Array, " n"]
+
+    def lit(self, scene: Scene) -> PixelTerms:
+        """What the samples see, if the scene were another one."""
+        if self.gbuffer is not None:
+            return pixel_terms(scene, self.gbuffer)
+        return pixel_terms(scene, scene.trace()).select(self.index)
+
+
+class Channels(eqx.Module):
+    """What samples see, a channel at a time.
+
+    The pixels' colour axis of 3 comes first, and an axis of 1 stays in its place: an
+    innermost loop over three numbers is slow.
+    """
+
+    pixels: PixelTerms
+
+    def light(self, material: Material) -> Float[Array, "3 n"]:
+        """Linear light, before the film, that the model predicts for each sample."""
+
+        def of(pixels: PixelTerms, material: Material) -> Array:
+            return pixels.radiance(material)[..., 0]
+
+        apart = jax.tree.map(_colour_first, material)
+        axes = jax.tree.map(_axis, material)
+        return jax.vmap(of, in_axes=(self._axes, axes))(self.pixels, apart)
+
+    def basis(self, shininess: Float[Array, "..."]) -> Float[Array, "3 4 n"]:
+        """Light for each reflectance of 1: ambient, diffuse, specular, emission."""
+
+        def of(pixels: PixelTerms, shininess: Array) -> Array:
+            return pixels.basis(shininess)[:, 0].T
+
+        axes = (self._axes, _axis(shininess))
+        return jax.vmap(of, in_axes=axes)(self.pixels, _colour_first(shininess))
+
+    def fog_light(self) -> Float[Array, "3 n"]:
+        """What fog alone adds to each sample."""
+        return jax.vmap(lambda pixels: pixels.fog_light()[:, 0], in_axes=(self._axes,))(
+            self.pixels
+        )
+
+    @property
+    def _axes(self) -> PixelTerms:
+        """Where the channels are in each array: first, or nowhere."""
+        marks = jax.tree.map(lambda leaf: False, self.pixels)
+        marks = eqx.tree_at(_colours, marks, replace_fn=lambda _: True)
+        return jax.tree.map(lambda mark: 0 if mark else None, marks)
+
+
+def _colours(pixels: PixelTerms) -> list[Array]:
+    """The arrays whose last axis is colour."""
+    terms = [pixels.terms.ambient, pixels.terms.diffuse, pixels.terms.strength]
+    return terms if pixels.haze is None else [*terms, pixels.haze.color]
+
+
+def _axis(leaf: Array) -> int | None:
+    return 0 if leaf.shape[-1:] == (3,) else None
+
+
+def _colour_first(leaf: Array) -> Array:
+    return leaf if _axis(leaf) is None else jnp.moveaxis(leaf, -1, 0)[..., None]
+
+
+def by_channel(pixels: PixelTerms) -> Channels:
+    """The same pixels, their channels apart."""
+    return Channels(eqx.tree_at(_colours, pixels, replace_fn=_colour_first))
 
 
 class Samples(eqx.Module):
     """Geometry, light and measured light of N pixels; padding has weight 0."""
 
-    pixels: PixelTerms
-    target: Float[Array, "n 3"]
-    weight: Float[Array, "n 3"]
-    step: Float[Array, "n 3"]
+    channels: Channels
+    target: Float[Array, "3 n"]
+    weight: Float[Array, "3 n"]
+    step: Float[Array, "3 n"]
+    image: Int[Array, " n"]
+    views: tuple[View, ...]
 
-    def light(self, material: Material) -> Float[Array, "n 3"]:
-        """Linear light, before the film, that the model predicts for each sample."""
-        return self.pixels.radiance(material)
+    def lit(self, scenes: tuple[Scene, ...]) -> Channels:
+        """What the samples see, if the scenes were others."""
+        pairs = list(zip(self.views, scenes, strict=True))
+        structures = {jax.tree.structure(pair) for pair in pairs}
+        shapes = {tuple(map(jnp.shape, jax.tree.leaves(pair))) for pair in pairs}
+        if len(structures) > 1 or len(shapes) > 1 or len(pairs) == 1:
+            return by_channel(join_pixels([view.lit(scene) for view, scene in pairs]))
+        # Scenes of one kind are lit in one go: many images compile like one.
+        views, scenes = jax.tree.map(lambda *leaves: jnp.stack(leaves), *pairs)
+        stacked = eqx.filter_vmap(View.lit)(views, scenes)
+        return by_channel(
+            join_pixels(
+                [
+                    jax.tree.map(lambda leaf, k=k: leaf[k], stacked)
+                    for k in range(len(pairs))
+                ]
+            )
+        )
 
-    def take(self, index: np.ndarray) -> "Samples":
-        """Some of the samples."""
-        numbers = (np.asarray(a)[index] for a in (self.target, self.weight, self.step))
-        pixels = self.pixels.select(jnp.asarray(index))
-        return Samples(pixels, *map(jnp.asarray, numbers))
+    def material_index(self) -> Int[Array, " n"]:
+        """Which of several materials each sample shows."""
+        index = self.channels.pixels.material_index()
+        return jnp.zeros_like(self.image) if index is None else index
 
 
 Samples.__init__.__doc__ = """**Arguments:**
 
-- `pixels`: what the pixels see.
+- `channels`: what the pixels see.
 - `target`: measured linear light.
 - `weight`: relative inverse variance; 0 leaves a sample out.
 - `step`: width in linear light of the level that the target was rounded to, or 0.
+- `image`: which image a sample is of; the samples of an image come one after another.
+- `views`: the images' scenes, in their order.
 """
 
 
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """One image as a fit takes it in: what its pixels see, and what was measured."""
+
+    scene: Scene
+    gbuffer: GBuffer
+    pixels: PixelTerms
+    image: np.ndarray
+    weight: np.ndarray
+    step: np.ndarray
+
+
 def gather(
-    views: list[PixelTerms],
-    images: list[np.ndarray],
-    weights: list[np.ndarray],
-    steps: list[np.ndarray],
+    sources: list[Source], used: list[np.ndarray], relight: bool = False
 ) -> Samples:
-    """Samples of all pixels with any weight, image after image.
+    """Samples of some pixels, image after image.
 
     Each image is padded to a common size out of a coarse series, so that fits of
     similar size share one compilation.
+
+    **Arguments:**
+
+    - `used`: of each image the pixels wanted, counted row by row.
+    - `relight`: whether the samples will be lit anew without tracing rays again.
     """
-    used = [np.flatnonzero(weight.any(axis=-1)) for weight in weights]
     size = _padded(max(len(index) for index in used))
-    lobes = max(view.terms.cosine.shape[-1] for view in views)
-    parts = []
-    for view, image, weight, step, index in zip(
-        views, images, weights, steps, used, strict=True
-    ):
+    numbers, pixels, views = [], [], []
+    for source, index in zip(sources, used, strict=True):
         # Padding repeats pixels, with no weight.
         padded = np.resize(index, size) if len(index) else np.zeros(size, int)
         present = (np.arange(size) < len(index))[:, None]
         target, weight, step = (
-            array.reshape(-1, 3)[padded] for array in (image, weight, step)
+            array.reshape(-1, 3)[padded]
+            for array in (source.image, source.weight, source.step)
         )
-        numbers = (target, np.where(present, weight, 0), step)
-        pixels = _with_lobes(view, lobes).select(jnp.asarray(padded))
-        parts.append(Samples(pixels, *map(jnp.asarray, numbers)))
-    return parts[0] if len(parts) == 1 else _join(_apart(parts))
+        numbers.append((target, np.where(present, weight, 0), step))
+        chosen = jnp.asarray(padded.astype(np.int32))
+        pixels.append(source.pixels.select(chosen))
+        buffer = source.gbuffer.select(chosen) if relight else None
+        views.append(View(source.scene, buffer, chosen))
+    rows = (np.concatenate(part).T for part in zip(*numbers, strict=True))
+    image = np.repeat(np.arange(len(sources), dtype=np.int32), size)
+    return Samples(
+        _apart_now(join_pixels(pixels)),
+        *(jnp.asarray(np.ascontiguousarray(row)) for row in rows),
+        jnp.asarray(image),
+        tuple(views),
+    )
 
 
-def _apart(parts: list[Samples]) -> list[Samples]:
-    """Samples whose interpolation counts the points of all parts, one after another."""
+_apart_now = eqx.filter_jit(by_channel)
+
+
+def seen_pixels(sources: list[Source]) -> list[np.ndarray]:
+    """Of each image the pixels with any weight, counted row by row."""
+    return [np.flatnonzero(source.weight.any(axis=-1)) for source in sources]
+
+
+def join_pixels(parts: list[PixelTerms]) -> PixelTerms:
+    """What several images' samples see, one image after another."""
+    if len(parts) == 1:
+        return parts[0]
+    lobes = max(part.terms.cosine.shape[-1] for part in parts)
+    return _join(_apart([_with_lobes(part, lobes) for part in parts]))
+
+
+def _apart(parts: list[PixelTerms]) -> list[PixelTerms]:
+    """Pixels whose interpolation counts the points of all parts, one after another."""
     counted, before = [], 0
     for part in parts:
-        interpolation = part.pixels.interpolation
+        interpolation = part.interpolation
         if interpolation is not None:
             moved = Interpolation(interpolation.index + before, interpolation.weight)
-            pixels = dataclasses.replace(part.pixels, interpolation=moved)
-            before += part.pixels.terms.diffuse.shape[0]
-            part = dataclasses.replace(part, pixels=pixels)
+            before += part.terms.diffuse.shape[0]
+            part = dataclasses.replace(part, interpolation=moved)
         counted.append(part)
     return counted
 
 
 @jax.jit
-def _join(parts: list[Samples]) -> Samples:
+def _join(parts: list[PixelTerms]) -> PixelTerms:
     joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
     # The model's own arrays, if it has any, are of no sample.
-    model = parts[0].pixels.terms.model
-    return eqx.tree_at(lambda s: s.pixels.terms.model, joined, model)
+    return eqx.tree_at(lambda p: p.terms.model, joined, parts[0].terms.model)
 
 
 def _padded(count: int) -> int:

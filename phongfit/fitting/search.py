@@ -2,18 +2,23 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from phongfit.fitting.leaves import LEAVES
 from phongfit.fitting.losses import AbstractLoss
-from phongfit.fitting.problem import Evaluation, Problem, evaluate, solve
+from phongfit.fitting.problem import Evaluation, Problem, evaluate
 from phongfit.fitting.samples import Samples
-from phongfit.fitting.start import choose_few, scan
+from phongfit.fitting.solution import Solution, solve
+from phongfit.fitting.start import scan
 from phongfit.fitting.unknowns import Unknowns
 
 # A pass solves with the noise level that the pass before left over.
 MOST_PASSES = 8
+# Where numbers of the scenes are unknown, the cost can have several valleys.
+STARTS = 16
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,11 +27,13 @@ class Found:
 
     problem: Problem
     y: Float[Array, " n"]
+    at: Evaluation
     converged: bool
     steps: int
 
 
 def search(
+    few: Samples | None,
     samples: Samples,
     unknowns: Unknowns,
     loss: AbstractLoss,
@@ -34,67 +41,114 @@ def search(
     noise_given: bool,
     max_steps: int,
 ) -> Found:
-    """The least cost, without a starting guess."""
-    few = choose_few(samples)
-    y = scan(few, unknowns, clamp)
+    """The least cost, without a starting guess of the material.
+
+    **Arguments:** `few`: of the samples, where a share is enough to begin with.
+    """
+    first = samples if few is None else few
+    y = unknowns.start
     # Before the noise is known the clamp is a hard one.
     sigma = 1.0 if noise_given else float(np.finfo(y.dtype).eps)
-    problem = Problem(few, unknowns, jnp.asarray(sigma, y.dtype), loss, clamp)
+    problem = Problem(first, unknowns, jnp.asarray(sigma, y.dtype), loss, clamp)
+    if unknowns.of_scene or unknowns.exposed:
+        y = _best_of_several(problem, noise_given, max_steps)
+    else:
+        y = scan(problem, y)
+    if not noise_given:
+        problem = _with_noise(problem, y, robust=True)
     found = _solve(problem, y, noise_given, max_steps)
-    if few is samples:
+    if few is None:
         return found
     problem = dataclasses.replace(found.problem, samples=samples)
     last = _solve(problem, found.y, noise_given, max_steps)
     return dataclasses.replace(last, steps=found.steps + last.steps)
 
 
+def _best_of_several(
+    problem: Problem, noise_given: bool, max_steps: int
+) -> Float[Array, " n"]:
+    """The best end of several starts, for a noise that blurs small valleys away."""
+    if not noise_given:
+        problem = dataclasses.replace(problem, sigma=jnp.full_like(problem.sigma, 0.05))
+    starts = jnp.asarray(spread_starts(problem.unknowns, STARTS))
+    ends = _all_ends(problem, starts, min(max_steps, 50))
+    costs = jnp.where(jnp.isfinite(ends.cost), ends.cost, jnp.inf)
+    return ends.y[jnp.argmin(costs)]
+
+
+@eqx.filter_jit
+def _all_ends(problem: Problem, starts: Float[Array, "starts n"], steps: int) -> Solution:
+    return eqx.filter_vmap(lambda y: solve(problem, scan(problem, y), steps))(starts)
+
+
+def spread_starts(unknowns: Unknowns, count: int) -> np.ndarray:
+    """(count, n): what the scenes say, and points around it, in the box."""
+    rng = np.random.default_rng(0)
+    first = np.asarray(unknowns.start, float)
+    shape = (count, len(first))
+    low, high = (np.asarray(e, float) for e in (unknowns.lower, unknowns.upper))
+    with np.errstate(invalid="ignore"):
+        across = low + (high - low) * rng.random(shape)
+    # Numbers of a scene are in units of what they were; light has no upper bound.
+    scaled = first * np.exp(rng.normal(size=shape))
+    moved = first + rng.normal(size=shape)
+    starts = np.where(np.isfinite(across), across, np.where(low == 0, scaled, moved))
+    starts = np.where(np.isin(unknowns.kinds, LEAVES), first, starts)
+    starts[0] = first
+    return np.clip(starts, low, high).astype(np.asarray(unknowns.start).dtype)
+
+
 def _solve(
     problem: Problem, y: Float[Array, " n"], noise_given: bool, max_steps: int
 ) -> Found:
     """Solve until the noise level that the solution rests on is what it leaves."""
-    if not noise_given:
-        problem = _with_noise(problem, y, robust=True)
     steps = 0
     while True:
         solution = solve(problem, y, max_steps)
         y, steps = solution.y, steps + int(solution.steps)
-        found = Found(problem, y, bool(solution.converged), steps)
-        if noise_given or steps > MOST_PASSES * max_steps:
-            return found
-        before = float(problem.sigma)
-        problem = _with_noise(problem, y, problem.loss.robust)
-        if float(problem.sigma) > 0.97 * before:
-            return dataclasses.replace(found, problem=problem)
+        done = noise_given or steps > MOST_PASSES * max_steps
+        if not done:
+            before = float(problem.sigma)
+            problem = _with_noise(problem, y, problem.loss.robust)
+            done = float(problem.sigma) > 0.97 * before
+        if done:
+            at = evaluate(problem, y)
+            return Found(problem, y, at, bool(solution.converged), steps)
 
 
 def _with_noise(problem: Problem, y: Float[Array, " n"], robust: bool) -> Problem:
     """The problem with the noise level that the residuals at y show."""
-    sigma = _noise_level(problem, evaluate(problem, y), len(y), robust)
+    sigma = (_robust_noise if robust else _noise)(problem, y)
     return dataclasses.replace(problem, sigma=jnp.asarray(sigma, problem.sigma.dtype))
 
 
-def _noise_level(
-    problem: Problem, at: Evaluation, unknowns: int, robust: bool
-) -> float:
-    """Standard deviation of a sample of weight 1, before rounding.
+@eqx.filter_jit
+def _noise(problem: Problem, y: Float[Array, " n"]) -> Float[Array, ""]:
+    """Standard deviation of a sample of weight 1, before rounding."""
+    at, samples = evaluate(problem, y), problem.samples
+    count = jnp.sum(samples.weight > 0).astype(y.dtype)
+    squares = jnp.sum(at.difference**2 * samples.weight)
+    free = jnp.sum(at.variance_share) - y.size
+    rounding = jnp.sum(samples.step**2 * samples.weight) / count / 12
+    variance = squares / jnp.maximum(free, 1) - rounding
+    largest = jnp.max(jnp.where(samples.weight > 0, jnp.abs(samples.target), 0))
+    # Below the resolution of the arithmetic nothing can be said.
+    floor = 16 * jnp.finfo(y.dtype).eps * jnp.maximum(largest, 1e-3)
+    return jnp.sqrt(jnp.maximum(variance, floor**2))
 
-    Robust: from the median, which outliers do not reach.
-    """
+
+def _robust_noise(problem: Problem, y: Float[Array, " n"]) -> float:
+    """The same from the median, which outliers do not reach."""
     weight = np.asarray(problem.samples.weight)
     used = weight > 0
     target = np.asarray(problem.samples.target)[used]
-    difference = np.asarray(at.difference)[used] * np.sqrt(weight[used])
-    rounding = float(
-        np.mean(np.asarray(problem.samples.step)[used] ** 2 * weight[used])
-    )
-    # Below the resolution of the arithmetic nothing can be said.
+    difference = np.asarray(evaluate(problem, y).difference)[used]
+    difference = difference * np.sqrt(weight[used])
+    steps = np.asarray(problem.samples.step)[used]
     floor = 16 * np.finfo(difference.dtype).eps * max(float(np.abs(target).max()), 1e-3)
     inside = (target > 0) & (target < 1)
-    if robust and problem.clamp and inside.sum() > unknowns:
+    if problem.clamp and inside.sum() > len(y):
         difference = difference[inside]
-    if robust:
-        variance = (1.4826 * float(np.median(np.abs(difference)))) ** 2
-    else:
-        free = float(np.sum(np.asarray(at.variance_share))) - unknowns
-        variance = float(np.sum(difference.astype(float) ** 2)) / max(free, 1)
-    return float(np.sqrt(max(variance - rounding / 12, floor**2)))
+    variance = (1.4826 * float(np.median(np.abs(difference)))) ** 2
+    rounding = float(np.mean(steps**2 * weight[used])) / 12
+    return float(np.sqrt(max(variance - rounding, floor**2)))

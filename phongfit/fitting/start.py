@@ -11,80 +11,121 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.box import minimize_in_box
-from phongfit.fitting.samples import Samples
-from phongfit.fitting.unknowns import REFLECTANCES, Unknowns
+from phongfit.fitting.leaves import LEAVES, REFLECTANCES
+from phongfit.fitting.problem import Problem
+from phongfit.fitting.samples import Channels, Source
+from phongfit.fitting.unknowns import Unknowns
 from phongfit.rendering.pixels import PixelTerms
 
-CANDIDATES = 48
-SUBSET = 4096
+CANDIDATES = 32
+SUBSET = 2048
 
 
-def choose_few(samples: Samples) -> Samples:
+def choose_few(
+    sources: list[Source], seen: list[np.ndarray]
+) -> list[np.ndarray] | None:
     """A few thousand samples: evenly spread ones, and the nearest to highlights.
 
     A narrow highlight covers few pixels, but only these know f.
+
+    **Arguments:** `seen`: of each image the pixels that may be taken.
+
+    **Returns:** of each image those taken; `None` if that were all.
     """
-    present = np.flatnonzero(np.asarray(samples.weight).any(axis=-1))
-    if len(present) <= SUBSET:
-        return samples
-    even = present[np.linspace(0, len(present) - 1, SUBSET // 2).astype(int)]
-    nearest = _nearness(samples.pixels)[present]
-    bright = present[np.argpartition(nearest, -SUBSET // 2)[-SUBSET // 2 :]]
-    return samples.take(np.concatenate([even, bright]))
+    if sum(map(len, seen)) <= SUBSET:
+        return None
+    share = max(SUBSET // len(sources), 32)
+    return [
+        _few(source.pixels, pixels, share)
+        for source, pixels in zip(sources, seen, strict=True)
+    ]
 
 
-def _nearness(pixels: PixelTerms) -> np.ndarray:
+def _few(view: PixelTerms, seen: np.ndarray, count: int) -> np.ndarray:
+    if len(seen) <= count:
+        return seen
+    even = seen[np.linspace(0, len(seen) - 1, count // 2).astype(int)]
+    nearest = _nearness(view)[seen]
+    bright = seen[np.argpartition(nearest, -count // 2)[-count // 2 :]]
+    return np.concatenate([even, bright])
+
+
+def _nearness(view: PixelTerms) -> np.ndarray:
     """Largest cosine from any highlight, pixel by pixel."""
-    lit = np.asarray(pixels.terms.strength).any(axis=-1)
-    nearest = np.where(lit, np.asarray(pixels.terms.cosine), 0).max(axis=-1, initial=0)
-    if pixels.interpolation is None:
+    lit = np.asarray(view.terms.strength).any(axis=-1)
+    nearest = np.where(lit, np.asarray(view.terms.cosine), 0).max(axis=-1, initial=0)
+    nearest = nearest.ravel()
+    if view.interpolation is None:
         return nearest
-    return nearest[np.asarray(pixels.interpolation.index)].max(axis=-1)
+    index = np.asarray(view.interpolation.index)
+    return nearest[index.reshape(-1, index.shape[-1])].max(axis=-1)
 
 
 @eqx.filter_jit
-def scan(samples: Samples, unknowns: Unknowns, clamp: bool) -> Float[Array, " n"]:
-    """The best starting vector for the solver, over a grid of exponents.
+def scan(problem: Problem, y: Float[Array, " n"]) -> Float[Array, " n"]:
+    """`y` with the best material for its scenes, over a grid of exponents.
 
     Where exponents differ between channels or materials, each takes its own best.
     """
-    wanted = "shininess" in unknowns.names
-    if wanted:
-        low, high = (
-            unknowns.parts(edge)["shininess"][0]
-            for edge in (unknowns.lower, unknowns.upper)
-        )
+    unknowns = problem.unknowns
+    entries = unknowns.entries(y)
+    scene = _Lit(problem.channels(entries), problem.exposure(entries))
+    logarithm = unknowns.logarithmic
+    if logarithm.any():
+        first = int(np.argmax(logarithm))
+        low, high = unknowns.lower[first], unknowns.upper[first]
         grid = low + (high - low) * jnp.linspace(0, 1, CANDIDATES, dtype=low.dtype)
         exponents = jnp.exp(grid)
     else:
-        grid = jnp.zeros((1,), unknowns.lower.dtype)
-        exponents = unknowns.known.shininess[None]
+        grid = jnp.zeros((1,), y.dtype)
+        exponents = _shininess(unknowns, entries)[None]
 
     def at(exponent: Array) -> tuple[Array, Array]:
-        return _best_reflectances(samples, unknowns, exponent, clamp)
+        return _best_reflectances(problem, scene, exponent)
 
     vectors, costs = jax.lax.map(at, exponents)
     costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
     own = jnp.argmin(costs, axis=0)
     common = jnp.argmin(jnp.sum(costs, axis=-1), axis=0)
-    per_channel = wanted and unknowns.channels[unknowns.names.index("shininess")] > 1
-    alone = (unknowns.columns >= 0) & per_channel
+    alone = (unknowns.columns >= 0) & bool((unknowns.columns[logarithm] >= 0).any())
     chosen = jnp.where(
         alone, own[unknowns.owners, unknowns.columns], common[unknowns.owners]
     )
-    y = vectors[chosen, np.arange(len(chosen))]
-    y = jnp.where(unknowns.logarithmic, grid[chosen], y)
-    return jnp.clip(y, unknowns.lower, unknowns.upper)
+    found = vectors[chosen, np.arange(len(chosen))]
+    found = jnp.where(logarithm, grid[chosen], found)
+    found = jnp.where(np.isin(unknowns.kinds, LEAVES), found, y)
+    return jnp.clip(found, unknowns.lower, unknowns.upper)
+
+
+def _shininess(unknowns: Unknowns, entries: Float[Array, " entries"]) -> Array:
+    """The exponent where it is known."""
+    return unknowns.with_leaves(entries).shininess
+
+
+class _Lit(eqx.Module):
+    """What the samples see, and what their light is multiplied by."""
+
+    channels: Channels
+    exposure: Float[Array, "1 samples"] | None
+
+    def basis(self, exponent: Array) -> Float[Array, "3 4 samples"]:
+        basis = self.channels.basis(exponent)
+        return basis if self.exposure is None else basis * self.exposure[None]
+
+    def fog_light(self) -> Float[Array, "3 samples"]:
+        light = self.channels.fog_light()
+        return light if self.exposure is None else light * self.exposure
 
 
 def _best_reflectances(
-    samples: Samples, unknowns: Unknowns, exponent: Float[Array, "..."], clamp: bool
+    problem: Problem, scene: _Lit, exponent: Float[Array, "..."]
 ) -> tuple[Float[Array, " n"], Float[Array, "materials 3"]]:
     """For one exponent: the best vector, and what each material's channels leave."""
-    basis = samples.pixels.basis(exponent)
-    target = samples.target - samples.pixels.fog_light()
-    owner = samples.pixels.material_index()
-    owner = jnp.zeros(target.shape[0], int) if owner is None else owner
+    samples, unknowns = problem.samples, problem.unknowns
+    clamp, robust = problem.clamp, problem.loss.robust
+    basis = scene.basis(exponent)
+    target = samples.target - scene.fog_light()
+    owner = samples.material_index()
     rows = jnp.arange(unknowns.materials, dtype=owner.dtype)
     members = owner[None] == rows[:, None]
     select, offset = _selection(unknowns)
@@ -96,16 +137,32 @@ def _best_reflectances(
     def step(weight: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
         sums = _sums(basis, target, weight, members)
         y = _solve(*sums, select, offset, unknowns)
-        reflectances = (offset + select @ y)[owner]
-        light = jnp.einsum("nck,nck->nc", basis, reflectances)
+        light = jnp.einsum("mck,ckn->mcn", offset + select @ y, basis)
+        light = light[0] if len(light) == 1 else _own(light, owner)
         beyond = white & clamp & (light >= target)
-        return jnp.where(beyond, 0, samples.weight), (y, light)
+        weight = jnp.where(beyond, 0, samples.weight)
+        if robust:
+            weight = weight / _absolute(light - target)
+        return weight, (y, light)
 
-    _, (vectors, lights) = jax.lax.scan(step, weight, length=3 if clamp else 1)
+    # Absolute deviations, which a share of garbage hardly moves, take longer.
+    length = 6 if robust else 3 if clamp else 1
+    _, (vectors, lights) = jax.lax.scan(step, weight, length=length)
     shown = lights[-1] + (samples.target - target)
     shown = jnp.clip(shown, 0, 1) if clamp else shown
-    left = samples.weight * (shown - samples.target) ** 2
-    return vectors[-1], members.astype(left.dtype) @ left
+    difference = shown - samples.target
+    left = samples.weight * (_absolute(difference) if robust else difference**2)
+    return vectors[-1], members.astype(left.dtype) @ left.T
+
+
+def _own(light: Float[Array, "materials 3 samples"], owner: Array) -> Array:
+    """Of what each material would show, each sample's own."""
+    return jnp.take_along_axis(light, owner[None, None], axis=0)[0]
+
+
+def _absolute(difference: Array) -> Array:
+    """Absolute values, rounded off below a hundredth of white."""
+    return jnp.sqrt(difference**2 + 1e-4)
 
 
 def _selection(unknowns: Unknowns) -> tuple[Array, Array]:
@@ -113,18 +170,26 @@ def _selection(unknowns: Unknowns) -> tuple[Array, Array]:
 
     The columns are those of `REFLECTANCES`.
     """
-    size = unknowns.lower.size
-    select = np.zeros((unknowns.materials, 3, len(REFLECTANCES), size))
+    places, numbers = [], []
+    for entry, leaf in enumerate(unknowns.entry_leaf):
+        if leaf in REFLECTANCES:
+            column = unknowns.entry_channel[entry]
+            for channel in range(3) if column < 0 else [column]:
+                where = (unknowns.entry_row[entry], channel, REFLECTANCES.index(leaf))
+                places.append((*where, unknowns.place[unknowns.source[entry]]))
+                numbers.append(entry)
     wanted = np.array([name in unknowns.names for name in REFLECTANCES])
-    for entry, (kind, owner, column) in enumerate(
-        zip(unknowns.kinds, unknowns.owners, unknowns.columns, strict=True)
-    ):
-        if kind in REFLECTANCES:
-            channels = range(3) if column < 0 else [column]
-            select[owner, channels, REFLECTANCES.index(kind), entry] = 1
     leaves = [_rows(getattr(unknowns.known, name), unknowns) for name in REFLECTANCES]
     offset = jnp.where(wanted, 0, jnp.stack(leaves, axis=-1))
-    return jnp.asarray(select, unknowns.lower.dtype), offset
+    size = (unknowns.materials, 3, len(REFLECTANCES), unknowns.lower.size)
+    select = jnp.zeros(size, unknowns.lower.dtype)
+    if numbers:
+        owner, channel, leaf, place = np.array(places).T
+        entry = np.array(numbers)
+        share = (unknowns.factor * unknowns.scale)[entry]
+        select = select.at[owner, channel, leaf, place].add(share)
+        offset = offset.at[owner, channel, leaf].add(unknowns.offset[entry])
+    return select, offset
 
 
 def _rows(leaf: Float[Array, "..."], unknowns: Unknowns) -> Float[Array, "materials 3"]:
@@ -134,18 +199,18 @@ def _rows(leaf: Float[Array, "..."], unknowns: Unknowns) -> Float[Array, "materi
 
 
 def _sums(
-    basis: Float[Array, "samples 3 4"],
-    target: Float[Array, "samples 3"],
-    weight: Float[Array, "samples 3"],
+    basis: Float[Array, "3 4 samples"],
+    target: Float[Array, "3 samples"],
+    weight: Float[Array, "3 samples"],
     members: Bool[Array, "materials samples"],
 ) -> tuple[Float[Array, "materials 3 4 4"], Float[Array, "materials 3 4"]]:
     """Sums of products of the basis, and with the target, for each material."""
     exact = jax.lax.Precision.HIGHEST
 
     def of(member: Bool[Array, " samples"]) -> tuple[Array, Array]:
-        weighted = basis * jnp.where(member[:, None], weight, 0)[..., None]
-        gram = jnp.einsum("nck,ncl->ckl", weighted, basis, precision=exact)
-        moment = jnp.einsum("nck,nc->ck", weighted, target, precision=exact)
+        weighted = basis * jnp.where(member[None], weight, 0)[:, None]
+        gram = jnp.einsum("ckn,cln->ckl", weighted, basis, precision=exact)
+        moment = jnp.einsum("ckn,cn->ck", weighted, target, precision=exact)
         return gram, moment
 
     return jax.lax.map(of, members)

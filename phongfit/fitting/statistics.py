@@ -2,11 +2,15 @@
 
 import dataclasses
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.fitting.noise import shared_rounding_variance
-from phongfit.fitting.problem import Evaluation, Problem, linearize
+from phongfit.fitting.problem import Evaluation, Problem
+from phongfit.fitting.sums import Jacobian, linearize
 from phongfit.fitting.unknowns import Unknowns
 
 
@@ -37,15 +41,10 @@ def statistics(
     - `problem`, `y`, `at`: the problem, its solution, and [`evaluate`][] there.
     - `inflation`: factor on all variances for residuals that are not independent.
     """
-    used = np.asarray(problem.samples.weight).ravel() > 0
-    jacobian, psi, slope = linearize(problem, y)
-    columns = np.asarray(jacobian, float).reshape(len(y), -1)[:, used]
-    psi, slope = (np.asarray(part, float).ravel()[used] for part in (psi, slope))
-    bread = columns @ columns.T
-    meat = _meat(problem, at, columns, used)
-    if np.ptp(slope) > 0:
-        # A loss that bends: the variance of its score over its slope, squared.
-        meat = meat * np.mean(psi**2) / np.mean(slope) ** 2
+    found = jax.tree.map(lambda part: np.asarray(part, float), _pieces(problem, y, at))
+    bread, meat = found.bread, found.meat
+    if found.shared > 1e-6:
+        meat = meat + found.loss_variance * _shared_rounding(problem, y, at)
     position = np.asarray(y)
     lower, upper = (
         np.asarray(problem.unknowns.lower),
@@ -53,7 +52,7 @@ def statistics(
     )
     at_bound = (position <= lower) | (position >= upper)
     resolution = float(np.finfo(y.dtype).eps)
-    untold, reasons = _untold(bread, problem.unknowns, resolution)
+    untold, reasons = _untold(found.inside, problem.unknowns, resolution)
     at_bound &= ~untold
 
     size = len(position)
@@ -66,7 +65,7 @@ def statistics(
     covariance[untold, :] = covariance[:, untold] = np.nan
     covariance[untold, untold] = np.inf
     stderr = np.sqrt(np.diag(covariance))
-    pull = np.abs(columns @ psi)
+    pull = np.abs(found.pull)
     for k in np.flatnonzero(at_bound):
         others = np.append(np.flatnonzero(free & ~untold), k)
         inverse = _inverse(bread[np.ix_(others, others)], resolution)
@@ -78,32 +77,86 @@ def statistics(
     return Statistics(covariance, stderr, untold, at_bound, reasons)
 
 
-def _meat(
-    problem: Problem, at: Evaluation, columns: np.ndarray, used: np.ndarray
+class _Pieces(eqx.Module):
+    """Sums over the samples that all statistics are made of."""
+
+    bread: Float[Array, "n n"]
+    meat: Float[Array, "n n"]
+    inside: Float[Array, "n n"]
+    pull: Float[Array, " n"]
+    loss_variance: Float[Array, ""]
+    shared: Float[Array, ""]
+
+
+@eqx.filter_jit
+def _pieces(problem: Problem, y: Float[Array, " n"], at: Evaluation) -> _Pieces:
+    samples, priors, jacobian = linearize(problem, y)
+    used = problem.samples.weight > 0
+    count = jnp.maximum(jnp.sum(used), 1).astype(y.dtype)
+
+    score, slope = problem.loss.score(samples)
+    variance, steepness = jnp.ones((), y.dtype), jnp.ones((), y.dtype)
+    if problem.loss.robust:
+        # A loss that bends: the variance of its score, and its mean slope.
+        variance = jnp.sum(jnp.where(used, score**2, 0)) / count
+        steepness = jnp.sum(jnp.where(used, slope, 0)) / count
+    common = _common(problem, at)
+    alone = at.noise**2 * at.variance_share + problem.samples.step**2 / 12 - common
+    known = jacobian.priors.T @ jacobian.priors
+    # A white sample tells only that the light is no less than white: what nothing else
+    # speaks of is not told.
+    white = used & (problem.samples.target >= 1) & problem.clamp
+    gram = jacobian.gram()
+    inside = jax.lax.cond(
+        jnp.any(white), lambda: jacobian.gram((~white).astype(y.dtype)), lambda: gram
+    )
+    return _Pieces(
+        bread=steepness * gram + known,
+        meat=variance * jacobian.gram(alone / at.deviation**2) + known,
+        inside=inside + known,
+        pull=jacobian.pull(score) + jacobian.priors.T @ priors,
+        loss_variance=variance,
+        shared=jnp.max(common / at.deviation**2),
+    )
+
+
+def _common(problem: Problem, at: Evaluation) -> Float[Array, "3 samples"]:
+    """Variance of the rounding that samples of one level share."""
+    step = problem.samples.step
+    return jax.lax.cond(
+        jnp.any(step > 0),
+        lambda: shared_rounding_variance(step, at.noise),
+        lambda: jnp.zeros_like(step),
+    )
+
+
+def _shared_rounding(
+    problem: Problem, y: Float[Array, " n"], at: Evaluation
 ) -> np.ndarray:
-    """Covariance of the sum of scores: independent noise, and shared rounding.
+    """Covariance of the sum of scores from rounding that samples share.
 
     A region of one colour rounds as one, so samples of one channel and level are taken
     to share the part of their rounding error that noise does not dither.
     """
-    noise, deviation, share, step = (
-        np.asarray(part, float).ravel()[used]
-        for part in (at.noise, at.deviation, at.variance_share, problem.samples.step)
-    )
-    common = shared_rounding_variance(step, noise)
-    alone = (noise**2 * share + step**2 / 12 - common) / deviation**2
-    meat = (columns * alone) @ columns.T
-    if np.any(common > 1e-6 * deviation**2):
-        target = np.asarray(problem.samples.target).ravel()[used]
-        channel = np.broadcast_to(np.arange(3), (len(used) // 3, 3)).ravel()[used]
-        level = np.unique(target, return_inverse=True)[1]
-        group = np.unique(level * 3 + channel, return_inverse=True)[1]
-        sums = [
-            np.bincount(group, weights=column * np.sqrt(common) / deviation)
-            for column in columns
-        ]
-        meat = meat + np.array(sums) @ np.array(sums).T
-    return meat
+    jacobian, common = _with_rounding(problem, y, at)
+    used = np.asarray(problem.samples.weight).ravel() > 0
+    columns = jacobian.columns().reshape(len(y), -1)[:, used]
+    share = np.sqrt(np.asarray(common, float) / np.asarray(at.deviation, float) ** 2)
+    target = np.asarray(problem.samples.target).ravel()[used]
+    channel = np.repeat(np.arange(3), len(used) // 3)[used]
+    level = np.unique(target, return_inverse=True)[1]
+    group = np.unique(level * 3 + channel, return_inverse=True)[1]
+    sums = [
+        np.bincount(group, weights=column * share.ravel()[used]) for column in columns
+    ]
+    return np.array(sums) @ np.array(sums).T
+
+
+@eqx.filter_jit
+def _with_rounding(
+    problem: Problem, y: Float[Array, " n"], at: Evaluation
+) -> tuple[Jacobian, Array]:
+    return linearize(problem, y)[2], _common(problem, at)
 
 
 def _normalized(bread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -140,13 +193,14 @@ def _untold(
     bread: np.ndarray, unknowns: Unknowns, resolution: float
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Which unknowns the Jacobian leaves open, and why, in words."""
-    labels = np.array(unknowns.labels)
+    labels = np.array(unknowns.y_labels)
     kinds = unknowns.kinds
     diagonal = np.diag(bread)
     silent = diagonal <= _threshold(resolution) * max(diagonal.max(), 1e-300)
     reasons = [
-        f"{', '.join(labels[silent & (kinds == kind)])} cannot be told: {words}"
-        for kind, words in _SILENT.items()
+        f"{_listed(labels[silent & (kinds == kind)])} cannot be told: "
+        + _SILENT.get(kind, "no pixel that is used depends on it")
+        for kind in unknowns.names
         if (silent & (kinds == kind)).any()
     ]
     untold = silent.copy()
@@ -160,9 +214,16 @@ def _untold(
         mixed = np.diag(part) > 1e-4
         untold[heard[mixed]] = True
         for group in _groups(np.abs(part) > 1e-4, mixed):
-            names = ", ".join(labels[heard[group]])
+            names = _listed(labels[heard[group]])
+            if "," not in names:
+                names += ": its two angles"
             reasons.append(f"{names} cannot be told apart: they change the image alike")
     return untold, tuple(reasons)
+
+
+def _listed(labels: np.ndarray) -> str:
+    """Names, each once."""
+    return ", ".join(dict.fromkeys(labels.tolist()))
 
 
 def _groups(linked: np.ndarray, members: np.ndarray) -> list[np.ndarray]:

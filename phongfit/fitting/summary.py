@@ -1,24 +1,25 @@
-"""From a solution to a [`Fit`][]: the user's units, and warnings in words."""
+"""From a solution to a [`Fit`][]: images, diagnostics, and warnings in words."""
 
 import dataclasses
 
-import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from phongfit.fitting.diagnostics import neighbour_correlation, variance_inflation
-from phongfit.fitting.problem import Evaluation, Problem, evaluate, linearize
-from phongfit.fitting.result import Fit
+from phongfit.fitting.estimate import estimates
+from phongfit.fitting.problem import Evaluation, Problem
+from phongfit.fitting.result import Fit, errors_as_material
 from phongfit.fitting.search import Found
-from phongfit.fitting.statistics import Statistics, statistics
-from phongfit.fitting.unknowns import Unknowns
-from phongfit.material import Material
+from phongfit.fitting.unknowns import Unknowns, in_units
 from phongfit.rendering.film import Film
+from phongfit.scene import Scene
 
 
 def summarize(
     found: Found,
     *,
     film: Film,
+    scenes: tuple[Scene, ...],
     fitted: list[np.ndarray],
     residuals: list[np.ndarray],
     used: list[np.ndarray],
@@ -31,61 +32,68 @@ def summarize(
 
     - `found`: the solution.
     - `film`: the images'.
-    - `fitted`, `residuals`, `used`: images (H, W, 3), and which samples took part.
+    - `scenes`, `fitted`, `residuals`, `used`: the scenes as fitted, images (H, W, 3),
+        and which samples took part.
     - `single`: whether one image was given, not a sequence.
     - `noise_given`: whether the noise level was known.
     """
     problem, unknowns = found.problem, found.problem.unknowns
-    y = np.asarray(found.y)
-    at = evaluate(problem, found.y)
+    at = found.at
     correlation = _misfit(problem, residuals, used)
     inflation = variance_inflation(correlation)
-    uncertainty = statistics(problem, found.y, at, inflation)
-    untold, reasons = _beyond_sense(problem, y, uncertainty)
-    at_bound = uncertainty.at_bound & ~untold
-    values = np.clip(unknowns.values(y.astype(float)), *unknowns.bounds.T)
-    # d f / d log f = f.
-    scale = np.where(unknowns.logarithmic, values, 1.0)
-    errors = np.where(untold, np.inf, uncertainty.stderr * scale)
-    covariance = uncertainty.covariance * np.outer(scale, scale)
-    covariance[untold, :] = covariance[:, untold] = np.nan
-    covariance[untold, untold] = np.inf
+    told = estimates(problem, found.y, at, inflation)
+    entries = np.array(in_units(unknowns, found.y)[0])
+    exposure = np.array(unknowns.exposures(entries))
+    entries[unknowns.reported] = told.values
+    errors = np.zeros(len(entries))
+    errors[unknowns.reported] = told.errors
+    samples = int(sum(mask.sum() for mask in used))
+    off = _prior_residual(unknowns, found.y)
     labels = np.array(unknowns.labels)
     result = Fit(
-        material=unknowns.with_leaves(values.astype(y.dtype)),
-        stderr=_errors_as_material(unknowns, errors.astype(y.dtype)),
+        material=unknowns.with_leaves(entries),
+        stderr=errors_as_material(unknowns, errors),
+        scene=scenes[0] if single else scenes,
+        exposure=exposure,
         labels=unknowns.labels,
-        values=values,
-        errors=errors,
-        covariance=covariance,
-        at_bound=at_bound,
-        untold=untold,
+        values=told.values,
+        errors=told.errors,
+        covariance=told.covariance,
+        at_bound=told.at_bound,
+        untold=told.untold,
         bounds=unknowns.bounds,
+        tied=unknowns.tied,
         fitted=fitted[0] if single else tuple(fitted),
         residuals=residuals[0] if single else tuple(residuals),
         noise=_typical_noise(problem, at),
         noise_given=noise_given,
-        samples=int(sum(mask.sum() for mask in used)),
+        samples=samples,
         images=len(used),
-        chi_squared=float(np.sum(np.asarray(at.residual, float) ** 2)),
+        degrees_of_freedom=samples + len(off) - told.free,
+        chi_squared=float(np.sum(np.asarray(at.residual, float) ** 2) + np.sum(off**2)),
         neighbour_correlation=correlation,
         loss=type(problem.loss).__name__,
-        model=type(problem.samples.pixels.terms.model).__name__,
+        model=type(problem.samples.channels.pixels.terms.model).__name__,
         film=_film_words(film),
         converged=found.converged,
         steps=found.steps,
         reason=_CONVERGED if found.converged else _STOPPED,
         warnings=(
             *(() if found.converged else ("the solver did not converge",)),
-            *reasons,
+            *told.reasons,
             *(
                 f"{label} lies at its bound: its error is one-sided"
-                for label in labels[at_bound]
+                for label in labels[told.at_bound]
             ),
             *_misfit_words(correlation, inflation),
         ),
+        found=found,
     )
     return _with_noise_warning(result)
+def _prior_residual(unknowns: Unknowns, y: Array) -> np.ndarray:
+    if not any(unknowns.has_prior):
+        return np.zeros(0)
+    return np.asarray(unknowns.prior_residual(y), float)
 
 
 _CONVERGED = "steps and changes of the residuals fell below the tolerance"
@@ -134,61 +142,3 @@ def _with_noise_warning(fit: Fit) -> Fit:
 def _film_words(film: Film) -> str:
     rounded = "not rounded" if film.bits is None else f"{film.bits}-bit {film.encoding}"
     return f"{'clamped' if film.clamp else 'not clamped'}, {rounded}"
-
-
-def _errors_as_material(unknowns: Unknowns, errors: np.ndarray) -> Material:
-    """Errors as a material; what was known has none."""
-    none = Material(0.0, 0.0, 0.0, 0.0, 0.0)
-    return dataclasses.replace(unknowns, known=none).with_leaves(errors)
-
-
-def _beyond_sense(
-    problem: Problem, y: np.ndarray, uncertainty: Statistics
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Unknowns whose error, though finite, says that nothing is known."""
-    unknowns = problem.unknowns
-    untold = uncertainty.untold.copy()
-    reasons = [*uncertainty.reasons]
-    labels = np.array(unknowns.labels)
-    width = np.asarray(unknowns.upper) - np.asarray(unknowns.lower)
-    kinds, owners = unknowns.kinds, unknowns.owners
-    with np.errstate(invalid="ignore"):
-        vague = ~untold & (uncertainty.stderr > width)
-        dark = (kinds == "specular") & (y < 3 * uncertainty.stderr)
-    for label in labels[vague]:
-        reasons.append(f"{label} cannot be told: its error is wider than its bounds")
-    untold |= vague
-    for owner in np.unique(owners[kinds == "specular"]):
-        if dark[(kinds == "specular") & (owners == owner)].all():
-            unseen = (kinds == "shininess") & (owners == owner) & ~untold
-            for label in labels[unseen]:
-                reasons.append(
-                    f"{label} cannot be told: specular is 0 within its error"
-                )
-            untold |= unseen
-    for entry in np.flatnonzero((kinds == "specular") & ~untold):
-        exponents = (kinds == "shininess") & (owners == owners[entry])
-        if exponents.any() and untold[exponents].all():
-            if not _told_for_all_exponents(problem, y, int(entry), exponents):
-                words = "some exponents would hide the highlight where no pixel is used"
-                reasons.append(f"{labels[entry]} cannot be told: {words}")
-                untold[entry] = True
-    return untold, tuple(reasons)
-
-
-def _told_for_all_exponents(
-    problem: Problem, y: np.ndarray, entry: int, exponents: np.ndarray
-) -> bool:
-    """Whether a reflectance is told whatever the exponent, which is not, may be."""
-    lower, upper = (
-        np.asarray(edge) for edge in (problem.unknowns.lower, problem.unknowns.upper)
-    )
-    for share in np.linspace(0, 1, 7):
-        there = np.where(exponents, lower + share * (upper - lower), y)
-        slope = np.asarray(linearize(problem, jnp.asarray(there, y.dtype))[0])[entry]
-        # In standard deviations, and the other unknowns only add to it.
-        if 1 / (np.sqrt(np.sum(slope.astype(float) ** 2)) + 1e-30) > (
-            upper[entry] - lower[entry]
-        ):
-            return False
-    return True

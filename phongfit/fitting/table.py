@@ -11,7 +11,8 @@ if TYPE_CHECKING:
 
 def fit_table(fit: "Fit", least_correlation: float = 0.1, most: int = 10) -> str:
     """Value ± standard error, correlations and warnings, for a fixed-width font."""
-    lines = [*_head(fit), "", *_parameters(fit)]
+    rows = parameter_rows(fit.labels, fit.values, fit.errors, fit.at_bound, fit.untold)
+    lines = [*_head(fit), "", *rows]
     correlations = _correlations(fit, least_correlation, most)
     if correlations:
         title = f"correlations (of those ≥ {least_correlation:g}, the largest {most})"
@@ -37,14 +38,21 @@ def _head(fit: "Fit") -> list[str]:
     ]
 
 
-def _parameters(fit: "Fit") -> list[str]:
-    width = max(len(label) for label in fit.labels)
+def parameter_rows(
+    labels: tuple[str, ...],
+    values: np.ndarray,
+    errors: np.ndarray,
+    at_bound: np.ndarray,
+    untold: np.ndarray,
+) -> list[str]:
+    """A heading, and a line for each parameter."""
+    width = max(len(label) for label in labels)
     rows = [f"  {'':<{width}}  {'value':>12}  {'std. error':>12}  {'%':>8}"]
-    for label, value, error, bound, untold in zip(
-        fit.labels, fit.values, fit.errors, fit.at_bound, fit.untold, strict=True
+    for label, value, error, bound, open_ in zip(
+        labels, values, errors, at_bound, untold, strict=True
     ):
         row = f"  {label:<{width}}  {_number(value, error):>12}"
-        if untold:
+        if open_:
             row += "   ± ∞  cannot be told"
         else:
             share = f"{100 * error / abs(value):8.2g}" if value else f"{'–':>8}"
@@ -68,7 +76,7 @@ def _correlations(fit: "Fit", least: float, most: int) -> list[str]:
         (matrix[i, j], fit.labels[i], fit.labels[j])
         for i in range(len(fit.labels))
         for j in range(i)
-        if abs(matrix[i, j]) >= least
+        if abs(matrix[i, j]) >= least and not (fit.tied[i] or fit.tied[j])
     ]
     pairs.sort(key=lambda pair: -abs(pair[0]))
     width = max(len(label) for label in fit.labels)

@@ -1,185 +1,294 @@
 """The unknowns of a fit as one vector, and back.
 
-The solver sees every unknown at order 1 and inside a box: reflectances as they are, the
-exponent as its logarithm.
+The solver sees every unknown at order 1 and inside a box: reflectances as they are, an
+exponent as its logarithm, numbers of the scene in units of what they were, a direction
+as two coordinates on the plane that touches the sphere where it was.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any
-
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from phongfit.fitting.leaves import (
+    EXPOSURE,
+    LEAVES,
+    Leaf,
+    is_of_scene,
+    moves_geometry,
+    with_arrays,
+)
 from phongfit.material import Material
-
-REFLECTANCES = ("ambient", "diffuse", "specular", "emission")
-LEAVES = ("ambient", "diffuse", "specular", "shininess", "emission")
-CHANNELS = ("red", "green", "blue")
-
-DEFAULT_BOUNDS = {
-    "ambient": (0.0, 1.0),
-    "diffuse": (0.0, 1.0),
-    "specular": (0.0, 1.0),
-    # Textbooks stop at 200; a real, shiny ball fits 600-800 with Blinn's model.
-    "shininess": (1.0, 1000.0),
-    "emission": (0.0, 1.0),
-}
+from phongfit.scene import Scene
+from phongfit.vectors import normalize
 
 
 class Unknowns(eqx.Module):
-    """Which leaves of a material are wanted, per channel or shared, and their box.
+    r"""Which leaves are wanted, what holds them together, and the solver's box.
 
-    A vector y holds the entries of the leaves in `names`, one after the other; of M
-    materials each has its own entries, material after material.
+    The numbers of all leaves, one after the other, are the *entries*, in the user's
+    units. An entry has its own place in the solver's vector y, is tied to another's or
+    is fixed: $\theta_i = o_i + c_i\,\phi_{s(i)}(y)$.
     """
 
-    names: tuple[str, ...] = eqx.field(static=True)
-    channels: tuple[int, ...] = eqx.field(static=True)
+    leaves: tuple[Leaf, ...] = eqx.field(static=True)
     materials: int = eqx.field(static=True)
+    images: int = eqx.field(static=True)
+    # Of each entry: whose number it takes, and that entry's first place in y.
+    source: tuple[int, ...] = eqx.field(static=True)
+    place: tuple[int, ...] = eqx.field(static=True)
+    fixed: tuple[bool, ...] = eqx.field(static=True)
+    has_prior: tuple[bool, ...] = eqx.field(static=True)
     known: Material
+    factor: Float[Array, " entries"]
+    offset: Float[Array, " entries"]
+    scale: Float[Array, " entries"]
+    # Where directions started, and two unit vectors across each.
+    base: Float[Array, "directions 3"]
+    across: Float[Array, "directions 2 3"]
+    prior_mean: Float[Array, " entries"]
+    prior_deviation: Float[Array, " entries"]
+    # What the scenes say of y; of a material nothing is known beforehand.
+    start: Float[Array, " n"]
     lower: Float[Array, " n"]
     upper: Float[Array, " n"]
 
     @property
-    def sizes(self) -> tuple[int, ...]:
-        """How many entries each leaf has."""
-        return tuple(self.materials * channels for channels in self.channels)
+    def names(self) -> tuple[str, ...]:
+        """The leaves' names."""
+        return tuple(leaf.name for leaf in self.leaves)
 
     @property
-    def kinds(self) -> np.ndarray:
-        """The leaf that each entry belongs to."""
-        return np.repeat(self.names, self.sizes)
+    def entry_labels(self) -> tuple[str, ...]:
+        """A name for every entry."""
+        return tuple(label for leaf in self.leaves for label in leaf.labels)
 
     @property
-    def owners(self) -> np.ndarray:
-        """The material, 0 … M − 1, that each entry belongs to."""
-        rows = np.arange(self.materials)
-        return np.concatenate([np.repeat(rows, count) for count in self.channels])
-
-    @property
-    def columns(self) -> np.ndarray:
-        """The channel that each entry belongs to; −1 where it is shared by all."""
-        rows = [
-            np.tile(np.arange(count) if count > 1 else [-1], self.materials)
-            for count in self.channels
-        ]
-        return np.concatenate(rows)
+    def reported(self) -> np.ndarray:
+        """Entries that are not fixed: those that a fit tells."""
+        return np.flatnonzero(~np.array(self.fixed))
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """A name for every entry: `diffuse.red`, or of several `ambient[2].red`."""
-        return tuple(
-            name
-            + (f"[{owner}]" if self.materials > 1 else "")
-            + (f".{CHANNELS[column]}" if column >= 0 else "")
-            for name, owner, column in zip(
-                self.kinds, self.owners, self.columns, strict=True
-            )
-        )
+        """A name for every reported entry: `diffuse.red`, or `ambient[2].red`."""
+        labels = self.entry_labels
+        return tuple(labels[entry] for entry in self.reported)
 
-    def parts(self, vector: Any) -> dict[str, Any]:
-        """The vector (or an array whose last axis is it) cut into its leaves."""
-        ends = np.cumsum(self.sizes)
-        return {
-            name: vector[..., end - size : end]
-            for name, size, end in zip(self.names, self.sizes, ends, strict=True)
-        }
-
-    def material(self, y: Float[Array, " n"]) -> Material:
-        """The material that the solver's vector stands for."""
-        return self.with_leaves(self.values(y))
-
-    def values(self, y: Any) -> Any:
-        """Parameters in the user's units: exponents instead of their logarithms."""
-        xp = np if isinstance(y, np.ndarray) else jnp
-        return xp.where(self.logarithmic, xp.exp(y), y)
+    @property
+    def tied(self) -> np.ndarray:
+        """True for reported entries that follow another one."""
+        own = np.arange(len(self.source)) == np.array(self.source)
+        return ~own[self.reported]
 
     @property
     def bounds(self) -> np.ndarray:
-        """(n, 2): lower and upper bounds in the user's units."""
+        """(reported, 2): lower and upper bounds in the user's units."""
         edges = np.stack([self.lower, self.upper], axis=-1).astype(float)
-        edges[self.logarithmic] = np.exp(edges[self.logarithmic])
+        edges = edges[np.array(self.place)]
+        scale = np.asarray(self.scale, float)[:, None]
+        forms = self.forms[:, None]
+        # What is no logarithm could overflow.
+        powers = np.exp(np.where(forms == "logarithm", edges, 0))
+        edges = np.where(forms == "logarithm", powers, scale * edges)
+        edges = np.where(forms == "direction", [[-1.0, 1.0]], edges)
         # A logarithm of single precision gives back 1000 as 1000.00012.
         digits = 6 if self.lower.dtype == np.float32 else 14
-        return np.vectorize(lambda x: float(f"{x:.{digits}g}"))(edges)
+        edges = np.vectorize(lambda x: float(f"{x:.{digits}g}"))(edges)
+        factor, offset = (np.asarray(a, float) for a in (self.factor, self.offset))
+        followed = edges[np.array(self.source)][self.reported]
+        followed = followed * factor[self.reported, None]
+        return np.sort(offset[self.reported, None] + followed, axis=1)
 
-    def with_leaves(self, values: Any) -> Material:
-        """A material with the wanted leaves from `values`, in the user's units."""
-        material = self.known
-        for (name, part), count in zip(
-            self.parts(values).items(), self.channels, strict=True
-        ):
-            shape = (count,) if count > 1 else ()
-            shape = shape if self.materials == 1 else (self.materials, count)
+    @property
+    def owned(self) -> np.ndarray:
+        """The entry that each number of y belongs to; of a direction, its first."""
+        owned = np.zeros(self.lower.size, int)
+        forms = self.forms
+        for entry in np.flatnonzero(self._free & (forms != "direction")):
+            owned[self.place[entry]] = entry
+        for entry in self._directions():
+            owned[self.place[entry] : self.place[entry] + 2] = entry
+        return owned
 
-            def where(m: Material, name: str = name) -> Array:
-                return getattr(m, name)
+    @property
+    def _free(self) -> np.ndarray:
+        """True for entries that have their own place in y."""
+        own = np.arange(len(self.source)) == np.array(self.source)
+        return own & ~np.array(self.fixed)
 
-            material = eqx.tree_at(where, material, jnp.asarray(part.reshape(shape)))
-        return material
+    @property
+    def forms(self) -> np.ndarray:
+        """How the solver sees each entry: plain, as a logarithm, or as a direction."""
+        return np.repeat([f.form for f in self.leaves], [f.size for f in self.leaves])
+
+    @property
+    def entry_leaf(self) -> np.ndarray:
+        """The leaf's name, for every entry."""
+        return np.repeat(self.names, [leaf.size for leaf in self.leaves])
+
+    @property
+    def entry_row(self) -> np.ndarray:
+        """The material or image, for every entry; 0 where there is one for all."""
+        rows = [np.repeat(np.arange(len(f.rows)), len(f.parts)) for f in self.leaves]
+        return np.concatenate(rows)
+
+    @property
+    def entry_channel(self) -> np.ndarray:
+        """The channel, for every entry; −1 where it is of all."""
+        return np.concatenate([np.tile(f.channels, len(f.rows)) for f in self.leaves])
+
+    @property
+    def kinds(self) -> np.ndarray:
+        """The leaf that each number of y belongs to."""
+        return self.entry_leaf[self.owned]
+
+    @property
+    def owners(self) -> np.ndarray:
+        """The material that each number of y belongs to; 0 where it has none."""
+        rows = np.where(np.isin(self.entry_leaf, LEAVES), self.entry_row, 0)
+        return rows[self.owned]
+
+    @property
+    def columns(self) -> np.ndarray:
+        """The channel that each number of y belongs to; −1 where shared by all."""
+        return self.entry_channel[self.owned]
+
+    @property
+    def y_labels(self) -> tuple[str, ...]:
+        """A name for every number of y; both of a direction have the direction's."""
+        labels, forms = self.entry_labels, self.forms
+        return tuple(
+            labels[entry].removesuffix(".x")
+            if forms[entry] == "direction"
+            else labels[entry]
+            for entry in self.owned
+        )
 
     @property
     def logarithmic(self) -> np.ndarray:
         """True where the solver works with a logarithm."""
-        return self.kinds == "shininess"
+        return self.forms[self.owned] == "logarithm"
 
+    @property
+    def of_scene(self) -> bool:
+        """Whether anything of the scenes is unknown."""
+        return any(is_of_scene(name) for name in self.names)
 
-def make_unknowns(
-    unknowns: Sequence[str],
-    per_channel: Sequence[str],
-    known: Material,
-    bounds: Mapping[str, tuple[float, float]],
-    materials: int = 1,
-) -> Unknowns:
-    """The unknowns of a fit, checked; of `materials` materials each has its own.
+    @property
+    def exposed(self) -> bool:
+        """Whether the images' exposures are unknown."""
+        return EXPOSURE in self.names
 
-    **Raises:** `ValueError` that names the argument and the entry that is wrong.
-    """
-    for argument, names in (
-        ("unknowns", unknowns),
-        ("per_channel", per_channel),
-        ("bounds", tuple(bounds)),
-    ):
-        for name in names:
+    @property
+    def entry_per_image(self) -> np.ndarray:
+        """True for entries of one image alone."""
+        per_image = [leaf.per_image for leaf in self.leaves]
+        return np.repeat(per_image, [leaf.size for leaf in self.leaves])
+
+    @property
+    def differs_between_images(self) -> bool:
+        """Whether there are entries of one image alone."""
+        return any(leaf.per_image for leaf in self.leaves)
+
+    @property
+    def moves_geometry(self) -> bool:
+        """Whether rays must be traced anew for every guess."""
+        return any(moves_geometry(name) for name in self.names)
+
+    @property
+    def moves_lights(self) -> bool:
+        """Whether shadows may move."""
+        places = ("position", "direction", "axis")
+        return any(is_of_scene(n) and n.endswith(places) for n in self.names)
+
+    def entries(self, y: Float[Array, " n"]) -> Float[Array, " entries"]:
+        """All entries in the user's units."""
+        numbers = jnp.where(self._free, y[np.array(self.place)], 0)
+        logarithm = self.forms == "logarithm"
+        # What is no logarithm could overflow.
+        powers = jnp.exp(jnp.where(logarithm, numbers, 0))
+        own = jnp.where(logarithm, powers, self.scale * numbers)
+        for k, entry in enumerate(self._directions()):
+            place = self.place[entry]
+            moved = self.base[k] + y[place] * self.across[k, 0]
+            moved = moved + y[place + 1] * self.across[k, 1]
+            own = own.at[entry : entry + 3].set(normalize(moved))
+        return self.offset + self.factor * own[np.array(self.source)]
+
+    def _directions(self) -> list[int]:
+        """The first entries of all directions."""
+        return np.flatnonzero(self.forms == "direction")[::3].tolist()
+
+    def position(self, entries: np.ndarray) -> np.ndarray:
+        """The y that makes these entries, as near as the box allows."""
+        own = entries[self.owned].astype(float)
+        scaled = own / np.asarray(self.scale, float)[self.owned]
+        logarithm = np.log(np.where(self.logarithmic, np.maximum(own, 1e-30), 1))
+        y = np.where(self.logarithmic, logarithm, scaled)
+        direction = self.forms[self.owned] == "direction"
+        y = np.where(direction, np.asarray(self.start, float), y)
+        y = np.clip(y, np.asarray(self.lower), np.asarray(self.upper))
+        return y.astype(self.lower.dtype)
+
+    def values(self, y: Float[Array, " n"]) -> Float[Array, " reported"]:
+        """Reported entries in the user's units."""
+        return self.entries(y)[self.reported]
+
+    def parts(self, entries: Float[Array, " entries"]) -> dict[str, Array]:
+        """The entries cut into leaves, each (rows, parts)."""
+        ends = np.cumsum([leaf.size for leaf in self.leaves])
+        return {
+            leaf.name: entries[end - leaf.size : end].reshape(len(leaf.rows), -1)
+            for leaf, end in zip(self.leaves, ends, strict=True)
+        }
+
+    def material(self, y: Float[Array, " n"]) -> Material:
+        """The material that the solver's vector stands for."""
+        return self.with_leaves(self.entries(y))
+
+    def with_leaves(self, entries: Float[Array, " entries"]) -> Material:
+        """A material with the wanted leaves from entries in the user's units."""
+        material = self.known
+        for name, part in self.parts(entries).items():
             if name not in LEAVES:
-                raise ValueError(
-                    f"{argument}: {name!r} came, one of {', '.join(LEAVES)} is wanted"
-                )
-    if not unknowns:
-        raise ValueError("unknowns: none came, at least one is wanted")
-    if len(set(unknowns)) != len(unknowns):
-        raise ValueError(f"unknowns: a name came twice: {', '.join(unknowns)}")
-    rows = () if materials == 1 else ((materials, 1), (materials, 3))
-    for name in LEAVES:
-        shape = getattr(known, name).shape
-        if shape not in ((), (1,), (3,), *rows):
-            wanted = ", ".join(map(str, ((), (3,), *rows)))
-            raise ValueError(f"known: {name} has shape {shape}, one of {wanted} wanted")
-    # In the order of the table that users read, whatever the order they were named in.
-    names = tuple(name for name in LEAVES if name in unknowns)
-    channels = tuple(3 if name in per_channel else 1 for name in names)
-    boxes = [_box(name, bounds.get(name, DEFAULT_BOUNDS[name])) for name in names]
-    counts = [materials * count for count in channels]
-    lower, upper = np.repeat(np.array(boxes, jnp.result_type(float)), counts, axis=0).T
-    edges = jnp.asarray(lower), jnp.asarray(upper)
-    return Unknowns(names, channels, materials, known, *edges)
+                continue
+            # One material: (3,), or () for one number.
+            one = part[0] if part.shape[1] > 1 else part[0, 0]
+            value = part if self.materials > 1 else one
+
+            def where(m: Material, name: str = name) -> Array:
+                return getattr(m, name)
+
+            material = eqx.tree_at(where, material, jnp.asarray(value))
+        return material
+
+    def scenes(
+        self, entries: Float[Array, " entries"], scenes: tuple[Scene, ...]
+    ) -> tuple[Scene, ...]:
+        """The scenes with what is unknown of them from the entries."""
+        parts = {n: p for n, p in self.parts(entries).items() if is_of_scene(n)}
+
+        def of(k: int) -> dict[str, Array]:
+            return {n: part[min(k, len(part) - 1)] for n, part in parts.items()}
+
+        return tuple(with_arrays(scene, of(k)) for k, scene in enumerate(scenes))
+
+    def exposures(self, entries: Float[Array, " entries"]) -> Float[Array, " images"]:
+        """What the light of each image is multiplied by."""
+        parts = self.parts(entries)
+        if EXPOSURE not in parts:
+            return jnp.ones((self.images,), entries.dtype)
+        return parts[EXPOSURE].reshape(-1)
+
+    def prior_residual(self, y: Float[Array, " n"]) -> Float[Array, " priors"]:
+        """How far the entries with a prior are from it, in standard deviations."""
+        wanted = np.flatnonzero(np.array(self.has_prior))
+        off = self.entries(y)[wanted] - self.prior_mean[wanted]
+        return off / self.prior_deviation[wanted]
 
 
-def _box(name: str, box: tuple[float, float]) -> tuple[float, float]:
-    """Bounds of one leaf, as the solver sees them."""
-    try:
-        low, high = (float(edge) for edge in box)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"bounds: {name}: {box!r} came, (low, high) wanted") from error
-    if not low < high:
-        raise ValueError(f"bounds: {name}: {low:g} < {high:g} does not hold")
-    if name != "shininess":
-        return low, high
-    if low <= 0 or not np.isfinite(high):
-        raise ValueError(
-            f"bounds: {name}: ({low:g}, {high:g}) came, 0 < low and a "
-            "finite high are wanted"
-        )
-    return float(np.log(low)), float(np.log(high))
+@eqx.filter_jit
+def in_units(unknowns: Unknowns, y: Float[Array, " n"]) -> tuple[Array, Array]:
+    """All entries in the user's units, and the derivative of those reported in y."""
+    return unknowns.entries(y), jax.jacfwd(unknowns.values)(y)

@@ -1,6 +1,7 @@
 """Surfaces: what a camera sees of them, before any light."""
 
 import abc
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -28,6 +29,25 @@ class GBuffer(eqx.Module):
     face: Int[Array, "height width"] | None = None
     barycentrics: Float[Array, "height width 3"] | None = None
     visibility: Float[Array, "*points lights"] | None = None
+
+    def select(self, pixels: Int[Array, " n"]) -> "GBuffer":
+        """The same for some pixels of an image only: (n,) takes (height, width)'s place.
+
+        **Arguments:** `pixels`: flat indices, row by row: y · width + x.
+        """
+        size = self.mask.shape
+
+        def at(array: Array | None) -> Array | None:
+            if array is None:
+                return None
+            return array.reshape(-1, *array.shape[len(size) :])[pixels]
+
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        seen = fields.pop("visibility")
+        # Where faces or vertices are lit it is theirs, not the pixels'.
+        per_pixel = seen is not None and seen.shape[:-1] == size
+        chosen = {name: at(array) for name, array in fields.items()}
+        return GBuffer(**chosen, visibility=at(seen) if per_pixel else seen)
 
 
 GBuffer.__init__.__doc__ = """**Arguments:**

@@ -154,7 +154,10 @@ def pixel_terms(scene: Scene, gbuffer: GBuffer) -> PixelTerms:
     """
     haze = None
     if scene.fog is not None:
-        depth = jax.vmap(jax.vmap(scene.camera.depth))(gbuffer.position)
+        depth = scene.camera.depth
+        for _ in gbuffer.position.shape[:-1]:
+            depth = jax.vmap(depth)
+        depth = depth(gbuffer.position)
         color = jnp.broadcast_to(scene.fog.color, (*depth.shape, 3))
         haze = Haze(scene.fog.transmittance(depth)[..., None], color)
     return PixelTerms(

@@ -1,10 +1,13 @@
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.samples import Samples, gather
+from phongfit.fitting.problem import Problem
+from phongfit.fitting.samples import Source, gather, seen_pixels
 from phongfit.fitting.start import CANDIDATES, SUBSET, choose_few, scan
-from phongfit.fitting.unknowns import LEAVES, make_unknowns
+from phongfit.fitting.layout import make_unknowns
+from phongfit.fitting.leaves import LEAVES
 from phongfit.rendering.pixels import pixel_terms
 from tests.fitting.scenes import TRUTH, ball, photograph
 
@@ -14,20 +17,22 @@ DEFAULTS = (LEAVES[:-1], ("ambient", "diffuse", "specular"), DARK, {})
 STEP = np.log(1000) / (CANDIDATES - 1)
 
 
-def samples_of(scene: pf.Scene, image: np.ndarray) -> Samples:
+def source_of(scene: pf.Scene, image: np.ndarray) -> Source:
     image = np.asarray(image, np.asarray(scene.ambient).dtype)
     buffer = scene.trace()
-    weight = np.repeat(np.asarray(buffer.mask)[..., None], 3, axis=-1).astype(
-        image.dtype
-    )
-    return gather(
-        [pixel_terms(scene, buffer)], [image], [weight], [np.zeros_like(image)]
+    weight = np.repeat(np.asarray(buffer.mask)[..., None], 3, axis=-1)
+    pixels = pixel_terms(scene, buffer)
+    return Source(
+        scene, buffer, pixels, image, weight.astype(image.dtype), np.zeros_like(image)
     )
 
 
 def started(scene: pf.Scene, image: np.ndarray, layout=None) -> pf.Material:
     layout = make_unknowns(*DEFAULTS) if layout is None else layout
-    y = scan(samples_of(scene, image), layout, True)
+    source = source_of(scene, image)
+    samples = gather([source], seen_pixels([source]))
+    sigma = jnp.asarray(1e-6, samples.target.dtype)
+    y = scan(Problem(samples, layout, sigma, pf.Linear(), True), layout.start)
     assert np.all((layout.lower <= y) & (y <= layout.upper))
     return layout.material(y)
 
@@ -109,20 +114,28 @@ def test_a_dark_image_starts_dark():
 
 def test_few_of_many():
     scene = ball(size=128)
-    samples = samples_of(scene, photograph(scene, TRUTH))
-    few = choose_few(samples)
-    assert few.target.shape[0] == SUBSET < np.sum(np.asarray(samples.weight)[:, 0] > 0)
-    assert np.all(np.asarray(few.weight) > 0)
+    source = source_of(scene, photograph(scene, TRUTH))
+    seen = seen_pixels([source])
+    few = choose_few([source], seen)
+    assert few is not None
+    (chosen,), (all_seen,) = few, seen
+    assert len(chosen) == SUBSET < len(all_seen) and np.isin(chosen, all_seen).all()
     # Whatever is brightest is among them, and so is the least lit part.
-    terms, all_terms = few.pixels.terms, samples.pixels.terms
-    assert np.max(terms.cosine) == np.max(all_terms.cosine)
-    for part, whole in (
-        (terms.diffuse, all_terms.diffuse),
-        (few.target, samples.target),
-    ):
-        assert np.quantile(part, 0.05) <= np.quantile(whole, 0.1)
+    cosine = np.asarray(source.pixels.terms.cosine).reshape(-1, 2)
+    assert np.max(cosine[chosen]) == np.max(cosine[all_seen])
+    diffuse = np.asarray(source.pixels.terms.diffuse).reshape(-1, 3)
+    for numbers in (diffuse, source.image.reshape(-1, 3)):
+        part, whole = numbers[chosen], numbers[all_seen]
+        assert np.quantile(part, 0.04) <= np.quantile(whole, 0.1)
+
+
+def test_every_image_gives_its_share():
+    scene = ball(size=64)
+    sources = [source_of(scene, photograph(scene, TRUTH))] * 4
+    few = choose_few(sources, seen_pixels(sources))
+    assert few is not None and [len(index) for index in few] == [SUBSET // 4] * 4
 
 
 def test_all_of_few():
-    samples = samples_of(ball(), photograph(ball(), TRUTH))
-    assert choose_few(samples) is samples
+    source = source_of(ball(), photograph(ball(), TRUTH))
+    assert choose_few([source], seen_pixels([source])) is None

@@ -9,7 +9,8 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.statistics import _groups, _untold
-from phongfit.fitting.unknowns import LEAVES, make_unknowns
+from phongfit.fitting.layout import make_unknowns
+from phongfit.fitting.leaves import LEAVES
 from tests.fitting.scenes import TRUTH, as_vector, ball, developed, photograph
 
 SCENE = ball()

@@ -1,5 +1,6 @@
 import dataclasses
 import json
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -26,6 +27,8 @@ def result(**changes) -> pf.Fit:
         pf.Fit(
             material=Material((0.5, 0.25, 0.0), 0.125, 40.0),
             stderr=Material((0.01, 0.01, 0.0), 0.02, 0.0),
+            scene=pf.Scene(pf.Sphere()),
+            exposure=np.ones(1),
             labels=LABELS,
             values=np.array([0.5, 0.25, 0.125, 40.0]),
             errors=np.array([0.01, 0.01, 0.02, np.inf]),
@@ -33,12 +36,14 @@ def result(**changes) -> pf.Fit:
             at_bound=np.zeros(4, bool),
             untold=np.array([False, False, False, True]),
             bounds=np.array([[0, 1], [0, 1], [0, 1], [1, 1000]]),
+            tied=np.zeros(4, bool),
             fitted=np.zeros((2, 2, 3)),
             residuals=np.zeros((2, 2, 3)),
             noise=0.0123,
             noise_given=False,
             samples=12345,
             images=1,
+            degrees_of_freedom=12342,
             chi_squared=12342.0,
             neighbour_correlation=0.0,
             loss="Linear",
@@ -48,6 +53,7 @@ def result(**changes) -> pf.Fit:
             steps=7,
             reason="it was good",
             warnings=("shininess cannot be told: " + 20 * "because it is so, ",),
+            found=cast(Any, None),
         ),
         **changes,
     )

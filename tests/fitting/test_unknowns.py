@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.unknowns import DEFAULT_BOUNDS, LEAVES, make_unknowns
+from phongfit.fitting.layout import make_unknowns
+from phongfit.fitting.leaves import DEFAULT_BOUNDS, LEAVES
 from tests.helpers import floats, near
 
 KNOWN = pf.Material(0.1, (0.2, 0.3, 0.4), 50.0, 0.5, 0.6)

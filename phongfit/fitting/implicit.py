@@ -1,0 +1,124 @@
+"""A fit as a function that can be differentiated: images and scenes in, material out."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from phongfit.fitting.problem import Problem
+from phongfit.fitting.result import Fit
+from phongfit.fitting.samples import by_channel, join_pixels
+from phongfit.fitting.solution import solve
+from phongfit.material import Material
+from phongfit.rendering.pixels import pixel_terms
+from phongfit.scene import Scene
+
+MAX_STEPS = 100
+
+
+def refit(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Material:
+    r"""The material for other images or scenes, from where a fit ended.
+
+    Pure, so that it can be `jit`ted, `vmap`ped and differentiated: `jax.grad` of
+    anything made of the material, in the images or in any array of the scenes. The
+    derivative is that of the solution itself (implicit differentiation): with the
+    gradient $g(y, x) = 0$ of the cost it is $-(\partial g/\partial y)^{-1} \partial
+    g/\partial x$, in the exact second derivative of the cost. No step of the solver is
+    differentiated.
+
+    Pixels, weights, noise level, loss, bounds, ties and priors stay those of the fit;
+    which pixels see the surface and lie in shadow does too. An unknown at its bound
+    stays there, without a derivative.
+
+    **Arguments:**
+
+    - `fit`: of the same kind of scenes and images.
+    - `scene`, `image`: as they were given to [`fit`][]; may be traced.
+
+    **Returns:** the [`Material`][]. Where the solver fails its numbers are NaN.
+
+    **Raises:** `ValueError` that names the argument, if number or shape differ from the
+    fit's.
+    """
+    problem = _other_problem(fit, scene, image)
+    known = jax.tree.map(_without_derivative, problem)
+    found = solve(known, fit.found.y, MAX_STEPS)
+    y = _with_derivative(problem, found.y)
+    y = jnp.where(found.converged, y, jnp.nan)
+    return problem.unknowns.material(y)
+
+
+def _without_derivative(leaf: Any) -> Any:
+    return jax.lax.stop_gradient(leaf) if eqx.is_array(leaf) else leaf
+
+
+def _other_problem(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Problem:
+    single = isinstance(scene, Scene)
+    scenes = (scene,) if single else tuple(scene)
+    images = (image,) if single else tuple(image)
+    old = fit.found.problem
+    views = old.samples.views
+    if len(scenes) != len(views) or len(images) != len(views):
+        raise ValueError(
+            f"scene: {len(scenes)} and {len(images)} images came, the fit had "
+            f"{len(views)}"
+        )
+    pixels, targets = [], []
+    for k, (view, one, light) in enumerate(zip(views, scenes, images, strict=True)):
+        shape = (view.scene.camera.height, view.scene.camera.width, 3)
+        if jnp.shape(light) != shape:
+            raise ValueError(
+                f"image: shape {jnp.shape(light)} came for scene {k}, {shape} is wanted"
+            )
+        pixels.append(pixel_terms(one, one.trace()).select(view.index))
+        light = jnp.asarray(light, old.samples.target.dtype)
+        targets.append(light.reshape(-1, 3)[view.index])
+    target = jnp.concatenate(targets).T
+    samples = eqx.tree_at(
+        lambda s: (s.channels, s.target),
+        old.samples,
+        (by_channel(join_pixels(pixels)), target),
+    )
+    views = tuple(
+        eqx.tree_at(lambda v: v.scene, view, one)
+        for view, one in zip(views, scenes, strict=True)
+    )
+    samples = eqx.tree_at(lambda s: s.views, samples, views)
+    return eqx.tree_at(lambda p: p.samples, old, samples)
+
+
+def _with_derivative(
+    problem: Problem, solution: Float[Array, " n"]
+) -> Float[Array, " n"]:
+    """The solution again, as one that knows how it depends on the problem."""
+    unknowns = problem.unknowns
+    held = (solution <= unknowns.lower) | (solution >= unknowns.upper)
+    tolerance = float(jnp.finfo(solution.dtype).eps) ** 0.5
+    found = optx.root_find(
+        _gradient,
+        optx.Newton(rtol=tolerance, atol=tolerance),
+        solution,
+        args=(problem, held, solution),
+        max_steps=4,
+        throw=False,
+    )
+    return found.value
+
+
+def _gradient(
+    y: Float[Array, " n"], args: tuple[Problem, Array, Array]
+) -> Float[Array, " n"]:
+    """Of the cost in the unknowns that are free; how far the others have moved."""
+    problem, held, solution = args
+
+    def cost(y: Array) -> Array:
+        samples = problem.loss.root(problem.residual(jnp.where(held, solution, y)))
+        priors = problem.unknowns.prior_residual(jnp.where(held, solution, y))
+        count = problem.samples.weight.size
+        return (jnp.sum(samples**2) + jnp.sum(priors**2)) / (2 * count)
+
+    return jnp.where(held, y - solution, jax.grad(cost)(y))

@@ -1,0 +1,351 @@
+"""From what a user names to [`Unknowns`][]: bounds, fixed values, ties, priors."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from phongfit.fitting.leaves import (
+    DEFAULT_BOUNDS,
+    LEAVES,
+    Leaf,
+    is_of_scene,
+    leaf,
+    scene_arrays,
+)
+from phongfit.fitting.unknowns import Unknowns
+from phongfit.material import Material
+from phongfit.scene import Scene
+
+# A name, or a factor and a name.
+Tie = str | tuple[float, str]
+
+
+def make_unknowns(
+    unknowns: Sequence[str],
+    per_channel: Sequence[str],
+    known: Material,
+    bounds: Mapping[str, tuple[float, float]],
+    *,
+    materials: int = 1,
+    scenes: Sequence[Scene] = (),
+    per_image: Sequence[str] = (),
+    fixed: Mapping[str, Any] | None = None,
+    ties: Mapping[str, Tie] | None = None,
+    priors: Mapping[str, tuple[Any, float]] | None = None,
+) -> Unknowns:
+    """The unknowns of a fit, checked; of `materials` materials each has its own.
+
+    **Arguments:** as of [`fit`][].
+
+    **Raises:** `ValueError` that names the argument and the entry that is wrong.
+    """
+    leaves = _leaves(unknowns, per_channel, per_image, known, materials, scenes)
+    names = _Names(leaves)
+    size = len(names.labels)
+    first = first_values(leaves, scenes)
+    factor, offset, is_fixed, source = _held(names, fixed or {}, ties or {})
+    own = (np.arange(size) == source) & ~is_fixed
+    if not own.any():
+        raise ValueError("fixed: nothing unknown is left")
+
+    low, high = _boxes(names, bounds, own)
+    forms = np.repeat([f.form for f in leaves], [f.size for f in leaves])
+    scale = _scales(leaves, first)
+    logarithm, direction = forms == "logarithm", forms == "direction"
+    with np.errstate(divide="ignore"):
+        low, high = (
+            np.where(logarithm, np.log(np.where(logarithm, e, 1)), e / scale)
+            for e in (low, high)
+        )
+    start = np.where(direction | logarithm, 0, first / scale)
+    place, taken = np.zeros(size, int), 0
+    owners = []
+    for entry in np.flatnonzero(own):
+        if direction[entry] and names.part[entry] > 0:
+            place[entry] = place[entry - 1]
+            continue
+        place[entry] = taken
+        count = 2 if direction[entry] else 1
+        owners += [entry] * count
+        taken += count
+    mean, deviation, has_prior = _priors(names, priors or {}, is_fixed)
+    base = first[direction].reshape(-1, 3)
+    base = base / np.maximum(np.linalg.norm(base, axis=1, keepdims=True), 1e-30)
+    kind = jnp.result_type(float)
+
+    def floats(values: np.ndarray) -> Any:
+        return jnp.asarray(values.astype(kind))
+
+    return Unknowns(
+        leaves=leaves,
+        materials=materials,
+        images=max(len(scenes), 1),
+        source=tuple(source.tolist()),
+        place=tuple(place.tolist()),
+        fixed=tuple(is_fixed.tolist()),
+        has_prior=tuple(has_prior.tolist()),
+        known=known,
+        factor=floats(factor),
+        offset=floats(offset),
+        scale=floats(scale),
+        base=floats(base),
+        across=floats(_across(base)),
+        prior_mean=floats(mean),
+        prior_deviation=floats(deviation),
+        start=floats(np.clip(start, low, high)[owners]),
+        lower=floats(low[owners]),
+        upper=floats(high[owners]),
+    )
+
+
+class _Names:
+    """From a leaf's or an entry's name to places among the entries."""
+
+    def __init__(self, leaves: tuple[Leaf, ...]):
+        self.labels = [label for leaf in leaves for label in leaf.labels]
+        self.form = [leaf.form for leaf in leaves for _ in leaf.labels]
+        self.leaf = [leaf for leaf in leaves for _ in leaf.labels]
+        self.part = [
+            part for leaf in leaves for _ in leaf.rows for part in range(len(leaf.parts))
+        ]
+        self._of: dict[str, list[int]] = {}
+        for entry, (label, leaf) in enumerate(zip(self.labels, self.leaf, strict=True)):
+            row = label.removesuffix(leaf.parts[self.part[entry]])
+            for name in {leaf.name, row, label}:
+                self._of.setdefault(name, []).append(entry)
+
+    def entries(self, argument: str, name: str) -> np.ndarray:
+        """**Raises:** `ValueError` if nothing that is unknown has this name."""
+        if name not in self._of:
+            there = ", ".join(dict.fromkeys((*[f.name for f in self.leaf], *self.labels)))
+            raise ValueError(f"{argument}: {name!r} came, one of {there} is wanted")
+        return np.array(self._of[name])
+
+    def numbers(self, argument: str, name: str, given: Any) -> np.ndarray:
+        """One number for each entry of a name, from one for all or one each."""
+        entries = self.entries(argument, name)
+        try:
+            values = np.broadcast_to(np.asarray(given, float).ravel(), entries.shape)
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"{argument}: {name}: {given!r} came, {len(entries)} numbers are wanted"
+            ) from error
+        if not np.all(np.isfinite(values)):
+            raise ValueError(f"{argument}: {name}: {given!r} is not finite")
+        return values
+
+
+def _leaves(
+    unknowns: Sequence[str],
+    per_channel: Sequence[str],
+    per_image: Sequence[str],
+    known: Material,
+    materials: int,
+    scenes: Sequence[Scene],
+) -> tuple[Leaf, ...]:
+    for argument, names in (
+        ("unknowns", unknowns),
+        ("per_channel", per_channel),
+        ("per_image", per_image),
+    ):
+        if isinstance(names, str):
+            raise ValueError(f"{argument}: a list of names is wanted, {names!r} came")
+    if not unknowns:
+        raise ValueError("unknowns: none came, at least one is wanted")
+    if len(set(unknowns)) != len(unknowns):
+        raise ValueError(f"unknowns: a name came twice: {', '.join(unknowns)}")
+    for argument, names in (("per_channel", per_channel), ("per_image", per_image)):
+        for name in names:
+            if name not in (*LEAVES, *unknowns):
+                wanted = ", ".join(dict.fromkeys((*LEAVES, *unknowns)))
+                raise ValueError(f"{argument}: {name!r} came, one of {wanted} is wanted")
+    for name in per_image:
+        if not is_of_scene(name):
+            raise ValueError(
+                f"per_image: {name!r} came, but an array of the scenes is wanted: all "
+                "images show the same material"
+            )
+    rows = () if materials == 1 else ((materials, 1), (materials, 3))
+    for name in LEAVES:
+        shape = getattr(known, name).shape
+        if shape not in ((), (1,), (3,), *rows):
+            wanted = ", ".join(map(str, ((), (3,), *rows)))
+            raise ValueError(f"known: {name} has shape {shape}, one of {wanted} wanted")
+    # In the order of the table that users read, whatever the order they were named in.
+    ordered = [name for name in LEAVES if name in unknowns]
+    ordered += [name for name in unknowns if name not in LEAVES]
+    leaves = tuple(
+        leaf(name, name in per_channel, materials, scenes, name in per_image)
+        for name in ordered
+    )
+    for entry in leaves:
+        if is_of_scene(entry.name) and not entry.per_image:
+            arrays = [np.asarray(scene_arrays(scene)[entry.name]) for scene in scenes]
+            if any(not np.array_equal(array, arrays[0]) for array in arrays):
+                raise ValueError(
+                    f"unknowns: {entry.name} differs between the scenes; name it in "
+                    "per_image as well, or start all from the same"
+                )
+    return leaves
+
+
+def first_values(leaves: tuple[Leaf, ...], scenes: Sequence[Scene]) -> np.ndarray:
+    """What the scenes say of all entries before the fit; 1 where they say nothing."""
+    values = []
+    for one in leaves:
+        if not is_of_scene(one.name):
+            values.append(np.ones(one.size))
+            continue
+        for scene in scenes[: len(one.rows)]:
+            array = np.asarray(scene_arrays(scene)[one.name], float).ravel()
+            # One number for three colours: their mean.
+            shared = array.size != len(one.parts)
+            values.append(array.mean(keepdims=True) if shared else array)
+    return np.concatenate(values)
+
+
+def _scales(leaves: tuple[Leaf, ...], first: np.ndarray) -> np.ndarray:
+    """Units in which the numbers of a scene are of order 1."""
+    scales, ends = [], np.cumsum([one.size for one in leaves])
+    for one, end in zip(leaves, ends, strict=True):
+        largest = np.abs(first[end - one.size : end]).max()
+        scaled = is_of_scene(one.name) and one.form == "plain" and largest > 0
+        scales.append(np.full(one.size, largest if scaled else 1.0))
+    return np.concatenate(scales)
+
+
+def _across(base: np.ndarray) -> np.ndarray:
+    """Two unit vectors at right angles to each direction and to one another."""
+    helper = np.where(np.abs(base[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    one = np.cross(base, helper)
+    one = one / np.maximum(np.linalg.norm(one, axis=1, keepdims=True), 1e-30)
+    return np.stack([one, np.cross(base, one)], axis=1)
+
+
+def _held(
+    names: _Names,
+    fixed: Mapping[str, Any],
+    ties: Mapping[str, Tie],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Factor, offset, whether it is fixed, and whose number it takes, entry by entry."""
+    size = len(names.labels)
+    factor, offset = np.ones(size), np.zeros(size)
+    is_fixed, source = np.zeros(size, bool), np.arange(size)
+    for name, given in fixed.items():
+        entries = names.entries("fixed", name)
+        if any(names.form[entry] == "direction" for entry in entries):
+            raise ValueError(f"fixed: {name} is a direction; leave it out of unknowns")
+        offset[entries] = names.numbers("fixed", name, given)
+        factor[entries], is_fixed[entries] = 0, True
+    for name, given in ties.items():
+        share, other = (1.0, given) if isinstance(given, str) else given
+        entries, others = names.entries("ties", name), names.entries("ties", other)
+        if len(others) not in (1, len(entries)):
+            raise ValueError(
+                f"ties: {name} has {len(entries)} numbers, {other} has {len(others)}"
+            )
+        for entry, target in zip(entries, np.resize(others, len(entries)), strict=True):
+            _check_tie(names, int(entry), int(target), is_fixed, source)
+            factor[entry], source[entry] = share, target
+    return _followed(names, factor, offset, is_fixed, source)
+
+
+def _check_tie(
+    names: _Names, entry: int, target: int, is_fixed: np.ndarray, source: np.ndarray
+) -> None:
+    label, other = names.labels[entry], names.labels[target]
+    if is_fixed[entry]:
+        raise ValueError(f"ties: {label} is fixed already")
+    if source[entry] != entry:
+        raise ValueError(f"ties: {label} is tied twice")
+    forms = {names.form[entry], names.form[target]}
+    if "direction" in forms:
+        raise ValueError(f"ties: {label} to {other}: directions cannot be tied")
+    materials = {names.leaf[k].name in LEAVES for k in (entry, target)}
+    if len(forms) > 1 or len(materials) > 1:
+        raise ValueError(
+            f"ties: {label} to {other}: reflectances, exponents and numbers of the "
+            "scene can only be tied among themselves"
+        )
+
+
+def _followed(
+    names: _Names,
+    factor: np.ndarray,
+    offset: np.ndarray,
+    is_fixed: np.ndarray,
+    source: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Ties to what is itself tied or fixed, followed to where they end."""
+    for entry in range(len(source)):
+        seen = {entry}
+        while source[entry] != entry and source[source[entry]] != source[entry]:
+            target = source[entry]
+            if target in seen:
+                raise ValueError(f"ties: {names.labels[entry]} is tied to itself")
+            seen.add(int(target))
+            factor[entry] *= factor[target]
+            source[entry] = source[target]
+        target = source[entry]
+        if target != entry and is_fixed[target]:
+            offset[entry] = factor[entry] * offset[target]
+            factor[entry], is_fixed[entry], source[entry] = 0, True, entry
+    return factor, offset, is_fixed, source
+
+
+def _boxes(
+    names: _Names, bounds: Mapping[str, tuple[float, float]], own: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bounds of all entries in the user's units."""
+    low, high = np.array([leaf.default_bounds for leaf in names.leaf]).T.copy()
+    for name, box in bounds.items():
+        # Bounds of what is known do no harm.
+        if name in DEFAULT_BOUNDS and name not in {f.name for f in names.leaf}:
+            continue
+        entries = names.entries("bounds", name)
+        if any(names.form[entry] == "direction" for entry in entries):
+            raise ValueError(f"bounds: {name}: a direction has none")
+        for entry in entries[~own[entries]]:
+            raise ValueError(f"bounds: {names.labels[entry]} is tied or fixed")
+        low[entries], high[entries] = _box(name, box, names.form[entries[0]])
+    return low, high
+
+
+def _box(name: str, box: tuple[float, float], form: str) -> tuple[float, float]:
+    try:
+        low, high = (float(edge) for edge in box)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"bounds: {name}: {box!r} came, (low, high) wanted") from error
+    if not low < high:
+        raise ValueError(f"bounds: {name}: {low:g} < {high:g} does not hold")
+    if form == "logarithm" and (low <= 0 or not np.isfinite(high)):
+        raise ValueError(
+            f"bounds: {name}: ({low:g}, {high:g}) came, 0 < low and a "
+            "finite high are wanted"
+        )
+    return low, high
+
+
+def _priors(
+    names: _Names, priors: Mapping[str, tuple[Any, float]], is_fixed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    size = len(names.labels)
+    mean, deviation, has = np.zeros(size), np.ones(size), np.zeros(size, bool)
+    for name, given in priors.items():
+        try:
+            center, width = given
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"priors: {name}: {given!r} came, (mean, standard deviation) wanted"
+            ) from error
+        entries = names.entries("priors", name)
+        mean[entries] = names.numbers("priors", name, center)
+        deviation[entries] = names.numbers("priors", name, width)
+        if np.any(deviation[entries] <= 0):
+            raise ValueError(f"priors: {name}: a standard deviation > 0 is wanted")
+        if is_fixed[entries].any():
+            raise ValueError(f"priors: {name} is fixed")
+        has[entries] = True
+    return mean, deviation, has

@@ -1,0 +1,168 @@
+"""What can be unknown: leaves of the material, arrays of the scenes, and exposure.
+
+A leaf of the material goes by its name (`diffuse`), an array of the scene by its place
+(`scene.lights[0].direction`), and `exposure` multiplies the light of each image.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from phongfit.scene import Scene
+
+REFLECTANCES = ("ambient", "diffuse", "specular", "emission")
+LEAVES = ("ambient", "diffuse", "specular", "shininess", "emission")
+EXPOSURE = "exposure"
+CHANNELS = ("red", "green", "blue")
+# Arrays of a scene that are RGB, unit vectors, and numbers that cannot be negative.
+_COLOURS = {"intensity", "specular", "ambient", "color", "background"}
+_DIRECTIONS = {"direction", "axis"}
+_NOT_NEGATIVE = _COLOURS | {"attenuation", "exponent", "density", "radius", "height"}
+
+DEFAULT_BOUNDS = {
+    "ambient": (0.0, 1.0),
+    "diffuse": (0.0, 1.0),
+    "specular": (0.0, 1.0),
+    # Textbooks stop at 200; a real, shiny ball fits 600-800 with Blinn's model.
+    "shininess": (1.0, 1000.0),
+    "emission": (0.0, 1.0),
+    EXPOSURE: (0.0, np.inf),
+}
+
+Form = Literal["plain", "logarithm", "direction"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Leaf:
+    """One leaf that is wanted, and how its numbers are called.
+
+    `rows` are the materials or the images that have it each to itself, `parts` the
+    numbers of a row: a colour's channels, a vector's components, or one.
+    """
+
+    name: str
+    rows: tuple[str, ...]
+    parts: tuple[str, ...]
+    form: Form
+    per_image: bool = False
+
+    @property
+    def size(self) -> int:
+        """How many numbers it has."""
+        return len(self.rows) * len(self.parts)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """A name for each: `diffuse[2].red`, `scenes[1].lights[0].position.x`."""
+        if self.per_image and is_of_scene(self.name):
+            place = self.name.removeprefix("scene")
+            names = [f"scenes{row}{place}" for row in self.rows]
+        else:
+            names = [self.name + row for row in self.rows]
+        return tuple(name + part for name in names for part in self.parts)
+
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """The channel of each part; −1 where it is of all of them."""
+        colours = {f".{name}": channel for channel, name in enumerate(CHANNELS)}
+        return tuple(colours.get(part, -1) for part in self.parts)
+
+    @property
+    def default_bounds(self) -> tuple[float, float]:
+        """Where its numbers may lie unless something else is said."""
+        if self.name in DEFAULT_BOUNDS:
+            return DEFAULT_BOUNDS[self.name]
+        last = self.name.rpartition(".")[2]
+        if last == "cutoff":
+            return 0.0, 90.0
+        return (0.0 if last in _NOT_NEGATIVE else -np.inf), np.inf
+
+
+def is_of_scene(name: str) -> bool:
+    """Whether a leaf is the scene's, not the material's."""
+    return name.startswith("scene.")
+
+
+def moves_geometry(name: str) -> bool:
+    """Whether rays must be traced again when it changes."""
+    return name.startswith(("scene.surface", "scene.camera"))
+
+
+def leaf(
+    name: str, colours: bool, materials: int, scenes: Sequence[Scene], per_image: bool
+) -> Leaf:
+    """A leaf by its name.
+
+    **Arguments:**
+
+    - `colours`: one number for each of red, green and blue, if it is a colour.
+    - `materials`: how many the surface has.
+    - `per_image`: whether each image has its own.
+
+    **Raises:** `ValueError` that says what there is, if there is no such leaf.
+    """
+    several = len(scenes) > 1
+    rgb = tuple(f".{channel}" for channel in CHANNELS) if colours else ("",)
+    if name == EXPOSURE:
+        return Leaf(name, _rows(len(scenes)), ("",), "plain", several)
+    if name in LEAVES:
+        form: Form = "logarithm" if name == "shininess" else "plain"
+        return Leaf(name, _rows(materials), rgb, form)
+    value = scene_arrays(scenes[0])[name] if is_known(name, scenes) else None
+    if value is None or name.startswith("scene.background"):
+        raise ValueError(f"unknowns: {name!r} came, one of {_choice(scenes)} is wanted")
+    last = name.rpartition(".")[2]
+    parts = ("",)
+    if last in _COLOURS:
+        parts = rgb
+    elif value.shape == (3,) and last != "attenuation":
+        parts = (".x", ".y", ".z")
+    elif value.ndim:
+        parts = tuple(f"[{','.join(map(str, at))}]" for at in np.ndindex(value.shape))
+    form = "direction" if last in _DIRECTIONS else "plain"
+    rows = _rows(len(scenes)) if per_image else ("",)
+    return Leaf(name, rows, parts, form, per_image and several)
+
+
+def _rows(count: int) -> tuple[str, ...]:
+    return ("",) if count == 1 else tuple(f"[{row}]" for row in range(count))
+
+
+def is_known(name: str, scenes: Sequence[Scene]) -> bool:
+    """Whether all scenes have an array of this name."""
+    return all(name in scene_arrays(scene) for scene in scenes)
+
+
+def scene_arrays(scene: Scene) -> dict[str, Array]:
+    """All arrays of floats in a scene, by their places."""
+    floats = eqx.filter(scene, eqx.is_inexact_array)
+    found = jax.tree_util.tree_flatten_with_path(floats)[0]
+    return {"scene" + jax.tree_util.keystr(path): array for path, array in found}
+
+
+def with_arrays(scene: Scene, arrays: Mapping[str, Any]) -> Scene:
+    """A scene with other numbers in some places; one may stand for a colour's three."""
+
+    def put(path: Any, old: Any) -> Any:
+        new = arrays.get("scene" + jax.tree_util.keystr(path))
+        if new is None:
+            return old
+        return jnp.broadcast_to(new[0] if len(new) == 1 else new.reshape(old.shape), old.shape)
+
+    return jax.tree_util.tree_map_with_path(put, scene)
+
+
+def _choice(scenes: Sequence[Scene]) -> str:
+    """Names that could have been given; of large arrays none is guessed at."""
+    arrays = [
+        name
+        for name, array in scene_arrays(scenes[0]).items()
+        if array.size <= 3 and is_known(name, scenes) and "background" not in name
+    ]
+    return ", ".join((*LEAVES, EXPOSURE, *arrays))

@@ -1,0 +1,246 @@
+"""Profile likelihood: what holding an unknown costs when all others are fitted again."""
+
+import dataclasses
+from collections.abc import Iterable
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import scipy.interpolate
+import scipy.stats
+from jaxtyping import Array, Float
+
+from phongfit.fitting.estimate import estimates
+from phongfit.fitting.problem import Problem
+from phongfit.fitting.search import Found
+from phongfit.fitting.solution import solve
+from phongfit.fitting.sums import sums
+from phongfit.fitting.unknowns import Unknowns, in_units
+
+# One, two and three standard deviations of a normal distribution.
+LEVELS = (0.6827, 0.9545, 0.9973)
+# Steps of a profile in standard errors, and how far it may go without an end.
+STEP, FARTHEST = 0.5, 16
+# Points along each axis of a pair.
+ACROSS = 15
+MAX_STEPS = 50
+
+
+@dataclasses.dataclass(frozen=True)
+class Profile:
+    """How much worse the fit is where one unknown is held.
+
+    **Arguments:**
+
+    - `label`: the unknown.
+    - `values`: where it was held, rising; user's units.
+    - `rise`: Δχ² there, scaled such that it is (Δ/standard error)² near the estimate.
+    - `intervals`: level → (low, high); an end that is a bound was not reached.
+    """
+
+    label: str
+    values: np.ndarray
+    rise: np.ndarray
+    intervals: dict[float, tuple[float, float]]
+
+    def __str__(self) -> str:
+        rows = [f"{self.label}: profile-likelihood intervals"]
+        for level, (low, high) in self.intervals.items():
+            rows.append(f"  {100 * level:5.2f} %  {low:.5g} … {high:.5g}")
+        return "\n".join(rows)
+
+
+@dataclasses.dataclass(frozen=True)
+class ProfilePair:
+    """How much worse the fit is where two unknowns are held.
+
+    **Arguments:**
+
+    - `labels`: the two.
+    - `values`: where each was held, user's units.
+    - `rise`: Δχ², (values of the first, values of the second).
+    - `thresholds`: level → the Δχ² that bounds its region.
+    """
+
+    labels: tuple[str, str]
+    values: tuple[np.ndarray, np.ndarray]
+    rise: np.ndarray
+    thresholds: dict[float, float]
+
+
+def profile(
+    found: Found, label: str, freedom: int, levels: tuple[float, ...] = LEVELS
+) -> Profile:
+    """The profile of one unknown: see [`Fit`][]`.profile`."""
+    _check_levels(levels)
+    held = _Held(found, [label])
+    (place,) = held.places
+    reach = {p: scipy.stats.t.ppf((1 + p) / 2, max(freedom, 1)) for p in levels}
+    farthest = max(reach.values())
+    sides = [held.walk(place, sign, farthest) for sign in (-1, 1)]
+    points = np.array([*reversed(sides[0][1:]), *sides[1]])
+    y, roots = points.T
+    values = held.values(place, y)
+    signed = np.where(np.arange(len(y)) < len(sides[0]) - 1, -roots, roots)
+    low, high = held.box(place)
+    intervals = {
+        level: (
+            _crossing(values[: len(sides[0])], signed[: len(sides[0])], -far, low),
+            _crossing(values[len(sides[0]) - 1 :], signed[len(sides[0]) - 1 :], far, high),
+        )
+        for level, far in reach.items()
+    }
+    return Profile(label, values, roots**2, intervals)
+
+
+def profile_pair(
+    found: Found,
+    labels: tuple[str, str],
+    freedom: int,
+    levels: tuple[float, ...] = LEVELS,
+) -> ProfilePair:
+    """The profile of two unknowns on a grid: see [`Fit`][]`.profile`."""
+    _check_levels(levels)
+    if labels[0] == labels[1]:
+        raise ValueError(f"other: {labels[1]!r} came twice, two unknowns are wanted")
+    held = _Held(found, labels)
+    freedom = max(freedom, 1)
+    thresholds = {p: 2 * float(scipy.stats.f.ppf(p, 2, freedom)) for p in levels}
+    farthest = 1.15 * np.sqrt(max(thresholds.values()))
+    grids = [held.grid(place, farthest, ACROSS) for place in held.places]
+    rise = np.zeros((ACROSS, ACROSS))
+    for i, first in enumerate(grids[0]):
+        y = held.best
+        # To and fro, so that each point starts from its neighbour.
+        order = range(ACROSS) if i % 2 == 0 else reversed(range(ACROSS))
+        for j in order:
+            at = dict(zip(held.places, (first, grids[1][j]), strict=True))
+            rise[i, j], y = held.rise(at, y)
+    first, second = (
+        held.values(place, grid)
+        for place, grid in zip(held.places, grids, strict=True)
+    )
+    return ProfilePair((labels[0], labels[1]), (first, second), rise, thresholds)
+
+
+def _check_levels(levels: Iterable[float]) -> None:
+    for level in levels:
+        if not 0 < level < 1:
+            raise ValueError(f"levels: {level!r} came, numbers in (0, 1) are wanted")
+
+
+def _crossing(
+    values: np.ndarray, signed: np.ndarray, level: float, bound: float
+) -> float:
+    """Where the signed root of the rise meets a level; the bound if it never does."""
+    rising = np.append(True, signed[1:] > np.maximum.accumulate(signed)[:-1])
+    values, signed = values[rising], signed[rising]
+    if len(values) < 2 or not signed[0] <= level <= signed[-1]:
+        return bound
+    return float(scipy.interpolate.PchipInterpolator(signed, values)(level))
+
+
+class _Held:
+    """A solved problem of which some unknowns are held, and the others fitted again."""
+
+    def __init__(self, found: Found, labels: Iterable[str]):
+        self.problem, self.best = found.problem, found.y
+        unknowns = found.problem.unknowns
+        self.places = [_place(unknowns, label) for label in labels]
+        self.lower = np.asarray(unknowns.lower)
+        self.upper = np.asarray(unknowns.upper)
+        # A sandwich covariance is wider than the curvature says: so is the profile.
+        told = estimates(found.problem, found.y)
+        self.errors = np.zeros(len(self.lower))
+        curvature = np.asarray(sums(found.problem, found.y).hessian, float)
+        spread = np.sqrt(np.diag(np.linalg.pinv(curvature, hermitian=True)))
+        slope = np.abs(np.asarray(in_units(unknowns, found.y)[1], float))
+        for place in self.places:
+            (entry,) = np.flatnonzero(slope[:, place] > 0)[:1]
+            error = told.errors[entry] / slope[entry, place]
+            width = self.upper[place] - self.lower[place]
+            self.errors[place] = min(error, width / 2) if error > 0 else width / 2
+        ratio = [
+            spread[p] / self.errors[p] if np.isfinite(self.errors[p]) else 1.0
+            for p in self.places
+        ]
+        self.scale = float(np.clip(np.mean(ratio), 0.0, 1.0)) ** 2
+        self.least = _squares(self.problem, self.best)
+
+    def rise(
+        self, at: dict[int, float], start: Float[Array, " n"]
+    ) -> tuple[float, Float[Array, " n"]]:
+        """Δχ² where some numbers of y are held, and the y that leaves it."""
+        lower, upper, y = (
+            np.array(a) for a in (self.lower, self.upper, np.asarray(start))
+        )
+        for place, value in at.items():
+            lower[place] = upper[place] = y[place] = value
+        held = eqx.tree_at(
+            lambda p: (p.unknowns.lower, p.unknowns.upper),
+            self.problem,
+            (jnp.asarray(lower), jnp.asarray(upper)),
+        )
+        solution = solve(held, jnp.asarray(y), MAX_STEPS)
+        squares = _squares(self.problem, solution.y)
+        return max(squares - self.least, 0.0) * self.scale, solution.y
+
+    def walk(self, place: int, sign: int, farthest: float) -> list[tuple[float, float]]:
+        """(y, √Δχ²) from the estimate outwards, until past `farthest` or a bound."""
+        y, edge = self.best, (self.lower if sign < 0 else self.upper)[place]
+        here = float(np.asarray(y)[place])
+        points, step = [(here, 0.0)], STEP * self.errors[place]
+        while points[-1][1] < 1.05 * farthest and here != edge:
+            if len(points) > FARTHEST / STEP:
+                # A cost that hardly rises is left in growing steps.
+                step *= 2
+            here = here + sign * step
+            if sign * (here - edge) >= 0 or len(points) > 60:
+                here = float(edge)
+            if not np.isfinite(here):
+                break
+            rise, y = self.rise({place: here}, y)
+            points.append((here, float(np.sqrt(rise))))
+        return points
+
+    def grid(self, place: int, farthest: float, count: int) -> np.ndarray:
+        """Points of y around the estimate, in the box."""
+        center = float(np.asarray(self.best)[place])
+        reach = farthest * self.errors[place]
+        low = max(center - reach, float(self.lower[place]))
+        high = min(center + reach, float(self.upper[place]))
+        return np.linspace(low, high, count)
+
+    def values(self, place: int, y: np.ndarray) -> np.ndarray:
+        """Numbers of one place in the user's units."""
+        unknowns = self.problem.unknowns
+        if unknowns.logarithmic[place]:
+            return np.exp(y)
+        return y * float(unknowns.scale[unknowns.owned[place]])
+
+    def box(self, place: int) -> tuple[float, float]:
+        """The bounds of one place in the user's units."""
+        unknowns = self.problem.unknowns
+        entry = unknowns.owned[place]
+        (row,) = np.flatnonzero(unknowns.reported == entry)
+        return tuple(unknowns.bounds[row].tolist())
+
+
+def _place(unknowns: Unknowns, label: str) -> int:
+    labels = list(unknowns.y_labels)
+    free = [one for one in labels if labels.count(one) == 1]
+    if label not in free:
+        raise ValueError(f"name: {label!r} came, one of {', '.join(free)} is wanted")
+    return labels.index(label)
+
+
+def _squares(problem: Problem, y: Float[Array, " n"]) -> float:
+    """The cost, added up in double precision: profiles are small differences of it."""
+    samples, priors = _costs(problem, y)
+    return float(np.sum(np.asarray(samples, float)) + np.sum(np.asarray(priors, float)))
+
+
+@eqx.filter_jit
+def _costs(problem: Problem, y: Float[Array, " n"]) -> tuple[Array, Array]:
+    samples = problem.loss.root(problem.residual(y)) ** 2
+    return samples, problem.unknowns.prior_residual(y) ** 2

@@ -1,0 +1,102 @@
+"""Solving the problem: by sums over its samples, with a solver for any least squares."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Float, Int
+
+from phongfit.fitting.problem import Problem
+from phongfit.fitting.solver import BoundedLevenbergMarquardt
+from phongfit.fitting.sums import sums
+
+
+@eqx.filter_custom_jvp
+def few_residuals(y: Float[Array, " n"], problem: Problem) -> Float[Array, " n+1"]:
+    r"""n + 1 residuals that no Gauss-Newton method can tell from all of them.
+
+    With the symmetric root $R = (J^\top J)^{1/2}$ they are $R^{-1} J^\top r$ and what
+    is left of the length of $r$; their Jacobian is $R$ and a row of zeros. So sum of
+    squares, gradient and $J^\top J$ are those of the problem, and a solver holds n + 1
+    numbers instead of a million.
+    """
+    return _residuals_and_root(y, problem)[0]
+
+
+@few_residuals.def_jvp
+def _derivative(
+    at: tuple[Array, Problem], towards: tuple[Array | None, Any]
+) -> tuple[Array, Array]:
+    residuals, root = _residuals_and_root(*at)
+    tangent, others = towards
+    if any(leaf is not None for leaf in jax.tree.leaves(others)):
+        raise NotImplementedError("few_residuals: a derivative in the unknowns only")
+    moved = jnp.zeros_like(at[0]) if tangent is None else root @ tangent
+    return residuals, jnp.append(moved, jnp.zeros((), moved.dtype))
+
+
+def _residuals_and_root(
+    y: Float[Array, " n"], problem: Problem
+) -> tuple[Float[Array, " n+1"], Float[Array, "n n"]]:
+    total = sums(problem, y)
+    # Means over the samples: the rounding of a sum grows with it.
+    count = _count(problem)
+    tiny = jnp.finfo(y.dtype).tiny
+    scale = jnp.sqrt(jnp.diag(total.hessian))
+    scale = jnp.where(scale > 0, scale, 1)
+    values, vectors = jnp.linalg.eigh(total.hessian / jnp.outer(scale, scale))
+    # Rounding can leave a direction that nothing is known of below zero.
+    root = jnp.sqrt(jnp.maximum(values, 0))
+    small = jnp.finfo(root.dtype).eps * jnp.max(root)
+    inverse = jnp.where(root > small, 1 / jnp.where(root > small, root, 1), 0)
+    head = vectors @ (inverse * (vectors.T @ (total.gradient / scale)))
+    jacobian = (vectors * root[None]) @ vectors.T * scale[None]
+    # A curvature so low that the cost would fall below zero is too low.
+    length = jnp.sum(head**2)
+    steeper = jnp.sqrt(jnp.maximum(length / jnp.maximum(total.cost, tiny), 1))
+    tail = jnp.sqrt(jnp.maximum(total.cost - length / steeper**2, 0))
+    unit = jnp.sqrt(count)
+    return jnp.append(head / steeper, tail) / unit, jacobian * steeper / unit
+
+
+def _count(problem: Problem) -> Float[Array, ""]:
+    used = jnp.sum(problem.samples.weight > 0)
+    return jnp.maximum(used, 1).astype(problem.sigma.dtype)
+
+
+class Solution(eqx.Module):
+    """Where the solver stopped, and why."""
+
+    y: Float[Array, " n"]
+    cost: Float[Array, ""]
+    steps: Int[Array, ""]
+    converged: Array
+
+
+@eqx.filter_jit
+def solve(problem: Problem, start: Float[Array, " n"], max_steps: int) -> Solution:
+    """Bounded Levenberg-Marquardt from `start`; failure is data, not an exception."""
+    resolution = float(jnp.finfo(start.dtype).eps)
+    tolerance = max(resolution**0.7, 1e-8)
+    solver = BoundedLevenbergMarquardt(
+        rtol=tolerance,
+        # In standard deviations: below the rounding of the prediction nothing counts.
+        atol=tolerance + 8 * resolution / problem.sigma,
+        lower=problem.unknowns.lower,
+        upper=problem.unknowns.upper,
+    )
+    solution = optx.least_squares(
+        few_residuals,
+        solver,
+        start,
+        args=problem,
+        max_steps=max_steps,
+        throw=False,
+    )
+    cost = 2 * _count(problem) * solution.state.f_info.as_min()
+    done = solution.result == optx.RESULTS.successful
+    return Solution(
+        solution.value, cost, solution.stats["num_steps"], done & jnp.isfinite(cost)
+    )

@@ -1,0 +1,163 @@
+r"""The Jacobian of a fit without its zeros, and $J^\top J$ from it.
+
+A reflectance of one material and channel moves the samples of that material and channel
+alone. So a single derivative serves all unknowns that have no sample in common: ten
+unknowns of an RGB image need four, and those of 24 materials need no more.
+
+??? cite "Source"
+    Curtis, Powell and Reid, *On the estimation of sparse Jacobian matrices*, J. Inst.
+    Maths Applics 13, 1974.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from phongfit.fitting.leaves import LEAVES
+from phongfit.fitting.problem import Problem
+from phongfit.fitting.unknowns import Unknowns
+
+
+def colours(unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
+    """Unknowns that share a derivative, and where it belongs to which of them.
+
+    **Returns:**
+
+    - (colours, n): ones for the unknowns of a colour.
+    - (groups, 3, colours, n): one where samples of that group and channel are moved by
+        this unknown of the colour.
+    """
+    cells = _cells(unknowns)
+    taken: list[np.ndarray] = []
+    colour_of = np.zeros(len(cells), int)
+    for k, cell in enumerate(cells):
+        free = [c for c, used in enumerate(taken) if not (used & cell).any()]
+        if not free:
+            taken.append(np.zeros_like(cell))
+            free = [len(taken) - 1]
+        colour_of[k] = free[0]
+        taken[free[0]] |= cell
+    tangents = np.zeros((len(taken), len(cells)))
+    tangents[colour_of, np.arange(len(cells))] = 1
+    select = tangents * np.moveaxis(cells, 0, -1)[:, :, None, :]
+    return tangents, select
+
+
+def _cells(unknowns: Unknowns) -> np.ndarray:
+    """(n, groups, 3): which samples each unknown moves."""
+    images = unknowns.images if unknowns.differs_between_images else 1
+    size = unknowns.lower.size
+    cells = np.zeros((size, unknowns.materials, images, 3), bool)
+    names, rows = unknowns.entry_leaf, unknowns.entry_row
+    per_image = unknowns.entry_per_image
+    for entry, source in enumerate(unknowns.source):
+        if unknowns.fixed[entry]:
+            continue
+        channel = unknowns.entry_channel[entry]
+        channels = slice(None) if channel < 0 else slice(channel, channel + 1)
+        owner = slice(None)
+        if names[entry] in LEAVES and unknowns.materials > 1:
+            owner = slice(rows[entry], rows[entry] + 1)
+        image = slice(None)
+        if per_image[entry]:
+            image = slice(rows[entry], rows[entry] + 1)
+        place = unknowns.place[source]
+        count = 2 if unknowns.forms[source] == "direction" else 1
+        cells[place : place + count, owner, image, channels] = True
+    return cells.reshape(size, -1, 3)
+
+
+class Jacobian(eqx.Module):
+    """Derivatives of the samples' residuals, a colour each."""
+
+    local: Float[Array, "colours 3 samples"]
+    priors: Float[Array, "priors n"]
+    select: Float[Array, "groups 3 colours n"]
+    member: Float[Array, "groups samples"] | None
+
+    def gram(self, weight: Float[Array, "3 samples"] | None = None) -> Array:
+        r"""$J^\top W J$ of the samples, (n, n)."""
+        # A GPU would otherwise multiply in reduced precision.
+        exact = jax.lax.Precision.HIGHEST
+        left = self.local if weight is None else self.local * weight[None]
+        if self.member is None:
+            products = jnp.einsum("kcn,lcn->ckl", left, self.local, precision=exact)
+            products = products[None]
+        else:
+            each = left[:, None] * self.local[None]
+            products = jnp.einsum("gn,klcn->gckl", self.member, each, precision=exact)
+        half = jnp.einsum("gckl,gclj->gckj", products, self.select, precision=exact)
+        return jnp.einsum("gcki,gckj->ij", self.select, half, precision=exact)
+
+    def pull(self, residual: Float[Array, "3 samples"]) -> Float[Array, " n"]:
+        r"""$J^\top r$ of the samples."""
+        exact = jax.lax.Precision.HIGHEST
+        if self.member is None:
+            sums = jnp.einsum("kcn,cn->ck", self.local, residual, precision=exact)[None]
+        else:
+            each = self.local * residual[None]
+            sums = jnp.einsum("gn,kcn->gck", self.member, each, precision=exact)
+        return jnp.einsum("gcki,gck->i", self.select, sums, precision=exact)
+
+    def columns(self) -> np.ndarray:
+        """The whole matrix, (n, 3, samples), in double precision."""
+        local, select = np.asarray(self.local, float), np.asarray(self.select, float)
+        if self.member is None:
+            return np.einsum("cki,kcn->icn", select[0], local)
+        group = np.argmax(np.asarray(self.member), axis=0)
+        return np.einsum("ncki,kcn->icn", select[group], local)
+
+
+def linearize(
+    problem: Problem, y: Float[Array, " n"]
+) -> tuple[Float[Array, "3 samples"], Float[Array, " priors"], Jacobian]:
+    """Residuals of samples and priors, and their Jacobian."""
+    tangents, select = colours(problem.unknowns)
+    kind = y.dtype
+    light, push = jax.linearize(problem.light, y)
+    # The film works sample by sample: its slope serves all unknowns.
+    samples, slope = jax.jvp(problem.compare, (light,), (jnp.ones_like(light),))
+    local = jax.vmap(push)(jnp.asarray(tangents, kind)) * slope[None]
+    priors = problem.unknowns.prior_residual(y)
+    slopes = jax.jacfwd(problem.unknowns.prior_residual)(y)
+    groups, member = select.shape[0], None
+    if groups > 1:
+        index = problem.group()
+        each = jnp.arange(groups, dtype=index.dtype)
+        member = (index[None] == each[:, None]).astype(kind)
+    jacobian = Jacobian(local, slopes, jnp.asarray(select, kind), member)
+    return samples, priors, jacobian
+
+
+class Sums(eqx.Module):
+    """All that a Gauss-Newton method asks of a problem, at one point."""
+
+    hessian: Float[Array, "n n"]
+    gradient: Float[Array, " n"]
+    cost: Float[Array, ""]
+
+
+def sums(problem: Problem, y: Float[Array, " n"]) -> Sums:
+    r"""Cost $\sum \rho(r^2)$, half its gradient, and half its curvature.
+
+    The curvature is $J^\top W J$ with $W = \psi'(r)$ where the loss bends upwards, and
+    a share of the usual weight $\psi(r)/r$ where it does not.
+    """
+    residual, priors, jacobian = linearize(problem, y)
+    slopes, loss = jacobian.priors, problem.loss
+    if not loss.robust:
+        hessian, gradient = jacobian.gram(), jacobian.pull(residual)
+        cost = jnp.sum(residual**2)
+    else:
+        score, bend = loss.score(residual)
+        usual = score / jnp.where(residual == 0, 1, residual)
+        hessian = jacobian.gram(jnp.maximum(bend, 0.1 * usual))
+        gradient = jacobian.pull(score)
+        cost = jnp.sum(loss.root(residual) ** 2)
+    return Sums(
+        hessian + slopes.T @ slopes,
+        gradient + slopes.T @ priors,
+        cost + jnp.sum(priors**2),
+    )
