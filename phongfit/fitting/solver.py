@@ -67,18 +67,20 @@ class BoxDampedNewtonDescent(optx.AbstractDescent):
             ravel_pytree(tree)[0] for tree in (state.y, self.lower, self.upper)
         )
         jacobian, residual = state.triangle[:, :-1], state.triangle[:, -1]
-        still = _unfelt(jacobian, residual, upper - lower)
         # What does nothing at all here still needs a positive curvature.
         scale = jnp.where(state.scale > 0, state.scale, 1)
-        step = least_squares_in_box(
-            jacobian,
-            residual,
-            jnp.sqrt(self.damping / step_size) * scale,
-            jnp.where(still, 0, lower - y),
-            jnp.where(still, 0, upper - y),
-        )
-        meets = (step == lower - y) | (step == upper - y)
-        idle = _is_rounding(jacobian, residual, y, step) & ~meets
+        # A GPU would otherwise multiply in reduced precision.
+        with jax.default_matmul_precision("highest"):
+            still = _unfelt(jacobian, residual, upper - lower)
+            step = least_squares_in_box(
+                jacobian,
+                residual,
+                jnp.sqrt(self.damping / step_size) * scale,
+                jnp.where(still, 0, lower - y),
+                jnp.where(still, 0, upper - y),
+            )
+            meets = (step == lower - y) | (step == upper - y)
+            idle = _is_rounding(jacobian, residual, y, step) & ~meets
         step = jnp.where(idle, 0, step)
         return from_flat(_landing(y, step, lower, upper)), optx.RESULTS.successful
 
@@ -125,7 +127,7 @@ def _landing(
 ) -> Float[Array, " n"]:
     """`step`, such that y + step rounds to the bound where it was meant to meet it.
 
-    Or to a point just inside: far from 0, y has no step that ends on some bounds near 0.
+    Or to a point just inside: from far off, no step may end on a bound near 0.
     """
     there = jnp.clip(y + step, lower, upper)
     there = jnp.where(step == lower - y, lower, there)
@@ -218,16 +220,39 @@ RoundingTolerantTrustRegion.__init__.__doc__ = """**Arguments:**
 
 
 class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
-    """Levenberg-Marquardt for least squares in a box: a descent and a search.
+    r"""Levenberg-Marquardt for least squares in a box: a descent and a search.
 
-    The bounds hold exactly at every point that is evaluated, and may bind at the
-    solution. In float32 it does not stall where the decrease of the cost falls below
-    its rounding: see [`RoundingTolerantTrustRegion`][].
+    Minimises $\tfrac12 \|r(y)\|^2$ over all $y$ with $l \le y \le u$, for some tens of
+    unknowns and any number of residuals. The bounds hold exactly at every point that is
+    evaluated, and may bind at the solution. A step costs a Jacobian and a QR
+    factorisation of it; one that is rejected, the derivative along one direction.
+
+    It ends with `optx.RESULTS.successful` where a step moves unknowns and residuals by
+    less than the tolerances ask for, or by less than their rounding: tolerances that
+    are too tight, in float32 too, end in the best that can be had. Otherwise it ends at
+    `max_steps`. NaN or infinite residuals are steps that are rejected.
+
+    Units of the unknowns do not matter, nor do columns of zeros or parallel ones. It
+    works under `jit` and `vmap`, there as long as the slowest needs. On the problems of
+    Moré, Garbow and Hillstrom, free and in boxes, it ends no higher than SciPy's
+    `least_squares`.
+
+    !!! example
+        ```python
+        def rosenbrock(y, args):
+            return jnp.stack([10 * (y[1] - y[0] ** 2), 1 - y[0]])
+
+        lower, upper = jnp.array([-5.0, -5.0]), jnp.array([0.5, 5.0])
+        solver = BoundedLevenbergMarquardt(1e-6, 1e-6, lower, upper)
+        solution = optx.least_squares(rosenbrock, solver, jnp.array([-1.2, 1.0]))
+        solution.value  # [0.5, 0.25]
+        ```
 
     ??? cite "Source"
         Kanzow, Yamashita and Fukushima, *Levenberg-Marquardt methods with strong local
         convergence properties for solving nonlinear equations with convex constraints*,
-        J. Comput. Appl. Math. 172, 2004.
+        J. Comput. Appl. Math. 172, 2004; scaling and search as in
+        [`BoxDampedNewtonDescent`][] and [`RoundingTolerantTrustRegion`][].
     """
 
     rtol: Any
