@@ -1,16 +1,11 @@
-"""A quadratic in a box: the small problem inside every bounded least-squares step."""
+"""The small problem inside every bounded least-squares step: a quadratic in a box."""
+
+import abc
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
-
-
-class _State(eqx.Module):
-    point: Float[Array, " n"]
-    free: Bool[Array, " n"]
-    done: Bool[Array, ""]
-    steps: Int[Array, ""]
 
 
 def minimize_in_box(
@@ -36,14 +31,115 @@ def minimize_in_box(
     ??? cite "Source"
         Nocedal and Wright, *Numerical optimization*, 2nd ed., algorithm 16.3.
     """
-    size = gradient.shape[0]
-    start = jnp.clip(jnp.zeros_like(gradient), lower, upper)
+    return _active_set(_HessianForm(hessian, gradient), lower, upper)
+
+
+def least_squares_in_box(
+    matrix: Float[Array, "m n"],
+    residual: Float[Array, " m"],
+    damping: Float[Array, " n"],
+    lower: Float[Array, " n"],
+    upper: Float[Array, " n"],
+) -> Float[Array, " n"]:
+    r"""The $p$ in $[l, u]$ that minimises $\|A p + r\|^2 + \|d \odot p\|^2$.
+
+    As [`minimize_in_box`][], but by orthogonal factors: $A^\top A$ is never formed, so
+    that what $A$ tells apart in this precision is told apart.
+
+    **Arguments:**
+
+    - `matrix`, `residual`: $A$ and $r$.
+    - `damping`: $d$, not negative; positive where a column of $A$ is zero.
+    - `lower`, `upper`: the box; may be infinite.
+
+    **Returns:** $p$, in the box to the last bit.
+    """
+    return _active_set(_SquaresForm(matrix, residual, damping), lower, upper)
+
+
+class _AbstractQuadratic(eqx.Module):
+    """A convex quadratic, as much as an active-set method asks of it."""
+
+    @abc.abstractmethod
+    def slope(self, point: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Gradient."""
+
+    @abc.abstractmethod
+    def summands(self, point: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Size of the summands of the gradient, whose rounding is its own."""
+
+    @abc.abstractmethod
+    def newton(
+        self, point: Float[Array, " n"], free: Bool[Array, " n"]
+    ) -> Float[Array, " n"]:
+        """Step of the free entries to their minimum; the others stay."""
+
+
+class _HessianForm(_AbstractQuadratic):
+    hessian: Float[Array, "n n"]
+    gradient: Float[Array, " n"]
+
+    def slope(self, point: Float[Array, " n"]) -> Float[Array, " n"]:
+        return self.gradient + self.hessian @ point
+
+    def summands(self, point: Float[Array, " n"]) -> Float[Array, " n"]:
+        return jnp.abs(self.gradient) + jnp.abs(self.hessian) @ jnp.abs(point)
+
+    def newton(
+        self, point: Float[Array, " n"], free: Bool[Array, " n"]
+    ) -> Float[Array, " n"]:
+        return _solve_free(self.hessian, self.slope(point), free)
+
+
+class _SquaresForm(_AbstractQuadratic):
+    matrix: Float[Array, "m n"]
+    residual: Float[Array, " m"]
+    damping: Float[Array, " n"]
+
+    def slope(self, point: Float[Array, " n"]) -> Float[Array, " n"]:
+        left = self.matrix @ point + self.residual
+        return self.matrix.T @ left + self.damping * (self.damping * point)
+
+    def summands(self, point: Float[Array, " n"]) -> Float[Array, " n"]:
+        matrix, size = jnp.abs(self.matrix), jnp.abs(point)
+        left = matrix @ size + jnp.abs(self.residual)
+        return matrix.T @ left + self.damping * (self.damping * size)
+
+    def newton(
+        self, point: Float[Array, " n"], free: Bool[Array, " n"]
+    ) -> Float[Array, " n"]:
+        n = point.size
+        norm = jnp.sqrt(jnp.sum(self.matrix**2, axis=0) + self.damping**2)
+        # A unit for each entry, so that units do not decide what counts as singular.
+        unit = jnp.where(free & (norm > 0), 1 / jnp.where(norm > 0, norm, 1), 0)
+        ridge = n * jnp.finfo(point.dtype).eps
+        below = jnp.diag(jnp.where(free, jnp.hypot(self.damping * unit, ridge), 1))
+        rows = jnp.concatenate([self.matrix * unit[None, :], below])
+        left = self.matrix @ point + self.residual
+        right = jnp.concatenate([left, jnp.where(free, self.damping * point, 0)])
+        # The last column of the triangle is what Q' makes of the right-hand side.
+        triangle = jnp.linalg.qr(jnp.column_stack([rows, right]), mode="r")
+        step = jax.scipy.linalg.solve_triangular(triangle[:n, :n], triangle[:n, n])
+        return -unit * step
+
+
+class _State(eqx.Module):
+    point: Float[Array, " n"]
+    free: Bool[Array, " n"]
+    done: Bool[Array, ""]
+    steps: Int[Array, ""]
+
+
+def _active_set(
+    quadratic: _AbstractQuadratic, lower: Float[Array, " n"], upper: Float[Array, " n"]
+) -> Float[Array, " n"]:
+    size = lower.size
+    start = jnp.clip(jnp.zeros_like(lower), lower, upper)
     # A multiplier this small is rounding: letting go for it would go round in circles.
-    small = 8 * jnp.finfo(gradient.dtype).eps
+    small = 8 * jnp.finfo(lower.dtype).eps
 
     def step(state: _State) -> _State:
-        slope = gradient + hessian @ state.point
-        newton = _solve_free(hessian, slope, state.free)
+        newton = quadratic.newton(state.point, state.free)
         limit = jnp.where(newton > 0, upper, lower) - state.point
         moving = state.free & (newton != 0)
         share = jnp.where(moving, limit / jnp.where(moving, newton, 1), jnp.inf)
@@ -56,8 +152,7 @@ def minimize_in_box(
         moved = jnp.where(is_blocking, at, moved)
 
         # All free entries are at their best: does a held one want to leave its bound?
-        slope = gradient + hessian @ moved
-        noise = small * (jnp.abs(gradient) + jnp.abs(hessian) @ jnp.abs(moved))
+        slope, noise = quadratic.slope(moved), small * quadratic.summands(moved)
         inwards = jnp.where(moved <= lower, -slope, slope)
         wish = jnp.where(~state.free & (lower < upper), inwards - noise, -jnp.inf)
         eager = jnp.argmax(wish)

@@ -6,7 +6,8 @@ import optimistix as optx
 import pytest
 import scipy.optimize
 
-from phongfit.fitting.solver import BoundedLevenbergMarquardt
+from phongfit.fitting.box import least_squares_in_box
+from phongfit.fitting.solver import BoundedLevenbergMarquardt, _landing
 from tests.helpers import EPS, floats, near
 
 DOUBLE = EPS < 1e-10
@@ -189,6 +190,38 @@ def test_bounds_are_met_to_the_last_bit():
         return _run(lambda y: y + 1, start, bound, upper, 50, RTOL).value
 
     assert np.array_equal(end(starts, bounds), bounds)
+
+
+def test_no_step_ends_outside():
+    # From far off, y + step may have to round: then it rounds to the inside.
+    rng = np.random.default_rng(0)
+    sign, size, width = rng.choice([-1, 0, 1], 4000), *rng.uniform(-8, 4, (2, 4000))
+    lower = floats(sign * 10.0**size)
+    upper = lower + floats(10.0**width)
+    y = jnp.clip(lower + floats(rng.uniform(size=4000)) * (upper - lower), lower, upper)
+    for step in (lower - y, upper - y, floats(rng.uniform(size=4000)) * (upper - y)):
+        there = y + jax.jit(_landing)(y, step, lower, upper)
+        assert np.all((lower <= there) & (there <= upper))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_step_by_orthogonal_factors_tells_apart_what_squares_do_not(seed):
+    # Columns that differ by less than the root of the resolution.
+    rng = np.random.default_rng(seed)
+    matrix = rng.normal(size=(7, 4))
+    matrix[:, 3] = matrix[:, 2] + 50 * EPS**0.6 * rng.normal(size=7)
+    matrix *= 10.0 ** rng.uniform(-3, 3, 4)
+    matrix = np.asarray(floats(matrix))
+    residual = np.asarray(floats(rng.normal(size=7)))
+    box = np.asarray(floats(np.array([[-1e-2], [1.0]]) * rng.uniform(size=4)))
+    expected = scipy.optimize.lsq_linear(
+        matrix.astype(float), -residual.astype(float), box, method="bvls", tol=1e-14
+    )
+    arguments = map(floats, (matrix, residual, np.zeros(4), *box))
+    point = np.asarray(jax.jit(least_squares_in_box)(*arguments))
+    assert np.all((box[0] <= point) & (point <= box[1]))
+    cost = np.sum((matrix.astype(float) @ point + residual) ** 2) / 2
+    assert cost <= expected.cost * (1 + 1e3 * EPS)
 
 
 def test_pytrees():
