@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array
 
 from phongfit.fitting.inputs import Photograph, as_photographs
-from phongfit.fitting.losses import AbstractLoss, as_loss
 from phongfit.fitting.layout import Tie, make_unknowns
+from phongfit.fitting.losses import AbstractLoss, as_loss
 from phongfit.fitting.noise import find_film, rounding_steps
 from phongfit.fitting.result import Fit
 from phongfit.fitting.samples import Source, gather, seen_pixels
@@ -207,7 +207,7 @@ def set_up(
 
 
 def as_source(photograph: Photograph, film: Film) -> Source:
-    """A photograph with its geometry resolved; pixels that see nothing have no weight."""
+    """A photograph, its geometry resolved; pixels that see nothing have no weight."""
     scene, image = photograph.scene, photograph.image
     gbuffer = scene.trace()
     weight = np.where(np.asarray(gbuffer.mask)[..., None], photograph.weight, 0)
@@ -222,7 +222,9 @@ def as_source(photograph: Photograph, film: Film) -> Source:
 
 
 @eqx.filter_jit
-def _expose(view: PixelTerms, material: Material, clamp: bool, exposure: Array) -> Array:
+def _expose(
+    view: PixelTerms, material: Material, clamp: bool, exposure: Array
+) -> Array:
     light = view.radiance(material) * exposure
     return jnp.clip(light, 0, 1) if clamp else light
 

@@ -1,4 +1,4 @@
-"""A fit as a function that can be differentiated: images and scenes in, material out."""
+"""A fit as a function that can be differentiated: from images to the material."""
 
 from collections.abc import Sequence
 from typing import Any

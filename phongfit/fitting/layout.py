@@ -108,18 +108,23 @@ class _Names:
         self.form = [leaf.form for leaf in leaves for _ in leaf.labels]
         self.leaf = [leaf for leaf in leaves for _ in leaf.labels]
         self.part = [
-            part for leaf in leaves for _ in leaf.rows for part in range(len(leaf.parts))
+            part
+            for leaf in leaves
+            for _ in leaf.rows
+            for part in range(len(leaf.parts))
         ]
         self._of: dict[str, list[int]] = {}
-        for entry, (label, leaf) in enumerate(zip(self.labels, self.leaf, strict=True)):
-            row = label.removesuffix(leaf.parts[self.part[entry]])
-            for name in {leaf.name, row, label}:
+        for entry, (label, one) in enumerate(zip(self.labels, self.leaf, strict=True)):
+            row = label.removesuffix(one.parts[self.part[entry]])
+            for name in {one.name, row, label}:
                 self._of.setdefault(name, []).append(entry)
 
     def entries(self, argument: str, name: str) -> np.ndarray:
         """**Raises:** `ValueError` if nothing that is unknown has this name."""
         if name not in self._of:
-            there = ", ".join(dict.fromkeys((*[f.name for f in self.leaf], *self.labels)))
+            there = ", ".join(
+                dict.fromkeys((*[f.name for f in self.leaf], *self.labels))
+            )
             raise ValueError(f"{argument}: {name!r} came, one of {there} is wanted")
         return np.array(self._of[name])
 
@@ -160,7 +165,9 @@ def _leaves(
         for name in names:
             if name not in (*LEAVES, *unknowns):
                 wanted = ", ".join(dict.fromkeys((*LEAVES, *unknowns)))
-                raise ValueError(f"{argument}: {name!r} came, one of {wanted} is wanted")
+                raise ValueError(
+                    f"{argument}: {name!r} came, one of {wanted} is wanted"
+                )
     for name in per_image:
         if not is_of_scene(name):
             raise ValueError(
@@ -229,7 +236,7 @@ def _held(
     fixed: Mapping[str, Any],
     ties: Mapping[str, Tie],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Factor, offset, whether it is fixed, and whose number it takes, entry by entry."""
+    """Of each entry: factor, offset, whether it is fixed, and whose number it takes."""
     size = len(names.labels)
     factor, offset = np.ones(size), np.zeros(size)
     is_fixed, source = np.zeros(size, bool), np.arange(size)

@@ -153,7 +153,9 @@ def with_arrays(scene: Scene, arrays: Mapping[str, Any]) -> Scene:
         new = arrays.get("scene" + jax.tree_util.keystr(path))
         if new is None:
             return old
-        return jnp.broadcast_to(new[0] if len(new) == 1 else new.reshape(old.shape), old.shape)
+        return jnp.broadcast_to(
+            new[0] if len(new) == 1 else new.reshape(old.shape), old.shape
+        )
 
     return jax.tree_util.tree_map_with_path(put, scene)
 

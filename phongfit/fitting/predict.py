@@ -1,7 +1,7 @@
 """How well a fit could know each parameter, before any photograph is taken."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Profile likelihood: what holding an unknown costs when all others are fitted again."""
+"""Profile likelihood: what holding an unknown costs, all others fitted again."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -75,7 +75,7 @@ def profile(
     _check_levels(levels)
     held = _Held(found, [label])
     (place,) = held.places
-    reach = {p: scipy.stats.t.ppf((1 + p) / 2, max(freedom, 1)) for p in levels}
+    reach = {p: float(scipy.stats.t.ppf((1 + p) / 2, max(freedom, 1))) for p in levels}
     farthest = max(reach.values())
     sides = [held.walk(place, sign, farthest) for sign in (-1, 1)]
     points = np.array([*reversed(sides[0][1:]), *sides[1]])
@@ -86,7 +86,9 @@ def profile(
     intervals = {
         level: (
             _crossing(values[: len(sides[0])], signed[: len(sides[0])], -far, low),
-            _crossing(values[len(sides[0]) - 1 :], signed[len(sides[0]) - 1 :], far, high),
+            _crossing(
+                values[len(sides[0]) - 1 :], signed[len(sides[0]) - 1 :], far, high
+            ),
         )
         for level, far in reach.items()
     }
@@ -117,8 +119,7 @@ def profile_pair(
             at = dict(zip(held.places, (first, grids[1][j]), strict=True))
             rise[i, j], y = held.rise(at, y)
     first, second = (
-        held.values(place, grid)
-        for place, grid in zip(held.places, grids, strict=True)
+        held.values(place, grid) for place, grid in zip(held.places, grids, strict=True)
     )
     return ProfilePair((labels[0], labels[1]), (first, second), rise, thresholds)
 

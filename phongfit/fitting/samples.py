@@ -180,11 +180,16 @@ def gather(
         pixels.append(source.pixels.select(chosen))
         buffer = source.gbuffer.select(chosen) if relight else None
         views.append(View(source.scene, buffer, chosen))
-    rows = (np.concatenate(part).T for part in zip(*numbers, strict=True))
+    target, weight, step = (
+        jnp.asarray(np.ascontiguousarray(np.concatenate(part).T))
+        for part in zip(*numbers, strict=True)
+    )
     image = np.repeat(np.arange(len(sources), dtype=np.int32), size)
     return Samples(
         _apart_now(join_pixels(pixels)),
-        *(jnp.asarray(np.ascontiguousarray(row)) for row in rows),
+        target,
+        weight,
+        step,
         jnp.asarray(image),
         tuple(views),
     )

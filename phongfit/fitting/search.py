@@ -77,7 +77,9 @@ def _best_of_several(
 
 
 @eqx.filter_jit
-def _all_ends(problem: Problem, starts: Float[Array, "starts n"], steps: int) -> Solution:
+def _all_ends(
+    problem: Problem, starts: Float[Array, "starts n"], steps: int
+) -> Solution:
     return eqx.filter_vmap(lambda y: solve(problem, scan(problem, y), steps))(starts)
 
 

@@ -1,4 +1,4 @@
-"""Solving the problem: by sums over its samples, with a solver for any least squares."""
+"""Solving the problem by sums over its samples, with a solver for least squares."""
 
 from typing import Any
 

@@ -90,6 +90,8 @@ def summarize(
         found=found,
     )
     return _with_noise_warning(result)
+
+
 def _prior_residual(unknowns: Unknowns, y: Array) -> np.ndarray:
     if not any(unknowns.has_prior):
         return np.zeros(0)

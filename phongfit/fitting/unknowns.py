@@ -5,6 +5,8 @@ exponent as its logarithm, numbers of the scene in units of what they were, a di
 as two coordinates on the plane that touches the sphere where it was.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -235,7 +237,7 @@ class Unknowns(eqx.Module):
         """Reported entries in the user's units."""
         return self.entries(y)[self.reported]
 
-    def parts(self, entries: Float[Array, " entries"]) -> dict[str, Array]:
+    def parts(self, entries: Any) -> dict[str, Array]:
         """The entries cut into leaves, each (rows, parts)."""
         ends = np.cumsum([leaf.size for leaf in self.leaves])
         return {
@@ -247,7 +249,7 @@ class Unknowns(eqx.Module):
         """The material that the solver's vector stands for."""
         return self.with_leaves(self.entries(y))
 
-    def with_leaves(self, entries: Float[Array, " entries"]) -> Material:
+    def with_leaves(self, entries: Any) -> Material:
         """A material with the wanted leaves from entries in the user's units."""
         material = self.known
         for name, part in self.parts(entries).items():
@@ -263,9 +265,7 @@ class Unknowns(eqx.Module):
             material = eqx.tree_at(where, material, jnp.asarray(value))
         return material
 
-    def scenes(
-        self, entries: Float[Array, " entries"], scenes: tuple[Scene, ...]
-    ) -> tuple[Scene, ...]:
+    def scenes(self, entries: Any, scenes: tuple[Scene, ...]) -> tuple[Scene, ...]:
         """The scenes with what is unknown of them from the entries."""
         parts = {n: p for n, p in self.parts(entries).items() if is_of_scene(n)}
 
@@ -274,7 +274,7 @@ class Unknowns(eqx.Module):
 
         return tuple(with_arrays(scene, of(k)) for k, scene in enumerate(scenes))
 
-    def exposures(self, entries: Float[Array, " entries"]) -> Float[Array, " images"]:
+    def exposures(self, entries: Any) -> Float[Array, " images"]:
         """What the light of each image is multiplied by."""
         parts = self.parts(entries)
         if EXPOSURE not in parts:

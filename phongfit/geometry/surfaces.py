@@ -31,18 +31,20 @@ class GBuffer(eqx.Module):
     visibility: Float[Array, "*points lights"] | None = None
 
     def select(self, pixels: Int[Array, " n"]) -> "GBuffer":
-        """The same for some pixels of an image only: (n,) takes (height, width)'s place.
+        """The same for some pixels of an image: (n,) takes the place of (H, W).
 
         **Arguments:** `pixels`: flat indices, row by row: y · width + x.
         """
         size = self.mask.shape
 
-        def at(array: Array | None) -> Array | None:
+        def at(array: Any) -> Any:
             if array is None:
                 return None
             return array.reshape(-1, *array.shape[len(size) :])[pixels]
 
-        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        fields = {
+            field.name: getattr(self, field.name) for field in dataclasses.fields(self)
+        }
         seen = fields.pop("visibility")
         # Where faces or vertices are lit it is theirs, not the pixels'.
         per_pixel = seen is not None and seen.shape[:-1] == size

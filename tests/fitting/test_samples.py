@@ -12,8 +12,10 @@ SHAPE = (SIZE, SIZE, 3)
 SCENE = ball()
 
 
-def gathered(*parts: tuple[pf.Scene, list[np.ndarray]], relight: bool = False) -> Samples:
-    """Samples of all pixels with weight, of scenes with their image, weight and step."""
+def gathered(
+    *parts: tuple[pf.Scene, list[np.ndarray]], relight: bool = False
+) -> Samples:
+    """Samples of scenes with their image, weight and step: all pixels with weight."""
     sources = []
     for scene, numbers in parts:
         buffer = scene.trace()
@@ -77,7 +79,9 @@ def test_images_one_after_another():
     assert size >= 300
     assert np.array_equal(samples.image, np.repeat([0, 1], size))
     assert np.array_equal(samples.target[:, :10], a.reshape(-1, 3)[:10].T)
-    assert np.array_equal(samples.target[:, size : size + 300], b.reshape(-1, 3)[:300].T)
+    assert np.array_equal(
+        samples.target[:, size : size + 300], b.reshape(-1, 3)[:300].T
+    )
     assert np.count_nonzero(np.any(np.asarray(samples.weight) > 0, axis=0)) == 310
     # The light that is missing in the second is dark, not absent.
     light = np.asarray(pf.render(one_light, TRUTH, film=pf.Film(clamp=False)))
@@ -87,12 +91,17 @@ def test_images_one_after_another():
 
 
 def every_light(*scenes: pf.Scene) -> Samples:
-    return gathered(*[(scene, arrays(k)) for k, scene in enumerate(scenes)], relight=True)
+    return gathered(
+        *[(scene, arrays(k)) for k, scene in enumerate(scenes)], relight=True
+    )
 
 
 def other_light(scene: pf.Scene) -> pf.Scene:
     """The same scene, lit from elsewhere, in thicker air."""
-    lights = (pf.DirectionalLight((0, 1, 1), 0.4), pf.PointLight((1, 2, 3), (0.3, 0.2, 0.4)))
+    lights = (
+        pf.DirectionalLight((0, 1, 1), 0.4),
+        pf.PointLight((1, 2, 3), (0.3, 0.2, 0.4)),
+    )
     fog = None if scene.fog is None else pf.Fog((0.1, 0.2, 0.3), density=0.7)
     return pf.Scene(
         scene.surface,
@@ -134,7 +143,9 @@ def test_images_of_one_kind_are_relit_together():
     for scenes in [(SCENE, other_light(SCENE)), (SCENE, point), (SCENE, SCENE, SCENE)]:
         samples = every_light(*scenes)
         brighter = tuple(
-            eqx.tree_at(lambda s: s.lights[0].intensity, scene, replace_fn=lambda i: 2 * i)
+            eqx.tree_at(
+                lambda s: s.lights[0].intensity, scene, replace_fn=lambda i: 2 * i
+            )
             for scene in scenes
         )
         expected = every_light(*brighter).channels.light(TRUTH)

@@ -3,11 +3,11 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.fitting.layout import make_unknowns
+from phongfit.fitting.leaves import LEAVES
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.samples import Source, gather, seen_pixels
 from phongfit.fitting.start import CANDIDATES, SUBSET, choose_few, scan
-from phongfit.fitting.layout import make_unknowns
-from phongfit.fitting.leaves import LEAVES
 from phongfit.rendering.pixels import pixel_terms
 from tests.fitting.scenes import TRUTH, ball, photograph
 

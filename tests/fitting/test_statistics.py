@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.statistics import _groups, _untold
 from phongfit.fitting.layout import make_unknowns
 from phongfit.fitting.leaves import LEAVES
+from phongfit.fitting.statistics import _groups, _untold
 from tests.fitting.scenes import TRUTH, as_vector, ball, developed, photograph
 
 SCENE = ball()
