@@ -166,7 +166,7 @@ class _Held:
             for p in self.places
         ]
         self.scale = float(np.clip(np.mean(ratio), 0.0, 1.0)) ** 2
-        self.least = _squares(self.problem, self.best)
+        self.least = total_cost(self.problem, self.best)
 
     def rise(
         self, at: dict[int, float], start: Float[Array, " n"]
@@ -183,7 +183,7 @@ class _Held:
             (jnp.asarray(lower), jnp.asarray(upper)),
         )
         solution = solve(held, jnp.asarray(y), MAX_STEPS)
-        squares = _squares(self.problem, solution.y)
+        squares = total_cost(self.problem, solution.y)
         return max(squares - self.least, 0.0) * self.scale, solution.y
 
     def walk(self, place: int, sign: int, farthest: float) -> list[tuple[float, float]]:
@@ -235,7 +235,7 @@ def _place(unknowns: Unknowns, label: str) -> int:
     return labels.index(label)
 
 
-def _squares(problem: Problem, y: Float[Array, " n"]) -> float:
+def total_cost(problem: Problem, y: Float[Array, " n"]) -> float:
     """The cost, added up in double precision: profiles are small differences of it."""
     samples, priors = _costs(problem, y)
     return float(np.sum(np.asarray(samples, float)) + np.sum(np.asarray(priors, float)))

@@ -1,0 +1,200 @@
+"""Question: how fast is a fit, next to what people use instead?
+
+One RGB image of a ball, 1 % noise, ten unknowns. Every row is a median of several warm
+runs of this one process, and every ratio is of two such medians:
+
+- phongfit: the whole of `pf.fit`, from arrays to error bars, without a starting guess;
+- stock Levenberg-Marquardt of optimistix on the same residuals, from f = 8, with its
+  default linear solver and with normal equations: the solution alone;
+- Adam as differentiable renderers use it (learning rate 0.03, from f = 8), until f stays
+  within 1e-3 of the answer.
+
+Peers that are not installed are left out with a word.
+"""
+
+import dataclasses
+import importlib.util
+import platform
+import time
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+from rich.console import Console
+from rich.markdown import Markdown
+
+import phongfit as pf
+from experiments.output import JsonFile, save_numbers
+from phongfit.cli import run
+from phongfit.fitting.problem import Problem
+
+TRUTH = pf.Material((0.6, 0.3, 0.2), 0.3, 60.0, 0.5)
+NOISE = 0.01
+# Where Adam and Levenberg-Marquardt start: reflectances in mid-range, f = 8.
+GUESS = (0.5, 8.0)
+ADAM_RATE, ADAM_MOST = 0.03, 4000
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One way to the answer."""
+
+    name: str
+    key: str
+    seconds: float
+    steps: int
+    off: float
+    slower: float = 1.0
+
+
+def target(resolution: int) -> tuple[pf.Scene, np.ndarray]:
+    """The scene of the README, and a noisy image of it."""
+    camera = pf.OrthographicCamera(resolution, resolution)
+    scene = pf.Scene(
+        pf.Sphere(), camera, (pf.DirectionalLight((1, 1, 2)),), ambient=0.3
+    )
+    light = np.asarray(pf.render(scene, TRUTH, film=pf.Film(clamp=False)))
+    noise = np.random.default_rng(0).normal(size=light.shape)
+    return scene, np.clip(light + NOISE * noise, 0, 1).astype(light.dtype)
+
+
+def median(function: Callable[[], Any], runs: int) -> tuple[float, Any]:
+    """Median time of some runs after a first one, and the last result."""
+    result, times = function(), []
+    for _ in range(runs):
+        begin = time.perf_counter()
+        result = function()
+        jax.block_until_ready(eqx.filter(result, eqx.is_array))
+        times.append(time.perf_counter() - begin)
+    return float(np.median(times)), result
+
+
+def start(problem: Problem) -> Float[Array, " n"]:
+    """The starting guess as the solver's vector."""
+    reflectance, exponent = GUESS
+    guess = np.where(problem.unknowns.logarithmic, np.log(exponent), reflectance)
+    return jnp.asarray(guess.astype(problem.sigma.dtype))
+
+
+@eqx.filter_jit
+def stock(problem: Problem, y: Array, linear_solver: Any) -> optx.Solution:
+    """optimistix's own solver on the same residuals."""
+    return optx.least_squares(
+        lambda y, problem: problem.residual(y).ravel(),
+        optx.LevenbergMarquardt(1e-5, 1e-5, linear_solver=linear_solver),
+        y,
+        args=problem,
+        max_steps=256,
+        throw=False,
+    )
+
+
+def adam(problem: Problem, y: Array, answer: Array) -> Callable[[], tuple[Array, Array]]:
+    """Steps of Adam on the mean square, all of them compiled into one loop."""
+    import optax
+
+    rule = optax.adam(ADAM_RATE)
+    f = int(np.flatnonzero(problem.unknowns.logarithmic)[0])
+
+    def loss(y: Array, problem: Problem) -> Array:
+        return jnp.mean((problem.residual(y) * problem.sigma) ** 2)
+
+    @eqx.filter_jit
+    def descend(problem: Problem, y: Array) -> tuple[Array, Array]:
+        def unfinished(state: Any) -> Array:
+            return (state[2] < ADAM_MOST) & (jnp.abs(state[0][f] - answer[f]) > 1e-3)
+
+        def step(state: Any) -> Any:
+            y, memory, count = state
+            update, memory = rule.update(jax.grad(loss)(y, problem), memory)
+            return optax.apply_updates(y, update), memory, count + 1
+
+        y, _, count = jax.lax.while_loop(unfinished, step, (y, rule.init(y), 0))
+        return y, count
+
+    return lambda: descend(problem, y)
+
+
+def rows(resolution: int, runs: int, console: Console) -> list[Row]:
+    """All ways, timed one after another."""
+    scene, image = target(resolution)
+    seconds, fit = median(lambda: pf.fit(scene, image), runs)
+    problem, answer = fit.found.problem, fit.found.y
+
+    def off(y: Array) -> float:
+        """Largest distance from the fit's answer, in standard errors."""
+        values = np.asarray(problem.unknowns.values(jnp.asarray(y)), float)
+        return float(np.max(np.abs(values - fit.values) / fit.errors))
+
+    found = [Row("phongfit, all of `pf.fit`", "fit", seconds, fit.steps, 0.0)]
+    y = start(problem)
+    for name, key, solver in (
+        ("optimistix LM", "lm", lx.QR()),
+        ("optimistix LM, normal equations", "lm_normal", lx.Normal(lx.Cholesky())),
+    ):
+        took, solution = median(lambda s=solver: stock(problem, y, s), runs)
+        steps = int(solution.stats["num_steps"])
+        found.append(Row(name, key, took, steps, off(solution.value), took / seconds))
+    if importlib.util.find_spec("optax") is None:
+        console.print("Adam is left out: optax is not installed (pip install optax)")
+        return found
+    took, (end, steps) = median(adam(problem, y, answer), max(1, runs // 3))
+    name = "Adam (optax), rate 0.03, to 1e-3 in f"
+    found.append(Row(name, "adam", took, int(steps), off(end), took / seconds))
+    return found
+
+
+def table(found: list[Row]) -> str:
+    """Rows as Markdown."""
+    lines = [
+        "| warm | time | steps | off by | time / phongfit's |",
+        "|---|--:|--:|--:|--:|",
+    ]
+    lines += [
+        f"| {row.name} | {1e3 * row.seconds:.1f} ms | {row.steps} | "
+        f"{row.off:.2g} σ | {row.slower:.1f} |"
+        for row in found
+    ]
+    return "\n".join(lines)
+
+
+def machine() -> str:
+    """What the times were taken on."""
+    device = jax.devices()[0]
+    return (
+        f"{platform.machine()}, {len(jax.devices())} {device.platform} device, "
+        f"{platform.processor() or platform.system()}, jax {jax.__version__}"
+    )
+
+
+def main(resolution: int = 256, runs: int = 9, json: JsonFile = None) -> None:
+    """How fast is a fit, next to what people use instead?
+
+    Prints medians of warm runs, and ratios of them, as a table in Markdown.
+
+    Args:
+        resolution: Width and height of the image, pixels.
+        runs: How often each is timed, after a first run that compiles.
+        json: Where the numbers go: a key for each ratio, and the medians behind it.
+    """
+    if min(resolution, runs) < 1:
+        raise ValueError("resolution, runs: whole numbers ≥ 1 are wanted")
+    console = Console()
+    found = rows(resolution, runs, console)
+    text = table(found)
+    console.print(Markdown(text) if console.is_terminal else text)
+    console.print(f"\n{resolution} × {resolution} pixels; {machine()}")
+    numbers = {f"{row.key}_over_fit": row.slower for row in found[1:]}
+    numbers["seconds"] = {row.key: row.seconds for row in found}
+    numbers["machine"] = machine()
+    save_numbers(json, numbers)
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(main, prog="python -m experiments.benchmark"))

@@ -1,0 +1,218 @@
+"""Question: are the error bars right, and is the least cost found?
+
+Three answers, each by brute force:
+
+- many noisy images of one scene: the spread of the estimates over the Cramér-Rao bound,
+  and how often a 95 % interval holds the truth;
+- the same where the bound of another unknown binds in half of the draws;
+- many random problems: the cost that a fit ends at, against the best that many random
+  starts of the same solver find.
+
+The exit status is 1 if a ratio leaves [0.95, 1.05], a share of intervals leaves
+93.5-96.5 %, or a fit's cost lies more than 1e-4 above the best. Fewer draws are judged
+by what chance does to so few.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import phongfit as pf
+from experiments.output import JsonFile, save_numbers
+from phongfit.cli import run
+from phongfit.fitting.problem import Problem
+from phongfit.fitting.profile import total_cost
+from phongfit.fitting.solution import Solution, solve
+
+NOISE = 0.01
+LEVEL = 0.95
+SIZE = 32
+
+
+def ball(lights: int = 2) -> pf.Scene:
+    """A sphere under one or two lights, nowhere near white."""
+    both = (
+        pf.DirectionalLight((1, 1, 2), 0.35),
+        pf.DirectionalLight((-1, 0.3, 1), (0.3, 0.25, 0.2)),
+    )
+    camera = pf.OrthographicCamera(SIZE, SIZE)
+    return pf.Scene(pf.Sphere(), camera, both[:lights], ambient=0.3)
+
+
+TRUTH = pf.Material((0.6, 0.3, 0.2), (0.3, 0.25, 0.35), 20.0, (0.5, 0.4, 0.3))
+# The ambient reflectance of one channel lies on its bound: half of the draws bind.
+BOUND = dataclasses.replace(TRUTH, ambient=jnp.array([0.0, 0.4, 0.3]))
+
+
+@dataclasses.dataclass(frozen=True)
+class Spread:
+    """What many draws show of each parameter."""
+
+    labels: tuple[str, ...]
+    ratio: np.ndarray
+    coverage: np.ndarray
+    draws: int
+
+    def wrong(self) -> list[str]:
+        """Parameters whose error bars are off by more than chance allows."""
+        # Of few draws a spread is known to 1/√(2n), a share to √(p (1 − p) / n).
+        slack = max(0.05, 4 / np.sqrt(2 * self.draws))
+        edge = max(0.015, 4 * np.sqrt(LEVEL * (1 - LEVEL) / self.draws))
+        off = (np.abs(self.ratio - 1) > slack) | (np.abs(self.coverage - LEVEL) > edge)
+        return [label for label, bad in zip(self.labels, off, strict=True) if bad]
+
+
+def spread(material: pf.Material, draws: int, seed: int, console: Console) -> Spread:
+    """Fits of many noisy images of one scene.
+
+    Pulls (estimate − truth) / error are of each draw's own stated error, which a bound
+    that binds makes smaller; parameters that lie on their bound themselves are left out.
+    """
+    scene = ball()
+    predicted = pf.predict_errors(scene, material, NOISE)
+    free = ~predicted.at_bound
+    light = np.asarray(pf.render(scene, material, film=pf.Film(clamp=False)), float)
+    rng = np.random.default_rng(seed)
+    pulls, inside, offs = [], [], []
+    for _ in track(
+        range(draws), "draws", console=console, disable=not console.is_terminal
+    ):
+        image = light + NOISE * rng.normal(size=light.shape)
+        fit = pf.fit(scene, image, film=pf.Film(clamp=False))
+        low, high = fit.intervals(LEVEL).T
+        offs.append((fit.values - predicted.values)[free])
+        pulls.append(offs[-1] / fit.errors[free])
+        inside.append(((low <= predicted.values) & (predicted.values <= high))[free])
+    rms = np.sqrt(np.mean(np.square(pulls), axis=0))
+    if free.all():
+        rms = np.sqrt(np.mean(np.square(offs), axis=0)) / predicted.errors
+    labels = tuple(np.array(predicted.labels)[free])
+    return Spread(labels, rms, np.mean(inside, axis=0), draws)
+
+
+def random_problem(seed: int) -> tuple[pf.Scene, np.ndarray]:
+    """A part of a sphere or of a mesh, 1-3 lights, noise, up to a fifth of it clipped.
+
+    ρ_s goes down to 0.02 and f from 1 to 200.
+    """
+    rng = np.random.default_rng(seed)
+    material = pf.Material(
+        diffuse=rng.uniform(0.05, 0.95, 3),
+        specular=np.exp(rng.uniform(np.log(0.02), np.log(0.95), 3)),
+        shininess=np.exp(rng.uniform(0, np.log(200))),
+        ambient=rng.uniform(0.05, 0.95, 3),
+    )
+    if rng.random() < 0.5:
+        # A window onto a part of the ball.
+        surface = pf.Sphere(center=(*rng.uniform(-0.7, 0.7, 2), 0))
+    else:
+        surface = pf.shapes.Torus(0.8, 0.4).mesh(24, 12)
+    lights = []
+    for _ in range(rng.integers(1, 4)):
+        direction = np.array([*rng.normal(size=2), rng.uniform(0.4, 2.0)])
+        lights.append((direction, rng.uniform(0.3, 1.0, 3)))
+
+    def scene(exposure: float) -> pf.Scene:
+        return pf.Scene(
+            surface,
+            pf.OrthographicCamera(24, 24),
+            [pf.DirectionalLight(d, exposure * colour) for d, colour in lights],
+            ambient=0.3 * exposure,
+        )
+
+    light = np.asarray(
+        pf.render(scene(1.0), material, film=pf.Film(clamp=False)), float
+    )
+    seen = light[light.any(axis=-1)]
+    exposure = 1 / np.quantile(seen, 1 - rng.uniform(0, 0.2))
+    noisy = exposure * light + NOISE * rng.normal(size=light.shape)
+    return scene(exposure), np.clip(noisy, 0, 1)
+
+
+@eqx.filter_jit
+def _ends(problem: Problem, starts: jnp.ndarray) -> Solution:
+    return eqx.filter_vmap(lambda start: solve(problem, start, 100))(starts)
+
+
+def excess(seed: int, starts: int) -> float:
+    """How far a fit's cost lies above the best of random starts, as a share of it."""
+    scene, image = random_problem(seed)
+    fit = pf.fit(scene, image)
+    problem = fit.found.problem
+    low, high = (np.asarray(e) for e in (problem.unknowns.lower, problem.unknowns.upper))
+    rng = np.random.default_rng(seed)
+    points = low + (high - low) * rng.random((starts, len(low)))
+    ends = _ends(problem, jnp.asarray(points.astype(low.dtype)))
+    costs = np.where(np.isfinite(ends.cost), ends.cost, np.inf)
+    best = total_cost(problem, ends.y[int(np.argmin(costs))])
+    return (total_cost(problem, fit.found.y) - best) / best
+
+
+def show(title: str, found: Spread) -> Table:
+    """Spread over bound and share of intervals, parameter by parameter."""
+    table = Table(title=f"{title}, {found.draws} draws", title_justify="left")
+    for column in ("", "RMSE / bound", f"truth in {LEVEL:.0%} interval"):
+        table.add_column(column, justify="right" if column else "left")
+    for row in zip(found.labels, found.ratio, found.coverage, strict=True):
+        table.add_row(row[0], f"{row[1]:.3f}", f"{row[2]:.2%}")
+    return table
+
+
+def main(
+    draws: int = 4000,
+    problems: int = 1000,
+    starts: int = 64,
+    seed: int = 0,
+    json: JsonFile = None,
+) -> int:
+    """Are the error bars right, and is the least cost found?
+
+    Fits many noisy images of one scene, and many random problems from many random
+    starts. Exit status 1 if the answer to either is no.
+
+    Args:
+        draws: Noisy images of each of two scenes.
+        problems: Random problems; 0 leaves them out.
+        starts: Random starts of each of them.
+        seed: Of the noise and of the problems.
+        json: Where the numbers go.
+    """
+    if min(draws, starts) < 1 or problems < 0:
+        raise ValueError("draws, starts: whole numbers ≥ 1 are wanted")
+    console = Console()
+    numbers, wrong = {}, []
+    for title, material in (("all free", TRUTH), ("a bound binds", BOUND)):
+        found = spread(material, draws, seed, console)
+        console.print(show(title, found))
+        wrong += [f"{title}: {label}" for label in found.wrong()]
+        numbers[title] = dataclasses.asdict(found)
+    if problems:
+        above = [
+            excess(seed + k, starts)
+            for k in track(
+                range(problems),
+                "problems",
+                console=console,
+                disable=not console.is_terminal,
+            )
+        ]
+        missed = [seed + k for k, share in enumerate(above) if share > 1e-4]
+        console.print(
+            f"{problems} random problems, {starts} random starts each: the fit's cost "
+            f"is at most {max(above):.1e} above the best, {len(missed)} by more than "
+            f"1e-4{f' (seeds {missed})' if missed else ''}"
+        )
+        wrong += [f"problem {k} misses the least cost" for k in missed]
+        numbers["global"] = {"excess": above, "starts": starts}
+    save_numbers(json, numbers)
+    console.print(f"FAILED: {'; '.join(wrong)}" if wrong else "all as it should be")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(main, prog="python -m experiments.statistics"))
