@@ -5,9 +5,9 @@ runs of this one process, and every ratio is of two such medians:
 
 - phongfit: the whole of `pf.fit`, from arrays to error bars, without a starting guess;
 - stock Levenberg-Marquardt of optimistix on the same residuals, from f = 8, with its
-  default linear solver and with normal equations: the solution alone;
-- Adam as differentiable renderers use it (learning rate 0.03, from f = 8), until f stays
-  within 1e-3 of the answer.
+  default linear solver and with normal equations: the solver alone;
+- Adam as differentiable renderers use it (learning rate 0.03, from f = 8), until f
+  has come within 1e-3 of the answer.
 
 Peers that are not installed are left out with a word.
 """
@@ -95,7 +95,7 @@ def stock(problem: Problem, y: Array, linear_solver: Any) -> optx.Solution:
     )
 
 
-def adam(problem: Problem, y: Array, answer: Array) -> Callable[[], tuple[Array, Array]]:
+def adam(problem: Problem, y: Array, answer: Array) -> Callable[[], Any]:
     """Steps of Adam on the mean square, all of them compiled into one loop."""
     import optax
 
@@ -190,7 +190,7 @@ def main(resolution: int = 256, runs: int = 9, json: JsonFile = None) -> None:
     text = table(found)
     console.print(Markdown(text) if console.is_terminal else text)
     console.print(f"\n{resolution} × {resolution} pixels; {machine()}")
-    numbers = {f"{row.key}_over_fit": row.slower for row in found[1:]}
+    numbers: dict[str, Any] = {f"{row.key}_over_fit": row.slower for row in found[1:]}
     numbers["seconds"] = {row.key: row.seconds for row in found}
     numbers["machine"] = machine()
     save_numbers(json, numbers)

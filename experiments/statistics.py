@@ -71,7 +71,7 @@ def spread(material: pf.Material, draws: int, seed: int, console: Console) -> Sp
     """Fits of many noisy images of one scene.
 
     Pulls (estimate − truth) / error are of each draw's own stated error, which a bound
-    that binds makes smaller; parameters that lie on their bound themselves are left out.
+    that binds makes smaller; parameters that lie on their own bound are left out.
     """
     scene = ball()
     predicted = pf.predict_errors(scene, material, NOISE)
@@ -143,8 +143,8 @@ def excess(seed: int, starts: int) -> float:
     """How far a fit's cost lies above the best of random starts, as a share of it."""
     scene, image = random_problem(seed)
     fit = pf.fit(scene, image)
-    problem = fit.found.problem
-    low, high = (np.asarray(e) for e in (problem.unknowns.lower, problem.unknowns.upper))
+    problem, unknowns = fit.found.problem, fit.found.problem.unknowns
+    low, high = np.asarray(unknowns.lower), np.asarray(unknowns.upper)
     rng = np.random.default_rng(seed)
     points = low + (high - low) * rng.random((starts, len(low)))
     ends = _ends(problem, jnp.asarray(points.astype(low.dtype)))

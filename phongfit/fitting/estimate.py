@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from phongfit.fitting.problem import Evaluation, Problem, evaluate
+from phongfit.fitting.problem import Problem
 from phongfit.fitting.statistics import Statistics, statistics
 from phongfit.fitting.sums import linearize
 from phongfit.fitting.unknowns import Unknowns, in_units
@@ -23,6 +23,7 @@ class Estimates:
     at_bound: np.ndarray
     untold: np.ndarray
     free: int
+    chi_squared: float
     reasons: tuple[str, ...]
 
 
@@ -31,6 +32,7 @@ Estimates.__init__.__doc__ = """**Arguments:**
 - `values`, `errors`: infinite errors for what cannot be told; at a bound one-sided.
 - `covariance`: NaN rows for entries at a bound or not told.
 - `free`: how many numbers were free and told.
+- `chi_squared`: residuals, priors' too, in standard deviations, squared and summed.
 - `reasons`: why some cannot be told, in words.
 """
 
@@ -38,19 +40,14 @@ Estimates.__init__.__doc__ = """**Arguments:**
 def estimates(
     problem: Problem,
     y: Float[Array, " n"],
-    at: Evaluation | None = None,
     inflation: float = 1.0,
 ) -> Estimates:
     """Values and errors at a solution.
 
-    **Arguments:**
-
-    - `at`: [`evaluate`][] there, if it is at hand.
-    - `inflation`: factor on all variances.
+    **Arguments:** `inflation`: factor on all variances.
     """
     unknowns = problem.unknowns
-    at = evaluate(problem, y) if at is None else at
-    found = statistics(problem, y, at, inflation)
+    found = statistics(problem, y, inflation)
     untold, reasons = _beyond_sense(problem, y, found)
     at_bound = found.at_bound & ~untold
     entries, slope = (np.asarray(a, float) for a in in_units(unknowns, y))
@@ -69,7 +66,14 @@ def estimates(
     covariance[hidden, hidden] = np.inf
     values = np.clip(entries[unknowns.reported], *unknowns.bounds.T)
     return Estimates(
-        values, errors, covariance, bound, hidden, int(known.sum()), reasons
+        values,
+        errors,
+        covariance,
+        bound,
+        hidden,
+        int(known.sum()),
+        found.chi_squared,
+        reasons,
     )
 
 

@@ -1,6 +1,8 @@
 """The pixels that a fit uses, gathered once from all its images."""
 
 import dataclasses
+import functools
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -166,33 +168,39 @@ def gather(
     - `relight`: whether the samples will be lit anew without tracing rays again.
     """
     size = _padded(max(len(index) for index in used))
-    numbers, pixels, views = [], [], []
+    parts, views = [], []
     for source, index in zip(sources, used, strict=True):
         # Padding repeats pixels, with no weight.
         padded = np.resize(index, size) if len(index) else np.zeros(size, int)
-        present = (np.arange(size) < len(index))[:, None]
-        target, weight, step = (
-            array.reshape(-1, 3)[padded]
-            for array in (source.image, source.weight, source.step)
-        )
-        numbers.append((target, np.where(present, weight, 0), step))
         chosen = jnp.asarray(padded.astype(np.int32))
-        pixels.append(source.pixels.select(chosen))
+        numbers = (source.image, source.weight, source.step)
+        rows = _rows(numbers, chosen, len(index))
+        parts.append((source.pixels.select(chosen), *rows))
         buffer = source.gbuffer.select(chosen) if relight else None
         views.append(View(source.scene, buffer, chosen))
-    target, weight, step = (
-        jnp.asarray(np.ascontiguousarray(np.concatenate(part).T))
-        for part in zip(*numbers, strict=True)
-    )
+    pixels, target, weight, step = zip(*parts, strict=True)
     image = np.repeat(np.arange(len(sources), dtype=np.int32), size)
     return Samples(
-        _apart_now(join_pixels(pixels)),
-        target,
-        weight,
-        step,
-        jnp.asarray(image),
-        tuple(views),
+        _apart_now(join_pixels(list(pixels))),
+        *_joined((target, weight, step)),
+        image=jnp.asarray(image),
+        views=tuple(views),
     )
+
+
+@jax.jit
+def _rows(
+    numbers: tuple[Array, Array, Array], index: Array, count: int
+) -> tuple[Array, Array, Array]:
+    """Image, weight and step of some pixels, their channels first."""
+    target, weight, step = (a.reshape(-1, 3)[index].T for a in numbers)
+    present = jnp.arange(len(index)) < count
+    return target, jnp.where(present[None], weight, 0), step
+
+
+@jax.jit
+def _joined(numbers: Any) -> list[Array]:
+    return [jnp.concatenate(parts, axis=-1) for parts in numbers]
 
 
 _apart_now = eqx.filter_jit(by_channel)
@@ -200,7 +208,11 @@ _apart_now = eqx.filter_jit(by_channel)
 
 def seen_pixels(sources: list[Source]) -> list[np.ndarray]:
     """Of each image the pixels with any weight, counted row by row."""
-    return [np.flatnonzero(source.weight.any(axis=-1)) for source in sources]
+    # Channel by channel: an axis of 3 is slow to reduce.
+    return [
+        np.flatnonzero(functools.reduce(np.logical_or, np.moveaxis(s.weight, -1, 0)))
+        for s in sources
+    ]
 
 
 def join_pixels(parts: list[PixelTerms]) -> PixelTerms:

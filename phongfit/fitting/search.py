@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from phongfit.fitting.leaves import LEAVES
 from phongfit.fitting.losses import AbstractLoss
-from phongfit.fitting.problem import Evaluation, Problem, evaluate
+from phongfit.fitting.problem import Problem, evaluate
 from phongfit.fitting.samples import Samples
 from phongfit.fitting.solution import Solution, solve
 from phongfit.fitting.start import scan
@@ -27,7 +27,6 @@ class Found:
 
     problem: Problem
     y: Float[Array, " n"]
-    at: Evaluation
     converged: bool
     steps: int
 
@@ -114,8 +113,7 @@ def _solve(
             problem = _with_noise(problem, y, problem.loss.robust)
             done = float(problem.sigma) > 0.97 * before
         if done:
-            at = evaluate(problem, y)
-            return Found(problem, y, at, bool(solution.converged), steps)
+            return Found(problem, y, bool(solution.converged), steps)
 
 
 def _with_noise(problem: Problem, y: Float[Array, " n"], robust: bool) -> Problem:

@@ -52,13 +52,17 @@ def _few(view: PixelTerms, seen: np.ndarray, count: int) -> np.ndarray:
 
 def _nearness(view: PixelTerms) -> np.ndarray:
     """Largest cosine from any highlight, pixel by pixel."""
-    lit = np.asarray(view.terms.strength).any(axis=-1)
-    nearest = np.where(lit, np.asarray(view.terms.cosine), 0).max(axis=-1, initial=0)
-    nearest = nearest.ravel()
+    nearest = np.asarray(_nearest(view.terms.cosine, view.terms.strength)).ravel()
     if view.interpolation is None:
         return nearest
     index = np.asarray(view.interpolation.index)
     return nearest[index.reshape(-1, index.shape[-1])].max(axis=-1)
+
+
+@jax.jit
+def _nearest(cosine: Array, strength: Array) -> Array:
+    lit = jnp.any(strength != 0, axis=-1)
+    return jnp.max(jnp.where(lit, cosine, 0), axis=-1, initial=0)
 
 
 @eqx.filter_jit

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.fitting.noise import shared_rounding_variance
-from phongfit.fitting.problem import Evaluation, Problem
+from phongfit.fitting.problem import Evaluation, Problem, evaluate
 from phongfit.fitting.sums import Jacobian, linearize
 from phongfit.fitting.unknowns import Unknowns
 
@@ -28,23 +28,22 @@ class Statistics:
     stderr: np.ndarray
     untold: np.ndarray
     at_bound: np.ndarray
+    chi_squared: float
     reasons: tuple[str, ...]
 
 
-def statistics(
-    problem: Problem, y: Float[Array, " n"], at: Evaluation, inflation: float
-) -> Statistics:
+def statistics(problem: Problem, y: Float[Array, " n"], inflation: float) -> Statistics:
     """Sandwich covariance of a bounded fit, its free part, and what cannot be told.
 
     **Arguments:**
 
-    - `problem`, `y`, `at`: the problem, its solution, and [`evaluate`][] there.
+    - `problem`, `y`: the problem, and its solution.
     - `inflation`: factor on all variances for residuals that are not independent.
     """
-    found = jax.tree.map(lambda part: np.asarray(part, float), _pieces(problem, y, at))
+    found = jax.tree.map(lambda part: np.asarray(part, float), _pieces(problem, y))
     bread, meat = found.bread, found.meat
     if found.shared > 1e-6:
-        meat = meat + found.loss_variance * _shared_rounding(problem, y, at)
+        meat = meat + found.loss_variance * _shared_rounding(problem, y)
     position = np.asarray(y)
     lower, upper = (
         np.asarray(problem.unknowns.lower),
@@ -74,7 +73,8 @@ def statistics(
         rise = inflation * variance * curvature
         # pull·d + curvature·d²/2 = rise/2, solved without cancellation.
         stderr[k] = rise / (pull[k] + np.sqrt(pull[k] ** 2 + rise * curvature))
-    return Statistics(covariance, stderr, untold, at_bound, reasons)
+    chi_squared = float(found.chi_squared)
+    return Statistics(covariance, stderr, untold, at_bound, chi_squared, reasons)
 
 
 class _Pieces(eqx.Module):
@@ -86,10 +86,12 @@ class _Pieces(eqx.Module):
     pull: Float[Array, " n"]
     loss_variance: Float[Array, ""]
     shared: Float[Array, ""]
+    chi_squared: Float[Array, ""]
 
 
 @eqx.filter_jit
-def _pieces(problem: Problem, y: Float[Array, " n"], at: Evaluation) -> _Pieces:
+def _pieces(problem: Problem, y: Float[Array, " n"]) -> _Pieces:
+    at = evaluate(problem, y)
     samples, priors, jacobian = linearize(problem, y)
     used = problem.samples.weight > 0
     count = jnp.maximum(jnp.sum(used), 1).astype(y.dtype)
@@ -117,6 +119,7 @@ def _pieces(problem: Problem, y: Float[Array, " n"], at: Evaluation) -> _Pieces:
         pull=jacobian.pull(score) + jacobian.priors.T @ priors,
         loss_variance=variance,
         shared=jnp.max(common / at.deviation**2),
+        chi_squared=jnp.sum(samples**2) + jnp.sum(priors**2),
     )
 
 
@@ -130,18 +133,16 @@ def _common(problem: Problem, at: Evaluation) -> Float[Array, "3 samples"]:
     )
 
 
-def _shared_rounding(
-    problem: Problem, y: Float[Array, " n"], at: Evaluation
-) -> np.ndarray:
+def _shared_rounding(problem: Problem, y: Float[Array, " n"]) -> np.ndarray:
     """Covariance of the sum of scores from rounding that samples share.
 
     A region of one colour rounds as one, so samples of one channel and level are taken
     to share the part of their rounding error that noise does not dither.
     """
-    jacobian, common = _with_rounding(problem, y, at)
+    jacobian, common = _with_rounding(problem, y)
     used = np.asarray(problem.samples.weight).ravel() > 0
     columns = jacobian.columns().reshape(len(y), -1)[:, used]
-    share = np.sqrt(np.asarray(common, float) / np.asarray(at.deviation, float) ** 2)
+    share = np.sqrt(np.asarray(common, float))
     target = np.asarray(problem.samples.target).ravel()[used]
     channel = np.repeat(np.arange(3), len(used) // 3)[used]
     level = np.unique(target, return_inverse=True)[1]
@@ -153,10 +154,10 @@ def _shared_rounding(
 
 
 @eqx.filter_jit
-def _with_rounding(
-    problem: Problem, y: Float[Array, " n"], at: Evaluation
-) -> tuple[Jacobian, Array]:
-    return linearize(problem, y)[2], _common(problem, at)
+def _with_rounding(problem: Problem, y: Float[Array, " n"]) -> tuple[Jacobian, Array]:
+    """The Jacobian, and the variance that samples share, in σ²."""
+    at = evaluate(problem, y)
+    return linearize(problem, y)[2], _common(problem, at) / at.deviation**2
 
 
 def _normalized(bread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -3,14 +3,13 @@
 import dataclasses
 
 import numpy as np
-from jaxtyping import Array
 
 from phongfit.fitting.diagnostics import neighbour_correlation, variance_inflation
 from phongfit.fitting.estimate import estimates
-from phongfit.fitting.problem import Evaluation, Problem
+from phongfit.fitting.problem import Problem
 from phongfit.fitting.result import Fit, errors_as_material
 from phongfit.fitting.search import Found
-from phongfit.fitting.unknowns import Unknowns, in_units
+from phongfit.fitting.unknowns import in_units
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
@@ -38,17 +37,15 @@ def summarize(
     - `noise_given`: whether the noise level was known.
     """
     problem, unknowns = found.problem, found.problem.unknowns
-    at = found.at
     correlation = _misfit(problem, residuals, used)
     inflation = variance_inflation(correlation)
-    told = estimates(problem, found.y, at, inflation)
+    told = estimates(problem, found.y, inflation)
     entries = np.array(in_units(unknowns, found.y)[0])
     exposure = np.array(unknowns.exposures(entries))
     entries[unknowns.reported] = told.values
     errors = np.zeros(len(entries))
     errors[unknowns.reported] = told.errors
     samples = int(sum(mask.sum() for mask in used))
-    off = _prior_residual(unknowns, found.y)
     labels = np.array(unknowns.labels)
     result = Fit(
         material=unknowns.with_leaves(entries),
@@ -65,12 +62,12 @@ def summarize(
         tied=unknowns.tied,
         fitted=fitted[0] if single else tuple(fitted),
         residuals=residuals[0] if single else tuple(residuals),
-        noise=_typical_noise(problem, at),
+        noise=_typical_noise(problem),
         noise_given=noise_given,
         samples=samples,
         images=len(used),
-        degrees_of_freedom=samples + len(off) - told.free,
-        chi_squared=float(np.sum(np.asarray(at.residual, float) ** 2) + np.sum(off**2)),
+        degrees_of_freedom=samples + sum(unknowns.has_prior) - told.free,
+        chi_squared=told.chi_squared,
         neighbour_correlation=correlation,
         loss=type(problem.loss).__name__,
         model=type(problem.samples.channels.pixels.terms.model).__name__,
@@ -92,19 +89,18 @@ def summarize(
     return _with_noise_warning(result)
 
 
-def _prior_residual(unknowns: Unknowns, y: Array) -> np.ndarray:
-    if not any(unknowns.has_prior):
-        return np.zeros(0)
-    return np.asarray(unknowns.prior_residual(y), float)
-
-
 _CONVERGED = "steps and changes of the residuals fell below the tolerance"
 _STOPPED = "the limit of steps was reached, or the numbers left the finite"
 
 
-def _typical_noise(problem: Problem, at: Evaluation) -> float:
-    used = np.asarray(problem.samples.weight) > 0
-    return float(np.median(np.asarray(at.noise)[used]))
+def _typical_noise(problem: Problem) -> float:
+    """Median standard deviation of the samples, before rounding."""
+    weight = np.asarray(problem.samples.weight)
+    weight = weight[weight > 0]
+    # Mostly they are all alike, and a median takes long.
+    alike = weight.min() == weight.max()
+    typical = weight[0] if alike else np.median(weight)
+    return float(problem.sigma) / float(np.sqrt(typical))
 
 
 def _misfit(
