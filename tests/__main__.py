@@ -1,6 +1,8 @@
 """`python -m tests [pytest's arguments]`: the suite in float32 and in float64.
 
-Two processes side by side, since the precision is fixed when JAX starts.
+Two processes side by side, since the precision is fixed when JAX starts. Most of their
+time is compilation of what runs once, so XLA compiles without optimising, unless
+`XLA_FLAGS` says otherwise; commands and experiments run as users run them.
 """
 
 import os
@@ -12,15 +14,17 @@ import tempfile
 def main() -> int:
     """Both runs, the second one's output after the first's; 1 if one of them fails."""
     command = [sys.executable, "-m", "pytest", "-q", *sys.argv[1:]]
+    quick = {"XLA_FLAGS": "--xla_backend_optimization_level=0"}
+    environment = quick | os.environ
     with tempfile.TemporaryFile("w+") as later:
         double = subprocess.Popen(
             [*command, "-p", "no:cacheprovider"],
-            env=os.environ | {"JAX_ENABLE_X64": "1"},
+            env=environment | {"JAX_ENABLE_X64": "1"},
             stdout=later,
             stderr=subprocess.STDOUT,
         )
         print("float32", flush=True)
-        single = subprocess.run(command, env=os.environ | {"JAX_ENABLE_X64": "0"})
+        single = subprocess.run(command, env=environment | {"JAX_ENABLE_X64": "0"})
         status = double.wait()
         later.seek(0)
         print(f"\nfloat64\n{later.read()}", flush=True)

@@ -1,0 +1,47 @@
+import json
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from experiments.statistics import BOUND, Spread, main, random_problem
+
+
+def test_few_draws(tmp_path, capsys):
+    numbers = tmp_path / "statistics.json"
+    assert main(draws=25, problems=2, starts=8, json=numbers) == 0
+    printed = capsys.readouterr().out
+    assert "all free, 25 draws" in printed and "all as it should be" in printed
+    found = json.loads(numbers.read_text())
+    assert len(found["all free"]["ratio"]) == 10
+    # The one on its bound is not judged; the others are.
+    assert "ambient.red" not in found["a bound binds"]["labels"]
+    assert len(found["a bound binds"]["labels"]) == 9
+    assert len(found["global"]["excess"]) == 2
+
+
+def test_wrong_error_bars_are_seen():
+    labels = ("good", "too narrow", "never inside")
+    ratio, coverage = np.array([1.01, 1.2, 1.0]), np.array([0.95, 0.95, 0.5])
+    assert Spread(labels, ratio, coverage, 4000).wrong() == list(labels[1:])
+    assert Spread(labels, ratio, coverage, 40).wrong() == ["never inside"]
+
+
+def test_the_bound_binds():
+    assert float(np.asarray(BOUND.ambient)[0]) == 0
+
+
+def test_random_problems_are_of_all_kinds():
+    surfaces, lights, clipped = set(), set(), []
+    for seed in range(12):
+        scene, image = random_problem(seed)
+        surfaces.add(type(scene.surface))
+        lights.add(len(scene.lights))
+        clipped.append(np.mean(image[image > 0] >= 1))
+    assert surfaces == {pf.Sphere, pf.Mesh} and lights == {1, 2, 3}
+    assert min(clipped) < 0.05 and 0.1 < max(clipped) < 0.25
+
+
+def test_draws_below_one():
+    with pytest.raises(ValueError, match="draws, starts: whole numbers ≥ 1"):
+        main(draws=0)
