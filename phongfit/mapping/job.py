@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from phongfit.fitting.losses import as_loss
-from phongfit.fitting.maps.lighting import Lighting, make_lighting
+from phongfit.fitting.maps.lighting import Lighting
 from phongfit.fitting.maps.pixel import Known
 from phongfit.fitting.maps.settings import LEAVES, Settings
 from phongfit.fitting.maps.tile import Outside, Tile
@@ -224,7 +224,9 @@ def _bound(name: str, bounds: Mapping[str, tuple[float, float]]) -> tuple[float,
 def _has_ambient(scenes: tuple[Scene, ...]) -> bool:
     return any(
         np.any(np.asarray(scene.ambient))
-        or any(np.any(np.asarray(getattr(light, "ambient", 0))) for light in scene.lights)
+        or any(
+            np.any(np.asarray(getattr(light, "ambient", 0))) for light in scene.lights
+        )
         for scene in scenes
     )
 
@@ -285,7 +287,7 @@ def make_outside(
     values = [_three("known", getattr(base, name)) for name in LEAVES[:3]]
     return Outside(
         lighting,
-        Known(*(jnp.asarray(v, dtype) for v in values), jnp.asarray(exponents, dtype)),
+        Known(*(jnp.asarray(v, dtype) for v in (*values, exponents))),
         jnp.asarray(level, dtype),
     )
 
@@ -317,5 +319,3 @@ def identify(
         "lights": light.hexdigest(),
         "surface": place.hexdigest(),
     }
-
-

@@ -1,12 +1,15 @@
 """What a fit of every pixel gives back."""
 
 import dataclasses
+import io
 import os
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from phongfit.files.inputs import read_bytes
 from phongfit.files.outputs import replacing
 from phongfit.fitting.maps.flags import Flag
 from phongfit.material import Material
@@ -100,7 +103,9 @@ class Maps:
         for flag in Flag:
             count = int((self.flagged(flag) & (inside | (flag == Flag.OUTSIDE))).sum())
             if count:
-                lines.append(f"  {flag.name.lower().replace('_', ' '):<14}{count:>12,}")
+                lines.append(
+                    f"  {str(flag.name).lower().replace('_', ' '):<14}{count:>12,}"
+                )
         return "\n".join(lines)
 
     def __repr__(self) -> str:
@@ -130,16 +135,18 @@ def load_maps(path: str | os.PathLike[str]) -> Maps:
     kind.
     """
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with np.load(io.BytesIO(read_bytes(Path(path))), allow_pickle=False) as arrays:
             given = float(arrays["noise_given"])
+            leaves: Any = {name: arrays[name] for name in LEAVES}
+            stderr: Any = {name: arrays[f"stderr_{name}"] for name in LEAVES}
             return Maps(
-                *(arrays[name] for name in LEAVES),
-                Leaves(*(arrays[f"stderr_{name}"] for name in LEAVES)),
-                arrays["noise"],
-                arrays["samples"],
-                arrays["flags"],
-                tuple(str(name) for name in arrays["unknowns"]),
-                None if np.isnan(given) else given,
+                **leaves,
+                stderr=Leaves(**stderr),
+                noise=arrays["noise"],
+                samples=arrays["samples"],
+                flags=arrays["flags"],
+                unknowns=tuple(str(name) for name in arrays["unknowns"]),
+                noise_given=None if np.isnan(given) else given,
             )
     except Exception as error:
         # A broken file makes this reader raise nearly anything.

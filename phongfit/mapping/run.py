@@ -60,10 +60,10 @@ def fit_maps(
 ) -> Maps:
     r"""A material for every pixel of images under many lights, with standard errors.
 
-    Photometric stereo's data, with the normals known. Every pixel is fitted from its own
-    samples: the best reflectances for given f are a small problem in a box, and $\log f$
-    is found by a scan and Newton's steps, so that no starting guess is needed. Tiles of
-    pixels pass through memory one after another.
+    Photometric stereo's data, with the normals known. Every pixel is fitted from its
+    own samples: the best reflectances for given f are a small problem in a box, and
+    $\log f$ is found by a scan and Newton's steps, so that no starting guess is needed.
+    Tiles of pixels pass through memory one after another.
 
     **Arguments:**
 
@@ -76,7 +76,8 @@ def fit_maps(
     - `known`: values of the leaves that are not unknown; default no reflectance and an
         exponent of 32.
     - `bounds`: name → (low, high), as in [`fit`][].
-    - `mask`: (H, W) or (H, W, 3), true where samples may be used, or one for each image.
+    - `mask`: (H, W) or (H, W, 3), true where samples may be used; or one for each
+        image.
     - `noise`: standard deviation of a sample in linear light. By default each pixel's
         residuals tell it.
     - `film`: `Film()`: samples of 1 and above are saturated, and left out.
@@ -85,8 +86,8 @@ def fit_maps(
     - `loss`: as in [`fit`][]; a robust one wants images with outliers.
     - `start`: a fit of one material, or a material, whose exponent each pixel starts
         from, instead of the scan.
-    - `min_cosine`: samples that no light reaches at a cosine above this are left out, as
-        shadowed; −1 leaves out none.
+    - `min_cosine`: samples that no light reaches at a cosine above this are left out,
+        as shadowed; −1 leaves out none.
     - `tile_pixels`: pixels of a tile; default what 64 MB of light hold.
     - `devices`: on which tiles are spread; default all local ones.
     - `output`: a folder that keeps finished tiles. A run that was interrupted goes on
@@ -102,7 +103,15 @@ def fit_maps(
     stack = as_stack(images)
     _check_sizes(scenes, stack.shape)
     settings = make_settings(
-        scenes, unknowns, per_channel, bounds or {}, film, loss, start, noise, min_cosine
+        scenes,
+        unknowns,
+        per_channel,
+        bounds or {},
+        film,
+        loss,
+        start,
+        noise,
+        min_cosine,
     )
     check_enough(settings, len(scenes))
     lighting = make_lighting(scenes)
@@ -209,6 +218,12 @@ def _bar(
         yield from bar.track(items, total=total)
 
 
+_LEAF: Any = 0
+_SHAPE = jax.tree.structure(
+    PixelFit(_LEAF, _LEAF, _LEAF, _LEAF, (_LEAF,) * 4, _LEAF, _LEAF, _LEAF)
+)
+
+
 class _Canvas:
     """The maps while they are painted, tile by tile."""
 
@@ -224,8 +239,7 @@ class _Canvas:
 
     def paint(self, pixels: np.ndarray, arrays: list[np.ndarray]) -> None:
         """Put a tile where it belongs; `arrays` are the leaves of a [`PixelFit`][]."""
-        shape = jax.tree.structure(PixelFit(0, 0, 0, 0, (0, 0, 0, 0), 0, 0, 0))  # type: ignore[arg-type]
-        tile: PixelFit = jax.tree.unflatten(shape, arrays)
+        tile: PixelFit = jax.tree.unflatten(_SHAPE, arrays)
         leaves = (tile.ambient, tile.diffuse, tile.specular, tile.shininess)
         for canvas, values in zip(self._values, leaves, strict=True):
             canvas[pixels] = values
@@ -240,17 +254,22 @@ class _Canvas:
     ) -> Maps:
         for name in hidden:
             self._errors[LEAVES.index(name)][:] = np.inf
+        shape = self._size
+        values: Any
+        errors: Any
         values, errors = (
-            [canvas.reshape(*self._size, -1) for canvas in leaves]
+            {
+                name: canvas.reshape(*shape, -1)
+                for name, canvas in zip(LEAVES, leaves, strict=True)
+            }
             for leaves in (self._values, self._errors)
         )
-        told = tuple(name for name in unknowns if name not in hidden)
         return Maps(
-            *values,
-            Leaves(*errors),
-            self._noise.reshape(self._size),
-            self._samples.reshape(self._size),
-            self._flags.reshape(self._size),
-            told,
-            noise,
+            **values,
+            stderr=Leaves(**errors),
+            noise=self._noise.reshape(shape),
+            samples=self._samples.reshape(shape),
+            flags=self._flags.reshape(shape),
+            unknowns=tuple(name for name in unknowns if name not in hidden),
+            noise_given=noise,
         )

@@ -1,4 +1,4 @@
-"""Stacks of images, wherever they are, read pixel by pixel: memory need not hold them."""
+"""Stacks of images, read piece by piece: memory need not hold them."""
 
 import abc
 import mmap

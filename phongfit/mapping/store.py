@@ -1,5 +1,6 @@
 """Finished tiles on disk: whole or not at all, and of one job only."""
 
+import io
 import json
 import os
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from phongfit.files.inputs import read_text
+from phongfit.files.inputs import read_bytes, read_text
 from phongfit.files.outputs import replacing, write_json
 
 MANIFEST = "maps.json"
@@ -43,7 +44,9 @@ class TileStore:
     def load(self, tile: int) -> list[np.ndarray] | None:
         """The arrays of a tile, or `None` if it is not done, or not readable."""
         try:
-            with np.load(self._path(tile), allow_pickle=False) as arrays:
+            with np.load(
+                io.BytesIO(read_bytes(self._path(tile))), allow_pickle=False
+            ) as arrays:
                 return [arrays[name] for name in sorted(arrays.files)]
         except Exception:
             # Missing, or broken by something else than an interrupt: done again.

@@ -13,7 +13,6 @@ from jaxtyping import Array, Float
 
 from phongfit.fitting.maps.small import Numbers, Triangle, settled
 
-
 Lights: TypeAlias = tuple[Float[Array, "*channels images"], ...]
 """An array for each light of an image, most often one."""
 
@@ -74,9 +73,7 @@ def make_columns(
         for i in range(len(triangle))
     )  # fmt: skip
     start = _backwards(tuple(triangle), shares)
-    return settled(
-        Columns(tuple(basis), tuple(triangle), gram, start, rest, strength)
-    )
+    return settled(Columns(tuple(basis), tuple(triangle), gram, start, rest, strength))
 
 
 def _backwards(triangle: Triangle, shares: list[Array]) -> Numbers:

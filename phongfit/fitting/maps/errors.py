@@ -64,7 +64,9 @@ def standard_errors(
     searched = settings.searched & inner
     whole = jnp.ones_like(inner)
 
-    def bordered(columns: Columns, sums: Sums, specular: Array, rest: Array) -> Triangle:
+    def bordered(
+        columns: Columns, sums: Sums, specular: Array, rest: Array
+    ) -> Triangle:
         """Products of all columns and of ρ_s S'; `rest` is other channels' say on t."""
         side = tuple(specular * number for number in slope_gram(sums))
         corner = specular**2 * sums.slope_own + rest

@@ -36,12 +36,12 @@ from phongfit.reflectance import AbstractSpecular
 
 # No step is longer, in log f: beyond a factor of 2 the slope says little.
 LONGEST = 0.7
-# Logarithm of the least height of a lobe that counts: products of smaller ones leave the
-# normal numbers of single precision, and those are slow.
+# Logarithm of the least height of a lobe that counts: products of smaller ones leave
+# the normal numbers of single precision, and those are slow.
 FAINTEST = -36.0
 # Rounds of the box problem: where it matters, and where it only ranks candidates.
-ROUNDS = 4
-FEW_ROUNDS = 2
+ROUNDS = 6
+FEW_ROUNDS = 3
 
 
 class Box(NamedTuple):
@@ -255,9 +255,7 @@ def scan(
     low = jnp.maximum(t - spacing, box.lowest)
     high = jnp.where(best == count - 1, box.highest, t + spacing)
     # The vertex of the parabola through the best and its neighbours.
-    left, here, right = (
-        value[jnp.clip(best + k, 0, count - 1)] for k in (-1, 0, 1)
-    )
+    left, here, right = (value[jnp.clip(best + k, 0, count - 1)] for k in (-1, 0, 1))
     bend = left - 2 * here + right
     inner = (best > 0) & (best < count - 1) & (bend > 0)
     shift = jnp.where(inner, (left - right) / (2 * jnp.where(inner, bend, 1)), 0)

@@ -11,7 +11,7 @@ class Flag(IntFlag):
     - `NOT_FINITE`: it has NaN or infinite samples, which are left out.
     - `TOO_FEW`: no more samples than unknowns are left: nothing is told.
     - `NO_HIGHLIGHT`: ρ_s is 0 within its error: the exponent is not told.
-    - `ALIKE`: some unknowns change its samples alike, or not at all: they are not told.
+    - `ALIKE`: some unknowns change its samples alike, or not at all.
     - `AT_BOUND`: an estimate lies at its bound; a reflectance's error is then one-sided,
         an exponent is not told.
     - `NOT_CONVERGED`: the exponent was still moving by more than a tenth of its error.

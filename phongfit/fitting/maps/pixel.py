@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from phongfit.fitting.maps.columns import Columns, Lights, make_columns
 from phongfit.fitting.maps.errors import Errors, standard_errors
@@ -33,6 +33,7 @@ SUMMED_STEPS = 3
 STEPS = 3
 # Rounds of reweighting of a robust loss.
 REWEIGHTED = 10
+REWEIGHTED_STEPS = 2
 
 
 class PixelFit(NamedTuple):
@@ -149,13 +150,18 @@ def fit_pixel(
     flags = (
         jnp.where(black, Flag.BLACK, 0)
         | jnp.where(lost, Flag.NOT_FINITE, 0)
-        | jnp.where(enough | settings.noise_given & (count >= unknowns), 0, Flag.TOO_FEW)
+        | jnp.where(
+            enough | settings.noise_given & (count >= unknowns), 0, Flag.TOO_FEW
+        )
         | jnp.where(told & jnp.any(errors.dim), Flag.NO_HIGHLIGHT, 0)
         | jnp.where(told & jnp.any(errors.alike), Flag.ALIKE, 0)
         | jnp.where(told & jnp.any(errors.at_bound), Flag.AT_BOUND, 0)
         | jnp.where(told & jnp.any(errors.moving), Flag.NOT_CONVERGED, 0)
     )
-    return PixelFit(*values, deviations, level, count, flags)
+    ambient, diffuse, specular, shininess = values
+    return PixelFit(
+        ambient, diffuse, specular, shininess, deviations, level, count, flags
+    )
 
 
 # Channels on their own share nothing but the cosines.
@@ -255,11 +261,11 @@ def _summed(samples: PixelSamples, target: Array, settings: Settings) -> Columns
     if samples.target.shape[0] == 1:
         return _columns(samples, target, samples.used.astype(target.dtype), settings)
     together = PixelSamples(
-        target=sum(target)[None],
+        target=_total(target),
         used=jnp.all(samples.used, axis=0, keepdims=True),
-        ambient=sum(samples.ambient)[None],
-        diffuse=sum(samples.diffuse)[None],
-        strength=tuple(sum(each)[None] for each in samples.strength),
+        ambient=_total(samples.ambient),
+        diffuse=_total(samples.diffuse),
+        strength=tuple(_total(each) for each in samples.strength),
         log_cosine=samples.log_cosine,
     )
     together = settled(together)
@@ -267,8 +273,16 @@ def _summed(samples: PixelSamples, target: Array, settings: Settings) -> Columns
     return _columns(together, together.target, weight, settings)
 
 
+def _total(channels: Float[Array, "channels images"]) -> Float[Array, "1 images"]:
+    """The sum of the channels, without a sum over an axis of three."""
+    red, *others = channels
+    for channel in others:
+        red = red + channel
+    return red[None]
+
+
 def _evaluate(
-    columns: Columns, cosine: Array, t: Array, box: Box, settings: Settings
+    columns: Columns, cosine: Lights, t: Array, box: Box, settings: Settings
 ) -> At:
     """The solution at t. A highlight that is known, or none, is held at 0 strength."""
     if not settings.shiny:
@@ -315,7 +329,7 @@ def _reweighted(
         columns = _columns(samples, target, weight, settings)
         if settings.searched:
             edges = box.lowest, box.highest
-            t = descend(columns, model, cosine, t, *edges, box, 1)
+            t = descend(columns, model, cosine, t, *edges, box, REWEIGHTED_STEPS)
         return _evaluate(columns, cosine, t, box, settings), t
 
     at, t = jax.lax.fori_loop(0, REWEIGHTED, step, (at, t))

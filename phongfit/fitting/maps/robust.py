@@ -23,7 +23,8 @@ def loss_weights(
 
     z = jnp.maximum(residual**2, jnp.finfo(residual.dtype).eps)
     _, slope = jax.jvp(cost, (z,), (jnp.ones_like(z),))
-    return slope
+    # Rounding can push the weight of a far outlier below its 0.
+    return jnp.maximum(slope, 0)
 
 
 def median_deviation(
@@ -36,7 +37,7 @@ def median_deviation(
     size = jnp.where(used, jnp.abs(residual), 0)
     tiny = jnp.finfo(size.dtype).tiny
     high = jnp.log(jnp.maximum(jnp.max(size), tiny))
-    half = jnp.sum(used) / jnp.array(2, size.dtype)
+    half = jnp.sum(used).astype(size.dtype) / 2
 
     def halve(_: int, edges: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = edges

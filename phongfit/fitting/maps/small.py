@@ -1,8 +1,8 @@
 r"""Linear algebra of one to four unknowns, written out number by number.
 
 A library call for a matrix of 3 × 3 costs more than all else that a pixel needs. So a
-vector is a tuple of numbers here and a symmetric matrix a tuple of the rows of its lower
-triangle: batched, each entry is one array with the pixels side by side.
+vector is a tuple of numbers here and a symmetric matrix a tuple of the rows of its
+lower triangle: batched, each entry is one array with the pixels side by side.
 """
 
 from collections.abc import Callable
@@ -151,18 +151,17 @@ def minimize_in_box(
 
     A primal-dual active-set method: each round solves for the free unknowns, holds
     those that left the box at their bound, and frees those that want to come back. For
-    three unknowns it is nearly always done after two rounds; the best of all rounds is
-    kept, since in rare cases they go round in circles.
+    three unknowns six rounds have always been enough; the best of all rounds is
+    kept, should they go round in circles.
 
     ??? cite "Source"
         Hintermüller, Ito and Kunisch, *The primal-dual active set strategy as a
         semismooth Newton method*, SIAM J. Optim. 13(3), 2002.
     """
     size = len(vector)
-    below = tuple(jnp.zeros(number.shape, bool) for number in vector)
-    above = below
-    best = None
-    for _ in range(rounds):
+
+    def step(_: int, state: tuple[Numbers, Numbers, Boxed]) -> Any:
+        below, above, best = state
         free = tuple(~(b | a) for b, a in zip(below, above, strict=True))
         held = tuple(
             jnp.where(below[i], lower[i], jnp.where(above[i], upper[i], 0))
@@ -171,15 +170,11 @@ def minimize_in_box(
         pushed = times(matrix, held)
         pull = tuple(jnp.where(free[i], vector[i] - pushed[i], 0) for i in range(size))
         solved = solve(factorize(only(matrix, free)), pull)
-        x = tuple(jnp.where(free[i], solved[i], held[i]) for i in range(size))
+        x = settled(tuple(jnp.where(free[i], solved[i], held[i]) for i in range(size)))
         inside = tuple(jnp.clip(x[i], lower[i], upper[i]) for i in range(size))
         half = times(matrix, inside)
         value = dot(inside, tuple(half[i] / 2 - vector[i] for i in range(size)))
-        here = Boxed(
-            inside, value, tuple(free[i] & (inside[i] == x[i]) for i in range(size))
-        )
-        x, here = settled((x, here))
-        best = here if best is None else _better(here, best)
+        loose = tuple(free[i] & (inside[i] == x[i]) for i in range(size))
         slope = times(matrix, x)
         slope = tuple(vector[i] - slope[i] for i in range(size))
         below, above = (
@@ -192,16 +187,23 @@ def minimize_in_box(
                 for i in range(size)
             ),
         )
-    assert best is not None
-    return best
+        return below, above, _better(Boxed(inside, value, loose), best)
+
+    none = tuple(jnp.zeros(number.shape, bool) for number in vector)
+    nowhere = jnp.full_like(vector[0], jnp.inf)
+    first = (none, none, Boxed(vector, nowhere, none))
+    # A loop, though a short one: it compiles once, not for every round.
+    return jax.lax.fori_loop(0, rounds, step, first)[2]
 
 
 def _better(new: Boxed, old: Boxed) -> Boxed:
     better = new.value < old.value
     return Boxed(
-        tuple(jnp.where(better, n, o) for n, o in zip(new.point, old.point)),
+        tuple(
+            jnp.where(better, n, o) for n, o in zip(new.point, old.point, strict=True)
+        ),
         jnp.where(better, new.value, old.value),
-        tuple(jnp.where(better, n, o) for n, o in zip(new.free, old.free)),
+        tuple(jnp.where(better, n, o) for n, o in zip(new.free, old.free, strict=True)),
     )
 
 

@@ -4,12 +4,12 @@ It holds no state and knows no disk: a cluster can run it as it is.
 """
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
 from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.maps.lighting import Lighting
 from phongfit.fitting.maps.pixel import Known, PixelFit, fit_pixel
@@ -31,12 +31,12 @@ class Tile(NamedTuple):
     - `visibility`: (images, lobes, pixels), or `None` without shadows.
     """
 
-    target: Float[Array, "images pixels 3"]
-    used: Bool[Array, "some_images pixels some_channels"]
-    normal: Float[Array, "pixels 3"]
-    position: Float[Array, "some_pixels 3"]
-    to_viewer: Float[Array, "some_pixels 3"]
-    visibility: Array | None = None
+    target: Float[Any, "images pixels 3"]
+    used: Bool[Any, "some_images pixels some_channels"]
+    normal: Float[Any, "pixels 3"]
+    position: Float[Any, "some_pixels 3"]
+    to_viewer: Float[Any, "some_pixels 3"]
+    visibility: Any = None
 
 
 class Outside(NamedTuple):
