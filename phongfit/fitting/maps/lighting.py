@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from phongfit.fitting.maps.samples import log_cosine
 from phongfit.lights import AbstractLight
@@ -32,7 +32,7 @@ class Basis(eqx.Module):
     diffuse: Float[Array, "3 images"]
     strength: tuple[Float[Array, "3 images"], ...]
     log_cosine: tuple[Float[Array, " images"], ...]
-    lit: Bool[Array, " images"]
+    lit: Float[Array, " images"]
 
 
 class Lighting(eqx.Module):
@@ -87,9 +87,9 @@ class Lighting(eqx.Module):
             first += count
         joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
         return Basis(
-            joined.ambient.T,
-            joined.diffuse.T,
-            tuple(strength.T for strength in joined.strength),
+            _channels_first(joined.ambient),
+            _channels_first(joined.diffuse),
+            tuple(_channels_first(strength) for strength in joined.strength),
             joined.log_cosine,
             joined.lit,
         )
@@ -116,7 +116,13 @@ class Lighting(eqx.Module):
             reached = dot(normal, to_light) > min_cosine
             lit = lit | (reached if seen is None else reached & (seen[k] > 0))
         logarithms = tuple(log_cosine(cosine) for cosine in cosines)
+        lit = lit.astype(normal.dtype)
         return Basis(terms.ambient, terms.diffuse, strength, logarithms, lit)
+
+
+def _channels_first(colours: Float[Array, "images 3"]) -> Float[Array, "3 images"]:
+    # Not a mere transposition: the compiler would keep the old order in memory.
+    return jnp.stack([colours[:, k] for k in range(3)])
 
 
 def make_lighting(scenes: tuple[Scene, ...]) -> Lighting:

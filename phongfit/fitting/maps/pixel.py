@@ -92,17 +92,22 @@ def fit_pixel(
     - `noise`: standard deviation of a sample in linear light; not read if
         `settings.noise_given` is false.
     """
+    dtype = samples.target.dtype
     finite = jnp.isfinite(samples.target)
-    lost = jnp.any(samples.used & ~finite)
-    used = samples.used & finite
     if settings.exactly:
-        used = used & (samples.target != settings.cutoff)
+        sound = finite & (samples.target != settings.cutoff)
     else:
-        used = used & (samples.target < settings.cutoff)
-    target = jnp.where(used, samples.target, 0)
+        sound = finite & (samples.target < settings.cutoff)
+    # Numbers rather than flags from here on: sums of those are slow.
+    weight = jnp.where(sound, samples.weight, 0)
+    target = jnp.where(sound, samples.target, 0) * weight
+    infinite = jnp.where(finite, 0, samples.weight)
+    weight, target, infinite = settled((weight, target, infinite))
+    lost = jnp.sum(infinite) > 0
+    black = jnp.sum(jnp.abs(target)) == 0
     samples = PixelSamples(
         target,
-        used,
+        weight,
         samples.ambient,
         samples.diffuse,
         samples.strength,
@@ -116,15 +121,15 @@ def fit_pixel(
         found = settled(solved(samples, known))
     else:
         found = settled(jax.vmap(solved, in_axes=_EACH)(*_split(samples, known)))
-    count = jnp.sum(used)
+    total = jnp.sum(weight)
+    count = total.astype(jnp.int32)
     unknowns = settings.unknowns()
-    freedom = (count - unknowns).astype(target.dtype)
+    freedom = total - unknowns
     enough = freedom > 0
     freedom = jnp.maximum(freedom, 1)
-    black = ~jnp.any(target != 0)
     if settings.loss.robust:
         # Each group's own scale, which outliers do not reach.
-        share = jnp.sum(used, axis=-1).astype(target.dtype)
+        share = jnp.sum(weight, axis=-1)
         share = jnp.sum(share) if settings.shared else share
         level = jnp.sqrt(jnp.sum(share * found.scale**2) / freedom)
     else:
@@ -139,14 +144,14 @@ def fit_pixel(
             found.t,
             sigma * found.widening,
             found.faintest,
-            _box(settings, target.dtype),
+            _box(settings, dtype),
             settings,
         )
 
     errors = errors_of(found) if settings.shared else jax.vmap(errors_of)(found)
     errors = settled(errors)
     values = _values(found, known, settings)
-    deviations = _leaves(errors, told, target.dtype, settings)
+    deviations = _leaves(errors, told, dtype, settings)
     flags = (
         jnp.where(black, Flag.BLACK, 0)
         | jnp.where(lost, Flag.NOT_FINITE, 0)
@@ -197,8 +202,7 @@ def _solve(
     dtype = samples.target.dtype
     box = _box(settings, dtype)
     target = settled(_less_known(samples, known, settings))
-    weight = samples.used.astype(dtype)
-    columns = _columns(samples, target, weight, settings)
+    columns = _columns(samples, target, samples.weight, settings)
     t = jnp.log(known.shininess[0])
     faintest = jnp.array(jnp.inf, dtype)
     model, cosine = settings.model, samples.log_cosine
@@ -223,7 +227,7 @@ def _solve(
         at, t, residual, scale, widened = _reweighted(
             samples, target, at, t, noise, box, settings
         )
-    squares = jnp.sum(jnp.where(samples.used, residual, 0) ** 2)
+    squares = jnp.sum(samples.weight * residual**2)
     return _Found(at, t, columns, squares, scale, widened, faintest)
 
 
@@ -250,7 +254,8 @@ def _columns(
     samples: PixelSamples, target: Array, weight: Array, settings: Settings
 ) -> Columns:
     """Columns of all channels, weighted."""
-    root = jnp.sqrt(weight)
+    # Of 0 and 1 the root is the same, and without a robust loss there is nothing else.
+    root = jnp.sqrt(weight) if settings.loss.robust else weight
     fixed = tuple(root * getattr(samples, name) for name in settings.columns)
     strength = tuple(root * each for each in samples.strength)
     return over_channels(make_columns, fixed, root * target, strength)
@@ -259,18 +264,17 @@ def _columns(
 def _summed(samples: PixelSamples, target: Array, settings: Settings) -> Columns:
     """Columns of the channels' sum, as if ρ were grey: enough to start from."""
     if samples.target.shape[0] == 1:
-        return _columns(samples, target, samples.used.astype(target.dtype), settings)
+        return _columns(samples, target, samples.weight, settings)
     together = PixelSamples(
         target=_total(target),
-        used=jnp.all(samples.used, axis=0, keepdims=True),
+        weight=samples.weight[0:1] * samples.weight[1:2] * samples.weight[2:3],
         ambient=_total(samples.ambient),
         diffuse=_total(samples.diffuse),
         strength=tuple(_total(each) for each in samples.strength),
         log_cosine=samples.log_cosine,
     )
     together = settled(together)
-    weight = together.used.astype(target.dtype)
-    return _columns(together, together.target, weight, settings)
+    return _columns(together, together.target, together.weight, settings)
 
 
 def _total(channels: Float[Array, "channels images"]) -> Float[Array, "1 images"]:
@@ -319,13 +323,13 @@ def _reweighted(
     def scale_of(residual: Array) -> Array:
         if settings.noise_given:
             return noise
-        return median_deviation(residual, samples.used)
+        return median_deviation(residual, samples.weight > 0)
 
     def step(_: int, state: tuple[At, Array]) -> tuple[At, Array]:
         at, t = state
         residual = _residual(samples, target, at, t, settings)
         weight = loss_weights(settings.loss, residual / scale_of(residual))
-        weight = jnp.where(samples.used, weight, 0)
+        weight = weight * samples.weight
         columns = _columns(samples, target, weight, settings)
         if settings.searched:
             edges = box.lowest, box.highest
@@ -334,12 +338,11 @@ def _reweighted(
 
     at, t = jax.lax.fori_loop(0, REWEIGHTED, step, (at, t))
     residual = _residual(samples, target, at, t, settings)
-    scale = median_deviation(residual, samples.used)
+    scale = median_deviation(residual, samples.weight > 0)
     unit = noise if settings.noise_given else scale
-    widened = widening(settings.loss, residual / unit, samples.used)
+    widened = widening(settings.loss, residual / unit, samples.weight > 0)
     # Errors rest on all samples: the factor says what the loss makes of them.
-    plain = samples.used.astype(target.dtype)
-    columns = _columns(samples, target, plain, settings)
+    columns = _columns(samples, target, samples.weight, settings)
     full = _evaluate(columns, cosine, t, box, settings)
     return at._replace(sums=full.sums), t, residual, scale, widened
 

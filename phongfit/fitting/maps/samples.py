@@ -2,7 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 
 class PixelSamples(eqx.Module):
@@ -13,7 +13,7 @@ class PixelSamples(eqx.Module):
     """
 
     target: Float[Array, "channels images"]
-    used: Bool[Array, "channels images"]
+    weight: Float[Array, "channels images"]
     ambient: Float[Array, "channels images"]
     diffuse: Float[Array, "channels images"]
     strength: tuple[Float[Array, "channels images"], ...]
@@ -23,7 +23,7 @@ class PixelSamples(eqx.Module):
 PixelSamples.__init__.__doc__ = r"""**Arguments:**
 
 - `target`: measured linear light.
-- `used`: false where a sample is left out; its other numbers may then be anything
+- `weight`: 1, or 0 where a sample is left out; its other numbers may then be anything
     finite.
 - `ambient`, `diffuse`: A and D, light for $\rho_a = 1$ and $\rho_d = 1$.
 - `strength`: of each highlight at its centre, for $\rho_s = 1$.

@@ -99,7 +99,7 @@ def _fit_block(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
         basis = settled(basis)
         samples = PixelSamples(
             target,
-            jnp.broadcast_to(used, target.shape) & basis.lit[None, :],
+            jnp.broadcast_to(used * basis.lit[None, :], target.shape),
             basis.ambient,
             basis.diffuse,
             basis.strength,
@@ -124,14 +124,27 @@ def _fit_block(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
             None if tile.visibility is None else 2,
         ),
     )
+    target, used = settled(
+        (
+            _channels_first(tile.target),
+            _channels_first(tile.used.astype(tile.target.dtype)),
+        )
+    )
     return batched(
-        tile.target.transpose(1, 2, 0),
-        tile.used.transpose(1, 2, 0),
+        target,
+        used,
         tile.normal,
         squeezed(tile.position),
         squeezed(tile.to_viewer),
         tile.visibility,
     )
+
+
+def _channels_first(values: Array) -> Array:
+    """(images, pixels, channels) as (pixels, channels, images), in that order."""
+    # Not a mere transposition: the compiler would keep the old order in memory.
+    channels = [values[..., k].T for k in range(values.shape[-1])]
+    return jnp.stack(channels, axis=1)
 
 
 # On a CPU, XLA removes barriers before it fuses: then they would be in vain.
