@@ -221,26 +221,24 @@ def scan(
     box: Box,
     count: int,
 ) -> Scan:
-    r"""Candidates a factor of $\sqrt 2$ apart, from the lowest exponent on.
+    r"""Candidates a factor of 2 apart, from the lowest exponent on.
 
-    $\cos^{2f} = (\cos^f)^2$: two exponentials serve all of them.
+    $\cos^{2f} = (\cos^f)^2$: one exponential serves all of them.
 
     **Arguments:**
 
     - `columns`: of one channel, or of the sum of several.
     - `count`: of candidates, ≥ 2: from [`candidates`][].
     """
-    spacing = np.log(2) / 2
+    spacing = np.log(2).item()
     exponent = jnp.exp(box.lowest)
-    roots = (exponent, exponent * np.sqrt(2).item())
-    pair = [_powers(log_cosine, root) for root in roots]
+    powers = _powers(log_cosine, exponent)
     one = jnp.ones((), exponent.dtype)
     nothing = tuple(jnp.zeros_like(logarithm) for logarithm in log_cosine)
     sums = []
     for k in range(count):
-        powers = settled(pair[k % 2])
-        pair[k % 2] = _squares(powers)
-        height = model.lobe(one, exponent * (2 ** (k / 2)))
+        powers = settled(_squares(powers) if k else powers)
+        height = model.lobe(one, exponent * 2**k)
         heights = tuple(height * power for power in powers)
         sums.append(sum_lights(columns, heights, nothing))
 
@@ -276,7 +274,7 @@ def _squares(powers: Lights) -> Lights:
 
 def candidates(lowest: float, highest: float) -> int:
     """How many candidates a scan between two values of log f takes."""
-    return max(int(np.floor(2 * (highest - lowest) / np.log(2) + 1e-6)) + 1, 2)
+    return max(int(np.floor((highest - lowest) / np.log(2) + 1e-6)) + 1, 2)
 
 
 class _Search(NamedTuple):
