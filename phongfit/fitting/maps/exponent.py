@@ -114,10 +114,10 @@ def sum_lights(columns: Columns, lobe: Lights, slope: Lights) -> Sums:
     """The sums of one channel: see [`Sums`][]."""
     light, change = settled((dot(columns.strength, lobe), dot(columns.strength, slope)))
     sums = Sums(
-        _back(columns, light),
+        _with_columns(columns, light),
         jnp.sum(light * light),
         jnp.sum(light * columns.rest),
-        _back(columns, change),
+        _with_columns(columns, change),
         jnp.sum(light * change),
         jnp.sum(change * change),
         jnp.sum(change * columns.rest),
@@ -125,10 +125,8 @@ def sum_lights(columns: Columns, lobe: Lights, slope: Lights) -> Sums:
     return settled(sums)
 
 
-def _back(columns: Columns, vector: Float[Array, " images"]) -> Numbers:
-    """Products with the columns C = QR, from those with Q."""
-    shares = tuple(jnp.sum(direction * vector) for direction in columns.basis)
-    return tuple(dot(row, shares[: len(row)]) for row in columns.triangle)
+def _with_columns(columns: Columns, vector: Float[Array, " images"]) -> Numbers:
+    return tuple(jnp.sum(column * vector) for column in columns.fixed)
 
 
 def best_reflectances(

@@ -102,7 +102,7 @@ def fit_pixel(
     weight = jnp.where(sound, samples.weight, 0)
     target = jnp.where(sound, samples.target, 0) * weight
     infinite = jnp.where(finite, 0, samples.weight)
-    weight, target, infinite = settled((weight, target, infinite))
+    weight, target = settled((weight, target))
     lost = jnp.sum(infinite) > 0
     black = jnp.sum(jnp.abs(target)) == 0
     samples = PixelSamples(
@@ -256,9 +256,10 @@ def _columns(
     """Columns of all channels, weighted."""
     # Of 0 and 1 the root is the same, and without a robust loss there is nothing else.
     root = jnp.sqrt(weight) if settings.loss.robust else weight
+    target = root * target
     fixed = tuple(root * getattr(samples, name) for name in settings.columns)
     strength = tuple(root * each for each in samples.strength)
-    return over_channels(make_columns, fixed, root * target, strength)
+    return over_channels(make_columns, fixed, target, strength)
 
 
 def _summed(samples: PixelSamples, target: Array, settings: Settings) -> Columns:
