@@ -1,9 +1,9 @@
 """Question: what does a material per pixel cost, in time and in memory?
 
 Times a map of a synthetic stack against `vmap`ped stock Levenberg-Marquardt of
-optimistix and a loop over SciPy's `least_squares`, both on a part of the pixels; the time
-a pixel takes from few pixels to millions; and the peak memory of a map whose images are
-memory-mapped, in a process of its own.
+optimistix and a loop over SciPy's `least_squares`, both on a part of the pixels; the
+time a pixel takes from few pixels to millions; and the peak memory of a map whose
+images are memory-mapped, in a process of its own.
 """
 
 import dataclasses
