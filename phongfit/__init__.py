@@ -95,10 +95,23 @@ if TYPE_CHECKING:
         load_scene as load_scene,
         save_scene as save_scene,
     )
+    from phongfit.fitting.maps.flags import Flag as Flag
+    from phongfit.mapping.result import Maps as Maps, load_maps as load_maps
+    from phongfit.mapping.run import fit_maps as fit_maps
+    from phongfit.mapping.stacks import (
+        AbstractStack as AbstractStack,
+        PhotographStack as PhotographStack,
+    )
 
 # Decoders and validators take long to import: only who reads a file waits for them.
 _ON_DEMAND = {
+    "AbstractStack": "phongfit.mapping.stacks",
     "Dataset": "phongfit.files.datasets",
+    "Flag": "phongfit.fitting.maps.flags",
+    "Maps": "phongfit.mapping.result",
+    "PhotographStack": "phongfit.mapping.stacks",
+    "fit_maps": "phongfit.mapping.run",
+    "load_maps": "phongfit.mapping.result",
     "load_mesh": "phongfit.files.meshes",
     "load_scene": "phongfit.files.scenes",
     "read_dataset": "phongfit.files.datasets",

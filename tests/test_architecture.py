@@ -18,6 +18,7 @@ ORDER = [
     {"rendering"},
     {"fitting"},
     {"files"},
+    {"mapping"},
     {"report"},
     {"cli", "__main__"},
 ]

@@ -1,0 +1,333 @@
+r"""The best exponent of one pixel: a scan over log f, then steps of Newton's kind.
+
+For given f the best ρ is a tiny problem in a box, made of sums over the lights. What is
+left of the squares, $\phi(t)$ with $t = \log f$, is a function of one number, whose
+slope those sums give exactly: $\phi' = -2 \sum_c \rho_s\, S' \cdot r$.
+
+??? cite "Source"
+    Golub and Pereyra, *The differentiation of pseudo-inverses and nonlinear least
+    squares problems whose variables separate*, SIAM J. Numer. Anal. 10(2), 1973;
+    Kaufman, *A variable projection method for solving separable nonlinear least squares
+    problems*, BIT 15, 1975.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from phongfit.fitting.maps.columns import Columns, Lights
+from phongfit.fitting.maps.small import (
+    Boxed,
+    Numbers,
+    Triangle,
+    dot,
+    factorize,
+    minimize_in_box,
+    only,
+    over_channels,
+    settled,
+    solve,
+    times,
+)
+from phongfit.reflectance import AbstractSpecular
+
+# No step is longer, in log f: beyond a factor of 2 the slope says little.
+LONGEST = 0.7
+# Logarithm of the least height of a lobe that counts: products of smaller ones leave
+# the normal numbers of single precision, and those are slow.
+FAINTEST = -36.0
+# Rounds of the box problem: where it matters, and where it only ranks candidates.
+ROUNDS = 6
+FEW_ROUNDS = 3
+
+
+class Box(NamedTuple):
+    """Bounds of the reflectances (those in the columns, then ρ_s) and of log f."""
+
+    lower: Numbers
+    upper: Numbers
+    lowest: Float[Array, ""]
+    highest: Float[Array, ""]
+
+
+class Sums(NamedTuple):
+    """One channel's sums over the lights for one exponent; S' is dS / d log f.
+
+    - `cross`, `slope_cross`: of S and S' with the fixed columns.
+    - `own`, `mixed`, `slope_own`: S·S, S·S' and S'·S'.
+    - `moment`, `slope_moment`: of S and S' with the light that the columns leave.
+    """
+
+    cross: Numbers
+    own: Float[Array, ""]
+    moment: Float[Array, ""]
+    slope_cross: Numbers
+    mixed: Float[Array, ""]
+    slope_own: Float[Array, ""]
+    slope_moment: Float[Array, ""]
+
+
+class At(NamedTuple):
+    r"""The best reflectances at one exponent, and how $\phi$ goes on from there.
+
+    - `point`: the columns' reflectances, then ρ_s, each (channels,).
+    - `free`: which of them are not held by a bound.
+    - `value`: φ less a constant.
+    - `slope`: φ'.
+    - `curvature`: φ'' as Gauss and Newton have it, ≥ 0.
+    - `pull`: the slope of half the squares in each unknown.
+    - `sums`: (channels,) each.
+    """
+
+    point: Numbers
+    free: Numbers
+    value: Array
+    slope: Array
+    curvature: Array
+    pull: Numbers
+    sums: Sums
+
+
+def lobes(
+    model: AbstractSpecular, log_cosine: Lights, t: Array
+) -> tuple[Lights, Lights]:
+    """Heights of the highlights at exponent e^t, and their slopes in t."""
+    one = jnp.ones((), t.dtype)
+
+    def height_at(t: Array) -> Array:
+        return model.lobe(one, jnp.exp(t))
+
+    height, rise = jax.jvp(height_at, (t,), (one,))
+    tops, slopes = [], []
+    for logarithm in log_cosine:
+        power = jnp.exp(t) * logarithm
+        lobe = height * jnp.where(power > FAINTEST, jnp.exp(power), 0)
+        tops.append(lobe)
+        slopes.append(lobe * (power + rise / height))
+    return settled((tuple(tops), tuple(slopes)))
+
+
+def sum_lights(columns: Columns, lobe: Lights, slope: Lights) -> Sums:
+    """The sums of one channel: see [`Sums`][]."""
+    light, change = settled((dot(columns.strength, lobe), dot(columns.strength, slope)))
+    sums = Sums(
+        _with_columns(columns, light),
+        jnp.sum(light * light),
+        jnp.sum(light * columns.rest),
+        _with_columns(columns, change),
+        jnp.sum(light * change),
+        jnp.sum(change * change),
+        jnp.sum(change * columns.rest),
+    )
+    return settled(sums)
+
+
+def _with_columns(columns: Columns, vector: Float[Array, " images"]) -> Numbers:
+    return tuple(jnp.sum(column * vector) for column in columns.fixed)
+
+
+def best_reflectances(
+    columns: Columns, sums: Sums, box: Box, rounds: int
+) -> tuple[Boxed, Numbers]:
+    """One channel's best ρ for given sums, and what is left of its slope there."""
+    matrix = full_gram(columns, sums)
+    zero = jnp.zeros_like(sums.own)
+    vector = (*(zero for _ in columns.start), sums.moment)
+    start = (*columns.start, zero)
+    lower = tuple(edge - x for edge, x in zip(box.lower, start, strict=True))
+    upper = tuple(edge - x for edge, x in zip(box.upper, start, strict=True))
+    matrix, lower, upper = settled((matrix, lower, upper))
+    found = minimize_in_box(matrix, vector, lower, upper, rounds)
+    product = times(matrix, found.point)
+    pull = tuple(p - v for p, v in zip(product, vector, strict=True))
+    moved = zip(start, found.point, box.lower, box.upper, strict=True)
+    point = tuple(jnp.clip(x + d, low, high) for x, d, low, high in moved)
+    return settled((Boxed(point, found.value, found.free), pull))
+
+
+def full_gram(columns: Columns, sums: Sums) -> Triangle:
+    """Products of all columns, the highlight's last."""
+    return (*columns.gram, (*sums.cross, sums.own))
+
+
+def slope_gram(sums: Sums) -> Numbers:
+    """Products of S' with all columns, the highlight's last."""
+    return (*sums.slope_cross, sums.mixed)
+
+
+def evaluate(
+    columns: Columns,
+    model: AbstractSpecular,
+    log_cosine: Lights,
+    t: Float[Array, ""],
+    box: Box,
+) -> At:
+    """Everything at one exponent: one exponential for each light.
+
+    **Arguments:** `columns`: of all channels that share the exponent.
+    """
+    lobe, slope = lobes(model, log_cosine, t)
+
+    def channel(columns: Columns) -> tuple[Boxed, Array, Array, Numbers, Sums]:
+        sums = sum_lights(columns, lobe, slope)
+        best, pull = best_reflectances(columns, sums, box, ROUNDS)
+        *fixed, specular = best.point
+        moved = tuple(x - x0 for x, x0 in zip(fixed, columns.start, strict=True))
+        products = slope_gram(sums)
+        score = sums.slope_moment - dot(products, (*moved, specular))
+        # What of S' no reflectance that is free to move can imitate.
+        held = tuple(
+            jnp.where(f, p, 0) for f, p in zip(best.free, products, strict=True)
+        )
+        imitated = solve(factorize(only(full_gram(columns, sums), best.free)), held)
+        alone = jnp.maximum(sums.slope_own - dot(held, imitated), 0)
+        return best, specular * score, specular**2 * alone, pull, sums
+
+    best, score, curvature, pull, sums = settled(over_channels(channel, columns))
+    return At(
+        best.point,
+        best.free,
+        2 * jnp.sum(best.value),
+        -2 * jnp.sum(score),
+        2 * jnp.sum(curvature),
+        pull,
+        sums,
+    )
+
+
+class Scan(NamedTuple):
+    """The best of a few exponents, between which neighbours, and the faintest S.
+
+    - `t`: log f of the best, refined by a parabola.
+    - `low`, `high`: its neighbours.
+    - `faintest`: the least curvature that ρ_s has at any candidate.
+    """
+
+    t: Array
+    low: Array
+    high: Array
+    faintest: Array
+
+
+def scan(
+    columns: Columns,
+    model: AbstractSpecular,
+    log_cosine: Lights,
+    box: Box,
+    count: int,
+) -> Scan:
+    r"""Candidates a factor of 2 apart, from the lowest exponent on.
+
+    $\cos^{2f} = (\cos^f)^2$: one exponential serves all of them.
+
+    **Arguments:**
+
+    - `columns`: of one channel, or of the sum of several.
+    - `count`: of candidates, ≥ 2: from [`candidates`][].
+    """
+    spacing = np.log(2).item()
+    exponent = jnp.exp(box.lowest)
+    powers = _powers(log_cosine, exponent)
+    one = jnp.ones((), exponent.dtype)
+    nothing = tuple(jnp.zeros_like(logarithm) for logarithm in log_cosine)
+    sums = []
+    for k in range(count):
+        powers = settled(_squares(powers) if k else powers)
+        height = model.lobe(one, exponent * 2**k)
+        heights = tuple(height * power for power in powers)
+        sums.append(sum_lights(columns, heights, nothing))
+
+    def ranked(sums: Sums) -> tuple[Array, Array]:
+        best, _ = best_reflectances(columns, sums, box, FEW_ROUNDS)
+        return best.value, factorize(full_gram(columns, sums)).last
+
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *sums)
+    value, curvature = jax.vmap(ranked)(settled(stacked))
+    best = jnp.argmin(value)
+    t = box.lowest + spacing * best.astype(exponent.dtype)
+    low = jnp.maximum(t - spacing, box.lowest)
+    high = jnp.where(best == count - 1, box.highest, t + spacing)
+    # The vertex of the parabola through the best and its neighbours.
+    left, here, right = (value[jnp.clip(best + k, 0, count - 1)] for k in (-1, 0, 1))
+    bend = left - 2 * here + right
+    inner = (best > 0) & (best < count - 1) & (bend > 0)
+    shift = jnp.where(inner, (left - right) / (2 * jnp.where(inner, bend, 1)), 0)
+    t = t + spacing * jnp.clip(shift, -0.5, 0.5)
+    t = jnp.clip(t, box.lowest, box.highest)
+    return Scan(t, low, high, jnp.min(curvature))
+
+
+def _powers(log_cosine: Lights, exponent: Array) -> Lights:
+    powers = (exponent * logarithm for logarithm in log_cosine)
+    return tuple(jnp.where(power > FAINTEST, jnp.exp(power), 0) for power in powers)
+
+
+def _squares(powers: Lights) -> Lights:
+    least = np.exp(FAINTEST / 2).item()
+    return tuple(jnp.where(power > least, power * power, 0) for power in powers)
+
+
+def candidates(lowest: float, highest: float) -> int:
+    """How many candidates a scan between two values of log f takes."""
+    return max(int(np.floor((highest - lowest) / np.log(2) + 1e-6)) + 1, 2)
+
+
+class _Search(NamedTuple):
+    """Where the search stands: the next t, the best so far, and φ' there."""
+
+    t: Array
+    best: Array
+    value: Array
+    slope: Array
+    step: Array
+
+
+def descend(
+    columns: Columns,
+    model: AbstractSpecular,
+    log_cosine: Lights,
+    start: Float[Array, ""],
+    low: Float[Array, ""],
+    high: Float[Array, ""],
+    box: Box,
+    steps: int,
+) -> Float[Array, ""]:
+    r"""A better t: `steps` steps down $\phi$ between `low` and `high`.
+
+    Newton's steps on the exact slope, with the curvature of Gauss and Newton or, once
+    two slopes are known, their difference (photographs leave residuals that are not
+    small, and then the former converges slowly). A step that leads up is halved.
+    """
+
+    def step(_: int, search: _Search) -> _Search:
+        at = evaluate(columns, model, log_cosine, search.t, box)
+        # Differences below rounding must not send the search back.
+        slack = 1e-6 * jnp.abs(search.value)
+        accept = at.value <= search.value + slack
+        moved = search.t - search.best
+        secant = (at.slope - search.slope) / jnp.where(moved != 0, moved, 1)
+        gauss = at.curvature
+        sound = (moved != 0) & (secant > 0.25 * gauss) & (secant < 4 * gauss)
+        curvature = jnp.where(sound, secant, gauss)
+        newton = -at.slope / jnp.where(curvature > 0, curvature, jnp.inf)
+        newton = jnp.clip(newton, -LONGEST, LONGEST)
+        best = jnp.where(accept, search.t, search.best)
+        change = jnp.where(accept, newton, moved / 2)
+        t = jnp.clip(best + change, low, high)
+        return _Search(
+            t,
+            best,
+            jnp.where(accept, at.value, search.value),
+            jnp.where(accept, at.slope, search.slope),
+            t - best,
+        )
+
+    nowhere = jnp.full_like(start, jnp.inf)
+    zero = jnp.zeros_like(start)
+    first = _Search(start, start, nowhere, zero, zero)
+    last = jax.lax.fori_loop(0, steps, step, first)
+    # The last step has not been tried: a short one is safe, near the bottom.
+    return jnp.where(jnp.abs(last.step) < 0.1, last.t, last.best)

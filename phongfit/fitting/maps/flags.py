@@ -1,0 +1,27 @@
+"""What is to be said of a pixel besides numbers: bits of one byte."""
+
+from enum import IntFlag
+
+
+class Flag(IntFlag):
+    """Why a pixel, or part of it, is not told, or told with care.
+
+    - `OUTSIDE`: it sees no surface, or is masked; nothing was looked for.
+    - `BLACK`: all its samples are zero: nothing is told.
+    - `NOT_FINITE`: it has NaN or infinite samples, which are left out.
+    - `TOO_FEW`: no more samples than unknowns are left: nothing is told.
+    - `NO_HIGHLIGHT`: ρ_s is 0 within its error: the exponent is not told.
+    - `ALIKE`: some unknowns change its samples alike, or not at all.
+    - `AT_BOUND`: an estimate lies at its bound; a reflectance's error is then
+        one-sided, an exponent is not told.
+    - `NOT_CONVERGED`: the exponent was still moving by more than a tenth of its error.
+    """
+
+    OUTSIDE = 1
+    BLACK = 2
+    NOT_FINITE = 4
+    TOO_FEW = 8
+    NO_HIGHLIGHT = 16
+    ALIKE = 32
+    AT_BOUND = 64
+    NOT_CONVERGED = 128

@@ -1,0 +1,382 @@
+"""One pixel under many lights: its material, with errors, and what it cannot tell.
+
+The caller batches with `vmap`. Nothing here branches on numbers, so that a pixel that
+fails costs no more than one that does not, and disturbs none.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from phongfit.fitting.maps.columns import Columns, Lights, make_columns
+from phongfit.fitting.maps.errors import Errors, standard_errors
+from phongfit.fitting.maps.exponent import (
+    At,
+    Box,
+    candidates,
+    descend,
+    evaluate,
+    lobes,
+    scan,
+)
+from phongfit.fitting.maps.flags import Flag
+from phongfit.fitting.maps.robust import loss_weights, median_deviation, widening
+from phongfit.fitting.maps.samples import PixelSamples
+from phongfit.fitting.maps.settings import Settings
+from phongfit.fitting.maps.small import dot, over_channels, settled
+
+# Steps on the sum of the channels, which are a third of the price, then on all.
+SUMMED_STEPS = 3
+STEPS = 3
+# Rounds of reweighting of a robust loss.
+REWEIGHTED = 10
+REWEIGHTED_STEPS = 2
+
+
+class PixelFit(NamedTuple):
+    """The material of one pixel.
+
+    - `ambient`, `diffuse`, `specular`: (3,) each, `shininess`: (3,) or (1,) if shared.
+    - `errors`: the same four, infinite for what cannot be told, 0 for what was known.
+    - `noise`: root mean square of the residuals a degree of freedom, in linear light.
+    - `samples`: how many were used.
+    - `flags`: bits of [`Flag`][].
+    """
+
+    ambient: Float[Array, "3"]
+    diffuse: Float[Array, "3"]
+    specular: Float[Array, "3"]
+    shininess: Float[Array, " exponents"]
+    errors: tuple[Array, Array, Array, Array]
+    noise: Float[Array, ""]
+    samples: Int[Array, ""]
+    flags: Int[Array, ""]
+
+
+class Known(NamedTuple):
+    """Leaves of the material where they are not unknown; of the exponent, the start.
+
+    (3,) each, and (1,) for a shared exponent.
+    """
+
+    ambient: Float[Array, "3"]
+    diffuse: Float[Array, "3"]
+    specular: Float[Array, "3"]
+    shininess: Float[Array, " exponents"]
+
+
+class _Found(NamedTuple):
+    """A group of channels with one exponent, solved."""
+
+    at: At
+    t: Array
+    columns: Columns
+    squares: Array
+    scale: Array
+    widening: Array
+    faintest: Array
+
+
+def fit_pixel(
+    samples: PixelSamples, known: Known, noise: Float[Array, ""], settings: Settings
+) -> PixelFit:
+    """The material of one pixel, from its samples alone.
+
+    **Arguments:**
+
+    - `samples`: of three channels.
+    - `known`: what is not unknown.
+    - `noise`: standard deviation of a sample in linear light; not read if
+        `settings.noise_given` is false.
+    """
+    dtype = samples.target.dtype
+    finite = jnp.isfinite(samples.target)
+    if settings.exactly:
+        sound = finite & (samples.target != settings.cutoff)
+    else:
+        sound = finite & (samples.target < settings.cutoff)
+    # Numbers rather than flags from here on: sums of those are slow.
+    weight = jnp.where(sound, samples.weight, 0)
+    target = jnp.where(sound, samples.target, 0) * weight
+    infinite = jnp.where(finite, 0, samples.weight)
+    weight, target = settled((weight, target))
+    lost = jnp.sum(infinite) > 0
+    black = jnp.sum(jnp.abs(target)) == 0
+    samples = PixelSamples(
+        target,
+        weight,
+        samples.ambient,
+        samples.diffuse,
+        samples.strength,
+        samples.log_cosine,
+    )
+
+    def solved(samples: PixelSamples, known: Known) -> _Found:
+        return _solve(samples, known, noise, settings)
+
+    if settings.shared:
+        found = settled(solved(samples, known))
+    else:
+        found = settled(jax.vmap(solved, in_axes=_EACH)(*_split(samples, known)))
+    total = jnp.sum(weight)
+    count = total.astype(jnp.int32)
+    unknowns = settings.unknowns()
+    freedom = total - unknowns
+    enough = freedom > 0
+    freedom = jnp.maximum(freedom, 1)
+    if settings.loss.robust:
+        # Each group's own scale, which outliers do not reach.
+        share = jnp.sum(weight, axis=-1)
+        share = jnp.sum(share) if settings.shared else share
+        level = jnp.sqrt(jnp.sum(share * found.scale**2) / freedom)
+    else:
+        level = jnp.sqrt(jnp.sum(found.squares) / freedom)
+    sigma = noise if settings.noise_given else level
+    told = ~black & (enough | (settings.noise_given & (count >= unknowns)))
+
+    def errors_of(found: _Found) -> Errors:
+        return standard_errors(
+            found.at,
+            found.columns,
+            found.t,
+            sigma * found.widening,
+            found.faintest,
+            _box(settings, dtype),
+            settings,
+        )
+
+    errors = errors_of(found) if settings.shared else jax.vmap(errors_of)(found)
+    errors = settled(errors)
+    values = _values(found, known, settings)
+    deviations = _leaves(errors, told, dtype, settings)
+    flags = (
+        jnp.where(black, Flag.BLACK, 0)
+        | jnp.where(lost, Flag.NOT_FINITE, 0)
+        | jnp.where(
+            enough | settings.noise_given & (count >= unknowns), 0, Flag.TOO_FEW
+        )
+        | jnp.where(told & jnp.any(errors.dim), Flag.NO_HIGHLIGHT, 0)
+        | jnp.where(told & jnp.any(errors.alike), Flag.ALIKE, 0)
+        | jnp.where(told & jnp.any(errors.at_bound), Flag.AT_BOUND, 0)
+        | jnp.where(told & jnp.any(errors.moving), Flag.NOT_CONVERGED, 0)
+    )
+    ambient, diffuse, specular, shininess = values
+    return PixelFit(
+        ambient, diffuse, specular, shininess, deviations, level, count, flags
+    )
+
+
+# Channels on their own share nothing but the cosines.
+_EACH = (PixelSamples(0, 0, 0, 0, 0, None), 0)  # type: ignore[arg-type]
+
+
+def _split(samples: PixelSamples, known: Known) -> tuple[PixelSamples, Known]:
+    """Samples of channels, each with its own exponent, along a new first axis."""
+
+    def apart(leaf: Array) -> Array:
+        return leaf[:, None]
+
+    cosines = samples.log_cosine
+    samples = jax.tree.map(apart, samples)
+    samples = dataclasses.replace(samples, log_cosine=cosines)
+    return samples, jax.tree.map(apart, known)
+
+
+def _box(settings: Settings, dtype: jnp.dtype) -> Box:
+    names = (*settings.columns, "specular")
+    edges = [settings.bound(name) for name in names]
+    low, high = (
+        tuple(jnp.array(number, dtype) for number in edge)
+        for edge in zip(*edges, strict=True)
+    )
+    return Box(low, high, *(jnp.array(edge, dtype) for edge in settings.log_bounds))
+
+
+def _solve(
+    samples: PixelSamples, known: Known, noise: Array, settings: Settings
+) -> _Found:
+    """One group of channels: the exponent, then everything else."""
+    dtype = samples.target.dtype
+    box = _box(settings, dtype)
+    target = settled(_less_known(samples, known, settings))
+    columns = _columns(samples, target, samples.weight, settings)
+    t = jnp.log(known.shininess[0])
+    faintest = jnp.array(jnp.inf, dtype)
+    model, cosine = settings.model, samples.log_cosine
+    if settings.searched:
+        summed = _summed(samples, target, settings)
+        low, high = box.lowest, box.highest
+        if settings.scanned:
+            count = candidates(*settings.log_bounds)
+            first = jax.tree.map(lambda leaf: leaf[0], summed)
+            t, low, high, faintest = scan(first, model, cosine, box, count)
+            faintest = faintest / samples.target.shape[0] ** 2
+        t, low, high, faintest = settled((jnp.clip(t, low, high), low, high, faintest))
+        t = descend(summed, model, cosine, t, low, high, box, SUMMED_STEPS)
+        if samples.target.shape[0] > 1:
+            edges = box.lowest, box.highest
+            t = descend(columns, model, cosine, t, *edges, box, STEPS)
+    at = settled(_evaluate(columns, cosine, t, box, settings))
+    residual = _residual(samples, target, at, t, settings)
+    widened = jnp.ones((), dtype)
+    scale = widened
+    if settings.loss.robust:
+        at, t, residual, scale, widened = _reweighted(
+            samples, target, at, t, noise, box, settings
+        )
+    squares = jnp.sum(samples.weight * residual**2)
+    return _Found(at, t, columns, squares, scale, widened, faintest)
+
+
+def _less_known(samples: PixelSamples, known: Known, settings: Settings) -> Array:
+    """The target without the light of leaves that are known."""
+    target = samples.target
+    if "ambient" not in settings.names:
+        target = target - known.ambient[:, None] * samples.ambient
+    if "diffuse" not in settings.names:
+        target = target - known.diffuse[:, None] * samples.diffuse
+    if not settings.shiny:
+        lobe, _ = lobes(settings.model, samples.log_cosine, jnp.log(known.shininess[0]))
+        light = _shine(samples, lobe)
+        target = target - known.specular[:, None] * light
+    return target
+
+
+def _shine(samples: PixelSamples, lobe: Lights) -> Array:
+    """S(f): highlights of all lights of each image."""
+    return dot(samples.strength, tuple(heights[None] for heights in lobe))
+
+
+def _columns(
+    samples: PixelSamples, target: Array, weight: Array, settings: Settings
+) -> Columns:
+    """Columns of all channels, weighted."""
+    # Of 0 and 1 the root is the same, and without a robust loss there is nothing else.
+    root = jnp.sqrt(weight) if settings.loss.robust else weight
+    target = root * target
+    fixed = tuple(root * getattr(samples, name) for name in settings.columns)
+    strength = tuple(root * each for each in samples.strength)
+    return over_channels(make_columns, fixed, target, strength)
+
+
+def _summed(samples: PixelSamples, target: Array, settings: Settings) -> Columns:
+    """Columns of the channels' sum, as if ρ were grey: enough to start from."""
+    if samples.target.shape[0] == 1:
+        return _columns(samples, target, samples.weight, settings)
+    together = PixelSamples(
+        target=_total(target),
+        weight=samples.weight[0:1] * samples.weight[1:2] * samples.weight[2:3],
+        ambient=_total(samples.ambient),
+        diffuse=_total(samples.diffuse),
+        strength=tuple(_total(each) for each in samples.strength),
+        log_cosine=samples.log_cosine,
+    )
+    together = settled(together)
+    return _columns(together, together.target, together.weight, settings)
+
+
+def _total(channels: Float[Array, "channels images"]) -> Float[Array, "1 images"]:
+    """The sum of the channels, without a sum over an axis of three."""
+    red, *others = channels
+    for channel in others:
+        red = red + channel
+    return red[None]
+
+
+def _evaluate(
+    columns: Columns, cosine: Lights, t: Array, box: Box, settings: Settings
+) -> At:
+    """The solution at t. A highlight that is known, or none, is held at 0 strength."""
+    if not settings.shiny:
+        nothing = tuple(jnp.zeros_like(each) for each in columns.strength)
+        columns = columns._replace(strength=nothing)
+    return evaluate(columns, settings.model, cosine, t, box)
+
+
+def _residual(
+    samples: PixelSamples, target: Array, at: At, t: Array, settings: Settings
+) -> Array:
+    """(model − measured) in linear light, of used samples and others."""
+    light = jnp.zeros_like(target)
+    for k, name in enumerate(settings.columns):
+        light = light + at.point[k][:, None] * getattr(samples, name)
+    if settings.shiny:
+        lobe, _ = lobes(settings.model, samples.log_cosine, t)
+        light = light + at.point[-1][:, None] * _shine(samples, lobe)
+    return light - target
+
+
+def _reweighted(
+    samples: PixelSamples,
+    target: Array,
+    at: At,
+    t: Array,
+    noise: Array,
+    box: Box,
+    settings: Settings,
+) -> tuple[At, Array, Array, Array, Array]:
+    """Iteratively reweighted least squares from a plain solution."""
+    model, cosine = settings.model, samples.log_cosine
+
+    def scale_of(residual: Array) -> Array:
+        if settings.noise_given:
+            return noise
+        return median_deviation(residual, samples.weight > 0)
+
+    def step(_: int, state: tuple[At, Array]) -> tuple[At, Array]:
+        at, t = state
+        residual = _residual(samples, target, at, t, settings)
+        weight = loss_weights(settings.loss, residual / scale_of(residual))
+        weight = weight * samples.weight
+        columns = _columns(samples, target, weight, settings)
+        if settings.searched:
+            edges = box.lowest, box.highest
+            t = descend(columns, model, cosine, t, *edges, box, REWEIGHTED_STEPS)
+        return _evaluate(columns, cosine, t, box, settings), t
+
+    at, t = jax.lax.fori_loop(0, REWEIGHTED, step, (at, t))
+    residual = _residual(samples, target, at, t, settings)
+    scale = median_deviation(residual, samples.weight > 0)
+    unit = noise if settings.noise_given else scale
+    widened = widening(settings.loss, residual / unit, samples.weight > 0)
+    # Errors rest on all samples: the factor says what the loss makes of them.
+    columns = _columns(samples, target, samples.weight, settings)
+    full = _evaluate(columns, cosine, t, box, settings)
+    return at._replace(sums=full.sums), t, residual, scale, widened
+
+
+def _values(found: _Found, known: Known, settings: Settings) -> tuple[Array, ...]:
+    """The four leaves of the solution."""
+    point = [number.reshape(3) for number in found.at.point]
+    leaves = []
+    for name in ("ambient", "diffuse"):
+        wanted = name in settings.names
+        at = settings.columns.index(name) if wanted else 0
+        leaves.append(point[at] if wanted else getattr(known, name))
+    leaves.append(point[-1] if settings.shiny else known.specular)
+    exponent = jnp.clip(jnp.exp(found.t), *settings.bound("shininess"))
+    exponent = exponent.reshape(-1)
+    leaves.append(exponent if settings.searched else known.shininess)
+    return tuple(leaves)
+
+
+def _leaves(
+    errors: Errors, told: Array, dtype: jnp.dtype, settings: Settings
+) -> tuple[Array, Array, Array, Array]:
+    """Errors in the order of the leaves: infinite where nothing is told."""
+    reflectances = errors.reflectances.reshape(3, -1)
+    reflectances = jnp.where(told, reflectances, jnp.inf)
+    none = jnp.zeros((3,), dtype)
+    leaves = [
+        reflectances[:, settings.columns.index(name)]
+        if name in settings.names
+        else none
+        for name in ("ambient", "diffuse")
+    ]
+    specular = reflectances[:, -1] if settings.shiny else none
+    exponent = jnp.where(told, errors.exponent, jnp.inf).reshape(-1)
+    exponent = exponent if settings.searched else jnp.zeros_like(exponent)
+    return leaves[0], leaves[1], specular, exponent

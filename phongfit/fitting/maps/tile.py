@@ -1,0 +1,184 @@
+"""A tile: many pixels at once. A pure function, arrays in and arrays out.
+
+It holds no state and knows no disk: a cluster can run it as it is.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Array, Bool, Float
+
+from phongfit.fitting.maps.lighting import Lighting
+from phongfit.fitting.maps.pixel import Known, PixelFit, fit_pixel
+from phongfit.fitting.maps.samples import PixelSamples
+from phongfit.fitting.maps.settings import Settings
+from phongfit.fitting.maps.small import settled
+
+BLOCK = 512
+"""Pixels that are worked on together: few enough for the numbers to stay in cache."""
+
+
+class Tile(NamedTuple):
+    """Geometry and measured light of pixels; of padding nothing is used.
+
+    - `target`: (images, pixels, 3), in the order of the lighting's rows.
+    - `used`: the same or (1, pixels, 3) or (1, pixels, 1): which samples count.
+    - `normal`: (pixels, 3).
+    - `position`, `to_viewer`: (pixels, 3), or (1, 3) where they are the same for all.
+    - `visibility`: (images, lobes, pixels), or `None` without shadows.
+    """
+
+    target: Float[Any, "images pixels 3"]
+    used: Bool[Any, "some_images pixels some_channels"]
+    normal: Float[Any, "pixels 3"]
+    position: Float[Any, "some_pixels 3"]
+    to_viewer: Float[Any, "some_pixels 3"]
+    visibility: Any = None
+
+
+class Outside(NamedTuple):
+    """What all tiles share: lights, known leaves, and the noise level."""
+
+    lighting: Lighting
+    known: Known
+    noise: Float[Array, ""]
+
+
+def fit_tile(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
+    """The material of every pixel of a tile.
+
+    **Arguments:**
+
+    - `tile`: a multiple of [`BLOCK`][] pixels.
+    - `outside`, `settings`: the same for all tiles.
+
+    **Returns:** a [`PixelFit`][] whose leaves have the pixels as their first axis.
+    """
+    pixels = tile.normal.shape[0]
+
+    def block(start: Array) -> PixelFit:
+        def cut(array: Array, axis: int) -> Array:
+            return jax.lax.dynamic_slice_in_dim(array, start, BLOCK, axis)
+
+        def cut_unless_one(array: Array) -> Array:
+            return array if array.shape[0] == 1 else cut(array, 0)
+
+        visibility = None if tile.visibility is None else cut(tile.visibility, 2)
+        part = Tile(
+            cut(tile.target, 1),
+            cut(tile.used, 1),
+            cut(tile.normal, 0),
+            cut_unless_one(tile.position),
+            cut_unless_one(tile.to_viewer),
+            visibility,
+        )
+        return _fit_block(part, outside, settings)
+
+    starts = jnp.arange(0, pixels, BLOCK)
+    found = jax.lax.map(block, starts)
+    return jax.tree.map(lambda leaf: leaf.reshape(pixels, *leaf.shape[2:]), found)
+
+
+def _fit_block(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
+    """All pixels of a tile side by side."""
+
+    def pixel(
+        target: Array,
+        used: Array,
+        normal: Array,
+        position: Array,
+        to_viewer: Array,
+        visibility: Array | None,
+    ) -> PixelFit:
+        basis = outside.lighting.basis(
+            position, normal, to_viewer, visibility, settings.min_cosine
+        )
+        basis = settled(basis)
+        samples = PixelSamples(
+            target,
+            jnp.broadcast_to(used * basis.lit[None, :], target.shape),
+            basis.ambient,
+            basis.diffuse,
+            basis.strength,
+            basis.log_cosine,
+        )
+        return fit_pixel(samples, outside.known, outside.noise, settings)
+
+    def axis(array: Array) -> int | None:
+        return None if array.shape[0] == 1 else 0
+
+    def squeezed(array: Array) -> Array:
+        return array[0] if array.shape[0] == 1 else array
+
+    batched = jax.vmap(
+        pixel,
+        in_axes=(
+            0,
+            0,
+            0,
+            axis(tile.position),
+            axis(tile.to_viewer),
+            None if tile.visibility is None else 2,
+        ),
+    )
+    target, used = settled(
+        (
+            _channels_first(tile.target),
+            _channels_first(tile.used.astype(tile.target.dtype)),
+        )
+    )
+    return batched(
+        target,
+        used,
+        tile.normal,
+        squeezed(tile.position),
+        squeezed(tile.to_viewer),
+        tile.visibility,
+    )
+
+
+def _channels_first(values: Array) -> Array:
+    """(images, pixels, channels) as (pixels, channels, images), in that order."""
+    # Not a mere transposition: the compiler would keep the old order in memory.
+    channels = [values[..., k].T for k in range(values.shape[-1])]
+    return jnp.stack(channels, axis=1)
+
+
+# On a CPU, XLA removes barriers before it fuses: then they would be in vain.
+_SETTLED = {"xla_disable_hlo_passes": "cse_barrier_expander"}
+
+
+@functools.lru_cache(maxsize=16)
+def compiled(settings: Settings, mesh: Mesh):
+    """[`fit_tile`][] with its pixels spread over the devices of a mesh."""
+    axis = mesh.axis_names[0]
+    along = PartitionSpec(axis)
+
+    def shares(tile: Tile) -> Tile:
+        def unless_one(array: Array) -> PartitionSpec:
+            return PartitionSpec() if array.shape[0] == 1 else along
+
+        return Tile(
+            PartitionSpec(None, axis),
+            PartitionSpec(None, axis),
+            along,
+            unless_one(tile.position),
+            unless_one(tile.to_viewer),
+            None if tile.visibility is None else PartitionSpec(None, None, axis),
+        )
+
+    @functools.partial(jax.jit, compiler_options=_SETTLED)
+    def run(tile: Tile, outside: Outside) -> PixelFit:
+        spread = jax.shard_map(
+            lambda tile, outside: fit_tile(tile, outside, settings),
+            mesh=mesh,
+            in_specs=(shares(tile), PartitionSpec()),
+            out_specs=along,
+            check_vma=False,
+        )
+        return spread(tile, outside)
+
+    return run

@@ -1,0 +1,238 @@
+"""Stacks of images, read piece by piece: memory need not hold them."""
+
+import abc
+import mmap
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from phongfit.files.images import read_image
+from phongfit.files.inputs import read_bytes
+from phongfit.rendering.film import Encoding, as_encoding
+
+Update = Callable[[bytes | memoryview], None]
+
+
+class AbstractStack(abc.ABC):
+    """Images of one size, asked for some of their pixels at a time."""
+
+    @property
+    @abc.abstractmethod
+    def shape(self) -> tuple[int, int, int]:
+        """How many images, their height and width."""
+
+    @abc.abstractmethod
+    def take(
+        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
+    ) -> Float[np.ndarray, "images n 3"]:
+        """Linear light of some pixels in all images.
+
+        **Arguments:**
+
+        - `pixels`: flat indices, row by row, rising.
+        - `order`: the images, in the order they are wanted.
+
+        **Raises:** `ValueError` that names the file that is missing or broken.
+        """
+
+    @abc.abstractmethod
+    def identify(self, update: Update) -> None:
+        """Feed all that the images hold to a checksum."""
+
+
+class ArrayStack(AbstractStack):
+    """Arrays, in memory or memory-mapped (`np.load(path, mmap_mode="r")`)."""
+
+    def __init__(self, images: Any):
+        """**Arguments:** `images`: (L, H, W, 3), or a sequence of (H, W, 3): floats.
+
+        **Raises:** `ValueError` that names the image: not floats, or another shape.
+        """
+        if not isinstance(images, np.ndarray):
+            try:
+                images = list(images)
+            except TypeError as error:
+                raise ValueError("images: a sequence of images is wanted") from error
+        arrays = [image if isinstance(image, np.ndarray) else np.asarray(image)
+                  for image in images]  # fmt: skip
+        if not arrays:
+            raise ValueError("images: none came, at least one is wanted")
+        first = arrays[0].shape
+        for k, array in enumerate(arrays):
+            if array.dtype.kind != "f":
+                raise ValueError(
+                    f"images[{k}]: {array.dtype} values came; linear light as floats "
+                    "is wanted, where white is 1 (see read_image)"
+                )
+            if array.ndim != 3 or array.shape[-1] != 3 or 0 in array.shape:
+                raise ValueError(
+                    f"images[{k}]: shape {array.shape} came, (height, width, 3) wanted"
+                )
+            if array.shape != first:
+                raise ValueError(
+                    f"images[{k}]: shape {array.shape} came, that of images[0] is "
+                    f"{first}"
+                )
+        self._arrays = tuple(arrays)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        height, width, _ = self._arrays[0].shape
+        return len(self._arrays), height, width
+
+    def take(
+        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
+    ) -> Float[np.ndarray, "images n 3"]:
+        taken = np.empty((len(order), len(pixels), 3), _float_type())
+        for row, k in enumerate(order):
+            taken[row] = gather(self._arrays[k], pixels)
+        for array in self._arrays:
+            _let_go(array)
+        return taken
+
+    def identify(self, update: Update) -> None:
+        for array in self._arrays:
+            update(f"{array.dtype.str} {array.shape}".encode())
+            for row in array:
+                update(np.ascontiguousarray(row).data.cast("B"))
+            _let_go(array)
+
+
+class PhotographStack(AbstractStack):
+    """Image files, decoded anew for every tile: one of them is in memory at a time."""
+
+    def __init__(self, paths: Sequence[str | os.PathLike[str]], encoding: Encoding):
+        """**Arguments:**
+
+        - `paths`: one file for each image.
+        - `encoding`: `"linear"` or `"srgb"`: see [`read_image`][].
+
+        **Raises:** `ValueError` that names the file, if the first cannot be read.
+        """
+        self._paths = tuple(Path(path) for path in paths)
+        self._encoding: Encoding = as_encoding(encoding)
+        if not self._paths:
+            raise ValueError("paths: none came, at least one is wanted")
+        self._size = read_image(self._paths[0], self._encoding).shape[:2]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return len(self._paths), *self._size
+
+    def take(
+        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
+    ) -> Float[np.ndarray, "images n 3"]:
+        taken = np.empty((len(order), len(pixels), 3), _float_type())
+        for row, k in enumerate(order):
+            image = read_image(self._paths[k], self._encoding)
+            if image.shape[:2] != self._size:
+                raise ValueError(
+                    f"{self._paths[k]}: {image.shape[:2]} pixels came, "
+                    f"{self._paths[0].name} has {self._size}"
+                )
+            taken[row] = gather(image, pixels)
+        return taken
+
+    def identify(self, update: Update) -> None:
+        update(self._encoding.encode())
+        for path in self._paths:
+            update(read_bytes(path))
+
+
+def as_stack(images: Any) -> AbstractStack:
+    """`images` as a stack: one already, or arrays; `ValueError` for anything else."""
+    return images if isinstance(images, AbstractStack) else ArrayStack(images)
+
+
+class Masks:
+    """Which samples may be used: one mask for all images, or one for each."""
+
+    def __init__(self, mask: Any, shape: tuple[int, int, int]):
+        """**Arguments:**
+
+        - `mask`: `None`, (H, W), (H, W, 3), or a sequence of these, one an image.
+        - `shape`: of the stack.
+
+        **Raises:** `ValueError` that names the mask.
+        """
+        count, *size = shape
+        fine = (tuple(size), (*size, 3))
+        if mask is not None and isinstance(mask, list | tuple) is False:
+            mask = np.asarray(mask)
+            if mask.shape in fine:
+                mask = [mask]
+            elif mask.ndim < 3:
+                raise ValueError(
+                    f"mask: shape {mask.shape} came, {fine[0]} or {fine[1]} is wanted"
+                )
+        masks = [] if mask is None else [np.asarray(each) for each in mask]
+        if mask is not None and len(masks) not in (1, count):
+            raise ValueError(f"mask: {len(masks)} came for {count} images")
+        for k, each in enumerate(masks):
+            which = f"mask[{k}]" if len(masks) > 1 else "mask"
+            if each.shape not in fine or each.dtype.kind not in "biuf":
+                raise ValueError(
+                    f"{which}: {each.dtype} of shape {each.shape} came, "
+                    f"{fine[0]} or {fine[1]} is wanted"
+                )
+        self._masks = masks
+
+    def anywhere(self, size: tuple[int, int]) -> Bool[np.ndarray, "height width"]:
+        """Pixels of which any sample may be used."""
+        seen = np.zeros(size, bool) if self._masks else np.ones(size, bool)
+        for mask in self._masks:
+            seen |= mask.astype(bool).reshape(*size, -1).any(axis=-1)
+        return seen
+
+    def take(
+        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
+    ) -> Bool[np.ndarray, "some_images n some_channels"]:
+        """Whether samples of some pixels may be used."""
+        if not self._masks:
+            return np.ones((1, len(pixels), 1), bool)
+        if len(self._masks) == 1:
+            order = (0,)
+        coloured = any(mask.ndim == 3 for mask in self._masks)
+        rows = [self._masks[k].astype(bool) for k in order]
+        rows = [row if row.ndim == 3 else row[..., None] for row in rows]
+        taken = [gather(row, pixels) for row in rows]
+        shape = (len(pixels), 3 if coloured else 1)
+        return np.stack([np.broadcast_to(row, shape) for row in taken])
+
+    def identify(self, update: Update) -> None:
+        """Feed the masks to a checksum."""
+        for mask in self._masks:
+            update(f"{mask.shape}".encode())
+            update(np.packbits(mask.astype(bool)).tobytes())
+
+
+def gather(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Some pixels of an image, by their flat indices, row by row."""
+    height, width = image.shape[:2]
+    whole = image.flags.c_contiguous
+    if len(pixels) and pixels[-1] - pixels[0] + 1 == len(pixels) and whole:
+        # A run: nothing need be looked up.
+        return image.reshape(height * width, -1)[pixels[0] : pixels[-1] + 1]
+    if whole:
+        return image.reshape(height * width, -1)[pixels]
+    return image[pixels // width, pixels % width]
+
+
+def _let_go(array: np.ndarray) -> None:
+    """Drop pages of a memory-mapped array that have been read: they can be again."""
+    base: Any = array
+    while isinstance(base, np.ndarray):
+        if isinstance(base, np.memmap) and base.mode not in ("r", "r+"):
+            return
+        base = base.base
+    if isinstance(base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        base.madvise(mmap.MADV_DONTNEED)
+
+
+def _float_type() -> np.dtype:
+    return np.dtype(jnp.result_type(float))

@@ -1,0 +1,72 @@
+"""Finished tiles on disk: whole or not at all, and of one job only."""
+
+import io
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phongfit.files.inputs import read_bytes, read_text
+from phongfit.files.outputs import replacing, write_json
+
+MANIFEST = "maps.json"
+
+
+class TileStore:
+    """A folder that remembers which tiles of a job are done."""
+
+    def __init__(self, folder: str | os.PathLike[str], job: dict[str, Any]):
+        """**Arguments:**
+
+        - `folder`: made if it is not there.
+        - `job`: what identifies the job; plain numbers and text.
+
+        **Raises:** `ValueError` if the folder holds tiles of another job, or other
+        files; `OSError` that names it.
+        """
+        self._folder = Path(folder)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        manifest = self._folder / MANIFEST
+        if manifest.exists():
+            _check(manifest, job)
+        elif any(not name.name.startswith(".") for name in self._folder.iterdir()):
+            raise ValueError(
+                f"output: {self._folder} holds other files, an empty folder is wanted"
+            )
+        else:
+            write_json(manifest, job)
+
+    def _path(self, tile: int) -> Path:
+        return self._folder / f"tile_{tile:06d}.npz"
+
+    def load(self, tile: int) -> list[np.ndarray] | None:
+        """The arrays of a tile, or `None` if it is not done, or not readable."""
+        try:
+            with np.load(
+                io.BytesIO(read_bytes(self._path(tile))), allow_pickle=False
+            ) as arrays:
+                return [arrays[name] for name in sorted(arrays.files)]
+        except Exception:
+            # Missing, or broken by something else than an interrupt: done again.
+            return None
+
+    def save(self, tile: int, arrays: list[np.ndarray]) -> None:
+        """Keep the arrays of a finished tile."""
+        named = {f"a{k:02d}": array for k, array in enumerate(arrays)}
+        with replacing(self._path(tile)) as temporary:
+            np.savez(temporary, allow_pickle=False, **named)
+
+
+def _check(manifest: Path, job: dict[str, Any]) -> None:
+    try:
+        found = json.loads(read_text(manifest))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"output: {manifest} is broken: {error}") from error
+    if found != json.loads(json.dumps(job)):
+        differing = [key for key in job if found.get(key) != job[key]]
+        raise ValueError(
+            f"output: {manifest.parent} holds tiles of another job (its "
+            f"{', '.join(differing) or 'manifest'} differs); give another folder"
+        )

@@ -1,0 +1,70 @@
+"""A made-up stack: a bumpy surface, its own material in every pixel, many lights."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+import phongfit as pf
+from data_synth.lights import spread_directions
+
+DTYPE = np.dtype(jnp.result_type(float))
+
+
+class Stack(NamedTuple):
+    """Scenes, images (L, H, W, 3) and the materials behind them."""
+
+    scenes: tuple[pf.Scene, ...]
+    images: np.ndarray
+    truth: pf.Material
+
+
+def make_stack(
+    height: int = 16,
+    width: int = 24,
+    lights: int = 16,
+    *,
+    ambient: float = 0.3,
+    noise: float = 0.01,
+    seed: int = 0,
+    model: pf.AbstractSpecular | None = None,
+) -> Stack:
+    """All materials are random and inside their box; highlights reach every pixel."""
+    rng = np.random.default_rng(seed)
+    size = (height, width)
+    normals = np.concatenate(
+        [rng.uniform(-0.4, 0.4, (*size, 2)), np.ones((*size, 1))], axis=-1
+    )
+    surface = pf.NormalMap(normals)
+    camera = pf.OrthographicCamera(width, height)
+    truth = pf.Material(
+        diffuse=rng.uniform(0.15, 0.4, (*size, 3)),
+        specular=rng.uniform(0.2, 0.4, (*size, 3)),
+        shininess=np.exp(rng.uniform(np.log(6), np.log(30), (*size, 1))),
+        ambient=rng.uniform(0.2, 0.6, (*size, 3)) if ambient else 0.0,
+    )
+    scenes = tuple(
+        pf.Scene(
+            surface,
+            camera,
+            pf.DirectionalLight(direction, (1.0, 0.9, 0.8)),
+            ambient=ambient,
+            specular=model,
+        )
+        for direction in spread_directions(lights)
+    )
+    gbuffer = pf.trace(surface, camera)
+    film = pf.Film(clamp=False)
+    clean = [pf.render(s, truth, film=film, gbuffer=gbuffer) for s in scenes]
+    images = np.stack([np.asarray(image) for image in clean])
+    images = images + noise * rng.normal(size=images.shape)
+    return Stack(scenes, images.astype(DTYPE), truth)
+
+
+def pulls(maps: pf.Maps, truth: pf.Material, name: str) -> np.ndarray:
+    """(estimate − truth) / predicted error, where all is told and within its bounds."""
+    sound = maps.told & ~maps.flagged(pf.Flag.AT_BOUND)
+    error = np.asarray(getattr(maps.stderr, name), float)
+    value = np.asarray(getattr(maps, name), float)
+    true = np.broadcast_to(np.asarray(getattr(truth, name), float), value.shape)
+    return ((value - true) / error)[sound]
