@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from phongfit.fitting.leaves import DEFAULT_BOUNDS
 from phongfit.fitting.losses import as_loss
 from phongfit.fitting.maps.lighting import Lighting
 from phongfit.fitting.maps.pixel import Known
 from phongfit.fitting.maps.settings import LEAVES, Settings
 from phongfit.fitting.maps.tile import Outside, Tile
 from phongfit.fitting.result import Fit
-from phongfit.fitting.unknowns import DEFAULT_BOUNDS
 from phongfit.geometry.shading import PhongShading
 from phongfit.geometry.tracing import trace
 from phongfit.mapping.stacks import Masks
