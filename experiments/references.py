@@ -161,7 +161,7 @@ def _raytraced(name: str, said: dict[str, Any], arrays: Arrays) -> Reference:
         name=name,
         scene=scene,
         material=pf.stack_materials(pf.Material(**one) for one in said["materials"]),
-        film=pf.Film(),
+        film=pf.Film(bits=16),
         image=arrays["image"],
         covered=seen(arrays["image"], np.asarray(said["background"])),
         vertex_colors=None,

@@ -89,7 +89,8 @@ def _beyond_sense(
     kinds, owners = unknowns.kinds, unknowns.owners
     with np.errstate(invalid="ignore"):
         vague = ~untold & (found.stderr > _width(unknowns))
-        dark = (kinds == "specular") & (position < 3 * found.stderr)
+        # An unknown light scales a highlight, but cannot make one out of nothing.
+        dark = (kinds == "specular") & (position < 3 * found.apart)
     for label in dict.fromkeys(labels[vague]):
         reasons.append(f"{label} cannot be told: its error is wider than its bounds")
     untold |= vague
@@ -125,7 +126,8 @@ def _told_for_all_exponents(
         np.asarray(edge) for edge in (problem.unknowns.lower, problem.unknowns.upper)
     )
     for share in np.linspace(0, 1, 7):
-        there = np.where(exponents, lower + share * (upper - lower), y)
+        there = y.copy()
+        there[exponents] = (lower + share * (upper - lower))[exponents]
         felt = float(_curvature(problem, jnp.asarray(there, y.dtype))[entry])
         # In standard deviations, and the other unknowns only add to it.
         if 1 / (np.sqrt(felt) + 1e-30) > upper[entry] - lower[entry]:

@@ -69,7 +69,10 @@ def _other_problem(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Prob
         )
     pixels, targets = [], []
     for k, (view, one, light) in enumerate(zip(views, scenes, images, strict=True)):
-        shape = (view.scene.camera.height, view.scene.camera.width, 3)
+        size, came = ((s.camera.height, s.camera.width) for s in (view.scene, one))
+        if came != size:
+            raise ValueError(f"scene: {k} shows {came} pixels, {size} are wanted")
+        shape = (*size, 3)
         if jnp.shape(light) != shape:
             raise ValueError(
                 f"image: shape {jnp.shape(light)} came for scene {k}, {shape} is wanted"

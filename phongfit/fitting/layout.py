@@ -247,7 +247,7 @@ def _held(
         offset[entries] = names.numbers("fixed", name, given)
         factor[entries], is_fixed[entries] = 0, True
     for name, given in ties.items():
-        share, other = (1.0, given) if isinstance(given, str) else given
+        share, other = _share_and_name(name, given)
         entries, others = names.entries("ties", name), names.entries("ties", other)
         if len(others) not in (1, len(entries)):
             raise ValueError(
@@ -256,7 +256,22 @@ def _held(
         for entry, target in zip(entries, np.resize(others, len(entries)), strict=True):
             _check_tie(names, int(entry), int(target), is_fixed, source)
             factor[entry], source[entry] = share, target
-    return _followed(names, factor, offset, is_fixed, source)
+    return _followed(factor, offset, is_fixed, source)
+
+
+def _share_and_name(name: str, given: Tie) -> tuple[float, str]:
+    if isinstance(given, str):
+        return 1.0, given
+    try:
+        share, other = given
+        factor = float(share)
+    except (TypeError, ValueError):
+        factor, other = np.nan, None
+    if not np.isfinite(factor) or not isinstance(other, str):
+        raise ValueError(
+            f"ties: {name}: {given!r} came, a name or (factor, name) is wanted"
+        )
+    return factor, other
 
 
 def _check_tie(
@@ -267,6 +282,11 @@ def _check_tie(
         raise ValueError(f"ties: {label} is fixed already")
     if source[entry] != entry:
         raise ValueError(f"ties: {label} is tied twice")
+    end = target
+    while source[end] != end:
+        end = source[end]
+    if end == entry:
+        raise ValueError(f"ties: {label} is tied to itself")
     forms = {names.form[entry], names.form[target]}
     if "direction" in forms:
         raise ValueError(f"ties: {label} to {other}: directions cannot be tied")
@@ -279,7 +299,6 @@ def _check_tie(
 
 
 def _followed(
-    names: _Names,
     factor: np.ndarray,
     offset: np.ndarray,
     is_fixed: np.ndarray,
@@ -287,12 +306,8 @@ def _followed(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Ties to what is itself tied or fixed, followed to where they end."""
     for entry in range(len(source)):
-        seen = {entry}
-        while source[entry] != entry and source[source[entry]] != source[entry]:
+        while source[source[entry]] != source[entry]:
             target = source[entry]
-            if target in seen:
-                raise ValueError(f"ties: {names.labels[entry]} is tied to itself")
-            seen.add(int(target))
             factor[entry] *= factor[target]
             source[entry] = source[target]
         target = source[entry]

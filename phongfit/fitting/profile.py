@@ -14,7 +14,7 @@ from phongfit.fitting.estimate import estimates
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.search import Found
 from phongfit.fitting.solution import solve
-from phongfit.fitting.sums import sums
+from phongfit.fitting.sums import linearize
 from phongfit.fitting.unknowns import Unknowns, in_units
 
 # One, two and three standard deviations of a normal distribution.
@@ -69,11 +69,18 @@ class ProfilePair:
 
 
 def profile(
-    found: Found, label: str, freedom: int, levels: tuple[float, ...] = LEVELS
+    found: Found,
+    label: str,
+    freedom: int,
+    levels: tuple[float, ...] = LEVELS,
+    inflation: float = 1.0,
 ) -> Profile:
-    """The profile of one unknown: see [`Fit`][]`.profile`."""
+    """The profile of one unknown: see [`Fit`][]`.profile`.
+
+    **Arguments:** `inflation`: factor on all variances, as of the standard errors.
+    """
     _check_levels(levels)
-    held = _Held(found, [label])
+    held = _Held(found, [label], inflation)
     (place,) = held.places
     reach = {p: float(scipy.stats.t.ppf((1 + p) / 2, max(freedom, 1))) for p in levels}
     farthest = max(reach.values())
@@ -100,12 +107,13 @@ def profile_pair(
     labels: tuple[str, str],
     freedom: int,
     levels: tuple[float, ...] = LEVELS,
+    inflation: float = 1.0,
 ) -> ProfilePair:
     """The profile of two unknowns on a grid: see [`Fit`][]`.profile`."""
     _check_levels(levels)
     if labels[0] == labels[1]:
         raise ValueError(f"other: {labels[1]!r} came twice, two unknowns are wanted")
-    held = _Held(found, labels)
+    held = _Held(found, labels, inflation)
     freedom = max(freedom, 1)
     thresholds = {p: 2 * float(scipy.stats.f.ppf(p, 2, freedom)) for p in levels}
     farthest = 1.15 * np.sqrt(max(thresholds.values()))
@@ -144,29 +152,34 @@ def _crossing(
 class _Held:
     """A solved problem of which some unknowns are held, and the others fitted again."""
 
-    def __init__(self, found: Found, labels: Iterable[str]):
+    def __init__(self, found: Found, labels: Iterable[str], inflation: float):
         self.problem, self.best = found.problem, found.y
         unknowns = found.problem.unknowns
         self.places = [_place(unknowns, label) for label in labels]
         self.lower = np.asarray(unknowns.lower)
         self.upper = np.asarray(unknowns.upper)
-        # A sandwich covariance is wider than the curvature says: so is the profile.
-        told = estimates(found.problem, found.y)
+        told = estimates(found.problem, found.y, inflation=inflation)
         self.errors = np.zeros(len(self.lower))
-        curvature = np.asarray(sums(found.problem, found.y).hessian, float)
-        spread = np.sqrt(np.diag(np.linalg.pinv(curvature, hermitian=True)))
         slope = np.abs(np.asarray(in_units(unknowns, found.y)[1], float))
+        ratios = []
         for place in self.places:
             (entry,) = np.flatnonzero(slope[:, place] > 0)[:1]
             error = told.errors[entry] / slope[entry, place]
             width = self.upper[place] - self.lower[place]
             self.errors[place] = min(error, width / 2) if error > 0 else width / 2
-        ratio = [
-            spread[p] / self.errors[p] if np.isfinite(self.errors[p]) else 1.0
-            for p in self.places
-        ]
-        self.scale = float(np.clip(np.mean(ratio), 0.0, 1.0)) ** 2
+            if np.isfinite(error) and not told.at_bound[entry]:
+                ratios.append(self._spread(place) / error)
+        # A sandwich covariance is not what the curvature says: nor is the profile.
+        self.scale = float(np.mean(ratios)) ** 2 if ratios else 1.0
         self.least = total_cost(self.problem, self.best)
+
+    def _spread(self, place: int) -> float:
+        """Standard error from the curvature of the cost alone, what is free free."""
+        y = np.asarray(self.best)
+        free = (y > self.lower) & (y < self.upper)
+        curvature = np.asarray(_curvature(self.problem, self.best), float)
+        inverse = np.linalg.pinv(curvature[np.ix_(free, free)], hermitian=True)
+        return float(np.sqrt(inverse.diagonal()[np.count_nonzero(free[:place])]))
 
     def rise(
         self, at: dict[int, float], start: Float[Array, " n"]
@@ -239,6 +252,13 @@ def total_cost(problem: Problem, y: Float[Array, " n"]) -> float:
     """The cost, added up in double precision: profiles are small differences of it."""
     samples, priors = _costs(problem, y)
     return float(np.sum(np.asarray(samples, float)) + np.sum(np.asarray(priors, float)))
+
+
+@eqx.filter_jit
+def _curvature(problem: Problem, y: Float[Array, " n"]) -> Float[Array, "n n"]:
+    samples, _, jacobian = linearize(problem, y)
+    known = jacobian.priors.T @ jacobian.priors
+    return jacobian.gram(problem.loss.score(samples)[1]) + known
 
 
 @eqx.filter_jit

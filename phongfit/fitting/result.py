@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.stats
 
+from phongfit.fitting.diagnostics import variance_inflation
 from phongfit.fitting.profile import LEVELS, profile, profile_pair
 from phongfit.fitting.search import Found
 from phongfit.fitting.table import fit_table
@@ -112,10 +113,11 @@ class Fit:
 
         **Raises:** `ValueError` for a name that was not free, or a level out of range.
         """
+        inflation = variance_inflation(self.neighbour_correlation)
+        setting = (self.degrees_of_freedom, tuple(levels), inflation)
         if other is None:
-            return profile(self.found, name, self.degrees_of_freedom, tuple(levels))
-        pair = (name, other)
-        return profile_pair(self.found, pair, self.degrees_of_freedom, tuple(levels))
+            return profile(self.found, name, *setting)
+        return profile_pair(self.found, (name, other), *setting)
 
     @property
     def reduced_chi_squared(self) -> float:

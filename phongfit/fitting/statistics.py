@@ -1,6 +1,7 @@
 """From the Jacobian at the solution to error bars, and to what they cannot say."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from phongfit.fitting.leaves import LEAVES
 from phongfit.fitting.noise import shared_rounding_variance
 from phongfit.fitting.problem import Evaluation, Problem, evaluate
 from phongfit.fitting.sums import Jacobian, linearize
@@ -21,11 +23,13 @@ class Statistics:
     `covariance` is that of the unknowns that are free and can be told: NaN for those at
     a bound, infinite variance for those that cannot be told. `stderr` is its root, save
     at a bound: there it is how far into the box the data let the unknown go (the cost
-    rises by one σ²).
+    rises by one σ²). `apart` are the errors of the material's unknowns if those of the
+    scenes were known; infinite for what no sample depends on.
     """
 
     covariance: np.ndarray
     stderr: np.ndarray
+    apart: np.ndarray
     untold: np.ndarray
     at_bound: np.ndarray
     chi_squared: float
@@ -40,7 +44,10 @@ def statistics(problem: Problem, y: Float[Array, " n"], inflation: float) -> Sta
     - `problem`, `y`: the problem, and its solution.
     - `inflation`: factor on all variances for residuals that are not independent.
     """
-    found = jax.tree.map(lambda part: np.asarray(part, float), _pieces(problem, y))
+    found = _in_numpy(_pieces(problem, y))
+    resolution = float(np.finfo(y.dtype).eps)
+    if _too_coarse(found.inside, resolution):
+        found = _in_numpy(_pieces_in_double(problem, y))
     bread, meat = found.bread, found.meat
     if found.shared > 1e-6:
         meat = meat + found.loss_variance * _shared_rounding(problem, y)
@@ -50,7 +57,6 @@ def statistics(problem: Problem, y: Float[Array, " n"], inflation: float) -> Sta
         np.asarray(problem.unknowns.upper),
     )
     at_bound = (position <= lower) | (position >= upper)
-    resolution = float(np.finfo(y.dtype).eps)
     untold, reasons = _untold(found.inside, problem.unknowns, resolution)
     at_bound &= ~untold
 
@@ -73,8 +79,47 @@ def statistics(problem: Problem, y: Float[Array, " n"], inflation: float) -> Sta
         rise = inflation * variance * curvature
         # pull·d + curvature·d²/2 = rise/2, solved without cancellation.
         stderr[k] = rise / (pull[k] + np.sqrt(pull[k] ** 2 + rise * curvature))
-    chi_squared = float(found.chi_squared)
-    return Statistics(covariance, stderr, untold, at_bound, chi_squared, reasons)
+    apart = np.full(size, np.inf)
+    material = np.isin(problem.unknowns.kinds, LEAVES)
+    specular = problem.unknowns.kinds == "specular"
+    heard = np.flatnonzero(material & (free | specular) & (np.diag(found.inside) > 0))
+    inverse = _inverse(bread[np.ix_(heard, heard)], resolution)
+    variance = np.diag(inverse @ meat[np.ix_(heard, heard)] @ inverse)
+    apart[heard] = np.sqrt(inflation * np.maximum(variance, 0))
+    return Statistics(
+        covariance,
+        stderr,
+        apart,
+        untold,
+        at_bound,
+        float(found.chi_squared),
+        reasons,
+    )
+
+
+def _in_numpy(pieces: "_Pieces") -> Any:
+    return jax.tree.map(lambda part: np.asarray(part, float), pieces)
+
+
+def _too_coarse(bread: np.ndarray, resolution: float) -> bool:
+    """Whether sums of this precision leave open if a direction is told at all."""
+    if resolution < 1e-10 or not np.all(np.isfinite(bread)):
+        return False
+    heard = np.diag(bread) > 0
+    values = np.linalg.eigvalsh(_normalized(bread[np.ix_(heard, heard)])[0])
+    return bool(np.any(values < 1e4 * resolution))
+
+
+def _pieces_in_double(problem: Problem, y: Float[Array, " n"]) -> "_Pieces":
+    """The same derivatives, added up in double precision."""
+    at = eqx.filter_jit(evaluate)(problem, y)
+    parts = problem, at, eqx.filter_jit(linearize)(problem, y)
+    with jax.enable_x64(True):
+        return _add_up(*jax.tree.map(_in_double, parts))
+
+
+def _in_double(leaf: Any) -> Any:
+    return jnp.asarray(np.asarray(leaf), float) if eqx.is_inexact_array(leaf) else leaf
 
 
 class _Pieces(eqx.Module):
@@ -91,13 +136,20 @@ class _Pieces(eqx.Module):
 
 @eqx.filter_jit
 def _pieces(problem: Problem, y: Float[Array, " n"]) -> _Pieces:
-    at = evaluate(problem, y)
-    samples, priors, jacobian = linearize(problem, y)
+    return _add_up(problem, evaluate(problem, y), linearize(problem, y))
+
+
+@eqx.filter_jit
+def _add_up(
+    problem: Problem, at: Evaluation, linearized: tuple[Array, Array, Jacobian]
+) -> _Pieces:
+    samples, priors, jacobian = linearized
+    kind = samples.dtype
     used = problem.samples.weight > 0
-    count = jnp.maximum(jnp.sum(used), 1).astype(y.dtype)
+    count = jnp.maximum(jnp.sum(used), 1).astype(kind)
 
     score, slope = problem.loss.score(samples)
-    variance, steepness = jnp.ones((), y.dtype), jnp.ones((), y.dtype)
+    variance, steepness = jnp.ones((), kind), jnp.ones((), kind)
     if problem.loss.robust:
         # A loss that bends: the variance of its score, and its mean slope.
         variance = jnp.sum(jnp.where(used, score**2, 0)) / count
@@ -110,7 +162,7 @@ def _pieces(problem: Problem, y: Float[Array, " n"]) -> _Pieces:
     white = used & (problem.samples.target >= 1) & problem.clamp
     gram = jacobian.gram()
     inside = jax.lax.cond(
-        jnp.any(white), lambda: jacobian.gram((~white).astype(y.dtype)), lambda: gram
+        jnp.any(white), lambda: jacobian.gram((~white).astype(kind)), lambda: gram
     )
     return _Pieces(
         bread=steepness * gram + known,

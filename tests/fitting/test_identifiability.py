@@ -88,6 +88,27 @@ def test_everything_is_black():
     assert np.all(fit.errors[:9] < 0.01)
 
 
+def test_everything_is_white():
+    """Light may be white, or any amount brighter."""
+    fit = pf.fit(ball(), np.ones((SIZE, SIZE, 3)), film=pf.Film())
+    assert fit.untold.all() and np.all(np.isinf(fit.errors))
+    check_untold(fit, ("ambient", "diffuse", "specular", "shininess"), "cannot be told")
+
+
+def test_nearly_everything_is_white():
+    """A few pixels below white tell little, and no more than that is stated."""
+    bright = pf.Material((0.9, 0.8, 0.7), 0.5, 20.0, 1.0)
+    lights = [pf.DirectionalLight((1, 1, 2), 3.0), pf.DirectionalLight((-1, 0, 1), 2.0)]
+    scene = pf.Scene(pf.Sphere(), ball().camera, lights, ambient=0.9)
+    image = photograph(scene, bright, noise=0.01)
+    assert 0 < np.mean(image[np.asarray(scene.trace().mask)] < 1) < 0.1
+    fit = pf.fit(scene, image)
+    assert fit.untold[6:].all() and np.array_equal(np.isinf(fit.errors), fit.untold)
+    truth = np.array([1.0, 1.0, 1.0, 0.9, 0.8, 0.7, 0.5, 0.5, 0.5, 20.0])
+    told = ~fit.untold & ~fit.at_bound
+    assert np.all(np.abs(fit.values - truth)[told] < 4.5 * fit.errors[told])
+
+
 def test_ambient_and_emission_under_different_ambient_light():
     """One constant in one image, two in two."""
     truth = pf.Material(TRUTH.diffuse, TRUTH.specular, 20.0, 0.5, (0.05, 0.1, 0.15))

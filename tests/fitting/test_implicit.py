@@ -1,0 +1,92 @@
+"""Derivatives of a fit against finite differences of whole fits."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.testing import check_gradients
+from tests.fitting.scenes import TRUTH, ball, photograph
+from tests.helpers import floats, near
+
+SCENE = ball(size=16)
+IMAGE = photograph(SCENE, TRUTH, noise=0.01)
+OTHER = photograph(SCENE, TRUTH, noise=0.01, seed=1)
+
+
+def vector(material: pf.Material) -> jax.Array:
+    leaves = (material.ambient, material.diffuse, material.specular)
+    return jnp.concatenate([*leaves, material.shininess[None]])
+
+
+def shone(intensity, direction) -> pf.Scene:
+    def where(scene: pf.Scene):
+        return scene.lights[0].intensity, scene.lights[0].direction
+
+    return eqx.tree_at(where, SCENE, (intensity, direction))
+
+
+@pytest.mark.float64
+@pytest.mark.parametrize(
+    "loss", ["linear", pytest.param("cauchy", marks=pytest.mark.slow)]
+)
+def test_derivatives_are_those_of_whole_fits(loss):
+    """In the image, a light's intensity and its direction."""
+    fit = pf.fit(SCENE, IMAGE, loss=loss)
+    image, other = floats(IMAGE), floats(OTHER)
+
+    def refitted(point):
+        share, intensity, direction = point
+        mixed = (1 - share) * image + share * other
+        return vector(pf.refit(fit, shone(intensity, direction), mixed))
+
+    light = SCENE.lights[0]
+    point = (floats(0.1), light.intensity, light.direction)
+    check_gradients(refitted, point, order=1, rtol=1e-4)
+
+
+@pytest.mark.float64
+def test_at_a_bound_there_is_no_derivative():
+    fit = pf.fit(SCENE, IMAGE, bounds={"diffuse": (0, 0.5)})
+    assert np.flatnonzero(fit.at_bound).tolist() == [3]
+    image, other = floats(IMAGE), floats(OTHER)
+
+    def refitted(share):
+        return vector(pf.refit(fit, SCENE, (1 - share) * image + share * other))
+
+    slope = np.asarray(jax.jacfwd(refitted)(floats(0.0)))
+    assert slope[3] == 0 and np.all(np.delete(slope, 3) != 0)
+    check_gradients(refitted, floats(0.0), order=1, rtol=1e-4)
+
+
+def test_jit_and_vmap():
+    fit = pf.fit(SCENE, IMAGE)
+    images = floats(np.stack([IMAGE, OTHER]))
+    found = jax.jit(jax.vmap(lambda image: vector(pf.refit(fit, SCENE, image))))(images)
+    near(found[0], fit.values, 1e-3)
+    other = pf.fit(SCENE, OTHER)
+    # The noise level stays that of the fit, and where it matters is the clamp alone.
+    assert np.all(np.abs(np.asarray(found[1]) - other.values) < 0.05 * other.errors)
+
+
+def test_a_list_of_images():
+    fit = pf.fit([SCENE], [IMAGE])
+    near(vector(pf.refit(fit, [SCENE], [floats(IMAGE)])), fit.values, 1e-3)
+
+
+@pytest.mark.parametrize(
+    "scene, image, words",
+    [
+        (SCENE, IMAGE[:8], "image: shape .8, 16, 3. came for scene 0, .16, 16, 3."),
+        (SCENE, IMAGE[..., 0], "image: shape .16, 16. came"),
+        ([SCENE, SCENE], [IMAGE, IMAGE], "scene: 2 and 2 images came, the fit had 1"),
+        ([SCENE], [IMAGE, IMAGE], "scene: 1 and 2 images came"),
+        (ball(), IMAGE, "scene: 0 shows .32, 32. pixels, .16, 16. are wanted"),
+    ],
+)
+def test_wrong_shapes(scene, image, words):
+    fit = pf.fit(SCENE, IMAGE)
+    with pytest.raises(ValueError, match=words):
+        pf.refit(fit, scene, image)

@@ -1,0 +1,117 @@
+"""Garbage, shadows and priors: what must move a fit, and what must not."""
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from tests.fitting.scenes import TRUTH, as_vector, ball, photograph
+
+SIZE = 64
+SCENE = ball(size=SIZE)
+NOISY = photograph(SCENE, TRUTH, noise=0.01)
+
+
+def garbage() -> np.ndarray:
+    """A fifth of the pixels replaced by any colour."""
+    rng = np.random.default_rng(0)
+    hit = rng.random((SIZE, SIZE, 1)) < 0.2
+    return np.where(hit, rng.random(NOISY.shape), NOISY)
+
+
+def shadow() -> np.ndarray:
+    """A block of pixels that no light reaches, unknown to the model."""
+    image = NOISY.copy()
+    image[20:40, 8:28] *= 0.2
+    return image
+
+
+# A shadow errs to one side only. Tukey's loss forgets it; to Huber's and its smooth
+# form every pixel of it goes on pulling, and the limits bound that bias.
+@pytest.mark.parametrize(
+    "spoil, loss, limit",
+    [
+        (garbage, "tukey", 0.02),
+        (garbage, "cauchy", 0.02),
+        (garbage, "huber", 0.12),
+        (garbage, "soft_l1", 0.12),
+        (shadow, "tukey", 0.02),
+        (shadow, "cauchy", 0.05),
+        (shadow, "huber", 0.25),
+        (shadow, "soft_l1", 0.35),
+    ],
+)
+def test_what_is_not_of_the_model_hardly_moves_a_fit(spoil, loss, limit):
+    clean = pf.fit(SCENE, NOISY, loss=loss)
+    assert np.all(np.abs(clean.values - as_vector(TRUTH)) < 4.5 * clean.errors)
+    fit = pf.fit(SCENE, spoil(), loss=loss)
+    assert fit.converged
+    moved = np.abs(fit.values / clean.values - 1)
+    assert np.all(moved < limit), dict(zip(fit.labels, moved, strict=True))
+    # Least squares are moved, so the test says something.
+    plain = pf.fit(SCENE, spoil())
+    assert np.max(np.abs(plain.values / clean.values - 1)) > 0.15
+
+
+def test_a_prior_counts_as_one_more_measurement():
+    """A linear problem of two unknowns: Gaussians multiply."""
+    names = ("ambient", "diffuse")
+    options = dict(known=TRUTH, unknowns=names, per_channel=(), noise=0.01)
+    truth = pf.Material(0.4, TRUTH.specular, TRUTH.shininess, 0.5)
+    image = photograph(SCENE, truth, noise=0.01, film=pf.Film(clamp=False))
+    free = pf.fit(SCENE, image, film=pf.Film(clamp=False), **options)
+    mean, deviation = 0.41, 0.002
+    held = pf.fit(
+        SCENE,
+        image,
+        film=pf.Film(clamp=False),
+        priors={"diffuse": (mean, deviation)},
+        **options,
+    )
+    known = np.diag([0, deviation**-2])
+    precision = np.linalg.inv(free.covariance) + known
+    covariance = np.linalg.inv(precision)
+    shift = covariance @ known @ (np.array([0, mean]) - free.values)
+    np.testing.assert_allclose(held.covariance, covariance, rtol=2e-3)
+    np.testing.assert_allclose(held.values, free.values + shift, rtol=1e-4)
+    assert held.degrees_of_freedom == free.degrees_of_freedom + 1
+    pull = (held.values[1] - mean) / deviation
+    lost = shift @ np.linalg.solve(free.covariance, shift)
+    assert held.chi_squared - free.chi_squared == pytest.approx(
+        pull**2 + lost, rel=0.01, abs=0.05
+    )
+
+
+def test_a_prior_tells_what_the_image_does_not():
+    """Exposure and reflectances are one scale, until one of them is known."""
+    matte = pf.Material(TRUTH.diffuse, 0.0, 20.0, TRUTH.ambient)
+    predicted = pf.predict_errors(
+        SCENE,
+        matte,
+        0.01,
+        unknowns=("diffuse", "ambient", "exposure"),
+        priors={"exposure": (1.0, 0.05)},
+    )
+    assert not predicted.untold.any() and not predicted.warnings
+    np.testing.assert_allclose(predicted.errors[-1], 0.05, rtol=1e-3)
+    relative = predicted.errors[3:6] / np.asarray(TRUTH.diffuse)
+    assert np.all((relative > 0.05) & (relative < 0.06))
+
+
+def test_parts_of_a_result():
+    fit = pf.fit(SCENE, NOISY)
+    leaf, one = fit["diffuse"], fit["diffuse.red"]
+    assert leaf.value.shape == leaf.error.shape == (3,)
+    np.testing.assert_array_equal(leaf.value, fit.values[3:6])
+    assert (one.value, one.error) == (fit.values[3], fit.errors[3])
+    assert not one.at_bound and not one.untold
+    assert fit["shininess"].value == fit.values[9]
+    for name in ("gloss", "diff", "diffuse.", "diffuse.red.x", ""):
+        with pytest.raises(KeyError, match="came, one of ambient.red, "):
+            fit[name]
+    low, high = fit.intervals(0.6827).T
+    np.testing.assert_allclose(high - low, 2 * fit.errors, rtol=1e-3)
+    low, high = fit.intervals().T
+    np.testing.assert_allclose(high - low, 2 * 1.96 * fit.errors, rtol=1e-3)
+    for level in (0.0, 1.0, 95, np.nan):
+        with pytest.raises(ValueError, match="level: "):
+            fit.intervals(level)

@@ -1,0 +1,169 @@
+"""Sums over the samples against the whole Jacobian, one problem of each kind."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.fitting.fit import set_up
+from phongfit.fitting.layout import make_unknowns
+from phongfit.fitting.leaves import LEAVES
+from phongfit.fitting.losses import as_loss
+from phongfit.fitting.problem import Problem
+from phongfit.fitting.samples import gather, seen_pixels
+from phongfit.fitting.solution import few_residuals
+from phongfit.fitting.sums import colours, linearize, sums
+from tests.fitting.scenes import TRUTH, ball, photograph
+from tests.helpers import EPS, floats
+
+NOISE = 0.03
+SCENE = ball(size=16)
+INTENSITY = "scene.lights[0].intensity"
+
+
+def two_materials() -> pf.Scene:
+    mesh = pf.shapes.Ball().mesh(12, 6)
+    half = (np.arange(len(mesh.faces)) % 2).astype(np.int32)
+    surface = pf.Mesh(mesh.vertices, mesh.faces, mesh.normals, half)
+    return pf.Scene(surface, SCENE.camera, SCENE.lights, SCENE.ambient)
+
+
+TWO = two_materials()
+KINDS = {
+    "one material": (SCENE, {}),
+    "two materials": (TWO, {}),
+    "images apart": ([SCENE, SCENE], dict(unknowns=("diffuse", "exposure"))),
+    "scenes": (
+        SCENE,
+        dict(unknowns=("diffuse", INTENSITY, "scene.lights[1].direction")),
+    ),
+    "priors and ties": (
+        SCENE,
+        dict(
+            priors={"shininess": (30, 5), "diffuse": (0.4, 0.02)},
+            ties={"ambient.red": (0.5, "diffuse.blue")},
+        ),
+    ),
+    "tukey": (SCENE, {}),
+}
+
+
+def problem_of(kind: str) -> tuple[Problem, jax.Array]:
+    """A problem with noise and some white pixels, and a point off its optimum."""
+    scene, options = KINDS[kind]
+    scenes = scene if isinstance(scene, list) else [scene]
+    material = pf.stack_materials([TRUTH] * 2) if scene is TWO else TRUTH
+    images = [
+        photograph(one, material, noise=NOISE, seed=k) for k, one in enumerate(scenes)
+    ]
+    images = [np.where(image > 0.55, 1, image) for image in images]
+    setting = set_up(
+        scene, images if isinstance(scene, list) else images[0], known=TRUTH, **options
+    )
+    loss = as_loss("tukey" if kind == "tukey" else "linear")
+    samples = gather(setting.sources, seen_pixels(setting.sources), True)
+    problem = Problem(samples, setting.unknowns, floats(NOISE), loss, True)
+    names, logarithm = setting.unknowns.names, setting.unknowns.logarithmic
+    rng = np.random.default_rng(0)
+    y = 0.3 + 0.1 * rng.random(len(logarithm))
+    if any(name.startswith("scene") or name == "exposure" for name in names):
+        y += np.asarray(setting.unknowns.start)
+    return problem, floats(np.where(logarithm, np.log(25), y))
+
+
+@eqx.filter_jit
+def dense(problem: Problem, y: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Residuals of everything, their Jacobian, and the gradient of half the cost."""
+
+    def residual(y: jax.Array) -> jax.Array:
+        priors = problem.unknowns.prior_residual(y)
+        return jnp.concatenate([problem.residual(y).ravel(), priors])
+
+    def cost(y: jax.Array) -> jax.Array:
+        priors = problem.unknowns.prior_residual(y)
+        robust = problem.loss.root(problem.residual(y))
+        return (jnp.sum(robust**2) + jnp.sum(priors**2)) / 2
+
+    return residual(y), jax.jacfwd(residual)(y), jax.grad(cost)(y)
+
+
+@eqx.filter_jit
+def ours(problem: Problem, y: jax.Array) -> tuple:
+    few, slope = few_residuals(y, problem), jax.jacfwd(few_residuals)(y, problem)
+    return sums(problem, y), linearize(problem, y)[2], few, slope
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_sums_are_those_of_the_whole_jacobian(kind):
+    problem, y = problem_of(kind)
+    residual, jacobian, gradient = (np.asarray(a, float) for a in dense(problem, y))
+    total, sparse, few, slope = ours(problem, y)
+    size = np.sqrt(np.sum(jacobian**2, axis=0))
+    tolerance = 3e3 * EPS * np.sqrt(np.sum(residual**2))
+    assert np.all(size > 0)
+    np.testing.assert_allclose(total.gradient / size, gradient / size, atol=tolerance)
+    if kind == "tukey":
+        return
+    np.testing.assert_allclose(total.cost, np.sum(residual**2), rtol=1e3 * EPS)
+    unit = np.outer(size, size)
+    hessian = jacobian.T @ jacobian
+    np.testing.assert_allclose(total.hessian / unit, hessian / unit, atol=1e3 * EPS)
+    columns = sparse.columns()
+    samples = jacobian[: problem.samples.target.size].T.reshape(columns.shape)
+    np.testing.assert_allclose(columns, samples, atol=1e3 * EPS * np.abs(samples).max())
+
+    # A few residuals that no solver can tell from all of them.
+    few, slope = np.asarray(few, float), np.asarray(slope, float)
+    count = np.count_nonzero(problem.samples.weight)
+    assert few.shape == (len(y) + 1,)
+    np.testing.assert_allclose(count * few @ few, np.sum(residual**2), rtol=3e3 * EPS)
+    np.testing.assert_allclose(
+        count * slope.T @ few / size, gradient / size, atol=10 * tolerance
+    )
+    np.testing.assert_allclose(
+        count * slope.T @ slope / unit, hessian / unit, atol=1e4 * EPS
+    )
+
+
+@pytest.mark.parametrize(
+    "names, per_channel, options, count",
+    [
+        (LEAVES[:4], LEAVES[:3], {}, 4),
+        (LEAVES[:4], (), {}, 4),
+        (LEAVES[:4], LEAVES[:4], {}, 4),
+        (LEAVES[:4], LEAVES[:3], {"materials": 24}, 4),
+        (("diffuse",), ("diffuse",), {}, 1),
+        (("diffuse", "exposure"), ("diffuse",), {"scenes": [SCENE] * 5}, 2),
+        # A direction has two.
+        (("diffuse", "scene.lights[0].direction"), (), {"scenes": [SCENE]}, 3),
+        # A tie to another channel moves that one's samples, too.
+        (("diffuse",), ("diffuse",), {"ties": {"diffuse.red": "diffuse.blue"}}, 1),
+        (
+            ("ambient", "diffuse"),
+            ("ambient", "diffuse"),
+            {"ties": {"ambient.red": "diffuse.blue"}},
+            2,
+        ),
+    ],
+)
+def test_how_many_derivatives(names, per_channel, options, count):
+    unknowns = make_unknowns(names, per_channel, TRUTH, {}, **options)
+    tangents, select = colours(unknowns)
+    assert tangents.shape == (count, unknowns.lower.size)
+    assert np.array_equal(tangents.sum(axis=0), np.ones(unknowns.lower.size))
+    # No sample is moved by two of a colour.
+    assert select.sum(axis=-1).max() == 1
+
+
+def test_a_derivative_in_the_unknowns_alone():
+    problem, y = problem_of("one material")
+
+    def through(sigma: jax.Array) -> jax.Array:
+        return few_residuals(y, dataclasses.replace(problem, sigma=sigma)).sum()
+
+    with pytest.raises(NotImplementedError, match="in the unknowns only"):
+        jax.jvp(through, (problem.sigma,), (problem.sigma,))
