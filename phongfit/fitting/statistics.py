@@ -90,7 +90,7 @@ def statistics(
     return Statistics(covariance, stderr, apart, untold, at_bound, reasons)
 
 
-def _in_numpy(pieces: "_Pieces") -> "_Pieces":
+def _in_numpy(pieces: "_Pieces") -> Any:
     return jax.tree.map(lambda part: np.asarray(part, float), pieces)
 
 
