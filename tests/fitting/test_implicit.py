@@ -1,5 +1,7 @@
 """Derivatives of a fit against finite differences of whole fits."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -21,11 +23,12 @@ def vector(material: pf.Material) -> jax.Array:
     return jnp.concatenate([*leaves, material.shininess[None]])
 
 
-def shone(intensity, direction) -> pf.Scene:
-    def where(scene: pf.Scene):
-        return scene.lights[0].intensity, scene.lights[0].direction
+def of_light(scene: Any) -> tuple[jax.Array, jax.Array]:
+    return scene.lights[0].intensity, scene.lights[0].direction
 
-    return eqx.tree_at(where, SCENE, (intensity, direction))
+
+def shone(*numbers: jax.Array) -> pf.Scene:
+    return eqx.tree_at(of_light, SCENE, numbers)
 
 
 @pytest.mark.float64
@@ -42,8 +45,7 @@ def test_derivatives_are_those_of_whole_fits(loss):
         mixed = (1 - share) * image + share * other
         return vector(pf.refit(fit, shone(intensity, direction), mixed))
 
-    light = SCENE.lights[0]
-    point = (floats(0.1), light.intensity, light.direction)
+    point = (floats(0.1), *of_light(SCENE))
     check_gradients(refitted, point, order=1, rtol=1e-4)
 
 

@@ -6,6 +6,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.layout import make_unknowns
+from phongfit.fitting.leaves import scene_arrays
 from phongfit.fitting.unknowns import Unknowns, in_units
 from tests.fitting.scenes import ball
 from tests.helpers import floats, near
@@ -129,8 +130,10 @@ def test_numbers_of_scenes_are_of_order_one_and_told_in_their_units():
     scenes = unknowns.scenes(unknowns.entries(floats([0, 0, 0, 1, 2])), (SCENE, SCENE))
     for scene in scenes:
         near(scene.ambient, [0.3] * 3)
-        near(scene.lights[0].intensity, [0.7] * 3)
-        near(scene.lights[1].intensity, SCENE.lights[1].intensity)
+        arrays = scene_arrays(scene)
+        near(arrays[INTENSITY], [0.7] * 3)
+        other = "scene.lights[1].intensity"
+        near(arrays[other], scene_arrays(SCENE)[other])
 
 
 def test_each_image_has_its_own():
@@ -140,8 +143,8 @@ def test_each_image_has_its_own():
     at = unknowns.entries(floats([1, 2, 1, 3]))
     near(unknowns.exposures(at), [1, 2])
     first, second = unknowns.scenes(at, (SCENE, SCENE))
-    near(first.lights[0].intensity, [0.35] * 3)
-    near(second.lights[0].intensity, [1.05] * 3)
+    near(scene_arrays(first)[INTENSITY], [0.35] * 3)
+    near(scene_arrays(second)[INTENSITY], [1.05] * 3)
     near(unknowns.with_leaves(at).diffuse, KNOWN.diffuse)
 
 

@@ -1,5 +1,7 @@
 """What a fit could know, before it: against fits of noisy photographs."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -69,5 +71,6 @@ def test_options_are_those_of_a_fit():
 
 @pytest.mark.parametrize("name", ["loss", "max_steps", "gloss", "known"])
 def test_options_that_are_none(name):
+    options: dict[str, Any] = {name: 1}
     with pytest.raises(TypeError, match=name):
-        pf.predict_errors(SCENE, TRUTH, NOISE, **{name: 1})
+        pf.predict_errors(SCENE, TRUTH, NOISE, **options)

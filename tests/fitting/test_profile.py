@@ -1,6 +1,7 @@
 """Profile likelihoods next to standard errors, and to lmfit's."""
 
 from collections.abc import Callable
+from typing import Any
 
 import lmfit
 import numpy as np
@@ -85,13 +86,15 @@ def test_where_it_bends_it_is_lmfits():
     minimizer = lmfit.Minimizer(
         residual(image), parameters(fit.values), scale_covar=False
     )
-    best = minimizer.minimize(method="leastsq")
+    best: Any = minimizer.minimize(method="leastsq")
     found = np.array(list(best.params.valuesdict().values()))
     assert np.all(np.abs(fit.values - found) < 0.01 * fit.errors)
     # lmfit compares by Fisher's distribution, with the noise that is left over.
     chances = LEVELS[:2]
     for name in ("shininess", "specular"):
-        theirs = lmfit.conf_interval(minimizer, best, p_names=[name], sigmas=chances)
+        theirs: Any = lmfit.conf_interval(
+            minimizer, best, p_names=[name], sigmas=chances
+        )
         ends = [value for _, value in theirs[name]]
         ours = fit.profile(name, levels=_levels(fit, chances)).intervals
         for k, (low, high) in enumerate(ours.values()):
@@ -109,7 +112,9 @@ def _levels(fit: pf.Fit, chances: tuple[float, ...]) -> tuple[float, ...]:
     rises = [
         scipy.stats.f.ppf(p, 1, freedom) * fit.chi_squared / freedom for p in chances
     ]
-    return tuple(2 * scipy.stats.t.cdf(np.sqrt(rise), freedom) - 1 for rise in rises)
+    return tuple(
+        float(2 * scipy.stats.t.cdf(np.sqrt(rise), freedom) - 1) for rise in rises
+    )
 
 
 def test_a_pair_is_lmfits():

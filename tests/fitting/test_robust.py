@@ -1,5 +1,7 @@
 """Garbage, shadows and priors: what must move a fit, and what must not."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -55,7 +57,9 @@ def test_what_is_not_of_the_model_hardly_moves_a_fit(spoil, loss, limit):
 def test_a_prior_counts_as_one_more_measurement():
     """A linear problem of two unknowns: Gaussians multiply."""
     names = ("ambient", "diffuse")
-    options = dict(known=TRUTH, unknowns=names, per_channel=(), noise=0.01)
+    options: dict[str, Any] = dict(
+        known=TRUTH, unknowns=names, per_channel=(), noise=0.01
+    )
     truth = pf.Material(0.4, TRUTH.specular, TRUTH.shininess, 0.5)
     image = photograph(SCENE, truth, noise=0.01, film=pf.Film(clamp=False))
     free = pf.fit(SCENE, image, film=pf.Film(clamp=False), **options)
