@@ -6,6 +6,7 @@ compares with that average.
 """
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -138,3 +139,11 @@ def shared_rounding_variance(step: Values, sigma: Values) -> Values:
         total += jnp.exp(-4 * np.pi**2 * k**2 * ratio**2) / (2 * np.pi**2 * k**2)
     # The series' tail matters only without noise, where its sum is known.
     return step**2 * jnp.where(ratio < 1e-3, 1 / 12, total)
+
+
+def arithmetic_floor(largest: Any, resolution: float) -> Any:
+    """Noise level below which residuals are rounding of the arithmetic.
+
+    **Arguments:** `largest` sample, and the number type's `resolution`.
+    """
+    return 16 * resolution * largest

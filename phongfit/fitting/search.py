@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from phongfit.fitting.leaves import LEAVES
 from phongfit.fitting.losses import AbstractLoss
+from phongfit.fitting.noise import arithmetic_floor
 from phongfit.fitting.problem import Problem, evaluate
 from phongfit.fitting.samples import Samples
 from phongfit.fitting.solution import Solution, solve
@@ -132,8 +133,8 @@ def _noise(problem: Problem, y: Float[Array, " n"]) -> Float[Array, ""]:
     rounding = jnp.sum(samples.step**2 * samples.weight) / count / 12
     variance = squares / jnp.maximum(free, 1) - rounding
     largest = jnp.max(jnp.where(samples.weight > 0, jnp.abs(samples.target), 0))
-    # Below the resolution of the arithmetic nothing can be said.
-    floor = 16 * jnp.finfo(y.dtype).eps * jnp.maximum(largest, 1e-3)
+    resolution = float(jnp.finfo(y.dtype).eps)
+    floor = arithmetic_floor(jnp.maximum(largest, 1e-3), resolution)
     return jnp.sqrt(jnp.maximum(variance, floor**2))
 
 
@@ -145,7 +146,8 @@ def _robust_noise(problem: Problem, y: Float[Array, " n"]) -> float:
     difference = np.asarray(evaluate(problem, y).difference)[used]
     difference = difference * np.sqrt(weight[used])
     steps = np.asarray(problem.samples.step)[used]
-    floor = 16 * np.finfo(difference.dtype).eps * max(float(np.abs(target).max()), 1e-3)
+    largest = max(float(np.abs(target).max()), 1e-3)
+    floor = arithmetic_floor(largest, float(np.finfo(difference.dtype).eps))
     inside = (target > 0) & (target < 1)
     if problem.clamp and inside.sum() > len(y):
         difference = difference[inside]

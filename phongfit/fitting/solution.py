@@ -41,8 +41,6 @@ def _residuals_and_root(
     y: Float[Array, " n"], problem: Problem
 ) -> tuple[Float[Array, " n+1"], Float[Array, "n n"]]:
     total = sums(problem, y)
-    # Means over the samples: the rounding of a sum grows with it.
-    count = _count(problem)
     tiny = jnp.finfo(y.dtype).tiny
     scale = jnp.sqrt(jnp.diag(total.hessian))
     scale = jnp.where(scale > 0, scale, 1)
@@ -57,13 +55,25 @@ def _residuals_and_root(
     length = jnp.sum(head**2)
     steeper = jnp.sqrt(jnp.maximum(length / jnp.maximum(total.cost, tiny), 1))
     tail = jnp.sqrt(jnp.maximum(total.cost - length / steeper**2, 0))
-    unit = jnp.sqrt(count)
+    unit = _unit(problem)
     return jnp.append(head / steeper, tail) / unit, jacobian * steeper / unit
 
 
-def _count(problem: Problem) -> Float[Array, ""]:
+def _unit(problem: Problem) -> Float[Array, ""]:
+    """What residuals are measured in, so that one tolerance serves all problems.
+
+    A mean over the samples, since the rounding of a sum grows with it; and no standard
+    deviation below the rounding of a prediction.
+    """
+    dtype = problem.sigma.dtype
     used = jnp.sum(problem.samples.weight > 0)
-    return jnp.maximum(used, 1).astype(problem.sigma.dtype)
+    count = jnp.maximum(used, 1).astype(dtype)
+    coarse = 8 * float(jnp.finfo(dtype).eps) / problem.sigma / _tolerance(dtype)
+    return jnp.sqrt(count) * jnp.maximum(coarse, 1)
+
+
+def _tolerance(dtype: Any) -> float:
+    return max(float(jnp.finfo(dtype).eps) ** 0.7, 1e-8)
 
 
 class Solution(eqx.Module):
@@ -78,12 +88,10 @@ class Solution(eqx.Module):
 @eqx.filter_jit
 def solve(problem: Problem, start: Float[Array, " n"], max_steps: int) -> Solution:
     """Bounded Levenberg-Marquardt from `start`; failure is data, not an exception."""
-    resolution = float(jnp.finfo(start.dtype).eps)
-    tolerance = max(resolution**0.7, 1e-8)
+    tolerance = _tolerance(start.dtype)
     solver = BoundedLevenbergMarquardt(
         rtol=tolerance,
-        # In standard deviations: below the rounding of the prediction nothing counts.
-        atol=tolerance + 8 * resolution / problem.sigma,
+        atol=tolerance,
         lower=problem.unknowns.lower,
         upper=problem.unknowns.upper,
     )
@@ -95,8 +103,8 @@ def solve(problem: Problem, start: Float[Array, " n"], max_steps: int) -> Soluti
         max_steps=max_steps,
         throw=False,
     )
-    cost = 2 * _count(problem) * solution.state.f_info.as_min()
     done = solution.result == optx.RESULTS.successful
+    cost = 2 * _unit(problem) ** 2 * solution.state.f_info.as_min()
     return Solution(
         solution.value, cost, solution.stats["num_steps"], done & jnp.isfinite(cost)
     )

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.fitting.leaves import LEAVES
-from phongfit.fitting.noise import shared_rounding_variance
+from phongfit.fitting.noise import arithmetic_floor, shared_rounding_variance
 from phongfit.fitting.problem import Evaluation, Problem, evaluate
 from phongfit.fitting.sums import Jacobian, linearize
 from phongfit.fitting.unknowns import Unknowns
@@ -48,6 +48,9 @@ def statistics(problem: Problem, y: Float[Array, " n"], inflation: float) -> Sta
     resolution = float(np.finfo(y.dtype).eps)
     if _too_coarse(found.inside, resolution):
         found = _in_numpy(_pieces_in_double(problem, y))
+    if _is_exact(problem):
+        # What is left over is rounding of the arithmetic, which samples share.
+        inflation = inflation * float(np.sum(np.asarray(problem.samples.weight) > 0))
     bread, meat = found.bread, found.meat
     if found.shared > 1e-6:
         meat = meat + found.loss_variance * _shared_rounding(problem, y)
@@ -95,6 +98,14 @@ def statistics(problem: Problem, y: Float[Array, " n"], inflation: float) -> Sta
         float(found.chi_squared),
         reasons,
     )
+
+
+def _is_exact(problem: Problem) -> bool:
+    """Whether nothing is left over but what arithmetic of this precision rounds."""
+    samples = problem.samples
+    target, step = np.asarray(samples.target), np.asarray(samples.step)
+    floor = arithmetic_floor(np.abs(target).max(), float(np.finfo(target.dtype).eps))
+    return float(problem.sigma) <= 1.01 * floor and not step.any()
 
 
 def _in_numpy(pieces: "_Pieces") -> Any:
