@@ -1,5 +1,6 @@
 """`fit` as users call it: images, masks, weights, films, known values, losses."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -325,3 +326,17 @@ def test_both_precisions_of_image():
     single = pf.fit(SCENE, NOISY.astype(np.float32))
     double = pf.fit(SCENE, NOISY.astype(np.float64))
     near(single.values, double.values, 1e-5)
+
+
+@pytest.mark.float64
+@pytest.mark.parametrize("loss", ["linear", "cauchy"])
+def test_the_same_answer_in_both_precisions(loss):
+    """Whatever the film cuts off and rounds."""
+    film = pf.Film(bits=8)
+    image = photograph(SCENE, TRUTH, noise=NOISE, film=film)
+    double = pf.fit(ball(), image, loss=loss)
+    with jax.enable_x64(False):
+        single = pf.fit(ball(), image.astype(np.float32), loss=loss)
+    assert single.material.diffuse.dtype == np.float32
+    near((single.values - double.values) / double.errors, 0, 0.02)
+    near(single.errors / double.errors, 1, 0.02)
