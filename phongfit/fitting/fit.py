@@ -125,24 +125,22 @@ def fit(
     )
     entries = np.asarray(in_units(layout, found.y)[0])
     scenes = layout.scenes(entries, tuple(source.scene for source in sources))
-    shown = [
-        _shown(source, scene, setting, entries, exposure)
-        for source, scene, exposure in zip(
-            sources, scenes, layout.exposures(entries), strict=True
-        )
-    ]
-    used = [source.weight > 0 for source in sources]
-    residuals = [
-        np.where(mask, source.image - light, 0)
-        for source, light, mask in zip(sources, shown, used, strict=True)
-    ]
+    shown, residuals = zip(
+        *(
+            _shown(source, scene, setting, entries, exposure)
+            for source, scene, exposure in zip(
+                sources, scenes, layout.exposures(entries), strict=True
+            )
+        ),
+        strict=True,
+    )
     return summarize(
         found,
         film=film,
         scenes=scenes,
-        fitted=shown,
-        residuals=residuals,
-        used=used,
+        fitted=list(shown),
+        residuals=list(residuals),
+        used=[source.weight > 0 for source in sources],
         single=isinstance(scene, Scene),
         noise_given=noise is not None,
     )
@@ -223,24 +221,42 @@ def as_source(photograph: Photograph, film: Film) -> Source:
 
 @eqx.filter_jit
 def _expose(
-    view: PixelTerms, material: Material, clamp: bool, exposure: Array
-) -> Array:
+    image: Array,
+    weight: Array,
+    mask: Array,
+    view: PixelTerms,
+    material: Material,
+    clamp: bool,
+    exposure: Array,
+    background: Array,
+) -> tuple[Array, Array]:
     light = view.radiance(material) * exposure
-    return jnp.clip(light, 0, 1) if clamp else light
+    light = jnp.clip(light, 0, 1) if clamp else light
+    shown = jnp.where(mask[..., None], light, background[None, None])
+    return shown, jnp.where(weight > 0, image - shown, 0)
 
 
 def _shown(
     source: Source, scene: Scene, setting: Setting, entries: np.ndarray, exposure: Array
-) -> np.ndarray:
-    """The fitted image in linear light."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """The fitted image in linear light, and what it leaves of the photograph."""
     unknowns, gbuffer, view = setting.unknowns, source.gbuffer, source.pixels
     if unknowns.of_scene:
         gbuffer = scene.trace() if setting.moving else gbuffer
         view = pixel_terms(scene, gbuffer)
-    material = unknowns.with_leaves(entries)
-    light = np.asarray(_expose(view, material, setting.film.clamp, exposure))
-    mask = np.asarray(gbuffer.mask)[..., None]
-    return np.where(mask, light, np.asarray(scene.background))
+    material, clamp = unknowns.with_leaves(entries), setting.film.clamp
+    images = _expose(
+        source.image,
+        source.weight,
+        gbuffer.mask,
+        view,
+        material,
+        clamp,
+        exposure,
+        scene.background,
+    )
+    shown, residual = (np.asarray(image) for image in images)
+    return shown, residual
 
 
 def _checked_film(film: Film | None, photographs: list[Photograph]) -> Film:

@@ -15,6 +15,7 @@ from phongfit.fitting.problem import Problem
 from phongfit.fitting.search import Found
 from phongfit.fitting.solution import solve
 from phongfit.fitting.sums import linearize
+from phongfit.fitting.table import number_with_error
 from phongfit.fitting.unknowns import Unknowns, in_units
 
 # One, two and three standard deviations of a normal distribution.
@@ -46,7 +47,8 @@ class Profile:
     def __str__(self) -> str:
         rows = [f"{self.label}: profile-likelihood intervals"]
         for level, (low, high) in self.intervals.items():
-            rows.append(f"  {100 * level:5.2f} %  {low:.5g} … {high:.5g}")
+            ends = (number_with_error(end, (high - low) / 2) for end in (low, high))
+            rows.append(f"  {100 * level:5.2f} %  {' … '.join(ends)}")
         return "\n".join(rows)
 
 

@@ -4,6 +4,8 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy.stats
 
@@ -194,6 +196,6 @@ Fit.__init__.__doc__ = """**Arguments:**
 
 def errors_as_material(unknowns: Unknowns, errors: np.ndarray) -> Material:
     """Errors of all entries as a material; what was known has none."""
-    none = Material(0.0, 0.0, 0.0, 0.0, 0.0)
+    none = jax.tree.map(jnp.zeros_like, unknowns.known)
     kind = np.asarray(unknowns.lower).dtype
     return dataclasses.replace(unknowns, known=none).with_leaves(errors.astype(kind))

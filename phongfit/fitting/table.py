@@ -51,7 +51,7 @@ def parameter_rows(
     for label, value, error, bound, open_ in zip(
         labels, values, errors, at_bound, untold, strict=True
     ):
-        row = f"  {label:<{width}}  {_number(value, error):>12}"
+        row = f"  {label:<{width}}  {number_with_error(value, error):>12}"
         if open_:
             row += "   ± ∞  cannot be told"
         else:
@@ -62,7 +62,7 @@ def parameter_rows(
     return rows
 
 
-def _number(value: float, error: float) -> str:
+def number_with_error(value: float, error: float) -> str:
     """`value` to the digit where its error begins, and one more."""
     if not np.isfinite(error) or error <= 0:
         return f"{value:.5g}"

@@ -5,6 +5,7 @@ exponent as its logarithm, numbers of the scene in units of what they were, a di
 as two coordinates on the plane that touches the sphere where it was.
 """
 
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -105,13 +106,8 @@ class Unknowns(eqx.Module):
     @property
     def owned(self) -> np.ndarray:
         """The entry that each number of y belongs to; of a direction, its first."""
-        owned = np.zeros(self.lower.size, int)
-        forms = self.forms
-        for entry in np.flatnonzero(self._free & (forms != "direction")):
-            owned[self.place[entry]] = entry
-        for entry in self._directions():
-            owned[self.place[entry] : self.place[entry] + 2] = entry
-        return owned
+        forms = tuple(self.forms.tolist())
+        return _owned(self.source, self.place, self.fixed, forms, self.lower.size)
 
     @property
     def _free(self) -> np.ndarray:
@@ -251,19 +247,19 @@ class Unknowns(eqx.Module):
 
     def with_leaves(self, entries: Any) -> Material:
         """A material with the wanted leaves from entries in the user's units."""
-        material = self.known
-        for name, part in self.parts(entries).items():
-            if name not in LEAVES:
-                continue
+        wanted = [name for name in self.names if name in LEAVES]
+        if not wanted:
+            return self.known
+        parts = self.parts(entries)
+        if self.materials == 1:
             # One material: (3,), or () for one number.
-            one = part[0] if part.shape[1] > 1 else part[0, 0]
-            value = part if self.materials > 1 else one
-
-            def where(m: Material, name: str = name) -> Array:
-                return getattr(m, name)
-
-            material = eqx.tree_at(where, material, jnp.asarray(value))
-        return material
+            values = [p[0] if p.shape[1] > 1 else p[0, 0] for p in parts.values()]
+            parts = dict(zip(parts, values, strict=True))
+        return eqx.tree_at(
+            lambda material: [getattr(material, name) for name in wanted],
+            self.known,
+            [jnp.asarray(parts[name]) for name in wanted],
+        )
 
     def scenes(self, entries: Any, scenes: tuple[Scene, ...]) -> tuple[Scene, ...]:
         """The scenes with what is unknown of them from the entries."""
@@ -286,6 +282,25 @@ class Unknowns(eqx.Module):
         wanted = np.flatnonzero(np.array(self.has_prior))
         off = self.entries(y)[wanted] - self.prior_mean[wanted]
         return off / self.prior_deviation[wanted]
+
+
+@functools.cache
+def _owned(
+    source: tuple[int, ...],
+    place: tuple[int, ...],
+    fixed: tuple[bool, ...],
+    forms: tuple[str, ...],
+    size: int,
+) -> np.ndarray:
+    """The entry that each number of y belongs to; of a direction, its first."""
+    owned = np.zeros(size, int)
+    for entry, form in enumerate(forms):
+        if source[entry] == entry and not fixed[entry] and form != "direction":
+            owned[place[entry]] = entry
+    for entry in np.flatnonzero(np.array(forms) == "direction")[::3]:
+        owned[place[entry] : place[entry] + 2] = entry
+    owned.setflags(write=False)
+    return owned
 
 
 @eqx.filter_jit
