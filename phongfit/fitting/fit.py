@@ -246,8 +246,8 @@ def _shown(
         view = pixel_terms(scene, gbuffer)
     material, clamp = unknowns.with_leaves(entries), setting.film.clamp
     images = _expose(
-        source.image,
-        source.weight,
+        jnp.asarray(source.image),
+        jnp.asarray(source.weight),
         gbuffer.mask,
         view,
         material,

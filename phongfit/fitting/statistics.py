@@ -85,7 +85,8 @@ def statistics(problem: Problem, y: Float[Array, " n"], inflation: float) -> Sta
     apart = np.full(size, np.inf)
     material = np.isin(problem.unknowns.kinds, LEAVES)
     specular = problem.unknowns.kinds == "specular"
-    heard = np.flatnonzero(material & (free | specular) & (np.diag(found.inside) > 0))
+    audible = ~_silent(found.inside, resolution)
+    heard = np.flatnonzero(material & (free | specular) & audible)
     inverse = _inverse(bread[np.ix_(heard, heard)], resolution)
     variance = np.diag(inverse @ meat[np.ix_(heard, heard)] @ inverse)
     apart[heard] = np.sqrt(inflation * np.maximum(variance, 0))
@@ -235,6 +236,12 @@ def _threshold(resolution: float) -> float:
     return max((32 * resolution) ** 2, 1e-14)
 
 
+def _silent(bread: np.ndarray, resolution: float) -> np.ndarray:
+    """Unknowns that the samples do not feel."""
+    diagonal = np.diag(bread)
+    return diagonal <= _threshold(resolution) * max(diagonal.max(), 1e-300)
+
+
 def _inverse(bread: np.ndarray, resolution: float) -> np.ndarray:
     """Inverse on the directions that can be told; 0 on the others."""
     normalized, root = _normalized(bread)
@@ -259,8 +266,7 @@ def _untold(
     """Which unknowns the Jacobian leaves open, and why, in words."""
     labels = np.array(unknowns.y_labels)
     kinds = unknowns.kinds
-    diagonal = np.diag(bread)
-    silent = diagonal <= _threshold(resolution) * max(diagonal.max(), 1e-300)
+    silent = _silent(bread, resolution)
     reasons = [
         f"{_listed(labels[silent & (kinds == kind)])} cannot be told: "
         + _SILENT.get(kind, "no pixel that is used depends on it")

@@ -15,7 +15,7 @@ from phongfit.fitting.leaves import LEAVES
 from phongfit.fitting.losses import as_loss
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.samples import gather, seen_pixels
-from phongfit.fitting.solution import few_residuals
+from phongfit.fitting.solution import _unit, few_residuals
 from phongfit.fitting.sums import colours, linearize, sums
 from tests.fitting.scenes import TRUTH, ball, photograph
 from tests.helpers import EPS, floats
@@ -118,7 +118,7 @@ def test_sums_are_those_of_the_whole_jacobian(kind):
 
     # A few residuals that no solver can tell from all of them.
     few, slope = np.asarray(few, float), np.asarray(slope, float)
-    count = np.count_nonzero(problem.samples.weight)
+    count = float(_unit(problem)) ** 2
     assert few.shape == (len(y) + 1,)
     np.testing.assert_allclose(count * few @ few, np.sum(residual**2), rtol=3e3 * EPS)
     np.testing.assert_allclose(
