@@ -80,8 +80,15 @@ def test_two_views_of_one_mesh_in_different_light():
     assert np.all(np.abs(off) < 4.5)
 
 
-@pytest.mark.parametrize("name", ["scene00", "scene01"])
-@pytest.mark.parametrize("loss", ["linear", "tukey"])
+@pytest.mark.parametrize(
+    "name, loss",
+    [
+        ("scene00", "linear"),
+        ("scene01", "linear"),
+        ("scene00", "tukey"),
+        pytest.param("scene01", "tukey", marks=pytest.mark.slow),
+    ],
+)
 def test_materials_of_a_ray_traced_scene(name, loss):
     reference = read_reference(REFERENCES / "povray" / f"{name}.json")
     image = reference.image.astype(np.asarray(reference.material.diffuse).dtype)

@@ -117,6 +117,7 @@ def _levels(fit: pf.Fit, chances: tuple[float, ...]) -> tuple[float, ...]:
     )
 
 
+@pytest.mark.slow
 def test_a_pair_is_lmfits():
     fit, image = curved()
     pair = fit.profile("specular", "shininess")
@@ -168,6 +169,7 @@ def test_what_cannot_be_told_has_its_box():
     assert profile.intervals == {0.99: (1, 1000), 0.999: (1, 1000)}
 
 
+@pytest.mark.slow
 def test_robust_losses_have_the_errors_that_they_state():
     image = photograph(SCENE, TRUTH, noise=NOISE)
     fit = pf.fit(SCENE, image, noise=NOISE, loss="tukey")

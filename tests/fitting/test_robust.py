@@ -34,12 +34,12 @@ def shadow() -> np.ndarray:
     [
         (garbage, "tukey", 0.02),
         (garbage, "cauchy", 0.02),
-        (garbage, "huber", 0.12),
-        (garbage, "soft_l1", 0.12),
+        pytest.param(garbage, "huber", 0.12, marks=pytest.mark.slow),
+        pytest.param(garbage, "soft_l1", 0.12, marks=pytest.mark.slow),
         (shadow, "tukey", 0.02),
         (shadow, "cauchy", 0.05),
-        (shadow, "huber", 0.25),
-        (shadow, "soft_l1", 0.35),
+        pytest.param(shadow, "huber", 0.25, marks=pytest.mark.slow),
+        pytest.param(shadow, "soft_l1", 0.35, marks=pytest.mark.slow),
     ],
 )
 def test_what_is_not_of_the_model_hardly_moves_a_fit(spoil, loss, limit):

@@ -149,6 +149,7 @@ def test_each_image_has_its_light_and_exposure():
         assert np.std(left[left != 0]) < 1.1 * NOISE
 
 
+@pytest.mark.slow
 def test_a_surface_that_is_traced_again():
     """The radius of the ball: whether a ray hits changes with the guess."""
     fit = pf.fit(
