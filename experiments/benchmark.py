@@ -53,6 +53,13 @@ class Row:
     slower: float = 1.0
 
 
+Row.__init__.__doc__ = """**Arguments:**
+
+- `off`: largest distance from the fit's answer, standard errors.
+- `slower`: how many times as long it takes.
+"""
+
+
 def target(resolution: int) -> tuple[pf.Scene, np.ndarray]:
     """The scene of the README, and a noisy image of it."""
     camera = pf.OrthographicCamera(resolution, resolution)
@@ -64,15 +71,21 @@ def target(resolution: int) -> tuple[pf.Scene, np.ndarray]:
     return scene, np.clip(light + NOISE * noise, 0, 1).astype(light.dtype)
 
 
-def median(function: Callable[[], Any], runs: int) -> tuple[float, Any]:
-    """Median time of some runs after a first one, and the last result."""
-    result, times = function(), []
+def medians(
+    ways: dict[str, Callable[[], Any]], runs: int
+) -> dict[str, tuple[float, Any]]:
+    """Median time and last result of each way, all taking turns after two warm runs."""
+    for way in ways.values():
+        way(), way()
+    times: dict[str, list[float]] = {key: [] for key in ways}
+    results = {}
     for _ in range(runs):
-        begin = time.perf_counter()
-        result = function()
-        jax.block_until_ready(eqx.filter(result, eqx.is_array))
-        times.append(time.perf_counter() - begin)
-    return float(np.median(times)), result
+        for key, way in ways.items():
+            begin = time.perf_counter()
+            results[key] = way()
+            jax.block_until_ready(eqx.filter(results[key], eqx.is_array))
+            times[key].append(time.perf_counter() - begin)
+    return {key: (float(np.median(times[key])), results[key]) for key in ways}
 
 
 def start(problem: Problem) -> Float[Array, " n"]:
@@ -122,32 +135,40 @@ def adam(problem: Problem, y: Array, answer: Array) -> Callable[[], Any]:
 
 
 def rows(resolution: int, runs: int, console: Console) -> list[Row]:
-    """All ways, timed one after another."""
+    """All ways, timed in turns."""
     scene, image = target(resolution)
-    seconds, fit = median(lambda: pf.fit(scene, image), runs)
-    problem, answer = fit.found.problem, fit.found.y
-
-    def off(y: Array) -> float:
-        """Largest distance from the fit's answer, in standard errors."""
-        values = np.asarray(problem.unknowns.values(jnp.asarray(y)), float)
-        return float(np.max(np.abs(values - fit.values) / fit.errors))
-
-    found = [Row("phongfit, all of `pf.fit`", "fit", seconds, fit.steps, 0.0)]
-    y = start(problem)
-    for name, key, solver in (
-        ("optimistix LM", "lm", lx.QR()),
-        ("optimistix LM, normal equations", "lm_normal", lx.Normal(lx.Cholesky())),
-    ):
-        took, solution = median(lambda s=solver: stock(problem, y, s), runs)
-        steps = int(solution.stats["num_steps"])
-        found.append(Row(name, key, took, steps, off(solution.value), took / seconds))
+    fit = pf.fit(scene, image)
+    problem, answer, y = fit.found.problem, fit.found.y, start(fit.found.problem)
+    names = {
+        "fit": "phongfit, all of `pf.fit`",
+        "lm": "optimistix LM",
+        "lm_normal": "optimistix LM, normal equations",
+        "adam": "Adam (optax), rate 0.03, to 1e-3 in f",
+    }
+    ways = {
+        "fit": lambda: pf.fit(scene, image),
+        "lm": lambda: stock(problem, y, lx.QR()),
+        "lm_normal": lambda: stock(problem, y, lx.Normal(lx.Cholesky())),
+    }
     if importlib.util.find_spec("optax") is None:
-        console.print("Adam is left out: optax is not installed (pip install optax)")
-        return found
-    took, (end, steps) = median(adam(problem, y, answer), max(1, runs // 3))
-    name = "Adam (optax), rate 0.03, to 1e-3 in f"
-    found.append(Row(name, "adam", took, int(steps), off(end), took / seconds))
-    return found
+        console.print("Adam is left out: pip install phongfit[benchmark]")
+    else:
+        ways["adam"] = adam(problem, y, answer)
+    found = medians(ways, runs)
+
+    def row(key: str) -> Row:
+        seconds, result = found[key]
+        if key == "fit":
+            return Row(names[key], key, seconds, result.steps, 0.0)
+        if key == "adam":
+            end, steps = result
+        else:
+            end, steps = result.value, result.stats["num_steps"]
+        values = np.asarray(problem.unknowns.values(jnp.asarray(end)), float)
+        off = float(np.max(np.abs(values - fit.values) / fit.errors))
+        return Row(names[key], key, seconds, int(steps), off, seconds / found["fit"][0])
+
+    return [row(key) for key in ways]
 
 
 def table(found: list[Row]) -> str:

@@ -1,29 +1,48 @@
 """Are the residuals noise? If not, the model does not describe the image."""
 
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float
 
 
-def neighbour_correlation(residuals: list[np.ndarray], used: list[np.ndarray]) -> float:
+class Neighbours(NamedTuple):
+    """Sums over an image's residuals, and over pairs of adjacent pixels."""
+
+    products: Float[Array, ""]
+    pairs: Float[Array, ""]
+    squares: Float[Array, ""]
+    count: Float[Array, ""]
+
+
+def compare_neighbours(
+    residual: Float[Array, "height width 3"], used: Bool[Array, "height width 3"]
+) -> Neighbours:
+    """What [`neighbour_correlation`][] asks of one image.
+
+    **Arguments:** `residual`: model − image. `used`: true where a sample takes part.
+    """
+    value = jnp.where(used, residual, 0)
+    counted = used.astype(value.dtype)
+
+    def beside(image: Array) -> Array:
+        across = jnp.sum(image[:, :-1] * image[:, 1:])
+        return across + jnp.sum(image[:-1] * image[1:])
+
+    return Neighbours(
+        beside(value), beside(counted), jnp.sum(value**2), jnp.sum(counted)
+    )
+
+
+def neighbour_correlation(images: Iterable[Neighbours]) -> float:
     """Correlation of the residuals of adjacent pixels: 0 for independent noise.
-
-    **Arguments:**
-
-    - `residuals`: images (H, W, 3), model − image.
-    - `used`: (H, W, 3) each, true where a sample takes part.
 
     **Returns:** a number in [−1, 1]; 0 where it is no more than chance.
     """
-    products = pairs = squares = count = 0.0
-    for residual, mask in zip(residuals, used, strict=True):
-        value = np.where(mask, residual, 0).astype(float)
-        for here, there in (
-            ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
-            ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
-        ):
-            products += float(np.sum(value[here] * value[there]))
-            pairs += float(np.sum(mask[here] & mask[there]))
-        squares += float(np.sum(value**2))
-        count += float(np.sum(mask))
+    sums = np.sum([np.array(one, float) for one in images], axis=0)
+    products, pairs, squares, count = sums.tolist()
     if pairs == 0 or squares == 0:
         return 0.0
     correlation = float(np.clip(products / pairs * count / squares, -1, 1))

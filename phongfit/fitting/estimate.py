@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.fitting.problem import Problem
-from phongfit.fitting.statistics import Statistics, statistics
+from phongfit.fitting.statistics import Pieces, Statistics, statistics
 from phongfit.fitting.sums import linearize
 from phongfit.fitting.unknowns import Unknowns, in_units
 
@@ -41,16 +41,22 @@ def estimates(
     problem: Problem,
     y: Float[Array, " n"],
     inflation: float = 1.0,
+    place: tuple[Array, Array] | None = None,
+    pieces: Pieces | None = None,
 ) -> Estimates:
     """Values and errors at a solution.
 
-    **Arguments:** `inflation`: factor on all variances.
+    **Arguments:**
+
+    - `inflation`: factor on all variances.
+    - `place`, `pieces`: what [`in_units`][] and [`add_up`][] say of it, if at hand.
     """
     unknowns = problem.unknowns
-    found = statistics(problem, y, inflation)
+    place = in_units(unknowns, y) if place is None else place
+    found = statistics(problem, y, inflation, pieces)
     untold, reasons = _beyond_sense(problem, y, found)
     at_bound = found.at_bound & ~untold
-    entries, slope = (np.asarray(a, float) for a in in_units(unknowns, y))
+    entries, slope = (np.asarray(a, float) for a in place)
     touched = slope != 0
     hidden = touched[:, untold].any(axis=1)
     bound = touched[:, at_bound].any(axis=1) & ~hidden
@@ -138,4 +144,4 @@ def _told_for_all_exponents(
 
 @eqx.filter_jit
 def _curvature(problem: Problem, y: Float[Array, " n"]) -> Float[Array, " n"]:
-    return jnp.diag(linearize(problem, y)[2].gram())
+    return jnp.diag(linearize(problem, y).jacobian.gram())

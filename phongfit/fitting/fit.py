@@ -1,27 +1,32 @@
 """`fit`: images and geometry in, a material with error bars out."""
 
 import dataclasses
+import functools
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from phongfit.fitting.diagnostics import compare_neighbours
 from phongfit.fitting.inputs import Photograph, as_photographs
 from phongfit.fitting.layout import Tie, make_unknowns
+from phongfit.fitting.leaves import is_of_scene
 from phongfit.fitting.losses import AbstractLoss, as_loss
 from phongfit.fitting.noise import find_film, rounding_steps
 from phongfit.fitting.result import Fit
 from phongfit.fitting.samples import Source, gather, seen_pixels
 from phongfit.fitting.search import search
 from phongfit.fitting.start import choose_few
-from phongfit.fitting.summary import summarize
+from phongfit.fitting.statistics import add_up
+from phongfit.fitting.summary import Shown, summarize
 from phongfit.fitting.unknowns import Unknowns, in_units
+from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
 from phongfit.rendering.film import Film
-from phongfit.rendering.pixels import PixelTerms, pixel_terms
+from phongfit.rendering.pixels import PixelTerms, resolve, resolve_terms
 from phongfit.scene import Scene
 
 DEFAULT_UNKNOWNS = ("ambient", "diffuse", "specular", "shininess")
@@ -111,36 +116,27 @@ def fit(
         film=film,
     )
     layout, sources, film = setting.unknowns, setting.sources, setting.film
-    relight = layout.of_scene and not setting.moving
     seen = seen_pixels(sources)
     few = choose_few(sources, seen)
     found = search(
-        None if few is None else gather(sources, few, relight),
-        gather(sources, seen, relight),
+        None if few is None else gather(sources, few),
+        gather(sources, seen),
         layout,
         as_loss(loss),
         film.clamp,
         noise is not None,
         max_steps,
     )
-    entries = np.asarray(in_units(layout, found.y)[0])
-    scenes = layout.scenes(entries, tuple(source.scene for source in sources))
-    shown, residuals = zip(
-        *(
-            _shown(source, scene, setting, entries, exposure)
-            for source, scene, exposure in zip(
-                sources, scenes, layout.exposures(entries), strict=True
-            )
-        ),
-        strict=True,
-    )
+    # JAX computes these side by side, as long as none is looked at.
+    place, pieces = in_units(layout, found.y), add_up(found.problem, found.y)
+    scenes = layout.scenes(place[0], tuple(source.scene for source in sources))
     return summarize(
         found,
+        place,
+        pieces,
         film=film,
         scenes=scenes,
-        fitted=list(shown),
-        residuals=list(residuals),
-        used=[source.weight > 0 for source in sources],
+        shown=[_show(setting, k, scene, place[0]) for k, scene in enumerate(scenes)],
         single=isinstance(scene, Scene),
         noise_given=noise is not None,
     )
@@ -148,15 +144,11 @@ def fit(
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """What is asked, checked: unknowns, images with their geometry, and the film.
-
-    `moving` tells that rays must be traced anew for every guess.
-    """
+    """What is asked, checked: unknowns, images with their geometry, and the film."""
 
     unknowns: Unknowns
     sources: list[Source]
     film: Film
-    moving: bool
 
 
 def set_up(
@@ -182,10 +174,12 @@ def set_up(
     """
     photographs = as_photographs(scene, image, mask, weights, noise)
     scenes = tuple(p.scene for p in photographs)
+    # Begun first: JAX goes on with it meanwhile.
+    seen = [_geometry(scene, any(map(is_of_scene, unknowns))) for scene in scenes]
     layout = make_unknowns(
         unknowns,
         per_channel,
-        Material(0.0, 0.0, 32.0, 0.0) if known is None else known,
+        _dark(jnp.result_type(float)) if known is None else known,
         bounds or {},
         materials=scenes[0].surface.materials,
         scenes=scenes,
@@ -195,68 +189,87 @@ def set_up(
         priors=priors,
     )
     film = _checked_film(film, photographs)
-    sources = [as_source(p, film) for p in photographs]
-    _check_samples(sources, layout)
-    _check_constants(layout, sources)
+    sources = [as_source(*one, film) for one in zip(photographs, seen, strict=True)]
     # Shadows move with the lights that throw them.
     shadows = any(scene.shadows for scene in scenes)
-    moving = layout.moves_geometry or (shadows and layout.moves_lights)
-    return Setting(layout, sources, film, moving)
+    if layout.moves_geometry or (shadows and layout.moves_lights):
+        sources = [dataclasses.replace(source, gbuffer=None) for source in sources]
+    _check_samples(sources, layout)
+    _check_constants(layout, sources)
+    return Setting(layout, sources, film)
 
 
-def as_source(photograph: Photograph, film: Film) -> Source:
-    """A photograph, its geometry resolved; pixels that see nothing have no weight."""
-    scene, image = photograph.scene, photograph.image
-    gbuffer = scene.trace()
-    weight = np.where(np.asarray(gbuffer.mask)[..., None], photograph.weight, 0)
+@functools.cache
+def _dark(dtype: Any) -> Material:
+    """Nothing is known: no light comes back."""
+    del dtype  # that of its numbers
+    return Material(0.0, 0.0, 32.0, 0.0)
+
+
+class _Geometry(NamedTuple):
+    mask: Array
+    pixels: PixelTerms
+    gbuffer: GBuffer | None
+
+
+def _geometry(scene: Scene, keep: bool) -> _Geometry:
+    """What the pixels see; with all of it kept, they can be lit anew."""
+    if not keep:
+        return _Geometry(*resolve_terms(scene), None)
+    gbuffer, pixels = resolve(scene)
+    return _Geometry(gbuffer.mask, pixels, gbuffer)
+
+
+def as_source(photograph: Photograph, seen: _Geometry, film: Film) -> Source:
+    """A photograph and what it shows; pixels that see nothing have no weight."""
+    image = photograph.image
+    weight = np.where(np.asarray(seen.mask)[..., None], photograph.weight, 0)
     return Source(
-        scene,
-        gbuffer,
-        pixel_terms(scene, gbuffer),
-        image,
-        weight.astype(image.dtype),
-        rounding_steps(image, film),
+        photograph.scene,
+        *seen,
+        jnp.asarray(image),
+        jnp.asarray(weight.astype(image.dtype)),
+        None if film.bits is None else rounding_steps(image, film),
+    )
+
+
+def _show(setting: Setting, which: int, scene: Scene, entries: Array) -> Shown:
+    """What the fit makes of one image."""
+    source, unknowns = setting.sources[which], setting.unknowns
+    mask, view = source.mask, source.pixels
+    if unknowns.of_scene:
+        mask, view = resolve_terms(scene)
+    return _expose(
+        (source.image, source.weight),
+        mask,
+        view,
+        unknowns,
+        entries,
+        np.int32(which),
+        setting.film.clamp,
+        scene.background,
     )
 
 
 @eqx.filter_jit
 def _expose(
-    image: Array,
-    weight: Array,
+    measured: tuple[Array, Array],
     mask: Array,
     view: PixelTerms,
-    material: Material,
+    unknowns: Unknowns,
+    entries: Array,
+    which: Array,
     clamp: bool,
-    exposure: Array,
     background: Array,
-) -> tuple[Array, Array]:
-    light = view.radiance(material) * exposure
+) -> Shown:
+    image, weight = measured
+    light = view.radiance(unknowns.with_leaves(entries))
+    light = light * unknowns.exposures(entries)[which]
     light = jnp.clip(light, 0, 1) if clamp else light
-    shown = jnp.where(mask[..., None], light, background[None, None])
-    return shown, jnp.where(weight > 0, image - shown, 0)
-
-
-def _shown(
-    source: Source, scene: Scene, setting: Setting, entries: np.ndarray, exposure: Array
-) -> tuple[np.ndarray, np.ndarray]:
-    """The fitted image in linear light, and what it leaves of the photograph."""
-    unknowns, gbuffer, view = setting.unknowns, source.gbuffer, source.pixels
-    if unknowns.of_scene:
-        gbuffer = scene.trace() if setting.moving else gbuffer
-        view = pixel_terms(scene, gbuffer)
-    material, clamp = unknowns.with_leaves(entries), setting.film.clamp
-    images = _expose(
-        jnp.asarray(source.image),
-        jnp.asarray(source.weight),
-        gbuffer.mask,
-        view,
-        material,
-        clamp,
-        exposure,
-        scene.background,
-    )
-    shown, residual = (np.asarray(image) for image in images)
-    return shown, residual
+    used = weight > 0
+    fitted = jnp.where(mask[..., None], light, background[None, None])
+    residual = jnp.where(used, image - fitted, 0)
+    return Shown(fitted, residual, compare_neighbours(residual, used))
 
 
 def _checked_film(film: Film | None, photographs: list[Photograph]) -> Film:
@@ -273,7 +286,8 @@ def _checked_film(film: Film | None, photographs: list[Photograph]) -> Film:
 
 
 def _check_samples(sources: list[Source], unknowns: Unknowns) -> None:
-    count = sum(int(np.count_nonzero(source.weight)) for source in sources)
+    # Of truth values, which are counted faster.
+    count = sum(np.count_nonzero(np.asarray(s.weight) > 0) for s in sources)
     if count == 0:
         raise ValueError("mask: it leaves no pixel that sees the surface")
     free = unknowns.lower.size

@@ -14,7 +14,7 @@ from phongfit.fitting.result import Fit
 from phongfit.fitting.samples import by_channel, join_pixels
 from phongfit.fitting.solution import solve
 from phongfit.material import Material
-from phongfit.rendering.pixels import pixel_terms
+from phongfit.rendering.pixels import resolve_terms
 from phongfit.scene import Scene
 
 MAX_STEPS = 100
@@ -77,7 +77,7 @@ def _other_problem(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Prob
             raise ValueError(
                 f"image: shape {jnp.shape(light)} came for scene {k}, {shape} is wanted"
             )
-        pixels.append(pixel_terms(one, one.trace()).select(view.index))
+        pixels.append(resolve_terms(one)[1].select(view.index))
         light = jnp.asarray(light, old.samples.target.dtype)
         targets.append(light.reshape(-1, 3)[view.index])
     target = jnp.concatenate(targets).T

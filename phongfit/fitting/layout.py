@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -74,29 +75,35 @@ def make_unknowns(
     base = first[direction].reshape(-1, 3)
     base = base / np.maximum(np.linalg.norm(base, axis=1, keepdims=True), 1e-30)
     kind = jnp.result_type(float)
-
-    def floats(values: np.ndarray) -> Any:
-        return jnp.asarray(values.astype(kind))
-
+    # One transfer for all: each takes its time.
+    arrays = jax.device_put(
+        {
+            name: values.astype(kind)
+            for name, values in dict(
+                factor=factor,
+                offset=offset,
+                scale=scale,
+                base=base,
+                across=_across(base),
+                prior_mean=mean,
+                prior_deviation=deviation,
+                start=np.clip(start, low, high)[owners],
+                lower=low[owners],
+                upper=high[owners],
+            ).items()
+        }
+    )
     return Unknowns(
         leaves=leaves,
         materials=materials,
         images=max(len(scenes), 1),
+        owner=tuple(int(entry) for entry in owners),
         source=tuple(source.tolist()),
         place=tuple(place.tolist()),
         fixed=tuple(is_fixed.tolist()),
         has_prior=tuple(has_prior.tolist()),
         known=known,
-        factor=floats(factor),
-        offset=floats(offset),
-        scale=floats(scale),
-        base=floats(base),
-        across=floats(_across(base)),
-        prior_mean=floats(mean),
-        prior_deviation=floats(deviation),
-        start=floats(np.clip(start, low, high)[owners]),
-        lower=floats(low[owners]),
-        upper=floats(high[owners]),
+        **arrays,
     )
 
 
@@ -198,18 +205,25 @@ def _leaves(
     return leaves
 
 
-def first_values(leaves: tuple[Leaf, ...], scenes: Sequence[Scene]) -> np.ndarray:
-    """What the scenes say of all entries before the fit; 1 where they say nothing."""
+def first_values(
+    leaves: tuple[Leaf, ...],
+    scenes: Sequence[Scene],
+    material: Material | None = None,
+) -> np.ndarray:
+    """What scenes and material say of all entries; 1 where they say nothing."""
     values = []
     for one in leaves:
-        if not is_of_scene(one.name):
-            values.append(np.ones(one.size))
-            continue
-        for scene in scenes[: len(one.rows)]:
-            array = np.asarray(scene_arrays(scene)[one.name], float).ravel()
+        size = (len(one.rows), len(one.parts))
+        said = np.ones(())
+        if is_of_scene(one.name):
+            arrays = [scene_arrays(scene)[one.name] for scene in scenes[: size[0]]]
+            said = np.stack([np.asarray(a, float).ravel() for a in arrays])
+        elif material is not None and one.name in LEAVES:
+            said = np.asarray(getattr(material, one.name), float)
+        if said.shape[-1:] == (3,) and size[1] == 1:
             # One number for three colours: their mean.
-            shared = array.size != len(one.parts)
-            values.append(array.mean(keepdims=True) if shared else array)
+            said = said.mean(axis=-1, keepdims=True)
+        values.append(np.broadcast_to(said, size).ravel())
     return np.concatenate(values)
 
 

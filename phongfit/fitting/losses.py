@@ -57,6 +57,9 @@ class Linear(AbstractLoss):
     def ratio(self, z: Values) -> Values:
         return jnp.ones_like(z)
 
+    def score(self, residual: Values) -> tuple[Values, Values]:
+        return residual, jnp.ones_like(residual)
+
 
 class Huber(AbstractLoss):
     r"""$z$ up to $k^2$, then $2 k \sqrt z - k^2$: outliers pull, but no harder."""

@@ -6,7 +6,7 @@ compares with that average.
 """
 
 import math
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,48 +18,99 @@ from phongfit.rendering.film import Encoding, Film, decode, encode
 
 Values = Float[Array, "..."]
 
+# Standard deviations beyond which a normal distribution is empty: 1e-23 are left.
+FAR = 10
 
-def clipped_mean(light: Values, sigma: Float[Array, ""] | Values) -> Values:
-    r"""Mean of $\min(\max(I + \sigma n, 0), 1)$ with $n$ standard normal, elementwise.
 
-    $I - \sigma g(\tfrac{1-I}{\sigma}) + \sigma g(\tfrac{I}{\sigma})$ with $g(z) =
-    \phi(z) - z Q(z)$. For $\sigma \to 0$ it is the hard clamp; its slope beyond white
-    is the chance that noise brings the pixel back below it.
+class Moments(NamedTuple):
+    """Of what noise and clipping make of light, elementwise.
+
+    - `mean`: of the clipped value.
+    - `slope`: of the mean in the light: the chance that nothing is clipped.
+    - `variance_share`: what clipping leaves of the noise's variance: 1 in mid-range, 0
+      past white.
+    """
+
+    mean: Values
+    slope: Values
+    variance_share: Values
+
+
+def clipped_moments(light: Values, sigma: Float[Array, ""] | Values) -> Moments:
+    r"""Moments of $\min(\max(I + \sigma n, 0), 1)$ with $n$ standard normal.
+
+    With $b = I / \sigma$, $a = (1 - I) / \sigma$ and $g(z) = \phi(z) - z Q(z)$ the mean
+    is $I + \sigma (g(b) - g(a))$, and its slope $1 - Q(a) - Q(b)$. For $\sigma \to 0$
+    that is the hard clamp.
 
     ??? cite "Source"
         Tobin, *Estimation of relationships for limited dependent variables*,
         Econometrica 26(1), 1958.
     """
+    edges = _edges(light, sigma)
+    return Moments(_mean(light, edges), _slope(edges), _variance_share(edges))
+
+
+def clipped_mean(light: Values, sigma: Float[Array, ""] | Values) -> Values:
+    """The mean of [`clipped_moments`][], with the derivatives that it has on paper."""
     return _clipped_mean(light, jnp.broadcast_to(sigma, light.shape))
 
 
 @jax.custom_jvp
 def _clipped_mean(light: Values, sigma: Values) -> Values:
-    return _mean_and_slopes(light, sigma)[0]
+    return _mean(light, _edges(light, sigma))
 
 
 @_clipped_mean.defjvp
 def _clipped_mean_derivative(
     at: tuple[Values, Values], towards: tuple[Values, Values]
 ) -> tuple[Values, Values]:
-    mean, slope, in_sigma = _mean_and_slopes(*at)
-    return mean, slope * towards[0] + in_sigma * towards[1]
+    edges = _edges(*at)
+    in_sigma = edges.black_density - edges.white_density
+    moved = _slope(edges) * towards[0] + in_sigma * towards[1]
+    return _mean(at[0], edges), moved
 
 
-def _mean_and_slopes(light: Values, sigma: Values) -> tuple[Values, Values, Values]:
-    r"""The mean and its derivatives in $I$ and $\sigma$, from the same tails.
+class _Edges(NamedTuple):
+    """How far black and white are, in σ; the normal density there; what lies beyond."""
 
-    With $a = \tfrac{1-I}{\sigma}$ and $b = \tfrac{I}{\sigma}$ these are $1 - Q(a) -
-    Q(b)$ and $\phi(b) - \phi(a)$.
-    """
+    sigma: Values
+    black: Values
+    white: Values
+    black_density: Values
+    white_density: Values
+    black_tail: Values
+    white_tail: Values
+
+
+def _edges(light: Values, sigma: Float[Array, ""] | Values) -> _Edges:
     sigma = jnp.maximum(sigma, jnp.finfo(light.dtype).eps ** 2)
-    above, below = (1 - light) / sigma, light / sigma
-    density_above, density_below = _density(above), _density(below)
-    tail_above, tail_below = _upper_tail(above), _upper_tail(below)
-    over = density_above - above * tail_above
-    under = density_below - below * tail_below
-    slope = 1 - tail_above - tail_below
-    return light + sigma * (under - over), slope, density_below - density_above
+    black, white = light / sigma, (1 - light) / sigma
+    densities = _density(black), _density(white)
+    return _Edges(
+        sigma, black, white, *densities, _upper_tail(black), _upper_tail(white)
+    )
+
+
+def _mean(light: Values, edges: _Edges) -> Values:
+    under = edges.black_density - edges.black * edges.black_tail
+    over = edges.white_density - edges.white * edges.white_tail
+    return light + edges.sigma * (under - over)
+
+
+def _slope(edges: _Edges) -> Values:
+    return 1 - edges.white_tail - edges.black_tail
+
+
+def _variance_share(edges: _Edges) -> Values:
+    # Far stands for infinity; b² − b² would otherwise cancel badly.
+    a, b = jnp.clip(-edges.black, -FAR, FAR), jnp.clip(edges.white, -FAR, FAR)
+    below, above = edges.black_tail, edges.white_tail
+    density_a, density_b = _density(a), _density(b)
+    mean = density_a - density_b + a * below + b * above
+    square = 1 - below - above + a * density_a - b * density_b
+    square = square + a**2 * below + b**2 * above
+    return jnp.clip(square - mean**2, 0, 1)
 
 
 def _density(z: Values) -> Values:
@@ -67,21 +118,12 @@ def _density(z: Values) -> Values:
 
 
 def _upper_tail(z: Values) -> Values:
-    return erfc(z / math.sqrt(2)) / 2
+    """Chance beyond z. Mostly no sample comes near, and nothing is to be computed.
 
-
-def clipped_variance_share(light: Values, sigma: Float[Array, ""] | Values) -> Values:
-    r"""Variance of the clipped value over $\sigma^2$: 1 in mid-range, 0 past white."""
-    sigma = jnp.maximum(sigma, jnp.finfo(light.dtype).eps ** 2)
-    # Ten standard deviations stand for infinity; b² − b² would otherwise cancel badly.
-    a = jnp.clip(-light / sigma, -10, 10)
-    b = jnp.clip((1 - light) / sigma, -10, 10)
-    density_a, density_b = _density(a), _density(b)
-    below, above = _upper_tail(-a), _upper_tail(b)
-    mean = density_a - density_b + a * below + b * above
-    square = 1 - below - above + a * density_a - b * density_b
-    square = square + a**2 * below + b**2 * above
-    return jnp.clip(square - mean**2, 0, 1)
+    The condition also keeps XLA from computing the tails anew for each of their uses.
+    """
+    near = jnp.min(z, initial=FAR) < FAR
+    return jax.lax.cond(near, lambda z: erfc(z / math.sqrt(2)) / 2, jnp.zeros_like, z)
 
 
 def rounding_steps(image: np.ndarray, film: Film) -> np.ndarray:
@@ -141,9 +183,8 @@ def shared_rounding_variance(step: Values, sigma: Values) -> Values:
     return step**2 * jnp.where(ratio < 1e-3, 1 / 12, total)
 
 
-def arithmetic_floor(largest: Any, resolution: float) -> Any:
-    """Noise level below which residuals are rounding of the arithmetic.
-
-    **Arguments:** `largest` sample, and the number type's `resolution`.
-    """
-    return 16 * resolution * largest
+def arithmetic_floor(image: Values) -> Float[Array, ""]:
+    """Noise level below which residuals are rounding of the arithmetic."""
+    # A black image is not told to a digit more than a dark one.
+    largest = jnp.max(jnp.abs(image), initial=1e-3)
+    return 16 * jnp.finfo(image.dtype).eps * largest

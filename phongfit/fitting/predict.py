@@ -8,14 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from phongfit.fitting.estimate import estimates
-from phongfit.fitting.fit import Setting, set_up
-from phongfit.fitting.leaves import LEAVES, is_of_scene, scene_arrays
+from phongfit.fitting.fit import set_up
+from phongfit.fitting.layout import first_values
 from phongfit.fitting.losses import Linear
 from phongfit.fitting.problem import Problem
-from phongfit.fitting.result import errors_as_material
+from phongfit.fitting.result import as_materials
 from phongfit.fitting.samples import gather, seen_pixels
 from phongfit.fitting.table import parameter_rows
-from phongfit.fitting.unknowns import Unknowns
 from phongfit.material import Material
 from phongfit.rendering.film import Film, decode
 from phongfit.rendering.render import render
@@ -100,21 +99,24 @@ def predict_errors(
         film=film,
         **options,
     )
-    problem = _problem(setting)
-    y = jnp.asarray(_truth(setting.unknowns, material, tuple(scenes)))
-    told = estimates(problem, y)
-    errors = np.zeros(len(setting.unknowns.entry_labels))
-    errors[setting.unknowns.reported] = told.errors
+    unknowns, sources = setting.unknowns, setting.sources
+    samples = gather(sources, seen_pixels(sources))
+    sigma = jnp.ones((), samples.target.dtype)
+    problem = Problem(samples, unknowns, sigma, Linear(), film.clamp)
+    entries = first_values(unknowns.leaves, scenes, material)
+    told = estimates(problem, jnp.asarray(unknowns.position(entries)))
+    errors = np.zeros_like(entries)
+    errors[unknowns.reported] = told.errors
     return Prediction(
-        labels=setting.unknowns.labels,
+        labels=unknowns.labels,
         values=told.values,
         errors=told.errors,
-        stderr=errors_as_material(setting.unknowns, errors),
+        stderr=as_materials(unknowns, entries, errors)[1],
         covariance=told.covariance,
         at_bound=told.at_bound,
         untold=told.untold,
         warnings=told.reasons,
-        samples=sum(int(np.count_nonzero(s.weight)) for s in setting.sources),
+        samples=sum(int(np.count_nonzero(s.weight)) for s in sources),
     )
 
 
@@ -122,35 +124,3 @@ def _photograph(scene: Scene, material: Material, film: Film) -> np.ndarray:
     """The image without noise, as a file of it would be read."""
     shown = np.asarray(render(scene, material, film=film))
     return np.asarray(decode(shown, film.encoding))
-
-
-def _problem(setting: Setting) -> Problem:
-    sources, unknowns = setting.sources, setting.unknowns
-    relight = unknowns.of_scene and not setting.moving
-    samples = gather(sources, seen_pixels(sources), relight)
-    sigma = jnp.ones((), samples.target.dtype)
-    return Problem(samples, unknowns, sigma, Linear(), setting.film.clamp)
-
-
-def _truth(
-    unknowns: Unknowns, material: Material, scenes: tuple[Scene, ...]
-) -> np.ndarray:
-    """The solver's vector of the truth."""
-    parts = []
-    for leaf in unknowns.leaves:
-        size = (len(leaf.rows), len(leaf.parts))
-        if leaf.name in LEAVES:
-            value = np.asarray(getattr(material, leaf.name), float)
-            if size[1] == 1 and value.shape[-1:] == (3,):
-                # One number for three colours: their mean.
-                value = value.mean(axis=-1, keepdims=True)
-        elif is_of_scene(leaf.name):
-            rows = scenes[: size[0]]
-            arrays = [np.asarray(scene_arrays(s)[leaf.name], float) for s in rows]
-            value = np.stack([array.ravel() for array in arrays])
-            if value.shape[1] != size[1]:
-                value = value.mean(axis=1, keepdims=True)
-        else:
-            value = np.ones(())
-        parts.append(np.broadcast_to(value, size).ravel())
-    return unknowns.position(np.concatenate(parts))

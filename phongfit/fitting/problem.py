@@ -5,7 +5,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from phongfit.fitting.losses import AbstractLoss
-from phongfit.fitting.noise import clipped_mean, clipped_variance_share
+from phongfit.fitting.noise import (
+    Moments,
+    arithmetic_floor,
+    clipped_mean,
+    clipped_moments,
+)
 from phongfit.fitting.samples import Channels, Samples
 from phongfit.fitting.unknowns import Unknowns
 
@@ -20,11 +25,9 @@ class Problem(eqx.Module):
     clamp: bool = eqx.field(static=True)
 
     def noise(self) -> Float[Array, "3 n"]:
-        """Standard deviation of each sample before rounding; 1 where it is left out."""
-        used = self.samples.weight > 0
-        return jnp.where(
-            used, self.sigma / jnp.sqrt(jnp.where(used, self.samples.weight, 1)), 1
-        )
+        """Standard deviation of each sample before rounding, also of those left out."""
+        weight = self.samples.weight
+        return self.sigma / jnp.sqrt(jnp.where(weight > 0, weight, 1))
 
     def light(self, y: Float[Array, " n"]) -> Float[Array, "3 samples"]:
         """Linear light, before the film, that the model predicts for each sample."""
@@ -50,6 +53,8 @@ class Problem(eqx.Module):
 
     def deviation(self) -> Float[Array, "3 samples"]:
         """Standard deviation of each sample, rounding included."""
+        if self.samples.step is None:
+            return self.noise()
         return jnp.sqrt(self.noise() ** 2 + self.samples.step**2 / 12)
 
     def residual(self, y: Float[Array, " n"]) -> Float[Array, "3 samples"]:
@@ -65,8 +70,27 @@ class Problem(eqx.Module):
         difference = (shown - self.samples.target) / self.deviation()
         return jnp.where(self.samples.weight > 0, difference, 0)
 
+    def measure(self, light: Float[Array, "3 samples"]) -> "Evaluation":
+        """The same, and all else that is to be known of each sample."""
+        noise, deviation = self.noise(), self.deviation()
+        one = jnp.ones_like(light)
+        film = Moments(light, one, one)
+        if self.clamp:
+            film = clipped_moments(light, noise)
+        used = self.samples.weight > 0
+        difference = jnp.where(used, film.mean - self.samples.target, 0)
+        return Evaluation(
+            difference,
+            difference / deviation,
+            jnp.where(used, film.slope, 0) / deviation,
+            noise,
+            deviation,
+            jnp.where(used, film.variance_share, 0),
+            arithmetic_floor(jnp.where(used, self.samples.target, 0)),
+        )
+
     def group(self) -> Int[Array, " samples"]:
-        """Which of [`Unknowns`][]`.groups` groups each sample belongs to."""
+        """Which material, and image where images differ, each sample belongs to."""
         owner = self.samples.material_index()
         if not self.unknowns.differs_between_images:
             return owner
@@ -78,28 +102,25 @@ class Evaluation(eqx.Module):
 
     difference: Float[Array, "3 samples"]
     residual: Float[Array, "3 samples"]
+    slope: Float[Array, "3 samples"]
     noise: Float[Array, "3 samples"]
     deviation: Float[Array, "3 samples"]
     variance_share: Float[Array, "3 samples"]
+    floor: Float[Array, ""]
 
 
 Evaluation.__init__.__doc__ = """**Arguments:**
 
 - `difference`: model − image in linear light; 0 where a sample is left out.
 - `residual`: the same in standard deviations.
+- `slope`: of the residual in the model's light.
 - `noise`, `deviation`: standard deviations before and after rounding.
 - `variance_share`: what clipping leaves of the noise's variance, 0 … 1.
+- `floor`: noise level at and below which all that is left over is rounding.
 """
 
 
 @eqx.filter_jit
 def evaluate(problem: Problem, y: Float[Array, " n"]) -> Evaluation:
     """Differences between model and image, and what noise they are measured by."""
-    noise, deviation = problem.noise(), problem.deviation()
-    light = problem.light(y)
-    share = jnp.ones_like(light)
-    if problem.clamp:
-        share = clipped_variance_share(light, noise)
-    share = jnp.where(problem.samples.weight > 0, share, 0)
-    residual = problem.compare(light)
-    return Evaluation(residual * deviation, residual, noise, deviation, share)
+    return problem.measure(problem.light(y))

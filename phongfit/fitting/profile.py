@@ -258,9 +258,9 @@ def total_cost(problem: Problem, y: Float[Array, " n"]) -> float:
 
 @eqx.filter_jit
 def _curvature(problem: Problem, y: Float[Array, " n"]) -> Float[Array, "n n"]:
-    samples, _, jacobian = linearize(problem, y)
-    known = jacobian.priors.T @ jacobian.priors
-    return jacobian.gram(problem.loss.score(samples)[1]) + known
+    found = linearize(problem, y)
+    known = found.jacobian.priors.T @ found.jacobian.priors
+    return found.jacobian.gram(problem.loss.score(found.at.residual)[1]) + known
 
 
 @eqx.filter_jit

@@ -4,10 +4,12 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.stats
+from jaxtyping import Array, Float
 
 from phongfit.fitting.diagnostics import variance_inflation
 from phongfit.fitting.profile import LEVELS, profile, profile_pair
@@ -194,8 +196,11 @@ Fit.__init__.__doc__ = """**Arguments:**
 """
 
 
-def errors_as_material(unknowns: Unknowns, errors: np.ndarray) -> Material:
-    """Errors of all entries as a material; what was known has none."""
+@eqx.filter_jit
+def as_materials(
+    unknowns: Unknowns, entries: Float[Array, " n"], errors: Float[Array, " n"]
+) -> tuple[Material, Material]:
+    """All entries, and their errors, as materials; what was known has no error."""
     none = jax.tree.map(jnp.zeros_like, unknowns.known)
-    kind = np.asarray(unknowns.lower).dtype
-    return dataclasses.replace(unknowns, known=none).with_leaves(errors.astype(kind))
+    errors_alone = dataclasses.replace(unknowns, known=none)
+    return unknowns.with_leaves(entries), errors_alone.with_leaves(errors)

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.geometry.shading import Interpolation
 from phongfit.geometry.surfaces import GBuffer
@@ -102,7 +102,7 @@ class Samples(eqx.Module):
     channels: Channels
     target: Float[Array, "3 n"]
     weight: Float[Array, "3 n"]
-    step: Float[Array, "3 n"]
+    step: Float[Array, "3 n"] | None
     image: Int[Array, " n"]
     views: tuple[View, ...]
 
@@ -136,7 +136,8 @@ Samples.__init__.__doc__ = """**Arguments:**
 - `channels`: what the pixels see.
 - `target`: measured linear light.
 - `weight`: relative inverse variance; 0 leaves a sample out.
-- `step`: width in linear light of the level that the target was rounded to, or 0.
+- `step`: width in linear light of the level that the target was rounded to; `None`
+    where nothing was rounded.
 - `image`: which image a sample is of; the samples of an image come one after another.
 - `views`: the images' scenes, in their order.
 """
@@ -144,73 +145,103 @@ Samples.__init__.__doc__ = """**Arguments:**
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """One image as a fit takes it in: what its pixels see, and what was measured."""
+    """One image as a fit takes it in: what its pixels see, and what was measured.
+
+    `mask` tells where the surface is seen. `gbuffer` is `None` unless the pixels will
+    be lit anew, and `step` if nothing was rounded.
+    """
 
     scene: Scene
-    gbuffer: GBuffer
+    mask: Bool[Array, "height width"]
     pixels: PixelTerms
-    image: np.ndarray
-    weight: np.ndarray
-    step: np.ndarray
+    gbuffer: GBuffer | None
+    image: Array
+    weight: Array
+    step: np.ndarray | None
 
 
-def gather(
-    sources: list[Source], used: list[np.ndarray], relight: bool = False
-) -> Samples:
+def gather(sources: list[Source], used: list[np.ndarray]) -> Samples:
     """Samples of some pixels, image after image.
 
     Each image is padded to a common size out of a coarse series, so that fits of
     similar size share one compilation.
 
-    **Arguments:**
-
-    - `used`: of each image the pixels wanted, counted row by row.
-    - `relight`: whether the samples will be lit anew without tracing rays again.
+    **Arguments:** `used`: of each image the pixels wanted, counted row by row.
     """
     size = _padded(max(len(index) for index in used))
-    parts, views = [], []
-    for source, index in zip(sources, used, strict=True):
-        # Padding repeats pixels, with no weight.
-        padded = np.resize(index, size) if len(index) else np.zeros(size, int)
-        chosen = jnp.asarray(padded.astype(np.int32))
-        numbers = (source.image, source.weight, source.step)
-        rows = _rows(numbers, chosen, len(index))
-        parts.append((source.pixels.select(chosen), *rows))
-        buffer = source.gbuffer.select(chosen) if relight else None
-        views.append(View(source.scene, buffer, chosen))
-    pixels, target, weight, step = zip(*parts, strict=True)
     image = np.repeat(np.arange(len(sources), dtype=np.int32), size)
-    return Samples(
-        _apart_now(join_pixels(list(pixels))),
-        *_joined((target, weight, step)),
-        image=jnp.asarray(image),
-        views=tuple(views),
+    places = [_repeated(index, size) for index in used]
+    asked = list(zip(sources, places, map(len, used), strict=True))
+    if len(asked) == 1 and sources[0].pixels.interpolation is None:
+        numbers = _gather_one(*_parts(*asked[0]))
+    else:
+        numbers = _join([_take(*_parts(*one)) for one in asked])
+    views = [
+        View(s.scene, None if s.gbuffer is None else s.gbuffer.select(place), place)
+        for s, place, _ in asked
+    ]
+    return Samples(*numbers, image=jnp.asarray(image), views=tuple(views))
+
+
+def _repeated(index: np.ndarray, size: int) -> Int[Array, " size"]:
+    """Padding repeats pixels, with no weight."""
+    repeats = -(-size // max(len(index), 1))
+    padded = np.tile(index, repeats)[:size] if len(index) else np.zeros(size)
+    return jnp.asarray(padded.astype(np.int32))
+
+
+_Numbers = tuple[PixelTerms, Array, Array, Array | None]
+
+
+def _parts(source: Source, place: Array, count: int) -> tuple[Any, ...]:
+    """What [`_take`][] wants, with vertices that no pixel shows dropped."""
+    pixels, at = source.pixels, place
+    if pixels.interpolation is not None:
+        pixels, at = pixels.select(place), None
+    return pixels, at, (source.image, source.weight, source.step), place, count
+
+
+@eqx.filter_jit
+def _take(
+    pixels: PixelTerms,
+    at: Array | None,
+    numbers: tuple[Array, Array, Array | None],
+    place: Array,
+    count: Array,
+) -> _Numbers:
+    """Some pixels of an image, and of their image, weight and step the rows."""
+    pixels = pixels if at is None else pixels.select(at)
+    target, weight = (a.reshape(-1, 3)[place] for a in numbers[:2])
+    step = None if numbers[2] is None else numbers[2].reshape(-1, 3)[place]
+    present = jnp.arange(len(place)) < count
+    return pixels, target, jnp.where(present[:, None], weight, 0), step
+
+
+def _joined(parts: list[_Numbers]) -> tuple[Channels, Array, Array, Array | None]:
+    """Images one after another, channels first."""
+    pixels, *numbers = zip(*parts, strict=True)
+    target, weight, step = (
+        None if one[0] is None else jnp.concatenate(one).T for one in numbers
     )
+    return by_channel(join_pixels(list(pixels))), target, weight, step
 
 
-@jax.jit
-def _rows(
-    numbers: tuple[Array, Array, Array], index: Array, count: int
-) -> tuple[Array, Array, Array]:
-    """Image, weight and step of some pixels, their channels first."""
-    target, weight, step = (a.reshape(-1, 3)[index].T for a in numbers)
-    present = jnp.arange(len(index)) < count
-    return target, jnp.where(present[None], weight, 0), step
+_join = eqx.filter_jit(_joined)
 
 
-@jax.jit
-def _joined(numbers: Any) -> list[Array]:
-    return [jnp.concatenate(parts, axis=-1) for parts in numbers]
-
-
-_apart_now = eqx.filter_jit(by_channel)
+@eqx.filter_jit
+def _gather_one(*parts: Any) -> tuple[Channels, Array, Array, Array | None]:
+    """The same for a single image, in one go."""
+    return _joined([_take(*parts)])
 
 
 def seen_pixels(sources: list[Source]) -> list[np.ndarray]:
     """Of each image the pixels with any weight, counted row by row."""
     # Channel by channel: an axis of 3 is slow to reduce.
     return [
-        np.flatnonzero(functools.reduce(np.logical_or, np.moveaxis(s.weight, -1, 0)))
+        np.flatnonzero(
+            functools.reduce(np.logical_or, np.moveaxis(np.asarray(s.weight), -1, 0))
+        )
         for s in sources
     ]
 
@@ -220,7 +251,7 @@ def join_pixels(parts: list[PixelTerms]) -> PixelTerms:
     if len(parts) == 1:
         return parts[0]
     lobes = max(part.terms.cosine.shape[-1] for part in parts)
-    return _join(_apart([_with_lobes(part, lobes) for part in parts]))
+    return _concatenated(_apart([_with_lobes(part, lobes) for part in parts]))
 
 
 def _apart(parts: list[PixelTerms]) -> list[PixelTerms]:
@@ -237,7 +268,7 @@ def _apart(parts: list[PixelTerms]) -> list[PixelTerms]:
 
 
 @jax.jit
-def _join(parts: list[PixelTerms]) -> PixelTerms:
+def _concatenated(parts: list[PixelTerms]) -> PixelTerms:
     joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
     # The model's own arrays, if it has any, are of no sample.
     return eqx.tree_at(lambda p: p.terms.model, joined, parts[0].terms.model)

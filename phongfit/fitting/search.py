@@ -9,8 +9,7 @@ from jaxtyping import Array, Float
 
 from phongfit.fitting.leaves import LEAVES
 from phongfit.fitting.losses import AbstractLoss
-from phongfit.fitting.noise import arithmetic_floor
-from phongfit.fitting.problem import Problem, evaluate
+from phongfit.fitting.problem import Evaluation, Problem, evaluate
 from phongfit.fitting.samples import Samples
 from phongfit.fitting.solution import Solution, solve
 from phongfit.fitting.start import scan
@@ -52,16 +51,19 @@ def search(
     problem = Problem(first, unknowns, jnp.asarray(sigma, y.dtype), loss, clamp)
     if unknowns.of_scene or unknowns.exposed:
         y = _best_of_several(problem, noise_given, max_steps)
+        left = evaluate(problem, y)
     else:
-        y = scan(problem, y)
+        y, left = _begin(problem, y)
     if not noise_given:
-        problem = _with_noise(problem, y, robust=True)
-    found = _solve(problem, y, noise_given, max_steps)
-    if few is None:
-        return found
-    problem = dataclasses.replace(found.problem, samples=samples)
-    last = _solve(problem, found.y, noise_given, max_steps)
-    return dataclasses.replace(last, steps=found.steps + last.steps)
+        sigma = _robust_noise(problem, left)
+    steps = 0
+    if few is not None:
+        # Without outliers, one pass comes near enough.
+        found = _solve(problem, sigma, y, noise_given, max_steps, not loss.robust)
+        y, steps, sigma = found.y, found.steps, float(found.problem.sigma)
+        problem = Problem(samples, unknowns, problem.sigma, loss, clamp)
+    last = _solve(problem, sigma, y, noise_given, max_steps)
+    return dataclasses.replace(last, steps=steps + last.steps)
 
 
 def _best_of_several(
@@ -101,56 +103,74 @@ def spread_starts(unknowns: Unknowns, count: int) -> np.ndarray:
 
 
 def _solve(
-    problem: Problem, y: Float[Array, " n"], noise_given: bool, max_steps: int
+    problem: Problem,
+    sigma: float,
+    y: Float[Array, " n"],
+    noise_given: bool,
+    max_steps: int,
+    once: bool = False,
 ) -> Found:
     """Solve until the noise level that the solution rests on is what it leaves."""
-    steps = 0
-    while True:
-        solution = solve(problem, y, max_steps)
+    steps, settled, dtype = 0, False, problem.sigma.dtype
+    while not settled:
+        solution, noise = _pass(problem, np.asarray(sigma, dtype), y, max_steps)
         y, steps = solution.y, steps + int(solution.steps)
-        done = noise_given or steps > MOST_PASSES * max_steps
-        if not done:
-            before = float(problem.sigma)
-            problem = _with_noise(problem, y, problem.loss.robust)
-            done = float(problem.sigma) > 0.97 * before
-        if done:
-            return Found(problem, y, bool(solution.converged), steps)
-
-
-def _with_noise(problem: Problem, y: Float[Array, " n"], robust: bool) -> Problem:
-    """The problem with the noise level that the residuals at y show."""
-    sigma = (_robust_noise if robust else _noise)(problem, y)
-    return dataclasses.replace(problem, sigma=jnp.asarray(sigma, problem.sigma.dtype))
+        settled = once or noise_given or steps > MOST_PASSES * max_steps
+        if not noise_given:
+            before, sigma = sigma, float(noise)
+            if problem.loss.robust:
+                sigma = _robust_noise(problem, evaluate(problem, y))
+            settled |= sigma > 0.97 * before
+    # Named by hand: to replace one field of a module takes long.
+    samples, unknowns = problem.samples, problem.unknowns
+    known = jnp.asarray(np.asarray(sigma, dtype))
+    problem = Problem(samples, unknowns, known, problem.loss, problem.clamp)
+    return Found(problem, y, bool(solution.converged), steps)
 
 
 @eqx.filter_jit
+def _pass(
+    problem: Problem, sigma: Float[Array, ""], y: Float[Array, " n"], max_steps: int
+) -> tuple[Solution, Float[Array, ""]]:
+    """A solution for a noise level, and the noise level that its residuals show."""
+    problem = dataclasses.replace(problem, sigma=sigma)
+    solution = solve(problem, y, max_steps)
+    return solution, _noise(problem, solution.y)
+
+
+@eqx.filter_jit
+def _begin(
+    problem: Problem, y: Float[Array, " n"]
+) -> tuple[Float[Array, " n"], Evaluation]:
+    """Where the scan ends, and what is left over there."""
+    y = scan(problem, y)
+    return y, evaluate(problem, y)
+
+
 def _noise(problem: Problem, y: Float[Array, " n"]) -> Float[Array, ""]:
     """Standard deviation of a sample of weight 1, before rounding."""
     at, samples = evaluate(problem, y), problem.samples
-    count = jnp.sum(samples.weight > 0).astype(y.dtype)
     squares = jnp.sum(at.difference**2 * samples.weight)
     free = jnp.sum(at.variance_share) - y.size
-    rounding = jnp.sum(samples.step**2 * samples.weight) / count / 12
-    variance = squares / jnp.maximum(free, 1) - rounding
-    largest = jnp.max(jnp.where(samples.weight > 0, jnp.abs(samples.target), 0))
-    resolution = float(jnp.finfo(y.dtype).eps)
-    floor = arithmetic_floor(jnp.maximum(largest, 1e-3), resolution)
-    return jnp.sqrt(jnp.maximum(variance, floor**2))
+    variance = squares / jnp.maximum(free, 1)
+    if samples.step is not None:
+        count = jnp.sum(samples.weight > 0).astype(y.dtype)
+        variance -= jnp.sum(samples.step**2 * samples.weight) / count / 12
+    return jnp.sqrt(jnp.maximum(variance, at.floor**2))
 
 
-def _robust_noise(problem: Problem, y: Float[Array, " n"]) -> float:
+def _robust_noise(problem: Problem, left: Evaluation) -> float:
     """The same from the median, which outliers do not reach."""
     weight = np.asarray(problem.samples.weight)
     used = weight > 0
     target = np.asarray(problem.samples.target)[used]
-    difference = np.asarray(evaluate(problem, y).difference)[used]
+    difference = np.asarray(left.difference)[used]
     difference = difference * np.sqrt(weight[used])
-    steps = np.asarray(problem.samples.step)[used]
-    largest = max(float(np.abs(target).max()), 1e-3)
-    floor = arithmetic_floor(largest, float(np.finfo(difference.dtype).eps))
     inside = (target > 0) & (target < 1)
-    if problem.clamp and inside.sum() > len(y):
+    if problem.clamp and inside.sum() > problem.unknowns.lower.size:
         difference = difference[inside]
     variance = (1.4826 * float(np.median(np.abs(difference)))) ** 2
-    rounding = float(np.mean(steps**2 * weight[used])) / 12
-    return float(np.sqrt(max(variance - rounding, floor**2)))
+    if problem.samples.step is not None:
+        steps = np.asarray(problem.samples.step)[used]
+        variance -= float(np.mean(steps**2 * weight[used])) / 12
+    return float(np.sqrt(max(variance, float(left.floor) ** 2)))

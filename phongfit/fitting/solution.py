@@ -94,6 +94,7 @@ def solve(problem: Problem, start: Float[Array, " n"], max_steps: int) -> Soluti
         atol=tolerance,
         lower=problem.unknowns.lower,
         upper=problem.unknowns.upper,
+        foresee=True,
     )
     solution = optx.least_squares(
         few_residuals,

@@ -20,9 +20,10 @@ from phongfit.fitting.box import least_squares_in_box
 
 
 class _State(eqx.Module):
-    """What a step needs of the last accepted point."""
+    """What a step needs of the last accepted point; and the one before."""
 
     y: PyTree[Array]
+    before: PyTree[Array]
     triangle: Float[Array, "k n+1"]
     scale: Float[Array, " n"]
 
@@ -50,14 +51,14 @@ class BoxDampedNewtonDescent(optx.AbstractDescent):
         flat, _ = ravel_pytree(y)
         rows = sum(leaf.size for leaf in jax.tree.leaves(f_info_struct.residual))
         shape = (min(rows, flat.size + 1), flat.size + 1)
-        return _State(y, jnp.zeros(shape, flat.dtype), jnp.zeros_like(flat))
+        return _State(y, y, jnp.zeros(shape, flat.dtype), jnp.zeros_like(flat))
 
     def query(self, y: PyTree[Array], f_info: Any, state: _State) -> _State:
         residual, _ = ravel_pytree(f_info.residual)
         both = jnp.column_stack([f_info.jac.as_matrix(), residual])
         triangle = jnp.linalg.qr(both, mode="r")
         norms = jnp.linalg.norm(triangle[:, :-1], axis=0)
-        return _State(y, triangle, jnp.maximum(state.scale, norms))
+        return _State(y, state.y, triangle, jnp.maximum(state.scale, norms))
 
     def step(
         self, step_size: Scalar, state: _State
@@ -261,6 +262,7 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
     descent: Any
     search: Any
     verbose: Callable[..., None]
+    foresee: bool
 
     def __init__(
         self,
@@ -270,6 +272,7 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         upper: PyTree[Array],
         norm: Callable[[PyTree], Scalar] = optx.max_norm,
         damping: float = 1e-3,
+        foresee: bool = False,
     ):
         """**Arguments:**
 
@@ -279,6 +282,8 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
             The starting point must lie between them.
         - `norm`: of these changes.
         - `damping`: share of the curvature that is added at first.
+        - `foresee`: end with a step after which, from how fast steps shrink, none would
+            be large enough; its end is not evaluated, which spares an evaluation.
         """
         self.rtol = rtol
         self.atol = atol
@@ -286,6 +291,69 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         self.descent = BoxDampedNewtonDescent(lower, upper, damping)
         self.search = RoundingTolerantTrustRegion()
         self.verbose = _silent
+        self.foresee = foresee
+
+    def terminate(
+        self,
+        fn: Any,
+        y: PyTree[Array],
+        args: PyTree,
+        options: dict[str, Any],
+        state: Any,
+        tags: frozenset[object],
+    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
+        """Also, if asked for, where the next step is the last."""
+        del fn, y, args, options, tags
+        ends = state.terminate
+        return ends | self._is_last(state) if self.foresee else ends, state.result
+
+    def postprocess(
+        self,
+        fn: Any,
+        y: PyTree[Array],
+        aux: Any,
+        args: PyTree,
+        options: dict[str, Any],
+        state: Any,
+        tags: frozenset[object],
+        result: optx.RESULTS,
+    ) -> tuple[PyTree[Array], Any, dict[str, Any]]:
+        """The last step is taken, though nothing is evaluated there."""
+        del fn, args, options, tags, result
+        if not self.foresee:
+            return y, aux, {}
+        last = self._is_last(state) & ~state.terminate
+        y = jax.tree.map(lambda end, y: jnp.where(last, end, y), state.y_eval, y)
+        return y, aux, {}
+
+    def _is_last(self, state: Any) -> Bool[Array, ""]:
+        r"""Whether a further step after the next one would be too small to be taken.
+
+        Steps that shrink by a factor $\theta$ end $\theta / (1 - \theta)$ of the next
+        one beyond it. That holds near the solution alone, and for steps that damping
+        does not hold back.
+
+        ??? cite "Source"
+            Hairer and Wanner, *Solving Ordinary Differential Equations II*, 1996,
+            section IV.8.
+        """
+        y, before = state.descent_state.y, state.descent_state.before
+        step = jax.tree.map(jnp.subtract, state.y_eval, y)
+        change = state.f_info.jac.mv(step)
+        sizes = self._size(step, y), self._size(change, state.f_info.residual)
+        previous = self._size(jax.tree.map(jnp.subtract, y, before), y)
+        theta = sizes[0] / jnp.where(previous > 0, previous, 1)
+        near = (previous > 0) & (theta < 0.1) & (state.search_state.step_size >= 1)
+        beyond = theta / (1 - theta) * jnp.maximum(*sizes)
+        return near & (state.num_steps_since_acceptance == 0) & (beyond < 1)
+
+    def _size(self, change: PyTree[Array], of: PyTree[Array]) -> Scalar:
+        """A change in units of what the tolerances ask for."""
+
+        def share(change: Array, of: Array) -> Array:
+            return jnp.abs(change) / (self.atol + self.rtol * jnp.abs(of))
+
+        return self.norm(jax.tree.map(share, change, of))
 
 
 def _silent(**report: Any) -> None:

@@ -17,7 +17,7 @@ from phongfit.fitting.samples import Channels, Source
 from phongfit.fitting.unknowns import Unknowns
 from phongfit.rendering.pixels import PixelTerms
 
-CANDIDATES = 32
+CANDIDATES = 24
 SUBSET = 2048
 
 
@@ -150,7 +150,7 @@ def _best_reflectances(
         return weight, (y, light)
 
     # Absolute deviations, which a share of garbage hardly moves, take longer.
-    length = 6 if robust else 3 if clamp else 1
+    length = 6 if robust else 2 if clamp else 1
     _, (vectors, lights) = jax.lax.scan(step, weight, length=length)
     shown = lights[-1] + (samples.target - target)
     shown = jnp.clip(shown, 0, 1) if clamp else shown

@@ -7,12 +7,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.leaves import LEAVES
-from phongfit.fitting.noise import arithmetic_floor, shared_rounding_variance
-from phongfit.fitting.problem import Evaluation, Problem, evaluate
-from phongfit.fitting.sums import Jacobian, linearize
+from phongfit.fitting.noise import shared_rounding_variance
+from phongfit.fitting.problem import Evaluation, Problem
+from phongfit.fitting.sums import Linearization, linearize
 from phongfit.fitting.unknowns import Unknowns
 
 
@@ -36,19 +36,26 @@ class Statistics:
     reasons: tuple[str, ...]
 
 
-def statistics(problem: Problem, y: Float[Array, " n"], inflation: float) -> Statistics:
+def statistics(
+    problem: Problem,
+    y: Float[Array, " n"],
+    inflation: float,
+    pieces: "Pieces | None" = None,
+) -> Statistics:
     """Sandwich covariance of a bounded fit, its free part, and what cannot be told.
 
     **Arguments:**
 
     - `problem`, `y`: the problem, and its solution.
     - `inflation`: factor on all variances for residuals that are not independent.
+    - `pieces`: sums over the samples, if they are at hand.
     """
-    found = _in_numpy(_pieces(problem, y))
+    found = _in_numpy(add_up(problem, y) if pieces is None else pieces)
     resolution = float(np.finfo(y.dtype).eps)
+    exact = found.exact
     if _too_coarse(found.inside, resolution):
         found = _in_numpy(_pieces_in_double(problem, y))
-    if _is_exact(problem):
+    if exact:
         # What is left over is rounding of the arithmetic, which samples share.
         inflation = inflation * float(np.sum(np.asarray(problem.samples.weight) > 0))
     bread, meat = found.bread, found.meat
@@ -101,15 +108,7 @@ def statistics(problem: Problem, y: Float[Array, " n"], inflation: float) -> Sta
     )
 
 
-def _is_exact(problem: Problem) -> bool:
-    """Whether nothing is left over but what arithmetic of this precision rounds."""
-    samples = problem.samples
-    target, step = np.asarray(samples.target), np.asarray(samples.step)
-    floor = arithmetic_floor(np.abs(target).max(), float(np.finfo(target.dtype).eps))
-    return float(problem.sigma) <= 1.01 * floor and not step.any()
-
-
-def _in_numpy(pieces: "_Pieces") -> Any:
+def _in_numpy(pieces: "Pieces") -> Any:
     return jax.tree.map(lambda part: np.asarray(part, float), pieces)
 
 
@@ -122,19 +121,21 @@ def _too_coarse(bread: np.ndarray, resolution: float) -> bool:
     return bool(np.any(values < 1e4 * resolution))
 
 
-def _pieces_in_double(problem: Problem, y: Float[Array, " n"]) -> "_Pieces":
+def _pieces_in_double(problem: Problem, y: Float[Array, " n"]) -> "Pieces":
     """The same derivatives, added up in double precision."""
-    at = eqx.filter_jit(evaluate)(problem, y)
-    parts = problem, at, eqx.filter_jit(linearize)(problem, y)
+    parts = problem, _linearize(problem, y)
     with jax.enable_x64(True):
         return _add_up(*jax.tree.map(_in_double, parts))
+
+
+_linearize = eqx.filter_jit(linearize)
 
 
 def _in_double(leaf: Any) -> Any:
     return jnp.asarray(np.asarray(leaf), float) if eqx.is_inexact_array(leaf) else leaf
 
 
-class _Pieces(eqx.Module):
+class Pieces(eqx.Module):
     """Sums over the samples that all statistics are made of."""
 
     bread: Float[Array, "n n"]
@@ -144,18 +145,19 @@ class _Pieces(eqx.Module):
     loss_variance: Float[Array, ""]
     shared: Float[Array, ""]
     chi_squared: Float[Array, ""]
+    exact: Bool[Array, ""]
 
 
 @eqx.filter_jit
-def _pieces(problem: Problem, y: Float[Array, " n"]) -> _Pieces:
-    return _add_up(problem, evaluate(problem, y), linearize(problem, y))
+def add_up(problem: Problem, y: Float[Array, " n"]) -> Pieces:
+    """The sums at a solution."""
+    return _add_up(problem, linearize(problem, y))
 
 
 @eqx.filter_jit
-def _add_up(
-    problem: Problem, at: Evaluation, linearized: tuple[Array, Array, Jacobian]
-) -> _Pieces:
-    samples, priors, jacobian = linearized
+def _add_up(problem: Problem, found: Linearization) -> Pieces:
+    at, priors, jacobian = found.at, found.priors, found.jacobian
+    samples = at.residual
     kind = samples.dtype
     used = problem.samples.weight > 0
     count = jnp.maximum(jnp.sum(used), 1).astype(kind)
@@ -166,8 +168,13 @@ def _add_up(
         # A loss that bends: the variance of its score, and its mean slope.
         variance = jnp.sum(jnp.where(used, score**2, 0)) / count
         steepness = jnp.sum(jnp.where(used, slope, 0)) / count
-    common = _common(problem, at)
-    alone = at.noise**2 * at.variance_share + problem.samples.step**2 / 12 - common
+    independent, shared = at.variance_share, jnp.zeros((), kind)
+    if problem.samples.step is not None:
+        common = _common(problem, at)
+        rounding = problem.samples.step**2 / 12
+        alone = at.noise**2 * at.variance_share + rounding - common
+        independent = alone / at.deviation**2
+        shared = jnp.max(common / at.deviation**2)
     known = jacobian.priors.T @ jacobian.priors
     # A white sample tells only that the light is no less than white: what nothing else
     # speaks of is not told.
@@ -176,25 +183,30 @@ def _add_up(
     inside = jax.lax.cond(
         jnp.any(white), lambda: jacobian.gram((~white).astype(kind)), lambda: gram
     )
-    return _Pieces(
+    return Pieces(
         bread=steepness * gram + known,
-        meat=variance * jacobian.gram(alone / at.deviation**2) + known,
+        meat=variance * jacobian.gram(independent) + known,
         inside=inside + known,
         pull=jacobian.pull(score) + jacobian.priors.T @ priors,
         loss_variance=variance,
-        shared=jnp.max(common / at.deviation**2),
+        shared=shared,
         chi_squared=jnp.sum(samples**2) + jnp.sum(priors**2),
+        exact=_is_exact(problem, at),
     )
+
+
+def _is_exact(problem: Problem, at: Evaluation) -> Bool[Array, ""]:
+    """Whether nothing is left over but what arithmetic of this precision rounds."""
+    exact = problem.sigma <= 1.01 * at.floor
+    return exact & (problem.samples.step is None)
 
 
 def _common(problem: Problem, at: Evaluation) -> Float[Array, "3 samples"]:
     """Variance of the rounding that samples of one level share."""
     step = problem.samples.step
-    return jax.lax.cond(
-        jnp.any(step > 0),
-        lambda: shared_rounding_variance(step, at.noise),
-        lambda: jnp.zeros_like(step),
-    )
+    if step is None:
+        return jnp.zeros_like(at.noise)
+    return shared_rounding_variance(step, at.noise)
 
 
 def _shared_rounding(problem: Problem, y: Float[Array, " n"]) -> np.ndarray:
@@ -203,7 +215,9 @@ def _shared_rounding(problem: Problem, y: Float[Array, " n"]) -> np.ndarray:
     A region of one colour rounds as one, so samples of one channel and level are taken
     to share the part of their rounding error that noise does not dither.
     """
-    jacobian, common = _with_rounding(problem, y)
+    found = _linearize(problem, y)
+    jacobian, common = found.jacobian, _common(problem, found.at)
+    common = common / found.at.deviation**2
     used = np.asarray(problem.samples.weight).ravel() > 0
     columns = jacobian.columns().reshape(len(y), -1)[:, used]
     share = np.sqrt(np.asarray(common, float))
@@ -215,13 +229,6 @@ def _shared_rounding(problem: Problem, y: Float[Array, " n"]) -> np.ndarray:
         np.bincount(group, weights=column * share.ravel()[used]) for column in columns
     ]
     return np.array(sums) @ np.array(sums).T
-
-
-@eqx.filter_jit
-def _with_rounding(problem: Problem, y: Float[Array, " n"]) -> tuple[Jacobian, Array]:
-    """The Jacobian, and the variance that samples share, in σ²."""
-    at = evaluate(problem, y)
-    return linearize(problem, y)[2], _common(problem, at) / at.deviation**2
 
 
 def _normalized(bread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

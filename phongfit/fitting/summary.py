@@ -1,27 +1,42 @@
 """From a solution to a [`Fit`][]: images, diagnostics, and warnings in words."""
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Array, Float
 
-from phongfit.fitting.diagnostics import neighbour_correlation, variance_inflation
+from phongfit.fitting.diagnostics import (
+    Neighbours,
+    neighbour_correlation,
+    variance_inflation,
+)
 from phongfit.fitting.estimate import estimates
+from phongfit.fitting.leaves import EXPOSURE
 from phongfit.fitting.problem import Problem
-from phongfit.fitting.result import Fit, errors_as_material
+from phongfit.fitting.result import Fit, as_materials
 from phongfit.fitting.search import Found
-from phongfit.fitting.unknowns import in_units
+from phongfit.fitting.statistics import Pieces
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
 
+class Shown(NamedTuple):
+    """What a fit makes of an image, (H, W, 3), and what it leaves of it."""
+
+    fitted: Float[Array, "height width 3"]
+    residual: Float[Array, "height width 3"]
+    neighbours: Neighbours
+
+
 def summarize(
     found: Found,
+    place: tuple[Array, Array],
+    pieces: Pieces,
     *,
     film: Film,
     scenes: tuple[Scene, ...],
-    fitted: list[np.ndarray],
-    residuals: list[np.ndarray],
-    used: list[np.ndarray],
+    shown: list[Shown],
     single: bool,
     noise_given: bool,
 ) -> Fit:
@@ -30,28 +45,35 @@ def summarize(
     **Arguments:**
 
     - `found`: the solution.
+    - `place`: it in the user's units: see [`in_units`][].
+    - `pieces`: sums over the samples there: see [`add_up`][].
     - `film`: the images'.
-    - `scenes`, `fitted`, `residuals`, `used`: the scenes as fitted, images (H, W, 3),
-        and which samples took part.
+    - `scenes`, `shown`: the scenes and images as fitted.
     - `single`: whether one image was given, not a sequence.
     - `noise_given`: whether the noise level was known.
     """
     problem, unknowns = found.problem, found.problem.unknowns
-    correlation = _misfit(problem, residuals, used)
+    neighbours = [Neighbours(*map(float, one.neighbours)) for one in shown]
+    correlation = _misfit(problem, neighbours)
     inflation = variance_inflation(correlation)
-    told = estimates(problem, found.y, inflation)
-    entries = np.array(in_units(unknowns, found.y)[0])
-    exposure = np.array(unknowns.exposures(entries))
+    told = estimates(problem, found.y, inflation, place, pieces)
+    entries = np.array(place[0])
+    exposure = np.array(unknowns.parts(entries).get(EXPOSURE, np.ones(len(shown))))
     entries[unknowns.reported] = told.values
-    errors = np.zeros(len(entries))
+    errors = np.zeros_like(entries)
     errors[unknowns.reported] = told.errors
-    samples = int(sum(mask.sum() for mask in used))
+    material, stderr = as_materials(unknowns, entries, errors)
+    fitted, residuals = (
+        [np.asarray(image) for image in images]
+        for images in list(zip(*shown, strict=True))[:2]
+    )
+    samples = int(sum(one.count for one in neighbours))
     labels = np.array(unknowns.labels)
     result = Fit(
-        material=unknowns.with_leaves(entries),
-        stderr=errors_as_material(unknowns, errors),
+        material=material,
+        stderr=stderr,
         scene=scenes[0] if single else scenes,
-        exposure=exposure,
+        exposure=exposure.ravel(),
         labels=unknowns.labels,
         values=told.values,
         errors=told.errors,
@@ -65,7 +87,7 @@ def summarize(
         noise=_typical_noise(problem),
         noise_given=noise_given,
         samples=samples,
-        images=len(used),
+        images=len(shown),
         degrees_of_freedom=samples + sum(unknowns.has_prior) - told.free,
         chi_squared=told.chi_squared,
         neighbour_correlation=correlation,
@@ -96,25 +118,23 @@ _STOPPED = "the limit of steps was reached, or the numbers left the finite"
 def _typical_noise(problem: Problem) -> float:
     """Median standard deviation of the samples, before rounding."""
     weight = np.asarray(problem.samples.weight)
-    weight = weight[weight > 0]
+    typical = weight.max()
     # Mostly they are all alike, and a median takes long.
-    alike = weight.min() == weight.max()
-    typical = weight[0] if alike else np.median(weight)
+    if np.count_nonzero(weight == typical) < np.count_nonzero(weight):
+        typical = np.median(weight[weight > 0])
     return float(problem.sigma) / float(np.sqrt(typical))
 
 
-def _misfit(
-    problem: Problem, residuals: list[np.ndarray], used: list[np.ndarray]
-) -> float:
+def _misfit(problem: Problem, images: list[Neighbours]) -> float:
     """Correlation of neighbouring residuals, where these are more than rounding."""
-    total = sum(float(np.sum(r.astype(float) ** 2)) for r in residuals)
-    count = sum(int(m.sum()) for m in used)
-    step = np.asarray(problem.samples.step)[np.asarray(problem.samples.weight) > 0]
-    resolution = float(np.finfo(step.dtype).eps)
-    rounding = float((step.astype(float) ** 2).mean()) / 12
+    total, count = sum(one.squares for one in images), sum(one.count for one in images)
+    rounding, resolution = 0.0, float(np.finfo(problem.sigma.dtype).eps)
+    if problem.samples.step is not None:
+        step = np.asarray(problem.samples.step, float)
+        rounding = (step[np.asarray(problem.samples.weight) > 0] ** 2).mean() / 12
     if total / count <= 2 * rounding + (64 * resolution) ** 2:
         return 0.0
-    return neighbour_correlation(residuals, used)
+    return neighbour_correlation(images)
 
 
 def _misfit_words(correlation: float, inflation: float) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.fitting.leaves import LEAVES
-from phongfit.fitting.problem import Problem
+from phongfit.fitting.problem import Evaluation, Problem
 from phongfit.fitting.unknowns import Unknowns
 
 
@@ -72,7 +72,7 @@ def _cells(unknowns: Unknowns) -> np.ndarray:
 class Jacobian(eqx.Module):
     """Derivatives of the samples' residuals, a colour each."""
 
-    local: Float[Array, "colours 3 samples"]
+    local: Float[Array, "3 colours samples"]
     priors: Float[Array, "priors n"]
     select: Float[Array, "groups 3 colours n"]
     member: Float[Array, "groups samples"] | None
@@ -81,13 +81,13 @@ class Jacobian(eqx.Module):
         r"""$J^\top W J$ of the samples, (n, n)."""
         # A GPU would otherwise multiply in reduced precision.
         exact = jax.lax.Precision.HIGHEST
-        left = self.local if weight is None else self.local * weight[None]
+        left = self.local if weight is None else self.local * weight[:, None]
         if self.member is None:
-            products = jnp.einsum("kcn,lcn->ckl", left, self.local, precision=exact)
+            products = jnp.einsum("ckn,cln->ckl", left, self.local, precision=exact)
             products = products[None]
         else:
-            each = left[:, None] * self.local[None]
-            products = jnp.einsum("gn,klcn->gckl", self.member, each, precision=exact)
+            each = left[:, :, None] * self.local[:, None]
+            products = jnp.einsum("gn,ckln->gckl", self.member, each, precision=exact)
         half = jnp.einsum("gckl,gclj->gckj", products, self.select, precision=exact)
         return jnp.einsum("gcki,gckj->ij", self.select, half, precision=exact)
 
@@ -95,31 +95,38 @@ class Jacobian(eqx.Module):
         r"""$J^\top r$ of the samples."""
         exact = jax.lax.Precision.HIGHEST
         if self.member is None:
-            sums = jnp.einsum("kcn,cn->ck", self.local, residual, precision=exact)[None]
+            sums = jnp.einsum("ckn,cn->ck", self.local, residual, precision=exact)[None]
         else:
-            each = self.local * residual[None]
-            sums = jnp.einsum("gn,kcn->gck", self.member, each, precision=exact)
+            each = self.local * residual[:, None]
+            sums = jnp.einsum("gn,ckn->gck", self.member, each, precision=exact)
         return jnp.einsum("gcki,gck->i", self.select, sums, precision=exact)
 
     def columns(self) -> np.ndarray:
         """The whole matrix, (n, 3, samples), in double precision."""
         local, select = np.asarray(self.local, float), np.asarray(self.select, float)
         if self.member is None:
-            return np.einsum("cki,kcn->icn", select[0], local)
+            return np.einsum("cki,ckn->icn", select[0], local)
         group = np.argmax(np.asarray(self.member), axis=0)
-        return np.einsum("ncki,kcn->icn", select[group], local)
+        return np.einsum("ncki,ckn->icn", select[group], local)
 
 
-def linearize(
-    problem: Problem, y: Float[Array, " n"]
-) -> tuple[Float[Array, "3 samples"], Float[Array, " priors"], Jacobian]:
+class Linearization(eqx.Module):
+    """Residuals at a point, of samples and priors, and how they change."""
+
+    at: Evaluation
+    priors: Float[Array, " priors"]
+    jacobian: Jacobian
+
+
+def linearize(problem: Problem, y: Float[Array, " n"]) -> Linearization:
     """Residuals of samples and priors, and their Jacobian."""
     tangents, select = colours(problem.unknowns)
     kind = y.dtype
     light, push = jax.linearize(problem.light, y)
     # The film works sample by sample: its slope serves all unknowns.
-    samples, slope = jax.jvp(problem.compare, (light,), (jnp.ones_like(light),))
-    local = jax.vmap(push)(jnp.asarray(tangents, kind)) * slope[None]
+    at = problem.measure(light)
+    moved = jax.vmap(push, out_axes=1)(jnp.asarray(tangents, kind))
+    local = moved * at.slope[:, None]
     priors = problem.unknowns.prior_residual(y)
     slopes = jax.jacfwd(problem.unknowns.prior_residual)(y)
     groups, member = select.shape[0], None
@@ -128,7 +135,7 @@ def linearize(
         each = jnp.arange(groups, dtype=index.dtype)
         member = (index[None] == each[:, None]).astype(kind)
     jacobian = Jacobian(local, slopes, jnp.asarray(select, kind), member)
-    return samples, priors, jacobian
+    return Linearization(at, priors, jacobian)
 
 
 class Sums(eqx.Module):
@@ -145,7 +152,8 @@ def sums(problem: Problem, y: Float[Array, " n"]) -> Sums:
     The curvature is $J^\top W J$ with $W = \psi'(r)$ where the loss bends upwards, and
     a share of the usual weight $\psi(r)/r$ where it does not.
     """
-    residual, priors, jacobian = linearize(problem, y)
+    found = linearize(problem, y)
+    residual, priors, jacobian = found.at.residual, found.priors, found.jacobian
     slopes, loss = jacobian.priors, problem.loss
     if not loss.robust:
         hessian, gradient = jacobian.gram(), jacobian.pull(residual)

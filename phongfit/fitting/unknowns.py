@@ -5,7 +5,6 @@ exponent as its logarithm, numbers of the scene in units of what they were, a di
 as two coordinates on the plane that touches the sphere where it was.
 """
 
-import functools
 from typing import Any
 
 import equinox as eqx
@@ -38,6 +37,8 @@ class Unknowns(eqx.Module):
     leaves: tuple[Leaf, ...] = eqx.field(static=True)
     materials: int = eqx.field(static=True)
     images: int = eqx.field(static=True)
+    # The entry that each number of y belongs to; of a direction, its first.
+    owner: tuple[int, ...] = eqx.field(static=True)
     # Of each entry: whose number it takes, and that entry's first place in y.
     source: tuple[int, ...] = eqx.field(static=True)
     place: tuple[int, ...] = eqx.field(static=True)
@@ -81,8 +82,7 @@ class Unknowns(eqx.Module):
     @property
     def tied(self) -> np.ndarray:
         """True for reported entries that follow another one."""
-        own = np.arange(len(self.source)) == np.array(self.source)
-        return ~own[self.reported]
+        return ~self._own[self.reported]
 
     @property
     def bounds(self) -> np.ndarray:
@@ -97,7 +97,9 @@ class Unknowns(eqx.Module):
         edges = np.where(forms == "direction", [[-1.0, 1.0]], edges)
         # A logarithm of single precision gives back 1000 as 1000.00012.
         digits = 6 if self.lower.dtype == np.float32 else 14
-        edges = np.vectorize(lambda x: float(f"{x:.{digits}g}"))(edges)
+        values, place = np.unique(edges, return_inverse=True)
+        values = np.array([float(f"{x:.{digits}g}") for x in values])
+        edges = values[place.reshape(edges.shape)]
         factor, offset = (np.asarray(a, float) for a in (self.factor, self.offset))
         followed = edges[np.array(self.source)][self.reported]
         followed = followed * factor[self.reported, None]
@@ -106,14 +108,17 @@ class Unknowns(eqx.Module):
     @property
     def owned(self) -> np.ndarray:
         """The entry that each number of y belongs to; of a direction, its first."""
-        forms = tuple(self.forms.tolist())
-        return _owned(self.source, self.place, self.fixed, forms, self.lower.size)
+        return np.array(self.owner)
 
     @property
     def _free(self) -> np.ndarray:
         """True for entries that have their own place in y."""
-        own = np.arange(len(self.source)) == np.array(self.source)
-        return own & ~np.array(self.fixed)
+        return self._own & ~np.array(self.fixed)
+
+    @property
+    def _own(self) -> np.ndarray:
+        """True for entries that follow no other one."""
+        return np.arange(len(self.source)) == np.array(self.source)
 
     @property
     def forms(self) -> np.ndarray:
@@ -247,22 +252,20 @@ class Unknowns(eqx.Module):
 
     def with_leaves(self, entries: Any) -> Material:
         """A material with the wanted leaves from entries in the user's units."""
-        wanted = [name for name in self.names if name in LEAVES]
-        if not wanted:
-            return self.known
-        parts = self.parts(entries)
+        parts = {n: p for n, p in self.parts(entries).items() if n in LEAVES}
         if self.materials == 1:
             # One material: (3,), or () for one number.
-            values = [p[0] if p.shape[1] > 1 else p[0, 0] for p in parts.values()]
-            parts = dict(zip(parts, values, strict=True))
+            parts = {n: p[0] if p.shape[1] > 1 else p[0, 0] for n, p in parts.items()}
         return eqx.tree_at(
-            lambda material: [getattr(material, name) for name in wanted],
+            lambda material: [getattr(material, name) for name in parts],
             self.known,
-            [jnp.asarray(parts[name]) for name in wanted],
+            [jnp.asarray(part) for part in parts.values()],
         )
 
     def scenes(self, entries: Any, scenes: tuple[Scene, ...]) -> tuple[Scene, ...]:
         """The scenes with what is unknown of them from the entries."""
+        if not self.of_scene:
+            return scenes
         parts = {n: p for n, p in self.parts(entries).items() if is_of_scene(n)}
 
         def of(k: int) -> dict[str, Array]:
@@ -282,25 +285,6 @@ class Unknowns(eqx.Module):
         wanted = np.flatnonzero(np.array(self.has_prior))
         off = self.entries(y)[wanted] - self.prior_mean[wanted]
         return off / self.prior_deviation[wanted]
-
-
-@functools.cache
-def _owned(
-    source: tuple[int, ...],
-    place: tuple[int, ...],
-    fixed: tuple[bool, ...],
-    forms: tuple[str, ...],
-    size: int,
-) -> np.ndarray:
-    """The entry that each number of y belongs to; of a direction, its first."""
-    owned = np.zeros(size, int)
-    for entry, form in enumerate(forms):
-        if source[entry] == entry and not fixed[entry] and form != "direction":
-            owned[place[entry]] = entry
-    for entry in np.flatnonzero(np.array(forms) == "direction")[::3]:
-        owned[place[entry] : place[entry] + 2] = entry
-    owned.setflags(write=False)
-    return owned
 
 
 @eqx.filter_jit

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -61,6 +61,8 @@ class Corners(eqx.Module):
 
 class Mesh(AbstractSurface):
     """Triangles, seen from the side on which their corners run counter-clockwise."""
+
+    on_host: ClassVar[bool] = True
 
     vertices: Float[Array, "vertices 3"]
     faces: Int[Array, "faces 3"]

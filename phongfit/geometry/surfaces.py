@@ -2,7 +2,7 @@
 
 import abc
 import dataclasses
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -68,7 +68,13 @@ GBuffer.__init__.__doc__ = """**Arguments:**
 
 
 class AbstractSurface(eqx.Module):
-    """Asked by a camera, answers with a [`GBuffer`][]."""
+    """Asked by a camera, answers with a [`GBuffer`][].
+
+    `on_host` tells that `trace` calls a library outside JAX, and is best left out of a
+    compiled program.
+    """
+
+    on_host: ClassVar[bool] = False
 
     @abc.abstractmethod
     def trace(self, camera: AbstractCamera) -> GBuffer:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.geometry.shading import Interpolation
 from phongfit.geometry.surfaces import GBuffer
@@ -166,3 +166,27 @@ def pixel_terms(scene: Scene, gbuffer: GBuffer) -> PixelTerms:
         haze,
         scene.shading.clamp,
     )
+
+
+def resolve(scene: Scene) -> tuple[GBuffer, PixelTerms]:
+    """What the pixels see, and [`pixel_terms`][] of them all."""
+    gbuffer = scene.trace()
+    return gbuffer, pixel_terms(scene, gbuffer)
+
+
+def resolve_terms(scene: Scene) -> tuple[Bool[Array, "height width"], PixelTerms]:
+    """Which pixels see the surface, and [`pixel_terms`][] of them all.
+
+    As one program where it can be: positions and normals then need not be kept.
+    """
+    if scene.surface.on_host:
+        return _mask_and_terms(scene)
+    return _at_once(scene)
+
+
+def _mask_and_terms(scene: Scene) -> tuple[Bool[Array, "height width"], PixelTerms]:
+    gbuffer, pixels = resolve(scene)
+    return gbuffer.mask, pixels
+
+
+_at_once = eqx.filter_jit(_mask_and_terms)

@@ -1,31 +1,44 @@
 import numpy as np
 import pytest
 
-from phongfit.fitting.diagnostics import neighbour_correlation, variance_inflation
+from phongfit.fitting.diagnostics import (
+    compare_neighbours,
+    neighbour_correlation,
+    variance_inflation,
+)
+from tests.helpers import floats
 
 
 def noise(shape=(60, 60, 3), seed=0):
     return np.random.default_rng(seed).normal(size=shape)
 
 
+def correlation_of(residuals, used):
+    """Of residuals (H, W, 3) each, where they are used."""
+    return neighbour_correlation(
+        compare_neighbours(floats(one), np.asarray(mask))
+        for one, mask in zip(residuals, used, strict=True)
+    )
+
+
 def test_independent_noise():
     everywhere = np.ones((60, 60, 3), bool)
     for seed in range(10):
-        assert abs(neighbour_correlation([noise(seed=seed)], [everywhere])) == 0
+        assert abs(correlation_of([noise(seed=seed)], [everywhere])) == 0
 
 
 def test_mean_of_neighbours_correlates():
     white = noise((61, 61, 3))
     # A 2 × 2 mean shares half of its pixels with the one beside it.
     smooth = (white[1:, 1:] + white[:-1, 1:] + white[1:, :-1] + white[:-1, :-1]) / 4
-    correlation = neighbour_correlation([smooth], [np.ones_like(smooth, bool)])
+    correlation = correlation_of([smooth], [np.ones_like(smooth, bool)])
     assert correlation == pytest.approx(0.5, abs=0.03)
 
 
 def test_checkerboard_is_negative():
     board = np.indices((20, 20)).sum(axis=0) % 2 * 2.0 - 1
     board = np.repeat(board[..., None], 3, axis=-1)
-    assert neighbour_correlation([board], [np.ones_like(board, bool)]) == -1
+    assert correlation_of([board], [np.ones_like(board, bool)]) == -1
 
 
 def test_only_pairs_inside_the_mask_count():
@@ -34,21 +47,21 @@ def test_only_pairs_inside_the_mask_count():
     used = np.zeros_like(residual, bool)
     used[:, ::2] = True
     rows = np.where(np.arange(30) % 2, 1.0, -1.0)[:, None, None] * residual
-    assert neighbour_correlation([rows], [used]) == -1
+    assert correlation_of([rows], [used]) == -1
     used[::2] = False
-    assert neighbour_correlation([residual], [used]) == 0
+    assert correlation_of([residual], [used]) == 0
 
 
 def test_several_images_count_together():
     flat, white = np.ones((40, 40, 3)), noise((40, 40, 3))
     both = [np.ones_like(flat, bool)] * 2
-    assert neighbour_correlation([flat, white], both) == pytest.approx(0.5, abs=0.05)
+    assert correlation_of([flat, white], both) == pytest.approx(0.5, abs=0.05)
 
 
 def test_nothing_left():
     nothing = [np.zeros((5, 5, 3))]
-    assert neighbour_correlation(nothing, [np.ones((5, 5, 3), bool)]) == 0
-    assert neighbour_correlation(nothing, [np.zeros((5, 5, 3), bool)]) == 0
+    assert correlation_of(nothing, [np.ones((5, 5, 3), bool)]) == 0
+    assert correlation_of(nothing, [np.zeros((5, 5, 3), bool)]) == 0
 
 
 @pytest.mark.parametrize(

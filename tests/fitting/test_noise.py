@@ -7,7 +7,7 @@ from scipy.stats import norm
 import phongfit as pf
 from phongfit.fitting.noise import (
     clipped_mean,
-    clipped_variance_share,
+    clipped_moments,
     find_film,
     rounding_steps,
     shared_rounding_variance,
@@ -24,7 +24,7 @@ LIGHTS = np.array([-3.0, -0.3, -0.01, 0, 0.01, 0.2, 0.5, 0.97, 1, 1.002, 1.3, 5.
 def test_mean_and_variance_against_simulation(sigma):
     seen = np.clip(LIGHTS[:, None] + sigma * NORMAL, 0, 1)
     near(clipped_mean(floats(LIGHTS), floats(sigma)), seen.mean(axis=1), 1e-5)
-    share = clipped_variance_share(floats(LIGHTS), floats(sigma))
+    share = clipped_moments(floats(LIGHTS), floats(sigma)).variance_share
     near(share, seen.var(axis=1) / sigma**2, 1e-3)
 
 
@@ -32,7 +32,7 @@ def test_noise_of_each_sample_its_own():
     sigmas = np.linspace(0.001, 0.4, len(LIGHTS))
     seen = np.clip(LIGHTS[:, None] + sigmas[:, None] * NORMAL, 0, 1)
     near(clipped_mean(floats(LIGHTS), floats(sigmas)), seen.mean(axis=1), 1e-5)
-    share = clipped_variance_share(floats(LIGHTS), floats(sigmas))
+    share = clipped_moments(floats(LIGHTS), floats(sigmas)).variance_share
     near(share, seen.var(axis=1) / sigmas**2, 1e-3)
 
 
@@ -41,7 +41,7 @@ def test_without_noise_it_is_the_clamp(sigma):
     near(clipped_mean(floats(LIGHTS), floats(sigma)), np.clip(LIGHTS, 0, 1), 4e-7)
     inside = (LIGHTS > 0) & (LIGHTS < 1)
     outside = (LIGHTS < 0) | (LIGHTS > 1)
-    share = clipped_variance_share(floats(LIGHTS), floats(sigma))
+    share = clipped_moments(floats(LIGHTS), floats(sigma)).variance_share
     near(np.asarray(share)[inside], 1)
     near(np.asarray(share)[outside], 0)
 

@@ -1,10 +1,11 @@
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import phongfit as pf
 from phongfit.fitting.samples import Samples, Source, gather, seen_pixels
-from phongfit.rendering.pixels import pixel_terms
+from phongfit.rendering.pixels import resolve
 from tests.fitting.scenes import SIZE, TRUTH, ball
 from tests.helpers import floats, near
 
@@ -18,9 +19,12 @@ def gathered(
     """Samples of scenes with their image, weight and step: all pixels with weight."""
     sources = []
     for scene, numbers in parts:
-        buffer = scene.trace()
-        sources.append(Source(scene, buffer, pixel_terms(scene, buffer), *numbers))
-    return gather(sources, seen_pixels(sources), relight)
+        image, weight, step = numbers
+        measured = jnp.asarray(image), jnp.asarray(weight), step
+        buffer, pixels = resolve(scene)
+        kept = buffer if relight else None
+        sources.append(Source(scene, buffer.mask, pixels, kept, *measured))
+    return gather(sources, seen_pixels(sources))
 
 
 def arrays(seed: int) -> list[np.ndarray]:

@@ -8,7 +8,7 @@ from phongfit.fitting.leaves import LEAVES
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.samples import Source, gather, seen_pixels
 from phongfit.fitting.start import CANDIDATES, SUBSET, choose_few, scan
-from phongfit.rendering.pixels import pixel_terms
+from phongfit.rendering.pixels import resolve_terms
 from tests.fitting.scenes import TRUTH, ball, photograph
 
 DARK = pf.Material(0.0, 0.0, 32.0, 0.0)
@@ -19,12 +19,11 @@ STEP = np.log(1000) / (CANDIDATES - 1)
 
 def source_of(scene: pf.Scene, image: np.ndarray) -> Source:
     image = np.asarray(image, np.asarray(scene.ambient).dtype)
-    buffer = scene.trace()
-    weight = np.repeat(np.asarray(buffer.mask)[..., None], 3, axis=-1)
-    pixels = pixel_terms(scene, buffer)
-    return Source(
-        scene, buffer, pixels, image, weight.astype(image.dtype), np.zeros_like(image)
-    )
+    mask, pixels = resolve_terms(scene)
+    weight = np.repeat(np.asarray(mask)[..., None], 3, axis=-1)
+    weight = weight.astype(image.dtype)
+    measured = jnp.asarray(image), jnp.asarray(weight), None
+    return Source(scene, mask, pixels, None, *measured)
 
 
 def started(scene: pf.Scene, image: np.ndarray, layout=None) -> pf.Material:
