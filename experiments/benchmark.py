@@ -76,7 +76,8 @@ def medians(
 ) -> dict[str, tuple[float, Any]]:
     """Median time and last result of each way, all taking turns after two warm runs."""
     for way in ways.values():
-        way(), way()
+        for _ in range(2):
+            way()
     times: dict[str, list[float]] = {key: [] for key in ways}
     results = {}
     for _ in range(runs):

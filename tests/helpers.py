@@ -1,11 +1,14 @@
 """Contracts of the interfaces: a new class earns its place with a three-line test."""
 
+import os
+from pathlib import Path
 from typing import TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from phongfit.geometry.cameras import AbstractCamera
 from phongfit.geometry.surfaces import AbstractSurface
@@ -205,3 +208,16 @@ def check_camera(camera: AbstractCamera) -> None:
     near(to_viewer, -np.asarray(rays.direction))
     near(depth, (np.asarray(camera.position) - points) @ back)
     assert np.all(depth > 0)
+
+
+def photographs(name: str) -> Path:
+    """A folder of real photographs; without it, the test is skipped.
+
+    They are not ours to give away: they lie beside the repository, or where the
+    environment says.
+    """
+    beside = Path(__file__).parents[1] / ".." / "shared" / "photos"
+    folder = Path(os.environ.get("PHONGFIT_PHOTOS", beside)) / name
+    if not folder.is_dir():
+        pytest.skip(f"there are no photographs at {folder}")
+    return folder

@@ -1,31 +1,36 @@
-"""Are the residuals noise? If not, the model does not describe the image."""
+"""Is it noise, or is it there? Residuals that the model leaves; a faint highlight."""
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+# A highlight counts as seen from so many standard errors on. Its exponent is the one
+# that fits best: chance reaches further than 3.
+SEEN = 4.0
+
 
 class Neighbours(NamedTuple):
     """Sums over an image's residuals, and over pairs of adjacent pixels."""
 
-    products: Float[Array, ""]
-    pairs: Float[Array, ""]
-    squares: Float[Array, ""]
-    count: Float[Array, ""]
+    products: Any
+    pairs: Any
+    squares: Any
+    samples: Any
 
 
 def compare_neighbours(
-    residual: Float[Array, "height width 3"], used: Bool[Array, "height width 3"]
+    residual: Float[Array, "height width 3"],
+    used: Bool[Array | np.ndarray, "height width 3"],
 ) -> Neighbours:
     """What [`neighbour_correlation`][] asks of one image.
 
     **Arguments:** `residual`: model − image. `used`: true where a sample takes part.
     """
     value = jnp.where(used, residual, 0)
-    counted = used.astype(value.dtype)
+    counted = jnp.asarray(used, value.dtype)
 
     def beside(image: Array) -> Array:
         across = jnp.sum(image[:, :-1] * image[:, 1:])

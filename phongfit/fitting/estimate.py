@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from phongfit.fitting.diagnostics import SEEN
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.statistics import Pieces, Statistics, statistics
 from phongfit.fitting.sums import linearize
@@ -95,9 +96,8 @@ def _beyond_sense(
     kinds, owners = unknowns.kinds, unknowns.owners
     with np.errstate(invalid="ignore"):
         vague = ~untold & (found.stderr > _width(unknowns))
-        # An unknown light scales a highlight, but cannot make one out of nothing. The
-        # exponent is the one that fits best: chance reaches further than 3 σ.
-        dark = (kinds == "specular") & (position < 4 * found.apart)
+        # An unknown light scales a highlight, but cannot make one out of nothing.
+        dark = (kinds == "specular") & (position < SEEN * found.apart)
     for label in dict.fromkeys(labels[vague]):
         reasons.append(f"{label} cannot be told: its error is wider than its bounds")
     untold |= vague

@@ -258,7 +258,7 @@ def _expose(
     view: PixelTerms,
     unknowns: Unknowns,
     entries: Array,
-    which: Array,
+    which: np.int32,
     clamp: bool,
     background: Array,
 ) -> Shown:

@@ -24,6 +24,8 @@ LEVELS = (0.6827, 0.9545, 0.9973)
 STEP, FARTHEST = 0.5, 16
 # Points along each axis of a pair.
 ACROSS = 15
+# Of a profile on one side.
+MOST_POINTS = 60
 MAX_STEPS = 50
 
 
@@ -211,7 +213,7 @@ class _Held:
                 # A cost that hardly rises is left in growing steps.
                 step *= 2
             here = here + sign * step
-            if sign * (here - edge) >= 0 or len(points) > 60:
+            if sign * (here - edge) >= 0 or len(points) > MOST_POINTS:
                 here = float(edge)
             if not np.isfinite(here):
                 break

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.stats
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from phongfit.fitting.diagnostics import variance_inflation
 from phongfit.fitting.profile import LEVELS, profile, profile_pair
@@ -198,7 +198,9 @@ Fit.__init__.__doc__ = """**Arguments:**
 
 @eqx.filter_jit
 def as_materials(
-    unknowns: Unknowns, entries: Float[Array, " n"], errors: Float[Array, " n"]
+    unknowns: Unknowns,
+    entries: Float[np.ndarray, " n"],
+    errors: Float[np.ndarray, " n"],
 ) -> tuple[Material, Material]:
     """All entries, and their errors, as materials; what was known has no error."""
     none = jax.tree.map(jnp.zeros_like, unknowns.known)

@@ -220,9 +220,9 @@ def _take(
 def _joined(parts: list[_Numbers]) -> tuple[Channels, Array, Array, Array | None]:
     """Images one after another, channels first."""
     pixels, *numbers = zip(*parts, strict=True)
-    target, weight, step = (
-        None if one[0] is None else jnp.concatenate(one).T for one in numbers
-    )
+    target, weight = (jnp.concatenate(one).T for one in numbers[:2])
+    rounded = numbers[2][0] is not None
+    step = jnp.concatenate(numbers[2]).T if rounded else None
     return by_channel(join_pixels(list(pixels))), target, weight, step
 
 

@@ -111,8 +111,8 @@ def _solve(
     once: bool = False,
 ) -> Found:
     """Solve until the noise level that the solution rests on is what it leaves."""
-    steps, settled, dtype = 0, False, problem.sigma.dtype
-    while not settled:
+    steps, dtype = 0, problem.sigma.dtype
+    while True:
         solution, noise = _pass(problem, np.asarray(sigma, dtype), y, max_steps)
         y, steps = solution.y, steps + int(solution.steps)
         settled = once or noise_given or steps > MOST_PASSES * max_steps
@@ -121,6 +121,8 @@ def _solve(
             if problem.loss.robust:
                 sigma = _robust_noise(problem, evaluate(problem, y))
             settled |= sigma > 0.97 * before
+        if settled:
+            break
     # Named by hand: to replace one field of a module takes long.
     samples, unknowns = problem.samples, problem.unknowns
     known = jnp.asarray(np.asarray(sigma, dtype))
@@ -130,10 +132,13 @@ def _solve(
 
 @eqx.filter_jit
 def _pass(
-    problem: Problem, sigma: Float[Array, ""], y: Float[Array, " n"], max_steps: int
+    problem: Problem,
+    sigma: Float[np.ndarray, ""],
+    y: Float[Array, " n"],
+    max_steps: int,
 ) -> tuple[Solution, Float[Array, ""]]:
     """A solution for a noise level, and the noise level that its residuals show."""
-    problem = dataclasses.replace(problem, sigma=sigma)
+    problem = dataclasses.replace(problem, sigma=jnp.asarray(sigma))
     solution = solve(problem, y, max_steps)
     return solution, _noise(problem, solution.y)
 

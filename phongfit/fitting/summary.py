@@ -63,11 +63,9 @@ def summarize(
     errors = np.zeros_like(entries)
     errors[unknowns.reported] = told.errors
     material, stderr = as_materials(unknowns, entries, errors)
-    fitted, residuals = (
-        [np.asarray(image) for image in images]
-        for images in list(zip(*shown, strict=True))[:2]
-    )
-    samples = int(sum(one.count for one in neighbours))
+    fitted = [np.asarray(one.fitted) for one in shown]
+    residuals = [np.asarray(one.residual) for one in shown]
+    samples = int(sum(one.samples for one in neighbours))
     labels = np.array(unknowns.labels)
     result = Fit(
         material=material,
@@ -127,7 +125,10 @@ def _typical_noise(problem: Problem) -> float:
 
 def _misfit(problem: Problem, images: list[Neighbours]) -> float:
     """Correlation of neighbouring residuals, where these are more than rounding."""
-    total, count = sum(one.squares for one in images), sum(one.count for one in images)
+    total, count = (
+        sum(one.squares for one in images),
+        sum(one.samples for one in images),
+    )
     rounding, resolution = 0.0, float(np.finfo(problem.sigma.dtype).eps)
     if problem.samples.step is not None:
         step = np.asarray(problem.samples.step, float)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import phongfit as pf
 from data_synth import make_dataset, make_lights, write_dataset
 from phongfit.files.dataset import Dataset
 from phongfit.files.datasets import read_dataset, read_diligent
+from tests.helpers import photographs
 
 SIZE = 12
 
@@ -246,11 +246,7 @@ def test_diligent_of_unequal_sizes(diligent):
 
 
 def test_real_photographs():
-    """The photographs are not ours to give away: they lie beside the repository."""
-    beside = Path(__file__).parents[2] / ".." / "shared" / "photos"
-    folder = Path(os.environ.get("PHONGFIT_PHOTOS", beside)) / "diligent_ball"
-    if not folder.is_dir():
-        pytest.skip(f"there are no photographs at {folder}")
+    folder = photographs("diligent_ball")
     read = read_dataset(folder)
     assert len(read.images) == 96 and read.images[0].shape == (150, 150, 3)
     # 001.png has 22 saturated samples, and the mask 15791 pixels.

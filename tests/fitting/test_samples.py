@@ -42,6 +42,7 @@ def test_samples_are_the_pixels_with_weight():
     count = used.sum()
     assert np.array_equal(samples.target[:, :count], image[used].T)
     assert np.array_equal(samples.weight[:, :count], weight[used].T)
+    assert samples.step is not None
     assert np.array_equal(samples.step[:, :count], step[used].T)
     light = np.asarray(pf.render(SCENE, TRUTH, film=pf.Film(clamp=False)))
     seen = np.asarray(SCENE.trace().mask)[used]

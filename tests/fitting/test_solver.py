@@ -8,6 +8,17 @@ import scipy.optimize
 
 from phongfit.fitting.box import least_squares_in_box
 from phongfit.fitting.solver import BoundedLevenbergMarquardt, _landing
+from tests.fitting.standard_problems import (
+    bard,
+    beale,
+    box_three,
+    brown_almost_linear,
+    freudenstein_roth,
+    kowalik_osborne,
+    powell_singular,
+    rosenbrock,
+    wood,
+)
 from tests.helpers import EPS, floats, near
 
 DOUBLE = EPS < 1e-10
@@ -33,74 +44,6 @@ def minimize(residual, start, lower, upper, max_steps=500, rtol=RTOL):
     start = floats(start)
     lower, upper = (jnp.broadcast_to(floats(b), start.shape) for b in (lower, upper))
     return _run(residual, start, lower, upper, max_steps, rtol)
-
-
-# From Moré, Garbow and Hillstrom, ACM TOMS 7(1), 1981, with boxes of our own. Each
-# takes the module that it computes with: SciPy is given NumPy's double precision.
-def rosenbrock(x, xp=jnp):
-    return xp.stack([10 * (x[1] - x[0] ** 2), 1 - x[0]])
-
-
-def freudenstein_roth(x, xp=jnp):
-    a = ((5 - x[1]) * x[1] - 2) * x[1]
-    b = ((x[1] + 1) * x[1] - 14) * x[1]
-    return xp.stack([x[0] - 13 + a, x[0] - 29 + b])
-
-
-def beale(x, xp=jnp):
-    return xp.stack(
-        [y - x[0] * (1 - x[1] ** k) for k, y in ((1, 1.5), (2, 2.25), (3, 2.625))]
-    )
-
-
-def powell_singular(x, xp=jnp):
-    a, b, c, d = x
-    return xp.stack(
-        [a + 10 * b, 5**0.5 * (c - d), (b - 2 * c) ** 2, 10**0.5 * (a - d) ** 2]
-    )
-
-
-def wood(x, xp=jnp):
-    a, b, c, d = x
-    return xp.stack(
-        [
-            10 * (b - a**2),
-            1 - a,
-            90**0.5 * (d - c**2),
-            1 - c,
-            10**0.5 * (b + d - 2),
-            0.1**0.5 * (b - d),
-        ]
-    )
-
-
-def bard(x, xp=jnp):
-    y = np.array(
-        [0.14, 0.18, 0.22, 0.25, 0.29, 0.32, 0.35, 0.39]
-        + [0.37, 0.58, 0.73, 0.96, 1.34, 2.10, 4.39]
-    )
-    u = np.arange(1.0, 16)
-    v, w = 16 - u, np.minimum(u, 16 - u)
-    y, u, v, w = (xp.asarray(part, x.dtype) for part in (y, u, v, w))
-    return y - (x[0] + u / (v * x[1] + w * x[2]))
-
-
-def kowalik_osborne(x, xp=jnp):
-    y = [0.1957, 0.1947, 0.1735, 0.1600, 0.0844, 0.0627]
-    y += [0.0456, 0.0342, 0.0323, 0.0235, 0.0246]
-    u = [4, 2, 1, 0.5, 0.25, 0.167, 0.125, 0.1, 0.0833, 0.0714, 0.0625]
-    y, u = xp.asarray(y, x.dtype), xp.asarray(u, x.dtype)
-    return y - x[0] * (u**2 + u * x[1]) / (u**2 + u * x[2] + x[3])
-
-
-def box_three(x, xp=jnp):
-    t = xp.asarray(np.arange(1, 11) / 10, x.dtype)
-    return xp.exp(-t * x[0]) - xp.exp(-t * x[1]) - x[2] * (xp.exp(-t) - xp.exp(-10 * t))
-
-
-def brown_almost_linear(x, xp=jnp):
-    total = xp.sum(x) - (len(x) + 1)
-    return xp.concatenate([x[:-1] + total, xp.stack([xp.prod(x) - 1])])
 
 
 PROBLEMS = [

@@ -1,24 +1,17 @@
 """Real photographs, where they are: left-out ones are predicted from maps."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import phongfit as pf
 from experiments.fit_photographs import WHOLE, fit, half, predict, read, rmse_over_mean
-
-FOLDER = Path(os.environ.get("PHONGFIT_PHOTOGRAPHS", "/work/shared/photos"))
+from tests.helpers import photographs
 
 
 @pytest.mark.slow
 def test_left_out_photographs_are_predicted_better_than_by_one_material():
     """One highlight for the whole ball, seen by one light in a pixel at most."""
-    folder = FOLDER / "diligent_ball"
-    if not folder.is_dir():
-        pytest.skip(f"there is no folder {folder} of photographs")
-    data = read(folder)
+    data = read(photographs("diligent_ball"))
     seen, unseen = half(data, 0), half(data, 1)
     one = fit(seen, WHOLE, ())
     maps = pf.fit_maps(

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from phongfit.fitting.diagnostics import SEEN
 from phongfit.fitting.maps.columns import Columns
 from phongfit.fitting.maps.exponent import At, Box, Sums, full_gram, slope_gram
 from phongfit.fitting.maps.settings import Settings
@@ -18,8 +19,6 @@ from phongfit.fitting.maps.small import (
     over_channels,
 )
 
-# A highlight counts as seen from so many standard errors on, as in `fit`.
-SEEN = 3.0
 # A search has ended where the next step would be less than this share of the error.
 SETTLED = 0.1
 

@@ -5,7 +5,7 @@ fails costs no more than one that does not, and disturbs none.
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -170,7 +170,7 @@ def fit_pixel(
 
 
 # Channels on their own share nothing but the cosines.
-_EACH = (PixelSamples(0, 0, 0, 0, 0, None), 0)  # type: ignore[arg-type]
+_EACH = (PixelSamples(*cast(Any, (0, 0, 0, 0, 0, None))), 0)
 
 
 def _split(samples: PixelSamples, known: Known) -> tuple[PixelSamples, Known]:
