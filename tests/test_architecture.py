@@ -128,7 +128,7 @@ def test_a_wrong_import_is_seen(path, source):
         ("phongfit/fitting/fit.py", "import optimistix as optx\nimport jax"),
         ("phongfit/__init__.py", "from phongfit.fitting.fit import fit"),
         ("data_synth/dataset.py", "import phongfit as pf"),
-        ("experiments/benchmark.py", "import phongfit, data_synth, optimistix"),
+        ("experiments/benchmark/single.py", "import phongfit, data_synth, optimistix"),
     ],
 )
 def test_a_right_import_is_fine(path, source):

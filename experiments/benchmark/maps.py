@@ -1,9 +1,9 @@
-"""Question: what does a material per pixel cost, in time and in memory?
+"""A material per pixel, next to one fit after the other.
 
-Times a map of a synthetic stack against `vmap`ped stock Levenberg-Marquardt of
-optimistix and a loop over SciPy's `least_squares`, both on a part of the pixels; the
-time a pixel takes from few pixels to millions; and the peak memory of a map whose
-images are memory-mapped, in a process of its own.
+A map of a synthetic stack against `vmap`ped stock Levenberg-Marquardt of optimistix and
+a loop over SciPy's `least_squares`, both on a part of the pixels; the time a pixel
+takes from few pixels to millions; and the peak memory of a map whose images are
+memory-mapped, in a process of its own.
 """
 
 import dataclasses
@@ -24,8 +24,6 @@ import scipy.optimize
 
 import phongfit as pf
 from data_synth.lights import spread_directions
-from experiments.output import JsonFile, save_numbers
-from phongfit.cli import run
 
 AMBIENT = 0.3
 NOISE = 0.01
@@ -178,24 +176,19 @@ def _some(stack: Stack, pixels: int) -> tuple[np.ndarray, np.ndarray]:
 def against_peers(
     pixels: int = 16_000, lights: int = 96, lm: int = 500, scipy: int = 20
 ) -> dict[str, float]:
-    """Seconds a pixel of a map and of its peers, and the ratios."""
+    """Seconds a pixel of a map and of its peers."""
     stack = make_stack(pixels, lights)
-    ours = map_seconds(stack) / stack.truth[..., 0].size
-    peers = {
+    return {
+        "map": map_seconds(stack) / stack.truth[..., 0].size,
         "vmapped_lm": lm_seconds(stack, lm),
         "scipy_loop": scipy_seconds(stack, scipy),
-    }
-    return {
-        "maps_seconds_per_pixel": ours,
-        **{f"{name}_seconds_per_pixel": taken for name, taken in peers.items()},
-        **{f"maps_vs_{name}": taken / ours for name, taken in peers.items()},
     }
 
 
 def peak_memory(pixels: int = 4_000_000, lights: int = 24) -> dict[str, float]:
     """Gigabytes at the peak of a process that maps a memory-mapped stack."""
     with tempfile.TemporaryDirectory() as folder:
-        code = "from experiments.map_costs import {}; {}"
+        code = "from experiments.benchmark.maps import {}; {}"
         make = f"_write({folder!r}, {pixels}, {lights})"
         use = f"_map({folder!r})"
         subprocess.run([sys.executable, "-c", code.format("_write", make)], check=True)
@@ -225,27 +218,3 @@ def _map(folder: str) -> None:
     assert maps.told.mean() > 0.9
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     print(peak * (1 if sys.platform == "darwin" else 1024) / 1e9, taken)
-
-
-def main(quick: bool = False, json: JsonFile = None) -> int:
-    """What does a material per pixel cost, in time and in memory?
-
-    Args:
-        quick: Fewer pixels: a look, not a result.
-        json: Where the numbers go.
-    """
-    share = 20 if quick else 1
-    numbers: dict = {"peers": against_peers(16_000 // min(share, 8))}
-    print(*(f"{k}: {v:.3g}" for k, v in numbers["peers"].items()), sep="\n")
-    sizes = tuple(n // share for n in (10_000, 100_000, 1_000_000, 4_000_000))
-    numbers["seconds_per_pixel"] = {str(k): v for k, v in scaling(sizes).items()}
-    for size, taken in numbers["seconds_per_pixel"].items():
-        print(f"{size} pixels × 24 lights: {1e6 * taken:.2f} µs a pixel")
-    numbers["memory"] = peak_memory(4_000_000 // share)
-    print(f"peak memory: {numbers['memory']['peak_gigabytes']:.2f} GB")
-    save_numbers(json, numbers)
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(run(main, prog="python -m experiments.map_costs"))

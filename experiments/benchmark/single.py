@@ -1,20 +1,17 @@
-"""Question: how fast is a fit, next to what people use instead?
+"""One image of one material, next to stock solvers on the same residuals.
 
-One RGB image of a ball, 1 % noise, ten unknowns. Every row is a median of several warm
-runs of this one process, and every ratio is of two such medians:
+One RGB image of a ball, 1 % noise, ten unknowns. All ways take turns in one process:
 
 - phongfit: the whole of `pf.fit`, from arrays to error bars, without a starting guess;
+  and of it the search for the solution alone, which is what the others do;
 - stock Levenberg-Marquardt of optimistix on the same residuals, from f = 8, with its
-  default linear solver and with normal equations: the solver alone;
-- Adam as differentiable renderers use it (learning rate 0.03, from f = 8), until f
-  has come within 1e-3 of the answer.
-
-Peers that are not installed are left out with a word.
+  default linear solver and with normal equations;
+- Adam as differentiable renderers use it (learning rate 0.03, from f = 8), until f has
+  come within 1e-3 of the answer.
 """
 
 import dataclasses
 import importlib.util
-import platform
 import time
 from collections.abc import Callable
 from typing import Any
@@ -27,12 +24,13 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 from rich.console import Console
-from rich.markdown import Markdown
 
 import phongfit as pf
-from experiments.output import JsonFile, save_numbers
-from phongfit.cli import run
+from phongfit.fitting.fit import set_up
 from phongfit.fitting.problem import Problem
+from phongfit.fitting.samples import gather, seen_pixels
+from phongfit.fitting.search import Found, search
+from phongfit.fitting.start import choose_few
 
 TRUTH = pf.Material((0.6, 0.3, 0.2), 0.3, 60.0, 0.5)
 NOISE = 0.01
@@ -96,6 +94,17 @@ def start(problem: Problem) -> Float[Array, " n"]:
     return jnp.asarray(guess.astype(problem.sigma.dtype))
 
 
+def searching(scene: pf.Scene, image: np.ndarray) -> Callable[[], Found]:
+    """From samples to the solution, without a starting guess."""
+    setting = set_up(scene, image)
+    seen = seen_pixels(setting.sources)
+    few = choose_few(setting.sources, seen)
+    first = None if few is None else gather(setting.sources, few)
+    samples = gather(setting.sources, seen)
+    settings = (setting.unknowns, pf.Linear(), setting.film.clamp, False, 200)
+    return lambda: search(first, samples, *settings)
+
+
 @eqx.filter_jit
 def stock(problem: Problem, y: Array, linear_solver: Any) -> optx.Solution:
     """optimistix's own solver on the same residuals."""
@@ -142,12 +151,14 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
     problem, answer, y = fit.found.problem, fit.found.y, start(fit.found.problem)
     names = {
         "fit": "phongfit, all of `pf.fit`",
+        "search": "phongfit, its search alone",
         "lm": "optimistix LM",
         "lm_normal": "optimistix LM, normal equations",
         "adam": "Adam (optax), rate 0.03, to 1e-3 in f",
     }
     ways = {
         "fit": lambda: pf.fit(scene, image),
+        "search": searching(scene, image),
         "lm": lambda: stock(problem, y, lx.QR()),
         "lm_normal": lambda: stock(problem, y, lx.Normal(lx.Cholesky())),
     }
@@ -159,8 +170,9 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
 
     def row(key: str) -> Row:
         seconds, result = found[key]
-        if key == "fit":
-            return Row(names[key], key, seconds, result.steps, 0.0)
+        if key in ("fit", "search"):
+            slower = seconds / found["fit"][0]
+            return Row(names[key], key, seconds, result.steps, 0.0, slower)
         if key == "adam":
             end, steps = result
         else:
@@ -170,53 +182,3 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
         return Row(names[key], key, seconds, int(steps), off, seconds / found["fit"][0])
 
     return [row(key) for key in ways]
-
-
-def table(found: list[Row]) -> str:
-    """Rows as Markdown."""
-    lines = [
-        "| warm | time | steps | off by | time / phongfit's |",
-        "|---|--:|--:|--:|--:|",
-    ]
-    lines += [
-        f"| {row.name} | {1e3 * row.seconds:.1f} ms | {row.steps} | "
-        f"{row.off:.2g} σ | {row.slower:.1f} |"
-        for row in found
-    ]
-    return "\n".join(lines)
-
-
-def machine() -> str:
-    """What the times were taken on."""
-    device = jax.devices()[0]
-    return (
-        f"{platform.machine()}, {len(jax.devices())} {device.platform} device, "
-        f"{platform.processor() or platform.system()}, jax {jax.__version__}"
-    )
-
-
-def main(resolution: int = 256, runs: int = 9, json: JsonFile = None) -> None:
-    """How fast is a fit, next to what people use instead?
-
-    Prints medians of warm runs, and ratios of them, as a table in Markdown.
-
-    Args:
-        resolution: Width and height of the image, pixels.
-        runs: How often each is timed, after a first run that compiles.
-        json: Where the numbers go: a key for each ratio, and the medians behind it.
-    """
-    if min(resolution, runs) < 1:
-        raise ValueError("resolution, runs: whole numbers ≥ 1 are wanted")
-    console = Console()
-    found = rows(resolution, runs, console)
-    text = table(found)
-    console.print(Markdown(text) if console.is_terminal else text)
-    console.print(f"\n{resolution} × {resolution} pixels; {machine()}")
-    numbers: dict[str, Any] = {f"{row.key}_over_fit": row.slower for row in found[1:]}
-    numbers["seconds"] = {row.key: row.seconds for row in found}
-    numbers["machine"] = machine()
-    save_numbers(json, numbers)
-
-
-if __name__ == "__main__":
-    raise SystemExit(run(main, prog="python -m experiments.benchmark"))

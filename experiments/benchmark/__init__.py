@@ -1,0 +1,1 @@
+"""Question: how fast is phongfit, next to what people use instead?"""

@@ -1,0 +1,230 @@
+"""Question: how fast is phongfit, next to what people use instead?
+
+`python -m experiments.benchmark` measures every row of its table in one run, so that
+the ratios hold for the machine at hand. The last result is in the README.
+"""
+
+import dataclasses
+import platform
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import numpy as np
+import tyro
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.markdown import Markdown
+
+from experiments.benchmark import costs, maps, single
+from experiments.output import JsonFile, save_numbers, save_picture
+from phongfit.cli import run
+
+
+@dataclasses.dataclass(frozen=True)
+class Ratio:
+    """One row of the table: how a measured ratio compares with what is aimed at."""
+
+    work: str
+    against: str
+    key: str
+    value: float
+    aim: float
+    at_most: bool = False
+
+    @property
+    def met(self) -> bool:
+        """Whether the aim is reached."""
+        return self.value <= self.aim if self.at_most else self.value >= self.aim
+
+
+def single_ratios(found: list[single.Row]) -> list[Ratio]:
+    """Of one image: of the whole fit, and of the search alone."""
+    seconds = {row.key: row.seconds for row in found}
+    fit, alone = "fit one 256² RGB image, warm", "its search for the solution alone"
+    ratios = [
+        Ratio(fit, "stock optimistix LM", "lm_over_fit", seconds["lm"], 10),
+        Ratio(alone, "the same", "lm_over_search", seconds["lm"], 10),
+    ]
+    if "adam" in seconds:
+        ratios += [
+            Ratio(fit, "Adam, to 1e-3 in f", "adam_over_fit", seconds["adam"], 100),
+            Ratio(alone, "the same", "adam_over_search", seconds["adam"], 100),
+        ]
+    return [
+        dataclasses.replace(r, value=r.value / seconds[r.key.split("_over_")[1]])
+        for r in ratios
+    ]
+
+
+def map_ratios(taken: dict[str, float]) -> list[Ratio]:
+    """Of a material per pixel."""
+    work = "a material per pixel, 16 000 pixels × 96 lights"
+    lm, loop = (taken[k] / taken["map"] for k in ("vmapped_lm", "scipy_loop"))
+    return [
+        Ratio(work, "`vmap`ped stock LM", "vmapped_lm_over_map", lm, 150),
+        Ratio("the same", "a SciPy loop", "scipy_loop_over_map", loop, 1000),
+    ]
+
+
+def spread(costs: dict[str, float]) -> float:
+    """The largest of some costs over the least."""
+    return max(costs.values()) / min(costs.values())
+
+
+def table(ratios: list[Ratio]) -> str:
+    """Rows as Markdown."""
+    lines = ["| work | against | aim | measured |", "|---|---|--:|--:|"]
+    for row in ratios:
+        aim = f"{'≤' if row.at_most else '≥'} {row.aim:g}×"
+        mark = "" if row.met else " (short)"
+        lines.append(f"| {row.work} | {row.against} | {aim} | {row.value:.3g}×{mark} |")
+    return "\n".join(lines)
+
+
+def details(found: list[single.Row]) -> str:
+    """The ways to fit one image, as Markdown."""
+    lines = ["| one image, warm | median | steps | off by |", "|---|--:|--:|--:|"]
+    lines += [
+        f"| {row.name} | {1e3 * row.seconds:.1f} ms | {row.steps} | {row.off:.2g} σ |"
+        for row in found
+    ]
+    return "\n".join(lines)
+
+
+def figure(ratios: list[Ratio], grown: dict[str, dict[str, float]]) -> Figure:
+    """Ratios next to their aims, and how the time of a fit grows."""
+    drawing = Figure(figsize=(9, 3.6), layout="constrained")
+    left, right = drawing.subplots(1, 2, width_ratios=(1.4, 1))
+    gains = [row for row in ratios if not row.at_most][::-1]
+    place = np.arange(len(gains))
+    left.barh(place, [row.value for row in gains], color="#0072B2", height=0.6)
+    left.plot([row.aim for row in gains], place, "|", ms=18, mew=3, color="#D55E00")
+    left.set_yticks(place, [f"{row.work}\nagainst {row.against}" for row in gains])
+    left.tick_params(axis="y", labelsize=7)
+    left.set(xscale="log", xlabel="times as fast (bar: measured, mark: aim)")
+    for (name, times), mark in zip(grown.items(), "osD^", strict=True):
+        counts = np.array([float(count) for count in times])
+        taken = np.array(list(times.values()))
+        right.plot(counts / counts[0], taken / taken[0], f"{mark}-", label=name)
+    right.axline((1, 1), slope=1, color="0.7", lw=1, label="linear")
+    right.set(
+        xscale="log",
+        yscale="log",
+        xlabel="how many, as a multiple of the first",
+        ylabel="time of a fit over the first",
+    )
+    right.legend(fontsize=7)
+    return drawing
+
+
+def machine() -> str:
+    """What the times were taken on."""
+    device = jax.devices()[0]
+    return (
+        f"{platform.machine()}, {len(jax.devices())} {device.platform} device, "
+        f"{platform.processor() or platform.system()}, jax {jax.__version__}"
+    )
+
+
+def main(
+    resolution: int = 256,
+    runs: int = 15,
+    quick: bool = False,
+    json: JsonFile = None,
+    picture: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+) -> None:
+    """How fast is phongfit, next to what people use instead?
+
+    Prints ratios of medians, all from this run, as tables in Markdown. Takes some ten
+    minutes on two cores; leave the machine alone meanwhile.
+
+    Args:
+        resolution: Width and height of the one image, pixels.
+        runs: How often each way to fit it is timed, after two runs that warm it up.
+        quick: Small maps and images: a look, not a result.
+        json: Where the numbers go: a key for each ratio, and the medians behind it.
+        picture: Where a figure of them goes.
+    """
+    if min(resolution, runs) < 1:
+        raise ValueError("resolution, runs: whole numbers ≥ 1 are wanted")
+    console = Console()
+
+    def show(text: str) -> None:
+        console.print(Markdown(text) if console.is_terminal else text)
+
+    share = 40 if quick else 1
+    found = single.rows(resolution, runs, console)
+    show(details(found))
+    # The map's own programs are tuned to run at full size.
+    taken = maps.against_peers(16_000 // share, lm=500 // share, scipy=20 // share + 1)
+    rendered = costs.render_costs(costs.SIZES[: 2 if quick else None])
+    sizes = (10_000, 100_000, 1_000_000, 4_000_000)
+    pixels = maps.scaling(tuple(n // share for n in sizes[: 2 if quick else None]))
+    grown = costs.growth((32, 64) if quick else (64, 128, 256, 512))
+    started = costs.cold()
+    memory = maps.peak_memory(4_000_000 // share)
+    compiled = costs.first_and_warm()
+    ratios = [
+        *single_ratios(found),
+        *map_ratios(taken),
+        Ratio(
+            "render, a pixel from 128² to 2048²",
+            "itself",
+            "render_pixel_spread",
+            spread(rendered),
+            1.5,
+            True,
+        ),
+        Ratio(
+            "a map, a pixel from 10 000 to 4 000 000",
+            "itself",
+            "map_pixel_spread",
+            spread({str(k): v for k, v in pixels.items()}),
+            1.5,
+            True,
+        ),
+        Ratio(
+            "a cold `phongfit fit` of one 256² image",
+            "importing jax and optimistix",
+            "cold_fit_over_import",
+            started["fit"] / started["import"],
+            3,
+            True,
+        ),
+        Ratio(
+            "the same, nothing compiled before",
+            "the same",
+            "first_fit_over_import",
+            started["first_fit"] / started["import"],
+            3,
+            True,
+        ),
+    ]
+    show("\n" + table(ratios))
+    console.print(
+        f"\na map: {1e6 * taken['map']:.1f} µs a pixel × 96 lights; "
+        f"{memory['peak_gigabytes']:.2f} GB at most for {4_000_000 // share:,} pixels "
+        f"× 24 lights\na first fit, with compiling: {compiled['first']:.1f} s"
+        f"\n{machine()}"
+    )
+    if picture is not None:
+        save_picture(picture, figure(ratios, grown))
+    numbers: dict[str, Any] = {row.key: row.value for row in ratios}
+    numbers["seconds"] = {row.key: row.seconds for row in found} | {
+        "map_pixel": taken["map"],
+        "vmapped_lm_pixel": taken["vmapped_lm"],
+        "scipy_loop_pixel": taken["scipy_loop"],
+        "render_pixel": rendered,
+        "map_pixel_by_size": {str(k): v for k, v in pixels.items()},
+        "fit_by": grown,
+        "cold": started,
+        "compile": compiled,
+    }
+    numbers["memory"] = memory
+    numbers["machine"] = machine()
+    save_numbers(json, numbers)
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(main, prog="python -m experiments.benchmark"))

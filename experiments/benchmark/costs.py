@@ -1,0 +1,126 @@
+"""What a render and a fit cost: by pixel, image, light, unknown; and a cold start."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+import phongfit as pf
+from experiments.benchmark.maps import seconds
+from phongfit.fitting.fit import DEFAULT_UNKNOWNS
+
+MATERIAL = pf.Material((0.6, 0.3, 0.2), 0.3, 60.0, 0.5)
+SIZES = (128, 256, 512, 1024, 2048)
+
+
+def scene_of(size: int = 128, lights: int = 1) -> pf.Scene:
+    """A ball under lights from all over the front."""
+    angles = 2.4 * np.arange(lights)
+    towards = [(np.cos(a), np.sin(a), 2.0) for a in angles]
+    return pf.Scene(
+        pf.Sphere(),
+        pf.OrthographicCamera(size, size),
+        [pf.DirectionalLight(d, intensity=1 / lights) for d in towards],
+        ambient=0.3,
+    )
+
+
+def photograph(scene: pf.Scene, seed: int = 0) -> np.ndarray:
+    """Its image with 1 % noise."""
+    light = np.asarray(pf.render(scene, MATERIAL))
+    noise = np.random.default_rng(seed).normal(0, 0.01, light.shape)
+    return np.clip(light + noise, 0, 1).astype(light.dtype)
+
+
+def fit_seconds(scenes: Any, images: Any, **options: Any) -> float:
+    """Warm time of a fit."""
+    return seconds(lambda: pf.fit(scenes, images, **options), 5)
+
+
+def render_costs(sizes: tuple[int, ...] = SIZES) -> dict[str, float]:
+    """Seconds a pixel of rendering a traced scene, for each size."""
+    costs = {}
+    for size in sizes:
+        scene = scene_of(size)
+        gbuffer = scene.trace()
+
+        def shade(scene: pf.Scene = scene, gbuffer: pf.GBuffer = gbuffer) -> None:
+            jax.block_until_ready(pf.render(scene, MATERIAL, gbuffer=gbuffer))
+
+        costs[str(size)] = seconds(shade, 15) / size**2
+    return costs
+
+
+def growth(sizes: tuple[int, ...] = (64, 128, 256, 512)) -> dict[str, dict[str, float]]:
+    """Warm times of fits of growing size, in seconds, one thing growing at a time."""
+    grown: dict[str, dict[str, float]] = {"pixels": {}, "images": {}, "lights": {}}
+    for size in sizes:
+        scene = scene_of(size)
+        grown["pixels"][str(size**2)] = fit_seconds(scene, photograph(scene))
+    for count in (1, 4, 16):
+        scenes = [scene_of(lights=1) for _ in range(count)]
+        images = [photograph(scene, k) for k, scene in enumerate(scenes)]
+        grown["images"][str(count)] = fit_seconds(scenes, images)
+        lit = scene_of(lights=count)
+        grown["lights"][str(count)] = fit_seconds(lit, photograph(lit))
+    scene = scene_of()
+    image = photograph(scene)
+    grown["unknowns"] = {
+        str(count): fit_seconds(scene, image, **options)
+        for count, options in (
+            (4, {"per_channel": ()}),
+            (10, {}),
+            (12, {"per_channel": DEFAULT_UNKNOWNS}),
+        )
+    }
+    return grown
+
+
+def first_and_warm(size: int = 64) -> dict[str, float]:
+    """Seconds of a first fit in this process, which compiles, and of a later one."""
+    scene = scene_of(size)
+    image = photograph(scene)
+    jax.clear_caches()
+    begin = time.perf_counter()
+    pf.fit(scene, image)
+    first = time.perf_counter() - begin
+    return {"first": first, "warm": fit_seconds(scene, image)}
+
+
+def cold(size: int = 256) -> dict[str, float]:
+    """Seconds of `phongfit fit` in fresh processes, and of importing what it rests on.
+
+    The first of them has an empty cache of compiled programs, the others a full one.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        scene = scene_of(size)
+        pf.save_scene(folder / "scene.json", scene)
+        pf.write_image(folder / "ball.png", photograph(scene), encoding="linear")
+        imports = [sys.executable, "-c", "import jax, optimistix; jax.devices()"]
+        command = [sys.executable, "-m", "phongfit", "fit", str(folder / "ball.png")]
+        command += ["--scene", str(folder / "scene.json"), "--encoding", "linear"]
+        command += ["--report", "none", "--overwrite", "-o", str(folder / "out")]
+        times = {"import": [_process(imports, folder) for _ in range(4)][1:]}
+        times["fit"] = [_process(command, folder) for _ in range(4)]
+    return {
+        "import": float(np.median(times["import"])),
+        "first_fit": times["fit"][0],
+        "fit": float(np.median(times["fit"][1:])),
+    }
+
+
+def _process(command: list[str], cache: Path) -> float:
+    environment = os.environ | {"XDG_CACHE_HOME": str(cache / "cache")}
+    begin = time.perf_counter()
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    taken = time.perf_counter() - begin
+    if done.returncode != 0:
+        raise RuntimeError(f"{' '.join(command[1:4])}: {done.stderr.strip()}")
+    return taken
