@@ -47,6 +47,7 @@ class Fit:
     untold: np.ndarray
     bounds: np.ndarray
     tied: np.ndarray
+    photographs: Any
     fitted: Any
     residuals: Any
     noise: float
@@ -180,8 +181,9 @@ Fit.__init__.__doc__ = """**Arguments:**
 - `untold`: true where the data leave the value open.
 - `bounds`: (n, 2), lower and upper.
 - `tied`: true for what follows another entry.
-- `fitted`, `residuals`: images (H, W, 3), linear light, one or a tuple as they were
-    given; `residuals` is image − fitted, 0 where a sample was left out.
+- `photographs`: images (H, W, 3), linear light, one or a tuple as they were given.
+- `fitted`, `residuals`: the like; `residuals` is image − fitted, 0 where a sample was
+    left out.
 - `noise`: standard deviation of a sample, in linear light where white is 1.
 - `samples`: pixels times channels used.
 - `degrees_of_freedom`: samples and priors less unknowns that were free.
