@@ -35,8 +35,12 @@ def fill(template: str, **values: Any) -> str:
 
 def source(figure: Figure, dpi: float = DPI) -> str:
     """A figure as a data URI: the page needs no other file."""
-    code = base64.b64encode(png(figure, dpi)).decode("ascii")
-    return f"data:image/png;base64,{code}"
+    return data_uri(png(figure, dpi))
+
+
+def data_uri(picture: bytes) -> str:
+    """The bytes of a PNG file as an address that holds them."""
+    return f"data:image/png;base64,{base64.b64encode(picture).decode('ascii')}"
 
 
 def parameters(fit: Fit) -> list[dict[str, Any]]:

@@ -45,15 +45,18 @@ def names_of(fit: Fit, names: Sequence[str]) -> list[str]:
     return [""] if fit.images == 1 else [f"image {k}" for k in range(fit.images)]
 
 
-def plot(fit: Fit, names: Sequence[str] = ()) -> Figure:
+def plot(fit: Fit, names: Sequence[str] = (), most: int = MOST_IMAGES) -> Figure:
     """Photograph, fit and residual of some images, the residual with its scale.
 
-    **Arguments:** `names`: of the images, shown above them; default their numbers.
+    **Arguments:**
+
+    - `names`: of the images, shown above them; default their numbers.
+    - `most`: how many images, spread evenly over all.
 
     **Raises:** `ValueError` if there are names, but not one for each image.
     """
     every = names_of(fit, names)
-    images = chosen(fit.images)
+    images = chosen(fit.images, most)
     factor = brightening(fit, images)
     photographs, fitted, left = (
         as_tuple(some) for some in (fit.photographs, fit.fitted, fit.residuals)

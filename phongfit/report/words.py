@@ -126,7 +126,7 @@ def assumptions(fit: Fit) -> dict[str, str]:
     """What the numbers rest on, as name and value."""
     scene = fit.scene[0] if isinstance(fit.scene, tuple) else fit.scene
     unknowns = fit.found.problem.unknowns
-    model = f"{fit.model} ({_settings(scene.specular)})"
+    model = f"{fit.model} ({settings(scene.specular)})"
     noise = f"{fit.noise:.3g} of white, {'given' if fit.noise_given else 'estimated'}"
     kinds = sorted({type(light).__name__ for light in scene.lights})
     lights = f"{len(scene.lights)} an image ({', '.join(kinds) or 'none'})"
@@ -146,9 +146,10 @@ def assumptions(fit: Fit) -> dict[str, str]:
     }
 
 
-def _settings(module: Any) -> str:
-    settings = {k: v for k, v in vars(module).items() if isinstance(v, bool | float)}
-    return ", ".join(f"{k} {'yes' if v else 'no'}" for k, v in settings.items())
+def settings(module: Any) -> str:
+    """The switches of a model, in words."""
+    switches = {k: v for k, v in vars(module).items() if isinstance(v, bool)}
+    return ", ".join(f"{k}: {'yes' if v else 'no'}" for k, v in switches.items())
 
 
 def bounds_words(fit: Fit) -> str:
