@@ -11,6 +11,8 @@ from phongfit.report.style import CHANNELS, INK, PALE
 
 WIDEST = 5.0
 """Where histograms end, in standard deviations."""
+BANDS = 16
+"""Of light, each with as many samples."""
 
 
 def residuals(
@@ -59,17 +61,17 @@ def draw_against_level(axes: Axes, fit: Fit) -> None:
     ):
         if not light.size:
             continue
-        edges = np.unique(np.quantile(light, np.linspace(0, 1, 17)))
-        if len(edges) < 2:
-            continue
-        band = np.clip(np.searchsorted(edges, light, "right") - 1, 0, len(edges) - 2)
-        count = np.bincount(band, minlength=len(edges) - 1)
+        # One band is left where all of the light is alike.
+        edges = np.unique(np.quantile(light, np.linspace(0, 1, BANDS + 1)))[1:-1]
+        band, bands = np.searchsorted(edges, light, "right"), len(edges) + 1
+        count = np.bincount(band, minlength=bands)
         # A handful of samples has no spread to speak of.
         full = count >= max(0.01 * light.size, 10)
         many = np.maximum(count, 1)
-        at = np.bincount(band, light, len(edges) - 1) / many
-        mean = np.bincount(band, values, len(edges) - 1) / many
-        square = np.bincount(band, values**2, len(edges) - 1) / many
+        at, mean, square = (
+            np.bincount(band, numbers, bands) / many
+            for numbers in (light, values, values**2)
+        )
         spread = np.sqrt(np.maximum(square - mean**2, 0))
         axes.plot(at[full], mean[full], "o-", color=colour, markersize=3, label=name)
         for edge in (mean - spread, mean + spread):
