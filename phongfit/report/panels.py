@@ -22,6 +22,8 @@ from phongfit.report.style import picture, quiet
 from phongfit.report.words import as_tuple, listed, told
 
 MOST_PROFILES = 3
+# A profile goes through all samples about a hundred times; so does the way down.
+MOST_SAMPLES = 1_000_000
 # The first of these that the data tell; then the others, one of each kind.
 _PROFILED = ("shininess", "specular", "diffuse")
 
@@ -129,7 +131,10 @@ def profiles(fit: Fit, thorough: bool) -> tuple[list[Shown], str]:
     """A few profiles, if they are wanted, and a word on the others."""
     if not thorough:
         return [], "Profiles were not asked for."
-    labels = profiled(fit)
+    labels = profiled(fit)[: MOST_PROFILES * MOST_SAMPLES // fit.samples]
+    if fit.samples > MOST_PROFILES * MOST_SAMPLES:
+        words = "Of so many samples they would take minutes: none are drawn here."
+        return [], f"{words} fit.plot_profile(name) draws them."
     if not labels or not fit.converged:
         why = "the solver did not converge" if labels else "no unknown is told"
         return [], f"There are none: {why}."
@@ -163,7 +168,7 @@ def correlations(fit: Fit) -> tuple[Shown | None, str]:
     alt = f"Matrix of correlations of {len(entries)} unknowns. {strongest}"
     size = (side + 0.6, side)
     shown = _drawn(lambda axes: draw_correlations(axes, fit), alt, "", size)
-    return shown, strongest
+    return shown | {"inches": size[0]}, strongest
 
 
 def residuals(fit: Fit) -> list[Shown]:
@@ -183,7 +188,7 @@ def residuals(fit: Fit) -> list[Shown]:
 def convergence(fit: Fit, thorough: bool) -> tuple[Shown | None, str]:
     """How the solver ended and, if that is wanted, the cost step by step."""
     end = f"The fit took {fit.steps} steps: {fit.reason}."
-    if not thorough:
+    if not thorough or fit.samples > MOST_PROFILES * MOST_SAMPLES:
         return None, end
     descent = descend(fit.found)
     if not np.isfinite(descent.costs).all():

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from phongfit.rendering.film import encode
 from phongfit.report.style import SIGNED, picture, quiet, styled
@@ -85,6 +86,7 @@ def draw_residual(axes: Axes, residual: Any, *, below: bool = False) -> None:
     place: dict[str, Any] = {"location": "bottom"} if below else {}
     bar = figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.03, **place)
     bar.ax.tick_params(labelsize=7)
+    bar.locator = MaxNLocator(4 if below else 8, symmetric=True)
     bar.ax.grid(False)
     if below:
         bar.set_label("linear light, white = 1; the channel furthest off")

@@ -127,6 +127,7 @@ def draw_correlations(axes: Axes, fit: Fit) -> None:
         for (row, column), value in np.ndenumerate(matrix):
             colour = "white" if abs(value) > 0.6 else INK
             words = f"{value:.2f}".replace("0.", ".").replace("-", "−")
+            words = "0" if words.strip("−") == ".00" else words
             words = "1" if row == column else words
             axes.text(
                 column, row, words, ha="center", va="center", color=colour, fontsize=7

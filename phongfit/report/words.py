@@ -154,14 +154,16 @@ def settings(module: Any) -> str:
 
 def bounds_words(fit: Fit) -> str:
     """Bounds of the unknowns; those that are alike are told once."""
+    unknowns = fit.found.problem.unknowns
+    leaves = unknowns.entry_leaf[unknowns.reported]
     groups: dict[tuple[float, float], list[str]] = {}
-    for label, (low, high) in zip(fit.labels, fit.bounds.tolist(), strict=True):
-        name = label.partition(".")[0] if not label.startswith("scene") else label
+    for leaf, (low, high) in zip(leaves.tolist(), fit.bounds.tolist(), strict=True):
         names = groups.setdefault((low, high), [])
-        if name not in names:
-            names.append(name)
+        if leaf not in names:
+            names.append(leaf)
     return "; ".join(
-        f"{listed(names)} {low:g} … {high:g}" for (low, high), names in groups.items()
+        f"{listed(names)} {low:g} … {high:g}".replace("inf", "∞").replace("-", "−")
+        for (low, high), names in groups.items()
     )
 
 

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from phongfit.report.page import page, write_page
-from phongfit.report.panels import profiled
+from phongfit.report.panels import convergence, profiled, profiles
 from phongfit.report.words import bounds_words, known_words, listed, unit
 
 
@@ -140,6 +140,16 @@ def test_which_unknowns_get_a_profile(one, open_fit):
     assert profiled(one) == ["shininess", "specular.red", "diffuse.red"]
     assert "shininess" not in profiled(open_fit)
     assert "diffuse.red" in profiled(open_fit)
+
+
+def test_of_many_samples_there_are_few_profiles(one):
+    many = dataclasses.replace(one, samples=2_000_000)
+    pictures, _ = profiles(many, True)
+    assert [shown["alt"].split()[2] for shown in pictures] == ["shininess:"]
+    endless = dataclasses.replace(one, samples=4_000_000)
+    assert profiles(endless, True)[0] == []
+    assert "would take minutes" in profiles(endless, True)[1]
+    assert convergence(endless, True)[0] is None
 
 
 @pytest.mark.parametrize(
