@@ -102,6 +102,7 @@ if TYPE_CHECKING:
         AbstractStack as AbstractStack,
         PhotographStack as PhotographStack,
     )
+    from phongfit.report.pictures import show as show
 
 # Decoders and validators take long to import: only who reads a file waits for them.
 _ON_DEMAND = {
@@ -118,6 +119,7 @@ _ON_DEMAND = {
     "read_image": "phongfit.files.images",
     "read_mtl": "phongfit.files.mtl",
     "save_scene": "phongfit.files.scenes",
+    "show": "phongfit.report.pictures",
     "write_image": "phongfit.files.images",
     "write_mtl": "phongfit.files.mtl",
 }

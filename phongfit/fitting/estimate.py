@@ -134,7 +134,8 @@ def _told_for_all_exponents(
     )
     for share in np.linspace(0, 1, 7):
         there = y.copy()
-        there[exponents] = (lower + share * (upper - lower))[exponents]
+        low, high = lower[exponents], upper[exponents]
+        there[exponents] = low + share * (high - low)
         felt = float(_curvature(problem, jnp.asarray(there, y.dtype))[entry])
         # In standard deviations, and the other unknowns only add to it.
         if 1 / (np.sqrt(felt) + 1e-30) > upper[entry] - lower[entry]:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -99,6 +99,10 @@ def fit(
     pixels, a mask that leaves nothing, fewer samples than unknowns, ambient and
     emission both unknown where no pixel can tell them apart.
     """
+    single = isinstance(scene, Scene)
+    if not single and isinstance(image, Iterable):
+        # Gone through twice, which a generator does not allow.
+        image = list(image)
     setting = set_up(
         scene,
         image,
@@ -136,8 +140,12 @@ def fit(
         pieces,
         film=film,
         scenes=scenes,
+        # Copies, whatever becomes of the arrays that came.
+        photographs=[
+            np.array(one, found.y.dtype) for one in ([image] if single else image)
+        ],
         shown=[_show(setting, k, scene, place[0]) for k, scene in enumerate(scenes)],
-        single=isinstance(scene, Scene),
+        single=single,
         noise_given=noise is not None,
     )
 

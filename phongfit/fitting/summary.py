@@ -36,6 +36,7 @@ def summarize(
     *,
     film: Film,
     scenes: tuple[Scene, ...],
+    photographs: list[np.ndarray],
     shown: list[Shown],
     single: bool,
     noise_given: bool,
@@ -48,6 +49,7 @@ def summarize(
     - `place`: it in the user's units: see [`in_units`][].
     - `pieces`: sums over the samples there: see [`add_up`][].
     - `film`: the images'.
+    - `photographs`: images (H, W, 3) as they were given.
     - `scenes`, `shown`: the scenes and images as fitted.
     - `single`: whether one image was given, not a sequence.
     - `noise_given`: whether the noise level was known.
@@ -80,6 +82,7 @@ def summarize(
         untold=told.untold,
         bounds=unknowns.bounds,
         tied=unknowns.tied,
+        photographs=photographs[0] if single else tuple(photographs),
         fitted=fitted[0] if single else tuple(fitted),
         residuals=residuals[0] if single else tuple(residuals),
         noise=_typical_noise(problem),

@@ -1,0 +1,119 @@
+"""The report: one HTML page of a fit that needs no other file and no network."""
+
+import os
+from collections.abc import Mapping, Sequence
+
+from phongfit.files.outputs import replacing
+from phongfit.fitting.result import Fit
+from phongfit.report.html import fill, parameters
+from phongfit.report.panels import (
+    about_pictures,
+    convergence,
+    correlations,
+    profiles,
+    residuals,
+    trio,
+)
+from phongfit.report.plots import chosen, names_of
+from phongfit.report.repeat import call
+from phongfit.report.style import styled
+from phongfit.report.words import assumptions as assumed, summary
+
+
+def write_page(
+    path: str | os.PathLike[str],
+    fit: Fit,
+    *,
+    title: str,
+    names: Sequence[str] = (),
+    assumptions: Mapping[str, str] | None = None,
+    command: str = "",
+    thorough: bool = True,
+) -> None:
+    """Write a report of a fit: a page that stands alone, whole or not at all.
+
+    **Arguments:**
+
+    - `path`: the HTML file.
+    - `title`: its headline.
+    - `names`: of the photographs; default their numbers.
+    - `assumptions`: name and value of what else was assumed, such as the encoding of
+        the files; shown before what the fit itself knows.
+    - `command`: the command line that repeats the fit, if there was one.
+    - `thorough`: with profiles and the course of the convergence, for which the fit is
+        solved some fifty times more: seconds.
+
+    **Raises:** `OSError` that names `path`; `ValueError` if there are names, but not
+    one for each image.
+    """
+    text = page(
+        fit,
+        title=title,
+        names=names,
+        assumptions=assumptions,
+        command=command,
+        thorough=thorough,
+    )
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def page(
+    fit: Fit,
+    *,
+    title: str,
+    names: Sequence[str] = (),
+    assumptions: Mapping[str, str] | None = None,
+    command: str = "",
+    thorough: bool = True,
+) -> str:
+    """The text of the page: see [`write_page`][]."""
+    every = names_of(fit, names)
+    images = chosen(fit.images)
+    with styled():
+        pictures = [trio(fit, k, every[k], images) for k in images]
+        curves, about_curves = profiles(fit, thorough)
+        course, about_course = convergence(fit, thorough)
+        matrix, about_matrix = correlations(fit)
+        left_over = residuals(fit)
+    return fill(
+        "page.html",
+        title=title,
+        converged=fit.converged,
+        sections=_sections(bool(fit.warnings)),
+        sentences=summary(fit),
+        warnings=[_full_stop(warning) for warning in fit.warnings],
+        images=pictures,
+        about_pictures=about_pictures(fit, images),
+        rows=parameters(fit),
+        profiles=curves,
+        about_profiles=about_curves,
+        correlations=matrix,
+        about_correlations=about_matrix,
+        residuals=left_over,
+        convergence=course,
+        about_convergence=about_course,
+        assumptions={**(assumptions or {}), **assumed(fit)},
+        command=command,
+        call=call(fit),
+    )
+
+
+def _sections(warned: bool) -> list[tuple[str, str]]:
+    names = {
+        "summary": "Summary",
+        **({"warnings": "Warnings"} if warned else {}),
+        "pictures": "Pictures",
+        "parameters": "Parameters",
+        "profiles": "Profiles",
+        "correlations": "Correlations",
+        "residuals": "Residuals",
+        "convergence": "Convergence",
+        "assumptions": "Assumptions",
+        "repeat": "How to repeat",
+    }
+    return list(names.items())
+
+
+def _full_stop(words: str) -> str:
+    return words if words.endswith(".") else f"{words}."
