@@ -203,7 +203,10 @@ def main(options: Options) -> int:
 
     It holds PNG images, scene.json (camera, surface, lights, models, encoding),
     truth.json (the material) and contact_sheet.png, which shows it all at a glance.
-    For example: python -m data_synth out/brass --material preset:brass --noise 0.01
+
+    For example:
+      phongfit synth out/brass --material preset:brass --noise 0.01
+      phongfit synth out/metal --shininess 200 --lights 16 --bits 16
     """
     dataset = make(options)
     write_dataset(

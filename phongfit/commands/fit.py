@@ -1,0 +1,158 @@
+"""`phongfit fit`: photographs in; table, `fit.json`, pictures and report out."""
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import OmitArgPrefixes, arg
+
+from phongfit.commands.cache import keep_compiled
+from phongfit.commands.data import DataOptions, read_data
+from phongfit.commands.options import (
+    FitOptions,
+    OutFolder,
+    UnknownOptions,
+    settings_of,
+)
+from phongfit.commands.progress import stage
+from phongfit.files.dataset import Dataset
+from phongfit.files.fits import (
+    DataRecord,
+    FitRecord,
+    FitSettings,
+    distances,
+    load_fit,
+    save_fit,
+)
+from phongfit.files.outputs import replacing_folder
+from phongfit.fitting.fit import fit
+from phongfit.fitting.result import Fit
+
+FIT_FILE = "fit.json"
+PICTURE_FILE = "comparison.png"
+REPORT_FILE = "report.html"
+OURS = (FIT_FILE, PICTURE_FILE, REPORT_FILE)
+
+
+@dataclass(frozen=True)
+class Options:
+    data: OmitArgPrefixes[DataOptions]
+
+    out: OutFolder
+    """Folder to make: fit.json (all numbers, and what is needed to repeat the fit),
+    comparison.png (photograph, fit and residual), report.html."""
+
+    unknown: OmitArgPrefixes[UnknownOptions] = UnknownOptions()
+    fitting: OmitArgPrefixes[FitOptions] = FitOptions()
+
+    like: Annotated[Path | None, arg(metavar="FIT.json")] = None
+    """Repeat this fit: take all settings from it, and compare the answers."""
+
+    report: bool = True
+    """Draw the picture and write the report; without, fit.json alone."""
+
+    overwrite: bool = False
+    """Replace an older fit in OUT."""
+
+
+def main(options: Options) -> int:
+    """Fit one material to photographs, and say how well it is known.
+
+    Prints values with standard errors, correlations, and what could not be told. There
+    is no starting guess and no random number: the same photographs give the same fit.
+
+    For example:
+      phongfit fit out/brass -o out/fit
+      phongfit fit out/brass/001.png --scene out/brass/scene.json -o out/one
+      phongfit fit ballPNG -o out/ball --bounds shininess=1:5000 --loss cauchy
+      phongfit fit out/brass -o out/again --like out/fit/fit.json
+
+    Exit status 1 if the solver does not converge, or if, with --like, the answers
+    differ by more than a standard error.
+    """
+    keep_compiled()
+    record = None if options.like is None else load_fit(options.like)
+    settings, reading = _settings(options, record)
+    data, read = read_data(reading)
+    with replacing_folder(
+        options.out, OURS.__contains__ if options.overwrite else None
+    ) as folder:
+        with stage("fitting"):
+            found = _fit(data, settings)
+        print(found, flush=True)
+        save_fit(
+            folder / FIT_FILE,
+            found,
+            settings=settings,
+            data=read,
+            model=data.scenes[0].specular,
+        )
+        if options.report:
+            with stage("drawing"):
+                _draw(folder, found, data)
+    print(f"\n{options.out}: {', '.join(OURS if options.report else OURS[:1])}")
+    agrees = record is None or _compare(record, found, read)
+    return 0 if found.converged and agrees else 1
+
+
+def _settings(
+    options: Options, record: FitRecord | None
+) -> tuple[FitSettings, DataOptions]:
+    """What is asked for: by options, or by the fit that is to be repeated."""
+    if record is None:
+        return settings_of(options.unknown, options.fitting), options.data
+    for group in (options.unknown, options.fitting):
+        for field in dataclasses.fields(group):
+            if getattr(group, field.name) != field.default:
+                raise ValueError(
+                    f"{field.name}: came beside --like, which says it; one of the two "
+                    "is wanted"
+                )
+    return record.settings, dataclasses.replace(
+        options.data, **record.data.reading.model_dump()
+    )
+
+
+def _fit(data: Dataset, settings: FitSettings) -> Fit:
+    # A single image stands alone, so that its residual is one image too.
+    alone = len(data.images) == 1
+    scenes, images, masks = (
+        of[0] if alone else of for of in (data.scenes, data.images, data.masks)
+    )
+    return fit(scenes, images, mask=masks, film=data.film, **settings.options())
+
+
+def _compare(record: FitRecord, found: Fit, read: DataRecord) -> bool:
+    """Say whether a repeated fit agrees; true if it does, or if the data are others."""
+    then, now = record.data.inputs, read.inputs
+    if sorted(then.values()) != sorted(now.values()):
+        changed = sorted(
+            {name for name, _ in set(then.items()) ^ set(now.items())},
+        )
+        shown = ", ".join(changed[:5]) + (" …" if len(changed) > 5 else "")
+        print(f"other data than in the recorded fit ({shown}): not compared")
+        return True
+    distance = distances(record, found)
+    if np.isnan(distance).all():
+        print("like the recorded fit: nothing is told by either")
+        return True
+    worst = int(np.nanargmax(distance))
+    agrees = bool(distance[worst] <= 1)
+    verdict = "agrees with" if agrees else "DIFFERS from"
+    print(
+        f"{verdict} the recorded fit: the largest difference is {distance[worst]:.2g} "
+        f"standard errors, of {found.labels[worst]}"
+    )
+    return agrees
+
+
+def _draw(folder: Path, found: Fit, data: Dataset) -> None:
+    """The picture and the report."""
+    # Here, since drawing takes long to import, and the table comes first.
+    from phongfit.report.figures import plot
+    from phongfit.report.page import write_page
+
+    plot(found, data.names).savefig(folder / PICTURE_FILE, dpi=150)
+    write_page(folder / REPORT_FILE, found, title=data.name, names=data.names)

@@ -1,0 +1,148 @@
+"""Options that commands share: unknowns, and what is known of them."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from tyro.conf import arg
+
+from phongfit.files.describe import describe_material
+from phongfit.files.fits import FitSettings, LossName
+from phongfit.files.inputs import naming
+from phongfit.files.materials import read_material
+from phongfit.files.outputs import plain
+from phongfit.fitting.fit import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
+
+Value = TypeVar("Value")
+Names = Annotated[tuple[str, ...], arg(metavar="NAME ...")]
+
+OutFolder = Annotated[Path, arg(aliases=["-o"], metavar="OUT")]
+Material = Annotated[str, arg(metavar="preset:NAME|FILE")]
+JsonFile = Annotated[Path | None, arg(metavar="FILE")]
+
+
+@dataclass(frozen=True)
+class UnknownOptions:
+    """What is unknown. Labels are those of the table, such as diffuse.red."""
+
+    unknowns: Names = DEFAULT_UNKNOWNS
+    """Leaves of the material (ambient diffuse specular shininess emission), arrays of
+    the scene such as scene.lights[0].direction, or exposure."""
+
+    per_channel: Names = DEFAULT_PER_CHANNEL
+    """Which of them have a value for each of red, green and blue."""
+
+    per_image: Names = ()
+    """Arrays of the scene of which each image has its own."""
+
+    bounds: Annotated[tuple[str, ...], arg(metavar="NAME=LOW:HIGH ...")] = ()
+    """Other bounds than 0:1 (reflectances) and 1:1000 (shininess)."""
+
+    fixed: Annotated[tuple[str, ...], arg(metavar="LABEL=VALUE ...")] = ()
+    """Values that are held."""
+
+    ties: Annotated[tuple[str, ...], arg(metavar="LABEL=[X*]OTHER ...")] = ()
+    """What follows another label, such as specular.green=specular.red."""
+
+    priors: Annotated[tuple[str, ...], arg(metavar="LABEL=MEAN:SD ...")] = ()
+    """What is known beforehand: mean and standard deviation."""
+
+    def given(self) -> dict[str, Any]:
+        """Keyword arguments of [`fit`][].
+
+        **Raises:** `ValueError` that names the option.
+        """
+        return {
+            "unknowns": self.unknowns,
+            "per_channel": self.per_channel,
+            "per_image": self.per_image,
+            "bounds": pairs("bounds", self.bounds, _two_numbers),
+            "fixed": pairs("fixed", self.fixed, float),
+            "ties": pairs("ties", self.ties, _tie),
+            "priors": pairs("priors", self.priors, _two_numbers),
+        }
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How it is fitted."""
+
+    known: Annotated[str | None, arg(metavar="preset:NAME|FILE")] = None
+    """A material (a preset, .mtl, .json, fit.json) for the leaves that are not unknown.
+    Default: no reflectance, exponent 32."""
+
+    noise: Annotated[float | None, arg(metavar="SD")] = None
+    """Standard deviation of the sensor's noise in linear light, where white is 1.
+    Default: what the residuals show."""
+
+    loss: LossName = "linear"
+    """How much a residual counts; all but linear bear outliers, tukey the most."""
+
+    max_steps: Annotated[int, arg(metavar="N")] = 200
+    """Limit of the solver's steps, in each of its passes."""
+
+
+def settings_of(unknowns: UnknownOptions, options: FitOptions) -> FitSettings:
+    """Options as the settings that `fit.json` keeps.
+
+    **Raises:** `ValueError` that names the option.
+    """
+    known = None
+    if options.known is not None:
+        with naming("known"):
+            known = describe_material(read_material(options.known).material)
+    given = unknowns.given() | {
+        "known": known,
+        "noise": options.noise,
+        "loss": options.loss,
+        "max_steps": options.max_steps,
+    }
+    for name, wanted in (("noise", "a number > 0"), ("max_steps", "1 or more")):
+        value = given[name]
+        if value is not None and not 0 < value < float("inf"):
+            raise ValueError(f"{name}: {value} came, {wanted} is wanted")
+    return FitSettings.model_validate(plain(given))
+
+
+def pairs(
+    option: str, words: Sequence[str], parse: Callable[[str], Value]
+) -> dict[str, Value]:
+    """`NAME=VALUE` for each word.
+
+    **Raises:** `ValueError` that names the option and the word.
+    """
+    found: dict[str, Value] = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not name or not equals or name in found:
+            raise ValueError(
+                f"{option}: {word!r} came, NAME=VALUE is wanted, once each"
+            )
+        try:
+            found[name] = parse(value)
+        except ValueError:
+            raise ValueError(
+                f"{option}: {value!r} came for {name}, {_WANTED[parse]} wanted"
+            ) from None
+    return found
+
+
+def _two_numbers(text: str) -> tuple[float, float]:
+    low, high = text.split(":")
+    return float(low), float(high)
+
+
+def _tie(text: str) -> tuple[float, str]:
+    factor, star, other = text.rpartition("*")
+    if not re.fullmatch(r"[\w.\[\],]+", other):
+        raise ValueError("no label")
+    return (float(factor) if star else 1.0), other
+
+
+_WANTED: dict[Callable[[str], Any], str] = {
+    float: "a number is",
+    _two_numbers: "two numbers with a colon are",
+    _tie: "a label, or FACTOR*LABEL, is",
+}
