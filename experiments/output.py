@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import matplotlib.pyplot as plt
 import tyro
 from matplotlib.figure import Figure
 
@@ -25,5 +24,4 @@ def save_picture(path: Path, figure: Figure) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=150)
-    plt.close(figure)
     print(f"picture: {path}")

@@ -100,6 +100,7 @@ if TYPE_CHECKING:
         combine as combine,
         terms as terms,
     )
+    from phongfit.report.pictures import show as show
     from phongfit.scene import Scene as Scene
 
 # What a name needs is imported when it is first asked for: JAX and decoders take long,
@@ -173,6 +174,7 @@ _ORIGINS = {
     "tessellate": "phongfit.geometry.parametric",
     "trace": "phongfit.geometry.tracing",
     "unstack_materials": "phongfit.material",
+    "show": "phongfit.report.pictures",
     "write_image": "phongfit.files.images",
     "write_mtl": "phongfit.files.mtl",
 }

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from phongfit.checks import as_reflectance
 from phongfit.presets import OPENGL_MATERIALS
+from phongfit.showing import report
 
 
 class Material(eqx.Module):
@@ -58,6 +59,9 @@ class Material(eqx.Module):
         self.shininess = as_reflectance("shininess", shininess)
         self.ambient = as_reflectance("ambient", ambient)
         self.emission = as_reflectance("emission", emission)
+
+    def _repr_html_(self) -> str:
+        return report("notebook").of_material(self)
 
 
 def stack_materials(materials: Iterable[Material]) -> Material:

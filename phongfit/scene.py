@@ -14,6 +14,7 @@ from phongfit.geometry.surfaces import AbstractSurface, GBuffer, NormalMap
 from phongfit.geometry.tracing import trace
 from phongfit.lights import AbstractLight, DirectionalLight
 from phongfit.reflectance import AbstractSpecular, BlinnPhong
+from phongfit.showing import report
 
 
 class Scene(eqx.Module):
@@ -114,3 +115,6 @@ class Scene(eqx.Module):
             shadows=self.shadows,
             shading=self.shading,
         )
+
+    def _repr_html_(self) -> str:
+        return report("notebook").of_scene(self)

@@ -1,6 +1,7 @@
 """Data flows one way: who may import whom, read from the source."""
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ ROOT = Path(__file__).parents[1]
 # From left to right; each may import those to its left. A name of several parts that
 # share a place may import one another.
 ORDER = [
-    {"checks", "vectors"},
+    {"checks", "showing", "vectors"},
     {"presets"},
     {"material", "reflectance", "lights", "environment", "testing"},
     {"geometry"},
@@ -20,6 +21,7 @@ ORDER = [
     {"files"},
     {"mapping"},
     {"report"},
+    {"commands"},
     {"cli", "__main__"},
 ]
 PLACE = {part: place for place, parts in enumerate(ORDER) for part in parts}
@@ -85,6 +87,22 @@ def _to_the_right(path: Path, importer: str, part: str) -> list[str]:
 @pytest.mark.parametrize("path", MODULES, ids=str)
 def test_imports_go_left(path):
     assert violations(path, (ROOT / path).read_text()) == []
+
+
+def test_only_what_shows_imports_by_name():
+    """A name made at run time is not seen above: one module may, and names one part."""
+    by_name = {
+        path.as_posix()
+        for path in MODULES
+        if path.parts[0] == "phongfit" and path.name != "__init__.py"
+        if PLACE[path.with_suffix("").parts[1]] < PLACE["report"]
+        if re.search("import_module|__import__", (ROOT / path).read_text())
+    }
+    assert by_name == {"phongfit/showing.py"}
+    source = (ROOT / "phongfit/showing.py").read_text()
+    assert re.findall(r"import_module\((.*)\)", source) == [
+        'f"phongfit.report.{module}"'
+    ]
 
 
 def test_every_part_has_its_place():

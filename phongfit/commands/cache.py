@@ -1,4 +1,4 @@
-"""What JAX compiles is kept for the next run, which then starts in a third of the time."""
+"""What JAX compiles is kept, so that the next run starts in a third of the time."""
 
 import os
 import warnings

@@ -15,7 +15,7 @@ from phongfit.files.fits import DataRecord, DataSettings
 from phongfit.files.images import read_image, read_mask
 from phongfit.files.inputs import recording
 from phongfit.files.records import read_record
-from phongfit.files.scenes import SCENE_FILE, build_scene, with_lights
+from phongfit.files.scenes import SCENE_FILE, TRUTH_FILE, build_scene, with_lights
 from phongfit.files.schema import SceneRecord
 from phongfit.fitting.noise import find_film
 from phongfit.rendering.film import Encoding
@@ -24,32 +24,36 @@ from phongfit.scene import Scene
 
 @dataclass(frozen=True)
 class DataOptions:
-    """What is fitted."""
+    """What is fitted.
+
+    Args:
+        dataset: A data set's folder, as `phongfit synth` makes it or in DiLiGenT's
+            layout; or one image, with --scene.
+        scene: With one image: its scene.json.
+        mask: With one image: white where a pixel may be used.
+        encoding: With one image: what its numbers are, if its scene file does not
+            say.
+        min_cosine: DiLiGenT: samples with n·l up to this are left out, where light
+            that bounced counts for more.
+        min_facing: DiLiGenT: pixels with n_z up to this are left out: a rim's pixel
+            averages over many normals.
+        room_light: DiLiGenT: ambient light, which stands for all that came by way
+            of the room; 0 for none.
+    """
 
     dataset: Annotated[Positional[Path], arg(metavar="DATASET")]
-    """A data set's folder, as `phongfit synth` makes it or in DiLiGenT's layout; or one
-    image, with --scene."""
 
     scene: Annotated[Path | None, arg(metavar="FILE")] = None
-    """With one image: its scene.json."""
 
     mask: Annotated[Path | None, arg(metavar="FILE")] = None
-    """With one image: white where a pixel may be used."""
 
     encoding: Annotated[Encoding | None, arg(metavar="linear|srgb")] = None
-    """With one image: what its numbers are, if its scene file does not say."""
 
     min_cosine: Annotated[float, arg(metavar="X")] = 0.05
-    """DiLiGenT: samples with n·l up to this are left out, where light that bounced
-    counts for more."""
 
     min_facing: Annotated[float, arg(metavar="X")] = 0.15
-    """DiLiGenT: pixels with n_z up to this are left out: a rim's pixel averages over
-    many normals."""
 
     room_light: Annotated[float, arg(metavar="X")] = 1.0
-    """DiLiGenT: ambient light, which stands for all that came by way of the room; 0 for
-    none."""
 
 
 def read_data(options: DataOptions) -> tuple[Dataset, DataRecord]:
@@ -68,6 +72,8 @@ def read_data(options: DataOptions) -> tuple[Dataset, DataRecord]:
     inputs = {
         (str(p.relative_to(home)) if p.is_relative_to(home) else p.name): digest
         for p, digest in sorted(files.items())
+        # What the images were made of is no input of a fit.
+        if p.name != TRUTH_FILE
     }
     reading = DataSettings(
         encoding=options.encoding,

@@ -38,23 +38,28 @@ OURS = (FIT_FILE, PICTURE_FILE, REPORT_FILE)
 
 @dataclass(frozen=True)
 class Options:
+    """Options of `phongfit fit`.
+
+    Args:
+        out: Folder to make: fit.json (all numbers, and what is needed to repeat the
+            fit), comparison.png (photograph, fit and residual), report.html.
+        like: Repeat this fit: take all settings from it, and compare the answers.
+        report: Draw the picture and write the report; without, fit.json alone.
+        overwrite: Replace an older fit in OUT.
+    """
+
     data: OmitArgPrefixes[DataOptions]
 
     out: OutFolder
-    """Folder to make: fit.json (all numbers, and what is needed to repeat the fit),
-    comparison.png (photograph, fit and residual), report.html."""
 
     unknown: OmitArgPrefixes[UnknownOptions] = UnknownOptions()
     fitting: OmitArgPrefixes[FitOptions] = FitOptions()
 
     like: Annotated[Path | None, arg(metavar="FIT.json")] = None
-    """Repeat this fit: take all settings from it, and compare the answers."""
 
     report: bool = True
-    """Draw the picture and write the report; without, fit.json alone."""
 
     overwrite: bool = False
-    """Replace an older fit in OUT."""
 
 
 def main(options: Options) -> int:
@@ -151,8 +156,7 @@ def _compare(record: FitRecord, found: Fit, read: DataRecord) -> bool:
 def _draw(folder: Path, found: Fit, data: Dataset) -> None:
     """The picture and the report."""
     # Here, since drawing takes long to import, and the table comes first.
-    from phongfit.report.figures import plot
     from phongfit.report.page import write_page
 
-    plot(found, data.names).savefig(folder / PICTURE_FILE, dpi=150)
+    found.plot(data.names).savefig(folder / PICTURE_FILE, dpi=150)
     write_page(folder / REPORT_FILE, found, title=data.name, names=data.names)

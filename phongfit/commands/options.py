@@ -25,29 +25,33 @@ JsonFile = Annotated[Path | None, arg(metavar="FILE")]
 
 @dataclass(frozen=True)
 class UnknownOptions:
-    """What is unknown. Labels are those of the table, such as diffuse.red."""
+    """What is unknown. Labels are those of the table, such as diffuse.red.
+
+    Args:
+        unknowns: Leaves of the material (ambient diffuse specular shininess
+            emission), arrays of the scene such as scene.lights[0].direction, or
+            exposure.
+        per_channel: Which of them have a value for each of red, green and blue.
+        per_image: Arrays of the scene of which each image has its own.
+        bounds: Other bounds than 0:1 (reflectances) and 1:1000 (shininess).
+        fixed: Values that are held.
+        ties: What follows another label, such as specular.green=specular.red.
+        priors: What is known beforehand: mean and standard deviation.
+    """
 
     unknowns: Names = DEFAULT_UNKNOWNS
-    """Leaves of the material (ambient diffuse specular shininess emission), arrays of
-    the scene such as scene.lights[0].direction, or exposure."""
 
     per_channel: Names = DEFAULT_PER_CHANNEL
-    """Which of them have a value for each of red, green and blue."""
 
     per_image: Names = ()
-    """Arrays of the scene of which each image has its own."""
 
     bounds: Annotated[tuple[str, ...], arg(metavar="NAME=LOW:HIGH ...")] = ()
-    """Other bounds than 0:1 (reflectances) and 1:1000 (shininess)."""
 
     fixed: Annotated[tuple[str, ...], arg(metavar="LABEL=VALUE ...")] = ()
-    """Values that are held."""
 
     ties: Annotated[tuple[str, ...], arg(metavar="LABEL=[X*]OTHER ...")] = ()
-    """What follows another label, such as specular.green=specular.red."""
 
     priors: Annotated[tuple[str, ...], arg(metavar="LABEL=MEAN:SD ...")] = ()
-    """What is known beforehand: mean and standard deviation."""
 
     def given(self) -> dict[str, Any]:
         """Keyword arguments of [`fit`][].
@@ -67,21 +71,25 @@ class UnknownOptions:
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How it is fitted."""
+    """How it is fitted.
+
+    Args:
+        known: A material (a preset, .mtl, .json, fit.json) for the leaves that are
+            not unknown. Default: no reflectance, exponent 32.
+        noise: Standard deviation of the sensor's noise in linear light, where white
+            is 1. Default: what the residuals show.
+        loss: How much a residual counts; all but linear bear outliers, tukey the
+            most.
+        max_steps: Limit of the solver's steps, in each of its passes.
+    """
 
     known: Annotated[str | None, arg(metavar="preset:NAME|FILE")] = None
-    """A material (a preset, .mtl, .json, fit.json) for the leaves that are not unknown.
-    Default: no reflectance, exponent 32."""
 
     noise: Annotated[float | None, arg(metavar="SD")] = None
-    """Standard deviation of the sensor's noise in linear light, where white is 1.
-    Default: what the residuals show."""
 
     loss: LossName = "linear"
-    """How much a residual counts; all but linear bear outliers, tukey the most."""
 
     max_steps: Annotated[int, arg(metavar="N")] = 200
-    """Limit of the solver's steps, in each of its passes."""
 
 
 def settings_of(unknowns: UnknownOptions, options: FitOptions) -> FitSettings:

@@ -180,11 +180,12 @@ def _array(numbers: Any) -> np.ndarray:
 def made_with() -> dict[str, str]:
     """Versions of what numbers rest on, and the precision."""
     names = ("phongfit", "jax", "jaxlib", "equinox", "lineax", "optimistix", "numpy")
+    machine = f"{platform.system()} {platform.machine()}"
     return {
         **{name: importlib.metadata.version(name) for name in names},
         "python": platform.python_version(),
         "precision": str(jax.numpy.result_type(float)),
-        "platform": f"{platform.system()} {platform.machine()}, {jax.default_backend()}",
+        "platform": f"{machine}, {jax.default_backend()}",
     }
 
 

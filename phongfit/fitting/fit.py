@@ -1,7 +1,7 @@
 """`fit`: images and geometry in, a material with error bars out."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -94,6 +94,10 @@ def fit(
     pixels, a mask that leaves nothing, fewer samples than unknowns, ambient and
     emission both unknown where no pixel can tell them apart.
     """
+    single = isinstance(scene, Scene)
+    if not single and isinstance(image, Iterable):
+        # Gone through twice, which a generator does not allow.
+        image = list(image)
     setting = set_up(
         scene,
         image,
@@ -138,10 +142,14 @@ def fit(
         found,
         film=film,
         scenes=scenes,
+        # Copies, whatever becomes of the arrays that came.
+        photographs=[
+            np.array(one, found.y.dtype) for one in ([image] if single else image)
+        ],
         fitted=list(shown),
         residuals=list(residuals),
         used=[source.weight > 0 for source in sources],
-        single=isinstance(scene, Scene),
+        single=single,
         noise_given=noise is not None,
     )
 

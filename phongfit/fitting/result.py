@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,10 @@ from phongfit.fitting.search import Found
 from phongfit.fitting.table import fit_table
 from phongfit.fitting.unknowns import Unknowns
 from phongfit.material import Material
+from phongfit.showing import report
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Estimate(NamedTuple):
@@ -47,6 +51,7 @@ class Fit:
     untold: np.ndarray
     bounds: np.ndarray
     tied: np.ndarray
+    photographs: Any
     fitted: Any
     residuals: Any
     noise: float
@@ -121,6 +126,28 @@ class Fit:
             return profile(self.found, name, *setting)
         return profile_pair(self.found, (name, other), *setting)
 
+    def plot(self, names: Sequence[str] = ()) -> "Figure":
+        """Photograph, fit and residual as a matplotlib figure, of some of the images.
+
+        **Arguments:** `names`: of the images; default their numbers.
+        """
+        return report("plots").plot(self, names)
+
+    def plot_residuals(self) -> "Figure":
+        """Are the residuals noise? Their histogram, course with light, and images."""
+        return report("plots").plot_residuals(self)
+
+    def plot_correlations(self) -> "Figure":
+        """The matrix of correlations as a matplotlib figure."""
+        return report("plots").plot_correlations(self)
+
+    def plot_profile(self, name: str, other: str | None = None) -> "Figure":
+        """The profile of one unknown with its intervals, or the regions of a pair.
+
+        **Raises:** `ValueError` for a name that was not free.
+        """
+        return report("plots").plot_profile(self, name, other)
+
     @property
     def reduced_chi_squared(self) -> float:
         """χ² a degree of freedom: near 1 where the noise given is right."""
@@ -166,6 +193,9 @@ class Fit:
     def __repr__(self) -> str:
         return fit_table(self)
 
+    def _repr_html_(self) -> str:
+        return report("notebook").of_fit(self)
+
 
 Fit.__init__.__doc__ = """**Arguments:**
 
@@ -180,8 +210,9 @@ Fit.__init__.__doc__ = """**Arguments:**
 - `untold`: true where the data leave the value open.
 - `bounds`: (n, 2), lower and upper.
 - `tied`: true for what follows another entry.
-- `fitted`, `residuals`: images (H, W, 3), linear light, one or a tuple as they were
-    given; `residuals` is image − fitted, 0 where a sample was left out.
+- `photographs`: images (H, W, 3), linear light, one or a tuple as they were given.
+- `fitted`, `residuals`: the like; `residuals` is image − fitted, 0 where a sample was
+    left out.
 - `noise`: standard deviation of a sample, in linear light where white is 1.
 - `samples`: pixels times channels used.
 - `degrees_of_freedom`: samples and priors less unknowns that were free.

@@ -76,6 +76,17 @@ def _tolerance(dtype: Any) -> float:
     return max(float(jnp.finfo(dtype).eps) ** 0.7, 1e-8)
 
 
+def make_solver(problem: Problem, dtype: Any) -> BoundedLevenbergMarquardt:
+    """The solver for a problem's box, as exact as the number type allows."""
+    tolerance = _tolerance(dtype)
+    return BoundedLevenbergMarquardt(
+        rtol=tolerance,
+        atol=tolerance,
+        lower=problem.unknowns.lower,
+        upper=problem.unknowns.upper,
+    )
+
+
 class Solution(eqx.Module):
     """Where the solver stopped, and why."""
 
@@ -88,16 +99,9 @@ class Solution(eqx.Module):
 @eqx.filter_jit
 def solve(problem: Problem, start: Float[Array, " n"], max_steps: int) -> Solution:
     """Bounded Levenberg-Marquardt from `start`; failure is data, not an exception."""
-    tolerance = _tolerance(start.dtype)
-    solver = BoundedLevenbergMarquardt(
-        rtol=tolerance,
-        atol=tolerance,
-        lower=problem.unknowns.lower,
-        upper=problem.unknowns.upper,
-    )
     solution = optx.least_squares(
         few_residuals,
-        solver,
+        make_solver(problem, start.dtype),
         start,
         args=problem,
         max_steps=max_steps,

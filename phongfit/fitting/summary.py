@@ -19,6 +19,7 @@ def summarize(
     *,
     film: Film,
     scenes: tuple[Scene, ...],
+    photographs: list[np.ndarray],
     fitted: list[np.ndarray],
     residuals: list[np.ndarray],
     used: list[np.ndarray],
@@ -31,8 +32,8 @@ def summarize(
 
     - `found`: the solution.
     - `film`: the images'.
-    - `scenes`, `fitted`, `residuals`, `used`: the scenes as fitted, images (H, W, 3),
-        and which samples took part.
+    - `scenes`, `photographs`, `fitted`, `residuals`, `used`: the scenes as fitted,
+        images (H, W, 3), and which samples took part.
     - `single`: whether one image was given, not a sequence.
     - `noise_given`: whether the noise level was known.
     """
@@ -60,6 +61,7 @@ def summarize(
         untold=told.untold,
         bounds=unknowns.bounds,
         tied=unknowns.tied,
+        photographs=photographs[0] if single else tuple(photographs),
         fitted=fitted[0] if single else tuple(fitted),
         residuals=residuals[0] if single else tuple(residuals),
         noise=_typical_noise(problem),

@@ -1,14 +1,15 @@
-"""Pictures of fits: target, fit and residual side by side."""
+"""Pictures: an image, and photograph, fit and residual side by side."""
 
 import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from phongfit.rendering.film import encode
+from phongfit.report.style import SIGNED, picture, quiet, styled
 
 INCHES = 2.1
 
@@ -24,8 +25,69 @@ class Row:
 
 
 def displayed(image: Any) -> np.ndarray:
-    """Linear light as a screen wants it: clamped to [0, 1] and sRGB-encoded."""
-    return np.asarray(encode(np.clip(np.asarray(image), 0, 1), "srgb"))
+    """Linear light as a screen wants it: clamped to [0, 1] and sRGB-encoded.
+
+    What is no number, as outside of a mask, is black.
+    """
+    known = np.nan_to_num(np.asarray(image), nan=0.0)
+    return np.asarray(encode(np.clip(known, 0, 1), "srgb"))
+
+
+def show(image: Any, *, title: str = "", brighten: float = 1.0) -> Figure:
+    """An image in linear light, as a screen shows it, as a matplotlib figure.
+
+    **Arguments:**
+
+    - `image`: (height, width, 3), where white is 1; (height, width) is a map of
+        numbers, shown with a scale.
+    - `title`: above it.
+    - `brighten`: factor on the light that is shown, for dark photographs.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    pixels = np.asarray(image)
+    if pixels.dtype.kind not in "bfiu" or not (
+        pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] == 3)
+    ):
+        raise ValueError(
+            f"image: shape {pixels.shape} of {pixels.dtype} came, (height, width, 3) "
+            "or (height, width) numbers are wanted"
+        )
+    height, width = pixels.shape[:2]
+    with styled():
+        # As wide as it is, but neither a thread nor a page.
+        figure = picture(float(np.clip(4 * width / max(height, 1), 2, 8)), 4)
+        axes = figure.subplots()
+        if pixels.ndim == 3:
+            axes.imshow(displayed(brighten * pixels))
+        else:
+            shown = axes.imshow(brighten * pixels.astype(float), cmap="viridis")
+            figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.03)
+        axes.set_title(title)
+        quiet(axes)
+    return figure
+
+
+def signed(residual: Any) -> np.ndarray:
+    """One number a pixel: the channel that is furthest off, with its sign."""
+    residual = np.asarray(residual)
+    furthest = np.argmax(np.abs(residual), axis=-1)[..., None]
+    return np.take_along_axis(residual, furthest, axis=-1)[..., 0]
+
+
+def draw_residual(axes: Axes, residual: Any, *, below: bool = False) -> None:
+    """A residual (H, W, 3) with its scale, in linear light, beside it or `below`."""
+    values = signed(residual)
+    scale = max(float(np.quantile(np.abs(values), 0.995)), 1e-6)
+    shown = axes.imshow(values, cmap=SIGNED, vmin=-scale, vmax=scale)
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    place: dict[str, Any] = {"location": "bottom"} if below else {}
+    bar = figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.03, **place)
+    bar.ax.tick_params(labelsize=7)
+    bar.ax.grid(False)
+    if below:
+        bar.set_label("linear light, white = 1; the channel furthest off")
 
 
 def comparison(
@@ -45,32 +107,20 @@ def comparison(
     - `blocks`: how many rows stand side by side.
     """
     lines = -(-len(rows) // blocks)
-    figure, axes = plt.subplots(
-        lines,
-        3 * blocks,
-        figsize=(3.6 * INCHES * blocks, (INCHES + 0.42) * lines + 0.3),
-        squeeze=False,
-        layout="constrained",
-    )
-    blocked = axes.reshape(lines * blocks, 3)
-    for axis in blocked[len(rows) :].ravel():
-        axis.set_axis_off()
-    for line, row in zip(blocked, rows, strict=False):
-        line[0].imshow(displayed(brighten * np.asarray(row.target)))
-        line[1].imshow(displayed(brighten * np.asarray(row.fitted)))
-        # One number a pixel: the channel that is furthest off, with its sign.
-        residual = np.asarray(row.residual)
-        furthest = np.argmax(np.abs(residual), axis=-1)[..., None]
-        signed = np.take_along_axis(residual, furthest, axis=-1)[..., 0]
-        scale = max(float(np.quantile(np.abs(signed), 0.995)), 1e-6)
-        shown = line[2].imshow(signed, cmap="RdBu_r", vmin=-scale, vmax=scale)
-        bar = figure.colorbar(shown, ax=line[2], fraction=0.046, pad=0.03)
-        bar.ax.tick_params(labelsize=7)
-        line[0].set_title(row.title, fontsize=9, loc="left")
-        for axis in line:
-            axis.set_xticks([])
-            axis.set_yticks([])
-    columns = (*names, f"{names[0]} − {names[1]} (linear light)")
-    for axis, name in zip(axes[-1], columns * blocks, strict=True):
-        axis.set_xlabel(name, fontsize=9)
+    with styled():
+        figure = picture(3.6 * INCHES * blocks, (INCHES + 0.42) * lines + 0.3)
+        axes = figure.subplots(lines, 3 * blocks, squeeze=False)
+        blocked = axes.reshape(lines * blocks, 3)
+        for axis in blocked[len(rows) :].ravel():
+            axis.set_axis_off()
+        for line, row in zip(blocked, rows, strict=False):
+            line[0].imshow(displayed(brighten * np.asarray(row.target)))
+            line[1].imshow(displayed(brighten * np.asarray(row.fitted)))
+            draw_residual(line[2], row.residual)
+            line[0].set_title(row.title, fontsize=9)
+            for axis in line:
+                quiet(axis)
+        columns = (*names, f"{names[0]} − {names[1]} (linear light)")
+        for axis, name in zip(axes[-1], columns * blocks, strict=True):
+            axis.set_xlabel(name, fontsize=9)
     return figure

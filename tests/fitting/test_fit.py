@@ -56,6 +56,17 @@ def test_images_that_come_back():
     assert fit.chi_squared == pytest.approx(chi_squared, rel=1e-3)
 
 
+def test_photographs_come_back_as_they_were_given():
+    image = np.where(MASK[..., None], NOISY, np.nan)
+    fit = pf.fit(SCENE, image, mask=MASK)
+    near(fit.photographs[MASK], NOISY[MASK])
+    assert np.isnan(fit.photographs[~MASK]).all()
+    image[MASK] = 0
+    assert fit.photographs[MASK].any(), "a copy"
+    several = pf.fit([SCENE] * 2, (photograph for photograph in (NOISY, NOISY)))
+    assert isinstance(several.photographs, tuple) and len(several.photographs) == 2
+
+
 def test_the_background_is_shown_and_not_fitted():
     grey = pf.Scene(
         SCENE.surface, SCENE.camera, SCENE.lights, 0.3, background=(0.1, 0.2, 0.3)

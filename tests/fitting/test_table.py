@@ -37,6 +37,7 @@ def result(**changes) -> pf.Fit:
             untold=np.array([False, False, False, True]),
             bounds=np.array([[0, 1], [0, 1], [0, 1], [1, 1000]]),
             tied=np.zeros(4, bool),
+            photographs=np.zeros((2, 2, 3)),
             fitted=np.zeros((2, 2, 3)),
             residuals=np.zeros((2, 2, 3)),
             noise=0.0123,
@@ -157,4 +158,4 @@ def test_json(tmp_path):
     assert read["warnings"] == list(fit.warnings)
     assert read["converged"] is True and read["steps"] == 7
     assert read["covariance"][0][:3] == [0.0001, -0.00005, 0]
-    assert not {"fitted", "residuals"} & set(read)
+    assert not {"photographs", "fitted", "residuals"} & set(read)

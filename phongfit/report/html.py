@@ -1,0 +1,69 @@
+"""Templates, and what they all share: pictures inside the page, rows of numbers."""
+
+import base64
+import functools
+from typing import Any
+
+import jinja2
+import numpy as np
+from matplotlib.figure import Figure
+
+from phongfit.fitting.result import Fit
+from phongfit.fitting.table import number_with_error
+from phongfit.report.style import png
+from phongfit.report.words import unit
+
+DPI = 160
+
+
+@functools.cache
+def _environment() -> jinja2.Environment:
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("phongfit.report"),
+        # Names of files and titles come from outside.
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def fill(template: str, **values: Any) -> str:
+    """A template, filled; what is put in is text, never markup."""
+    return _environment().get_template(template).render(**values)
+
+
+def source(figure: Figure, dpi: float = DPI) -> str:
+    """A figure as a data URI: the page needs no other file."""
+    return data_uri(png(figure, dpi))
+
+
+def data_uri(picture: bytes) -> str:
+    """The bytes of a PNG file as an address that holds them."""
+    return f"data:image/png;base64,{base64.b64encode(picture).decode('ascii')}"
+
+
+def parameters(fit: Fit) -> list[dict[str, Any]]:
+    """The table's rows: label, value, error, percent, unit, and what to note."""
+    return [_row(fit, k) for k in range(len(fit.labels))]
+
+
+def _row(fit: Fit, k: int) -> dict[str, Any]:
+    value, error = float(fit.values[k]), float(fit.errors[k])
+    row = {
+        "label": fit.labels[k],
+        "value": number_with_error(value, error),
+        "unit": unit(fit.labels[k]),
+    }
+    if fit.untold[k] or not np.isfinite(error):
+        return row | {"error": "∞", "percent": "", "note": "cannot be told"}
+    percent = f"{100 * error / abs(value):.2g} %" if value else "–"
+    notes = [
+        *(["at its bound"] if fit.at_bound[k] else []),
+        *(["tied"] if fit.tied[k] else []),
+    ]
+    return row | {
+        "error": f"{error:.2g}",
+        "percent": percent,
+        "note": ", ".join(notes),
+    }

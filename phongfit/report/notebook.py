@@ -1,0 +1,188 @@
+"""How a fit, a material and a scene look in a notebook."""
+
+import io
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import matplotlib.image
+import numpy as np
+
+from phongfit.fitting.result import Fit
+from phongfit.geometry.cameras import OrthographicCamera
+from phongfit.geometry.surfaces import Sphere
+from phongfit.lights import AbstractLight, DirectionalLight
+from phongfit.material import Material, unstack_materials
+from phongfit.rendering.render import render
+from phongfit.report.html import data_uri, fill, parameters, source
+from phongfit.report.pictures import displayed
+from phongfit.report.plots import plot
+from phongfit.report.words import settings, summary
+from phongfit.scene import Scene
+
+LEAVES = ("diffuse", "specular", "shininess", "ambient", "emission")
+MOST_MATERIALS, MOST_LIGHTS = 8, 12
+SWATCH, PIXELS = 144, 240
+
+
+def of_fit(fit: Fit) -> str:
+    """Table, warnings and a small picture."""
+    figure = plot(fit, most=1)
+    return fill(
+        "fit.html",
+        rows=parameters(fit),
+        sentences=summary(fit)[:3],
+        warnings=list(fit.warnings),
+        picture={
+            "source": source(figure, dpi=80),
+            "alt": "Photograph, fit and residual of the first image.",
+            "caption": "",
+        },
+    )
+
+
+def of_material(material: Material) -> str:
+    """What a ball of it looks like under one light, and its numbers."""
+    leaves = {name: np.asarray(getattr(material, name)) for name in LEAVES}
+    if max(leaf.ndim for leaf in leaves.values()) > 2:
+        maps = {name: leaf for name, leaf in leaves.items() if leaf.ndim > 2}
+        return fill(
+            "material.html",
+            balls=[
+                {"source": _map(leaf), "alt": f"Map of {name}.", "name": name}
+                for name, leaf in maps.items()
+            ],
+            rows=[(name, [_range(leaf)]) for name, leaf in leaves.items()],
+            names=["from … to"],
+            more=0,
+        )
+    every = unstack_materials(material)
+    shown = every[:MOST_MATERIALS]
+    names = [""] if len(every) == 1 else [f"[{k}]" for k in range(len(shown))]
+    balls = [
+        {"source": _ball(one), "alt": f"A ball of material {name}.", "name": name}
+        for one, name in zip(shown, names, strict=True)
+    ]
+    rows = [
+        (name, [_numbers(np.asarray(getattr(one, name))) for one in shown])
+        for name in LEAVES
+    ]
+    return fill(
+        "material.html",
+        balls=balls,
+        rows=rows,
+        names=names,
+        more=len(every) - len(shown),
+    )
+
+
+def of_scene(scene: Scene) -> str:
+    """Its shape as the camera sees it, and the lights one by one."""
+    camera, surface = scene.camera, scene.surface
+    facts = {
+        "surface": _surface_words(surface),
+        "camera": f"{type(camera).__name__}, {camera.width} × {camera.height} pixels",
+        "ambient light": _numbers(np.asarray(scene.ambient)),
+        "specular model": f"{type(scene.specular).__name__}"
+        f" ({settings(scene.specular)})",
+        "shading": type(scene.shading).__name__,
+        "shadows": "yes" if scene.shadows else "no",
+    }
+    if scene.fog is not None:
+        facts["fog"] = (
+            f"{scene.fog.mode}, colour {_numbers(np.asarray(scene.fog.color))}"
+        )
+    return fill(
+        "scene.html",
+        picture=_shape(scene),
+        facts=facts,
+        lights=[_light_words(light) for light in scene.lights[:MOST_LIGHTS]],
+        more=max(len(scene.lights) - MOST_LIGHTS, 0),
+    )
+
+
+def _numbers(leaf: np.ndarray) -> str:
+    """A leaf of one material: one number, or three that differ."""
+    values = leaf.ravel()
+    values = values[:1] if np.ptp(values) == 0 else values
+    return " ".join(f"{value:.4g}" for value in values)
+
+
+def _range(leaf: np.ndarray) -> str:
+    low, high = float(np.min(leaf)), float(np.max(leaf))
+    return f"{low:.4g}" if low == high else f"{low:.4g} … {high:.4g}"
+
+
+def _png(rgba: np.ndarray) -> str:
+    """Pixels (H, W, 3 or 4) in [0, 1] as a data URI."""
+    stream = io.BytesIO()
+    matplotlib.image.imsave(stream, np.clip(rgba, 0, 1), format="png")
+    return data_uri(stream.getvalue())
+
+
+def _over_nothing(image: Any, mask: Any) -> np.ndarray:
+    """An image with nothing, whatever the page's colour, where there is no surface."""
+    alpha = np.asarray(mask, float)[..., None]
+    return np.concatenate([displayed(image), alpha], axis=-1)
+
+
+def _ball(material: Material) -> str:
+    scene = Scene(
+        Sphere(),
+        OrthographicCamera(SWATCH, SWATCH, view_height=2.05),
+        DirectionalLight((-1, 1.2, 2), 0.9),
+        ambient=0.3,
+    )
+    gbuffer = scene.trace()
+    # What was made in another precision is shown all the same.
+    floats = jnp.result_type(float)
+    material = jax.tree.map(lambda leaf: jnp.asarray(leaf, floats), material)
+    return _png(_over_nothing(render(scene, material, gbuffer=gbuffer), gbuffer.mask))
+
+
+def _map(leaf: np.ndarray) -> str:
+    step = -(-max(leaf.shape[:2]) // PIXELS)
+    small = np.broadcast_to(leaf, (*leaf.shape[:2], 3))[::step, ::step]
+    # Exponents have no natural white.
+    top = max(float(np.nanmax(small)), 1e-9)
+    return _png(displayed(small / max(top, 1.0)))
+
+
+def _shape(scene: Scene) -> str:
+    """The surface lit from the camera: its geometry, whatever the lights."""
+    gbuffer = scene.trace()
+    step = -(-max(gbuffer.mask.shape) // PIXELS)
+    normal, viewer, mask = (
+        np.asarray(some)[::step, ::step]
+        for some in (gbuffer.normal, gbuffer.to_viewer, gbuffer.mask)
+    )
+    facing = np.abs(np.sum(normal * viewer, axis=-1, keepdims=True))
+    return _png(_over_nothing(np.repeat(0.05 + 0.6 * facing, 3, axis=-1), mask))
+
+
+def _surface_words(surface: Any) -> str:
+    words = type(surface).__name__
+    if hasattr(surface, "faces"):
+        words += f", {len(surface.faces):,} faces"
+    return words + (f", {surface.materials} materials" if surface.materials > 1 else "")
+
+
+def _light_words(light: AbstractLight) -> dict[str, str]:
+    """Kind, place or direction, and colour, as far as a light has these."""
+    parts = vars(light)
+    where = [
+        f"{name} {_vector(np.asarray(parts[name]))}"
+        for name in ("direction", "position", "axis")
+        if name in parts
+    ]
+    intensity = parts.get("intensity")
+    return {
+        "kind": type(light).__name__,
+        "where": ", ".join(where),
+        "intensity": "" if intensity is None else _numbers(np.asarray(intensity)),
+    }
+
+
+def _vector(vector: np.ndarray) -> str:
+    numbers = ", ".join(f"{number:.3g}" for number in vector)
+    return f"({numbers})".replace("-", "−")

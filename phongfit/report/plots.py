@@ -1,0 +1,233 @@
+"""Figures of a fit: what `fit.plot()` and its kin return."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from scipy.interpolate import PchipInterpolator
+
+from phongfit.fitting.descent import Descent
+from phongfit.fitting.profile import Profile, ProfilePair
+from phongfit.fitting.result import Fit
+from phongfit.report.pictures import Row, comparison, draw_residual
+from phongfit.report.residuals import draw_against_level, draw_histogram
+from phongfit.report.style import ACCENT, INK, PALE, SIGNED, picture, quiet, styled
+from phongfit.report.words import as_tuple, told, unit
+
+MOST_IMAGES = 4
+MOST_UNKNOWNS = 24
+
+
+def chosen(count: int, most: int = MOST_IMAGES) -> list[int]:
+    """Which of many images are shown: the first, the last and some between."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)).tolist()
+
+
+def brightening(fit: Fit, images: Sequence[int]) -> float:
+    """Factor that brings the brightest of dark photographs to white; never below 1."""
+    photographs = as_tuple(fit.photographs)
+    used = [np.nan_to_num(photographs[k], nan=0.0) for k in images]
+    brightest = max(float(np.quantile(image, 0.995)) for image in used)
+    return 1.0 if brightest > 0.5 else min(1 / max(brightest, 1e-3), 1e3)
+
+
+def names_of(fit: Fit, names: Sequence[str]) -> list[str]:
+    """A name for each image: those given, or a number.
+
+    **Raises:** `ValueError` if there are names, but not one for each image.
+    """
+    if names and len(names) != fit.images:
+        raise ValueError(f"names: {len(names)} came for {fit.images} images")
+    if names:
+        return [str(name) for name in names]
+    return [""] if fit.images == 1 else [f"image {k}" for k in range(fit.images)]
+
+
+def plot(fit: Fit, names: Sequence[str] = (), most: int = MOST_IMAGES) -> Figure:
+    """Photograph, fit and residual of some images, the residual with its scale.
+
+    **Arguments:**
+
+    - `names`: of the images, shown above them; default their numbers.
+    - `most`: how many images, spread evenly over all.
+
+    **Raises:** `ValueError` if there are names, but not one for each image.
+    """
+    every = names_of(fit, names)
+    images = chosen(fit.images, most)
+    factor = brightening(fit, images)
+    photographs, fitted, left = (
+        as_tuple(some) for some in (fit.photographs, fit.fitted, fit.residuals)
+    )
+    brighter = f"  (shown {factor:.2g} × brighter)" if factor > 1 else ""
+    rows = [
+        Row(photographs[k], fitted[k], left[k], (every[k] + brighter).strip())
+        for k in images
+    ]
+    return comparison(rows, ("photograph", "fit"), brighten=factor)
+
+
+def plot_residuals(fit: Fit) -> Figure:
+    """Are the residuals noise? Their histogram, their course with light, their images.
+
+    In standard deviations of each sample; the images in linear light. Pure noise
+    follows the dashed lines, and its images show nothing of the object.
+    """
+    images = chosen(fit.images)
+    left = as_tuple(fit.residuals)
+    alone = len(images) == 1
+    with styled():
+        figure = picture(11.5, 3.3) if alone else picture(9.5, 6)
+        rows, columns = (1, 3) if alone else (2, 12)
+        grid = figure.add_gridspec(rows, columns, height_ratios=[1.5, 1][:rows])
+        half = columns // 2 if not alone else 1
+        draw_histogram(figure.add_subplot(grid[0, :half]), fit)
+        draw_against_level(figure.add_subplot(grid[0, half : 2 * half]), fit)
+        for at, k in enumerate(images):
+            width = columns // (3 if alone else len(images))
+            place = grid[0, 2] if alone else grid[1, at * width : (at + 1) * width]
+            axes = figure.add_subplot(place)
+            draw_residual(axes, left[k])
+            axes.set_title("photograph − fit" + ("" if alone else f", image {k}"))
+            quiet(axes)
+    return figure
+
+
+def shown_unknowns(fit: Fit) -> list[int]:
+    """Entries that have correlations; of many, those with the largest."""
+    free = np.flatnonzero(told(fit) & ~fit.tied)
+    if len(free) <= MOST_UNKNOWNS:
+        return free.tolist()
+    matrix = np.abs(fit.correlation[np.ix_(free, free)])
+    np.fill_diagonal(matrix, 0)
+    largest = np.argsort(-np.nanmax(matrix, axis=0))[:MOST_UNKNOWNS]
+    return free[np.sort(largest)].tolist()
+
+
+def draw_correlations(axes: Axes, fit: Fit) -> None:
+    """The matrix of correlations, with its numbers where there is room."""
+    entries = shown_unknowns(fit)
+    labels = [fit.labels[k] for k in entries]
+    matrix = fit.correlation[np.ix_(entries, entries)]
+    quiet(axes)
+    if len(entries) < 2:
+        words = "fewer than two unknowns are told:\nthere is nothing to correlate"
+        axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)
+        return
+    shown = axes.imshow(matrix, cmap=SIGNED, vmin=-1, vmax=1)
+    axes.set_xticks(range(len(labels)), labels, rotation=90, fontsize=8)
+    axes.set_yticks(range(len(labels)), labels, fontsize=8)
+    axes.tick_params(length=0)
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    bar = figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.02)
+    bar.set_label("correlation")
+    bar.ax.grid(False)
+    if len(labels) <= 12:
+        for (row, column), value in np.ndenumerate(matrix):
+            colour = "white" if abs(value) > 0.6 else INK
+            words = f"{value:.2f}".replace("0.", ".").replace("-", "−")
+            words = "1" if row == column else words
+            axes.text(
+                column, row, words, ha="center", va="center", color=colour, fontsize=7
+            )
+
+
+def plot_correlations(fit: Fit) -> Figure:
+    """Which unknowns the image hardly tells apart: near ±1, only a mixture is known.
+
+    Unknowns at a bound, or not told, have no correlations and are left out; of many
+    unknowns those with the largest are shown.
+    """
+    side = 2.6 + 0.33 * max(len(shown_unknowns(fit)), 3)
+    with styled():
+        figure = picture(side + 0.6, side)
+        draw_correlations(figure.subplots(), fit)
+    return figure
+
+
+def draw_profile(axes: Axes, fit: Fit, found: Profile) -> None:
+    """Δχ² against one unknown: its intervals, and the parabola of its error."""
+    value, error = fit[found.label][:2]
+    fine = np.linspace(found.values[0], found.values[-1], 200)
+    best = int(np.argmin(found.rise))
+    roots = np.sqrt(found.rise) * np.where(np.arange(len(found.rise)) < best, -1, 1)
+    _, first = np.unique(found.values, return_index=True)
+    if len(first) > 1:
+        curve = PchipInterpolator(found.values[first], roots[first])(fine) ** 2
+        axes.plot(fine, curve, color=ACCENT, label="profile")
+    axes.plot(found.values, found.rise, "o", color=ACCENT, markersize=3)
+    top = min(float(found.rise.max()) * 1.05 + 1e-3, 12.0)
+    if np.isfinite(error) and error > 0:
+        parabola = ((fine - float(value)) / float(error)) ** 2
+        axes.plot(fine, parabola, "--", color=PALE, label="standard error")
+    for (level, (low, high)), shade in zip(
+        found.intervals.items(), (0.22, 0.13, 0.07), strict=False
+    ):
+        axes.axvspan(low, high, color=ACCENT, alpha=shade, linewidth=0)
+        inside = min(high, float(found.values[-1]))
+        axes.text(inside, top, f"{100 * level:.3g} %", ha="right", va="top", fontsize=7)
+    axes.set_ylim(0, top)
+    axes.set_xlim(found.values[0], found.values[-1])
+    axes.set_xlabel(f"{found.label}  ({unit(found.label)})")
+    axes.set_ylabel("Δχ²: how much worse the fit is")
+    axes.legend(loc="upper center")
+
+
+def _draw_pair(axes: Axes, found: ProfilePair) -> None:
+    levels = sorted(found.thresholds.items(), key=lambda item: item[1])
+    heights = [0.0, *(height for _, height in levels)]
+    x, y = found.values
+    shades = ["#0072b2", "#5aa5d1", "#b4d6ea"][: len(levels)]
+    axes.contourf(x, y, found.rise.T, heights, colors=shades)
+    lines = axes.contour(x, y, found.rise.T, heights[1:], colors=INK, linewidths=0.8)
+    words = {h: f"{100 * level:.3g} %" for level, h in levels}
+    axes.clabel(lines, fmt=words, fontsize=7)
+    row, column = np.unravel_index(np.argmin(found.rise), found.rise.shape)
+    axes.plot(x[row], y[column], "+", color="white", markersize=9)
+    axes.set_xlabel(f"{found.labels[0]}  ({unit(found.labels[0])})")
+    axes.set_ylabel(f"{found.labels[1]}  ({unit(found.labels[1])})")
+    axes.set_title("where the truth lies, with which chance")
+
+
+def plot_profile(fit: Fit, name: str, other: str | None = None) -> Figure:
+    """The profile of one unknown with its intervals, or the regions of a pair.
+
+    The unknown is held at values around its estimate and all others are fitted again:
+    see [`Fit`][]`.profile`. Where the curve leaves the dashed parabola, the standard
+    error does not tell all.
+
+    **Raises:** `ValueError` for a name that was not free.
+    """
+    found = fit.profile(name, other)
+    with styled():
+        figure = picture(4.8, 3.4 if other is None else 4.2)
+        axes = figure.subplots()
+        if other is None:
+            draw_profile(axes, fit, found)
+        else:
+            _draw_pair(axes, found)
+    return figure
+
+
+def draw_convergence(axes: Axes, descent: Descent) -> None:
+    """How far above the least cost each step stands."""
+    least = min(descent.least, float(np.nanmin(descent.costs)))
+    above = np.maximum(descent.costs - least, 1e-3)
+    axes.semilogy(range(len(above)), above, "o-", color=ACCENT, markersize=4)
+    axes.axhline(1, color=INK, linewidth=0.8, linestyle="--")
+    axes.text(
+        0.99,
+        1.15,
+        "within about a standard error",
+        transform=axes.get_yaxis_transform(),
+        ha="right",
+        va="bottom",
+        fontsize=7.5,
+    )
+    axes.set_ylim(5e-4, max(float(np.nanmax(above)) * 3, 20))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_xlabel("step of the solver, from the best of the scan")
+    axes.set_ylabel("χ² above the least")

@@ -1,0 +1,83 @@
+"""What a fit leaves over: is it noise?"""
+
+import numpy as np
+import scipy.stats
+from jaxtyping import Float
+from matplotlib.axes import Axes
+
+from phongfit.fitting.problem import evaluate
+from phongfit.fitting.result import Fit
+from phongfit.report.style import CHANNELS, INK, PALE
+
+WIDEST = 5.0
+"""Where histograms end, in standard deviations."""
+
+
+def residuals(
+    fit: Fit,
+) -> list[tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]:
+    """Of each channel the light of the fit, and photograph − fit in σ.
+
+    σ is that of each sample: noise and rounding, by its weight.
+    """
+    problem = fit.found.problem
+    found = evaluate(problem, fit.found.y)
+    used = np.asarray(problem.samples.weight) > 0
+    light = np.asarray(found.difference) + np.asarray(problem.samples.target)
+    in_sigma = -np.asarray(found.residual)
+    return [
+        (light[channel, mask], in_sigma[channel, mask])
+        for channel, mask in enumerate(used)
+    ]
+
+
+def draw_histogram(axes: Axes, fit: Fit) -> None:
+    """How often each residual occurs, beside the normal curve of pure noise."""
+    found = residuals(fit)
+    edges = np.linspace(-WIDEST, WIDEST, 81)
+    for (_, values), (name, colour) in zip(found, CHANNELS.items(), strict=True):
+        if values.size:
+            count, _ = np.histogram(values, edges)
+            share = count / values.size / np.diff(edges)
+            axes.stairs(share, edges, color=colour, label=name, linewidth=1.2)
+    at = np.linspace(-WIDEST, WIDEST, 201)
+    axes.plot(at, scipy.stats.norm.pdf(at), "--", color=INK, label="pure noise")
+    every = np.concatenate([values for _, values in found])
+    beyond = float(np.mean(np.abs(every) > WIDEST))
+    axes.set_xlim(-WIDEST, WIDEST)
+    axes.set_ylim(0)
+    axes.set_xlabel("(photograph − fit) / σ")
+    axes.set_ylabel("share of samples per σ")
+    axes.set_title(f"{100 * beyond:.2g} % of samples lie beyond ±{WIDEST:g} σ")
+    axes.legend(loc="upper right")
+
+
+def draw_against_level(axes: Axes, fit: Fit) -> None:
+    """Residuals against the light of the fit: mean and spread in each of some bands."""
+    for (light, values), (name, colour) in zip(
+        residuals(fit), CHANNELS.items(), strict=True
+    ):
+        if not light.size:
+            continue
+        edges = np.unique(np.quantile(light, np.linspace(0, 1, 17)))
+        if len(edges) < 2:
+            continue
+        band = np.clip(np.searchsorted(edges, light, "right") - 1, 0, len(edges) - 2)
+        count = np.bincount(band, minlength=len(edges) - 1)
+        # A handful of samples has no spread to speak of.
+        full = count >= max(0.01 * light.size, 10)
+        many = np.maximum(count, 1)
+        at = np.bincount(band, light, len(edges) - 1) / many
+        mean = np.bincount(band, values, len(edges) - 1) / many
+        square = np.bincount(band, values**2, len(edges) - 1) / many
+        spread = np.sqrt(np.maximum(square - mean**2, 0))
+        axes.plot(at[full], mean[full], "o-", color=colour, markersize=3, label=name)
+        for edge in (mean - spread, mean + spread):
+            axes.plot(at[full], edge[full], ":", color=colour, linewidth=1)
+    axes.axhline(0, color=INK, linewidth=0.8)
+    for one in (-1, 1):
+        axes.axhline(one, color=PALE, linewidth=0.8, linestyle="--")
+    axes.set_xlabel("light of the fit (linear, white = 1)")
+    axes.set_ylabel("(photograph − fit) / σ")
+    axes.set_title("mean (solid) and ± spread (dotted); noise: 0 and ±1")
+    axes.legend(loc="best")

@@ -1,0 +1,190 @@
+"""A fit in plain words: what its numbers are, and what was assumed."""
+
+import importlib.metadata
+import platform
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from phongfit.fitting.leaves import REFLECTANCES
+from phongfit.fitting.result import Fit
+from phongfit.fitting.table import number_with_error
+
+_MATERIAL = ("ambient", "diffuse", "specular", "shininess")
+# By the last word of a label.
+_UNITS = {
+    "shininess": "exponent",
+    "exposure": "factor",
+    "direction": "unit vector",
+    "axis": "unit vector",
+    "intensity": "light, white = 1",
+    "color": "light, white = 1",
+    "cutoff": "degrees",
+    "exponent": "exponent",
+    "density": "per world unit",
+    "attenuation": "per world unit and its square",
+}
+_REFLECTANCE, _LENGTH = "reflectance, 0 … 1", "world units"
+
+
+def unit(label: str) -> str:
+    """What a number is measured in, from its label."""
+    leaf = label.partition("[")[0].partition(".")[0]
+    if leaf in REFLECTANCES:
+        return "light, white = 1" if leaf == "emission" else _REFLECTANCE
+    words = label.removesuffix(".x").removesuffix(".y").removesuffix(".z")
+    for channel in (".red", ".green", ".blue"):
+        words = words.removesuffix(channel)
+    last = words.rpartition(".")[2].partition("[")[0]
+    if last in ("ambient", "specular"):
+        return "light, white = 1"
+    return _UNITS.get(last, _LENGTH)
+
+
+def as_tuple(images: Any) -> tuple[np.ndarray, ...]:
+    """Images of a fit, as a tuple even where one was given."""
+    return images if isinstance(images, tuple) else (images,)
+
+
+def told(fit: Fit) -> np.ndarray:
+    """True where the data tell a number, and it lies on no bound."""
+    return ~fit.untold & ~fit.at_bound & np.isfinite(fit.errors)
+
+
+def summary(fit: Fit) -> list[str]:
+    """What came out, in a few sentences."""
+    sentences = [_what(fit), _how_it_ended(fit), _residual_words(fit)]
+    known = [name for name in _MATERIAL if _told_leaf(fit, name)]
+    if known:
+        found = "; ".join(_leaf_words(fit, name) for name in known)
+        sentences.append(f"Found: {found}.")
+    for flags, what in (
+        (fit.untold, "The data cannot tell {}: the warnings say why."),
+        (fit.at_bound, "At the end of what was allowed: {}."),
+    ):
+        labels = [label for label, flag in zip(fit.labels, flags, strict=True) if flag]
+        if labels:
+            sentences.append(what.format(listed(labels)))
+    if told(fit).all():
+        sentences.append("The data tell everything that was asked.")
+    return sentences
+
+
+def listed(words: Sequence[str], most: int = 6) -> str:
+    """Words with commas; of many the first, and how many more there are."""
+    shown = list(words[:most])
+    if len(words) > most:
+        return f"{', '.join(shown)} and {len(words) - most} more"
+    return " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
+
+
+def _what(fit: Fit) -> str:
+    count = "one photograph" if fit.images == 1 else f"{fit.images} photographs"
+    materials = fit.found.problem.unknowns.materials
+    what = "One material was" if materials == 1 else f"{materials} materials were"
+    samples = f"{fit.samples:,} samples (pixels times channels)"
+    return f"{what} fitted to {count}: {samples}, {len(fit.labels)} unknowns."
+
+
+def _how_it_ended(fit: Fit) -> str:
+    if fit.converged:
+        return f"The solver converged after {fit.steps} steps."
+    return f"The solver did not converge in {fit.steps} steps: {fit.reason}."
+
+
+def _residual_words(fit: Fit) -> str:
+    level = f"{fit.noise:.3g} ({100 * fit.noise:.2g} % of white)"
+    if fit.noise_given:
+        times = np.sqrt(fit.reduced_chi_squared)
+        return f"Residuals are {times:.2f} times the noise that was given, {level}."
+    if fit.neighbour_correlation > 0.1:
+        return f"Residuals are of size {level}, but they are not noise alone."
+    return f"What is left over looks like noise of standard deviation {level}."
+
+
+def _told_leaf(fit: Fit, name: str) -> bool:
+    entries = [k for k, label in enumerate(fit.labels) if _is_of(label, name)]
+    return bool(entries) and len(entries) <= 3 and bool(told(fit)[entries].all())
+
+
+def _is_of(label: str, name: str) -> bool:
+    return label == name or label.startswith(f"{name}.")
+
+
+def _leaf_words(fit: Fit, name: str) -> str:
+    numbers = [
+        f"{number_with_error(value, error)} ± {error:.2g}"
+        for label, value, error in zip(fit.labels, fit.values, fit.errors, strict=True)
+        if _is_of(label, name)
+    ]
+    return f"{name} {', '.join(numbers)}"
+
+
+def assumptions(fit: Fit) -> dict[str, str]:
+    """What the numbers rest on, as name and value."""
+    scene = fit.scene[0] if isinstance(fit.scene, tuple) else fit.scene
+    unknowns = fit.found.problem.unknowns
+    model = f"{fit.model} ({settings(scene.specular)})"
+    noise = f"{fit.noise:.3g} of white, {'given' if fit.noise_given else 'estimated'}"
+    kinds = sorted({type(light).__name__ for light in scene.lights})
+    lights = f"{len(scene.lights)} an image ({', '.join(kinds) or 'none'})"
+    return {
+        "specular model": model,
+        "shading": type(scene.shading).__name__,
+        "surface": type(scene.surface).__name__,
+        "lights": f"{lights}, shadows {'thrown' if scene.shadows else 'not thrown'}",
+        "film": f"{fit.film}; light is linear, white = 1",
+        "noise": noise,
+        "loss": fit.loss,
+        "unknown": ", ".join(unknowns.names),
+        "bounds": bounds_words(fit),
+        "known beforehand": known_words(fit),
+        "precision": str(unknowns.lower.dtype),
+        "versions": versions(),
+    }
+
+
+def settings(module: Any) -> str:
+    """The switches of a model, in words."""
+    switches = {k: v for k, v in vars(module).items() if isinstance(v, bool)}
+    return ", ".join(f"{k}: {'yes' if v else 'no'}" for k, v in switches.items())
+
+
+def bounds_words(fit: Fit) -> str:
+    """Bounds of the unknowns; those that are alike are told once."""
+    groups: dict[tuple[float, float], list[str]] = {}
+    for label, (low, high) in zip(fit.labels, fit.bounds.tolist(), strict=True):
+        name = label.partition(".")[0] if not label.startswith("scene") else label
+        names = groups.setdefault((low, high), [])
+        if name not in names:
+            names.append(name)
+    return "; ".join(
+        f"{listed(names)} {low:g} … {high:g}" for (low, high), names in groups.items()
+    )
+
+
+def known_words(fit: Fit) -> str:
+    """What was held, tied or had a prior."""
+    unknowns = fit.found.problem.unknowns
+    labels = unknowns.entry_labels
+    groups = (
+        ("held", labels, unknowns.fixed),
+        ("tied", fit.labels, fit.tied),
+        ("with a prior", labels, unknowns.has_prior),
+    )
+    words = [
+        f"{what}: {listed(chosen)}"
+        for what, names, flags in groups
+        if (chosen := [n for n, flag in zip(names, flags, strict=True) if flag])
+    ]
+    return "; ".join(words) or "nothing"
+
+
+def versions() -> str:
+    """What computed it."""
+    names = ("phongfit", "jax", "optimistix", "numpy")
+    found = [f"{name} {importlib.metadata.version(name)}" for name in names]
+    device = jax.devices()[0].platform
+    return ", ".join([*found, f"Python {platform.python_version()}", f"on {device}"])
