@@ -8,6 +8,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
+from phongfit.commands.options import optional
 from phongfit.files.dataset import Dataset
 from phongfit.files.datasets import read_dataset, read_diligent
 from phongfit.files.diligent import is_diligent
@@ -43,11 +44,11 @@ class DataOptions:
 
     dataset: Annotated[Positional[Path], arg(metavar="DATASET")]
 
-    scene: Annotated[Path | None, arg(metavar="FILE")] = None
+    scene: Annotated[Path | None, optional("FILE")] = None
 
-    mask: Annotated[Path | None, arg(metavar="FILE")] = None
+    mask: Annotated[Path | None, optional("FILE")] = None
 
-    encoding: Annotated[Encoding | None, arg(metavar="linear|srgb")] = None
+    encoding: Annotated[Encoding | None, optional("linear|srgb")] = None
 
     min_cosine: Annotated[float, arg(metavar="X")] = 0.05
 

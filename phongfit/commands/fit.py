@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from tyro.conf import OmitArgPrefixes, arg
+from tyro.conf import OmitArgPrefixes
 
 from phongfit.commands.cache import keep_compiled
 from phongfit.commands.data import DataOptions, read_data
@@ -14,6 +14,7 @@ from phongfit.commands.options import (
     FitOptions,
     OutFolder,
     UnknownOptions,
+    optional,
     settings_of,
 )
 from phongfit.commands.progress import stage
@@ -55,7 +56,7 @@ class Options:
     unknown: OmitArgPrefixes[UnknownOptions] = UnknownOptions()
     fitting: OmitArgPrefixes[FitOptions] = FitOptions()
 
-    like: Annotated[Path | None, arg(metavar="FIT.json")] = None
+    like: Annotated[Path | None, optional("FIT.json")] = None
 
     report: bool = True
 

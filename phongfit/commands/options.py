@@ -16,11 +16,19 @@ from phongfit.files.outputs import plain
 from phongfit.fitting.fit import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
 
 Value = TypeVar("Value")
+
+
+def optional(metavar: str) -> Any:
+    """An option whose help says itself what its default is."""
+    return arg(metavar=metavar, help_behavior_hint="")
+
+
 Names = Annotated[tuple[str, ...], arg(metavar="NAME ...")]
+Words = tuple[str, ...]
 
 OutFolder = Annotated[Path, arg(aliases=["-o"], metavar="OUT")]
-Material = Annotated[str, arg(metavar="preset:NAME|FILE")]
-JsonFile = Annotated[Path | None, arg(metavar="FILE")]
+MaterialName = Annotated[str, arg(metavar="preset:NAME|FILE")]
+JsonFile = Annotated[Path | None, optional("FILE")]
 
 
 @dataclass(frozen=True)
@@ -43,15 +51,15 @@ class UnknownOptions:
 
     per_channel: Names = DEFAULT_PER_CHANNEL
 
-    per_image: Names = ()
+    per_image: Annotated[Words, optional("NAME ...")] = ()
 
-    bounds: Annotated[tuple[str, ...], arg(metavar="NAME=LOW:HIGH ...")] = ()
+    bounds: Annotated[tuple[str, ...], optional("NAME=LOW:HIGH ...")] = ()
 
-    fixed: Annotated[tuple[str, ...], arg(metavar="LABEL=VALUE ...")] = ()
+    fixed: Annotated[tuple[str, ...], optional("LABEL=VALUE ...")] = ()
 
-    ties: Annotated[tuple[str, ...], arg(metavar="LABEL=[X*]OTHER ...")] = ()
+    ties: Annotated[tuple[str, ...], optional("LABEL=[X*]OTHER ...")] = ()
 
-    priors: Annotated[tuple[str, ...], arg(metavar="LABEL=MEAN:SD ...")] = ()
+    priors: Annotated[tuple[str, ...], optional("LABEL=MEAN:SD ...")] = ()
 
     def given(self) -> dict[str, Any]:
         """Keyword arguments of [`fit`][].
@@ -83,9 +91,9 @@ class FitOptions:
         max_steps: Limit of the solver's steps, in each of its passes.
     """
 
-    known: Annotated[str | None, arg(metavar="preset:NAME|FILE")] = None
+    known: Annotated[str | None, optional("preset:NAME|FILE")] = None
 
-    noise: Annotated[float | None, arg(metavar="SD")] = None
+    noise: Annotated[float | None, optional("SD")] = None
 
     loss: LossName = "linear"
 

@@ -43,6 +43,23 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     return build_scene(path, read_record(path, SceneRecord))
 
 
+def load_views(path: str | os.PathLike[str]) -> tuple[tuple[Scene, ...], Film]:
+    """A scene for each image that a scene file lists, unread; one if it lists none.
+
+    **Returns:** the scenes, and how light would become the images' numbers.
+
+    **Raises:** `ValueError` as [`load_scene`][] does.
+    """
+    path = _scene_file(path)
+    record = read_record(path, SceneRecord)
+    scene = build_scene(path, record)
+    views = []
+    for at, entry in enumerate(record.images):
+        with naming_field(f"{path}: images[{at}]"):
+            views.append(with_lights(scene, entry.lights))
+    return tuple(views) or (scene,), record.film()
+
+
 def save_scene(
     path: str | os.PathLike[str],
     scene: Scene,
