@@ -133,8 +133,8 @@ def _guard(call: Callable[[], int | None]) -> int:
         return call() or 0
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
-    except KeyboardInterrupt:
-        return _stop("interrupted", INTERRUPTED)
+    except KeyboardInterrupt as stop:
+        return _stop("; ".join(["interrupted", *map(str, stop.args)]), INTERRUPTED)
     except BrokenPipeError:
         # Whoever read the output, such as `head`, has seen enough.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

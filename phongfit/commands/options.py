@@ -70,7 +70,7 @@ class UnknownOptions:
             "unknowns": self.unknowns,
             "per_channel": self.per_channel,
             "per_image": self.per_image,
-            "bounds": pairs("bounds", self.bounds, _two_numbers),
+            "bounds": parse_bounds(self.bounds),
             "fixed": pairs("fixed", self.fixed, float),
             "ties": pairs("ties", self.ties, _tie),
             "priors": pairs("priors", self.priors, _two_numbers),
@@ -120,6 +120,11 @@ def settings_of(unknowns: UnknownOptions, options: FitOptions) -> FitSettings:
         if value is not None and not 0 < value < float("inf"):
             raise ValueError(f"{name}: {value} came, {wanted} is wanted")
     return FitSettings.model_validate(plain(given))
+
+
+def parse_bounds(words: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """`NAME=LOW:HIGH` for each word; raises as [`pairs`][] does."""
+    return pairs("bounds", words, _two_numbers)
 
 
 def pairs(

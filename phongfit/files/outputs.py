@@ -63,7 +63,7 @@ def replacing_folder(
     # A link is followed, and "." gets its name.
     path = Path(path).resolve()
     _check_folder(path.parent, path)
-    _check_replaceable(path, may_replace)
+    check_replaceable(path, may_replace)
     temporary = _sibling(path)
     try:
         with _blaming(path, temporary):
@@ -81,7 +81,11 @@ def _check_folder(folder: Path, path: Path) -> None:
         raise OSError(f"{path}: the folder {folder} may not be written to")
 
 
-def _check_replaceable(path: Path, may_replace: Callable[[str], bool] | None) -> None:
+def check_replaceable(path: Path, may_replace: Callable[[str], bool] | None) -> None:
+    """What [`replacing_folder`][] asks of a folder that is there.
+
+    **Raises:** `OSError` that names it, and what is in the way.
+    """
     if not path.exists():
         return
     if not path.is_dir():
