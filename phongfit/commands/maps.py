@@ -52,10 +52,10 @@ class Options:
     """Options of `phongfit maps`.
 
     Args:
-        out: Folder to make: maps.npz (all maps, errors and flags), a floating-point
-            .tif of each map and of its errors, pictures of them with their scales,
-            maps.json (settings and versions). Until all is done it holds finished
-            tiles: the same command goes on from there.
+        out: Folder to make: maps.npz (all maps, errors and flags), pictures of each map
+            and its errors with their scales, the same as floating-point TIFF, maps.json
+            (settings and versions). Until all is done it holds finished tiles: the same
+            command goes on from there.
         highlight: own: every pixel has its own. shared: one for all, which a fit of one
             material finds first; for few lights or sharp highlights, of which a pixel
             sees one at most.

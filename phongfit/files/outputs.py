@@ -74,6 +74,28 @@ def replacing_folder(
         shutil.rmtree(temporary, ignore_errors=True)
 
 
+@contextlib.contextmanager
+def replacing_files(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """An empty folder to fill; its files go beside `path` if all goes well.
+
+    For a file that needs others beside it. What they replace stays until all of them
+    are written.
+
+    **Raises:** `OSError` that names `path`.
+    """
+    path = Path(path)
+    _check_folder(path.parent, path)
+    temporary = _sibling(path)
+    try:
+        with _blaming(path, temporary):
+            temporary.mkdir()
+            yield temporary
+            for file in sorted(temporary.iterdir()):
+                os.replace(file, path.parent / file.name)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
 def _check_folder(folder: Path, path: Path) -> None:
     if not folder.is_dir():
         raise OSError(f"{path}: there is no folder {folder} to write it to")
