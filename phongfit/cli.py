@@ -14,7 +14,7 @@ import re
 import sys
 import typing
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import tyro
@@ -58,10 +58,7 @@ def main(args: Sequence[str] | None = None) -> int:
     **Returns:** the exit status, as of [`run`][].
     """
     args = list(sys.argv[1:] if args is None else args)
-    # JAX makes many small objects that live as long as the command does: looking
-    # through them again and again would take a fifth of its time.
-    gc.set_threshold(200_000, 50, 50)
-    with warnings.catch_warnings():
+    with _patient_collector(), warnings.catch_warnings():
         warnings.showwarning = _show_warning
         if args and args[0] in COMMANDS:
             prog = f"phongfit {args[0]}"
@@ -70,6 +67,21 @@ def main(args: Sequence[str] | None = None) -> int:
             print(f"phongfit {importlib.metadata.version('phongfit')}")
             return 0
         return _guard(lambda: _overview(args))
+
+
+@contextlib.contextmanager
+def _patient_collector() -> Iterator[None]:
+    """Collect garbage seldom.
+
+    JAX makes many small objects that live as long as the command does: looking through
+    them again and again would take a fifth of its time.
+    """
+    before = gc.get_threshold()
+    gc.set_threshold(200_000, 50, 50)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
 
 
 def _load(name: str) -> Callable[..., int | None]:

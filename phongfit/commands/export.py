@@ -70,14 +70,23 @@ def main(options: Options) -> int:
     keep_compiled()
     if options.scene is not None and options.to != "gltf":
         raise ValueError(f"scene: came, but {options.to} knows no shape; gltf does")
-    folder = Path(options.fit)
-    if (folder / RECORD_FILE).is_file():
-        _check_maps(folder, options)
-        written = export_maps(folder, options.out, options.to, nearest=options.nearest)
-    else:
-        written = _export_material(options)
+    try:
+        written = _export(options)
+    except ValueError as error:
+        # The library speaks of its argument, a user here knows an option.
+        words = str(error).replace("nearest=True", "--nearest")
+        raise ValueError(words) from error
     print(f"{options.out}: {written}")
     return 0
+
+
+def _export(options: Options) -> str:
+    """Write the file; what was written, in words."""
+    folder = Path(options.fit)
+    if not (folder / RECORD_FILE).is_file():
+        return _export_material(options)
+    _check_maps(folder, options)
+    return export_maps(folder, options.out, options.to, nearest=options.nearest)
 
 
 def _check_maps(folder: Path, options: Options) -> None:

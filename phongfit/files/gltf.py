@@ -44,13 +44,15 @@ CONVERSION = (
 class Part(NamedTuple):
     """Triangles of one material: arrays as glTF has them.
 
-    `uv` has its origin at the top left. Without `normals` faces are flat.
+    `uv` has its origin at the top left, and `tangents` are its u in space, with a sign.
+    Without `normals` faces are flat.
     """
 
     positions: Float[np.ndarray, "vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
     normals: Float[np.ndarray, "vertices 3"] | None = None
     uv: Float[np.ndarray, "vertices 2"] | None = None
+    tangents: Float[np.ndarray, "vertices 4"] | None = None
 
 
 class Textures(NamedTuple):
@@ -148,11 +150,17 @@ class _File:
         }
 
     def add(self, part: Part, material: dict[str, Any]) -> None:
-        attributes = {"POSITION": self._array(part.positions, "VEC3")}
-        if part.normals is not None:
-            attributes["NORMAL"] = self._array(part.normals, "VEC3")
-        if part.uv is not None:
-            attributes["TEXCOORD_0"] = self._array(part.uv, "VEC2")
+        arrays = {
+            "POSITION": part.positions,
+            "NORMAL": part.normals,
+            "TEXCOORD_0": part.uv,
+            "TANGENT": part.tangents,
+        }
+        attributes = {
+            name: self._array(array, f"VEC{array.shape[1]}")
+            for name, array in arrays.items()
+            if array is not None
+        }
         self.json["meshes"][0]["primitives"].append(
             {
                 "attributes": attributes,

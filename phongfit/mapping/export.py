@@ -63,7 +63,7 @@ def _write_mtl(path: Path, name: str, leaves: Leaves, nearest: bool) -> str:
     highest = float(leaves.shininess.max())
     if highest > MAX_NS and not nearest:
         raise ValueError(
-            f"shininess: {highest:g} came, .mtl holds at most {MAX_NS:g} (--nearest "
+            f"shininess: {highest:g} came, .mtl holds at most {MAX_NS:g} (nearest=True "
             "takes the nearest that it holds)"
         )
     capped = np.minimum(leaves.shininess, MAX_NS)
