@@ -27,7 +27,7 @@ def keep_compiled() -> None:
     error, since nothing but time is lost.
     """
     folder = cache_folder()
-    if folder is None or jax.config.jax_compilation_cache_dir:
+    if folder is None or jax.config.read("jax_compilation_cache_dir"):
         return
     try:
         # Programs are run as they are found: nobody else may put any there.

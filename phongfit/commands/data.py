@@ -124,14 +124,15 @@ def _read_single(options: DataOptions) -> Dataset:
             "wanted"
         )
     image = read_image(path, encoding)
-    size = image.shape[:2]
-    mask = np.ones(size, bool) if options.mask is None else read_mask(options.mask)
+    mask = np.ones(image.shape[:2], bool)
+    if options.mask is not None:
+        mask = read_mask(options.mask)
     wanted = (scene.camera.height, scene.camera.width)
-    for source, shape in ((path, size), (options.mask, mask.shape)):
-        if shape != wanted:
+    for source, array in ((path, image), (options.mask, mask)):
+        if array.shape[:2] != wanted:
             raise ValueError(
-                f"{source}: {shape[1]} × {shape[0]} pixels came, the camera in "
-                f"{options.scene} wants {wanted[1]} × {wanted[0]}"
+                f"{source}: {array.shape[:2]} pixels came, the camera in "
+                f"{options.scene} wants {wanted}"
             )
     film = find_film([image]) if record.clamped else record.film()
     return Dataset(path.stem, (scene,), (image,), (mask,), (path.name,), film)

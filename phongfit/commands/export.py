@@ -16,6 +16,7 @@ from phongfit.files.limits import as_blinn
 from phongfit.files.materials import NamedMaterial, read_material, write_material
 from phongfit.files.mtl import write_mtl
 from phongfit.files.opengl_lines import write_opengl
+from phongfit.files.outputs import check_file
 from phongfit.files.scenes import load_scene
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.shapes import Ball
@@ -68,6 +69,7 @@ def main(options: Options) -> int:
       phongfit export out/maps --to gltf -o out/maps.glb
     """
     keep_compiled()
+    check_file(options.out)
     if options.scene is not None and options.to != "gltf":
         raise ValueError(f"scene: came, but {options.to} knows no shape; gltf does")
     try:

@@ -3,7 +3,7 @@
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from tyro.conf import OmitArgPrefixes
@@ -123,11 +123,10 @@ def _settings(
 
 def _fit(data: Dataset, settings: FitSettings) -> Fit:
     # A single image stands alone, so that its residual is one image too.
-    alone = len(data.images) == 1
-    scenes, images, masks = (
-        of[0] if alone else of for of in (data.scenes, data.images, data.masks)
-    )
-    return fit(scenes, images, mask=masks, film=data.film, **settings.options())
+    options: dict[str, Any] = settings.options() | {"film": data.film}
+    if len(data.images) == 1:
+        return fit(data.scenes[0], data.images[0], mask=data.masks[0], **options)
+    return fit(data.scenes, data.images, mask=data.masks, **options)
 
 
 def _compare(record: FitRecord, found: Fit, read: DataRecord) -> bool:

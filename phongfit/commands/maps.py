@@ -19,10 +19,10 @@ from phongfit.commands.options import (
 from phongfit.commands.progress import stage
 from phongfit.files.dataset import Dataset
 from phongfit.files.describe import describe_material
-from phongfit.files.fits import LossName
+from phongfit.files.fits import DataRecord, LossName
 from phongfit.files.inputs import naming
 from phongfit.files.materials import read_material
-from phongfit.files.outputs import check_replaceable, plain, replacing_folder
+from phongfit.files.outputs import check_folder, plain, replacing_folder
 from phongfit.fitting.fit import fit
 from phongfit.mapping.folder import (
     ARRAYS_FILE,
@@ -96,12 +96,23 @@ def main(options: Options) -> int:
       phongfit maps ballPNG -o out/ball --highlight shared --bounds shininess=1:5000
     """
     keep_compiled()
-    may_replace = _replaceable(options)
-    check_replaceable(options.out.resolve(), may_replace)
+    check_folder(options.out.resolve(), _replaceable(options))
     given = _given(options)
     data, read = read_data(options.data)
     if options.highlight == "shared":
         given |= {"known": _shared(data, given), "unknowns": SHARED}
+    try:
+        _finish(options, data, read, given)
+    except KeyboardInterrupt:
+        stay = f"finished tiles stay in {options.out}, the same command goes on there"
+        raise KeyboardInterrupt(stay) from None
+    return 0
+
+
+def _finish(
+    options: Options, data: Dataset, read: DataRecord, given: dict[str, Any]
+) -> None:
+    """Fit what is not yet fitted; then all of OUT at once, in place of the tiles."""
     found = fit_maps(
         data.scenes,
         data.images,
@@ -112,7 +123,7 @@ def main(options: Options) -> int:
         **given,
     )
     print(found, flush=True)
-    with replacing_folder(options.out, may_replace) as folder:
+    with replacing_folder(options.out, _replaceable(options)) as folder:
         save_folder(
             folder,
             found,
@@ -126,14 +137,12 @@ def main(options: Options) -> int:
                 _draw(folder, found)
         names = sorted(path.name for path in folder.iterdir())
     print(f"\n{options.out}: {', '.join(names)}")
-    return 0
 
 
 def _replaceable(options: Options) -> Callable[[str], bool]:
     """Which names in OUT may go: tiles of an unfinished run, or all that is ours."""
 
     def may_replace(name: str) -> bool:
-        # A tile that was being written when the process was killed has a dot.
         return name == TILES or (options.overwrite and name in OURS)
 
     return may_replace
@@ -158,10 +167,8 @@ def _given(options: Options) -> dict[str, Any]:
 def _shared(data: Dataset, given: dict[str, Any]) -> Material:
     """One material for all pixels, whose highlight each of them is given."""
     with stage("fitting one material"):
-        one = fit(
-            data.scenes, data.images, mask=data.masks, film=data.film,
-            **given | {"known": None},
-        )  # fmt: skip
+        options = given | {"mask": data.masks, "film": data.film}
+        one = fit(data.scenes, data.images, **options)
     print(one, "\n", flush=True)
     return one.material
 

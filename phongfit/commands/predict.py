@@ -10,7 +10,7 @@ from phongfit.commands.cache import keep_compiled
 from phongfit.commands.options import JsonFile, MaterialName, UnknownOptions
 from phongfit.commands.progress import stage
 from phongfit.files.materials import read_material
-from phongfit.files.outputs import write_json
+from phongfit.files.outputs import check_file, write_json
 from phongfit.files.scenes import load_views
 from phongfit.fitting.predict import Prediction, predict_errors
 
@@ -49,6 +49,8 @@ def main(options: Options) -> int:
 --unknowns diffuse specular shininess scene.lights[0].direction
     """
     keep_compiled()
+    if options.json is not None:
+        check_file(options.json)
     material = read_material(options.material).material
     scenes, film = load_views(options.scene)
     one = scenes[0] if len(scenes) == 1 else scenes

@@ -12,6 +12,7 @@ from phongfit.commands.options import optional
 from phongfit.commands.progress import stage
 from phongfit.files.images import Bits, write_image
 from phongfit.files.materials import read_material
+from phongfit.files.outputs import check_file
 from phongfit.files.scenes import TRUTH_FILE, load_scene, load_truth, with_lights
 from phongfit.material import Material
 from phongfit.rendering.film import Encoding, Film
@@ -54,6 +55,7 @@ def main(options: Options) -> int:
       phongfit render out/brass --material out/fit/fit.json -o fitted.exr
     """
     keep_compiled()
+    check_file(options.out)
     scene = with_lights(load_scene(options.scene), options.lights)
     material = _material(options)
     floats = options.bits == 32 or options.out.suffix.lower() in FLOATS

@@ -152,7 +152,7 @@ READERS: dict[str, Callable[[bytes, Path], np.ndarray]] = {
 
 def encode_png(numbers: np.ndarray) -> bytes:
     """A PNG file of (H, W, channels) whole numbers of 8 or 16 bits."""
-    return imagecodecs.png_encode(np.ascontiguousarray(numbers))
+    return bytes(imagecodecs.png_encode(np.ascontiguousarray(numbers)))
 
 
 def _write_png(path: Path, numbers: np.ndarray) -> None:

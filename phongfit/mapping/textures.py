@@ -33,10 +33,9 @@ def leaves_of(maps: Maps, model: AbstractSpecular) -> Leaves:
     inside = ~maps.flagged(Flag.OUTSIDE)[..., None]
     exponents = np.maximum(np.asarray(material.shininess, float), 1e-6)
     return Leaves(
-        *(
-            np.asarray(leaf, float)
-            for leaf in (material.ambient, material.diffuse, material.specular)
-        ),
+        np.asarray(material.ambient, float),
+        np.asarray(material.diffuse, float),
+        np.asarray(material.specular, float),
         np.where(inside, np.exp(np.log(exponents).mean(axis=-1, keepdims=True)), 0),
         inside.astype(float),
     )

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ def _gltf(path: Path) -> dict:
     return json.loads(content[20 : 20 + length])
 
 
-def _mesh(path: Path) -> trimesh.Trimesh:
+def _mesh(path: Path) -> Any:
     (mesh,) = trimesh.load_scene(path).geometry.values()
     return mesh
 
@@ -101,13 +102,13 @@ def test_conversions():
     model = pf.BlinnPhong(normalized=True)
     given = pf.Material((0.5, 0.6, 0.7), 0.1, 20.0)
     plain = as_blinn(given, model)
-    scene = dict(
-        surface=pf.Sphere(),
-        camera=pf.OrthographicCamera(9, 9),
-        lights=pf.DirectionalLight((1, 1, 2)),
-    )
+    camera, light = pf.OrthographicCamera(9, 9), pf.DirectionalLight((1, 1, 2))
     one, other = (
-        pf.render(pf.Scene(**scene, specular=m), material, film=pf.Film(clamp=False))
+        pf.render(
+            pf.Scene(pf.Sphere(), camera, light, specular=m),
+            material,
+            film=pf.Film(clamp=False),
+        )
         for m, material in ((model, given), (pf.BlinnPhong(), plain))
     )
     np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
