@@ -23,8 +23,8 @@ def cache_folder() -> Path | None:
 def keep_compiled() -> None:
     """Let JAX keep what it compiles, if there is a folder for it to write to.
 
-    A folder that JAX_COMPILATION_CACHE_DIR names stays; one that cannot be written to is no
-    error, since nothing but time is lost.
+    A folder that JAX_COMPILATION_CACHE_DIR names stays; one that cannot be written to
+    is no error, since nothing but time is lost.
     """
     folder = cache_folder()
     if folder is None or os.environ.get("JAX_COMPILATION_CACHE_DIR"):

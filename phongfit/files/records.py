@@ -23,7 +23,12 @@ class AbstractRecord(BaseModel):
     """An object in a JSON file; keys that it does not know are errors."""
 
     model_config = ConfigDict(
-        extra="forbid", allow_inf_nan=False, strict=True, frozen=True
+        extra="forbid",
+        allow_inf_nan=False,
+        strict=True,
+        frozen=True,
+        # A command reads one or two of all these kinds.
+        defer_build=True,
     )
 
     @model_validator(mode="before")
