@@ -146,7 +146,7 @@ class Fit:
 
         **Raises:** `ValueError` for a name that was not free.
         """
-        return report("plots").plot_profile(self, name, other)
+        return report("profiles").plot_profile(self, name, other)
 
     @property
     def reduced_chi_squared(self) -> float:

@@ -10,7 +10,8 @@ import numpy as np
 
 from phongfit.fitting.result import Fit
 from phongfit.geometry.cameras import OrthographicCamera
-from phongfit.geometry.surfaces import Sphere
+from phongfit.geometry.meshes import Mesh
+from phongfit.geometry.surfaces import AbstractSurface, Sphere
 from phongfit.lights import AbstractLight, DirectionalLight
 from phongfit.material import Material, unstack_materials
 from phongfit.rendering.render import render
@@ -89,9 +90,8 @@ def of_scene(scene: Scene) -> str:
         "shadows": "yes" if scene.shadows else "no",
     }
     if scene.fog is not None:
-        facts["fog"] = (
-            f"{scene.fog.mode}, colour {_numbers(np.asarray(scene.fog.color))}"
-        )
+        colour = _numbers(np.asarray(scene.fog.color))
+        facts["fog"] = f"{scene.fog.mode}, colour {colour}"
     return fill(
         "scene.html",
         picture=_shape(scene),
@@ -105,7 +105,7 @@ def _numbers(leaf: np.ndarray) -> str:
     """A leaf of one material: one number, or three that differ."""
     values = leaf.ravel()
     values = values[:1] if np.ptp(values) == 0 else values
-    return " ".join(f"{value:.4g}" for value in values)
+    return ", ".join(f"{value:.4g}" for value in values)
 
 
 def _range(leaf: np.ndarray) -> str:
@@ -160,9 +160,9 @@ def _shape(scene: Scene) -> str:
     return _png(_over_nothing(np.repeat(0.05 + 0.6 * facing, 3, axis=-1), mask))
 
 
-def _surface_words(surface: Any) -> str:
+def _surface_words(surface: AbstractSurface) -> str:
     words = type(surface).__name__
-    if hasattr(surface, "faces"):
+    if isinstance(surface, Mesh):
         words += f", {len(surface.faces):,} faces"
     return words + (f", {surface.materials} materials" if surface.materials > 1 else "")
 

@@ -1,42 +1,23 @@
 """The report: one HTML page of a fit that needs no other file and no network."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
-
-import numpy as np
-from matplotlib.axes import Axes
+from collections.abc import Mapping, Sequence
 
 from phongfit.files.outputs import replacing
-from phongfit.fitting.descent import Descent, descend
 from phongfit.fitting.result import Fit
-from phongfit.report.html import fill, parameters, source
-from phongfit.report.pictures import displayed, draw_residual
-from phongfit.report.plots import (
-    brightening,
-    chosen,
-    draw_convergence,
-    draw_correlations,
-    draw_profile,
-    names_of,
-    shown_unknowns,
+from phongfit.report.html import fill, parameters
+from phongfit.report.panels import (
+    about_pictures,
+    convergence,
+    correlations,
+    profiles,
+    residuals,
+    trio,
 )
+from phongfit.report.plots import chosen, names_of
 from phongfit.report.repeat import call
-from phongfit.report.residuals import draw_against_level, draw_histogram
-from phongfit.report.style import picture, quiet, styled
-from phongfit.report.words import (
-    as_tuple,
-    assumptions as assumed,
-    listed,
-    summary,
-    told,
-)
-
-MOST_PROFILES = 3
-# The first of these that the data tell; then the others, one of each kind.
-_PROFILED = ("shininess", "specular", "diffuse")
-
-Shown = dict[str, Any]
+from phongfit.report.style import styled
+from phongfit.report.words import assumptions as assumed, summary
 
 
 def write_page(
@@ -90,11 +71,11 @@ def page(
     every = names_of(fit, names)
     images = chosen(fit.images)
     with styled():
-        pictures = [_trio(fit, k, every[k], images) for k in images]
-        profiles, about_profiles = _profiles(fit, thorough)
-        convergence, about_convergence = _convergence(fit, thorough)
-        correlations, about_correlations = _correlations(fit)
-        residuals = _residuals(fit)
+        pictures = [trio(fit, k, every[k], images) for k in images]
+        curves, about_curves = profiles(fit, thorough)
+        course, about_course = convergence(fit, thorough)
+        matrix, about_matrix = correlations(fit)
+        left_over = residuals(fit)
     return fill(
         "page.html",
         title=title,
@@ -103,15 +84,15 @@ def page(
         sentences=summary(fit),
         warnings=[_full_stop(warning) for warning in fit.warnings],
         images=pictures,
-        about_pictures=_about_pictures(fit, images),
+        about_pictures=about_pictures(fit, images),
         rows=parameters(fit),
-        profiles=profiles,
-        about_profiles=about_profiles,
-        correlations=correlations,
-        about_correlations=about_correlations,
-        residuals=residuals,
-        convergence=convergence,
-        about_convergence=about_convergence,
+        profiles=curves,
+        about_profiles=about_curves,
+        correlations=matrix,
+        about_correlations=about_matrix,
+        residuals=left_over,
+        convergence=course,
+        about_convergence=about_course,
         assumptions={**(assumptions or {}), **assumed(fit)},
         command=command,
         call=call(fit),
@@ -136,172 +117,3 @@ def _sections(warned: bool) -> list[tuple[str, str]]:
 
 def _full_stop(words: str) -> str:
     return words if words.endswith(".") else f"{words}."
-
-
-def _drawn(
-    draw: Callable[[Axes], None],
-    alt: str,
-    caption: str = "",
-    size: tuple[float, float] = (4.4, 3.1),
-) -> Shown:
-    """One picture of the page: small, so that its labels can be read on a phone."""
-    figure = picture(*size)
-    draw(figure.subplots())
-    return {"source": source(figure), "alt": alt, "caption": caption}
-
-
-def _trio(fit: Fit, k: int, name: str, images: Sequence[int]) -> Shown:
-    photograph, fitted, residual = (
-        as_tuple(some)[k] for some in (fit.photographs, fit.fitted, fit.residuals)
-    )
-    factor = brightening(fit, images)
-    of = f" of {name}" if name else ""
-
-    def left(axes: Axes) -> None:
-        draw_residual(axes, residual, below=True)
-        quiet(axes)
-
-    wide, tall = _size(residual)
-    spread = float(np.std(residual[residual != 0])) if residual.any() else 0.0
-    return {
-        "name": name,
-        "pictures": [
-            _image(factor * photograph, f"Photograph{of}.", "photograph"),
-            _image(factor * fitted, f"The fit{of}, rendered.", "fit"),
-            _drawn(
-                left,
-                f"Photograph minus fit{of}: root mean square {spread:.2g} of white.",
-                "photograph − fit",
-                (wide, tall + 0.55),
-            ),
-        ],
-    }
-
-
-def _size(image: np.ndarray) -> tuple[float, float]:
-    """Inches of an image in a row of three."""
-    height, width = image.shape[:2]
-    return 3.4, float(np.clip(3.4 * height / width, 1.2, 6))
-
-
-def _image(image: np.ndarray, alt: str, caption: str) -> Shown:
-    """An image up to the edge of its picture."""
-    figure = picture(*_size(image), layout=None)
-    axes = figure.add_axes((0, 0, 1, 1))
-    axes.imshow(displayed(image))
-    quiet(axes)
-    return {"source": source(figure), "alt": alt, "caption": caption}
-
-
-def _about_pictures(fit: Fit, images: Sequence[int]) -> str:
-    words = ["Photograph and fit as a screen shows them (sRGB)"]
-    factor = brightening(fit, images)
-    if factor > 1:
-        words.append(f", {factor:.2g} times brighter than they are")
-    words.append("; the residual in linear light, the channel that is furthest off. ")
-    words.append("Where a sample was left out, the residual is 0.")
-    if len(images) < fit.images:
-        words.append(f" Shown are {len(images)} of {fit.images}.")
-    return "".join(words)
-
-
-def profiled(fit: Fit) -> list[str]:
-    """Which unknowns get a profile: a few, the exponent first, one of each kind."""
-    free = set(_free_labels(fit))
-    known = told(fit)
-    labels = [
-        label
-        for label, is_told in zip(fit.labels, known, strict=True)
-        if is_told and label in free
-    ]
-    leaves = {label: label.partition(".")[0].partition("[")[0] for label in labels}
-    order = sorted(
-        labels,
-        key=lambda label: (
-            _PROFILED.index(leaves[label]) if leaves[label] in _PROFILED else 9
-        ),
-    )
-    firsts = {leaves[label]: label for label in reversed(order)}
-    return [label for label in order if label in firsts.values()][:MOST_PROFILES]
-
-
-def _free_labels(fit: Fit) -> list[str]:
-    labels = list(fit.found.problem.unknowns.y_labels)
-    return [label for label in labels if labels.count(label) == 1]
-
-
-def _profiles(fit: Fit, thorough: bool) -> tuple[list[Shown], str]:
-    if not thorough:
-        return [], "Profiles were not asked for."
-    labels = profiled(fit)
-    if not labels or not fit.converged:
-        why = "the solver did not converge" if labels else "no unknown is told"
-        return [], f"There are none: {why}."
-    shown = []
-    for label in labels:
-        found = fit.profile(label)
-        low, high = found.intervals[min(found.intervals)]
-        alt = f"Profile of {label}: it lies between {low:.4g} and {high:.4g} (68 %)."
-        shown.append(_drawn(lambda axes, p=found: draw_profile(axes, fit, p), alt))
-    left = len(_free_labels(fit)) - len(labels)
-    about = "fit.plot_profile(name) draws those of the others." if left > 0 else ""
-    return shown, about
-
-
-def _correlations(fit: Fit) -> tuple[Shown | None, str]:
-    entries = shown_unknowns(fit)
-    if len(entries) < 2:
-        return None, "Here fewer than two unknowns are told, so there are none."
-    matrix = fit.correlation[np.ix_(entries, entries)]
-    lower = np.tril(matrix, -1)
-    i, j = np.unravel_index(int(np.nanargmax(np.abs(lower))), lower.shape)
-    strongest = (
-        f"The strongest is {lower[i, j]:+.2f}, between {fit.labels[entries[i]]} and "
-        f"{fit.labels[entries[j]]}."
-    ).replace("-", "−")
-    left_out = [label for k, label in enumerate(fit.labels) if k not in set(entries)]
-    if left_out:
-        strongest += f" Left out: {listed(left_out)}."
-    side = 2.6 + 0.33 * len(entries)
-    alt = f"Matrix of correlations of {len(entries)} unknowns. {strongest}"
-    size = (side + 0.6, side)
-    shown = _drawn(lambda axes: draw_correlations(axes, fit), alt, "", size)
-    return shown, strongest
-
-
-def _residuals(fit: Fit) -> list[Shown]:
-    return [
-        _drawn(
-            lambda axes: draw_histogram(axes, fit),
-            "Histogram of the residuals in standard deviations, with the normal curve.",
-        ),
-        _drawn(
-            lambda axes: draw_against_level(axes, fit),
-            "Mean and spread of the residuals against the light of the fit.",
-        ),
-    ]
-
-
-def _convergence(fit: Fit, thorough: bool) -> tuple[Shown | None, str]:
-    end = f"The fit took {fit.steps} steps: {fit.reason}."
-    if not thorough:
-        return None, end
-    descent = descend(fit.found)
-    if not np.isfinite(descent.costs).all():
-        return None, f"{end} Costs are not finite."
-    steps = len(descent.costs) - 1
-    words = (
-        f"{end} Below, one way down on all samples, from the best of a scan over the "
-        "exponent; the fit itself begins with a few samples."
-    )
-    if _misses(descent):
-        words += (
-            " It ends higher than the fit, which tries several ways where the scene "
-            "is unknown."
-        )
-    alt = f"Cost above the least, step by step: {steps} steps."
-    return _drawn(lambda axes: draw_convergence(axes, descent), alt), words
-
-
-def _misses(descent: Descent) -> bool:
-    return float(descent.costs[-1]) > descent.least + 1

@@ -1,0 +1,53 @@
+"""Two fits that all tests of the report look at."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from tests.fitting.scenes import SIZE, TRUTH, ball, photograph
+
+NOISE = 0.01
+# Of everything that can be asked of one image, something.
+SETTINGS: dict[str, Any] = {
+    "unknowns": ("diffuse", "specular", "shininess"),
+    "per_channel": ("diffuse", "specular", "shininess"),
+    "known": pf.Material(0.0, 0.0, 32.0, (0.5, 0.4, 0.3)),
+    "bounds": {"diffuse.red": (0.1, 0.9)},
+    "fixed": {"diffuse.blue": 0.2},
+    "ties": {"specular.blue": (1.1, "specular.red")},
+    "priors": {"diffuse.green": (0.3, 0.05)},
+    "noise": NOISE,
+    "loss": pf.Huber(2.0),
+}
+
+
+@pytest.fixture(scope="session")
+def one() -> pf.Fit:
+    """One image, everything told."""
+    scene = ball()
+    return pf.fit(scene, photograph(scene, TRUTH, noise=NOISE))
+
+
+@pytest.fixture(scope="session")
+def open_fit() -> pf.Fit:
+    """Six dark photographs of a matte ball: f cannot be told, ρ_a lies at a bound."""
+    camera = pf.OrthographicCamera(SIZE, SIZE // 2)
+    scenes = [
+        pf.Scene(pf.Sphere(), camera, pf.DirectionalLight((x, 1, 2), 0.2), 0.2)
+        for x in np.linspace(-1, 1, 6)
+    ]
+    matte = pf.Material((0.6, 0.3, 0.2), 0.0, 30.0, 0.0)
+    images = [
+        photograph(s, matte, noise=NOISE, film=pf.Film(clamp=False), seed=k)
+        for k, s in enumerate(scenes)
+    ]
+    return pf.fit(scenes, images)
+
+
+@pytest.fixture(scope="session")
+def held() -> pf.Fit:
+    """One image and much that was known: see [`SETTINGS`][]."""
+    scene = ball()
+    return pf.fit(scene, photograph(scene, TRUTH, noise=NOISE), **SETTINGS)

@@ -1,0 +1,179 @@
+"""The page: what it says, that it stands alone, and that it is whole or not there."""
+
+import dataclasses
+import html.parser
+import re
+
+import pytest
+
+from phongfit.report.page import page, write_page
+from phongfit.report.panels import profiled
+from phongfit.report.words import bounds_words, known_words, listed, unit
+
+
+class Elements(html.parser.HTMLParser):
+    """All start tags with their attributes, and all text."""
+
+    def __init__(self, source: str):
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str]]] = []
+        self.text = ""
+        self.feed(source)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, {name: value or "" for name, value in attrs}))
+
+    def handle_data(self, data):
+        self.text += data
+
+    def all(self, tag: str) -> list[dict[str, str]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+@pytest.fixture(scope="module")
+def whole(one) -> Elements:
+    return Elements(page(one, title="A ball", command="phongfit fit ball"))
+
+
+def words(elements: Elements) -> str:
+    return " ".join(elements.text.split())
+
+
+def test_sections(whole):
+    found = [attributes["id"] for attributes in whole.all("section")]
+    assert found == [
+        "summary",
+        "pictures",
+        "parameters",
+        "profiles",
+        "correlations",
+        "residuals",
+        "convergence",
+        "assumptions",
+        "repeat",
+    ]
+    assert [a["href"] for a in whole.all("a")] == [f"#{name}" for name in found]
+
+
+def test_every_number_is_there(whole, one):
+    text = words(whole)
+    for label in one.labels:
+        assert label in text
+    value, error = one["shininess"][:2]
+    assert f"shininess {value:.1f}" in text or f"{value:.2f} ± {error:.2g}" in text
+    assert "The data tell everything that was asked." in text
+    assert "converged" in text and "NOT" not in text
+    for assumption in ("BlinnPhong (gate: yes", "clamped, not rounded", "optimistix "):
+        assert assumption in text
+    assert "phongfit fit ball" in text and "fit = pf.fit( scene, image, )" in text
+
+
+def test_it_stands_alone_and_pictures_have_words(whole):
+    pictures = whole.all("img")
+    # Three of the photograph, three profiles, correlations, two of residuals, costs.
+    assert len(pictures) == 3 + 3 + 1 + 2 + 1
+    for attributes in pictures:
+        assert attributes["src"].startswith("data:image/png;base64,")
+        assert len(attributes["alt"]) > 10
+    for tag, attributes in whole.tags:
+        assert tag not in ("script", "iframe", "object")
+        for name in ("src", "href"):
+            assert re.match(r"data:|#|$", attributes.get(name, ""))
+
+
+def test_what_cannot_be_told(open_fit):
+    elements = Elements(page(open_fit, title="matte", thorough=False))
+    text = words(elements)
+    assert "The data cannot tell shininess: the warnings say why." in text
+    assert "± ∞" in text and "cannot be told" in text
+    assert "At the end of what was allowed: " in text and "at its bound" in text
+    for warning in open_fit.warnings:
+        assert warning in text
+    assert "Shown are 4 of 6." in text and "times brighter than they are" in text
+    assert "image 5" in text
+    assert "Profiles were not asked for." in text
+    assert "everything that was asked" not in text
+
+
+def test_what_did_not_converge(one):
+    failed = dataclasses.replace(
+        one, converged=False, warnings=("the solver did not converge",)
+    )
+    text = words(Elements(page(failed, title="failed")))
+    assert "NOT converged" in text and "1 warning " in text
+    assert "The solver did not converge in" in text
+    assert "There are none: the solver did not converge." in text
+
+
+def test_text_from_outside_is_never_markup(one):
+    evil = "<script>alert('&')</script>"
+    elements = Elements(
+        page(
+            one,
+            title=evil,
+            names=[evil],
+            assumptions={evil: evil},
+            command=evil,
+            thorough=False,
+        )
+    )
+    assert not elements.all("script")
+    assert elements.text.count(evil) == 6, (
+        "title twice, name, assumption twice, command"
+    )
+
+
+def test_written_whole_or_not_at_all(one, tmp_path, monkeypatch):
+    path = tmp_path / "report.html"
+    write_page(path, one, title="first", thorough=False)
+    before = path.read_text(encoding="utf-8")
+    assert before.startswith("<!doctype html>") and before.rstrip().endswith("</html>")
+    with pytest.raises(ValueError, match="names: 2 came for 1 images"):
+        write_page(path, one, title="second", names=["a", "b"])
+    with pytest.raises(OSError, match="there is no folder"):
+        write_page(tmp_path / "no" / "report.html", one, title="t", thorough=False)
+    assert path.read_text(encoding="utf-8") == before
+    assert [file.name for file in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_which_unknowns_get_a_profile(one, open_fit):
+    assert profiled(one) == ["shininess", "specular.red", "diffuse.red"]
+    assert "shininess" not in profiled(open_fit)
+    assert "diffuse.red" in profiled(open_fit)
+
+
+@pytest.mark.parametrize(
+    "label, expected",
+    [
+        ("diffuse.red", "reflectance, 0 … 1"),
+        ("ambient[2].red", "reflectance, 0 … 1"),
+        ("shininess[1]", "exponent"),
+        ("emission", "light, white = 1"),
+        ("exposure[3]", "factor"),
+        ("scene.lights[0].direction.x", "unit vector"),
+        ("scene.lights[0].position.z", "world units"),
+        ("scenes[1].lights[0].intensity.red", "light, white = 1"),
+        ("scene.ambient.red", "light, white = 1"),
+        ("scene.lights[0].cutoff", "degrees"),
+        ("scene.lights[0].attenuation[1]", "per world unit and its square"),
+        ("scene.fog.density", "per world unit"),
+    ],
+)
+def test_units(label, expected):
+    assert unit(label) == expected
+
+
+def test_words_in_a_row():
+    assert listed(["a"]) == "a"
+    assert listed(["a", "b", "c"]) == "a, b and c"
+    assert listed(list("abcdefgh")) == "a, b, c, d, e, f and 2 more"
+
+
+def test_what_was_known_in_words(one, held):
+    assert known_words(one) == "nothing"
+    box = "ambient, diffuse and specular 0 … 1; shininess 1 … 1000"
+    assert bounds_words(one) == box
+    assert known_words(held) == (
+        "held: diffuse.blue; tied: specular.blue; with a prior: diffuse.green"
+    )
+    assert "diffuse 0.1 … 0.9" in bounds_words(held)

@@ -1,0 +1,76 @@
+"""The call that a page prints gives the same fit."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.report.repeat import call
+from tests.fitting.scenes import SIZE, TRUTH, ball, photograph
+from tests.report.conftest import NOISE, SETTINGS
+
+
+def run(text: str, **names) -> pf.Fit:
+    """What the printed lines make of these names."""
+    place = {"pf": pf, **names}
+    exec(text, place)
+    assert isinstance(place["fit"], pf.Fit)
+    return place["fit"]
+
+
+def check_same(fit: pf.Fit, other: pf.Fit) -> None:
+    assert fit.labels == other.labels
+    np.testing.assert_allclose(fit.values, other.values, rtol=1e-5)
+    np.testing.assert_allclose(fit.errors, other.errors, rtol=1e-3)
+    np.testing.assert_array_equal(fit.bounds, other.bounds)
+
+
+def test_a_plain_fit_has_a_plain_call(one):
+    assert call(one) == "fit = pf.fit(\n    scene, image,\n)"
+
+
+def test_the_call_gives_the_same_fit(held):
+    text = call(held)
+    for name in SETTINGS:
+        assert f"    {name}=" in text
+    scene = ball()
+    check_same(run(text, scene=scene, image=held.photographs), held)
+
+
+@pytest.mark.slow
+def test_so_does_that_of_several_images():
+    camera = pf.OrthographicCamera(SIZE, SIZE)
+    scenes = [
+        pf.Scene(pf.Sphere(), camera, pf.DirectionalLight((x, 1, 2), 0.8), 0.3)
+        for x in (-1, 1)
+    ]
+    images = [photograph(s, TRUTH, noise=NOISE, seed=k) for k, s in enumerate(scenes)]
+    fit = pf.fit(
+        scenes,
+        images,
+        unknowns=("diffuse", "specular", "shininess", "scene.lights[0].intensity"),
+        per_image=("scene.lights[0].intensity",),
+        known=pf.Material(0.0, 0.0, 32.0, (0.5, 0.4, 0.3)),
+        fixed={"diffuse.red": 0.6},
+    )
+    text = call(fit)
+    assert "per_image=('scene.lights[0].intensity',)" in text
+    check_same(run(text, scenes=scenes, images=images), fit)
+
+
+@pytest.mark.parametrize(
+    "loss, written",
+    [
+        (pf.Tukey(), "loss='tukey'"),
+        (pf.Tukey(3.0), "loss=pf.Tukey(k=3.0)"),
+        (pf.Linear(), None),
+    ],
+)
+def test_losses_have_their_names(one, loss, written):
+    problem = dataclasses.replace(one.found.problem, loss=loss)
+    fit = dataclasses.replace(
+        one, found=dataclasses.replace(one.found, problem=problem)
+    )
+    assert (written or "pf.fit") in call(fit)
+    assert ("loss" in call(fit)) == (written is not None)
