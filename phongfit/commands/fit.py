@@ -1,9 +1,10 @@
 """`phongfit fit`: photographs in; table, `fit.json`, pictures and report out."""
 
 import dataclasses
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from tyro.conf import OmitArgPrefixes
@@ -45,7 +46,9 @@ class Options:
         out: Folder to make: fit.json (all numbers, and what is needed to repeat the
             fit), comparison.png (photograph, fit and residual), report.html.
         like: Repeat this fit: take all settings from it, and compare the answers.
-        report: Draw the picture and write the report; without, fit.json alone.
+        report: full: the picture, and the report with profiles, for which the fit is
+            solved some fifty times more. quick: the same without profiles. none:
+            fit.json alone.
         overwrite: Replace an older fit in OUT.
     """
 
@@ -58,7 +61,7 @@ class Options:
 
     like: Annotated[Path | None, optional("FIT.json")] = None
 
-    report: bool = True
+    report: Literal["full", "quick", "none"] = "full"
 
     overwrite: bool = False
 
@@ -95,10 +98,11 @@ def main(options: Options) -> int:
             data=read,
             model=data.scenes[0].specular,
         )
-        if options.report:
+        if options.report != "none":
             with stage("drawing"):
-                _draw(folder, found, data)
-    print(f"\n{options.out}: {', '.join(OURS if options.report else OURS[:1])}")
+                _draw(folder, found, data, options)
+    written = OURS[:1] if options.report == "none" else OURS
+    print(f"\n{options.out}: {', '.join(written)}")
     agrees = record is None or _compare(record, found, read)
     return 0 if found.converged and agrees else 1
 
@@ -153,10 +157,27 @@ def _compare(record: FitRecord, found: Fit, read: DataRecord) -> bool:
     return agrees
 
 
-def _draw(folder: Path, found: Fit, data: Dataset) -> None:
+def _draw(folder: Path, found: Fit, data: Dataset, options: Options) -> None:
     """The picture and the report."""
     # Here, since drawing takes long to import, and the table comes first.
     from phongfit.report.page import write_page
 
     found.plot(data.names).savefig(folder / PICTURE_FILE, dpi=150)
-    write_page(folder / REPORT_FILE, found, title=data.name, names=data.names)
+    write_page(
+        folder / REPORT_FILE,
+        found,
+        title=data.name,
+        names=data.names,
+        command=_again(options),
+        thorough=options.report == "full",
+    )
+
+
+def _again(options: Options) -> str:
+    """The command that repeats the fit."""
+    words = ["phongfit", "fit", str(options.data.dataset)]
+    for name in ("scene", "mask"):
+        path = getattr(options.data, name)
+        words += [] if path is None else [f"--{name}", str(path)]
+    like = str(options.out / FIT_FILE)
+    return shlex.join([*words, "--like", like, "-o", f"{options.out}-again"])

@@ -16,9 +16,9 @@ def _no_cache(monkeypatch):
 
 @pytest.fixture(scope="session")
 def brass(tmp_path_factory) -> Path:
-    """Two photographs of brass, 24 × 24 pixels, which nothing may change."""
+    """Three photographs of brass, 24 × 24 pixels, which nothing may change."""
     folder = tmp_path_factory.mktemp("data") / "brass"
-    options = ["--material", "preset:brass", "--resolution", "24", "--lights", "2"]
+    options = ["--material", "preset:brass", "--resolution", "24", "--lights", "3"]
     assert main(["synth", str(folder), *options, "--noise", "0.01"]) == 0
     return folder
 
@@ -29,7 +29,7 @@ def fitted(brass, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("fits") / "fit"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PHONGFIT_CACHE", "off")
-        assert main(["fit", str(brass), "-o", str(folder), "--no-report"]) == 0
+        assert main(["fit", str(brass), "-o", str(folder), "--report", "none"]) == 0
     return folder
 
 

@@ -69,7 +69,7 @@ def test_a_fit_in_a_process_of_its_own(brass, tmp_path):
     cache, out = tmp_path / "cache", tmp_path / "out"
     command = [sys.executable, "-m", "phongfit", "fit", str(brass), "-o", str(out)]
     done = subprocess.run(
-        [*command, "--no-report"],
+        [*command, "--report", "none"],
         env=os.environ | {"JAX_PLATFORMS": "cpu", "PHONGFIT_CACHE": str(cache)},
         capture_output=True,
         text=True,

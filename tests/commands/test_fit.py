@@ -36,7 +36,7 @@ def test_all_numbers_are_written(brass, fitted):
     )
     assert [list(row) for row in record.bounds] == fit.bounds.tolist()
     assert record.samples == fit.samples and record.converged
-    assert set(record.data.inputs) == {"001.png", "002.png", "scene.json"}
+    assert set(record.data.inputs) == {"001.png", "002.png", "003.png", "scene.json"}
     assert record.made_with["precision"] == fit.material.diffuse.dtype.name
     near = pf.preset("brass").diffuse
     np.testing.assert_allclose(record.build().diffuse, near, atol=0.02)
@@ -49,7 +49,7 @@ def test_a_fit_repeats_and_a_difference_is_told(brass, fitted, tmp_path, capsys)
     before = (fitted / "fit.json").read_text()
     like = tmp_path / "fit.json"
     like.write_text(before)
-    again = ["fit", str(brass), "--like", str(like), "--no-report"]
+    again = ["fit", str(brass), "--like", str(like), "--report", "none"]
     assert main([*again, "-o", str(tmp_path / "a")]) == 0
     assert "\nagrees with the recorded fit: " in capsys.readouterr().out
     assert json.loads((tmp_path / "a/fit.json").read_text()) == json.loads(before)
@@ -68,7 +68,14 @@ def test_a_fit_repeats_and_a_difference_is_told(brass, fitted, tmp_path, capsys)
 
 
 def test_every_setting_arrives_and_is_kept(brass, tmp_path, capsys):
-    args = ["fit", f"{brass}/002.png", "--scene", f"{brass}/scene.json", "--no-report"]
+    args = [
+        "fit",
+        f"{brass}/002.png",
+        "--scene",
+        f"{brass}/scene.json",
+        "--report",
+        "none",
+    ]
     args += ["--unknowns", "diffuse", "specular", "emission"]
     args += ["--per-channel", "diffuse", "specular", "--known", "preset:brass"]
     args += ["--bounds", "diffuse.red=0:2", "emission=0:inf"]
@@ -99,11 +106,12 @@ def test_every_setting_arrives_and_is_kept(brass, tmp_path, capsys):
 
 def test_pictures_and_report(brass, tmp_path, capsys):
     out = tmp_path / "out"
-    args = ["fit", str(brass), "-o", str(out)]
+    args = ["fit", str(brass), "-o", str(out), "--report", "quick"]
     assert main(args) == 0
     names = {path.name for path in out.iterdir()}
     assert names == {"fit.json", "comparison.png", "report.html"}
-    assert (out / "report.html").read_text().startswith("<!doctype html>")
+    page = (out / "report.html").read_text()
+    assert page.startswith("<!doctype html>") and f"--like {out}/fit.json" in page
     assert pf.read_image(out / "comparison.png", "srgb").std() > 0.1
     capsys.readouterr()
     # What is there stays, unless told otherwise, and nothing else goes.
@@ -113,7 +121,7 @@ def test_pictures_and_report(brass, tmp_path, capsys):
     assert main([*args, "--overwrite"]) == 2
     assert "it holds notes.txt" in capsys.readouterr().err
     (out / "notes.txt").unlink()
-    assert main([*args, "--overwrite", "--no-report"]) == 0
+    assert main([*args[:-1], "none", "--overwrite"]) == 0
     assert [path.name for path in out.iterdir()] == ["fit.json"]
 
 

@@ -14,11 +14,11 @@ import pytest
 from phongfit.cli import main
 
 COMMANDS: dict[str, Callable[[Path, Path], list[str]]] = {
-    "fit": lambda data, out: ["fit", f"{data}", "-o", f"{out}", "--no-report"],
+    "fit": lambda data, out: ["fit", f"{data}", "--report", "none", "-o", f"{out}"],
     "one": lambda data, out: [
         "fit", f"{data}/001.png", "--scene", f"{data}/scene.json", "-o", f"{out}",
     ],
-    "maps": lambda data, out: ["maps", f"{data}", "-o", f"{out}", "--no-pictures"],
+    "maps": lambda data, out: ["maps", f"{data}", "--no-pictures", "-o", f"{out}"],
     "render": lambda data, out: ["render", f"{data}", "-o", f"{out}.png"],
     "predict": lambda data, out: [
         "predict", f"{data}", "--material", "preset:gold", "--noise", "0.01",
@@ -117,10 +117,6 @@ LEADING_OUT: dict[str, tuple[Damage, str]] = {
 }
 
 
-def _output(args: list[str]) -> Path:
-    return Path([word for word in args if not word.startswith("--no-")][-1])
-
-
 def _tree(folder: Path) -> dict[str, object]:
     return {
         str(path.relative_to(folder)): (path.lstat().st_mtime_ns, path.is_dir())
@@ -168,7 +164,7 @@ def test_data_sets_that_lead_out_of_their_folder(
 @pytest.mark.parametrize("command", COMMANDS)
 def test_an_output_that_is_in_the_way(brass, tmp_path, capsys, command):
     args = COMMANDS[command](brass, tmp_path / "out")
-    out = _output(args)
+    out = Path(args[-1])
     if command in ("fit", "one", "maps"):
         out.write_text("a file")
         _check(tmp_path, args, f"{out}: is a file, a folder is wanted", capsys)
@@ -215,7 +211,7 @@ def _full_disk(size: int) -> Iterator[None]:
 @pytest.mark.parametrize("command", ["fit", "render", "predict", "export"])
 def test_a_full_disk(brass, tmp_path, capsys, command):
     args = COMMANDS[command](brass, tmp_path / "out")
-    out = _output(args)
+    out = Path(args[-1])
     if out.suffix:
         out.write_text("old")
     before = _tree(tmp_path)

@@ -31,7 +31,7 @@ def test_help_reads_like_a_manual(command, capsys):
     assert main([command, "--help"]) == 0
     text = capsys.readouterr().out
     assert text.startswith(f"usage: phongfit {command} ")
-    assert f"For example:\n  phongfit {command} " in text
+    assert "\nFor example:\n" in text and f"\n  phongfit {command} " in text
     # A default of None says nothing to a user.
     assert "None" not in text
     # A line that ends where a sentence goes on was broken by the source, not the width.
@@ -113,8 +113,8 @@ def test_render(brass, tmp_path, capsys):
     light = pf.render(second, pf.read_mtl(bright)["bright"], film=pf.Film(clamp=False))
     assert np.max(light) > 1
     np.testing.assert_allclose(pf.read_image(out, "linear"), light, rtol=1e-5)
-    assert main(["render", str(brass), "--lights", "2", "-o", str(out)]) == 2
-    assert "lights: [2] came, different numbers from 0 to 1" in capsys.readouterr().err
+    assert main(["render", str(brass), "--lights", "3", "-o", str(out)]) == 2
+    assert "lights: [3] came, different numbers from 0 to 2" in capsys.readouterr().err
 
 
 def test_predict(brass, tmp_path, capsys):

@@ -16,54 +16,46 @@ FEW = ["--unknowns", "ambient", "diffuse", "--known", "preset:brass"]
 
 
 @pytest.fixture(scope="module")
-def lit(tmp_path_factory):
-    """A ball under six lights, its highlight broad."""
-    folder = tmp_path_factory.mktemp("lit") / "ball"
-    options = ["--resolution", "16", "--lights", "6", "--shininess", "10"]
-    args = ["synth", str(folder), *options, "--noise", "0.002", "--bits", "16"]
-    assert main(args) == 0
-    return folder
-
-
-@pytest.fixture(scope="module")
-def mapped(lit, tmp_path_factory):
+def mapped(brass, tmp_path_factory):
     folder = tmp_path_factory.mktemp("maps") / "maps"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PHONGFIT_CACHE", "off")
-        args = ["maps", str(lit), "-o", str(folder), "--highlight", "shared"]
-        assert main([*args, "--noise", "0.002"]) == 0
+        args = ["maps", str(brass), "-o", str(folder), "--highlight", "shared"]
+        assert main([*args, "--noise", "0.01"]) == 0
     return folder
 
 
-def test_maps_their_errors_and_pictures(lit, mapped):
+def test_maps_their_errors_and_pictures(brass, mapped):
     maps, record, normals = load_folder(mapped)
     inside = ~maps.flagged(pf.Flag.OUTSIDE)
-    truth = pf.read_dataset(lit).truth
+    truth = pf.read_dataset(brass).truth
     assert truth is not None
     for name in ("ambient", "diffuse"):
         off = getattr(maps, name) - np.asarray(getattr(truth, name))
         pull = (off / getattr(maps.stderr, name))[inside & maps.told]
-        assert pull.size > 200 and np.mean(np.abs(pull) < 3) > 0.95, name
+        assert pull.size > 150 and np.mean(np.abs(pull) < 3) > 0.95, name
         tiff = imagecodecs.tiff_decode((mapped / f"{name}.tif").read_bytes())
         np.testing.assert_allclose(tiff, getattr(maps, name), rtol=1e-6)
         tiff = imagecodecs.tiff_decode((mapped / f"stderr_{name}.tif").read_bytes())
         np.testing.assert_allclose(tiff, getattr(maps.stderr, name), rtol=1e-6)
         assert pf.read_image(mapped / f"{name}.png", "srgb").std() > 0.05
     # Known for all pixels: what one material told.
-    np.testing.assert_allclose(maps.shininess[inside], 10, rtol=0.05)
+    np.testing.assert_allclose(maps.shininess[inside], 27.9, rtol=0.05)
     assert record.settings.unknowns == ["ambient", "diffuse"]
-    assert record.settings.known is not None and record.settings.noise == 0.002
-    assert len(record.data.inputs) == 7 and not (mapped / "tiles").exists()
+    assert record.settings.known is not None and record.settings.noise == 0.01
+    assert len(record.data.inputs) == 4 and not (mapped / "tiles").exists()
     np.testing.assert_allclose(np.linalg.norm(normals[inside], axis=-1), 1, rtol=1e-5)
     # The ball's middle looks at the viewer, its left side to the left.
     assert (
-        normals[8, 8, 2] > 0.98 and normals[8, 2, 0] < -0.6 and normals[2, 8, 1] > 0.6
+        normals[12, 12, 2] > 0.98
+        and normals[12, 3, 0] < -0.6
+        and normals[3, 12, 1] > 0.6
     )
 
 
-def test_a_stopped_run_goes_on_where_it_was(lit, tmp_path, monkeypatch, capsys):
+def test_a_stopped_run_goes_on_where_it_was(brass, tmp_path, monkeypatch, capsys):
     out = tmp_path / "maps"
-    args = ["maps", str(lit), "-o", str(out), *FEW, "--tile-pixels", "64"]
+    args = ["maps", str(brass), "-o", str(out), *FEW, "--tile-pixels", "64"]
 
     def stop(*args, **kwargs):
         raise KeyboardInterrupt
@@ -76,7 +68,7 @@ def test_a_stopped_run_goes_on_where_it_was(lit, tmp_path, monkeypatch, capsys):
     assert err.count("\n") == 1
     (tiles,) = out.iterdir()
     # Another job must not mix with these tiles.
-    assert main([*args, "--noise", "0.01"]) == 2
+    assert main([*args, "--noise", "0.02"]) == 2
     assert "holds tiles of another job" in capsys.readouterr().err
     times = {path.name: path.stat().st_mtime_ns for path in tiles.iterdir()}
     assert len(times) > 1
