@@ -4,6 +4,7 @@ A reader raises whatever its decoder does; [`read_image`][] makes one line of it
 """
 
 import contextlib
+import errno
 import os
 import re
 import struct
@@ -175,8 +176,12 @@ def _write_hdr(path: Path, numbers: np.ndarray) -> None:
 
 def _write_exr(path: Path, numbers: np.ndarray) -> None:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with OpenEXR.File(header, {"RGB": numbers}) as file:
-        file.write(os.fspath(path))
+    try:
+        with OpenEXR.File(header, {"RGB": numbers}) as file:
+            file.write(os.fspath(path))
+    except RuntimeError as error:
+        # As OpenEXR tells of a full disk, in words alone.
+        raise OSError(errno.EIO, str(error).rpartition('". ')[2]) from error
 
 
 Writer = Callable[[Path, np.ndarray], None]

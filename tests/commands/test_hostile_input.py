@@ -208,9 +208,12 @@ def _full_disk(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.mark.parametrize("command", ["fit", "render", "predict", "export"])
+@pytest.mark.parametrize("command", ["fit", "render", "float", "predict", "export"])
 def test_a_full_disk(brass, tmp_path, capsys, command):
-    args = COMMANDS[command](brass, tmp_path / "out")
+    if command == "float":
+        args = ["render", str(brass), "-o", str(tmp_path / "out.exr")]
+    else:
+        args = COMMANDS[command](brass, tmp_path / "out")
     out = Path(args[-1])
     if out.suffix:
         out.write_text("old")
