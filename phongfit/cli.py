@@ -1,5 +1,6 @@
 """The command `phongfit`, and what all commands share: options in, a status out."""
 
+import _thread
 import contextlib
 import dataclasses
 import difflib
@@ -12,6 +13,7 @@ import io
 import os
 import re
 import sys
+import threading
 import typing
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -58,7 +60,7 @@ def main(args: Sequence[str] | None = None) -> int:
     **Returns:** the exit status, as of [`run`][].
     """
     args = list(sys.argv[1:] if args is None else args)
-    with _patient_collector(), warnings.catch_warnings():
+    with _patient_collector(), _heeded_interrupts(), warnings.catch_warnings():
         warnings.showwarning = _show_warning
         if args and args[0] in COMMANDS:
             prog = f"phongfit {args[0]}"
@@ -82,6 +84,28 @@ def _patient_collector() -> Iterator[None]:
         yield
     finally:
         gc.set_threshold(*before)
+
+
+@contextlib.contextmanager
+def _heeded_interrupts() -> Iterator[None]:
+    """Interrupt again where an interrupt met code that lets no exception out.
+
+    JAX is called back by the garbage collector; an exception from there is printed and
+    forgotten, and the command would run on.
+    """
+    before = sys.unraisablehook
+
+    def heed(unraisable: Any) -> None:
+        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+            return before(unraisable)
+        # A moment later, when this code has been left.
+        threading.Timer(0.05, _thread.interrupt_main).start()
+
+    sys.unraisablehook = heed
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
 
 
 def _load(name: str) -> Callable[..., int | None]:

@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -91,6 +92,26 @@ def test_an_interrupt_leaves_nothing(brass, tmp_path, monkeypatch, capsys, place
     assert main(filled) == 130
     assert capsys.readouterr().err == "error: interrupted\n"
     assert not list(tmp_path.iterdir())
+
+
+class _Deaf:
+    """Whatever it raises is forgotten, as in a callback of the collector."""
+
+    def __del__(self):
+        raise KeyboardInterrupt
+
+
+def test_an_interrupt_is_heeded_wherever_it_lands(brass, monkeypatch, capsys, tmp_path):
+    def slow(*args, **kwargs):
+        _Deaf()
+        while time.monotonic() < start + 20:
+            time.sleep(0.01)
+
+    monkeypatch.setattr("phongfit.commands.fit.fit", slow)
+    start = time.monotonic()
+    assert main(["fit", str(brass), "-o", str(tmp_path / "out")]) == 130
+    assert capsys.readouterr().err == "error: interrupted\n"
+    assert time.monotonic() - start < 10
 
 
 def test_render(brass, tmp_path, capsys):
