@@ -44,74 +44,82 @@ Leaf = Annotated[Numbers, _shown("X|R G B", "the material's")]
 
 @dataclass(frozen=True)
 class Options:
+    """What the images are made of, and how.
+
+    Args:
+        out_dir: Folder to make: images, scene.json, truth.json, contact_sheet.png.
+        material: An orange plastic, or preset:NAME for one of the 24 classic OpenGL
+            materials, such as preset:brass. The five options below replace single
+            values of it.
+        diffuse: Lambert reflectance.
+        specular: Strength of the highlight.
+        shininess: Exponent of the highlight; larger is sharper.
+        ambient: Share of the ambient light that is sent back.
+        emission: Light of its own, where white is 1.
+        model: Model of the highlight.
+        lights: Number of lights, spread around the camera.
+        light_kind: Kind of the lights; mixed takes the three in turn.
+        images: Number of images, to which the lights are dealt out; 1 has all in
+            one.
+        intensity: What each light sends to the ball's centre.
+        ambient_light: The ambient light.
+        center: Centre of the ball, world units.
+        radius: Radius of the ball, world units.
+        camera: Kind of the camera, which looks along -z.
+        resolution: Width and height of the images, pixels.
+        noise: Standard deviation of Gaussian noise in linear light, where white is
+            1.
+        bits: Bits per sample of the PNG images.
+        encoding: Encoding of the PNG images.
+        seed: Of the noise: the same seed gives the same files.
+        overwrite: Replace an older data set in OUT_DIR.
+    """
+
     out_dir: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT_DIR")]
-    """Folder to make: images, scene.json, truth.json, contact_sheet.png."""
 
     material: str = "plastic"
-    """An orange plastic, or preset:NAME for one of the 24 classic OpenGL materials,
-    such as preset:brass. The five options below replace single values of it."""
 
     diffuse: Leaf = ()
-    """Lambert reflectance."""
 
     specular: Leaf = ()
-    """Strength of the highlight."""
 
     shininess: Leaf = ()
-    """Exponent of the highlight; larger is sharper."""
 
     ambient: Leaf = ()
-    """Share of the ambient light that is sent back."""
 
     emission: Leaf = ()
-    """Light of its own, where white is 1."""
 
     model: Literal["blinn-phong", "phong"] = "blinn-phong"
-    """Model of the highlight."""
 
     lights: int = 4
-    """Number of lights, spread around the camera."""
 
     light_kind: LightKind = "directional"
-    """Kind of the lights; mixed takes the three in turn."""
 
     images: Annotated[int | None, _shown("INT", "one for each light")] = None
-    """Number of images, to which the lights are dealt out; 1 has all in one."""
 
     intensity: Annotated[
         Numbers, _shown("X|R G B", "the brightest sample reaches 95 % of white")
     ] = ()
-    """What each light sends to the ball's centre."""
 
     ambient_light: Annotated[Numbers, _shown("X|R G B", "0.15")] = (0.15,)
-    """The ambient light."""
 
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Centre of the ball, world units."""
 
     radius: float = 1.0
-    """Radius of the ball, world units."""
 
     camera: Literal["orthographic", "perspective"] = "orthographic"
-    """Kind of the camera, which looks along -z."""
 
     resolution: int = 256
-    """Width and height of the images, pixels."""
 
     noise: float = 0.0
-    """Standard deviation of Gaussian noise in linear light, where white is 1."""
 
     bits: Literal[8, 16] = 8
-    """Bits per sample of the PNG images."""
 
     encoding: Encoding = "srgb"
-    """Encoding of the PNG images."""
 
     seed: int = 0
-    """Of the noise: the same seed gives the same files."""
 
     overwrite: bool = False
-    """Replace an older data set in OUT_DIR."""
 
 
 def make(options: Options) -> Dataset:
@@ -203,7 +211,10 @@ def main(options: Options) -> int:
 
     It holds PNG images, scene.json (camera, surface, lights, models, encoding),
     truth.json (the material) and contact_sheet.png, which shows it all at a glance.
-    For example: python -m data_synth out/brass --material preset:brass --noise 0.01
+
+    For example:
+      phongfit synth out/brass --material preset:brass --noise 0.01
+      phongfit synth out/metal --shininess 200 --lights 16 --bits 16
     """
     dataset = make(options)
     write_dataset(

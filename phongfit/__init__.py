@@ -3,84 +3,9 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from phongfit.environment import Fog as Fog
-from phongfit.fitting.fit import fit as fit
-from phongfit.fitting.implicit import refit as refit
-from phongfit.fitting.losses import (
-    AbstractLoss as AbstractLoss,
-    Cauchy as Cauchy,
-    Huber as Huber,
-    Linear as Linear,
-    SoftL1 as SoftL1,
-    Tukey as Tukey,
-)
-from phongfit.fitting.predict import (
-    Prediction as Prediction,
-    predict_errors as predict_errors,
-)
-from phongfit.fitting.profile import Profile as Profile, ProfilePair as ProfilePair
-from phongfit.fitting.result import Estimate as Estimate, Fit as Fit
-from phongfit.fitting.solver import (
-    BoundedLevenbergMarquardt as BoundedLevenbergMarquardt,
-)
-from phongfit.geometry import shapes as shapes
-from phongfit.geometry.cameras import (
-    AbstractCamera as AbstractCamera,
-    OrthographicCamera as OrthographicCamera,
-    PerspectiveCamera as PerspectiveCamera,
-    look_at as look_at,
-)
-from phongfit.geometry.implicit import ImplicitSurface as ImplicitSurface
-from phongfit.geometry.meshes import Mesh as Mesh, join as join
-from phongfit.geometry.parametric import tessellate as tessellate
-from phongfit.geometry.shading import (
-    AbstractShading as AbstractShading,
-    FlatShading as FlatShading,
-    GouraudShading as GouraudShading,
-    PhongShading as PhongShading,
-)
-from phongfit.geometry.surfaces import (
-    AbstractSurface as AbstractSurface,
-    GBuffer as GBuffer,
-    NormalMap as NormalMap,
-    Sphere as Sphere,
-)
-from phongfit.geometry.tracing import trace as trace
-from phongfit.lights import (
-    AbstractLight as AbstractLight,
-    DirectionalLight as DirectionalLight,
-    PointLight as PointLight,
-    SpotLight as SpotLight,
-)
-from phongfit.material import (
-    PRESETS as PRESETS,
-    Material as Material,
-    preset as preset,
-    stack_materials as stack_materials,
-    unstack_materials as unstack_materials,
-)
-from phongfit.reflectance import (
-    AbstractSpecular as AbstractSpecular,
-    BlinnPhong as BlinnPhong,
-    Phong as Phong,
-    blinn_from_phong as blinn_from_phong,
-    phong_from_blinn as phong_from_blinn,
-)
-from phongfit.rendering.film import Film as Film
-from phongfit.rendering.pixels import (
-    PixelTerms as PixelTerms,
-    pixel_terms as pixel_terms,
-)
-from phongfit.rendering.render import render as render
-from phongfit.rendering.terms import (
-    ShadingTerms as ShadingTerms,
-    combine as combine,
-    terms as terms,
-)
-from phongfit.scene import Scene as Scene
-
 if TYPE_CHECKING:
     from phongfit import testing as testing
+    from phongfit.environment import Fog as Fog
     from phongfit.files.datasets import (
         Dataset as Dataset,
         read_dataset as read_dataset,
@@ -95,43 +20,180 @@ if TYPE_CHECKING:
         load_scene as load_scene,
         save_scene as save_scene,
     )
+    from phongfit.fitting.fit import fit as fit
+    from phongfit.fitting.implicit import refit as refit
+    from phongfit.fitting.losses import (
+        AbstractLoss as AbstractLoss,
+        Cauchy as Cauchy,
+        Huber as Huber,
+        Linear as Linear,
+        SoftL1 as SoftL1,
+        Tukey as Tukey,
+    )
     from phongfit.fitting.maps.flags import Flag as Flag
+    from phongfit.fitting.predict import (
+        Prediction as Prediction,
+        predict_errors as predict_errors,
+    )
+    from phongfit.fitting.profile import Profile as Profile, ProfilePair as ProfilePair
+    from phongfit.fitting.result import Estimate as Estimate, Fit as Fit
+    from phongfit.fitting.solver import (
+        BoundedLevenbergMarquardt as BoundedLevenbergMarquardt,
+    )
+    from phongfit.geometry import shapes as shapes
+    from phongfit.geometry.cameras import (
+        AbstractCamera as AbstractCamera,
+        OrthographicCamera as OrthographicCamera,
+        PerspectiveCamera as PerspectiveCamera,
+        look_at as look_at,
+    )
+    from phongfit.geometry.implicit import ImplicitSurface as ImplicitSurface
+    from phongfit.geometry.meshes import Mesh as Mesh, join as join
+    from phongfit.geometry.parametric import tessellate as tessellate
+    from phongfit.geometry.shading import (
+        AbstractShading as AbstractShading,
+        FlatShading as FlatShading,
+        GouraudShading as GouraudShading,
+        PhongShading as PhongShading,
+    )
+    from phongfit.geometry.surfaces import (
+        AbstractSurface as AbstractSurface,
+        GBuffer as GBuffer,
+        NormalMap as NormalMap,
+        Sphere as Sphere,
+    )
+    from phongfit.geometry.tracing import trace as trace
+    from phongfit.lights import (
+        AbstractLight as AbstractLight,
+        DirectionalLight as DirectionalLight,
+        PointLight as PointLight,
+        SpotLight as SpotLight,
+    )
     from phongfit.mapping.result import Maps as Maps, load_maps as load_maps
     from phongfit.mapping.run import fit_maps as fit_maps
     from phongfit.mapping.stacks import (
         AbstractStack as AbstractStack,
         PhotographStack as PhotographStack,
     )
+    from phongfit.material import (
+        PRESETS as PRESETS,
+        Material as Material,
+        preset as preset,
+        stack_materials as stack_materials,
+        unstack_materials as unstack_materials,
+    )
+    from phongfit.reflectance import (
+        AbstractSpecular as AbstractSpecular,
+        BlinnPhong as BlinnPhong,
+        Phong as Phong,
+        blinn_from_phong as blinn_from_phong,
+        phong_from_blinn as phong_from_blinn,
+    )
+    from phongfit.rendering.film import Film as Film
+    from phongfit.rendering.pixels import (
+        PixelTerms as PixelTerms,
+        pixel_terms as pixel_terms,
+    )
+    from phongfit.rendering.render import render as render
+    from phongfit.rendering.terms import (
+        ShadingTerms as ShadingTerms,
+        combine as combine,
+        terms as terms,
+    )
     from phongfit.report.pictures import show as show
+    from phongfit.scene import Scene as Scene
 
-# Decoders and validators take long to import: only who reads a file waits for them.
-_ON_DEMAND = {
+# What a name needs is imported when it is first asked for: JAX and decoders take long,
+# and a command that only shows its help needs none of them.
+_ORIGINS = {
+    "AbstractCamera": "phongfit.geometry.cameras",
+    "AbstractLight": "phongfit.lights",
+    "AbstractLoss": "phongfit.fitting.losses",
+    "AbstractShading": "phongfit.geometry.shading",
+    "AbstractSpecular": "phongfit.reflectance",
     "AbstractStack": "phongfit.mapping.stacks",
+    "AbstractSurface": "phongfit.geometry.surfaces",
+    "BlinnPhong": "phongfit.reflectance",
+    "BoundedLevenbergMarquardt": "phongfit.fitting.solver",
+    "Cauchy": "phongfit.fitting.losses",
     "Dataset": "phongfit.files.datasets",
+    "DirectionalLight": "phongfit.lights",
+    "Estimate": "phongfit.fitting.result",
+    "Film": "phongfit.rendering.film",
+    "Fit": "phongfit.fitting.result",
     "Flag": "phongfit.fitting.maps.flags",
+    "FlatShading": "phongfit.geometry.shading",
+    "Fog": "phongfit.environment",
+    "GBuffer": "phongfit.geometry.surfaces",
+    "GouraudShading": "phongfit.geometry.shading",
+    "Huber": "phongfit.fitting.losses",
+    "ImplicitSurface": "phongfit.geometry.implicit",
+    "Linear": "phongfit.fitting.losses",
     "Maps": "phongfit.mapping.result",
+    "Material": "phongfit.material",
+    "Mesh": "phongfit.geometry.meshes",
+    "NormalMap": "phongfit.geometry.surfaces",
+    "OrthographicCamera": "phongfit.geometry.cameras",
+    "PRESETS": "phongfit.material",
+    "PerspectiveCamera": "phongfit.geometry.cameras",
+    "Phong": "phongfit.reflectance",
+    "PhongShading": "phongfit.geometry.shading",
     "PhotographStack": "phongfit.mapping.stacks",
+    "PixelTerms": "phongfit.rendering.pixels",
+    "PointLight": "phongfit.lights",
+    "Prediction": "phongfit.fitting.predict",
+    "Profile": "phongfit.fitting.profile",
+    "ProfilePair": "phongfit.fitting.profile",
+    "Scene": "phongfit.scene",
+    "ShadingTerms": "phongfit.rendering.terms",
+    "SoftL1": "phongfit.fitting.losses",
+    "Sphere": "phongfit.geometry.surfaces",
+    "SpotLight": "phongfit.lights",
+    "Tukey": "phongfit.fitting.losses",
+    "blinn_from_phong": "phongfit.reflectance",
+    "combine": "phongfit.rendering.terms",
+    "fit": "phongfit.fitting.fit",
     "fit_maps": "phongfit.mapping.run",
+    "join": "phongfit.geometry.meshes",
     "load_maps": "phongfit.mapping.result",
     "load_mesh": "phongfit.files.meshes",
     "load_scene": "phongfit.files.scenes",
+    "look_at": "phongfit.geometry.cameras",
+    "phong_from_blinn": "phongfit.reflectance",
+    "pixel_terms": "phongfit.rendering.pixels",
+    "predict_errors": "phongfit.fitting.predict",
+    "preset": "phongfit.material",
     "read_dataset": "phongfit.files.datasets",
     "read_image": "phongfit.files.images",
     "read_mtl": "phongfit.files.mtl",
+    "refit": "phongfit.fitting.implicit",
+    "render": "phongfit.rendering.render",
     "save_scene": "phongfit.files.scenes",
+    "stack_materials": "phongfit.material",
+    "terms": "phongfit.rendering.terms",
+    "tessellate": "phongfit.geometry.parametric",
+    "trace": "phongfit.geometry.tracing",
+    "unstack_materials": "phongfit.material",
     "show": "phongfit.report.pictures",
     "write_image": "phongfit.files.images",
     "write_mtl": "phongfit.files.mtl",
 }
+_MODULES = {
+    "shapes": "phongfit.geometry.shapes",
+    "testing": "phongfit.testing",
+}
 
 
 def __getattr__(name: str) -> Any:
-    if name == "testing":
-        return importlib.import_module("phongfit.testing")
-    if name in _ON_DEMAND:
-        return getattr(importlib.import_module(_ON_DEMAND[name]), name)
-    raise AttributeError(f"module 'phongfit' has no attribute {name!r}")
+    if name in _MODULES:
+        value = importlib.import_module(_MODULES[name])
+    elif name in _ORIGINS:
+        value = getattr(importlib.import_module(_ORIGINS[name]), name)
+    else:
+        raise AttributeError(f"module 'phongfit' has no attribute {name!r}")
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_ON_DEMAND, "testing"])
+    return sorted({*globals(), *_ORIGINS, *_MODULES})

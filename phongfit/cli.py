@@ -1,22 +1,142 @@
-"""What all commands share: options in, one clear line and an exit status out."""
+"""The command `phongfit`, and what all commands share: options in, a status out."""
 
+import _thread
 import contextlib
 import dataclasses
+import difflib
 import functools
+import gc
+import importlib
+import importlib.metadata
 import inspect
 import io
 import os
 import re
 import sys
+import threading
 import typing
-from collections.abc import Callable, Sequence
-from typing import Any
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar
 
 import tyro
+
+COMMANDS = {
+    "synth": "Make a data set with known truth: photographs of a ball, to be fitted.",
+    "render": "Render a scene with a material, as an image.",
+    "fit": "Fit a material to photographs: values, errors, pictures, a report.",
+    "maps": "Fit a material per pixel to photographs under many lights.",
+    "predict": "How well could a material be known, before any photograph is taken?",
+    "export": "Write a material for other programs: .mtl, glTF, OpenGL, JSON.",
+}
+"""What each command is for; it stands in a file of its name in `phongfit/commands`."""
+
+ABOUT = """Fit the Phong illumination model to images, with honest error bars.
+
+For example:
+  phongfit synth out/brass --material preset:brass --noise 0.01
+  phongfit fit out/brass -o out/fit
+  phongfit export out/fit --to gltf -o out/brass.glb
+  phongfit fit --help
+
+Errors are told in one line, with exit status 2; an interrupt with 130. What was
+compiled is kept in $XDG_CACHE_HOME/phongfit (else ~/.cache/phongfit), which may be
+deleted at any time; PHONGFIT_CACHE=FOLDER puts it elsewhere, PHONGFIT_CACHE=off
+nowhere. JAX_ENABLE_X64=1 computes in double precision.
+"""
+
+Result = TypeVar("Result")
 
 BAD_INPUT = 2
 INTERRUPTED = 130
 PIPE_CLOSED = 141
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run a command of `phongfit`.
+
+    **Arguments:** `args`: default what the process was started with.
+
+    **Returns:** the exit status, as of [`run`][].
+    """
+    args = list(sys.argv[1:] if args is None else args)
+    with _patient_collector(), _heeded_interrupts(), warnings.catch_warnings():
+        warnings.showwarning = _show_warning
+        if args and args[0] in COMMANDS:
+            prog = f"phongfit {args[0]}"
+            return _guard(lambda: _parse(_load(args[0]), args[1:], prog)())
+        if args == ["--version"]:
+            print(f"phongfit {importlib.metadata.version('phongfit')}")
+            return 0
+        return _guard(lambda: _overview(args))
+
+
+@contextlib.contextmanager
+def _patient_collector() -> Iterator[None]:
+    """Collect garbage seldom.
+
+    JAX makes many small objects that live as long as the command does: looking through
+    them again and again would take a fifth of its time.
+    """
+    before = gc.get_threshold()
+    gc.set_threshold(200_000, 50, 50)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+
+
+@contextlib.contextmanager
+def _heeded_interrupts() -> Iterator[None]:
+    """Interrupt again where an interrupt met code that lets no exception out.
+
+    JAX is called back by the garbage collector; an exception from there is printed and
+    forgotten, and the command would run on.
+    """
+    before = sys.unraisablehook
+
+    def heed(unraisable: Any) -> None:
+        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+            return before(unraisable)
+        # A moment later, when this code has been left.
+        threading.Timer(0.05, _thread.interrupt_main).start()
+
+    sys.unraisablehook = heed
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+
+
+def _load(name: str) -> Callable[..., int | None]:
+    # One at a time, since JAX and decoders take long to import.
+    return importlib.import_module(f"phongfit.commands.{name}").main
+
+
+def _overview(args: Sequence[str]) -> None:
+    """Help on all commands, or what is wrong with a name that is none of them."""
+    if args and not args[0].startswith("-"):
+        near = difflib.get_close_matches(args[0], COMMANDS, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"one of {', '.join(COMMANDS)}"
+        raise ValueError(f"there is no command {args[0]!r}; {hint} (see --help)")
+
+    def named(summary: str) -> Callable[[], None]:
+        def command() -> None: ...
+
+        command.__doc__ = summary
+        return command
+
+    commands = {name: named(summary) for name, summary in COMMANDS.items()}
+    _quietly(
+        lambda: tyro.extras.subcommand_cli_from_dict(
+            commands, prog="phongfit", description=ABOUT, args=args
+        )
+    )
+
+
+def _show_warning(message: Warning | str, *where: Any) -> None:
+    del where
+    print(f"warning: {' '.join(str(message).split())}", file=sys.stderr, flush=True)
 
 
 def run(
@@ -40,17 +160,23 @@ def run(
 
     **Returns:** the exit status: the function's, 2 for bad input, 130 if interrupted.
     """
+    return _guard(lambda: _parse(function, args, prog)())
+
+
+def _guard(call: Callable[[], int | None]) -> int:
+    """The exit status of a call, where a fault of the input is told in one line."""
     try:
-        call = _parse(function, args, prog)
         return call() or 0
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
-    except KeyboardInterrupt:
-        return _stop("interrupted", INTERRUPTED)
+    except KeyboardInterrupt as stop:
+        return _stop("; ".join(["interrupted", *map(str, stop.args)]), INTERRUPTED)
     except BrokenPipeError:
         # Whoever read the output, such as `head`, has seen enough.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
+    except MemoryError:
+        return _stop("there is not enough memory for data of this size", BAD_INPUT)
     except OSError as error:
         return _stop(_explain(error), BAD_INPUT)
     except ValueError as error:
@@ -72,11 +198,16 @@ def _parse(
     function: Callable[..., int | None], args: Sequence[str] | None, prog: str | None
 ) -> Callable[[], int | None]:
     """The call that the options ask for, not yet made."""
+    parse = functools.partial(tyro.cli, args=args, prog=prog)
+    return _quietly(lambda: _call(function, parse))
 
+
+def _quietly(parse: Callable[[], Result]) -> Result:
+    """What the parser gives; its complaints as a `ValueError`."""
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            return _call(function, functools.partial(tyro.cli, args=args, prog=prog))
+            return parse()
     except SystemExit as stop:
         if stop.code in (0, None):
             raise

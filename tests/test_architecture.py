@@ -21,6 +21,7 @@ ORDER = [
     {"files"},
     {"mapping"},
     {"report"},
+    {"commands"},
     {"cli", "__main__"},
 ]
 PLACE = {part: place for place, parts in enumerate(ORDER) for part in parts}

@@ -9,7 +9,6 @@ import os
 from pathlib import Path
 
 import numpy as np
-import scipy.io
 from jaxtyping import Bool, Float
 
 from phongfit.files.dataset import Dataset
@@ -103,6 +102,9 @@ def _check_lights(
 
 
 def _read_surface(folder: Path, mask: Bool[np.ndarray, "height width"]) -> NormalMap:
+    # Here, since SciPy takes long to import.
+    import scipy.io
+
     path = inside(folder, "Normal_gt.mat")
     read_bytes(path)
     wanted = (*mask.shape, 3)

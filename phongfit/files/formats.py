@@ -4,6 +4,7 @@ A reader raises whatever its decoder does; [`read_image`][] makes one line of it
 """
 
 import contextlib
+import errno
 import os
 import re
 import struct
@@ -150,8 +151,13 @@ READERS: dict[str, Callable[[bytes, Path], np.ndarray]] = {
 # Writing.
 
 
+def encode_png(numbers: np.ndarray) -> bytes:
+    """A PNG file of (H, W, channels) whole numbers of 8 or 16 bits."""
+    return bytes(imagecodecs.png_encode(np.ascontiguousarray(numbers)))
+
+
 def _write_png(path: Path, numbers: np.ndarray) -> None:
-    path.write_bytes(imagecodecs.png_encode(numbers))
+    path.write_bytes(encode_png(numbers))
 
 
 def _write_jpeg(path: Path, numbers: np.ndarray) -> None:
@@ -170,8 +176,12 @@ def _write_hdr(path: Path, numbers: np.ndarray) -> None:
 
 def _write_exr(path: Path, numbers: np.ndarray) -> None:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with OpenEXR.File(header, {"RGB": numbers}) as file:
-        file.write(os.fspath(path))
+    try:
+        with OpenEXR.File(header, {"RGB": numbers}) as file:
+            file.write(os.fspath(path))
+    except RuntimeError as error:
+        # As OpenEXR tells of a full disk, in words alone.
+        raise OSError(errno.EIO, str(error).rpartition('". ')[2]) from error
 
 
 Writer = Callable[[Path, np.ndarray], None]

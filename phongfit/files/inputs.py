@@ -1,6 +1,8 @@
 """What comes from outside: read within limits, and from inside its folder only."""
 
 import contextlib
+import contextvars
+import hashlib
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
@@ -9,6 +11,20 @@ from jaxtyping import Float
 
 MAX_BYTES = 2**31
 """Files with more bytes are refused; no image that is read here needs them."""
+
+_checksums: contextvars.ContextVar[dict[Path, str] | None]
+_checksums = contextvars.ContextVar("checksums", default=None)
+
+
+@contextlib.contextmanager
+def recording() -> Iterator[dict[Path, str]]:
+    """SHA-256 of every file that the block reads, by its path, as it is filled."""
+    found: dict[Path, str] = {}
+    token = _checksums.set(found)
+    try:
+        yield found
+    finally:
+        _checksums.reset(token)
 
 
 def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
@@ -24,9 +40,13 @@ def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
         size = path.stat().st_size
         if size > limit:
             raise ValueError(f"{path}: {size} bytes came, at most {limit} wanted")
-        return path.read_bytes()
+        data = path.read_bytes()
     except OSError as error:
         raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
+    checksums = _checksums.get()
+    if checksums is not None:
+        checksums[path] = hashlib.sha256(data).hexdigest()
+    return data
 
 
 def read_text(path: Path, limit: int = 2**24) -> str:

@@ -1,12 +1,21 @@
 """Formats that hold less than a `Material` does: an error, or the nearest they hold."""
 
+import dataclasses
+import math
 import warnings
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.material import Material
+from phongfit.reflectance import (
+    AbstractSpecular,
+    BlinnPhong,
+    Phong,
+    blinn_from_phong,
+)
 
 
 def limited(
@@ -57,3 +66,32 @@ def exponent(material: Material, highest: float, format: str, nearest: bool) -> 
         # The mean of logarithms: it is ratios of exponents that are seen.
         channels = np.exp(np.log(np.maximum(channels, 1e-6)).mean(keepdims=True))
     return float(limited("shininess", channels[0], highest, format, nearest))
+
+
+def as_blinn(material: Material, model: AbstractSpecular) -> Material:
+    r"""A material of any model as one of the un-normalised Blinn-Phong model.
+
+    Phong's exponents become Blinn's by [`blinn_from_phong`][]; normalised reflectances
+    are multiplied by what the model does: $1 / \pi$, and $(f + 2) / (2 \pi)$.
+
+    **Raises:** `ValueError` for another model.
+    """
+    match model:
+        case Phong():
+            shininess = blinn_from_phong(material.shininess)
+            return dataclasses.replace(material, shininess=shininess)
+        case BlinnPhong(normalized=True):
+            lobe = (material.shininess + 2) / (2 * math.pi)
+            specular, lobe = jnp.broadcast_arrays(*_same_rank(material.specular, lobe))
+            return dataclasses.replace(
+                material, diffuse=material.diffuse / math.pi, specular=specular * lobe
+            )
+        case BlinnPhong():
+            return material
+    raise ValueError(f"model: {type(model).__name__} came, Phong or BlinnPhong wanted")
+
+
+def _same_rank(*leaves: Float[Array, "..."]) -> list[Float[Array, "..."]]:
+    """Leaves with leading axes of 1, so that all have as many."""
+    rank = max(leaf.ndim for leaf in leaves)
+    return [leaf.reshape((1,) * (rank - leaf.ndim) + leaf.shape) for leaf in leaves]

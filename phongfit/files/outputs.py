@@ -31,9 +31,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     **Raises:** `OSError` that names `path`.
     """
     path = Path(path)
-    _check_folder(path.parent, path)
-    if path.is_dir():
-        raise OSError(f"{path}: is a folder, a file name is wanted")
+    check_file(path)
     temporary = _sibling(path)
     try:
         with _blaming(path, temporary):
@@ -62,8 +60,7 @@ def replacing_folder(
     """
     # A link is followed, and "." gets its name.
     path = Path(path).resolve()
-    _check_folder(path.parent, path)
-    _check_replaceable(path, may_replace)
+    check_folder(path, may_replace)
     temporary = _sibling(path)
     try:
         with _blaming(path, temporary):
@@ -74,7 +71,46 @@ def replacing_folder(
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _check_folder(folder: Path, path: Path) -> None:
+@contextlib.contextmanager
+def replacing_files(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """An empty folder to fill; its files go beside `path` if all goes well.
+
+    For a file that needs others beside it. What they replace stays until all of them
+    are written.
+
+    **Raises:** `OSError` that names `path`.
+    """
+    path = Path(path)
+    check_file(path)
+    temporary = _sibling(path)
+    try:
+        with _blaming(path, temporary):
+            temporary.mkdir()
+            yield temporary
+            for file in sorted(temporary.iterdir()):
+                os.replace(file, path.parent / file.name)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_file(path: Path) -> None:
+    """Could a file be written here? Asked before what takes long.
+
+    **Raises:** `OSError` that names `path`, and says why not.
+    """
+    _check_parent(path)
+    if path.is_dir():
+        raise OSError(f"{path}: is a folder, a file name is wanted")
+
+
+def check_folder(path: Path, may_replace: Callable[[str], bool] | None) -> None:
+    """The same of a folder; arguments are those of [`replacing_folder`][]."""
+    _check_parent(path)
+    _check_replaceable(path, may_replace)
+
+
+def _check_parent(path: Path) -> None:
+    folder = path.parent
     if not folder.is_dir():
         raise OSError(f"{path}: there is no folder {folder} to write it to")
     if not os.access(folder, os.W_OK | os.X_OK):
@@ -123,6 +159,10 @@ def _blaming(path: Path, temporary: Path) -> Iterator[None]:
         named = "" if error.filename is None else os.fspath(error.filename)
         if error.errno is not None and (not named or str(temporary) in str(named)):
             raise OSError(f"{path}: cannot be written: {error.strerror}") from error
+        if str(temporary) in str(error):
+            # Of a file within a folder that is being filled.
+            told = str(error).replace(str(temporary), str(path))
+            raise OSError(told) from error
         raise
 
 

@@ -2,6 +2,7 @@
 
 import difflib
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -22,7 +23,12 @@ class AbstractRecord(BaseModel):
     """An object in a JSON file; keys that it does not know are errors."""
 
     model_config = ConfigDict(
-        extra="forbid", allow_inf_nan=False, strict=True, frozen=True
+        extra="forbid",
+        allow_inf_nan=False,
+        strict=True,
+        frozen=True,
+        # A command reads one or two of all these kinds.
+        defer_build=True,
     )
 
     @model_validator(mode="before")
@@ -103,6 +109,22 @@ def read_record(path: Path, kind: type[Record]) -> Record:
             return kind.model_validate(data)
         except ValidationError as error:
             raise ValueError(_explain(error.errors()[0], data)) from None
+
+
+def read_one_of(
+    path: Path, kinds: Mapping[str, type[AbstractRecord]]
+) -> AbstractRecord:
+    """The record that a JSON file holds, of the kind that its `format` names.
+
+    **Raises:** `ValueError` as [`read_record`][] does, and for another `format`.
+    """
+    with naming(str(path)):
+        data = _parse_json(read_text(path))
+        format = data.get("format") if isinstance(data, dict) else None
+        if not isinstance(format, str) or format not in kinds:
+            wanted = " or ".join(repr(name) for name in kinds)
+            raise ValueError(f"format: {shorten(format)} came, {wanted} is wanted")
+    return read_record(path, kinds[format])
 
 
 def _parse_json(text: str) -> Any:

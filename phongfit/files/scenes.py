@@ -40,7 +40,24 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     wanted.
     """
     path = _scene_file(path)
-    return _build_scene(path, read_record(path, SceneRecord))
+    return build_scene(path, read_record(path, SceneRecord))
+
+
+def load_views(path: str | os.PathLike[str]) -> tuple[tuple[Scene, ...], Film]:
+    """A scene for each image that a scene file lists, unread; one if it lists none.
+
+    **Returns:** the scenes, and how light would become the images' numbers.
+
+    **Raises:** `ValueError` as [`load_scene`][] does.
+    """
+    path = _scene_file(path)
+    record = read_record(path, SceneRecord)
+    scene = build_scene(path, record)
+    views = []
+    for at, entry in enumerate(record.images):
+        with naming_field(f"{path}: images[{at}]"):
+            views.append(with_lights(scene, entry.lights))
+    return tuple(views) or (scene,), record.film()
 
 
 def save_scene(
@@ -131,13 +148,13 @@ def read_scene_dataset(folder: str | os.PathLike[str]) -> Dataset:
     wanted.
     """
     folder = Path(folder)
-    path = folder / SCENE_FILE
+    with naming(str(folder)):
+        path, truth = inside(folder, SCENE_FILE), inside(folder, TRUTH_FILE)
     record = read_record(path, SceneRecord)
-    scene = _build_scene(path, record)
+    scene = build_scene(path, record)
     with naming(str(path)):
         _check_images(record)
     read = [_read_entry(path, record, scene, at) for at in range(len(record.images))]
-    truth = folder / TRUTH_FILE
     return Dataset(
         name=folder.resolve().name,
         scenes=tuple(scene for scene, _, _ in read),
@@ -154,7 +171,13 @@ def _scene_file(path: str | os.PathLike[str]) -> Path:
     return path / SCENE_FILE if path.is_dir() else path
 
 
-def _build_scene(path: Path, record: SceneRecord) -> Scene:
+def build_scene(path: Path, record: SceneRecord) -> Scene:
+    """The scene of a record, with all lights on.
+
+    **Arguments:** `path`: of its file, beside which its arrays lie.
+
+    **Raises:** `ValueError` as [`load_scene`][] does.
+    """
     with naming(str(path)):
         with naming_field("surface"):
             surface = record.surface.build(path.parent)
@@ -197,14 +220,6 @@ def _check_images(record: SceneRecord) -> None:
         raise ValueError("images: is missing, a data set lists at least one")
     if record.encoding is None:
         raise ValueError("encoding: is missing, 'linear' or 'srgb' is wanted")
-    count = len(record.lights)
-    for at, image in enumerate(record.images):
-        lights = image.lights or []
-        if len(set(lights)) != len(lights) or not set(lights) <= set(range(count)):
-            raise ValueError(
-                f"images[{at}].lights: {lights} came, different numbers from 0 to "
-                f"{count - 1} are wanted"
-            )
 
 
 def _read_entry(
@@ -225,12 +240,23 @@ def _read_entry(
                 f"{source}: {shape[1]} × {shape[0]} pixels came, the camera in "
                 f"{path.name} wants {size[1]} × {size[0]}"
             )
-    return _with_lights(scene, entry.lights), image, mask
+    with naming_field(f"{path}: images[{at}]"):
+        return with_lights(scene, entry.lights), image, mask
 
 
-def _with_lights(scene: Scene, on: Sequence[int] | None) -> Scene:
+def with_lights(scene: Scene, on: Sequence[int] | None) -> Scene:
+    """The scene with some of its lights, in this order; `None` leaves all on.
+
+    **Raises:** `ValueError` for numbers that its lights do not have.
+    """
     if on is None:
         return scene
+    count = len(scene.lights)
+    if len(set(on)) != len(on) or not set(on) <= set(range(count)):
+        raise ValueError(
+            f"lights: {list(on)} came, different numbers from 0 to {count - 1} are "
+            "wanted"
+        )
     return dataclasses.replace(scene, lights=[scene.lights[index] for index in on])
 
 

@@ -16,7 +16,6 @@ from phongfit.files.arrays import read_array
 from phongfit.files.formats import MAX_PIXELS
 from phongfit.files.images import read_mask
 from phongfit.files.inputs import inside, naming
-from phongfit.files.meshes import load_mesh
 from phongfit.files.records import (
     AbstractRecord,
     Colour,
@@ -115,6 +114,9 @@ class MeshFileRecord(AbstractRecord):
     two_sided: bool = False
 
     def build(self, folder: Path) -> AbstractSurface:
+        # Here, since trimesh takes long to import.
+        from phongfit.files.meshes import load_mesh
+
         with naming("file"):
             path = inside(folder, self.file)
         return load_mesh(path, two_sided=self.two_sided).mesh

@@ -6,12 +6,11 @@ from collections.abc import Iterable
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy.interpolate
-import scipy.stats
 from jaxtyping import Array, Float
 
 from phongfit.fitting.estimate import estimates
 from phongfit.fitting.problem import Problem
+from phongfit.fitting.quantiles import fisher_quantile, student_reach
 from phongfit.fitting.search import Found
 from phongfit.fitting.solution import solve
 from phongfit.fitting.sums import linearize
@@ -86,7 +85,7 @@ def profile(
     _check_levels(levels)
     held = _Held(found, [label], inflation)
     (place,) = held.places
-    reach = {p: float(scipy.stats.t.ppf((1 + p) / 2, max(freedom, 1))) for p in levels}
+    reach = {p: student_reach(p, freedom) for p in levels}
     farthest = max(reach.values())
     sides = [held.walk(place, sign, farthest) for sign in (-1, 1)]
     points = np.array([*reversed(sides[0][1:]), *sides[1]])
@@ -119,7 +118,7 @@ def profile_pair(
         raise ValueError(f"other: {labels[1]!r} came twice, two unknowns are wanted")
     held = _Held(found, labels, inflation)
     freedom = max(freedom, 1)
-    thresholds = {p: 2 * float(scipy.stats.f.ppf(p, 2, freedom)) for p in levels}
+    thresholds = {p: 2 * fisher_quantile(p, 2, freedom) for p in levels}
     farthest = 1.15 * np.sqrt(max(thresholds.values()))
     grids = [held.grid(place, farthest, ACROSS) for place in held.places]
     rise = np.zeros((ACROSS, ACROSS))
@@ -150,7 +149,10 @@ def _crossing(
     values, signed = values[rising], signed[rising]
     if len(values) < 2 or not signed[0] <= level <= signed[-1]:
         return bound
-    return float(scipy.interpolate.PchipInterpolator(signed, values)(level))
+    # Here, since SciPy takes long to import, and few who fit ask for a profile.
+    from scipy.interpolate import PchipInterpolator
+
+    return float(PchipInterpolator(signed, values)(level))
 
 
 class _Held:

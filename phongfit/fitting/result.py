@@ -8,11 +8,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.stats
 from jaxtyping import Float
 
 from phongfit.fitting.diagnostics import variance_inflation
 from phongfit.fitting.profile import LEVELS, profile, profile_pair
+from phongfit.fitting.quantiles import student_reach
 from phongfit.fitting.search import Found
 from phongfit.fitting.table import fit_table
 from phongfit.fitting.unknowns import Unknowns
@@ -102,7 +102,7 @@ class Fit:
         """
         if not 0 < level < 1:
             raise ValueError(f"level: {level!r} came, a number in (0, 1) is wanted")
-        reach = scipy.stats.t.ppf((1 + level) / 2, max(self.degrees_of_freedom, 1))
+        reach = student_reach(level, self.degrees_of_freedom)
         edges = self.values[:, None] + reach * self.errors[:, None] * [[-1, 1]]
         return np.clip(edges, self.bounds[:, :1], self.bounds[:, 1:])
 

@@ -1,0 +1,147 @@
+"""Photographs from a data set's folder, or one image with its scene file."""
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+from phongfit.commands.options import optional
+from phongfit.files.dataset import Dataset
+from phongfit.files.datasets import read_dataset, read_diligent
+from phongfit.files.diligent import is_diligent
+from phongfit.files.fits import DataRecord, DataSettings
+from phongfit.files.images import read_image, read_mask
+from phongfit.files.inputs import recording
+from phongfit.files.records import read_record
+from phongfit.files.scenes import SCENE_FILE, TRUTH_FILE, build_scene, with_lights
+from phongfit.files.schema import SceneRecord
+from phongfit.fitting.noise import find_film
+from phongfit.rendering.film import Encoding
+from phongfit.scene import Scene
+
+
+@dataclass(frozen=True)
+class DataOptions:
+    """What is fitted.
+
+    Args:
+        dataset: A data set's folder, as `phongfit synth` makes it or in DiLiGenT's
+            layout; or one image, with --scene.
+        scene: With one image: its scene.json.
+        mask: With one image: white where a pixel may be used.
+        encoding: With one image: what its numbers are, if its scene file does not
+            say.
+        min_cosine: DiLiGenT: samples with n·l up to this are left out, where light
+            that bounced counts for more.
+        min_facing: DiLiGenT: pixels with n_z up to this are left out: a rim's pixel
+            averages over many normals.
+        room_light: DiLiGenT: ambient light, which stands for all that came by way
+            of the room; 0 for none.
+    """
+
+    dataset: Annotated[Positional[Path], arg(metavar="DATASET")]
+
+    scene: Annotated[Path | None, optional("FILE")] = None
+
+    mask: Annotated[Path | None, optional("FILE")] = None
+
+    encoding: Annotated[Encoding | None, optional("linear|srgb")] = None
+
+    min_cosine: Annotated[float, arg(metavar="X")] = 0.05
+
+    min_facing: Annotated[float, arg(metavar="X")] = 0.15
+
+    room_light: Annotated[float, arg(metavar="X")] = 1.0
+
+
+def read_data(options: DataOptions) -> tuple[Dataset, DataRecord]:
+    """The photographs, and a record of what was read, and how.
+
+    **Raises:** `ValueError` that names the file or the option.
+    """
+    with recording() as checksums:
+        if options.dataset.is_dir():
+            data = _read_folder(options)
+        else:
+            data = _read_single(options)
+    files = {path.resolve(): digest for path, digest in checksums.items()}
+    home = options.dataset.resolve()
+    home = home if home.is_dir() else home.parent
+    inputs = {
+        (str(p.relative_to(home)) if p.is_relative_to(home) else p.name): digest
+        for p, digest in sorted(files.items())
+        # What the images were made of is no input of a fit.
+        if p.name != TRUTH_FILE
+    }
+    reading = DataSettings(
+        encoding=options.encoding,
+        min_cosine=options.min_cosine,
+        min_facing=options.min_facing,
+        room_light=options.room_light,
+    )
+    return data, DataRecord(name=data.name, reading=reading, inputs=inputs)
+
+
+def _read_folder(options: DataOptions) -> Dataset:
+    folder = options.dataset
+    for name in ("scene", "mask", "encoding"):
+        if getattr(options, name) is not None:
+            raise ValueError(f"{name}: {folder} is a folder, which says this itself")
+    if (folder / SCENE_FILE).exists() or not is_diligent(folder):
+        return read_dataset(folder)
+    data = read_diligent(
+        folder, min_cosine=options.min_cosine, min_facing=options.min_facing
+    )
+    return in_a_room(data, options.room_light)
+
+
+def in_a_room(data: Dataset, light: float) -> Dataset:
+    """Photographs of DiLiGenT with ambient light that their layout does not know."""
+    room = (
+        dataclasses.replace(scene, ambient=np.full(3, light, image.dtype))
+        for scene, image in zip(data.scenes, data.images, strict=True)
+    )
+    # Where one channel is saturated, its neighbours are blurred by it.
+    masks = (mask.all(axis=-1) if mask.ndim == 3 else mask for mask in data.masks)
+    return dataclasses.replace(data, scenes=tuple(room), masks=tuple(masks))
+
+
+def _read_single(options: DataOptions) -> Dataset:
+    path = options.dataset
+    if not path.exists():
+        raise ValueError(f"{path}: there is no such file or folder")
+    if options.scene is None:
+        raise ValueError(f"scene: is missing, {path} is one image and needs --scene")
+    record = read_record(options.scene, SceneRecord)
+    scene = _scene_of(path, options.scene, record)
+    encoding = options.encoding or record.encoding
+    if encoding is None:
+        raise ValueError(
+            f"encoding: {options.scene} does not say it, --encoding linear or srgb is "
+            "wanted"
+        )
+    image = read_image(path, encoding)
+    mask = np.ones(image.shape[:2], bool)
+    if options.mask is not None:
+        mask = read_mask(options.mask)
+    wanted = (scene.camera.height, scene.camera.width)
+    for source, array in ((path, image), (options.mask, mask)):
+        if array.shape[:2] != wanted:
+            raise ValueError(
+                f"{source}: {array.shape[:2]} pixels came, the camera in "
+                f"{options.scene} wants {wanted}"
+            )
+    film = find_film([image]) if record.clamped else record.film()
+    return Dataset(path.stem, (scene,), (image,), (mask,), (path.name,), film)
+
+
+def _scene_of(path: Path, file: Path, record: SceneRecord) -> Scene:
+    """The scene of an image; with its own lights, if the scene file lists it."""
+    scene = build_scene(file, record)
+    for entry in record.images:
+        if (file.parent / entry.file).resolve() == path.resolve():
+            return with_lights(scene, entry.lights)
+    return scene

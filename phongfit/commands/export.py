@@ -1,0 +1,202 @@
+"""`phongfit export`: a material for other programs."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+from phongfit.commands.cache import keep_compiled
+from phongfit.commands.fit import FIT_FILE
+from phongfit.commands.options import optional
+from phongfit.files.gltf import Part, pbr_material, write_gltf
+from phongfit.files.limits import as_blinn
+from phongfit.files.materials import NamedMaterial, read_material, write_material
+from phongfit.files.mtl import write_mtl
+from phongfit.files.opengl_lines import write_opengl
+from phongfit.files.outputs import check_file
+from phongfit.files.scenes import load_scene
+from phongfit.geometry.meshes import Mesh
+from phongfit.geometry.shapes import Ball
+from phongfit.geometry.surfaces import AbstractSurface, Sphere
+from phongfit.mapping.export import export_maps
+from phongfit.mapping.folder import RECORD_FILE
+from phongfit.material import Material, unstack_materials
+from phongfit.reflectance import AbstractSpecular, BlinnPhong
+
+Target = Literal["mtl", "gltf", "json", "opengl"]
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `phongfit export`.
+
+    Args:
+        fit: A fit.json or the folder that holds it, preset:NAME, an .mtl, another .json
+            of a material, or the folder that `phongfit maps` made.
+        to: mtl: Wavefront's .mtl. gltf: glTF 2.0, on the scene's mesh. json: what
+            phongfit reads again. opengl: C lines of glMaterialfv.
+        out: The file to write; for gltf .glb, or .gltf, which is text.
+        scene: For gltf: a scene file whose mesh, or sphere, gets the material.
+            Default: a sphere.
+        nearest: Where the format cannot hold the material (colours above 1, an exponent
+            above 1000 in .mtl or 128 in OpenGL, an exponent for each channel), write
+            the nearest that it holds, with a warning; else that is an error.
+    """
+
+    fit: Annotated[Positional[str], arg(metavar="FIT")]
+    to: Target
+    out: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
+    scene: Annotated[Path | None, optional("FILE")] = None
+    nearest: bool = False
+
+
+def main(options: Options) -> int:
+    """Write a material for other programs: .mtl, glTF, OpenGL, JSON.
+
+    All but json get Blinn's un-normalised model: Phong's exponents are multiplied by 4.
+    glTF knows another one: roughness = (2 / (f + 2))^(1/4), F0 = 8 rho_s / (f + 2) by
+    KHR_materials_specular, metallic 0; the exact numbers stand in its extras. Maps
+    become texture images: beside an .mtl; inside a glTF file, on a rectangle with their
+    normals.
+
+    For example:
+      phongfit export out/fit --to gltf -o out/brass.glb
+      phongfit export out/fit/fit.json --to opengl -o out/brass.h --nearest
+      phongfit export preset:gold --to mtl -o out/gold.mtl
+      phongfit export out/maps --to gltf -o out/maps.glb
+    """
+    keep_compiled()
+    check_file(options.out)
+    if options.scene is not None and options.to != "gltf":
+        raise ValueError(f"scene: came, but {options.to} knows no shape; gltf does")
+    try:
+        written = _export(options)
+    except ValueError as error:
+        # The library speaks of its argument, a user here knows an option.
+        words = str(error).replace("nearest=True", "--nearest")
+        raise ValueError(words) from error
+    print(f"{options.out}: {written}")
+    return 0
+
+
+def _export(options: Options) -> str:
+    """Write the file; what was written, in words."""
+    folder = Path(options.fit)
+    if not (folder / RECORD_FILE).is_file():
+        return _export_material(options)
+    _check_maps(folder, options)
+    return export_maps(folder, options.out, options.to, nearest=options.nearest)
+
+
+def _check_maps(folder: Path, options: Options) -> None:
+    if options.to not in ("mtl", "gltf"):
+        raise ValueError(
+            f"to: {options.to} holds one material, {folder} holds maps; mtl and gltf "
+            "know textures"
+        )
+    if options.scene is not None:
+        raise ValueError("scene: maps lie on their picture's plane, no scene is wanted")
+
+
+class Job(NamedTuple):
+    """What is to be written where: materials by name, as given, and as Blinn's."""
+
+    names: list[str]
+    given: list[Material]
+    blinn: list[Material]
+    model: AbstractSpecular
+    options: Options
+
+
+def _export_material(options: Options) -> str:
+    source = Path(options.fit)
+    is_fit = (source / FIT_FILE).is_file()
+    if source.is_dir() and not is_fit:
+        raise ValueError(f"{source}: holds neither a {FIT_FILE} nor a {RECORD_FILE}")
+    read = read_material(str(source / FIT_FILE) if is_fit else options.fit)
+    _WRITERS[options.to](_job(read, options))
+    return read.name
+
+
+def _job(read: NamedMaterial, options: Options) -> Job:
+    given = unstack_materials(read.material)
+    model = read.model or BlinnPhong()
+    name = " ".join(read.name.replace("#", " ").split()) or "material"
+    names = [name] if len(given) == 1 else [f"{name}-{k}" for k in range(len(given))]
+    return Job(names, given, [as_blinn(one, model) for one in given], model, options)
+
+
+def _write_mtl(job: Job) -> None:
+    materials = dict(zip(job.names, job.blinn, strict=True))
+    write_mtl(job.options.out, materials, nearest=job.options.nearest)
+
+
+def _single(job: Job) -> str:
+    """The name of the only material, for formats that hold no more."""
+    if len(job.given) != 1:
+        raise ValueError(
+            f"to: {job.options.to} holds one material, {len(job.given)} came; mtl and "
+            "gltf hold several"
+        )
+    return job.names[0]
+
+
+def _write_json(job: Job) -> None:
+    write_material(job.options.out, _single(job), job.given[0], job.model)
+
+
+def _write_opengl(job: Job) -> None:
+    name, nearest = _single(job), job.options.nearest
+    write_opengl(job.options.out, name, job.blinn[0], nearest=nearest)
+
+
+def _write_gltf(job: Job) -> None:
+    scene = job.options.scene
+    surface = Sphere() if scene is None else load_scene(scene).surface
+    parts = surface_parts(surface)
+    if len(job.blinn) not in (1, len(parts)):
+        raise ValueError(
+            f"scene: its surface has {len(parts)} materials, {len(job.blinn)} came"
+        )
+    materials = [
+        pbr_material(name, one, job.options.nearest)
+        for name, one in zip(job.names, job.blinn, strict=True)
+    ]
+    if len(materials) == 1:
+        materials *= len(parts)
+    write_gltf(job.options.out, list(zip(parts, materials, strict=True)))
+
+
+_WRITERS: dict[Target, Callable[[Job], None]] = {
+    "mtl": _write_mtl,
+    "gltf": _write_gltf,
+    "json": _write_json,
+    "opengl": _write_opengl,
+}
+
+
+def surface_parts(surface: AbstractSurface) -> list[Part]:
+    """A surface as triangles, a part for each of its materials; else a unit sphere."""
+    if isinstance(surface, Mesh):
+        mesh, center = surface, np.zeros(3)
+    else:
+        radius = float(surface.radius) if isinstance(surface, Sphere) else 1.0
+        mesh = Ball(radius).mesh(96, 48)
+        center = np.asarray(surface.center) if isinstance(surface, Sphere) else 0.0
+    positions = np.asarray(mesh.vertices) + center
+    normals, faces = np.asarray(mesh.vertex_normals()), np.asarray(mesh.faces)
+    index = np.zeros(len(faces), int)
+    if mesh.material_index is not None:
+        index = np.asarray(mesh.material_index)
+    return [
+        _used(positions, faces[index == at], normals) for at in range(mesh.materials)
+    ]
+
+
+def _used(positions: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Part:
+    """Some of a mesh's faces, with the vertices that they use."""
+    vertices, place = np.unique(faces, return_inverse=True)
+    return Part(positions[vertices], place.reshape(-1, 3), normals[vertices])

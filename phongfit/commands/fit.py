@@ -1,0 +1,183 @@
+"""`phongfit fit`: photographs in; table, `fit.json`, pictures and report out."""
+
+import dataclasses
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from tyro.conf import OmitArgPrefixes
+
+from phongfit.commands.cache import keep_compiled
+from phongfit.commands.data import DataOptions, read_data
+from phongfit.commands.options import (
+    FitOptions,
+    OutFolder,
+    UnknownOptions,
+    optional,
+    settings_of,
+)
+from phongfit.commands.progress import stage
+from phongfit.files.dataset import Dataset
+from phongfit.files.fits import (
+    DataRecord,
+    FitRecord,
+    FitSettings,
+    distances,
+    load_fit,
+    save_fit,
+)
+from phongfit.files.outputs import replacing_folder
+from phongfit.fitting.fit import fit
+from phongfit.fitting.result import Fit
+
+FIT_FILE = "fit.json"
+PICTURE_FILE = "comparison.png"
+REPORT_FILE = "report.html"
+OURS = (FIT_FILE, PICTURE_FILE, REPORT_FILE)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `phongfit fit`.
+
+    Args:
+        out: Folder to make: fit.json (all numbers, and what is needed to repeat the
+            fit), comparison.png (photograph, fit and residual), report.html.
+        like: Repeat this fit: take all settings from it, and compare the answers.
+        report: full: the picture, and the report with profiles, for which the fit is
+            solved some fifty times more. quick: the same without profiles. none:
+            fit.json alone.
+        overwrite: Replace an older fit in OUT.
+    """
+
+    data: OmitArgPrefixes[DataOptions]
+
+    out: OutFolder
+
+    unknown: OmitArgPrefixes[UnknownOptions] = UnknownOptions()
+    fitting: OmitArgPrefixes[FitOptions] = FitOptions()
+
+    like: Annotated[Path | None, optional("FIT.json")] = None
+
+    report: Literal["full", "quick", "none"] = "full"
+
+    overwrite: bool = False
+
+
+def main(options: Options) -> int:
+    """Fit one material to photographs, and say how well it is known.
+
+    Prints values with standard errors, correlations, and what could not be told. There
+    is no starting guess and no random number: the same photographs give the same fit.
+
+    For example:
+      phongfit fit out/brass -o out/fit
+      phongfit fit out/brass/001.png --scene out/brass/scene.json -o out/one
+      phongfit fit ballPNG -o out/ball --bounds shininess=1:5000 --loss cauchy
+      phongfit fit out/brass -o out/again --like out/fit/fit.json
+
+    Exit status 1 if the solver does not converge, or if, with --like, the answers
+    differ by more than a standard error.
+    """
+    keep_compiled()
+    record = None if options.like is None else load_fit(options.like)
+    settings, reading = _settings(options, record)
+    data, read = read_data(reading)
+    with replacing_folder(
+        options.out, OURS.__contains__ if options.overwrite else None
+    ) as folder:
+        with stage("fitting"):
+            found = _fit(data, settings)
+        print(found, flush=True)
+        save_fit(
+            folder / FIT_FILE,
+            found,
+            settings=settings,
+            data=read,
+            model=data.scenes[0].specular,
+        )
+        if options.report != "none":
+            with stage("drawing"):
+                _draw(folder, found, data, options)
+    written = OURS[:1] if options.report == "none" else OURS
+    print(f"\n{options.out}: {', '.join(written)}")
+    agrees = record is None or _compare(record, found, read)
+    return 0 if found.converged and agrees else 1
+
+
+def _settings(
+    options: Options, record: FitRecord | None
+) -> tuple[FitSettings, DataOptions]:
+    """What is asked for: by options, or by the fit that is to be repeated."""
+    if record is None:
+        return settings_of(options.unknown, options.fitting), options.data
+    for group in (options.unknown, options.fitting):
+        for field in dataclasses.fields(group):
+            if getattr(group, field.name) != field.default:
+                raise ValueError(
+                    f"{field.name}: came beside --like, which says it; one of the two "
+                    "is wanted"
+                )
+    return record.settings, dataclasses.replace(
+        options.data, **record.data.reading.model_dump()
+    )
+
+
+def _fit(data: Dataset, settings: FitSettings) -> Fit:
+    # A single image stands alone, so that its residual is one image too.
+    options: dict[str, Any] = settings.options() | {"film": data.film}
+    if len(data.images) == 1:
+        return fit(data.scenes[0], data.images[0], mask=data.masks[0], **options)
+    return fit(data.scenes, data.images, mask=data.masks, **options)
+
+
+def _compare(record: FitRecord, found: Fit, read: DataRecord) -> bool:
+    """Say whether a repeated fit agrees; true if it does, or if the data are others."""
+    then, now = record.data.inputs, read.inputs
+    if sorted(then.values()) != sorted(now.values()):
+        changed = sorted(
+            {name for name, _ in set(then.items()) ^ set(now.items())},
+        )
+        shown = ", ".join(changed[:5]) + (" …" if len(changed) > 5 else "")
+        print(f"other data than in the recorded fit ({shown}): not compared")
+        return True
+    distance = distances(record, found)
+    if np.isnan(distance).all():
+        print("like the recorded fit: nothing is told by either")
+        return True
+    worst = int(np.nanargmax(distance))
+    agrees = bool(distance[worst] <= 1)
+    verdict = "agrees with" if agrees else "DIFFERS from"
+    print(
+        f"{verdict} the recorded fit: the largest difference is {distance[worst]:.2g} "
+        f"standard errors, of {found.labels[worst]}"
+    )
+    return agrees
+
+
+def _draw(folder: Path, found: Fit, data: Dataset, options: Options) -> None:
+    """The picture and the report."""
+    # Here, since drawing takes long to import, and the table comes first.
+    from phongfit.report.page import write_page
+
+    found.plot(data.names).savefig(folder / PICTURE_FILE, dpi=150)
+    write_page(
+        folder / REPORT_FILE,
+        found,
+        title=data.name,
+        names=data.names,
+        command=_again(options),
+        thorough=options.report == "full",
+    )
+
+
+def _again(options: Options) -> str:
+    """The command that repeats the fit."""
+    words = ["phongfit", "fit", str(options.data.dataset)]
+    for name in ("scene", "mask"):
+        path = getattr(options.data, name)
+        words += [] if path is None else [f"--{name}", str(path)]
+    like = str(options.out / FIT_FILE)
+    return shlex.join([*words, "--like", like, "-o", f"{options.out}-again"])

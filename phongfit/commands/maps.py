@@ -1,0 +1,188 @@
+"""`phongfit maps`: photographs under many lights in, maps of the material out."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from tyro.conf import OmitArgPrefixes
+
+from phongfit.commands.cache import keep_compiled
+from phongfit.commands.data import DataOptions, read_data
+from phongfit.commands.options import (
+    Names,
+    OutFolder,
+    Words,
+    optional,
+    parse_bounds,
+)
+from phongfit.commands.progress import stage
+from phongfit.files.dataset import Dataset
+from phongfit.files.describe import describe_material
+from phongfit.files.fits import DataRecord, LossName
+from phongfit.files.inputs import naming
+from phongfit.files.materials import read_material
+from phongfit.files.outputs import check_folder, plain, replacing_folder
+from phongfit.fitting.fit import fit
+from phongfit.mapping.folder import (
+    ARRAYS_FILE,
+    NORMALS_FILE,
+    RECORD_FILE,
+    MapSettings,
+    save_folder,
+    seen_normals,
+)
+from phongfit.mapping.result import LEAVES, Maps
+from phongfit.mapping.run import fit_maps
+from phongfit.material import Material
+
+TILES = "tiles"
+FLAGS_FILE = "flags.png"
+OURS = {
+    *(RECORD_FILE, ARRAYS_FILE, NORMALS_FILE, FLAGS_FILE),
+    *(f"{name}.{suffix}" for name in LEAVES for suffix in ("png", "tif")),
+    *(f"stderr_{name}.tif" for name in LEAVES),
+}
+SHARED = ("ambient", "diffuse")
+"""What each pixel still tells where the highlight is one for all of them."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `phongfit maps`.
+
+    Args:
+        out: Folder to make: maps.npz (all maps, errors and flags), pictures of each map
+            and its errors with their scales, the same as floating-point TIFF, maps.json
+            (settings and versions). Until all is done it holds finished tiles: the same
+            command goes on from there.
+        highlight: own: every pixel has its own. shared: one for all, which a fit of one
+            material finds first; for few lights or sharp highlights, of which a pixel
+            sees one at most.
+        unknowns: Leaves to be found, of ambient diffuse specular shininess.
+        per_channel: Which of them differ between red, green and blue; with shininess,
+            each channel has its own exponent.
+        known: A material for the leaves that are not unknown.
+        bounds: Other bounds than 0:1 (reflectances) and 1:1000 (shininess).
+        noise: Standard deviation of the sensor's noise in linear light, where white
+            is 1. Default: what each pixel's residuals show.
+        loss: How much a residual counts; all but linear bear outliers, such as shadows
+            of which the scene does not know.
+        tile_pixels: Pixels that are in memory at a time. Default: what 64 MB hold.
+        pictures: Draw the pictures.
+        overwrite: Replace older maps in OUT.
+    """
+
+    data: OmitArgPrefixes[DataOptions]
+    out: OutFolder
+    highlight: Literal["own", "shared"] = "own"
+    unknowns: Names = LEAVES
+    per_channel: Names = ("ambient", "diffuse", "specular")
+    known: Annotated[str | None, optional("preset:NAME|FILE")] = None
+    bounds: Annotated[Words, optional("NAME=LOW:HIGH ...")] = ()
+    noise: Annotated[float | None, optional("SD")] = None
+    loss: LossName = "linear"
+    tile_pixels: Annotated[int | None, optional("N")] = None
+    pictures: bool = True
+    overwrite: bool = False
+
+
+def main(options: Options) -> int:
+    """Fit a material per pixel to photographs under many lights, the normals known.
+
+    For example:
+      phongfit synth out/metal --shininess 40 --lights 24 --resolution 64
+      phongfit maps out/metal -o out/maps
+      phongfit maps ballPNG -o out/ball --highlight shared --bounds shininess=1:5000
+    """
+    keep_compiled()
+    check_folder(options.out.resolve(), _replaceable(options))
+    given = _given(options)
+    data, read = read_data(options.data)
+    if options.highlight == "shared":
+        given |= {"known": _shared(data, given), "unknowns": SHARED}
+    try:
+        _finish(options, data, read, given)
+    except KeyboardInterrupt:
+        stay = f"finished tiles stay in {options.out}, the same command goes on there"
+        raise KeyboardInterrupt(stay) from None
+    return 0
+
+
+def _finish(
+    options: Options, data: Dataset, read: DataRecord, given: dict[str, Any]
+) -> None:
+    """Fit what is not yet fitted; then all of OUT at once, in place of the tiles."""
+    found = fit_maps(
+        data.scenes,
+        data.images,
+        mask=data.masks,
+        film=data.film,
+        tile_pixels=options.tile_pixels,
+        output=options.out / TILES,
+        **given,
+    )
+    print(found, flush=True)
+    with replacing_folder(options.out, _replaceable(options)) as folder:
+        save_folder(
+            folder,
+            found,
+            data=read,
+            settings=_settings(given),
+            model=data.scenes[0].specular,
+            normals=seen_normals(data.scenes[0]),
+        )
+        if options.pictures:
+            with stage("drawing"):
+                _draw(folder, found)
+        names = sorted(path.name for path in folder.iterdir())
+    print(f"\n{options.out}: {', '.join(names)}")
+
+
+def _replaceable(options: Options) -> Callable[[str], bool]:
+    """Which names in OUT may go: tiles of an unfinished run, or all that is ours."""
+
+    def may_replace(name: str) -> bool:
+        return name == TILES or (options.overwrite and name in OURS)
+
+    return may_replace
+
+
+def _given(options: Options) -> dict[str, Any]:
+    """Keyword arguments of [`fit_maps`][]."""
+    known = None
+    if options.known is not None:
+        with naming("known"):
+            known = read_material(options.known).material
+    return {
+        "unknowns": options.unknowns,
+        "per_channel": options.per_channel,
+        "bounds": parse_bounds(options.bounds),
+        "known": known,
+        "noise": options.noise,
+        "loss": options.loss,
+    }
+
+
+def _shared(data: Dataset, given: dict[str, Any]) -> Material:
+    """One material for all pixels, whose highlight each of them is given."""
+    with stage("fitting one material"):
+        options = given | {"mask": data.masks, "film": data.film}
+        one = fit(data.scenes, data.images, **options)
+    print(one, "\n", flush=True)
+    return one.material
+
+
+def _settings(given: dict[str, Any]) -> MapSettings:
+    known = given["known"]
+    described = None if known is None else describe_material(known)
+    return MapSettings.model_validate(plain(given | {"known": described}))
+
+
+def _draw(folder: Path, found: Maps) -> None:
+    # Here, since drawing takes long to import.
+    from phongfit.report.maps import draw_flags, draw_leaf
+
+    for name in found.unknowns:
+        draw_leaf(found, name).savefig(folder / f"{name}.png", dpi=130)
+    draw_flags(found).savefig(folder / FLAGS_FILE, dpi=130)

@@ -1,0 +1,169 @@
+"""Options that commands share: unknowns, and what is known of them."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from tyro.conf import arg
+
+from phongfit.files.describe import describe_material
+from phongfit.files.fits import FitSettings, LossName
+from phongfit.files.inputs import naming
+from phongfit.files.materials import read_material
+from phongfit.files.outputs import plain
+from phongfit.fitting.fit import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
+
+Value = TypeVar("Value")
+
+
+def optional(metavar: str) -> Any:
+    """An option whose help says itself what its default is."""
+    return arg(metavar=metavar, help_behavior_hint="")
+
+
+Names = Annotated[tuple[str, ...], arg(metavar="NAME ...")]
+Words = tuple[str, ...]
+
+OutFolder = Annotated[Path, arg(aliases=["-o"], metavar="OUT")]
+MaterialName = Annotated[str, arg(metavar="preset:NAME|FILE")]
+JsonFile = Annotated[Path | None, optional("FILE")]
+
+
+@dataclass(frozen=True)
+class UnknownOptions:
+    """What is unknown. Labels are those of the table, such as diffuse.red.
+
+    Args:
+        unknowns: Leaves of the material (ambient diffuse specular shininess
+            emission), arrays of the scene such as scene.lights[0].direction, or
+            exposure.
+        per_channel: Which of them have a value for each of red, green and blue.
+        per_image: Arrays of the scene of which each image has its own.
+        bounds: Other bounds than 0:1 (reflectances) and 1:1000 (shininess).
+        fixed: Values that are held.
+        ties: What follows another label, such as specular.green=specular.red.
+        priors: What is known beforehand: mean and standard deviation.
+    """
+
+    unknowns: Names = DEFAULT_UNKNOWNS
+
+    per_channel: Names = DEFAULT_PER_CHANNEL
+
+    per_image: Annotated[Words, optional("NAME ...")] = ()
+
+    bounds: Annotated[tuple[str, ...], optional("NAME=LOW:HIGH ...")] = ()
+
+    fixed: Annotated[tuple[str, ...], optional("LABEL=VALUE ...")] = ()
+
+    ties: Annotated[tuple[str, ...], optional("LABEL=[X*]OTHER ...")] = ()
+
+    priors: Annotated[tuple[str, ...], optional("LABEL=MEAN:SD ...")] = ()
+
+    def given(self) -> dict[str, Any]:
+        """Keyword arguments of [`fit`][].
+
+        **Raises:** `ValueError` that names the option.
+        """
+        return {
+            "unknowns": self.unknowns,
+            "per_channel": self.per_channel,
+            "per_image": self.per_image,
+            "bounds": parse_bounds(self.bounds),
+            "fixed": pairs("fixed", self.fixed, float),
+            "ties": pairs("ties", self.ties, _tie),
+            "priors": pairs("priors", self.priors, _two_numbers),
+        }
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How it is fitted.
+
+    Args:
+        known: A material (a preset, .mtl, .json, fit.json) for the leaves that are
+            not unknown. Default: no reflectance, exponent 32.
+        noise: Standard deviation of the sensor's noise in linear light, where white
+            is 1. Default: what the residuals show.
+        loss: How much a residual counts; all but linear bear outliers, tukey the
+            most.
+        max_steps: Limit of the solver's steps, in each of its passes.
+    """
+
+    known: Annotated[str | None, optional("preset:NAME|FILE")] = None
+
+    noise: Annotated[float | None, optional("SD")] = None
+
+    loss: LossName = "linear"
+
+    max_steps: Annotated[int, arg(metavar="N")] = 200
+
+
+def settings_of(unknowns: UnknownOptions, options: FitOptions) -> FitSettings:
+    """Options as the settings that `fit.json` keeps.
+
+    **Raises:** `ValueError` that names the option.
+    """
+    known = None
+    if options.known is not None:
+        with naming("known"):
+            known = describe_material(read_material(options.known).material)
+    given = unknowns.given() | {
+        "known": known,
+        "noise": options.noise,
+        "loss": options.loss,
+        "max_steps": options.max_steps,
+    }
+    for name, wanted in (("noise", "a number > 0"), ("max_steps", "1 or more")):
+        value = given[name]
+        if value is not None and not 0 < value < float("inf"):
+            raise ValueError(f"{name}: {value} came, {wanted} is wanted")
+    return FitSettings.model_validate(plain(given))
+
+
+def parse_bounds(words: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """`NAME=LOW:HIGH` for each word; raises as [`pairs`][] does."""
+    return pairs("bounds", words, _two_numbers)
+
+
+def pairs(
+    option: str, words: Sequence[str], parse: Callable[[str], Value]
+) -> dict[str, Value]:
+    """`NAME=VALUE` for each word.
+
+    **Raises:** `ValueError` that names the option and the word.
+    """
+    found: dict[str, Value] = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not name or not equals or name in found:
+            raise ValueError(
+                f"{option}: {word!r} came, NAME=VALUE is wanted, once each"
+            )
+        try:
+            found[name] = parse(value)
+        except ValueError:
+            raise ValueError(
+                f"{option}: {value!r} came for {name}, {_WANTED[parse]} wanted"
+            ) from None
+    return found
+
+
+def _two_numbers(text: str) -> tuple[float, float]:
+    low, high = text.split(":")
+    return float(low), float(high)
+
+
+def _tie(text: str) -> tuple[float, str]:
+    factor, star, other = text.rpartition("*")
+    if not re.fullmatch(r"[\w.\[\],]+", other):
+        raise ValueError("no label")
+    return (float(factor) if star else 1.0), other
+
+
+_WANTED: dict[Callable[[str], Any], str] = {
+    float: "a number is",
+    _two_numbers: "two numbers with a colon are",
+    _tie: "a label, or FACTOR*LABEL, is",
+}

@@ -1,0 +1,78 @@
+"""`phongfit predict`: a scene and a material in, errors that a fit would state out."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import OmitArgPrefixes, Positional, arg
+
+from phongfit.commands.cache import keep_compiled
+from phongfit.commands.options import JsonFile, MaterialName, UnknownOptions
+from phongfit.commands.progress import stage
+from phongfit.files.materials import read_material
+from phongfit.files.outputs import check_file, write_json
+from phongfit.files.scenes import load_views
+from phongfit.fitting.predict import Prediction, predict_errors
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `phongfit predict`.
+
+    Args:
+        scene: A scene.json, or the folder of a data set. If it lists images, one
+            photograph with the lights of each is foreseen, else one with all lights.
+        material: The true one: preset:NAME, an .mtl (FILE.mtl:NAME for one of several)
+            or a .json.
+        noise: Standard deviation of the sensor's noise in linear light, where white
+            is 1.
+        json: Where the numbers go, with their covariance.
+    """
+
+    scene: Annotated[Positional[Path], arg(metavar="SCENE")]
+    material: MaterialName
+    noise: Annotated[float, arg(metavar="SD")]
+    unknown: OmitArgPrefixes[UnknownOptions] = UnknownOptions()
+    json: JsonFile = None
+
+
+def main(options: Options) -> int:
+    """How well could a material be known, before any photograph is taken?
+
+    Prints the standard errors that a fit would state: where nothing is clipped or
+    rounded, no estimate from such images can do better (Cramér-Rao). So lights, views
+    and exposures can be compared, and placed well.
+
+    For example:
+      phongfit predict out/brass --material preset:brass --noise 0.01
+      phongfit predict out/brass --material preset:brass --noise 0.01 \
+--unknowns diffuse specular shininess scene.lights[0].direction
+    """
+    keep_compiled()
+    if options.json is not None:
+        check_file(options.json)
+    material = read_material(options.material).material
+    scenes, film = load_views(options.scene)
+    one = scenes[0] if len(scenes) == 1 else scenes
+    given = options.unknown.given()
+    with stage("predicting"):
+        told = predict_errors(one, material, options.noise, film=film, **given)
+    print(told)
+    if options.json is not None:
+        write_json(options.json, _numbers(told, options.noise))
+        print(f"\n{options.json}")
+    return 0
+
+
+def _numbers(told: Prediction, noise: float) -> dict:
+    return {
+        "labels": list(told.labels),
+        "values": told.values,
+        "errors": told.errors,
+        "covariance": told.covariance,
+        "at_bound": told.at_bound,
+        "untold": told.untold,
+        "samples": told.samples,
+        "noise": noise,
+        "warnings": list(told.warnings),
+    }

@@ -1,0 +1,24 @@
+"""`phongfit synth`: the data sets of `data_synth`, where that is installed."""
+
+import importlib
+import importlib.util
+from collections.abc import Callable
+
+PACKAGE = "data_synth"
+
+
+def absent() -> int:
+    """Make a data set with known truth. (Not here: data_synth is not installed.)"""
+    raise ValueError(
+        f"{PACKAGE} is not installed here; it comes with phongfit: pip install phongfit"
+    )
+
+
+def command() -> Callable[..., int]:
+    """What makes the data set; phongfit itself does without it."""
+    if importlib.util.find_spec(PACKAGE) is None:
+        return absent
+    return importlib.import_module(f"{PACKAGE}.__main__").main
+
+
+main = command()

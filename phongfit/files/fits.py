@@ -1,0 +1,289 @@
+"""`fit.json`: a fit with its errors, and all that is needed to repeat it."""
+
+import importlib.metadata
+import math
+import os
+import platform
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import jax
+import numpy as np
+from jaxtyping import Float
+from pydantic import BeforeValidator, Field
+
+from phongfit.files.describe import describe
+from phongfit.files.inputs import naming
+from phongfit.files.outputs import plain, write_json
+from phongfit.files.records import AbstractRecord, read_record
+from phongfit.files.schema import MaterialRecord, SpecularRecord
+from phongfit.fitting.fit import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
+from phongfit.fitting.result import Fit
+from phongfit.material import Material
+from phongfit.reflectance import AbstractSpecular
+from phongfit.rendering.film import Encoding
+
+FIT_FORMAT = "phongfit fit"
+LossName = Literal["linear", "huber", "soft_l1", "cauchy", "tukey"]
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+Numbers = list[float | None]
+"""Numbers, where null stands for what is not finite."""
+
+Edges = Annotated[tuple[float | None, float | None], BeforeValidator(_as_tuple)]
+"""(low, high), where null is infinity."""
+
+Pair = Annotated[tuple[float, float], BeforeValidator(_as_tuple)]
+"""Two numbers."""
+
+Follows = Annotated[tuple[float, str], BeforeValidator(_as_tuple)]
+"""(factor, label)."""
+
+Nested = float | None | Numbers | list[Numbers]
+"""A leaf: one number, RGB, or a row for each of several materials."""
+
+Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+"""A SHA-256 in hexadecimal digits."""
+
+
+class FitSettings(AbstractRecord):
+    """What a fit was asked for: see [`fit`][]."""
+
+    unknowns: list[str] = list(DEFAULT_UNKNOWNS)
+    per_channel: list[str] = list(DEFAULT_PER_CHANNEL)
+    per_image: list[str] = []
+    known: MaterialRecord | None = None
+    bounds: dict[str, Edges] = {}
+    fixed: dict[str, float] = {}
+    ties: dict[str, Follows] = {}
+    priors: dict[str, Pair] = {}
+    noise: Annotated[float, Field(gt=0)] | None = None
+    loss: LossName = "linear"
+    max_steps: Annotated[int, Field(ge=1)] = 200
+
+    def options(self) -> dict[str, Any]:
+        """Keyword arguments of [`fit`][]."""
+        with naming("known"):
+            known = None if self.known is None else self.known.build()
+        bounds = {
+            name: (
+                -math.inf if low is None else low,
+                math.inf if high is None else high,
+            )
+            for name, (low, high) in self.bounds.items()
+        }
+        return {
+            "unknowns": tuple(self.unknowns),
+            "per_channel": tuple(self.per_channel),
+            "per_image": tuple(self.per_image),
+            "known": known,
+            "bounds": bounds,
+            "fixed": dict(self.fixed),
+            "ties": dict(self.ties),
+            "priors": dict(self.priors),
+            "noise": self.noise,
+            "loss": self.loss,
+            "max_steps": self.max_steps,
+        }
+
+
+class DataSettings(AbstractRecord):
+    """How photographs were read: see `phongfit fit --help`."""
+
+    encoding: Encoding | None = None
+    min_cosine: float = 0.05
+    min_facing: float = 0.15
+    room_light: Annotated[float, Field(ge=0)] = 1.0
+
+
+class DataRecord(AbstractRecord):
+    """The data: its name, how it was read, and SHA-256 of every file that was."""
+
+    name: str
+    reading: DataSettings
+    inputs: dict[str, Digest]
+
+
+class LeavesRecord(AbstractRecord):
+    """A material of any shape, or its errors."""
+
+    ambient: Nested
+    diffuse: Nested
+    specular: Nested
+    shininess: Nested
+    emission: Nested
+
+
+class FitRecord(AbstractRecord):
+    """`fit.json`."""
+
+    format: Literal["phongfit fit"]
+    version: Literal[1]
+    data: DataRecord
+    settings: FitSettings
+    model: SpecularRecord
+    material: LeavesRecord
+    stderr: LeavesRecord
+    labels: Annotated[list[str], Field(min_length=1)]
+    values: list[float]
+    errors: Numbers
+    at_bound: list[bool]
+    untold: list[bool]
+    tied: list[bool]
+    bounds: list[Edges]
+    covariance: list[Numbers]
+    exposure: list[float]
+    noise: float
+    noise_given: bool
+    samples: int
+    images: int
+    degrees_of_freedom: int
+    reduced_chi_squared: float | None
+    neighbour_correlation: float
+    film: str
+    converged: bool
+    steps: int
+    reason: str
+    warnings: list[str]
+    made_with: dict[str, str]
+
+    def build(self) -> Material:
+        """The material: leaves () or (3,), or (M, 3) and (M, 1) of M materials.
+
+        **Raises:** `ValueError` that names the leaf.
+        """
+        leaves = {name: _array(leaf) for name, leaf in self.material}
+        with naming("material"):
+            return Material(**leaves)
+
+    def numbers(self) -> tuple[np.ndarray, np.ndarray]:
+        """Values and errors; an error of null is infinite."""
+        return _array(self.values), np.nan_to_num(_array(self.errors), nan=np.inf)
+
+    def specular(self) -> AbstractSpecular:
+        """The model of the highlight."""
+        return self.model.build()
+
+
+def _array(numbers: Any) -> np.ndarray:
+    try:
+        return np.array(numbers, float)
+    except ValueError as error:
+        raise ValueError("rows of one length are wanted") from error
+
+
+def made_with() -> dict[str, str]:
+    """Versions of what numbers rest on, and the precision."""
+    names = ("phongfit", "jax", "jaxlib", "equinox", "lineax", "optimistix", "numpy")
+    machine = f"{platform.system()} {platform.machine()}"
+    return {
+        **{name: importlib.metadata.version(name) for name in names},
+        "python": platform.python_version(),
+        "precision": str(jax.numpy.result_type(float)),
+        "platform": f"{machine}, {jax.default_backend()}",
+    }
+
+
+def save_fit(
+    path: str | os.PathLike[str],
+    fit: Fit,
+    *,
+    settings: FitSettings,
+    data: DataRecord,
+    model: AbstractSpecular,
+) -> None:
+    """Write a fit, in one piece, so that it can be repeated elsewhere.
+
+    **Arguments:**
+
+    - `settings`, `data`: what it was asked for, and what it was made from.
+    - `model`: of the highlight, the scenes'.
+
+    **Raises:** `OSError` that names the file.
+    """
+    told = fit.to_dict()
+    for name in ("model", "loss"):
+        del told[name]
+    bounds = [
+        [None if math.isinf(edge) else float(edge) for edge in row]
+        for row in fit.bounds
+    ]
+    content: dict[str, Any] = {
+        "format": FIT_FORMAT,
+        "version": 1,
+        "data": data.model_dump(),
+        "settings": settings.model_dump(),
+        "model": describe(model),
+        **told,
+        "bounds": bounds,
+        "tied": fit.tied,
+        "noise_given": fit.noise_given,
+        "images": fit.images,
+        "degrees_of_freedom": fit.degrees_of_freedom,
+        "made_with": made_with(),
+    }
+    write_json(path, content)
+
+
+def load_fit(path: str | os.PathLike[str]) -> FitRecord:
+    """The record of a fit from its file.
+
+    **Raises:** `ValueError` that names the file, the field, what came and what is
+    wanted.
+    """
+    path = Path(path)
+    record = read_record(path, FitRecord)
+    with naming(str(path)):
+        check_fit(record)
+    return record
+
+
+def check_fit(record: FitRecord) -> None:
+    """Are there as many values, errors, … as labels, and is there a material?
+
+    **Raises:** `ValueError` that names the field.
+    """
+    count = len(record.labels)
+    for name in ("values", "errors", "at_bound", "untold", "tied", "bounds"):
+        length = len(getattr(record, name))
+        if length != count:
+            raise ValueError(f"{name}: {length} came for {count} labels")
+    rows = [len(row) for row in record.covariance]
+    if rows != [count] * count:
+        raise ValueError(f"covariance: {count} rows of {count} numbers are wanted")
+    record.build()
+
+
+def distances(record: FitRecord, fit: Fit) -> Float[np.ndarray, " n"]:
+    """How far a fit is from a recorded one, in the recorded standard errors.
+
+    **Returns:** a number for each label: infinite where only one of the two tells the
+    value, NaN where neither does.
+
+    **Raises:** `ValueError` if the labels differ.
+    """
+    if tuple(record.labels) != fit.labels:
+        raise ValueError(
+            f"labels: {', '.join(fit.labels)} came, those of the recorded fit are "
+            f"{', '.join(record.labels)}"
+        )
+    values, errors = record.numbers()
+    told = np.isfinite(errors), np.isfinite(fit.errors)
+    # No finer than the numbers themselves: at a bound an error may be 0.
+    scale = np.maximum(errors, 1e-5 * np.abs(values) + 1e-7)
+    distance = np.abs(fit.values - values) / scale
+    distance = np.where(told[0] == told[1], distance, np.inf)
+    return np.where(told[0] | told[1], distance, np.nan)
+
+
+def plain_settings(settings: Mapping[str, Any]) -> FitSettings:
+    """Options of a command as a record; infinity becomes null.
+
+    **Raises:** `ValueError` that names the option.
+    """
+    return FitSettings.model_validate(plain(dict(settings)))

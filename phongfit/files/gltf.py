@@ -1,0 +1,240 @@
+r"""glTF 2.0: a mesh with Phong's material as a metallic-roughness viewer shows it.
+
+The two models are not the same. What is kept is how wide and how bright a highlight is
+where it is seen head-on:
+
+- roughness: Beckmann's and GGX's $\alpha$ of about the same lobe as Blinn's $\cos^f$
+  is $\alpha = \sqrt{2 / (f + 2)}$, and glTF's roughness is $\sqrt\alpha$;
+- `KHR_materials_specular`: the peak of GGX's lobe over a matte surface's light is
+  $F_0 (f + 2) / 8$, so that $F_0 = 8 \rho_s / (f + 2)$; 4 % of it is glTF's colour 1.
+  A viewer shows at most $F_0 = 1$;
+- base colour is $\rho_d$, metallic is 0, emission is emission. Ambient has no place:
+  viewers light by an environment. The exact material stands in the file's `extras`.
+
+??? cite "Source"
+    Karis, *Specular BRDF reference*, 2013 (α and f); Khronos, *glTF 2.0*, 2021, section
+    3.9, and *KHR_materials_specular*.
+"""
+
+import base64
+import json
+import os
+import struct
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from phongfit.files.describe import describe_material
+from phongfit.files.limits import colour, exponent, limited
+from phongfit.files.outputs import plain, replacing
+from phongfit.material import Material
+
+FORMAT = "glTF"
+F0_OF_WHITE = 0.04
+FLOAT, UNSIGNED = 5126, 5125
+VERTICES, INDICES = 34962, 34963
+CONVERSION = (
+    "roughness = (2 / (shininess + 2))^(1/4); "
+    "specularColorFactor = 8 specular / (shininess + 2) / 0.04; base colour = diffuse"
+)
+
+
+class Part(NamedTuple):
+    """Triangles of one material: arrays as glTF has them.
+
+    `uv` has its origin at the top left, and `tangents` are its u in space, with a sign.
+    Without `normals` faces are flat.
+    """
+
+    positions: Float[np.ndarray, "vertices 3"]
+    faces: Int[np.ndarray, "faces 3"]
+    normals: Float[np.ndarray, "vertices 3"] | None = None
+    uv: Float[np.ndarray, "vertices 2"] | None = None
+    tangents: Float[np.ndarray, "vertices 4"] | None = None
+
+
+class Textures(NamedTuple):
+    """PNG files as bytes, in place of a material's numbers, and the colour's factor."""
+
+    base_colour: bytes
+    roughness: bytes
+    specular: bytes
+    normal: bytes
+    specular_factor: Float[np.ndarray, "3"]
+
+
+def roughness(shininess: Any) -> Float[np.ndarray, "..."]:
+    r"""glTF's roughness for a Blinn exponent: $(2 / (f + 2))^{1/4}$."""
+    return (2 / (np.asarray(shininess, float) + 2)) ** 0.25
+
+
+def specular_colour(specular: Any, shininess: Any) -> Float[np.ndarray, "..."]:
+    r"""glTF's specular colour: $8 \rho_s / (f + 2) / 0.04$; see above."""
+    numbers = np.asarray(specular, float), np.asarray(shininess, float)
+    return 8 * numbers[0] / (numbers[1] + 2) / F0_OF_WHITE
+
+
+def pbr_material(name: str, material: Material, nearest: bool) -> dict[str, Any]:
+    """One material of the un-normalised Blinn-Phong model, as a glTF material.
+
+    **Arguments:** `nearest`: the nearest that glTF holds, with a warning, where it
+    cannot hold the material: colours above 1, an exponent for each channel.
+
+    **Raises:** `ValueError` that names the leaf, unless `nearest`.
+    """
+    f = exponent(material, np.inf, FORMAT, nearest)
+    diffuse, emission = (
+        limited(leaf, colour(leaf, getattr(material, leaf)), 1.0, FORMAT, nearest)
+        for leaf in ("diffuse", "emission")
+    )
+    tint = specular_colour(colour("specular", material.specular), f)
+    return {
+        "name": name,
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [*diffuse, 1.0],
+            "metallicFactor": 0.0,
+            "roughnessFactor": float(roughness(f)),
+        },
+        "emissiveFactor": emission,
+        "extensions": {"KHR_materials_specular": {"specularColorFactor": tint}},
+        "extras": {"phong": describe_material(material), "conversion": CONVERSION},
+    }
+
+
+def write_gltf(
+    path: str | os.PathLike[str],
+    parts: list[tuple[Part, dict[str, Any]]],
+    textures: Textures | None = None,
+) -> None:
+    """Write triangles and their materials: one file that holds all, in one piece.
+
+    **Arguments:**
+
+    - `path`: `.glb`, or `.gltf` with the binary part as text.
+    - `parts`: with materials of [`pbr_material`][].
+    - `textures`: of the first material.
+
+    **Raises:** `ValueError` for another suffix, `OSError` that names the file.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in (".glb", ".gltf"):
+        raise ValueError(f"{path}: suffix {suffix!r} came, .glb or .gltf is wanted")
+    file = _File()
+    for part, material in parts:
+        file.add(part, material)
+    if textures is not None:
+        file.texture(textures)
+    content = file.glb() if suffix == ".glb" else file.gltf()
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+class _File:
+    """A glTF file while it is put together: JSON, and the bytes that it points into."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.json: dict[str, Any] = {
+            "asset": {"version": "2.0", "generator": "phongfit"},
+            "extensionsUsed": ["KHR_materials_specular"],
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "nodes": [{"mesh": 0}],
+            "meshes": [{"primitives": []}],
+            "materials": [],
+            "accessors": [],
+            "bufferViews": [],
+        }
+
+    def add(self, part: Part, material: dict[str, Any]) -> None:
+        arrays = {
+            "POSITION": part.positions,
+            "NORMAL": part.normals,
+            "TEXCOORD_0": part.uv,
+            "TANGENT": part.tangents,
+        }
+        attributes = {
+            name: self._array(array, f"VEC{array.shape[1]}")
+            for name, array in arrays.items()
+            if array is not None
+        }
+        self.json["meshes"][0]["primitives"].append(
+            {
+                "attributes": attributes,
+                "indices": self._array(part.faces.reshape(-1), "SCALAR"),
+                "material": len(self.json["materials"]),
+            }
+        )
+        self.json["materials"].append(material)
+
+    def _array(self, array: np.ndarray, kind: str) -> int:
+        whole = kind == "SCALAR"
+        numbers = np.ascontiguousarray(array, np.uint32 if whole else np.float32)
+        view = self._view(numbers.tobytes(), INDICES if whole else VERTICES)
+        accessor: dict[str, Any] = {
+            "bufferView": view,
+            "componentType": UNSIGNED if whole else FLOAT,
+            "count": len(numbers),
+            "type": kind,
+        }
+        if kind == "VEC3":
+            # Viewers find the object's size by these.
+            ends = numbers.min(axis=0), numbers.max(axis=0)
+            accessor |= {"min": ends[0].astype(float), "max": ends[1].astype(float)}
+        self.json["accessors"].append(accessor)
+        return len(self.json["accessors"]) - 1
+
+    def _view(self, content: bytes, target: int | None = None) -> int:
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(content)}
+        self.data += content + bytes(-len(content) % 4)
+        self.json["bufferViews"].append(
+            view if target is None else view | {"target": target}
+        )
+        return len(self.json["bufferViews"]) - 1
+
+    def texture(self, textures: Textures) -> None:
+        images = textures[:4]
+        self.json["images"] = [
+            {"bufferView": self._view(image), "mimeType": "image/png"}
+            for image in images
+        ]
+        # Nearest, clamped: a texel is one pixel of the maps.
+        self.json["samplers"] = [
+            {"magFilter": 9728, "minFilter": 9728, "wrapS": 33071, "wrapT": 33071}
+        ]
+        self.json["textures"] = [
+            {"source": at, "sampler": 0} for at in range(len(images))
+        ]
+        material = self.json["materials"][0]
+        material["alphaMode"] = "MASK"
+        material["normalTexture"] = {"index": 3}
+        material["pbrMetallicRoughness"] = {
+            "baseColorTexture": {"index": 0},
+            "metallicRoughnessTexture": {"index": 1},
+            "metallicFactor": 0.0,
+            "roughnessFactor": 1.0,
+        }
+        material["extensions"]["KHR_materials_specular"] = {
+            "specularColorFactor": textures.specular_factor,
+            "specularColorTexture": {"index": 2},
+        }
+
+    def _text(self, uri: str | None) -> bytes:
+        buffer: dict[str, Any] = {"byteLength": len(self.data)}
+        buffer |= {} if uri is None else {"uri": uri}
+        content = self.json | {"buffers": [buffer]}
+        return json.dumps(plain(content), allow_nan=False).encode()
+
+    def gltf(self) -> bytes:
+        coded = base64.b64encode(bytes(self.data)).decode()
+        return self._text(f"data:application/octet-stream;base64,{coded}")
+
+    def glb(self) -> bytes:
+        text = self._text(None)
+        text += b" " * (-len(text) % 4)
+        chunks = [(text, b"JSON"), (bytes(self.data), b"BIN\0")]
+        body = b"".join(struct.pack("<I4s", len(c), kind) + c for c, kind in chunks)
+        return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body

@@ -1,0 +1,125 @@
+"""A material from wherever it was named: a preset, a library, or one of our files."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from phongfit.files.describe import describe, describe_material
+from phongfit.files.fits import FIT_FORMAT, FitRecord, check_fit
+from phongfit.files.inputs import naming, naming_field
+from phongfit.files.mtl import read_mtl
+from phongfit.files.outputs import write_json
+from phongfit.files.records import AbstractRecord, read_one_of
+from phongfit.files.schema import (
+    TRUTH_FORMAT,
+    BlinnPhongRecord,
+    MaterialRecord,
+    SpecularRecord,
+    TruthRecord,
+)
+from phongfit.material import Material, preset
+from phongfit.reflectance import AbstractSpecular, BlinnPhong
+
+MATERIAL_FORMAT = "phongfit material"
+
+
+class MaterialFile(AbstractRecord):
+    """A material, and the model of the highlight that it is for."""
+
+    format: Literal["phongfit material"]
+    version: Literal[1]
+    name: str = "material"
+    model: SpecularRecord = BlinnPhongRecord(kind="blinn-phong")
+    material: MaterialRecord
+
+
+class NamedMaterial(NamedTuple):
+    """A material, what it is called, and its model of the highlight if it tells one."""
+
+    name: str
+    material: Material
+    model: AbstractSpecular | None
+
+
+FORMATS: Mapping[str, type[AbstractRecord]] = {
+    FIT_FORMAT: FitRecord,
+    TRUTH_FORMAT: TruthRecord,
+    MATERIAL_FORMAT: MaterialFile,
+}
+
+
+def read_material(source: str) -> NamedMaterial:
+    """A material by its name or from its file.
+
+    **Arguments:** `source`: `preset:NAME`, an `.mtl` file of one material,
+    `FILE.mtl:NAME` for one of several, or a `.json`: a fit, a truth, a material.
+
+    **Raises:** `ValueError` that says what is wrong with it.
+    """
+    kind, _, name = source.partition(":")
+    if kind == "preset":
+        # OpenGL's materials are for its own highlight.
+        return NamedMaterial(name, preset(name), BlinnPhong())
+    file, colon, name = source.rpartition(":")
+    if colon and file.lower().endswith(".mtl"):
+        return _from_library(Path(file), name)
+    match Path(source).suffix.lower():
+        case ".mtl":
+            return _from_library(Path(source), None)
+        case ".json":
+            return _from_record(Path(source))
+    raise ValueError(
+        f"material: {source!r} came, preset:NAME, an .mtl or a .json file is wanted"
+    )
+
+
+def _from_library(path: Path, name: str | None) -> NamedMaterial:
+    materials = read_mtl(path)
+    if name is None and len(materials) == 1:
+        (name,) = materials
+    if name not in materials:
+        came = "none came" if name is None else f"{name!r} came"
+        known = ", ".join(f"{path}:{known}" for known in materials) or "it has none"
+        raise ValueError(f"{path}: {came}, one of its materials is wanted: {known}")
+    return NamedMaterial(name, materials[name], BlinnPhong())
+
+
+def _from_record(path: Path) -> NamedMaterial:
+    record = read_one_of(path, FORMATS)
+    with naming(str(path)):
+        match record:
+            case FitRecord():
+                check_fit(record)
+                return NamedMaterial(
+                    record.data.name, record.build(), record.specular()
+                )
+            case TruthRecord():
+                with naming_field("material"):
+                    return NamedMaterial(path.stem, record.material.build(), None)
+            case MaterialFile():
+                with naming_field("material"):
+                    material = record.material.build()
+                return NamedMaterial(record.name, material, record.model.build())
+    raise AssertionError(f"{type(record).__name__} has no place in FORMATS")
+
+
+def write_material(
+    path: str | os.PathLike[str],
+    name: str,
+    material: Material,
+    model: AbstractSpecular,
+) -> None:
+    """Write one material as JSON, so that [`read_material`][] gives it back.
+
+    **Raises:** `ValueError` for leaves that are not () or (3,), `OSError` that names
+    the file.
+    """
+    content = {
+        "format": MATERIAL_FORMAT,
+        "version": 1,
+        "name": name,
+        "model": describe(model),
+        "material": describe_material(material),
+    }
+    write_json(path, content)

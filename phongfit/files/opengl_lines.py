@@ -1,0 +1,64 @@
+"""A material as lines of C for the fixed-function OpenGL."""
+
+import os
+import re
+
+import numpy as np
+
+from phongfit.files.opengl import Parameters, material_to_opengl
+from phongfit.files.outputs import replacing
+from phongfit.material import Material
+
+HEAD = """/* {name}: a material of the Blinn-Phong model, by phongfit.
+
+   Colours are linear light. The scene's ambient light is GL_LIGHT_MODEL_AMBIENT. */
+
+#include <GL/gl.h>
+"""
+
+
+def opengl_lines(name: str, material: Material, *, nearest: bool = False) -> str:
+    """A C function that sets the material of what is drawn next.
+
+    **Arguments:** `nearest`: as in [`material_to_opengl`][].
+
+    **Raises:** `ValueError` that names the leaf, unless `nearest`.
+    """
+    parameters: Parameters = material_to_opengl(material, nearest=nearest)
+    # No comment may end early, and no name may be anything but one.
+    word = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "material"
+    lines = [HEAD.format(name=word), f"static void set_material_{word}(void)", "{"]
+    colours = {key: value for key, value in parameters.items() if key != "GL_SHININESS"}
+    for key, value in colours.items():
+        variable = key.removeprefix("GL_").lower()
+        numbers = ", ".join(_c_float(number) for number in value)
+        lines.append(f"    static const GLfloat {variable}[4] = {{{numbers}}};")
+    lines.append("")
+    for key in colours:
+        variable = key.removeprefix("GL_").lower()
+        lines.append(f"    glMaterialfv(GL_FRONT_AND_BACK, {key}, {variable});")
+    shininess = _c_float(parameters["GL_SHININESS"])
+    lines.append(f"    glMaterialf(GL_FRONT_AND_BACK, GL_SHININESS, {shininess});")
+    return "\n".join([*lines, "}", ""])
+
+
+def _c_float(number: float) -> str:
+    # As few digits as give back the same GLfloat.
+    text = str(np.float32(number))
+    return f"{text}f" if re.search("[.e]", text) else f"{text}.0f"
+
+
+def write_opengl(
+    path: str | os.PathLike[str],
+    name: str,
+    material: Material,
+    *,
+    nearest: bool = False,
+) -> None:
+    """Write [`opengl_lines`][] to a file, in one piece.
+
+    **Raises:** `ValueError` as it does, `OSError` that names the file.
+    """
+    text = opengl_lines(name, material, nearest=nearest)
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

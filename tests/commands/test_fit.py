@@ -1,0 +1,186 @@
+"""`phongfit fit`: what it writes, and that it can be repeated from that."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.cli import main
+from phongfit.files.fits import load_fit
+from phongfit.files.materials import read_material
+
+
+def _change(path, **changes):
+    record = json.loads(path.read_text())
+    for place, value in changes.items():
+        *above, last = place.split("__")
+        part = record
+        for step in above:
+            part = part[step]
+        part[last] = value
+    path.write_text(json.dumps(record))
+
+
+def test_all_numbers_are_written(brass, fitted):
+    record = load_fit(fitted / "fit.json")
+    data = pf.read_dataset(brass)
+    fit = pf.fit(data.scenes, data.images, mask=data.masks, film=data.film)
+    values, errors = record.numbers()
+    assert tuple(record.labels) == fit.labels
+    np.testing.assert_allclose(values, fit.values, rtol=1e-6)
+    np.testing.assert_allclose(errors, fit.errors, rtol=1e-6)
+    np.testing.assert_allclose(
+        np.array(record.covariance, float), fit.covariance, rtol=1e-6
+    )
+    assert [list(row) for row in record.bounds] == fit.bounds.tolist()
+    assert record.samples == fit.samples and record.converged
+    assert set(record.data.inputs) == {"001.png", "002.png", "003.png", "scene.json"}
+    assert record.made_with["precision"] == fit.material.diffuse.dtype.name
+    near = pf.preset("brass").diffuse
+    np.testing.assert_allclose(record.build().diffuse, near, atol=0.02)
+    read = read_material(str(fitted / "fit.json"))
+    assert isinstance(read.model, pf.BlinnPhong)
+    assert np.array_equal(read.material.diffuse, record.build().diffuse)
+
+
+def test_a_fit_repeats_and_a_difference_is_told(brass, fitted, tmp_path, capsys):
+    before = (fitted / "fit.json").read_text()
+    like = tmp_path / "fit.json"
+    like.write_text(before)
+    again = ["fit", str(brass), "--like", str(like), "--report", "none"]
+    assert main([*again, "-o", str(tmp_path / "a")]) == 0
+    assert "\nagrees with the recorded fit: " in capsys.readouterr().out
+    assert json.loads((tmp_path / "a/fit.json").read_text()) == json.loads(before)
+    # An answer that is two standard errors off.
+    record = json.loads(before)
+    record["values"][3] += 2 * record["errors"][3]
+    like.write_text(json.dumps(record))
+    assert main([*again, "-o", str(tmp_path / "b")]) == 1
+    out = capsys.readouterr().out
+    assert re.search(r"DIFFERS from the recorded fit: .* 2 .*diffuse\.red", out)
+    # Other data are fitted in the same way, but not compared.
+    record["data"]["inputs"]["001.png"] = 64 * "0"
+    like.write_text(json.dumps(record))
+    assert main([*again, "-o", str(tmp_path / "c")]) == 0
+    assert "other data than in the recorded fit (001.png)" in capsys.readouterr().out
+
+
+def test_every_setting_arrives_and_is_kept(brass, tmp_path, capsys):
+    args = [
+        "fit",
+        f"{brass}/002.png",
+        "--scene",
+        f"{brass}/scene.json",
+        "--report",
+        "none",
+    ]
+    args += ["--unknowns", "diffuse", "specular", "emission"]
+    args += ["--per-channel", "diffuse", "specular", "--known", "preset:brass"]
+    args += ["--bounds", "diffuse.red=0:2", "emission=0:inf"]
+    args += ["--fixed", "diffuse.blue=0.1"]
+    args += ["--ties", "specular.green=specular.red", "specular.blue=0.8*specular.red"]
+    args += ["--priors", "specular.red=0.9:0.2", "--loss", "huber", "--noise", "0.01"]
+    assert main([*args, "-o", str(tmp_path / "out"), "--max-steps", "50"]) == 0
+    record = load_fit(tmp_path / "out" / "fit.json")
+    options = record.settings.options()
+    assert options["unknowns"] == ("diffuse", "specular", "emission")
+    assert options["bounds"] == {"diffuse.red": (0, 2), "emission": (0, np.inf)}
+    assert options["fixed"] == {"diffuse.blue": 0.1}
+    ties = {
+        "specular.green": (1, "specular.red"),
+        "specular.blue": (0.8, "specular.red"),
+    }
+    assert options["ties"] == ties
+    assert options["priors"] == {"specular.red": (0.9, 0.2)}
+    assert (options["loss"], options["noise"], options["max_steps"]) == (
+        "huber", 0.01, 50,
+    )  # fmt: skip
+    values = dict(zip(record.labels, record.values, strict=True))
+    assert values["specular.blue"] == pytest.approx(0.8 * values["specular.red"])
+    assert record.build().shininess == pytest.approx(27.897436)
+    assert set(record.data.inputs) == {"002.png", "scene.json"}
+    assert record.noise_given and record.images == 1
+
+
+def test_pictures_and_report(brass, tmp_path, capsys):
+    out = tmp_path / "out"
+    args = ["fit", str(brass), "-o", str(out), "--report", "quick"]
+    assert main(args) == 0
+    names = {path.name for path in out.iterdir()}
+    assert names == {"fit.json", "comparison.png", "report.html"}
+    page = (out / "report.html").read_text()
+    assert page.startswith("<!doctype html>") and f"--like {out}/fit.json" in page
+    assert pf.read_image(out / "comparison.png", "srgb").std() > 0.1
+    capsys.readouterr()
+    # What is there stays, unless told otherwise, and nothing else goes.
+    assert main(args) == 2
+    assert "the folder is not empty" in capsys.readouterr().err
+    (out / "notes.txt").write_text("mine")
+    assert main([*args, "--overwrite"]) == 2
+    assert "it holds notes.txt" in capsys.readouterr().err
+    (out / "notes.txt").unlink()
+    assert main([*args[:-1], "none", "--overwrite"]) == 0
+    assert [path.name for path in out.iterdir()] == ["fit.json"]
+
+
+@pytest.mark.parametrize(
+    "args, words",
+    [
+        (["--bounds", "diffuse"], "bounds: 'diffuse' came, NAME=VALUE is wanted"),
+        (["--bounds", "diffuse=1"], "bounds: '1' came for diffuse, two numbers"),
+        (["--fixed", "diffuse=x"], "fixed: 'x' came for diffuse, a number"),
+        (["--ties", "a=2*"], "ties: '2*' came for a, a label, or FACTOR*LABEL"),
+        (["--ties", "a=b", "a=c"], "ties: 'a=c' came"),
+        (["--known", "gold"], "known: material: 'gold' came, preset:NAME"),
+        (["--noise", "0"], "noise: 0.0 came, a number > 0"),
+        (["--noise", "nan"], "noise: nan came"),
+        (["--max-steps", "0"], "max_steps: 0 came"),
+        (["--unknowns", "colour"], "unknowns: 'colour' came, one of ambient"),
+        (["--scene", "scene.json"], "is a folder, which says this itself"),
+        (["--loss", "l2"], "--loss"),
+        (["--like", "no.json"], "no.json: cannot be read"),
+    ],
+)
+def test_bad_options(brass, tmp_path, capsys, args, words):
+    assert main(["fit", str(brass), "-o", str(tmp_path / "out"), *args]) == 2
+    output = capsys.readouterr()
+    assert output.err.startswith("error: ") and words in output.err, output.err
+    assert output.err.count("\n") == 1 and output.out == ""
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        (
+            {"format": "phongfit truth"},
+            "format: \"phongfit truth\" came, 'phongfit fit'",
+        ),
+        ({"version": 2}, "version: 2 came"),
+        ({"values": [0.5]}, "values: 1 came for 10 labels"),
+        ({"covariance": [[1.0]]}, "covariance: 10 rows of 10 numbers"),
+        ({"settings__loss": "l2"}, 'settings.loss: "l2" came'),
+        ({"settings__lost": 1}, "\"lost\" is no key of it; did you mean 'loss'?"),
+        ({"settings__noise": -1}, "settings.noise: -1 came"),
+        ({"settings__bounds": {"diffuse": [1]}}, "settings.bounds.diffuse"),
+        ({"data__inputs": {"a.png": "zz"}}, "data.inputs"),
+        ({"material__diffuse": [[0.1], [0.1, 0.2]]}, "rows of one length"),
+        ({"material__diffuse": -1.0}, "material: diffuse: -1"),
+        ({"labels": []}, "labels: [] came"),
+    ],
+)
+def test_a_wrong_record_names_the_field(fitted, tmp_path, changes, words):
+    path = tmp_path / "fit.json"
+    path.write_text((fitted / "fit.json").read_text())
+    _change(path, **changes)
+    with pytest.raises(ValueError) as caught:
+        load_fit(path)
+    assert str(caught.value).startswith(f"{path}: ") and words in str(caught.value)
+
+
+def test_like_and_other_settings_do_not_mix(brass, fitted, tmp_path, capsys):
+    args = ["--like", str(fitted / "fit.json"), "--loss", "huber"]
+    assert main(["fit", str(brass), "-o", str(tmp_path / "out"), *args]) == 2
+    assert "loss: came beside --like" in capsys.readouterr().err

@@ -1,0 +1,239 @@
+"""Broken, hostile and unlucky: one line, status 2, and nothing is left behind."""
+
+import contextlib
+import json
+import os
+import resource
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from phongfit.cli import main
+
+COMMANDS: dict[str, Callable[[Path, Path], list[str]]] = {
+    "fit": lambda data, out: ["fit", f"{data}", "--report", "none", "-o", f"{out}"],
+    "one": lambda data, out: [
+        "fit", f"{data}/001.png", "--scene", f"{data}/scene.json", "-o", f"{out}",
+    ],
+    "maps": lambda data, out: ["maps", f"{data}", "--no-pictures", "-o", f"{out}"],
+    "render": lambda data, out: ["render", f"{data}", "-o", f"{out}.png"],
+    "predict": lambda data, out: [
+        "predict", f"{data}", "--material", "preset:gold", "--noise", "0.01",
+        "--json", f"{out}",
+    ],
+    "export": lambda data, out: [
+        "export", "preset:gold", "--to", "gltf", "--scene", f"{data}/scene.json",
+        "-o", f"{out}.glb",
+    ],
+}  # fmt: skip
+"""A command that reads a data set and writes to `out`."""
+
+READ_IMAGES = ("fit", "one", "maps")
+READ_SCENES = tuple(COMMANDS)
+
+
+def _bomb() -> bytes:
+    """A PNG file of a few bytes that says it is 100 000 × 100 000 pixels large."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        check = struct.pack(">I", zlib.crc32(kind + data))
+        return struct.pack(">I", len(data)) + kind + data + check
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 100_000, 100_000, 8, 2, 0, 0, 0))
+    body = chunk(b"IDAT", zlib.compress(bytes(1000)))
+    return b"\x89PNG\r\n\x1a\n" + header + body + chunk(b"IEND", b"")
+
+
+def _edit(folder: Path, **changes: object) -> None:
+    path = folder / "scene.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+
+def _link(folder: Path, name: str) -> None:
+    """A link in place of a file that leads to one outside of the folder."""
+    (folder.parent / "secret.png").write_bytes((folder / name).read_bytes())
+    (folder / name).unlink()
+    (folder / name).symlink_to(folder.parent / "secret.png")
+
+
+def _truncate(path: Path, size: int) -> None:
+    path.write_bytes(path.read_bytes()[:size])
+
+
+Damage = Callable[[Path], object]
+
+DAMAGED_IMAGES: dict[str, tuple[Damage, str]] = {
+    "empty": (lambda d: (d / "001.png").write_bytes(b""), "001.png: is broken"),
+    "cut off": (lambda d: _truncate(d / "001.png", 300), "001.png: is broken"),
+    "junk": (lambda d: (d / "001.png").write_bytes(b"junk" * 99), "001.png: is broken"),
+    "a bomb": (lambda d: (d / "001.png").write_bytes(_bomb()), "100000 × 100000 pix"),
+    "missing": (lambda d: (d / "001.png").unlink(), "001.png"),
+    "a pipe": (
+        lambda d: ((d / "001.png").unlink(), os.mkfifo(d / "001.png")),
+        "001.png: is not a file",
+    ),
+}
+DAMAGED_SCENES: dict[str, tuple[Damage, str]] = {
+    "empty": (lambda d: (d / "scene.json").write_text(""), "scene.json: is no JSON"),
+    "cut off": (lambda d: _truncate(d / "scene.json", 200), "scene.json: is no JSON"),
+    "binary": (lambda d: (d / "scene.json").write_bytes(b"\xff"), "is no text"),
+    "deep": (
+        lambda d: (d / "scene.json").write_text("[" * 100_000),
+        "scene.json: is nested too deeply",
+    ),
+    "huge": (
+        lambda d: (d / "scene.json").write_text(" " * (2**24 + 1)),
+        "scene.json: 16777217 bytes came",
+    ),
+    "huge camera": (
+        lambda d: _edit(d, camera={"kind": "orthographic", "width": 10**6,
+                                   "height": 10**6}),
+        "scene.json: camera.width: 1000000 × 1000000 pixels came",
+    ),
+    "an unknown key": (lambda d: _edit(d, shadow=1), "did you mean 'shadows'?"),
+    "outside": (
+        lambda d: _edit(d, surface={"kind": "normal_map", "normals": "../n.npy"}),
+        "scene.json: surface.normals: '../n.npy' came",
+    ),
+    "absolute": (
+        lambda d: _edit(d, surface={"kind": "mesh_file", "file": "/etc/passwd"}),
+        "scene.json: surface.file: '/etc/passwd' came",
+    ),
+}  # fmt: skip
+LEADING_OUT: dict[str, tuple[Damage, str]] = {
+    "a name": (
+        lambda d: _edit(d, images=[{"file": "../secret.png"}]),
+        "images[0]: '../secret.png' came, the name of a file in this folder",
+    ),
+    "a mask": (
+        lambda d: _edit(d, images=[{"file": "001.png", "mask": "/secret.png"}]),
+        "images[0]: '/secret.png' came",
+    ),
+    "a link": (lambda d: _link(d, "002.png"), "'002.png': is a link that leads out"),
+    "a linked scene": (lambda d: _link(d, "scene.json"), "'scene.json': is a link"),
+}
+
+
+def _tree(folder: Path) -> dict[str, object]:
+    return {
+        str(path.relative_to(folder)): (path.lstat().st_mtime_ns, path.is_dir())
+        for path in folder.rglob("*")
+    }
+
+
+def _check(folder: Path, args: list[str], words: str, capsys) -> None:
+    """One line, status 2, and all below `folder` is what it was."""
+    before = _tree(folder)
+    capsys.readouterr()
+    assert main(args) == 2
+    output = capsys.readouterr()
+    assert output.err.startswith("error: ") and words in output.err, output.err
+    assert output.err.count("\n") == 1 and output.out == "", output
+    assert _tree(folder) == before
+
+
+@pytest.mark.parametrize("damage", DAMAGED_IMAGES)
+@pytest.mark.parametrize("command", READ_IMAGES)
+def test_damaged_images(copy, tmp_path, capsys, command, damage):
+    harm, words = DAMAGED_IMAGES[damage]
+    harm(copy)
+    _check(tmp_path, COMMANDS[command](copy, tmp_path / "out"), words, capsys)
+
+
+@pytest.mark.parametrize("damage", DAMAGED_SCENES)
+@pytest.mark.parametrize("command", READ_SCENES)
+def test_damaged_scenes(copy, tmp_path, capsys, command, damage):
+    harm, words = DAMAGED_SCENES[damage]
+    harm(copy)
+    _check(tmp_path, COMMANDS[command](copy, tmp_path / "out"), words, capsys)
+
+
+@pytest.mark.parametrize("damage", LEADING_OUT)
+@pytest.mark.parametrize("command", ["fit", "maps"])
+def test_data_sets_that_lead_out_of_their_folder(
+    copy, tmp_path, capsys, command, damage
+):
+    harm, words = LEADING_OUT[damage]
+    harm(copy)
+    _check(tmp_path, COMMANDS[command](copy, tmp_path / "out"), words, capsys)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_an_output_that_is_in_the_way(brass, tmp_path, capsys, command):
+    args = COMMANDS[command](brass, tmp_path / "out")
+    out = Path(args[-1])
+    if command in ("fit", "one", "maps"):
+        out.write_text("a file")
+        _check(tmp_path, args, f"{out}: is a file, a folder is wanted", capsys)
+        out.unlink()
+        out.mkdir()
+        (out / "notes.txt").write_text("mine")
+        _check(tmp_path, args, f"{out}: ", capsys)
+    else:
+        out.mkdir()
+        _check(tmp_path, args, f"{out}: is a folder, a file name is wanted", capsys)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_folder_and_no_rights(brass, tmp_path, capsys, monkeypatch, command):
+    args = COMMANDS[command](brass, tmp_path / "no" / "out")
+    _check(tmp_path, args, "there is no folder", capsys)
+    # Who is root may write anywhere, so that rights are denied by hand.
+    monkeypatch.setattr(os, "access", lambda *args, **kwargs: False)
+    args = COMMANDS[command](brass, tmp_path / "out")
+    _check(tmp_path, args, f"the folder {tmp_path} may not be written to", capsys)
+
+
+@pytest.mark.parametrize("command", READ_SCENES)
+def test_files_that_may_not_be_read(brass, tmp_path, capsys, monkeypatch, command):
+    def deny(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "read_bytes", deny)
+    args = COMMANDS[command](brass, tmp_path / "out")
+    _check(tmp_path, args, "cannot be read: Permission denied", capsys)
+
+
+@contextlib.contextmanager
+def _full_disk(size: int) -> Iterator[None]:
+    """No file can grow beyond `size` bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("command", ["fit", "render", "float", "predict", "export"])
+def test_a_full_disk(brass, tmp_path, capsys, command):
+    if command == "float":
+        args = ["render", str(brass), "-o", str(tmp_path / "out.exr")]
+    else:
+        args = COMMANDS[command](brass, tmp_path / "out")
+    out = Path(args[-1])
+    if out.suffix:
+        out.write_text("old")
+    before = _tree(tmp_path)
+    with _full_disk(200):
+        assert main(args) == 2
+    err = capsys.readouterr().err
+    file = out / "fit.json" if command == "fit" else out
+    assert err.startswith(f"error: {file}: cannot be written: "), err
+    assert err.count("\n") == 1 and _tree(tmp_path) == before
+
+
+def test_a_full_disk_below_maps(brass, tmp_path, capsys):
+    """What was finished before stays, for the next run."""
+    known = ["--unknowns", "diffuse", "--known", "preset:brass"]
+    args = [*COMMANDS["maps"](brass, tmp_path / "out"), *known]
+    with _full_disk(2000):
+        assert main(args) == 2
+    err = capsys.readouterr().err
+    assert "tile_000000.npz: cannot be written" in err and err.count("\n") == 1
+    (tiles,) = (tmp_path / "out").iterdir()
+    assert [path.name for path in tiles.iterdir()] == ["maps.json"]
+    assert main(args) == 0

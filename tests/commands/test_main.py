@@ -1,0 +1,154 @@
+"""`phongfit`: its commands, their help, and how they end."""
+
+import json
+import re
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.cli import COMMANDS, main
+from phongfit.commands import synth
+
+
+def _stop(*args, **kwargs):
+    raise KeyboardInterrupt
+
+
+def test_help_of_all(capsys):
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in COMMANDS)
+    assert "phongfit fit out/brass -o out/fit" in text and "PHONGFIT_CACHE" in text
+    assert main(["--version"]) == 0
+    assert re.fullmatch(r"phongfit \d+\.\d+\.\d+\n", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_reads_like_a_manual(command, capsys):
+    assert main([command, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith(f"usage: phongfit {command} ")
+    assert "\nFor example:\n" in text and f"\n  phongfit {command} " in text
+    # A default of None says nothing to a user.
+    assert "None" not in text
+    # A line that ends where a sentence goes on was broken by the source, not the width.
+    assert not re.search(r"│ +[a-z]\S* {50,}│\n│ +[a-z]", text)
+
+
+@pytest.mark.parametrize(
+    "args, words",
+    [
+        ([], "Expected one of {synth, render, fit, maps, predict, export}"),
+        (["fti"], "there is no command 'fti'; did you mean 'fit'? (see --help)"),
+        (["zzz"], "there is no command 'zzz'; one of synth, render"),
+        (["--quick"], "--quick"),
+        (["fit"], "DATASET"),
+    ],
+)
+def test_what_is_no_command(args, words, capsys):
+    assert main(args) == 2
+    output = capsys.readouterr()
+    assert output.err.startswith("error: ") and words in output.err, output.err
+    assert output.err.count("\n") == 1 and output.out == ""
+
+
+def test_help_needs_no_jax():
+    """It would take a second."""
+    program = (
+        "import sys; from phongfit.cli import main; status = main(['--help']); "
+        "assert 'jax' not in sys.modules; raise SystemExit(status)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_synth_without_its_package(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(synth, "PACKAGE", "data_synth_that_is_absent")
+    monkeypatch.setattr(synth, "main", synth.command())
+    assert main(["synth"]) == 2
+    err = capsys.readouterr().err
+    assert "data_synth_that_is_absent is not installed" in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "place, args",
+    [
+        ("phongfit.commands.fit.fit", ["fit", "{data}", "-o", "{out}"]),
+        ("phongfit.commands.fit.save_fit", ["fit", "{data}", "-o", "{out}"]),
+        ("phongfit.commands.render.render", ["render", "{data}", "-o", "{out}.png"]),
+        (
+            "phongfit.files.gltf._File.glb",
+            ["export", "preset:gold", "--to", "gltf", "-o", "{out}.glb"],
+        ),
+    ],
+)
+def test_an_interrupt_leaves_nothing(brass, tmp_path, monkeypatch, capsys, place, args):
+    monkeypatch.setattr(place, _stop)
+    filled = [word.format(data=brass, out=tmp_path / "out") for word in args]
+    assert main(filled) == 130
+    assert capsys.readouterr().err == "error: interrupted\n"
+    assert not list(tmp_path.iterdir())
+
+
+class _Deaf:
+    """Whatever it raises is forgotten, as in a callback of the collector."""
+
+    def __del__(self):
+        raise KeyboardInterrupt
+
+
+def test_an_interrupt_is_heeded_wherever_it_lands(brass, monkeypatch, capsys, tmp_path):
+    def slow(*args, **kwargs):
+        _Deaf()
+        while time.monotonic() < start + 20:
+            time.sleep(0.01)
+
+    monkeypatch.setattr("phongfit.commands.fit.fit", slow)
+    start = time.monotonic()
+    assert main(["fit", str(brass), "-o", str(tmp_path / "out")]) == 130
+    assert capsys.readouterr().err == "error: interrupted\n"
+    assert time.monotonic() - start < 10
+
+
+def test_render(brass, tmp_path, capsys):
+    scene, truth = pf.load_scene(brass), pf.read_dataset(brass).truth
+    assert truth is not None
+    shown = np.asarray(pf.render(scene, truth))
+    out = tmp_path / "a.png"
+    assert main(["render", str(brass), "-o", str(out)]) == 0
+    assert "24 × 24 pixels, srgb; " in capsys.readouterr().out
+    np.testing.assert_allclose(pf.read_image(out, "srgb"), shown, atol=0.005)
+    # One light, another material, and all the light there is.
+    bright = tmp_path / "bright.mtl"
+    pf.write_mtl(bright, {"bright": pf.Material(1.0, 1.0, 5.0, 1.0)})
+    out = tmp_path / "a.exr"
+    args = ["--material", str(bright), "--lights", "1", "-o", str(out)]
+    assert main(["render", f"{brass}/scene.json", *args]) == 0
+    second = pf.Scene(
+        scene.surface, scene.camera, scene.lights[1], scene.ambient
+    )  # fmt: skip
+    light = pf.render(second, pf.read_mtl(bright)["bright"], film=pf.Film(clamp=False))
+    assert np.max(light) > 1
+    np.testing.assert_allclose(pf.read_image(out, "linear"), light, rtol=1e-5)
+    assert main(["render", str(brass), "--lights", "3", "-o", str(out)]) == 2
+    assert "lights: [3] came, different numbers from 0 to 2" in capsys.readouterr().err
+
+
+def test_predict(brass, tmp_path, capsys):
+    args = ["predict", str(brass), "--material", "preset:brass", "--noise", "0.01"]
+    fixed = ["--fixed", "shininess=30", "--json", f"{tmp_path}/a.json"]
+    assert main([*args, *fixed]) == 0
+    assert "diffuse.red" in capsys.readouterr().out
+    data = pf.read_dataset(brass)
+    expected = pf.predict_errors(
+        data.scenes, pf.preset("brass"), 0.01, film=data.film, fixed={"shininess": 30}
+    )
+    numbers = json.loads((tmp_path / "a.json").read_text())
+    assert tuple(numbers["labels"]) == expected.labels
+    np.testing.assert_allclose(numbers["errors"], expected.errors, rtol=1e-6)
+    assert main([*args[:-1], "-1"]) == 2
+    assert "noise" in capsys.readouterr().err

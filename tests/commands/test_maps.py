@@ -1,0 +1,164 @@
+"""`phongfit maps`: what it writes, and how it goes on after an interrupt."""
+
+import json
+
+import imagecodecs
+import numpy as np
+import pytest
+import trimesh
+
+import phongfit as pf
+from phongfit.cli import main
+from phongfit.commands import maps as command
+from phongfit.mapping.folder import load_folder
+
+FEW = ["--unknowns", "ambient", "diffuse", "--known", "preset:brass"]
+
+
+@pytest.fixture(scope="module")
+def mapped(brass, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("maps") / "maps"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PHONGFIT_CACHE", "off")
+        args = ["maps", str(brass), "-o", str(folder), "--highlight", "shared"]
+        assert main([*args, "--noise", "0.01"]) == 0
+    return folder
+
+
+def test_maps_their_errors_and_pictures(brass, mapped):
+    maps, record, normals = load_folder(mapped)
+    inside = ~maps.flagged(pf.Flag.OUTSIDE)
+    truth = pf.read_dataset(brass).truth
+    assert truth is not None
+    for name in ("ambient", "diffuse"):
+        off = getattr(maps, name) - np.asarray(getattr(truth, name))
+        pull = (off / getattr(maps.stderr, name))[inside & maps.told]
+        assert pull.size > 150 and np.mean(np.abs(pull) < 3) > 0.95, name
+        tiff = imagecodecs.tiff_decode((mapped / f"{name}.tif").read_bytes())
+        np.testing.assert_allclose(tiff, getattr(maps, name), rtol=1e-6)
+        tiff = imagecodecs.tiff_decode((mapped / f"stderr_{name}.tif").read_bytes())
+        np.testing.assert_allclose(tiff, getattr(maps.stderr, name), rtol=1e-6)
+        assert pf.read_image(mapped / f"{name}.png", "srgb").std() > 0.05
+    # Known for all pixels: what one material told.
+    np.testing.assert_allclose(maps.shininess[inside], 27.9, rtol=0.05)
+    assert record.settings.unknowns == ["ambient", "diffuse"]
+    assert record.settings.known is not None and record.settings.noise == 0.01
+    assert len(record.data.inputs) == 4 and not (mapped / "tiles").exists()
+    np.testing.assert_allclose(np.linalg.norm(normals[inside], axis=-1), 1, rtol=1e-5)
+    # The ball's middle looks at the viewer, its left side to the left.
+    assert (
+        normals[12, 12, 2] > 0.98
+        and normals[12, 3, 0] < -0.6
+        and normals[3, 12, 1] > 0.6
+    )
+
+
+def test_a_stopped_run_goes_on_where_it_was(brass, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "maps"
+    args = ["maps", str(brass), "-o", str(out), *FEW, "--tile-pixels", "64"]
+
+    def stop(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(command, "save_folder", stop)
+        assert main(args) == 130
+    err = capsys.readouterr().err
+    assert err.startswith("error: interrupted; finished tiles stay in")
+    assert err.count("\n") == 1
+    (tiles,) = out.iterdir()
+    # Another job must not mix with these tiles.
+    assert main([*args, "--noise", "0.02"]) == 2
+    assert "holds tiles of another job" in capsys.readouterr().err
+    times = {path.name: path.stat().st_mtime_ns for path in tiles.iterdir()}
+    assert len(times) > 1
+
+    def look(folder, found, **kept):
+        assert times == {p.name: p.stat().st_mtime_ns for p in tiles.iterdir()}
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(command, "save_folder", look)
+        assert main(args) == 130
+    assert main([*args, "--no-pictures"]) == 0
+    names = {path.name for path in out.iterdir()}
+    assert {"maps.npz", "maps.json", "normals.npy", "diffuse.tif"} <= names
+    assert "tiles" not in names and "diffuse.png" not in names
+    # Finished maps stay, unless told otherwise.
+    capsys.readouterr()
+    assert main(args) == 2
+    assert "is not replaced, since it holds ambient.tif" in capsys.readouterr().err
+    assert main([*args, "--overwrite", "--no-pictures"]) == 0
+
+
+def test_textures_of_a_gltf_file(mapped, tmp_path):
+    path = tmp_path / "a.glb"
+    assert main(["export", str(mapped), "--to", "gltf", "-o", str(path)]) == 0
+    (mesh,) = trimesh.load_scene(path).geometry.values()
+    material = mesh.visual.material  # pyright: ignore
+    maps, _, normals = load_folder(mapped)
+    inside = ~maps.flagged(pf.Flag.OUTSIDE)
+    base = np.asarray(material.baseColorTexture)  # pyright: ignore
+    assert np.array_equal(base[..., 3] > 0, inside)
+    linear = pf.rendering.film.decode(base[..., :3] / 255, "srgb")
+    np.testing.assert_allclose(linear[inside], maps.diffuse[inside], atol=0.005)
+    rough = np.asarray(material.metallicRoughnessTexture)  # pyright: ignore
+    expected = (2 / (maps.shininess[..., 0] + 2)) ** 0.25
+    np.testing.assert_allclose(
+        rough[..., 1][inside] / 255, expected[inside], atol=0.003
+    )
+    assert not rough[..., 2].any()
+    shown = np.asarray(material.normalTexture)[..., :3] / 255 * 2 - 1  # pyright: ignore
+    np.testing.assert_allclose(shown[inside], normals[inside], atol=0.01)
+    # Row 0 of the image is at the top of the plane.
+    top = mesh.vertices[:, 1] > 0
+    np.testing.assert_allclose(mesh.visual.uv[top][:, 1], 1)  # pyright: ignore
+
+
+def test_textures_of_an_mtl(mapped, tmp_path, capsys):
+    path = tmp_path / "a.mtl"
+    assert main(["export", str(mapped), "--to", "mtl", "-o", str(path)]) == 0
+    lines = dict(line.split(" ", 1) for line in path.read_text().splitlines()[1:])
+    maps, _, _ = load_folder(mapped)
+    inside = ~maps.flagged(pf.Flag.OUTSIDE)
+    diffuse = pf.read_image(tmp_path / lines["map_Kd"], "srgb")
+    np.testing.assert_allclose(diffuse[inside], maps.diffuse[inside], atol=0.005)
+    exponent = pf.read_image(tmp_path / lines["map_Ns"], "linear") * float(lines["Ns"])
+    np.testing.assert_allclose(
+        exponent[inside][:, 0], maps.shininess[inside][:, 0], rtol=0.01
+    )
+    assert lines["Kd"] == "1 1 1"
+    capsys.readouterr()
+    for to in ("json", "opengl"):
+        args = ["export", str(mapped), "--to", to, "-o", f"{tmp_path}/x"]
+        assert main(args) == 2
+        assert f"{to} holds one material" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "name, content, words",
+    [
+        ("maps.npz", b"PK\x03\x04", "maps.npz: cannot be read"),
+        ("maps.json", b"{}", "maps.json: format: is missing"),
+        ("normals.npy", None, "normals.npy: cannot be read"),
+    ],
+)
+def test_broken_folders(mapped, tmp_path, capsys, name, content, words):
+    folder = tmp_path / "maps"
+    folder.mkdir()
+    for path in mapped.glob("*.np*"):
+        (folder / path.name).write_bytes(path.read_bytes())
+    (folder / "maps.json").write_bytes((mapped / "maps.json").read_bytes())
+    (folder / name).unlink()
+    if content is not None:
+        (folder / name).write_bytes(content)
+    assert main(["export", str(folder), "--to", "gltf", "-o", f"{tmp_path}/a.glb"]) == 2
+    output = capsys.readouterr()
+    assert words in output.err and output.err.count("\n") == 1
+    assert not (tmp_path / "a.glb").exists()
+
+
+def test_record_is_whole(mapped):
+    record = json.loads((mapped / "maps.json").read_text())
+    assert record["model"]["kind"] == "blinn-phong"
+    assert record["made_with"]["jax"]
