@@ -1,4 +1,4 @@
-"""One look for all figures: page width, sizes of letters, colours all can tell apart."""
+"""One look for all figures: page width, type, colours that everyone can tell apart."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,6 +7,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.ticker import StrMethodFormatter
 
 from phongfit.report.pictures import displayed
 
@@ -69,6 +70,13 @@ def show(axes: Axes, image: Any, title: str = "", below: str = "") -> None:
     bare(axes)
     axes.set_title(title)
     axes.set_xlabel(below)
+
+
+def plain_numbers(axes: Axes) -> None:
+    """0.1, 1, 10 on axes of a log scale, in place of powers of ten."""
+    for axis in (axes.xaxis, axes.yaxis):
+        if axis.get_scale() == "log":
+            axis.set_major_formatter(StrMethodFormatter("{x:g}"))
 
 
 def bare(axes: Axes) -> None:
