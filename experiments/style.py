@@ -72,10 +72,10 @@ def show(axes: Axes, image: Any, title: str = "", below: str = "") -> None:
     axes.set_xlabel(below)
 
 
-def plain_numbers(axes: Axes) -> None:
+def plain_numbers(axes: Axes, which: str = "xy") -> None:
     """0.1, 1, 10 on axes of a log scale, in place of powers of ten."""
-    for axis in (axes.xaxis, axes.yaxis):
-        if axis.get_scale() == "log":
+    for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
+        if name in which and axis.get_scale() == "log":
             axis.set_major_formatter(StrMethodFormatter("{x:g}"))
 
 
