@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 import phongfit as pf
 from experiments import style
-from experiments.finding import Finding, Table, run_experiment
+from experiments.finding import Experiment, Finding, Table
 from phongfit.rendering.film import decode, encode
 
 LAMPS = {
@@ -166,5 +166,7 @@ def find(small: bool) -> Finding:
     )
 
 
+EXPERIMENT = Experiment("adding_light", __doc__, find)
+
 if __name__ == "__main__":
-    raise SystemExit(run_experiment(find, __doc__, "adding_light"))
+    raise SystemExit(EXPERIMENT.run())

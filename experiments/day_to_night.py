@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 import phongfit as pf
 from experiments import style
-from experiments.finding import Finding, Table, run_experiment
+from experiments.finding import Experiment, Finding, Table
 from experiments.light_kinds import MATERIAL, ball, floor
 
 SHOWN = (6.5, 8.0, 12.0, 16.0, 17.5, 19.0, 21.0, 24.0)
@@ -193,5 +193,7 @@ def find(small: bool) -> Finding:
     )
 
 
+EXPERIMENT = Experiment("day_to_night", __doc__, find)
+
 if __name__ == "__main__":
-    raise SystemExit(run_experiment(find, __doc__, "day_to_night"))
+    raise SystemExit(EXPERIMENT.run())

@@ -51,53 +51,74 @@ Finding.__init__.__doc__ = """**Arguments:**
 - `wrong`: what should hold and does not, in words.
 """
 
-Experiment = Callable[[bool], Finding]
-"""Takes whether it shall be small: quick and coarse."""
 
+@dataclasses.dataclass(frozen=True)
+class Experiment:
+    """A question, and how to find its answer.
 
-def question(about: str) -> str:
-    """What an experiment asks, from its module's docstring."""
-    return " ".join(about.partition("\n\n")[0].removeprefix("Question:").split())
+    **Arguments:**
 
-
-def run_experiment(find: Experiment, about: str, name: str) -> int:
-    """An experiment as a command: see [`command`][]."""
-    return run(command(find, about, name), prog=f"python -m experiments.{name}")
-
-
-def command(find: Experiment, about: str, name: str) -> Callable[..., int]:
-    """A function with options, whose docstring is a help text.
-
-    **Arguments:** `about`: the module's docstring; `name`: of the module.
+    - `name`: of its module, and of its files.
+    - `about`: that module's docstring: the question, an empty line, what is done.
+    - `find`: takes whether it shall be small, quick and coarse.
     """
 
-    def main(
-        small: bool = False,
-        picture: PictureFile = Path(f"out/{name}.png"),
-        json: JsonFile = None,
-    ) -> int:
-        finding = find(small)
-        console = Console()
-        show(console, finding)
-        save_picture(picture, finding.figure)
-        if finding.frames is not None:
-            animation = picture.with_suffix(".gif")
-            save_animation(animation, finding.frames)
-            console.print(f"animation: {animation}", soft_wrap=True)
-        save_numbers(json, finding.numbers)
-        return 1 if finding.wrong else 0
+    name: str
+    about: str
+    find: Callable[[bool], Finding]
 
-    main.__doc__ = f"""{question(about)}
+    @property
+    def question(self) -> str:
+        """What is asked, in one line."""
+        return self._parts[0].removeprefix("Question: ")
 
-    {" ".join(about.partition(chr(10) * 2)[2].split())} Exit status 1 if something that
-    should hold does not.
+    @property
+    def method(self) -> str:
+        """What is done, as one paragraph."""
+        return self._parts[1]
 
-    Args:
-        small: Few pixels and few draws: quick and coarse.
-        picture: Where the figure goes.
-        json: Where the numbers go.
-    """
-    return main
+    @property
+    def _parts(self) -> tuple[str, str]:
+        first, _, rest = self.about.partition("\n\n")
+        return " ".join(first.split()), " ".join(rest.split())
+
+    def command(self) -> Callable[..., int]:
+        """A function with options, whose docstring is a help text."""
+
+        def main(
+            small: bool = False,
+            picture: PictureFile = Path(f"out/{self.name}.png"),
+            json: JsonFile = None,
+        ) -> int:
+            console = Console()
+            with console.status(escape(self.question)):
+                finding = self.find(small)
+            show(console, finding)
+            save_picture(picture, finding.figure)
+            if finding.frames is not None:
+                animation = picture.with_suffix(".gif")
+                save_animation(animation, finding.frames)
+                print(f"animation: {animation}")
+            save_numbers(json, finding.numbers)
+            return 1 if finding.wrong else 0
+
+        main.__doc__ = HELP.format(question=self.question, method=self.method)
+        return main
+
+    def run(self) -> int:
+        """The command line: see [`run`][]."""
+        return run(self.command(), prog=f"python -m experiments.{self.name}")
+
+
+HELP = """{question}
+
+{method} Exit status 1 if something that should hold does not.
+
+Args:
+    small: Few pixels and few draws: quick and coarse.
+    picture: Where the figure goes.
+    json: Where the numbers go.
+"""
 
 
 def show(console: Console, finding: Finding) -> None:

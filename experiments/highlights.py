@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 import phongfit as pf
 from experiments import style
-from experiments.finding import Finding, Table, run_experiment
+from experiments.finding import Experiment, Finding, Table
 from phongfit.vectors import Scalar, Vec3
 
 EXPONENTS = (10.0, 25.0, 50.0, 100.0, 200.0)
@@ -201,5 +201,7 @@ def find(small: bool) -> Finding:
     )
 
 
+EXPERIMENT = Experiment("highlights", __doc__, find)
+
 if __name__ == "__main__":
-    raise SystemExit(run_experiment(find, __doc__, "highlights"))
+    raise SystemExit(EXPERIMENT.run())

@@ -18,7 +18,7 @@ from matplotlib.ticker import LogLocator
 import phongfit as pf
 from data_synth.lights import spread_directions
 from experiments import style
-from experiments.finding import Finding, Table, run_experiment
+from experiments.finding import Experiment, Finding, Table
 
 TRUTH = pf.Material(0.5, 0.3, 20.0, 0.5)
 SHARP = pf.Material(0.5, 0.3, 60.0, 0.5)
@@ -361,5 +361,7 @@ def failures(found: Found, slack: float) -> tuple[str, ...]:
     return tuple(wrong)
 
 
+EXPERIMENT = Experiment("how_well", __doc__, find)
+
 if __name__ == "__main__":
-    raise SystemExit(run_experiment(find, __doc__, "how_well"))
+    raise SystemExit(EXPERIMENT.run())

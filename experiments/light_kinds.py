@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 import phongfit as pf
 from experiments import style
-from experiments.finding import Finding, Table, run_experiment
+from experiments.finding import Experiment, Finding, Table
 
 HEIGHT = 2.0
 """Of the lamps over the floor, world units."""
@@ -265,5 +265,7 @@ def find(small: bool) -> Finding:
     )
 
 
+EXPERIMENT = Experiment("light_kinds", __doc__, find)
+
 if __name__ == "__main__":
-    raise SystemExit(run_experiment(find, __doc__, "light_kinds"))
+    raise SystemExit(EXPERIMENT.run())

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 import phongfit as pf
 from experiments import style
-from experiments.finding import Finding, Table, run_experiment
+from experiments.finding import Experiment, Finding, Table
 
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 SPECULARS = (0.25, 0.5, 0.75)
@@ -165,5 +165,7 @@ def find(small: bool) -> Finding:
     )
 
 
+EXPERIMENT = Experiment("model", __doc__, find)
+
 if __name__ == "__main__":
-    raise SystemExit(run_experiment(find, __doc__, "model"))
+    raise SystemExit(EXPERIMENT.run())

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 import phongfit as pf
 from data_synth.lights import spread_directions
 from experiments import style
-from experiments.finding import Finding, Table, run_experiment
+from experiments.finding import Experiment, Finding, Table
 
 METHODS: dict[str, pf.AbstractShading] = {
     "flat": pf.FlatShading(),
@@ -384,5 +384,7 @@ def find(small: bool) -> Finding:
     )
 
 
+EXPERIMENT = Experiment("shading_methods", __doc__, find)
+
 if __name__ == "__main__":
-    raise SystemExit(run_experiment(find, __doc__, "shading_methods"))
+    raise SystemExit(EXPERIMENT.run())
