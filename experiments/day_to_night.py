@@ -15,8 +15,9 @@ from matplotlib.figure import Figure
 
 import phongfit as pf
 from experiments import style
+from experiments.balls import ball
 from experiments.finding import Experiment, Finding, Table
-from experiments.light_kinds import MATERIAL, ball, floor
+from experiments.light_kinds import MATERIAL, RADIUS, floor
 
 SHOWN = (6.5, 8.0, 12.0, 16.0, 17.5, 19.0, 21.0, 24.0)
 LAMPS = ("sun", "moon", "street lamp")
@@ -78,7 +79,7 @@ def at(hour: float, size: int) -> pf.Scene:
         (0.6, 1.5, 4.2), (0.15, 0.62, 0), width=size, height=size, fov_y=34.0
     )
     return pf.Scene(
-        pf.join([floor(60.0), ball(32, lift=0.6)]),
+        pf.join([floor(60.0), ball(48, RADIUS, (0, 0.6, 0))]),
         camera,
         [
             pf.DirectionalLight(across, ramp(high, 0.0, 0.2) * sun),

@@ -142,7 +142,7 @@ def windows(places: Sequence[float]) -> Sweep:
 
 def close_up(x: float, view: float) -> tuple[pf.Scene, ...]:
     """A window of the ball around (x, 0), `view` wide."""
-    size = round(40 * view / 0.8)
+    size = round(39 * view / 0.8)
     camera = pf.OrthographicCamera(size, size, view_height=view, position=(x, 0.0, 5.0))
     # Its highlight is centred on x = −0.35.
     turn = 2 * np.arcsin(-0.35)
@@ -166,7 +166,7 @@ def sweeps(small: bool) -> list[Sweep]:
         return [
             noises([0.01, 0.03]),
             lamps([1, 4]),
-            resolutions([24, SIZE]),
+            resolutions([32, SIZE]),
             clipped([0.0, 0.3]),
             windows([-0.1, 0.5]),
         ]
@@ -255,7 +255,7 @@ def draw(found: Found) -> Figure:
         draw_sweep(axes, sweep, spreads)
     panels[0].legend(ncols=2, title="lines: Cramér-Rao bound; marks: fits")
     panels[3].set_title("hollow marks: something cannot be told")
-    for axes in panels[:-1:2]:
+    for axes in panels[:-1]:
         axes.set_ylabel("error (% of the value)")
     ratios, start = panels[-1], 0
     draws = found[0][1][0].draws

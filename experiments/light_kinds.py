@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 import phongfit as pf
 from experiments import style
+from experiments.balls import ball
 from experiments.finding import Experiment, Finding, Table
 
 HEIGHT = 2.0
@@ -77,13 +78,6 @@ def floor(size: float) -> pf.Mesh:
     """A square in the plane y = 0, seen from above."""
     corners = np.array([[-1, 0, -1], [-1, 0, 1], [1, 0, 1], [1, 0, -1]], float)
     return pf.Mesh(size * corners, [[0, 1, 2], [0, 2, 3]])
-
-
-def ball(faces: int, lift: float) -> pf.Mesh:
-    """A ball around (0, `lift`, 0), of `faces` from pole to pole."""
-    mesh = pf.shapes.Ball(RADIUS).mesh(2 * faces, faces)
-    lifted = mesh.vertices + np.array([0, lift, 0], mesh.vertices.dtype)
-    return pf.Mesh(lifted, mesh.faces, mesh.normals)
 
 
 def from_above(size: int) -> pf.OrthographicCamera:
@@ -155,7 +149,7 @@ def fog_contrast(size: int) -> tuple[np.ndarray, np.ndarray]:
 def shadow_area(size: int) -> float:
     """Of the ball on the floor under a sun so low that they lie side by side."""
     camera = from_above(size)
-    both = pf.join([floor(5.0), ball(48, lift=1.4)])
+    both = pf.join([floor(5.0), ball(48, RADIUS, (0, 1.4, 0))])
     scene = pf.Scene(both, camera, pf.DirectionalLight(SUN), shadows=True)
     gbuffer = scene.trace()
     assert gbuffer.visibility is not None and gbuffer.material_index is not None
@@ -170,7 +164,7 @@ def pictures(size: int) -> dict[str, pf.Scene]:
     camera = pf.PerspectiveCamera.look_at(
         (0.6, 1.9, 4.0), (0.25, 0.4, 0), width=size, height=size, fov_y=34.0
     )
-    both = pf.join([floor(60.0), ball(48, lift=0.75)])
+    both = pf.join([floor(60.0), ball(48, RADIUS, (0, 0.75, 0))])
     sun = pf.DirectionalLight((-0.8, 1.2, 0.6), 0.9)
     above, falling = (-0.5, 2.0, 0.8), (0, 0, 1)
     point = pf.PointLight(above, 2.5, attenuation=falling)

@@ -7,7 +7,6 @@ sees as Mach bands; and what an image costs, the methods timed in turn in one ru
 """
 
 import dataclasses
-import functools
 import time
 from collections.abc import Callable
 from typing import Any
@@ -19,6 +18,7 @@ from matplotlib.figure import Figure
 import phongfit as pf
 from data_synth.lights import spread_directions
 from experiments import style
+from experiments.balls import unit_ball
 from experiments.finding import Experiment, Finding, Table
 
 METHODS: dict[str, pf.AbstractShading] = {
@@ -78,12 +78,6 @@ class Result:
     enough: np.ndarray
 
 
-@functools.cache
-def mesh(rows: int) -> pf.Mesh:
-    """A ball of triangles."""
-    return pf.shapes.Ball().mesh(2 * rows, rows)
-
-
 def ball(
     rows: int,
     method: str,
@@ -93,7 +87,7 @@ def ball(
 ) -> pf.Scene:
     """A ball of triangles under one lamp, or under several."""
     return pf.Scene(
-        mesh(rows),
+        unit_ball(rows),
         camera,
         [pf.DirectionalLight(one) for one in np.reshape(direction, (-1, 3))],
         shading=METHODS[method],

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 import phongfit as pf
 from experiments import style
+from experiments.balls import ball as ball_of_triangles, unit_ball
 from experiments.finding import Experiment, Finding, Table
 from phongfit.rendering.film import decode, encode
 
@@ -87,7 +88,7 @@ def ball(size: int, **changes: Any) -> pf.Scene:
 def mistakes(size: int) -> list[Mistake]:
     """All of them, and a fit without one."""
     right = ball(size)
-    coarse = ball(size, surface=pf.shapes.Ball().mesh(24, 12))
+    coarse = ball(size, surface=unit_ball(12))
     pair = ball(
         size,
         surface=two_balls(),
@@ -140,14 +141,9 @@ def mistakes(size: int) -> list[Mistake]:
 
 def two_balls() -> pf.Mesh:
     """A small ball in the lamp's way to a large one, of one material."""
-    large, small = pf.shapes.Ball(0.75).mesh(48, 24), pf.shapes.Ball(0.25).mesh(32, 16)
-    places = np.array([[-0.2, -0.2, 0.0], [0.68, 0.33, 0.6]])
-    vertices = [
-        np.asarray(mesh.vertices) + place
-        for mesh, place in zip((large, small), places, strict=True)
-    ]
-    both = pf.join([large, small])
-    return pf.Mesh(np.concatenate(vertices), both.faces, both.normals)
+    large, small = ((-0.2, -0.2, 0.0), 0.75), ((0.68, 0.33, 0.6), 0.25)
+    both = pf.join(ball_of_triangles(24, size, at) for at, size in (large, small))
+    return pf.Mesh(both.vertices, both.faces, both.normals)
 
 
 def white(image: np.ndarray) -> np.ndarray:
