@@ -94,7 +94,7 @@ def measure(size: int) -> Result:
 def draw(size: int) -> Figure:
     """Lamps that add up above, lamps that are too bright below."""
     figure = style.page(6.6)
-    top, middle, bottom = figure.subfigures(3, 1, height_ratios=[2.0, 2.0, 2.4])
+    top, middle, bottom = style.bands(figure, 2.0, 2.0, 2.4)
     sets = [[lamp] for lamp in lamps()] + [lamps()]
     style.picture_grid(
         top,

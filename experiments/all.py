@@ -5,11 +5,13 @@ answer and its figure, and beside it the figures (NAME.png, NAME.gif) and the nu
 (NAME.json). The exit status is 1 if something that should hold does not.
 """
 
+import re
 import time
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import jinja2
+import markupsafe
 import tyro
 from rich.console import Console
 from rich.progress import track
@@ -73,8 +75,15 @@ def contents(entries: list[Entry], small: bool) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["indexed"] = indexed
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     return template.render(entries=entries, small=small)
+
+
+def indexed(text: str) -> markupsafe.Markup:
+    """ρ_d with its index lowered, in text that is to be shown as it is."""
+    safe = str(markupsafe.escape(text))
+    return markupsafe.Markup(re.sub(r"ρ_(\w)", r"ρ<sub>\1</sub>", safe))
 
 
 def main(

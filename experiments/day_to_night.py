@@ -136,7 +136,7 @@ def measure(size: int, hours: np.ndarray) -> tuple[Result, np.ndarray]:
 def draw(result: Result, size: int) -> Figure:
     """Eight hours, and the sources of light through the day."""
     figure = style.page(6.5)
-    top, bottom = figure.subfigures(2, 1, height_ratios=[4.1, 2.4])
+    top, bottom = style.bands(figure, 4.1, 2.4)
     for axes, hour in zip(top.subplots(2, 4).flat, SHOWN, strict=True):
         minutes = round(60 * hour)
         picture = pf.render(at(hour, size), MATERIAL)

@@ -64,13 +64,14 @@ class Experiment:
     """
 
     name: str
-    about: str
+    about: str | None
     find: Callable[[bool], Finding]
 
     @property
     def question(self) -> str:
         """What is asked, in one line."""
-        return self._parts[0].removeprefix("Question: ")
+        words = self._parts[0].removeprefix("Question: ")
+        return words[:1].upper() + words[1:]
 
     @property
     def method(self) -> str:
@@ -79,7 +80,7 @@ class Experiment:
 
     @property
     def _parts(self) -> tuple[str, str]:
-        first, _, rest = self.about.partition("\n\n")
+        first, _, rest = (self.about or "").partition("\n\n")
         return " ".join(first.split()), " ".join(rest.split())
 
     def command(self) -> Callable[..., int]:

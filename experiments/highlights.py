@@ -115,7 +115,7 @@ MODELS = (
 def draw(result: Result, size: int) -> Figure:
     """Balls, profiles, and the ratio of exponents."""
     figure = style.page(6.3)
-    top, bottom = figure.subfigures(2, 1, height_ratios=[3.7, 2.6])
+    top, bottom = style.bands(figure, 3.7, 2.6)
     images = [
         [
             np.asarray(

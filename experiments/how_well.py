@@ -9,6 +9,7 @@ parameter cannot be told, there is no bound to compare with.
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -181,7 +182,9 @@ def sweeps(small: bool) -> list[Sweep]:
 
 def spread(setting: Setting, draws: int, seed: int) -> Spread:
     """Many fits of one setting, next to what is predicted for them."""
-    options = dict(noise=setting.noise, film=setting.film, per_channel=())
+    options: dict[str, Any] = dict(
+        noise=setting.noise, film=setting.film, per_channel=()
+    )
     scenes = list(setting.scenes)
     predicted = pf.predict_errors(scenes, setting.material, **options)
     order = [predicted.labels.index(leaf) for leaf in LEAVES]
@@ -261,16 +264,19 @@ def draw(found: Found) -> Figure:
     draws = found[0][1][0].draws
     slack = found[0][1][0].slack
     ratios.axhspan(1 - slack, 1 + slack, color="#dddddd", lw=0)
-    for sweep, spreads in found:
+    middles = []
+    for _, spreads in found:
         places = start + np.arange(len(spreads))
         for k, name in enumerate(LEAVES):
             colour, marker, _ = style.PARAMETERS[name]
             judged = [s.ratio[k] if s.told.all() else np.nan for s in spreads]
             ratios.plot(places + 0.18 * (k - 1.5), judged, marker, c=colour, ms=3.5)
-        ratios.text(places.mean(), 0.71, sweep.name, ha="center", rotation=20, size=7.5)
+        middles.append(places.mean())
         start += len(spreads) + 1
-    ratios.set_ylim(0.65, 1.35)
-    ratios.set_xticks([])
+    ratios.set_ylim(1 - 1.5 * slack, 1 + 1.5 * slack)
+    ratios.set_xticks(middles, [sweep.name for sweep, _ in found])
+    ratios.tick_params("x", length=0)
+    ratios.grid(False, axis="x")
     ratios.set_ylabel("spread of the fits / bound")
     ratios.set_title(f"ratios; band: 3 standard errors, {draws} fits")
     return figure
@@ -340,7 +346,10 @@ def find(small: bool) -> Finding:
         "Errors of the four parameters against noise, number of photographs, "
         "resolution, clipped share, and share of the highlight seen: lines of the "
         "Cramér-Rao bound, and marks of fits that lie on them.",
-        Table(("", "x", *(style.PARAMETERS[name][2] for name in LEAVES)), rows),
+        Table(
+            ("spread / bound", "x", *(style.PARAMETERS[name][2] for name in LEAVES)),
+            rows,
+        ),
         wrong=failures(found, slack),
     )
 

@@ -193,7 +193,7 @@ def pictures(size: int) -> dict[str, pf.Scene]:
 def draw(result: Result, size: int) -> Figure:
     """Six pictures, the fall-off of light, and fog."""
     figure = style.page(7.6)
-    top, bottom = figure.subfigures(2, 1, height_ratios=[5.1, 2.5])
+    top, bottom = style.bands(figure, 5.1, 2.5)
     scenes = pictures(size)
     places = top.subplots(2, 3).flat
     for axes, (name, scene) in zip(places, scenes.items(), strict=True):

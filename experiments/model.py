@@ -94,7 +94,7 @@ def highlight_width(scene: pf.Scene, exponent: float) -> float:
 def draw(size: int) -> Figure:
     """Rows of balls."""
     figure = style.page(6.9)
-    top, bottom = figure.subfigures(2, 1, height_ratios=[2.7, 4.0])
+    top, bottom = style.bands(figure, 2.7, 4.0)
     scene = ball(size, ambient=0.5, background=1.0)
 
     def picture(diffuse: float, ambient: float = 0.0, **highlight: float) -> np.ndarray:

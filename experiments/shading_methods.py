@@ -235,7 +235,7 @@ def costs(size: Size) -> tuple[dict[str, np.ndarray], float]:
 def draw(result: Result, pixels: int) -> Figure:
     """Balls by all methods and meshes above, numbers below."""
     figure = style.page(8.9)
-    top, bottom = figure.subfigures(2, 1, height_ratios=[4.6, 4.3])
+    top, bottom = style.bands(figure, 4.6, 4.3)
     camera = pf.OrthographicCamera(pixels, pixels, view_height=2.05)
     plastic = pf.Material((0.1, 0.3, 0.5), 0.7, EXPONENTS[1], (0.05, 0.1, 0.15))
     lamp = np.array([-0.6, 0.7, 1.0])

@@ -64,6 +64,12 @@ def page(height: float) -> Figure:
     return Figure(figsize=(PAGE, height), layout="constrained", dpi=DPI)
 
 
+def bands(figure: Figure, *heights: float) -> list[SubFigure]:
+    """Parts of a page above one another; `heights` are relative."""
+    parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
+    return np.ravel(np.asarray(parts, object)).tolist()
+
+
 def show(axes: Axes, image: Any, title: str = "", below: str = "") -> None:
     """Linear light (H, W, 3) as a screen shows it: clamped and sRGB-encoded."""
     axes.imshow(displayed(image))

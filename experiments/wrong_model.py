@@ -218,15 +218,16 @@ def measure(small: bool) -> list[Outcome]:
 def draw(outcomes: list[Outcome]) -> Figure:
     """What is left over, and a table of biases and diagnostics."""
     figure = style.page(8.3)
-    top, bottom = figure.subfigures(2, 1, height_ratios=[3.1, 5.2])
+    top, bottom = style.bands(figure, 3.1, 5.2)
     panels = top.subplots(2, 6).ravel()
     for axes in panels[len(outcomes) :]:
         axes.set_axis_off()
+    maps = []
     for axes, one in zip(panels, outcomes, strict=False):
-        shown = axes.imshow(one.residual, cmap="RdBu_r", vmin=-8, vmax=8)
+        maps.append(axes.imshow(one.residual, cmap="RdBu_r", vmin=-8, vmax=8))
         style.bare(axes)
         axes.set_title(textwrap.fill(one.name, 15), fontsize=8)
-    bar = top.colorbar(shown, ax=panels.tolist(), fraction=0.02, pad=0.01)
+    bar = top.colorbar(maps[0], ax=panels.tolist(), fraction=0.02, pad=0.01)
     bar.set_label("image − fit (noise's standard deviations)")
     table = bottom.subplots()
     deviation = np.array([one.in_errors for one in outcomes])

@@ -1,4 +1,5 @@
 import json
+from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
@@ -16,9 +17,9 @@ Twice.
 """
 
 
-def experiment(**changes) -> Experiment:
+def experiment(**changes: Any) -> Experiment:
     def find(small: bool) -> Finding:
-        fields = dict(
+        fields: dict[str, Any] = dict(
             answer="Twice its [half].",
             numbers={"length": np.array([1.0, 2.0]), "small": small},
             figure=page(1.0),
@@ -31,7 +32,7 @@ def experiment(**changes) -> Experiment:
 
 
 def test_question_and_method():
-    assert experiment().question == "how long is a piece of string?"
+    assert experiment().question == "How long is a piece of string?"
     assert experiment().method == "It is measured. Twice."
 
 
@@ -48,7 +49,7 @@ def test_the_command(tmp_path, capsys):
 def test_help_says_what_is_asked(capsys):
     assert run(experiment().command(), ["--help"]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "how long is a piece of string? It is measured. Twice." in printed
+    assert "How long is a piece of string? It is measured. Twice." in printed
     assert "Where the figure goes." in printed
 
 
@@ -80,6 +81,6 @@ def test_light_beyond_white_is_cut_off(tmp_path):
     assert iio.imread(tmp_path / "a.gif", plugin="pillow").max() == 255
 
 
-@pytest.mark.parametrize("missing", ["", "Question: why?"])
+@pytest.mark.parametrize("missing", [None, "", "Question: why?"])
 def test_an_about_without_a_method(missing):
     assert Experiment("x", missing, experiment().find).method == ""

@@ -19,7 +19,7 @@ def test_the_style_is_used_and_left():
     figure = draw()
     assert figure.get_size_inches().tolist() == [style.PAGE, 2.0]
     dark, bright = figure.axes
-    assert dark.title.get_size() == style.STYLE["axes.titlesize"]
+    assert dark.title.get_fontsize() == style.STYLE["axes.titlesize"]
     assert dark.get_ylabel() == "c" and bright.get_title() == "b"
     assert matplotlib.rcParams["font.size"] == before
 
