@@ -97,7 +97,7 @@ class Experiment:
             show(console, finding)
             save_picture(picture, finding.figure)
             if finding.frames is not None:
-                animation = picture.with_suffix(".gif")
+                animation = picture.with_name(f"{picture.stem}_animation.gif")
                 save_animation(animation, finding.frames)
                 print(f"animation: {animation}")
             save_numbers(json, finding.numbers)
@@ -117,7 +117,7 @@ HELP = """{question}
 
 Args:
     small: Few pixels and few draws: quick and coarse.
-    picture: Where the figure goes.
+    picture: Where the figure goes; an animation, if there is one, goes beside it.
     json: Where the numbers go.
 """
 

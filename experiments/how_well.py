@@ -304,14 +304,12 @@ def draw_sweep(axes: Axes, sweep: Sweep, spreads: list[Spread]) -> None:
     style.plain_numbers(axes, "y")
 
 
-def find(small: bool) -> Finding:
-    """Measure, draw and answer."""
-    found = measure(small)
+def say(found: Found) -> str:
+    """The answer in words."""
     spreads = [one for _, spreads in found for one in spreads]
     told = np.array([one.told.all() for one in spreads])
     ratio = np.array([one.ratio for one in spreads])
     pull = np.array([one.pull for one in spreads])
-    slack = spreads[0].slack
     beside = ~told[:, None] & np.isfinite(ratio)
     answer = (
         f"Where all four parameters can be told, the spread of {spreads[0].draws} fits "
@@ -330,6 +328,12 @@ def find(small: bool) -> Finding:
             f"what the fits state themselves is right: {pull[beside].min():.2f} to "
             f"{pull[beside].max():.2f} of their own errors."
         )
+    return answer
+
+
+def find(small: bool) -> Finding:
+    """Measure, draw and answer."""
+    found = measure(small)
     rows = tuple(
         (
             sweep.name,
@@ -340,7 +344,7 @@ def find(small: bool) -> Finding:
         for one in spreads
     )
     return Finding(
-        answer,
+        say(found),
         {sweep.name: list(map(dataclasses.asdict, group)) for sweep, group in found},
         draw(found),
         "Errors of the four parameters against noise, number of photographs, "
@@ -350,11 +354,11 @@ def find(small: bool) -> Finding:
             ("spread / bound", "x", *(style.PARAMETERS[name][2] for name in LEAVES)),
             rows,
         ),
-        wrong=failures(found, slack),
+        wrong=failures(found),
     )
 
 
-def failures(found: Found, slack: float) -> tuple[str, ...]:
+def failures(found: Found) -> tuple[str, ...]:
     """Spreads that are further from what they should be than chance allows."""
     wrong = []
     for sweep, spreads in found:
@@ -365,7 +369,7 @@ def failures(found: Found, slack: float) -> tuple[str, ...]:
             wrong += [
                 f"{sweep.name} {one.x:.3g}: {name} scatters {share:.2f} times {what}"
                 for name, share, told in zip(LEAVES, judged, one.told, strict=True)
-                if told and abs(share - 1) > slack
+                if told and abs(share - 1) > one.slack
             ]
     return tuple(wrong)
 

@@ -334,10 +334,8 @@ def rows_of(result: Result) -> tuple[tuple[str, ...], ...]:
     )
 
 
-def find(small: bool) -> Finding:
-    """Measure, draw and answer."""
-    size = Size(96, 6, 3) if small else Size(256, 16, 15)
-    result = measure(size)
+def say(result: Result) -> str:
+    """The answer in words."""
     first, last = result.peak["Gouraud"][[0, -1], 1]
     ratio = {name: result.seconds[name] / result.seconds["Phong"] for name in METHODS}
     enough = float(np.nanmean(result.enough))
@@ -348,7 +346,7 @@ def find(small: bool) -> Finding:
     )
     jump = result.slope_jump["Gouraud"][2] / result.slope_jump["Phong"][2]
     energy = result.energy["Gouraud"][:2, 1].mean(axis=-1)
-    answer = (
+    return (
         "Gouraud shading loses highlights that fall between vertices: of the peak of "
         f"Phong shading on the same mesh, f = {EXPONENTS[1]:g}, it keeps "
         f"{100 * first.mean():.0f} % on {4 * ROWS[0] ** 2} triangles and "
@@ -364,10 +362,16 @@ def find(small: bool) -> Finding:
         f"(Gouraud) of Phong shading's time, under {TIMED[1]} lamps "
         f"{ratio['flat'][1]:.2f} and {ratio['Gouraud'][1]:.2f}, geometry not counted."
     )
+
+
+def find(small: bool) -> Finding:
+    """Measure, draw and answer."""
+    size = Size(96, 6, 3) if small else Size(256, 16, 15)
+    result = measure(size)
     kept = result.peak["Gouraud"].mean(axis=-1)
     falls = np.all(np.diff(kept, axis=0) > -0.02) and np.all(kept[-1] > kept[0])
     return Finding(
-        answer,
+        say(result),
         dataclasses.asdict(result),
         draw(result, 96 if small else 256),
         "Balls of 144 to 36864 triangles with flat, Gouraud and Phong shading; curves "

@@ -25,7 +25,6 @@ TRUTH = pf.Material(0.5, 0.3, 20.0, 0.4)
 NOISE = 0.01
 LEAVES = tuple(style.PARAMETERS)
 UNCLAMPED = pf.Film(clamp=False)
-MINUS = "\N{MINUS SIGN}"
 LAMP = (1.0, 1.0, 2.0)
 
 
@@ -271,20 +270,21 @@ def offsets(one: Outcome) -> tuple[list[str], list[str]]:
         f"{share:+.0f} σ" if abs(share) >= 10 else f"{share:+.1f} σ"
         for share in one.in_errors
     ]
-    return [v.replace("-", MINUS) for v in values], [
-        s.replace("-", MINUS) for s in shares
-    ]
+    return [minus(value) for value in values], [minus(share) for share in shares]
 
 
-def find(small: bool) -> Finding:
-    """Measure, draw and answer."""
-    outcomes = measure(small)
-    right, *others = outcomes
+def minus(number: str) -> str:
+    """With a sign as long as a plus."""
+    return number.replace("-", "\N{MINUS SIGN}")
+
+
+def say(right: Outcome, others: list[Outcome]) -> str:
+    """The answer in words, from the fit without a mistake and those with one."""
     misled = [one for one in others if one.misled]
     hidden = [one for one in misled if not one.flags]
     shares = {name: sum(name in one.flags for one in others) for name in DIAGNOSTICS}
     worst = max(others, key=lambda one: abs(one.bias[LEAVES.index("shininess")]))
-    answer = (
+    return (
         f"{len(misled)} of {len(others)} mistakes move a parameter by more than three "
         "of its stated errors; the exponent suffers most: "
         f"{worst.name!r} moves f = {float(TRUTH.shininess):g} by "
@@ -300,6 +300,12 @@ def find(small: bool) -> Finding:
             for one in hidden
         )
     ).strip()
+
+
+def find(small: bool) -> Finding:
+    """Measure, draw and answer."""
+    outcomes = measure(small)
+    right, *others = outcomes
     rows = tuple(
         (
             one.name,
@@ -310,7 +316,7 @@ def find(small: bool) -> Finding:
     )
     sound = not right.flags and not right.misled
     return Finding(
-        answer,
+        say(right, others),
         {
             one.name: {
                 name: value

@@ -63,7 +63,7 @@ def test_an_animation_beside_the_picture(tmp_path):
     frames = np.linspace(0, 1, 4)[:, None, None, None] * np.ones((4, 6, 8, 3))
     args = ["--picture", str(tmp_path / "string.png")]
     assert run(experiment(frames=frames).command(), args) == 0
-    read = iio.imread(tmp_path / "string.gif", plugin="pillow")
+    read = iio.imread(tmp_path / "string_animation.gif", plugin="pillow")
     assert read.shape == (4, 6, 8, 3)
     assert np.all(np.diff(read.mean(axis=(1, 2, 3))) > 0)
     assert [path.name for path in tmp_path.glob(".*")] == []

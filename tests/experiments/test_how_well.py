@@ -63,15 +63,15 @@ def test_a_spread_off_the_bound_is_seen():
     right = Spread(0.01, ones, ones, ones, ones > 0, 200)
     sweep = Sweep("noise", "", ())
     assert right.slack == pytest.approx(0.15)
-    assert failures([(sweep, [right])], right.slack) == ()
+    assert failures([(sweep, [right])]) == ()
     wide = dataclasses.replace(right, observed=np.array([1.0, 1.0, 1.2, 1.0]))
-    (words,) = failures([(sweep, [wide])], right.slack)
+    (words,) = failures([(sweep, [wide])])
     assert words == "noise 0.01: shininess scatters 1.20 times the bound"
     # Beside what cannot be told, the fits' own errors are judged.
     open_ = dataclasses.replace(
         wide, told=np.array([True, True, False, True]), pull=np.array([1, 1, 9, 1.3])
     )
-    (words,) = failures([(sweep, [open_])], right.slack)
+    (words,) = failures([(sweep, [open_])])
     assert words == "noise 0.01: ambient scatters 1.30 times the errors that fits state"
 
 
