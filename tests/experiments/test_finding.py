@@ -50,7 +50,7 @@ def test_help_says_what_is_asked(capsys):
     assert run(experiment().command(), ["--help"]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert "How long is a piece of string? It is measured. Twice." in printed
-    assert "Where the figure goes." in printed
+    assert "Where the figure goes" in printed
 
 
 def test_what_should_hold_and_does_not(tmp_path, capsys):
