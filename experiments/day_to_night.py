@@ -1,0 +1,200 @@
+"""Question: where does the light of a picture come from, from day to night?
+
+One ball over a floor through 24 hours: sun and moon are directional lights, a street
+lamp is a spot, the sky is ambient light, and there is fog in the morning. Light adds,
+so each picture is taken apart into what each source gives, by the hour.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
+
+import phongfit as pf
+from experiments import style
+from experiments.balls import ball
+from experiments.finding import Experiment, Finding, Table
+from experiments.light_kinds import MATERIAL, RADIUS, floor
+
+SHOWN = (6.5, 8.0, 12.0, 16.0, 17.5, 19.0, 21.0, 24.0)
+LAMPS = ("sun", "moon", "street lamp")
+SOURCES = (*LAMPS, "sky", "fog")
+COLOURS = (style.ORANGE, style.SKY, style.VERMILION, style.BLUE, "#999999")
+UNCLAMPED = pf.Film(clamp=False)
+
+DAY_SKY, NIGHT_SKY = np.array([0.35, 0.5, 0.75]), np.array([0.012, 0.016, 0.04])
+DUSK = np.array([0.75, 0.3, 0.12])
+MOON, LAMP = (0.045, 0.055, 0.09), (2.4, 1.7, 0.9)
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """`hours`; `shares`: mean light of ball and floor from each of `SOURCES`, (hours,
+    sources); `sum_error`: largest difference of a sample from the sum of its parts."""
+
+    hours: np.ndarray
+    shares: np.ndarray
+    sum_error: float
+
+
+def elevation(hour: float) -> float:
+    """Sine of the sun's angle over the horizon; 0 at 6 and 18 o'clock."""
+    return float(np.sin(np.pi * (hour - 6) / 12))
+
+
+def ramp(value: float, low: float, high: float) -> float:
+    """0 below `low`, 1 above `high`, and straight between them."""
+    return float(np.clip((value - low) / (high - low), 0, 1))
+
+
+def sky(hour: float) -> Float[np.ndarray, "3"]:
+    """The sky's colour: blue, red where the sun is low, nearly black."""
+    high = elevation(hour)
+    plain = NIGHT_SKY + ramp(high, -0.25, 0.35) * (DAY_SKY - NIGHT_SKY)
+    red = np.exp(-((high / 0.18) ** 2)) * 0.6
+    return (1 - red) * plain + red * 0.6 * DUSK
+
+
+def at(hour: float, size: int) -> pf.Scene:
+    """The scene at an hour of the day; all hours share one structure."""
+    turn = np.pi * (hour - 6) / 12
+    high = elevation(hour)
+    up = max(abs(high), 0.05)
+    across = (np.cos(turn), up, 0.5)
+    low_sun = np.array([1.0, 0.45, 0.15])
+    sun = low_sun + ramp(high, 0.0, 0.5) * (np.array([0.8, 0.77, 0.7]) - low_sun)
+    lamp = pf.SpotLight(
+        (-0.5, 2.0, 0.8),
+        (0.4, -1.4, -0.7),
+        ramp(-high, -0.12, 0.05) * np.array(LAMP),
+        cutoff=32.0,
+        exponent=3.0,
+        attenuation=(0, 0, 1),
+    )
+    fog = pf.Fog(sky(hour), density=0.02 + 0.16 * np.exp(-((hour - 7.0) ** 2)))
+    camera = pf.PerspectiveCamera.look_at(
+        (0.6, 1.5, 4.2), (0.15, 0.62, 0), width=size, height=size, fov_y=34.0
+    )
+    return pf.Scene(
+        pf.join([floor(60.0), ball(48, RADIUS, (0, 0.6, 0))]),
+        camera,
+        [
+            pf.DirectionalLight(across, ramp(high, 0.0, 0.2) * sun),
+            pf.DirectionalLight(
+                (-across[0], up, 0.5), ramp(-high, 0.0, 0.2) * np.array(MOON)
+            ),
+            lamp,
+        ],
+        ambient=0.5 * sky(hour),
+        fog=fog,
+        shadows=True,
+        background=sky(hour),
+    )
+
+
+def parts(
+    scene: pf.Scene, gbuffer: pf.GBuffer
+) -> Float[np.ndarray, "parts height width 3"]:
+    """What the scene's lamps, sky and fog give to its picture, and the picture."""
+    dark = jnp.zeros_like(scene.ambient)
+
+    def image(on: int | None, ambient: bool) -> np.ndarray:
+        lamps = [
+            light if k == on else eqx.tree_at(lambda one: one.intensity, light, dark)
+            for k, light in enumerate(scene.lights)
+        ]
+        one = dataclasses.replace(
+            scene, lights=tuple(lamps), ambient=scene.ambient if ambient else dark
+        )
+        shown = pf.render(one, MATERIAL, film=UNCLAMPED, gbuffer=gbuffer)
+        return np.asarray(shown, float)
+
+    # What is left without any light: the fog's, and the sky behind.
+    fog = image(None, False)
+    lamps = [image(k, False) - fog for k in range(len(scene.lights))]
+    whole = pf.render(scene, MATERIAL, film=UNCLAMPED, gbuffer=gbuffer)
+    return np.array([*lamps, image(None, True) - fog, fog, np.asarray(whole, float)])
+
+
+def measure(size: int, hours: np.ndarray) -> tuple[Result, np.ndarray]:
+    """The numbers, and the pictures of all hours."""
+    shares, off, pictures = [], [], []
+    for hour in hours:
+        scene = at(hour, size)
+        gbuffer = scene.trace()
+        *apart, whole = parts(scene, gbuffer)
+        shares.append(np.array(apart)[:, np.asarray(gbuffer.mask)].mean(axis=(1, 2)))
+        off.append(np.abs(sum(apart) - whole).max())
+        pictures.append(whole)
+    return Result(hours, np.array(shares), float(max(off))), np.array(pictures)
+
+
+@style.styled
+def draw(result: Result, size: int) -> Figure:
+    """Eight hours, and the sources of light through the day."""
+    figure = style.page(6.5)
+    top, bottom = style.bands(figure, 4.1, 2.4)
+    for axes, hour in zip(top.subplots(2, 4).flat, SHOWN, strict=True):
+        minutes = round(60 * hour)
+        picture = pf.render(at(hour, size), MATERIAL)
+        style.show(axes, picture, f"{minutes // 60}:{minutes % 60:02d}")
+    left, right = bottom.subplots(1, 2)
+    for axes, values in (
+        (left, result.shares),
+        (right, 100 * result.shares / result.shares.sum(axis=1, keepdims=True)),
+    ):
+        axes.stackplot(
+            result.hours, values.T, labels=SOURCES, colors=COLOURS, lw=0.5, ec="white"
+        )
+        axes.set_xlim(result.hours[0], result.hours[-1])
+        axes.set_xticks(range(0, 25, 4))
+        axes.set_xlabel("hour of the day")
+    left.set_ylabel("light of ball and floor (white: 1)")
+    right.set_ylabel("share of it (%)")
+    right.set_ylim(0, 100)
+    left.legend(loc="upper left")
+    return figure
+
+
+def find(small: bool) -> Finding:
+    """Measure, draw and answer."""
+    hours = np.linspace(0, 24, 13 if small else 49)
+    result, pictures = measure(48 if small else 160, hours)
+    light = result.shares.sum(axis=1)
+    noon, night = int(np.argmin(np.abs(hours - 12))), 0
+    share = result.shares / light[:, None]
+    answer = (
+        f"At noon ball and floor send {light[noon] / light[night]:.0f} times the light "
+        f"of midnight. Of it, the sun gives {100 * share[noon, 0]:.0f} % and the sky "
+        f"{100 * share[noon, 3]:.0f} % at noon; at midnight the street lamp gives "
+        f"{100 * share[night, 2]:.0f} %, the moon {100 * share[night, 1]:.0f} %. Most "
+        f"of what fog sends is at {hours[np.argmax(share[:, 4])]:g} o'clock, "
+        f"{100 * share[:, 4].max():.0f} %. The parts add up to the whole picture to "
+        f"{result.sum_error:.0e} of white, shadows and fog included."
+    )
+    rows = tuple(
+        (f"{hour:g}:00", f"{total:.3f}", *(f"{100 * part:.0f} %" for part in line))
+        for hour, total, line in zip(hours, light, share, strict=True)
+        if hour % 4 == 0
+    )
+    added = result.sum_error < 1e-5
+    return Finding(
+        answer,
+        dataclasses.asdict(result),
+        draw(result, 64 if small else 256),
+        "A ball over a floor at eight hours of the day: in fog at dawn, under the high "
+        "sun, in red light, under a street lamp; the mean light of the picture by "
+        "source, hour by hour.",
+        Table(("hour", "light", *SOURCES), rows),
+        frames=pictures[:-1],
+        wrong=() if added else ("the parts do not add up to the whole",),
+    )
+
+
+EXPERIMENT = Experiment("day_to_night", __doc__, find)
+
+if __name__ == "__main__":
+    raise SystemExit(EXPERIMENT.run())

@@ -1,0 +1,265 @@
+"""Question: what do the kinds of light, fog and shadow do to a picture?
+
+A ball over a floor under ambient, directional, point and spot light, and in fog and
+with a shadow. Measured on the rendered floor, next to the formulas: how light falls off
+from below each lamp, how fog takes contrast with depth, and the shadow's area.
+"""
+
+import dataclasses
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import phongfit as pf
+from experiments import style
+from experiments.balls import ball
+from experiments.finding import Experiment, Finding, Table
+
+HEIGHT = 2.0
+"""Of the lamps over the floor, world units."""
+
+CUTOFF = 30.0
+DENSITY = 0.25
+SUN = (1.0, 1.0, 0.3)
+RADIUS = 0.45
+FLOOR = 0
+MATERIAL = pf.stack_materials(
+    [
+        pf.Material((0.55, 0.5, 0.42), 0.0, 10.0, (0.55, 0.5, 0.42)),
+        pf.Material((0.1, 0.35, 0.55), 0.5, 40.0, (0.1, 0.35, 0.55)),
+    ]
+)
+LAMPS: dict[str, pf.AbstractLight] = {
+    "directional": pf.DirectionalLight((0, 1, 0)),
+    "point": pf.PointLight((0, HEIGHT, 0), HEIGHT**2, attenuation=(0, 0, 1)),
+    "spot": pf.SpotLight(
+        (0, HEIGHT, 0),
+        (0, -1, 0),
+        HEIGHT**2,
+        cutoff=CUTOFF,
+        exponent=4.0,
+        attenuation=(0, 0, 1),
+    ),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """What was measured, and what the formulas say.
+
+    - `place`: on the floor, from below the lamp, world units;
+    - `falloff`, `falloff_formula`: light there over that of a white floor under the
+        directional lamp, by lamp;
+    - `depth`, `contrast`, `contrast_formula`: of pixels in fog, along the view;
+    - `shadow`, `shadow_formula`: area of the ball's shadow on the floor.
+    """
+
+    place: np.ndarray
+    falloff: dict[str, np.ndarray]
+    falloff_formula: dict[str, np.ndarray]
+    depth: np.ndarray
+    contrast: np.ndarray
+    contrast_formula: np.ndarray
+    shadow: float
+    shadow_formula: float
+
+    @property
+    def off(self) -> dict[str, float]:
+        """Largest differences between what was measured and the formulas."""
+        off = {
+            name: float(np.abs(self.falloff[name] - formula).max())
+            for name, formula in self.falloff_formula.items()
+        }
+        off["fog"] = float(np.abs(self.contrast - self.contrast_formula).max())
+        return off | {"shadow": abs(self.shadow / self.shadow_formula - 1)}
+
+
+def floor(size: float) -> pf.Mesh:
+    """A square in the plane y = 0, seen from above."""
+    corners = np.array([[-1, 0, -1], [-1, 0, 1], [1, 0, 1], [1, 0, -1]], float)
+    return pf.Mesh(size * corners, [[0, 1, 2], [0, 2, 3]])
+
+
+def from_above(size: int) -> pf.OrthographicCamera:
+    """A camera that looks straight down: x to the right, z downwards."""
+    return pf.OrthographicCamera.look_at(
+        (0, 5, 0), up=(0, 0, -1), width=size, height=size, view_height=5.0
+    )
+
+
+def measure(size: int) -> Result:
+    """All numbers, from pictures of `size` × `size` pixels."""
+    white = pf.Material(1.0, 0.0, ambient=0.0)
+    camera = from_above(size)
+    x, _, z = np.asarray(camera.rays().origin, float)[size // 2].T
+    falloff = {
+        name: seen(pf.Scene(floor(5.0), camera, lamp), white)[size // 2]
+        for name, lamp in LAMPS.items()
+    }
+    depth, contrast = fog_contrast(size)
+    return Result(
+        x,
+        falloff,
+        falloff_formulas(np.hypot(x, z)),
+        depth,
+        contrast,
+        np.exp(-DENSITY * depth),
+        shadow_area(size),
+        # A disc's shadow, drawn out by the slope of the rays.
+        np.pi * RADIUS**2 / (SUN[1] / float(np.linalg.norm(SUN))),
+    )
+
+
+def seen(scene: pf.Scene, material: pf.Material) -> np.ndarray:
+    """Linear light of one channel, before the clamp."""
+    image = pf.render(scene, material, film=pf.Film(clamp=False))
+    return np.asarray(image, float)[..., 0]
+
+
+def falloff_formulas(place: np.ndarray) -> dict[str, np.ndarray]:
+    """Light on a floor by distance from below a lamp, over that right below it."""
+    cosine = HEIGHT / np.hypot(place, HEIGHT)
+    # Lambert's cosine, and one over the distance squared: two more of it.
+    point = cosine**3
+    inside = cosine >= np.cos(np.deg2rad(CUTOFF))
+    return {
+        "directional": np.ones_like(place),
+        "point": point,
+        "spot": np.where(inside, point * cosine**4, 0),
+    }
+
+
+def fog_contrast(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Depth of the floor's pixels, and what fog leaves of black against white."""
+    camera = pf.PerspectiveCamera.look_at(
+        (0, 1.2, 4), (0, 0.4, 0), width=size, height=size, fov_y=40.0
+    )
+    fog = pf.Fog(0.7, density=DENSITY)
+    scene = pf.Scene(floor(30.0), camera, ambient=1.0, fog=fog)
+    light, dark = (seen(scene, pf.Material(0.0, 0.0, ambient=a)) for a in (1.0, 0.0))
+    gbuffer = scene.trace()
+    rows = np.asarray(gbuffer.mask)[:, size // 2]
+    middle = np.asarray(gbuffer.position)[:, size // 2][rows]
+    depth = np.array([float(camera.depth(point)) for point in middle])
+    contrast = (light - dark)[:, size // 2][rows]
+    shown = depth < 12
+    return depth[shown], contrast[shown]
+
+
+def shadow_area(size: int) -> float:
+    """Of the ball on the floor under a sun so low that they lie side by side."""
+    camera = from_above(size)
+    both = pf.join([floor(5.0), ball(48, RADIUS, (0, 1.4, 0))])
+    scene = pf.Scene(both, camera, pf.DirectionalLight(SUN), shadows=True)
+    gbuffer = scene.trace()
+    assert gbuffer.visibility is not None and gbuffer.material_index is not None
+    dark = np.asarray(gbuffer.visibility)[..., 0] == 0
+    on_floor = np.asarray(gbuffer.material_index) == FLOOR
+    pixel = float(camera.view_height) / size
+    return float(np.sum(dark & on_floor)) * pixel**2
+
+
+def pictures(size: int) -> dict[str, pf.Scene]:
+    """One view of ball and floor under all kinds of light."""
+    camera = pf.PerspectiveCamera.look_at(
+        (0.6, 1.9, 4.0), (0.25, 0.4, 0), width=size, height=size, fov_y=34.0
+    )
+    both = pf.join([floor(60.0), ball(48, RADIUS, (0, 0.75, 0))])
+    sun = pf.DirectionalLight((-0.8, 1.2, 0.6), 0.9)
+    above, falling = (-0.5, 2.0, 0.8), (0, 0, 1)
+    point = pf.PointLight(above, 2.5, attenuation=falling)
+    spot = pf.SpotLight(
+        above, (0.5, -1.4, -0.8), 3.0, cutoff=CUTOFF, attenuation=falling
+    )
+
+    def scene(
+        *lamps: pf.AbstractLight, ambient: float = 0.12, fog: pf.Fog | None = None
+    ) -> pf.Scene:
+        return pf.Scene(
+            both, camera, lamps, ambient, background=0.6, fog=fog, shadows=bool(lamps)
+        )
+
+    return {
+        "ambient": scene(ambient=0.6),
+        "directional": dataclasses.replace(scene(sun), shadows=False),
+        "directional, shadow": scene(sun),
+        "point, shadow": scene(point),
+        "spot, shadow": scene(spot),
+        "directional, shadow, fog": scene(sun, fog=pf.Fog(0.6, density=0.16)),
+    }
+
+
+@style.styled
+def draw(result: Result, size: int) -> Figure:
+    """Six pictures, the fall-off of light, and fog."""
+    figure = style.page(7.6)
+    top, bottom = style.bands(figure, 5.1, 2.5)
+    scenes = pictures(size)
+    places = top.subplots(2, 3).flat
+    for axes, (name, scene) in zip(places, scenes.items(), strict=True):
+        style.show(axes, pf.render(scene, MATERIAL), name)
+    fall, fog = bottom.subplots(1, 2)
+    colours = (style.ORANGE, style.BLUE, style.VERMILION)
+    every = max(len(result.place) // 32, 1)
+    for colour, marker, name in zip(colours, "s^o", LAMPS, strict=True):
+        fall.plot(result.place, result.falloff_formula[name], c=colour, label=name)
+        points = result.place[::every], result.falloff[name][::every]
+        fall.plot(*points, marker, c=colour, mfc="none")
+    fall.set_xlabel("place on the floor (world units)")
+    fall.set_ylabel("light (below the lamp: 1)")
+    fall.set_title(f"lamps {HEIGHT:g} above a floor")
+    fall.legend(title="lines: formulas")
+    fog.plot(result.depth, result.contrast_formula, c=style.BLUE, label="$e^{-ρz}$")
+    every = max(len(result.depth) // 24, 1)
+    points = result.depth[::every], result.contrast[::every]
+    fog.plot(*points, "o", c=style.BLUE, mfc="none", label="rendered")
+    fog.set_ylim(0, None)
+    fog.set_xlabel("depth along the view (world units)")
+    fog.set_ylabel("contrast left")
+    fog.set_title(f"fog of density ρ = {DENSITY:g}")
+    fog.legend()
+    return figure
+
+
+def find(small: bool) -> Finding:
+    """Measure, draw and answer."""
+    result = measure(64 if small else 256)
+    at = HEIGHT / 2
+    point, spot = (
+        float(np.interp(at, result.place, result.falloff[name]))
+        for name in ("point", "spot")
+    )
+    worst = max(off for name, off in result.off.items() if name != "shadow")
+    answer = (
+        "Ambient light shows an outline alone. Parallel light is the same all over a "
+        f"floor; a lamp {HEIGHT:g} above it falls off as cos³ of the angle: {at:g} to "
+        f"the side {100 * point:.0f} % are left, and of a spot of {CUTOFF:g}° "
+        f"{100 * spot:.0f} %. Fog takes contrast as e^(−ρz), half of it in "
+        f"{np.log(2) / DENSITY:.1f} units. The ball's shadow is {result.shadow:.2f} "
+        f"units² large, where the formula says {result.shadow_formula:.2f}. Light and "
+        f"fog differ from their formulas by {worst:.0e} at most."
+    )
+    # Pixels on the spot's edge and the shadow's are on one side or the other.
+    slack = {"shadow": 0.1 if small else 0.02}
+    wrong = tuple(
+        f"{name} is {off:.1e} off its formula"
+        for name, off in result.off.items()
+        if off > slack.get(name, 1e-3)
+    )
+    rows = tuple((name, f"{off:.1e}") for name, off in result.off.items())
+    return Finding(
+        answer,
+        dataclasses.asdict(result) | {"off": result.off},
+        draw(result, 96 if small else 512),
+        "A ball over a floor under ambient, directional, point and spot light, with a "
+        "shadow, and in fog; how light falls off from below each lamp; how fog takes "
+        "contrast with depth.",
+        Table(("", "largest difference from the formula"), rows),
+        wrong=wrong,
+    )
+
+
+EXPERIMENT = Experiment("light_kinds", __doc__, find)
+
+if __name__ == "__main__":
+    raise SystemExit(EXPERIMENT.run())

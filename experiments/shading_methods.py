@@ -1,0 +1,388 @@
+"""Question: what do flat and Gouraud shading lose next to Phong shading on one mesh?
+
+A ball of ever more triangles is shaded with all three methods. Measured, under lamps
+from many sides: the highlight's peak and energy as a share of Phong shading's on the
+same mesh; how much the slope of the light jumps where two faces meet, which the eye
+sees as Mach bands; and what an image costs, the methods timed in turn in one run.
+"""
+
+import dataclasses
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+from matplotlib.figure import Figure
+
+import phongfit as pf
+from data_synth.lights import spread_directions
+from experiments import style
+from experiments.balls import unit_ball
+from experiments.finding import Experiment, Finding, Table
+
+METHODS: dict[str, pf.AbstractShading] = {
+    "flat": pf.FlatShading(),
+    "Gouraud": pf.GouraudShading(),
+    "Phong": pf.PhongShading(),
+}
+LINES = {
+    "flat": (style.ORANGE, "s"),
+    "Gouraud": (style.VERMILION, "o"),
+    "Phong": (style.BLUE, "^"),
+}
+ROWS = (6, 12, 24, 48, 96)
+"""Of faces from pole to pole, and twice as many around."""
+
+EXPONENTS = (10.0, 50.0, 200.0)
+GOOD = 0.05
+"""A loss of the peak that is good enough."""
+
+TIMED = (1, 8)
+"""Lamps in an image that is timed."""
+
+UNCLAMPED = pf.Film(clamp=False)
+
+
+@dataclasses.dataclass(frozen=True)
+class Size:
+    """Pixels of an image, lamps, and runs that are timed."""
+
+    pixels: int
+    lamps: int
+    runs: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """What was measured.
+
+    - `edge`: length of the mesh's edges, degrees, for each of `ROWS`;
+    - `half_width`: of the highlight, degrees, for each of `EXPONENTS`;
+    - `peak`, `energy`: over Phong shading's, by method, (rows, exponents, lamps);
+    - `slope_jump`: root mean square over the edges between faces, light per radius, by
+        method; `value_jump`: the same of the light itself;
+    - `seconds`: for an image, by method, for each of `TIMED`; `trace`: for its
+        geometry;
+    - `enough`: edge over half width where Gouraud's peak is `GOOD`, by exponent.
+    """
+
+    edge: np.ndarray
+    half_width: np.ndarray
+    peak: dict[str, np.ndarray]
+    energy: dict[str, np.ndarray]
+    slope_jump: dict[str, np.ndarray]
+    value_jump: dict[str, np.ndarray]
+    seconds: dict[str, np.ndarray]
+    trace: float
+    enough: np.ndarray
+
+
+def ball(
+    rows: int,
+    method: str,
+    camera: pf.AbstractCamera,
+    direction: Any,
+    background: float = 0.0,
+) -> pf.Scene:
+    """A ball of triangles under one lamp, or under several."""
+    return pf.Scene(
+        unit_ball(rows),
+        camera,
+        [pf.DirectionalLight(one) for one in np.reshape(direction, (-1, 3))],
+        shading=METHODS[method],
+        background=background,
+    )
+
+
+def measure(size: Size) -> Result:
+    """All numbers."""
+    edge = 180 / np.array(ROWS)
+    half_width = np.rad2deg(np.arccos(0.5 ** (1 / np.array(EXPONENTS))))
+    highlights = [highlight(rows, size) for rows in ROWS]
+    jumps = [edge_jumps(rows, size.pixels) for rows in ROWS]
+    peak, energy, slopes, values = (
+        {name: np.array([row[name][k] for row in rows]) for name in METHODS}
+        for rows, k in ((highlights, 0), (highlights, 1), (jumps, 0), (jumps, 1))
+    )
+    lost = 1 - peak["Gouraud"].mean(axis=-1)
+    enough = [
+        crossing(edge / width, column, GOOD)
+        for width, column in zip(half_width, lost.T, strict=True)
+    ]
+    seconds, trace = costs(size)
+    return Result(
+        edge,
+        half_width,
+        peak,
+        energy,
+        slopes,
+        values,
+        seconds,
+        trace,
+        np.array(enough),
+    )
+
+
+def highlight(rows: int, size: Size) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Peak and energy of highlights over Phong shading's: (exponents, lamps)."""
+    camera = pf.OrthographicCamera(size.pixels, size.pixels, view_height=2.1)
+    directions = spread_directions(size.lamps)
+    gbuffer = ball(rows, "Phong", camera, directions[0]).trace()
+    found = {}
+    for name in METHODS:
+        images = np.array(
+            [
+                [
+                    pf.render(
+                        ball(rows, name, camera, direction),
+                        pf.Material(0.0, 1.0, exponent, 0.0),
+                        film=UNCLAMPED,
+                        gbuffer=gbuffer,
+                    )[..., 0]
+                    for direction in directions
+                ]
+                for exponent in EXPONENTS
+            ],
+            float,
+        )
+        found[name] = images.max(axis=(2, 3)), images.sum(axis=(2, 3))
+    peak, energy = found["Phong"]
+    return {name: (p / peak, e / energy) for name, (p, e) in found.items()}
+
+
+def edge_jumps(rows: int, pixels: int) -> dict[str, tuple[float, float]]:
+    """By how much slope and value of a matte ball's light jump from face to face.
+
+    Along the rows of a close-up: where two pixels of one face are followed by two of
+    the next one, the slopes of the two pairs are compared.
+    """
+    near = pf.OrthographicCamera(pixels, pixels, view_height=1.0)
+    lamp = np.array([0.5, 0.6, 1.0])
+    gbuffer = ball(rows, "Phong", near, lamp).trace()
+    face = np.asarray(gbuffer.face)
+    a, b, c, d = (face[:, k : face.shape[1] - 3 + k] for k in range(4))
+    meet = (a == b) & (c == d) & (b != c)
+    pixel = 1.0 / pixels
+    found = {}
+    for name in METHODS:
+        image = pf.render(
+            ball(rows, name, near, lamp),
+            pf.Material(1.0, 0.0, ambient=0.0),
+            film=UNCLAMPED,
+            gbuffer=gbuffer,
+        )
+        step = np.diff(np.asarray(image, float)[..., 0], axis=1)
+        slope = (step[:, 2:] - step[:, :-2])[meet] / pixel
+        # Without what the slopes alone would add from one pixel to the next.
+        value = (step[:, 1:-1] - (step[:, 2:] + step[:, :-2]) / 2)[meet]
+        found[name] = rms(slope), rms(value)
+    return found
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def crossing(x: np.ndarray, y: np.ndarray, level: float) -> float:
+    """Largest x below which y stays under `level`, between points on log scales."""
+    order = np.argsort(x)
+    x, y = x[order], np.maximum(y[order], 1e-12)
+    above = np.flatnonzero(y > level)
+    if len(above) == 0 or above[0] == 0:
+        return float("nan")
+    k = above[0]
+    ends = np.log(y[k - 1 : k + 1])
+    share = (np.log(level) - ends[0]) / (ends[1] - ends[0])
+    return float(np.exp((1 - share) * np.log(x[k - 1]) + share * np.log(x[k])))
+
+
+def costs(size: Size) -> tuple[dict[str, np.ndarray], float]:
+    """Median seconds of an image by each method, taken in turn; and of its geometry."""
+    camera = pf.OrthographicCamera(size.pixels, size.pixels, view_height=2.1)
+    scenes = {
+        (name, lamps): ball(ROWS[2], name, camera, spread_directions(lamps))
+        for name in METHODS
+        for lamps in TIMED
+    }
+    first = next(iter(scenes.values()))
+    gbuffer = first.trace()
+    material = pf.Material(0.6, 0.4, 50.0, 0.2)
+
+    def image(scene: pf.Scene) -> Callable[[], jax.Array]:
+        return lambda: pf.render(scene, material, gbuffer=gbuffer)
+
+    work: dict[Any, Callable[[], jax.Array]]
+    work = {key: image(scene) for key, scene in scenes.items()}
+    work["trace"] = lambda: first.trace().position
+    times: dict[Any, list[float]] = {key: [] for key in work}
+    for call in work.values():
+        jax.block_until_ready(call())
+    for _ in range(size.runs):
+        for key, call in work.items():
+            begin = time.perf_counter()
+            jax.block_until_ready(call())
+            times[key].append(time.perf_counter() - begin)
+    medians = {key: float(np.median(taken)) for key, taken in times.items()}
+    seconds = {
+        name: np.array([medians[name, lamps] for lamps in TIMED]) for name in METHODS
+    }
+    return seconds, medians["trace"]
+
+
+@style.styled
+def draw(result: Result, pixels: int) -> Figure:
+    """Balls by all methods and meshes above, numbers below."""
+    figure = style.page(8.9)
+    top, bottom = style.bands(figure, 4.6, 4.3)
+    camera = pf.OrthographicCamera(pixels, pixels, view_height=2.05)
+    plastic = pf.Material((0.1, 0.3, 0.5), 0.7, EXPONENTS[1], (0.05, 0.1, 0.15))
+    lamp = np.array([-0.6, 0.7, 1.0])
+    images = [
+        [
+            np.asarray(pf.render(ball(rows, name, camera, lamp, 1.0), plastic))
+            for rows in ROWS
+        ]
+        for name in METHODS
+    ]
+    names = [f"{4 * rows**2} triangles" for rows in ROWS]
+    style.picture_grid(top, images, columns=names, rows=list(METHODS))
+    (peak, energy), (slope, cost) = bottom.subplots(2, 2)
+    for k, (f, colour, marker) in enumerate(
+        zip(EXPONENTS, (style.BLUE, style.GREEN, style.VERMILION), "os^", strict=True)
+    ):
+        x = result.edge / result.half_width[k]
+        for axes, loss in (
+            (peak, 1 - result.peak["Gouraud"][:, k]),
+            (energy, np.abs(result.energy["Gouraud"][:, k] - 1)),
+        ):
+            mean = np.maximum(100 * loss.mean(axis=-1), 1e-3)
+            axes.loglog(x, mean, f"{marker}-", c=colour, label=f"$f$ = {f:g}")
+    peak.axhline(100 * GOOD, c=style.BLACK, lw=0.8, ls=":")
+    peak.set_ylabel("lost of the peak (%)")
+    energy.set_ylabel("energy off by (%)")
+    for axes in (peak, energy):
+        axes.set_xlabel("edge / half width of the highlight")
+        axes.legend()
+    peak.set_title("Gouraud: the highlight's peak")
+    energy.set_title("Gouraud: the highlight's energy")
+    for name in ("Gouraud", "Phong"):
+        colour, marker = LINES[name]
+        slope.loglog(
+            result.edge,
+            result.slope_jump[name],
+            f"{marker}-",
+            c=colour,
+            label=name,
+        )
+    for axes in (peak, energy, slope):
+        style.plain_numbers(axes)
+    slope.set_xlabel("edge (degrees)")
+    slope.set_ylabel("jump of the slope (1/radius)")
+    slope.set_xticks(result.edge, [f"{e:.3g}" for e in result.edge])
+    slope.minorticks_off()
+    slope.set_title("Mach bands: slope across edges")
+    slope.legend()
+    places = np.arange(len(METHODS))
+    for at, (lamps, hatch) in enumerate(zip(TIMED, ("", "///"), strict=True)):
+        bars = cost.barh(
+            places + 0.4 * at - 0.2,
+            [1e3 * result.seconds[name][at] for name in METHODS],
+            0.38,
+            color=[LINES[name][0] for name in METHODS],
+            hatch=hatch,
+            edgecolor="white",
+        )
+        label = f"{lamps} lamp" + "s" * (lamps > 1)
+        cost.bar_label(bars, [f" {bar.get_width():.1f}, {label}" for bar in bars])
+    cost.set_yticks(places, list(METHODS))
+    cost.invert_yaxis()
+    cost.grid(False, axis="y")
+    cost.margins(x=0.35)
+    cost.set_xlabel("time of one image (ms)")
+    cost.set_title(f"cost, {4 * ROWS[2] ** 2} triangles")
+    return figure
+
+
+COLUMNS = (
+    "triangles",
+    "edge",
+    "peak, flat",
+    "peak, Gouraud",
+    "at worst",
+    "energy, Gouraud",
+    "slope jump / Phong's",
+)
+
+
+def rows_of(result: Result) -> tuple[tuple[str, ...], ...]:
+    """A line for each mesh, at the middle exponent."""
+    k = 1
+    gouraud, jump = result.peak["Gouraud"], result.slope_jump
+    return tuple(
+        (
+            f"{4 * rows**2}",
+            f"{result.edge[at]:.3g}°",
+            f"{100 * result.peak['flat'][at, k].mean():.1f} %",
+            f"{100 * gouraud[at, k].mean():.1f} %",
+            f"{100 * gouraud[at, k].min():.1f} %",
+            f"{100 * result.energy['Gouraud'][at, k].mean():.1f} %",
+            f"{jump['Gouraud'][at] / jump['Phong'][at]:.1f}",
+        )
+        for at, rows in enumerate(ROWS)
+    )
+
+
+def say(result: Result) -> str:
+    """The answer in words."""
+    first, last = result.peak["Gouraud"][[0, -1], 1]
+    ratio = {name: result.seconds[name] / result.seconds["Phong"] for name in METHODS}
+    enough = float(np.nanmean(result.enough))
+    wanted = 4 * np.ceil(180 / (enough * result.half_width)) ** 2
+    meshes = ", ".join(
+        f"{n:.0f} triangles for f = {f:g}"
+        for n, f in zip(wanted, EXPONENTS, strict=True)
+    )
+    jump = result.slope_jump["Gouraud"][2] / result.slope_jump["Phong"][2]
+    energy = result.energy["Gouraud"][:2, 1].mean(axis=-1)
+    return (
+        "Gouraud shading loses highlights that fall between vertices: of the peak of "
+        f"Phong shading on the same mesh, f = {EXPONENTS[1]:g}, it keeps "
+        f"{100 * first.mean():.0f} % on {4 * ROWS[0] ** 2} triangles and "
+        f"{100 * last.mean():.1f} % on {4 * ROWS[-1] ** 2}. Gouraud is good enough "
+        f"(at most {100 * GOOD:.0f} % of the peak lost, on average over lamps) where "
+        f"the mesh's edges are shorter than {enough:.2f} of the highlight's half "
+        f"width: a ball of {meshes}. The highlight's energy it keeps sooner: "
+        f"{100 * energy[0]:.0f} % on {4 * ROWS[0] ** 2} triangles, "
+        f"{100 * energy[1]:.0f} % on {4 * ROWS[1] ** 2}. From face to face the slope "
+        f"of its light jumps by {jump:.1f} times as much as Phong shading's "
+        f"({4 * ROWS[2] ** 2} triangles): these are Mach bands. Under one lamp an "
+        f"image costs {ratio['flat'][0]:.2f} (flat) and {ratio['Gouraud'][0]:.2f} "
+        f"(Gouraud) of Phong shading's time, under {TIMED[1]} lamps "
+        f"{ratio['flat'][1]:.2f} and {ratio['Gouraud'][1]:.2f}, geometry not counted."
+    )
+
+
+def find(small: bool) -> Finding:
+    """Measure, draw and answer."""
+    size = Size(96, 6, 3) if small else Size(256, 16, 15)
+    result = measure(size)
+    kept = result.peak["Gouraud"].mean(axis=-1)
+    falls = np.all(np.diff(kept, axis=0) > -0.02) and np.all(kept[-1] > kept[0])
+    return Finding(
+        say(result),
+        dataclasses.asdict(result),
+        draw(result, 96 if small else 256),
+        "Balls of 144 to 36864 triangles with flat, Gouraud and Phong shading; curves "
+        "of what Gouraud's highlight loses against the length of the mesh's edges, of "
+        "the jump of the slope across edges, and bars of the time of an image.",
+        Table(COLUMNS, rows_of(result)),
+        wrong=() if falls else ("Gouraud's loss does not fall with finer meshes",),
+    )
+
+
+EXPERIMENT = Experiment("shading_methods", __doc__, find)
+
+if __name__ == "__main__":
+    raise SystemExit(EXPERIMENT.run())

@@ -1,0 +1,115 @@
+"""One look for all figures: page width, type, colours that everyone can tell apart."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.ticker import StrMethodFormatter
+
+from phongfit.report.pictures import displayed
+
+# Width of a page's text, inches: nothing is scaled, so a point of type is a point.
+PAGE = 7.2
+DPI = 150
+
+# The eight colours of Okabe and Ito, *Color universal design*, 2008: told apart with
+# every kind of colour vision.
+BLACK, ORANGE, SKY, GREEN = "#000000", "#e69f00", "#56b4e9", "#009e73"
+YELLOW, BLUE, VERMILION, PURPLE = "#f0e442", "#0072b2", "#d55e00", "#cc79a7"
+
+# Colour, marker and symbol of each parameter, the same in all figures.
+PARAMETERS = {
+    "diffuse": (BLUE, "o", "ρ_d"),
+    "specular": (VERMILION, "s", "ρ_s"),
+    "shininess": (GREEN, "^", "f"),
+    "ambient": (ORANGE, "D", "ρ_a"),
+}
+
+STYLE: dict[Any, Any] = {
+    "font.size": 8.5,
+    "axes.titlesize": 9,
+    "axes.labelsize": 8.5,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8,
+    "figure.titlesize": 10,
+    "legend.frameon": False,
+    "lines.linewidth": 1.4,
+    "lines.markersize": 4.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "figure.constrained_layout.h_pad": 0.03,
+    "figure.constrained_layout.w_pad": 0.03,
+}
+
+# A decorator for functions that draw.
+styled = matplotlib.rc_context(STYLE)
+
+
+def symbol(name: str) -> str:
+    """A parameter as it is written in figures: ρ with its index."""
+    letter, _, index = PARAMETERS[name][2].partition("_")
+    return f"${letter}_{{{index}}}$" if index else f"${letter}$"
+
+
+def page(height: float) -> Figure:
+    """An empty figure as wide as a page; `height` in inches."""
+    return Figure(figsize=(PAGE, height), layout="constrained", dpi=DPI)
+
+
+def bands(figure: Figure, *heights: float) -> list[SubFigure]:
+    """Parts of a page above one another; `heights` are relative."""
+    parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
+    return np.ravel(np.asarray(parts, object)).tolist()
+
+
+def show(axes: Axes, image: Any, title: str = "", below: str = "") -> None:
+    """Linear light (H, W, 3) as a screen shows it: clamped and sRGB-encoded."""
+    axes.imshow(displayed(image))
+    bare(axes)
+    axes.set_title(title)
+    axes.set_xlabel(below)
+
+
+def plain_numbers(axes: Axes, which: str = "xy") -> None:
+    """0.1, 1, 10 on axes of a log scale, in place of powers of ten."""
+    for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
+        if name in which and axis.get_scale() == "log":
+            axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+
+
+def bare(axes: Axes) -> None:
+    """Without ticks, grid and frame, as pictures want it."""
+    axes.grid(False)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def picture_grid(
+    figure: Figure | SubFigure,
+    images: Sequence[Sequence[Any]],
+    *,
+    columns: Sequence[str],
+    rows: Sequence[str],
+) -> np.ndarray:
+    """Pictures in rows and columns that bear names.
+
+    **Arguments:** `images`: rows of linear light (H, W, 3). **Returns:** their axes.
+    """
+    axes = figure.subplots(len(images), len(images[0]), squeeze=False)
+    for line, row, name in zip(axes, images, rows, strict=True):
+        for one, image in zip(line, row, strict=True):
+            show(one, image)
+        line[0].set_ylabel(name)
+    for one, name in zip(axes[0], columns, strict=True):
+        one.set_title(name)
+    return axes

@@ -1,0 +1,348 @@
+"""Question: what does a fit with the wrong model get wrong, and what gives it away?
+
+Images are made in one way and fitted in another: the other highlight, the other
+shading, a lamp missing or misplaced or too bright, a wrong encoding, a shadow or a
+clamp left out. For each mistake the bias of every parameter is measured, in its own
+unit and in the errors that the fit states, and which diagnostics of the fit tell.
+"""
+
+import dataclasses
+import textwrap
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import phongfit as pf
+from experiments import style
+from experiments.balls import ball as ball_of_triangles, unit_ball
+from experiments.finding import Experiment, Finding, Table
+from phongfit.rendering.film import decode, encode
+
+TRUTH = pf.Material(0.5, 0.3, 20.0, 0.4)
+NOISE = 0.01
+LEAVES = tuple(style.PARAMETERS)
+UNCLAMPED = pf.Film(clamp=False)
+LAMP = (1.0, 1.0, 2.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Mistake:
+    """How an image is made, what becomes of it, and how it is then fitted.
+
+    `excuse` says why a fit may not notice.
+    """
+
+    name: str
+    made: pf.Scene
+    fitted: pf.Scene
+    becomes: Callable[[np.ndarray], np.ndarray] = np.asarray
+    excuse: str = "the image is fitted as well as by the right model"
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """What a mistake does, means over several noisy images, in the order of `LEAVES`.
+
+    - `bias`: estimate − truth; `in_errors`: the same over the errors stated;
+    - `chi_squared`: reduced; `correlation`: of neighbouring residuals;
+    - `flags`: the diagnostics that tell in most of the images: see `DIAGNOSTICS`;
+    - `residual`: of one of the images, in units of the noise.
+    """
+
+    name: str
+    bias: np.ndarray
+    in_errors: np.ndarray
+    chi_squared: float
+    correlation: float
+    flags: tuple[str, ...]
+    excuse: str
+    residual: np.ndarray
+
+    @property
+    def misled(self) -> bool:
+        """Whether a parameter is off by more than its errors explain."""
+        return bool(np.any(np.abs(self.in_errors) > 3))
+
+
+DIAGNOSTICS = ("χ²", "neighbours", "bound", "warning")
+"""Reduced χ² above 1, for the noise given, by more than five of its standard errors;
+residuals that correlate with their neighbours'; a parameter at its bound; a warning of
+the fit's own."""
+
+
+def ball(size: int, **changes: Any) -> pf.Scene:
+    """A ball under one lamp, or the same with something else."""
+    scene = pf.Scene(
+        pf.Sphere(),
+        pf.OrthographicCamera(size, size),
+        pf.DirectionalLight(LAMP, 0.9),
+        ambient=0.3,
+    )
+    return dataclasses.replace(scene, **changes)
+
+
+def mistakes(size: int) -> list[Mistake]:
+    """All of them, and a fit without one."""
+    right = ball(size)
+    coarse = ball(size, surface=unit_ball(12))
+    pair = ball(
+        size,
+        surface=two_balls(),
+        lights=(pf.DirectionalLight((1.0, 0.6, 0.7), 0.9),),
+    )
+    second = pf.DirectionalLight((-1.0, -0.4, 1.0), 0.15)
+    # Both highlights are seen, and the two models turn them differently.
+    apart = (*right.lights, pf.DirectionalLight((-1.0, -0.4, -0.2), 0.9))
+    turned = pf.DirectionalLight((1.0, 1.0, 1.7), 0.9)
+    bright, brighter = (pf.DirectionalLight(LAMP, x * 0.9) for x in (1.5, 1.1))
+    return [
+        Mistake("none", right, right),
+        Mistake(
+            "Phong for Blinn",
+            right,
+            ball(size, specular=pf.Phong()),
+            excuse="under one lamp near the viewer, Phong's model with about a quarter "
+            "of the exponent makes nearly the same image",
+        ),
+        Mistake(
+            "the same, lamps far apart",
+            ball(size, lights=apart),
+            ball(size, lights=apart, specular=pf.Phong()),
+        ),
+        Mistake(
+            "Gouraud for Phong",
+            coarse,
+            dataclasses.replace(coarse, shading=pf.GouraudShading()),
+        ),
+        Mistake("lamp missing", ball(size, lights=(*right.lights, second)), right),
+        Mistake(f"lamp {angle(turned):.0f}° off", right, with_lamp(right, turned)),
+        Mistake(
+            "lamp 10 % too bright",
+            right,
+            with_lamp(right, brighter),
+            excuse="light and reflectance only ever come as their product",
+        ),
+        Mistake(
+            "sRGB read as linear", right, right, lambda i: encode(white(i), "srgb")
+        ),
+        Mistake(
+            "linear read as sRGB", right, right, lambda i: decode(white(i), "srgb")
+        ),
+        Mistake("shadow left out", dataclasses.replace(pair, shadows=True), pair),
+        Mistake(
+            "clamp left out", with_lamp(right, bright), with_lamp(right, bright), white
+        ),
+    ]
+
+
+def two_balls() -> pf.Mesh:
+    """A small ball in the lamp's way to a large one, of one material."""
+    large, small = ((-0.2, -0.2, 0.0), 0.75), ((0.68, 0.33, 0.6), 0.25)
+    both = pf.join(ball_of_triangles(24, size, at) for at, size in (large, small))
+    return pf.Mesh(both.vertices, both.faces, both.normals)
+
+
+def white(image: np.ndarray) -> np.ndarray:
+    """Cut off at black and white."""
+    return np.clip(image, 0, 1)
+
+
+def with_lamp(scene: pf.Scene, lamp: pf.DirectionalLight) -> pf.Scene:
+    """The same scene under another lamp."""
+    return dataclasses.replace(scene, lights=(lamp,))
+
+
+def angle(lamp: pf.DirectionalLight) -> float:
+    """Between a lamp and the true one, degrees."""
+    one, other = np.array(LAMP), np.asarray(lamp.direction, float)
+    cosine = one @ other / np.linalg.norm(one) / np.linalg.norm(other)
+    return float(np.rad2deg(np.arccos(cosine)))
+
+
+def outcome(mistake: Mistake, draws: int, seed: int) -> Outcome:
+    """Fits of several noisy images with one mistake."""
+    light = np.asarray(pf.render(mistake.made, TRUTH, film=UNCLAMPED))
+    rng = np.random.default_rng(seed)
+    fits = [
+        pf.fit(
+            mistake.fitted,
+            mistake.becomes(light + NOISE * rng.normal(size=light.shape)),
+            per_channel=(),
+            noise=NOISE,
+            film=UNCLAMPED,
+        )
+        for _ in range(draws)
+    ]
+    order = [fits[0].labels.index(leaf) for leaf in LEAVES]
+    truth = np.array([float(getattr(TRUTH, leaf)) for leaf in LEAVES])
+    off = np.array([fit.values[order] - truth for fit in fits])
+    errors = np.array([fit.errors[order] for fit in fits])
+    told = np.array([[name in flags(fit) for name in DIAGNOSTICS] for fit in fits])
+    return Outcome(
+        mistake.name,
+        off.mean(axis=0),
+        (off / errors).mean(axis=0),
+        float(np.mean([fit.reduced_chi_squared for fit in fits])),
+        float(np.mean([fit.neighbour_correlation for fit in fits])),
+        tuple(np.array(DIAGNOSTICS)[told.mean(axis=0) > 0.5].tolist()),
+        mistake.excuse,
+        fits[0].residuals.mean(axis=-1) / NOISE,
+    )
+
+
+def flags(fit: pf.Fit) -> tuple[str, ...]:
+    """Which of `DIAGNOSTICS` say that something is wrong with a fit."""
+    chance = 5 * np.sqrt(2 / fit.degrees_of_freedom)
+    says = (
+        fit.reduced_chi_squared > 1 + chance,
+        fit.neighbour_correlation > 0,
+        bool(fit.at_bound.any()),
+        bool(fit.warnings),
+    )
+    return tuple(name for name, said in zip(DIAGNOSTICS, says, strict=True) if said)
+
+
+def measure(small: bool) -> list[Outcome]:
+    """All mistakes."""
+    size, draws = (32, 4) if small else (48, 20)
+    return [
+        outcome(mistake, draws, seed) for seed, mistake in enumerate(mistakes(size))
+    ]
+
+
+@style.styled
+def draw(outcomes: list[Outcome]) -> Figure:
+    """What is left over, and a table of biases and diagnostics."""
+    figure = style.page(8.3)
+    top, bottom = style.bands(figure, 3.1, 5.2)
+    panels = top.subplots(2, 6).ravel()
+    for axes in panels[len(outcomes) :]:
+        axes.set_axis_off()
+    maps = []
+    for axes, one in zip(panels, outcomes, strict=False):
+        maps.append(axes.imshow(one.residual, cmap="RdBu_r", vmin=-8, vmax=8))
+        style.bare(axes)
+        axes.set_title(textwrap.fill(one.name, 15), fontsize=8)
+    bar = top.colorbar(maps[0], ax=panels.tolist(), fraction=0.02, pad=0.01)
+    bar.set_label("image − fit (noise's standard deviations)")
+    table = bottom.subplots()
+    deviation = np.array([one.in_errors for one in outcomes])
+    strength = np.sign(deviation) * np.log10(1 + np.abs(deviation))
+    columns = len(LEAVES) + len(DIAGNOSTICS)
+    cells = np.zeros((len(outcomes), columns))
+    cells[:, : len(LEAVES)] = strength
+    table.imshow(cells, cmap="RdBu_r", vmin=-3, vmax=3, aspect="auto")
+    style.bare(table)
+    for row, one in enumerate(outcomes):
+        for k, (value, share) in enumerate(zip(*offsets(one), strict=True)):
+            dark = abs(strength[row, k]) > 1.8
+            ink = "white" if dark else style.BLACK
+            write(table, k, row, f"{value}\n{share}", ink)
+        numbers = {"χ²": f"{one.chi_squared:.3g} "}
+        numbers["neighbours"] = f"{one.correlation:.2f} "
+        for k, name in enumerate(DIAGNOSTICS, len(LEAVES)):
+            number = numbers.get(name, "")
+            write(table, k, row, number + ("●" if name in one.flags else "·"))
+    table.set_yticks(range(len(outcomes)), [one.name for one in outcomes])
+    names = [f"{style.symbol(leaf)}: off by" for leaf in LEAVES]
+    table.set_xticks(range(columns), [*names, *DIAGNOSTICS])
+    table.tick_params(length=0, labeltop=True, labelbottom=False)
+    table.axvline(len(LEAVES) - 0.5, c=style.BLACK, lw=0.8)
+    table.set_xlabel(
+        "off by: estimate − truth, and in units σ of the error stated      ●: tells"
+    )
+    return figure
+
+
+def write(axes: Axes, column: int, row: int, words: str, ink: str = "black") -> None:
+    """Text in a cell."""
+    axes.text(column, row, words, ha="center", va="center", fontsize=7.5, color=ink)
+
+
+def offsets(one: Outcome) -> tuple[list[str], list[str]]:
+    """Biases as text: in their own units, and in errors stated."""
+    digits = [1 if leaf == "shininess" else 3 for leaf in LEAVES]
+    values = [f"{bias:+.{n}f}" for bias, n in zip(one.bias, digits, strict=True)]
+    shares = [
+        f"{share:+.0f} σ" if abs(share) >= 10 else f"{share:+.1f} σ"
+        for share in one.in_errors
+    ]
+    return [minus(value) for value in values], [minus(share) for share in shares]
+
+
+def minus(number: str) -> str:
+    """With a sign as long as a plus."""
+    return number.replace("-", "\N{MINUS SIGN}")
+
+
+def say(right: Outcome, others: list[Outcome]) -> str:
+    """The answer in words, from the fit without a mistake and those with one."""
+    misled = [one for one in others if one.misled]
+    hidden = [one for one in misled if not one.flags]
+    shares = {name: sum(name in one.flags for one in others) for name in DIAGNOSTICS}
+    worst = max(others, key=lambda one: abs(one.bias[LEAVES.index("shininess")]))
+    return (
+        f"{len(misled)} of {len(others)} mistakes move a parameter by more than three "
+        "of its stated errors; the exponent suffers most: "
+        f"{worst.name!r} moves f = {float(TRUTH.shininess):g} by "
+        f"{worst.bias[LEAVES.index('shininess')]:+.0f}. What gives them away: "
+        + ", ".join(
+            f"{name} {count} of {len(others)}" for name, count in shares.items()
+        )
+        + f"; the right model is {'flagged too' if right.flags else 'not flagged'}. "
+        + "".join(
+            f"Nothing shows {one.name!r} (reduced χ² {one.chi_squared:.2f}): "
+            f"{one.excuse}; ρ_d comes out {one.bias[0]:+.3f}, ρ_s {one.bias[1]:+.3f} "
+            f"and f {one.bias[2]:+.1f} off. "
+            for one in hidden
+        )
+    ).strip()
+
+
+def find(small: bool) -> Finding:
+    """Measure, draw and answer."""
+    outcomes = measure(small)
+    right, *others = outcomes
+    rows = tuple(
+        (
+            one.name,
+            *("\n".join(pair) for pair in zip(*offsets(one), strict=True)),
+            ", ".join(one.flags) or "nothing",
+        )
+        for one in outcomes
+    )
+    sound = not right.flags and not right.misled
+    return Finding(
+        say(right, others),
+        {
+            one.name: {
+                name: value
+                for name, value in dataclasses.asdict(one).items()
+                if name != "residual"
+            }
+            | {"misled": one.misled}
+            for one in outcomes
+        },
+        draw(outcomes),
+        "Maps of what fits leave over: noise where the model is right, rings, "
+        "crescents and patches where it is wrong; a table of how far each parameter "
+        "is off, and which diagnostics tell.",
+        Table(
+            (
+                "mistake",
+                *(f"{style.PARAMETERS[leaf][2]} off" for leaf in LEAVES),
+                "given away by",
+            ),
+            rows,
+        ),
+        wrong=() if sound else ("the right model is flagged, or misleads",),
+    )
+
+
+EXPERIMENT = Experiment("wrong_model", __doc__, find)
+
+if __name__ == "__main__":
+    raise SystemExit(EXPERIMENT.run())

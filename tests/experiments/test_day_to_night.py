@@ -1,0 +1,32 @@
+import numpy as np
+
+from experiments.day_to_night import EXPERIMENT, SOURCES, elevation
+
+
+def test_where_the_light_comes_from(found):
+    finding = found(EXPERIMENT)
+    numbers = finding.numbers
+    assert not finding.wrong and numbers["sum_error"] < 1e-6
+    hours, shares = numbers["hours"], numbers["shares"]
+    sun, moon, lamp, sky, fog = (shares[:, SOURCES.index(name)] for name in SOURCES)
+    day = (hours > 7) & (hours < 17)
+    night = (hours < 5) | (hours > 19)
+    assert np.all(sun[day] > 0) and np.all(sun[night] == 0)
+    assert np.all(lamp[night] > moon[night]) and np.all(moon[night] > 0)
+    assert np.all(lamp[day] == 0) and np.all(sky > 0)
+    noon = int(np.argmin(np.abs(hours - 12)))
+    assert sun[noon] == sun.max() and sun[noon] > sky[noon]
+    assert shares[noon].sum() > 4 * shares[0].sum()
+    # Fog is thickest in the morning.
+    assert 5 < hours[np.argmax(fog / shares.sum(axis=1))] < 9
+
+
+def test_the_animation_is_a_day(found):
+    frames = found(EXPERIMENT).frames
+    assert frames.shape == (12, 48, 48, 3)
+    mean = frames.mean(axis=(1, 2, 3))
+    assert mean[6] > 4 * mean[0]
+
+
+def test_the_sun():
+    assert elevation(12) == 1 and abs(elevation(6)) < 1e-12 and elevation(0) == -1

@@ -1,0 +1,86 @@
+import json
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+from experiments.finding import Experiment, Finding, Table, save_animation
+from experiments.style import page
+from phongfit.cli import run
+
+ABOUT = """Question: how long is
+a piece of string?
+
+It is measured.
+Twice.
+"""
+
+
+def experiment(**changes: Any) -> Experiment:
+    def find(small: bool) -> Finding:
+        fields: dict[str, Any] = dict(
+            answer="Twice its [half].",
+            numbers={"length": np.array([1.0, 2.0]), "small": small},
+            figure=page(1.0),
+            alt="a string",
+            table=Table(("end", "cm"), (("left", "0"), ("right", "2"))),
+        )
+        return Finding(**(fields | changes))
+
+    return Experiment("string", ABOUT, find)
+
+
+def test_question_and_method():
+    assert experiment().question == "How long is a piece of string?"
+    assert experiment().method == "It is measured. Twice."
+
+
+def test_the_command(tmp_path, capsys):
+    picture, numbers = tmp_path / "new" / "string.png", tmp_path / "string.json"
+    args = ["--small", "--picture", str(picture), "--json", str(numbers)]
+    assert run(experiment().command(), args) == 0
+    printed = capsys.readouterr().out
+    assert "Twice its [half]." in printed and "right" in printed
+    assert str(picture) in printed and picture.stat().st_size > 0
+    assert json.loads(numbers.read_text()) == {"length": [1, 2], "small": True}
+
+
+def test_help_says_what_is_asked(capsys):
+    assert run(experiment().command(), ["--help"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "How long is a piece of string? It is measured. Twice." in printed
+    assert "Where the figure goes" in printed
+
+
+def test_what_should_hold_and_does_not(tmp_path, capsys):
+    args = ["--picture", str(tmp_path / "string.png")]
+    assert run(experiment(wrong=("it is too short",)).command(), args) == 1
+    assert "! it is too short" in capsys.readouterr().out
+
+
+def test_an_animation_beside_the_picture(tmp_path):
+    frames = np.linspace(0, 1, 4)[:, None, None, None] * np.ones((4, 6, 8, 3))
+    args = ["--picture", str(tmp_path / "string.png")]
+    assert run(experiment(frames=frames).command(), args) == 0
+    read = iio.imread(tmp_path / "string_animation.gif", plugin="pillow")
+    assert read.shape == (4, 6, 8, 3)
+    assert np.all(np.diff(read.mean(axis=(1, 2, 3))) > 0)
+    assert [path.name for path in tmp_path.glob(".*")] == []
+
+
+def test_a_picture_that_cannot_be_written(tmp_path, capsys):
+    (tmp_path / "file").touch()
+    args = ["--picture", str(tmp_path / "file" / "string.png")]
+    assert run(experiment().command(), args) == 2
+    assert "error:" in capsys.readouterr().err
+
+
+def test_light_beyond_white_is_cut_off(tmp_path):
+    save_animation(tmp_path / "a.gif", np.full((2, 4, 4, 3), 7.0) * [[[[1, 0, 1]]]])
+    assert iio.imread(tmp_path / "a.gif", plugin="pillow").max() == 255
+
+
+@pytest.mark.parametrize("missing", [None, "", "Question: why?"])
+def test_an_about_without_a_method(missing):
+    assert Experiment("x", missing, experiment().find).method == ""
