@@ -1,0 +1,111 @@
+"""`phongfit lab`: the page on this machine."""
+
+import contextlib
+import importlib.util
+import socket
+import sys
+import threading
+import webbrowser
+from collections.abc import Iterator
+
+MAX_RESOLUTION = 1024
+
+
+def lab(
+    host: str = "127.0.0.1",
+    port: int = 8060,
+    resolution: int = 256,
+    browser: bool = True,
+) -> None:
+    """Move the model's sliders in a browser, and fit a target with one press.
+
+    The page is served on this machine, and to this machine only unless --host says
+    otherwise. Whoever reaches it can load files into it. Ctrl-C stops it.
+    For example: python -m phongfit.lab --port 0 --no-browser
+
+    Args:
+        host: Address to listen at; 0.0.0.0 lets other machines in.
+        port: Port to listen at; 0 takes any that is free.
+        resolution: Width and height of the pictures, pixels.
+        browser: Open the page in a browser.
+    """
+    if not 0 <= port < 2**16:
+        raise ValueError(f"port: {port} came, 0 … {2**16 - 1} is wanted")
+    if not 16 <= resolution <= MAX_RESOLUTION:
+        raise ValueError(
+            f"resolution: {resolution} came, 16 … {MAX_RESOLUTION} is wanted"
+        )
+    _check_installed()
+    with _listening(host, port) as listener:
+        _serve(listener, host, resolution, browser)
+
+
+def _check_installed() -> None:
+    missing = [
+        name
+        for name in ("starlette", "uvicorn")
+        if importlib.util.find_spec(name) is None
+    ]
+    if missing:
+        raise ValueError(
+            f"{' and '.join(missing)} not installed: pip install 'phongfit[lab]'"
+        )
+
+
+@contextlib.contextmanager
+def _listening(host: str, port: int) -> Iterator[socket.socket]:
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        listener = socket.create_server((host, port), family=family)
+    except OSError as error:
+        words = error.strerror or str(error)
+        raise ValueError(
+            f"host, port: cannot listen at {host}, {port}: {words} (--port 0 takes any "
+            "that is free)"
+        ) from error
+    with listener:
+        yield listener
+
+
+def _serve(listener: socket.socket, host: str, resolution: int, browser: bool) -> None:
+    # Put off, since they take long to import and may not be there.
+    import uvicorn
+
+    from phongfit.lab.guard import is_loopback
+    from phongfit.lab.server import make_app
+    from phongfit.lab.settings import PictureRequest, Settings
+    from phongfit.lab.studio import Studio
+
+    studio = Studio(resolution)
+    # The first picture is there when the page is.
+    studio.picture(PictureRequest(settings=Settings()))
+    url = _url(listener, host)
+    print(f"phongfit lab: {url} (Ctrl-C stops it)", flush=True)
+    if not is_loopback(host):
+        print(f"warning: other machines can reach it at {host}", file=sys.stderr)
+    if browser:
+        # A browser in the terminal would not return.
+        threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+    stop = threading.Event()
+    warming = threading.Thread(target=studio.warm_up, args=(stop,))
+    warming.start()
+    config = uvicorn.Config(
+        make_app(studio, host),
+        log_level="warning",
+        access_log=False,
+        timeout_graceful_shutdown=3,
+    )
+    try:
+        uvicorn.Server(config).run(sockets=[listener])
+    except KeyboardInterrupt:
+        # The usual way to end it, and no error.
+        print("stopped", flush=True)
+    finally:
+        stop.set()
+        warming.join()
+
+
+def _url(listener: socket.socket, host: str) -> str:
+    shown = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, host)
+    shown = f"[{shown}]" if ":" in shown and not shown.startswith("[") else shown
+    return f"http://{shown}:{listener.getsockname()[1]}/"
