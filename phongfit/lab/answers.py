@@ -7,7 +7,7 @@ import numpy as np
 from phongfit.fitting.leaves import CHANNELS, REFLECTANCES
 from phongfit.fitting.result import Fit
 from phongfit.fitting.table import number_with_error
-from phongfit.lab.settings import Settings
+from phongfit.lab.settings import Settings, matters
 from phongfit.lab.stage import angles, make_lights
 
 SYMBOLS = {"diffuse": "ρ_d", "specular": "ρ_s", "ambient": "ρ_a", "shininess": "f"}
@@ -67,11 +67,10 @@ def true_numbers(settings: Settings) -> dict[str, float]:
 def differences(assumed: Settings, truth: Settings) -> list[str]:
     """Titles of what a fit assumes otherwise than its target was made."""
     return [
-        str(field.title)
-        for name, field in Settings.model_fields.items()
-        if field.title is not None
-        and name not in OF_MATERIAL
-        and getattr(assumed, name) != getattr(truth, name)
+        str(Settings.model_fields[name].title)
+        for name in matters(assumed)
+        if name in matters(truth) and name not in OF_MATERIAL
+        if getattr(assumed, name) != getattr(truth, name)
     ]
 
 

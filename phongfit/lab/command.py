@@ -36,7 +36,7 @@ def lab(
             f"resolution: {resolution} came, 16 … {MAX_RESOLUTION} is wanted"
         )
     _check_installed()
-    with _listening(host, port) as listener:
+    with listening(host, port) as listener:
         _serve(listener, host, resolution, browser)
 
 
@@ -53,7 +53,7 @@ def _check_installed() -> None:
 
 
 @contextlib.contextmanager
-def _listening(host: str, port: int) -> Iterator[socket.socket]:
+def listening(host: str, port: int) -> Iterator[socket.socket]:
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         listener = socket.create_server((host, port), family=family)
@@ -64,6 +64,9 @@ def _listening(host: str, port: int) -> Iterator[socket.socket]:
             "that is free)"
         ) from error
     with listener:
+        # Connections inherit it. Else the kernel holds a picture back for 40 ms, until
+        # the browser has acknowledged what came before it.
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         yield listener
 
 

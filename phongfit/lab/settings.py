@@ -111,7 +111,7 @@ class Settings(AbstractRecord):
         "model", "shading", "phong", words={"gouraud": "Gouraud", "phong": "Phong"}
     )
 
-    surface: str = Field(default=SPHERE, max_length=64)
+    surface: str = Field(default=SPHERE, max_length=64, title="surface")
     turn: float = _slider(
         "view", "view from the right", 0.0, -180, 180, unit="°", step=1
     )
@@ -126,6 +126,21 @@ class Settings(AbstractRecord):
     radius: float = _slider(
         "frame", "radius, of the height", 45.0, 1, 100, unit="%", step=0.1
     )
+
+
+def matters(settings: Settings) -> list[str]:
+    """Names of the settings that do something to the picture of a made target."""
+
+    def does(name: str) -> bool:
+        about: Any = Settings.model_fields[name].json_schema_extra or {}
+        if about.get("group") == "frame":
+            return False
+        if about.get("group") == "view":
+            return settings.surface != SPHERE
+        only = about.get("only", {}).items()
+        return all(getattr(settings, other) in values for other, values in only)
+
+    return [name for name in Settings.model_fields if does(name)]
 
 
 class FitOptions(AbstractRecord):

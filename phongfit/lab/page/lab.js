@@ -70,6 +70,7 @@ async function draw() {
   moved = performance.now();
   if (drawing) return;
   drawing = true;
+  $("#picture").ariaBusy = "true";
   try {
     while (moved !== null) {
       const since = moved;
@@ -84,6 +85,7 @@ async function draw() {
     $("#problem").dataset.of = "picture";
   } finally {
     drawing = false;
+    $("#picture").ariaBusy = "false";
   }
 }
 
