@@ -28,8 +28,9 @@ MEAN = """async () => {
 MOVE = """async ([name, value]) => {
   const slider = document.querySelector(`input[type=range][name="${name}"]`);
   const image = document.querySelector("#picture img");
-  const shown = new Promise((done) => {
+  const shown = new Promise((done, fail) => {
     image.addEventListener("load", done, { once: true });
+    setTimeout(() => fail(new Error("no new picture within 60 s")), 60_000);
   });
   const start = performance.now();
   slider.value = value;
