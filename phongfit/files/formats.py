@@ -150,13 +150,13 @@ READERS: dict[str, Callable[[bytes, Path], np.ndarray]] = {
 # Writing.
 
 
-def png_bytes(numbers: np.ndarray) -> bytes:
-    """A PNG file of (H, W, 3) whole numbers of 8 or 16 bits."""
-    return bytes(imagecodecs.png_encode(numbers))
+def encode_png(numbers: np.ndarray) -> bytes:
+    """A PNG file of (H, W, channels) whole numbers of 8 or 16 bits."""
+    return bytes(imagecodecs.png_encode(np.ascontiguousarray(numbers)))
 
 
 def _write_png(path: Path, numbers: np.ndarray) -> None:
-    path.write_bytes(png_bytes(numbers))
+    path.write_bytes(encode_png(numbers))
 
 
 def _write_jpeg(path: Path, numbers: np.ndarray) -> None:

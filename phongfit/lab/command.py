@@ -7,6 +7,10 @@ import sys
 import threading
 import webbrowser
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from phongfit.lab.studio import Studio
 
 MAX_RESOLUTION = 1024
 
@@ -82,30 +86,42 @@ def _serve(listener: socket.socket, host: str, resolution: int, browser: bool) -
     studio = Studio(resolution)
     # The first picture is there when the page is.
     studio.picture(PictureRequest(settings=Settings()))
-    url = _url(listener, host)
-    print(f"phongfit lab: {url} (Ctrl-C stops it)", flush=True)
-    if not is_loopback(host):
-        print(f"warning: other machines can reach it at {host}", file=sys.stderr)
-    if browser:
-        # A browser in the terminal would not return.
-        threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
-    stop = threading.Event()
-    warming = threading.Thread(target=studio.warm_up, args=(stop,))
-    warming.start()
     config = uvicorn.Config(
         make_app(studio, host),
         log_level="warning",
         access_log=False,
         timeout_graceful_shutdown=3,
     )
+    url = _url(listener, host)
     try:
-        uvicorn.Server(config).run(sockets=[listener])
+        with _warming_up(studio):
+            _announce(url, is_loopback(host), browser)
+            uvicorn.Server(config).run(sockets=[listener])
     except KeyboardInterrupt:
         # The usual way to end it, and no error.
         print("stopped", flush=True)
+
+
+def _announce(url: str, only_here: bool, browser: bool) -> None:
+    print(f"phongfit lab: {url} (Ctrl-C stops it)", flush=True)
+    if not only_here:
+        print("warning: other machines can reach it", file=sys.stderr)
+    if browser:
+        # On its own, since a browser in the terminal would not return.
+        threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+
+
+@contextlib.contextmanager
+def _warming_up(studio: "Studio") -> Iterator[None]:
+    """Compile beside the block, and no longer than it."""
+    stop = threading.Event()
+    thread = threading.Thread(target=studio.warm_up, args=(stop,))
+    thread.start()
+    try:
+        yield
     finally:
         stop.set()
-        warming.join()
+        thread.join()
 
 
 def _url(listener: socket.socket, host: str) -> str:

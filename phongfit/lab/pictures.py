@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from phongfit.files.formats import png_bytes
+from phongfit.files.formats import encode_png
 from phongfit.files.images import to_levels
 
 # The brightest hundredth of a photograph is shown at this share of white.
@@ -19,7 +19,7 @@ def png(light: Any, brighten: float = 1.0) -> bytes:
 
     **Arguments:** `brighten`: factor on the light.
     """
-    return png_bytes(to_levels(brighten * np.asarray(light), "srgb", 8))
+    return encode_png(to_levels(brighten * np.asarray(light), "srgb", 8))
 
 
 def data_uri(file: bytes) -> str:
@@ -54,4 +54,4 @@ def residual_png(
     scale = max(float(reach), 1e-6)
     colours = colormaps["RdBu_r"](0.5 + 0.5 * np.clip(signed / scale, -1, 1))
     shown = np.where(used[..., None], colours[..., :3], 0.5)
-    return png_bytes(np.round(255 * shown).astype(np.uint8)), scale
+    return encode_png(np.round(255 * shown).astype(np.uint8)), scale

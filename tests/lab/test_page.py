@@ -116,6 +116,15 @@ def test_only_what_matters_is_shown(page):
     assert not page.is_visible("input[name=azimuth]")
 
 
+def test_flat_faces_need_triangles(page):
+    before = _mean(page)
+    page.check("input[name=shading][value=flat]")
+    page.locator("#surface-name", has_text="Sphere, cut into triangles").wait_for()
+    assert not np.allclose(_mean(page), before, atol=0.01)
+    page.click("#reset")
+    assert page.inner_text("#surface-name") == "Sphere"
+
+
 def test_a_fit_with_one_press(page):
     page.fill("#noise", "0.01")
     page.click("#make")

@@ -154,12 +154,20 @@ async function loadMask(file) {
 
 // Surfaces.
 
-async function setSurface(surface, words) {
+let mesh = null;
+
+async function setSurface(surface, name) {
+  mesh = name;
   settings.set({ surface });
-  $("#surface-name").textContent = words;
-  $("#sphere").hidden = surface === "sphere";
-  $("[data-group=view]").hidden = surface === "sphere";
+  nameSurface();
   await draw();
+}
+
+function nameSurface() {
+  const smooth = settings.values.shading === "phong";
+  $("#surface-name").textContent = mesh ?? (smooth ? "Sphere" : "Sphere, cut into triangles");
+  $("#sphere").hidden = mesh === null;
+  $("[data-group=view]").hidden = mesh === null;
 }
 
 async function loadMesh(file) {
@@ -224,6 +232,7 @@ async function start() {
   about = await json(ask("/api/settings"));
   settings = new Panel(document, about.settings, (name) => {
     if (about.settings[name].group === "material") $("#preset").value = "";
+    nameSurface();
     draw();
   });
   options = new Panel(document, about.options, () => {});
@@ -239,6 +248,7 @@ async function start() {
   $("#reset").addEventListener("click", () => {
     settings.reset(["surface"]);
     $("#preset").value = "";
+    nameSurface();
     draw();
   });
   $("#encoding").addEventListener("change", ({ target: menu }) => {
@@ -247,7 +257,7 @@ async function start() {
   $("#problem button").addEventListener("click", () => tell(""));
   $("#make").addEventListener("click", handler(makeTarget));
   $("#drop").addEventListener("click", handler(() => setTarget(null)));
-  $("#sphere").addEventListener("click", handler(() => setSurface("sphere", "Sphere")));
+  $("#sphere").addEventListener("click", handler(() => setSurface("sphere", null)));
   $("#fit").addEventListener("click", handler(fit));
   $("#take").addEventListener("click", handler(async () => {
     settings.set(found.settings);
