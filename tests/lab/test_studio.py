@@ -1,6 +1,5 @@
 """Pictures, targets and fits, without a server."""
 
-import io
 import threading
 
 import imagecodecs
@@ -58,9 +57,10 @@ def test_geometry_is_traced_once(studio):
     assert after.misses == before.misses and after.hits == before.hits + 3
 
 
-def test_a_mesh_under_each_shading_method(studio):
-    file = io.BytesIO(trimesh.creation.icosphere(2).export(file_type="stl"))
-    loaded = studio.add_mesh("ball.stl", file.read())
+def test_a_mesh_under_each_shading_method(studio, tmp_path):
+    path = tmp_path / "ball.stl"
+    trimesh.creation.icosphere(2).export(path)
+    loaded = studio.add_mesh(path.name, path.read_bytes())
     assert loaded["faces"] == 320
     shown = [
         _picture(studio, Settings(surface=loaded["surface"], shading=shading))
