@@ -9,7 +9,6 @@ from pydantic import Field, Strict
 
 from phongfit.files.records import AbstractRecord
 from phongfit.presets import OPENGL_MATERIALS
-from phongfit.rendering.film import Encoding
 
 SPHERE = "sphere"
 
@@ -92,7 +91,7 @@ class Settings(AbstractRecord):
         "light", "half the cone", 14.0, 1, 90, unit="°", step=0.5, only=SPOT_LIGHT
     )
     exponent: float = _slider(
-        "light", "exponent", 4.0, 0, 128, symbol="e", step=1, only=SPOT_LIGHT
+        "light", "spot exponent", 4.0, 0, 128, symbol="e", step=1, only=SPOT_LIGHT
     )
     intensity: Strengths = _slider(
         "light", "intensity", (1, 1, 1), symbol="I_s", step=0.05, only=WITH_LIGHT
@@ -158,9 +157,7 @@ class FitOptions(AbstractRecord):
             "tukey": "Tukey",
         },
     )
-    rim: float = _slider(
-        "fit", "rim left out: n·v below", 0.0, 0, 0.9, unit="", step=0.01
-    )
+    rim: float = _slider("fit", "rim left out: n·v below", 0.0, 0, 0.9, step=0.01)
     light_too: bool = _slider("fit", "the light's place is unknown too", False)
 
 
@@ -188,12 +185,6 @@ class FitRequest(AbstractRecord):
     settings: Settings
     target: str = Field(max_length=64)
     options: FitOptions = FitOptions()
-
-
-class PhotographOptions(AbstractRecord):
-    """What must be known of a photograph besides its pixels."""
-
-    encoding: Encoding
 
 
 def describe_settings() -> dict[str, Any]:

@@ -185,13 +185,21 @@ function forgetFit() {
 async function fit() {
   const button = $("#fit");
   button.disabled = true;
-  $("#state").textContent = "Fitting … (the first fit of its kind takes longer)";
+  const start = performance.now();
+  const waiting = () => {
+    const seconds = Math.floor((performance.now() - start) / 1000);
+    $("#state").textContent = `Fitting … ${seconds} s (the first of its kind is compiled)`;
+  };
+  const clock = setInterval(waiting, 1000);
+  waiting();
   try {
     const request = { settings: settings.values, target: target.target, options: options.values };
     found = await json(post("/api/fit", request));
     await showFit();
+    clearInterval(clock);
     $("#state").textContent = `Fitted in ${found.seconds.toFixed(2)} s.`;
   } catch (error) {
+    clearInterval(clock);
     $("#state").textContent = "";
     throw error;
   } finally {
@@ -219,7 +227,7 @@ async function showFit() {
 function rowOf(row) {
   const [first, ...rest] = row.name.split(" ");
   const start = first === "light" ? first : symbol(first);
-  const name = make("th", { scope: "row" }, start, ` ${rest.join(" ")}`);
+  const name = make("th", { scope: "row", title: row.label }, start, ` ${rest.join(" ")}`);
   const texts = [row.truth, row.value, row.error, row.off, row.note];
   const element = make("tr", {}, name, ...texts.map((text) => make("td", {}, text)));
   element.dataset.label = row.label;
