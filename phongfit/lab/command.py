@@ -1,6 +1,7 @@
 """`phongfit lab`: the page on this machine."""
 
 import contextlib
+import dataclasses
 import importlib.util
 import socket
 import sys
@@ -15,33 +16,39 @@ if TYPE_CHECKING:
 MAX_RESOLUTION = 1024
 
 
-def lab(
-    host: str = "127.0.0.1",
-    port: int = 8060,
-    resolution: int = 256,
-    browser: bool = True,
-) -> None:
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Options of `phongfit lab`."""
+
+    host: str = "127.0.0.1"
+    """Address to listen at; 0.0.0.0 lets other machines in."""
+
+    port: int = 8060
+    """Port to listen at; 0 takes any that is free."""
+
+    resolution: int = 256
+    """Width and height of the pictures, pixels."""
+
+    browser: bool = True
+    """Open the page in a browser."""
+
+
+def lab(options: Options) -> None:
     """Move the model's sliders in a browser, and fit a target with one press.
 
     The page is served on this machine, and to this machine only unless --host says
     otherwise. Whoever reaches it can load files into it. Ctrl-C stops it.
     For example: python -m phongfit.lab --port 0 --no-browser
-
-    Args:
-        host: Address to listen at; 0.0.0.0 lets other machines in.
-        port: Port to listen at; 0 takes any that is free.
-        resolution: Width and height of the pictures, pixels.
-        browser: Open the page in a browser.
     """
-    if not 0 <= port < 2**16:
-        raise ValueError(f"port: {port} came, 0 … {2**16 - 1} is wanted")
-    if not 16 <= resolution <= MAX_RESOLUTION:
+    if not 0 <= options.port < 2**16:
+        raise ValueError(f"port: {options.port} came, 0 … {2**16 - 1} is wanted")
+    if not 16 <= options.resolution <= MAX_RESOLUTION:
         raise ValueError(
-            f"resolution: {resolution} came, 16 … {MAX_RESOLUTION} is wanted"
+            f"resolution: {options.resolution} came, 16 … {MAX_RESOLUTION} is wanted"
         )
     _check_installed()
-    with listening(host, port) as listener:
-        _serve(listener, host, resolution, browser)
+    with listening(options.host, options.port) as listener:
+        _serve(listener, options)
 
 
 def _check_installed() -> None:
@@ -58,6 +65,10 @@ def _check_installed() -> None:
 
 @contextlib.contextmanager
 def listening(host: str, port: int) -> Iterator[socket.socket]:
+    """A socket that listens at `host` and `port`, and nowhere else; closed in the end.
+
+    **Raises:** `ValueError` that says why it cannot.
+    """
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         listener = socket.create_server((host, port), family=family)
@@ -74,7 +85,7 @@ def listening(host: str, port: int) -> Iterator[socket.socket]:
         yield listener
 
 
-def _serve(listener: socket.socket, host: str, resolution: int, browser: bool) -> None:
+def _serve(listener: socket.socket, options: Options) -> None:
     # Put off, since they take long to import and may not be there.
     import uvicorn
 
@@ -83,19 +94,19 @@ def _serve(listener: socket.socket, host: str, resolution: int, browser: bool) -
     from phongfit.lab.settings import PictureRequest, Settings
     from phongfit.lab.studio import Studio
 
-    studio = Studio(resolution)
+    studio = Studio(options.resolution)
     # The first picture is there when the page is.
     studio.picture(PictureRequest(settings=Settings()))
     config = uvicorn.Config(
-        make_app(studio, host),
+        make_app(studio, options.host),
         log_level="warning",
         access_log=False,
         timeout_graceful_shutdown=3,
     )
-    url = _url(listener, host)
+    url = _url(listener, options.host)
     try:
         with _warming_up(studio):
-            _announce(url, is_loopback(host), browser)
+            _announce(url, is_loopback(options.host), options.browser)
             uvicorn.Server(config).run(sockets=[listener])
     except KeyboardInterrupt:
         # The usual way to end it, and no error.
