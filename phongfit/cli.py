@@ -28,6 +28,7 @@ COMMANDS = {
     "maps": "Fit a material per pixel to photographs under many lights.",
     "predict": "How well could a material be known, before any photograph is taken?",
     "export": "Write a material for other programs: .mtl, glTF, OpenGL, JSON.",
+    "lab": "Move the model's sliders in a browser, and fit a target with one press.",
 }
 """What each command is for; it stands in a file of its name in `phongfit/commands`."""
 

@@ -104,11 +104,16 @@ def read_record(path: Path, kind: type[Record]) -> Record:
     """
     text = read_text(path)
     with naming(str(path)):
-        data = _parse_json(text)
-        try:
-            return kind.model_validate(data)
-        except ValidationError as error:
-            raise ValueError(_explain(error.errors()[0], data)) from None
+        return parse_record(text, kind)
+
+
+def parse_record(text: str, kind: type[Record]) -> Record:
+    """The record that a JSON text holds; raises as [`read_record`][] does."""
+    data = _parse_json(text)
+    try:
+        return kind.model_validate(data)
+    except ValidationError as error:
+        raise ValueError(_explain(error.errors()[0], data)) from None
 
 
 def read_one_of(

@@ -1,0 +1,12 @@
+"""`phongfit lab`: a page with sliders; see `phongfit/lab`."""
+
+from phongfit.commands.cache import keep_compiled
+from phongfit.lab.command import Options, lab
+
+
+def main(options: Options) -> None:
+    keep_compiled()
+    lab(options)
+
+
+main.__doc__ = lab.__doc__

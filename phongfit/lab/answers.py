@@ -1,0 +1,110 @@
+"""A fit in the page's words: a table of plain text, warnings, and the material."""
+
+from typing import Any
+
+import numpy as np
+
+from phongfit.fitting.leaves import CHANNELS, REFLECTANCES
+from phongfit.fitting.result import Fit
+from phongfit.fitting.table import number_with_error
+from phongfit.lab.settings import Settings, matters
+from phongfit.lab.stage import angles, make_lights
+
+SYMBOLS = {"diffuse": "ρ_d", "specular": "ρ_s", "ambient": "ρ_a", "shininess": "f"}
+OF_MATERIAL = ("diffuse", "specular", "ambient", "shininess")
+
+
+def fit_answer(fit: Fit, truth: Settings | None) -> dict[str, Any]:
+    """What the page shows of a fit, but the pictures.
+
+    **Arguments:** `truth`: the settings that the target was made of, if it was.
+
+    **Returns:** plain text and numbers: `rows` of the table; `head`, how the fit went;
+    `warnings`; `text`, the fit's own table; `settings`, for the sliders, without what
+    cannot be told.
+    """
+    known = {} if truth is None else true_numbers(truth)
+    return {
+        "rows": [_row(fit, k, known) for k in range(len(fit.labels))],
+        "head": _head(fit),
+        "warnings": list(fit.warnings),
+        "text": str(fit),
+        "settings": _material_found(fit) | _light_found(fit),
+    }
+
+
+def _material_found(fit: Fit) -> dict[str, Any]:
+    return {
+        leaf: np.asarray(getattr(fit.material, leaf), float).tolist()
+        for leaf in OF_MATERIAL
+        if not np.any(fit[leaf].untold)
+    }
+
+
+def _light_found(fit: Fit) -> dict[str, float]:
+    """Angles and distance of a light whose place was unknown."""
+    places = [label for label in fit.labels if label.startswith("scene.lights[0]")]
+    if not places or any(fit[label].untold for label in places):
+        return {}
+    azimuth, elevation, distance = angles([fit[label].value for label in places])
+    found = {"azimuth": azimuth, "elevation": elevation}
+    return found | ({} if "direction" in places[0] else {"distance": distance})
+
+
+def true_numbers(settings: Settings) -> dict[str, float]:
+    """What a fit of a target made of these settings should find, label by label."""
+    numbers = {"shininess": settings.shininess}
+    for leaf in REFLECTANCES:
+        for channel, value in zip(CHANNELS, getattr(settings, leaf, ()), strict=False):
+            numbers[f"{leaf}.{channel}"] = value
+    for light in make_lights(settings):
+        for place in ("direction", "position"):
+            for axis, value in zip("xyz", getattr(light, place, ()), strict=False):
+                numbers[f"scene.lights[0].{place}.{axis}"] = float(value)
+    return numbers
+
+
+def differences(assumed: Settings, truth: Settings) -> list[str]:
+    """Titles of what a fit assumes otherwise than its target was made."""
+    return [
+        str(Settings.model_fields[name].title)
+        for name in matters(assumed)
+        if name in matters(truth) and name not in OF_MATERIAL
+        if getattr(assumed, name) != getattr(truth, name)
+    ]
+
+
+def _head(fit: Fit) -> str:
+    state = "Converged" if fit.converged else "Did not converge"
+    noise = "given" if fit.noise_given else "estimated"
+    return (
+        f"{state} after {fit.steps} steps on {fit.samples:,} samples; "
+        f"noise {fit.noise:.2g} ({noise})"
+    )
+
+
+def _row(fit: Fit, k: int, known: dict[str, float]) -> dict[str, str]:
+    label, value, error = fit.labels[k], float(fit.values[k]), float(fit.errors[k])
+    truth = known.get(label)
+    told = not fit.untold[k]
+    row = {
+        "label": label,
+        "name": _name(label),
+        "truth": "" if truth is None else f"{truth:.4g}",
+        "value": number_with_error(value, error) if told else "–",
+        "error": f"± {error:.2g}" if told else "± ∞",
+        "off": "",
+        "note": "" if told else "cannot be told",
+    }
+    if fit.at_bound[k]:
+        row["note"] = "at its bound"
+    if truth is not None and told and error > 0:
+        row["off"] = f"{(value - truth) / error:+.1f} σ".replace("-", "−")
+    return row
+
+
+def _name(label: str) -> str:
+    """`diffuse.red` as ρ_d red, `scene.lights[0].direction.x` as light direction x."""
+    first, *rest = label.removeprefix("scene.lights[0].").split(".")
+    start = SYMBOLS.get(first, f"light {first}")
+    return " ".join((start, *rest))

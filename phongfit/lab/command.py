@@ -1,0 +1,141 @@
+"""`phongfit lab`: the page on this machine."""
+
+import contextlib
+import dataclasses
+import importlib.util
+import socket
+import sys
+import threading
+import webbrowser
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from phongfit.lab.studio import Studio
+
+MAX_RESOLUTION = 1024
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Options of `phongfit lab`."""
+
+    host: str = "127.0.0.1"
+    """Address to listen at; 0.0.0.0 lets other machines in."""
+
+    port: int = 8060
+    """Port to listen at; 0 takes any that is free."""
+
+    resolution: int = 256
+    """Width and height of the pictures, pixels."""
+
+    browser: bool = True
+    """Open the page in a browser."""
+
+
+def lab(options: Options) -> None:
+    """Move the model's sliders in a browser, and fit a target with one press.
+
+    The page is served on this machine, and to this machine only unless --host says
+    otherwise. Whoever reaches it can load files into it. Ctrl-C stops it.
+    For example: phongfit lab --port 0 --no-browser
+    """
+    if not 0 <= options.port < 2**16:
+        raise ValueError(f"port: {options.port} came, 0 … {2**16 - 1} is wanted")
+    if not 16 <= options.resolution <= MAX_RESOLUTION:
+        raise ValueError(
+            f"resolution: {options.resolution} came, 16 … {MAX_RESOLUTION} is wanted"
+        )
+    _check_installed()
+    with listening(options.host, options.port) as listener:
+        _serve(listener, options)
+
+
+def _check_installed() -> None:
+    missing = [
+        name
+        for name in ("starlette", "uvicorn")
+        if importlib.util.find_spec(name) is None
+    ]
+    if missing:
+        raise ValueError(
+            f"{' and '.join(missing)} not installed: pip install 'phongfit[lab]'"
+        )
+
+
+@contextlib.contextmanager
+def listening(host: str, port: int) -> Iterator[socket.socket]:
+    """A socket that listens at `host` and `port`, and nowhere else; closed in the end.
+
+    **Raises:** `ValueError` that says why it cannot.
+    """
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        listener = socket.create_server((host, port), family=family)
+    except OSError as error:
+        words = error.strerror or str(error)
+        raise ValueError(
+            f"host, port: cannot listen at {host}, {port}: {words} (--port 0 takes any "
+            "that is free)"
+        ) from error
+    with listener:
+        # Connections inherit it. Else the kernel holds a picture back for 40 ms, until
+        # the browser has acknowledged what came before it.
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        yield listener
+
+
+def _serve(listener: socket.socket, options: Options) -> None:
+    # Put off, since they take long to import and may not be there.
+    import uvicorn
+
+    from phongfit.lab.guard import is_loopback
+    from phongfit.lab.server import make_app
+    from phongfit.lab.settings import PictureRequest, Settings
+    from phongfit.lab.studio import Studio
+
+    studio = Studio(options.resolution)
+    # The first picture is there when the page is.
+    studio.picture(PictureRequest(settings=Settings()))
+    config = uvicorn.Config(
+        make_app(studio, options.host),
+        log_level="warning",
+        access_log=False,
+        timeout_graceful_shutdown=3,
+    )
+    url = _url(listener, options.host)
+    try:
+        with _warming_up(studio):
+            _announce(url, is_loopback(options.host), options.browser)
+            uvicorn.Server(config).run(sockets=[listener])
+    except KeyboardInterrupt:
+        # The usual way to end it, and no error.
+        print("stopped", flush=True)
+
+
+def _announce(url: str, only_here: bool, browser: bool) -> None:
+    print(f"phongfit lab: {url} (Ctrl-C stops it)", flush=True)
+    if not only_here:
+        print("warning: other machines can reach it", file=sys.stderr)
+    if browser:
+        # On its own, since a browser in the terminal would not return.
+        threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+
+
+@contextlib.contextmanager
+def _warming_up(studio: "Studio") -> Iterator[None]:
+    """Compile beside the block, and no longer than it."""
+    stop = threading.Event()
+    thread = threading.Thread(target=studio.warm_up, args=(stop,))
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def _url(listener: socket.socket, host: str) -> str:
+    shown = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, host)
+    shown = f"[{shown}]" if ":" in shown and not shown.startswith("[") else shown
+    return f"http://{shown}:{listener.getsockname()[1]}/"

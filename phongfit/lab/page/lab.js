@@ -1,0 +1,282 @@
+// The page: sliders ask for a picture, buttons for targets and fits.
+
+import { Panel, make, symbol } from "./controls.js";
+
+const $ = (selector) => document.querySelector(selector);
+
+let about, settings, options;
+let target = null;
+let seed = 0;
+let found = null;
+
+// Asking the server. What is wrong comes as an Error with one line.
+
+async function ask(path, body, type = "application/json") {
+  let response;
+  try {
+    response = await fetch(path, body === undefined ? {} : {
+      method: "POST", body, headers: { "content-type": type },
+    });
+  } catch {
+    throw new Error("The server does not answer. Is it still running?");
+  }
+  if (response.ok) return response;
+  const text = await response.text();
+  let words = `the server answered ${response.status}: ${text.slice(0, 200)}`;
+  try { words = JSON.parse(text).error ?? words; } catch { /* It was no JSON. */ }
+  throw new Error(words);
+}
+
+const post = async (path, record) => ask(path, JSON.stringify(record));
+const json = async (response) => (await response).json();
+
+async function upload(path, file, more = {}) {
+  if (file.size > about.max_bytes) {
+    throw new Error(`${file.name}: ${file.size} bytes came, at most ${about.max_bytes} are wanted`);
+  }
+  const query = new URLSearchParams({ name: file.name, ...more });
+  return json(ask(`${path}?${query}`, file, "application/octet-stream"));
+}
+
+// Messages.
+
+function tell(message) {
+  $("#problem span").textContent = message;
+  $("#problem").hidden = message === "";
+}
+
+/** What a press of a button or a chosen file does; a failure is told, no more. */
+function handler(work) {
+  return async (event) => {
+    tell("");
+    try { await work(event); } catch (error) { tell(error.message); }
+  };
+}
+
+function onFile(id, work) {
+  $(id).addEventListener("change", handler(async ({ target: input }) => {
+    const [file] = input.files;
+    // The same file may be chosen again, once it is mended.
+    try { if (file) await work(file); } finally { input.value = ""; }
+  }));
+}
+
+// The picture. One request at a time: sliders move faster than any server answers.
+
+let moved = null;
+let drawing = false;
+
+async function draw() {
+  moved = performance.now();
+  if (drawing) return;
+  drawing = true;
+  $("#picture").ariaBusy = "true";
+  try {
+    while (moved !== null) {
+      const since = moved;
+      moved = null;
+      await drawOnce();
+      $("#answered").textContent = `${Math.round(performance.now() - since)} ms`;
+    }
+    if (!$("#problem").hidden && $("#problem").dataset.of === "picture") tell("");
+  } catch (error) {
+    moved = null;
+    tell(error.message);
+    $("#problem").dataset.of = "picture";
+  } finally {
+    drawing = false;
+    $("#picture").ariaBusy = "false";
+  }
+}
+
+async function drawOnce() {
+  const of = target?.photograph ? target.target : null;
+  const response = await post("/api/picture", { settings: settings.values, target: of });
+  await show($("#picture"), URL.createObjectURL(await response.blob()));
+}
+
+async function show(figure, address) {
+  const image = figure.querySelector("img");
+  const before = image.src;
+  image.src = address;
+  await image.decode();
+  figure.hidden = false;
+  if (before.startsWith("blob:")) URL.revokeObjectURL(before);
+}
+
+// Targets.
+
+async function setTarget(made, words) {
+  forgetFit();
+  target = made;
+  const photograph = made?.photograph ?? false;
+  $("#target-figure").hidden = made === null;
+  $("#frame").hidden = !photograph;
+  $("#drop").hidden = made === null;
+  $("#fit").disabled = made === null;
+  $("#state").textContent = made === null ? "Make or load a target first." : "";
+  if (made !== null) {
+    $("#target-figure figcaption span").textContent = words;
+    await show($("#target-figure"), made.picture);
+  }
+  await draw();
+}
+
+function wordsOf(photograph) {
+  const words = [`${photograph.width} × ${photograph.height}`];
+  if (photograph.shrunk > 1) words.push(`shrunk ${photograph.shrunk} times`);
+  if (photograph.brighten > 1) words.push(`shown ${photograph.brighten.toFixed(1)} × brighter`);
+  return words.join(", ");
+}
+
+async function makeTarget() {
+  const noise = $("#noise").valueAsNumber;
+  if (!(noise >= about.noise.minimum && noise <= about.noise.maximum)) {
+    throw new Error(`noise: a number from ${about.noise.minimum} to ${about.noise.maximum} is wanted`);
+  }
+  seed += 1;
+  const made = await json(post("/api/target", { settings: settings.values, noise, seed }));
+  await setTarget(made, `made, noise ${noise}`);
+}
+
+async function loadPhotograph(file) {
+  const encoding = $("#encoding").value;
+  const loaded = await upload("/api/photograph", file, { encoding });
+  await setTarget(loaded, wordsOf(loaded));
+}
+
+async function loadMask(file) {
+  const masked = await upload("/api/mask", file, { target: target.target });
+  const { centre_x, centre_y, radius } = masked;
+  settings.set({ centre_x, centre_y, radius });
+  await setTarget(masked, `${wordsOf(masked)}, masked`);
+}
+
+// Surfaces.
+
+let mesh = null;
+
+async function setSurface(surface, name) {
+  mesh = name;
+  settings.set({ surface });
+  nameSurface();
+  await draw();
+}
+
+function nameSurface() {
+  const smooth = settings.values.shading === "phong";
+  $("#surface-name").textContent = mesh ?? (smooth ? "Sphere" : "Sphere, cut into triangles");
+  $("#sphere").hidden = mesh === null;
+  $("[data-group=view]").hidden = mesh === null;
+}
+
+async function loadMesh(file) {
+  const loaded = await upload("/api/mesh", file);
+  await setSurface(loaded.surface, `${file.name}, ${loaded.faces.toLocaleString("en")} faces`);
+}
+
+// Fits.
+
+function forgetFit() {
+  found = null;
+  for (const id of ["#result", "#fitted-figure", "#residual-figure"]) $(id).hidden = true;
+}
+
+async function fit() {
+  const button = $("#fit");
+  button.disabled = true;
+  const start = performance.now();
+  const waiting = () => {
+    const seconds = Math.floor((performance.now() - start) / 1000);
+    $("#state").textContent = `Fitting … ${seconds} s (the first of its kind is compiled)`;
+  };
+  const clock = setInterval(waiting, 1000);
+  waiting();
+  try {
+    const request = { settings: settings.values, target: target.target, options: options.values };
+    found = await json(post("/api/fit", request));
+    await showFit();
+    clearInterval(clock);
+    $("#state").textContent = `Fitted in ${found.seconds.toFixed(2)} s.`;
+  } catch (error) {
+    clearInterval(clock);
+    $("#state").textContent = "";
+    throw error;
+  } finally {
+    button.disabled = false;
+  }
+}
+
+async function showFit() {
+  $("#head").textContent = `${found.head}.`;
+  const differs = found.differs.length === 0 ? []
+    : [`the target was made otherwise: ${found.differs.join(", ")}`];
+  const lines = [...differs, ...found.warnings].map((line) => make("li", {}, line));
+  $("#warnings").replaceChildren(...lines);
+  $("#result tbody").replaceChildren(...found.rows.map(rowOf));
+  $("#result table").classList.toggle("untrue", found.rows.every((row) => !row.truth));
+  $("#result pre").textContent = found.text;
+  const [lowest, , highest] = $("#residual-figure .ends").children;
+  lowest.textContent = `−${found.scale.toPrecision(2)}`;
+  highest.textContent = `+${found.scale.toPrecision(2)}`;
+  await show($("#fitted-figure"), found.fitted);
+  await show($("#residual-figure"), found.residual);
+  $("#result").hidden = false;
+}
+
+function rowOf(row) {
+  const [first, ...rest] = row.name.split(" ");
+  const start = first === "light" ? first : symbol(first);
+  const name = make("th", { scope: "row", title: row.label }, start, ` ${rest.join(" ")}`);
+  const texts = [row.truth, row.value, row.error, row.off, row.note];
+  const element = make("tr", {}, name, ...texts.map((text) => make("td", {}, text)));
+  element.dataset.label = row.label;
+  return element;
+}
+
+// Start.
+
+async function start() {
+  about = await json(ask("/api/settings"));
+  settings = new Panel(document, about.settings, (name) => {
+    if (about.settings[name].group === "material") $("#preset").value = "";
+    nameSurface();
+    draw();
+  });
+  options = new Panel(document, about.options, () => {});
+  const { minimum: min, maximum: max, default: value } = about.noise;
+  Object.assign($("#noise"), { min, max, value });
+  for (const name of Object.keys(about.presets)) {
+    $("#preset").append(make("option", { value: name }, name.replaceAll("_", " ")));
+  }
+  $("#preset").addEventListener("change", ({ target: menu }) => {
+    if (menu.value) settings.set(about.presets[menu.value]);
+    draw();
+  });
+  $("#reset").addEventListener("click", () => {
+    settings.reset(["surface"]);
+    $("#preset").value = "";
+    nameSurface();
+    draw();
+  });
+  $("#encoding").addEventListener("change", ({ target: menu }) => {
+    $("#photograph").disabled = menu.value === "";
+  });
+  $("#problem button").addEventListener("click", () => tell(""));
+  $("#make").addEventListener("click", handler(makeTarget));
+  $("#drop").addEventListener("click", handler(() => setTarget(null)));
+  $("#sphere").addEventListener("click", handler(() => setSurface("sphere", null)));
+  $("#fit").addEventListener("click", handler(fit));
+  $("#take").addEventListener("click", handler(async () => {
+    settings.set(found.settings);
+    $("#preset").value = "";
+    await draw();
+  }));
+  onFile("#mesh", loadMesh);
+  onFile("#photograph", loadPhotograph);
+  onFile("#mask", loadMask);
+  $("#controls").addEventListener("submit", (event) => event.preventDefault());
+  await draw();
+}
+
+handler(start)();

@@ -1,0 +1,57 @@
+"""Pictures as the page shows them."""
+
+import base64
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from phongfit.files.formats import encode_png
+from phongfit.files.images import to_levels
+
+# The brightest hundredth of a photograph is shown at this share of white.
+SHOWN = 0.8
+MOST_BRIGHTENED = 64.0
+
+
+def png(light: Any, brighten: float = 1.0) -> bytes:
+    """Linear light (H, W, 3) as a PNG file for a screen: 8-bit sRGB.
+
+    **Arguments:** `brighten`: factor on the light.
+    """
+    return encode_png(to_levels(brighten * np.asarray(light), "srgb", 8))
+
+
+def data_uri(file: bytes) -> str:
+    """A PNG file as an address that holds it."""
+    return "data:image/png;base64," + base64.b64encode(file).decode()
+
+
+def brightening(image: Float[np.ndarray, "height width 3"]) -> float:
+    """The factor that makes a dark photograph visible; never below 1."""
+    bright = float(np.quantile(image.max(axis=-1), 0.99))
+    return float(np.clip(SHOWN / max(bright, 1e-9), 1, MOST_BRIGHTENED))
+
+
+def residual_png(
+    residual: Float[np.ndarray, "height width 3"],
+    used: Bool[np.ndarray, "height width"],
+) -> tuple[bytes, float]:
+    """A map of what a fit leaves: red where the target is brighter, blue where darker.
+
+    One number a pixel: the channel that is furthest off, with its sign. Grey where a
+    pixel is not used.
+
+    **Returns:** a PNG file, and the residual that the ends of the scale stand for,
+    beyond which lie 0.5 % of the used pixels.
+    """
+    # Put off, since it takes long to import.
+    from matplotlib import colormaps
+
+    furthest = np.argmax(np.abs(residual), axis=-1)[..., None]
+    signed = np.take_along_axis(residual, furthest, axis=-1)[..., 0]
+    reach = np.quantile(np.abs(signed[used]), 0.995) if used.any() else 0.0
+    scale = max(float(reach), 1e-6)
+    colours = colormaps["RdBu_r"](0.5 + 0.5 * np.clip(signed / scale, -1, 1))
+    shown = np.where(used[..., None], colours[..., :3], 0.5)
+    return encode_png(np.round(255 * shown).astype(np.uint8)), scale

@@ -1,0 +1,138 @@
+"""The page's server: which address is answered by what."""
+
+import functools
+from collections.abc import Awaitable, Callable
+from importlib.resources import files
+from typing import Any, TypeVar
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from phongfit.files.records import AbstractRecord, parse_record
+from phongfit.lab.guard import Guard
+from phongfit.lab.settings import (
+    FitRequest,
+    PictureRequest,
+    TargetRequest,
+    describe_settings,
+)
+from phongfit.lab.studio import Studio
+from phongfit.lab.uploads import MAX_BYTES
+from phongfit.rendering.film import as_encoding
+
+ASSETS = {
+    "/": ("index.html", "text/html"),
+    "/lab.css": ("lab.css", "text/css"),
+    "/lab.js": ("lab.js", "text/javascript"),
+    "/controls.js": ("controls.js", "text/javascript"),
+    "/icon.svg": ("icon.svg", "image/svg+xml"),
+}
+
+Endpoint = Callable[[Request], Awaitable[Response]]
+Record = TypeVar("Record", bound=AbstractRecord)
+
+
+def make_app(studio: Studio, host: str = "127.0.0.1") -> Starlette:
+    """The page and what it asks for.
+
+    What is wrong with a request is told in one line: `{"error": …}`, status 400.
+
+    **Arguments:** `host`: what the server listens at.
+    """
+    about = describe_settings() | {"max_bytes": MAX_BYTES}
+
+    def describe(request: Request) -> Response:
+        del request
+        return JSONResponse(about)
+
+    def picture(request: PictureRequest) -> Response:
+        return Response(studio.picture(request), media_type="image/png")
+
+    def mesh(request: Request, content: bytes) -> dict[str, Any]:
+        return studio.add_mesh(_query(request, "name"), content)
+
+    def photograph(request: Request, content: bytes) -> dict[str, Any]:
+        encoding = as_encoding(_query(request, "encoding"))
+        return studio.add_photograph(_query(request, "name"), content, encoding)
+
+    def mask(request: Request, content: bytes) -> dict[str, Any]:
+        token, name = _query(request, "target"), _query(request, "name")
+        return studio.add_mask(token, name, content)
+
+    posts = {
+        "/api/picture": _asked(PictureRequest, picture),
+        "/api/target": _asked(TargetRequest, studio.make_target),
+        "/api/fit": _asked(FitRequest, studio.fit),
+        "/api/mesh": _uploaded(mesh),
+        "/api/photograph": _uploaded(photograph),
+        "/api/mask": _uploaded(mask),
+    }
+    return Starlette(
+        routes=[
+            *(Route(path, _asset(*asset)) for path, asset in ASSETS.items()),
+            Route("/api/settings", describe),
+            *(Route(path, end, methods=["POST"]) for path, end in posts.items()),
+        ],
+        middleware=[Middleware(Guard, host=host)],
+        exception_handlers={ValueError: _tell, Exception: _fault},
+        max_body_size=MAX_BYTES,
+    )
+
+
+def _asset(name: str, media_type: str) -> Callable[[Request], Response]:
+    content = (files("phongfit.lab") / "page" / name).read_bytes()
+
+    def answer(request: Request) -> Response:
+        del request
+        return Response(content, media_type=media_type)
+
+    return answer
+
+
+def _asked(kind: type[Record], work: Callable[[Record], Any]) -> Endpoint:
+    """What `work` answers to a record in JSON, away from the event loop."""
+
+    async def answer(request: Request) -> Response:
+        text = (await request.body()).decode(errors="replace")
+        return await run_in_threadpool(lambda: _sent(work(parse_record(text, kind))))
+
+    return answer
+
+
+def _uploaded(work: Callable[[Request, bytes], Any]) -> Endpoint:
+    """What `work` answers to a file, away from the event loop."""
+
+    async def answer(request: Request) -> Response:
+        content = await request.body()
+        call = functools.partial(work, request, content)
+        return await run_in_threadpool(lambda: _sent(call()))
+
+    return answer
+
+
+def _sent(answer: Any) -> Response:
+    return answer if isinstance(answer, Response) else JSONResponse(answer)
+
+
+def _query(request: Request, name: str) -> str:
+    value = request.query_params.get(name)
+    if value is None:
+        raise ValueError(f"{name}: is missing")
+    return value
+
+
+def _tell(request: Request, error: Exception) -> Response:
+    """The user's input is at fault."""
+    del request
+    return JSONResponse({"error": " ".join(str(error).split())}, status_code=400)
+
+
+def _fault(request: Request, error: Exception) -> Response:
+    """We are at fault: the server prints a traceback, the page stays alive."""
+    del request
+    words = f"the server failed ({type(error).__name__}); its terminal tells more"
+    return JSONResponse({"error": words}, status_code=500)

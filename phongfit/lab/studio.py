@@ -1,0 +1,233 @@
+"""What the page asks for, done: pictures, targets and fits."""
+
+import dataclasses
+import functools
+import threading
+import time
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from phongfit.fitting.fit import DEFAULT_UNKNOWNS, fit
+from phongfit.geometry.meshes import Mesh
+from phongfit.geometry.shapes import Ball
+from phongfit.geometry.surfaces import AbstractSurface, GBuffer, Sphere
+from phongfit.lab.answers import differences, fit_answer
+from phongfit.lab.pictures import brightening, data_uri, png, residual_png
+from phongfit.lab.settings import (
+    SPHERE,
+    FitOptions,
+    FitRequest,
+    PictureRequest,
+    Settings,
+    TargetRequest,
+)
+from phongfit.lab.shelf import Shelf
+from phongfit.lab.stage import Frame, make_lights, make_material, make_scene
+from phongfit.lab.uploads import read_mesh, read_photograph, read_photograph_mask
+from phongfit.rendering.film import Encoding, Film
+from phongfit.rendering.render import render
+
+# What of the settings the geometry depends on.
+GEOMETRY = ("surface", "shading", "turn", "tilt", "centre_x", "centre_y", "radius")
+# The sphere as triangles, for the shading methods that need them.
+COLUMNS, ROWS = 48, 24
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """An image to be fitted, in linear light.
+
+    `shrunk` and `brighten`: how many times a photograph was shrunk, and is brightened
+    where it is shown. `truth`: the settings that it was made of, if it was.
+    """
+
+    image: Float[np.ndarray, "height width 3"]
+    mask: Bool[np.ndarray, "height width"]
+    truth: Settings | None = None
+    shrunk: int = 1
+    brighten: float = 1.0
+
+    @property
+    def frame(self) -> Frame:
+        """Of pictures that stand beside it."""
+        height, width, _ = self.image.shape
+        return Frame(height, width, free=self.truth is None)
+
+
+class Studio:
+    """Answers requests of the page, from any thread.
+
+    Geometry is resolved once and kept; a slider of the material or the light costs one
+    evaluation of what is compiled already.
+    """
+
+    def __init__(self, resolution: int = 256):
+        """**Arguments:** `resolution`: width and height of pictures, pixels."""
+        self.frame = Frame(resolution, resolution)
+        self._meshes: Shelf[Mesh] = Shelf("mesh")
+        self._targets: Shelf[Target] = Shelf("target")
+        self._geometry = functools.lru_cache(maxsize=8)(self._trace)
+        # A fit keeps all cores busy: the next one waits.
+        self._fitting = threading.Lock()
+
+    def picture(self, request: PictureRequest) -> bytes:
+        """A PNG file: what the sliders show, in the frame of the target if it has one.
+
+        **Raises:** `ValueError` if the mesh or the target is no longer held.
+        """
+        if request.target is None:
+            return png(self._render(request.settings, self.frame))
+        target = self._targets.get(request.target)
+        return png(self._render(request.settings, target.frame), target.brighten)
+
+    def add_mesh(self, name: str, content: bytes) -> dict[str, Any]:
+        """A mesh from a file, to be the surface: see [`read_mesh`][]."""
+        mesh = read_mesh(name, content)
+        return {"surface": self._meshes.put(mesh), "faces": len(mesh.faces)}
+
+    def add_photograph(
+        self, name: str, content: bytes, encoding: Encoding
+    ) -> dict[str, Any]:
+        """A photograph from a file, to be the target: see [`read_photograph`][]."""
+        image, shrunk = read_photograph(name, content, encoding)
+        mask = np.ones(image.shape[:2], bool)
+        target = Target(image, mask, None, shrunk, brightening(image))
+        return self._keep(target)
+
+    def add_mask(self, token: str, name: str, content: bytes) -> dict[str, Any]:
+        """The pixels of a photograph that show the surface.
+
+        **Returns:** the target with its mask, and the circle that touches the mask's
+        borders, in the units of the settings.
+
+        **Raises:** `ValueError` if the file cannot be read or is of another size.
+        """
+        target = self._targets.get(token)
+        height, width, _ = target.image.shape
+        mask = read_photograph_mask(name, content, target.shrunk, (height, width))
+        if not mask.any():
+            raise ValueError(f"{name}: it leaves no pixel")
+        rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+        top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+        circle = {
+            "centre_x": 50 * (left + right) / width,
+            "centre_y": 50 * (top + bottom) / height,
+            "radius": 25 * (bottom - top + right - left) / height,
+        }
+        return self._keep(dataclasses.replace(target, mask=mask)) | circle
+
+    def make_target(self, request: TargetRequest) -> dict[str, Any]:
+        """A target of the present settings: noise is added, then it is clamped."""
+        light = self._render(request.settings, self.frame, Film(clamp=False))
+        noise = np.random.default_rng(request.seed).normal(0, 1, light.shape)
+        image = np.clip(light + request.noise * noise, 0, 1).astype(light.dtype)
+        mask = np.ones(image.shape[:2], bool)
+        return self._keep(Target(image, mask, request.settings))
+
+    def fit(self, request: FitRequest) -> dict[str, Any]:
+        """The material that explains the target, under the settings' light and model.
+
+        **Raises:** `ValueError` that says what is missing.
+        """
+        settings, options = request.settings, request.options
+        target = self._targets.get(request.target)
+        surface, gbuffer = self._geometry(_geometry_of(settings), target.frame)
+        unknowns = (*DEFAULT_UNKNOWNS, *_place_of_light(settings, options))
+        used = target.mask & _faces_viewer(gbuffer, options.rim)
+        with self._fitting:
+            start = time.perf_counter()
+            found = fit(
+                make_scene(settings, surface, target.frame),
+                target.image,
+                unknowns=unknowns,
+                mask=used,
+                loss=options.loss,
+            )
+            seconds = time.perf_counter() - start
+        residual, scale = residual_png(found.residuals, used)
+        truth = target.truth
+        return fit_answer(found, truth) | {
+            "seconds": seconds,
+            "differs": [] if truth is None else differences(settings, truth),
+            "fitted": data_uri(png(found.fitted, target.brighten)),
+            "residual": data_uri(residual),
+            "scale": scale,
+        }
+
+    def warm_up(self, stop: threading.Event) -> None:
+        """Compile what the first presses will need, the likeliest first.
+
+        **Arguments:** `stop`: ends it early.
+        """
+        kinds = ("directional", "point", "spot", "none")
+        looks = [
+            {"light": kind, "specular_model": model, "shading": shading}
+            for shading in ("phong", "gouraud", "flat")
+            for model in ("blinn-phong", "phong")
+            for kind in kinds
+        ]
+        # The fit comes after the kinds of light, which take a moment each.
+        for k, look in enumerate(looks):
+            if stop.is_set():
+                return
+            settings = Settings.model_validate(look)
+            self.picture(PictureRequest(settings=settings))
+            if k + 1 == len(kinds) and not stop.is_set():
+                made = self.make_target(TargetRequest(settings=Settings()))
+                self.fit(FitRequest(settings=Settings(), target=made["target"]))
+
+    def _keep(self, target: Target) -> dict[str, Any]:
+        height, width, _ = target.image.shape
+        return {
+            "target": self._targets.put(target),
+            "picture": data_uri(png(target.image, target.brighten)),
+            "height": height,
+            "width": width,
+            "shrunk": target.shrunk,
+            "brighten": target.brighten,
+            "photograph": target.truth is None,
+        }
+
+    def _render(
+        self, settings: Settings, frame: Frame, film: Film | None = None
+    ) -> np.ndarray:
+        surface, gbuffer = self._geometry(_geometry_of(settings), frame)
+        scene = make_scene(settings, surface, frame)
+        material = make_material(settings)
+        return np.asarray(render(scene, material, film=film, gbuffer=gbuffer))
+
+    def _trace(
+        self, geometry: tuple[Any, ...], frame: Frame
+    ) -> tuple[AbstractSurface, GBuffer]:
+        settings = Settings(**dict(zip(GEOMETRY, geometry, strict=True)))
+        surface = self._surface(settings)
+        gbuffer = make_scene(settings, surface, frame).trace()
+        return surface, jax.block_until_ready(gbuffer)
+
+    def _surface(self, settings: Settings) -> AbstractSurface:
+        if settings.surface != SPHERE:
+            return self._meshes.get(settings.surface)
+        return Sphere() if settings.shading == "phong" else Ball().mesh(COLUMNS, ROWS)
+
+
+def _geometry_of(settings: Settings) -> tuple[Any, ...]:
+    """What the geometry depends on, in the order of `GEOMETRY`."""
+    return tuple(getattr(settings, name) for name in GEOMETRY)
+
+
+def _faces_viewer(gbuffer: GBuffer, rim: float) -> Bool[np.ndarray, "height width"]:
+    """Pixels where the cosine between normal and view is at least `rim`."""
+    normal, view = np.asarray(gbuffer.normal), np.asarray(gbuffer.to_viewer)
+    return np.asarray(gbuffer.mask) & (np.sum(normal * view, axis=-1) >= rim)
+
+
+def _place_of_light(settings: Settings, options: FitOptions) -> tuple[str, ...]:
+    if not options.light_too:
+        return ()
+    if not make_lights(settings):
+        raise ValueError("light: there is none whose place could be unknown")
+    place = "direction" if settings.light == "directional" else "position"
+    return (f"scene.lights[0].{place}",)

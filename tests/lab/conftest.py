@@ -1,0 +1,55 @@
+"""One server for all tests of the page, with small pictures."""
+
+import contextlib
+import shutil
+import threading
+from collections.abc import Iterator
+
+import pytest
+import uvicorn
+
+from phongfit.lab.command import listening
+from phongfit.lab.server import make_app
+from phongfit.lab.studio import Studio
+
+SIZE = 64
+
+
+@pytest.fixture(scope="session")
+def studio() -> Studio:
+    return Studio(SIZE)
+
+
+@contextlib.contextmanager
+def serving(studio: Studio) -> Iterator[int]:
+    """A server as the command starts it; gives the port that it listens at."""
+    with listening("127.0.0.1", 0) as listener:
+        config = uvicorn.Config(make_app(studio), log_level="warning", lifespan="off")
+        server = uvicorn.Server(config)
+        thread = threading.Thread(target=server.run, args=([listener],))
+        thread.start()
+        try:
+            yield listener.getsockname()[1]
+        finally:
+            server.should_exit = True
+            thread.join()
+
+
+@pytest.fixture(scope="session")
+def port(studio) -> Iterator[int]:
+    with serving(studio) as port:
+        yield port
+
+
+@pytest.fixture(scope="session")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api")
+    names = ("chromium", "chromium-browser", "google-chrome")
+    found = [path for name in names if (path := shutil.which(name))]
+    if not found:
+        pytest.skip("there is no Chromium here")
+    with playwright.sync_playwright() as started:
+        yield started.chromium.launch(
+            executable_path=found[0],
+            args=["--no-sandbox", "--disable-gpu", "--disable-background-networking"],
+        )

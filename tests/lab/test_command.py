@@ -1,0 +1,77 @@
+"""`phongfit lab`, up to the server."""
+
+import importlib.util
+import socket
+
+import pytest
+import uvicorn
+
+from phongfit.cli import run
+from phongfit.lab.command import lab, listening
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        (["--port", "70000"], "port: 70000 came, 0 … 65535 is wanted"),
+        (["--resolution", "4"], "resolution: 4 came"),
+        (["--host", "no.such.host.invalid"], "host, port: cannot listen at no.such"),
+    ],
+)
+def test_bad_options(options, words, capsys):
+    assert run(lab, ["--no-browser", *options]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1
+    assert printed.err.startswith("error: ") and words in printed.err
+
+
+def test_a_port_that_is_taken(capsys):
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert run(lab, ["--no-browser", "--port", str(port)]) == 2
+    told = capsys.readouterr().err
+    assert f"127.0.0.1, {port}" in told and "--port 0" in told
+
+
+def test_what_it_needs_is_missing(monkeypatch, capsys):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda n: None if n == "uvicorn" else find(n)
+    )
+    assert run(lab, ["--no-browser", "--port", "0"]) == 2
+    assert "uvicorn not installed: pip install 'phongfit[lab]'" in (
+        capsys.readouterr().err
+    )
+
+
+@pytest.mark.float64
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+def test_it_starts_and_stops(monkeypatch, capsys, host):
+    """The page's address, a word if others can reach it, and no error in Ctrl-C."""
+    opened = []
+
+    def serve(server, sockets):
+        assert not server.config.access_log
+        opened.append(sockets[0].getsockname())
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(uvicorn.Server, "run", serve)
+    options = ["--no-browser", "--port", "0", "--resolution", "64", "--host", host]
+    assert run(lab, options) == 0
+    printed = capsys.readouterr()
+    ((address, port),) = opened
+    assert address == host and f"http://127.0.0.1:{port}/" in printed.out
+    assert printed.out.endswith("stopped\n")
+    assert ("other machines" in printed.err) == (host == "0.0.0.0")
+
+
+def test_help(capsys):
+    assert run(lab, ["--help"], prog="phongfit lab") == 0
+    text = capsys.readouterr().out
+    assert "--host" in text and "this machine" in text
+
+
+def test_only_this_machine_is_let_in():
+    with listening("127.0.0.1", 0) as listener:
+        assert listener.getsockname()[0] == "127.0.0.1"
+        assert listener.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)

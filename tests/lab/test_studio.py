@@ -1,0 +1,184 @@
+"""Pictures, targets and fits, without a server."""
+
+import threading
+
+import imagecodecs
+import numpy as np
+import pytest
+import trimesh
+
+import phongfit as pf
+from phongfit.lab.answers import differences
+from phongfit.lab.settings import (
+    FitOptions,
+    FitRequest,
+    PictureRequest,
+    Settings,
+    TargetRequest,
+)
+from phongfit.lab.studio import Studio
+from tests.lab.conftest import SIZE
+
+pytestmark = pytest.mark.float64
+
+TURNED = Settings(azimuth=-20.0, shininess=9.0)
+
+
+def _picture(studio: Studio, settings: Settings, target: str | None = None):
+    content = studio.picture(PictureRequest(settings=settings, target=target))
+    return imagecodecs.png_decode(content)
+
+
+def _png(image: np.ndarray) -> bytes:
+    return bytes(imagecodecs.png_encode(image))
+
+
+def test_the_picture_is_the_renderers(studio):
+    camera = pf.OrthographicCamera(SIZE, SIZE)
+    azimuth, elevation = np.deg2rad([-20, 30])
+    direction = (
+        np.cos(elevation) * np.sin(azimuth),
+        np.sin(elevation),
+        np.cos(elevation) * np.cos(azimuth),
+    )
+    scene = pf.Scene(pf.Sphere(), camera, pf.DirectionalLight(direction), 0.3)
+    material = pf.Material((0.6, 0.3, 0.2), 0.4, 9.0, (0.6, 0.3, 0.2))
+    film = pf.Film(encoding="srgb", bits=8)
+    expected = np.round(255 * np.asarray(pf.render(scene, material, film=film)))
+    assert np.abs(_picture(studio, TURNED) - expected).max() <= 1
+
+
+def test_geometry_is_traced_once(studio):
+    _picture(studio, TURNED)
+    before = studio._geometry.cache_info()
+    for settings in (TURNED, Settings(light="none"), Settings(diffuse=(0, 0, 1))):
+        _picture(studio, settings)
+    after = studio._geometry.cache_info()
+    assert after.misses == before.misses and after.hits == before.hits + 3
+
+
+def test_a_mesh_under_each_shading_method(studio, tmp_path):
+    path = tmp_path / "ball.stl"
+    trimesh.creation.icosphere(2).export(path)
+    loaded = studio.add_mesh(path.name, path.read_bytes())
+    assert loaded["faces"] == 320
+    shown = [
+        _picture(studio, Settings(surface=loaded["surface"], shading=shading))
+        for shading in ("flat", "gouraud", "phong")
+    ]
+    colours = [len(np.unique(image.reshape(-1, 3), axis=0)) for image in shown]
+    # Each face has one colour: a pixel sees one of 160 of them at most.
+    assert colours[0] <= 161 < min(colours[1:])
+    sphere = _picture(studio, Settings(shading="flat"))
+    assert not np.array_equal(sphere, shown[0])
+
+
+def test_what_is_no_longer_held(studio):
+    with pytest.raises(ValueError, match="mesh: is no longer held; load it again"):
+        _picture(studio, Settings(surface="elsewhere"))
+    with pytest.raises(ValueError, match="target: is no longer held"):
+        _picture(studio, Settings(), "elsewhere")
+    first = studio.make_target(TargetRequest(settings=Settings()))["target"]
+    for _ in range(8):
+        studio.make_target(TargetRequest(settings=Settings()))
+    with pytest.raises(ValueError, match="target: is no longer held"):
+        studio.fit(FitRequest(settings=Settings(), target=first))
+
+
+def test_a_fit_of_a_made_target(studio):
+    made = studio.make_target(TargetRequest(settings=TURNED, noise=0.01, seed=3))
+    # The material of the sliders does not matter, their light does.
+    asked = Settings(azimuth=-20.0, diffuse=(0, 1, 0))
+    answer = studio.fit(FitRequest(settings=asked, target=made["target"]))
+    assert len(answer["rows"]) == 10 and answer["differs"] == []
+    for row in answer["rows"]:
+        value, error = float(row["value"]), float(row["error"].removeprefix("± "))
+        assert error > 0 and abs(value - float(row["truth"])) < 4 * error
+        assert row["off"].endswith(" σ") and row["note"] == ""
+    assert answer["head"].startswith("Converged") and answer["warnings"] == []
+    assert answer["settings"]["shininess"] == pytest.approx(9, rel=0.1)
+    assert len(answer["settings"]["diffuse"]) == 3
+    for name in ("fitted", "residual"):
+        assert answer[name].startswith("data:image/png;base64,")
+    assert 0.01 < answer["scale"] < 0.06
+
+
+def test_what_cannot_be_told(studio):
+    """Where no light falls there is no highlight, and nothing diffuse."""
+    dark = Settings(intensity=(0, 0, 0))
+    made = studio.make_target(TargetRequest(settings=dark))
+    answer = studio.fit(FitRequest(settings=dark, target=made["target"]))
+    told = {row["label"]: row["note"] for row in answer["rows"]}
+    assert told["shininess"] == told["diffuse.red"] == "cannot be told"
+    assert told["ambient.red"] == ""
+    assert any("cannot be told" in words for words in answer["warnings"])
+    assert set(answer["settings"]) == {"ambient"}
+
+
+def test_what_a_fit_assumes_otherwise():
+    truth = Settings(light="none", azimuth=-20.0, diffuse=(0, 0, 0))
+    assert differences(Settings(light="none"), truth) == []
+    assert differences(Settings(specular_model="phong", ambient_light=0.5), truth) == [
+        "kind of light",
+        "ambient light",
+        "highlight",
+    ]
+    assert differences(Settings(light="none", surface="mesh"), truth) == ["surface"]
+
+
+@pytest.mark.slow
+def test_a_light_whose_place_is_unknown(studio):
+    made = studio.make_target(TargetRequest(settings=TURNED))
+    asked = FitRequest(
+        settings=Settings(azimuth=-10.0, elevation=20.0),
+        target=made["target"],
+        options=FitOptions(light_too=True),
+    )
+    answer = studio.fit(asked)
+    assert answer["settings"]["azimuth"] == pytest.approx(-20, abs=0.5)
+    assert answer["settings"]["elevation"] == pytest.approx(30, abs=0.5)
+    names = {row["name"]: row["truth"] for row in answer["rows"]}
+    assert names["light direction y"] == "0.5"
+
+
+def test_no_light_has_no_place(studio):
+    made = studio.make_target(TargetRequest(settings=Settings(light="none")))
+    asked = FitRequest(
+        settings=Settings(light="none"),
+        target=made["target"],
+        options=FitOptions(light_too=True),
+    )
+    with pytest.raises(ValueError, match="light: there is none"):
+        studio.fit(asked)
+
+
+def test_a_photograph_and_its_mask(studio):
+    settings = Settings(centre_x=40.0, centre_y=50.0, radius=30.0)
+    shape = (40, 60)
+    loaded = studio.add_photograph("dark.png", _png(_dark(shape)), "linear")
+    assert loaded["photograph"] and (loaded["height"], loaded["width"]) == shape
+    assert loaded["brighten"] == pytest.approx(0.8 * 255 / 51)
+    assert _picture(studio, settings, loaded["target"]).shape == (*shape, 3)
+    mask = np.zeros(shape, np.uint8)
+    rows, columns = np.mgrid[:40, :60] + 0.5
+    mask[(rows - 20) ** 2 + (columns - 24) ** 2 < 12**2] = 1
+    masked = studio.add_mask(loaded["target"], "mask.png", _png(mask))
+    assert masked["centre_x"] == pytest.approx(40, abs=0.1)
+    assert masked["centre_y"] == pytest.approx(50, abs=0.1)
+    assert masked["radius"] == pytest.approx(30, abs=0.1)
+    with pytest.raises(ValueError, match=r"small.png: \(4, 4\) pixels came"):
+        studio.add_mask(loaded["target"], "small.png", _png(mask[:4, :4]))
+    with pytest.raises(ValueError, match="empty.png: it leaves no pixel"):
+        studio.add_mask(loaded["target"], "empty.png", _png(0 * mask))
+
+
+def _dark(shape: tuple[int, int]) -> np.ndarray:
+    return np.full((*shape, 3), 51, np.uint8)
+
+
+def test_warming_up_stops_when_told(studio):
+    stop = threading.Event()
+    stop.set()
+    before = studio._geometry.cache_info()
+    studio.warm_up(stop)
+    assert studio._geometry.cache_info() == before
