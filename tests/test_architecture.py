@@ -22,7 +22,8 @@ ORDER = [
     {"mapping"},
     {"report"},
     {"commands"},
-    {"cli", "__main__"},
+    {"cli"},
+    {"__main__"},
 ]
 PLACE = {part: place for place, parts in enumerate(ORDER) for part in parts}
 # What only one part may know.
