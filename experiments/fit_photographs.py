@@ -19,19 +19,11 @@ import tyro
 import phongfit as pf
 from experiments.output import JsonFile, PictureFile, save_numbers, save_picture
 from phongfit.cli import run
+from phongfit.commands.data import DataOptions, read_data
 from phongfit.files.dataset import Dataset
-from phongfit.files.datasets import read_dataset, read_diligent
-from phongfit.files.diligent import is_diligent
 from phongfit.report.pictures import Row, comparison
 
-# At the edge of the shadow, and on the rim, neighbouring normals and light that bounced
-# count for more than the model.
-MIN_COSINE = 0.05
-MIN_FACING = 0.15
 SHOWN = 3
-
-# A constant stands for all light that came by way of the room.
-ROOM = 1.0
 
 MATTE = ("ambient", "diffuse")
 WHOLE = ("ambient", "diffuse", "specular", "shininess")
@@ -39,21 +31,7 @@ WHOLE = ("ambient", "diffuse", "specular", "shininess")
 
 def read(folder: Path) -> Dataset:
     """The photographs, with samples left out that no model of one material explains."""
-    if is_diligent(folder):
-        data = read_diligent(folder, min_cosine=MIN_COSINE, min_facing=MIN_FACING)
-    else:
-        data = read_dataset(folder)
-    masks = tuple(
-        # Where one channel is saturated, its neighbours are blurred by it.
-        mask.all(axis=-1) if mask.ndim == 3 else mask
-        for mask in data.masks
-    )
-    lit = tuple(
-        dataclasses.replace(scene, ambient=np.full(3, ROOM, image.dtype))
-        for scene, image in zip(data.scenes, data.images, strict=True)
-    )
-    scenes = lit if is_diligent(folder) else data.scenes
-    return dataclasses.replace(data, masks=masks, scenes=scenes)
+    return read_data(DataOptions(folder))[0]
 
 
 def half(data: Dataset, first: int) -> Dataset:
