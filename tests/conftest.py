@@ -36,11 +36,15 @@ def _places() -> int:
     return len(maps.read_text().splitlines()) if maps.exists() else 0
 
 
+# Of files and words, or of the precision that maps are made in: float32 alone.
+SINGLE = {"commands", "data_synth", "mapping"}
+
+
 def pytest_collection_modifyitems(items):
-    """A check in float64, whatever the run, is made in one of the runs only."""
-    if jax.numpy.result_type(float) == jax.numpy.float64:
-        return
-    once = pytest.mark.skip(reason="runs in float64 alone")
+    """What need not run in both precisions runs in one: `float64`, or `SINGLE`."""
+    double = jax.numpy.result_type(float) == jax.numpy.float64
+    once = pytest.mark.skip(reason=f"runs in float{32 if double else 64} alone")
     for item in items:
-        if item.get_closest_marker("float64"):
+        single = item.path.relative_to(Path(__file__).parent).parts[0] in SINGLE
+        if single if double else item.get_closest_marker("float64"):
             item.add_marker(once)
