@@ -38,7 +38,9 @@ def lab(options: Options) -> None:
 
     The page is served on this machine, and to this machine only unless --host says
     otherwise. Whoever reaches it can load files into it. Ctrl-C stops it.
-    For example: phongfit lab --port 0 --no-browser
+
+    For example:
+      phongfit lab --port 0 --no-browser
     """
     if not 0 <= options.port < 2**16:
         raise ValueError(f"port: {options.port} came, 0 … {2**16 - 1} is wanted")
