@@ -1,6 +1,7 @@
 """The command `phongfit`, and what all commands share: options in, a status out."""
 
 import _thread
+import atexit
 import contextlib
 import dataclasses
 import difflib
@@ -81,6 +82,8 @@ def _patient_collector() -> Iterator[None]:
     """
     before = gc.get_threshold()
     gc.set_threshold(200_000, 50, 50)
+    # Nor is there anything to be found in it when the process ends.
+    atexit.register(gc.freeze)
     try:
         yield
     finally:
