@@ -155,7 +155,7 @@ def draw(result: Result, size: int) -> Figure:
     left.set_ylabel("light of ball and floor (white: 1)")
     right.set_ylabel("share of it (%)")
     right.set_ylim(0, 100)
-    left.legend(loc="upper left")
+    left.legend(loc="upper right")
     return figure
 
 
