@@ -155,7 +155,8 @@ def draw(result: Result, size: int) -> Figure:
     left.set_ylabel("light of ball and floor (white: 1)")
     right.set_ylabel("share of it (%)")
     right.set_ylim(0, 100)
-    left.legend(loc="upper left")
+    handles, names = left.get_legend_handles_labels()
+    bottom.legend(handles, names, loc="outside lower center", ncols=len(SOURCES))
     return figure
 
 

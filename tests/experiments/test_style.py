@@ -15,7 +15,7 @@ def draw():
 
 
 def test_the_style_is_used_and_left():
-    before = matplotlib.rcParams["font.size"]
+    before = matplotlib.rcParamsDefault["font.size"]
     figure = draw()
     assert figure.get_size_inches().tolist() == [style.PAGE, 2.0]
     dark, bright = figure.axes
