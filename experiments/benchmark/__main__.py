@@ -13,11 +13,13 @@ import jax
 import numpy as np
 import tyro
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 from rich.console import Console
 from rich.markdown import Markdown
 
 from experiments.benchmark import costs, maps, single
 from experiments.output import JsonFile, save_numbers, save_picture
+from experiments.style import BLUE, GREEN, ORANGE, VERMILION, bands, page, styled
 from phongfit.cli import run
 
 
@@ -41,15 +43,17 @@ class Ratio:
 def single_ratios(found: list[single.Row]) -> list[Ratio]:
     """Of one image: of the whole fit, and of the search alone."""
     seconds = {row.key: row.seconds for row in found}
-    fit, alone = "fit one 256² RGB image, warm", "its search for the solution alone"
+    fit, alone = "fit one 256² RGB image, warm", "the same, solution alone"
     ratios = [
         Ratio(fit, "stock optimistix LM", "lm_over_fit", seconds["lm"], 10),
-        Ratio(alone, "the same", "lm_over_search", seconds["lm"], 10),
+        Ratio(alone, "stock optimistix LM", "lm_over_search", seconds["lm"], 10),
     ]
     if "adam" in seconds:
         ratios += [
             Ratio(fit, "Adam, to 1e-3 in f", "adam_over_fit", seconds["adam"], 100),
-            Ratio(alone, "the same", "adam_over_search", seconds["adam"], 100),
+            Ratio(
+                alone, "Adam, to 1e-3 in f", "adam_over_search", seconds["adam"], 100
+            ),
         ]
     return [
         dataclasses.replace(r, value=r.value / seconds[r.key.split("_over_")[1]])
@@ -92,29 +96,40 @@ def details(found: list[single.Row]) -> str:
     return "\n".join(lines)
 
 
+@styled
 def figure(ratios: list[Ratio], grown: dict[str, dict[str, float]]) -> Figure:
     """Ratios next to their aims, and how the time of a fit grows."""
-    drawing = Figure(figsize=(9, 3.6), layout="constrained")
-    left, right = drawing.subplots(1, 2, width_ratios=(1.4, 1))
+    drawing = page(5.2)
+    above, below = (band.subplots() for band in bands(drawing, 3, 2))
     gains = [row for row in ratios if not row.at_most][::-1]
     place = np.arange(len(gains))
-    left.barh(place, [row.value for row in gains], color="#0072B2", height=0.6)
-    left.plot([row.aim for row in gains], place, "|", ms=18, mew=3, color="#D55E00")
-    left.set_yticks(place, [f"{row.work}\nagainst {row.against}" for row in gains])
-    left.tick_params(axis="y", labelsize=7)
-    left.set(xscale="log", xlabel="times as fast (bar: measured, mark: aim)")
-    for (name, times), mark in zip(grown.items(), "osD^", strict=True):
+    above.barh(place, [row.value for row in gains], color=BLUE, height=0.6)
+    aims = [row.aim for row in gains]
+    above.plot(aims, place, "|", ms=13, mew=3, color=VERMILION)
+    names = [f"{row.work}\nagainst {row.against}" for row in gains]
+    above.set_yticks(place, [name.replace("`", "") for name in names])
+    above.grid(False, axis="y")
+    above.set(
+        xscale="log", xlim=(1, None), xlabel="times as fast (bar: measured, mark: aim)"
+    )
+    above.xaxis.set_major_formatter("{x:g}")
+    looks = ((BLUE, "o"), (VERMILION, "s"), (GREEN, "^"), (ORANGE, "D"))
+    for (name, times), (colour, mark) in zip(grown.items(), looks, strict=True):
         counts = np.array([float(count) for count in times])
         taken = np.array(list(times.values()))
-        right.plot(counts / counts[0], taken / taken[0], f"{mark}-", label=name)
-    right.axline((1, 1), slope=1, color="0.7", lw=1, label="linear")
-    right.set(
+        kind = dict(color=colour, marker=mark, label=name)
+        below.plot(counts / counts[0], taken / taken[0], **kind)
+    below.axline((1, 1), slope=1, color="0.6", lw=1, label="linear")
+    below.set(
         xscale="log",
         yscale="log",
-        xlabel="how many, as a multiple of the first",
-        ylabel="time of a fit over the first",
+        xlabel="times as many as at first",
+        ylabel="times as long",
     )
-    right.legend(fontsize=7)
+    for axis in (below.xaxis, below.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
+    below.legend(ncols=2)
     return drawing
 
 
@@ -151,7 +166,8 @@ def main(
     console = Console()
 
     def show(text: str) -> None:
-        console.print(Markdown(text) if console.is_terminal else text)
+        # In a file a row of a table stays one line.
+        console.print(Markdown(text) if console.is_terminal else text, soft_wrap=True)
 
     share = 40 if quick else 1
     found = single.rows(resolution, runs, console)
@@ -206,7 +222,8 @@ def main(
         f"\na map: {1e6 * taken['map']:.1f} µs a pixel × 96 lights; "
         f"{memory['peak_gigabytes']:.2f} GB at most for {4_000_000 // share:,} pixels "
         f"× 24 lights\na first fit, with compiling: {compiled['first']:.1f} s"
-        f"\n{machine()}"
+        f"\n{machine()}",
+        soft_wrap=True,
     )
     if picture is not None:
         save_picture(picture, figure(ratios, grown))
