@@ -23,7 +23,7 @@ def _settled_memory():
     Until there is so much of it that the system runs out of places in memory.
     """
     yield
-    if _places() > 25_000:
+    if _places() > 35_000:
         jax.clear_caches()
         gc.unfreeze()
         gc.collect()
@@ -36,8 +36,9 @@ def _places() -> int:
     return len(maps.read_text().splitlines()) if maps.exists() else 0
 
 
-# Of files and words, or of the precision that maps are made in: float32 alone.
-SINGLE = {"commands", "data_synth", "mapping"}
+# Of files and words, or of the precision that maps are made in: float32 alone, unless
+# a mark says otherwise.
+SINGLE = {"commands", "data_synth", "experiments", "files", "mapping"}
 
 
 def pytest_collection_modifyitems(items):
@@ -45,6 +46,7 @@ def pytest_collection_modifyitems(items):
     double = jax.numpy.result_type(float) == jax.numpy.float64
     once = pytest.mark.skip(reason=f"runs in float{32 if double else 64} alone")
     for item in items:
+        marked = item.get_closest_marker("float64") is not None
         single = item.path.relative_to(Path(__file__).parent).parts[0] in SINGLE
-        if single if double else item.get_closest_marker("float64"):
+        if (single and not marked) if double else marked:
             item.add_marker(once)

@@ -84,7 +84,7 @@ def test_two_views_of_one_mesh_in_different_light():
     "name, loss",
     [
         ("scene00", "linear"),
-        ("scene01", "linear"),
+        pytest.param("scene01", "linear", marks=pytest.mark.slow),
         ("scene00", "tukey"),
         pytest.param("scene01", "tukey", marks=pytest.mark.slow),
     ],
