@@ -110,8 +110,9 @@ def test_an_interrupt_is_heeded_wherever_it_lands(brass, monkeypatch, capsys, tm
     monkeypatch.setattr("phongfit.commands.fit.fit", slow)
     start = time.monotonic()
     assert main(["fit", str(brass), "-o", str(tmp_path / "out")]) == 130
-    assert capsys.readouterr().err == "error: interrupted\n"
-    assert time.monotonic() - start < 10
+    assert capsys.readouterr().err.endswith("error: interrupted\n")
+    # Well before it would have ended by itself, on a busy machine too.
+    assert time.monotonic() - start < 18
 
 
 def test_render(brass, tmp_path, capsys):
