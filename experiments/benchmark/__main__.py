@@ -117,8 +117,8 @@ def figure(ratios: list[Ratio], grown: dict[str, dict[str, float]]) -> Figure:
     for (name, times), (colour, mark) in zip(grown.items(), looks, strict=True):
         counts = np.array([float(count) for count in times])
         taken = np.array(list(times.values()))
-        kind = dict(color=colour, marker=mark, label=name)
-        below.plot(counts / counts[0], taken / taken[0], **kind)
+        (line,) = below.plot(counts / counts[0], taken / taken[0], color=colour)
+        line.set(marker=mark, label=name)
     below.axline((1, 1), slope=1, color="0.6", lw=1, label="linear")
     below.set(
         xscale="log",
