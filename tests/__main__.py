@@ -1,8 +1,10 @@
 """`python -m tests [pytest's arguments]`: the suite in float32 and in float64.
 
-Two processes side by side, since the precision is fixed when JAX starts. Most of their
-time is compilation of what runs once, so XLA compiles without optimising, unless
-`XLA_FLAGS` says otherwise; commands and experiments run as users run them.
+What takes long and gains little runs in one of them only (see `conftest.py`), unless
+`--both` is among the arguments. Two processes side by side, since the precision is
+fixed when JAX starts. Most of their time is compilation of what runs once, so XLA
+compiles without optimising, unless `XLA_FLAGS` says otherwise; commands and experiments
+run as users run them.
 """
 
 import os

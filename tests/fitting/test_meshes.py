@@ -85,7 +85,7 @@ def test_two_views_of_one_mesh_in_different_light():
     [
         ("scene00", "linear"),
         pytest.param("scene01", "linear", marks=pytest.mark.slow),
-        ("scene00", "tukey"),
+        pytest.param("scene00", "tukey", marks=pytest.mark.slow),
         pytest.param("scene01", "tukey", marks=pytest.mark.slow),
     ],
 )
