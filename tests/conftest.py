@@ -2,6 +2,7 @@
 
 import collections
 import gc
+import shutil
 from pathlib import Path
 
 import jax
@@ -35,6 +36,29 @@ def _places() -> int:
     """How many separate pieces of memory this process has; Linux allows 65 530."""
     maps = Path("/proc/self/maps")
     return len(maps.read_text().splitlines()) if maps.exists() else 0
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium, closed after each file: two of Playwright's loops cannot be open."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    names = ("chromium", "chromium-browser", "google-chrome")
+    found = [path for name in names if (path := shutil.which(name))]
+    if not found:
+        pytest.skip("there is no Chromium here")
+    with playwright.sync_playwright() as started:
+        chromium = started.chromium.launch(
+            executable_path=found[0],
+            args=[
+                # Tests may run as root, in a container, and without a network.
+                "--no-sandbox",
+                "--disable-gpu",
+                "--disable-dev-shm-usage",
+                "--disable-background-networking",
+            ],
+        )
+        yield chromium
+        chromium.close()
 
 
 # Of files and words, or of the precision that maps are made in: float32 alone, unless

@@ -1,7 +1,6 @@
 """One server for all tests of the page, with small pictures."""
 
 import contextlib
-import shutil
 import threading
 from collections.abc import Iterator
 
@@ -39,17 +38,3 @@ def serving(studio: Studio) -> Iterator[int]:
 def port(studio) -> Iterator[int]:
     with serving(studio) as port:
         yield port
-
-
-@pytest.fixture(scope="session")
-def browser():
-    playwright = pytest.importorskip("playwright.sync_api")
-    names = ("chromium", "chromium-browser", "google-chrome")
-    found = [path for name in names if (path := shutil.which(name))]
-    if not found:
-        pytest.skip("there is no Chromium here")
-    with playwright.sync_playwright() as started:
-        yield started.chromium.launch(
-            executable_path=found[0],
-            args=["--no-sandbox", "--disable-gpu", "--disable-background-networking"],
-        )

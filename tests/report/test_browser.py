@@ -1,7 +1,5 @@
 """The page in a real browser, at the width of a desktop and of a phone."""
 
-import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,28 +18,6 @@ STICKING_OUT = """() => [...document.querySelectorAll("body *")]
     .map(e => e.tagName + " " + e.textContent.slice(0, 40))"""
 PICTURES = """() => [...document.images]
     .map(i => [i.complete && i.naturalWidth > 0, i.alt.trim().length])"""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    path = shutil.which("chromium") or shutil.which("chromium-browser")
-    if path is None:
-        pytest.skip("there is no chromium to look at the page with")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(
-            executable_path=path,
-            args=[
-                # Tests may run as root, in a container, and without a network.
-                "--no-sandbox",
-                "--disable-gpu",
-                "--disable-dev-shm-usage",
-                "--disable-background-networking",
-            ],
-        )
-        yield chromium
-        chromium.close()
 
 
 @pytest.fixture(scope="module")
