@@ -10,6 +10,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import StrMethodFormatter
 
 from phongfit.report.pictures import displayed
+from phongfit.report.style import quiet
 
 # Width of a page's text, inches: nothing is scaled, so a point of type is a point.
 PAGE = 7.2
@@ -73,7 +74,7 @@ def bands(figure: Figure, *heights: float) -> list[SubFigure]:
 def show(axes: Axes, image: Any, title: str = "", below: str = "") -> None:
     """Linear light (H, W, 3) as a screen shows it: clamped and sRGB-encoded."""
     axes.imshow(displayed(image))
-    bare(axes)
+    quiet(axes)
     axes.set_title(title)
     axes.set_xlabel(below)
 
@@ -83,15 +84,6 @@ def plain_numbers(axes: Axes, which: str = "xy") -> None:
     for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
         if name in which and axis.get_scale() == "log":
             axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-
-
-def bare(axes: Axes) -> None:
-    """Without ticks, grid and frame, as pictures want it."""
-    axes.grid(False)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    for spine in axes.spines.values():
-        spine.set_visible(False)
 
 
 def picture_grid(

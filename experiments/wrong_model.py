@@ -20,6 +20,7 @@ from experiments import style
 from experiments.balls import ball as ball_of_triangles, unit_ball
 from experiments.finding import Experiment, Finding, Table
 from phongfit.rendering.film import decode, encode
+from phongfit.report.style import quiet
 
 TRUTH = pf.Material(0.5, 0.3, 20.0, 0.4)
 NOISE = 0.01
@@ -224,7 +225,7 @@ def draw(outcomes: list[Outcome]) -> Figure:
     maps = []
     for axes, one in zip(panels, outcomes, strict=False):
         maps.append(axes.imshow(one.residual, cmap="RdBu_r", vmin=-8, vmax=8))
-        style.bare(axes)
+        quiet(axes)
         axes.set_title(textwrap.fill(one.name, 15), fontsize=8)
     bar = top.colorbar(maps[0], ax=panels.tolist(), fraction=0.02, pad=0.01)
     bar.set_label("image − fit (noise's standard deviations)")
@@ -235,7 +236,7 @@ def draw(outcomes: list[Outcome]) -> Figure:
     cells = np.zeros((len(outcomes), columns))
     cells[:, : len(LEAVES)] = strength
     table.imshow(cells, cmap="RdBu_r", vmin=-3, vmax=3, aspect="auto")
-    style.bare(table)
+    quiet(table)
     for row, one in enumerate(outcomes):
         for k, (value, share) in enumerate(zip(*offsets(one), strict=True)):
             dark = abs(strength[row, k]) > 1.8

@@ -3,6 +3,7 @@
 A reader raises whatever its decoder does; [`read_image`][] makes one line of it.
 """
 
+import base64
 import contextlib
 import errno
 import os
@@ -154,6 +155,11 @@ READERS: dict[str, Callable[[bytes, Path], np.ndarray]] = {
 def encode_png(numbers: np.ndarray) -> bytes:
     """A PNG file of (H, W, channels) whole numbers of 8 or 16 bits."""
     return bytes(imagecodecs.png_encode(np.ascontiguousarray(numbers)))
+
+
+def data_uri(png: bytes) -> str:
+    """A PNG file as an address that holds it."""
+    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
 
 
 def _write_png(path: Path, numbers: np.ndarray) -> None:

@@ -13,7 +13,6 @@ from jaxtyping import Array
 from phongfit.fitting.diagnostics import compare_neighbours
 from phongfit.fitting.inputs import Photograph, as_photographs
 from phongfit.fitting.layout import Tie, make_unknowns
-from phongfit.fitting.leaves import is_of_scene
 from phongfit.fitting.losses import AbstractLoss, as_loss
 from phongfit.fitting.noise import find_film, rounding_steps
 from phongfit.fitting.result import Fit
@@ -182,8 +181,6 @@ def set_up(
     """
     photographs = as_photographs(scene, image, mask, weights, noise)
     scenes = tuple(p.scene for p in photographs)
-    # Begun first: JAX goes on with it meanwhile.
-    seen = [_geometry(scene, any(map(is_of_scene, unknowns))) for scene in scenes]
     layout = make_unknowns(
         unknowns,
         per_channel,
@@ -196,12 +193,13 @@ def set_up(
         ties=ties,
         priors=priors,
     )
-    film = _checked_film(film, photographs)
-    sources = [as_source(*one, film) for one in zip(photographs, seen, strict=True)]
     # Shadows move with the lights that throw them.
     shadows = any(scene.shadows for scene in scenes)
-    if layout.moves_geometry or (shadows and layout.moves_lights):
-        sources = [dataclasses.replace(source, gbuffer=None) for source in sources]
+    moving = layout.moves_geometry or (shadows and layout.moves_lights)
+    # Begun here: JAX goes on with it while the images are looked at.
+    seen = [_geometry(scene, layout.of_scene and not moving) for scene in scenes]
+    film = _checked_film(film, photographs)
+    sources = [as_source(*one, film) for one in zip(photographs, seen, strict=True)]
     _check_samples(sources, layout)
     _check_constants(layout, sources)
     return Setting(layout, sources, film)

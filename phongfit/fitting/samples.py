@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from phongfit.geometry.shading import Interpolation
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
-from phongfit.rendering.pixels import PixelTerms, pixel_terms
+from phongfit.rendering.pixels import PixelTerms, pixel_terms, resolve
 from phongfit.scene import Scene
 
 
@@ -32,7 +32,7 @@ class View(eqx.Module):
         """What the samples see, if the scene were another one."""
         if self.gbuffer is not None:
             return pixel_terms(scene, self.gbuffer)
-        return pixel_terms(scene, scene.trace()).select(self.index)
+        return resolve(scene)[1].select(self.index)
 
 
 class Channels(eqx.Module):

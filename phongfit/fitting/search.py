@@ -113,7 +113,8 @@ def _solve(
     """Solve until the noise level that the solution rests on is what it leaves."""
     steps, dtype = 0, problem.sigma.dtype
     while True:
-        solution, noise = _pass(problem, np.asarray(sigma, dtype), y, max_steps)
+        at = np.asarray(sigma, dtype)
+        solution, noise = _pass(problem, at, y, max_steps, noise_given)
         y, steps = solution.y, steps + int(solution.steps)
         settled = once or noise_given or steps > MOST_PASSES * max_steps
         if not noise_given:
@@ -136,10 +137,16 @@ def _pass(
     sigma: Float[np.ndarray, ""],
     y: Float[Array, " n"],
     max_steps: int,
+    noise_given: bool,
 ) -> tuple[Solution, Float[Array, ""]]:
-    """A solution for a noise level, and the noise level that its residuals show."""
+    """A solution for a noise level, and the noise level that its residuals show.
+
+    Where that is the user's, or outliers would spoil it, nothing is looked at.
+    """
     problem = dataclasses.replace(problem, sigma=jnp.asarray(sigma))
     solution = solve(problem, y, max_steps)
+    if noise_given or problem.loss.robust:
+        return solution, problem.sigma
     return solution, _noise(problem, solution.y)
 
 

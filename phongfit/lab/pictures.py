@@ -1,6 +1,5 @@
 """Pictures as the page shows them."""
 
-import base64
 from typing import Any
 
 import numpy as np
@@ -20,11 +19,6 @@ def png(light: Any, brighten: float = 1.0) -> bytes:
     **Arguments:** `brighten`: factor on the light.
     """
     return encode_png(to_levels(brighten * np.asarray(light), "srgb", 8))
-
-
-def data_uri(file: bytes) -> str:
-    """A PNG file as an address that holds it."""
-    return "data:image/png;base64," + base64.b64encode(file).decode()
 
 
 def brightening(image: Float[np.ndarray, "height width 3"]) -> float:
@@ -48,10 +42,12 @@ def residual_png(
     # Put off, since it takes long to import.
     from matplotlib import colormaps
 
-    furthest = np.argmax(np.abs(residual), axis=-1)[..., None]
-    signed = np.take_along_axis(residual, furthest, axis=-1)[..., 0]
-    reach = np.quantile(np.abs(signed[used]), 0.995) if used.any() else 0.0
+    from phongfit.report.pictures import signed
+    from phongfit.report.style import SIGNED
+
+    values = signed(residual)
+    reach = np.quantile(np.abs(values[used]), 0.995) if used.any() else 0.0
     scale = max(float(reach), 1e-6)
-    colours = colormaps["RdBu_r"](0.5 + 0.5 * np.clip(signed / scale, -1, 1))
+    colours = colormaps[SIGNED](0.5 + 0.5 * np.clip(values / scale, -1, 1))
     shown = np.where(used[..., None], colours[..., :3], 0.5)
     return encode_png(np.round(255 * shown).astype(np.uint8)), scale

@@ -10,12 +10,13 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from phongfit.files.formats import data_uri
 from phongfit.fitting.fit import DEFAULT_UNKNOWNS, fit
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.shapes import Ball
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer, Sphere
 from phongfit.lab.answers import differences, fit_answer
-from phongfit.lab.pictures import brightening, data_uri, png, residual_png
+from phongfit.lab.pictures import brightening, png, residual_png
 from phongfit.lab.settings import (
     SPHERE,
     FitOptions,

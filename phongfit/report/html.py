@@ -1,6 +1,5 @@
 """Templates, and what they all share: pictures inside the page, rows of numbers."""
 
-import base64
 import functools
 from typing import Any
 
@@ -8,6 +7,7 @@ import jinja2
 import numpy as np
 from matplotlib.figure import Figure
 
+from phongfit.files.formats import data_uri
 from phongfit.fitting.result import Fit
 from phongfit.fitting.table import number_with_error
 from phongfit.report.style import png
@@ -36,11 +36,6 @@ def fill(template: str, **values: Any) -> str:
 def source(figure: Figure, dpi: float = DPI) -> str:
     """A figure as a data URI: the page needs no other file."""
     return data_uri(png(figure, dpi))
-
-
-def data_uri(picture: bytes) -> str:
-    """The bytes of a PNG file as an address that holds them."""
-    return f"data:image/png;base64,{base64.b64encode(picture).decode('ascii')}"
 
 
 def parameters(fit: Fit) -> list[dict[str, Any]]:

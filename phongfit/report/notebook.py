@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import matplotlib.image
 import numpy as np
 
+from phongfit.files.formats import data_uri
 from phongfit.fitting.result import Fit
 from phongfit.geometry.cameras import OrthographicCamera
 from phongfit.geometry.meshes import Mesh
@@ -15,7 +16,7 @@ from phongfit.geometry.surfaces import AbstractSurface, Sphere
 from phongfit.lights import AbstractLight, DirectionalLight
 from phongfit.material import Material, unstack_materials
 from phongfit.rendering.render import render
-from phongfit.report.html import data_uri, fill, parameters, source
+from phongfit.report.html import fill, parameters, source
 from phongfit.report.pictures import displayed
 from phongfit.report.plots import plot
 from phongfit.report.words import settings, summary

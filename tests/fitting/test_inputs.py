@@ -86,6 +86,8 @@ CENTRE = np.hypot(*(np.indices((SIZE, SIZE)) + 0.5 - SIZE / 2)) < 10
             {"unknowns": ["gloss"]},
         ),
         ("unknowns: none came", SCENE, GREY, {"unknowns": ()}),
+        ("unknowns: none came", SCENE, GREY, {"unknowns": None}),
+        ("unknowns: 3 came, one of ambient, ", SCENE, GREY, {"unknowns": (3,)}),
         (
             "unknowns: a name came twice: diffuse, diffuse",
             SCENE,
