@@ -64,10 +64,15 @@ def browser():
 # Of files and words, or of the precision that maps are made in: float32 alone, unless
 # a mark says otherwise.
 SINGLE = {"commands", "data_synth", "experiments", "files", "mapping"}
-# Whole fits, which take long to compile: every other one in float32, the rest in
-# float64. The parts that they are made of run in both.
+# Whole fits and pictures, which take long to compile: every other one in float32, the
+# rest in float64. The parts that fits are made of run in both.
 ALTERNATE = {
+    "geometry",
+    "lab",
+    "rendering",
+    "report",
     "test_fit",
+    "test_identifiability",
     "test_implicit",
     "test_meshes",
     "test_predict",
@@ -75,6 +80,7 @@ ALTERNATE = {
     "test_recovery",
     "test_robust",
     "test_scenes",
+    "test_statistics",
 }
 
 
@@ -106,6 +112,6 @@ def pytest_collection_modifyitems(config, items):
 def _home(path: Path, number: int) -> bool | None:
     """Whether the test of this number in its file is for float64; `None`: for both."""
     folder = path.relative_to(Path(__file__).parent).parts[0]
-    if folder == "fitting" and path.stem in ALTERNATE:
+    if not ALTERNATE.isdisjoint({folder, path.stem}):
         return number % 2 == 0
     return False if folder in SINGLE else None

@@ -5,7 +5,6 @@ import functools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -24,6 +23,7 @@ from phongfit.fitting.summary import Shown, summarize
 from phongfit.fitting.unknowns import Unknowns, in_units
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
+from phongfit.programs import program
 from phongfit.rendering.film import Film
 from phongfit.rendering.pixels import PixelTerms, resolve, resolve_terms
 from phongfit.scene import Scene
@@ -257,7 +257,7 @@ def _show(setting: Setting, which: int, scene: Scene, entries: Array) -> Shown:
     )
 
 
-@eqx.filter_jit
+@program("clamp")
 def _expose(
     measured: tuple[Array, Array],
     mask: Array,

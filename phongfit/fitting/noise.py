@@ -86,10 +86,8 @@ class _Edges(NamedTuple):
 def _edges(light: Values, sigma: Float[Array, ""] | Values) -> _Edges:
     sigma = jnp.maximum(sigma, jnp.finfo(light.dtype).eps ** 2)
     black, white = light / sigma, (1 - light) / sigma
-    densities = _density(black), _density(white)
-    return _Edges(
-        sigma, black, white, *densities, _upper_tail(black), _upper_tail(white)
-    )
+    densities, tails = zip(_beyond(black), _beyond(white), strict=True)
+    return _Edges(sigma, black, white, *densities, *tails)
 
 
 def _mean(light: Values, edges: _Edges) -> Values:
@@ -103,27 +101,31 @@ def _slope(edges: _Edges) -> Values:
 
 
 def _variance_share(edges: _Edges) -> Values:
-    # Far stands for infinity; b² − b² would otherwise cancel badly.
+    # Far stands for infinity, where densities are 0; b² − b² would otherwise cancel.
     a, b = jnp.clip(-edges.black, -FAR, FAR), jnp.clip(edges.white, -FAR, FAR)
     below, above = edges.black_tail, edges.white_tail
-    density_a, density_b = _density(a), _density(b)
+    density_a, density_b = edges.black_density, edges.white_density
     mean = density_a - density_b + a * below + b * above
     square = 1 - below - above + a * density_a - b * density_b
     square = square + a**2 * below + b**2 * above
     return jnp.clip(square - mean**2, 0, 1)
 
 
-def _density(z: Values) -> Values:
-    return jnp.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
+def _beyond(z: Values) -> tuple[Values, Values]:
+    """Normal density at z, and chance beyond it.
 
-
-def _upper_tail(z: Values) -> Values:
-    """Chance beyond z. Mostly no sample comes near, and nothing is to be computed.
-
-    The condition also keeps XLA from computing the tails anew for each of their uses.
+    Mostly no sample comes near, and nothing is to be computed. The condition also keeps
+    XLA from computing them anew for each of their uses.
     """
-    near = jnp.min(z, initial=FAR) < FAR
-    return jax.lax.cond(near, lambda z: erfc(z / math.sqrt(2)) / 2, jnp.zeros_like, z)
+
+    def both(z: Values) -> tuple[Values, Values]:
+        density = jnp.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
+        return density, erfc(z / math.sqrt(2)) / 2
+
+    def neither(z: Values) -> tuple[Values, Values]:
+        return jnp.zeros_like(z), jnp.zeros_like(z)
+
+    return jax.lax.cond(jnp.min(z, initial=FAR) < FAR, both, neither, z)
 
 
 def rounding_steps(image: np.ndarray, film: Film) -> np.ndarray:

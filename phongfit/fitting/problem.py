@@ -13,6 +13,7 @@ from phongfit.fitting.noise import (
 )
 from phongfit.fitting.samples import Channels, Samples
 from phongfit.fitting.unknowns import Unknowns
+from phongfit.programs import program
 
 
 class Problem(eqx.Module):
@@ -120,7 +121,7 @@ Evaluation.__init__.__doc__ = """**Arguments:**
 """
 
 
-@eqx.filter_jit
+@program()
 def evaluate(problem: Problem, y: Float[Array, " n"]) -> Evaluation:
     """Differences between model and image, and what noise they are measured by."""
     return problem.measure(problem.light(y))

@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +16,7 @@ from phongfit.fitting.search import Found
 from phongfit.fitting.table import fit_table
 from phongfit.fitting.unknowns import Unknowns
 from phongfit.material import Material
+from phongfit.programs import program
 from phongfit.showing import report
 
 if TYPE_CHECKING:
@@ -227,7 +227,7 @@ Fit.__init__.__doc__ = """**Arguments:**
 """
 
 
-@eqx.filter_jit
+@program()
 def as_materials(
     unknowns: Unknowns,
     entries: Float[np.ndarray, " n"],

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from phongfit.geometry.shading import Interpolation
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
+from phongfit.programs import program
 from phongfit.rendering.pixels import PixelTerms, pixel_terms, resolve
 from phongfit.scene import Scene
 
@@ -201,7 +202,7 @@ def _parts(source: Source, place: Array, count: int) -> tuple[Any, ...]:
     return pixels, at, (source.image, source.weight, source.step), place, count
 
 
-@eqx.filter_jit
+@program()
 def _take(
     pixels: PixelTerms,
     at: Array | None,
@@ -226,10 +227,10 @@ def _joined(parts: list[_Numbers]) -> tuple[Channels, Array, Array, Array | None
     return by_channel(join_pixels(list(pixels))), target, weight, step
 
 
-_join = eqx.filter_jit(_joined)
+_join = program()(_joined)
 
 
-@eqx.filter_jit
+@program()
 def _gather_one(*parts: Any) -> tuple[Channels, Array, Array, Array | None]:
     """The same for a single image, in one go."""
     return _joined([_take(*parts)])

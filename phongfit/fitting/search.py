@@ -14,6 +14,7 @@ from phongfit.fitting.samples import Samples
 from phongfit.fitting.solution import Solution, solve
 from phongfit.fitting.start import scan
 from phongfit.fitting.unknowns import Unknowns
+from phongfit.programs import program
 
 # A pass solves with the noise level that the pass before left over.
 MOST_PASSES = 8
@@ -78,7 +79,7 @@ def _best_of_several(
     return ends.y[jnp.argmin(costs)]
 
 
-@eqx.filter_jit
+@program("steps")
 def _all_ends(
     problem: Problem, starts: Float[Array, "starts n"], steps: int
 ) -> Solution:
@@ -131,7 +132,7 @@ def _solve(
     return Found(problem, y, bool(solution.converged), steps)
 
 
-@eqx.filter_jit
+@program("max_steps", "noise_given")
 def _pass(
     problem: Problem,
     sigma: Float[np.ndarray, ""],
@@ -150,7 +151,7 @@ def _pass(
     return solution, _noise(problem, solution.y)
 
 
-@eqx.filter_jit
+@program()
 def _begin(
     problem: Problem, y: Float[Array, " n"]
 ) -> tuple[Float[Array, " n"], Evaluation]:

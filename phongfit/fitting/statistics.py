@@ -14,6 +14,7 @@ from phongfit.fitting.noise import shared_rounding_variance
 from phongfit.fitting.problem import Evaluation, Problem
 from phongfit.fitting.sums import Linearization, linearize
 from phongfit.fitting.unknowns import Unknowns
+from phongfit.programs import program
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,7 +149,7 @@ class Pieces(eqx.Module):
     exact: Bool[Array, ""]
 
 
-@eqx.filter_jit
+@program()
 def add_up(problem: Problem, y: Float[Array, " n"]) -> Pieces:
     """The sums at a solution."""
     return _add_up(problem, linearize(problem, y))

@@ -22,6 +22,7 @@ from phongfit.fitting.leaves import (
     with_arrays,
 )
 from phongfit.material import Material
+from phongfit.programs import program
 from phongfit.scene import Scene
 from phongfit.vectors import normalize
 
@@ -287,7 +288,7 @@ class Unknowns(eqx.Module):
         return off / self.prior_deviation[wanted]
 
 
-@eqx.filter_jit
+@program()
 def in_units(unknowns: Unknowns, y: Float[Array, " n"]) -> tuple[Array, Array]:
     """All entries in the user's units, and the derivative of those reported in y."""
     return unknowns.entries(y), jax.jacfwd(unknowns.values)(y)

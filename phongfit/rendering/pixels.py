@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from phongfit.geometry.shading import Interpolation
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
+from phongfit.programs import program
 from phongfit.rendering.terms import ShadingTerms, combine, terms
 from phongfit.scene import Scene
 
@@ -189,4 +190,4 @@ def _mask_and_terms(scene: Scene) -> tuple[Bool[Array, "height width"], PixelTer
     return gbuffer.mask, pixels
 
 
-_at_once = eqx.filter_jit(_mask_and_terms)
+_at_once = program()(_mask_and_terms)
