@@ -70,7 +70,7 @@ def fit_maps(
     - `scenes`: one for each image; they share surface and camera and differ in lights.
     - `images`: (L, H, W, 3) or a sequence of (H, W, 3), linear light as floats where
         white is 1, in memory or memory-mapped, or an [`AbstractStack`][] such as
-        [`PhotographStack`][], which reads files.
+        [`PhotographStack`][], which reads files, or [`DatasetStack`][].
     - `unknowns`: leaves to be found. Where no ambient light falls, `ambient` is not.
     - `per_channel`: with `"shininess"` each channel has its own exponent.
     - `known`: values of the leaves that are not unknown; default no reflectance and an
@@ -141,8 +141,8 @@ def fit_maps(
         if store is not None and store.load(tile) is not None:
             return None
         target = stack.take(tiles[tile], lighting.order)
-        used = masks.take(tiles[tile], lighting.order)
-        return geometry.tile(tiles[tile], target, used, size)
+        used = masks.take(tiles[tile], lighting.order) & ~np.ma.getmask(target)
+        return geometry.tile(tiles[tile], np.ma.getdata(target), used, size)
 
     run = compiled(settings, mesh)
     maps = _Canvas(seen.shape, 1 if settings.shared else 3, outside.noise.dtype)

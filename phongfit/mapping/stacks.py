@@ -1,6 +1,7 @@
 """Stacks of images, read piece by piece: memory need not hold them."""
 
 import abc
+import hashlib
 import mmap
 import os
 from collections.abc import Callable, Sequence
@@ -11,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from phongfit.files.dataset import Photographs
 from phongfit.files.images import read_image
 from phongfit.files.inputs import read_bytes
 from phongfit.rendering.film import Encoding, as_encoding
@@ -36,6 +38,8 @@ class AbstractStack(abc.ABC):
 
         - `pixels`: flat indices, row by row, rising.
         - `order`: the images, in the order they are wanted.
+
+        **Returns:** an array; NumPy's masked one if samples may not be used.
 
         **Raises:** `ValueError` that names the file that is missing or broken.
         """
@@ -142,6 +146,55 @@ class PhotographStack(AbstractStack):
         update(self._encoding.encode())
         for path in self._paths:
             update(read_bytes(path))
+
+
+class DatasetStack(AbstractStack):
+    """A data set's photographs, decoded anew for every tile: see [`open_dataset`][].
+
+    Samples that the data set leaves out come masked. `mask` holds the pixels of which
+    any is left: the others count as outside if [`fit_maps`][] is told.
+
+        data = pf.open_dataset("ballPNG")
+        stack = pf.DatasetStack(data)
+        maps = pf.fit_maps(data.scenes, stack, mask=stack.mask, film=data.film)
+    """
+
+    def __init__(self, photographs: Photographs):
+        """Reads every photograph once, to know that all are sound.
+
+        **Arguments:** `photographs`: read again when they are wanted.
+
+        **Raises:** `ValueError` that names the file that is missing or wrong.
+        """
+        camera = photographs.scenes[0].camera
+        self.photographs = photographs
+        self.mask = np.zeros((camera.height, camera.width), bool)
+        checksum = hashlib.blake2b(digest_size=16)
+        for number in range(len(photographs.names)):
+            image, mask = photographs.read(number)
+            self.mask |= mask.reshape(*self.mask.shape, -1).any(axis=-1)
+            for array in (image, mask):
+                checksum.update(f"{array.dtype.str} {array.shape}".encode())
+                checksum.update(np.ascontiguousarray(array).data.cast("B"))
+        self._checksum = checksum.digest()
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return len(self.photographs.names), *self.mask.shape
+
+    def take(
+        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
+    ) -> Float[np.ndarray, "images n 3"]:
+        light = np.empty((len(order), len(pixels), 3), _float_type())
+        used = np.empty(light.shape, bool)
+        for row, k in enumerate(order):
+            image, mask = self.photographs.read(k)
+            light[row] = gather(image, pixels)
+            used[row] = gather(mask.reshape(*mask.shape[:2], -1), pixels)
+        return np.ma.MaskedArray(light, ~used)
+
+    def identify(self, update: Update) -> None:
+        update(self._checksum)
 
 
 def as_stack(images: Any) -> AbstractStack:
