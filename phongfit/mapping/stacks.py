@@ -10,7 +10,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from phongfit.files.dataset import Photographs
 from phongfit.files.images import read_image
@@ -200,68 +200,6 @@ class DatasetStack(AbstractStack):
 def as_stack(images: Any) -> AbstractStack:
     """`images` as a stack: one already, or arrays; `ValueError` for anything else."""
     return images if isinstance(images, AbstractStack) else ArrayStack(images)
-
-
-class Masks:
-    """Which samples may be used: one mask for all images, or one for each."""
-
-    def __init__(self, mask: Any, shape: tuple[int, int, int]):
-        """**Arguments:**
-
-        - `mask`: `None`, (H, W), (H, W, 3), or a sequence of these, one an image.
-        - `shape`: of the stack.
-
-        **Raises:** `ValueError` that names the mask.
-        """
-        count, *size = shape
-        fine = (tuple(size), (*size, 3))
-        if mask is not None and isinstance(mask, list | tuple) is False:
-            mask = np.asarray(mask)
-            if mask.shape in fine:
-                mask = [mask]
-            elif mask.ndim < 3:
-                raise ValueError(
-                    f"mask: shape {mask.shape} came, {fine[0]} or {fine[1]} is wanted"
-                )
-        masks = [] if mask is None else [np.asarray(each) for each in mask]
-        if mask is not None and len(masks) not in (1, count):
-            raise ValueError(f"mask: {len(masks)} came for {count} images")
-        for k, each in enumerate(masks):
-            which = f"mask[{k}]" if len(masks) > 1 else "mask"
-            if each.shape not in fine or each.dtype.kind not in "biuf":
-                raise ValueError(
-                    f"{which}: {each.dtype} of shape {each.shape} came, "
-                    f"{fine[0]} or {fine[1]} is wanted"
-                )
-        self._masks = masks
-
-    def anywhere(self, size: tuple[int, int]) -> Bool[np.ndarray, "height width"]:
-        """Pixels of which any sample may be used."""
-        seen = np.zeros(size, bool) if self._masks else np.ones(size, bool)
-        for mask in self._masks:
-            seen |= mask.astype(bool).reshape(*size, -1).any(axis=-1)
-        return seen
-
-    def take(
-        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
-    ) -> Bool[np.ndarray, "some_images n some_channels"]:
-        """Whether samples of some pixels may be used."""
-        if not self._masks:
-            return np.ones((1, len(pixels), 1), bool)
-        if len(self._masks) == 1:
-            order = (0,)
-        coloured = any(mask.ndim == 3 for mask in self._masks)
-        rows = [self._masks[k].astype(bool) for k in order]
-        rows = [row if row.ndim == 3 else row[..., None] for row in rows]
-        taken = [gather(row, pixels) for row in rows]
-        shape = (len(pixels), 3 if coloured else 1)
-        return np.stack([np.broadcast_to(row, shape) for row in taken])
-
-    def identify(self, update: Update) -> None:
-        """Feed the masks to a checksum."""
-        for mask in self._masks:
-            update(f"{mask.shape}".encode())
-            update(np.packbits(mask.astype(bool)).tobytes())
 
 
 def gather(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
