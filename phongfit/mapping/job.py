@@ -56,7 +56,7 @@ class Geometry:
 
 
 def check_scenes(scenes: Any) -> tuple[Scene, ...]:
-    """Scenes of one surface and camera, lit pixel by pixel, that differ in light only.
+    """Scenes of one surface and camera, lit pixel by pixel, otherwise in any light.
 
     **Raises:** `ValueError` that names the scene.
     """
@@ -70,13 +70,11 @@ def check_scenes(scenes: Any) -> tuple[Scene, ...]:
                 f"scenes[{k}]: {type(scene.shading).__name__} came; a material per "
                 "pixel needs PhongShading, which lights every pixel on its own"
             )
-        if scene.fog is not None:
-            raise ValueError(f"scenes[{k}]: fog came, maps are fitted without")
         for what in ("surface", "camera", "specular", "local_viewer"):
             if not _same(getattr(scene, what), getattr(first, what)):
                 raise ValueError(
                     f"scenes[{k}]: its {what} is not that of scenes[0]; scenes of one "
-                    "map differ in their lights only"
+                    "map differ in their lights and fog only"
                 )
     _check_power(first)
     return scenes
@@ -308,7 +306,9 @@ def identify(
     light = hashlib.blake2b(digest_size=16)
     for leaf in jax.tree.leaves(outside):
         light.update(np.ascontiguousarray(leaf).tobytes())
-    light.update(repr(outside.lighting.order).encode())
+    lighting = outside.lighting
+    modes = [None if kind.fog is None else kind.fog.mode for kind in lighting.kinds]
+    light.update(repr((lighting.order, modes)).encode())
     place = hashlib.blake2b(digest_size=16)
     for array in (geometry.normal, geometry.position, geometry.to_viewer):
         place.update(np.ascontiguousarray(array).data.cast("B"))

@@ -68,7 +68,8 @@ def fit_maps(
 
     **Arguments:**
 
-    - `scenes`: one for each image; they share surface and camera and differ in lights.
+    - `scenes`: one for each image; they share surface and camera and differ in lights
+        and fog.
     - `images`: (L, H, W, 3) or a sequence of (H, W, 3), linear light as floats where
         white is 1, in memory or memory-mapped, or an [`AbstractStack`][] such as
         [`PhotographStack`][], which reads files, or [`DatasetStack`][].

@@ -101,7 +101,8 @@ def fit_pixel(
         sound = finite & (samples.target < settings.cutoff)
     # Numbers rather than flags from here on: sums of those are slow.
     weight = jnp.where(sound, samples.weight, 0)
-    target = jnp.where(sound, samples.target, 0) * weight
+    light = samples.target if samples.veil is None else samples.target - samples.veil
+    target = jnp.where(sound, light, 0) * weight
     infinite = jnp.where(finite, 0, samples.weight)
     weight, target = settled((weight, target))
     lost = jnp.sum(infinite) > 0

@@ -18,6 +18,7 @@ class PixelSamples(eqx.Module):
     diffuse: Float[Array, "channels images"]
     strength: tuple[Float[Array, "channels images"], ...]
     log_cosine: tuple[Float[Array, " images"], ...]
+    veil: Float[Array, "channels images"] | None = None
 
 
 PixelSamples.__init__.__doc__ = r"""**Arguments:**
@@ -29,6 +30,7 @@ PixelSamples.__init__.__doc__ = r"""**Arguments:**
 - `strength`: of each highlight at its centre, for $\rho_s = 1$.
 - `log_cosine`: logarithm of the cosine from its centre; very negative where there is
     none.
+- `veil`: light of the fog in front, which `target` holds too; `None` without any.
 """
 
 

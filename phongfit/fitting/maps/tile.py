@@ -105,6 +105,7 @@ def _fit_block(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
             basis.diffuse,
             basis.strength,
             basis.log_cosine,
+            basis.veil,
         )
         return fit_pixel(samples, outside.known, outside.noise, settings)
 
