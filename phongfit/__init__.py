@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from phongfit.environment import Fog as Fog
     from phongfit.files.datasets import (
         Dataset as Dataset,
+        open_dataset as open_dataset,
         read_dataset as read_dataset,
     )
     from phongfit.files.images import (
@@ -73,6 +74,7 @@ if TYPE_CHECKING:
     from phongfit.mapping.run import fit_maps as fit_maps
     from phongfit.mapping.stacks import (
         AbstractStack as AbstractStack,
+        DatasetStack as DatasetStack,
         PhotographStack as PhotographStack,
     )
     from phongfit.material import (
@@ -117,6 +119,7 @@ _ORIGINS = {
     "BoundedLevenbergMarquardt": "phongfit.fitting.solver",
     "Cauchy": "phongfit.fitting.losses",
     "Dataset": "phongfit.files.datasets",
+    "DatasetStack": "phongfit.mapping.stacks",
     "DirectionalLight": "phongfit.lights",
     "Estimate": "phongfit.fitting.result",
     "Film": "phongfit.rendering.film",
@@ -159,6 +162,7 @@ _ORIGINS = {
     "load_mesh": "phongfit.files.meshes",
     "load_scene": "phongfit.files.scenes",
     "look_at": "phongfit.geometry.cameras",
+    "open_dataset": "phongfit.files.datasets",
     "phong_from_blinn": "phongfit.reflectance",
     "pixel_terms": "phongfit.rendering.pixels",
     "predict_errors": "phongfit.fitting.predict",

@@ -1,16 +1,17 @@
 """Photographs from a data set's folder, or one image with its scene file."""
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
 from tyro.conf import Positional, arg
 
 from phongfit.commands.options import optional
-from phongfit.files.dataset import Dataset
-from phongfit.files.datasets import read_dataset, read_diligent
+from phongfit.files.dataset import Dataset, Photograph, Photographs
+from phongfit.files.datasets import open_dataset
 from phongfit.files.diligent import is_diligent
 from phongfit.files.fits import DataRecord, DataSettings
 from phongfit.files.images import read_image, read_mask
@@ -19,8 +20,11 @@ from phongfit.files.records import read_record
 from phongfit.files.scenes import SCENE_FILE, TRUTH_FILE, build_scene, with_lights
 from phongfit.files.schema import SceneRecord
 from phongfit.fitting.noise import find_film
+from phongfit.mapping.stacks import DatasetStack
 from phongfit.rendering.film import Encoding
 from phongfit.scene import Scene
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -62,11 +66,24 @@ def read_data(options: DataOptions) -> tuple[Dataset, DataRecord]:
 
     **Raises:** `ValueError` that names the file or the option.
     """
+    return _recorded(options, Photographs.load)
+
+
+def stack_data(options: DataOptions) -> tuple[DatasetStack, DataRecord]:
+    """The same, with a photograph in memory while it is looked at only."""
+    return _recorded(options, DatasetStack)
+
+
+def _recorded(
+    options: DataOptions, make: Callable[[Photographs], T]
+) -> tuple[T, DataRecord]:
+    """What is made of the photographs, which reads them all, and a record of them."""
     with recording() as checksums:
         if options.dataset.is_dir():
-            data = _read_folder(options)
+            photographs = _open_folder(options)
         else:
-            data = _read_single(options)
+            photographs = _read_single(options)
+        made = make(photographs)
     files = {path.resolve(): digest for path, digest in checksums.items()}
     home = options.dataset.resolve()
     home = home if home.is_dir() else home.parent
@@ -82,34 +99,35 @@ def read_data(options: DataOptions) -> tuple[Dataset, DataRecord]:
         min_facing=options.min_facing,
         room_light=options.room_light,
     )
-    return data, DataRecord(name=data.name, reading=reading, inputs=inputs)
+    return made, DataRecord(name=photographs.name, reading=reading, inputs=inputs)
 
 
-def _read_folder(options: DataOptions) -> Dataset:
+def _open_folder(options: DataOptions) -> Photographs:
     folder = options.dataset
     for name in ("scene", "mask", "encoding"):
         if getattr(options, name) is not None:
             raise ValueError(f"{name}: {folder} is a folder, which says this itself")
-    if (folder / SCENE_FILE).exists() or not is_diligent(folder):
-        return read_dataset(folder)
-    data = read_diligent(
+    photographs = open_dataset(
         folder, min_cosine=options.min_cosine, min_facing=options.min_facing
     )
-    return in_a_room(data, options.room_light)
+    if (folder / SCENE_FILE).exists() or not is_diligent(folder):
+        return photographs
+    return in_a_room(photographs, options.room_light)
 
 
-def in_a_room(data: Dataset, light: float) -> Dataset:
+def in_a_room(data: Photographs, light: float) -> Photographs:
     """Photographs of DiLiGenT with ambient light that their layout does not know."""
-    room = (
-        dataclasses.replace(scene, ambient=np.full(3, light, image.dtype))
-        for scene, image in zip(data.scenes, data.images, strict=True)
-    )
-    # Where one channel is saturated, its neighbours are blurred by it.
-    masks = (mask.all(axis=-1) if mask.ndim == 3 else mask for mask in data.masks)
-    return dataclasses.replace(data, scenes=tuple(room), masks=tuple(masks))
+
+    def read(number: int) -> Photograph:
+        image, mask = data.read(number)
+        # Where one channel is saturated, its neighbours are blurred by it.
+        return Photograph(image, mask.all(axis=-1))
+
+    room = (dataclasses.replace(scene, ambient=light) for scene in data.scenes)
+    return dataclasses.replace(data, scenes=tuple(room), read=read)
 
 
-def _read_single(options: DataOptions) -> Dataset:
+def _read_single(options: DataOptions) -> Photographs:
     path = options.dataset
     if not path.exists():
         raise ValueError(f"{path}: there is no such file or folder")
@@ -135,7 +153,8 @@ def _read_single(options: DataOptions) -> Dataset:
                 f"{options.scene} wants {wanted}"
             )
     film = find_film([image]) if record.clamped else record.film()
-    return Dataset(path.stem, (scene,), (image,), (mask,), (path.name,), film)
+    photograph = Photograph(image, mask)
+    return Photographs(path.stem, (scene,), (path.name,), film, lambda _: photograph)
 
 
 def _scene_of(path: Path, file: Path, record: SceneRecord) -> Scene:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from tyro.conf import OmitArgPrefixes
 
 from phongfit.commands.cache import keep_compiled
-from phongfit.commands.data import DataOptions, read_data
+from phongfit.commands.data import DataOptions, stack_data
 from phongfit.commands.options import (
     Names,
     OutFolder,
@@ -17,7 +17,7 @@ from phongfit.commands.options import (
     parse_bounds,
 )
 from phongfit.commands.progress import stage
-from phongfit.files.dataset import Dataset
+from phongfit.files.dataset import Photographs
 from phongfit.files.describe import describe_material
 from phongfit.files.fits import DataRecord, LossName
 from phongfit.files.inputs import naming
@@ -34,6 +34,7 @@ from phongfit.mapping.folder import (
 )
 from phongfit.mapping.result import LEAVES, Maps
 from phongfit.mapping.run import fit_maps
+from phongfit.mapping.stacks import DatasetStack
 from phongfit.material import Material
 
 TILES = "tiles"
@@ -57,8 +58,8 @@ class Options:
             (settings and versions). Until all is done it holds finished tiles: the same
             command goes on from there.
         highlight: own: every pixel has its own. shared: one for all, which a fit of one
-            material finds first; for few lights or sharp highlights, of which a pixel
-            sees one at most.
+            material finds first, with all photographs in memory; for few lights or
+            sharp highlights, of which a pixel sees one at most.
         unknowns: Leaves to be found, of ambient diffuse specular shininess.
         per_channel: Which of them differ between red, green and blue; with shininess,
             each channel has its own exponent.
@@ -98,11 +99,12 @@ def main(options: Options) -> int:
     keep_compiled()
     check_folder(options.out.resolve(), _replaceable(options))
     given = _given(options)
-    data, read = read_data(options.data)
+    stack, read = stack_data(options.data)
     if options.highlight == "shared":
-        given |= {"known": _shared(data, given), "unknowns": SHARED}
+        known = _shared(stack.photographs, given)
+        given |= {"known": known, "unknowns": SHARED}
     try:
-        _finish(options, data, read, given)
+        _finish(options, stack, read, given)
     except KeyboardInterrupt:
         stay = f"finished tiles stay in {options.out}, the same command goes on there"
         raise KeyboardInterrupt(stay) from None
@@ -110,14 +112,15 @@ def main(options: Options) -> int:
 
 
 def _finish(
-    options: Options, data: Dataset, read: DataRecord, given: dict[str, Any]
+    options: Options, stack: DatasetStack, read: DataRecord, given: dict[str, Any]
 ) -> None:
     """Fit what is not yet fitted; then all of OUT at once, in place of the tiles."""
+    scenes = stack.photographs.scenes
     found = fit_maps(
-        data.scenes,
-        data.images,
-        mask=data.masks,
-        film=data.film,
+        scenes,
+        stack,
+        mask=stack.mask,
+        film=stack.photographs.film,
         tile_pixels=options.tile_pixels,
         output=options.out / TILES,
         **given,
@@ -129,8 +132,8 @@ def _finish(
             found,
             data=read,
             settings=_settings(given),
-            model=data.scenes[0].specular,
-            normals=seen_normals(data.scenes[0]),
+            model=scenes[0].specular,
+            normals=seen_normals(scenes[0]),
         )
         if options.pictures:
             with stage("drawing"):
@@ -164,9 +167,10 @@ def _given(options: Options) -> dict[str, Any]:
     }
 
 
-def _shared(data: Dataset, given: dict[str, Any]) -> Material:
+def _shared(photographs: Photographs, given: dict[str, Any]) -> Material:
     """One material for all pixels, whose highlight each of them is given."""
     with stage("fitting one material"):
+        data = photographs.load()
         options = given | {"mask": data.masks, "film": data.film}
         one = fit(data.scenes, data.images, **options)
     print(one, "\n", flush=True)

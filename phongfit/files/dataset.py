@@ -1,6 +1,8 @@
 """A data set: photographs, the scene of each, and which samples may be used."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -51,3 +53,40 @@ class Dataset:
                         f"{name}: {what} of shape {array.shape} came, the camera's "
                         f"{' or '.join(str(shape) for shape in wanted)} is wanted"
                     )
+
+
+class Photograph(NamedTuple):
+    """Linear light of one image, and where it may be used."""
+
+    image: Float[np.ndarray, "height width 3"]
+    mask: Bool[np.ndarray, "height width *channel"]
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """A data set of which every photograph is read when it is asked for.
+
+    - `read`: the photograph of a number, from 0 on; it raises `ValueError` that names
+        the file that is missing or wrong.
+    - `name`, `scenes`, `names`, `film`, `truth`: as in [`Dataset`][].
+    """
+
+    name: str
+    scenes: tuple[Scene, ...]
+    names: tuple[str, ...]
+    film: Film
+    read: Callable[[int], Photograph]
+    truth: Material | None = None
+
+    def load(self) -> Dataset:
+        """All of it in memory."""
+        read = [self.read(number) for number in range(len(self.names))]
+        return Dataset(
+            self.name,
+            self.scenes,
+            tuple(image for image, _ in read),
+            tuple(mask for _, mask in read),
+            self.names,
+            self.film,
+            self.truth,
+        )

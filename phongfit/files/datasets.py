@@ -3,16 +3,21 @@
 import os
 from pathlib import Path
 
-from phongfit.files.dataset import Dataset as Dataset
-from phongfit.files.diligent import is_diligent, read_diligent as read_diligent
-from phongfit.files.scenes import SCENE_FILE, read_scene_dataset
+from phongfit.files.dataset import Dataset as Dataset, Photographs
+from phongfit.files.diligent import is_diligent, open_diligent
+from phongfit.files.scenes import SCENE_FILE, open_scene_dataset
 
 
-def read_dataset(folder: str | os.PathLike[str]) -> Dataset:
-    """A data set from its folder, in our own layout or in DiLiGenT's.
+def open_dataset(
+    folder: str | os.PathLike[str],
+    *,
+    min_cosine: float = -1.0,
+    min_facing: float = -1.0,
+) -> Photographs:
+    """A data set from its folder, in our own layout or in DiLiGenT's, images unread.
 
-    Ours has a `scene.json`: see [`read_scene_dataset`][]. DiLiGenT's has a
-    `filenames.txt`: see [`read_diligent`][].
+    Ours has a `scene.json`: see [`open_scene_dataset`][]. DiLiGenT's has a
+    `filenames.txt`: see [`open_diligent`][], which knows the two options.
 
     **Raises:** `ValueError` that names the file that is missing or wrong.
     """
@@ -20,10 +25,21 @@ def read_dataset(folder: str | os.PathLike[str]) -> Dataset:
     if not folder.is_dir():
         raise ValueError(f"{folder}: there is no such folder")
     if (folder / SCENE_FILE).exists():
-        return read_scene_dataset(folder)
+        return open_scene_dataset(folder)
     if is_diligent(folder):
-        return read_diligent(folder)
+        return open_diligent(folder, min_cosine=min_cosine, min_facing=min_facing)
     raise ValueError(
         f"{folder}: is no data set: it has neither a {SCENE_FILE} nor, as DiLiGenT "
         "has, a filenames.txt"
     )
+
+
+def read_dataset(
+    folder: str | os.PathLike[str],
+    *,
+    min_cosine: float = -1.0,
+    min_facing: float = -1.0,
+) -> Dataset:
+    """The same with all images in memory; raises as [`open_dataset`][] does."""
+    options = {"min_cosine": min_cosine, "min_facing": min_facing}
+    return open_dataset(folder, **options).load()

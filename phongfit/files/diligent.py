@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from phongfit.files.dataset import Dataset
+from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import read_image, read_mask
 from phongfit.files.inputs import inside, naming, read_bytes, read_table, read_text
 from phongfit.geometry.cameras import OrthographicCamera
@@ -26,12 +26,12 @@ def is_diligent(folder: Path) -> bool:
     return (folder / "filenames.txt").exists()
 
 
-def read_diligent(
+def open_diligent(
     folder: str | os.PathLike[str],
     *,
     min_cosine: float = -1.0,
     min_facing: float = -1.0,
-) -> Dataset:
+) -> Photographs:
     """One object of DiLiGenT: linear photographs, each under one distant light.
 
     They are divided by the intensities of their lights, so that each light's intensity
@@ -59,22 +59,25 @@ def read_diligent(
     used = inside_mask & (normals[..., 2] > min_facing)
     height, width = inside_mask.shape
     camera = OrthographicCamera(width, height)
-    scenes, images, masks = [], [], []
-    for name, direction, intensity in zip(names, directions, intensities, strict=True):
-        image = _read_photograph(folder, name, inside_mask.shape)
+
+    def read(number: int) -> Photograph:
+        image = _read_photograph(folder, names[number], inside_mask.shape)
+        direction = directions[number]
         cosine = normals @ (direction / np.linalg.norm(direction))
-        scenes.append(Scene(surface, camera, DirectionalLight(direction)))
-        images.append(image / intensity.astype(image.dtype))
         # Divided, 65535 is a different number in each channel, so this comes first.
-        masks.append((used & (cosine > min_cosine))[..., None] & (image < 1))
-    return Dataset(
+        mask = (used & (cosine > min_cosine))[..., None] & (image < 1)
+        return Photograph(image / intensities[number].astype(image.dtype), mask)
+
+    return Photographs(
         folder.resolve().name,
-        tuple(scenes),
-        tuple(images),
-        tuple(masks),
+        tuple(
+            Scene(surface, camera, DirectionalLight(direction))
+            for direction in directions
+        ),
         names,
         # Nothing that is left in the masks was cut off.
         Film(clamp=False),
+        read,
     )
 
 

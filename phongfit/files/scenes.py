@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from phongfit.files.arrays import write_array
-from phongfit.files.dataset import Dataset
+from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.describe import describe, describe_material, describe_surface
 from phongfit.files.images import read_image, read_mask, write_image
 from phongfit.files.inputs import inside, naming, naming_field
@@ -141,7 +140,7 @@ def save_truth(
     write_json(path, head | {"material": describe_material(material)} | known)
 
 
-def read_scene_dataset(folder: str | os.PathLike[str]) -> Dataset:
+def open_scene_dataset(folder: str | os.PathLike[str]) -> Photographs:
     """A data set whose `scene.json` lists its images.
 
     **Raises:** `ValueError` that names the file, the field, what came and what is
@@ -154,15 +153,17 @@ def read_scene_dataset(folder: str | os.PathLike[str]) -> Dataset:
     scene = build_scene(path, record)
     with naming(str(path)):
         _check_images(record)
-    read = [_read_entry(path, record, scene, at) for at in range(len(record.images))]
-    return Dataset(
-        name=folder.resolve().name,
-        scenes=tuple(scene for scene, _, _ in read),
-        images=tuple(image for _, image, _ in read),
-        masks=tuple(mask for _, _, mask in read),
-        names=tuple(entry.file for entry in record.images),
-        film=record.film(),
-        truth=load_truth(truth) if truth.exists() else None,
+    scenes = []
+    for at, entry in enumerate(record.images):
+        with naming_field(f"{path}: images[{at}]"):
+            scenes.append(with_lights(scene, entry.lights))
+    return Photographs(
+        folder.resolve().name,
+        tuple(scenes),
+        tuple(entry.file for entry in record.images),
+        record.film(),
+        lambda number: _read_entry(path, record, scene.camera, number),
+        load_truth(truth) if truth.exists() else None,
     )
 
 
@@ -223,12 +224,10 @@ def _check_images(record: SceneRecord) -> None:
 
 
 def _read_entry(
-    path: Path, record: SceneRecord, scene: Scene, at: int
-) -> tuple[
-    Scene, Float[np.ndarray, "height width 3"], Bool[np.ndarray, "height width"]
-]:
-    """Scene, image and mask of one photograph of a data set."""
-    entry, size = record.images[at], (scene.camera.height, scene.camera.width)
+    path: Path, record: SceneRecord, camera: AbstractCamera, at: int
+) -> Photograph:
+    """Image and mask of one photograph of a data set."""
+    entry, size = record.images[at], (camera.height, camera.width)
     with naming(f"{path}: images[{at}]"):
         file = inside(path.parent, entry.file)
         mask_file = None if entry.mask is None else inside(path.parent, entry.mask)
@@ -240,8 +239,7 @@ def _read_entry(
                 f"{source}: {shape[1]} × {shape[0]} pixels came, the camera in "
                 f"{path.name} wants {size[1]} × {size[0]}"
             )
-    with naming_field(f"{path}: images[{at}]"):
-        return with_lights(scene, entry.lights), image, mask
+    return Photograph(image, mask)
 
 
 def with_lights(scene: Scene, on: Sequence[int] | None) -> Scene:

@@ -18,7 +18,7 @@ from phongfit.fitting.maps.tile import Outside, Tile
 from phongfit.fitting.result import Fit
 from phongfit.geometry.shading import PhongShading
 from phongfit.geometry.tracing import trace
-from phongfit.mapping.stacks import Masks
+from phongfit.mapping.layers import Masks, Noise
 from phongfit.material import Material
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
@@ -56,7 +56,7 @@ class Geometry:
 
 
 def check_scenes(scenes: Any) -> tuple[Scene, ...]:
-    """Scenes of one surface and camera, lit pixel by pixel, that differ in light only.
+    """Scenes of one surface and camera, lit pixel by pixel, otherwise in any light.
 
     **Raises:** `ValueError` that names the scene.
     """
@@ -70,13 +70,11 @@ def check_scenes(scenes: Any) -> tuple[Scene, ...]:
                 f"scenes[{k}]: {type(scene.shading).__name__} came; a material per "
                 "pixel needs PhongShading, which lights every pixel on its own"
             )
-        if scene.fog is not None:
-            raise ValueError(f"scenes[{k}]: fog came, maps are fitted without")
         for what in ("surface", "camera", "specular", "local_viewer"):
             if not _same(getattr(scene, what), getattr(first, what)):
                 raise ValueError(
                     f"scenes[{k}]: its {what} is not that of scenes[0]; scenes of one "
-                    "map differ in their lights only"
+                    "map differ in their lights and fog only"
                 )
     _check_power(first)
     return scenes
@@ -155,7 +153,7 @@ def make_settings(
     film: Film | None,
     loss: Any,
     start: Any,
-    noise: Any,
+    noise: Noise,
     min_cosine: float,
 ) -> Settings:
     """Settings of a pixel's fit, checked.
@@ -203,7 +201,8 @@ def make_settings(
         loss=as_loss(loss),
         scanned=start is None,
         min_cosine=float(min_cosine),
-        noise_given=noise is not None,
+        noise_given=noise.known,
+        weighted=noise.varies,
         cutoff=cutoff,
         exactly=exactly,
     )
@@ -257,16 +256,13 @@ def check_enough(settings: Settings, images: int) -> None:
 
 
 def make_outside(
-    lighting: Lighting, settings: Settings, known: Any, start: Any, noise: Any
+    lighting: Lighting, settings: Settings, known: Any, start: Any, noise: Noise
 ) -> Outside:
     """What all tiles share.
 
     **Raises:** `ValueError` that names the argument.
     """
     dtype = jnp.result_type(float)
-    level = 1.0 if noise is None else noise
-    if not np.ndim(level) == 0 or not np.isfinite(level) or not level > 0:
-        raise ValueError(f"noise: {noise!r} came, a number > 0 is wanted")
     base = Material(0.0, 0.0, 32.0, 0.0) if known is None else known
     if not isinstance(base, Material):
         raise ValueError(f"known: {type(base).__name__} came, a Material is wanted")
@@ -288,7 +284,7 @@ def make_outside(
     return Outside(
         lighting,
         Known(*(jnp.asarray(v, dtype) for v in (*values, exponents))),
-        jnp.asarray(level, dtype),
+        jnp.asarray(noise.level, dtype),
     )
 
 
@@ -300,13 +296,19 @@ def _three(name: str, leaf: Any) -> np.ndarray:
 
 
 def identify(
-    settings: Settings, outside: Outside, geometry: Geometry, masks: Masks
+    settings: Settings,
+    outside: Outside,
+    geometry: Geometry,
+    masks: Masks,
+    noise: Noise,
 ) -> dict[str, str]:
     """Checksums of all that the result rests on, save for the images."""
     light = hashlib.blake2b(digest_size=16)
     for leaf in jax.tree.leaves(outside):
         light.update(np.ascontiguousarray(leaf).tobytes())
-    light.update(repr(outside.lighting.order).encode())
+    lighting = outside.lighting
+    modes = [None if kind.fog is None else kind.fog.mode for kind in lighting.kinds]
+    light.update(repr((lighting.order, modes)).encode())
     place = hashlib.blake2b(digest_size=16)
     for array in (geometry.normal, geometry.position, geometry.to_viewer):
         place.update(np.ascontiguousarray(array).data.cast("B"))
@@ -314,8 +316,11 @@ def identify(
         place.update(np.ascontiguousarray(geometry.visibility).data.cast("B"))
     place.update(np.packbits(geometry.mask).tobytes())
     masks.identify(place.update)
+    level = hashlib.blake2b(digest_size=16)
+    noise.identify(level.update)
     return {
         "settings": repr(settings),
         "lights": light.hexdigest(),
         "surface": place.hexdigest(),
+        "noise": level.hexdigest(),
     }

@@ -39,7 +39,7 @@ class Maps:
     samples: Int[np.ndarray, "height width"]
     flags: Int[np.ndarray, "height width"]
     unknowns: tuple[str, ...]
-    noise_given: float | None
+    noise_given: float | Float[np.ndarray, "height width"] | None
 
     @property
     def material(self) -> Material:
@@ -119,12 +119,13 @@ Maps.__init__.__doc__ = """**Arguments:**
 - `stderr`: the same four: infinite for what cannot be told, 0 for what was known. Of a
     reflectance at its bound the error is one-sided.
 - `noise`: (H, W), root mean square of a pixel's residuals a degree of freedom, in
-    linear light; NaN outside.
+    linear light; NaN outside. Where `noise_given` varies, that of the pixel times the
+    root of χ².
 - `samples`: (H, W), how many were used.
 - `flags`: (H, W), bits of [`Flag`][]: why a pixel is not told, or told with care.
 - `unknowns`: names of the leaves that were looked for.
 - `noise_given`: standard deviation of a sample that errors rest on, or `None` if each
-    pixel's residuals told it.
+    pixel's residuals told it. (H, W) if it varies: the root mean square of a pixel's.
 """
 
 
@@ -136,7 +137,9 @@ def load_maps(path: str | os.PathLike[str]) -> Maps:
     """
     try:
         with np.load(io.BytesIO(read_bytes(Path(path))), allow_pickle=False) as arrays:
-            given = float(arrays["noise_given"])
+            given: Any = arrays["noise_given"]
+            if given.ndim == 0:
+                given = None if np.isnan(given) else float(given)
             leaves: Any = {name: arrays[name] for name in LEAVES}
             stderr: Any = {name: arrays[f"stderr_{name}"] for name in LEAVES}
             return Maps(
@@ -146,7 +149,7 @@ def load_maps(path: str | os.PathLike[str]) -> Maps:
                 samples=arrays["samples"],
                 flags=arrays["flags"],
                 unknowns=tuple(str(name) for name in arrays["unknowns"]),
-                noise_given=None if np.isnan(given) else given,
+                noise_given=given,
             )
     except Exception as error:
         # A broken file makes this reader raise nearly anything.

@@ -28,8 +28,9 @@ from phongfit.mapping.job import (
     make_settings,
     resolve,
 )
+from phongfit.mapping.layers import Masks, Noise
 from phongfit.mapping.result import Leaves, Maps
-from phongfit.mapping.stacks import Masks, as_stack
+from phongfit.mapping.stacks import as_stack
 from phongfit.mapping.store import TileStore
 from phongfit.material import Material
 from phongfit.rendering.film import Film
@@ -48,7 +49,7 @@ def fit_maps(
     known: Material | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     mask: Any = None,
-    noise: float | None = None,
+    noise: Any = None,
     film: Film | None = None,
     loss: str | AbstractLoss = "linear",
     start: Fit | Material | None = None,
@@ -67,10 +68,11 @@ def fit_maps(
 
     **Arguments:**
 
-    - `scenes`: one for each image; they share surface and camera and differ in lights.
+    - `scenes`: one for each image; they share surface and camera and differ in lights
+        and fog.
     - `images`: (L, H, W, 3) or a sequence of (H, W, 3), linear light as floats where
         white is 1, in memory or memory-mapped, or an [`AbstractStack`][] such as
-        [`PhotographStack`][], which reads files.
+        [`PhotographStack`][], which reads files, or [`DatasetStack`][].
     - `unknowns`: leaves to be found. Where no ambient light falls, `ambient` is not.
     - `per_channel`: with `"shininess"` each channel has its own exponent.
     - `known`: values of the leaves that are not unknown; default no reflectance and an
@@ -78,8 +80,9 @@ def fit_maps(
     - `bounds`: name → (low, high), as in [`fit`][].
     - `mask`: (H, W) or (H, W, 3), true where samples may be used; or one for each
         image.
-    - `noise`: standard deviation of a sample in linear light. By default each pixel's
-        residuals tell it.
+    - `noise`: standard deviation of a sample in linear light: a number, (H, W) or
+        (H, W, 3), or one of these for each image; samples then count by how little
+        noise they have. By default each pixel's residuals tell it.
     - `film`: `Film()`: samples of 1 and above are saturated, and left out.
         `Film(clamp=False)`: none is. Default: only those of exactly 1, since one beyond
         shows that nothing was cut off.
@@ -102,6 +105,7 @@ def fit_maps(
     scenes = check_scenes(scenes)
     stack = as_stack(images)
     _check_sizes(scenes, stack.shape)
+    levels = Noise(noise, stack.shape)
     settings = make_settings(
         scenes,
         unknowns,
@@ -110,15 +114,15 @@ def fit_maps(
         film,
         loss,
         start,
-        noise,
+        levels,
         min_cosine,
     )
     check_enough(settings, len(scenes))
     lighting = make_lighting(scenes)
-    outside = make_outside(lighting, settings, known, start, noise)
+    outside = make_outside(lighting, settings, known, start, levels)
     masks = Masks(mask, stack.shape)
     geometry = resolve(scenes, lighting)
-    seen = geometry.mask & masks.anywhere(geometry.mask.shape)
+    seen = geometry.mask & masks.anywhere()
     pixels = np.flatnonzero(seen)
     if not len(pixels):
         raise ValueError("mask: it leaves no pixel that sees the surface")
@@ -127,7 +131,7 @@ def fit_maps(
     tiles = [pixels[k : k + size] for k in range(0, len(pixels), size)]
     store = None
     if output is not None:
-        job = identify(settings, outside, geometry, masks)
+        job = identify(settings, outside, geometry, masks, levels)
         checksum = hashlib.blake2b(digest_size=16)
         stack.identify(checksum.update)
         job |= {
@@ -141,8 +145,9 @@ def fit_maps(
         if store is not None and store.load(tile) is not None:
             return None
         target = stack.take(tiles[tile], lighting.order)
-        used = masks.take(tiles[tile], lighting.order)
-        return geometry.tile(tiles[tile], target, used, size)
+        used = masks.take(tiles[tile], lighting.order) & ~np.ma.getmask(target)
+        used = levels.weigh(used, tiles[tile], lighting.order)
+        return geometry.tile(tiles[tile], np.ma.getdata(target), used, size)
 
     run = compiled(settings, mesh)
     maps = _Canvas(seen.shape, 1 if settings.shared else 3, outside.noise.dtype)
@@ -163,7 +168,7 @@ def fit_maps(
     return maps.finished(
         tuple(name for name in LEAVES if name in unknowns),
         hidden,
-        None if noise is None else float(noise),
+        levels,
     )
 
 
@@ -250,7 +255,7 @@ class _Canvas:
         self._flags[pixels] = tile.flags
 
     def finished(
-        self, unknowns: tuple[str, ...], hidden: tuple[str, ...], noise: float | None
+        self, unknowns: tuple[str, ...], hidden: tuple[str, ...], noise: Noise
     ) -> Maps:
         for name in hidden:
             self._errors[LEAVES.index(name)][:] = np.inf
@@ -264,12 +269,17 @@ class _Canvas:
             }
             for leaves in (self._values, self._errors)
         )
+        given: Any = noise.given()
+        left = self._noise.reshape(shape)
+        if noise.varies:
+            # Each sample was measured by its own noise.
+            left = left * given
         return Maps(
             **values,
             stderr=Leaves(**errors),
-            noise=self._noise.reshape(shape),
+            noise=left,
             samples=self._samples.reshape(shape),
             flags=self._flags.reshape(shape),
             unknowns=tuple(name for name in unknowns if name not in hidden),
-            noise_given=noise,
+            noise_given=given,
         )

@@ -1,6 +1,7 @@
 """Stacks of images, read piece by piece: memory need not hold them."""
 
 import abc
+import hashlib
 import mmap
 import os
 from collections.abc import Callable, Sequence
@@ -9,8 +10,9 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
+from phongfit.files.dataset import Photographs
 from phongfit.files.images import read_image
 from phongfit.files.inputs import read_bytes
 from phongfit.rendering.film import Encoding, as_encoding
@@ -36,6 +38,8 @@ class AbstractStack(abc.ABC):
 
         - `pixels`: flat indices, row by row, rising.
         - `order`: the images, in the order they are wanted.
+
+        **Returns:** an array; NumPy's masked one if samples may not be used.
 
         **Raises:** `ValueError` that names the file that is missing or broken.
         """
@@ -144,71 +148,58 @@ class PhotographStack(AbstractStack):
             update(read_bytes(path))
 
 
-def as_stack(images: Any) -> AbstractStack:
-    """`images` as a stack: one already, or arrays; `ValueError` for anything else."""
-    return images if isinstance(images, AbstractStack) else ArrayStack(images)
+class DatasetStack(AbstractStack):
+    """A data set's photographs, decoded anew for every tile: see [`open_dataset`][].
 
+    Samples that the data set leaves out come masked. `mask` holds the pixels of which
+    any is left: the others count as outside if [`fit_maps`][] is told.
 
-class Masks:
-    """Which samples may be used: one mask for all images, or one for each."""
+        data = pf.open_dataset("ballPNG")
+        stack = pf.DatasetStack(data)
+        maps = pf.fit_maps(data.scenes, stack, mask=stack.mask, film=data.film)
+    """
 
-    def __init__(self, mask: Any, shape: tuple[int, int, int]):
-        """**Arguments:**
+    def __init__(self, photographs: Photographs):
+        """Reads every photograph once, to know that all are sound.
 
-        - `mask`: `None`, (H, W), (H, W, 3), or a sequence of these, one an image.
-        - `shape`: of the stack.
+        **Arguments:** `photographs`: read again when they are wanted.
 
-        **Raises:** `ValueError` that names the mask.
+        **Raises:** `ValueError` that names the file that is missing or wrong.
         """
-        count, *size = shape
-        fine = (tuple(size), (*size, 3))
-        if mask is not None and isinstance(mask, list | tuple) is False:
-            mask = np.asarray(mask)
-            if mask.shape in fine:
-                mask = [mask]
-            elif mask.ndim < 3:
-                raise ValueError(
-                    f"mask: shape {mask.shape} came, {fine[0]} or {fine[1]} is wanted"
-                )
-        masks = [] if mask is None else [np.asarray(each) for each in mask]
-        if mask is not None and len(masks) not in (1, count):
-            raise ValueError(f"mask: {len(masks)} came for {count} images")
-        for k, each in enumerate(masks):
-            which = f"mask[{k}]" if len(masks) > 1 else "mask"
-            if each.shape not in fine or each.dtype.kind not in "biuf":
-                raise ValueError(
-                    f"{which}: {each.dtype} of shape {each.shape} came, "
-                    f"{fine[0]} or {fine[1]} is wanted"
-                )
-        self._masks = masks
+        camera = photographs.scenes[0].camera
+        self.photographs = photographs
+        self.mask = np.zeros((camera.height, camera.width), bool)
+        checksum = hashlib.blake2b(digest_size=16)
+        for number in range(len(photographs.names)):
+            image, mask = photographs.read(number)
+            self.mask |= mask.reshape(*self.mask.shape, -1).any(axis=-1)
+            for array in (image, mask):
+                checksum.update(f"{array.dtype.str} {array.shape}".encode())
+                checksum.update(np.ascontiguousarray(array).data.cast("B"))
+        self._checksum = checksum.digest()
 
-    def anywhere(self, size: tuple[int, int]) -> Bool[np.ndarray, "height width"]:
-        """Pixels of which any sample may be used."""
-        seen = np.zeros(size, bool) if self._masks else np.ones(size, bool)
-        for mask in self._masks:
-            seen |= mask.astype(bool).reshape(*size, -1).any(axis=-1)
-        return seen
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return len(self.photographs.names), *self.mask.shape
 
     def take(
         self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
-    ) -> Bool[np.ndarray, "some_images n some_channels"]:
-        """Whether samples of some pixels may be used."""
-        if not self._masks:
-            return np.ones((1, len(pixels), 1), bool)
-        if len(self._masks) == 1:
-            order = (0,)
-        coloured = any(mask.ndim == 3 for mask in self._masks)
-        rows = [self._masks[k].astype(bool) for k in order]
-        rows = [row if row.ndim == 3 else row[..., None] for row in rows]
-        taken = [gather(row, pixels) for row in rows]
-        shape = (len(pixels), 3 if coloured else 1)
-        return np.stack([np.broadcast_to(row, shape) for row in taken])
+    ) -> Float[np.ndarray, "images n 3"]:
+        light = np.empty((len(order), len(pixels), 3), _float_type())
+        used = np.empty(light.shape, bool)
+        for row, k in enumerate(order):
+            image, mask = self.photographs.read(k)
+            light[row] = gather(image, pixels)
+            used[row] = gather(mask.reshape(*mask.shape[:2], -1), pixels)
+        return np.ma.MaskedArray(light, ~used)
 
     def identify(self, update: Update) -> None:
-        """Feed the masks to a checksum."""
-        for mask in self._masks:
-            update(f"{mask.shape}".encode())
-            update(np.packbits(mask.astype(bool)).tobytes())
+        update(self._checksum)
+
+
+def as_stack(images: Any) -> AbstractStack:
+    """`images` as a stack: one already, or arrays; `ValueError` for anything else."""
+    return images if isinstance(images, AbstractStack) else ArrayStack(images)
 
 
 def gather(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:

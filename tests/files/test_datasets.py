@@ -14,7 +14,7 @@ import scipy.io
 import phongfit as pf
 from data_synth import make_dataset, make_lights, write_dataset
 from phongfit.files.dataset import Dataset
-from phongfit.files.datasets import read_dataset, read_diligent
+from phongfit.files.datasets import open_dataset, read_dataset
 from tests.helpers import photographs
 
 SIZE = 12
@@ -199,11 +199,25 @@ def test_diligent(diligent):
 
 
 def test_diligent_leaves_out_grazing_samples(diligent):
-    read = read_diligent(diligent, min_cosine=0.1, min_facing=0.15)
+    read = read_dataset(diligent, min_cosine=0.1, min_facing=0.15)
     used = [mask[..., 0] for mask in read.masks]
     # n_z = 0.1 at the first pixel; the second light is behind all of the others.
     assert np.array_equal(used[0], [[False, True, True], [True, True, False]])
     assert not used[1].any()
+
+
+@pytest.mark.parametrize("layout", ["diligent", "ours"])
+def test_photographs_are_read_when_they_are_wanted(layout, request):
+    """A file that goes missing matters to those alone who ask for it."""
+    folder = request.getfixturevalue(layout)
+    data, loaded = open_dataset(folder), read_dataset(folder)
+    (folder / "002.png").unlink()
+    image, mask = data.read(0)
+    assert np.array_equal(image, loaded.images[0])
+    assert np.array_equal(mask, loaded.masks[0])
+    for read in (lambda: data.read(1), data.load):
+        with pytest.raises(ValueError, match=r"002\.png: cannot be read"):
+            read()
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,16 @@
 """A made-up stack: a bumpy surface, its own material in every pixel, many lights."""
 
+from pathlib import Path
 from typing import NamedTuple
 
+import imagecodecs
 import jax.numpy as jnp
 import numpy as np
+import scipy.io
 
 import phongfit as pf
 from data_synth.lights import spread_directions
+from phongfit.files.images import write_image
 
 DTYPE = np.dtype(jnp.result_type(float))
 
@@ -68,3 +72,31 @@ def pulls(maps: pf.Maps, truth: pf.Material, name: str) -> np.ndarray:
     value = np.asarray(getattr(maps, name), float)
     true = np.broadcast_to(np.asarray(getattr(truth, name), float), value.shape)
     return ((value - true) / error)[sound]
+
+
+def write_diligent(folder: Path, stack: Stack, brightness: float = 1.0) -> None:
+    """A stack in the layout of DiLiGenT; what is brighter than 1 is saturated."""
+    surface, camera = stack.scenes[0].surface, stack.scenes[0].camera
+    rng = np.random.default_rng(1)
+    names = [f"{k + 1:03d}.png" for k in range(len(stack.scenes))]
+    intensities = rng.uniform(0.7, 1.3, (len(names), 3))
+    directions = [np.asarray(scene.lights[0].direction) for scene in stack.scenes]
+    for name, image, intensity in zip(names, stack.images, intensities, strict=True):
+        write_image(folder / name, brightness * image * intensity, "linear", 16)
+    (folder / "filenames.txt").write_text("\n".join(names))
+    np.savetxt(folder / "light_directions.txt", directions)
+    np.savetxt(folder / "light_intensities.txt", intensities)
+    mask = np.full((camera.height, camera.width), 255, np.uint8)
+    mask[:2] = 0
+    (folder / "mask.png").write_bytes(imagecodecs.png_encode(mask))
+    normals = np.asarray(pf.trace(surface, camera).normal, float)
+    scipy.io.savemat(folder / "Normal_gt.mat", {"Normal_gt": normals})
+
+
+def same(a: pf.Maps, b: pf.Maps) -> None:
+    """Two maps agree bit for bit."""
+    for name in ("ambient", "diffuse", "specular", "shininess"):
+        for x, y in ((a, b), (a.stderr, b.stderr)):
+            np.testing.assert_array_equal(getattr(x, name), getattr(y, name))
+    for name in ("noise", "samples", "flags"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))

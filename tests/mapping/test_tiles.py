@@ -12,21 +12,12 @@ import pytest
 
 import phongfit as pf
 from phongfit.files.images import write_image
-from tests.mapping.synthetic import make_stack
+from tests.mapping.synthetic import make_stack, same
 
 # The plumbing is the same for every fit: the fewest unknowns compile fastest.
 QUICK = {"unknowns": ("diffuse",), "film": pf.Film(clamp=False)}
 STACK = make_stack(48, 64, 4, ambient=0.0)
 SIZE = 512
-
-
-def same(a: pf.Maps, b: pf.Maps) -> None:
-    """Bit for bit."""
-    for name in ("ambient", "diffuse", "specular", "shininess"):
-        for x, y in ((a, b), (a.stderr, b.stderr)):
-            np.testing.assert_array_equal(getattr(x, name), getattr(y, name))
-    for name in ("noise", "samples", "flags"):
-        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ from phongfit.fitting.maps.exponent import (
 )
 from phongfit.fitting.maps.flags import Flag
 from phongfit.fitting.maps.robust import loss_weights, median_deviation, widening
-from phongfit.fitting.maps.samples import PixelSamples
+from phongfit.fitting.maps.samples import PixelSamples, whitened
 from phongfit.fitting.maps.settings import Settings
 from phongfit.fitting.maps.small import dot, over_channels, settled
 
@@ -41,7 +41,8 @@ class PixelFit(NamedTuple):
 
     - `ambient`, `diffuse`, `specular`: (3,) each, `shininess`: (3,) or (1,) if shared.
     - `errors`: the same four, infinite for what cannot be told, 0 for what was known.
-    - `noise`: root mean square of the residuals a degree of freedom, in linear light.
+    - `noise`: root mean square of the residuals a degree of freedom, in linear light,
+        or in the samples' own standard deviations.
     - `samples`: how many were used.
     - `flags`: bits of [`Flag`][].
     """
@@ -89,8 +90,8 @@ def fit_pixel(
 
     - `samples`: of three channels.
     - `known`: what is not unknown.
-    - `noise`: standard deviation of a sample in linear light; not read if
-        `settings.noise_given` is false.
+    - `noise`: standard deviation of a sample in linear light, 1 if
+        `settings.weighted`; not read if `settings.noise_given` is false.
     """
     dtype = samples.target.dtype
     finite = jnp.isfinite(samples.target)
@@ -100,7 +101,8 @@ def fit_pixel(
         sound = finite & (samples.target < settings.cutoff)
     # Numbers rather than flags from here on: sums of those are slow.
     weight = jnp.where(sound, samples.weight, 0)
-    target = jnp.where(sound, samples.target, 0) * weight
+    light = samples.target if samples.veil is None else samples.target - samples.veil
+    target = jnp.where(sound, light, 0) * weight
     infinite = jnp.where(finite, 0, samples.weight)
     weight, target = settled((weight, target))
     lost = jnp.sum(infinite) > 0
@@ -113,6 +115,9 @@ def fit_pixel(
         samples.strength,
         samples.log_cosine,
     )
+    if settings.weighted:
+        samples = settled(whitened(samples))
+        weight = samples.weight
 
     def solved(samples: PixelSamples, known: Known) -> _Found:
         return _solve(samples, known, noise, settings)

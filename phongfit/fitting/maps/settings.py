@@ -25,6 +25,7 @@ class Settings:
         where it starts.
     - `min_cosine`: a sample that no light reaches at a cosine above this is left out.
     - `noise_given`: whether the noise is known, or told by each pixel's residuals.
+    - `weighted`: whether each sample's weight is the inverse of its own noise.
     - `cutoff`: values from this one on are saturated; `exactly`: only this one is.
     """
 
@@ -36,6 +37,7 @@ class Settings:
     scanned: bool = True
     min_cosine: float = 0.0
     noise_given: bool = False
+    weighted: bool = False
     cutoff: float = 1.0
     exactly: bool = True
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float, Shaped
 
 from phongfit.fitting.maps.lighting import Lighting
 from phongfit.fitting.maps.pixel import Known, PixelFit, fit_pixel
@@ -25,14 +25,15 @@ class Tile(NamedTuple):
     """Geometry and measured light of pixels; of padding nothing is used.
 
     - `target`: (images, pixels, 3), in the order of the lighting's rows.
-    - `used`: the same or (1, pixels, 3) or (1, pixels, 1): which samples count.
+    - `used`: the same or (1, pixels, 3) or (1, pixels, 1): which samples count, or how
+        much: see [`PixelSamples`][].
     - `normal`: (pixels, 3).
     - `position`, `to_viewer`: (pixels, 3), or (1, 3) where they are the same for all.
     - `visibility`: (images, lobes, pixels), or `None` without shadows.
     """
 
     target: Float[Any, "images pixels 3"]
-    used: Bool[Any, "some_images pixels some_channels"]
+    used: Shaped[Any, "some_images pixels some_channels"]
     normal: Float[Any, "pixels 3"]
     position: Float[Any, "some_pixels 3"]
     to_viewer: Float[Any, "some_pixels 3"]
@@ -104,6 +105,7 @@ def _fit_block(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
             basis.diffuse,
             basis.strength,
             basis.log_cosine,
+            basis.veil,
         )
         return fit_pixel(samples, outside.known, outside.noise, settings)
 
