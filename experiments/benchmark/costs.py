@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 import phongfit as pf
-from experiments.benchmark.maps import seconds
+from experiments.benchmark.timing import seconds
 from phongfit.fitting.fit import DEFAULT_UNKNOWNS
 
 MATERIAL = pf.Material((0.6, 0.3, 0.2), 0.3, 60.0, 0.5)

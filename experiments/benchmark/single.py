@@ -7,12 +7,12 @@ One RGB image of a ball, 1 % noise, ten unknowns. All ways take turns in one pro
 - stock Levenberg-Marquardt of optimistix on the same residuals, from f = 8, with its
   default linear solver and with normal equations;
 - Adam as differentiable renderers use it (learning rate 0.03, from f = 8), until f has
-  come within 1e-3 of the answer.
+  come within 1e-3 of the answer: optax's, compiled into one loop, and PyTorch's;
+- lmfit's `leastsq`, from f = 8 in the same box, errors included.
 """
 
 import dataclasses
 import importlib.util
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -26,6 +26,14 @@ from jaxtyping import Array, Float
 from rich.console import Console
 
 import phongfit as pf
+from experiments.benchmark.single_peers import (
+    ADAM_MOST,
+    ADAM_RATE,
+    lmfit_leastsq,
+    torch_adam,
+    written_out,
+)
+from experiments.benchmark.timing import medians
 from phongfit.fitting.fit import set_up
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.samples import gather, seen_pixels
@@ -36,7 +44,6 @@ TRUTH = pf.Material((0.6, 0.3, 0.2), 0.3, 60.0, 0.5)
 NOISE = 0.01
 # Where Adam and Levenberg-Marquardt start: reflectances in mid-range, f = 8.
 GUESS = (0.5, 8.0)
-ADAM_RATE, ADAM_MOST = 0.03, 4000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,13 +55,11 @@ class Row:
     seconds: float
     steps: int
     off: float
-    slower: float = 1.0
 
 
 Row.__init__.__doc__ = """**Arguments:**
 
 - `off`: largest distance from the fit's answer, standard errors.
-- `slower`: how many times as long it takes.
 """
 
 
@@ -67,24 +72,6 @@ def target(resolution: int) -> tuple[pf.Scene, np.ndarray]:
     light = np.asarray(pf.render(scene, TRUTH, film=pf.Film(clamp=False)))
     noise = np.random.default_rng(0).normal(size=light.shape)
     return scene, np.clip(light + NOISE * noise, 0, 1).astype(light.dtype)
-
-
-def medians(
-    ways: dict[str, Callable[[], Any]], runs: int
-) -> dict[str, tuple[float, Any]]:
-    """Median time and last result of each way, all taking turns after two warm runs."""
-    for way in ways.values():
-        for _ in range(2):
-            way()
-    times: dict[str, list[float]] = {key: [] for key in ways}
-    results = {}
-    for _ in range(runs):
-        for key, way in ways.items():
-            begin = time.perf_counter()
-            results[key] = way()
-            jax.block_until_ready(eqx.filter(results[key], eqx.is_array))
-            times[key].append(time.perf_counter() - begin)
-    return {key: (float(np.median(times[key])), results[key]) for key in ways}
 
 
 def start(problem: Problem) -> Float[Array, " n"]:
@@ -149,36 +136,47 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
     scene, image = target(resolution)
     fit = pf.fit(scene, image)
     problem, answer, y = fit.found.problem, fit.found.y, start(fit.found.problem)
-    names = {
-        "fit": "phongfit, all of `pf.fit`",
-        "search": "phongfit, its search alone",
-        "lm": "optimistix LM",
-        "lm_normal": "optimistix LM, normal equations",
-        "adam": "Adam (optax), rate 0.03, to 1e-3 in f",
+    ways: dict[str, tuple[str, Callable[[], Any]]] = {
+        "fit": ("phongfit, all of `pf.fit`", lambda: pf.fit(scene, image)),
+        "search": ("phongfit, its search alone", searching(scene, image)),
+        "lm": ("optimistix LM", lambda: stock(problem, y, lx.QR())),
+        "lm_normal": (
+            "optimistix LM, normal equations",
+            lambda: stock(problem, y, lx.Normal(lx.Cholesky())),
+        ),
     }
-    ways = {
-        "fit": lambda: pf.fit(scene, image),
-        "search": searching(scene, image),
-        "lm": lambda: stock(problem, y, lx.QR()),
-        "lm_normal": lambda: stock(problem, y, lx.Normal(lx.Cholesky())),
-    }
-    if importlib.util.find_spec("optax") is None:
-        console.print("Adam is left out: pip install phongfit[benchmark]")
-    else:
-        ways["adam"] = adam(problem, y, answer)
-    found = medians(ways, runs)
+    rate = f"rate {ADAM_RATE}, to 1e-3 in f"
+    if installed("optax", "Adam", "pip install phongfit[benchmark]", console):
+        ways["adam"] = f"Adam (optax), {rate}", adam(problem, y, answer)
+    here, there = np.asarray(y), np.asarray(answer)
+    if installed("torch", "PyTorch's Adam", "pip install torch", console):
+        descent = torch_adam(written_out(problem), here, there)
+        ways["torch_adam"] = f"Adam (PyTorch), {rate}", descent
+    if installed("lmfit", "lmfit", "pip install phongfit[benchmark]", console):
+        low, high = problem.unknowns.lower, problem.unknowns.upper
+        box = np.asarray(low), np.asarray(high)
+        minimization = lmfit_leastsq(written_out(problem), here, *box)
+        ways["lmfit"] = "lmfit `leastsq`", minimization
+    found = medians({key: way for key, (_, way) in ways.items()}, runs)
 
     def row(key: str) -> Row:
         seconds, result = found[key]
         if key in ("fit", "search"):
-            slower = seconds / found["fit"][0]
-            return Row(names[key], key, seconds, result.steps, 0.0, slower)
-        if key == "adam":
-            end, steps = result
-        else:
+            end, steps = answer, result.steps
+        elif key in ("lm", "lm_normal"):
             end, steps = result.value, result.stats["num_steps"]
-        values = np.asarray(problem.unknowns.values(jnp.asarray(end)), float)
+        else:
+            end, steps = result
+        values = np.asarray(problem.unknowns.values(jnp.asarray(end, y.dtype)), float)
         off = float(np.max(np.abs(values - fit.values) / fit.errors))
-        return Row(names[key], key, seconds, int(steps), off, seconds / found["fit"][0])
+        return Row(ways[key][0], key, seconds, int(steps), off)
 
     return [row(key) for key in ways]
+
+
+def installed(module: str, name: str, cure: str, console: Console) -> bool:
+    """Whether a peer is installed; if not, a line says so."""
+    found = importlib.util.find_spec(module) is not None
+    if not found:
+        console.print(f"{name} is left out: {cure}", markup=False)
+    return found

@@ -1,19 +1,26 @@
+import dataclasses
+import importlib.util
+
 import jax
 import numpy as np
 import pytest
+import scipy.special
 from rich.console import Console
 
-import phongfit as pf
-from experiments.benchmark import costs, maps, single
+from experiments.benchmark import costs, map_peers, maps, single, single_peers
 from experiments.benchmark.__main__ import (
     Ratio,
     details,
     figure,
     main,
+    map_details,
+    map_ratios,
     single_ratios,
     spread,
     table,
 )
+from experiments.benchmark.stack import UNKNOWNS, make_stack
+from experiments.benchmark.timing import medians
 from phongfit.fitting.fit import fit
 
 
@@ -22,8 +29,8 @@ def test_all_ways_end_at_one_answer():
     # optax is not written for strict promotion.
     with jax.numpy_dtype_promotion("standard"):
         found = single.rows(24, 1, Console())
-    assert {"fit", "search", "lm", "lm_normal"} <= {row.key for row in found}
-    assert all(row.off < 0.1 for row in found if row.key != "adam")
+    assert {"fit", "search", "lm", "lm_normal", "lmfit"} <= {row.key for row in found}
+    assert all(row.off < 0.1 for row in found if "adam" not in row.key)
     assert len(details(found).splitlines()) == 2 + len(found)
     seconds = {row.key: row.seconds for row in found}
     for ratio in single_ratios(found):
@@ -39,13 +46,80 @@ def test_the_start_is_the_peers():
     assert material.diffuse.tolist() == [0.5, 0.5, 0.5]
 
 
-def test_the_stack_is_what_a_map_takes_it_for():
+def test_residuals_written_out_are_the_problems():
+    scene, image = single.target(24)
+    problem = fit(scene, image).found.problem
+    y = single.start(problem)
+    used = np.asarray(problem.samples.weight)[0] > 0
+    expected = np.asarray(problem.residual(y))[:, used]
+    found = single_peers.written_out(problem).residual(
+        np, np.asarray(y, float), lambda z: scipy.special.ndtr(-z)
+    )
+    assert (np.asarray(problem.light(y)) > 1).any()
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("torch") is None, reason="PyTorch is not installed"
+)
+def test_adam_of_pytorch_comes_near():
+    scene, image = single.target(24)
+    found = fit(scene, image).found
+    y, answer = np.asarray(single.start(found.problem)), np.asarray(found.y)
+    problem = single_peers.written_out(found.problem)
+    end, steps = single_peers.torch_adam(problem, y, answer)()
+    assert 10 < steps < single_peers.ADAM_MOST
+    np.testing.assert_allclose(end, answer, atol=0.02)
+
+
+def test_a_peer_that_is_absent_is_left_out_with_a_word():
+    console = Console(width=200)
+    with console.capture() as caught:
+        assert not single.installed("no_such_module", "It", "pip install a[b]", console)
+    assert caught.get() == "It is left out: pip install a[b]\n"
+
+
+def test_long_work_is_timed_less_often(monkeypatch):
+    monkeypatch.setattr("experiments.benchmark.timing.ENOUGH", 0.0)
+    calls = []
+    found = medians({"work": lambda: calls.append(0)}, 9)
+    assert len(calls) == 2 + 3 and found["work"][0] > 0
+
+
+@pytest.fixture(scope="module")
+def stack():
+    return make_stack(100, 24)
+
+
+def test_the_stack_is_what_a_map_takes_it_for(stack):
     """The peers' model is the library's: a map finds the truth it was made of."""
-    stack = maps.make_stack(100, 24)
-    found = pf.fit_maps(stack.scenes, stack.images, film=maps.FREE)
-    off = np.asarray(found.material.diffuse) - stack.truth[..., 3:6]
-    pulls = off / np.asarray(found.stderr.diffuse)
-    assert np.mean(np.abs(pulls[found.told]) < 4) > 0.99
+    values, errors = map_peers.as_rows(maps.fit_stack(stack))
+    pulls = (values - stack.truth.reshape(-1, UNKNOWNS)) / errors
+    told = np.isfinite(errors).all(axis=1)
+    assert told.mean() > 0.95 and np.mean(np.abs(pulls[told]) < 4) > 0.99
+
+
+def test_peers_of_a_map_end_at_its_answer(stack):
+    values, errors = map_peers.as_rows(maps.fit_stack(stack))
+    truth = stack.truth.reshape(-1, UNKNOWNS)
+    ways = {
+        "vmapped_lm": map_peers.vmapped_lm(stack, 40),
+        "scipy_loop": map_peers.scipy_loop(stack, 10),
+    }
+    rows = [
+        map_peers.judge(key, key, found, values, errors, truth)
+        for key, found in ways.items()
+    ]
+    assert [row.pixels for row in rows] == [40, 10]
+    for row in rows:
+        assert row.seconds > 0 and row.converged > 0.9
+        assert row.alike > 0.9 and 0.9 < row.true < 1
+    off = dataclasses.replace(ways["scipy_loop"], values=values[:10] + errors[:10])
+    assert map_peers.judge("", "", off, values, errors, truth).alike == 0
+    ours = dataclasses.replace(rows[0], key="map", seconds=rows[0].seconds / 9)
+    lm, _ = map_ratios([ours, *rows])
+    assert lm.key == "vmapped_lm_over_map" and lm.value == pytest.approx(9)
+    assert map_details(rows).count("| 40 |") == 1
 
 
 def test_a_row_says_whether_its_aim_is_met():

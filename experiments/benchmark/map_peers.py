@@ -1,0 +1,206 @@
+"""A material per pixel, next to one small fit for each pixel.
+
+`vmap`ped stock Levenberg-Marquardt of optimistix, on all pixels at once as the map has
+them, and a loop over SciPy's `least_squares` on a few of them. Both are given each
+pixel's cosines, which the map works out itself, and start from f = 8. What they find is
+held against the map and against the truth.
+"""
+
+import dataclasses
+import time
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+import scipy.optimize
+from jaxtyping import Array, Float
+
+import phongfit as pf
+from experiments.benchmark.maps import fit_stack, map_seconds
+from experiments.benchmark.stack import AMBIENT, UNKNOWNS, Stack, cosines, make_stack
+
+# All reflectances in mid-range, and f = 8.
+START = np.array([0.4] * 3 + [0.3] * 3 + [0.3] * 3 + [np.log(8)])
+TOLERANCE, MOST_STEPS = 1e-4, 100
+
+
+@dataclasses.dataclass(frozen=True)
+class Samples:
+    """The first pixels of a stack, as a peer wants them.
+
+    - `target`: (pixels, lights, 3).
+    - `lit`, `logarithm`: (pixels, lights): see [`cosines`][].
+    """
+
+    target: np.ndarray
+    lit: np.ndarray
+    logarithm: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """What a way finds in the first pixels of a stack.
+
+    - `seconds`: a pixel.
+    - `values`: (pixels, 10), with the logarithm of f last.
+    - `converged`: (pixels,).
+    """
+
+    seconds: float
+    values: np.ndarray
+    converged: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One way to a map, and how good its answer is.
+
+    - `seconds`: a pixel.
+    - `converged`: share of its pixels that say so.
+    - `alike`: share of its pixels where no unknown is further from the map's than half
+        an error bar.
+    - `true`: share of its unknowns within two error bars of the truth: 95 % is right.
+    """
+
+    name: str
+    key: str
+    seconds: float
+    pixels: int
+    converged: float
+    alike: float
+    true: float
+
+
+def samples(stack: Stack, pixels: int) -> Samples:
+    """The first pixels of a stack."""
+    lights = len(stack.images)
+    target = stack.images.reshape(lights, -1, 3)[:, :pixels].transpose(1, 0, 2)
+    normals = stack.normals.reshape(-1, 1, 3)[:pixels]
+    return Samples(np.ascontiguousarray(target), *cosines(normals, stack.directions))
+
+
+@eqx.filter_jit
+def _vmapped(
+    target: Float[Array, "pixels lights 3"],
+    lit: Float[Array, "pixels lights"],
+    logarithm: Float[Array, "pixels lights"],
+) -> tuple[Array, Array]:
+    """optimistix's own solver for each pixel: the values, and whether it converged."""
+    start = jnp.asarray(START, target.dtype)
+
+    def residual(y: Array, args: tuple[Array, Array, Array]) -> Array:
+        target, lit, logarithm = args
+        lobe = jnp.where(lit > 0, jnp.exp(jnp.exp(y[9]) * logarithm), 0)
+        light = (
+            AMBIENT * y[None, :3] + lit[:, None] * y[None, 3:6]
+            + lobe[:, None] * y[None, 6:9]
+        )  # fmt: skip
+        return light - target
+
+    def one(*args: Array) -> tuple[Array, Array]:
+        solver = optx.LevenbergMarquardt(TOLERANCE, TOLERANCE)
+        found = optx.least_squares(
+            residual, solver, start, args=args, max_steps=MOST_STEPS, throw=False
+        )
+        return found.value, found.result == optx.RESULTS.successful
+
+    return eqx.filter_vmap(one)(target, lit, logarithm)
+
+
+def vmapped_lm(stack: Stack, pixels: int) -> Found:
+    """Stock Levenberg-Marquardt on so many pixels at once: as slow as the slowest.
+
+    Its default linear solver: with normal equations this takes twice as long.
+    """
+    part = samples(stack, pixels)
+    target, lit, logarithm = (
+        jnp.asarray(a, float) for a in (part.target, part.lit, part.logarithm)
+    )
+    jax.block_until_ready(_vmapped(target, lit, logarithm))
+    begin = time.perf_counter()
+    values, converged = map(np.asarray, _vmapped(target, lit, logarithm))
+    taken = time.perf_counter() - begin
+    return Found(taken / len(values), values, converged)
+
+
+def scipy_loop(stack: Stack, pixels: int) -> Found:
+    """A loop over SciPy's `least_squares`, in the map's box, in double precision."""
+    part = samples(stack, pixels)
+    low, high = np.zeros(UNKNOWNS), np.append(np.ones(9), np.log(1000))
+    values, converged = [], []
+    begin = time.perf_counter()
+    for target, lit, logarithm in zip(
+        np.asarray(part.target, float),
+        np.asarray(part.lit, float)[..., None],
+        np.asarray(part.logarithm, float)[..., None],
+        strict=True,
+    ):
+
+        def residual(y, target=target, lit=lit, logarithm=logarithm):
+            lobe = np.where(lit > 0, np.exp(np.exp(y[9]) * logarithm), 0)
+            return (AMBIENT * y[:3] + lit * y[3:6] + lobe * y[6:9] - target).ravel()
+
+        found = scipy.optimize.least_squares(residual, START, bounds=(low, high))
+        values.append(found.x)
+        converged.append(found.success)
+    taken = time.perf_counter() - begin
+    return Found(taken / len(values), np.stack(values), np.array(converged))
+
+
+def rows(pixels: int = 16_000, lights: int = 96, *, scipy: int = 200) -> list[Row]:
+    """A map and its peers, the loop on a few of its pixels."""
+    stack = make_stack(pixels, lights)
+    maps = fit_stack(stack)
+    values, errors = as_rows(maps)
+    told = maps.told & ~maps.flagged(pf.Flag.NOT_CONVERGED)
+    ours = Found(map_seconds(stack) / told.size, values, told.ravel())
+    ways = {
+        "map": ("phongfit, `fit_maps`", ours),
+        "vmapped_lm": ("optimistix LM, `vmap`", vmapped_lm(stack, pixels)),
+        "scipy_loop": ("SciPy `least_squares`, a loop", scipy_loop(stack, scipy)),
+    }
+    truth = stack.truth.reshape(-1, UNKNOWNS)
+    return [
+        judge(name, key, found, values, errors, truth)
+        for key, (name, found) in ways.items()
+    ]
+
+
+def as_rows(maps: pf.Maps) -> tuple[np.ndarray, np.ndarray]:
+    """(pixels, 10) each: what a map says, as the peers have it, and its errors."""
+    leaves = ("ambient", "diffuse", "specular", "shininess")
+    values, errors = (
+        np.concatenate([getattr(of, name) for name in leaves], axis=-1, dtype=float)
+        for of in (maps, maps.stderr)
+    )
+    errors[..., 9] /= values[..., 9]
+    values[..., 9] = np.log(values[..., 9])
+    return values.reshape(-1, UNKNOWNS), errors.reshape(-1, UNKNOWNS)
+
+
+def judge(
+    name: str,
+    key: str,
+    found: Found,
+    values: np.ndarray,
+    errors: np.ndarray,
+    truth: np.ndarray,
+) -> Row:
+    """How near a way comes to the map's values and to the truth, in its errors."""
+    count = len(found.values)
+    values, errors, truth = (array[:count] for array in (values, errors, truth))
+    told = np.isfinite(errors).all(axis=1)
+    from_map, from_truth = (
+        np.abs(found.values - there)[told] / errors[told] for there in (values, truth)
+    )
+    return Row(
+        name,
+        key,
+        found.seconds,
+        count,
+        float(np.mean(found.converged)),
+        float(np.mean((from_map < 0.5).all(axis=1))),
+        float(np.mean(from_truth < 2)),
+    )

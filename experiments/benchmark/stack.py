@@ -1,0 +1,88 @@
+"""A made-up stack of images: a material per pixel, whose truth is known."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+import phongfit as pf
+from data_synth.lights import spread_directions
+
+AMBIENT = 0.3
+NOISE = 0.01
+FREE = pf.Film(clamp=False)
+# What a pixel's unknowns are in the peers: ρ_a, ρ_d, ρ_s of three channels, and log f.
+UNKNOWNS = 10
+
+
+@dataclasses.dataclass(frozen=True)
+class Stack:
+    """Scenes, images (L, H, W, 3), and each pixel's true unknowns."""
+
+    scenes: tuple[pf.Scene, ...]
+    images: np.ndarray
+    truth: np.ndarray
+    normals: np.ndarray
+    directions: np.ndarray
+
+
+def make_stack(
+    pixels: int, lights: int, *, folder: Path | None = None, seed: int = 0
+) -> Stack:
+    """About so many pixels, each of a random material; memory-mapped if in a folder."""
+    rng = np.random.default_rng(seed)
+    height = int(np.sqrt(pixels))
+    width = pixels // height
+    normals = np.ones((height, width, 3), np.float32)
+    normals[..., :2] = rng.uniform(-0.4, 0.4, (height, width, 2))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    surface = pf.NormalMap(normals)
+    camera = pf.OrthographicCamera(width, height)
+    directions = spread_directions(lights).astype(np.float32)
+    scenes = tuple(
+        pf.Scene(surface, camera, pf.DirectionalLight(d), ambient=AMBIENT)
+        for d in directions
+    )
+    truth = np.empty((height, width, UNKNOWNS), np.float32)
+    truth[..., :3] = rng.uniform(0.2, 0.6, (height, width, 3))
+    truth[..., 3:6] = rng.uniform(0.15, 0.4, (height, width, 3))
+    truth[..., 6:9] = rng.uniform(0.2, 0.4, (height, width, 3))
+    truth[..., 9] = rng.uniform(np.log(6), np.log(30), (height, width))
+    shape = (lights, height, width, 3)
+    if folder is None:
+        images = np.empty(shape, np.float32)
+    else:
+        path = folder / "stack.npy"
+        images = np.lib.format.open_memmap(path, "w+", np.float32, shape)
+    noise = rng.normal(0, NOISE, (height, width, 3)).astype(np.float32)
+    for image, direction in zip(images, directions, strict=True):
+        image[:] = _light(truth, normals, direction)
+        # Fresh noise for every image costs more than all else: it is shifted.
+        image += np.roll(noise, rng.integers(0, noise.size // 3), axis=(0, 1))
+    return Stack(scenes, images, truth, normals, directions)
+
+
+def _light(
+    unknowns: np.ndarray, normals: np.ndarray, direction: np.ndarray
+) -> np.ndarray:
+    """Blinn's model for one light and a distant viewer."""
+    lit, logarithm = (part[..., None] for part in cosines(normals, direction))
+    lobe = np.where(lit > 0, np.exp(np.exp(unknowns[..., 9:]) * logarithm), 0)
+    return (
+        AMBIENT * unknowns[..., :3]
+        + lit * unknowns[..., 3:6]
+        + lobe * unknowns[..., 6:9]
+    )
+
+
+def cosines(
+    normals: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of the light, 0 from behind, and the logarithm of that of the half vector.
+
+    **Arguments:** one direction and any normals, or the other way round.
+    """
+    half = directions + np.array([0, 0, 1], directions.dtype)
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    lit = np.maximum((normals * directions).sum(-1), 0)
+    return lit, np.log(np.maximum((normals * half).sum(-1), 1e-6))

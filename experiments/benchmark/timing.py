@@ -1,0 +1,46 @@
+"""How long work takes: medians."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+# Work of seconds is not timed as often as work of milliseconds.
+FEWEST, ENOUGH = 3, 5.0
+
+
+def seconds(work: Callable[[], object], runs: int = 3) -> float:
+    """The median of some runs, after one that compiles; arrays are waited for."""
+    work()
+    return float(np.median([_timed(work)[0] for _ in range(runs)]))
+
+
+def medians(
+    ways: dict[str, Callable[[], Any]], runs: int
+) -> dict[str, tuple[float, Any]]:
+    """Median time and last result of each way, all taking turns after two warm runs.
+
+    A way that has taken five seconds in all is left alone after its third turn.
+    """
+    for way in ways.values():
+        for _ in range(2):
+            way()
+    times: dict[str, list[float]] = {key: [] for key in ways}
+    results = {}
+    for _ in range(runs):
+        for key, way in ways.items():
+            if len(times[key]) >= FEWEST and sum(times[key]) > ENOUGH:
+                continue
+            taken, results[key] = _timed(way)
+            times[key].append(taken)
+    return {key: (float(np.median(times[key])), results[key]) for key in ways}
+
+
+def _timed(work: Callable[[], Any]) -> tuple[float, Any]:
+    begin = time.perf_counter()
+    result = work()
+    jax.block_until_ready(eqx.filter(result, eqx.is_array))
+    return time.perf_counter() - begin, result
