@@ -121,7 +121,7 @@ def in_a_room(data: Photographs, light: float) -> Photographs:
     def read(number: int) -> Photograph:
         image, mask = data.read(number)
         # Where one channel is saturated, its neighbours are blurred by it.
-        return Photograph(image, mask.all(axis=-1))
+        return Photograph(image, np.asarray(mask.all(axis=-1)))
 
     room = (dataclasses.replace(scene, ambient=light) for scene in data.scenes)
     return dataclasses.replace(data, scenes=tuple(room), read=read)

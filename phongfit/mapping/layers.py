@@ -124,9 +124,10 @@ class Noise:
         **Raises:** `ValueError` that names the noise.
         """
         self.known = noise is not None
-        self.varies = isinstance(noise, list | tuple) or np.ndim(noise) > 0
+        several = isinstance(noise, list | tuple) or np.ndim(noise) > 0
+        self.varies = several
         self.level = 1.0
-        if self.varies:
+        if several:
             dtype = jnp.result_type(float)
             self._layers = Layers("noise", noise, shape, dtype)
             for k in range(len(self._layers)):
@@ -136,7 +137,8 @@ class Noise:
                     raise ValueError(f"noise{which}: finite numbers > 0 are wanted")
         elif self.known:
             try:
-                self.level = float(noise)
+                number: Any = noise
+                self.level = float(number)
             except (TypeError, ValueError):
                 self.level = np.nan
             if not 0 < self.level < np.inf:

@@ -80,7 +80,8 @@ def write_diligent(folder: Path, stack: Stack, brightness: float = 1.0) -> None:
     rng = np.random.default_rng(1)
     names = [f"{k + 1:03d}.png" for k in range(len(stack.scenes))]
     intensities = rng.uniform(0.7, 1.3, (len(names), 3))
-    directions = [np.asarray(scene.lights[0].direction) for scene in stack.scenes]
+    lights = [scene.lights[0].illuminate(jnp.zeros(3)) for scene in stack.scenes]
+    directions = [np.asarray(light.to_light) for light in lights]
     for name, image, intensity in zip(names, stack.images, intensities, strict=True):
         write_image(folder / name, brightness * image * intensity, "linear", 16)
     (folder / "filenames.txt").write_text("\n".join(names))

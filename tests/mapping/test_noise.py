@@ -1,5 +1,7 @@
 """Noise that is not the same in every sample: weights, errors, χ²."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,11 @@ import phongfit as pf
 from tests.mapping.synthetic import DTYPE, Stack, make_stack, pulls, same
 
 FREE = pf.Film(clamp=False)
-MATTE = {"unknowns": ("ambient", "diffuse"), "film": FREE, "tile_pixels": 512}
+MATTE: dict[str, Any] = {
+    "unknowns": ("ambient", "diffuse"),
+    "film": FREE,
+    "tile_pixels": 512,
+}
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +33,7 @@ def noisy(images: np.ndarray, noise: np.ndarray) -> np.ndarray:
     return (images + noise * draws).astype(DTYPE)
 
 
+@pytest.mark.slow
 def test_shot_noise(clean):
     """Of all unknowns: pulls of spread 1, and χ² near 1 pixel by pixel."""
     noise = np.sqrt(0.002**2 + 4e-4 * clean.images)
@@ -71,7 +78,7 @@ def test_the_same_noise_everywhere(clean, tmp_path):
     images = noisy(matte(clean), np.array(0.01))
     number = pf.fit_maps(clean.scenes, images, noise=0.01, **MATTE)
     level = np.full((24, 32), 0.01)
-    for noise in (level, level[..., None] * np.ones(3), [level] * 16):
+    for noise in (level, [level[..., None] * np.ones(3)] * 16):
         maps = pf.fit_maps(clean.scenes, images, noise=noise, **MATTE)
         for name in ("ambient", "diffuse"):
             for a, b in ((maps, number), (maps.stderr, number.stderr)):
@@ -92,13 +99,13 @@ def test_tiles_of_a_run_with_noise(clean, tmp_path):
     """Cut and resumed to the same bits; other noise is another job."""
     noise = np.random.default_rng(0).uniform(0.005, 0.02, clean.images.shape)
     images = noisy(matte(clean), noise)
-    options = MATTE | {"noise": list(noise)}
-    whole = pf.fit_maps(clean.scenes, images, **options | {"tile_pixels": 1024})
-    out = {"output": tmp_path / "out"}
+    options: dict[str, Any] = MATTE | {"noise": list(noise)}
+    uncut: dict[str, Any] = options | {"tile_pixels": 1024}
+    whole = pf.fit_maps(clean.scenes, images, **uncut)
+    out: dict[str, Any] = {"output": tmp_path / "out"}
     same(pf.fit_maps(clean.scenes, images, **options, **out), whole)
     (tmp_path / "out" / "tile_000001.npz").unlink()
     same(pf.fit_maps(clean.scenes, images, **options, **out), whole)
     with pytest.raises(ValueError, match="another job .*its noise differs"):
-        pf.fit_maps(
-            clean.scenes, images, **options | {"noise": list(2 * noise)}, **out
-        )
+        options["noise"] = 2 * noise
+        pf.fit_maps(clean.scenes, images, **options, **out)
