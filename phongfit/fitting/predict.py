@@ -7,13 +7,14 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from phongfit.fitting.estimate import estimates
+from phongfit.fitting.estimate import Estimates, estimates
 from phongfit.fitting.fit import set_up
 from phongfit.fitting.layout import first_values
 from phongfit.fitting.losses import Linear
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.result import as_materials
 from phongfit.fitting.samples import gather, seen_pixels
+from phongfit.fitting.scatter import scatter
 from phongfit.fitting.table import parameter_rows
 from phongfit.material import Material
 from phongfit.rendering.film import Film, decode
@@ -72,6 +73,11 @@ def predict_errors(
     J)^{-1}$: no unbiased estimate from these images can be better. So lights and views
     can be compared, and placed well.
 
+    Where an exponent cannot be told, fits end at any, and the bound at a single one
+    says too little. Errors are then root mean squares of what 400 fits of drawn
+    photographs, which know the noise, are off by. The draws are the same each time and
+    take seconds; such an error is known to 4 %, less well where a few fits stray far.
+
     **Arguments:**
 
     - `scene`: one, or a sequence of scenes of one material; arrays of theirs that will
@@ -104,7 +110,12 @@ def predict_errors(
     sigma = jnp.ones((), samples.target.dtype)
     problem = Problem(samples, unknowns, sigma, Linear(), film.clamp)
     entries = first_values(unknowns.leaves, scenes, material)
-    told = estimates(problem, jnp.asarray(unknowns.position(entries)))
+    y = jnp.asarray(unknowns.position(entries))
+    told = estimates(problem, y)
+    is_exponent = unknowns.entry_leaf[unknowns.reported] == "shininess"
+    if told.untold[is_exponent].any() and not told.untold[~is_exponent].all():
+        ends = scatter(problem, sources, y)[:, unknowns.reported]
+        told = _as_scattered(told, ends - told.values)
     errors = np.zeros_like(entries)
     errors[unknowns.reported] = told.errors
     return Prediction(
@@ -117,6 +128,21 @@ def predict_errors(
         untold=told.untold,
         warnings=told.reasons,
         samples=sum(int(np.count_nonzero(s.weight)) for s in sources),
+    )
+
+
+def _as_scattered(told: Estimates, off: np.ndarray) -> Estimates:
+    """The same, with the errors that fits are seen to make, (draws, labels)."""
+    covariance = off.T @ off / len(off)
+    errors = np.where(told.untold, np.inf, np.sqrt(np.diag(covariance)))
+    # What is not told, or lies at a bound, stays so.
+    covariance = np.where(np.isfinite(told.covariance), covariance, told.covariance)
+    words = (
+        f"the exponent may be any: the other errors are those of {len(off)} drawn fits"
+    )
+    reasons = (*told.reasons, words)
+    return dataclasses.replace(
+        told, errors=errors, covariance=covariance, reasons=reasons
     )
 
 

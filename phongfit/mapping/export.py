@@ -21,6 +21,8 @@ from phongfit.material import Material
 def export_maps(folder: Path, path: Path, to: str, *, nearest: bool) -> str:
     """Write the maps of a folder as a material with textures, all or nothing.
 
+    What a pixel cannot tell is filled in: see [`phongfit.mapping.textures`][].
+
     **Arguments:**
 
     - `path`: the file to write; the textures of an `.mtl` go beside it.
@@ -36,14 +38,26 @@ def export_maps(folder: Path, path: Path, to: str, *, nearest: bool) -> str:
     leaves, name = leaves_of(maps, record.model.build()), record.data.name
     if not leaves.inside.any():
         raise ValueError(f"{folder}: no pixel of these maps was fitted")
+    words = _filled_words(leaves)
     if to == "mtl":
-        return _write_mtl(path, name, leaves, nearest)
+        return _write_mtl(path, name, leaves, nearest) + words
     height, width = maps.flags.shape
     material = pbr_material(name, typical(leaves), nearest=True)
     material["extras"]["of"] = "the median of the maps; each texel has its own"
     parts = [(rectangle(height, width), material)]
     write_gltf(path, parts, gltf_textures(leaves, normals))
-    return f"{name}, {width} × {height} texels"
+    return f"{name}, {width} × {height} texels" + words
+
+
+def _filled_words(leaves: Leaves) -> str:
+    """In how many pixels something is not their own; nothing if in none."""
+    count, of = int(leaves.filled.sum()), int(leaves.inside.sum())
+    if count == 0:
+        return ""
+    return (
+        f"; {count:,} of {of:,} pixels cannot tell all: there a highlight is 0, or has "
+        "the median of the others"
+    )
 
 
 def typical(leaves: Leaves) -> Material:

@@ -1,27 +1,38 @@
-"""Maps as texture images: 8 bits, colours sRGB-encoded as renderers expect them."""
+"""Maps as texture images: 8 bits, colours sRGB-encoded as renderers expect them.
 
+What a pixel cannot tell is chance in the maps, as their errors say; a texture has no
+errors. So a highlight that is 0 within its error becomes 0, and whatever else a pixel
+cannot tell becomes the median of the pixels that can.
+"""
+
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from phongfit.files.formats import encode_png
 from phongfit.files.gltf import Part, Textures, roughness, specular_colour
 from phongfit.files.images import to_levels
 from phongfit.files.limits import as_blinn
 from phongfit.fitting.maps.flags import Flag
-from phongfit.mapping.result import Maps
+from phongfit.mapping.result import LEAVES, Maps
+from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular
 
 
 class Leaves(NamedTuple):
-    """Maps of the un-normalised Blinn-Phong model, (H, W, 3), and where they are."""
+    """Maps of the un-normalised Blinn-Phong model, (H, W, 3), and where they are.
+
+    `filled`: pixels whose numbers are not all their own.
+    """
 
     ambient: Float[np.ndarray, "height width 3"]
     diffuse: Float[np.ndarray, "height width 3"]
     specular: Float[np.ndarray, "height width 3"]
     shininess: Float[np.ndarray, "height width 1"]
     inside: Float[np.ndarray, "height width 1"]
+    filled: Bool[np.ndarray, "height width"]
 
 
 def leaves_of(maps: Maps, model: AbstractSpecular) -> Leaves:
@@ -29,7 +40,8 @@ def leaves_of(maps: Maps, model: AbstractSpecular) -> Leaves:
 
     The mean is that of logarithms: it is ratios of exponents that are seen.
     """
-    material = as_blinn(maps.material, model)
+    filled, is_filled = filled_in(maps)
+    material = as_blinn(filled, model)
     inside = ~maps.flagged(Flag.OUTSIDE)[..., None]
     exponents = np.maximum(np.asarray(material.shininess, float), 1e-6)
     return Leaves(
@@ -38,7 +50,32 @@ def leaves_of(maps: Maps, model: AbstractSpecular) -> Leaves:
         np.asarray(material.specular, float),
         np.where(inside, np.exp(np.log(exponents).mean(axis=-1, keepdims=True)), 0),
         inside.astype(float),
+        is_filled,
     )
+
+
+def filled_in(maps: Maps) -> tuple[Material, Bool[np.ndarray, "height width"]]:
+    """The maps with what is chance in them filled in, and the pixels where it was."""
+    inside = ~maps.flagged(Flag.OUTSIDE)[..., None]
+    # Black pixels stay black; and an exponent that lies at its bound is no chance.
+    vague = maps.flagged(Flag.TOO_FEW | Flag.NO_HIGHLIGHT | Flag.ALIKE)[..., None]
+    leaves, touched = {}, np.zeros(maps.flags.shape, bool)
+    for name in LEAVES:
+        values, errors = getattr(maps, name), getattr(maps.stderr, name)
+        chance = inside & vague & ~np.isfinite(errors)
+        leaves[name] = np.where(chance, _medians(values, inside & ~chance), values)
+        touched |= chance.any(axis=-1)
+    # Its error is finite: it is known to be small, and of its exponent nothing is.
+    matte = maps.flagged(Flag.NO_HIGHLIGHT)[..., None]
+    matte = matte & np.isfinite(maps.stderr.specular)
+    leaves["specular"] = np.where(matte, 0, leaves["specular"])
+    return dataclasses.replace(maps.material, **leaves), touched
+
+
+def _medians(values: np.ndarray, told: np.ndarray) -> np.ndarray:
+    """The median of each channel over the pixels that tell it; 0 if none does."""
+    kept = [channel[own] for channel, own in zip(values.T, told.T, strict=True)]
+    return np.array([np.median(one) if one.size else 0 for one in kept], values.dtype)
 
 
 def gltf_textures(

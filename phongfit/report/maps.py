@@ -26,7 +26,7 @@ def draw_leaf(maps: Maps, name: str) -> Figure:
     """A map as it looks, its numbers with their scale, and its standard errors.
 
     Numbers are means over the channels, errors root mean squares. Pixels that cannot
-    tell are grey, as are those outside.
+    tell are grey, as are those outside: what number they have is chance.
     """
     values = np.asarray(getattr(maps, name), float)
     errors = np.asarray(getattr(maps.stderr, name), float)
@@ -42,8 +42,8 @@ def draw_leaf(maps: Maps, name: str) -> Figure:
         figure = picture(columns * (side + 0.6), 3.5)
         axes = figure.subplots(1, columns, squeeze=False)[0]
         if coloured:
-            _draw_colours(axes[0], values, inside)
-        _draw_scale(axes[-2], values.mean(axis=-1), inside, _numbers_title(name))
+            _draw_colours(axes[0], values, told)
+        _draw_scale(axes[-2], values.mean(axis=-1), told, _numbers_title(name))
         untold = int(np.sum(inside & ~told))
         title = "standard error" + (f", {untold:,} pixels untold" if untold else "")
         _draw_scale(axes[-1], spread, told, title)
@@ -55,11 +55,11 @@ def _numbers_title(name: str) -> str:
     return "exponent" if name == "shininess" else "mean of the channels"
 
 
-def _draw_colours(axes: Axes, values: np.ndarray, inside: np.ndarray) -> None:
-    brightest = float(np.quantile(values[inside], 0.995)) if inside.any() else 1.0
+def _draw_colours(axes: Axes, values: np.ndarray, told: np.ndarray) -> None:
+    brightest = float(np.quantile(values[told], 0.995)) if told.any() else 1.0
     factor = 1 / max(brightest, 1e-6) if brightest < 0.5 else 1.0
     shown = displayed(factor * values)
-    axes.imshow(np.where(inside[..., None], shown, float(UNTOLD)))
+    axes.imshow(np.where(told[..., None], shown, float(UNTOLD)))
     axes.set_title("colour" + (f", {factor:.2g} × brighter" if factor > 1 else ""))
     quiet(axes)
 

@@ -1,16 +1,28 @@
 """What a fit could know, before it: against fits of noisy photographs."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.fitting import scatter
+from phongfit.fitting.fit import set_up
+from phongfit.fitting.samples import seen_pixels
+from phongfit.fitting.start import choose_few
 from tests.fitting.scenes import LEAVES, TRUTH, as_vector, ball, photograph
-from tests.helpers import near
+from tests.helpers import known, near
 
 SCENE = ball()
 NOISE = 0.01
+FRONTAL = pf.Scene(
+    pf.Sphere(),
+    SCENE.camera,
+    [pf.DirectionalLight((0, 0, 1), light) for light in (0.35, 0.25)],
+    ambient=0.3,
+)
+MATTE = pf.Material(TRUTH.diffuse, 0.0, 20.0, TRUTH.ambient)
 
 
 def test_it_is_what_fits_state_and_what_happens():
@@ -42,9 +54,8 @@ def test_errors_grow_with_the_noise_and_fall_with_images():
     np.testing.assert_allclose(one.errors / four.errors, 2, rtol=1e-3)
 
 
-def test_what_could_not_be_told_is_named():
-    matte = pf.Material(TRUTH.diffuse, 0.0, 20.0, TRUTH.ambient)
-    predicted = pf.predict_errors(SCENE, matte, NOISE)
+def test_what_could_not_be_told_is_named(few_draws):
+    predicted = pf.predict_errors(SCENE, MATTE, NOISE)
     assert predicted.untold[9] and np.isinf(predicted.errors[9])
     assert np.isinf(predicted.stderr.shininess)
     assert any("shininess cannot be told" in words for words in predicted.warnings)
@@ -52,11 +63,79 @@ def test_what_could_not_be_told_is_named():
     assert text.startswith("phongfit: what ") and "! shininess cannot" in text
 
 
+@pytest.fixture
+def few_draws(monkeypatch):
+    monkeypatch.setattr(scatter, "DRAWS", 60)
+
+
+def check_like_fits(
+    scene: pf.Scene, material: pf.Material, count: int, noise: float | None = None
+) -> None:
+    """What is predicted of ρ_a and ρ_d is what so many fits are off by."""
+    predicted = pf.predict_errors(scene, material, NOISE)
+    assert predicted.untold.tolist() == [False] * 9 + [True]
+    off = []
+    for seed in range(count):
+        image = photograph(scene, material, noise=NOISE, seed=seed)
+        off.append(pf.fit(scene, image, noise=noise).values - predicted.values)
+    spread = np.sqrt(np.mean(np.square(off), axis=0))
+    # Some fits stray far, and how many is chance. At one exponent errors are up to 20
+    # times too small.
+    np.testing.assert_allclose(predicted.errors[:6], spread[:6], rtol=0.6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", [FRONTAL, SCENE])
+@pytest.mark.parametrize("specular", [0.0, 0.002])
+def test_without_a_highlight_errors_are_those_that_fits_make(scene, specular):
+    material = dataclasses.replace(MATTE, specular=np.full(3, specular))
+    check_like_fits(scene, material, 200, NOISE)
+
+
+def test_so_they_are_in_a_few_draws(few_draws):
+    check_like_fits(SCENE, MATTE, 40)
+
+
+@pytest.mark.parametrize("scene, times", [(FRONTAL, 5.0), (SCENE, 1.3)])
+def test_errors_at_one_exponent_are_too_small(few_draws, scene, times):
+    """At f = 1 and light from the viewer, a highlight is what Lambert's light is."""
+    open_end = pf.predict_errors(scene, MATTE, NOISE)
+    held = {"shininess": 20.0, "specular": 0.0}
+    one = pf.predict_errors(scene, MATTE, NOISE, fixed=held)
+    assert np.all(open_end.errors[3:6] > times * one.errors[3:6])
+    assert any("those of 60 drawn fits" in words for words in open_end.warnings)
+    near(open_end.errors[:6] ** 2, np.diag(open_end.covariance)[:6], 1e-5)
+
+
+def test_of_many_pixels_a_few_stand_for_all():
+    scene = ball(size=96)
+    (source,) = set_up(scene, photograph(scene, MATTE)).sources
+    (seen,) = seen_pixels([source])
+    (few,) = known(choose_few([source], [seen]))
+    weight = np.asarray(scatter._stands_for(source, seen, few).weight).reshape(-1, 3)
+    used = np.unique(few)
+    assert len(used) < 0.5 * len(seen)
+    near(weight[used].sum(axis=0), len(seen), 1e-5)
+    # In each part of the image as in all of it.
+    upper = seen // 96 < 48
+    top = weight[used[used // 96 < 48]].sum(axis=0)
+    np.testing.assert_allclose(top, upper.sum(), rtol=0.05)
+
+
+@pytest.mark.slow
+def test_their_errors_are_those_of_all():
+    """The same light, on four times the pixels: half the errors."""
+    small, large = (
+        pf.predict_errors(ball(size=size), MATTE, NOISE).errors[:6] for size in (40, 80)
+    )
+    np.testing.assert_allclose(small / large, 2, rtol=0.25)
+
+
 def test_options_are_those_of_a_fit():
     free = pf.predict_errors(SCENE, TRUTH, NOISE)
-    known = pf.predict_errors(SCENE, TRUTH, NOISE, fixed={"diffuse": TRUTH.diffuse})
-    assert known.labels == tuple(k for k in free.labels if "diffuse" not in k)
-    assert np.all(known.errors < free.errors[[0, 1, 2, 6, 7, 8, 9]])
+    fewer = pf.predict_errors(SCENE, TRUTH, NOISE, fixed={"diffuse": TRUTH.diffuse})
+    assert fewer.labels == tuple(k for k in free.labels if "diffuse" not in k)
+    assert np.all(fewer.errors < free.errors[[0, 1, 2, 6, 7, 8, 9]])
     told = pf.predict_errors(SCENE, TRUTH, NOISE, priors={"shininess": (20, 0.1)})
     expected = 1 / np.sqrt(1 / free.errors[9] ** 2 + 1 / 0.1**2)
     assert told.errors[9] == pytest.approx(expected, rel=1e-3)
