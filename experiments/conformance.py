@@ -25,7 +25,7 @@ import tyro
 import phongfit as pf
 from experiments.references import Reference, find_references, read_reference, seen
 from phongfit.cli import run
-from phongfit.files.outputs import write_json
+from phongfit.files.outputs import check_file, write_json
 
 VERTEX_BOUND = 1e-5
 MEDIAN_BOUND = 1e-5
@@ -138,6 +138,8 @@ def main(options: Options) -> int:
     """
     if not options.folders:
         raise ValueError("FOLDER: none came, at least one is wanted")
+    if options.json is not None:
+        check_file(options.json)
     paths = [path for folder in options.folders for path in find_references(folder)]
     width = max(len(str(path.with_suffix(""))) for path in paths)
     print(head(width))

@@ -22,7 +22,7 @@ from experiments.light_kinds import MATERIAL, RADIUS, floor
 SHOWN = (6.5, 8.0, 12.0, 16.0, 17.5, 19.0, 21.0, 24.0)
 LAMPS = ("sun", "moon", "street lamp")
 SOURCES = (*LAMPS, "sky", "fog")
-COLOURS = (style.ORANGE, style.SKY, style.VERMILION, style.BLUE, "#999999")
+COLOURS = (style.ORANGE, style.SKY, style.VERMILION, style.BLUE, style.PALE)
 UNCLAMPED = pf.Film(clamp=False)
 
 DAY_SKY, NIGHT_SKY = np.array([0.35, 0.5, 0.75]), np.array([0.012, 0.016, 0.04])

@@ -14,7 +14,13 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.markup import escape
 
-from experiments.output import JsonFile, PictureFile, save_numbers, save_picture
+from experiments.output import (
+    JsonFile,
+    PictureFile,
+    check_outputs,
+    save_numbers,
+    save_picture,
+)
 from phongfit.cli import run
 from phongfit.files.images import to_levels
 from phongfit.files.outputs import replacing
@@ -91,6 +97,7 @@ class Experiment:
             picture: PictureFile = Path(f"out/{self.name}.png"),
             json: JsonFile = None,
         ) -> int:
+            check_outputs(picture, json)
             console = Console()
             with console.status(escape(self.question)):
                 finding = self.find(small)

@@ -17,7 +17,13 @@ import numpy as np
 import tyro
 
 import phongfit as pf
-from experiments.output import JsonFile, PictureFile, save_numbers, save_picture
+from experiments.output import (
+    JsonFile,
+    PictureFile,
+    check_outputs,
+    save_numbers,
+    save_picture,
+)
 from phongfit.cli import run
 from phongfit.commands.data import DataOptions, read_data
 from phongfit.files.dataset import Dataset
@@ -109,6 +115,7 @@ def main(
     if not folder.is_dir():
         print(f"skipped: there is no folder {folder}")
         return 0
+    check_outputs(picture, json)
     data = read(folder)
     if len(data.images) < 2:
         raise ValueError(f"{folder}: one photograph came, at least two are wanted")

@@ -263,7 +263,7 @@ def draw(found: Found) -> Figure:
     ratios, start = panels[-1], 0
     draws = found[0][1][0].draws
     slack = found[0][1][0].slack
-    ratios.axhspan(1 - slack, 1 + slack, color="#dddddd", lw=0)
+    ratios.axhspan(1 - slack, 1 + slack, color=style.GRID, lw=0)
     middles = []
     for _, spreads in found:
         places = start + np.arange(len(spreads))

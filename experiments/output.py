@@ -1,15 +1,43 @@
 """What all experiments share: where their numbers and pictures go."""
 
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
+from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 
-from phongfit.files.outputs import replacing, write_json
+from phongfit.files.outputs import check_file, replacing, write_json
 
 JsonFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 PictureFile = Annotated[Path, tyro.conf.arg(metavar="FILE")]
+
+
+def check_outputs(picture: Path | None, json: Path | None) -> None:
+    """Could these files be written? Asked before what takes long.
+
+    **Raises:** `OSError` or `ValueError` that names the file, and says why not.
+    """
+    for path in (picture, json):
+        if path is not None:
+            _check(path)
+    known = FigureCanvasBase.get_supported_filetypes()
+    if picture is not None and picture.suffix.removeprefix(".").lower() not in known:
+        raise ValueError(
+            f"{picture}: suffix {picture.suffix!r} came, a picture's is wanted, such "
+            "as .png or .pdf"
+        )
+
+
+def _check(path: Path) -> None:
+    if path.exists() or path.parent.exists():
+        check_file(path)
+        return
+    # Folders are made where there are none: the first that is there must allow it.
+    there = next(folder for folder in path.absolute().parents if folder.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        raise OSError(f"{path}: no folder can be made in {there}")
 
 
 def save_numbers(path: Path | None, numbers: Any) -> None:

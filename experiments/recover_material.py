@@ -19,7 +19,13 @@ from rich.table import Table
 
 import phongfit as pf
 from data_synth import make_dataset, make_lights
-from experiments.output import JsonFile, PictureFile, save_numbers, save_picture
+from experiments.output import (
+    JsonFile,
+    PictureFile,
+    check_outputs,
+    save_numbers,
+    save_picture,
+)
 from phongfit.cli import run
 from phongfit.files.dataset import Dataset
 from phongfit.report.pictures import Row, comparison
@@ -158,6 +164,7 @@ def main(
         picture: Where the picture goes.
         json: Where the numbers go: a list of cases with truth, estimate and stderr.
     """
+    check_outputs(picture, json)
     console = Console()
     results, rows = [], []
     for at, case in enumerate(

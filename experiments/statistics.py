@@ -23,7 +23,7 @@ from rich.progress import track
 from rich.table import Table
 
 import phongfit as pf
-from experiments.output import JsonFile, save_numbers
+from experiments.output import JsonFile, check_outputs, save_numbers
 from phongfit.cli import run
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.profile import total_cost
@@ -184,6 +184,7 @@ def main(
     """
     if min(draws, starts) < 1 or problems < 0:
         raise ValueError("draws, starts: whole numbers ≥ 1 are wanted")
+    check_outputs(None, json)
     console = Console()
     numbers, wrong = {}, []
     for title, material in (("all free", TRUTH), ("a bound binds", BOUND)):

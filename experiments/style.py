@@ -1,4 +1,4 @@
-"""One look for all figures: page width, type, colours that everyone can tell apart."""
+"""One look for all figures: the report's, on the width of a page."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,16 +10,22 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import StrMethodFormatter
 
 from phongfit.report.pictures import displayed
-from phongfit.report.style import quiet
+from phongfit.report.style import (
+    BLACK as BLACK,
+    BLUE,
+    GREEN,
+    GRID as GRID,
+    ORANGE,
+    PALE as PALE,
+    SKY as SKY,
+    STYLE as REPORT,
+    VERMILION,
+    quiet,
+)
 
 # Width of a page's text, inches: nothing is scaled, so a point of type is a point.
 PAGE = 7.2
 DPI = 150
-
-# The eight colours of Okabe and Ito, *Color universal design*, 2008: told apart with
-# every kind of colour vision.
-BLACK, ORANGE, SKY, GREEN = "#000000", "#e69f00", "#56b4e9", "#009e73"
-YELLOW, BLUE, VERMILION, PURPLE = "#f0e442", "#0072b2", "#d55e00", "#cc79a7"
 
 # Colour, marker and symbol of each parameter, the same in all figures.
 PARAMETERS = {
@@ -29,23 +35,11 @@ PARAMETERS = {
     "ambient": (ORANGE, "D", "ρ_a"),
 }
 
-STYLE: dict[Any, Any] = {
-    "font.size": 8.5,
-    "axes.titlesize": 9,
-    "axes.labelsize": 8.5,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "legend.fontsize": 8,
+# The report's, for a page of many small panels: titles above the middle of each.
+STYLE: dict[Any, Any] = REPORT | {
+    "axes.titlelocation": "center",
     "figure.titlesize": 10,
-    "legend.frameon": False,
-    "lines.linewidth": 1.4,
     "lines.markersize": 4.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.6,
     "figure.constrained_layout.h_pad": 0.03,
     "figure.constrained_layout.w_pad": 0.03,
 }

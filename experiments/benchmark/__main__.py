@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.markdown import Markdown
 
 from experiments.benchmark import costs, map_peers, maps, single
-from experiments.output import JsonFile, save_numbers, save_picture
+from experiments.output import JsonFile, check_outputs, save_numbers, save_picture
 from experiments.style import BLUE, GREEN, ORANGE, VERMILION, bands, page, styled
 from phongfit.cli import run
 
@@ -188,6 +188,7 @@ def main(
     """
     if min(resolution, runs) < 1:
         raise ValueError("resolution, runs: whole numbers ≥ 1 are wanted")
+    check_outputs(picture, json)
     console = Console()
 
     def show(text: str) -> None:

@@ -28,7 +28,7 @@ from phongfit.files.fits import (
     load_fit,
     save_fit,
 )
-from phongfit.files.outputs import replacing_folder
+from phongfit.files.outputs import check_folder, replacing_folder
 from phongfit.fitting.fit import fit
 from phongfit.fitting.result import Fit
 
@@ -82,12 +82,12 @@ def main(options: Options) -> int:
     differ by more than a standard error.
     """
     keep_compiled()
+    may_replace = OURS.__contains__ if options.overwrite else None
+    check_folder(options.out.resolve(), may_replace)
     record = None if options.like is None else load_fit(options.like)
     settings, reading = _settings(options, record)
     data, read = read_data(reading)
-    with replacing_folder(
-        options.out, OURS.__contains__ if options.overwrite else None
-    ) as folder:
+    with replacing_folder(options.out, may_replace) as folder:
         with stage("fitting"):
             found = _fit(data, settings)
         print(found, flush=True)
@@ -169,7 +169,31 @@ def _draw(folder: Path, found: Fit, data: Dataset, options: Options) -> None:
         title=data.name,
         names=data.names,
         command=_again(options),
+        loading=_loading(options.data, len(data.images)),
         thorough=options.report == "full",
+    )
+
+
+def _loading(data: DataOptions, images: int) -> str:
+    """Lines of Python that read what was fitted, by the names of the report's call."""
+    given = {
+        field.name: getattr(data, field.name)
+        for field in dataclasses.fields(data)
+        if getattr(data, field.name) != field.default
+    }
+    words = [
+        f"{name}={f'Path({str(value)!r})' if isinstance(value, Path) else repr(value)}"
+        for name, value in given.items()
+    ]
+    names = "scenes, images, masks" if images > 1 else "(scene,), (image,), (mask,)"
+    return "\n".join(
+        [
+            "from pathlib import Path",
+            "from phongfit.commands.data import DataOptions, read_data",
+            "",
+            f"data, _ = read_data(DataOptions({', '.join(words)}))",
+            f"{names} = data.scenes, data.images, data.masks",
+        ]
     )
 
 

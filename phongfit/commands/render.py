@@ -10,9 +10,8 @@ from tyro.conf import Positional, arg
 from phongfit.commands.cache import keep_compiled
 from phongfit.commands.options import optional
 from phongfit.commands.progress import stage
-from phongfit.files.images import Bits, write_image
+from phongfit.files.images import Bits, check_image, write_image
 from phongfit.files.materials import read_material
-from phongfit.files.outputs import check_file
 from phongfit.files.scenes import TRUTH_FILE, load_scene, load_truth, with_lights
 from phongfit.material import Material
 from phongfit.rendering.film import Encoding, Film
@@ -55,13 +54,13 @@ def main(options: Options) -> int:
       phongfit render out/brass --material out/fit/fit.json -o fitted.exr
     """
     keep_compiled()
-    check_file(options.out)
+    floats = options.bits == 32 or options.out.suffix.lower() in FLOATS
+    encoding = options.encoding or ("linear" if floats else "srgb")
+    check_image(options.out, encoding, options.bits)
     scene = with_lights(load_scene(options.scene), options.lights)
     material = _material(options)
-    floats = options.bits == 32 or options.out.suffix.lower() in FLOATS
     with stage("rendering"):
         light = np.asarray(render(scene, material, film=Film(clamp=not floats)))
-    encoding = options.encoding or ("linear" if floats else "srgb")
     write_image(options.out, light, encoding, options.bits)
     height, width, _ = light.shape
     white = 100 * float(np.mean(light >= 1))

@@ -26,41 +26,43 @@ class Refused(Exception):
     """The file is whole, but not what is wanted."""
 
 
-def _check_size(width: int, height: int) -> None:
-    if width * height > MAX_PIXELS:
+def _check_size(width: int, height: int, most: int) -> None:
+    if width * height > most:
         raise Refused(
-            f"{width} × {height} pixels came, at most {MAX_PIXELS} are wanted"
+            f"{width} × {height} pixels came, at most {most} are wanted; a smaller "
+            "copy will do"
         )
 
 
-def _read_png(data: bytes, path: Path) -> np.ndarray:
+def _read_png(data: bytes, path: Path, most: int) -> np.ndarray:
     del path
     if data[:8] != b"\x89PNG\r\n\x1a\n":
         raise ValueError("it does not start as a PNG does")
-    _check_size(*struct.unpack(">II", data[16:24]))
+    width, height = struct.unpack(">II", data[16:24])
+    _check_size(width, height, most)
     # Decoders are content without the end, where a copy may have been cut off.
     if b"IEND\xaeB`\x82" not in data[-4096:]:
         raise ValueError("it is truncated")
     return imagecodecs.png_decode(data)
 
 
-def _read_jpeg(data: bytes, path: Path) -> np.ndarray:
+def _read_jpeg(data: bytes, path: Path, most: int) -> np.ndarray:
     del path
     with warnings.catch_warnings():
         # Pillow only warns of a picture that would fill the memory.
         warnings.filterwarnings("error", "Image size", RuntimeWarning)
         height, width = iio.improps(data, plugin="pillow", extension=".jpg").shape[:2]
-        _check_size(width, height)
+        _check_size(width, height, most)
         numbers = iio.imread(data, plugin="pillow", extension=".jpg")
     if numbers.ndim == 3 and numbers.shape[-1] != 3:
         raise Refused("CMYK came, RGB or grey is wanted")
     return numbers
 
 
-def _read_tiff(data: bytes, path: Path) -> np.ndarray:
+def _read_tiff(data: bytes, path: Path, most: int) -> np.ndarray:
     del path
     tags = _tiff_tags(data)
-    _check_size(tags.get(256, 0), tags.get(257, 0))
+    _check_size(tags.get(256, 0), tags.get(257, 0), most)
     # 1 and 2 are grey, where 0 is black, and RGB; there are inverted ones, palettes …
     photometric = tags.get(262)
     if photometric not in (1, 2):
@@ -97,25 +99,25 @@ def _tiff_tags(data: bytes) -> dict[int, int]:
     return values
 
 
-def _read_hdr(data: bytes, path: Path) -> np.ndarray:
+def _read_hdr(data: bytes, path: Path, most: int) -> np.ndarray:
     del path
     header, _, _ = data.partition(b"\n\n")
     size = re.match(rb"\s*[-+]Y (\d+) [-+]X (\d+)\n", data[len(header) :])
     if not data.startswith(b"#?") or size is None:
         raise ValueError("it does not start as a Radiance picture does")
-    _check_size(int(size[2]), int(size[1]))
+    _check_size(int(size[2]), int(size[1]), most)
     # A pixel is radiance times all exposures that were ever applied to it.
     exposures = re.findall(rb"^EXPOSURE\s*=\s*(\S+)", header, re.MULTILINE)
     exposure = np.prod([float(value) for value in exposures], initial=1.0)
     return imagecodecs.rgbe_decode(data) / np.float32(exposure)
 
 
-def _read_exr(data: bytes, path: Path) -> np.ndarray:
+def _read_exr(data: bytes, path: Path, most: int) -> np.ndarray:
     del data
     with _silent_library():
         with OpenEXR.File(os.fspath(path), header_only=True) as file:
             (left, top), (right, bottom) = file.header()["dataWindow"]
-        _check_size(int(right - left + 1), int(bottom - top + 1))
+        _check_size(int(right - left + 1), int(bottom - top + 1), most)
         with OpenEXR.File(os.fspath(path), separate_channels=True) as file:
             channels = {k: v.pixels for k, v in file.channels().items()}
     for names in ("RGB", "RGBA", "Y", "YA"):
@@ -138,7 +140,10 @@ def _silent_library() -> Iterator[None]:
         os.close(saved)
 
 
-READERS: dict[str, Callable[[bytes, Path], np.ndarray]] = {
+Reader = Callable[[bytes, Path, int], np.ndarray]
+"""Takes the file's bytes, its path, and how many pixels it may have at most."""
+
+READERS: dict[str, Reader] = {
     ".png": _read_png,
     ".jpg": _read_jpeg,
     ".jpeg": _read_jpeg,

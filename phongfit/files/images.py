@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, UInt
 
-from phongfit.files.formats import READERS, WRITERS, Refused
+from phongfit.files.formats import MAX_PIXELS, READERS, WRITERS, Refused
 from phongfit.files.inputs import read_bytes
-from phongfit.files.outputs import replacing
+from phongfit.files.outputs import check_file, replacing
 from phongfit.rendering.film import Encoding, as_encoding, decode, encode
 
 Bits = Literal[8, 16, 32]
@@ -19,7 +19,7 @@ Bits = Literal[8, 16, 32]
 
 
 def read_image(
-    path: str | os.PathLike[str], encoding: Encoding
+    path: str | os.PathLike[str], encoding: Encoding, *, max_pixels: int = MAX_PIXELS
 ) -> Float[np.ndarray, "height width 3"]:
     """An image as linear light, where 1 is the largest number of an integer format.
 
@@ -31,13 +31,15 @@ def read_image(
     - `path`: the suffix tells the format.
     - `encoding`: `"linear"` or `"srgb"`: what the numbers in the file are. A fit in the
         wrong one is wrong, so it is never guessed. Floating-point formats are linear.
+    - `max_pixels`: images with more are refused before they are decoded: a small file
+        can hold an image that fills the memory.
 
     **Raises:** `ValueError` that names the file: it is missing, broken, of an unknown
     format, too large, partly transparent, or holds NaN or infinity.
     """
     path = Path(path)
     encoding = as_encoding(encoding)
-    numbers = _opaque(path, _read_numbers(path))
+    numbers = _opaque(path, _read_numbers(path, max_pixels))
     if numbers.dtype.kind == "f":
         if encoding != "linear":
             raise ValueError(
@@ -51,14 +53,18 @@ def read_image(
     return np.repeat(image, 3 // image.shape[-1], axis=-1)
 
 
-def read_mask(path: str | os.PathLike[str]) -> Bool[np.ndarray, "height width"]:
+def read_mask(
+    path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS
+) -> Bool[np.ndarray, "height width"]:
     """A mask from an image: true where it is nearer to its brightest grey than to 0.
+
+    **Arguments:** `max_pixels`: as of [`read_image`][].
 
     **Raises:** `ValueError` that names the file, as in [`read_image`][].
     """
     # Relative to the brightest, since masks of 0 and 1 are as common as 0 and 255.
     path = Path(path)
-    grey = _opaque(path, _read_numbers(path)).max(axis=-1)
+    grey = _opaque(path, _read_numbers(path, max_pixels)).max(axis=-1)
     return grey > grey.max() / 2
 
 
@@ -83,6 +89,26 @@ def write_image(
     cannot be written.
     """
     path = Path(path)
+    depth = check_image(path, encoding, bits)
+    light = _as_image(path, image)
+    if depth == 32:
+        numbers = light.astype(np.float32)
+    else:
+        numbers = to_levels(light, encoding, depth)
+    with replacing(path) as temporary:
+        WRITERS[path.suffix.lower()][depth](temporary, numbers)
+
+
+def check_image(path: Path, encoding: Encoding, bits: Bits | None = None) -> int:
+    """Could an image be written here, like this? Asked before what takes long.
+
+    **Arguments:** as of [`write_image`][].
+
+    **Returns:** bits per channel that the file will have.
+
+    **Raises:** `ValueError` and `OSError` as [`write_image`][] does.
+    """
+    check_file(path)
     writers = WRITERS.get(path.suffix.lower())
     if writers is None:
         raise ValueError(f"{path}: {_wanted_suffix(path, WRITERS)}")
@@ -90,17 +116,11 @@ def write_image(
     if depth not in writers:
         depths = " or ".join(str(known) for known in writers)
         raise ValueError(f"{path}: bits: {depth!r} came, {depths} is wanted")
-    light = _as_image(path, image)
-    if depth != 32:
-        numbers = to_levels(light, encoding, depth)
-    elif as_encoding(encoding) == "linear":
-        numbers = light.astype(np.float32)
-    else:
+    if as_encoding(encoding) != "linear" and depth == 32:
         raise ValueError(
             f"{path}: encoding {encoding!r} came, floating-point images are linear"
         )
-    with replacing(path) as temporary:
-        writers[depth](temporary, numbers)
+    return depth
 
 
 def to_levels(
@@ -149,14 +169,14 @@ def _as_image(path: Path, image: Any) -> np.ndarray:
     return light
 
 
-def _read_numbers(path: Path) -> np.ndarray:
+def _read_numbers(path: Path, max_pixels: int) -> np.ndarray:
     """What stands in the file: (H, W, channels), whole numbers or floats."""
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: {_wanted_suffix(path, READERS)}")
     data = read_bytes(path)
     try:
-        numbers = reader(data, path)
+        numbers = reader(data, path, max_pixels)
     except Refused as error:
         raise ValueError(f"{path}: {error}") from None
     except Exception as error:

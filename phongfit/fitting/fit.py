@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from phongfit.fitting.diagnostics import compare_neighbours
-from phongfit.fitting.inputs import Photograph, as_photographs
+from phongfit.fitting.inputs import Photograph, as_photographs, is_number
 from phongfit.fitting.layout import Tie, make_unknowns
 from phongfit.fitting.losses import AbstractLoss, as_loss
 from phongfit.fitting.noise import find_film, rounding_steps
@@ -130,6 +130,7 @@ def fit(
         noise is not None,
         max_steps,
     )
+    given = {"mask": mask, "weights": weights, "noise": noise}
     # JAX computes these side by side, as long as none is looked at.
     place, pieces = in_units(layout, found.y), add_up(found.problem, found.y)
     scenes = layout.scenes(place[0], tuple(source.scene for source in sources))
@@ -146,6 +147,7 @@ def fit(
         shown=[_show(setting, k, scene, place[0]) for k, scene in enumerate(scenes)],
         single=single,
         noise_given=noise is not None,
+        arrays=tuple(name for name, value in given.items() if not is_number(value)),
     )
 
 

@@ -34,7 +34,7 @@ def as_photographs(
     images = [image] if single else _sequence("image", image, len(scenes))
     masks, weightings, noises = (
         [given] * len(scenes)
-        if single or given is None or (name == "noise" and _is_number(given))
+        if single or given is None or (name == "noise" and is_number(given))
         else _sequence(name, given, len(scenes))
         for name, given in (("mask", mask), ("weights", weights), ("noise", noise))
     )
@@ -59,7 +59,8 @@ def _check_alike(scenes: list[Scene]) -> None:
             raise ValueError(f"scene: all scenes must have the same {what}")
 
 
-def _is_number(given: Any) -> bool:
+def is_number(given: Any) -> bool:
+    """Whether one number came for all samples."""
     # NumPy would make an array of a list first, which fails for images of two sizes.
     return not isinstance(given, list | tuple) and np.ndim(given) == 0
 

@@ -58,6 +58,7 @@ class Fit:
     residuals: Any
     noise: float
     noise_given: bool
+    arrays: tuple[str, ...]
     samples: int
     images: int
     degrees_of_freedom: int
@@ -216,6 +217,8 @@ Fit.__init__.__doc__ = """**Arguments:**
 - `fitted`, `residuals`: the like; `residuals` is image − fitted, 0 where a sample was
     left out.
 - `noise`: standard deviation of a sample, in linear light where white is 1.
+- `noise_given`: whether it was known.
+- `arrays`: those of `mask`, `weights` and `noise` that were given, an entry a sample.
 - `samples`: pixels times channels used.
 - `degrees_of_freedom`: samples and priors less unknowns that were free.
 - `chi_squared`: sum of the squared residuals in standard deviations.

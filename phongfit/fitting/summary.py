@@ -40,6 +40,7 @@ def summarize(
     shown: list[Shown],
     single: bool,
     noise_given: bool,
+    arrays: tuple[str, ...],
 ) -> Fit:
     """The result of a fit.
 
@@ -53,6 +54,7 @@ def summarize(
     - `scenes`, `shown`: the scenes and images as fitted.
     - `single`: whether one image was given, not a sequence.
     - `noise_given`: whether the noise level was known.
+    - `arrays`: which arguments came as arrays.
     """
     problem, unknowns = found.problem, found.problem.unknowns
     neighbours = [Neighbours(*map(float, one.neighbours)) for one in shown]
@@ -87,6 +89,7 @@ def summarize(
         residuals=residuals[0] if single else tuple(residuals),
         noise=_typical_noise(problem),
         noise_given=noise_given,
+        arrays=arrays,
         samples=samples,
         images=len(shown),
         degrees_of_freedom=samples + sum(unknowns.has_prior) - told.free,
@@ -94,7 +97,7 @@ def summarize(
         neighbour_correlation=correlation,
         loss=type(problem.loss).__name__,
         model=type(problem.samples.channels.pixels.terms.model).__name__,
-        film=_film_words(film),
+        film=film_words(film),
         converged=found.converged,
         steps=found.steps,
         reason=_CONVERGED if found.converged else _STOPPED,
@@ -161,6 +164,7 @@ def _with_noise_warning(fit: Fit) -> Fit:
     return dataclasses.replace(fit, warnings=(*fit.warnings, words))
 
 
-def _film_words(film: Film) -> str:
+def film_words(film: Film) -> str:
+    """What of a film a fit rests on."""
     rounded = "not rounded" if film.bits is None else f"{film.bits}-bit {film.encoding}"
     return f"{'clamped' if film.clamp else 'not clamped'}, {rounded}"

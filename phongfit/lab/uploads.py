@@ -20,6 +20,9 @@ from phongfit.rendering.film import Encoding
 MAX_BYTES = 2**26
 """Larger files are refused."""
 
+MAX_PIXELS = 2**24
+"""Larger photographs are refused: a page should not fill the memory."""
+
 MAX_FACES = 500_000
 """Meshes of more faces are refused."""
 
@@ -62,7 +65,11 @@ def read_photograph(
 
     **Raises:** `ValueError` that names the file.
     """
-    image = _read(name, content, lambda path: read_image(path, encoding))
+    image = _read(
+        name,
+        content,
+        lambda path: read_image(path, encoding, max_pixels=MAX_PIXELS),
+    )
     times = math.ceil(max(image.shape) / MAX_SIDE)
     return _shrink(image, times), times
 
@@ -75,7 +82,7 @@ def read_photograph_mask(
     **Raises:** `ValueError` that names the file, and if it is not of the photograph's
     size.
     """
-    mask = _read(name, content, read_mask)
+    mask = _read(name, content, lambda path: read_mask(path, max_pixels=MAX_PIXELS))
     whole = _shrink(mask[..., None].astype(float), times)[..., 0] >= 1
     if whole.shape != shape:
         came, wanted = mask.shape, tuple(times * side for side in shape)

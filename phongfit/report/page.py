@@ -15,9 +15,9 @@ from phongfit.report.panels import (
     trio,
 )
 from phongfit.report.plots import chosen, names_of
-from phongfit.report.repeat import call
+from phongfit.report.repeat import call, names as names_in_call
 from phongfit.report.style import styled
-from phongfit.report.words import assumptions as assumed, summary
+from phongfit.report.words import assumptions as assumed, listed, summary
 
 
 def write_page(
@@ -28,6 +28,7 @@ def write_page(
     names: Sequence[str] = (),
     assumptions: Mapping[str, str] | None = None,
     command: str = "",
+    loading: str = "",
     thorough: bool = True,
 ) -> None:
     """Write a report of a fit: a page that stands alone, whole or not at all.
@@ -40,6 +41,7 @@ def write_page(
     - `assumptions`: name and value of what else was assumed, such as the encoding of
         the files; shown before what the fit itself knows.
     - `command`: the command line that repeats the fit, if there was one.
+    - `loading`: lines of Python that make what [`call`][] takes: scene, image, mask.
     - `thorough`: with profiles and the course of the convergence, for which the fit is
         solved some fifty times more: seconds.
 
@@ -52,6 +54,7 @@ def write_page(
         names=names,
         assumptions=assumptions,
         command=command,
+        loading=loading,
         thorough=thorough,
     )
     with replacing(path) as temporary:
@@ -65,6 +68,7 @@ def page(
     names: Sequence[str] = (),
     assumptions: Mapping[str, str] | None = None,
     command: str = "",
+    loading: str = "",
     thorough: bool = True,
 ) -> str:
     """The text of the page: see [`write_page`][]."""
@@ -95,7 +99,9 @@ def page(
         about_convergence=about_course,
         assumptions={**(assumptions or {}), **assumed(fit)},
         command=command,
+        loading=loading,
         call=call(fit),
+        given=listed(names_in_call(fit)),
     )
 
 

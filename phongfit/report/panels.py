@@ -131,12 +131,10 @@ def profiles(fit: Fit, thorough: bool) -> tuple[list[Shown], str]:
     """A few profiles, if they are wanted, and a word on the others."""
     if not thorough:
         return [], "Profiles were not asked for."
-    labels = profiled(fit)[: MOST_PROFILES * MOST_SAMPLES // fit.samples]
-    if fit.samples > MOST_PROFILES * MOST_SAMPLES:
-        words = "Of so many samples they would take minutes: none are drawn here."
-        return [], f"{words} fit.plot_profile(name) draws them."
-    if not labels or not fit.converged:
-        why = "the solver did not converge" if labels else "no unknown is told"
+    wanted = profiled(fit)
+    labels = wanted[: MOST_PROFILES * MOST_SAMPLES // fit.samples]
+    if not wanted or not fit.converged:
+        why = "the solver did not converge" if wanted else "no unknown is told"
         return [], f"There are none: {why}."
     shown = []
     for label in labels:
@@ -145,8 +143,16 @@ def profiles(fit: Fit, thorough: bool) -> tuple[list[Shown], str]:
         alt = f"Profile of {label}: it lies between {low:.4g} and {high:.4g} (68 %)."
         shown.append(_drawn(lambda axes, p=found: draw_profile(axes, fit, p), alt))
     left = len(_free_labels(fit)) - len(labels)
-    about = "fit.plot_profile(name) draws those of the others." if left > 0 else ""
-    return shown, about
+    draws = f'In Python, fit.plot_profile("{wanted[len(shown) % len(wanted)]}") draws'
+    if len(labels) < len(wanted):
+        counts = {0: "none is", 1: "one alone is", 2: "two alone are"}
+        return shown, (
+            f"A profile solves the fit of all {fit.samples:,} samples some twenty "
+            f"times more: {counts[len(labels)]} drawn here, to spare minutes. {draws} "
+            f"{'another' if labels else 'one'}. Where there is none, errors rest on "
+            "the curvature at the estimate alone."
+        )
+    return shown, f"{draws} that of another unknown." if left > 0 else ""
 
 
 def correlations(fit: Fit) -> tuple[Shown | None, str]:
@@ -188,8 +194,10 @@ def residuals(fit: Fit) -> list[Shown]:
 def convergence(fit: Fit, thorough: bool) -> tuple[Shown | None, str]:
     """How the solver ended and, if that is wanted, the cost step by step."""
     end = f"The fit took {fit.steps} steps: {fit.reason}."
-    if not thorough or fit.samples > MOST_PROFILES * MOST_SAMPLES:
+    if not thorough:
         return None, end
+    if fit.samples > MOST_PROFILES * MOST_SAMPLES:
+        return None, f"{end} Its course is not drawn: of so many samples it takes long."
     descent = descend(fit.found)
     if not np.isfinite(descent.costs).all():
         return None, f"{end} Costs are not finite."

@@ -43,7 +43,7 @@ def _draw_pair(axes: Axes, found: ProfilePair) -> None:
     levels = sorted(found.thresholds.items(), key=lambda item: item[1])
     heights = [0.0, *(height for _, height in levels)]
     x, y = found.values
-    shades = ["#0072b2", "#5aa5d1", "#b4d6ea"][: len(levels)]
+    shades = [ACCENT, "#5aa5d1", "#b4d6ea"][: len(levels)]
     axes.contourf(x, y, found.rise.T, heights, colors=shades)
     lines = axes.contour(x, y, found.rise.T, heights[1:], colors=INK, linewidths=0.8)
     words = {h: f"{100 * level:.3g} %" for level, h in levels}

@@ -7,18 +7,37 @@ import numpy as np
 from phongfit.fitting.fit import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
 from phongfit.fitting.leaves import LEAVES, is_of_scene
 from phongfit.fitting.losses import LOSSES
+from phongfit.fitting.noise import find_film
 from phongfit.fitting.result import Fit
+from phongfit.fitting.summary import film_words
 from phongfit.fitting.unknowns import Unknowns
 from phongfit.material import Material
+from phongfit.rendering.film import ENCODINGS, Film
+
+
+def names(fit: Fit) -> list[str]:
+    """What the call takes from the caller, by the names that it has there."""
+    plural = "s" if isinstance(fit.scene, tuple) else ""
+    return [f"scene{plural}", f"image{plural}", *_arrays(fit).values()]
+
+
+def _arrays(fit: Fit) -> dict[str, str]:
+    """Arguments that came as arrays, and the name that each has in the call."""
+    arrays = list(fit.arrays)
+    if "weights" in arrays and fit.noise_given and "noise" not in arrays:
+        # The samples know what the two make together.
+        arrays.append("noise")
+    plural = "s" if isinstance(fit.scene, tuple) else ""
+    shown = {"mask": f"mask{plural}", "weights": "weights", "noise": "noise"}
+    return {name: shown[name] for name in arrays}
 
 
 def call(fit: Fit) -> str:
     """`pf.fit(scene, image, ...)` with all settings that are not the defaults.
 
-    Scenes, images, masks and weights are the caller's: they are named, not written out.
+    Scenes, images and other arrays are the caller's: see [`names`][].
     """
     unknowns = fit.found.problem.unknowns
-    plural = fit.images > 1
     given = {
         "unknowns": _unless(DEFAULT_UNKNOWNS, _names(unknowns)),
         "per_channel": _unless(_default_channels(unknowns), _per_channel(unknowns)),
@@ -29,9 +48,11 @@ def call(fit: Fit) -> str:
         "ties": _unless({}, _ties(unknowns)),
         "priors": _unless({}, _priors(unknowns)),
         "noise": f"{fit.noise:.6g}" if fit.noise_given else "",
+        "film": _film(fit),
         "loss": _loss(fit),
     }
-    lines = ["scenes, images" if plural else "scene, image"]
+    given |= _arrays(fit)
+    lines = [", ".join(names(fit)[:2])]
     lines += [f"{name}={value}" for name, value in given.items() if value]
     inside = "".join(f"    {line},\n" for line in lines)
     return f"fit = pf.fit(\n{inside})"
@@ -119,6 +140,18 @@ def _priors(unknowns: Unknowns) -> dict[str, tuple[float, float]]:
         labels[entry]: (_short(mean[entry]), _short(deviation[entry]))
         for entry in np.flatnonzero(unknowns.has_prior)
     }
+
+
+def _film(fit: Fit) -> str:
+    """The film, where the images' values would not tell it."""
+    samples = fit.found.problem.samples
+    used = np.asarray(samples.target)[np.asarray(samples.weight) > 0]
+    if film_words(find_film([used])) == fit.film:
+        return ""
+    films: list[dict[str, Any]] = [{}, {"clamp": False}]
+    films += [{"encoding": e, "bits": b} for e in ENCODINGS for b in range(1, 17)]
+    settings = next(one for one in films if film_words(Film(**one)) == fit.film)
+    return f"pf.Film({', '.join(f'{k}={v!r}' for k, v in settings.items())})"
 
 
 def _loss(fit: Fit) -> str:

@@ -11,8 +11,10 @@ import matplotlib
 from matplotlib.figure import Figure
 
 INK, PALE, GRID = "#1b1f24", "#66707a", "#d8dde2"
-ACCENT = "#0072b2"
-CHANNELS = {"red": "#d55e00", "green": "#009e73", "blue": "#0072b2"}
+BLACK, ORANGE, SKY, GREEN = "#000000", "#e69f00", "#56b4e9", "#009e73"
+BLUE, VERMILION = "#0072b2", "#d55e00"
+ACCENT = BLUE
+CHANNELS = {"red": VERMILION, "green": GREEN, "blue": BLUE}
 # Blue and red beside white: signs stay apart where red and green do not.
 SIGNED = "RdBu_r"
 

@@ -1,7 +1,9 @@
 """`phongfit fit`: what it writes, and that it can be repeated from that."""
 
+import html
 import json
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,6 +45,19 @@ def test_all_numbers_are_written(brass, fitted):
     read = read_material(str(fitted / "fit.json"))
     assert isinstance(read.model, pf.BlinnPhong)
     assert np.array_equal(read.material.diffuse, record.build().diffuse)
+
+
+def test_the_report_says_how_to_repeat_it_in_python(brass, tmp_path):
+    args = ["fit", str(brass), "-o", str(tmp_path / "fit"), "--report", "quick"]
+    assert main(args) == 0
+    page = (tmp_path / "fit" / "report.html").read_text(encoding="utf-8")
+    program = html.unescape(page.split("<pre")[-1].split(">", 1)[1].split("</pre>")[0])
+    assert "mask=masks" in program
+    place: dict[str, Any] = {}
+    exec(program, place)
+    values, errors = load_fit(tmp_path / "fit" / "fit.json").numbers()
+    np.testing.assert_allclose(place["fit"].values, values, rtol=1e-6)
+    np.testing.assert_allclose(place["fit"].errors, errors, rtol=1e-6)
 
 
 def test_a_fit_repeats_and_a_difference_is_told(brass, fitted, tmp_path, capsys):

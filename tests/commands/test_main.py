@@ -145,6 +145,31 @@ def test_render(brass, tmp_path, capsys):
     assert "lights: [3] came, different numbers from 0 to 2" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        (["-o", "{}/a.bmp"], "suffix '.bmp' came"),
+        (["-o", "{}/no/a.png"], "there is no folder"),
+        (["-o", "{}/a.png", "--bits", "32"], "bits: 32 came, 8 or 16 is wanted"),
+        (["-o", "{}/a.exr", "--encoding", "srgb"], "floating-point images are linear"),
+    ],
+)
+def test_where_an_image_goes_is_looked_at_first(
+    brass, tmp_path, monkeypatch, capsys, options, words
+):
+    monkeypatch.setattr("phongfit.commands.render.render", _stop)
+    filled = [word.format(tmp_path) for word in options]
+    assert main(["render", str(brass), *filled]) == 2
+    told = capsys.readouterr().err
+    assert words in told and told.count("\n") == 1
+
+
+def test_where_a_fit_goes_is_looked_at_first(brass, monkeypatch, capsys):
+    monkeypatch.setattr("phongfit.commands.fit.read_data", _stop)
+    assert main(["fit", str(brass), "-o", str(brass)]) == 2
+    assert f"{brass}: the folder is not empty" in capsys.readouterr().err
+
+
 def test_predict(brass, tmp_path, capsys):
     args = ["predict", str(brass), "--material", "preset:brass", "--noise", "0.01"]
     fixed = ["--fixed", "shininess=30", "--json", f"{tmp_path}/a.json"]

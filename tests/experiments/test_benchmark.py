@@ -1,5 +1,6 @@
 import dataclasses
 import importlib.util
+from typing import Any
 
 import jax
 import numpy as np
@@ -145,3 +146,12 @@ def test_costs_are_of_what_they_say():
 def test_nothing_to_time():
     with pytest.raises(ValueError, match="resolution, runs: whole numbers ≥ 1"):
         main(runs=0)
+
+
+@pytest.mark.parametrize("option", ["picture", "json"])
+def test_where_the_result_goes_is_looked_at_first(tmp_path, monkeypatch, option):
+    monkeypatch.setattr(single, "rows", None)
+    (tmp_path / "file").touch()
+    place: dict[str, Any] = {option: tmp_path / "file" / "a.png"}
+    with pytest.raises(OSError, match="there is no folder"):
+        main(**place)

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 from typing import Any
 
@@ -69,11 +70,29 @@ def test_an_animation_beside_the_picture(tmp_path):
     assert [path.name for path in tmp_path.glob(".*")] == []
 
 
-def test_a_picture_that_cannot_be_written(tmp_path, capsys):
+@pytest.mark.parametrize(
+    "option, name, words",
+    [
+        ("--picture", "file/a.png", "there is no folder"),
+        ("--picture", "file/new/a.png", "no folder can be made in"),
+        ("--picture", "a.xyz", "suffix '.xyz' came"),
+        ("--picture", ".", "is a folder"),
+        ("--json", "file/a.json", "there is no folder"),
+        ("--json", "../" * 40, "is a folder"),
+    ],
+)
+def test_what_cannot_be_written_is_told_first(tmp_path, capsys, option, name, words):
     (tmp_path / "file").touch()
-    args = ["--picture", str(tmp_path / "file" / "string.png")]
-    assert run(experiment().command(), args) == 2
-    assert "error:" in capsys.readouterr().err
+
+    def never(small: bool) -> Finding:
+        raise AssertionError("nothing is computed in vain")
+
+    one = dataclasses.replace(experiment(), find=never)
+    args = ["--picture", f"{tmp_path}/new/a.png", option, f"{tmp_path}/{name}"]
+    assert run(one.command(), args) == 2
+    told = capsys.readouterr().err
+    assert words in told and told.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_light_beyond_white_is_cut_off(tmp_path):

@@ -208,6 +208,18 @@ def test_truncated_files(tmp_path, picture, suffix, bits, error, share, capfd):
     _check_one_line(path, "is broken", capfd)
 
 
+@pytest.mark.parametrize("suffix, bits, error", FORMATS)
+def test_more_pixels_than_are_allowed(tmp_path, picture, suffix, bits, error):
+    path = tmp_path / f"a{suffix}"
+    write_image(path, picture, "linear", bits)
+    assert read_image(path, "linear", max_pixels=24 * 32).shape == (24, 32, 3)
+    words = "32 × 24 pixels came, at most 767 are"
+    with pytest.raises(ValueError, match=words):
+        read_image(path, "linear", max_pixels=24 * 32 - 1)
+    with pytest.raises(ValueError, match=words):
+        read_mask(path, max_pixels=24 * 32 - 1)
+
+
 def test_png_without_its_end(tmp_path, picture, capfd):
     path = tmp_path / "a.png"
     write_image(path, picture, "linear")

@@ -42,6 +42,7 @@ def result(**changes) -> pf.Fit:
             residuals=np.zeros((2, 2, 3)),
             noise=0.0123,
             noise_given=False,
+            arrays=(),
             samples=12345,
             images=1,
             degrees_of_freedom=12342,

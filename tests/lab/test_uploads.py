@@ -1,5 +1,7 @@
 """Files from the page: whole ones, broken ones, and those that are no such file."""
 
+import struct
+
 import imagecodecs
 import numpy as np
 import pytest
@@ -63,6 +65,19 @@ def test_photographs_that_cannot_be_read(name, content, words):
         read_photograph(name, content, "srgb")
     told = str(caught.value)
     assert words in told and "\n" not in told and "/tmp" not in told, told
+
+
+@pytest.mark.parametrize("side", [4097, 2**20])
+def test_a_small_file_that_would_fill_the_memory(side):
+    """Its head alone tells: nothing is decoded."""
+    size = struct.pack(">II", side, 4096)
+    content = _png(4, 4, 3)
+    content = content[:16] + size + content[24:]
+    words = f"a.png: {side} × 4096 pixels came, at most 16777216 are wanted; a smaller"
+    with pytest.raises(ValueError, match=words):
+        read_photograph("a.png", content, "srgb")
+    with pytest.raises(ValueError, match=words):
+        read_photograph_mask("a.png", content, 1, (4, 4))
 
 
 def test_a_large_photograph_is_shrunk(monkeypatch):

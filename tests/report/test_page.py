@@ -4,6 +4,7 @@ import dataclasses
 import html.parser
 import re
 
+import numpy as np
 import pytest
 
 from phongfit.report.page import page, write_page
@@ -66,6 +67,7 @@ def test_every_number_is_there(whole, one):
     for assumption in ("BlinnPhong (gate: yes", "clamped, not rounded", "optimistix "):
         assert assumption in text
     assert "phongfit fit ball" in text and "fit = pf.fit( scene, image, )" in text
+    assert "In Python, with the same scene and image:" in text
 
 
 def test_it_stands_alone_and_pictures_have_words(whole):
@@ -144,12 +146,18 @@ def test_which_unknowns_get_a_profile(one, open_fit):
 
 def test_of_many_samples_there_are_few_profiles(one):
     many = dataclasses.replace(one, samples=2_000_000)
-    pictures, _ = profiles(many, True)
+    pictures, about = profiles(many, True)
     assert [shown["alt"].split()[2] for shown in pictures] == ["shininess:"]
+    assert "all 2,000,000 samples" in about and "one alone is drawn" in about
+    assert 'fit.plot_profile("specular.red") draws another' in about
     endless = dataclasses.replace(one, samples=4_000_000)
-    assert profiles(endless, True)[0] == []
-    assert "would take minutes" in profiles(endless, True)[1]
-    assert convergence(endless, True)[0] is None
+    pictures, about = profiles(endless, True)
+    assert pictures == [] and "none is drawn" in about
+    assert 'fit.plot_profile("shininess") draws' in about
+    course, about = convergence(endless, True)
+    assert course is None and "Its course is not drawn" in about
+    matte = dataclasses.replace(endless, untold=np.ones(10, bool))
+    assert profiles(matte, True)[1] == "There are none: no unknown is told."
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.report.repeat import call
+from phongfit.report.repeat import call, names
 from tests.fitting.scenes import SIZE, TRUTH, ball, photograph
 from tests.report.conftest import NOISE, SETTINGS
 
@@ -36,6 +36,39 @@ def test_the_call_gives_the_same_fit(held):
         assert f"    {name}=" in text
     scene = ball()
     check_same(run(text, scene=scene, image=held.photographs), held)
+
+
+def test_arrays_and_film_are_in_the_call():
+    scene = ball()
+    film = pf.Film(encoding="srgb", bits=8)
+    image = photograph(scene, TRUTH, noise=NOISE, film=film)
+    mask = np.zeros((SIZE, SIZE), bool)
+    mask[: SIZE // 2] = True
+    weights = np.linspace(0.5, 2, SIZE**2).reshape(SIZE, SIZE)
+    given = {"mask": mask, "weights": weights, "noise": np.float64(NOISE)}
+    # Of which the values themselves tell nothing.
+    film = pf.Film(encoding="linear", bits=10)
+    fit = pf.fit(scene, image, film=film, **given)
+    text = call(fit)
+    assert names(fit) == ["scene", "image", "mask", "weights", "noise"]
+    assert "    film=pf.Film(encoding='linear', bits=10),\n" in text
+    check_same(run(text, scene=scene, image=image, **given), fit)
+    again = run(text, scene=scene, image=image, **given)
+    assert again.film == fit.film and again.samples == fit.samples
+
+
+@pytest.mark.parametrize(
+    "film, written",
+    [
+        ("clamped, not rounded", None),
+        ("not clamped, not rounded", "pf.Film(clamp=False)"),
+        ("clamped, 16-bit srgb", "pf.Film(encoding='srgb', bits=16)"),
+    ],
+)
+def test_a_film_that_the_values_do_not_tell(one, film, written):
+    text = call(dataclasses.replace(one, film=film))
+    assert ("film=" in text) == (written is not None)
+    assert written is None or f"    film={written},\n" in text
 
 
 @pytest.mark.slow
