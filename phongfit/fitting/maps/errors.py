@@ -8,7 +8,14 @@ from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.diagnostics import SEEN
 from phongfit.fitting.maps.columns import Columns
-from phongfit.fitting.maps.exponent import At, Box, Sums, full_gram, slope_gram
+from phongfit.fitting.maps.exponent import (
+    At,
+    Box,
+    Slopes,
+    Sums,
+    full_gram,
+    slope_gram,
+)
 from phongfit.fitting.maps.settings import Settings
 from phongfit.fitting.maps.small import (
     Numbers,
@@ -64,30 +71,38 @@ def standard_errors(
     whole = jnp.ones_like(inner)
 
     def bordered(
-        columns: Columns, sums: Sums, specular: Array, rest: Array
+        columns: Columns, sums: Sums, slopes: Slopes, specular: Array, rest: Array
     ) -> Triangle:
         """Products of all columns and of ρ_s S'; `rest` is other channels' say on t."""
-        side = tuple(specular * number for number in slope_gram(sums))
-        corner = specular**2 * sums.slope_own + rest
+        side = tuple(specular * number for number in slope_gram(slopes))
+        corner = specular**2 * slopes.own + rest
         return (*full_gram(columns, sums), (*side, corner))
 
-    def about_t(columns: Columns, sums: Sums, point: Numbers, free: Numbers) -> Array:
-        matrix = bordered(columns, sums, point[-1], jnp.zeros_like(t))
+    def about_t(
+        columns: Columns, sums: Sums, slopes: Slopes, point: Numbers, free: Numbers
+    ) -> Array:
+        matrix = bordered(columns, sums, slopes, point[-1], jnp.zeros_like(t))
         return factorize(only(matrix, (*free, whole))).last
 
-    alone = over_channels(about_t, columns, at.sums, at.point, at.free)
+    here = (columns, at.sums, at.slopes, at.point, at.free)
+    alone = over_channels(about_t, *here)
     total = jnp.sum(alone)
 
     def channel(
-        columns: Columns, sums: Sums, point: Numbers, free: Numbers, alone: Array
+        columns: Columns,
+        sums: Sums,
+        slopes: Slopes,
+        point: Numbers,
+        free: Numbers,
+        alone: Array,
     ) -> tuple[Numbers, Numbers]:
         apart = curvatures(full_gram(columns, sums), free)
         if not settings.searched:
             return apart, apart
-        matrix = bordered(columns, sums, point[-1], total - alone)
+        matrix = bordered(columns, sums, slopes, point[-1], total - alone)
         return curvatures(matrix, (*free, searched))[:-1], apart
 
-    shared, apart = over_channels(channel, columns, at.sums, at.point, at.free, alone)
+    shared, apart = over_channels(channel, *here, alone)
 
     def reach(curvature: Numbers) -> Array:
         return jnp.stack(

@@ -18,7 +18,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from phongfit.fitting.maps.columns import Columns, Lights
+from phongfit.fitting.maps.columns import (
+    Columns,
+    Lights,
+    joined,
+    pairs,
+    weighed_sums,
+)
 from phongfit.fitting.maps.small import (
     Boxed,
     Numbers,
@@ -54,20 +60,30 @@ class Box(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """One channel's sums over the lights for one exponent; S' is dS / d log f.
+    """Sums over the lights for one exponent, (channels,) each.
 
-    - `cross`, `slope_cross`: of S and S' with the fixed columns.
-    - `own`, `mixed`, `slope_own`: S·S, S·S' and S'·S'.
-    - `moment`, `slope_moment`: of S and S' with the light that the columns leave.
+    - `cross`: of S with the fixed columns.
+    - `own`: S·S.
+    - `moment`: of S with the light that the columns leave.
     """
 
     cross: Numbers
-    own: Float[Array, ""]
-    moment: Float[Array, ""]
-    slope_cross: Numbers
-    mixed: Float[Array, ""]
-    slope_own: Float[Array, ""]
-    slope_moment: Float[Array, ""]
+    own: Array
+    moment: Array
+
+
+class Slopes(NamedTuple):
+    """The same of S' = dS / d log f.
+
+    - `cross`: of S' with the fixed columns.
+    - `mixed`, `own`: S·S' and S'·S'.
+    - `moment`: of S' with the light that the columns leave.
+    """
+
+    cross: Numbers
+    mixed: Array
+    own: Array
+    moment: Array
 
 
 class At(NamedTuple):
@@ -79,7 +95,6 @@ class At(NamedTuple):
     - `slope`: φ'.
     - `curvature`: φ'' as Gauss and Newton have it, ≥ 0.
     - `pull`: the slope of half the squares in each unknown.
-    - `sums`: (channels,) each.
     """
 
     point: Numbers
@@ -89,6 +104,7 @@ class At(NamedTuple):
     curvature: Array
     pull: Numbers
     sums: Sums
+    slopes: Slopes
 
 
 def lobes(
@@ -110,23 +126,29 @@ def lobes(
     return settled((tuple(tops), tuple(slopes)))
 
 
-def sum_lights(columns: Columns, lobe: Lights, slope: Lights) -> Sums:
-    """The sums of one channel: see [`Sums`][]."""
-    light, change = settled((dot(columns.strength, lobe), dot(columns.strength, slope)))
-    sums = Sums(
-        _with_columns(columns, light),
-        jnp.sum(light * light),
-        jnp.sum(light * columns.rest),
-        _with_columns(columns, change),
-        jnp.sum(light * change),
-        jnp.sum(change * change),
-        jnp.sum(change * columns.rest),
-    )
-    return settled(sums)
+def sum_lights(columns: Columns, lobe: Lights) -> Sums:
+    """The sums of all channels: see [`Sums`][]."""
+    *cross, moment = _rows(weighed_sums(columns.moments, joined(list(lobe))))
+    own = weighed_sums(columns.squares, joined(pairs(lobe, lobe)))
+    return Sums(tuple(cross), own, moment)
 
 
-def _with_columns(columns: Columns, vector: Float[Array, " images"]) -> Numbers:
-    return tuple(jnp.sum(column * vector) for column in columns.fixed)
+def sum_slopes(columns: Columns, lobe: Lights, slope: Lights) -> Slopes:
+    """The sums of all channels: see [`Slopes`][]."""
+    *cross, moment = _rows(weighed_sums(columns.moments, joined(list(slope))))
+    mixed = weighed_sums(columns.squares, joined(_mixed_pairs(lobe, slope)))
+    own = weighed_sums(columns.squares, joined(pairs(slope, slope)))
+    return Slopes(tuple(cross), mixed, own, moment)
+
+
+def _mixed_pairs(left: Lights, right: Lights) -> list[Array]:
+    """As [`pairs`][], of the mean of left with right and right with left."""
+    both = zip(pairs(left, right), pairs(right, left), strict=True)
+    return [left[0] * right[0]] if len(left) == 1 else [(a + b) / 2 for a, b in both]
+
+
+def _rows(table: Float[Array, "channels rows"]) -> Numbers:
+    return tuple(table[:, k] for k in range(table.shape[1]))
 
 
 def best_reflectances(
@@ -153,9 +175,9 @@ def full_gram(columns: Columns, sums: Sums) -> Triangle:
     return (*columns.gram, (*sums.cross, sums.own))
 
 
-def slope_gram(sums: Sums) -> Numbers:
+def slope_gram(slopes: Slopes) -> Numbers:
     """Products of S' with all columns, the highlight's last."""
-    return (*sums.slope_cross, sums.mixed)
+    return (*slopes.cross, slopes.mixed)
 
 
 def evaluate(
@@ -170,23 +192,28 @@ def evaluate(
     **Arguments:** `columns`: of all channels that share the exponent.
     """
     lobe, slope = lobes(model, log_cosine, t)
+    sums, slopes = sum_lights(columns, lobe), sum_slopes(columns, lobe, slope)
 
-    def channel(columns: Columns) -> tuple[Boxed, Array, Array, Numbers, Sums]:
-        sums = sum_lights(columns, lobe, slope)
+    def channel(
+        columns: Columns, sums: Sums, slopes: Slopes
+    ) -> tuple[Boxed, Array, Array, Numbers]:
         best, pull = best_reflectances(columns, sums, box, ROUNDS)
         *fixed, specular = best.point
         moved = tuple(x - x0 for x, x0 in zip(fixed, columns.start, strict=True))
-        products = slope_gram(sums)
-        score = sums.slope_moment - dot(products, (*moved, specular))
+        products = slope_gram(slopes)
+        score = slopes.moment - dot(products, (*moved, specular))
         # What of S' no reflectance that is free to move can imitate.
         held = tuple(
             jnp.where(f, p, 0) for f, p in zip(best.free, products, strict=True)
         )
         imitated = solve(factorize(only(full_gram(columns, sums), best.free)), held)
-        alone = jnp.maximum(sums.slope_own - dot(held, imitated), 0)
-        return best, specular * score, specular**2 * alone, pull, sums
+        alone = jnp.maximum(slopes.own - dot(held, imitated), 0)
+        return best, specular * score, specular**2 * alone, pull
 
-    best, score, curvature, pull, sums = settled(over_channels(channel, columns))
+    sums, slopes = settled((sums, slopes))
+    best, score, curvature, pull = settled(
+        over_channels(channel, columns, sums, slopes)
+    )
     return At(
         best.point,
         best.free,
@@ -195,6 +222,7 @@ def evaluate(
         2 * jnp.sum(curvature),
         pull,
         sums,
+        slopes,
     )
 
 
@@ -225,26 +253,29 @@ def scan(
 
     **Arguments:**
 
-    - `columns`: of one channel, or of the sum of several.
+    - `columns`: of one channel, or of the first of several.
     - `count`: of candidates, ≥ 2: from [`candidates`][].
     """
     spacing = np.log(2).item()
     exponent = jnp.exp(box.lowest)
     powers = _powers(log_cosine, exponent)
     one = jnp.ones((), exponent.dtype)
-    nothing = tuple(jnp.zeros_like(logarithm) for logarithm in log_cosine)
-    sums = []
+    candidates = []
     for k in range(count):
         powers = settled(_squares(powers) if k else powers)
         height = model.lobe(one, exponent * 2**k)
-        heights = tuple(height * power for power in powers)
-        sums.append(sum_lights(columns, heights, nothing))
+        sums = sum_lights(columns, powers)
+        cross = tuple(height * number for number in sums.cross)
+        candidates.append(Sums(cross, height**2 * sums.own, height * sums.moment))
 
     def ranked(sums: Sums) -> tuple[Array, Array]:
-        best, _ = best_reflectances(columns, sums, box, FEW_ROUNDS)
-        return best.value, factorize(full_gram(columns, sums)).last
+        best, _ = best_reflectances(first, sums, box, FEW_ROUNDS)
+        return best.value, factorize(full_gram(first, sums)).last
 
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *sums)
+    first, stacked = jax.tree.map(
+        lambda leaf: leaf[0],
+        (columns, jax.tree.map(lambda *leaves: jnp.stack(leaves, 1), *candidates)),
+    )
     value, curvature = jax.vmap(ranked)(settled(stacked))
     best = jnp.argmin(value)
     t = box.lowest + spacing * best.astype(exponent.dtype)

@@ -105,8 +105,8 @@ def fit_pixel(
     target = jnp.where(sound, light, 0) * weight
     infinite = jnp.where(finite, 0, samples.weight)
     weight, target = settled((weight, target))
-    lost = jnp.sum(infinite) > 0
-    black = jnp.sum(jnp.abs(target)) == 0
+    lost = _sum(infinite) > 0
+    black = _sum(jnp.abs(target)) == 0
     samples = PixelSamples(
         target,
         weight,
@@ -126,7 +126,7 @@ def fit_pixel(
         found = settled(solved(samples, known))
     else:
         found = settled(jax.vmap(solved, in_axes=_EACH)(*_split(samples, known)))
-    total = jnp.sum(weight)
+    total = _sum(weight)
     count = total.astype(jnp.int32)
     unknowns = settings.unknowns()
     freedom = total - unknowns
@@ -216,8 +216,7 @@ def _solve(
         low, high = box.lowest, box.highest
         if settings.scanned:
             count = candidates(*settings.log_bounds)
-            first = jax.tree.map(lambda leaf: leaf[0], summed)
-            t, low, high, faintest = scan(first, model, cosine, box, count)
+            t, low, high, faintest = scan(summed, model, cosine, box, count)
             faintest = faintest / samples.target.shape[0] ** 2
         t, low, high, faintest = settled((jnp.clip(t, low, high), low, high, faintest))
         t = descend(summed, model, cosine, t, low, high, box, SUMMED_STEPS)
@@ -232,7 +231,7 @@ def _solve(
         at, t, residual, scale, widened = _reweighted(
             samples, target, at, t, noise, box, settings
         )
-    squares = jnp.sum(samples.weight * residual**2)
+    squares = _sum(samples.weight * residual**2)
     return _Found(at, t, columns, squares, scale, widened, faintest)
 
 
@@ -258,13 +257,9 @@ def _shine(samples: PixelSamples, lobe: Lights) -> Array:
 def _columns(
     samples: PixelSamples, target: Array, weight: Array, settings: Settings
 ) -> Columns:
-    """Columns of all channels, weighted."""
-    # Of 0 and 1 the root is the same, and without a robust loss there is nothing else.
-    root = jnp.sqrt(weight) if settings.loss.robust else weight
-    target = root * target
-    fixed = tuple(root * getattr(samples, name) for name in settings.columns)
-    strength = tuple(root * each for each in samples.strength)
-    return over_channels(make_columns, fixed, target, strength)
+    """Columns of all channels."""
+    fixed = tuple(getattr(samples, name) for name in settings.columns)
+    return over_channels(make_columns, fixed, target, weight, samples.strength)
 
 
 def _summed(samples: PixelSamples, target: Array, settings: Settings) -> Columns:
@@ -291,13 +286,18 @@ def _total(channels: Float[Array, "channels images"]) -> Float[Array, "1 images"
     return red[None]
 
 
+def _sum(values: Float[Array, "channels images"]) -> Float[Array, ""]:
+    """The sum of all, one axis after the other: of two at once it is slow."""
+    return jnp.sum(_total(values)[0])
+
+
 def _evaluate(
     columns: Columns, cosine: Lights, t: Array, box: Box, settings: Settings
 ) -> At:
     """The solution at t. A highlight that is known, or none, is held at 0 strength."""
     if not settings.shiny:
-        nothing = tuple(jnp.zeros_like(each) for each in columns.strength)
-        columns = columns._replace(strength=nothing)
+        nothing = (jnp.zeros_like(columns.moments), jnp.zeros_like(columns.squares))
+        columns = columns._replace(moments=nothing[0], squares=nothing[1])
     return evaluate(columns, settings.model, cosine, t, box)
 
 
@@ -350,7 +350,7 @@ def _reweighted(
     # Errors rest on all samples: the factor says what the loss makes of them.
     columns = _columns(samples, target, samples.weight, settings)
     full = _evaluate(columns, cosine, t, box, settings)
-    return at._replace(sums=full.sums), t, residual, scale, widened
+    return at._replace(sums=full.sums, slopes=full.slopes), t, residual, scale, widened
 
 
 def _values(found: _Found, known: Known, settings: Settings) -> tuple[Array, ...]:

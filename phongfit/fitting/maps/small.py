@@ -152,7 +152,7 @@ def minimize_in_box(
     A primal-dual active-set method: each round solves for the free unknowns, holds
     those that left the box at their bound, and frees those that want to come back. For
     three unknowns six rounds have always been enough; the best of all rounds is
-    kept, should they go round in circles.
+    kept, should they go round in circles. Rounds end where nothing changes any more.
 
     ??? cite "Source"
         Hintermüller, Ito and Kunisch, *The primal-dual active set strategy as a
@@ -160,8 +160,11 @@ def minimize_in_box(
     """
     size = len(vector)
 
-    def step(_: int, state: tuple[Numbers, Numbers, Boxed]) -> Any:
-        below, above, best = state
+    def unfinished(state: _Rounds) -> Array:
+        return jnp.any(state.changed) & (state.count < rounds)
+
+    def step(state: _Rounds) -> _Rounds:
+        below, above = state.below, state.above
         free = tuple(~(b | a) for b, a in zip(below, above, strict=True))
         held = tuple(
             jnp.where(below[i], lower[i], jnp.where(above[i], upper[i], 0))
@@ -177,23 +180,40 @@ def minimize_in_box(
         loose = tuple(free[i] & (inside[i] == x[i]) for i in range(size))
         slope = times(matrix, x)
         slope = tuple(vector[i] - slope[i] for i in range(size))
-        below, above = (
-            tuple(
-                jnp.where(free[i], x[i] < lower[i], below[i] & (slope[i] < 0))
-                for i in range(size)
-            ),
-            tuple(
-                jnp.where(free[i], x[i] > upper[i], above[i] & (slope[i] > 0))
-                for i in range(size)
-            ),
+        under = tuple(
+            jnp.where(free[i], x[i] < lower[i], below[i] & (slope[i] < 0))
+            for i in range(size)
         )
-        return below, above, _better(Boxed(inside, value, loose), best)
+        over = tuple(
+            jnp.where(free[i], x[i] > upper[i], above[i] & (slope[i] > 0))
+            for i in range(size)
+        )
+        changed = jnp.zeros_like(state.changed)
+        for before, after in zip((*below, *above), (*under, *over), strict=True):
+            changed = changed | (before != after)
+        best = _better(Boxed(inside, value, loose), state.best)
+        return _Rounds(under, over, best, state.count + 1, changed)
 
     none = tuple(jnp.zeros(number.shape, bool) for number in vector)
     nowhere = jnp.full_like(vector[0], jnp.inf)
-    first = (none, none, Boxed(vector, nowhere, none))
-    # A loop, though a short one: it compiles once, not for every round.
-    return jax.lax.fori_loop(0, rounds, step, first)[2]
+    first = _Rounds(
+        none,
+        none,
+        Boxed(vector, nowhere, none),
+        jnp.zeros((), jnp.int32),
+        jnp.ones(vector[0].shape, bool),
+    )
+    return jax.lax.while_loop(unfinished, step, first).best
+
+
+class _Rounds(NamedTuple):
+    """What is held at which bound, the best so far, and whether to go on."""
+
+    below: Numbers
+    above: Numbers
+    best: Boxed
+    count: Array
+    changed: Array
 
 
 def _better(new: Boxed, old: Boxed) -> Boxed:
