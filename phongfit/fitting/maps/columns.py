@@ -88,4 +88,6 @@ def weighed_sums(
     if rows.shape[0] == 1:
         # An axis of length 1 makes some compilers' sums ten times slower.
         return weighed_sums(rows[0], vector)[None]
+    if rows.ndim == 1:
+        return jnp.sum(rows * vector)
     return jnp.matmul(rows, vector, precision=jax.lax.Precision.HIGHEST)

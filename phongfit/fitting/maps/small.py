@@ -161,7 +161,7 @@ def minimize_in_box(
     size = len(vector)
 
     def unfinished(state: _Rounds) -> Array:
-        return jnp.any(state.changed) & (state.count < rounds)
+        return jnp.any(state.changed) & (state.round < rounds)
 
     def step(state: _Rounds) -> _Rounds:
         below, above = state.below, state.above
@@ -192,7 +192,7 @@ def minimize_in_box(
         for before, after in zip((*below, *above), (*under, *over), strict=True):
             changed = changed | (before != after)
         best = _better(Boxed(inside, value, loose), state.best)
-        return _Rounds(under, over, best, state.count + 1, changed)
+        return _Rounds(under, over, best, state.round + 1, changed)
 
     none = tuple(jnp.zeros(number.shape, bool) for number in vector)
     nowhere = jnp.full_like(vector[0], jnp.inf)
@@ -212,7 +212,7 @@ class _Rounds(NamedTuple):
     below: Numbers
     above: Numbers
     best: Boxed
-    count: Array
+    round: Array
     changed: Array
 
 

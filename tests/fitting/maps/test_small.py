@@ -90,3 +90,18 @@ def test_minimum_in_a_box(size):
         off.append(here - there)
     # In rare cases the rounds go in circles: then it is a little off, and inside.
     assert np.mean(np.array(off) > 1e-4) < 0.01 and np.max(off) < 0.05
+
+
+def test_a_minimum_does_not_depend_on_its_neighbours():
+    """Those that end early wait for the others, and keep their bits."""
+    _, _, gram, vector = problems(3, seed=3)
+    edges = np.zeros((COUNT, 3)), np.full((COUNT, 3), 0.2)
+    solve_all = jax.jit(jax.vmap(partial(minimize_in_box, rounds=6)))
+    arguments = (triangle(gram), entries(vector), *map(entries, edges))
+    together = solve_all(*arguments)
+    assert np.any(together.free[0]) and not np.all(together.free[0])
+    for start in range(0, COUNT, 50):
+        some = jax.tree.map(lambda leaf, k=start: leaf[k : k + 50], arguments)
+        apart = solve_all(*some)
+        for a, b in zip(jax.tree.leaves(apart), jax.tree.leaves(together), strict=True):
+            np.testing.assert_array_equal(a, b[start : start + 50])
