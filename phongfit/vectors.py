@@ -9,13 +9,16 @@ Vec3: TypeAlias = Float[Array, "3"]
 Scalar: TypeAlias = Float[Array, ""]
 
 
-def dot(a: Vec3, b: Vec3) -> Scalar:
-    r"""$a \cdot b$ of two vectors of shape (3,)."""
+def dot(a: Float[Array, " few"], b: Float[Array, " few"]) -> Scalar:
+    r"""$a \cdot b$ of two vectors of shape (3,), or of another small length."""
     # Not as a sum over an axis of three, which compilers do slowly.
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    first, *others = a * b
+    for product in others:
+        first = first + product
+    return first
 
 
-def norm(vector: Vec3) -> Scalar:
+def norm(vector: Float[Array, " few"]) -> Scalar:
     r"""Length $|a|$ in the vector's own units; its gradient at zero is zero."""
     squared = dot(vector, vector)
     positive = squared > 0

@@ -89,7 +89,7 @@ def searching(scene: pf.Scene, image: np.ndarray) -> Callable[[], Found]:
     first = None if few is None else gather(setting.sources, few)
     samples = gather(setting.sources, seen)
     settings = (setting.unknowns, pf.Linear(), setting.film.clamp, False, 200)
-    return lambda: search(first, samples, *settings)
+    return lambda: search(first, lambda: samples, *settings)
 
 
 @eqx.filter_jit

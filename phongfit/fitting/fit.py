@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from phongfit.fitting.diagnostics import compare_neighbours
-from phongfit.fitting.inputs import Photograph, as_photographs, is_number
+from phongfit.fitting.inputs import Photograph, as_photographs, as_scenes, is_number
 from phongfit.fitting.layout import Tie, make_unknowns
 from phongfit.fitting.losses import AbstractLoss, as_loss
 from phongfit.fitting.noise import find_film, rounding_steps
@@ -123,7 +123,7 @@ def fit(
     few = choose_few(sources, seen)
     found = search(
         None if few is None else gather(sources, few),
-        gather(sources, seen),
+        lambda: gather(sources, seen),
         layout,
         as_loss(loss),
         film.clamp,
@@ -181,25 +181,32 @@ def set_up(
 
     **Raises:** `ValueError` that names the argument.
     """
-    photographs = as_photographs(scene, image, mask, weights, noise)
-    scenes = tuple(p.scene for p in photographs)
-    layout = make_unknowns(
-        unknowns,
-        per_channel,
-        _dark(jnp.result_type(float)) if known is None else known,
-        bounds or {},
-        materials=scenes[0].surface.materials,
-        scenes=scenes,
-        per_image=per_image,
-        fixed=fixed,
-        ties=ties,
-        priors=priors,
-    )
+    scenes = as_scenes(scene)
+    dtype, materials = jnp.result_type(float), scenes[0].surface.materials
+    asked = (unknowns, per_channel, per_image, known, bounds, fixed, ties, priors)
+    nothing_said = all(a is b for a, b in zip(asked, _DEFAULT, strict=True))
+    if nothing_said and len(scenes) == 1:
+        layout = _default_unknowns(dtype, materials)
+    else:
+        layout = make_unknowns(
+            unknowns,
+            per_channel,
+            _dark(dtype) if known is None else known,
+            bounds or {},
+            materials=materials,
+            scenes=scenes,
+            per_image=per_image,
+            fixed=fixed,
+            ties=ties,
+            priors=priors,
+        )
     # Shadows move with the lights that throw them.
     shadows = any(scene.shadows for scene in scenes)
     moving = layout.moves_geometry or (shadows and layout.moves_lights)
     # Begun here: JAX goes on with it while the images are looked at.
-    seen = [_geometry(scene, layout.of_scene and not moving) for scene in scenes]
+    seen = [_geometry(one, layout.of_scene and not moving) for one in scenes]
+    scene = scene if isinstance(scene, Scene) else scenes
+    photographs = as_photographs(scene, image, mask, weights, noise)
     film = _checked_film(film, photographs)
     sources = [as_source(*one, film) for one in zip(photographs, seen, strict=True)]
     _check_samples(sources, layout)
@@ -212,6 +219,17 @@ def _dark(dtype: Any) -> Material:
     """Nothing is known: no light comes back."""
     del dtype  # that of its numbers
     return Material(0.0, 0.0, 32.0, 0.0)
+
+
+_DEFAULT = (DEFAULT_UNKNOWNS, DEFAULT_PER_CHANNEL, (), None, None, None, None, None)
+
+
+@functools.cache
+def _default_unknowns(dtype: Any, materials: int) -> Unknowns:
+    """Those of one image where nothing was said; to make them takes a while."""
+    known = _dark(dtype)
+    names = DEFAULT_UNKNOWNS, DEFAULT_PER_CHANNEL
+    return make_unknowns(*names, known, {}, materials=materials)
 
 
 class _Geometry(NamedTuple):
@@ -231,12 +249,14 @@ def _geometry(scene: Scene, keep: bool) -> _Geometry:
 def as_source(photograph: Photograph, seen: _Geometry, film: Film) -> Source:
     """A photograph and what it shows; pixels that see nothing have no weight."""
     image = photograph.image
-    weight = np.where(np.asarray(seen.mask)[..., None], photograph.weight, 0)
+    mask = np.broadcast_to(np.asarray(seen.mask)[..., None], image.shape)
+    weight = np.where(mask, photograph.weight, np.zeros_like(photograph.weight))
     return Source(
         photograph.scene,
         *seen,
-        jnp.asarray(image),
-        jnp.asarray(weight.astype(image.dtype)),
+        # A copy, whatever becomes of the array that came.
+        jnp.array(image),
+        jnp.asarray(weight),
         None if film.bits is None else rounding_steps(image, film),
     )
 
@@ -281,7 +301,7 @@ def _expose(
 
 
 def _checked_film(film: Film | None, photographs: list[Photograph]) -> Film:
-    images = [p.image[p.weight > 0] for p in photographs]
+    images = [p.used() for p in photographs]
     if film is None:
         return find_film(images)
     for p, values in zip(photographs, images, strict=True):

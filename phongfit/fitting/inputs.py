@@ -12,12 +12,35 @@ from phongfit.scene import Scene
 
 @dataclasses.dataclass(frozen=True)
 class Photograph:
-    """One image, its scene, and how much each of its samples counts."""
+    """One image, its scene, and how much each of its samples counts.
+
+    The weight is (1, 1, 1) where that is the same for all: most images come like this,
+    and what is not written need not be read.
+    """
 
     name: str
     scene: Scene
     image: np.ndarray
     weight: np.ndarray
+
+    def used(self) -> np.ndarray:
+        """Values of the samples that count, in any shape."""
+        used = self.weight > 0
+        if used.all():
+            return self.image
+        return self.image[np.broadcast_to(used, self.image.shape)]
+
+
+def as_scenes(scene: Scene | Sequence[Scene]) -> tuple[Scene, ...]:
+    """The argument of [`fit`][] as a sequence, of scenes that are lit alike.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    scenes = tuple(scene) if isinstance(scene, Iterable) else (scene,)
+    if not scenes or not all(isinstance(s, Scene) for s in scenes):
+        raise ValueError("scene: a Scene, or a sequence of at least one, is wanted")
+    _check_alike(scenes)
+    return scenes
 
 
 def as_photographs(
@@ -27,10 +50,7 @@ def as_photographs(
 
     **Raises:** `ValueError` that names the argument, and which of several it is.
     """
-    single = isinstance(scene, Scene)
-    scenes = list(scene) if isinstance(scene, Iterable) else [scene]
-    if not scenes or not all(isinstance(s, Scene) for s in scenes):
-        raise ValueError("scene: a Scene, or a sequence of at least one, is wanted")
+    single, scenes = isinstance(scene, Scene), as_scenes(scene)
     images = [image] if single else _sequence("image", image, len(scenes))
     masks, weightings, noises = (
         [given] * len(scenes)
@@ -38,7 +58,6 @@ def as_photographs(
         else _sequence(name, given, len(scenes))
         for name, given in (("mask", mask), ("weights", weights), ("noise", noise))
     )
-    _check_alike(scenes)
     return [
         _photograph("" if single else f"[{k}]", *parts)
         for k, parts in enumerate(
@@ -47,7 +66,7 @@ def as_photographs(
     ]
 
 
-def _check_alike(scenes: list[Scene]) -> None:
+def _check_alike(scenes: Sequence[Scene]) -> None:
     """Images of one fit may differ in light and view, not in how light is computed."""
     for what, of in (
         ("specular model", lambda s: s.specular),
@@ -91,30 +110,34 @@ def _photograph(
         raise ValueError(
             f"image{which}: shape {pixels.shape} came, the scene's camera wants {shape}"
         )
-    pixels = pixels.astype(jnp.result_type(float))
-    weight = np.ones(shape, pixels.dtype)
+    pixels = pixels.astype(jnp.result_type(float), copy=False)
+    weight = np.ones((1, 1, 1), pixels.dtype)
     if mask is not None:
-        weight *= _per_sample(f"mask{which}", mask, shape).astype(bool)
+        weight = weight * _per_sample(f"mask{which}", mask, shape).astype(bool)
     if weights is not None:
         values = _per_sample(f"weights{which}", weights, shape)
         if not np.all(np.isfinite(values) & (values >= 0)):
             raise ValueError(f"weights{which}: finite numbers ≥ 0 are wanted")
-        weight *= values
+        weight = weight * values
     if noise is not None:
         values = _per_sample(f"noise{which}", noise, shape)
         if not np.all(np.isfinite(values) & (values > 0)):
             raise ValueError(f"noise{which}: finite numbers > 0 are wanted")
-        weight /= values**2
+        weight = weight / values**2
     if not weight.any():
         raise ValueError(f"mask{which}: mask and weights leave no pixel")
-    wrong = ~np.isfinite(pixels) & (weight > 0)
+    weight = weight.astype(pixels.dtype, copy=False)
+    finite = np.isfinite(pixels)
+    if finite.all():
+        return Photograph(f"image{which}", scene, pixels, weight)
+    wrong = ~finite & (weight > 0)
     if wrong.any():
         y, x, c = np.argwhere(wrong)[0]
         raise ValueError(
             f"image{which}: {np.count_nonzero(wrong)} samples are NaN or infinite, the "
             f"first in row {y}, column {x}, channel {c}; mask them out"
         )
-    return Photograph(f"image{which}", scene, np.where(weight > 0, pixels, 0), weight)
+    return Photograph(f"image{which}", scene, np.where(finite, pixels, 0), weight)
 
 
 def _per_sample(name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:

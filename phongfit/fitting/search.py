@@ -1,6 +1,7 @@
 """From samples to the solution: a scan, a few samples, then all of them."""
 
 import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -34,7 +35,7 @@ class Found:
 
 def search(
     few: Samples | None,
-    samples: Samples,
+    gather: Callable[[], Samples],
     unknowns: Unknowns,
     loss: AbstractLoss,
     clamp: bool,
@@ -43,9 +44,12 @@ def search(
 ) -> Found:
     """The least cost, without a starting guess of the material.
 
-    **Arguments:** `few`: of the samples, where a share is enough to begin with.
+    **Arguments:**
+
+    - `few`: of the samples, where a share is enough to begin with.
+    - `gather`: gives all of them; asked while JAX is at work on the few.
     """
-    first = samples if few is None else few
+    first = gather() if few is None else few
     y = unknowns.start
     # Before the noise is known the clamp is a hard one.
     sigma = 1.0 if noise_given else float(np.finfo(y.dtype).eps)
@@ -55,6 +59,7 @@ def search(
         left = evaluate(problem, y)
     else:
         y, left = _begin(problem, y)
+    samples = first if few is None else gather()
     if not noise_given:
         sigma = _robust_noise(problem, left)
     steps = 0

@@ -42,6 +42,8 @@ from phongfit.reflectance import AbstractSpecular
 
 # No step is longer, in log f: beyond a factor of 2 the slope says little.
 LONGEST = 0.7
+# How far a curvature may be from that of Gauss and Newton to be expected once more.
+BENT = 0.1, 10
 # Logarithm of the least height of a lobe that counts: products of smaller ones leave
 # the normal numbers of single precision, and those are slow.
 FAINTEST = -36.0
@@ -307,13 +309,22 @@ def candidates(lowest: float, highest: float) -> int:
 
 
 class _Search(NamedTuple):
-    """Where the search stands: the next t, the best so far, and φ' there."""
+    """Where the search stands.
+
+    - `t`: to be looked at next, `step` from the best so far.
+    - `best`, `value`, `slope`: the best so far, $\phi$ and $\phi'$ there.
+    - `left`, `right`: the bottom lies between them.
+    - `bend`: the curvature there, over that of Gauss and Newton.
+    """
 
     t: Array
+    step: Array
     best: Array
     value: Array
     slope: Array
-    step: Array
+    left: Array
+    right: Array
+    bend: Array
 
 
 def descend(
@@ -325,12 +336,14 @@ def descend(
     high: Float[Array, ""],
     box: Box,
     steps: int,
-) -> Float[Array, ""]:
+    bend: Float[Array, ""] | float = 1.0,
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
     r"""A better t: `steps` steps down $\phi$ between `low` and `high`.
 
-    Newton's steps on the exact slope, with the curvature of Gauss and Newton or, once
-    two slopes are known, their difference (photographs leave residuals that are not
-    small, and then the former converges slowly). A step that leads up is halved.
+    Newton's steps on the exact slope. The curvature is the difference of two slopes or,
+    until two are known, that of Gauss and Newton, which is several times too large or
+    too small where the residuals are those of a photograph. What leads up, and what
+    leads down too far, brackets the bottom; a step out of the bracket is halved.
     """
 
     def step(_: int, search: _Search) -> _Search:
@@ -340,25 +353,27 @@ def descend(
         accept = at.value <= search.value + slack
         moved = search.t - search.best
         secant = (at.slope - search.slope) / jnp.where(moved != 0, moved, 1)
-        gauss = at.curvature
-        sound = (moved != 0) & (secant > 0.25 * gauss) & (secant < 4 * gauss)
-        curvature = jnp.where(sound, secant, gauss)
-        newton = -at.slope / jnp.where(curvature > 0, curvature, jnp.inf)
-        newton = jnp.clip(newton, -LONGEST, LONGEST)
         best = jnp.where(accept, search.t, search.best)
-        change = jnp.where(accept, newton, moved / 2)
-        t = jnp.clip(best + change, low, high)
-        return _Search(
-            t,
-            best,
-            jnp.where(accept, at.value, search.value),
-            jnp.where(accept, at.slope, search.slope),
-            t - best,
-        )
+        slope = jnp.where(accept, at.slope, search.slope)
+        # Where the slope rises, or the point lies above the best, the bottom is past.
+        upward = jnp.where(accept, at.slope, moved)
+        left = jnp.where(upward < 0, search.t, search.left)
+        right = jnp.where(upward > 0, search.t, search.right)
+        measured = (moved != 0) & (secant > 0)
+        curvature = jnp.where(measured, secant, search.bend * at.curvature)
+        bend = secant / jnp.where(at.curvature > 0, at.curvature, jnp.inf)
+        bend = jnp.where(measured, jnp.clip(bend, *BENT), search.bend)
+        newton = -slope / jnp.where(curvature > 0, curvature, jnp.inf)
+        t = best + jnp.clip(newton, -LONGEST, LONGEST)
+        t = jnp.where(t <= left, (best + left) / 2, t)
+        t = jnp.where(t >= right, (best + right) / 2, t)
+        t = jnp.clip(t, low, high)
+        value = jnp.where(accept, at.value, search.value)
+        return _Search(t, t - best, best, value, slope, left, right, bend)
 
-    nowhere = jnp.full_like(start, jnp.inf)
+    infinite = jnp.full_like(start, jnp.inf)
     zero = jnp.zeros_like(start)
-    first = _Search(start, start, nowhere, zero, zero)
+    first = _Search(start, zero, start, infinite, zero, -infinite, infinite, bend + zero)
     last = jax.lax.fori_loop(0, steps, step, first)
     # The last step has not been tried: a short one is safe, near the bottom.
-    return jnp.where(jnp.abs(last.step) < 0.1, last.t, last.best)
+    return jnp.where(jnp.abs(last.step) < 0.1, last.t, last.best), last.bend

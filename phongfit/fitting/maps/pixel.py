@@ -29,8 +29,8 @@ from phongfit.fitting.maps.settings import Settings
 from phongfit.fitting.maps.small import dot, over_channels, settled
 
 # Steps on the sum of the channels, which are a third of the price, then on all.
-SUMMED_STEPS = 3
-STEPS = 3
+SUMMED_STEPS = 4
+STEPS = 4
 # Rounds of reweighting of a robust loss.
 REWEIGHTED = 10
 REWEIGHTED_STEPS = 2
@@ -219,10 +219,10 @@ def _solve(
             t, low, high, faintest = scan(summed, model, cosine, box, count)
             faintest = faintest / samples.target.shape[0] ** 2
         t, low, high, faintest = settled((jnp.clip(t, low, high), low, high, faintest))
-        t = descend(summed, model, cosine, t, low, high, box, SUMMED_STEPS)
+        t, bend = descend(summed, model, cosine, t, low, high, box, SUMMED_STEPS)
         if samples.target.shape[0] > 1:
             edges = box.lowest, box.highest
-            t = descend(columns, model, cosine, t, *edges, box, STEPS)
+            t, _ = descend(columns, model, cosine, t, *edges, box, STEPS, bend)
     at = settled(_evaluate(columns, cosine, t, box, settings))
     residual = _residual(samples, target, at, t, settings)
     widened = jnp.ones((), dtype)
@@ -339,7 +339,7 @@ def _reweighted(
         columns = _columns(samples, target, weight, settings)
         if settings.searched:
             edges = box.lowest, box.highest
-            t = descend(columns, model, cosine, t, *edges, box, REWEIGHTED_STEPS)
+            t, _ = descend(columns, model, cosine, t, *edges, box, REWEIGHTED_STEPS)
         return _evaluate(columns, cosine, t, box, settings), t
 
     at, t = jax.lax.fori_loop(0, REWEIGHTED, step, (at, t))
