@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -53,7 +54,7 @@ def search(
     y = unknowns.start
     # Before the noise is known the clamp is a hard one.
     sigma = 1.0 if noise_given else float(np.finfo(y.dtype).eps)
-    problem = Problem(first, unknowns, jnp.asarray(sigma, y.dtype), loss, clamp)
+    problem = Problem(first, unknowns, _number(sigma, y.dtype), loss, clamp)
     if unknowns.of_scene or unknowns.exposed:
         y = _best_of_several(problem, noise_given, max_steps)
         left = evaluate(problem, y)
@@ -119,7 +120,7 @@ def _solve(
     """Solve until the noise level that the solution rests on is what it leaves."""
     steps, dtype = 0, problem.sigma.dtype
     while True:
-        at = np.asarray(sigma, dtype)
+        at = _number(sigma, dtype)
         solution, noise = _pass(problem, at, y, max_steps, noise_given)
         y, steps = solution.y, steps + int(solution.steps)
         settled = once or noise_given or steps > MOST_PASSES * max_steps
@@ -132,15 +133,20 @@ def _solve(
             break
     # Named by hand: to replace one field of a module takes long.
     samples, unknowns = problem.samples, problem.unknowns
-    known = jnp.asarray(np.asarray(sigma, dtype))
+    known = _number(sigma, dtype)
     problem = Problem(samples, unknowns, known, problem.loss, problem.clamp)
     return Found(problem, y, bool(solution.converged), steps)
+
+
+def _number(value: float, dtype: Any) -> Any:
+    """A number for a program: the transfer to an array of JAX's takes longer."""
+    return np.asarray(value, dtype)
 
 
 @program("max_steps", "noise_given")
 def _pass(
     problem: Problem,
-    sigma: Float[np.ndarray, ""],
+    sigma: Float[Array, ""],
     y: Float[Array, " n"],
     max_steps: int,
     noise_given: bool,

@@ -60,6 +60,10 @@ def summarize(
     neighbours = [Neighbours(*map(float, one.neighbours)) for one in shown]
     correlation = _misfit(problem, neighbours)
     inflation = variance_inflation(correlation)
+    # Meanwhile JAX is at work on the sums.
+    noise = _typical_noise(problem)
+    fitted = [np.asarray(one.fitted) for one in shown]
+    residuals = [np.asarray(one.residual) for one in shown]
     told = estimates(problem, found.y, inflation, place, pieces)
     entries = np.array(place[0])
     exposure = np.array(unknowns.parts(entries).get(EXPOSURE, np.ones(len(shown))))
@@ -67,8 +71,6 @@ def summarize(
     errors = np.zeros_like(entries)
     errors[unknowns.reported] = told.errors
     material, stderr = as_materials(unknowns, entries, errors)
-    fitted = [np.asarray(one.fitted) for one in shown]
-    residuals = [np.asarray(one.residual) for one in shown]
     samples = int(sum(one.samples for one in neighbours))
     labels = np.array(unknowns.labels)
     result = Fit(
@@ -82,12 +84,12 @@ def summarize(
         covariance=told.covariance,
         at_bound=told.at_bound,
         untold=told.untold,
-        bounds=unknowns.bounds,
-        tied=unknowns.tied,
+        bounds=unknowns.bounds.copy(),
+        tied=unknowns.tied.copy(),
         photographs=photographs[0] if single else tuple(photographs),
         fitted=fitted[0] if single else tuple(fitted),
         residuals=residuals[0] if single else tuple(residuals),
-        noise=_typical_noise(problem),
+        noise=noise,
         noise_given=noise_given,
         arrays=arrays,
         samples=samples,

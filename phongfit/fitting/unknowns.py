@@ -5,6 +5,7 @@ exponent as its logarithm, numbers of the scene in units of what they were, a di
 as two coordinates on the plane that touches the sphere where it was.
 """
 
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -59,33 +60,33 @@ class Unknowns(eqx.Module):
     lower: Float[Array, " n"]
     upper: Float[Array, " n"]
 
-    @property
+    @functools.cached_property
     def names(self) -> tuple[str, ...]:
         """The leaves' names."""
         return tuple(leaf.name for leaf in self.leaves)
 
-    @property
+    @functools.cached_property
     def entry_labels(self) -> tuple[str, ...]:
         """A name for every entry."""
         return tuple(label for leaf in self.leaves for label in leaf.labels)
 
-    @property
+    @functools.cached_property
     def reported(self) -> np.ndarray:
         """Entries that are not fixed: those that a fit tells."""
         return np.flatnonzero(~np.array(self.fixed))
 
-    @property
+    @functools.cached_property
     def labels(self) -> tuple[str, ...]:
         """A name for every reported entry: `diffuse.red`, or `ambient[2].red`."""
         labels = self.entry_labels
         return tuple(labels[entry] for entry in self.reported)
 
-    @property
+    @functools.cached_property
     def tied(self) -> np.ndarray:
         """True for reported entries that follow another one."""
         return ~self._own[self.reported]
 
-    @property
+    @functools.cached_property
     def bounds(self) -> np.ndarray:
         """(reported, 2): lower and upper bounds in the user's units."""
         edges = np.stack([self.lower, self.upper], axis=-1).astype(float)
@@ -106,59 +107,59 @@ class Unknowns(eqx.Module):
         followed = followed * factor[self.reported, None]
         return np.sort(offset[self.reported, None] + followed, axis=1)
 
-    @property
+    @functools.cached_property
     def owned(self) -> np.ndarray:
         """The entry that each number of y belongs to; of a direction, its first."""
         return np.array(self.owner)
 
-    @property
+    @functools.cached_property
     def _free(self) -> np.ndarray:
         """True for entries that have their own place in y."""
         return self._own & ~np.array(self.fixed)
 
-    @property
+    @functools.cached_property
     def _own(self) -> np.ndarray:
         """True for entries that follow no other one."""
         return np.arange(len(self.source)) == np.array(self.source)
 
-    @property
+    @functools.cached_property
     def forms(self) -> np.ndarray:
         """How the solver sees each entry: plain, as a logarithm, or as a direction."""
         return np.repeat([f.form for f in self.leaves], [f.size for f in self.leaves])
 
-    @property
+    @functools.cached_property
     def entry_leaf(self) -> np.ndarray:
         """The leaf's name, for every entry."""
         return np.repeat(self.names, [leaf.size for leaf in self.leaves])
 
-    @property
+    @functools.cached_property
     def entry_row(self) -> np.ndarray:
         """The material or image, for every entry; 0 where there is one for all."""
         rows = [np.repeat(np.arange(len(f.rows)), len(f.parts)) for f in self.leaves]
         return np.concatenate(rows)
 
-    @property
+    @functools.cached_property
     def entry_channel(self) -> np.ndarray:
         """The channel, for every entry; −1 where it is of all."""
         return np.concatenate([np.tile(f.channels, len(f.rows)) for f in self.leaves])
 
-    @property
+    @functools.cached_property
     def kinds(self) -> np.ndarray:
         """The leaf that each number of y belongs to."""
         return self.entry_leaf[self.owned]
 
-    @property
+    @functools.cached_property
     def owners(self) -> np.ndarray:
         """The material that each number of y belongs to; 0 where it has none."""
         rows = np.where(np.isin(self.entry_leaf, LEAVES), self.entry_row, 0)
         return rows[self.owned]
 
-    @property
+    @functools.cached_property
     def columns(self) -> np.ndarray:
         """The channel that each number of y belongs to; −1 where shared by all."""
         return self.entry_channel[self.owned]
 
-    @property
+    @functools.cached_property
     def y_labels(self) -> tuple[str, ...]:
         """A name for every number of y; both of a direction have the direction's."""
         labels, forms = self.entry_labels, self.forms
@@ -169,38 +170,38 @@ class Unknowns(eqx.Module):
             for entry in self.owned
         )
 
-    @property
+    @functools.cached_property
     def logarithmic(self) -> np.ndarray:
         """True where the solver works with a logarithm."""
         return self.forms[self.owned] == "logarithm"
 
-    @property
+    @functools.cached_property
     def of_scene(self) -> bool:
         """Whether anything of the scenes is unknown."""
         return any(is_of_scene(name) for name in self.names)
 
-    @property
+    @functools.cached_property
     def exposed(self) -> bool:
         """Whether the images' exposures are unknown."""
         return EXPOSURE in self.names
 
-    @property
+    @functools.cached_property
     def entry_per_image(self) -> np.ndarray:
         """True for entries of one image alone."""
         per_image = [leaf.per_image for leaf in self.leaves]
         return np.repeat(per_image, [leaf.size for leaf in self.leaves])
 
-    @property
+    @functools.cached_property
     def differs_between_images(self) -> bool:
         """Whether there are entries of one image alone."""
         return any(leaf.per_image for leaf in self.leaves)
 
-    @property
+    @functools.cached_property
     def moves_geometry(self) -> bool:
         """Whether rays must be traced anew for every guess."""
         return any(moves_geometry(name) for name in self.names)
 
-    @property
+    @functools.cached_property
     def moves_lights(self) -> bool:
         """Whether shadows may move."""
         places = ("position", "direction", "axis")

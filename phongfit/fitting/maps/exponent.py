@@ -309,7 +309,7 @@ def candidates(lowest: float, highest: float) -> int:
 
 
 class _Search(NamedTuple):
-    """Where the search stands.
+    r"""Where the search stands.
 
     - `t`: to be looked at next, `step` from the best so far.
     - `best`, `value`, `slope`: the best so far, $\phi$ and $\phi'$ there.
@@ -344,6 +344,10 @@ def descend(
     until two are known, that of Gauss and Newton, which is several times too large or
     too small where the residuals are those of a photograph. What leads up, and what
     leads down too far, brackets the bottom; a step out of the bracket is halved.
+
+    **Arguments:** `bend`: the curvature over that of Gauss and Newton, to begin with.
+
+    **Returns:** t, and the last `bend`.
     """
 
     def step(_: int, search: _Search) -> _Search:
@@ -373,7 +377,9 @@ def descend(
 
     infinite = jnp.full_like(start, jnp.inf)
     zero = jnp.zeros_like(start)
-    first = _Search(start, zero, start, infinite, zero, -infinite, infinite, bend + zero)
+    first = _Search(
+        start, zero, start, infinite, zero, -infinite, infinite, zero + bend
+    )
     last = jax.lax.fori_loop(0, steps, step, first)
     # The last step has not been tried: a short one is safe, near the bottom.
     return jnp.where(jnp.abs(last.step) < 0.1, last.t, last.best), last.bend

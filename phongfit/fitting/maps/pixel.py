@@ -331,18 +331,20 @@ def _reweighted(
             return noise
         return median_deviation(residual, samples.weight > 0)
 
-    def step(_: int, state: tuple[At, Array]) -> tuple[At, Array]:
-        at, t = state
+    def step(_: int, state: tuple[At, Array, Array]) -> tuple[At, Array, Array]:
+        at, t, bend = state
         residual = _residual(samples, target, at, t, settings)
         weight = loss_weights(settings.loss, residual / scale_of(residual))
         weight = weight * samples.weight
         columns = _columns(samples, target, weight, settings)
         if settings.searched:
             edges = box.lowest, box.highest
-            t, _ = descend(columns, model, cosine, t, *edges, box, REWEIGHTED_STEPS)
-        return _evaluate(columns, cosine, t, box, settings), t
+            t, bend = descend(
+                columns, model, cosine, t, *edges, box, REWEIGHTED_STEPS, bend
+            )
+        return _evaluate(columns, cosine, t, box, settings), t, bend
 
-    at, t = jax.lax.fori_loop(0, REWEIGHTED, step, (at, t))
+    at, t, _ = jax.lax.fori_loop(0, REWEIGHTED, step, (at, t, jnp.ones_like(t)))
     residual = _residual(samples, target, at, t, settings)
     scale = median_deviation(residual, samples.weight > 0)
     unit = noise if settings.noise_given else scale
