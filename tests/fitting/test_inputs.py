@@ -167,8 +167,10 @@ def test_a_ball_larger_than_its_numbers():
 def test_mask_weights_and_noise_become_weights(options, expected):
     given = {"mask": None, "weights": None, "noise": None} | options
     (photograph,) = as_photographs(SCENE, GREY, **given)
-    assert photograph.weight.shape == SHAPE
-    assert np.array_equal(photograph.weight, np.broadcast_to(expected, SHAPE))
+    assert photograph.weight.shape == (SHAPE if any(options) else (1, 1, 1))
+    weight = np.broadcast_to(photograph.weight, SHAPE)
+    assert np.array_equal(weight, np.broadcast_to(expected, SHAPE))
+    assert np.array_equal(np.ravel(photograph.used()), GREY[weight > 0])
     assert photograph.weight.dtype == jnp.result_type(float)
     assert photograph.name == "image"
 
