@@ -124,9 +124,11 @@ def map_details(found: list[map_peers.Row]) -> str:
 @styled
 def figure(ratios: list[Ratio], grown: dict[str, dict[str, float]]) -> Figure:
     """Ratios next to their aims, and how the time of a fit grows."""
-    drawing = page(5.2)
-    above, below = (band.subplots() for band in bands(drawing, 3, 2))
     gains = [row for row in ratios if not row.at_most][::-1]
+    # Two lines a name need room.
+    high, low = 0.4 * len(gains) + 0.6, 2.1
+    drawing = page(high + low)
+    above, below = (band.subplots() for band in bands(drawing, high, low))
     place = np.arange(len(gains))
     above.barh(place, [row.value for row in gains], color=BLUE, height=0.6)
     aims = [row.aim for row in gains]
