@@ -3,8 +3,8 @@
 The Cramér-Rao bound, which no unbiased estimate can beat, is predicted for each
 parameter as noise, lamps, resolution, clipping and the part of the highlight that is
 seen change; beside it stands the spread of many fits of noisy images. Errors are shares
-of the true value; that of f is one of its logarithm. Where the prediction says that a
-parameter cannot be told, there is no bound to compare with.
+of the true value; that of f is one of its logarithm. Where the prediction says that the
+exponent cannot be told, those of the others rest on fits that it draws itself.
 """
 
 import dataclasses
@@ -256,7 +256,7 @@ def draw(found: Found) -> Figure:
     panels = figure.subplots(3, 2).ravel()
     for axes, (sweep, spreads) in zip(panels, found, strict=False):
         draw_sweep(axes, sweep, spreads)
-    panels[0].legend(ncols=2, title="lines: Cramér-Rao bound; marks: fits")
+    panels[0].legend(ncols=2, title="lines: predicted; marks: fits")
     panels[3].set_title("hollow marks: something cannot be told")
     for axes in panels[:-1]:
         axes.set_ylabel("error (% of the value)")
@@ -269,7 +269,7 @@ def draw(found: Found) -> Figure:
         places = start + np.arange(len(spreads))
         for k, name in enumerate(LEAVES):
             colour, marker, _ = style.PARAMETERS[name]
-            judged = [s.ratio[k] if s.told.all() else np.nan for s in spreads]
+            judged = [one.ratio[k] for one in spreads]
             ratios.plot(places + 0.18 * (k - 1.5), judged, marker, c=colour, ms=3.5)
         middles.append(places.mean())
         start += len(spreads) + 1
@@ -277,7 +277,7 @@ def draw(found: Found) -> Figure:
     ratios.set_xticks(middles, [sweep.name for sweep, _ in found])
     ratios.tick_params("x", length=0)
     ratios.grid(False, axis="x")
-    ratios.set_ylabel("spread of the fits / bound")
+    ratios.set_ylabel("spread of the fits / predicted")
     ratios.set_title(f"ratios; band: 3 standard errors, {draws} fits")
     return figure
 
@@ -309,7 +309,6 @@ def say(found: Found) -> str:
     spreads = [one for _, spreads in found for one in spreads]
     told = np.array([one.told.all() for one in spreads])
     ratio = np.array([one.ratio for one in spreads])
-    pull = np.array([one.pull for one in spreads])
     beside = ~told[:, None] & np.isfinite(ratio)
     answer = (
         f"Where all four parameters can be told, the spread of {spreads[0].draws} fits "
@@ -322,11 +321,10 @@ def say(found: Found) -> str:
     )
     if beside.any():
         answer += (
-            " There the exponent roams, and a broad highlight passes for ρ_d: the "
-            "bound, which is taken at the true f, is too low for ρ_d and ρ_a "
-            f"(their spread is up to {ratio[beside].max():.1f} times as large), but "
-            f"what the fits state themselves is right: {pull[beside].min():.2f} to "
-            f"{pull[beside].max():.2f} of their own errors."
+            " There the exponent roams, and a broad highlight passes for ρ_d, which no "
+            "formula at the true f knows: the prediction for ρ_d and ρ_a rests on fits "
+            f"of its own, and the spread is {ratio[beside].min():.2f} to "
+            f"{ratio[beside].max():.2f} of it."
         )
     return answer
 
@@ -349,9 +347,13 @@ def find(small: bool) -> Finding:
         draw(found),
         "Errors of the four parameters against noise, number of photographs, "
         "resolution, clipped share, and share of the highlight seen: lines of the "
-        "Cramér-Rao bound, and marks of fits that lie on them.",
+        "predicted errors, and marks of fits that lie on them.",
         Table(
-            ("spread / bound", "x", *(style.PARAMETERS[name][2] for name in LEAVES)),
+            (
+                "spread / predicted",
+                "x",
+                *(style.PARAMETERS[name][2] for name in LEAVES),
+            ),
             rows,
         ),
         wrong=failures(found),
@@ -363,12 +365,14 @@ def failures(found: Found) -> tuple[str, ...]:
     wrong = []
     for sweep, spreads in found:
         for one in spreads:
-            # Beside what cannot be told only the fits themselves know their errors.
-            judged = one.ratio if one.told.all() else one.pull
-            what = "the bound" if one.told.all() else "the errors that fits state"
+            judged = [(one.ratio, "the prediction")]
+            if not one.told.all():
+                # Where an exponent roams, what the fits state is judged, too.
+                judged += [(one.pull, "the errors that fits state")]
             wrong += [
                 f"{sweep.name} {one.x:.3g}: {name} scatters {share:.2f} times {what}"
-                for name, share, told in zip(LEAVES, judged, one.told, strict=True)
+                for shares, what in judged
+                for name, share, told in zip(LEAVES, shares, one.told, strict=True)
                 if told and abs(share - 1) > one.slack
             ]
     return tuple(wrong)

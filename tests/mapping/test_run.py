@@ -141,17 +141,18 @@ def test_robust_loss_ignores_outliers():
 
 
 def test_it_converges_though_the_model_is_wrong():
-    """As on photographs: what is left over bends the cost as much as the model does."""
-    stack = make_stack(16, 24, 40)
-    broad, narrow = pf.Material(0.4, 0.4, 4.0, 0.1), pf.Material(0.0, 0.5, 90.0)
+    """As on photographs: a surface that is not Lambert's, and a narrow highlight."""
+    stack = make_stack(16, 24, 40, ambient=0.0)
+    matte, glint = pf.Material((0.5, 0.3, 0.2), 0.0), pf.Material(0.0, 0.1, 800.0)
     images = np.stack([
-        sum(np.asarray(pf.render(scene, one, film=FREE)) for one in (broad, narrow))
+        0.5 * np.asarray(pf.render(scene, matte, film=FREE)) ** 1.3
+        + np.asarray(pf.render(scene, glint, film=FREE))
         for scene in stack.scenes
     ])  # fmt: skip
     found = pf.fit_maps(stack.scenes, images, film=FREE)
-    assert np.median(found.noise) > 0.005
-    moving = found.flagged(Flag.NOT_CONVERGED)
-    assert np.mean(moving) < 0.02, np.mean(moving)
+    assert np.median(found.noise) > 0.004
+    # Steps of Gauss and Newton alone leave 16 % behind.
+    assert np.mean(found.flagged(Flag.NOT_CONVERGED)) < 0.03
 
 
 def test_an_exponent_for_each_channel(stack):
