@@ -1,15 +1,19 @@
 """`phongfit export`: other programs read the same numbers."""
 
+import base64
 import json
+import re
 import shutil
 import subprocess
 import warnings
 from pathlib import Path
 from typing import Any
 
+import imagecodecs
 import numpy as np
 import pytest
 import trimesh
+import trimesh.viewer
 
 import phongfit as pf
 from phongfit.cli import main
@@ -74,6 +78,51 @@ def test_gltf_as_trimesh_reads_it(fitted, tmp_path, suffix, capsys):
     phong = material["extras"]["phong"]
     np.testing.assert_allclose(phong["ambient"], fit.ambient, rtol=1e-6)
     assert "roughness = " in material["extras"]["conversion"]
+
+
+# The viewer shows what its own writer made, with the camera that came with it.
+OWN_DATA, OWN_CAMERA = r'base64_data="[^"]*"', r"camera=gltf\.cameras\[0\];"
+CAMERA = """
+    window.gltf = gltf;
+    camera = new THREE.PerspectiveCamera(35, 1, 0.1, 100);
+    camera.position.set(0, 0, 4);
+"""
+MATERIAL = """() => {
+    let found = [];
+    gltf.scene.traverse(one => one.material && found.push(one.material));
+    return found.map(m => [m.color.toArray(), m.roughness, m.specularColor.toArray()]);
+}"""
+
+
+def test_gltf_opens_in_a_viewer(browser, tmp_path):
+    """three.js, which trimesh brings along, shows a ball of the colours and numbers."""
+    args = ["export", "preset:brass", "--to", "gltf", "-o", f"{tmp_path}/a.glb"]
+    assert main(args) == 0
+    content = base64.b64encode((tmp_path / "a.glb").read_bytes()).decode()
+    page = trimesh.viewer.scene_to_html(trimesh.Scene(trimesh.creation.box()))
+    page, once = re.subn(OWN_DATA, f'base64_data="{content}"', page)
+    page, again = re.subn(OWN_CAMERA, CAMERA, page)
+    assert once == again == 1
+    (tmp_path / "a.html").write_text(page)
+    window = browser.new_page(viewport={"width": 120, "height": 120})
+    wrong: list[str] = []
+    window.on("pageerror", lambda error: wrong.append(str(error)))
+    window.goto((tmp_path / "a.html").as_uri())
+    window.wait_for_function("window.gltf")
+    ((color, rough, specular),) = window.evaluate(MATERIAL)
+    # Such viewers know Blinn's lobe only by another name.
+    f = float(BRASS.shininess)
+    assert rough == pytest.approx((2 / (f + 2)) ** 0.25)
+    np.testing.assert_allclose(color, BRASS.diffuse, rtol=1e-6)
+    expected = 8 * np.asarray(BRASS.specular) / (f + 2) / 0.04
+    np.testing.assert_allclose(specular, expected, rtol=1e-6)
+    window.wait_for_timeout(500)
+    seen = imagecodecs.png_decode(window.screenshot())[..., :3].astype(int)
+    assert not wrong and (seen[:5] == 255).all()
+    # Near the rim, for the middle is white in all but blue.
+    red, green, blue = seen[60, 102]
+    assert red > green > blue
+    window.close()
 
 
 def test_gltf_on_the_scenes_mesh(tmp_path):
