@@ -39,6 +39,9 @@ from phongfit.scene import Scene
 TILE_BYTES = 2**26
 """How much light a tile holds unless told otherwise: a few of them fit anywhere."""
 
+PART_BYTES = 2**22
+"""How much of it is worked on at a time on a CPU: what stays near its cores."""
+
 
 def fit_maps(
     scenes: Sequence[Scene],
@@ -127,7 +130,7 @@ def fit_maps(
     if not len(pixels):
         raise ValueError("mask: it leaves no pixel that sees the surface")
     mesh = Mesh(np.array(devices or jax.local_devices()), ("pixels",))
-    size = _tile_size(len(pixels), len(scenes), tile_pixels, mesh.size)
+    size, part = _tile_size(len(pixels), len(scenes), tile_pixels, mesh)
     tiles = [pixels[k : k + size] for k in range(0, len(pixels), size)]
     store = None
     if output is not None:
@@ -150,19 +153,24 @@ def fit_maps(
         return geometry.tile(tiles[tile], np.ma.getdata(target), used, size)
 
     run = compiled(settings, mesh)
+
+    def work(part: Tile) -> list[np.ndarray]:
+        return [np.asarray(leaf) for leaf in jax.tree.leaves(run(part, outside))]
+
     maps = _Canvas(seen.shape, 1 if settings.shared else 3, outside.noise.dtype)
-    for k, tile in _bar(_ahead(read, len(tiles)), len(tiles), progress):
-        count = len(tiles[k])
-        if tile is None:
-            assert store is not None
-            arrays = store.load(k)
-            assert arrays is not None
-        else:
-            found = run(tile, outside)
-            arrays = [np.asarray(leaf)[:count] for leaf in jax.tree.leaves(found)]
-            if store is not None:
-                store.save(k, arrays)
-        maps.paint(tiles[k], arrays)
+    with concurrent.futures.ThreadPoolExecutor(_workers(mesh)) as workers:
+        for k, tile in _bar(_ahead(read, len(tiles)), len(tiles), progress):
+            if tile is None:
+                assert store is not None
+                arrays = store.load(k)
+                assert arrays is not None
+            else:
+                # XLA works on so little with one core.
+                leaves = zip(*workers.map(work, tile.parts(part)), strict=True)
+                arrays = [np.concatenate(leaf)[: len(tiles[k])] for leaf in leaves]
+                if store is not None:
+                    store.save(k, arrays)
+            maps.paint(tiles[k], arrays)
     # No ambient light: nothing is told, and nothing was looked for.
     hidden = tuple(name for name in unknowns if name not in settings.names)
     return maps.finished(
@@ -183,15 +191,30 @@ def _check_sizes(scenes: tuple[Scene, ...], shape: tuple[int, int, int]) -> None
         )
 
 
-def _tile_size(pixels: int, images: int, wanted: int | None, devices: int) -> int:
-    """Pixels of a tile, a multiple of what the devices work on at a time."""
-    unit = BLOCK * devices
+def _tile_size(
+    pixels: int, images: int, wanted: int | None, mesh: Mesh
+) -> tuple[int, int]:
+    """Pixels of a tile and of its parts, multiples of what devices take at a time."""
+    unit = BLOCK * mesh.size
     if wanted is None:
         wanted = TILE_BYTES // (images * 12)
     elif not isinstance(wanted, int) or wanted < 1:
         raise ValueError(f"tile_pixels: {wanted!r} came, a whole number ≥ 1 wanted")
-    wanted = min(wanted, pixels)
-    return max(-(-wanted // unit), 1) * unit
+    units = -(-min(wanted, pixels) // unit)
+    parts = 1
+    if _on_cpu(mesh):
+        parts = -(-units // max(PART_BYTES // (images * 12 * unit), 1))
+    part = -(-units // parts) * unit
+    return parts * part, part
+
+
+def _workers(mesh: Mesh) -> int:
+    """How many parts are worked on side by side."""
+    return os.cpu_count() or 1 if _on_cpu(mesh) and mesh.size == 1 else 1
+
+
+def _on_cpu(mesh: Mesh) -> bool:
+    return mesh.devices.flat[0].platform == "cpu"
 
 
 def _versions() -> str:

@@ -39,6 +39,25 @@ class Tile(NamedTuple):
     to_viewer: Float[Any, "some_pixels 3"]
     visibility: Any = None
 
+    def parts(self, size: int) -> "list[Tile]":
+        """The tile in parts of `size` pixels, without copies."""
+
+        def rows(table: Any, part: slice) -> Any:
+            return table if len(table) == 1 else table[part]
+
+        return [
+            Tile(
+                self.target[:, part],
+                self.used[:, part],
+                self.normal[part],
+                rows(self.position, part),
+                rows(self.to_viewer, part),
+                None if self.visibility is None else self.visibility[..., part],
+            )
+            for start in range(0, len(self.normal), size)
+            for part in [slice(start, start + size)]
+        ]
+
 
 class Outside(NamedTuple):
     """What all tiles share: lights, known leaves, and the noise level."""
