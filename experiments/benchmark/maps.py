@@ -35,7 +35,7 @@ def scaling(
 ) -> dict[int, float]:
     """Seconds a pixel for maps of several sizes."""
     return {
-        size: map_seconds(make_stack(size, lights), 1 if size > 200_000 else 3) / size
+        size: map_seconds(make_stack(size, lights), 1 if size > 200_000 else 9) / size
         for size in sizes
     }
 

@@ -204,6 +204,7 @@ def _tile_size(
     parts = 1
     if _on_cpu(mesh):
         parts = -(-units // max(PART_BYTES // (images * 12 * unit), 1))
+        parts = max(parts, min(_workers(mesh), units))
     part = -(-units // parts) * unit
     return parts * part, part
 
