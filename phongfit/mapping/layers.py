@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from phongfit.fitting.inputs import is_number
 from phongfit.mapping.stacks import Update, gather
 
 
@@ -124,7 +125,7 @@ class Noise:
         **Raises:** `ValueError` that names the noise.
         """
         self.known = noise is not None
-        several = isinstance(noise, list | tuple) or np.ndim(noise) > 0
+        several = not is_number(noise)
         self.varies = several
         self.level = 1.0
         if several:

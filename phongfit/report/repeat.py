@@ -17,8 +17,12 @@ from phongfit.rendering.film import ENCODINGS, Film
 
 def names(fit: Fit) -> list[str]:
     """What the call takes from the caller, by the names that it has there."""
-    plural = "s" if isinstance(fit.scene, tuple) else ""
+    plural = _plural(fit)
     return [f"scene{plural}", f"image{plural}", *_arrays(fit).values()]
+
+
+def _plural(fit: Fit) -> str:
+    return "s" if isinstance(fit.scene, tuple) else ""
 
 
 def _arrays(fit: Fit) -> dict[str, str]:
@@ -27,8 +31,7 @@ def _arrays(fit: Fit) -> dict[str, str]:
     if "weights" in arrays and fit.noise_given and "noise" not in arrays:
         # The samples know what the two make together.
         arrays.append("noise")
-    plural = "s" if isinstance(fit.scene, tuple) else ""
-    shown = {"mask": f"mask{plural}", "weights": "weights", "noise": "noise"}
+    shown = {"mask": f"mask{_plural(fit)}", "weights": "weights", "noise": "noise"}
     return {name: shown[name] for name in arrays}
 
 
