@@ -2,11 +2,10 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
-import numpy as np
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -27,14 +26,12 @@ def program(*static: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
         @functools.wraps(function)
         def run(*args: P.args, **kwargs: P.kwargs) -> R:
-            leaves = jax.tree.leaves((args, kwargs))
-            plain = all(isinstance(leaf, _NUMBERS) for leaf in leaves)
-            chosen: Any = compiled if plain else careful
-            return chosen(*args, **kwargs)
+            try:
+                return compiled(*args, **kwargs)
+            except TypeError:
+                # To look for functions beforehand takes as long as to call a program.
+                return careful(*args, **kwargs)
 
         return run
 
     return decorate
-
-
-_NUMBERS = (jax.Array, np.ndarray, np.generic, bool, int, float)

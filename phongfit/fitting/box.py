@@ -185,4 +185,5 @@ def _solve_free(
 
     # Rounding can make a singular matrix indefinite: then a shorter step must do.
     step = solve(8 * slope.shape[0] * float(jnp.finfo(slope.dtype).eps))
-    return jnp.where(jnp.all(jnp.isfinite(step)), step, solve(1e-3))
+    sound = jnp.all(jnp.isfinite(step))
+    return jax.lax.cond(sound, lambda: step, lambda: solve(1e-3))

@@ -54,13 +54,9 @@ def _walk(
     Its first step evaluates the start.
     """
     solver = make_solver(problem, start.dtype)
-
-    def residuals(y: Array, problem: Problem) -> tuple[Array, None]:
-        return few_residuals(y, problem), None
-
     tags = frozenset[object]()
-    shape = jax.eval_shape(few_residuals, start, problem)
-    first = solver.init(residuals, start, problem, {}, shape, None, tags)
+    shape, left = jax.eval_shape(few_residuals, start, problem)
+    first = solver.init(few_residuals, start, problem, {}, shape, left, tags)
     arrays, static = eqx.partition(first, eqx.is_array)
 
     def unfinished(carry: Any) -> Array:
@@ -70,7 +66,7 @@ def _walk(
     def step(carry: Any) -> Any:
         y, arrays, points, count = carry
         state = eqx.combine(arrays, static)
-        y, state, _ = solver.step(residuals, y, problem, {}, state, tags)
+        y, state, _ = solver.step(few_residuals, y, problem, {}, state, tags)
         return y, eqx.filter(state, eqx.is_array), points.at[count].set(y), count + 1
 
     points = jnp.zeros((MOST_STEPS, start.size), start.dtype)

@@ -1,7 +1,8 @@
 """Is it noise, or is it there? Residuals that the model leaves; a faint highlight."""
 
+import math
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,21 +14,22 @@ SEEN = 4.0
 
 
 class Neighbours(NamedTuple):
-    """Sums over an image's residuals, and over pairs of adjacent pixels."""
+    """Sums over residuals, and over pairs of adjacent pixels."""
 
-    products: Any
-    pairs: Any
-    squares: Any
-    samples: Any
+    products: float
+    pairs: float
+    squares: float
+    samples: float
 
 
 def compare_neighbours(
     residual: Float[Array, "height width 3"],
-    used: Bool[Array | np.ndarray, "height width 3"],
-) -> Neighbours:
-    """What [`neighbour_correlation`][] asks of one image.
+    used: Bool[Array | np.ndarray, "height width channels"],
+) -> Float[Array, "4"]:
+    """[`Neighbours`][] of one image, in an array.
 
-    **Arguments:** `residual`: model − image. `used`: true where a sample takes part.
+    **Arguments:** `residual`: model − image. `used`: true where a sample takes part;
+    of one channel, if all take part alike.
     """
     value = jnp.where(used, residual, 0)
     counted = jnp.asarray(used, value.dtype)
@@ -36,22 +38,26 @@ def compare_neighbours(
         across = jnp.sum(image[:, :-1] * image[:, 1:])
         return across + jnp.sum(image[:-1] * image[1:])
 
-    return Neighbours(
-        beside(value), beside(counted), jnp.sum(value**2), jnp.sum(counted)
-    )
+    alike = residual.shape[-1] // counted.shape[-1]
+    pairs, samples = alike * beside(counted), alike * jnp.sum(counted)
+    return jnp.stack([beside(value), pairs, jnp.sum(value**2), samples])
 
 
-def neighbour_correlation(images: Iterable[Neighbours]) -> float:
+def all_neighbours(images: Iterable[Array]) -> Neighbours:
+    """Those of several images together."""
+    return Neighbours(*map(sum, zip(*(one.tolist() for one in images), strict=True)))
+
+
+def neighbour_correlation(sums: Neighbours) -> float:
     """Correlation of the residuals of adjacent pixels: 0 for independent noise.
 
     **Returns:** a number in [−1, 1]; 0 where it is no more than chance.
     """
-    sums = np.sum([np.array(one, float) for one in images], axis=0)
-    products, pairs, squares, count = sums.tolist()
+    products, pairs, squares, count = sums
     if pairs == 0 or squares == 0:
         return 0.0
-    correlation = float(np.clip(products / pairs * count / squares, -1, 1))
-    return correlation if abs(correlation) > 5 / np.sqrt(pairs) else 0.0
+    correlation = min(max(products / pairs * count / squares, -1.0), 1.0)
+    return correlation if abs(correlation) > 5 / math.sqrt(pairs) else 0.0
 
 
 def variance_inflation(correlation: float) -> float:

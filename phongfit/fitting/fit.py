@@ -248,16 +248,15 @@ def _geometry(scene: Scene, keep: bool) -> _Geometry:
 
 def as_source(photograph: Photograph, seen: _Geometry, film: Film) -> Source:
     """A photograph and what it shows; pixels that see nothing have no weight."""
-    image = photograph.image
-    mask = np.broadcast_to(np.asarray(seen.mask)[..., None], image.shape)
-    weight = np.where(mask, photograph.weight, np.zeros_like(photograph.weight))
+    mask, weight = np.asarray(seen.mask)[..., None], photograph.weight
+    weight = np.where(mask, weight, np.zeros_like(weight))
     return Source(
         photograph.scene,
         *seen,
         # A copy, whatever becomes of the array that came.
-        jnp.array(image),
+        jnp.array(photograph.image),
         jnp.asarray(weight),
-        None if film.bits is None else rounding_steps(image, film),
+        None if film.bits is None else rounding_steps(photograph.image, film),
     )
 
 
@@ -314,8 +313,7 @@ def _checked_film(film: Film | None, photographs: list[Photograph]) -> Film:
 
 
 def _check_samples(sources: list[Source], unknowns: Unknowns) -> None:
-    # Of truth values, which are counted faster.
-    count = sum(np.count_nonzero(np.asarray(s.weight) > 0) for s in sources)
+    count = sum(source.count() for source in sources)
     if count == 0:
         raise ValueError("mask: it leaves no pixel that sees the surface")
     free = unknowns.lower.size

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import erfc
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from phongfit.rendering.film import Encoding, Film, decode, encode
 
@@ -20,6 +20,8 @@ Values = Float[Array, "..."]
 
 # Standard deviations beyond which a normal distribution is empty: 1e-23 are left.
 FAR = 10
+# Halvings in the search for a median: as many digits as a scale needs.
+HALVINGS = 16
 
 
 class Moments(NamedTuple):
@@ -190,3 +192,32 @@ def arithmetic_floor(image: Values) -> Float[Array, ""]:
     # A black image is not told to a digit more than a dark one.
     largest = jnp.max(jnp.abs(image), initial=1e-3)
     return 16 * jnp.finfo(image.dtype).eps * largest
+
+
+def median_deviation(
+    residual: Values, used: Bool[Array, "..."], least: Float[Array, ""] | None = None
+) -> Float[Array, ""]:
+    """Standard deviation from the median of |residual|, which outliers do not reach.
+
+    By halving an interval of logarithms: to sort takes longer than a whole fit.
+
+    **Arguments:**
+
+    - `used`: true where a residual counts.
+    - `least`: what the result is at the least; default a millionth of the largest.
+    """
+    size = jnp.where(used, jnp.abs(residual), 0)
+    tiny = jnp.finfo(size.dtype).tiny
+    high = jnp.log(jnp.maximum(jnp.max(size), tiny))
+    low = high - 14 if least is None else jnp.minimum(jnp.log(least / 1.4826), high)
+    half = jnp.sum(used).astype(size.dtype) / 2
+
+    def halve(_: int, edges: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = edges
+        middle = (low + high) / 2
+        below = jnp.sum(used & (size <= jnp.exp(middle))).astype(half.dtype)
+        more = below < half
+        return jnp.where(more, middle, low), jnp.where(more, high, middle)
+
+    low, high = jax.lax.fori_loop(0, HALVINGS, halve, (low, high))
+    return 1.4826 * jnp.exp((low + high) / 2)

@@ -127,7 +127,7 @@ def predict_errors(
         at_bound=told.at_bound,
         untold=told.untold,
         warnings=told.reasons,
-        samples=sum(int(np.count_nonzero(s.weight)) for s in sources),
+        samples=sum(source.count() for source in sources),
     )
 
 

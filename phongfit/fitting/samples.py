@@ -148,17 +148,23 @@ Samples.__init__.__doc__ = """**Arguments:**
 class Source:
     """One image as a fit takes it in: what its pixels see, and what was measured.
 
-    `mask` tells where the surface is seen. `gbuffer` is `None` unless the pixels will
-    be lit anew, and `step` if nothing was rounded.
+    `mask` tells where the surface is seen. `weight` has one channel where all three
+    have the same. `gbuffer` is `None` unless the pixels will be lit anew, and `step` if
+    nothing was rounded.
     """
 
     scene: Scene
     mask: Bool[Array, "height width"]
     pixels: PixelTerms
     gbuffer: GBuffer | None
-    image: Array
-    weight: Array
+    image: Float[Array, "height width 3"]
+    weight: Float[Array, "height width channels"]
     step: np.ndarray | None
+
+    def count(self) -> int:
+        """How many samples have any weight."""
+        used = np.count_nonzero(np.asarray(self.weight) > 0)
+        return int(used) * (3 // self.weight.shape[-1])
 
 
 def gather(sources: list[Source], used: list[np.ndarray]) -> Samples:
@@ -185,10 +191,10 @@ def gather(sources: list[Source], used: list[np.ndarray]) -> Samples:
 
 
 def _repeated(index: np.ndarray, size: int) -> Int[Array, " size"]:
-    """Padding repeats pixels, with no weight."""
-    repeats = -(-size // max(len(index), 1))
-    padded = np.tile(index, repeats)[:size] if len(index) else np.zeros(size)
-    return jnp.asarray(padded.astype(np.int32))
+    """Padding repeats a pixel, with no weight."""
+    padded = np.full(size, index[0] if len(index) else 0, np.int32)
+    padded[: len(index)] = index
+    return jnp.asarray(padded)
 
 
 _Numbers = tuple[PixelTerms, Array, Array, Array | None]
@@ -212,10 +218,11 @@ def _take(
 ) -> _Numbers:
     """Some pixels of an image, and of their image, weight and step the rows."""
     pixels = pixels if at is None else pixels.select(at)
-    target, weight = (a.reshape(-1, 3)[place] for a in numbers[:2])
+    target, weight = (a.reshape(-1, a.shape[-1])[place] for a in numbers[:2])
     step = None if numbers[2] is None else numbers[2].reshape(-1, 3)[place]
     present = jnp.arange(len(place)) < count
-    return pixels, target, jnp.where(present[:, None], weight, 0), step
+    weight = jnp.where(present[:, None], weight, 0)
+    return pixels, target, jnp.broadcast_to(weight, target.shape), step
 
 
 def _joined(parts: list[_Numbers]) -> tuple[Channels, Array, Array, Array | None]:

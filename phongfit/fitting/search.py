@@ -2,15 +2,17 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.fitting.leaves import LEAVES
 from phongfit.fitting.losses import AbstractLoss
+from phongfit.fitting.noise import median_deviation
 from phongfit.fitting.problem import Evaluation, Problem, evaluate
 from phongfit.fitting.samples import Samples
 from phongfit.fitting.solution import Solution, solve
@@ -24,14 +26,22 @@ MOST_PASSES = 8
 STARTS = 16
 
 
-@dataclasses.dataclass(frozen=True)
-class Found:
+class Found(eqx.Module):
     """The solution, the problem with its final noise level, and how it ended."""
 
     problem: Problem
     y: Float[Array, " n"]
-    converged: bool
-    steps: int
+    converged: Bool[Array, ""]
+    steps: Int[Array, ""]
+
+
+class _Stand(NamedTuple):
+    """Where a search stands: the noise level is that of a sample of weight 1."""
+
+    y: Float[Array, " n"]
+    sigma: Float[Array, ""]
+    converged: Bool[Array, ""]
+    steps: Int[Array, ""]
 
 
 def search(
@@ -45,6 +55,8 @@ def search(
 ) -> Found:
     """The least cost, without a starting guess of the material.
 
+    Nobody waits for it: one program after the other takes over what the last one found.
+
     **Arguments:**
 
     - `few`: of the samples, where a share is enough to begin with.
@@ -52,25 +64,25 @@ def search(
     """
     first = gather() if few is None else few
     y = unknowns.start
-    # Before the noise is known the clamp is a hard one.
-    sigma = 1.0 if noise_given else float(np.finfo(y.dtype).eps)
-    problem = Problem(first, unknowns, _number(sigma, y.dtype), loss, clamp)
+    # Before the noise is known the clamp is a hard one. A number of NumPy's serves:
+    # to make an array of JAX's takes longer.
+    level = 1.0 if noise_given else float(np.finfo(y.dtype).eps)
+    sigma: Any = np.asarray(level, y.dtype)
+    problem = Problem(first, unknowns, sigma, loss, clamp)
     if unknowns.of_scene or unknowns.exposed:
         y = _best_of_several(problem, noise_given, max_steps)
-        left = evaluate(problem, y)
+        stand = _look(problem, y, noise_given)
     else:
-        y, left = _begin(problem, y)
-    samples = first if few is None else gather()
-    if not noise_given:
-        sigma = _robust_noise(problem, left)
-    steps = 0
+        stand = _begin(problem, y, noise_given)
     if few is not None:
+        samples = gather()
         # Without outliers, one pass comes near enough.
-        found = _solve(problem, sigma, y, noise_given, max_steps, not loss.robust)
-        y, steps, sigma = found.y, found.steps, float(found.problem.sigma)
-        problem = Problem(samples, unknowns, problem.sigma, loss, clamp)
-    last = _solve(problem, sigma, y, noise_given, max_steps)
-    return dataclasses.replace(last, steps=steps + last.steps)
+        stand = _settle(problem, stand, max_steps, noise_given, not loss.robust)
+        problem = Problem(samples, unknowns, sigma, loss, clamp)
+    y, sigma, converged, steps = _settle(problem, stand, max_steps, noise_given)
+    # Named by hand: to replace one field of a module takes long.
+    problem = Problem(problem.samples, unknowns, sigma, loss, clamp)
+    return Found(problem, y, converged, steps)
 
 
 def _best_of_several(
@@ -109,92 +121,80 @@ def spread_starts(unknowns: Unknowns, count: int) -> np.ndarray:
     return np.clip(starts, low, high).astype(np.asarray(unknowns.start).dtype)
 
 
-def _solve(
+@program("noise_given")
+def _begin(problem: Problem, y: Float[Array, " n"], noise_given: bool) -> _Stand:
+    """Where the scan ends, and the noise level there."""
+    return _look(problem, scan(problem, y), noise_given)
+
+
+@program("noise_given")
+def _look(problem: Problem, y: Float[Array, " n"], noise_given: bool) -> _Stand:
+    """The noise level where a search begins, which outliers may be near."""
+    sigma = jnp.asarray(problem.sigma)
+    if not noise_given:
+        sigma = _robust_noise(problem, evaluate(problem, y))
+    return _Stand(y, sigma, jnp.array(False), jnp.array(0))
+
+
+@program("max_steps", "noise_given", "once")
+def _settle(
     problem: Problem,
-    sigma: float,
-    y: Float[Array, " n"],
-    noise_given: bool,
+    stand: _Stand,
     max_steps: int,
+    noise_given: bool,
     once: bool = False,
-) -> Found:
+) -> _Stand:
     """Solve until the noise level that the solution rests on is what it leaves."""
-    steps, dtype = 0, problem.sigma.dtype
-    while True:
-        at = _number(sigma, dtype)
-        solution, noise = _pass(problem, at, y, max_steps, noise_given)
-        y, steps = solution.y, steps + int(solution.steps)
-        settled = once or noise_given or steps > MOST_PASSES * max_steps
-        if not noise_given:
-            before, sigma = sigma, float(noise)
-            if problem.loss.robust:
-                sigma = _robust_noise(problem, evaluate(problem, y))
-            settled |= sigma > 0.97 * before
-        if settled:
-            break
-    # Named by hand: to replace one field of a module takes long.
-    samples, unknowns = problem.samples, problem.unknowns
-    known = _number(sigma, dtype)
-    problem = Problem(samples, unknowns, known, problem.loss, problem.clamp)
-    return Found(problem, y, bool(solution.converged), steps)
+
+    def again(stand: _Stand) -> _Stand:
+        here = dataclasses.replace(problem, sigma=stand.sigma)
+        solution = solve(here, stand.y, max_steps)
+        sigma = stand.sigma if noise_given else _noise(here, solution)
+        steps = stand.steps + solution.steps
+        return _Stand(solution.y, sigma, solution.converged, steps)
+
+    if once or noise_given:
+        return again(stand)
+
+    def is_unsettled(stands: tuple[_Stand, _Stand]) -> Bool[Array, ""]:
+        before, now = stands
+        falls = now.sigma <= 0.97 * before.sigma
+        return falls & (now.steps <= MOST_PASSES * max_steps)
+
+    def step(stands: tuple[_Stand, _Stand]) -> tuple[_Stand, _Stand]:
+        return stands[1], again(stands[1])
+
+    unknown = stand._replace(sigma=jnp.full_like(stand.sigma, jnp.inf))
+    return jax.lax.while_loop(is_unsettled, step, (unknown, stand))[1]
 
 
-def _number(value: float, dtype: Any) -> Any:
-    """A number for a program: the transfer to an array of JAX's takes longer."""
-    return np.asarray(value, dtype)
-
-
-@program("max_steps", "noise_given")
-def _pass(
-    problem: Problem,
-    sigma: Float[Array, ""],
-    y: Float[Array, " n"],
-    max_steps: int,
-    noise_given: bool,
-) -> tuple[Solution, Float[Array, ""]]:
-    """A solution for a noise level, and the noise level that its residuals show.
-
-    Where that is the user's, or outliers would spoil it, nothing is looked at.
-    """
-    problem = dataclasses.replace(problem, sigma=jnp.asarray(sigma))
-    solution = solve(problem, y, max_steps)
-    if noise_given or problem.loss.robust:
-        return solution, problem.sigma
-    return solution, _noise(problem, solution.y)
-
-
-@program()
-def _begin(
-    problem: Problem, y: Float[Array, " n"]
-) -> tuple[Float[Array, " n"], Evaluation]:
-    """Where the scan ends, and what is left over there."""
-    y = scan(problem, y)
-    return y, evaluate(problem, y)
-
-
-def _noise(problem: Problem, y: Float[Array, " n"]) -> Float[Array, ""]:
+def _noise(problem: Problem, solution: Solution) -> Float[Array, ""]:
     """Standard deviation of a sample of weight 1, before rounding."""
-    at, samples = evaluate(problem, y), problem.samples
-    squares = jnp.sum(at.difference**2 * samples.weight)
-    free = jnp.sum(at.variance_share) - y.size
-    variance = squares / jnp.maximum(free, 1)
-    if samples.step is not None:
-        count = jnp.sum(samples.weight > 0).astype(y.dtype)
-        variance -= jnp.sum(samples.step**2 * samples.weight) / count / 12
-    return jnp.sqrt(jnp.maximum(variance, at.floor**2))
+    if problem.loss.robust:
+        return _robust_noise(problem, evaluate(problem, solution.y))
+    left = solution.left
+    variance = left.squares / jnp.maximum(left.share - solution.y.size, 1)
+    return _unrounded(problem, variance, left.floor)
 
 
-def _robust_noise(problem: Problem, left: Evaluation) -> float:
+def _robust_noise(problem: Problem, at: Evaluation) -> Float[Array, ""]:
     """The same from the median, which outliers do not reach."""
-    weight = np.asarray(problem.samples.weight)
-    used = weight > 0
-    target = np.asarray(problem.samples.target)[used]
-    difference = np.asarray(left.difference)[used]
-    difference = difference * np.sqrt(weight[used])
-    inside = (target > 0) & (target < 1)
-    if problem.clamp and inside.sum() > problem.unknowns.lower.size:
-        difference = difference[inside]
-    variance = (1.4826 * float(np.median(np.abs(difference)))) ** 2
-    if problem.samples.step is not None:
-        steps = np.asarray(problem.samples.step)[used]
-        variance -= float(np.mean(steps**2 * weight[used])) / 12
-    return float(np.sqrt(max(variance, float(left.floor) ** 2)))
+    weight, target = problem.samples.weight, problem.samples.target
+    chosen = weight > 0
+    if problem.clamp:
+        inside = chosen & (target > 0) & (target < 1)
+        enough = jnp.sum(inside) > problem.unknowns.lower.size
+        chosen = jnp.where(enough, inside, chosen)
+    deviation = median_deviation(at.difference * jnp.sqrt(weight), chosen, at.floor)
+    return _unrounded(problem, deviation**2, at.floor)
+
+
+def _unrounded(
+    problem: Problem, variance: Float[Array, ""], floor: Float[Array, ""]
+) -> Float[Array, ""]:
+    """The standard deviation without what rounding adds to a variance."""
+    samples = problem.samples
+    if samples.step is not None:
+        count = jnp.sum(samples.weight > 0).astype(variance.dtype)
+        variance -= jnp.sum(samples.step**2 * samples.weight) / count / 12
+    return jnp.sqrt(jnp.maximum(variance, floor**2))

@@ -10,36 +10,42 @@ from jaxtyping import Array, Float, Int
 
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.solver import BoundedLevenbergMarquardt
-from phongfit.fitting.sums import sums
+from phongfit.fitting.sums import Left, sums
 
 
 @eqx.filter_custom_jvp
-def few_residuals(y: Float[Array, " n"], problem: Problem) -> Float[Array, " n+1"]:
+def few_residuals(
+    y: Float[Array, " n"], problem: Problem
+) -> tuple[Float[Array, " n+1"], Left]:
     r"""n + 1 residuals that no Gauss-Newton method can tell from all of them.
 
     With the symmetric root $R = (J^\top J)^{1/2}$ they are $R^{-1} J^\top r$ and what
     is left of the length of $r$; their Jacobian is $R$ and a row of zeros. So sum of
     squares, gradient and $J^\top J$ are those of the problem, and a solver holds n + 1
     numbers instead of a million.
+
+    **Returns:** these, and what a noise level follows from: optimistix's `aux`.
     """
-    return _residuals_and_root(y, problem)[0]
+    residuals, _, left = _residuals_and_root(y, problem)
+    return residuals, left
 
 
 @few_residuals.def_jvp
 def _derivative(
     at: tuple[Array, Problem], towards: tuple[Array | None, Any]
-) -> tuple[Array, Array]:
-    residuals, root = _residuals_and_root(*at)
+) -> tuple[tuple[Array, Left], tuple[Array, Left]]:
+    residuals, root, left = _residuals_and_root(*at)
     tangent, others = towards
     if any(leaf is not None for leaf in jax.tree.leaves(others)):
         raise NotImplementedError("few_residuals: a derivative in the unknowns only")
     moved = jnp.zeros_like(at[0]) if tangent is None else root @ tangent
-    return residuals, jnp.append(moved, jnp.zeros((), moved.dtype))
+    moved = jnp.append(moved, jnp.zeros((), moved.dtype))
+    return (residuals, left), (moved, jax.tree.map(jnp.zeros_like, left))
 
 
 def _residuals_and_root(
     y: Float[Array, " n"], problem: Problem
-) -> tuple[Float[Array, " n+1"], Float[Array, "n n"]]:
+) -> tuple[Float[Array, " n+1"], Float[Array, "n n"], Left]:
     total = sums(problem, y)
     tiny = jnp.finfo(y.dtype).tiny
     scale = jnp.sqrt(jnp.diag(total.hessian))
@@ -56,7 +62,8 @@ def _residuals_and_root(
     steeper = jnp.sqrt(jnp.maximum(length / jnp.maximum(total.cost, tiny), 1))
     tail = jnp.sqrt(jnp.maximum(total.cost - length / steeper**2, 0))
     unit = _unit(problem)
-    return jnp.append(head / steeper, tail) / unit, jacobian * steeper / unit
+    residuals = jnp.append(head / steeper, tail) / unit
+    return residuals, jacobian * steeper / unit, total.left
 
 
 def _unit(problem: Problem) -> Float[Array, ""]:
@@ -89,10 +96,11 @@ def make_solver(problem: Problem, dtype: Any) -> BoundedLevenbergMarquardt:
 
 
 class Solution(eqx.Module):
-    """Where the solver stopped, and why."""
+    """Where the solver stopped, and why; what was left over where it last looked."""
 
     y: Float[Array, " n"]
     cost: Float[Array, ""]
+    left: Left
     steps: Int[Array, ""]
     converged: Array
 
@@ -105,11 +113,11 @@ def solve(problem: Problem, start: Float[Array, " n"], max_steps: int) -> Soluti
         make_solver(problem, start.dtype),
         start,
         args=problem,
+        has_aux=True,
         max_steps=max_steps,
         throw=False,
     )
     done = solution.result == optx.RESULTS.successful
     cost = 2 * _unit(problem) ** 2 * solution.state.f_info.as_min()
-    return Solution(
-        solution.value, cost, solution.stats["num_steps"], done & jnp.isfinite(cost)
-    )
+    steps, converged = solution.stats["num_steps"], done & jnp.isfinite(cost)
+    return Solution(solution.value, cost, solution.state.aux, steps, converged)

@@ -1,6 +1,7 @@
 """From a solution to a [`Fit`][]: images, diagnostics, and warnings in words."""
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +9,7 @@ from jaxtyping import Array, Float
 
 from phongfit.fitting.diagnostics import (
     Neighbours,
+    all_neighbours,
     neighbour_correlation,
     variance_inflation,
 )
@@ -26,7 +28,7 @@ class Shown(NamedTuple):
 
     fitted: Float[Array, "height width 3"]
     residual: Float[Array, "height width 3"]
-    neighbours: Neighbours
+    neighbours: Float[Array, "4"]
 
 
 def summarize(
@@ -57,11 +59,11 @@ def summarize(
     - `arrays`: which arguments came as arrays.
     """
     problem, unknowns = found.problem, found.problem.unknowns
-    neighbours = [Neighbours(*map(float, one.neighbours)) for one in shown]
+    # Meanwhile JAX is at work on the images and on the sums.
+    weight = _typical_weight(problem)
+    neighbours = all_neighbours(one.neighbours for one in shown)
     correlation = _misfit(problem, neighbours)
     inflation = variance_inflation(correlation)
-    # Meanwhile JAX is at work on the sums.
-    noise = _typical_noise(problem)
     fitted = [np.asarray(one.fitted) for one in shown]
     residuals = [np.asarray(one.residual) for one in shown]
     told = estimates(problem, found.y, inflation, place, pieces)
@@ -71,7 +73,8 @@ def summarize(
     errors = np.zeros_like(entries)
     errors[unknowns.reported] = told.errors
     material, stderr = as_materials(unknowns, entries, errors)
-    samples = int(sum(one.samples for one in neighbours))
+    converged = bool(found.converged)
+    samples = int(neighbours.samples)
     labels = np.array(unknowns.labels)
     result = Fit(
         material=material,
@@ -89,7 +92,7 @@ def summarize(
         photographs=photographs[0] if single else tuple(photographs),
         fitted=fitted[0] if single else tuple(fitted),
         residuals=residuals[0] if single else tuple(residuals),
-        noise=noise,
+        noise=float(problem.sigma) / math.sqrt(weight),
         noise_given=noise_given,
         arrays=arrays,
         samples=samples,
@@ -100,11 +103,11 @@ def summarize(
         loss=type(problem.loss).__name__,
         model=type(problem.samples.channels.pixels.terms.model).__name__,
         film=film_words(film),
-        converged=found.converged,
-        steps=found.steps,
-        reason=_CONVERGED if found.converged else _STOPPED,
+        converged=converged,
+        steps=int(found.steps),
+        reason=_CONVERGED if converged else _STOPPED,
         warnings=(
-            *(() if found.converged else ("the solver did not converge",)),
+            *(() if converged else ("the solver did not converge",)),
             *told.reasons,
             *(
                 f"{label} lies at its bound: its error is one-sided"
@@ -121,29 +124,26 @@ _CONVERGED = "steps and changes of the residuals fell below the tolerance"
 _STOPPED = "the limit of steps was reached, or the numbers left the finite"
 
 
-def _typical_noise(problem: Problem) -> float:
-    """Median standard deviation of the samples, before rounding."""
+def _typical_weight(problem: Problem) -> float:
+    """The median over the samples that are used."""
     weight = np.asarray(problem.samples.weight)
     typical = weight.max()
     # Mostly they are all alike, and a median takes long.
     if np.count_nonzero(weight == typical) < np.count_nonzero(weight):
         typical = np.median(weight[weight > 0])
-    return float(problem.sigma) / float(np.sqrt(typical))
+    return float(typical)
 
 
-def _misfit(problem: Problem, images: list[Neighbours]) -> float:
+def _misfit(problem: Problem, neighbours: Neighbours) -> float:
     """Correlation of neighbouring residuals, where these are more than rounding."""
-    total, count = (
-        sum(one.squares for one in images),
-        sum(one.samples for one in images),
-    )
     rounding, resolution = 0.0, float(np.finfo(problem.sigma.dtype).eps)
     if problem.samples.step is not None:
         step = np.asarray(problem.samples.step, float)
         rounding = (step[np.asarray(problem.samples.weight) > 0] ** 2).mean() / 12
-    if total / count <= 2 * rounding + (64 * resolution) ** 2:
+    variance = neighbours.squares / neighbours.samples
+    if variance <= 2 * rounding + (64 * resolution) ** 2:
         return 0.0
-    return neighbour_correlation(images)
+    return neighbour_correlation(neighbours)
 
 
 def _misfit_words(correlation: float, inflation: float) -> tuple[str, ...]:

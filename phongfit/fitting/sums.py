@@ -138,12 +138,28 @@ def linearize(problem: Problem, y: Float[Array, " n"]) -> Linearization:
     return Linearization(at, priors, jacobian)
 
 
+class Left(eqx.Module):
+    """What is left over at a point, as a noise level follows from it.
+
+    **Arguments:**
+
+    - `squares`: weighted sum of squared differences in linear light.
+    - `share`: samples, each by what clipping leaves of its noise's variance.
+    - `floor`: noise level at and below which all of it is rounding.
+    """
+
+    squares: Float[Array, ""]
+    share: Float[Array, ""]
+    floor: Float[Array, ""]
+
+
 class Sums(eqx.Module):
     """All that a Gauss-Newton method asks of a problem, at one point."""
 
     hessian: Float[Array, "n n"]
     gradient: Float[Array, " n"]
     cost: Float[Array, ""]
+    left: Left
 
 
 def sums(problem: Problem, y: Float[Array, " n"]) -> Sums:
@@ -164,8 +180,11 @@ def sums(problem: Problem, y: Float[Array, " n"]) -> Sums:
         hessian = jacobian.gram(jnp.maximum(bend, 0.1 * usual))
         gradient = jacobian.pull(score)
         cost = jnp.sum(loss.root(residual) ** 2)
+    at = found.at
+    squares = jnp.sum(at.difference**2 * problem.samples.weight)
     return Sums(
         hessian + slopes.T @ slopes,
         gradient + slopes.T @ priors,
         cost + jnp.sum(priors**2),
+        Left(squares, jnp.sum(at.variance_share), at.floor),
     )

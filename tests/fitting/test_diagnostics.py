@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from phongfit.fitting.diagnostics import (
+    all_neighbours,
     compare_neighbours,
     neighbour_correlation,
     variance_inflation,
@@ -15,10 +16,11 @@ def noise(shape=(60, 60, 3), seed=0):
 
 def correlation_of(residuals, used):
     """Of residuals (H, W, 3) each, where they are used."""
-    return neighbour_correlation(
+    images = [
         compare_neighbours(floats(one), np.asarray(mask))
         for one, mask in zip(residuals, used, strict=True)
-    )
+    ]
+    return neighbour_correlation(all_neighbours(images))
 
 
 def test_independent_noise():

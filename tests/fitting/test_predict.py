@@ -112,7 +112,7 @@ def test_of_many_pixels_a_few_stand_for_all():
     (source,) = set_up(scene, photograph(scene, MATTE)).sources
     (seen,) = seen_pixels([source])
     (few,) = known(choose_few([source], [seen]))
-    weight = np.asarray(scatter._stands_for(source, seen, few).weight).reshape(-1, 3)
+    weight = np.asarray(scatter._stands_for(source, seen, few).weight).reshape(-1, 1)
     used = np.unique(few)
     assert len(used) < 0.5 * len(seen)
     near(weight[used].sum(axis=0), len(seen), 1e-5)

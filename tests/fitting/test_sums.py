@@ -13,7 +13,7 @@ from phongfit.fitting.fit import set_up
 from phongfit.fitting.layout import make_unknowns
 from phongfit.fitting.leaves import LEAVES
 from phongfit.fitting.losses import as_loss
-from phongfit.fitting.problem import Problem
+from phongfit.fitting.problem import Problem, evaluate
 from phongfit.fitting.samples import gather, seen_pixels
 from phongfit.fitting.solution import _unit, few_residuals
 from phongfit.fitting.sums import colours, linearize, sums
@@ -93,15 +93,16 @@ def dense(problem: Problem, y: jax.Array) -> tuple[jax.Array, jax.Array, jax.Arr
 
 @eqx.filter_jit
 def ours(problem: Problem, y: jax.Array) -> tuple:
-    few, slope = few_residuals(y, problem), jax.jacfwd(few_residuals)(y, problem)
-    return sums(problem, y), linearize(problem, y).jacobian, few, slope
+    few, left = few_residuals(y, problem)
+    slope, _ = jax.jacfwd(few_residuals)(y, problem)
+    return sums(problem, y), linearize(problem, y).jacobian, few, left, slope
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_sums_are_those_of_the_whole_jacobian(kind):
     problem, y = problem_of(kind)
     residual, jacobian, gradient = (np.asarray(a, float) for a in dense(problem, y))
-    total, sparse, few, slope = ours(problem, y)
+    total, sparse, few, left, slope = ours(problem, y)
     size = np.sqrt(np.sum(jacobian**2, axis=0))
     tolerance = 3e3 * EPS * np.sqrt(np.sum(residual**2))
     assert np.all(size > 0)
@@ -115,6 +116,14 @@ def test_sums_are_those_of_the_whole_jacobian(kind):
     columns = sparse.columns()
     samples = jacobian[: problem.samples.target.size].T.reshape(columns.shape)
     np.testing.assert_allclose(columns, samples, atol=1e3 * EPS * np.abs(samples).max())
+
+    # What the noise level follows from.
+    at = evaluate(problem, y)
+    squares = np.asarray(at.difference, float) ** 2 * np.asarray(problem.samples.weight)
+    np.testing.assert_allclose(left.squares, squares.sum(), rtol=1e3 * EPS)
+    shares = np.asarray(at.variance_share, float)
+    assert 0 < shares.sum() < np.sum(np.asarray(problem.samples.weight) > 0)
+    np.testing.assert_allclose(left.share, shares.sum(), rtol=1e3 * EPS)
 
     # A few residuals that no solver can tell from all of them.
     few, slope = np.asarray(few, float), np.asarray(slope, float)
@@ -163,7 +172,7 @@ def test_a_derivative_in_the_unknowns_alone():
     problem, y = problem_of("one material")
 
     def through(sigma: jax.Array) -> jax.Array:
-        return few_residuals(y, dataclasses.replace(problem, sigma=sigma)).sum()
+        return few_residuals(y, dataclasses.replace(problem, sigma=sigma))[0].sum()
 
     with pytest.raises(NotImplementedError, match="in the unknowns only"):
         jax.jvp(through, (problem.sigma,), (problem.sigma,))

@@ -23,10 +23,11 @@ from phongfit.fitting.maps.exponent import (
     scan,
 )
 from phongfit.fitting.maps.flags import Flag
-from phongfit.fitting.maps.robust import loss_weights, median_deviation, widening
+from phongfit.fitting.maps.robust import loss_weights, widening
 from phongfit.fitting.maps.samples import PixelSamples, whitened
 from phongfit.fitting.maps.settings import Settings
 from phongfit.fitting.maps.small import dot, over_channels, settled
+from phongfit.fitting.noise import median_deviation
 
 # Steps on the sum of the channels, which are a third of the price, then on all.
 SUMMED_STEPS = 4

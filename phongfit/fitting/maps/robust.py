@@ -6,9 +6,6 @@ from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.losses import AbstractLoss
 
-# Halvings in the search for a median: as many digits as a scale needs.
-HALVINGS = 16
-
 
 def loss_weights(
     loss: AbstractLoss, residual: Float[Array, "*batch"]
@@ -25,30 +22,6 @@ def loss_weights(
     _, slope = jax.jvp(cost, (z,), (jnp.ones_like(z),))
     # Rounding can push the weight of a far outlier below its 0.
     return jnp.maximum(slope, 0)
-
-
-def median_deviation(
-    residual: Float[Array, "*batch"], used: Bool[Array, "*batch"]
-) -> Float[Array, ""]:
-    """Standard deviation from the median of |residual|, which outliers do not reach.
-
-    By halving an interval of logarithms, since sorting costs more than the whole fit.
-    """
-    size = jnp.where(used, jnp.abs(residual), 0)
-    tiny = jnp.finfo(size.dtype).tiny
-    high = jnp.log(jnp.maximum(jnp.max(size), tiny))
-    half = jnp.sum(used).astype(size.dtype) / 2
-
-    def halve(_: int, edges: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = edges
-        middle = (low + high) / 2
-        below = jnp.sum(used & (size <= jnp.exp(middle))).astype(half.dtype)
-        more = below < half
-        return jnp.where(more, middle, low), jnp.where(more, high, middle)
-
-    # No median lies further below the largest than a millionth.
-    low, high = jax.lax.fori_loop(0, HALVINGS, halve, (high - 14, high))
-    return 1.4826 * jnp.exp((low + high) / 2)
 
 
 def widening(

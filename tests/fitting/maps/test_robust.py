@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from phongfit.fitting.losses import LOSSES, Huber, Linear
-from phongfit.fitting.maps.robust import loss_weights, median_deviation, widening
+from phongfit.fitting.maps.robust import loss_weights, widening
+from phongfit.fitting.noise import median_deviation
 from tests.helpers import floats
 
 
