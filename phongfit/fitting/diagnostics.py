@@ -4,9 +4,8 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 # A highlight counts as seen from so many standard errors on. Its exponent is the one
 # that fits best: chance reaches further than 3.
@@ -17,35 +16,41 @@ class Neighbours(NamedTuple):
     """Sums over residuals, and over pairs of adjacent pixels."""
 
     products: float
-    pairs: float
+    pairs: int
     squares: float
-    samples: float
+    samples: int
 
 
 def compare_neighbours(
-    residual: Float[Array, "height width 3"],
-    used: Bool[Array | np.ndarray, "height width channels"],
-) -> Float[Array, "4"]:
-    """[`Neighbours`][] of one image, in an array.
+    residual: Float[np.ndarray, "height width 3"],
+    used: Bool[np.ndarray, "height width channels"],
+) -> Neighbours:
+    """What [`neighbour_correlation`][] asks of one image.
 
-    **Arguments:** `residual`: model − image. `used`: true where a sample takes part;
-    of one channel, if all take part alike.
+    **Arguments:**
+
+    - `residual`: image − model; 0 where a sample is left out.
+    - `used`: true where a sample takes part; of one channel, if all take part alike.
     """
-    value = jnp.where(used, residual, 0)
-    counted = jnp.asarray(used, value.dtype)
+    beside = (slice(1, None), slice(None)), (slice(None, -1), slice(None))
+    axes = beside, tuple(pair[::-1] for pair in beside)
+    alike = residual.shape[-1] // used.shape[-1]
+    return Neighbours(
+        sum(_product(residual[one], residual[other]) for one, other in axes),
+        alike * sum(np.count_nonzero(used[one] & used[other]) for one, other in axes),
+        _product(residual, residual),
+        alike * np.count_nonzero(used),
+    )
 
-    def beside(image: Array) -> Array:
-        across = jnp.sum(image[:, :-1] * image[:, 1:])
-        return across + jnp.sum(image[:-1] * image[1:])
 
-    alike = residual.shape[-1] // counted.shape[-1]
-    pairs, samples = alike * beside(counted), alike * jnp.sum(counted)
-    return jnp.stack([beside(value), pairs, jnp.sum(value**2), samples])
+def _product(one: np.ndarray, other: np.ndarray) -> float:
+    """Sum of products; row by row, which keeps digits."""
+    return float(np.einsum("hwc,hwc->h", one, other).sum(dtype=float))
 
 
-def all_neighbours(images: Iterable[Array]) -> Neighbours:
+def all_neighbours(images: Iterable[Neighbours]) -> Neighbours:
     """Those of several images together."""
-    return Neighbours(*map(sum, zip(*(one.tolist() for one in images), strict=True)))
+    return Neighbours(*map(sum, zip(*images, strict=True)))
 
 
 def neighbour_correlation(sums: Neighbours) -> float:

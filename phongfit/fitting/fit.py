@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from phongfit.fitting.diagnostics import compare_neighbours
 from phongfit.fitting.inputs import Photograph, as_photographs, as_scenes, is_number
 from phongfit.fitting.layout import Tie, make_unknowns
 from phongfit.fitting.losses import AbstractLoss, as_loss
@@ -266,16 +265,12 @@ def _show(setting: Setting, which: int, scene: Scene, entries: Array) -> Shown:
     mask, view = source.mask, source.pixels
     if unknowns.of_scene:
         mask, view = resolve_terms(scene)
-    return _expose(
-        (source.image, source.weight),
-        mask,
-        view,
-        unknowns,
-        entries,
-        np.int32(which),
-        setting.film.clamp,
-        scene.background,
+    measured, clamp = (source.image, source.weight), setting.film.clamp
+    back, image = scene.background, np.int32(which)
+    fitted, residual = _expose(
+        measured, mask, view, unknowns, entries, image, clamp, back
     )
+    return Shown(fitted, residual, source.weight)
 
 
 @program("clamp")
@@ -288,15 +283,13 @@ def _expose(
     which: np.int32,
     clamp: bool,
     background: Array,
-) -> Shown:
+) -> tuple[Array, Array]:
     image, weight = measured
     light = view.radiance(unknowns.with_leaves(entries))
     light = light * unknowns.exposures(entries)[which]
     light = jnp.clip(light, 0, 1) if clamp else light
-    used = weight > 0
     fitted = jnp.where(mask[..., None], light, background[None, None])
-    residual = jnp.where(used, image - fitted, 0)
-    return Shown(fitted, residual, compare_neighbours(residual, used))
+    return fitted, jnp.where(weight > 0, image - fitted, 0)
 
 
 def _checked_film(film: Film | None, photographs: list[Photograph]) -> Film:

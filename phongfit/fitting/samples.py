@@ -17,6 +17,9 @@ from phongfit.programs import program
 from phongfit.rendering.pixels import PixelTerms, pixel_terms, resolve
 from phongfit.scene import Scene
 
+# Samples from which on a quarter more of them would be felt.
+MANY = 2**14
+
 
 class View(eqx.Module):
     """One image's scene, and where in the image its samples lie.
@@ -246,12 +249,8 @@ def _gather_one(*parts: Any) -> tuple[Channels, Array, Array, Array | None]:
 def seen_pixels(sources: list[Source]) -> list[np.ndarray]:
     """Of each image the pixels with any weight, counted row by row."""
     # Channel by channel: an axis of 3 is slow to reduce.
-    return [
-        np.flatnonzero(
-            functools.reduce(np.logical_or, np.moveaxis(np.asarray(s.weight), -1, 0))
-        )
-        for s in sources
-    ]
+    channels = [np.moveaxis(np.asarray(s.weight) > 0, -1, 0) for s in sources]
+    return [np.flatnonzero(functools.reduce(np.logical_or, c)) for c in channels]
 
 
 def join_pixels(parts: list[PixelTerms]) -> PixelTerms:
@@ -283,8 +282,12 @@ def _concatenated(parts: list[PixelTerms]) -> PixelTerms:
 
 
 def _padded(count: int) -> int:
-    """The least number ≥ `count` with three significant bits, and at least 256."""
-    unit = max(2 ** (max(count, 1).bit_length() - 3), 64)
+    """The least number ≥ `count` with three significant bits, and at least 256.
+
+    With four where there are many: then padding costs more than compilation.
+    """
+    digits = 3 if count < MANY else 4
+    unit = max(2 ** (max(count, 1).bit_length() - digits), 64)
     return max(-(-count // unit) * unit, 256)
 
 

@@ -179,14 +179,11 @@ def _add_up(problem: Problem, found: Linearization) -> Pieces:
     known = jacobian.priors.T @ jacobian.priors
     # A white sample tells only that the light is no less than white: what nothing else
     # speaks of is not told.
-    white = used & (problem.samples.target >= 1) & problem.clamp
-    gram = jacobian.gram()
-    inside = jax.lax.cond(
-        jnp.any(white), lambda: jacobian.gram((~white).astype(kind)), lambda: gram
-    )
+    told = (problem.samples.target < 1).astype(kind) if problem.clamp else None
+    bread, meat, inside = jacobian.grams(None, independent, told)
     return Pieces(
-        bread=steepness * gram + known,
-        meat=variance * jacobian.gram(independent) + known,
+        bread=steepness * bread + known,
+        meat=variance * meat + known,
         inside=inside + known,
         pull=jacobian.pull(score) + jacobian.priors.T @ priors,
         loss_variance=variance,

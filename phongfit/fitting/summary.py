@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from phongfit.fitting.diagnostics import (
     Neighbours,
     all_neighbours,
+    compare_neighbours,
     neighbour_correlation,
     variance_inflation,
 )
@@ -24,11 +25,11 @@ from phongfit.scene import Scene
 
 
 class Shown(NamedTuple):
-    """What a fit makes of an image, (H, W, 3), and what it leaves of it."""
+    """What a fit makes of an image, what it leaves of it, and what of it counts."""
 
     fitted: Float[Array, "height width 3"]
     residual: Float[Array, "height width 3"]
-    neighbours: Float[Array, "4"]
+    weight: Float[Array, "height width channels"]
 
 
 def summarize(
@@ -61,20 +62,22 @@ def summarize(
     problem, unknowns = found.problem, found.problem.unknowns
     # Meanwhile JAX is at work on the images and on the sums.
     weight = _typical_weight(problem)
-    neighbours = all_neighbours(one.neighbours for one in shown)
-    correlation = _misfit(problem, neighbours)
-    inflation = variance_inflation(correlation)
     fitted = [np.asarray(one.fitted) for one in shown]
     residuals = [np.asarray(one.residual) for one in shown]
+    used = [np.asarray(one.weight) > 0 for one in shown]
+    neighbours = all_neighbours(map(compare_neighbours, residuals, used))
+    correlation = _misfit(problem, neighbours)
+    inflation = variance_inflation(correlation)
     told = estimates(problem, found.y, inflation, place, pieces)
     entries = np.array(place[0])
-    exposure = np.array(unknowns.parts(entries).get(EXPOSURE, np.ones(len(shown))))
+    exposure = np.ones(len(shown))
+    if unknowns.exposed:
+        exposure = unknowns.parts(entries)[EXPOSURE].copy()
     entries[unknowns.reported] = told.values
     errors = np.zeros_like(entries)
     errors[unknowns.reported] = told.errors
     material, stderr = as_materials(unknowns, entries, errors)
     converged = bool(found.converged)
-    samples = int(neighbours.samples)
     labels = np.array(unknowns.labels)
     result = Fit(
         material=material,
@@ -95,9 +98,9 @@ def summarize(
         noise=float(problem.sigma) / math.sqrt(weight),
         noise_given=noise_given,
         arrays=arrays,
-        samples=samples,
+        samples=neighbours.samples,
         images=len(shown),
-        degrees_of_freedom=samples + sum(unknowns.has_prior) - told.free,
+        degrees_of_freedom=neighbours.samples + sum(unknowns.has_prior) - told.free,
         chi_squared=told.chi_squared,
         neighbour_correlation=correlation,
         loss=type(problem.loss).__name__,
@@ -129,7 +132,7 @@ def _typical_weight(problem: Problem) -> float:
     weight = np.asarray(problem.samples.weight)
     typical = weight.max()
     # Mostly they are all alike, and a median takes long.
-    if np.count_nonzero(weight == typical) < np.count_nonzero(weight):
+    if np.count_nonzero(weight == typical) < np.count_nonzero(weight > 0):
         typical = np.median(weight[weight > 0])
     return float(typical)
 

@@ -91,6 +91,38 @@ class Jacobian(eqx.Module):
         half = jnp.einsum("gckl,gclj->gckj", products, self.select, precision=exact)
         return jnp.einsum("gcki,gckj->ij", self.select, half, precision=exact)
 
+    def grams(self, *weights: Float[Array, "3 samples"] | None) -> Array:
+        """The same for several weights at once, (weights, n, n).
+
+        Block by block: what is weighted stays in a processor's cache.
+        """
+        if self.member is not None:
+            return jnp.stack([self.gram(weight) for weight in weights])
+        exact = jax.lax.Precision.HIGHEST
+        count, block = self.local.shape[-1], _block(self.local.shape[-1])
+
+        def add(total: Array, begin: Array) -> tuple[Array, None]:
+            def part(whole: Array) -> Array:
+                return jax.lax.dynamic_slice_in_dim(whole, begin, block, axis=-1)
+
+            local = part(self.local)
+            weighted = [
+                local if weight is None else local * part(weight)[:, None]
+                for weight in weights
+            ]
+            # Side by side as rows of one matrix: another axis would be slow.
+            left = jnp.concatenate(weighted, axis=1)
+            more = jnp.einsum("ckn,cln->ckl", left, local, precision=exact)
+            return total + more, None
+
+        colours = self.local.shape[1]
+        nothing = jnp.zeros((3, len(weights) * colours, colours), self.local.dtype)
+        products, _ = jax.lax.scan(add, nothing, jnp.arange(0, count, block))
+        products = products.reshape(3, len(weights), colours, colours)
+        select = self.select[0]
+        half = jnp.einsum("cwkl,clj->cwkj", products, select, precision=exact)
+        return jnp.einsum("cki,cwkj->wij", select, half, precision=exact)
+
     def pull(self, residual: Float[Array, "3 samples"]) -> Float[Array, " n"]:
         r"""$J^\top r$ of the samples."""
         exact = jax.lax.Precision.HIGHEST
@@ -108,6 +140,14 @@ class Jacobian(eqx.Module):
             return np.einsum("cki,ckn->icn", select[0], local)
         group = np.argmax(np.asarray(self.member), axis=0)
         return np.einsum("ncki,ckn->icn", select[group], local)
+
+
+def _block(count: int) -> int:
+    """A power of two that divides a number of samples into blocks, neither too many."""
+    block = count & -count
+    while block > 2048 and count // block < 64:
+        block //= 2
+    return block
 
 
 class Linearization(eqx.Module):

@@ -7,7 +7,6 @@ from phongfit.fitting.diagnostics import (
     neighbour_correlation,
     variance_inflation,
 )
-from tests.helpers import floats
 
 
 def noise(shape=(60, 60, 3), seed=0):
@@ -17,7 +16,7 @@ def noise(shape=(60, 60, 3), seed=0):
 def correlation_of(residuals, used):
     """Of residuals (H, W, 3) each, where they are used."""
     images = [
-        compare_neighbours(floats(one), np.asarray(mask))
+        compare_neighbours(np.where(mask, one, 0), mask)
         for one, mask in zip(residuals, used, strict=True)
     ]
     return neighbour_correlation(all_neighbours(images))
