@@ -72,7 +72,7 @@ def summarize(
     entries = np.array(place[0])
     exposure = np.ones(len(shown))
     if unknowns.exposed:
-        exposure = unknowns.parts(entries)[EXPOSURE].copy()
+        exposure = np.array(unknowns.parts(entries)[EXPOSURE])
     entries[unknowns.reported] = told.values
     errors = np.zeros_like(entries)
     errors[unknowns.reported] = told.errors
