@@ -15,6 +15,9 @@ from phongfit.reflectance import AbstractSpecular, lambert
 from phongfit.scene import Scene
 from phongfit.vectors import Vec3, normalize
 
+# Lights that are written out; more of them are a loop, which compiles faster.
+AT_ONCE = 16
+
 
 class ShadingTerms(eqx.Module):
     """The basis images A and D, and what S(f) is made of, light by light.
@@ -34,13 +37,19 @@ class ShadingTerms(eqx.Module):
     def specular(self, shininess: Float[Array, "..."]) -> Float[Array, "*batch 3"]:
         """Basis image S(f), for an exponent as a leaf of a [`Material`][]."""
         shininess = self.leaf("shininess", shininess)
-        *batch, lights = self.cosine.shape
+        *batch, _ = self.cosine.shape
         channels = 1 if shininess.ndim == 0 else shininess.shape[-1]
         # One lobe serves all channels where they share the exponent.
-        exponent = _spread("shininess", shininess, (*batch, channels))[..., None, :]
-        exponent = jnp.broadcast_to(exponent, (*batch, lights, channels))
-        lobe = self.model.lobe(self.cosine[..., None], exponent)
-        return jnp.sum(self.strength * lobe, axis=-2)
+        exponent = _spread("shininess", shininess, (*batch, channels))
+
+        def add(total: Array, light: tuple[Array, Array]) -> tuple[Array, None]:
+            cosine, strength = light
+            return total + strength * self.model.lobe(cosine[..., None], exponent), None
+
+        # One by one: an innermost loop over a few lights is slow.
+        each = jnp.moveaxis(self.cosine, -1, 0), jnp.moveaxis(self.strength, -2, 0)
+        none = jnp.zeros_like(self.diffuse)
+        return jax.lax.scan(add, none, each, unroll=AT_ONCE)[0]
 
     def leaf(self, name: str, leaf: Float[Array, "..."]) -> Float[Array, "..."]:
         """A leaf of a [`Material`][], as it is at the points where there are several.
