@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import phongfit as pf
-from phongfit.rendering.terms import combine, point_terms
+from phongfit.rendering.terms import AT_ONCE, ShadingTerms, combine, point_terms
 from tests.helpers import floats, near, random_rotation, unit
 
 shares = st.floats(0, 1, width=32)
@@ -152,6 +152,21 @@ def test_no_lights():
     assert found.cosine.shape == (0,) and found.strength.shape == (0, 3)
     near(found.specular(floats(5.0)), [0, 0, 0])
     near(combine(found, pf.Material(ambient=0.5, emission=0.1)), [0.25] * 3)
+
+
+@pytest.mark.parametrize("count", [1, AT_ONCE - 1, AT_ONCE + 3])
+def test_highlights_of_all_lights_add_up(count):
+    """Also of more lights than are written out, and so do their slopes in f."""
+    rng = np.random.default_rng(count)
+    cosine, strength = rng.random((5, count)), rng.random((5, count, 3))
+    dark = floats(np.zeros((5, 3)))
+    found = ShadingTerms(dark, dark, floats(cosine), floats(strength), pf.Phong())
+    exponents = floats([2.0, 7.0, 30.0])
+    lobes = cosine[..., None] ** np.array([2.0, 7.0, 30.0])
+    near(found.specular(exponents), (strength * lobes).sum(axis=1))
+    slope = jax.jit(jax.grad(lambda f: found.specular(f).sum()))(exponents)
+    slopes = strength * lobes * np.log(cosine)[..., None]
+    near(slope, slopes.sum(axis=(0, 1)))
 
 
 @pytest.mark.parametrize("leaf", ["diffuse", "specular", "shininess", "ambient"])
