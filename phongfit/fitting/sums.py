@@ -69,6 +69,10 @@ def _cells(unknowns: Unknowns) -> np.ndarray:
     return cells.reshape(size, -1, 3)
 
 
+# A GPU would otherwise multiply in reduced precision.
+EXACT = jax.lax.Precision.HIGHEST
+
+
 class Jacobian(eqx.Module):
     """Derivatives of the samples' residuals, a colour each."""
 
@@ -79,59 +83,66 @@ class Jacobian(eqx.Module):
 
     def gram(self, weight: Float[Array, "3 samples"] | None = None) -> Array:
         r"""$J^\top W J$ of the samples, (n, n)."""
-        # A GPU would otherwise multiply in reduced precision.
-        exact = jax.lax.Precision.HIGHEST
+        if self.member is not None:
+            return self.grams(weight)[0]
         left = self.local if weight is None else self.local * weight[:, None]
-        if self.member is None:
-            products = jnp.einsum("ckn,cln->ckl", left, self.local, precision=exact)
-            products = products[None]
-        else:
-            each = left[:, :, None] * self.local[:, None]
-            products = jnp.einsum("gn,ckln->gckl", self.member, each, precision=exact)
-        half = jnp.einsum("gckl,gclj->gckj", products, self.select, precision=exact)
-        return jnp.einsum("gcki,gckj->ij", self.select, half, precision=exact)
+        products = jnp.einsum("ckn,cln->ckl", left, self.local, precision=EXACT)
+        return self._spread(products[None, :, None])[0]
 
     def grams(self, *weights: Float[Array, "3 samples"] | None) -> Array:
-        """The same for several weights at once, (weights, n, n).
+        """The same for several weights at once, (weights, n, n)."""
+        return self._spread(self._products(weights, self.local))
 
-        Block by block: what is weighted stays in a processor's cache.
+    def pull(self, residual: Float[Array, "3 samples"]) -> Float[Array, " n"]:
+        r"""$J^\top r$ of the samples."""
+        if self.member is None:
+            sums = jnp.einsum("ckn,cn->ck", self.local, residual, precision=EXACT)[None]
+        else:
+            sums = self._products((None,), residual[:, None])[:, :, 0, :, 0]
+        return jnp.einsum("gcki,gck->i", self.select, sums, precision=EXACT)
+
+    def _spread(
+        self, products: Float[Array, "groups 3 weights colours colours"]
+    ) -> Float[Array, "weights n n"]:
+        """Sums of products of colours as those of the unknowns that they belong to."""
+        half = jnp.einsum("gcwkl,gclj->gcwkj", products, self.select, precision=EXACT)
+        return jnp.einsum("gcki,gcwkj->wij", self.select, half, precision=EXACT)
+
+    def _products(
+        self,
+        weights: tuple[Float[Array, "3 samples"] | None, ...],
+        others: Float[Array, "3 rows samples"],
+    ) -> Float[Array, "groups 3 weights colours rows"]:
+        """Sums over each group's samples of colours times weights times others.
+
+        Block by block: so what is weighted stays in a processor's cache.
         """
-        if self.member is not None:
-            return jnp.stack([self.gram(weight) for weight in weights])
-        exact = jax.lax.Precision.HIGHEST
-        count, block = self.local.shape[-1], _block(self.local.shape[-1])
+        _, colours, count = self.local.shape
+        groups = 1 if self.member is None else len(self.member)
+        block = _block(count)
 
         def add(total: Array, begin: Array) -> tuple[Array, None]:
             def part(whole: Array) -> Array:
                 return jax.lax.dynamic_slice_in_dim(whole, begin, block, axis=-1)
 
             local = part(self.local)
-            weighted = [
+            parts = [
                 local if weight is None else local * part(weight)[:, None]
                 for weight in weights
             ]
-            # Side by side as rows of one matrix: another axis would be slow.
-            left = jnp.concatenate(weighted, axis=1)
-            more = jnp.einsum("ckn,cln->ckl", left, local, precision=exact)
+            if self.member is not None:
+                member = part(self.member)
+                parts = [one * row[None, None] for row in member for one in parts]
+            # Side by side as rows of one matrix: further axes would be slow.
+            left, right = jnp.concatenate(parts, axis=1), part(others)
+            more = jnp.einsum("ckn,cln->ckl", left, right, precision=EXACT)
             return total + more, None
 
-        colours = self.local.shape[1]
-        nothing = jnp.zeros((3, len(weights) * colours, colours), self.local.dtype)
-        products, _ = jax.lax.scan(add, nothing, jnp.arange(0, count, block))
-        products = products.reshape(3, len(weights), colours, colours)
-        select = self.select[0]
-        half = jnp.einsum("cwkl,clj->cwkj", products, select, precision=exact)
-        return jnp.einsum("cki,cwkj->wij", select, half, precision=exact)
-
-    def pull(self, residual: Float[Array, "3 samples"]) -> Float[Array, " n"]:
-        r"""$J^\top r$ of the samples."""
-        exact = jax.lax.Precision.HIGHEST
-        if self.member is None:
-            sums = jnp.einsum("ckn,cn->ck", self.local, residual, precision=exact)[None]
-        else:
-            each = self.local * residual[:, None]
-            sums = jnp.einsum("gn,ckn->gck", self.member, each, precision=exact)
-        return jnp.einsum("gcki,gck->i", self.select, sums, precision=exact)
+        rows = groups * len(weights) * colours
+        none = jnp.zeros((3, rows, others.shape[1]), self.local.dtype)
+        total, _ = jax.lax.scan(add, none, jnp.arange(0, count, block))
+        total = total.reshape(3, groups, len(weights), colours, -1)
+        return jnp.moveaxis(total, 1, 0)
 
     def columns(self) -> np.ndarray:
         """The whole matrix, (n, 3, samples), in double precision."""

@@ -50,7 +50,11 @@ class Interpolation(eqx.Module):
     def __call__(
         self, values: Float[Array, "points channels"]
     ) -> Float[Array, "*batch channels"]:
-        return jnp.sum(self.weight[..., None] * values[self.index], axis=-2)
+        total = jnp.zeros((*self.weight.shape[:-1], values.shape[-1]), values.dtype)
+        # One by one: an innermost loop over three corners is slow.
+        for k in range(self.weight.shape[-1]):
+            total += self.weight[..., k, None] * values[self.index[..., k]]
+        return total
 
 
 Interpolation.__init__.__doc__ = """**Arguments:** `index` of the points, and their

@@ -117,6 +117,14 @@ def test_sums_are_those_of_the_whole_jacobian(kind):
     samples = jacobian[: problem.samples.target.size].T.reshape(columns.shape)
     np.testing.assert_allclose(columns, samples, atol=1e3 * EPS * np.abs(samples).max())
 
+    # Weighted, beside what is not.
+    weight = np.random.default_rng(1).random(problem.samples.target.shape)
+    plain, weighted = eqx.filter_jit(sparse.grams)(None, floats(weight))
+    whole = np.einsum("icn,cn,jcn->ij", columns, weight, columns)
+    np.testing.assert_allclose(weighted / unit, whole / unit, atol=1e3 * EPS)
+    unweighted = np.einsum("icn,jcn->ij", columns, columns)
+    np.testing.assert_allclose(plain / unit, unweighted / unit, atol=1e3 * EPS)
+
     # What the noise level follows from.
     at = evaluate(problem, y)
     squares = np.asarray(at.difference, float) ** 2 * np.asarray(problem.samples.weight)
