@@ -91,14 +91,17 @@ class Jacobian(eqx.Module):
 
     def grams(self, *weights: Float[Array, "3 samples"] | None) -> Array:
         """The same for several weights at once, (weights, n, n)."""
-        return self._spread(self._products(weights, self.local))
+        one = jnp.ones_like(self.local[:, 0])
+        each = [one if weight is None else weight for weight in weights]
+        return self._spread(self._products(jnp.stack(each, axis=1), self.local))
 
     def pull(self, residual: Float[Array, "3 samples"]) -> Float[Array, " n"]:
         r"""$J^\top r$ of the samples."""
         if self.member is None:
             sums = jnp.einsum("ckn,cn->ck", self.local, residual, precision=EXACT)[None]
         else:
-            sums = self._products((None,), residual[:, None])[:, :, 0, :, 0]
+            one = jnp.ones_like(residual[:, None])
+            sums = self._products(one, residual[:, None])[:, :, 0, :, 0]
         return jnp.einsum("gcki,gck->i", self.select, sums, precision=EXACT)
 
     def _spread(
@@ -110,7 +113,7 @@ class Jacobian(eqx.Module):
 
     def _products(
         self,
-        weights: tuple[Float[Array, "3 samples"] | None, ...],
+        weights: Float[Array, "3 weights samples"],
         others: Float[Array, "3 rows samples"],
     ) -> Float[Array, "groups 3 weights colours rows"]:
         """Sums over each group's samples of colours times weights times others.
@@ -119,29 +122,25 @@ class Jacobian(eqx.Module):
         """
         _, colours, count = self.local.shape
         groups = 1 if self.member is None else len(self.member)
-        block = _block(count)
+        rows = groups * weights.shape[1] * colours
+        block = _block(count, rows)
 
         def add(total: Array, begin: Array) -> tuple[Array, None]:
             def part(whole: Array) -> Array:
                 return jax.lax.dynamic_slice_in_dim(whole, begin, block, axis=-1)
 
-            local = part(self.local)
-            parts = [
-                local if weight is None else local * part(weight)[:, None]
-                for weight in weights
-            ]
-            if self.member is not None:
-                member = part(self.member)
-                parts = [one * row[None, None] for row in member for one in parts]
             # Side by side as rows of one matrix: further axes would be slow.
-            left, right = jnp.concatenate(parts, axis=1), part(others)
-            more = jnp.einsum("ckn,cln->ckl", left, right, precision=EXACT)
+            left = part(weights)[:, :, None] * part(self.local)[:, None]
+            left = left.reshape(3, -1, block)
+            if self.member is not None:
+                each = part(self.member)[None, :, None] * left[:, None]
+                left = each.reshape(3, -1, block)
+            more = jnp.einsum("ckn,cln->ckl", left, part(others), precision=EXACT)
             return total + more, None
 
-        rows = groups * len(weights) * colours
         none = jnp.zeros((3, rows, others.shape[1]), self.local.dtype)
         total, _ = jax.lax.scan(add, none, jnp.arange(0, count, block))
-        total = total.reshape(3, groups, len(weights), colours, -1)
+        total = total.reshape(3, groups, weights.shape[1], colours, -1)
         return jnp.moveaxis(total, 1, 0)
 
     def columns(self) -> np.ndarray:
@@ -153,10 +152,13 @@ class Jacobian(eqx.Module):
         return np.einsum("ncki,ckn->icn", select[group], local)
 
 
-def _block(count: int) -> int:
-    """A power of two that divides a number of samples into blocks, neither too many."""
+def _block(count: int, rows: int) -> int:
+    """A power of two that divides samples into blocks: small, but not too many."""
     block = count & -count
-    while block > 2048 and count // block < 64:
+    while block > 2048 and count < 64 * block:
+        block //= 2
+    # Where there are many rows, they would fill the memory.
+    while block > 64 and rows * block > 2**20:
         block //= 2
     return block
 
