@@ -32,12 +32,14 @@ def compare_neighbours(
     - `residual`: image − model; 0 where a sample is left out.
     - `used`: true where a sample takes part; of one channel, if all take part alike.
     """
-    beside = (slice(1, None), slice(None)), (slice(None, -1), slice(None))
-    axes = beside, tuple(pair[::-1] for pair in beside)
+    across = _product(residual[:, 1:], residual[:, :-1])
+    down = _product(residual[1:], residual[:-1])
+    pairs = np.count_nonzero(used[:, 1:] & used[:, :-1])
+    pairs += np.count_nonzero(used[1:] & used[:-1])
     alike = residual.shape[-1] // used.shape[-1]
     return Neighbours(
-        sum(_product(residual[one], residual[other]) for one, other in axes),
-        alike * sum(np.count_nonzero(used[one] & used[other]) for one, other in axes),
+        across + down,
+        alike * pairs,
         _product(residual, residual),
         alike * np.count_nonzero(used),
     )

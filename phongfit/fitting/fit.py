@@ -265,10 +265,15 @@ def _show(setting: Setting, which: int, scene: Scene, entries: Array) -> Shown:
     mask, view = source.mask, source.pixels
     if unknowns.of_scene:
         mask, view = resolve_terms(scene)
-    measured, clamp = (source.image, source.weight), setting.film.clamp
-    back, image = scene.background, np.int32(which)
     fitted, residual = _expose(
-        measured, mask, view, unknowns, entries, image, clamp, back
+        (source.image, source.weight),
+        mask,
+        view,
+        unknowns,
+        entries,
+        np.int32(which),
+        setting.film.clamp,
+        scene.background,
     )
     return Shown(fitted, residual, source.weight)
 
