@@ -15,10 +15,11 @@ from phongfit.fitting.losses import AbstractLoss, as_loss
 from phongfit.fitting.noise import find_film, rounding_steps
 from phongfit.fitting.result import Fit
 from phongfit.fitting.samples import Source, gather, seen_pixels
-from phongfit.fitting.search import search
+from phongfit.fitting.search import Found, search
 from phongfit.fitting.start import choose_few
 from phongfit.fitting.statistics import add_up
 from phongfit.fitting.summary import Shown, summarize
+from phongfit.fitting.tiles import Measured, Tiles, sum_over_tiles, tile_side
 from phongfit.fitting.unknowns import Unknowns, in_units
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
@@ -133,6 +134,11 @@ def fit(
     # JAX computes these side by side, as long as none is looked at.
     place, pieces = in_units(layout, found.y), add_up(found.problem, found.y)
     scenes = layout.scenes(place[0], tuple(source.scene for source in sources))
+    side = max(tile_side(*source.mask.shape) for source in sources)
+    shows = [
+        _show(setting, k, scene, place[0], found, side)
+        for k, scene in enumerate(scenes)
+    ]
     return summarize(
         found,
         place,
@@ -143,7 +149,8 @@ def fit(
         photographs=[
             np.array(one, found.y.dtype) for one in ([image] if single else image)
         ],
-        shown=[_show(setting, k, scene, place[0]) for k, scene in enumerate(scenes)],
+        shown=shows,
+        side=side,
         single=single,
         noise_given=noise is not None,
         arrays=tuple(name for name, value in given.items() if not is_number(value)),
@@ -259,42 +266,58 @@ def as_source(photograph: Photograph, seen: _Geometry, film: Film) -> Source:
     )
 
 
-def _show(setting: Setting, which: int, scene: Scene, entries: Array) -> Shown:
-    """What the fit makes of one image."""
+def _show(
+    setting: Setting,
+    which: int,
+    scene: Scene,
+    entries: Array,
+    found: Found,
+    side: int,
+) -> Shown:
+    """What the fit makes of one image, and residuals in tiles of `side` pixels."""
     source, unknowns = setting.sources[which], setting.unknowns
     mask, view = source.mask, source.pixels
     if unknowns.of_scene:
         mask, view = resolve_terms(scene)
-    fitted, residual = _expose(
-        (source.image, source.weight),
+    step = None if source.step is None else jnp.asarray(source.step)
+    fitted, residual, tiles = _expose(
+        Measured(source.image, source.weight, step, found.problem.sigma),
         mask,
         view,
         unknowns,
         entries,
         np.int32(which),
-        setting.film.clamp,
         scene.background,
+        found.problem.loss,
+        setting.film.clamp,
+        side,
     )
-    return Shown(fitted, residual, source.weight)
+    return Shown(fitted, residual, tiles)
 
 
-@program("clamp")
+@program("clamp", "side")
 def _expose(
-    measured: tuple[Array, Array],
+    measured: Measured,
     mask: Array,
     view: PixelTerms,
     unknowns: Unknowns,
     entries: Array,
     which: np.int32,
-    clamp: bool,
     background: Array,
-) -> tuple[Array, Array]:
-    image, weight = measured
-    light = view.radiance(unknowns.with_leaves(entries))
-    light = light * unknowns.exposures(entries)[which]
+    loss: AbstractLoss,
+    clamp: bool,
+    side: int,
+) -> tuple[Array, Array, Tiles]:
+    material = unknowns.with_leaves(entries)
+    exposure = unknowns.exposures(entries)[which]
+    light = view.radiance(material) * exposure
+    basis = view.basis(material.shininess)
+    shapes = basis[..., 1], basis[..., 2]
+    tiles = sum_over_tiles(measured, light, *shapes, loss, clamp, side)
     light = jnp.clip(light, 0, 1) if clamp else light
     fitted = jnp.where(mask[..., None], light, background[None, None])
-    return fitted, jnp.where(weight > 0, image - fitted, 0)
+    residual = jnp.where(measured.weight > 0, measured.image - fitted, 0)
+    return fitted, residual, tiles
 
 
 def _checked_film(film: Film | None, photographs: list[Photograph]) -> Film:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from phongfit.fitting.diagnostics import variance_inflation
+from phongfit.fitting.misfit import Misfit
 from phongfit.fitting.profile import LEVELS, profile, profile_pair
 from phongfit.fitting.quantiles import student_reach
 from phongfit.fitting.search import Found
@@ -63,7 +63,7 @@ class Fit:
     images: int
     degrees_of_freedom: int
     chi_squared: float
-    neighbour_correlation: float
+    misfit: Misfit
     loss: str
     model: str
     film: str
@@ -123,8 +123,7 @@ class Fit:
 
         **Raises:** `ValueError` for a name that was not free, or a level out of range.
         """
-        inflation = variance_inflation(self.neighbour_correlation)
-        setting = (self.degrees_of_freedom, tuple(levels), inflation)
+        setting = (self.degrees_of_freedom, tuple(levels), self.misfit.inflation)
         if other is None:
             return profile(self.found, name, *setting)
         return profile_pair(self.found, (name, other), *setting)
@@ -150,6 +149,11 @@ class Fit:
         **Raises:** `ValueError` for a name that was not free.
         """
         return report("profiles").plot_profile(self, name, other)
+
+    @property
+    def neighbour_correlation(self) -> float:
+        """Of residuals: well above 0 where the model does not describe the image."""
+        return self.misfit.neighbour_correlation
 
     @property
     def reduced_chi_squared(self) -> float:
@@ -222,8 +226,8 @@ Fit.__init__.__doc__ = """**Arguments:**
 - `samples`: pixels times channels used.
 - `degrees_of_freedom`: samples and priors less unknowns that were free.
 - `chi_squared`: sum of the squared residuals in standard deviations.
-- `neighbour_correlation`: of residuals; well above 0 where the model does not describe
-    the image. Errors are then widened.
+- `misfit`: whether residuals are noise: a [`Misfit`][]. Where they are not, the model
+    does not describe the image, and errors are widened.
 - `converged`, `steps`, `reason`: how the solver ended.
 - `warnings`: plain sentences.
 - `found`: the solved problem, which [`Fit`][]`.profile` and [`refit`][] go on from.

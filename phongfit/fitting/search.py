@@ -22,6 +22,8 @@ from phongfit.programs import program
 
 # A pass solves with the noise level that the pass before left over.
 MOST_PASSES = 8
+# Share of the samples that may be clipped before the noise level matters to the others.
+CLIPPED = 1e-4
 # Where numbers of the scenes are unknown, the cost can have several valleys.
 STARTS = 16
 
@@ -136,6 +138,15 @@ def _look(problem: Problem, y: Float[Array, " n"], noise_given: bool) -> _Stand:
     return _Stand(y, sigma, jnp.array(False), jnp.array(0))
 
 
+class _Pass(NamedTuple):
+    """Passes over the noise level: in the last it is held, and then all is done."""
+
+    now: _Stand
+    count: Int[Array, ""]
+    last: Bool[Array, ""]
+    done: Bool[Array, ""]
+
+
 @program("max_steps", "noise_given", "once")
 def _settle(
     problem: Problem,
@@ -144,28 +155,46 @@ def _settle(
     noise_given: bool,
     once: bool = False,
 ) -> _Stand:
-    """Solve until the noise level that the solution rests on is what it leaves."""
+    """Solve until the noise level that the solution rests on is what it leaves.
 
-    def again(stand: _Stand) -> _Stand:
+    Where the solution depends on that level, the last solve is for the level stated.
+    """
+
+    def again(stand: _Stand, last: Bool[Array, ""]) -> tuple[_Stand, Bool[Array, ""]]:
         here = dataclasses.replace(problem, sigma=stand.sigma)
         solution = solve(here, stand.y, max_steps)
-        sigma = stand.sigma if noise_given else _noise(here, solution)
         steps = stand.steps + solution.steps
-        return _Stand(solution.y, sigma, solution.converged, steps)
+        sigma = stand.sigma
+        if not noise_given:
+            sigma = jnp.where(last, sigma, _noise(here, solution))
+        now = _Stand(solution.y, sigma, solution.converged, steps)
+        return now, _depends_on_noise(problem, solution)
 
     if once or noise_given:
-        return again(stand)
+        return again(stand, jnp.array(False))[0]
 
-    def is_unsettled(stands: tuple[_Stand, _Stand]) -> Bool[Array, ""]:
-        before, now = stands
-        falls = now.sigma <= 0.97 * before.sigma
-        return falls & (now.steps <= MOST_PASSES * max_steps)
+    def step(at: _Pass) -> _Pass:
+        now, depends = again(at.now, at.last)
+        change = now.sigma / at.now.sigma
+        falls, same = change <= 0.97, jnp.abs(jnp.log(change)) < 0.03
+        count = at.count + 1
+        late = (count >= MOST_PASSES) | (now.steps > MOST_PASSES * max_steps)
+        done = at.last | ((late | ~falls) & ~depends)
+        return _Pass(now, count, late | same, done)
 
-    def step(stands: tuple[_Stand, _Stand]) -> tuple[_Stand, _Stand]:
-        return stands[1], again(stands[1])
+    none = jnp.array(False)
+    first = _Pass(stand, jnp.array(0), none, none)
+    return jax.lax.while_loop(lambda at: ~at.done, step, first).now
 
-    unknown = stand._replace(sigma=jnp.full_like(stand.sigma, jnp.inf))
-    return jax.lax.while_loop(is_unsettled, step, (unknown, stand))[1]
+
+def _depends_on_noise(problem: Problem, solution: Solution) -> Bool[Array, ""]:
+    """Whether another noise level would move the solution, as it does beside priors."""
+    samples = problem.samples
+    rounded, known = samples.step is not None, any(problem.unknowns.has_prior)
+    if rounded or known or problem.loss.robust:
+        return jnp.array(True)
+    count = jnp.sum(samples.weight > 0).astype(solution.left.share.dtype)
+    return solution.left.share < (1 - CLIPPED) * count
 
 
 def _noise(problem: Problem, solution: Solution) -> Float[Array, ""]:

@@ -7,29 +7,28 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float
 
-from phongfit.fitting.diagnostics import (
-    Neighbours,
-    all_neighbours,
-    compare_neighbours,
-    neighbour_correlation,
-    variance_inflation,
-)
 from phongfit.fitting.estimate import estimates
 from phongfit.fitting.leaves import EXPOSURE
+from phongfit.fitting.misfit import Misfit, find_misfit
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.result import Fit, as_materials
 from phongfit.fitting.search import Found
 from phongfit.fitting.statistics import Pieces
+from phongfit.fitting.tiles import Tiles
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
 
+# Samples from which a noise level is estimated well enough.
+FEW = 50
+
+
 class Shown(NamedTuple):
-    """What a fit makes of an image, what it leaves of it, and what of it counts."""
+    """What a fit makes of an image, and what it leaves of it."""
 
     fitted: Float[Array, "height width 3"]
     residual: Float[Array, "height width 3"]
-    weight: Float[Array, "height width channels"]
+    tiles: Tiles
 
 
 def summarize(
@@ -41,6 +40,7 @@ def summarize(
     scenes: tuple[Scene, ...],
     photographs: list[np.ndarray],
     shown: list[Shown],
+    side: int,
     single: bool,
     noise_given: bool,
     arrays: tuple[str, ...],
@@ -55,6 +55,7 @@ def summarize(
     - `film`: the images'.
     - `photographs`: images (H, W, 3) as they were given.
     - `scenes`, `shown`: the scenes and images as fitted.
+    - `side`: pixels along a tile of theirs.
     - `single`: whether one image was given, not a sequence.
     - `noise_given`: whether the noise level was known.
     - `arrays`: which arguments came as arrays.
@@ -64,11 +65,11 @@ def summarize(
     weight = _typical_weight(problem)
     fitted = [np.asarray(one.fitted) for one in shown]
     residuals = [np.asarray(one.residual) for one in shown]
-    used = [np.asarray(one.weight) > 0 for one in shown]
-    neighbours = all_neighbours(map(compare_neighbours, residuals, used))
-    correlation = _misfit(problem, neighbours)
-    inflation = variance_inflation(correlation)
-    told = estimates(problem, found.y, inflation, place, pieces)
+    misfit = find_misfit([one.tiles for one in shown], side)
+    samples = sum(int(np.sum(one.tiles.neighbours.samples)) for one in shown)
+    # Clipped samples say nothing of the noise.
+    effective = round(sum(float(np.sum(one.tiles.variance)) for one in shown))
+    told = estimates(problem, found.y, misfit.inflation, place, pieces)
     entries = np.array(place[0])
     exposure = np.ones(len(shown))
     if unknowns.exposed:
@@ -98,11 +99,11 @@ def summarize(
         noise=float(problem.sigma) / math.sqrt(weight),
         noise_given=noise_given,
         arrays=arrays,
-        samples=neighbours.samples,
+        samples=samples,
         images=len(shown),
-        degrees_of_freedom=neighbours.samples + sum(unknowns.has_prior) - told.free,
+        degrees_of_freedom=max(effective + sum(unknowns.has_prior) - told.free, 0),
         chi_squared=told.chi_squared,
-        neighbour_correlation=correlation,
+        misfit=misfit,
         loss=type(problem.loss).__name__,
         model=type(problem.samples.channels.pixels.terms.model).__name__,
         film=film_words(film),
@@ -116,7 +117,8 @@ def summarize(
                 f"{label} lies at its bound: its error is one-sided"
                 for label in labels[told.at_bound]
             ),
-            *_misfit_words(correlation, inflation),
+            *_misfit_words(misfit, len(shown)),
+            *([] if noise_given else _few_words(effective, samples)),
         ),
         found=found,
     )
@@ -137,26 +139,43 @@ def _typical_weight(problem: Problem) -> float:
     return float(typical)
 
 
-def _misfit(problem: Problem, neighbours: Neighbours) -> float:
-    """Correlation of neighbouring residuals, where these are more than rounding."""
-    rounding, resolution = 0.0, float(np.finfo(problem.sigma.dtype).eps)
-    if problem.samples.step is not None:
-        step = np.asarray(problem.samples.step, float)
-        rounding = (step[np.asarray(problem.samples.weight) > 0] ** 2).mean() / 12
-    variance = neighbours.squares / neighbours.samples
-    if variance <= 2 * rounding + (64 * resolution) ** 2:
-        return 0.0
-    return neighbour_correlation(neighbours)
+def _misfit_words(misfit: Misfit, images: int) -> tuple[str, ...]:
+    correlation = misfit.neighbour_correlation
+    if not misfit.significant and correlation <= 0.1:
+        return ()
+    widened = math.sqrt(misfit.inflation)
+    shown = [f"neighbouring pixels correlate by {correlation:.2f}"]
+    if misfit.significant:
+        image = f" of image {misfit.image}" if images > 1 else ""
+        shown = [
+            f"summed {_SUMMED[misfit.along].format(side=misfit.side)} they exceed what "
+            f"noise allows ({misfit.significance:.2g} σ), most near row {misfit.row}, "
+            f"column {misfit.column}{image}",
+            *(shown if correlation > 0.1 else []),
+        ]
+    return (
+        f"residuals are not noise: {'; '.join(shown)}. The model does not describe the "
+        f"image fully; errors are widened {widened:.1f} times, which "
+        "covers no bias. Look at plot_residuals(); mask what does not belong, try "
+        "another specular model, or make what may be wrong unknown",
+    )
 
 
-def _misfit_words(correlation: float, inflation: float) -> tuple[str, ...]:
-    if correlation <= 0.1:
+def _few_words(effective: int, samples: int) -> tuple[str, ...]:
+    if effective >= min(FEW, samples / 2):
         return ()
     return (
-        f"residuals are not noise: neighbouring pixels correlate by {correlation:.2f}. "
-        "The model does not describe the image fully; errors are widened "
-        f"{np.sqrt(inflation):.1f} times, and cannot tell a bias",
+        f"{samples - effective:,} of {samples:,} samples are clipped: the noise, and "
+        "with it all errors, is estimated from the few others. Give noise=, or expose "
+        "less",
     )
+
+
+_SUMMED = {
+    "blocks": "over blocks of {side} × {side} pixels",
+    "diffuse": "where diffuse light is equal",
+    "highlight": "where the highlight is equal",
+}
 
 
 def _with_noise_warning(fit: Fit) -> Fit:

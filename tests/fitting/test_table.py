@@ -7,6 +7,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.files.outputs import write_json
+from phongfit.fitting.misfit import Misfit
 from phongfit.fitting.table import fit_table
 from phongfit.material import Material
 
@@ -47,7 +48,7 @@ def result(**changes) -> pf.Fit:
             images=1,
             degrees_of_freedom=12342,
             chi_squared=12342.0,
-            neighbour_correlation=0.0,
+            misfit=Misfit(),
             loss="Linear",
             model="BlinnPhong",
             film="clamped, 8-bit srgb",
