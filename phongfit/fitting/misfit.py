@@ -44,7 +44,8 @@ class Misfit:
     - `significance`: of the largest misfit found, in standard deviations of a normal
         distribution.
     - `inflation`: factor on all variances, at least 1: that of sums of residuals over
-        what noise would give them, or what neighbours that correlate stand for.
+        what noise would give them, or what neighbours that correlate stand for; and
+        that of all residuals over the noise that was given.
     - `along`: where it was found: in `"blocks"`, along `"diffuse"` or `"highlight"`.
     - `side`: pixels along the blocks that show it best.
     - `image`, `row`, `column`: middle of the block that stands out most, in pixels.

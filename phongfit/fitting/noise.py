@@ -31,11 +31,13 @@ class Moments(NamedTuple):
     - `slope`: of the mean in the light: the chance that nothing is clipped.
     - `variance_share`: what clipping leaves of the noise's variance: 1 in mid-range, 0
       past white.
+    - `drift`: derivative of the mean in σ: 0 in mid-range.
     """
 
     mean: Values
     slope: Values
     variance_share: Values
+    drift: Values
 
 
 def clipped_moments(light: Values, sigma: Float[Array, ""] | Values) -> Moments:
@@ -50,7 +52,15 @@ def clipped_moments(light: Values, sigma: Float[Array, ""] | Values) -> Moments:
         Econometrica 26(1), 1958.
     """
     edges = _edges(light, sigma)
-    return Moments(_mean(light, edges), _slope(edges), _variance_share(edges))
+    return Moments(
+        _mean(light, edges), _slope(edges), _variance_share(edges), _drift(edges)
+    )
+
+
+def unclipped_moments(light: Values) -> Moments:
+    """The same of a film that cuts nothing off."""
+    one = jnp.ones_like(light)
+    return Moments(light, one, one, jnp.zeros_like(light))
 
 
 def clipped_mean(light: Values, sigma: Float[Array, ""] | Values) -> Values:
@@ -68,8 +78,7 @@ def _clipped_mean_derivative(
     at: tuple[Values, Values], towards: tuple[Values, Values]
 ) -> tuple[Values, Values]:
     edges = _edges(*at)
-    in_sigma = edges.black_density - edges.white_density
-    moved = _slope(edges) * towards[0] + in_sigma * towards[1]
+    moved = _slope(edges) * towards[0] + _drift(edges) * towards[1]
     return _mean(at[0], edges), moved
 
 
@@ -100,6 +109,10 @@ def _mean(light: Values, edges: _Edges) -> Values:
 
 def _slope(edges: _Edges) -> Values:
     return 1 - edges.white_tail - edges.black_tail
+
+
+def _drift(edges: _Edges) -> Values:
+    return edges.black_density - edges.white_density
 
 
 def _variance_share(edges: _Edges) -> Values:

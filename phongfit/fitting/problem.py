@@ -6,10 +6,10 @@ from jaxtyping import Array, Float, Int
 
 from phongfit.fitting.losses import AbstractLoss
 from phongfit.fitting.noise import (
-    Moments,
     arithmetic_floor,
     clipped_mean,
     clipped_moments,
+    unclipped_moments,
 )
 from phongfit.fitting.samples import Channels, Samples
 from phongfit.fitting.unknowns import Unknowns
@@ -74,8 +74,7 @@ class Problem(eqx.Module):
     def measure(self, light: Float[Array, "3 samples"]) -> "Evaluation":
         """The same, and all else that is to be known of each sample."""
         noise, deviation = self.noise(), self.deviation()
-        one = jnp.ones_like(light)
-        film = Moments(light, one, one)
+        film = unclipped_moments(light)
         if self.clamp:
             film = clipped_moments(light, noise)
         used = self.samples.weight > 0
@@ -84,6 +83,7 @@ class Problem(eqx.Module):
             difference,
             difference / deviation,
             jnp.where(used, film.slope, 0) / deviation,
+            jnp.where(used, film.drift, 0) * noise / deviation,
             noise,
             deviation,
             jnp.where(used, film.variance_share, 0),
@@ -104,6 +104,7 @@ class Evaluation(eqx.Module):
     difference: Float[Array, "3 samples"]
     residual: Float[Array, "3 samples"]
     slope: Float[Array, "3 samples"]
+    drift: Float[Array, "3 samples"]
     noise: Float[Array, "3 samples"]
     deviation: Float[Array, "3 samples"]
     variance_share: Float[Array, "3 samples"]
@@ -115,6 +116,7 @@ Evaluation.__init__.__doc__ = """**Arguments:**
 - `difference`: model − image in linear light; 0 where a sample is left out.
 - `residual`: the same in standard deviations.
 - `slope`: of the residual in the model's light.
+- `drift`: of the prediction, in standard deviations, in the logarithm of the noise.
 - `noise`, `deviation`: standard deviations before and after rounding.
 - `variance_share`: what clipping leaves of the noise's variance, 0 … 1.
 - `floor`: noise level at and below which all that is left over is rounding.

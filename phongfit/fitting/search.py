@@ -142,7 +142,7 @@ class _Pass(NamedTuple):
     """Passes over the noise level: in the last it is held, and then all is done."""
 
     now: _Stand
-    count: Int[Array, ""]
+    passes: Int[Array, ""]
     last: Bool[Array, ""]
     done: Bool[Array, ""]
 
@@ -177,10 +177,10 @@ def _settle(
         now, depends = again(at.now, at.last)
         change = now.sigma / at.now.sigma
         falls, same = change <= 0.97, jnp.abs(jnp.log(change)) < 0.03
-        count = at.count + 1
-        late = (count >= MOST_PASSES) | (now.steps > MOST_PASSES * max_steps)
+        passes = at.passes + 1
+        late = (passes >= MOST_PASSES) | (now.steps > MOST_PASSES * max_steps)
         done = at.last | ((late | ~falls) & ~depends)
-        return _Pass(now, count, late | same, done)
+        return _Pass(now, passes, late | same, done)
 
     none = jnp.array(False)
     first = _Pass(stand, jnp.array(0), none, none)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.leaves import LEAVES
-from phongfit.fitting.noise import shared_rounding_variance
+from phongfit.fitting.noise import median_deviation, shared_rounding_variance
 from phongfit.fitting.problem import Evaluation, Problem
 from phongfit.fitting.sums import Linearization, linearize
 from phongfit.fitting.unknowns import Unknowns
@@ -143,9 +143,11 @@ class Pieces(eqx.Module):
     meat: Float[Array, "n n"]
     inside: Float[Array, "n n"]
     pull: Float[Array, " n"]
+    drift: Float[Array, " n"]
     loss_variance: Float[Array, ""]
     shared: Float[Array, ""]
     chi_squared: Float[Array, ""]
+    spread: Float[Array, ""]
     exact: Bool[Array, ""]
 
 
@@ -186,11 +188,25 @@ def _add_up(problem: Problem, found: Linearization) -> Pieces:
         meat=variance * meat + known,
         inside=inside + known,
         pull=jacobian.pull(score) + jacobian.priors.T @ priors,
+        drift=jacobian.pull(at.drift),
         loss_variance=variance,
         shared=shared,
         chi_squared=jnp.sum(samples**2) + jnp.sum(priors**2),
+        spread=_spread(problem, at),
         exact=_is_exact(problem, at),
     )
+
+
+def _spread(problem: Problem, at: Evaluation) -> Float[Array, ""]:
+    """Residuals' size in standard deviations, outliers left to a loss that bears them.
+
+    1 where the noise level is right.
+    """
+    used = problem.samples.weight > 0
+    if problem.loss.robust:
+        return median_deviation(at.residual, used & (at.variance_share > 0.5))
+    expected = jnp.sum(jnp.where(used, at.variance_share, 0))
+    return jnp.sqrt(jnp.sum(at.residual**2) / jnp.maximum(expected, 1))
 
 
 def _is_exact(problem: Problem, at: Evaluation) -> Bool[Array, ""]:

@@ -9,18 +9,24 @@ from jaxtyping import Array, Float
 
 from phongfit.fitting.estimate import estimates
 from phongfit.fitting.leaves import EXPOSURE
-from phongfit.fitting.misfit import Misfit, find_misfit
+from phongfit.fitting.misfit import find_misfit
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.result import Fit, as_materials
 from phongfit.fitting.search import Found
 from phongfit.fitting.statistics import Pieces
 from phongfit.fitting.tiles import Tiles
+from phongfit.fitting.warnings import (
+    bound_words,
+    clipped_words,
+    misfit_words,
+    prior_words,
+    spread_words,
+)
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
-
-# Samples from which a noise level is estimated well enough.
-FEW = 50
+# Share by which χ² must exceed what the noise given allows before it is said.
+LEAST_EXCESS = 0.1
 
 
 class Shown(NamedTuple):
@@ -69,6 +75,8 @@ def summarize(
     samples = sum(int(np.sum(one.tiles.neighbours.samples)) for one in shown)
     # Clipped samples say nothing of the noise.
     effective = round(sum(float(np.sum(one.tiles.variance)) for one in shown))
+    spread = _spread(pieces, effective, noise_given)
+    misfit = dataclasses.replace(misfit, inflation=misfit.inflation * spread**2)
     told = estimates(problem, found.y, misfit.inflation, place, pieces)
     entries = np.array(place[0])
     exposure = np.ones(len(shown))
@@ -79,8 +87,7 @@ def summarize(
     errors[unknowns.reported] = told.errors
     material, stderr = as_materials(unknowns, entries, errors)
     converged = bool(found.converged)
-    labels = np.array(unknowns.labels)
-    result = Fit(
+    return Fit(
         material=material,
         stderr=stderr,
         scene=scenes[0] if single else scenes,
@@ -113,16 +120,14 @@ def summarize(
         warnings=(
             *(() if converged else ("the solver did not converge",)),
             *told.reasons,
-            *(
-                f"{label} lies at its bound: its error is one-sided"
-                for label in labels[told.at_bound]
-            ),
-            *_misfit_words(misfit, len(shown)),
-            *([] if noise_given else _few_words(effective, samples)),
+            *bound_words(told, unknowns),
+            *prior_words(told, unknowns, misfit.inflation),
+            *misfit_words(misfit, len(shown)),
+            *spread_words(spread),
+            *([] if noise_given else clipped_words(pieces, effective, samples)),
         ),
         found=found,
     )
-    return _with_noise_warning(result)
 
 
 _CONVERGED = "steps and changes of the residuals fell below the tolerance"
@@ -139,53 +144,11 @@ def _typical_weight(problem: Problem) -> float:
     return float(typical)
 
 
-def _misfit_words(misfit: Misfit, images: int) -> tuple[str, ...]:
-    correlation = misfit.neighbour_correlation
-    if not misfit.significant and correlation <= 0.1:
-        return ()
-    widened = math.sqrt(misfit.inflation)
-    shown = [f"neighbouring pixels correlate by {correlation:.2f}"]
-    if misfit.significant:
-        image = f" of image {misfit.image}" if images > 1 else ""
-        shown = [
-            f"summed {_SUMMED[misfit.along].format(side=misfit.side)} they exceed what "
-            f"noise allows ({misfit.significance:.2g} σ), most near row {misfit.row}, "
-            f"column {misfit.column}{image}",
-            *(shown if correlation > 0.1 else []),
-        ]
-    return (
-        f"residuals are not noise: {'; '.join(shown)}. The model does not describe the "
-        f"image fully; errors are widened {widened:.1f} times, which "
-        "covers no bias. Look at plot_residuals(); mask what does not belong, try "
-        "another specular model, or make what may be wrong unknown",
-    )
-
-
-def _few_words(effective: int, samples: int) -> tuple[str, ...]:
-    if effective >= min(FEW, samples / 2):
-        return ()
-    return (
-        f"{samples - effective:,} of {samples:,} samples are clipped: the noise, and "
-        "with it all errors, is estimated from the few others. Give noise=, or expose "
-        "less",
-    )
-
-
-_SUMMED = {
-    "blocks": "over blocks of {side} × {side} pixels",
-    "diffuse": "where diffuse light is equal",
-    "highlight": "where the highlight is equal",
-}
-
-
-def _with_noise_warning(fit: Fit) -> Fit:
-    if not fit.noise_given or fit.reduced_chi_squared <= 1.5:
-        return fit
-    words = (
-        f"residuals are {np.sqrt(fit.reduced_chi_squared):.1f} times as large as the "
-        "noise that was given: the noise or the model is wrong, errors are too small"
-    )
-    return dataclasses.replace(fit, warnings=(*fit.warnings, words))
+def _spread(pieces: Pieces, effective: int, noise_given: bool) -> float:
+    """How many times larger residuals are than the noise given; 1 where by chance."""
+    spread = float(pieces.spread)
+    beyond = max(LEAST_EXCESS, 5 * math.sqrt(2 / max(effective, 1)))
+    return spread if noise_given and spread**2 > 1 + beyond else 1.0
 
 
 def film_words(film: Film) -> str:

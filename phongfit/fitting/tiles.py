@@ -1,13 +1,17 @@
 """Residuals of an image, summed over square tiles: what [`find_misfit`][] looks at."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from phongfit.fitting.losses import AbstractLoss
-from phongfit.fitting.noise import Moments, clipped_moments, shared_rounding_variance
+from phongfit.fitting.noise import (
+    clipped_moments,
+    shared_rounding_variance,
+    unclipped_moments,
+)
 
 # Of smaller tiles than the largest there are no more than so many.
 LARGEST, MOST_TILES = 8, 1024
@@ -29,9 +33,9 @@ class Rounding(NamedTuple):
     - `low`, `high`: least and largest level that light was rounded to.
     """
 
-    deviation: Float[Array, "3 rows columns"]
-    low: Float[Array, "3 rows columns"]
-    high: Float[Array, "3 rows columns"]
+    deviation: Float[Any, "3 rows columns"]
+    low: Float[Any, "3 rows columns"]
+    high: Float[Any, "3 rows columns"]
 
 
 class Neighbours(NamedTuple):
@@ -41,10 +45,10 @@ class Neighbours(NamedTuple):
     - `squares`, `samples`: of all residuals.
     """
 
-    products: Float[Array, " rows"]
-    pairs: Int[Array, " rows"]
-    squares: Float[Array, " rows"]
-    samples: Int[Array, " rows"]
+    products: Float[Any, " rows"]
+    pairs: Int[Any, " rows"]
+    squares: Float[Any, " rows"]
+    samples: Int[Any, " rows"]
 
 
 class Tiles(NamedTuple):
@@ -58,12 +62,12 @@ class Tiles(NamedTuple):
     - `neighbours`: of pixels, not of tiles.
     """
 
-    total: Float[Array, "3 rows columns"]
-    squares: Float[Array, "3 rows columns"]
-    variance: Float[Array, "3 rows columns"]
-    arithmetic: Float[Array, "3 rows columns"]
-    diffuse: Float[Array, "rows columns"]
-    highlight: Float[Array, "rows columns"]
+    total: Float[Any, "3 rows columns"]
+    squares: Float[Any, "3 rows columns"]
+    variance: Float[Any, "3 rows columns"]
+    arithmetic: Float[Any, "3 rows columns"]
+    diffuse: Float[Any, "rows columns"]
+    highlight: Float[Any, "rows columns"]
     rounding: Rounding | None
     neighbours: Neighbours
 
@@ -97,8 +101,7 @@ def sum_over_tiles(
     used = jnp.broadcast_to(weight > 0, image.shape)
     noise = sigma / jnp.sqrt(jnp.where(weight > 0, weight, 1))
     noise = jnp.broadcast_to(noise, image.shape)
-    one = jnp.ones_like(light)
-    film = clipped_moments(light, noise) if clamp else Moments(light, one, one)
+    film = clipped_moments(light, noise) if clamp else unclipped_moments(light)
     rounding = jnp.zeros_like(light) if step is None else step**2 / 12
     deviation = jnp.sqrt(noise**2 + rounding)
     residual = jnp.where(used, (image - film.mean) / deviation, 0)
@@ -120,7 +123,7 @@ def sum_over_tiles(
             jnp.moveaxis(low.min(axis=(1, 3)), -1, 0),
             jnp.moveaxis(high.max(axis=(1, 3)), -1, 0),
         )
-    count = jnp.maximum(total(one).sum(axis=0), 1)
+    count = jnp.maximum(total(jnp.ones_like(light)).sum(axis=0), 1)
     return Tiles(
         total(score),
         total(score**2),
