@@ -145,6 +145,9 @@ class FitRecord(AbstractRecord):
     degrees_of_freedom: int
     reduced_chi_squared: float | None
     neighbour_correlation: float
+    # Since version 0.2.
+    misfit_significance: float | None = None
+    residuals_over_repeatability: float | None = None
     film: str
     converged: bool
     steps: int

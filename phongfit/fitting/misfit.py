@@ -41,6 +41,9 @@ class Misfit:
     **Arguments:**
 
     - `neighbour_correlation`: of residuals of adjacent pixels: 0 for noise.
+    - `over_repeatability`: size of the residuals over that of their differences from
+        pixel to pixel, where the model cancels: near 1 for noise; NaN where residuals
+        are rounding.
     - `significance`: of the largest misfit found, in standard deviations of a normal
         distribution.
     - `inflation`: factor on all variances, at least 1: that of sums of residuals over
@@ -53,6 +56,7 @@ class Misfit:
     """
 
     neighbour_correlation: float = 0.0
+    over_repeatability: float = math.nan
     significance: float = 0.0
     inflation: float = 1.0
     along: str = "blocks"
@@ -97,13 +101,17 @@ def find_misfit(images: Sequence[Tiles], side: int) -> Misfit:
     **Arguments:** `side`: pixels along a tile.
     """
     blocks = [_as_blocks(one) for one in images]
-    _, left, expected, _ = sum(one.sums.sum(axis=(1, 2, 3)) for one in blocks)
+    sums = [one.sums.sum(axis=(1, 2, 3)) for one in blocks]
+    _, left, expected, _ = np.sum(sums, axis=0)
     if not (expected > 0 and 0 < left < math.inf):
         return Misfit()
     # How large the noise is, is another question: here it is what is left over.
     scale = left / expected
     alone = all(_rounds_alone(one) for one in blocks)
-    correlation = _correlation([one.neighbours for one in images]) if alone else 0.0
+    # Neither neighbours nor what is lit alike say anything where rounding is shared.
+    correlation, ratio = 0.0, math.nan
+    if alone:
+        correlation, ratio = _compare_neighbours([one.neighbours for one in images])
     found: list[tuple[_Verdict, str]] = []
     best, shown = _Verdict(-1.0, 1.0), (side, [np.zeros((4, 3, 1, 1))])
     for size, level in _pyramid(blocks, side):
@@ -123,6 +131,7 @@ def find_misfit(images: Sequence[Tiles], side: int) -> Misfit:
     row, column = np.unravel_index(np.argmax(np.abs(maps[image])), maps[image].shape)
     return Misfit(
         correlation,
+        ratio,
         worst.significance,
         max([variance_inflation(correlation), *significant]),
         along,
@@ -149,16 +158,18 @@ def _rounds_alone(blocks: _Blocks) -> bool:
     return common < COARSE * blocks.sums[2].sum()
 
 
-def _correlation(images: Sequence[Neighbours]) -> float:
-    """Of the residuals of adjacent pixels; 0 where it is no more than chance."""
+def _compare_neighbours(images: Sequence[Neighbours]) -> tuple[float, float]:
+    """Correlation of adjacent residuals, 0 where it is chance, and size over change."""
     products, pairs, squares, count = (
-        sum(float(np.sum(rows, dtype=float)) for rows in parts)
+        float(np.sum([np.sum(rows, dtype=float) for rows in parts]))
         for parts in zip(*images, strict=True)
     )
     if pairs == 0 or squares == 0:
-        return 0.0
+        return 0.0, math.nan
     correlation = min(max(products / pairs * count / squares, -1.0), 1.0)
-    return correlation if abs(correlation) > 5 / math.sqrt(pairs) else 0.0
+    # Of half the squared difference, the share that is not repeated.
+    ratio = 1 / math.sqrt(max(1 - correlation, 1e-12))
+    return correlation if abs(correlation) > 5 / math.sqrt(pairs) else 0.0, ratio
 
 
 def variance_inflation(correlation: float) -> float:

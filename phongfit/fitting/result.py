@@ -156,8 +156,14 @@ class Fit:
         return self.misfit.neighbour_correlation
 
     @property
-    def reduced_chi_squared(self) -> float:
-        """χ² a degree of freedom: near 1 where the noise given is right."""
+    def reduced_chi_squared(self) -> float | None:
+        """χ² a degree of freedom: near 1 where the noise given is right.
+
+        `None` where the noise was estimated from the residuals: it would say nothing.
+        See `misfit.over_repeatability` instead.
+        """
+        if not self.noise_given:
+            return None
         return self.chi_squared / max(self.degrees_of_freedom, 1)
 
     @property
@@ -185,6 +191,8 @@ class Fit:
             "samples": self.samples,
             "reduced_chi_squared": self.reduced_chi_squared,
             "neighbour_correlation": self.neighbour_correlation,
+            "misfit_significance": self.misfit.significance,
+            "residuals_over_repeatability": self.misfit.over_repeatability,
             "loss": self.loss,
             "model": self.model,
             "film": self.film,

@@ -28,13 +28,15 @@ def fit_table(fit: "Fit", least_correlation: float = 0.1, most: int = 10) -> str
 
 def _head(fit: "Fit") -> list[str]:
     images = f"{fit.images} image" + ("s" if fit.images > 1 else "")
-    noise = "given" if fit.noise_given else "estimated"
+    noise, size = "estimated", fit.misfit.over_repeatability
+    judged = f", residuals {size:.3g} × repeatability" if size == size else ""
+    if fit.reduced_chi_squared is not None:
+        noise, judged = "given", f", reduced χ² {fit.reduced_chi_squared:.4g}"
     state = "converged" if fit.converged else "NOT CONVERGED"
     return [
         f"phongfit: {images}, {fit.samples:,} samples, {fit.model}, {fit.film}",
         f"  {state} after {fit.steps} steps: {fit.reason}",
-        f"  loss {fit.loss}, noise {fit.noise:.3g} ({noise}), "
-        f"reduced χ² {fit.reduced_chi_squared:.4g}",
+        f"  loss {fit.loss}, noise {fit.noise:.3g} ({noise}){judged}",
     ]
 
 

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from phongfit.fitting.descent import Descent
 from phongfit.fitting.result import Fit
 from phongfit.report.pictures import Row, comparison, draw_residual
-from phongfit.report.residuals import draw_against_level, draw_histogram
+from phongfit.report.residuals import draw_against_level, draw_blocks, draw_histogram
 from phongfit.report.style import ACCENT, INK, SIGNED, picture, quiet, styled
 from phongfit.report.words import as_tuple, told
 
@@ -68,28 +68,33 @@ def plot(fit: Fit, names: Sequence[str] = (), most: int = MOST_IMAGES) -> Figure
 
 
 def plot_residuals(fit: Fit) -> Figure:
-    """Are the residuals noise? Their histogram, their course with light, their images.
+    """Are the residuals noise? Histogram, course with light, images, sums over blocks.
 
     In standard deviations of each sample; the images in linear light. Pure noise
-    follows the dashed lines, and its images show nothing of the object.
+    follows the dashed lines, and neither images nor sums show anything of the object.
     """
     images = chosen(fit.images)
     left = as_tuple(fit.residuals)
     alone = len(images) == 1
     with styled():
-        figure = picture(11.5, 3.3) if alone else picture(9.5, 6)
-        rows, columns = (1, 3) if alone else (2, 12)
-        grid = figure.add_gridspec(rows, columns, height_ratios=[1.5, 1][:rows])
-        half = columns // 2 if not alone else 1
+        figure = picture(8.5, 6.4) if alone else picture(9.5, 8.4)
+        rows, columns = (2, 2) if alone else (3, 12)
+        grid = figure.add_gridspec(rows, columns, height_ratios=[1.3, 1, 1][:rows])
+        half, width = (
+            columns // 2,
+            columns // (2 * len(images) if alone else len(images)),
+        )
         draw_histogram(figure.add_subplot(grid[0, :half]), fit)
-        draw_against_level(figure.add_subplot(grid[0, half : 2 * half]), fit)
+        draw_against_level(figure.add_subplot(grid[0, half:]), fit)
         for at, k in enumerate(images):
-            width = columns // (3 if alone else len(images))
-            place = grid[0, 2] if alone else grid[1, at * width : (at + 1) * width]
-            axes = figure.add_subplot(place)
+            column = slice(at * width, (at + 1) * width)
+            of = "" if alone else f", image {k}"
+            axes = figure.add_subplot(grid[1, column])
             draw_residual(axes, left[k])
-            axes.set_title("photograph − fit" + ("" if alone else f", image {k}"))
+            axes.set_title("photograph − fit" + of)
             quiet(axes)
+            axes = figure.add_subplot(grid[1, 1] if alone else grid[2, column])
+            draw_blocks(axes, fit, k)
     return figure
 
 

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from phongfit.fitting.problem import evaluate
 from phongfit.fitting.result import Fit
-from phongfit.report.style import CHANNELS, INK, PALE
+from phongfit.report.style import CHANNELS, INK, PALE, SIGNED, quiet
 
 WIDEST = 5.0
 """Where histograms end, in standard deviations."""
@@ -83,3 +83,23 @@ def draw_against_level(axes: Axes, fit: Fit) -> None:
     axes.set_ylabel("(photograph − fit) / σ")
     axes.set_title("mean (solid) and ± spread (dotted); noise: 0 and ±1")
     axes.legend(loc="best")
+
+
+def draw_blocks(axes: Axes, fit: Fit, image: int) -> None:
+    """Residuals of one image summed over blocks: where they add up, no noise is."""
+    quiet(axes)
+    misfit = fit.misfit
+    if not misfit.maps:
+        words = "nothing but rounding\nis left over"
+        axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)
+        return
+    found = misfit.maps[image]
+    # Noise alone stays pale.
+    most = max(WIDEST, *(float(np.abs(one).max()) for one in misfit.maps))
+    shown = axes.imshow(found, cmap=SIGNED, vmin=-most, vmax=most)
+    axes.set_title(f"summed over blocks of {misfit.side} × {misfit.side}")
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    bar = figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.02)
+    bar.set_label("σ of independent noise")
+    bar.ax.grid(False)

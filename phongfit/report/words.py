@@ -96,10 +96,10 @@ def _how_it_ended(fit: Fit) -> str:
 
 def _residual_words(fit: Fit) -> str:
     level = f"{fit.noise:.3g} ({100 * fit.noise:.2g} % of white)"
-    if fit.noise_given:
+    if fit.reduced_chi_squared is not None:
         times = np.sqrt(fit.reduced_chi_squared)
         return f"Residuals are {times:.2f} times the noise that was given, {level}."
-    if fit.neighbour_correlation > 0.1:
+    if fit.misfit.significant or fit.neighbour_correlation > 0.1:
         return f"Residuals are of size {level}, but they are not noise alone."
     return f"What is left over looks like noise of standard deviation {level}."
 
