@@ -76,7 +76,9 @@ def summarize(
     # Clipped samples say nothing of the noise.
     effective = round(sum(float(np.sum(one.tiles.variance)) for one in shown))
     spread = _spread(pieces, effective, noise_given)
-    misfit = dataclasses.replace(misfit, inflation=misfit.inflation * spread**2)
+    if not problem.loss.robust:
+        # The covariance of a robust loss goes by the residuals anyway.
+        misfit = dataclasses.replace(misfit, inflation=misfit.inflation * spread**2)
     told = estimates(problem, found.y, misfit.inflation, place, pieces)
     entries = np.array(place[0])
     exposure = np.ones(len(shown))

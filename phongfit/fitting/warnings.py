@@ -71,8 +71,8 @@ def spread_words(spread: float) -> tuple[str, ...]:
         return ()
     return (
         f"residuals are {spread:.1f} times as large as the noise that was given: the "
-        "noise or the model is wrong; errors are widened as much. Give the noise as it "
-        "is, or leave it to be estimated",
+        "noise or the model is wrong; errors allow for it. Give the noise as it is, or "
+        "leave it to be estimated",
     )
 
 

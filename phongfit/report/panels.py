@@ -17,7 +17,7 @@ from phongfit.report.plots import (
     shown_unknowns,
 )
 from phongfit.report.profiles import draw_profile
-from phongfit.report.residuals import draw_against_level, draw_histogram
+from phongfit.report.residuals import draw_against_level, draw_blocks, draw_histogram
 from phongfit.report.style import picture, quiet
 from phongfit.report.words import as_tuple, listed, told
 
@@ -187,6 +187,12 @@ def residuals(fit: Fit) -> list[Shown]:
         _drawn(
             lambda axes: draw_against_level(axes, fit),
             "Mean and spread of the residuals against the light of the fit.",
+        ),
+        _drawn(
+            lambda axes: draw_blocks(axes, fit, fit.misfit.image),
+            f"Residuals of image {fit.misfit.image}, summed over blocks of "
+            f"{fit.misfit.side} × {fit.misfit.side} pixels, in standard deviations: "
+            f"{fit.misfit.significance:.2g} σ.",
         ),
     ]
 

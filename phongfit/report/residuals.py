@@ -81,7 +81,7 @@ def draw_against_level(axes: Axes, fit: Fit) -> None:
         axes.axhline(one, color=PALE, linewidth=0.8, linestyle="--")
     axes.set_xlabel("light of the fit (linear, white = 1)")
     axes.set_ylabel("(photograph − fit) / σ")
-    axes.set_title("mean (solid) and ± spread (dotted); noise: 0 and ±1")
+    axes.set_title("mean (solid), ± spread (dotted)")
     axes.legend(loc="best")
 
 

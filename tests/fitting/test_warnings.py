@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+
+import phongfit as pf
+from tests.fitting.scenes import TRUTH, ball, photograph
+
+SCENE = ball()
+NOISE = 0.01
+NOISY = photograph(SCENE, TRUTH, noise=NOISE)
+
+
+def said(fit: pf.Fit, words: str) -> bool:
+    return any(words in warning for warning in fit.warnings)
+
+
+def test_priors_that_agree_say_nothing():
+    fit = pf.fit(SCENE, NOISY, priors={"shininess": (20.5, 0.5)})
+    assert not fit.warnings
+
+
+@pytest.mark.parametrize("deviation", [1e-3, 0.5])
+def test_a_prior_that_contradicts(deviation):
+    """Whether it gives way to the images, or they to it."""
+    fit = pf.fit(SCENE, NOISY, priors={"shininess": (40.0, deviation)})
+    assert fit.converged
+    assert said(fit, "the prior of shininess, 40 ±")
+
+
+@pytest.mark.parametrize("noise", [NOISE / 3, 3 * NOISE])
+@pytest.mark.parametrize("loss", ["linear", "cauchy"])
+def test_noise_given_wrong(loss, noise):
+    fit = pf.fit(SCENE, NOISY, noise=noise, loss=loss)
+    assert said(fit, "times as large as the noise that was given") == (noise < NOISE)
+    if noise < NOISE:
+        plain = pf.fit(SCENE, NOISY, loss=loss)
+        np.testing.assert_allclose(fit.errors, plain.errors, rtol=0.15)
+
+
+def test_noise_given_right_beside_outliers():
+    """A loss that bears them does not take them for noise."""
+    rng = np.random.default_rng(0)
+    hit = rng.random(NOISY.shape[:2]) < 0.05
+    image = np.where(hit[..., None], rng.random(NOISY.shape), NOISY)
+    assert not said(pf.fit(SCENE, image, noise=NOISE, loss="tukey"), "noise that was")
+
+
+def test_a_bound_that_decides():
+    fit = pf.fit(SCENE, NOISY, bounds={"shininess": (1, 15)})
+    assert said(fit, "shininess lies at its upper bound 15: its error is one-sided")
+    assert said(fit, "bounds={'shininess': (1, 75)}")
+
+
+def test_noise_that_few_samples_know():
+    light = pf.DirectionalLight((1, 1, 2))
+    bright = pf.Scene(SCENE.surface, SCENE.camera, light, ambient=2.2)
+    truth = pf.Material((0.6, 0.5, 0.4), 0.3, 10.0, 0.5)
+    image = photograph(bright, truth, noise=0.1)
+    assert np.mean(image[8:24, 8:24] == 1) > 0.9
+    assert said(pf.fit(bright, image), "samples are clipped: the noise is estimated")
+    assert not said(pf.fit(bright, image, noise=0.1), "samples are clipped")
