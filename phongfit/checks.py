@@ -128,6 +128,22 @@ def nonzero(name: str, vector: Float[Array, "3"]) -> Float[Array, "3"]:
         return require(name, vector, fine, fine, wanted)
 
 
+def untraced(instead: str, **arguments: Any) -> None:
+    """An error that names the first argument with a tracer in it.
+
+    **Arguments:**
+
+    - `instead`: what to do, for the message.
+    - `arguments`: by their names, pytrees.
+    """
+    for name, value in arguments.items():
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value)):
+            raise ValueError(
+                f"{name}: a traced array came (inside jit, grad or vmap), known "
+                f"numbers are wanted; {instead}"
+            )
+
+
 def require(
     name: str,
     array: Array,

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from phongfit.checks import untraced
 from phongfit.fitting.inputs import Photograph, as_photographs, as_scenes, is_number
 from phongfit.fitting.layout import Tie, make_unknowns
 from phongfit.fitting.losses import AbstractLoss, as_loss
@@ -95,8 +96,23 @@ def fit(
 
     **Raises:** `ValueError` that names the argument: wrong shapes, NaN or infinite
     pixels, a mask that leaves nothing, fewer samples than unknowns, ambient and
-    emission both unknown where no pixel can tell them apart.
+    emission both unknown where no pixel can tell them apart; arrays that JAX traces
+    (see [`refit`][] for derivatives of a fit).
     """
+    untraced(
+        "fit once outside, and differentiate refit(fit, scene, image), which goes on "
+        "from there",
+        scene=scene,
+        image=image,
+        known=known,
+        bounds=bounds,
+        fixed=fixed,
+        ties=ties,
+        priors=priors,
+        mask=mask,
+        weights=weights,
+        noise=noise,
+    )
     single = isinstance(scene, Scene)
     if not single and isinstance(image, Iterable):
         # Gone through twice, which a generator does not allow.
