@@ -146,6 +146,8 @@ def fit(
         max_steps,
     )
     given = {"mask": mask, "weights": weights, "noise": noise}
+    # Directions are now told around where the best of several starts began.
+    layout = found.problem.unknowns
     # JAX computes these side by side, as long as none is looked at.
     place, pieces = in_units(layout, found.y), add_up(found.problem, found.y)
     scenes = layout.scenes(place[0], tuple(source.scene for source in sources))
