@@ -21,9 +21,8 @@ def as_floats(name: str, value: Any) -> Float[Array, "..."]:
     try:
         # By way of NumPy where it can be: that compiles nothing. It cannot where a
         # tracer hides in a list.
-        traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
         given = isinstance(value, Array)
-        array = value if given else (jnp if traced else np).asarray(value)
+        array = value if given else (jnp if _is_traced(value) else np).asarray(value)
         if array.dtype.kind not in "bfiucV":
             array = jnp.asarray(value)
     except (TypeError, ValueError) as error:
@@ -126,6 +125,29 @@ def nonzero(name: str, vector: Float[Array, "3"]) -> Float[Array, "3"]:
     wanted = "a vector whose length is neither zero nor too large to square"
     with np.errstate(over="ignore", under="ignore"):
         return require(name, vector, fine, fine, wanted)
+
+
+def untraced(instead: str, **arguments: Any) -> None:
+    """An error that names the first argument with a tracer in it.
+
+    **Arguments:**
+
+    - `instead`: what to do, for the message.
+    - `arguments`: by their names, pytrees.
+    """
+    # In one go, since nearly always there is none.
+    if not _is_traced(arguments):
+        return
+    name = next(name for name, value in arguments.items() if _is_traced(value))
+    raise ValueError(
+        f"{name}: a traced array came (inside jit, grad or vmap), known numbers are "
+        f"wanted; {instead}"
+    )
+
+
+def _is_traced(value: Any) -> bool:
+    """Whether a tracer is among the leaves."""
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
 
 
 def require(

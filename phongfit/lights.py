@@ -5,7 +5,7 @@ A light knows no material. Its own `ambient` and `specular` colours are those of
 """
 
 import abc
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -42,7 +42,12 @@ Illumination.__init__.__doc__ = """**Arguments:**
 
 
 class AbstractLight(eqx.Module):
-    """Asked for one point, answers with an [`Illumination`][]."""
+    """Asked for one point, answers with an [`Illumination`][].
+
+    `jumps` names fields in which the light at a point jumps, and has no derivative.
+    """
+
+    jumps: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
     def illuminate(self, position: Vec3) -> Illumination:
@@ -176,6 +181,8 @@ class SpotLight(AbstractLight):
     ??? cite "Source"
         Segal and Akeley, *The OpenGL graphics system, version 1.5*, section 2.14.1.
     """
+
+    jumps: ClassVar[tuple[str, ...]] = ("cutoff",)
 
     position: Float[Array, "3"]
     axis: Float[Array, "3"]

@@ -175,7 +175,7 @@ def check_surface(surface: AbstractSurface, camera: AbstractCamera) -> None:
         seen = both[0].trace(both[1])
         return jnp.stack([seen.position, seen.normal, seen.to_viewer])
 
-    check_gradients(arrays, (surface, camera), order=1)
+    check_gradients(arrays, (surface, camera))
 
 
 def check_camera(camera: AbstractCamera) -> None:

@@ -120,9 +120,10 @@ def _beyond_sense(
 
 
 def _width(unknowns: Unknowns) -> np.ndarray:
-    """How wide the box is; a direction's is a quarter of a circle."""
+    """How wide the box is; an angle's is a quarter of a circle."""
     width = np.asarray(unknowns.upper, float) - np.asarray(unknowns.lower, float)
-    return np.where(unknowns.forms[unknowns.owned] == "direction", np.pi / 2, width)
+    is_angle = np.isin(unknowns.forms[unknowns.owned], ("direction", "rotation"))
+    return np.where(is_angle, np.pi / 2, width)
 
 
 def _told_for_all_exponents(

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from phongfit.checks import untraced
 from phongfit.fitting.inputs import Photograph, as_photographs, as_scenes, is_number
 from phongfit.fitting.layout import Tie, make_unknowns
 from phongfit.fitting.losses import AbstractLoss, as_loss
@@ -96,8 +97,23 @@ def fit(
 
     **Raises:** `ValueError` that names the argument: wrong shapes, NaN or infinite
     pixels, a mask that leaves nothing, fewer samples than unknowns, ambient and
-    emission both unknown where no pixel can tell them apart.
+    emission both unknown where no pixel can tell them apart; arrays that JAX traces
+    (see [`refit`][] for derivatives of a fit).
     """
+    untraced(
+        "fit once outside, and differentiate refit(fit, scene, image), which goes on "
+        "from there",
+        scene=scene,
+        image=image,
+        known=known,
+        bounds=bounds,
+        fixed=fixed,
+        ties=ties,
+        priors=priors,
+        mask=mask,
+        weights=weights,
+        noise=noise,
+    )
     single = isinstance(scene, Scene)
     if not single and isinstance(image, Iterable):
         # Gone through twice, which a generator does not allow.
@@ -131,6 +147,8 @@ def fit(
         max_steps,
     )
     given = {"mask": mask, "weights": weights, "noise": noise}
+    # Directions are now told around where the best of several starts began.
+    layout = found.problem.unknowns
     # JAX computes these side by side, as long as none is looked at.
     place, pieces = in_units(layout, found.y), add_up(found.problem, found.y)
     scenes = layout.scenes(place[0], tuple(source.scene for source in sources))

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from phongfit.fitting.charts import nearest_rotation, tangents
 from phongfit.fitting.leaves import (
     DEFAULT_BOUNDS,
     LEAVES,
@@ -51,7 +52,9 @@ def make_unknowns(
     if not own.any():
         raise ValueError("fixed: nothing unknown is left")
 
-    low, high = _boxes(names, bounds, own)
+    low, high = _boxes(names, bounds, is_fixed)
+    low, high = _narrowed(names, low, high, factor, source)
+    _check_fixed(names, offset, is_fixed, ties or {})
     forms = np.repeat([f.form for f in leaves], [f.size for f in leaves])
     scale = _scales(leaves, first)
     logarithm, direction = forms == "logarithm", forms == "direction"
@@ -84,7 +87,8 @@ def make_unknowns(
                 offset=offset,
                 scale=scale,
                 base=base,
-                across=_across(base),
+                across=tangents(base),
+                turn=_rotations(leaves, scenes),
                 prior_mean=mean,
                 prior_deviation=deviation,
                 start=np.clip(start, low, high)[owners],
@@ -215,7 +219,10 @@ def first_values(
     for one in leaves:
         size = (len(one.rows), len(one.parts))
         said = np.ones(())
-        if is_of_scene(one.name):
+        if one.form == "rotation":
+            # Angles from where it is.
+            said = np.zeros(())
+        elif is_of_scene(one.name):
             arrays = [scene_arrays(scene)[one.name] for scene in scenes[: size[0]]]
             said = np.stack([np.asarray(a, float).ravel() for a in arrays])
         elif material is not None and one.name in LEAVES:
@@ -231,18 +238,24 @@ def _scales(leaves: tuple[Leaf, ...], first: np.ndarray) -> np.ndarray:
     """Units in which the numbers of a scene are of order 1."""
     scales, ends = [], np.cumsum([one.size for one in leaves])
     for one, end in zip(leaves, ends, strict=True):
-        largest = np.abs(first[end - one.size : end]).max()
-        scaled = is_of_scene(one.name) and one.form == "plain" and largest > 0
-        scales.append(np.full(one.size, largest if scaled else 1.0))
+        scale = np.abs(first[end - one.size : end]).max()
+        if one.form == "rotation":
+            scale = np.rad2deg(1.0)
+        elif not is_of_scene(one.name) or one.form == "direction" or scale == 0:
+            scale = 1.0
+        scales.append(np.full(one.size, scale))
     return np.concatenate(scales)
 
 
-def _across(base: np.ndarray) -> np.ndarray:
-    """Two unit vectors at right angles to each direction and to one another."""
-    helper = np.where(np.abs(base[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
-    one = np.cross(base, helper)
-    one = one / np.maximum(np.linalg.norm(one, axis=1, keepdims=True), 1e-30)
-    return np.stack([one, np.cross(base, one)], axis=1)
+def _rotations(leaves: tuple[Leaf, ...], scenes: Sequence[Scene]) -> np.ndarray:
+    """(rotations, 3, 3): where those that are unknown start, exactly orthonormal."""
+    found = [
+        nearest_rotation(np.asarray(scene_arrays(scene)[one.name]))
+        for one in leaves
+        if one.form == "rotation"
+        for scene in scenes[: len(one.rows)]
+    ]
+    return np.array(found).reshape(-1, 3, 3)
 
 
 def _held(
@@ -332,7 +345,7 @@ def _followed(
 
 
 def _boxes(
-    names: _Names, bounds: Mapping[str, tuple[float, float]], own: np.ndarray
+    names: _Names, bounds: Mapping[str, tuple[float, float]], is_fixed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper bounds of all entries in the user's units."""
     low, high = np.array([leaf.default_bounds for leaf in names.leaf]).T.copy()
@@ -343,10 +356,53 @@ def _boxes(
         entries = names.entries("bounds", name)
         if any(names.form[entry] == "direction" for entry in entries):
             raise ValueError(f"bounds: {name}: a direction has none")
-        for entry in entries[~own[entries]]:
-            raise ValueError(f"bounds: {names.labels[entry]} is tied or fixed")
+        for entry in entries[is_fixed[entries]]:
+            raise ValueError(f"bounds: {names.labels[entry]} is fixed")
         low[entries], high[entries] = _box(name, box, names.form[entries[0]])
     return low, high
+
+
+def _narrowed(
+    names: _Names,
+    low: np.ndarray,
+    high: np.ndarray,
+    factor: np.ndarray,
+    source: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes in which those that follow an entry stay within their own bounds too."""
+    low, high = low.copy(), high.copy()
+    for entry, target in enumerate(source):
+        if entry == target:
+            continue
+        box = np.array([low[entry], high[entry]])
+        inside = box[0] <= 0 <= box[1]
+        if factor[entry] != 0:
+            ends = np.sort(box / factor[entry])
+            low[target] = max(low[target], ends[0])
+            high[target] = min(high[target], ends[1])
+            inside = low[target] < high[target]
+        if not inside:
+            label, other = names.labels[entry], names.labels[target]
+            raise ValueError(
+                f"ties: {label} = {factor[entry]:g} × {other} leaves {other} no range "
+                f"of values within the bounds of both ({label}: {box[0]:g} … "
+                f"{box[1]:g})"
+            )
+    return low, high
+
+
+def _check_fixed(
+    names: _Names, value: np.ndarray, is_fixed: np.ndarray, ties: Mapping[str, Tie]
+) -> None:
+    """Nothing that cannot be negative is held below 0."""
+    for entry in np.flatnonzero(is_fixed):
+        if value[entry] < 0 <= names.leaf[entry].default_bounds[0]:
+            label = names.labels[entry]
+            tied = any(entry in names.entries("ties", name) for name in ties)
+            raise ValueError(
+                f"{'ties' if tied else 'fixed'}: {label} is held at {value[entry]:g}, "
+                "a number ≥ 0 is expected"
+            )
 
 
 def _box(name: str, box: tuple[float, float], form: str) -> tuple[float, float]:

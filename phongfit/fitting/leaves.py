@@ -23,7 +23,9 @@ CHANNELS = ("red", "green", "blue")
 # Arrays of a scene that are RGB, unit vectors, and numbers that cannot be negative.
 _COLOURS = {"intensity", "specular", "ambient", "color", "background"}
 _DIRECTIONS = {"direction", "axis"}
-_NOT_NEGATIVE = _COLOURS | {"attenuation", "exponent", "density", "radius", "height"}
+_ROTATION = "rotation"
+_NOT_NEGATIVE = {"attenuation", "exponent", "density"} | _COLOURS
+_NOT_NEGATIVE |= {"radius", "height", "view_height"}
 
 DEFAULT_BOUNDS = {
     "ambient": (0.0, 1.0),
@@ -34,8 +36,10 @@ DEFAULT_BOUNDS = {
     "emission": (0.0, 1.0),
     EXPOSURE: (0.0, np.inf),
 }
+# Of arrays of a scene, by the last word of their names.
+_ANGLES = {"fov_y": (0.0, 180.0), _ROTATION: (-180.0, 180.0)}
 
-Form = Literal["plain", "logarithm", "direction"]
+Form = Literal["plain", "logarithm", "direction", "rotation"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,8 +83,8 @@ class Leaf:
         if self.name in DEFAULT_BOUNDS:
             return DEFAULT_BOUNDS[self.name]
         last = self.name.rpartition(".")[2]
-        if last == "cutoff":
-            return 0.0, 90.0
+        if last in _ANGLES:
+            return _ANGLES[last]
         return (0.0 if last in _NOT_NEGATIVE else -np.inf), np.inf
 
 
@@ -112,26 +116,50 @@ def leaf(
     if name == EXPOSURE:
         return Leaf(name, _rows(len(scenes)), ("",), "plain", several)
     if name in LEAVES:
-        form: Form = "logarithm" if name == "shininess" else "plain"
-        return Leaf(name, _rows(materials), rgb, form)
+        scale: Form = "logarithm" if name == "shininess" else "plain"
+        return Leaf(name, _rows(materials), rgb, scale)
     value = scene_arrays(scenes[0])[name] if is_known(name, scenes) else None
     if value is None or name.startswith("scene.background"):
         raise ValueError(f"unknowns: {name!r} came, one of {_choice(scenes)} is wanted")
+    if name in _jumps(scenes):
+        raise ValueError(
+            f"unknowns: {name} cannot be fitted: where it ends the light, pixels jump "
+            "from lit to dark as it changes, and between jumps none depends on it. "
+            "Hold it fixed at its value, and mask out the pixels near that edge if it "
+            "is not known well"
+        )
     last = name.rpartition(".")[2]
     parts = ("",)
     if last in _COLOURS:
         parts = rgb
-    elif value.shape == (3,) and last != "attenuation":
+    elif _is_rotation(name, value) or (value.shape == (3,) and last != "attenuation"):
         parts = (".x", ".y", ".z")
     elif value.ndim:
         parts = tuple(f"[{','.join(map(str, at))}]" for at in np.ndindex(value.shape))
-    form = "direction" if last in _DIRECTIONS else "plain"
+    form: Form = "direction" if last in _DIRECTIONS else "plain"
+    if _is_rotation(name, value):
+        form = "rotation"
     rows = _rows(len(scenes)) if per_image else ("",)
     return Leaf(name, rows, parts, form, per_image and several)
 
 
+def _is_rotation(name: str, array: Array) -> bool:
+    """Whether an array of the scenes is a rotation: a fit sees three angles of it."""
+    return name.endswith(f".{_ROTATION}") and array.shape == (3, 3)
+
+
 def _rows(count: int) -> tuple[str, ...]:
     return ("",) if count == 1 else tuple(f"[{row}]" for row in range(count))
+
+
+def _jumps(scenes: Sequence[Scene]) -> set[str]:
+    """Arrays of the scenes' lights in which light has no derivative."""
+    return {
+        f"scene.lights[{k}].{field}"
+        for scene in scenes
+        for k, light in enumerate(scene.lights)
+        for field in light.jumps
+    }
 
 
 def is_known(name: str, scenes: Sequence[Scene]) -> bool:
@@ -165,6 +193,9 @@ def _choice(scenes: Sequence[Scene]) -> str:
     arrays = [
         name
         for name, array in scene_arrays(scenes[0]).items()
-        if array.size <= 3 and is_known(name, scenes) and "background" not in name
+        if (array.size <= 3 or _is_rotation(name, array))
+        and is_known(name, scenes)
+        and "background" not in name
+        and name not in _jumps(scenes)
     ]
     return ", ".join((*LEAVES, EXPOSURE, *arrays))

@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from phongfit.checks import untraced
 from phongfit.fitting.estimate import Estimates, estimates
 from phongfit.fitting.fit import set_up
 from phongfit.fitting.layout import first_values
@@ -93,6 +94,8 @@ def predict_errors(
     **Raises:** `ValueError` that names the argument, as [`fit`][] does; `TypeError` for
     an option that is none.
     """
+    instead = "predict_errors is no function that JAX can trace"
+    untraced(instead, scene=scene, material=material, noise=noise, **options)
     film = Film() if film is None else film
     single = isinstance(scene, Scene)
     scenes = [scene] if single else list(scene)

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from phongfit.fitting.leaves import LEAVES
+from phongfit.fitting.charts import spread_directions, tangents
+from phongfit.fitting.leaves import LEAVES, moves_geometry
 from phongfit.fitting.losses import AbstractLoss
 from phongfit.fitting.noise import median_deviation
 from phongfit.fitting.problem import Evaluation, Problem, evaluate
@@ -72,7 +73,8 @@ def search(
     sigma: Any = np.asarray(level, y.dtype)
     problem = Problem(first, unknowns, sigma, loss, clamp)
     if unknowns.of_scene or unknowns.exposed:
-        y = _best_of_several(problem, noise_given, max_steps)
+        y, unknowns = _best_of_several(problem, noise_given, max_steps)
+        problem = Problem(first, unknowns, sigma, loss, clamp)
         stand = _look(problem, y, noise_given)
     else:
         stand = _begin(problem, y, noise_given)
@@ -89,25 +91,40 @@ def search(
 
 def _best_of_several(
     problem: Problem, noise_given: bool, max_steps: int
-) -> Float[Array, " n"]:
-    """The best end of several starts, for a noise that blurs small valleys away."""
+) -> tuple[Float[Array, " n"], Unknowns]:
+    """The best end of several starts, for a noise that blurs small valleys away.
+
+    **Returns:** also the unknowns, with directions told around where that one started.
+    """
     if not noise_given:
         problem = dataclasses.replace(problem, sigma=jnp.full_like(problem.sigma, 0.05))
-    starts = jnp.asarray(spread_starts(problem.unknowns, STARTS))
+    starts = spread_starts(problem.unknowns, STARTS)
     ends = _all_ends(problem, starts, min(max_steps, 50))
     costs = jnp.where(jnp.isfinite(ends.cost), ends.cost, jnp.inf)
-    return ends.y[jnp.argmin(costs)]
+    best = jnp.argmin(costs)
+    return ends.y[best], problem.unknowns.aimed(starts.base[best], starts.across[best])
+
+
+class Starts(NamedTuple):
+    """Several points to start from, each with directions told around its own."""
+
+    y: Float[Array, "starts n"]
+    base: Float[Array, "starts directions 3"]
+    across: Float[Array, "starts directions 2 3"]
 
 
 @program("steps")
-def _all_ends(
-    problem: Problem, starts: Float[Array, "starts n"], steps: int
-) -> Solution:
-    return eqx.filter_vmap(lambda y: solve(problem, scan(problem, y), steps))(starts)
+def _all_ends(problem: Problem, starts: Starts, steps: int) -> Solution:
+    def end(start: Starts) -> Solution:
+        unknowns = problem.unknowns.aimed(start.base, start.across)
+        here = dataclasses.replace(problem, unknowns=unknowns)
+        return solve(here, scan(here, start.y), steps)
+
+    return eqx.filter_vmap(end)(starts)
 
 
-def spread_starts(unknowns: Unknowns, count: int) -> np.ndarray:
-    """(count, n): what the scenes say, and points around it, in the box."""
+def spread_starts(unknowns: Unknowns, count: int) -> Starts:
+    """What the scenes say, and points around it, in the box; directions anywhere."""
     rng = np.random.default_rng(0)
     first = np.asarray(unknowns.start, float)
     shape = (count, len(first))
@@ -118,9 +135,21 @@ def spread_starts(unknowns: Unknowns, count: int) -> np.ndarray:
     scaled = first * np.exp(rng.normal(size=shape))
     moved = first + rng.normal(size=shape)
     starts = np.where(np.isfinite(across), across, np.where(low == 0, scaled, moved))
-    starts = np.where(np.isin(unknowns.kinds, LEAVES), first, starts)
+    # A camera or surface far from where it is said to be sees nothing, or is not seen.
+    near = [moves_geometry(kind) for kind in unknowns.kinds]
+    starts = np.where(near, first + 0.1 * (moved - first), starts)
+    stays = np.isin(unknowns.kinds, LEAVES)
+    stays |= unknowns.forms[unknowns.owned] == "direction"
+    starts = np.where(stays, first, starts)
     starts[0] = first
-    return np.clip(starts, low, high).astype(np.asarray(unknowns.start).dtype)
+    starts = np.clip(starts, low, high)
+    base = np.repeat(np.asarray(unknowns.base, float)[None], count, axis=0)
+    for k in range(base.shape[1]):
+        base[1:, k] = rng.permutation(spread_directions(count - 1))
+    kind = unknowns.start.dtype
+    return Starts(
+        *(jnp.asarray(a.astype(kind)) for a in (starts, base, tangents(base)))
+    )
 
 
 @program("noise_given")

@@ -2,9 +2,10 @@
 
 The solver sees every unknown at order 1 and inside a box: reflectances as they are, an
 exponent as its logarithm, numbers of the scene in units of what they were, a direction
-as two coordinates on the plane that touches the sphere where it was.
+as two coordinates around a base, a rotation as three angles from where it was.
 """
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -14,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from phongfit.fitting.charts import on_sphere, turned
 from phongfit.fitting.leaves import (
     EXPOSURE,
     LEAVES,
@@ -25,7 +27,6 @@ from phongfit.fitting.leaves import (
 from phongfit.material import Material
 from phongfit.programs import program
 from phongfit.scene import Scene
-from phongfit.vectors import normalize
 
 
 class Unknowns(eqx.Module):
@@ -50,9 +51,11 @@ class Unknowns(eqx.Module):
     factor: Float[Array, " entries"]
     offset: Float[Array, " entries"]
     scale: Float[Array, " entries"]
-    # Where directions started, and two unit vectors across each.
+    # Around which directions are told, and two unit vectors across each.
     base: Float[Array, "directions 3"]
     across: Float[Array, "directions 2 3"]
+    # Where rotations started.
+    turn: Float[Array, "rotations 3 3"]
     prior_mean: Float[Array, " entries"]
     prior_deviation: Float[Array, " entries"]
     # What the scenes say of y; of a material nothing is known beforehand.
@@ -97,15 +100,18 @@ class Unknowns(eqx.Module):
         powers = np.exp(np.where(forms == "logarithm", edges, 0))
         edges = np.where(forms == "logarithm", powers, scale * edges)
         edges = np.where(forms == "direction", [[-1.0, 1.0]], edges)
+        factor, offset = (np.asarray(a, float) for a in (self.factor, self.offset))
+        followed = edges[np.array(self.source)][self.reported]
+        with np.errstate(invalid="ignore"):
+            followed = followed * factor[self.reported, None]
+        # What follows another 0 times is 0.
+        followed = np.where(np.isnan(followed), 0, followed)
+        edges = np.sort(offset[self.reported, None] + followed, axis=1)
         # A logarithm of single precision gives back 1000 as 1000.00012.
         digits = 6 if self.lower.dtype == np.float32 else 14
         values, place = np.unique(edges, return_inverse=True)
         values = np.array([float(f"{x:.{digits}g}") for x in values])
-        edges = values[place.reshape(edges.shape)]
-        factor, offset = (np.asarray(a, float) for a in (self.factor, self.offset))
-        followed = edges[np.array(self.source)][self.reported]
-        followed = followed * factor[self.reported, None]
-        return np.sort(offset[self.reported, None] + followed, axis=1)
+        return values[place.reshape(edges.shape)]
 
     @functools.cached_property
     def owned(self) -> np.ndarray:
@@ -216,14 +222,21 @@ class Unknowns(eqx.Module):
         own = jnp.where(logarithm, powers, self.scale * numbers)
         for k, entry in enumerate(self._directions()):
             place = self.place[entry]
-            moved = self.base[k] + y[place] * self.across[k, 0]
-            moved = moved + y[place + 1] * self.across[k, 1]
-            own = own.at[entry : entry + 3].set(normalize(moved))
+            there = on_sphere(self.base[k], self.across[k], y[place : place + 2])
+            own = own.at[entry : entry + 3].set(there)
         return self.offset + self.factor * own[np.array(self.source)]
 
     def _directions(self) -> list[int]:
         """The first entries of all directions."""
         return np.flatnonzero(self.forms == "direction")[::3].tolist()
+
+    def aimed(
+        self,
+        base: Float[Array, "directions 3"],
+        across: Float[Array, "directions 2 3"],
+    ) -> "Unknowns":
+        """The same, with directions told around others than where they started."""
+        return dataclasses.replace(self, base=base, across=across)
 
     def position(self, entries: np.ndarray) -> np.ndarray:
         """The y that makes these entries, as near as the box allows."""
@@ -269,6 +282,12 @@ class Unknowns(eqx.Module):
         if not self.of_scene:
             return scenes
         parts = {n: p for n, p in self.parts(entries).items() if is_of_scene(n)}
+        done = 0
+        for leaf in self.leaves:
+            if leaf.form == "rotation":
+                start = self.turn[done : done + len(leaf.rows)]
+                parts[leaf.name] = jax.vmap(turned)(start, parts[leaf.name])
+                done += len(leaf.rows)
 
         def of(k: int) -> dict[str, Array]:
             return {n: part[min(k, len(part) - 1)] for n, part in parts.items()}

@@ -25,6 +25,10 @@ class Ray(eqx.Module):
     origin: Float[Array, "*batch 3"]
     direction: Float[Array, "*batch 3"]
 
+    def at(self, distance: Scalar) -> Vec3:
+        """The point of one ray at a distance from its origin, world units."""
+        return self.origin + distance * self.direction
+
 
 class AbstractCamera(eqx.Module):
     """A grid of `height` × `width` square pixels, each with a ray."""

@@ -70,15 +70,8 @@ class ImplicitSurface(AbstractSurface):
         """
         near, far = self._span(ray)
         hit, before, after = self._first_entry(ray, near, far)
-        distance = jax.lax.stop_gradient(self._bisect(ray, before, after))
-        # One Newton step: it polishes the place, and by the implicit function theorem
-        # its derivative is that of the place.
-        position = ray.origin + distance * ray.direction
-        slope = dot(jax.grad(self.function)(position), ray.direction)
-        falling = hit & (slope < 0)
-        step = self.function(position) / jnp.where(falling, slope, 1)
-        distance = distance - jnp.where(falling, step, 0)
-        position = ray.origin + distance * ray.direction
+        distance = self._polish(ray, self._bisect(ray, before, after), hit)
+        position = ray.at(distance)
         position = jnp.where(hit, position, (self.lower + self.upper) / 2)
         normal = implicit_normal(self.function, position)
         return position, jnp.where(hit, normal, -ray.direction), hit
@@ -133,7 +126,7 @@ class ImplicitSurface(AbstractSurface):
         width = (far - near) / self.steps
 
         def value(distance: Scalar) -> Scalar:
-            return self.function(ray.origin + distance * ray.direction)
+            return self.function(ray.at(distance))
 
         def step(carry: tuple[Array, Array, Array], i: Array) -> tuple[Any, None]:
             found, entry, last = carry
@@ -146,11 +139,36 @@ class ImplicitSurface(AbstractSurface):
         (found, entry, _), _ = jax.lax.scan(step, start, jnp.arange(self.steps))
         return found & through, entry - width, entry
 
+    def _polish(self, ray: Ray, distance: Scalar, hit: Bool[Array, ""]) -> Scalar:
+        r"""A Newton step to where the ray meets the surface, with all its derivatives.
+
+        By the implicit function theorem, from $F(o + t d) = 0$:
+        $\dot t = -\dot F / (\nabla F \cdot d)$, taken where the ray meets the surface.
+        That this place moves too is what second derivatives are made of; those of the
+        Newton step itself leave it out.
+        """
+
+        def height(along: Scalar) -> Scalar:
+            # A ray that misses stays where it is, and so it does where it grazes.
+            return jnp.where(crosses, self.function(ray.at(along)), along - distance)
+
+        def solve(_: Any, start: Scalar) -> Scalar:
+            value, slope = jax.value_and_grad(height)(start)
+            return start - value / slope
+
+        def divide(linear: Callable[[Scalar], Scalar], change: Scalar) -> Scalar:
+            return change / linear(jnp.ones_like(change))
+
+        distance = jax.lax.stop_gradient(distance)
+        slope = dot(jax.grad(self.function)(ray.at(distance)), ray.direction)
+        crosses = jax.lax.stop_gradient(hit & (slope < 0))
+        return jax.lax.custom_root(height, distance, solve, divide)
+
     def _bisect(self, ray: Ray, before: Scalar, after: Scalar) -> Scalar:
         def halve(_: Any, span: tuple[Array, Array]) -> tuple[Array, Array]:
             low, high = span
             middle = (low + high) / 2
-            outside = self.function(ray.origin + middle * ray.direction) > 0
+            outside = self.function(ray.at(middle)) > 0
             return jnp.where(outside, middle, low), jnp.where(outside, high, middle)
 
         halvings = 2 * np.finfo(before.dtype).nmant // 3

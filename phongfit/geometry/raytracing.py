@@ -7,6 +7,7 @@ remembered: the same rays through the same mesh are not traced again.
 
 import functools
 import hashlib
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -78,17 +79,24 @@ def _remembered(size: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         known: dict[bytes, Any] = {}
+        lock = threading.Lock()
 
         @functools.wraps(function)
         def call(*given: Any) -> Any:
             arrays = tuple(np.asarray(array) for array in given)
             key = _digest(arrays)
-            # Out and in again: what was asked for last comes last.
-            result = known.pop(key, None)
-            known[key] = function(*arrays) if result is None else result
-            for oldest in list(known)[:-size]:
-                known.pop(oldest, None)
-            return known[key]
+            with lock:
+                result = known.get(key)
+            if result is None:
+                result = function(*arrays)
+            with lock:
+                # Out and in again: what was asked for last comes last.
+                known.pop(key, None)
+                known[key] = result
+                for oldest in list(known)[:-size]:
+                    del known[oldest]
+            # Not from memory, where other threads may have pushed it out meanwhile.
+            return result
 
         return call
 

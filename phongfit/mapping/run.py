@@ -13,6 +13,7 @@ from jax.sharding import Mesh
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
+from phongfit.checks import untraced
 from phongfit.fitting.losses import AbstractLoss
 from phongfit.fitting.maps.flags import Flag
 from phongfit.fitting.maps.lighting import make_lighting
@@ -105,6 +106,8 @@ def fit_maps(
     **Raises:** `ValueError` that names the argument: wrong shapes, too few images for
     the unknowns, a file of a stack that is missing or broken (finished tiles stay).
     """
+    instead = "fit_maps is no function that JAX can trace"
+    untraced(instead, scenes=scenes, images=images, known=known, mask=mask, noise=noise)
     scenes = check_scenes(scenes)
     stack = as_stack(images)
     _check_sizes(scenes, stack.shape)

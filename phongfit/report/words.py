@@ -19,6 +19,8 @@ _UNITS = {
     "exposure": "factor",
     "direction": "unit vector",
     "axis": "unit vector",
+    "rotation": "degrees from where it was",
+    "fov_y": "degrees",
     "intensity": "light, white = 1",
     "color": "light, white = 1",
     "cutoff": "degrees",

@@ -92,3 +92,45 @@ def test_wrong_shapes(scene, image, words):
     fit = pf.fit(SCENE, IMAGE)
     with pytest.raises(ValueError, match=words):
         pf.refit(fit, scene, image)
+
+
+REFIT = r"a traced array came .*differentiate refit\(fit, scene, image\)"
+TRACED = [
+    ("image", floats(IMAGE), lambda x: pf.fit(SCENE, x)),
+    ("image", floats(np.stack([IMAGE, OTHER])), lambda x: pf.fit([SCENE, SCENE], x)),
+    ("scene", SCENE, lambda x: pf.fit(x, IMAGE)),
+    ("scene", SCENE, lambda x: pf.fit([SCENE, x], [IMAGE, OTHER])),
+    ("known", TRUTH, lambda x: pf.fit(SCENE, IMAGE, known=x)),
+    ("noise", floats(0.01), lambda x: pf.fit(SCENE, IMAGE, noise=x)),
+    ("weights", floats(IMAGE), lambda x: pf.fit(SCENE, IMAGE, weights=x)),
+    ("fixed", floats(0.3), lambda x: pf.fit(SCENE, IMAGE, fixed={"specular": x})),
+    (
+        "priors",
+        floats(0.3),
+        lambda x: pf.fit(SCENE, IMAGE, priors={"specular": (x, 1)}),
+    ),
+]
+
+
+@pytest.mark.parametrize("name, point, fit", TRACED)
+def test_a_fit_is_not_traced_itself(name, point, fit):
+    def matte(point):
+        return jnp.sum(fit(point).material.diffuse)
+
+    with pytest.raises(ValueError, match=f"^{name}: {REFIT}"):
+        eqx.filter_grad(matte)(point)
+    with pytest.raises(ValueError, match=f"^{name}: {REFIT}"):
+        eqx.filter_jit(matte)(point)
+
+
+def test_nor_are_predictions_and_maps():
+    both = floats(np.stack([IMAGE, OTHER]))
+    for name, point, function in (
+        ("material", TRUTH, lambda x: pf.predict_errors(SCENE, x, 0.01).errors),
+        ("scene", SCENE, lambda x: pf.predict_errors(x, TRUTH, 0.01).errors),
+        ("mask", both, lambda x: pf.predict_errors(SCENE, TRUTH, 1, mask=x).errors),
+        ("images", both, lambda x: pf.fit_maps([SCENE, SCENE], x).material.diffuse),
+        ("scenes", SCENE, lambda x: pf.fit_maps([x, x], both).material.diffuse),
+    ):
+        with pytest.raises(ValueError, match=f"^{name}: a traced array came"):
+            eqx.filter_grad(lambda x, f=function: jnp.sum(jnp.asarray(f(x))))(point)

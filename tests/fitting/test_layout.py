@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.fitting.charts import tangents
 from phongfit.fitting.layout import make_unknowns
 from phongfit.fitting.leaves import scene_arrays
 from phongfit.fitting.unknowns import Unknowns, in_units
@@ -49,10 +50,35 @@ def test_a_tie_has_a_factor_and_its_error_too():
     near(unknowns.bounds[-1], [0, 0.5])
 
 
-def test_a_factor_below_zero_turns_the_bounds():
-    ties = {"specular": (-2.0, "ambient")}
-    unknowns = layout("ambient", "specular", bounds={"ambient": (-1, 0.25)}, ties=ties)
-    near(unknowns.bounds[1], [-0.5, 2])
+@pytest.mark.parametrize(
+    "factor, bounds, own, followers",
+    [
+        (3.0, {}, (0, 1 / 3), (0, 1)),
+        (0.5, {}, (0, 1), (0, 0.5)),
+        (0.0, {}, (0, 1), (0, 0)),
+        # A factor below 0 turns the bounds.
+        (-2.0, {"ambient": (-1, 0.25)}, (-0.5, 0), (0, 1)),
+        (-2.0, {"ambient": (-np.inf, 0.25)}, (-0.5, 0), (0, 1)),
+        (3.0, {"specular": (0, 2)}, (0, 2 / 3), (0, 2)),
+        (-1.0, {"specular": (-np.inf, np.inf)}, (0, 1), (-1, 0)),
+    ],
+)
+def test_what_follows_stays_in_its_bounds_too(factor, bounds, own, followers):
+    ties = {"specular": (factor, "ambient")}
+    unknowns = layout("ambient", "specular", bounds=bounds, ties=ties)
+    near(unknowns.bounds, [own, followers], 1e-6)
+    for edge in (unknowns.lower, unknowns.upper):
+        values = np.asarray(unknowns.values(edge))
+        assert np.all(values >= unknowns.bounds[:, 0] - 1e-6)
+        assert np.all(values <= unknowns.bounds[:, 1] + 1e-6)
+
+
+def test_a_chain_of_followers_stays_in_all_their_bounds():
+    ties = {"specular": (3.0, "emission"), "emission": (0.5, "diffuse")}
+    bounds = {"emission": (0.2, 0.9)}
+    names = ("diffuse", "specular", "emission")
+    unknowns = make_unknowns(names, (), KNOWN, bounds, ties=ties)
+    near(unknowns.bounds, [(0.4, 2 / 3), (0.6, 1), (0.2, 1 / 3)], 1e-6)
 
 
 def test_chains_of_ties():
@@ -88,7 +114,7 @@ def test_exponents_are_tied_in_the_users_units():
         ties={"shininess[1]": (3.0, "shininess[0]")},
     )
     near(list(entries(unknowns, np.log(20)).values()), [20, 60], 1e-5)
-    near(unknowns.bounds[1], [3, 3000], 1e-5)
+    near(unknowns.bounds, [(1, 1000 / 3), (3, 1000)], 1e-5)
 
 
 @pytest.mark.parametrize(
@@ -162,6 +188,16 @@ def test_directions_stay_on_the_sphere(y):
         near(slope.T @ values, [0, 0])
 
 
+def test_directions_are_told_around_any_other():
+    """The numbers that they are made of change, and they themselves do not."""
+    unknowns = layout("diffuse", DIRECTION)
+    bases = np.array([[0, 0, -1.0]])
+    other = unknowns.aimed(floats(bases), floats(tangents(bases)))
+    near(other.values(floats([0.1, 0.2, 0.3, 0, 0]))[3:], [0, 0, -1])
+    assert other.labels == unknowns.labels
+    assert np.array_equal(other.bounds, unknowns.bounds)
+
+
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, -1)])
 def test_directions_along_an_axis(axis):
     light = pf.DirectionalLight(axis)
@@ -170,6 +206,52 @@ def test_directions_along_an_axis(axis):
     values, slope = in_units(unknowns, floats([0, 0]))
     near(values, axis)
     near(slope.T @ slope, np.eye(2))
+
+
+ROTATION = "scene.camera.rotation"
+
+
+def test_a_rotation_is_three_angles_and_stays_a_rotation():
+    """In degrees about the camera's own axes, from where it was."""
+    start = np.asarray(pf.look_at((1, 2, 4), (0, 0, 0)))
+    camera = pf.OrthographicCamera(4, 4, rotation=start + 1e-5)
+    scene = pf.Scene(pf.Sphere(), camera, SCENE.lights)
+    unknowns = make_unknowns((ROTATION,), (), KNOWN, {}, scenes=[scene])
+    assert unknowns.labels == tuple(f"{ROTATION}.{axis}" for axis in "xyz")
+    near(unknowns.bounds, [(-180, 180)] * 3)
+    near(unknowns.start, [0, 0, 0])
+
+    def rotation(y):
+        (turned,) = unknowns.scenes(unknowns.entries(floats(y)), (scene,))
+        return np.asarray(turned.camera.rotation, float)
+
+    near(rotation((0, 0, 0)), start, 1e-4)
+    for y in ((0, 0, 0), (1, 0, 0), (0.3, -2, 1), (1e-4, 0, 0)):
+        near(rotation(y).T @ rotation(y), np.eye(3))
+        near(np.linalg.det(rotation(y)), 1)
+        near(unknowns.entries(floats(y)), np.rad2deg(y))
+    # A tilt of 90° looks where up was; the other two turn right towards them.
+    right, up, back = rotation((0, 0, 0)).T
+    near(rotation((np.pi / 2, 0, 0)).T, [right, back, -up])
+    near(rotation((0, np.pi / 2, 0)).T, [-back, up, right])
+    near(rotation((0, 0, np.pi / 2)).T, [up, -right, back])
+
+
+def test_rotations_of_several_images():
+    turns = [pf.look_at((0, 0, 4), (0, 0, 0)), pf.look_at((4, 0, 1), (0, 0, 0))]
+    scenes = [
+        pf.Scene(pf.Sphere(), pf.OrthographicCamera(4, 4, rotation=turn), SCENE.lights)
+        for turn in turns
+    ]
+    held = {f"scenes[1].camera.rotation.{axis}": 0 for axis in "xy"}
+    unknowns = make_unknowns(
+        (ROTATION,), (), KNOWN, {}, scenes=scenes, per_image=(ROTATION,), fixed=held
+    )
+    assert unknowns.labels[-1] == "scenes[1].camera.rotation.z"
+    found = unknowns.scenes(unknowns.entries(floats([0, 0, 0, np.pi / 2])), scenes)
+    near(found[0].camera.rotation, turns[0])
+    right, up, back = np.asarray(turns[1]).T
+    near(found[1].camera.rotation.T, [up, -right, back])
 
 
 def test_priors_are_residuals():
@@ -232,7 +314,26 @@ ERRORS = [
     (dict(bounds={DIRECTION: (0, 1)}), f"bounds: {DIRECTION}: a direction has none"),
     (
         dict(bounds={"specular": (0, 1)}, fixed={"specular": 0.5}),
-        "bounds: specular is tied or fixed",
+        "bounds: specular is fixed",
+    ),
+    (
+        dict(ties={"specular": (-1, "diffuse.red")}),
+        "ties: specular = -1 × diffuse.red leaves diffuse.red no range of values",
+    ),
+    (
+        dict(ties={"specular": (5, "diffuse.red")}, bounds={"diffuse": (0.3, 0.4)}),
+        "ties: specular = 5 × diffuse.red leaves",
+    ),
+    (
+        dict(ties={"specular": (0, "diffuse.red")}, bounds={"specular": (0.1, 1)}),
+        "ties: specular = 0 × diffuse.red leaves",
+    ),
+    (dict(fixed={"diffuse.red": -0.5}), "fixed: diffuse.red is held at -0.5"),
+    (dict(fixed={"shininess": -5}), "fixed: shininess is held at -5"),
+    (dict(fixed={INTENSITY: -5}), f"fixed: {INTENSITY} is held at -5"),
+    (
+        dict(fixed={"diffuse.red": 0.5}, ties={"specular": (-1, "diffuse.red")}),
+        "ties: specular is held at -0.5, a number ≥ 0",
     ),
     (dict(priors={"gloss": (0, 1)}), "priors: 'gloss' came"),
     (dict(priors={"diffuse": 1}), "priors: diffuse: 1 came, (mean, standard"),
@@ -272,6 +373,16 @@ def test_what_is_there_is_told(name):
     assert words.startswith(f"unknowns: {name!r} came, one of ambient, ")
     for there in ("exposure", INTENSITY, DIRECTION, "scene.surface.radius"):
         assert there in words
+
+
+def test_a_spot_s_edge_is_no_unknown():
+    """Pixels jump from lit to dark: no derivative says how they would."""
+    scene = ball("spot")
+    with pytest.raises(ValueError, match=r"unknowns: scene.lights\[0\].cutoff cannot"):
+        make_unknowns(("scene.lights[0].cutoff",), (), KNOWN, {}, scenes=[scene])
+    with pytest.raises(ValueError) as raised:
+        make_unknowns(("gloss",), (), KNOWN, {}, scenes=[scene])
+    assert "exponent" in str(raised.value) and "cutoff" not in str(raised.value)
 
 
 def test_scenes_that_differ():

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.geometry.cameras import Ray
 from phongfit.vectors import norm
 from tests.helpers import check_surface, floats, known, near
 
@@ -37,6 +38,23 @@ def test_a_ball_is_the_sphere():
         jax.tree.leaves(traced)[:3], jax.tree.leaves(exact)[:3], strict=True
     ):
         near(jnp.where(mask, one, 0), jnp.where(mask, other, 0), 1e-5)
+
+
+@pytest.mark.float64
+def test_derivatives_of_where_a_ray_meets_the_surface():
+    """Of z = c √(1 − x²/a² − y²/b²), to third order."""
+    surface = pf.ImplicitSurface(Ellipsoid(floats([0.9, 0.7, 0.8])))
+
+    def traced(x):
+        ray = Ray(jnp.stack([x, floats(0.1), floats(5)]), floats([0, 0, -1]))
+        return surface.intersect(ray)[0][2]
+
+    def exact(x):
+        return 0.8 * jnp.sqrt(1 - (x / 0.9) ** 2 - (0.1 / 0.7) ** 2)
+
+    for _ in range(4):
+        near(jax.jit(traced)(floats(0.3)), exact(floats(0.3)), 1e-10)
+        traced, exact = jax.grad(traced), jax.grad(exact)
 
 
 def test_a_ball_throws_the_shadow_of_a_sphere():

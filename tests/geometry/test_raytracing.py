@@ -1,3 +1,6 @@
+import sys
+import threading
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -97,3 +100,26 @@ def test_what_was_traced_is_not_traced_again(monkeypatch):
     assert len(runs) == 1
     first_faces(vertices + floats(0.25), FACES, ALL, rays_down(POINTS))
     assert len(runs) == 2
+
+
+def test_threads_share_what_is_remembered():
+    """Each gets its own result, though others push it out of memory meanwhile."""
+    twice = raytracing._remembered(4)(lambda array: 2 * array)
+    right = np.zeros(8, int)
+
+    def ask(thread):
+        for k in range(8000):
+            number = k % 5 + thread
+            right[thread] += twice(np.array(number)) == 2 * number
+
+    threads = [threading.Thread(target=ask, args=(k,)) for k in range(len(right))]
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    finally:
+        sys.setswitchinterval(interval)
+    assert np.all(right == 8000)

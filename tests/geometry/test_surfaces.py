@@ -25,7 +25,7 @@ SMALL = pf.OrthographicCamera(3, 2)
     "surface, camera",
     [
         (pf.Sphere(), pf.OrthographicCamera(4, 3)),
-        (pf.Sphere((0.2, 0.1, -1), 0.7), pf.PerspectiveCamera(3, 3, fov_y=12)),
+        (pf.Sphere((0.2, 0.1, -1), 0.7), pf.PerspectiveCamera(3, 3, fov_y=10)),
         (
             pf.Sphere(radius=0.3),
             pf.PerspectiveCamera.look_at((1, 1, 2), width=3, height=3),
