@@ -17,7 +17,7 @@ from phongfit.fitting.noise import find_film, rounding_steps
 from phongfit.fitting.result import Fit
 from phongfit.fitting.samples import Source, gather, seen_pixels
 from phongfit.fitting.search import Found, search
-from phongfit.fitting.start import choose_few
+from phongfit.fitting.start import ROBUST_NEAR, choose_few
 from phongfit.fitting.statistics import add_up
 from phongfit.fitting.summary import Shown, summarize
 from phongfit.fitting.tiles import Measured, Tiles, sum_over_tiles, tile_side
@@ -135,13 +135,13 @@ def fit(
         film=film,
     )
     layout, sources, film = setting.unknowns, setting.sources, setting.film
-    seen = seen_pixels(sources)
-    few = choose_few(sources, seen)
+    seen, loss = seen_pixels(sources), as_loss(loss)
+    few = choose_few(sources, seen, ROBUST_NEAR if loss.robust else 0.5)
     found = search(
         None if few is None else gather(sources, few),
         lambda: gather(sources, seen),
         layout,
-        as_loss(loss),
+        loss,
         film.clamp,
         noise is not None,
         max_steps,

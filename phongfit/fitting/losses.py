@@ -48,6 +48,16 @@ class AbstractLoss(eqx.Module):
 
         return jax.jvp(psi, (residual,), (jnp.ones_like(residual),))
 
+    def weight(self, residual: Values) -> Values:
+        r"""How much of a sample the loss accepts: $\psi(r) / r = \rho'(r^2)$.
+
+        1 for small residuals (in standard deviations), 0 for what is rejected: a
+        least-squares fit with these weights has the same solution.
+        """
+        score, _ = self.score(residual)
+        zero = residual == 0
+        return jnp.where(zero, 1, score / jnp.where(zero, 1, residual))
+
 
 class Linear(AbstractLoss):
     r"""Least squares: $\rho(z) = z$."""

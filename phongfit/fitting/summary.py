@@ -8,8 +8,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.fitting.estimate import estimates
+from phongfit.fitting.highlight import rejected_highlights, without_rejected
 from phongfit.fitting.leaves import EXPOSURE
 from phongfit.fitting.misfit import find_misfit
+from phongfit.fitting.outliers import outlier_words
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.result import Fit, as_materials
 from phongfit.fitting.search import Found
@@ -80,6 +82,8 @@ def summarize(
         # The covariance of a robust loss goes by the residuals anyway.
         misfit = dataclasses.replace(misfit, inflation=misfit.inflation * spread**2)
     told = estimates(problem, found.y, misfit.inflation, place, pieces)
+    rejected = rejected_highlights(problem, found.y)
+    told = without_rejected(told, unknowns, rejected)
     entries = np.array(place[0])
     exposure = np.ones(len(shown))
     if unknowns.exposed:
@@ -127,6 +131,7 @@ def summarize(
             *misfit_words(misfit, len(shown)),
             *spread_words(spread),
             *([] if noise_given else clipped_words(pieces, effective, samples)),
+            *outlier_words(problem, found.y, pieces),
         ),
         found=found,
     )

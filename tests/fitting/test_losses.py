@@ -34,6 +34,24 @@ def test_values(loss, residual, expected):
     assert jnp.sign(root) == np.sign(residual)
 
 
+# ψ(r)/r by hand: 1/(1 + z/k²) for Cauchy, (1 − z/k²)² for Tukey, k/|r| for Huber.
+@pytest.mark.parametrize(
+    "loss, residual, expected",
+    [
+        (pf.Linear(), 50.0, 1.0),
+        (pf.Huber(k=1.0), 0.5, 1.0),
+        (pf.Huber(k=1.0), -4.0, 0.25),
+        (pf.SoftL1(k=1.0), 3**0.5, 0.5),
+        (pf.Cauchy(k=2.0), -4.0, 0.2),
+        (pf.Tukey(k=2.0), 1.0, 0.5625),
+        (pf.Tukey(k=2.0), -2.5, 0.0),
+    ],
+)
+def test_how_much_of_a_sample_is_accepted(loss, residual, expected):
+    near(loss.weight(floats(residual)), expected)
+    near(loss.weight(floats([0.0, -1e-9])), 1)
+
+
 @pytest.mark.parametrize("name", LOSSES)
 def test_small_residuals_are_as_they_are(name):
     small = floats([-1e-3, -1e-6, 0.0, 1e-30, 1e-4])
