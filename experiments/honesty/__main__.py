@@ -1,0 +1,108 @@
+"""Question: do the numbers hold, and is there a word wherever they do not?
+
+Many situations that users meet, each drawn many times: kinds of scenes, noise, files,
+losses, unknowns, maps; right models and wrong ones. Of each, how often 95 % intervals
+hold the truth, and whether a warning comes wherever an answer misleads and stays away
+where the model is right: see `experiments/honesty/judge.py` for what is asked.
+"""
+
+import contextlib
+import dataclasses
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.progress import track
+
+from experiments.honesty.campaign import (
+    Elsewhere,
+    Precision,
+    Row,
+    examine,
+    own_bits,
+    pooled_faults,
+)
+from experiments.honesty.situations import all_situations
+from experiments.honesty.situations.base import Situation
+from experiments.honesty.table import LEGEND, summary, table
+from experiments.output import JsonFile, check_outputs, save_numbers
+from phongfit.cli import run
+
+FEW = 20
+
+
+def main(
+    small: bool = False,
+    draws: int | None = None,
+    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME…")] = (),
+    precision: Precision = "both",
+    seed: int = 0,
+    json: JsonFile = None,
+) -> int:
+    """Do the numbers hold, and is there a word wherever they do not?
+
+    Asks many situations, draw by draw, in single and in double precision, and prints a
+    table of what is said next to the truth. Exit status 1 if a promise is broken.
+
+    Args:
+        small: 20 draws: coarse.
+        draws: Of each situation; default 100. Maps have 100 pixels a draw.
+        only: Situations whose name holds one of these; default all.
+        precision: One of them, or both side by side.
+        seed: Of the draws.
+        json: Where the numbers go.
+    """
+    count = (FEW if small else 100) if draws is None else draws
+    if count < 1:
+        raise ValueError("draws: a whole number ≥ 1 is wanted")
+    check_outputs(None, json)
+    console = Console()
+    here = own_bits()
+    wanted = (32, 64) if precision == "both" else (int(precision),)
+    chosen = select(all_situations(), only)
+    names = [one.name for one in chosen]
+    rows: list[Row] = []
+    with contextlib.ExitStack() as stack:
+        others = [
+            stack.enter_context(Elsewhere(bits, names, count, seed))
+            for bits in wanted
+            if bits != here
+        ]
+        if here in wanted:
+            quiet = not console.is_terminal
+            for one in track(chosen, "situations", console=console, disable=quiet):
+                rows.append(examine(one, count, seed))
+        for other in others:
+            rows += other.rows()
+    for bits in wanted:
+        console.print(table(rows, bits))
+    console.print(LEGEND, markup=False, highlight=False)
+    for line in summary(rows):
+        console.print(line, markup=False, highlight=False)
+    save_numbers(
+        json,
+        {"draws": count, "seed": seed, "rows": list(map(dataclasses.asdict, rows))},
+    )
+    return 0 if all(row.fine for row in rows) and not pooled_faults(rows) else 1
+
+
+def select(situations: list[Situation], only: tuple[str, ...]) -> list[Situation]:
+    """Those whose name is one of `only`, or holds one where none is."""
+    if not only:
+        return situations
+    names = {one.name for one in situations}
+    for part in only:
+        if not any(part in name for name in names):
+            raise ValueError(f"only: no situation's name holds {part!r}")
+    return [
+        one
+        for one in situations
+        if any(
+            part == one.name or (part not in names and part in one.name)
+            for part in only
+        )
+    ]
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(main, prog="python -m experiments.honesty"))

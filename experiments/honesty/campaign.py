@@ -1,0 +1,135 @@
+"""Situation after situation, in one precision or in both at a time."""
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import zlib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import jax.numpy as jnp
+import numpy as np
+
+from experiments.honesty.chance import too_many
+from experiments.honesty.judge import ALARMS, RIGHT_KINDS, Verdict, judge
+from experiments.honesty.situations.base import Situation
+
+Precision = Literal["32", "64", "both"]
+LEAST = 2
+"""Draws, where a situation takes a share of them."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """A situation, the precision it was asked in, the verdict, and what it took."""
+
+    name: str
+    kind: str
+    bits: int
+    seconds: float
+    verdict: Verdict
+
+    @property
+    def fine(self) -> bool:
+        """Whether all that should hold does."""
+        return not self.verdict.faults
+
+
+def own_bits() -> int:
+    """The precision of this process."""
+    return 64 if jnp.result_type(float) == jnp.float64 else 32
+
+
+def examine(situation: Situation, draws: int, seed: int) -> Row:
+    """One row; every draw has its own generator, whatever else is asked for."""
+    began = time.perf_counter()
+    count = max(round(draws * situation.share), min(draws, LEAST))
+    key = zlib.crc32(situation.name.encode())
+    rngs = [np.random.default_rng((seed, key, draw)) for draw in range(count)]
+    verdict = judge(situation.ask(rngs), situation.kind, situation.free, situation.wide)
+    seconds = time.perf_counter() - began
+    return Row(situation.name, situation.kind, own_bits(), seconds, verdict)
+
+
+def pooled_faults(rows: Sequence[Row]) -> tuple[str, ...]:
+    """What no single situation shows: false alarms of all together."""
+    found = []
+    for bits in sorted({row.bits for row in rows}):
+        alarms, draws = alarms_of(rows, bits)
+        if draws and too_many(alarms, draws, ALARMS):
+            found.append(
+                f"float{bits}: {alarms} false alarms in {draws} draws of right models"
+            )
+    return tuple(found)
+
+
+def alarms_of(rows: Iterable[Row], bits: int) -> tuple[int, int]:
+    """False alarms, and draws of right models, in one precision.
+
+    A map's pixels are not counted with the draws of fits, which they would outnumber.
+    """
+    right = [
+        row.verdict
+        for row in rows
+        if row.bits == bits
+        and row.kind in RIGHT_KINDS
+        and not row.name.startswith("maps")
+    ]
+    return sum(round(v.doubted * v.draws) for v in right), sum(v.draws for v in right)
+
+
+class Elsewhere:
+    """The same campaign in the other precision, in a process of its own."""
+
+    def __init__(self, bits: int, names: Sequence[str], draws: int, seed: int):
+        """Starts it."""
+        self._folder = tempfile.TemporaryDirectory()
+        self._path = Path(self._folder.name) / "rows.json"
+        command = [sys.executable, "-m", "experiments.honesty"]
+        command += ["--precision", str(bits), "--json", str(self._path)]
+        command += ["--draws", str(draws), "--seed", str(seed), "--only", *names]
+        environment = os.environ | {"JAX_ENABLE_X64": "1" if bits == 64 else "0"}
+        self._process = subprocess.Popen(
+            command,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def __enter__(self) -> "Elsewhere":
+        return self
+
+    def __exit__(self, *what: object) -> None:
+        # Whoever interrupts this process wants the other one to end too.
+        self._process.kill()
+        self._process.communicate()
+        self._folder.cleanup()
+
+    def rows(self) -> list[Row]:
+        """Its rows, once it is through.
+
+        **Raises:** `RuntimeError` with its last words, if it failed.
+        """
+        _, complaint = self._process.communicate()
+        if self._process.returncode not in (0, 1) or not self._path.exists():
+            raise RuntimeError(f"the other precision failed:\n{complaint[-2000:]}")
+        found = json.loads(self._path.read_text(encoding="utf-8"))
+        return [_read(row) for row in found["rows"]]
+
+
+def _read(row: dict[str, Any]) -> Row:
+    """A row from JSON, which has no NaN and no tuples."""
+    verdict = {name: _value(value) for name, value in row.pop("verdict").items()}
+    return Row(**row, verdict=Verdict(**verdict))
+
+
+def _value(value: Any) -> Any:
+    if value is None:
+        return np.nan
+    return tuple(value) if isinstance(value, list) else value

@@ -1,0 +1,53 @@
+"""What chance does to shares of few draws.
+
+A share is wrong where it is beyond what is promised, and where chance would take one
+that is exactly right only once in `1 / CHANCE` judgements. A campaign makes some
+hundred for each precision, nearly a thousand in all: chance alone makes less than one
+of a hundred campaigns fail.
+"""
+
+import numpy as np
+from jaxtyping import Bool
+from scipy.stats import binom
+
+from experiments.honesty.answers import LEVEL
+
+CHANCE = 1e-5
+
+Marks = Bool[np.ndarray, "draws parameters"]
+
+
+def share(held: np.ndarray, counted: np.ndarray | bool = True) -> float:
+    """How many of those counted; NaN if none is."""
+    counted = np.broadcast_to(counted, held.shape)
+    return float((held & counted).sum() / counted.sum()) if counted.any() else np.nan
+
+
+def limits(
+    inside: Marks, counted: Marks, promised: tuple[float, float]
+) -> tuple[float, float]:
+    """Shares of intervals of `LEVEL` between which nothing is wrong.
+
+    Parameters of one draw go astray together: they count as so many independent ones
+    as the scatter between draws allows.
+
+    ??? cite "Source"
+        Kish, *Survey sampling*, 1965, on the design effect: the variance of a share
+        between clusters over a binomial one.
+    """
+    count = counted.sum()
+    if count == 0:
+        return 0.0, 1.0
+    missed, each = (counted & ~inside).sum(axis=1), counted.sum(axis=1)
+    rate = missed.sum() / count
+    expected = count * rate * (1 - rate)
+    together = np.sum((missed - rate * each) ** 2) / expected if expected > 0 else 1.0
+    alone = max(int(count / max(together, 1.0)), 1)
+    low = float(binom.ppf(CHANCE, alone, LEVEL)) / alone
+    high = float(binom.isf(CHANCE, alone, LEVEL)) / alone
+    return min(promised[0], low), max(promised[1], high)
+
+
+def too_many(found: int, draws: int, promised: float) -> bool:
+    """Whether so many draws are more than a share of at most `promised` explains."""
+    return bool(found > max(promised * draws, binom.isf(CHANCE, draws, promised)))

@@ -1,0 +1,256 @@
+"""From the answers of many draws to a verdict.
+
+- Intervals of 95 % are to hold the truth 92-98 % of the time wherever an error is
+  finite and the draw was not doubted: over all parameters, and for each of them. Of
+  draws where something lies on its bound, which are not usual ones, they are to hold
+  the other parameters 80 % of the time.
+- An estimate far off wants a warning, in 99 % of the draws where there is one. Far is
+  more than five of its errors; for one on its bound, whose error is one-sided and may
+  have the tail of an exponential distribution, the square of that.
+- Where the model is right, at most 1 % of the draws may be doubted.
+- What the data cannot identify may have no small error.
+
+See `experiments/honesty/chance.py` for what few draws allow.
+"""
+
+import dataclasses
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool
+
+from experiments.honesty.answers import Answers
+from experiments.honesty.chance import Marks, limits, share, too_many
+from experiments.honesty.words import (
+    doubts,
+    is_doubtful,
+    unknown_words,
+)
+
+Kind = Literal["right", "open", "doubtful", "wrong"]
+"""`right`: the model is; `open`: it is, and the data cannot identify something;
+`doubtful`: an answer is to be right or to come with a warning; `wrong`: it is to come
+with one wherever it misleads."""
+
+RIGHT_KINDS = ("right", "open")
+PROMISED = (0.92, 0.98)
+BESIDE = (0.8, 1.0)
+ALARMS = 0.01
+MISLED = 0.01
+FAR = 5.0
+# An error is small if its interval takes less than this share of the box.
+SMALL = 0.25
+# A right model of which more is said not to be identifiable was not fitted at all.
+SILENT = 0.2
+# Of a number: below it, an error is one of arithmetic.
+ROUNDING = 1e-12
+
+
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """What the draws of one situation come to; NaN where there was nothing to judge.
+
+    - `coverage`: share of intervals that hold the truth; `at_bound` of what lies on a
+        bound alone, `beside` of the rest of such draws;
+    - `worst`, `worst_label`: that of the parameter with the least;
+    - `pulls`: root mean square of (estimate − truth) / error, inside the box;
+    - `doubted`: share of draws with a warning about the fit, or without an answer;
+    - `far`: share of draws with an estimate far off, see `FAR`;
+        `misled`: share of draws where it comes without a warning;
+    - `silent`: share of numbers with an infinite error;
+    - `faults`: what should hold and does not; `notes`: what else is to be seen;
+    - `words`: warnings about the fit, and how many draws had each.
+    """
+
+    draws: int
+    coverage: float
+    at_bound: float
+    beside: float
+    worst: float
+    worst_label: str
+    pulls: float
+    doubted: float
+    far: float
+    misled: float
+    silent: float
+    faults: tuple[str, ...]
+    notes: tuple[str, ...]
+    words: dict[str, int]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Marks:
+    """What is asked of every number of the draws, and of every draw."""
+
+    finite: Marks
+    trusted: Marks
+    inside: Marks
+    bound: Marks
+    astray: Marks
+    doubted: Bool[np.ndarray, " draws"]
+
+    @property
+    def free(self) -> Marks:
+        """Trusted, and not on a bound."""
+        return self.trusted & ~self.bound
+
+    @property
+    def beside(self) -> Marks:
+        """Free, in draws where something lies on its bound."""
+        return self.free & self.bound.any(axis=1, keepdims=True)
+
+    @property
+    def far(self) -> Bool[np.ndarray, " draws"]:
+        """Draws in which an estimate is far off."""
+        return np.any(self.astray & self.finite, axis=1)
+
+    @property
+    def misled(self) -> Bool[np.ndarray, " draws"]:
+        """Those of them without a warning."""
+        return self.far & ~self.doubted
+
+
+def judge(
+    answers: Answers, kind: Kind, free: tuple[str, ...] = (), wide: bool = False
+) -> Verdict:
+    """The verdict on one situation.
+
+    **Arguments:**
+
+    - `kind`: what is asked of it.
+    - `free`: leaves, or labels, that the data cannot identify.
+    - `wide`: whether intervals may be too wide here.
+    """
+    marks = _look(answers)
+    faults, notes = [], []
+    if kind != "wrong":
+        faults += _intervals(answers.labels, marks)
+        much = share(marks.inside, marks.trusted)
+        if much > limits(marks.inside, marks.trusted, PROMISED)[1]:
+            allowed = wide or marks.bound.any()
+            words = f"intervals are too wide: {much:.1%} hold the truth"
+            notes, faults = (["wide"], faults) if allowed else (notes, [*faults, words])
+    elif not marks.far.any():
+        notes.append("harmless")
+    faults += _misleading(marks, kind)
+    if kind in RIGHT_KINDS and too_many(
+        marks.doubted.sum(), len(marks.doubted), ALARMS
+    ):
+        faults.append(f"{marks.doubted.mean():.1%} of the draws are false alarms")
+    if kind == "right" and share(~marks.finite) > SILENT:
+        faults.append("much is said not to be identifiable")
+    faults += _small_errors(answers, free, ~marks.doubted)
+    faults += [
+        f"a warning of unknown kind: {one}" for one in unknown_words(answers.warnings)
+    ]
+    worst, label = _worst(answers.labels, marks)
+    return Verdict(
+        draws=len(marks.doubted),
+        coverage=share(marks.inside, marks.trusted),
+        at_bound=share(marks.inside, marks.bound),
+        beside=share(marks.inside, marks.beside),
+        worst=worst,
+        worst_label=label,
+        pulls=_pulls(answers, marks.free),
+        doubted=share(marks.doubted),
+        far=share(marks.far),
+        misled=share(marks.misled),
+        silent=share(~marks.finite),
+        faults=tuple(faults),
+        notes=tuple(notes),
+        words=doubts(answers.warnings),
+    )
+
+
+def _look(answers: Answers) -> _Marks:
+    doubted = np.array([any(map(is_doubtful, said)) for said in answers.warnings])
+    finite = np.isfinite(answers.error)
+    slack = ROUNDING * np.abs(answers.truth)
+    truth, off = answers.truth, np.abs(answers.estimate - answers.truth)
+    trusted = finite & ~doubted[:, None]
+    # A bound that keeps an estimate from the truth is said to lie there.
+    kept = (truth < answers.box[:, 0]) | (truth > answers.box[:, 1])
+    reach = np.where(answers.at_bound, FAR**2, FAR) * answers.error
+    return _Marks(
+        finite=finite,
+        trusted=trusted,
+        inside=(answers.low <= truth + slack) & (truth - slack <= answers.high),
+        bound=trusted & answers.at_bound,
+        astray=~(off <= reach + slack) & ~(kept & answers.at_bound),
+        doubted=doubted,
+    )
+
+
+def _intervals(labels: tuple[str, ...], marks: _Marks) -> list[str]:
+    """Those that hold the truth too seldom."""
+    faults = []
+    for where, counted, promised in (
+        ("", marks.trusted, PROMISED),
+        ("beside bounds ", marks.beside, BESIDE),
+    ):
+        held = share(marks.inside, counted)
+        if held < limits(marks.inside, counted, promised)[0]:
+            faults.append(f"{where}{held:.1%} of the intervals hold the truth")
+    low = [
+        f"{label} {share(inside, counted):.0%}"
+        for label, inside, counted in zip(
+            labels, marks.inside.T, marks.trusted.T, strict=True
+        )
+        if share(inside, counted)
+        < limits(inside[:, None], counted[:, None], PROMISED)[0]
+    ]
+    return faults + ([f"too short alone: {', '.join(low)}"] if low else [])
+
+
+def _misleading(marks: _Marks, kind: Kind) -> list[str]:
+    """Draws that are far off without a word.
+
+    Of a wrong model, warnings are to come in most draws that need one; of others, few
+    draws may need one.
+    """
+    among = marks.far.sum() if kind == "wrong" else len(marks.far)
+    if marks.misled.sum() <= MISLED * among:
+        return []
+    return [
+        f"{marks.misled.sum()} of {marks.far.sum()} draws that are more than {FAR:g} σ "
+        "off come without a warning"
+    ]
+
+
+def _small_errors(
+    answers: Answers, free: tuple[str, ...], trusted: np.ndarray
+) -> list[str]:
+    """What the data cannot identify, and draws claim to know."""
+    width = answers.box[:, 1] - answers.box[:, 0]
+    small = np.isfinite(answers.error) & (answers.high - answers.low < SMALL * width)
+    small &= trusted[:, None]
+    faults = []
+    for name in free:
+        own = [name in (label, label.partition(".")[0]) for label in answers.labels]
+        count = small[:, own].any(axis=1).sum()
+        if too_many(count, len(small), ALARMS):
+            faults.append(
+                f"{name} is not identifiable, yet {count} draws claim to know"
+            )
+    return faults
+
+
+def _worst(labels: tuple[str, ...], marks: _Marks) -> tuple[float, str]:
+    """The parameter whose intervals hold the truth least often."""
+    # A share of a few draws says little.
+    enough = max(10, len(marks.doubted) // 10)
+    shares = {
+        label: share(marks.inside[:, k], marks.trusted[:, k])
+        for k, label in enumerate(labels)
+        if marks.trusted[:, k].sum() >= enough
+    }
+    label = min(shares, key=lambda one: shares[one], default="")
+    return shares.get(label, np.nan), label
+
+
+def _pulls(answers: Answers, counted: Marks) -> float:
+    if not counted.any():
+        return np.nan
+    off = (answers.estimate - answers.truth)[counted]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.sqrt(np.mean((off / answers.error[counted]) ** 2)))

@@ -1,0 +1,31 @@
+"""All situations, by theme."""
+
+from experiments.honesty.situations import (
+    derived,
+    edges,
+    jpeg,
+    losses,
+    maps,
+    models,
+    noise,
+    unknowns,
+    wrong,
+)
+from experiments.honesty.situations.base import Situation
+
+THEMES = {
+    "models": models,
+    "noise": noise,
+    "edges": edges,
+    "losses": losses,
+    "wrong models": wrong,
+    "JPEG": jpeg,
+    "unknowns": unknowns,
+    "maps": maps,
+    "predictions and profiles": derived,
+}
+
+
+def all_situations() -> list[Situation]:
+    """Every one, theme after theme."""
+    return [one for theme in THEMES.values() for one in theme.situations()]

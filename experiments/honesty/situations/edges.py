@@ -1,0 +1,177 @@
+"""At the edges: white and black samples, bounds that bind, what nobody can know."""
+
+from typing import Any
+
+import numpy as np
+
+import phongfit as pf
+from experiments.honesty.situations.base import (
+    MATERIAL,
+    NOISE,
+    UNCLAMPED,
+    Draw,
+    Image,
+    Situation,
+    Subject,
+    ball,
+    changed,
+    clamped,
+    fits,
+    lamp,
+    noisy,
+    usual,
+    when_asked,
+)
+
+
+def situations() -> list[Situation]:
+    """All of them."""
+    return [*white(), *bounds(), *unknowable()]
+
+
+def white() -> list[Situation]:
+    """Ever more samples at white."""
+    shares = (0.01, 0.3, 0.93, 0.97, 0.99)
+    takes: dict[str, Any] = {
+        f"{share:.0%} white": fits(bright(share), clamped(noisy())) for share in shares
+    }
+    takes["97% white, noise given"] = fits(bright(0.97), clamped(noisy()), noise=NOISE)
+    takes["10% at 1 beside negative values"] = fits(bright(0.1, 0.02), cut_above)
+    # Where nearly nothing is left, it may be said that nothing can be known.
+    faint = tuple(f"{share:.0%}" for share in shares[2:])
+    return [
+        Situation(name, "doubtful" if name.startswith(faint) else "right", ask)
+        for name, ask in takes.items()
+    ]
+
+
+def bright(share: float, ambient: float = 0.3) -> Draw:
+    """The usual ball, lit such that this share of its samples would be past white."""
+
+    def make() -> Subject:
+        light = usual(MATERIAL, ball(ambient=ambient)).light[0]
+        more = 1 / np.quantile(light[light.any(axis=-1)], 1 - share)
+        scene = ball(lamp(intensity=0.6 * more), ambient=ambient * more)
+        return usual(MATERIAL, scene)
+
+    return when_asked(make)
+
+
+def cut_above(light: Image, rng: np.random.Generator) -> Image:
+    """Cut off at white alone: a dark picture less its black level."""
+    return np.minimum(noisy()(light, rng), 1)
+
+
+def bounds() -> list[Situation]:
+    """The truth on a bound, or near it."""
+    matte = usual(changed(shininess=1.5), ball(size=24))
+    faint = usual(pf.Material(0.6, 0.1, 1.5, 0.1), ball(lamp(intensity=0.9), size=24))
+    narrow = usual(changed(specular=0.51, shininess=500.0), ball(size=24))
+    loud = noisy(0.2)
+    small = {
+        "f = 1.5, noise 0.2, 24²": fits(matte, loud),
+        "the same, noise given": fits(matte, loud, noise=0.2),
+        "the same, a faint highlight": fits(faint, loud),
+        "the same, a narrow highlight": fits(narrow, loud),
+    }
+    twins = ball(lamp(), lamp((1, 1.002, 2)))
+    materials = {
+        "no ambient": changed(ambient=(0.0, 0.4, 0.3)),
+        "little ambient": changed(ambient=(0.003, 0.005, 0.01)),
+        "no blue": changed(diffuse=(0.6, 0.3, 0.0)),
+        "ρ_s at 1": changed(specular=1.0),
+        "ρ_s beyond 1": changed(specular=(0.999, 0.998, 0.5)),
+        "f = 1.2": changed(shininess=1.2),
+    }
+    return [
+        *(
+            Situation(name, "right", fits(usual(material), noisy()))
+            for name, material in materials.items()
+        ),
+        *(Situation(name, "right", ask, wide=True) for name, ask in small.items()),
+        Situation(
+            "two lamps 0.002 rad apart",
+            "doubtful",
+            fits(
+                usual(MATERIAL, twins),
+                noisy(),
+                unknowns=tuple(f"scene.lights[{k}].intensity" for k in range(2)),
+                known=MATERIAL,
+            ),
+            wide=True,
+        ),
+        Situation(
+            "f past its bound", "wrong", fits(usual(changed(shininess=1600.0)), noisy())
+        ),
+    ]
+
+
+def unknowable() -> list[Situation]:
+    """What no pixel tells."""
+    faint = changed(specular=0.004)
+    exponent = ("shininess",)
+    highlight = ("specular", "shininess")
+    plate = ball(surface=pf.NormalMap(np.ones((36, 36, 1)) * [0.0, 0.0, 1.0]), size=36)
+    return [
+        Situation(
+            "no highlight",
+            "open",
+            fits(usual(changed(specular=0.0)), noisy()),
+            free=exponent,
+            wide=True,
+        ),
+        Situation("a faint highlight", "doubtful", fits(usual(faint), noisy())),
+        Situation(
+            "a highlight hidden by the mask",
+            "doubtful",
+            fits(usual(changed(specular=0.51)), noisy(), given=beside_highlight),
+            wide=True,
+        ),
+        Situation(
+            "a highlight that is smooth all over",
+            "doubtful",
+            fits(usual(changed(specular=0.51), window()), noisy(0.05)),
+            wide=True,
+        ),
+        Situation(
+            "a flat plate",
+            "open",
+            fits(usual(MATERIAL, plate), noisy()),
+            free=(*highlight, "ambient", "diffuse"),
+            wide=True,
+        ),
+        Situation(
+            "all white",
+            "open",
+            fits(usual(MATERIAL, ball(lamp(intensity=9.0), ambient=9.0)), overexposed),
+            free=("ambient", "diffuse", *highlight),
+            wide=True,
+        ),
+    ]
+
+
+def beside_highlight(light: Image, rng: np.random.Generator) -> dict[str, Any]:
+    """Only what the highlight's tail reaches."""
+    del light, rng
+    scene = usual().scenes[0]
+    shiny = pf.Material(0.0, 1.0, 20.0, 0.0)
+    lobe = np.asarray(pf.render(scene, shiny, film=UNCLAMPED)).max(axis=-1)
+    return {"mask": lobe < 0.02}
+
+
+def window() -> pf.Scene:
+    """A part of the ball around its highlight, so small that all of it is bright.
+
+    Of about as many pixels as the ball has otherwise, which share what is compiled.
+    """
+    half = np.array(lamp().direction, float) + (0, 0, 1)
+    at = half / np.linalg.norm(half)
+    camera = pf.OrthographicCamera(
+        36, 36, view_height=0.3, position=(float(at[0]), float(at[1]), 5.0)
+    )
+    return pf.Scene(pf.Sphere(), camera, lamp(), 0.3)
+
+
+def overexposed(light: Image, rng: np.random.Generator) -> Image:
+    """White wherever there is something to see."""
+    return np.where(light > 0, 1.0, clamped(noisy())(light, rng))

@@ -1,0 +1,76 @@
+"""JPEG files: rounding that is alike within blocks, told or not."""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import imageio.v3 as iio
+
+from experiments.honesty.answers import Answers, Shot, fit_all
+from experiments.honesty.situations.base import (
+    Draws,
+    Image,
+    Situation,
+    Subject,
+    noisy,
+    usual,
+)
+from phongfit.files.images import from_levels, to_levels
+
+NOISE = 0.003
+# As Pillow counts: every pixel has its colour, or four share one.
+SAMPLINGS = {"4:4:4": 0, "4:2:0": 2}
+
+
+class Decoded(NamedTuple):
+    """A photograph from a file, and what the fit is told of the file."""
+
+    image: Image
+    options: Mapping[str, Any]
+
+
+def situations() -> list[Situation]:
+    """Each quality and subsampling, as a file and as an array of unknown origin."""
+    found = []
+    for quality in (75, 90, 95):
+        for sampling in SAMPLINGS:
+            for known in (True, False):
+                ask = jpeg_fits(usual(), quality, sampling, known)
+                origin = "its film known" if known else "of unknown origin"
+                name = f"JPEG {quality}, {sampling}, {origin}"
+                found.append(Situation(name, "doubtful", ask, wide=True))
+    return found
+
+
+def jpeg_fits(
+    subject: Subject, quality: int, sampling: str, known: bool
+) -> Callable[[Draws], Answers]:
+    """Fits of photographs that were JPEG files."""
+
+    def shots(draws: Draws) -> Iterator[Shot]:
+        for rng in draws:
+            light = noisy(NOISE)(subject.light[0], rng)
+            read = developed(light, quality, sampling, known)
+            scenes = subject.scenes
+            yield Shot(
+                scenes[0], read.image, read.options, scenes, subject.material, {}
+            )
+
+    return lambda draws: fit_all(shots(draws))
+
+
+def developed(light: Image, quality: int, sampling: str, known: bool) -> Decoded:
+    """Light written as an sRGB JPEG and read back.
+
+    **Arguments:** `known`: whether the fit is told of the file. A film cannot say so
+    yet, and both come as arrays.
+    """
+    del known
+    data = iio.imwrite(
+        "<bytes>",
+        to_levels(light, "srgb", 8),
+        extension=".jpg",
+        plugin="pillow",
+        quality=quality,
+        subsampling=SAMPLINGS[sampling],
+    )
+    return Decoded(from_levels(iio.imread(data, extension=".jpg"), "srgb"), {})

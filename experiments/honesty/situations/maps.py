@@ -1,0 +1,237 @@
+"""Maps: every pixel is a draw of its own."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+import phongfit as pf
+from data_synth.lights import spread_directions
+from experiments.honesty.answers import LEVEL, Answers
+from experiments.honesty.situations.base import NOISE, UNCLAMPED, Draws, Situation
+from phongfit.fitting.quantiles import student_reach
+
+# Pixels for every draw that is asked for.
+PIXELS = 100
+LIGHTS = 16
+AMBIENT = 0.3
+LEAVES = ("ambient", "diffuse", "specular", "shininess")
+CHANNELS = ("red", "green", "blue")
+
+Stack = Float[np.ndarray, "lights height width 3"]
+Materials = Callable[[np.random.Generator, tuple[int, int]], pf.Material]
+
+
+Spoil = Callable[[Stack, np.random.Generator], tuple[Stack, Mapping[str, Any]]]
+"""What becomes of photographs, and what the map is told of it."""
+
+
+def situations() -> list[Situation]:
+    """All of them."""
+    # Told as a mask of all samples, so that more maps share what is compiled.
+    given: Any = {"noise": NOISE}
+    right: dict[str, Any] = {
+        "maps": maps(),
+        "maps, noise 0.05": maps(level=0.05),
+        "maps, noise given": maps(whole, **given),
+        "maps, mosaic": maps(mosaic, **given),
+        "maps, samples missing": maps(missing, **given),
+        "maps, a saturated channel": maps(saturated, materials=bright_red),
+        "maps, at bounds": maps(materials=at_bounds),
+        "maps, at bounds, noise given": maps(whole, materials=at_bounds, **given),
+        "maps, Cauchy, clean": maps(loss="cauchy"),
+        "maps, Tukey, clean, noise given": maps(whole, loss="tukey", **given),
+        "maps, Tukey, 10% garbage": maps(garbage, loss="tukey", **given),
+        "maps, an exponent a channel": maps(per_channel=LEAVES),
+        "maps, seven lights": maps(whole, lights=7, **given),
+    }
+    wide = ("0.05", "bounds", "garbage", "seven", "channel", "missing", "mosaic")
+    return [
+        *(
+            Situation(name, "right", ask, wide=any(word in name for word in wide))
+            for name, ask in right.items()
+        ),
+        Situation(
+            "maps, a masked channel",
+            "open",
+            maps(masked, **given),
+            free=("ambient.red", "diffuse.red", "specular.red"),
+            wide=True,
+        ),
+        Situation(
+            "maps, no highlight",
+            "open",
+            maps(materials=matte),
+            free=("shininess",),
+            wide=True,
+        ),
+    ]
+
+
+def maps(
+    spoil: Spoil | None = None,
+    *,
+    materials: Materials | None = None,
+    lights: int = LIGHTS,
+    level: float = NOISE,
+    **options: Any,
+) -> Callable[[Draws], Answers]:
+    """A map, of which every pixel has its own material and noise of this level."""
+
+    def ask(draws: Draws) -> Answers:
+        rng = draws[0]
+        size = (len(draws), PIXELS)
+        scenes, images, truth = photographs(
+            rng, size, lights, level, any_material if materials is None else materials
+        )
+        more: Mapping[str, Any] = {}
+        if spoil is not None:
+            images, more = spoil(images, rng)
+        found = pf.fit_maps(scenes, images, progress=False, **options, **more)
+        return of_maps(found, truth)
+
+    return ask
+
+
+def photographs(
+    rng: np.random.Generator,
+    size: tuple[int, int],
+    lights: int,
+    level: float,
+    materials: Materials,
+) -> tuple[tuple[pf.Scene, ...], Stack, pf.Material]:
+    """Scenes, their images with noise, and the materials."""
+    normals = np.ones((*size, 3))
+    normals[..., :2] = rng.uniform(-0.4, 0.4, (*size, 2))
+    surface = pf.NormalMap(normals)
+    camera = pf.OrthographicCamera(size[1], size[0])
+    scenes = tuple(
+        pf.Scene(surface, camera, pf.DirectionalLight(way), AMBIENT)
+        for way in spread_directions(lights)
+    )
+    truth = materials(rng, size)
+    gbuffer = pf.trace(surface, camera)
+    clean = [pf.render(s, truth, film=UNCLAMPED, gbuffer=gbuffer) for s in scenes]
+    images = np.stack([np.asarray(image) for image in clean])
+    noise = level * rng.normal(size=images.shape)
+    return scenes, images + noise.astype(images.dtype), truth
+
+
+def any_material(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
+    """Inside the box; highlights reach every pixel."""
+    return pf.Material(
+        diffuse=rng.uniform(0.15, 0.4, (*size, 3)),
+        specular=rng.uniform(0.2, 0.4, (*size, 3)),
+        shininess=np.exp(rng.uniform(np.log(6), np.log(30), (*size, 1))),
+        ambient=rng.uniform(0.2, 0.6, (*size, 3)),
+    )
+
+
+def at_bounds(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
+    """A third of the reflectances is 0."""
+    inside = any_material(rng, size)
+
+    def some(leaf: Any) -> np.ndarray:
+        return np.where(rng.random((*size, 3)) < 1 / 3, 0, np.asarray(leaf))
+
+    return pf.Material(
+        some(inside.diffuse), inside.specular, inside.shininess, some(inside.ambient)
+    )
+
+
+def bright_red(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
+    """Red is past white under some of the lamps."""
+    usual = any_material(rng, size)
+    diffuse, specular = np.array(usual.diffuse), np.array(usual.specular)
+    diffuse[..., 0] = rng.uniform(0.6, 0.9, size)
+    specular[..., 0] = rng.uniform(0.3, 0.6, size)
+    return dataclasses.replace(
+        usual, diffuse=jnp.asarray(diffuse), specular=jnp.asarray(specular)
+    )
+
+
+def matte(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
+    """No pixel has a highlight."""
+    return dataclasses.replace(any_material(rng, size), specular=jnp.zeros((*size, 3)))
+
+
+def whole(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str, Any]]:
+    """Every sample is used."""
+    del rng
+    return images, {"mask": np.ones(images.shape[1:], bool)}
+
+
+def mosaic(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str, Any]]:
+    """A Bayer filter that moved between the photographs: a sample has one channel."""
+    lights, *size, _ = images.shape
+    channel = rng.choice(3, size=(lights, *size), p=(0.25, 0.5, 0.25))
+    return images, {"mask": list(channel[..., None] == np.arange(3))}
+
+
+def missing(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str, Any]]:
+    """A quarter of the samples is left out, channel by channel."""
+    return images, {"mask": list(rng.random(images.shape) > 0.25)}
+
+
+def masked(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str, Any]]:
+    """Nothing is known of red."""
+    del rng
+    return images, {"mask": np.broadcast_to([False, True, True], images.shape[1:])}
+
+
+def saturated(
+    images: Stack, rng: np.random.Generator
+) -> tuple[Stack, Mapping[str, Any]]:
+    """What is past white is cut off."""
+    del rng
+    return np.minimum(images, 1), {}
+
+
+def garbage(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str, Any]]:
+    """Some samples are anything."""
+    anything = rng.random(images.shape).astype(images.dtype)
+    spoilt = np.where(rng.random(images.shape) < 0.1, anything, images)
+    return spoilt, {"mask": np.ones(images.shape[1:], bool)}
+
+
+def of_maps(found: pf.Maps, truth: pf.Material) -> Answers:
+    """Every pixel as a draw, every flag as a warning."""
+    columns = [column for leaf in LEAVES for column in _columns(found, truth, leaf)]
+    labels, value, error, true = zip(*columns, strict=True)
+    estimate, error, true = (
+        np.stack(one, axis=1).astype(float) for one in (value, error, true)
+    )
+    edges = [(1.0, 1000.0) if "shin" in one else (0.0, 1.0) for one in labels]
+    box = np.array(edges)
+    reach = 1.959964
+    if found.noise_given is None:
+        freedom = int(np.median(found.samples)) - len(labels)
+        reach = student_reach(LEVEL, freedom)
+    low, high = np.clip(estimate + reach * error * [[[-1.0]], [[1.0]]], *box.T)
+    near = 1e-5 * np.maximum(box, 1e-3)
+    bound = (estimate <= box[:, 0] + near[:, 0]) | (estimate >= box[:, 1] - near[:, 1])
+    flags = found.flags.ravel()
+    said = {int(one): flag_words(int(one)) for one in np.unique(flags)}
+    warnings = tuple(said[int(one)] for one in flags)
+    return Answers(
+        tuple(labels), true, estimate, error, low, high, bound, box, warnings
+    )
+
+
+def _columns(found: pf.Maps, truth: pf.Material, leaf: str) -> list[tuple[Any, ...]]:
+    value, error = getattr(found, leaf), getattr(found.stderr, leaf)
+    true = np.broadcast_to(np.asarray(getattr(truth, leaf)), value.shape)
+    names = [leaf] if value.shape[-1] == 1 else [f"{leaf}.{c}" for c in CHANNELS]
+    return [
+        (name, value[..., k].ravel(), error[..., k].ravel(), true[..., k].ravel())
+        for k, name in enumerate(names)
+    ]
+
+
+def flag_words(flags: int) -> tuple[str, ...]:
+    """A pixel's flags as sentences."""
+    names = [str(flag.name).lower().replace("_", " ") for flag in pf.Flag(flags)]
+    return tuple(f"flag: {name}" for name in names)

@@ -1,0 +1,135 @@
+"""Kinds of noise, of files, and of samples that are left out."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from experiments.honesty.situations.base import (
+    NOISE,
+    Image,
+    Situation,
+    Take,
+    changed,
+    clamped,
+    fits,
+    noisy,
+    usual,
+)
+from experiments.honesty.situations.models import any_material
+from phongfit.rendering.film import decode, encode
+
+# Shot noise: its variance is so much of the light, and that of reading on top.
+SHOT, READ = 4e-4, 0.003
+
+
+def situations() -> list[Situation]:
+    """All of them."""
+    right: dict[str, Any] = {
+        "noise 0.0001": fits(usual(), noisy(1e-4)),
+        "noise 0.05": fits(usual(), noisy(0.05)),
+        "noise 0.01, given": fits(usual(), noisy(), noise=NOISE),
+        "noise 0.2, clamped": fits(usual(changed(shininess=8.0)), clamped(noisy(0.2))),
+        "uniform noise": fits(usual(), uniform),
+        "Laplace's noise": fits(usual(), laplace),
+        "shot noise, its map given": fits(usual(), shot_noise, given=shot_map),
+        "weights": fits(usual(), shot_noise, given=shot_weights),
+        "a hole in the mask": fits(usual(), noisy(), given=hole),
+        "mosaic": fits(usual(), noisy(), given=mosaic),
+        "8 bits": fits(usual(), film("linear", 8, 0.005)),
+        "8 bits, sRGB": fits(usual(), film("srgb", 8, 0.005)),
+        "8 bits, sRGB, noise given": fits(usual(), film("srgb", 8, 0.005), noise=0.005),
+        "16 bits": fits(usual(), film("linear", 16, 0.002)),
+        "16 bits, sRGB": fits(usual(), film("srgb", 16, 0.002)),
+    }
+    doubtful: dict[str, Any] = {
+        "noise 0.2": fits(usual(), noisy(0.2)),
+        "noise given is half": fits(usual(), noisy(), noise=NOISE / 2),
+        "noise given is twice": fits(usual(), noisy(), noise=2 * NOISE),
+        "noise of neighbours alike": fits(usual(), smoothed),
+        "shot noise, not given": fits(usual(), shot_noise),
+        "dark noise in one channel": fits(usual(), red_noise),
+    }
+    exact: dict[str, Any] = {
+        "no noise": fits(any_material, noisy(0.0)),
+        "noise below a level of 8 bits": fits(any_material, film("srgb", 8, 5e-4)),
+        "no noise, 8 bits, sRGB": fits(any_material, film("srgb", 8, 0.0)),
+    }
+    return [
+        *(Situation(name, "right", ask) for name, ask in right.items()),
+        *(Situation(n, "doubtful", ask, wide=True) for n, ask in doubtful.items()),
+        *(Situation(name, "right", ask, wide=True) for name, ask in exact.items()),
+    ]
+
+
+def film(encoding: Any, bits: int, level: float) -> Take:
+    """A file of so many bits, read back."""
+    top = 2**bits - 1
+
+    def take(light: Image, rng: np.random.Generator) -> Image:
+        shown = np.clip(noisy(level)(light, rng), 0, 1)
+        return decode(np.round(encode(shown, encoding) * top) / top, encoding)
+
+    return take
+
+
+def uniform(light: Image, rng: np.random.Generator) -> Image:
+    """No value is far off."""
+    return light + NOISE * rng.uniform(-np.sqrt(3), np.sqrt(3), light.shape)
+
+
+def laplace(light: Image, rng: np.random.Generator) -> Image:
+    """More values are far off than Gauss's noise has."""
+    return light + rng.laplace(0, NOISE / np.sqrt(2), light.shape)
+
+
+def shot_variance(light: Image) -> Image:
+    """Of photons, and of reading them."""
+    return SHOT * np.maximum(light, 0) + READ**2
+
+
+def shot_noise(light: Image, rng: np.random.Generator) -> Image:
+    """More noise where there is more light."""
+    return light + np.sqrt(shot_variance(light)) * rng.normal(size=light.shape)
+
+
+def shot_map(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
+    """What is known of it."""
+    del rng
+    return {"noise": np.sqrt(shot_variance(light))}
+
+
+def shot_weights(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
+    """The same, in some unit."""
+    del rng
+    return {"weights": NOISE**2 / shot_variance(light)}
+
+
+def smoothed(light: Image, rng: np.random.Generator) -> Image:
+    """As of a camera that fills in colours: neighbours share their noise."""
+    fresh = rng.normal(size=light.shape)
+    shared = (fresh + np.roll(fresh, 1, axis=0)) / np.sqrt(2)
+    return light + NOISE * (shared + np.roll(shared, 1, axis=1)) / np.sqrt(2)
+
+
+def red_noise(light: Image, rng: np.random.Generator) -> Image:
+    """One channel has three times the noise of the others."""
+    return light + NOISE * np.array([3.0, 1.0, 1.0]) * rng.normal(size=light.shape)
+
+
+def hole(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
+    """A disc that is left out, with a part of the highlight."""
+    del rng
+    rows, columns = np.indices(light.shape[:2])
+    middle = np.array(light.shape[:2]) * (0.42, 0.6)
+    apart = (rows - middle[0]) ** 2 + (columns - middle[1]) ** 2
+    return {"mask": apart > (0.06 * len(light)) ** 2}
+
+
+def mosaic(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
+    """Every pixel has one channel, as behind a Bayer filter."""
+    del rng
+    mask = np.zeros(light.shape, bool)
+    mask[::2, ::2, 0] = mask[1::2, 1::2, 2] = True
+    mask[::2, 1::2, 1] = mask[1::2, ::2, 1] = True
+    return {"mask": mask}

@@ -1,0 +1,228 @@
+"""Unknowns of the scene, and what is known beforehand: ties and priors."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import phongfit as pf
+from data_synth.lights import spread_directions
+from experiments.honesty.situations.base import (
+    MATERIAL,
+    SMALL,
+    Image,
+    Situation,
+    ball,
+    changed,
+    clamped,
+    fits,
+    lamp,
+    noisy,
+    usual,
+)
+
+USUAL = ("ambient", "diffuse", "specular", "shininess")
+EXPOSURES = (1.0, 0.7, 1.4)
+# About the world's axes, degrees.
+TURN = (0.6, -0.8, 2.0)
+TURN_LABELS = tuple(f"scene.camera.rotation.{axis}" for axis in "xyz")
+
+
+def situations() -> list[Situation]:
+    """All of them."""
+    return [*of_scenes(), *known_beforehand()]
+
+
+def small(*lights: pf.AbstractLight, **changes: Any) -> pf.Scene:
+    """A ball of few pixels: much is tried from many starts."""
+    return ball(*lights, size=SMALL, **changes)
+
+
+def of_scenes() -> list[Situation]:
+    """Light, place and camera unknown."""
+    bulb, guess = (pf.PointLight(at, 0.6) for at in ((2, 1.5, 2.5), (1.5, 2, 3)))
+    cone, wider = (
+        pf.SpotLight((1, 1, 3), (-1, -1, -3), 0.6, cutoff=angle) for angle in (12, 14)
+    )
+    seen = usual(MATERIAL, small())
+    return [
+        Situation(
+            "the lamp's intensity unknown",
+            "right",
+            fits(
+                seen,
+                noisy(),
+                fitted=small(lamp(intensity=0.3)),
+                unknowns=("specular", "shininess", "scene.lights[0].intensity"),
+                known=MATERIAL,
+            ),
+        ),
+        Situation(
+            "the lamp's direction unknown, 20° off",
+            "right",
+            fits(
+                seen,
+                noisy(),
+                fitted=small(lamp(tilted(20.0))),
+                unknowns=(*USUAL, "scene.lights[0].direction"),
+            ),
+        ),
+        Situation(
+            "the lamp's direction unknown, 120° off",
+            "right",
+            fits(
+                seen,
+                noisy(),
+                fitted=small(lamp(tilted(120.0))),
+                unknowns=(*USUAL, "scene.lights[0].direction"),
+            ),
+        ),
+        Situation(
+            "a bulb's position unknown",
+            "right",
+            fits(
+                usual(MATERIAL, small(bulb)),
+                noisy(),
+                fitted=small(guess),
+                unknowns=(*USUAL, "scene.lights[0].position"),
+            ),
+        ),
+        Situation(
+            "a spot's cutoff unknown",
+            "doubtful",
+            fits(
+                usual(MATERIAL, small(cone)),
+                noisy(),
+                fitted=small(wider),
+                unknowns=("diffuse", "scene.lights[0].cutoff"),
+                known=MATERIAL,
+            ),
+            wide=True,
+        ),
+        Situation(
+            "exposures unknown",
+            "right",
+            fits(
+                usual(MATERIAL, *exposed(EXPOSURES)),
+                noisy(),
+                fitted=exposed((1.0, 1.0, 1.0)),
+                unknowns=(*USUAL, "exposure"),
+                fixed={"exposure[0]": 1.0},
+                others={f"exposure[{k}]": x for k, x in enumerate(EXPOSURES)},
+            ),
+        ),
+        Situation(
+            "two lamps mirrored by a tie",
+            "right",
+            fits(
+                usual(MATERIAL, small(*bulbs(1.5))),
+                noisy(),
+                fitted=small(*bulbs(1.2)),
+                unknowns=(
+                    "diffuse",
+                    "scene.lights[0].position",
+                    "scene.lights[1].position",
+                ),
+                known=MATERIAL,
+                ties=mirrored(),
+            ),
+        ),
+        Situation(
+            "the camera's rotation unknown",
+            "right",
+            fits(
+                usual(MATERIAL, small(camera=turned_camera(TURN))),
+                noisy(),
+                fitted=small(),
+                given=middle,
+                unknowns=("diffuse", "scene.camera.rotation"),
+                known=MATERIAL,
+                others=dict(zip(TURN_LABELS, TURN, strict=True)),
+            ),
+        ),
+    ]
+
+
+def tilted(degrees: float) -> np.ndarray:
+    """The lamp's direction, turned away from where it is, through the viewer's."""
+    way = np.asarray(lamp().direction, float)
+    across = np.array([0, 0, 1]) - way[2] * way
+    across /= np.linalg.norm(across)
+    angle = np.deg2rad(degrees)
+    return np.cos(angle) * way + np.sin(angle) * across
+
+
+def turned_camera(degrees: Sequence[float]) -> pf.OrthographicCamera:
+    """The usual camera, turned from where it looks along −z."""
+    turn = Rotation.from_rotvec(degrees, degrees=True).as_matrix()
+    return pf.OrthographicCamera(SMALL, SMALL, rotation=turn)
+
+
+def middle(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
+    """Pixels that see the ball however the camera is turned."""
+    del rng
+    rows, columns = (np.indices(light.shape[:2]) + 0.5) / len(light) * 2 - 1
+    return {"mask": rows**2 + columns**2 < 0.6**2}
+
+
+def exposed(times: Sequence[float]) -> tuple[pf.Scene, ...]:
+    """The ball under three lamps in turn, each for its own time."""
+    ways = spread_directions(len(times))
+    return tuple(
+        small(lamp(way, 0.4 * time), ambient=0.3 * time)
+        for way, time in zip(ways, times, strict=True)
+    )
+
+
+def bulbs(x: float) -> tuple[pf.PointLight, pf.PointLight]:
+    """One at each side; the right one is brighter, so that they cannot be swapped."""
+    right = pf.PointLight((x, 1.0, 2.5), 0.5)
+    return right, pf.PointLight((-x, 1.0, 2.5), 0.25)
+
+
+def mirrored() -> dict[str, Any]:
+    """The second bulb is the first one's mirror image."""
+    one, other = ("scene.lights[0].position", "scene.lights[1].position")
+    return {
+        f"{other}.x": (-1.0, f"{one}.x"),
+        f"{other}.y": f"{one}.y",
+        f"{other}.z": f"{one}.z",
+    }
+
+
+def known_beforehand() -> list[Situation]:
+    """Ties and priors, right and wrong ones."""
+    even = changed(specular=0.3)
+    red = {"specular.green": "specular.red", "specular.blue": "specular.red"}
+    half = {"diffuse.green": (0.5, "diffuse.red")}
+    clash = {"diffuse.red": (0.3, 1e-4), "shininess": (60.0, 0.1)}
+    asked: dict[str, tuple[Any, Any]] = {
+        "equal by a tie": ("right", fits(usual(even), noisy(), ties=red)),
+        "half by a tie": ("right", fits(usual(), noisy(), ties=half)),
+        "a tie to what is negative": (
+            "wrong",
+            fits(usual(), noisy(), ties={"diffuse.green": (-0.5, "diffuse.red")}),
+        ),
+        "a tie to what is wrong": (
+            "wrong",
+            fits(usual(), noisy(), ties={"diffuse.green": (0.55, "diffuse.red")}),
+        ),
+        "a right prior": ("right", prior(20.0, 0.2)),
+        "a prior 25 σ off": ("doubtful", prior(25.0, 0.2)),
+        "contradictory priors": ("wrong", fits(usual(), noisy(), priors=clash)),
+        "a right prior, clamped": ("right", prior(20.0, 0.2, cut=True)),
+    }
+    return [Situation(name, kind, ask) for name, (kind, ask) in asked.items()]
+
+
+def prior(center: float, deviation: float, cut: bool = False) -> Any:
+    """On the exponent: as of a measurement that was off by its own error."""
+
+    def given(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
+        del light
+        mean = center + deviation * rng.normal()
+        return {"priors": {"shininess": (mean, deviation)}}
+
+    take = clamped(noisy()) if cut else noisy()
+    return fits(usual(), take, given=given)

@@ -1,0 +1,141 @@
+"""The model is wrong: what is fitted is not what was photographed."""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+import phongfit as pf
+from experiments.honesty.answers import Answers
+from experiments.honesty.situations.base import (
+    LAMP,
+    LARGE,
+    MATERIAL,
+    Draws,
+    Image,
+    Situation,
+    Subject,
+    Take,
+    ball,
+    changed,
+    clamped,
+    fits,
+    lamp,
+    noisy,
+    usual,
+)
+from experiments.honesty.situations.models import four_balls
+from phongfit.rendering.film import Encoding, decode, encode
+
+
+def situations() -> list[Situation]:
+    """All of them."""
+    asked: dict[str, Callable[[Draws], Answers]] = {
+        "f held at 66 for 60": held(ball(size=LARGE)),
+        "the same, four images": held(*four_balls(size=LARGE)),
+        "a lamp of 4% left out": lamp_left_out(0.04, LARGE, 0.03),
+        "a lamp of 25% left out": lamp_left_out(0.25, 48, 0.01),
+        "sRGB read as linear": fits(usual(), read_as("srgb", "linear")),
+        "linear read as sRGB": fits(usual(), read_as("linear", "srgb")),
+        "gamma 2.2 read as sRGB": fits(usual(), gamma),
+        "Phong for Blinn": fits(apart(), noisy(), fitted=apart(pf.Phong()).scenes),
+        "lamp 2° off": fits(usual(), noisy(), fitted=ball(lamp(turned(2.0)))),
+        "light from the ground": fits(usual(), ground),
+        "vignetting": fits(usual(), vignetting),
+        "out of focus": fits(usual(), blurred),
+        "half a pixel off": fits(usual(MATERIAL, shifted()), noisy(), fitted=ball()),
+        "a shadow left out": fits(usual(), shadowed),
+        "ripples": fits(usual(), rippled),
+        "a black level left in": fits(usual(), clamped(black_level)),
+    }
+    return [Situation(name, "wrong", ask) for name, ask in asked.items()]
+
+
+def held(*scenes: pf.Scene) -> Callable[[Draws], Answers]:
+    """The exponent is taken for known, and a little off."""
+    subject = usual(changed(shininess=60.0), *scenes)
+    return fits(subject, noisy(), fixed={"shininess": 66.0})
+
+
+def lamp_left_out(share: float, size: int, noise: float) -> Callable[[Draws], Answers]:
+    """A second, weak lamp that the fit is not told of."""
+    both = ball(lamp(), lamp((-1, -0.4, 1), 0.6 * share), size=size)
+    return fits(usual(MATERIAL, both), noisy(noise), fitted=ball(size=size))
+
+
+def apart(specular: pf.AbstractSpecular | None = None) -> Subject:
+    """Two lamps far apart: the models turn their highlights differently."""
+    lamps = lamp(), lamp((-1.0, -0.4, -0.2))
+    return usual(MATERIAL, ball(*lamps, specular=specular))
+
+
+def turned(degrees: float) -> tuple[float, float, float]:
+    """The lamp's direction, turned about the viewer's axis."""
+    angle = np.deg2rad(degrees) / np.sin(np.arccos(LAMP[2] / np.linalg.norm(LAMP)))
+    x, y, z = LAMP
+    cos, sin = float(np.cos(angle)), float(np.sin(angle))
+    return cos * x - sin * y, sin * x + cos * y, z
+
+
+def read_as(written: Encoding, read: Encoding) -> Take:
+    """A file in one encoding, read in another."""
+
+    def take(light: Image, rng: np.random.Generator) -> Image:
+        return decode(encode(clamped(noisy())(light, rng), written), read)
+
+    return take
+
+
+def gamma(light: Image, rng: np.random.Generator) -> Image:
+    """A screen's curve in place of the standard's: little noise shows it."""
+    return decode(clamped(noisy(0.0015))(light, rng) ** (1 / 2.2), "srgb")
+
+
+def places(light: Image) -> tuple[np.ndarray, np.ndarray]:
+    """x to the right and y up, from −1 to 1, with an axis of one channel."""
+    steps = [(np.arange(n) + 0.5) / n * 2 - 1 for n in light.shape[:2]]
+    y, x = np.meshgrid(-steps[0], steps[1], indexing="ij")
+    return x[..., None], y[..., None]
+
+
+def ground(light: Image, rng: np.random.Generator) -> Image:
+    """A table sends some light back from below."""
+    _, y = places(light)
+    seen = light.any(axis=-1, keepdims=True)
+    return noisy()(light + np.where(seen, 0.03 * (1 - y) / 2, 0), rng)
+
+
+def vignetting(light: Image, rng: np.random.Generator) -> Image:
+    """A lens is darker towards its corners, by 5 % at the ball's rim."""
+    x, y = places(light)
+    return noisy()(light * (1 - 0.06 * (x**2 + y**2)), rng)
+
+
+def blurred(light: Image, rng: np.random.Generator) -> Image:
+    """By a pixel; noise comes after the lens."""
+    return noisy()(gaussian_filter(light, (1, 1, 0)), rng)
+
+
+def shifted() -> pf.Scene:
+    """The ball half a pixel to the right."""
+    half = 0.5 * 2.2 / 48
+    return ball(surface=pf.Sphere(center=(half, 0.0, 0.0)))
+
+
+def shadowed(light: Image, rng: np.random.Generator) -> Image:
+    """Something in the lamp's way darkens a disc."""
+    x, y = places(light)
+    disc = (x + 0.2) ** 2 + (y - 0.1) ** 2 < 0.15**2
+    return noisy()(np.where(disc, 0.6 * light, light), rng)
+
+
+def rippled(light: Image, rng: np.random.Generator) -> Image:
+    """The surface is painted with stripes of 2 %."""
+    x, _ = places(light)
+    return noisy()(light * (1 + 0.02 * np.sin(9 * x)), rng)
+
+
+def black_level(light: Image, rng: np.random.Generator) -> Image:
+    """A camera adds a hundredth in the dark, in bands of rows."""
+    band = (np.arange(len(light)) // 12 % 2)[:, None, None]
+    return noisy()(light + 0.01 * band, rng)
