@@ -29,6 +29,8 @@ from experiments.output import JsonFile, check_outputs, save_numbers
 from phongfit.cli import run
 
 FEW = 20
+# Of a table in a file, letters.
+WIDTH = 140
 
 
 def main(
@@ -57,14 +59,15 @@ def main(
         raise ValueError("draws: a whole number ≥ 1 is wanted")
     check_outputs(None, json)
     console = Console()
+    if not console.is_terminal:
+        console = Console(width=WIDTH)
     here = own_bits()
     wanted = (32, 64) if precision == "both" else (int(precision),)
     chosen = select(all_situations(), only)
-    names = [one.name for one in chosen]
     rows: list[Row] = []
     with contextlib.ExitStack() as stack:
         others = [
-            stack.enter_context(Elsewhere(bits, names, count, seed))
+            stack.enter_context(Elsewhere(bits, only, count, seed))
             for bits in wanted
             if bits != here
         ]

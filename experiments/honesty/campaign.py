@@ -86,13 +86,14 @@ def alarms_of(rows: Iterable[Row], bits: int) -> tuple[int, int]:
 class Elsewhere:
     """The same campaign in the other precision, in a process of its own."""
 
-    def __init__(self, bits: int, names: Sequence[str], draws: int, seed: int):
+    def __init__(self, bits: int, only: Sequence[str], draws: int, seed: int):
         """Starts it."""
         self._folder = tempfile.TemporaryDirectory()
         self._path = Path(self._folder.name) / "rows.json"
         command = [sys.executable, "-m", "experiments.honesty"]
         command += ["--precision", str(bits), "--json", str(self._path)]
-        command += ["--draws", str(draws), "--seed", str(seed), "--only", *names]
+        command += ["--draws", str(draws), "--seed", str(seed)]
+        command += ["--only", *only] if only else []
         environment = os.environ | {"JAX_ENABLE_X64": "1" if bits == 64 else "0"}
         self._process = subprocess.Popen(
             command,
@@ -107,8 +108,9 @@ class Elsewhere:
 
     def __exit__(self, *what: object) -> None:
         # Whoever interrupts this process wants the other one to end too.
-        self._process.kill()
-        self._process.communicate()
+        if self._process.poll() is None:
+            self._process.kill()
+            self._process.communicate()
         self._folder.cleanup()
 
     def rows(self) -> list[Row]:
@@ -120,10 +122,10 @@ class Elsewhere:
         if self._process.returncode not in (0, 1) or not self._path.exists():
             raise RuntimeError(f"the other precision failed:\n{complaint[-2000:]}")
         found = json.loads(self._path.read_text(encoding="utf-8"))
-        return [_read(row) for row in found["rows"]]
+        return [row_from(row) for row in found["rows"]]
 
 
-def _read(row: dict[str, Any]) -> Row:
+def row_from(row: dict[str, Any]) -> Row:
     """A row from JSON, which has no NaN and no tuples."""
     verdict = {name: _value(value) for name, value in row.pop("verdict").items()}
     return Row(**row, verdict=Verdict(**verdict))

@@ -14,7 +14,7 @@ from experiments.honesty.answers import LEVEL
 
 CHANCE = 1e-5
 
-Marks = Bool[np.ndarray, "draws parameters"]
+Each = Bool[np.ndarray, "draws parameters"]
 
 
 def share(held: np.ndarray, counted: np.ndarray | bool = True) -> float:
@@ -24,7 +24,7 @@ def share(held: np.ndarray, counted: np.ndarray | bool = True) -> float:
 
 
 def limits(
-    inside: Marks, counted: Marks, promised: tuple[float, float]
+    inside: Each, counted: Each, promised: tuple[float, float]
 ) -> tuple[float, float]:
     """Shares of intervals of `LEVEL` between which nothing is wrong.
 

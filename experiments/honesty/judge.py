@@ -4,9 +4,7 @@
   finite and the draw was not doubted: over all parameters, and for each of them. Of
   draws where something lies on its bound, which are not usual ones, they are to hold
   the other parameters 80 % of the time.
-- An estimate far off wants a warning, in 99 % of the draws where there is one. Far is
-  more than five of its errors; for one on its bound, whose error is one-sided and may
-  have the tail of an exponential distribution, the square of that.
+- An estimate far off wants a warning: in 99 % of the draws where there is one.
 - Where the model is right, at most 1 % of the draws may be doubted.
 - What the data cannot identify may have no small error.
 
@@ -17,15 +15,11 @@ import dataclasses
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool
 
 from experiments.honesty.answers import Answers
-from experiments.honesty.chance import Marks, limits, share, too_many
-from experiments.honesty.words import (
-    doubts,
-    is_doubtful,
-    unknown_words,
-)
+from experiments.honesty.chance import Each, limits, share, too_many
+from experiments.honesty.marks import FAR, Marks, look
+from experiments.honesty.words import doubts, unknown_words
 
 Kind = Literal["right", "open", "doubtful", "wrong"]
 """`right`: the model is; `open`: it is, and the data cannot identify something;
@@ -37,13 +31,10 @@ PROMISED = (0.92, 0.98)
 BESIDE = (0.8, 1.0)
 ALARMS = 0.01
 MISLED = 0.01
-FAR = 5.0
 # An error is small if its interval takes less than this share of the box.
 SMALL = 0.25
 # A right model of which more is said not to be identifiable was not fitted at all.
 SILENT = 0.2
-# Of a number: below it, an error is one of arithmetic.
-ROUNDING = 1e-12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,38 +69,6 @@ class Verdict:
     words: dict[str, int]
 
 
-@dataclasses.dataclass(frozen=True)
-class _Marks:
-    """What is asked of every number of the draws, and of every draw."""
-
-    finite: Marks
-    trusted: Marks
-    inside: Marks
-    bound: Marks
-    astray: Marks
-    doubted: Bool[np.ndarray, " draws"]
-
-    @property
-    def free(self) -> Marks:
-        """Trusted, and not on a bound."""
-        return self.trusted & ~self.bound
-
-    @property
-    def beside(self) -> Marks:
-        """Free, in draws where something lies on its bound."""
-        return self.free & self.bound.any(axis=1, keepdims=True)
-
-    @property
-    def far(self) -> Bool[np.ndarray, " draws"]:
-        """Draws in which an estimate is far off."""
-        return np.any(self.astray & self.finite, axis=1)
-
-    @property
-    def misled(self) -> Bool[np.ndarray, " draws"]:
-        """Those of them without a warning."""
-        return self.far & ~self.doubted
-
-
 def judge(
     answers: Answers, kind: Kind, free: tuple[str, ...] = (), wide: bool = False
 ) -> Verdict:
@@ -121,36 +80,29 @@ def judge(
     - `free`: leaves, or labels, that the data cannot identify.
     - `wide`: whether intervals may be too wide here.
     """
-    marks = _look(answers)
-    faults, notes = [], []
-    if kind != "wrong":
-        faults += _intervals(answers.labels, marks)
-        much = share(marks.inside, marks.trusted)
-        if much > limits(marks.inside, marks.trusted, PROMISED)[1]:
-            allowed = wide or marks.bound.any()
-            words = f"intervals are too wide: {much:.1%} hold the truth"
-            notes, faults = (["wide"], faults) if allowed else (notes, [*faults, words])
-    elif not marks.far.any():
-        notes.append("harmless")
-    faults += _misleading(marks, kind)
-    if kind in RIGHT_KINDS and too_many(
-        marks.doubted.sum(), len(marks.doubted), ALARMS
-    ):
-        faults.append(f"{marks.doubted.mean():.1%} of the draws are false alarms")
-    if kind == "right" and share(~marks.finite) > SILENT:
-        faults.append("much is said not to be identifiable")
-    faults += _small_errors(answers, free, ~marks.doubted)
-    faults += [
-        f"a warning of unknown kind: {one}" for one in unknown_words(answers.warnings)
+    marks, labels = look(answers), answers.labels
+    too_wide = kind != "wrong" and _too_wide(marks)
+    allowed = wide or bool(marks.bound.any())
+    worst, worst_label = _worst(labels, marks)
+    faults = [
+        *(_intervals(labels, marks) if kind != "wrong" else ()),
+        *(["intervals are too wide"] if too_wide and not allowed else ()),
+        *_misleading(marks, kind),
+        *(_alarms(marks, kind) if kind in RIGHT_KINDS else ()),
+        *_small_errors(answers, free, ~marks.doubted),
+        *(f"a warning of unknown kind: {x}" for x in unknown_words(answers.warnings)),
     ]
-    worst, label = _worst(answers.labels, marks)
+    notes = [
+        *(["wide"] if too_wide and allowed else ()),
+        *(["harmless"] if kind == "wrong" and not marks.far.any() else ()),
+    ]
     return Verdict(
         draws=len(marks.doubted),
         coverage=share(marks.inside, marks.trusted),
         at_bound=share(marks.inside, marks.bound),
         beside=share(marks.inside, marks.beside),
         worst=worst,
-        worst_label=label,
+        worst_label=worst_label,
         pulls=_pulls(answers, marks.free),
         doubted=share(marks.doubted),
         far=share(marks.far),
@@ -162,26 +114,22 @@ def judge(
     )
 
 
-def _look(answers: Answers) -> _Marks:
-    doubted = np.array([any(map(is_doubtful, said)) for said in answers.warnings])
-    finite = np.isfinite(answers.error)
-    slack = ROUNDING * np.abs(answers.truth)
-    truth, off = answers.truth, np.abs(answers.estimate - answers.truth)
-    trusted = finite & ~doubted[:, None]
-    # A bound that keeps an estimate from the truth is said to lie there.
-    kept = (truth < answers.box[:, 0]) | (truth > answers.box[:, 1])
-    reach = np.where(answers.at_bound, FAR**2, FAR) * answers.error
-    return _Marks(
-        finite=finite,
-        trusted=trusted,
-        inside=(answers.low <= truth + slack) & (truth - slack <= answers.high),
-        bound=trusted & answers.at_bound,
-        astray=~(off <= reach + slack) & ~(kept & answers.at_bound),
-        doubted=doubted,
-    )
+def _too_wide(marks: Marks) -> bool:
+    most = limits(marks.inside, marks.trusted, PROMISED)[1]
+    return share(marks.inside, marks.trusted) > most
 
 
-def _intervals(labels: tuple[str, ...], marks: _Marks) -> list[str]:
+def _alarms(marks: Marks, kind: Kind) -> list[str]:
+    """A right model that is doubted, or of which hardly anything is answered."""
+    faults = []
+    if too_many(marks.doubted.sum(), len(marks.doubted), ALARMS):
+        faults.append(f"{marks.doubted.mean():.1%} of the draws are false alarms")
+    if kind == "right" and share(~marks.finite) > SILENT:
+        faults.append("much is said not to be identifiable")
+    return faults
+
+
+def _intervals(labels: tuple[str, ...], marks: Marks) -> list[str]:
     """Those that hold the truth too seldom."""
     faults = []
     for where, counted, promised in (
@@ -202,7 +150,7 @@ def _intervals(labels: tuple[str, ...], marks: _Marks) -> list[str]:
     return faults + ([f"too short alone: {', '.join(low)}"] if low else [])
 
 
-def _misleading(marks: _Marks, kind: Kind) -> list[str]:
+def _misleading(marks: Marks, kind: Kind) -> list[str]:
     """Draws that are far off without a word.
 
     Of a wrong model, warnings are to come in most draws that need one; of others, few
@@ -235,7 +183,7 @@ def _small_errors(
     return faults
 
 
-def _worst(labels: tuple[str, ...], marks: _Marks) -> tuple[float, str]:
+def _worst(labels: tuple[str, ...], marks: Marks) -> tuple[float, str]:
     """The parameter whose intervals hold the truth least often."""
     # A share of a few draws says little.
     enough = max(10, len(marks.doubted) // 10)
@@ -248,7 +196,7 @@ def _worst(labels: tuple[str, ...], marks: _Marks) -> tuple[float, str]:
     return shares.get(label, np.nan), label
 
 
-def _pulls(answers: Answers, counted: Marks) -> float:
+def _pulls(answers: Answers, counted: Each) -> float:
     if not counted.any():
         return np.nan
     off = (answers.estimate - answers.truth)[counted]

@@ -1,0 +1,77 @@
+"""What is asked of every number of the draws, and of every draw."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool
+
+from experiments.honesty.answers import Answers
+from experiments.honesty.chance import Each
+from experiments.honesty.words import is_doubtful
+
+FAR = 5.0
+"""Errors that an estimate is off by, if it is far off. For one on its bound, whose
+error is one-sided and may have the tail of an exponential distribution, the square."""
+
+# Of a number: below it, an error is one of arithmetic.
+ROUNDING = 1e-12
+
+
+@dataclasses.dataclass(frozen=True)
+class Marks:
+    """Answers next to the truth.
+
+    - `finite`: whether a number has a finite error; `trusted`: and its draw no warning
+        about the fit;
+    - `inside`: whether its interval holds the truth;
+    - `bound`: whether it is trusted and lies on its bound;
+    - `astray`: whether it is far off, see `FAR`;
+    - `doubted`: whether a draw has a warning about the fit, or no answer.
+    """
+
+    finite: Each
+    trusted: Each
+    inside: Each
+    bound: Each
+    astray: Each
+    doubted: Bool[np.ndarray, " draws"]
+
+    @property
+    def free(self) -> Each:
+        """Trusted, and not on a bound."""
+        return self.trusted & ~self.bound
+
+    @property
+    def beside(self) -> Each:
+        """Free, in draws where something lies on its bound."""
+        return self.free & self.bound.any(axis=1, keepdims=True)
+
+    @property
+    def far(self) -> Bool[np.ndarray, " draws"]:
+        """Draws in which an estimate is far off."""
+        return np.any(self.astray & self.finite, axis=1)
+
+    @property
+    def misled(self) -> Bool[np.ndarray, " draws"]:
+        """Those of them without a warning."""
+        return self.far & ~self.doubted
+
+
+def look(answers: Answers) -> Marks:
+    """Compare with the truth, and read the warnings."""
+    doubted = np.array([any(map(is_doubtful, said)) for said in answers.warnings])
+    finite = np.isfinite(answers.error)
+    truth, off = answers.truth, np.abs(answers.estimate - answers.truth)
+    slack = ROUNDING * np.abs(truth)
+    trusted = finite & ~doubted[:, None]
+    reach = np.where(answers.at_bound, FAR**2, FAR) * answers.error
+    # A bound that keeps an estimate from the truth is said to lie there.
+    kept = (truth < answers.box[:, 0]) | (truth > answers.box[:, 1])
+    return Marks(
+        finite=finite,
+        trusted=trusted,
+        inside=(answers.low <= truth + slack) & (truth - slack <= answers.high),
+        bound=trusted & answers.at_bound,
+        astray=~(off <= reach + slack) & ~(kept & answers.at_bound),
+        doubted=doubted,
+    )
