@@ -118,6 +118,7 @@ def summarize(
             ),
             *_misfit_words(correlation, inflation),
         ),
+        region=told.region,
         found=found,
     )
     return _with_noise_warning(result)
