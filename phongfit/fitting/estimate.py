@@ -1,17 +1,27 @@
 """From the solver's vector to numbers in the user's units, with their errors."""
 
 import dataclasses
+import functools
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from phongfit.fitting.diagnostics import SEEN
+from phongfit.fitting.exponents import Doubts, parts_over_exponents
+from phongfit.fitting.highlights import doubtful_exponents
 from phongfit.fitting.problem import Problem
-from phongfit.fitting.statistics import Pieces, Statistics, statistics
-from phongfit.fitting.sums import linearize
+from phongfit.fitting.region import Part, Region
+from phongfit.fitting.statistics import (
+    Pieces,
+    Statistics,
+    quadratic_about,
+    statistics,
+)
 from phongfit.fitting.unknowns import Unknowns, in_units
+
+# From this error of log f on, one quadratic does not tell what else f may be.
+VAGUE = 0.1
+# Errors that a bound makes larger by this factor are not those of the covariance.
+MISLEADING = 1.25
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,15 +36,20 @@ class Estimates:
     free: int
     chi_squared: float
     reasons: tuple[str, ...]
+    region: Region
 
 
 Estimates.__init__.__doc__ = """**Arguments:**
 
-- `values`, `errors`: infinite errors for what cannot be told; at a bound one-sided.
-- `covariance`: NaN rows for entries at a bound or not told.
+- `values`, `errors`: the larger side of the interval in which Δχ² stays below 1;
+    infinite errors for what cannot be told.
+- `covariance`: of what is free, where what lies at a bound stays there; NaN rows for
+    entries at a bound or not told, and for those whose error a bound or an exponent
+    that is hardly identified makes larger than that by a quarter.
 - `free`: how many numbers were free and told.
 - `chi_squared`: residuals, priors' too, in standard deviations, squared and summed.
 - `reasons`: why some cannot be told, in words.
+- `region`: intervals at any level.
 """
 
 
@@ -55,95 +70,116 @@ def estimates(
     unknowns = problem.unknowns
     place = in_units(unknowns, y) if place is None else place
     found = statistics(problem, y, inflation, pieces)
-    untold, reasons = _beyond_sense(problem, y, found)
-    at_bound = found.at_bound & ~untold
+    position = np.asarray(y, float)
     entries, slope = (np.asarray(a, float) for a in place)
+    values = np.clip(entries[unknowns.reported], *unknowns.bounds.T)
     touched = slope != 0
-    hidden = touched[:, untold].any(axis=1)
-    bound = touched[:, at_bound].any(axis=1) & ~hidden
-
-    known = ~untold & ~at_bound
-    inner = np.where(np.outer(known, known), found.covariance, 0)
+    inner = np.where(np.isfinite(found.covariance), found.covariance, 0)
     covariance = slope @ inner @ slope.T
     errors = np.sqrt(np.diag(covariance))
-    one_sided = np.where(at_bound, found.stderr, 0)
-    errors = np.where(bound, np.abs(slope) @ one_sided, errors)
+
+    unseen, faint = doubtful_exponents(unknowns, position, found)
+    vague = _vague(unknowns, position, found, unseen)
+    make = functools.partial(_one_part, found, unknowns, position)
+    if vague.any():
+        doubts = Doubts(vague, unseen, faint)
+        parts = parts_over_exponents(problem, y, found, inflation, doubts)
+        make = functools.partial(tuple, parts)
+    region = Region(
+        values,
+        slope,
+        unknowns.forms[unknowns.reported] == "logarithm",
+        unknowns.bounds,
+        np.zeros(len(values), bool),
+        make,
+    )
+    untold, reasons = found.untold | unseen, [*found.reasons]
+    if vague.any() or _near_bounds(unknowns, position, found):
+        ends = region.ends(1.0)
+        errors = np.max(np.abs(ends - values[:, None]), axis=1)
+        wide = np.all(ends == unknowns.bounds, axis=1) & np.isfinite(errors)
+        untold |= touched[wide].any(axis=0)
+    directions = np.isin(unknowns.forms[unknowns.owned], ("direction", "rotation"))
+    untold |= directions & (found.stderr > np.pi / 2)
+    reasons += _reasons(unknowns, untold & ~found.untold, unseen)
+
+    at_bound = found.at_bound & ~untold
+    hidden = touched[:, untold].any(axis=1)
+    bound = touched[:, at_bound].any(axis=1) & ~hidden
     errors = np.where(hidden, np.inf, errors)
-    covariance[hidden | bound, :] = covariance[:, hidden | bound] = np.nan
+    with np.errstate(invalid="ignore"):
+        misled = errors > MISLEADING * np.sqrt(np.diag(covariance))
+    without = hidden | bound | misled
+    covariance[without, :] = covariance[:, without] = np.nan
     covariance[hidden, hidden] = np.inf
-    values = np.clip(entries[unknowns.reported], *unknowns.bounds.T)
     return Estimates(
         values,
         errors,
         covariance,
         bound,
         hidden,
-        int(known.sum()),
+        int(np.count_nonzero(~untold & ~at_bound)),
         found.chi_squared,
-        reasons,
+        tuple(reasons),
+        dataclasses.replace(region, open_ended=hidden),
     )
 
 
-def _beyond_sense(
-    problem: Problem, y: Float[Array, " n"], found: Statistics
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Unknowns whose error, though finite, says that nothing is known."""
-    unknowns = problem.unknowns
-    position = np.asarray(y)
-    untold = found.untold.copy()
-    reasons = [*found.reasons]
+def _one_part(
+    found: Statistics, unknowns: Unknowns, position: Float[np.ndarray, " n"]
+) -> tuple[Part, ...]:
+    """One quadratic for all."""
+    everything = np.arange(len(position))
+    quadratic = quadratic_about(found, unknowns, position, everything)
+    return (Part(everything, (quadratic,)),)
+
+
+def _near_bounds(
+    unknowns: Unknowns, position: Float[np.ndarray, " n"], found: Statistics
+) -> bool:
+    """Whether a bound may cut an interval of one standard error."""
+    lower, upper = np.asarray(unknowns.lower), np.asarray(unknowns.upper)
+    with np.errstate(invalid="ignore"):
+        near = np.minimum(position - lower, upper - position) < found.stderr
+    return bool(np.any(found.at_bound | (near & ~found.untold)))
+
+
+def _vague(
+    unknowns: Unknowns,
+    position: Float[np.ndarray, " n"],
+    found: Statistics,
+    unseen: Bool[np.ndarray, " n"],
+) -> Bool[np.ndarray, " n"]:
+    """Exponents that one quadratic does not do for."""
+    exponents = unknowns.logarithmic
+    if found.untold[~exponents].all():
+        return np.zeros(len(position), bool)
+    with np.errstate(invalid="ignore"):
+        vague = exponents & (unseen | (found.stderr > VAGUE))
+    held = np.flatnonzero(exponents & found.at_bound & ~vague)
+    if len(held):
+        (part,) = _one_part(found, unknowns, position)
+        ends = part.ends(np.eye(len(position))[held], 1.0)
+        vague[held] = np.abs(ends).max(axis=1) > VAGUE
+    return vague
+
+
+def _reasons(
+    unknowns: Unknowns,
+    untold: Bool[np.ndarray, " n"],
+    unseen: Bool[np.ndarray, " n"],
+) -> list[str]:
+    """Why the Jacobian does not leave these open, but the data do."""
     labels = np.array(unknowns.y_labels)
     kinds, owners = unknowns.kinds, unknowns.owners
-    with np.errstate(invalid="ignore"):
-        vague = ~untold & (found.stderr > _width(unknowns))
-        # An unknown light scales a highlight, but cannot make one out of nothing.
-        dark = (kinds == "specular") & (position < SEEN * found.apart)
-    for label in dict.fromkeys(labels[vague]):
-        reasons.append(f"{label} cannot be told: its error is wider than its bounds")
-    untold |= vague
-    for owner in np.unique(owners[kinds == "specular"]):
-        if dark[(kinds == "specular") & (owners == owner)].all():
-            unseen = (kinds == "shininess") & (owners == owner) & ~untold
-            for label in labels[unseen]:
-                reasons.append(
-                    f"{label} cannot be told: specular is 0 within its error"
-                )
-            untold |= unseen
-    for entry in np.flatnonzero((kinds == "specular") & ~untold):
-        exponents = (kinds == "shininess") & (owners == owners[entry])
-        if exponents.any() and untold[exponents].all():
-            if not _told_for_all_exponents(problem, position, int(entry), exponents):
-                words = "some exponents would hide the highlight where no pixel is used"
-                reasons.append(f"{labels[entry]} cannot be told: {words}")
-                untold[entry] = True
-    return untold, tuple(reasons)
-
-
-def _width(unknowns: Unknowns) -> np.ndarray:
-    """How wide the box is; an angle's is a quarter of a circle."""
-    width = np.asarray(unknowns.upper, float) - np.asarray(unknowns.lower, float)
-    is_angle = np.isin(unknowns.forms[unknowns.owned], ("direction", "rotation"))
-    return np.where(is_angle, np.pi / 2, width)
-
-
-def _told_for_all_exponents(
-    problem: Problem, y: np.ndarray, entry: int, exponents: np.ndarray
-) -> bool:
-    """Whether a reflectance is told whatever the exponent, which is not, may be."""
-    lower, upper = (
-        np.asarray(edge) for edge in (problem.unknowns.lower, problem.unknowns.upper)
-    )
-    for share in np.linspace(0, 1, 7):
-        there = y.copy()
-        low, high = lower[exponents], upper[exponents]
-        there[exponents] = low + share * (high - low)
-        felt = float(_curvature(problem, jnp.asarray(there, y.dtype))[entry])
-        # In standard deviations, and the other unknowns only add to it.
-        if 1 / (np.sqrt(felt) + 1e-30) > upper[entry] - lower[entry]:
-            return False
-    return True
-
-
-@eqx.filter_jit
-def _curvature(problem: Problem, y: Float[Array, " n"]) -> Float[Array, " n"]:
-    return jnp.diag(linearize(problem, y).jacobian.gram())
+    hiding = (kinds == "specular") & np.isin(owners, owners[unseen])
+    words = {
+        "its error is wider than its bounds": ~unseen & ~hiding,
+        "specular is 0 within its error": unseen,
+        "some exponents would hide the highlight where no pixel is used": hiding,
+    }
+    return [
+        f"{label} cannot be told: {why}"
+        for why, chosen in words.items()
+        for label in dict.fromkeys(labels[untold & chosen])
+    ]

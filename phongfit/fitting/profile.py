@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from phongfit.fitting.estimate import estimates
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.quantiles import fisher_quantile, student_reach
 from phongfit.fitting.search import Found
 from phongfit.fitting.solution import solve
+from phongfit.fitting.statistics import quadratic_about, statistics
 from phongfit.fitting.sums import linearize
 from phongfit.fitting.table import number_with_error
-from phongfit.fitting.unknowns import Unknowns, in_units
+from phongfit.fitting.unknowns import Unknowns
 
 # One, two and three standard deviations of a normal distribution.
 LEVELS = (0.6827, 0.9545, 0.9973)
@@ -164,17 +164,18 @@ class _Held:
         self.places = [_place(unknowns, label) for label in labels]
         self.lower = np.asarray(unknowns.lower)
         self.upper = np.asarray(unknowns.upper)
-        told = estimates(found.problem, found.y, inflation=inflation)
+        told = statistics(found.problem, found.y, inflation)
+        about = quadratic_about(
+            told, unknowns, np.asarray(found.y, float), np.arange(len(self.lower))
+        )
+        along = np.eye(len(self.lower))[self.places]
         self.errors = np.zeros(len(self.lower))
-        slope = np.abs(np.asarray(in_units(unknowns, found.y)[1], float))
-        ratios = []
-        for place in self.places:
-            (entry,) = np.flatnonzero(slope[:, place] > 0)[:1]
-            error = told.errors[entry] / slope[entry, place]
-            width = self.upper[place] - self.lower[place]
-            self.errors[place] = min(error, width / 2) if error > 0 else width / 2
-            if np.isfinite(error) and not told.at_bound[entry]:
-                ratios.append(self._spread(place) / error)
+        self.errors[self.places] = np.abs(about.ends(along, 1.0)).max(axis=1)
+        ratios = [
+            self._spread(place) / told.stderr[place]
+            for place in self.places
+            if np.isfinite(told.stderr[place])
+        ]
         # A sandwich covariance is not what the curvature says: nor is the profile.
         self.scale = float(np.mean(ratios)) ** 2 if ratios else 1.0
         self.least = total_cost(self.problem, self.best)

@@ -1,5 +1,7 @@
 """Quantiles that intervals rest on; SciPy is imported by who asks for one."""
 
+import math
+
 
 def student_reach(level: float, freedom: int) -> float:
     """Half width of the interval that holds Student's t with a chance of `level`.
@@ -9,6 +11,29 @@ def student_reach(level: float, freedom: int) -> float:
     from scipy.special import stdtrit
 
     return float(stdtrit(max(freedom, 1), (1 + level) / 2))
+
+
+def chi_squared_reach(deviations: float, count: int) -> float:
+    r"""What $\chi^2$ of `count` numbers exceeds as rarely as one its deviations.
+
+    ??? cite "Source"
+        Wilson and Hilferty, *The distribution of chi-square*, Proc. Natl. Acad. Sci.
+        17, 1931: to 2 % from three numbers on, and above it for fewer.
+    """
+    if count == 1:
+        return deviations**2
+    spread = 2 / (9 * count)
+    return count * (1 - spread + deviations * spread**0.5) ** 3
+
+
+def two_for_one(level: float) -> float:
+    r"""What $\chi^2$ of two numbers exceeds as rarely as that of one does `level`.
+
+    With the normal distribution's tail $Q$ it is $-2 \ln 2 Q(\sqrt l)$.
+    """
+    tail = math.erfc(math.sqrt(level / 2))
+    # Far out, where the tail is too small a number, the two differ by little.
+    return -2 * math.log(tail) if tail > 1e-300 else level
 
 
 def fisher_quantile(level: float, count: int, freedom: int) -> float:

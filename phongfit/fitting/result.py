@@ -12,6 +12,7 @@ from jaxtyping import Float
 from phongfit.fitting.misfit import Misfit
 from phongfit.fitting.profile import LEVELS, profile, profile_pair
 from phongfit.fitting.quantiles import student_reach
+from phongfit.fitting.region import Region
 from phongfit.fitting.search import Found
 from phongfit.fitting.table import fit_table
 from phongfit.fitting.unknowns import Unknowns
@@ -71,6 +72,7 @@ class Fit:
     steps: int
     reason: str
     warnings: tuple[str, ...]
+    region: Region = dataclasses.field(compare=False)
     found: Found = dataclasses.field(compare=False)
 
     def __getitem__(self, name: str) -> Estimate:
@@ -103,9 +105,7 @@ class Fit:
         """
         if not 0 < level < 1:
             raise ValueError(f"level: {level!r} came, a number in (0, 1) is wanted")
-        reach = student_reach(level, self.degrees_of_freedom)
-        edges = self.values[:, None] + reach * self.errors[:, None] * [[-1, 1]]
-        return np.clip(edges, self.bounds[:, :1], self.bounds[:, 1:])
+        return self.region.ends(student_reach(level, self.degrees_of_freedom) ** 2)
 
     def profile(
         self, name: str, other: str | None = None, *, levels: Sequence[float] = LEVELS

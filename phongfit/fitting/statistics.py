@@ -1,15 +1,16 @@
 """From the Jacobian at the solution to error bars, and to what they cannot say."""
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from phongfit.fitting.leaves import LEAVES
+from phongfit.fitting.identifiability import threshold, unidentified, unit_diagonal
+from phongfit.fitting.intervals import SHARE, WIDTHS, Quadratic
 from phongfit.fitting.noise import median_deviation, shared_rounding_variance
 from phongfit.fitting.problem import Evaluation, Problem
 from phongfit.fitting.sums import Linearization, linearize
@@ -21,20 +22,64 @@ from phongfit.programs import program
 class Statistics:
     """Uncertainty of a solution in the solver's units.
 
-    `covariance` is that of the unknowns that are free and can be told: NaN for those at
-    a bound, infinite variance for those that cannot be told. `stderr` is its root, save
-    at a bound: there it is how far into the box the data let the unknown go (the cost
-    rises by one σ²). `apart` are the errors of the material's unknowns if those of the
-    scenes were known; infinite for what no sample depends on.
+    `covariance` is that of the unknowns that are free and can be told, those at a bound
+    held there: NaN for these, infinite variance for those that cannot be told. `spread`
+    is the standard error that the curvature of the cost alone would give. `sums` are
+    what intervals are made of: see [`as_quadratic`][].
     """
 
+    sums: "Sandwich"
     covariance: np.ndarray
-    stderr: np.ndarray
-    apart: np.ndarray
+    spread: np.ndarray
     untold: np.ndarray
     at_bound: np.ndarray
     chi_squared: float
     reasons: tuple[str, ...]
+
+    @property
+    def stderr(self) -> np.ndarray:
+        """Standard errors of what is free."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def scale(self) -> float:
+        """What the cost's own rise is to be multiplied by, as the variances say."""
+        ratios = (self.spread / self.stderr)[np.isfinite(self.stderr)] ** 2
+        return float(np.mean(ratios)) if len(ratios) else 1.0
+
+
+class Sandwich(NamedTuple):
+    r"""What $B^{-1} M B^{-1}$ is made of at a point, in double precision.
+
+    - `bread`: $B$, the curvature of half the cost.
+    - `meat`: $M$, the covariance of its gradient, widened for residuals that are not
+        independent.
+    - `pull`: that gradient.
+    - `inside`: $J^\top J$ of the samples that are not white.
+    - `resolution`: of the numbers that the sums were made of.
+    """
+
+    bread: np.ndarray
+    meat: np.ndarray
+    pull: np.ndarray
+    inside: np.ndarray
+    resolution: float
+
+    def part(self, chosen: np.ndarray) -> "Sandwich":
+        """That of some unknowns, the others known."""
+        both = np.ix_(chosen, chosen)
+        return Sandwich(
+            self.bread[both],
+            self.meat[both],
+            self.pull[chosen],
+            self.inside[both],
+            self.resolution,
+        )
+
+    def covariance(self) -> np.ndarray:
+        """Of all unknowns, as if none had a bound."""
+        inverse = _inverse(self.bread, self.resolution)
+        return inverse @ self.meat @ inverse
 
 
 def statistics(
@@ -51,65 +96,119 @@ def statistics(
     - `inflation`: factor on all variances for residuals that are not independent.
     - `pieces`: sums over the samples, if they are at hand.
     """
-    found = _in_numpy(add_up(problem, y) if pieces is None else pieces)
-    resolution = float(np.finfo(y.dtype).eps)
-    exact = found.exact
-    if _too_coarse(found.inside, resolution):
-        found = _in_numpy(_pieces_in_double(problem, y))
-    if exact:
-        # What is left over is rounding of the arithmetic, which samples share.
-        inflation = inflation * float(np.sum(np.asarray(problem.samples.weight) > 0))
-    bread, meat = found.bread, found.meat
-    if found.shared > 1e-6:
-        meat = meat + found.loss_variance * _shared_rounding(problem, y)
+    found = in_numpy(add_up(problem, y) if pieces is None else pieces)
+    sums = sandwich(problem, y, inflation, found)
     position = np.asarray(y)
-    lower, upper = (
-        np.asarray(problem.unknowns.lower),
-        np.asarray(problem.unknowns.upper),
+    unknowns = problem.unknowns
+    at_bound = (position <= np.asarray(unknowns.lower)) | (
+        position >= np.asarray(unknowns.upper)
     )
-    at_bound = (position <= lower) | (position >= upper)
-    untold, reasons = _untold(found.inside, problem.unknowns, resolution)
+    untold, reasons = unidentified(sums.inside, unknowns, sums.resolution)
     at_bound &= ~untold
 
     size = len(position)
-    covariance = np.full((size, size), np.nan)
+    covariance, spread = np.full((size, size), np.nan), np.full(size, np.nan)
     free = ~at_bound
-    inverse = _inverse(bread[np.ix_(free, free)], resolution)
-    covariance[np.ix_(free, free)] = (
-        inflation * inverse @ meat[np.ix_(free, free)] @ inverse
-    )
+    part = sums.part(free)
+    inverse = _inverse(part.bread, part.resolution)
+    covariance[np.ix_(free, free)] = inverse @ part.meat @ inverse
+    spread[free] = np.sqrt(np.diag(inverse))
     covariance[untold, :] = covariance[:, untold] = np.nan
     covariance[untold, untold] = np.inf
-    stderr = np.sqrt(np.diag(covariance))
-    pull = np.abs(found.pull)
-    for k in np.flatnonzero(at_bound):
-        others = np.append(np.flatnonzero(free & ~untold), k)
-        inverse = _inverse(bread[np.ix_(others, others)], resolution)
-        variance = (inverse @ meat[np.ix_(others, others)] @ inverse)[-1, -1]
-        curvature = 1 / inverse[-1, -1]
-        rise = inflation * variance * curvature
-        # pull·d + curvature·d²/2 = rise/2, solved without cancellation.
-        stderr[k] = rise / (pull[k] + np.sqrt(pull[k] ** 2 + rise * curvature))
-    apart = np.full(size, np.inf)
-    material = np.isin(problem.unknowns.kinds, LEAVES)
-    specular = problem.unknowns.kinds == "specular"
-    audible = ~_silent(found.inside, resolution)
-    heard = np.flatnonzero(material & (free | specular) & audible)
-    inverse = _inverse(bread[np.ix_(heard, heard)], resolution)
-    variance = np.diag(inverse @ meat[np.ix_(heard, heard)] @ inverse)
-    apart[heard] = np.sqrt(inflation * np.maximum(variance, 0))
-    return Statistics(
-        covariance,
-        stderr,
-        apart,
-        untold,
-        at_bound,
-        float(found.chi_squared),
-        reasons,
+    chi_squared = float(found.chi_squared)
+    return Statistics(sums, covariance, spread, untold, at_bound, chi_squared, reasons)
+
+
+def sandwich(
+    problem: Problem, y: Float[Array, " n"], inflation: float, pieces: Any
+) -> Sandwich:
+    """The sums at a point, in double precision where single leaves them open.
+
+    **Arguments:** `pieces`: those of [`add_up`][], as NumPy's arrays.
+    """
+    resolution, found = float(np.finfo(y.dtype).eps), pieces
+    if found.exact:
+        # What is left over is rounding of the arithmetic, which samples share.
+        inflation = inflation * float(np.sum(np.asarray(problem.samples.weight) > 0))
+    if _too_coarse(found.inside, resolution):
+        found = in_numpy(_pieces_in_double(problem, y))
+    meat = found.meat
+    if found.shared > 1e-6:
+        meat = meat + found.loss_variance * _shared_rounding(problem, y)
+    return Sandwich(found.bread, inflation * meat, found.pull, found.inside, resolution)
+
+
+def as_quadratic(
+    sums: Sandwich,
+    lower: Float[np.ndarray, " n"],
+    upper: Float[np.ndarray, " n"],
+    *,
+    steep: Bool[np.ndarray, " n"] | None = None,
+    rise: float = 0.0,
+    center: Float[np.ndarray, " n"] | None = None,
+) -> Quadratic:
+    r"""$\Delta\chi^2$ about a point, of which a sandwich is the covariance.
+
+    Without bounds the estimates would have the covariance $V = B^{-1} M B^{-1}$; a cost
+    that is curved by $V^{-1}$ says of them what $\chi^2$ says where $M = B$.
+
+    **Arguments:**
+
+    - `sums`: there.
+    - `lower`, `upper`: the box, in steps from the point.
+    - `steep`: true for what was held there, and is not at its best.
+    - `rise`: of $\chi^2$ there.
+    - `center`: the point, as a step from the solution; default none.
+    """
+    scaled, root = unit_diagonal(sums.bread)
+    values, vectors = np.linalg.eigh(scaled)
+    told = values > threshold(sums.resolution)
+    half = vectors[:, told] * np.sqrt(values[told])
+    dual = vectors[:, told] / np.sqrt(values[told])
+    # What the meat is in units of the bread: 1 where residuals are as expected.
+    core = dual.T @ (sums.meat / np.outer(root, root)) @ dual
+    shares, axes = np.linalg.eigh(core)
+    # Rounding may leave nothing, or less, of a direction that is hardly told.
+    shares = np.maximum(shares, 1e-6 * shares.max(initial=1e-30))
+    half = half @ axes
+    precision = (half / shares) @ half.T * np.outer(root, root)
+    # P B⁻¹ is the factor between a gradient of the cost and one of this.
+    slope = root * ((half / shares) @ (axes.T @ (dual.T @ (sums.pull / root))))
+    # Of what is free the slope is rounding; a bound holds back what would fall.
+    slope_held = np.where(lower >= 0, np.maximum(slope, 0), 0)
+    slope_held = np.where(upper <= 0, np.minimum(slope, 0), slope_held)
+    free = (lower < 0) & (upper > 0)
+    kept = free & (np.zeros_like(free) if steep is None else steep)
+    slope = np.where(kept, slope, np.where(free, 0, slope_held))
+    # Where the data leave a direction open, the box decides.
+    width = np.maximum(upper - lower, 1e-12)
+    known = np.diag(precision)
+    ridge = SHARE * known + 1 / (WIDTHS * width) ** 2 + 1e-30
+    center = np.zeros_like(slope) if center is None else center
+    return Quadratic(
+        (precision + precision.T) / 2 + np.diag(ridge),
+        slope,
+        lower,
+        upper,
+        rise,
+        center,
     )
 
 
-def _in_numpy(pieces: "Pieces") -> Any:
+def quadratic_about(
+    found: Statistics,
+    unknowns: Unknowns,
+    y: Float[np.ndarray, " n"],
+    group: Int[np.ndarray, " k"],
+) -> Quadratic:
+    """That of some unknowns about the solution, in all of their box."""
+    box = unknowns.lower, unknowns.upper
+    lower, upper = (np.asarray(edge, float)[group] - y[group] for edge in box)
+    return as_quadratic(found.sums.part(group), lower, upper)
+
+
+def in_numpy(pieces: "Pieces") -> Any:
+    """The same sums, as NumPy's in double precision."""
     return jax.tree.map(lambda part: np.asarray(part, float), pieces)
 
 
@@ -118,7 +217,7 @@ def _too_coarse(bread: np.ndarray, resolution: float) -> bool:
     if resolution < 1e-10 or not np.all(np.isfinite(bread)):
         return False
     heard = np.diag(bread) > 0
-    values = np.linalg.eigvalsh(_normalized(bread[np.ix_(heard, heard)])[0])
+    values = np.linalg.eigvalsh(unit_diagonal(bread[np.ix_(heard, heard)])[0])
     return bool(np.any(values < 1e4 * resolution))
 
 
@@ -250,88 +349,10 @@ def _shared_rounding(problem: Problem, y: Float[Array, " n"]) -> np.ndarray:
     return np.array(sums) @ np.array(sums).T
 
 
-def _normalized(bread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A matrix with a unit diagonal, and the roots of the old one (1 for 0)."""
-    root = np.sqrt(np.diag(bread))
-    root = np.where(root > 0, root, 1)
-    return bread / np.outer(root, root), root
-
-
-def _threshold(resolution: float) -> float:
-    """Eigenvalue of a normalised JᵀJ below which a direction is rounding alone."""
-    return max((32 * resolution) ** 2, 1e-14)
-
-
-def _silent(bread: np.ndarray, resolution: float) -> np.ndarray:
-    """Unknowns that the samples do not feel."""
-    diagonal = np.diag(bread)
-    return diagonal <= _threshold(resolution) * max(diagonal.max(), 1e-300)
-
-
 def _inverse(bread: np.ndarray, resolution: float) -> np.ndarray:
     """Inverse on the directions that can be told; 0 on the others."""
-    normalized, root = _normalized(bread)
-    values, vectors = np.linalg.eigh(normalized)
-    told = values > _threshold(resolution)
+    scaled, root = unit_diagonal(bread)
+    values, vectors = np.linalg.eigh(scaled)
+    told = values > threshold(resolution)
     inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T
     return inverse / np.outer(root, root)
-
-
-_SILENT = {
-    "ambient": "no ambient light falls on a pixel that is used",
-    "diffuse": "no light falls on a pixel that is used, or all of these are white",
-    "specular": "no pixel that is used sees a highlight",
-    "shininess": "there is no highlight: specular is 0, or no pixel sees it",
-    "emission": "all pixels that are used are white",
-}
-
-
-def _untold(
-    bread: np.ndarray, unknowns: Unknowns, resolution: float
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Which unknowns the Jacobian leaves open, and why, in words."""
-    labels = np.array(unknowns.y_labels)
-    kinds = unknowns.kinds
-    silent = _silent(bread, resolution)
-    reasons = [
-        f"{_listed(labels[silent & (kinds == kind)])} cannot be told: "
-        + _SILENT.get(kind, "no pixel that is used depends on it")
-        for kind in unknowns.names
-        if (silent & (kinds == kind)).any()
-    ]
-    untold = silent.copy()
-    heard = np.flatnonzero(~silent)
-    if len(heard):
-        normalized, _ = _normalized(bread[np.ix_(heard, heard)])
-        values, vectors = np.linalg.eigh(normalized)
-        null = vectors[:, values <= _threshold(resolution)]
-        # Vectors of one null space mix: the projection tells who takes part.
-        part = null @ null.T
-        mixed = np.diag(part) > 1e-4
-        untold[heard[mixed]] = True
-        for group in _groups(np.abs(part) > 1e-4, mixed):
-            names = _listed(labels[heard[group]])
-            if "," not in names:
-                names += ": its two angles"
-            reasons.append(f"{names} cannot be told apart: they change the image alike")
-    return untold, tuple(reasons)
-
-
-def _listed(labels: np.ndarray) -> str:
-    """Names, each once."""
-    return ", ".join(dict.fromkeys(labels.tolist()))
-
-
-def _groups(linked: np.ndarray, members: np.ndarray) -> list[np.ndarray]:
-    """Connected groups among the members of a symmetric relation."""
-    left = set(np.flatnonzero(members).tolist())
-    groups = []
-    while left:
-        group, frontier = set(), {min(left)}
-        while frontier:
-            group |= frontier
-            near = {int(j) for i in frontier for j in np.flatnonzero(linked[i])}
-            frontier = (near & left) - group
-        left -= group
-        groups.append(np.array(sorted(group)))
-    return groups

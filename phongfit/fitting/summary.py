@@ -133,6 +133,7 @@ def summarize(
             *([] if noise_given else clipped_words(pieces, effective, samples)),
             *outlier_words(problem, found.y, pieces),
         ),
+        region=told.region,
         found=found,
     )
 

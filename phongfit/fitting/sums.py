@@ -29,7 +29,7 @@ def colours(unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
     - (groups, 3, colours, n): one where samples of that group and channel are moved by
         this unknown of the colour.
     """
-    cells = _cells(unknowns)
+    cells = moved_samples(unknowns)
     taken: list[np.ndarray] = []
     colour_of = np.zeros(len(cells), int)
     for k, cell in enumerate(cells):
@@ -45,7 +45,7 @@ def colours(unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
     return tangents, select
 
 
-def _cells(unknowns: Unknowns) -> np.ndarray:
+def moved_samples(unknowns: Unknowns) -> np.ndarray:
     """(n, groups, 3): which samples each unknown moves."""
     images = unknowns.images if unknowns.differs_between_images else 1
     size = unknowns.lower.size

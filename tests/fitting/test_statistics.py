@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.fitting.identifiability import linked_groups, unidentified
 from phongfit.fitting.layout import make_unknowns
 from phongfit.fitting.leaves import LEAVES
-from phongfit.fitting.statistics import _groups, _untold
 from tests.fitting.scenes import TRUTH, as_vector, ball, developed, photograph
 
 SCENE = ball()
@@ -179,16 +179,16 @@ LAYOUT = make_unknowns(LEAVES[1:4], (), pf.Material(), {})
 )
 def test_who_cannot_be_told(rows, untold, words):
     jacobian = np.array(rows, float)
-    flags, reasons = _untold(jacobian.T @ jacobian, LAYOUT, 1e-7)
+    flags, reasons = unidentified(jacobian.T @ jacobian, LAYOUT, 1e-7)
     assert np.flatnonzero(flags).tolist() == untold
     assert len(reasons) == (0 if words is None else 1)
     if words:
         assert reasons[0].startswith(words)
 
 
-def test_groups():
+def testlinked_groups():
     linked = np.array(
         [[1, 1, 0, 0], [1, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=bool
     )
-    groups = _groups(linked, np.array([True, True, True, False]))
+    groups = linked_groups(linked, np.array([True, True, True, False]))
     assert [group.tolist() for group in groups] == [[0, 1], [2]]

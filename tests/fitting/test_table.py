@@ -56,6 +56,7 @@ def result(**changes) -> pf.Fit:
             steps=7,
             reason="it was good",
             warnings=("shininess cannot be told: " + 20 * "because it is so, ",),
+            region=cast(Any, None),
             found=cast(Any, None),
         ),
         **changes,
