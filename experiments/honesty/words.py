@@ -22,6 +22,8 @@ class Subject(enum.Enum):
 # The first that is found in a sentence decides.
 _WORDS = (
     (Subject.REFUSED, f"^{REFUSED}"),
+    # A highlight thrown away is no gap in the data, but a doubt about the fit.
+    (Subject.FIT, r"highlight for outliers"),
     (
         Subject.OPEN,
         r"cannot be told|not identif|unidentif|(may|can|could) be any"

@@ -10,6 +10,9 @@ SENTENCES = {
     "residuals are 2.0 times as large as the noise that was given: the noise or the "
     "model is wrong, errors are too small": Subject.FIT,
     "3 % of the samples are outliers": Subject.FIT,
+    "specular.red cannot be told: the loss took the highlight for outliers": (
+        Subject.FIT
+    ),
     "the image has the blocks of a JPEG file": Subject.FIT,
     "its prior is 25 standard deviations off": Subject.FIT,
     "shininess lies at its bound of 1000, which decides the others": Subject.FIT,
