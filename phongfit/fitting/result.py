@@ -1,6 +1,7 @@
 """What a fit gives back."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -156,14 +157,14 @@ class Fit:
         return self.misfit.neighbour_correlation
 
     @property
-    def reduced_chi_squared(self) -> float | None:
+    def reduced_chi_squared(self) -> float:
         """χ² a degree of freedom: near 1 where the noise given is right.
 
-        `None` where the noise was estimated from the residuals: it would say nothing.
+        NaN where the noise was estimated from the residuals: it would say nothing.
         See `misfit.over_repeatability` instead.
         """
         if not self.noise_given:
-            return None
+            return math.nan
         return self.chi_squared / max(self.degrees_of_freedom, 1)
 
     @property

@@ -30,7 +30,7 @@ def _head(fit: "Fit") -> list[str]:
     images = f"{fit.images} image" + ("s" if fit.images > 1 else "")
     noise, size = "estimated", fit.misfit.over_repeatability
     judged = f", residuals {size:.3g} × repeatability" if size == size else ""
-    if fit.reduced_chi_squared is not None:
+    if fit.noise_given:
         noise, judged = "given", f", reduced χ² {fit.reduced_chi_squared:.4g}"
     state = "converged" if fit.converged else "NOT CONVERGED"
     return [

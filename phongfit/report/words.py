@@ -98,7 +98,7 @@ def _how_it_ended(fit: Fit) -> str:
 
 def _residual_words(fit: Fit) -> str:
     level = f"{fit.noise:.3g} ({100 * fit.noise:.2g} % of white)"
-    if fit.reduced_chi_squared is not None:
+    if fit.noise_given:
         times = np.sqrt(fit.reduced_chi_squared)
         return f"Residuals are {times:.2f} times the noise that was given, {level}."
     if fit.misfit.significant or fit.neighbour_correlation > 0.1:

@@ -55,7 +55,7 @@ def test_every_shading_method_gives_the_material_back(shading):
     assert fit.converged
     off = (fit.values - true_values(TRUTH, fit.labels)) / fit.errors
     assert np.all(np.abs(off) < 4.5)
-    assert 0.9 < fit.reduced_chi_squared < 1.1
+    assert fit.misfit.over_repeatability == pytest.approx(1, abs=0.05)
 
 
 def test_two_views_of_one_mesh_in_different_light():

@@ -141,7 +141,8 @@ def test_repr_is_the_table():
 def test_numbers_of_a_result():
     fit = result()
     assert fit.degrees_of_freedom == 12345 - 3
-    assert fit.reduced_chi_squared == pytest.approx(1.0)
+    assert np.isnan(fit.reduced_chi_squared)
+    assert result(noise_given=True).reduced_chi_squared == pytest.approx(1.0)
     correlation = fit.correlation
     assert np.allclose(np.diag(correlation)[:3], 1)
     assert np.all(np.isnan(correlation[3]))
