@@ -67,8 +67,12 @@ def fit(
         materials, of each of them: the leaves that come back have shape (M, 3) or
         (M, 1). Arrays of the scene by their place, such as
         `"scene.lights[0].direction"` or `"scene.fog.density"`, which start from what
-        the scene has; directions stay on the sphere. `"exposure"`: what the light of
-        each image is multiplied by.
+        the scene has. Directions are looked for on the whole sphere. A camera's
+        `rotation` is three angles: degrees about its own x, y and z axes, from where
+        the scene has it. A spot's `cutoff` is refused. Edges that an unknown moves (an
+        outline, the rim of a spot, a cast shadow) have no derivative: mask out the
+        pixels near them, or all values can be off by far more than their errors.
+        `"exposure"`: what the light of each image is multiplied by.
     - `per_channel`: those of them with one value for each of red, green and blue; other
         colours have one for all.
     - `per_image`: arrays of the scenes of which each image has its own.
@@ -78,7 +82,8 @@ def fit(
         emission and 1 … 1000 for shininess. Labels are those of the result:
         `"diffuse.red"`, `"exposure[1]"`, `"scenes[1].lights[0].position.x"`.
     - `fixed`: name or label → the value it is held at.
-    - `ties`: name or label → another one, or (factor, other), which it follows.
+    - `ties`: name or label → another one, or (factor, other), which it follows; both
+        stay within their bounds.
     - `priors`: name or label → (mean, standard deviation), in the user's units: what is
         known beforehand, as one more measurement.
     - `mask`: (height, width) or (height, width, 3), true where a sample is used; with

@@ -29,6 +29,8 @@ CLIPPED = 1e-4
 ROBUST_PASSES = 3
 # Where numbers of the scenes are unknown, the cost can have several valleys.
 STARTS = 16
+# Directions that are moved one by one, to get out of valleys that others are not in.
+MOST_MOVED = 8
 
 
 class Found(eqx.Module):
@@ -104,29 +106,49 @@ def _best_of_several(
     """
     if not noise_given:
         problem = dataclasses.replace(problem, sigma=jnp.full_like(problem.sigma, 0.05))
-    starts = spread_starts(problem.unknowns, STARTS)
-    ends = _all_ends(problem, starts, min(max_steps, 50))
-    costs = jnp.where(jnp.isfinite(ends.cost), ends.cost, jnp.inf)
-    best = jnp.argmin(costs)
-    return ends.y[best], problem.unknowns.aimed(starts.base[best], starts.across[best])
+    unknowns, steps = problem.unknowns, min(max_steps, 50)
+    best = _best_end(problem, spread_starts(unknowns, STARTS), steps)
+    # Started together, some end right and some do not: those can still be moved.
+    several = 1 < len(unknowns.base) <= MOST_MOVED
+    for which in range(len(unknowns.base) if several else 0):
+        best = _best_end(problem, _moved(unknowns, best, which), steps)
+    return best.y, unknowns.aimed(best.base, best.across)
 
 
 class Starts(NamedTuple):
-    """Several points to start from, each with directions told around its own."""
+    """Points to start from, each with directions told around its own bases."""
 
-    y: Float[Array, "starts n"]
-    base: Float[Array, "starts directions 3"]
-    across: Float[Array, "starts directions 2 3"]
+    y: Float[Array, "*starts n"]
+    base: Float[Array, "*starts directions 3"]
+    across: Float[Array, "*starts directions 2 3"]
 
 
 @program("steps")
-def _all_ends(problem: Problem, starts: Starts, steps: int) -> Solution:
+def _best_end(problem: Problem, starts: Starts, steps: int) -> Starts:
+    """The best of where these starts lead to."""
+
     def end(start: Starts) -> Solution:
         unknowns = problem.unknowns.aimed(start.base, start.across)
         here = dataclasses.replace(problem, unknowns=unknowns)
         return solve(here, scan(here, start.y), steps)
 
-    return eqx.filter_vmap(end)(starts)
+    ends = eqx.filter_vmap(end)(starts)
+    best = jnp.argmin(jnp.where(jnp.isfinite(ends.cost), ends.cost, jnp.inf))
+    return Starts(ends.y[best], starts.base[best], starts.across[best])
+
+
+def _moved(unknowns: Unknowns, start: Starts, which: int) -> Starts:
+    """A point, and the same with one direction all over the sphere."""
+    y, base = (np.repeat(np.asarray(a, float)[None], STARTS, axis=0) for a in start[:2])
+    place = unknowns.direction_places[which]
+    y[1:, place : place + 2] = 0
+    base[1:, which] = spread_directions(STARTS - 1)
+    return _starts(unknowns, y, base)
+
+
+def _starts(unknowns: Unknowns, y: np.ndarray, base: np.ndarray) -> Starts:
+    kind = unknowns.start.dtype
+    return Starts(*(jnp.asarray(a.astype(kind)) for a in (y, base, tangents(base))))
 
 
 def spread_starts(unknowns: Unknowns, count: int) -> Starts:
@@ -152,10 +174,7 @@ def spread_starts(unknowns: Unknowns, count: int) -> Starts:
     base = np.repeat(np.asarray(unknowns.base, float)[None], count, axis=0)
     for k in range(base.shape[1]):
         base[1:, k] = rng.permutation(spread_directions(count - 1))
-    kind = unknowns.start.dtype
-    return Starts(
-        *(jnp.asarray(a.astype(kind)) for a in (starts, base, tangents(base)))
-    )
+    return _starts(unknowns, starts, base)
 
 
 @program("noise_given")

@@ -213,6 +213,11 @@ class Unknowns(eqx.Module):
         places = ("position", "direction", "axis")
         return any(is_of_scene(n) and n.endswith(places) for n in self.names)
 
+    @functools.cached_property
+    def direction_places(self) -> np.ndarray:
+        """Where in y the first of each direction's two numbers is."""
+        return np.flatnonzero(self.forms[self.owned] == "direction")[::2]
+
     def entries(self, y: Float[Array, " n"]) -> Float[Array, " entries"]:
         """All entries in the user's units."""
         numbers = jnp.where(self._free, y[np.array(self.place)], 0)
