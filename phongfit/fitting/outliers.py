@@ -65,12 +65,12 @@ def outlier_words(
         return ()
     count = int(jnp.sum(far.which))
     share = 100 * count / int(far.used)
-    other = "tukey" if problem.loss.robust else "cauchy"
+    other = '"tukey"' if problem.loss.robust else '"cauchy" or "tukey"'
     return (
         f"outliers: {count} samples ({share:.2g} %) lie more than {FAR:g} standard "
         f"deviations off the model and pull the estimates, {unknowns.y_labels[most]} "
         f"by {shifts[most]:.1f} of its standard errors; leave them out by a mask, or "
-        f'try loss="{other}"',
+        f"try loss={other}",
     )
 
 
