@@ -7,16 +7,17 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from phongfit.fitting.inputs import Photograph, as_photographs, as_scenes, is_number
 from phongfit.fitting.layout import Tie, make_unknowns
 from phongfit.fitting.losses import AbstractLoss, as_loss
 from phongfit.fitting.noise import find_film, rounding_steps
+from phongfit.fitting.problem import Problem
 from phongfit.fitting.result import Fit
 from phongfit.fitting.samples import Source, gather, seen_pixels
 from phongfit.fitting.search import search
-from phongfit.fitting.start import choose_few
+from phongfit.fitting.start import ROBUST_NEAR, choose_few
 from phongfit.fitting.statistics import add_up
 from phongfit.fitting.summary import Shown, summarize
 from phongfit.fitting.unknowns import Unknowns, in_units
@@ -118,13 +119,13 @@ def fit(
         film=film,
     )
     layout, sources, film = setting.unknowns, setting.sources, setting.film
-    seen = seen_pixels(sources)
-    few = choose_few(sources, seen)
+    seen, loss = seen_pixels(sources), as_loss(loss)
+    few = choose_few(sources, seen, ROBUST_NEAR if loss.robust else 0.5)
     found = search(
         None if few is None else gather(sources, few),
         lambda: gather(sources, seen),
         layout,
-        as_loss(loss),
+        loss,
         film.clamp,
         noise is not None,
         max_steps,
@@ -143,7 +144,10 @@ def fit(
         photographs=[
             np.array(one, found.y.dtype) for one in ([image] if single else image)
         ],
-        shown=[_show(setting, k, scene, place[0]) for k, scene in enumerate(scenes)],
+        shown=[
+            _show(setting, found.problem, k, scene, place[0])
+            for k, scene in enumerate(scenes)
+        ],
         single=single,
         noise_given=noise is not None,
         arrays=tuple(name for name, value in given.items() if not is_number(value)),
@@ -259,7 +263,9 @@ def as_source(photograph: Photograph, seen: _Geometry, film: Film) -> Source:
     )
 
 
-def _show(setting: Setting, which: int, scene: Scene, entries: Array) -> Shown:
+def _show(
+    setting: Setting, problem: Problem, which: int, scene: Scene, entries: Array
+) -> Shown:
     """What the fit makes of one image."""
     source, unknowns = setting.sources[which], setting.unknowns
     mask, view = source.mask, source.pixels
@@ -275,7 +281,11 @@ def _show(setting: Setting, which: int, scene: Scene, entries: Array) -> Shown:
         setting.film.clamp,
         scene.background,
     )
-    return Shown(fitted, residual, source.weight)
+    accepted = None
+    if problem.loss.robust:
+        parts = source.weight, source.step, problem.sigma
+        accepted = _accepted(problem.loss, residual, *parts)
+    return Shown(fitted, residual, source.weight, accepted)
 
 
 @program("clamp")
@@ -295,6 +305,20 @@ def _expose(
     light = jnp.clip(light, 0, 1) if clamp else light
     fitted = jnp.where(mask[..., None], light, background[None, None])
     return fitted, jnp.where(weight > 0, image - fitted, 0)
+
+
+@program()
+def _accepted(
+    loss: AbstractLoss,
+    residual: Array,
+    weight: Array,
+    step: Array | np.ndarray | None,
+    sigma: Array,
+) -> Float[Array, "height width 3"]:
+    """The share of each sample that a loss accepts."""
+    variance = sigma**2 / jnp.where(weight > 0, weight, 1)
+    variance = variance if step is None else variance + step**2 / 12
+    return loss.weight(residual / jnp.sqrt(variance))
 
 
 def _checked_film(film: Film | None, photographs: list[Photograph]) -> Film:

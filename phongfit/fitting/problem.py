@@ -2,7 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.fitting.losses import AbstractLoss
 from phongfit.fitting.noise import (
@@ -58,6 +58,17 @@ class Problem(eqx.Module):
             return self.noise()
         return jnp.sqrt(self.noise() ** 2 + self.samples.step**2 / 12)
 
+    def unclipped(self) -> Bool[Array, "3 samples"]:
+        """Samples whose residuals show the noise: neither black nor white ones.
+
+        All that are used, where too few are left.
+        """
+        used, target = self.samples.weight > 0, self.samples.target
+        if not self.clamp:
+            return used
+        inside = used & (target > 0) & (target < 1)
+        return jnp.where(jnp.sum(inside) > self.unknowns.lower.size, inside, used)
+
     def residual(self, y: Float[Array, " n"]) -> Float[Array, "3 samples"]:
         """(model − image) in standard deviations; 0 where a sample is left out."""
         return self.compare(self.light(y))
@@ -70,6 +81,13 @@ class Problem(eqx.Module):
         shown = clipped_mean(light, self.noise()) if self.clamp else light
         difference = (shown - self.samples.target) / self.deviation()
         return jnp.where(self.samples.weight > 0, difference, 0)
+
+    def costs(self, y: Float[Array, " n"]) -> Float[Array, "materials 3"]:
+        """What the samples of each material and channel cost."""
+        cost = self.loss.root(self.residual(y)) ** 2
+        rows = jnp.arange(self.unknowns.materials, dtype=self.samples.image.dtype)
+        member = self.samples.material_index()[None] == rows[:, None]
+        return member.astype(cost.dtype) @ cost.T
 
     def measure(self, light: Float[Array, "3 samples"]) -> "Evaluation":
         """The same, and all else that is to be known of each sample."""

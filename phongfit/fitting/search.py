@@ -16,12 +16,14 @@ from phongfit.fitting.noise import median_deviation
 from phongfit.fitting.problem import Evaluation, Problem, evaluate
 from phongfit.fitting.samples import Samples
 from phongfit.fitting.solution import Solution, solve
-from phongfit.fitting.start import scan
+from phongfit.fitting.start import choose, scan, scan_bands
 from phongfit.fitting.unknowns import Unknowns
 from phongfit.programs import program
 
 # A pass solves with the noise level that the pass before left over.
 MOST_PASSES = 8
+# Of each start of a robust fit: at its own noise level, and at last at a common one.
+ROBUST_PASSES = 3
 # Where numbers of the scenes are unknown, the cost can have several valleys.
 STARTS = 16
 
@@ -71,13 +73,17 @@ def search(
     problem = Problem(first, unknowns, sigma, loss, clamp)
     if unknowns.of_scene or unknowns.exposed:
         y = _best_of_several(problem, noise_given, max_steps)
+    if loss.robust:
+        stand = _best_valley(problem, y, noise_given, min(max_steps, 50))
+    elif unknowns.of_scene or unknowns.exposed:
         stand = _look(problem, y, noise_given)
     else:
         stand = _begin(problem, y, noise_given)
     if few is not None:
         samples = gather()
-        # Without outliers, one pass comes near enough.
-        stand = _settle(problem, stand, max_steps, noise_given, not loss.robust)
+        if not loss.robust:
+            # One pass comes near enough.
+            stand = _settle(problem, stand, max_steps, noise_given, True)
         problem = Problem(samples, unknowns, sigma, loss, clamp)
     y, sigma, converged, steps = _settle(problem, stand, max_steps, noise_given)
     # Named by hand: to replace one field of a module takes long.
@@ -136,6 +142,54 @@ def _look(problem: Problem, y: Float[Array, " n"], noise_given: bool) -> _Stand:
     return _Stand(y, sigma, jnp.array(False), jnp.array(0))
 
 
+@program("noise_given", "steps")
+def _best_valley(
+    problem: Problem, y: Float[Array, " n"], noise_given: bool, steps: int
+) -> _Stand:
+    """The best of the ends that starts with narrow and wide highlights lead to.
+
+    A robust cost has several valleys: what one explanation rejects, another explains.
+    The end of each at its own noise level says little, since rejecting more makes it
+    smaller: they go on, and are compared, at the smallest of them.
+
+    ??? cite "Source"
+        Yohai, *High breakdown-point and high efficiency robust estimates for
+        regression*, Ann. Statist. 15(2), 1987: an M-estimate at the scale of the most
+        robust one.
+    """
+    unknowns = problem.unknowns
+
+    def noise(here: Problem, y: Array) -> Array:
+        return here.sigma if noise_given else _robust_noise(here, evaluate(here, y))
+
+    def end(at: tuple[Array, Array]) -> tuple[Array, Array]:
+        here = dataclasses.replace(problem, sigma=at[1])
+        y = solve(here, at[0], steps).y
+        return y, noise(here, y)
+
+    def again(
+        at: tuple[Array, Array], last: Array
+    ) -> tuple[tuple[Array, Array], Array]:
+        common = jnp.nanmin(at[1])
+        sigmas = jnp.where(last, common, at[1])
+        return jax.lax.map(end, (at[0], sigmas)), common
+
+    starts = scan_bands(problem, y)
+    problem = dataclasses.replace(problem, sigma=jnp.asarray(problem.sigma))
+    sigmas = jax.lax.map(lambda y: noise(problem, y), starts)
+    last = jnp.arange(ROBUST_PASSES) == ROBUST_PASSES - 1
+    (ends, _), common = jax.lax.scan(again, (starts, sigmas), last)
+    common = dataclasses.replace(problem, sigma=common[-1])
+    costs = jax.lax.map(common.costs, ends)
+    if unknowns.of_scene or unknowns.exposed:
+        # What the scenes are belongs to one end as a whole.
+        total = jnp.sum(jnp.where(jnp.isfinite(costs), costs, jnp.inf), axis=(1, 2))
+        y = ends[jnp.argmin(total)]
+    else:
+        y = choose(unknowns, y, ends, costs)
+    return _Stand(y, noise(common, y), jnp.array(False), jnp.array(0))
+
+
 @program("max_steps", "noise_given", "once")
 def _settle(
     problem: Problem,
@@ -179,13 +233,8 @@ def _noise(problem: Problem, solution: Solution) -> Float[Array, ""]:
 
 def _robust_noise(problem: Problem, at: Evaluation) -> Float[Array, ""]:
     """The same from the median, which outliers do not reach."""
-    weight, target = problem.samples.weight, problem.samples.target
-    chosen = weight > 0
-    if problem.clamp:
-        inside = chosen & (target > 0) & (target < 1)
-        enough = jnp.sum(inside) > problem.unknowns.lower.size
-        chosen = jnp.where(enough, inside, chosen)
-    deviation = median_deviation(at.difference * jnp.sqrt(weight), chosen, at.floor)
+    left = at.difference * jnp.sqrt(problem.samples.weight)
+    deviation = median_deviation(left, problem.unclipped(), at.floor)
     return _unrounded(problem, deviation**2, at.floor)
 
 

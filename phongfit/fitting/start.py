@@ -18,17 +18,24 @@ from phongfit.fitting.unknowns import Unknowns
 from phongfit.rendering.pixels import PixelTerms
 
 CANDIDATES = 24
+# Bands of exponents of which a robust fit tries the best.
+BANDS = 6
 SUBSET = 2048
+# What a robust loss is to reject may lie just there: then it must be the smaller part.
+ROBUST_NEAR = 0.25
 
 
 def choose_few(
-    sources: list[Source], seen: list[np.ndarray]
+    sources: list[Source], seen: list[np.ndarray], near: float = 0.5
 ) -> list[np.ndarray] | None:
     """A few thousand samples: evenly spread ones, and the nearest to highlights.
 
     A narrow highlight covers few pixels, but only these know f.
 
-    **Arguments:** `seen`: of each image the pixels that may be taken.
+    **Arguments:**
+
+    - `seen`: of each image the pixels that may be taken.
+    - `near`: share of those that are nearest to highlights.
 
     **Returns:** of each image those taken; `None` if that were all.
     """
@@ -36,17 +43,17 @@ def choose_few(
         return None
     share = max(SUBSET // len(sources), 32)
     return [
-        _few(source.pixels, pixels, share)
+        _few(source.pixels, pixels, share, int(near * share))
         for source, pixels in zip(sources, seen, strict=True)
     ]
 
 
-def _few(view: PixelTerms, seen: np.ndarray, count: int) -> np.ndarray:
+def _few(view: PixelTerms, seen: np.ndarray, count: int, near: int) -> np.ndarray:
     if len(seen) <= count:
         return seen
-    even = seen[np.linspace(0, len(seen) - 1, count // 2).astype(int)]
+    even = seen[np.linspace(0, len(seen) - 1, count - near).astype(int)]
     nearest = _nearness(view)[seen]
-    bright = seen[np.argpartition(nearest, -count // 2)[-count // 2 :]]
+    bright = seen[np.argpartition(nearest, -near)[-near:]]
     return np.concatenate([even, bright])
 
 
@@ -71,6 +78,23 @@ def scan(problem: Problem, y: Float[Array, " n"]) -> Float[Array, " n"]:
 
     Where exponents differ between channels or materials, each takes its own best.
     """
+    return choose(problem.unknowns, y, *_candidates(problem, y))
+
+
+@eqx.filter_jit
+def scan_bands(problem: Problem, y: Float[Array, " n"]) -> Float[Array, "bands n"]:
+    """The same, with the best of each of several bands of exponents."""
+    vectors, costs = _candidates(problem, y)
+    bands = np.array_split(np.arange(len(vectors)), min(BANDS, len(vectors)))
+    return jnp.stack(
+        [choose(problem.unknowns, y, vectors[one], costs[one]) for one in bands]
+    )
+
+
+def _candidates(
+    problem: Problem, y: Float[Array, " n"]
+) -> tuple[Float[Array, "candidates n"], Float[Array, "candidates materials 3"]]:
+    """For each exponent of a grid the best vector, and what it costs."""
     unknowns = problem.unknowns
     entries = unknowns.entries(y)
     scene = _Lit(problem.channels(entries), problem.exposure(entries))
@@ -88,15 +112,28 @@ def scan(problem: Problem, y: Float[Array, " n"]) -> Float[Array, " n"]:
         return _best_reflectances(problem, scene, exponent)
 
     vectors, costs = jax.lax.map(at, exponents)
+    return jnp.where(logarithm, grid[:, None], vectors), costs
+
+
+def choose(
+    unknowns: Unknowns,
+    y: Float[Array, " n"],
+    vectors: Float[Array, "candidates n"],
+    costs: Float[Array, "candidates materials 3"],
+) -> Float[Array, " n"]:
+    """`y` with the material of the vectors that cost least.
+
+    Where exponents differ between channels or materials, each takes its own best.
+    """
     costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
     own = jnp.argmin(costs, axis=0)
     common = jnp.argmin(jnp.sum(costs, axis=-1), axis=0)
+    logarithm = unknowns.logarithmic
     alone = (unknowns.columns >= 0) & bool((unknowns.columns[logarithm] >= 0).any())
     chosen = jnp.where(
         alone, own[unknowns.owners, unknowns.columns], common[unknowns.owners]
     )
     found = vectors[chosen, np.arange(len(chosen))]
-    found = jnp.where(logarithm, grid[chosen], found)
     found = jnp.where(np.isin(unknowns.kinds, LEAVES), found, y)
     return jnp.clip(found, unknowns.lower, unknowns.upper)
 

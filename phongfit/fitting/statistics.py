@@ -146,6 +146,8 @@ class Pieces(eqx.Module):
     loss_variance: Float[Array, ""]
     shared: Float[Array, ""]
     chi_squared: Float[Array, ""]
+    # Kurtosis of the residuals beyond a normal one, in its standard deviations.
+    tails: Float[Array, ""]
     exact: Bool[Array, ""]
 
 
@@ -176,6 +178,8 @@ def _add_up(problem: Problem, found: Linearization) -> Pieces:
         alone = at.noise**2 * at.variance_share + rounding - common
         independent = alone / at.deviation**2
         shared = jnp.max(common / at.deviation**2)
+    squares = jnp.sum(samples**2)
+    kurtosis = count * jnp.sum((samples / jnp.sqrt(squares)) ** 4)
     known = jacobian.priors.T @ jacobian.priors
     # A white sample tells only that the light is no less than white: what nothing else
     # speaks of is not told.
@@ -188,7 +192,8 @@ def _add_up(problem: Problem, found: Linearization) -> Pieces:
         pull=jacobian.pull(score) + jacobian.priors.T @ priors,
         loss_variance=variance,
         shared=shared,
-        chi_squared=jnp.sum(samples**2) + jnp.sum(priors**2),
+        chi_squared=squares + jnp.sum(priors**2),
+        tails=(kurtosis - 3) * jnp.sqrt(count / 24),
         exact=_is_exact(problem, at),
     )
 

@@ -15,7 +15,9 @@ from phongfit.fitting.diagnostics import (
     variance_inflation,
 )
 from phongfit.fitting.estimate import estimates
+from phongfit.fitting.highlight import rejected_highlights, without_rejected
 from phongfit.fitting.leaves import EXPOSURE
+from phongfit.fitting.outliers import outlier_words
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.result import Fit, as_materials
 from phongfit.fitting.search import Found
@@ -25,11 +27,21 @@ from phongfit.scene import Scene
 
 
 class Shown(NamedTuple):
-    """What a fit makes of an image, what it leaves of it, and what of it counts."""
+    """What a fit makes of an image, what it leaves of it, and what of it counts.
+
+    `accepted` is the share that a robust loss accepts of each sample: see
+    [`AbstractLoss`][]`.weight`; `None` if that is all of it.
+    """
 
     fitted: Float[Array, "height width 3"]
     residual: Float[Array, "height width 3"]
     weight: Float[Array, "height width channels"]
+    accepted: Float[Array, "height width 3"] | None
+
+    def pull(self) -> Float[np.ndarray, "height width 3"]:
+        """The residuals as far as the loss lets them pull; all of them in a fit."""
+        residual = np.asarray(self.residual)
+        return residual if self.accepted is None else residual * self.accepted
 
 
 def summarize(
@@ -65,10 +77,13 @@ def summarize(
     fitted = [np.asarray(one.fitted) for one in shown]
     residuals = [np.asarray(one.residual) for one in shown]
     used = [np.asarray(one.weight) > 0 for one in shown]
-    neighbours = all_neighbours(map(compare_neighbours, residuals, used))
+    pulls = [one.pull() for one in shown]
+    neighbours = all_neighbours(map(compare_neighbours, pulls, used))
     correlation = _misfit(problem, neighbours)
     inflation = variance_inflation(correlation)
     told = estimates(problem, found.y, inflation, place, pieces)
+    rejected = rejected_highlights(problem, found.y)
+    told = without_rejected(told, unknowns, rejected)
     entries = np.array(place[0])
     exposure = np.ones(len(shown))
     if unknowns.exposed:
@@ -117,6 +132,7 @@ def summarize(
                 for label in labels[told.at_bound]
             ),
             *_misfit_words(correlation, inflation),
+            *outlier_words(problem, found.y, pieces),
         ),
         found=found,
     )

@@ -104,6 +104,15 @@ class Jacobian(eqx.Module):
             sums = self._products(one, residual[:, None])[:, :, 0, :, 0]
         return jnp.einsum("gcki,gck->i", self.select, sums, precision=EXACT)
 
+    def change(self, step: Float[Array, " n"]) -> Float[Array, "3 samples"]:
+        """$J p$ of the samples, for a step p."""
+        shares = jnp.einsum("gcki,i->gck", self.select, step, precision=EXACT)
+        if self.member is None:
+            return jnp.einsum("ckn,ck->cn", self.local, shares[0], precision=EXACT)
+        return jnp.einsum(
+            "ckn,gck,gn->cn", self.local, shares, self.member, precision=EXACT
+        )
+
     def _spread(
         self, products: Float[Array, "groups 3 weights colours colours"]
     ) -> Float[Array, "weights n n"]:
