@@ -119,3 +119,19 @@ def test_parts_of_a_result():
     for level in (0.0, 1.0, 95, np.nan):
         with pytest.raises(ValueError, match="level: "):
             fit.intervals(level)
+
+
+def test_a_shadow_over_the_highlight_leaves_the_search_global():
+    """Half of the samples that a search began with lay in it: f was 105, ρ_s 0."""
+    scene = pf.Scene(
+        pf.Sphere(),
+        pf.OrthographicCamera(96, 96),
+        pf.DirectionalLight((-0.4, 0.5, 1.2), 0.8),
+        ambient=0.2,
+    )
+    truth = pf.Material((0.3, 0.5, 0.4), (0.5, 0.4, 0.3), 4.0, (0.4, 0.6, 0.7))
+    image = photograph(scene, truth, noise=0.002)
+    rows, columns, _ = np.unravel_index(np.argmax(image), image.shape)
+    image[rows - 15 : rows + 15, columns - 12 : columns + 13] *= 0.2
+    fit = pf.fit(scene, image, loss="huber")
+    assert fit["shininess"].value == pytest.approx(4.0, rel=0.2)

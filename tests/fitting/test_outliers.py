@@ -1,0 +1,58 @@
+"""Samples that are not of the model: a warning where they pull, silence where not."""
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from tests.fitting.scenes import TRUTH, ball, photograph
+
+SIZE = 64
+SCENE = ball(size=SIZE)
+NOISY = photograph(SCENE, TRUTH, noise=0.01)
+
+
+def spoiled(share: float, value: float | None = None) -> np.ndarray:
+    """Some pixels replaced by any colour, or by one value."""
+    rng = np.random.default_rng(0)
+    hit = rng.random((SIZE, SIZE, 1)) < share
+    return np.where(hit, rng.random(NOISY.shape) if value is None else value, NOISY)
+
+
+def outlier_warnings(image: np.ndarray, loss: str = "linear") -> list[str]:
+    fit = pf.fit(SCENE, image, loss=loss)
+    return [words for words in fit.warnings if words.startswith("outliers: ")]
+
+
+# Many outliers hide behind one another: least squares go where they are.
+@pytest.mark.parametrize("share, value", [(0.02, None), (0.2, None), (0.2, 0.0)])
+def test_least_squares_say_that_outliers_pull(share, value):
+    (words,) = outlier_warnings(spoiled(share, value))
+    assert 'loss="cauchy"' in words and "mask" in words
+
+
+def test_a_loss_that_goes_on_listening_says_so():
+    (words,) = outlier_warnings(spoiled(0.2), "huber")
+    assert 'try loss="tukey"' in words
+
+
+@pytest.mark.parametrize("loss", ["linear", "huber", "tukey"])
+def test_noise_is_no_outlier(loss):
+    assert not outlier_warnings(NOISY, loss)
+
+
+def test_what_the_loss_rejects_pulls_no_more():
+    fit = pf.fit(SCENE, spoiled(0.2), loss="tukey")
+    assert not fit.warnings
+
+
+@pytest.mark.parametrize("kind", ["uniform", "poisson", "clipped"])
+def test_noise_of_other_kinds_is_no_outlier(kind):
+    rng = np.random.default_rng(1)
+    light = photograph(SCENE, TRUTH)
+    if kind == "uniform":
+        image = light + 0.02 * (rng.random(light.shape) - 0.5)
+    elif kind == "poisson":
+        image = light + 0.02 * np.sqrt(light) * rng.normal(size=light.shape)
+    else:
+        image = np.clip(light + 0.1 * rng.normal(size=light.shape), 0, 1)
+    assert not outlier_warnings(image)
