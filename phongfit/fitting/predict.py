@@ -139,7 +139,9 @@ def _as_scattered(told: Estimates, off: np.ndarray) -> Estimates:
     covariance = off.T @ off / len(off)
     errors = np.where(told.untold, np.inf, np.sqrt(np.diag(covariance)))
     # What is not told, or lies at a bound, stays so.
-    covariance = np.where(np.isfinite(told.covariance), covariance, told.covariance)
+    without = told.untold | told.at_bound
+    unknown = without[:, None] | without[None]
+    covariance = np.where(unknown, told.covariance, covariance)
     words = (
         f"the exponent may be any: the other errors are those of {len(off)} drawn fits"
     )
