@@ -105,6 +105,10 @@ def fit(
     emission both unknown where no pixel can tell them apart; arrays that JAX traces
     (see [`refit`][] for derivatives of a fit).
     """
+    single = isinstance(scene, Scene)
+    if not single and isinstance(image, Iterable):
+        # Gone through twice, which a generator does not allow.
+        image = list(image)
     untraced(
         "fit once outside, and differentiate refit(fit, scene, image), which goes on "
         "from there",
@@ -119,10 +123,6 @@ def fit(
         weights=weights,
         noise=noise,
     )
-    single = isinstance(scene, Scene)
-    if not single and isinstance(image, Iterable):
-        # Gone through twice, which a generator does not allow.
-        image = list(image)
     setting = set_up(
         scene,
         image,

@@ -127,7 +127,8 @@ def _absolute_deviations(
         curvature = jacobian.gram(weight) + priors.T @ priors
         scale = jnp.sqrt(jnp.where(free, jnp.diag(curvature), 0))
         scale = jnp.where(scale > 0, scale, 1)
-        both = free[:, None] & free & (jnp.diag(curvature) > 0)[:, None]
+        known = free & (jnp.diag(curvature) > 0)
+        both = known[:, None] & free[None, :]
         matrix = jnp.where(both, curvature / jnp.outer(scale, scale), 0)
         # What no sample feels stays, and what is not told apart hardly moves.
         matrix = jnp.where(both | ~identity.astype(bool), matrix, 1) + 1e-5 * identity

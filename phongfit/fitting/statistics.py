@@ -104,6 +104,9 @@ def statistics(
         position >= np.asarray(unknowns.upper)
     )
     untold, reasons = unidentified(sums.inside, unknowns, sums.resolution)
+    if untold.all() and _all_white(problem):
+        words = "nothing can be told: all samples that are used are white. Expose less"
+        reasons = (f"{words}, or mask what is overexposed",)
     at_bound &= ~untold
 
     size = len(position)
@@ -117,6 +120,11 @@ def statistics(
     covariance[untold, untold] = np.inf
     chi_squared = float(found.chi_squared)
     return Statistics(sums, covariance, spread, untold, at_bound, chi_squared, reasons)
+
+
+def _all_white(problem: Problem) -> bool:
+    used = np.asarray(problem.samples.weight) > 0
+    return problem.clamp and bool(np.all(np.asarray(problem.samples.target)[used] >= 1))
 
 
 def sandwich(

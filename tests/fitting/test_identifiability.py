@@ -137,7 +137,7 @@ def test_a_bound_that_binds_is_marked():
         assert not np.delete(fit.at_bound, 5).any()
         bound.append(bool(fit.at_bound[5]))
         offs.append((fit.values - as_vector(truth)) / fit.errors)
-        words = "diffuse.blue lies at its bound: its error is one-sided"
+        words = "diffuse.blue lies at its lower bound 0: its error is one-sided"
         assert (words in fit.warnings) == bound[-1]
         if bound[-1]:
             assert fit.values[5] == 0

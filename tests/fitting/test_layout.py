@@ -248,7 +248,8 @@ def test_rotations_of_several_images():
         (ROTATION,), (), KNOWN, {}, scenes=scenes, per_image=(ROTATION,), fixed=held
     )
     assert unknowns.labels[-1] == "scenes[1].camera.rotation.z"
-    found = unknowns.scenes(unknowns.entries(floats([0, 0, 0, np.pi / 2])), scenes)
+    entries = unknowns.entries(floats([0, 0, 0, np.pi / 2]))
+    found = unknowns.scenes(entries, tuple(scenes))
     near(found[0].camera.rotation, turns[0])
     right, up, back = np.asarray(turns[1]).T
     near(found[1].camera.rotation.T, [up, -right, back])

@@ -82,12 +82,12 @@ def test_head():
         "1 image, 12,345 samples, BlinnPhong, clamped, 8-bit srgb",
         "converged after 7 steps: it was good",
         "noise 0.0123 (estimated)",
-        "reduced χ² 1",
+        "noise 0.0123 (estimated)\n",
         "loss Linear",
     ):
         assert words in text
     several = str(result(images=3, noise_given=True, converged=False))
-    for words in ("3 images", "(given)", "NOT CONVERGED after 7"):
+    for words in ("3 images", "(given), reduced χ² 1", "NOT CONVERGED after 7"):
         assert words in several
 
 
