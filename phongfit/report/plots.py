@@ -100,7 +100,8 @@ def plot_residuals(fit: Fit) -> Figure:
 
 def shown_unknowns(fit: Fit) -> list[int]:
     """Entries that have correlations; of many, those with the largest."""
-    free = np.flatnonzero(told(fit) & ~fit.tied)
+    known = np.isfinite(np.diag(fit.covariance))
+    free = np.flatnonzero(told(fit) & known & ~fit.tied)
     if len(free) <= MOST_UNKNOWNS:
         return free.tolist()
     matrix = np.abs(fit.correlation[np.ix_(free, free)])

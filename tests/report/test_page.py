@@ -73,7 +73,7 @@ def test_every_number_is_there(whole, one):
 def test_it_stands_alone_and_pictures_have_words(whole):
     pictures = whole.all("img")
     # Three of the photograph, three profiles, correlations, two of residuals, costs.
-    assert len(pictures) == 3 + 3 + 1 + 2 + 1
+    assert len(pictures) == 3 + 3 + 1 + 3 + 1
     for attributes in pictures:
         assert attributes["src"].startswith("data:image/png;base64,")
         assert len(attributes["alt"]) > 10
