@@ -128,10 +128,11 @@ def summarize(
             *told.reasons,
             *bound_words(told, unknowns),
             *prior_words(told, unknowns, misfit.inflation),
-            *misfit_words(misfit, len(shown)),
+            *(() if told.untold.all() else misfit_words(misfit, len(shown))),
             *spread_words(spread),
             *([] if noise_given else clipped_words(pieces, effective, samples)),
-            *outlier_words(problem, found.y, pieces),
+            # What lies off in one place is no matter of single samples.
+            *(() if misfit.significant else outlier_words(problem, found.y, pieces)),
         ),
         region=told.region,
         found=found,

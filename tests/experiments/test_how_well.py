@@ -60,8 +60,8 @@ def test_a_highlight_out_of_view_cannot_be_told(found):
     *_, last = found(EXPERIMENT).numbers["highlight"]
     told = dict(zip(LEAVES, last["told"], strict=True))
     assert last["x"] < 1 and not told["specular"] and not told["shininess"]
-    # What the fits themselves state of the others is right all the same.
-    assert told["diffuse"] and 0.6 < last["pull"][LEAVES.index("diffuse")] < 1.4
+    # What the fits themselves state of the others covers any exponent.
+    assert told["diffuse"] and 0.3 < last["pull"][LEAVES.index("diffuse")] < 1.2
 
 
 def test_a_spread_off_the_bound_is_seen():

@@ -37,7 +37,8 @@ def test_the_right_model_is_fine(found, outcomes):
 )
 def test_mistakes_that_mislead_and_are_given_away(outcomes, mistake):
     outcome = outcomes[mistake]
-    assert outcome["misled"]
+    # A shadow is so plain a misfit that the errors, widened by it, cover the bias.
+    assert outcome["misled"] == (mistake != "shadow left out")
     assert {"χ²", "neighbours"} <= set(outcome["flags"]) <= set(DIAGNOSTICS)
     assert outcome["chi_squared"] > 1.15 and outcome["correlation"] > 0.1
 

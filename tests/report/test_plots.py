@@ -92,18 +92,23 @@ def test_plot_of_residuals(one, open_fit):
         "% of samples lie beyond ±5 σ",
     ):
         assert label in words
-    assert len(images(open_fit.plot_residuals())) == 4
+    # Of each image its residuals, and their sums over blocks.
+    assert len(images(open_fit.plot_residuals())) == 8
 
 
 def test_correlations_leave_out_what_has_none(one, open_fit):
     (shown,) = images(one.plot_correlations())
     near(shown, one.correlation)
     assert "−.92" in texts(one.plot_correlations())
-    entries = shown_unknowns(open_fit)
-    labels = [open_fit.labels[k] for k in entries]
-    assert "shininess" not in labels and "ambient.red" in labels
-    (shown,) = images(open_fit.plot_correlations())
-    assert np.isfinite(shown).all() and len(shown) == len(entries)
+    # What is widened over the exponents has errors, but no covariance.
+    covariance = one.covariance.copy()
+    covariance[3:], covariance[:, 3:] = np.nan, np.nan
+    wide = dataclasses.replace(one, covariance=covariance)
+    assert shown_unknowns(wide) == [0, 1, 2]
+    (shown,) = images(wide.plot_correlations())
+    near(shown, one.correlation[:3, :3])
+    assert not images(open_fit.plot_correlations())
+    assert any("nothing to correlate" in t for t in texts(open_fit.plot_correlations()))
 
 
 def test_of_many_unknowns_the_most_correlated_are_shown(one):
