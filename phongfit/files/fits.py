@@ -137,6 +137,8 @@ class FitRecord(AbstractRecord):
     tied: list[bool]
     bounds: list[Edges]
     covariance: list[Numbers]
+    # Of 95 %; files that are older have none.
+    intervals: list[Edges] | None = None
     exposure: list[float]
     noise: float
     noise_given: bool
@@ -212,10 +214,7 @@ def save_fit(
     told = fit.to_dict()
     for name in ("model", "loss"):
         del told[name]
-    bounds = [
-        [None if math.isinf(edge) else float(edge) for edge in row]
-        for row in fit.bounds
-    ]
+    bounds, intervals = _edges(fit.bounds), _edges(fit.intervals())
     content: dict[str, Any] = {
         "format": FIT_FORMAT,
         "version": 1,
@@ -224,6 +223,7 @@ def save_fit(
         "model": describe(model),
         **told,
         "bounds": bounds,
+        "intervals": intervals,
         "tied": fit.tied,
         "noise_given": fit.noise_given,
         "images": fit.images,
@@ -231,6 +231,11 @@ def save_fit(
         "made_with": made_with(),
     }
     write_json(path, content)
+
+
+def _edges(edges: Float[np.ndarray, "n 2"]) -> list[list[float | None]]:
+    """(low, high) as numbers that JSON knows: null for what is not finite."""
+    return [[float(e) if math.isfinite(e) else None for e in row] for row in edges]
 
 
 def load_fit(path: str | os.PathLike[str]) -> FitRecord:
@@ -256,6 +261,10 @@ def check_fit(record: FitRecord) -> None:
         length = len(getattr(record, name))
         if length != count:
             raise ValueError(f"{name}: {length} came for {count} labels")
+    if record.intervals is not None and len(record.intervals) != count:
+        raise ValueError(
+            f"intervals: expected {count}, one a label, got {len(record.intervals)}"
+        )
     rows = [len(row) for row in record.covariance]
     if rows != [count] * count:
         raise ValueError(f"covariance: {count} rows of {count} numbers are wanted")

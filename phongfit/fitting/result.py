@@ -99,6 +99,11 @@ class Fit:
     def intervals(self, level: float = 0.95) -> np.ndarray:
         """Intervals that hold the truth with a chance of `level`, by Student's t.
 
+        They end where Δχ², all other unknowns at their best within their bounds, has
+        risen to t²: so they are wider on one side where a bound cuts what is correlated
+        with it short, and they count what else a hardly identified exponent may be. The
+        chance is at least `level` there, and more where a highlight is not seen.
+
         **Returns:** (n, 2), cut to the bounds, which are all that is left of what
         cannot be told. At a bound they are one-sided.
 
@@ -107,6 +112,11 @@ class Fit:
         if not 0 < level < 1:
             raise ValueError(f"level: {level!r} came, a number in (0, 1) is wanted")
         return self.region.ends(student_reach(level, self.degrees_of_freedom) ** 2)
+
+    @property
+    def sides(self) -> np.ndarray:
+        """How far down and up the intervals of one standard error reach, (n, 2)."""
+        return np.abs(self.region.ends(1.0) - self.values[:, None])
 
     def profile(
         self, name: str, other: str | None = None, *, levels: Sequence[float] = LEVELS
@@ -219,8 +229,11 @@ Fit.__init__.__doc__ = """**Arguments:**
     for what cannot be told, 0 for what was known.
 - `scene`, `exposure`: the scene or scenes with what was unknown of them, and what each
     image's light was multiplied by.
-- `labels`, `values`, `errors`: the unknowns as vectors, such as `diffuse.red`.
-- `covariance`: of `values`. NaN rows for unknowns at a bound or not told.
+- `labels`, `values`, `errors`: the unknowns as vectors, such as `diffuse.red`. An error
+    is the larger side of the interval in which Δχ² stays below 1.
+- `covariance`: of `values`, where what lies at a bound stays there. NaN rows for
+    unknowns at a bound or not told, and for those whose error a bound or a hardly
+    identified exponent makes larger than this by a quarter.
 - `at_bound`: true where the estimate lies on its bound. Its error is then one-sided:
     how far into the box the data let it go.
 - `untold`: true where the data leave the value open.
@@ -239,6 +252,7 @@ Fit.__init__.__doc__ = """**Arguments:**
     does not describe the image, and errors are widened.
 - `converged`, `steps`, `reason`: how the solver ended.
 - `warnings`: plain sentences.
+- `region`: what the data allow, which [`Fit`][]`.intervals` asks.
 - `found`: the solved problem, which [`Fit`][]`.profile` and [`refit`][] go on from.
 """
 

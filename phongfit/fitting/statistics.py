@@ -193,14 +193,8 @@ def as_quadratic(
     known = np.diag(precision)
     ridge = SHARE * known + 1 / (WIDTHS * width) ** 2 + 1e-30
     center = np.zeros_like(slope) if center is None else center
-    return Quadratic(
-        (precision + precision.T) / 2 + np.diag(ridge),
-        slope,
-        lower,
-        upper,
-        rise,
-        center,
-    )
+    precision = (precision + precision.T) / 2 + np.diag(ridge)
+    return Quadratic(precision, slope, lower, upper, rise, center)
 
 
 def quadratic_about(

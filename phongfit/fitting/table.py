@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 def fit_table(fit: "Fit", least_correlation: float = 0.1, most: int = 10) -> str:
     """Value ± standard error, correlations and warnings, for a fixed-width font."""
     rows = parameter_rows(fit.labels, fit.values, fit.errors, fit.at_bound, fit.untold)
+    for k, words in lopsided(fit).items():
+        rows[k + 1] += f"  {words}"
     lines = [*_head(fit), "", *rows]
     correlations = _correlations(fit, least_correlation, most)
     if correlations:
@@ -24,6 +26,17 @@ def fit_table(fit: "Fit", least_correlation: float = 0.1, most: int = 10) -> str
                 warning, 86, initial_indent="  ! ", subsequent_indent="    "
             )
     return "\n".join(lines)
+
+
+def lopsided(fit: "Fit") -> dict[int, str]:
+    """Errors up and down in words, where one is more than a fifth larger."""
+    told = np.flatnonzero(~fit.untold & ~fit.at_bound)
+    sides = fit.sides[told]
+    return {
+        int(k): f"+{up:.2g} −{down:.2g}"
+        for k, (down, up) in zip(told, sides, strict=True)
+        if max(down, up) > 1.2 * min(down, up)
+    }
 
 
 def _head(fit: "Fit") -> list[str]:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from phongfit.files.formats import data_uri
 from phongfit.fitting.result import Fit
-from phongfit.fitting.table import number_with_error
+from phongfit.fitting.table import lopsided, number_with_error
 from phongfit.report.style import png
 from phongfit.report.words import unit
 
@@ -40,10 +40,11 @@ def source(figure: Figure, dpi: float = DPI) -> str:
 
 def parameters(fit: Fit) -> list[dict[str, Any]]:
     """The table's rows: label, value, error, percent, unit, and what to note."""
-    return [_row(fit, k) for k in range(len(fit.labels))]
+    words = lopsided(fit)
+    return [_row(fit, k, words.get(k, "")) for k in range(len(fit.labels))]
 
 
-def _row(fit: Fit, k: int) -> dict[str, Any]:
+def _row(fit: Fit, k: int, words: str) -> dict[str, Any]:
     value, error = float(fit.values[k]), float(fit.errors[k])
     row = {
         "label": fit.labels[k],
@@ -56,6 +57,7 @@ def _row(fit: Fit, k: int) -> dict[str, Any]:
     notes = [
         *(["at its bound"] if fit.at_bound[k] else []),
         *(["tied"] if fit.tied[k] else []),
+        *([words] if words else []),
     ]
     return row | {
         "error": f"{error:.2g}",

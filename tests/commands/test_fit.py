@@ -37,6 +37,9 @@ def test_all_numbers_are_written(brass, fitted):
         np.array(record.covariance, float), fit.covariance, rtol=1e-6
     )
     assert [list(row) for row in record.bounds] == fit.bounds.tolist()
+    np.testing.assert_allclose(
+        np.array(record.intervals, float), fit.intervals(), rtol=1e-6
+    )
     assert record.samples == fit.samples and record.converged
     assert set(record.data.inputs) == {"001.png", "002.png", "003.png", "scene.json"}
     assert record.made_with["precision"] == fit.material.diffuse.dtype.name
@@ -45,6 +48,17 @@ def test_all_numbers_are_written(brass, fitted):
     read = read_material(str(fitted / "fit.json"))
     assert isinstance(read.model, pf.BlinnPhong)
     assert np.array_equal(read.material.diffuse, record.build().diffuse)
+
+
+def test_a_file_from_before_there_were_intervals(fitted, tmp_path):
+    content = json.loads((fitted / "fit.json").read_text())
+    path = tmp_path / "fit.json"
+    path.write_text(json.dumps({**content, "intervals": content["intervals"][1:]}))
+    with pytest.raises(ValueError, match="intervals: expected 10"):
+        load_fit(path)
+    del content["intervals"]
+    path.write_text(json.dumps(content))
+    assert load_fit(path).intervals is None
 
 
 def test_the_report_says_how_to_repeat_it_in_python(brass, tmp_path):

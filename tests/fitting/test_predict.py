@@ -54,6 +54,20 @@ def test_errors_grow_with_the_noise_and_fall_with_images():
     np.testing.assert_allclose(one.errors / four.errors, 2, rtol=1e-3)
 
 
+def test_a_reflectance_at_its_bound():
+    """Nothing pulls it there: what trades with it is as uncertain as in fits."""
+    dark = pf.Material(TRUTH.diffuse, TRUTH.specular, 20.0, 0.0)
+    predicted = pf.predict_errors(SCENE, dark, 2 * NOISE)
+    off = [
+        pf.fit(SCENE, photograph(SCENE, dark, noise=2 * NOISE, seed=seed)).values
+        for seed in range(24)
+    ] - predicted.values
+    spread = np.sqrt(np.mean(np.square(off), axis=0))
+    assert predicted.at_bound[:3].all()
+    assert np.all(predicted.errors[3:6] > 0.8 * spread[3:6])
+    assert np.all(predicted.errors < 2.2 * spread)
+
+
 def test_what_could_not_be_told_is_named(few_draws):
     predicted = pf.predict_errors(SCENE, MATTE, NOISE)
     assert predicted.untold[9] and np.isinf(predicted.errors[9])

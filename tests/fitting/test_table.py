@@ -7,7 +7,9 @@ import pytest
 
 import phongfit as pf
 from phongfit.files.outputs import write_json
+from phongfit.fitting.intervals import Quadratic
 from phongfit.fitting.misfit import Misfit
+from phongfit.fitting.region import Part, Region
 from phongfit.fitting.table import fit_table
 from phongfit.material import Material
 
@@ -19,6 +21,20 @@ COVARIANCE = np.array(
         [0, 0.00009, 0.0004, np.nan],
         [np.nan, np.nan, np.nan, np.inf],
     ]
+)
+
+
+# Specular lies near its bound, and may go further up than down.
+STEPS = np.diag([1e4, 1e4, 2500.0, 1e-30])
+LOWER, UPPER = np.array([-9, -9, -0.005, -9.0]), np.full(4, 9.0)
+ABOUT = Quadratic(STEPS, np.zeros(4), LOWER, UPPER, 0.0, np.zeros(4))
+REGION = Region(
+    np.array([0.5, 0.25, 0.125, 40.0]),
+    np.eye(4),
+    np.zeros(4, bool),
+    np.array([[0, 1], [0, 1], [0, 1], [1, 1000]]),
+    np.array([False, False, False, True]),
+    lambda: (Part(np.arange(4), (ABOUT,)),),
 )
 
 
@@ -56,7 +72,7 @@ def result(**changes) -> pf.Fit:
             steps=7,
             reason="it was good",
             warnings=("shininess cannot be told: " + 20 * "because it is so, ",),
-            region=cast(Any, None),
+            region=REGION,
             found=cast(Any, None),
         ),
         **changes,
@@ -72,7 +88,7 @@ def rows(text: str) -> dict[str, list[str]]:
 def test_values_and_errors():
     table = rows(str(result()))
     assert table["diffuse.red"] == ["0.500", "±", "0.01", "2"]
-    assert table["specular"] == ["0.125", "±", "0.02", "16"]
+    assert table["specular"] == ["0.125", "±", "0.02", "16", "+0.02", "−0.005"]
     assert table["shininess"] == ["40", "±", "∞", "cannot", "be", "told"]
 
 
