@@ -256,7 +256,8 @@ class _Reduced:
         steepness = np.sum(slope * direction, axis=1)
         curvature = np.where(moves, 1 / safe, 0)
 
-        with np.errstate(divide="ignore", invalid="ignore"):
+        # What hardly moves never gets to its bound.
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             edge = np.where(direction > 0, self.upper, self.lower)
             room = (edge - points) / direction
             room = np.where(free & (direction != 0), np.maximum(room, 0), np.inf)
