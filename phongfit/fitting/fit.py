@@ -92,7 +92,8 @@ def fit(
     - `noise`: standard deviation of the sensor's noise in linear light, a number or as
         `weights`; default estimated from the residuals.
     - `film`: how light became numbers (clamp, encoding, bits). By default its clamp and
-        rounding are found from the values themselves.
+        rounding are found from the values themselves. Where some are exactly 1 and
+        others negative, white was cut off: then negative values count as black.
     - `loss`: `"linear"`, `"huber"`, `"soft_l1"`, `"cauchy"`, `"tukey"`, or an
         [`AbstractLoss`][].
     - `max_steps`: of the solver, in each of its passes.
@@ -283,10 +284,15 @@ def as_source(photograph: Photograph, seen: _Geometry, film: Film) -> Source:
         photograph.scene,
         *seen,
         # A copy, whatever becomes of the array that came.
-        jnp.array(photograph.image),
+        jnp.array(_as_shown(photograph.image, film)),
         jnp.asarray(weight),
         None if film.bits is None else rounding_steps(photograph.image, film),
     )
+
+
+def _as_shown(image: np.ndarray, film: Film) -> np.ndarray:
+    """What was cut off at white alone, at black as well."""
+    return np.maximum(image, 0) if film.clamp and image.min() < 0 else image
 
 
 def _show(

@@ -20,6 +20,8 @@ Values = Float[Array, "..."]
 
 # Standard deviations beyond which a normal distribution is empty: 1e-23 are left.
 FAR = 10
+# Values of exactly 1 that are no chance where noise goes on below 0.
+CUT_OFF = 3
 # Halvings in the search for a median: as many digits as a scale needs.
 HALVINGS = 16
 
@@ -157,19 +159,25 @@ def rounding_steps(image: np.ndarray, film: Film) -> np.ndarray:
 def find_film(images: list[np.ndarray]) -> Film:
     """The film that images must have been through, from their values alone.
 
-    Values outside [0, 1] were never clamped. Values that are all multiples of 1/255, or
+    Values outside [0, 1] were never clamped, unless several are exactly white: those
+    were cut off, and what lies below 0 counts as if it had been, too. Values that are all multiples of 1/255, or
     of 1/65535, in one of the encodings were rounded to them: that is no chance in an
     image. Only error bars rest on this, never the model.
     """
     low = min(float(image.min()) for image in images)
     high = max(float(image.max()) for image in images)
-    if low < 0 or high > 1:
+    if high > 1 or (low < 0 and not (high == 1 and _whites(images) >= CUT_OFF)):
         return Film(clamp=False)
     for bits in (8, 16):
         for encoding in ("linear", "srgb"):
             if all(_is_rounded(image, encoding, bits) for image in images):
                 return Film(encoding=encoding, bits=bits)
     return Film()
+
+
+def _whites(images: list[np.ndarray]) -> int:
+    """How many values are exactly 1."""
+    return sum(int(np.count_nonzero(image == 1)) for image in images)
 
 
 def _is_rounded(image: np.ndarray, encoding: Encoding, bits: int) -> bool:

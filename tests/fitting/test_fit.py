@@ -254,6 +254,10 @@ def test_a_film_that_was_never_clamped():
     check_near_truth(found)
     # Clipped, the same scene tells less.
     clipped = pf.fit(bright, np.clip(image, 0, 1))
+    above = pf.fit(bright, np.minimum(image, 1))
+    assert above.film == clipped.film == "clamped, not rounded"
+    near(above.values, clipped.values, 1e-6)
+    assert above.photographs.min() < 0
     check_near_truth(clipped)
     assert np.all(clipped.errors > found.errors)
     assert np.all(clipped.errors[6:] > 3 * found.errors[6:])

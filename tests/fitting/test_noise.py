@@ -129,6 +129,11 @@ def test_find_film_of_several_images_is_what_fits_all():
     assert find_film([eight, smooth]) == pf.Film()
     assert find_film([eight, smooth - 0.5]) == pf.Film(clamp=False)
     assert find_film([eight, eight[:2]]) == pf.Film(bits=8)
+    # Cut off at white alone, where one value of 1 may be chance.
+    cut = np.minimum(smooth - 0.5, 0.3) + 0.7
+    below = np.concatenate([cut.ravel(), [-0.1]])
+    assert find_film([below]) == pf.Film()
+    assert find_film([np.array([-0.1, 0.5, 1.0])]) == pf.Film(clamp=False)
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.05, 0.1, 0.2, 0.35, 0.6])
