@@ -29,7 +29,7 @@ def doubtful_exponents(
     if not specular.any() or not unknowns.logarithmic.any():
         return unseen, faint
     # An unknown light scales a highlight, but cannot make one out of nothing.
-    felt = ~unfelt(found.sums.inside, found.sums.resolution)
+    felt = ~unfelt(found.sums.inside, unknowns, position, found.sums.resolution)
     group = np.flatnonzero(np.isin(kinds, LEAVES) & felt)
     part = found.sums.part(group)
     covariance = part.covariance()

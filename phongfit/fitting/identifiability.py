@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from phongfit.fitting.leaves import REFLECTANCES
 from phongfit.fitting.unknowns import Unknowns
 
 
@@ -17,10 +18,21 @@ def threshold(resolution: float) -> float:
     return max((32 * resolution) ** 2, 1e-14)
 
 
-def unfelt(bread: np.ndarray, resolution: float) -> np.ndarray:
-    """Unknowns that the samples do not feel."""
+def unfelt(
+    bread: np.ndarray, unknowns: Unknowns, position: np.ndarray, resolution: float
+) -> np.ndarray:
+    """Unknowns that the samples do not feel.
+
+    A logarithm moves light by shares of what there is, which may be far less than
+    white: so it is compared with what the reflectances' own shares would move.
+    """
     diagonal = np.diag(bread)
-    return diagonal <= threshold(resolution) * max(diagonal.max(), 1e-300)
+    largest = np.full(len(diagonal), max(diagonal.max(), 1e-300))
+    reflectances = np.isin(unknowns.kinds, REFLECTANCES)
+    if reflectances.any():
+        shares = diagonal[reflectances] * np.minimum(position[reflectances] ** 2, 1)
+        largest[unknowns.logarithmic] = max(shares.max(), 1e-300)
+    return diagonal <= threshold(resolution) * largest
 
 
 _SILENT = {
@@ -33,12 +45,12 @@ _SILENT = {
 
 
 def unidentified(
-    bread: np.ndarray, unknowns: Unknowns, resolution: float
+    bread: np.ndarray, unknowns: Unknowns, position: np.ndarray, resolution: float
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Which unknowns the Jacobian leaves open, and why, in words."""
     labels = np.array(unknowns.y_labels)
     kinds = unknowns.kinds
-    silent = unfelt(bread, resolution)
+    silent = unfelt(bread, unknowns, position, resolution)
     reasons = [
         f"{_listed(labels[silent & (kinds == kind)])} cannot be told: "
         + _SILENT.get(kind, "no pixel that is used depends on it")

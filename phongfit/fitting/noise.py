@@ -160,9 +160,9 @@ def find_film(images: list[np.ndarray]) -> Film:
     """The film that images must have been through, from their values alone.
 
     Values outside [0, 1] were never clamped, unless several are exactly white: those
-    were cut off, and what lies below 0 counts as if it had been, too. Values that are all multiples of 1/255, or
-    of 1/65535, in one of the encodings were rounded to them: that is no chance in an
-    image. Only error bars rest on this, never the model.
+    were cut off, and what lies below 0 counts as if it had been, too. Values that are
+    all multiples of 1/255, or of 1/65535, in one of the encodings were rounded to them:
+    that is no chance in an image. Only error bars rest on this, never the model.
     """
     low = min(float(image.min()) for image in images)
     high = max(float(image.max()) for image in images)

@@ -103,7 +103,7 @@ def statistics(
     at_bound = (position <= np.asarray(unknowns.lower)) | (
         position >= np.asarray(unknowns.upper)
     )
-    untold, reasons = unidentified(sums.inside, unknowns, sums.resolution)
+    untold, reasons = unidentified(sums.inside, unknowns, position, sums.resolution)
     if untold.all() and _all_white(problem):
         words = "nothing can be told: all samples that are used are white. Expose less"
         reasons = (f"{words}, or mask what is overexposed",)

@@ -5,6 +5,7 @@ import pytest
 
 import phongfit as pf
 from tests.fitting.scenes import SIZE, TRUTH, as_vector, ball, photograph
+from tests.helpers import near
 
 NOISES = pytest.mark.parametrize("noise", [0.0, 0.01])
 PLATE = pf.Scene(
@@ -78,6 +79,16 @@ def test_a_highlight_that_is_masked(noise):
     assert 10 < seen.sum() < 300
     fit = pf.fit(ball(), photograph(ball(), shiny, noise=noise), mask=~seen)
     check_untold(fit, ("specular", "shininess"), "cannot be told")
+
+
+def test_an_image_in_other_units():
+    """A millionth of white: nothing is as bright as its numbers could be."""
+    image = photograph(ball(), TRUTH, noise=0.01, film=pf.Film(clamp=False))
+    fit, dark = pf.fit(ball(), image), pf.fit(ball(), 1e-6 * image)
+    assert not dark.warnings and not dark.untold.any()
+    scale = np.where(np.arange(10) < 9, 1e-6, 1)
+    near(dark.values / scale, fit.values, 3e-3)
+    near(dark.errors / scale, fit.errors, 3e-3)
 
 
 def test_everything_is_black():

@@ -181,7 +181,7 @@ LAYOUT = make_unknowns(LEAVES[1:4], (), pf.Material(), {})
 )
 def test_who_cannot_be_told(rows, untold, words):
     jacobian = np.array(rows, float)
-    flags, reasons = unidentified(jacobian.T @ jacobian, LAYOUT, 1e-7)
+    flags, reasons = unidentified(jacobian.T @ jacobian, LAYOUT, np.ones(3), 1e-7)
     assert np.flatnonzero(flags).tolist() == untold
     assert len(reasons) == (0 if words is None else 1)
     if words:
