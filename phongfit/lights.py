@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from phongfit.checks import (
     as_light,
@@ -44,10 +44,17 @@ Illumination.__init__.__doc__ = """**Arguments:**
 class AbstractLight(eqx.Module):
     """Asked for one point, answers with an [`Illumination`][].
 
-    `jumps` names fields in which the light at a point jumps, and has no derivative.
+    A light with an edge, past which there is none of it, tells where that is by
+    `covers`, and names in `jumps` the fields that move the edge alone: in these the
+    light at a point jumps, and has no derivative.
     """
 
     jumps: ClassVar[tuple[str, ...]] = ()
+
+    def covers(self, position: Vec3) -> Bool[Array, ""]:
+        """Whether `position` (world units) lies on the light's side of its edge."""
+        del position
+        return jnp.array(True)
 
     @abc.abstractmethod
     def illuminate(self, position: Vec3) -> Illumination:
@@ -233,12 +240,22 @@ class SpotLight(AbstractLight):
 
     def illuminate(self, position: Vec3) -> Illumination:
         offset = self.position - position
-        to_light = normalize(offset)
-        cosine = dot(-to_light, normalize(self.axis))
-        inside = cosine >= jnp.cos(jnp.deg2rad(self.cutoff))
-        spot = jnp.where(inside, power(cosine, self.exponent), 0)
+        spot = power(self._cosine(position), self.exponent)
+        spot = jnp.where(self.covers(position), spot, 0)
         distance = norm(offset)
         share = spot * _attenuation(self.attenuation, distance)
         return _arriving(
-            to_light, share, self.intensity, self.specular, self.ambient, distance
+            normalize(offset),
+            share,
+            self.intensity,
+            self.specular,
+            self.ambient,
+            distance,
         )
+
+    def covers(self, position: Vec3) -> Bool[Array, ""]:
+        return self._cosine(position) >= jnp.cos(jnp.deg2rad(self.cutoff))
+
+    def _cosine(self, position: Vec3) -> Scalar:
+        """Of the angle between the axis and the way to a point."""
+        return dot(normalize(position - self.position), normalize(self.axis))

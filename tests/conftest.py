@@ -71,6 +71,7 @@ ALTERNATE = {
     "lab",
     "rendering",
     "report",
+    "test_edges",
     "test_fit",
     "test_highlight",
     "test_identifiability",

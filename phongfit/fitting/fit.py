@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from phongfit.checks import untraced
+from phongfit.fitting.edges import keep_off_edges
 from phongfit.fitting.inputs import Photograph, as_photographs, as_scenes, is_number
 from phongfit.fitting.layout import Tie, make_unknowns
 from phongfit.fitting.losses import AbstractLoss, as_loss
@@ -69,9 +70,9 @@ def fit(
         `"scene.lights[0].direction"` or `"scene.fog.density"`, which start from what
         the scene has. Directions are looked for on the whole sphere. A camera's
         `rotation` is three angles: degrees about its own x, y and z axes, from where
-        the scene has it. A spot's `cutoff` is refused. Edges that an unknown moves (an
-        outline, the rim of a spot, a cast shadow) have no derivative: mask out the
-        pixels near them, or all values can be off by far more than their errors.
+        the scene has it. A spot's `cutoff` is refused. Pixels next to an edge that an
+        unknown moves (an outline, the rim of a spot, a cast shadow) are left out: light
+        jumps there, which no derivative knows.
         `"exposure"`: what the light of each image is multiplied by.
     - `per_channel`: those of them with one value for each of red, green and blue; other
         colours have one for all.
@@ -152,6 +153,10 @@ def fit(
         noise is not None,
         max_steps,
     )
+    found, sources, at_edges = keep_off_edges(
+        found, sources, noise is not None, max_steps
+    )
+    setting = dataclasses.replace(setting, sources=sources)
     given = {"mask": mask, "weights": weights, "noise": noise}
     # Directions are now told around where the best of several starts began.
     layout = found.problem.unknowns
@@ -178,6 +183,7 @@ def fit(
         single=single,
         noise_given=noise is not None,
         arrays=tuple(name for name, value in given.items() if not is_number(value)),
+        at_edges=at_edges,
     )
 
 

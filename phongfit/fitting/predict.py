@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from phongfit.checks import untraced
+from phongfit.fitting.edges import left_out, moves_edges, near_edges
 from phongfit.fitting.estimate import Estimates, estimates
 from phongfit.fitting.fit import set_up
 from phongfit.fitting.layout import first_values
@@ -113,6 +114,9 @@ def predict_errors(
     )
     unknowns, sources = setting.unknowns, setting.sources
     samples = gather(sources, seen_pixels(sources))
+    if moves_edges(unknowns, scenes):
+        # As a fit leaves them out.
+        samples = left_out(samples, near_edges(unknowns, scenes))
     sigma = jnp.ones((), samples.target.dtype)
     problem = Problem(samples, unknowns, sigma, Linear(), film.clamp)
     entries = first_values(unknowns.leaves, scenes, material)

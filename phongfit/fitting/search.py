@@ -97,6 +97,18 @@ def search(
     return Found(problem, y, converged, steps)
 
 
+def search_on(
+    found: Found, samples: Samples, noise_given: bool, max_steps: int
+) -> Found:
+    """From where a search ended, with other weights of the same samples."""
+    old = found.problem
+    stand = _Stand(found.y, old.sigma, jnp.array(False), found.steps)
+    problem = Problem(samples, old.unknowns, old.sigma, old.loss, old.clamp)
+    y, sigma, converged, steps = _settle(problem, stand, max_steps, noise_given)
+    problem = Problem(samples, old.unknowns, sigma, old.loss, old.clamp)
+    return Found(problem, y, converged, steps)
+
+
 def _best_of_several(
     problem: Problem, noise_given: bool, max_steps: int
 ) -> tuple[Float[Array, " n"], Unknowns]:

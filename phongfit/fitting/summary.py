@@ -52,6 +52,7 @@ def summarize(
     single: bool,
     noise_given: bool,
     arrays: tuple[str, ...],
+    at_edges: tuple[str, ...],
 ) -> Fit:
     """The result of a fit.
 
@@ -67,6 +68,7 @@ def summarize(
     - `single`: whether one image was given, not a sequence.
     - `noise_given`: whether the noise level was known.
     - `arrays`: which arguments came as arrays.
+    - `at_edges`: what there is to warn of pixels at edges that move.
     """
     problem, unknowns = found.problem, found.problem.unknowns
     # Meanwhile JAX is at work on the images and on the sums.
@@ -126,6 +128,7 @@ def summarize(
         warnings=(
             *(() if converged else ("the solver did not converge",)),
             *told.reasons,
+            *at_edges,
             *bound_words(told, unknowns),
             *prior_words(told, unknowns, misfit.inflation),
             *(() if told.untold.all() else misfit_words(misfit, len(shown))),

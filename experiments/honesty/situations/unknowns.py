@@ -89,6 +89,28 @@ def of_scenes() -> list[Situation]:
             ),
         ),
         Situation(
+            "a spot's position unknown, its rim seen",
+            "right",
+            fits(
+                usual(MATERIAL, small(cone)),
+                noisy(0.002),
+                fitted=small(pf.SpotLight((1.1, 1, 3), (-1, -1, -3), 0.6, cutoff=12)),
+                unknowns=("ambient", "diffuse", "scene.lights[0].position"),
+                known=MATERIAL,
+            ),
+        ),
+        Situation(
+            "the ball's radius unknown",
+            "right",
+            fits(
+                usual(MATERIAL, small(surface=pf.Sphere(radius=0.8))),
+                noisy(0.002),
+                fitted=small(surface=pf.Sphere(radius=0.83)),
+                unknowns=("ambient", "diffuse", "scene.surface.radius"),
+                known=MATERIAL,
+            ),
+        ),
+        Situation(
             "a spot's cutoff unknown",
             "doubtful",
             fits(

@@ -1,0 +1,75 @@
+"""Edges that unknowns move: what lies next to them misleads no fit."""
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.fitting.edges import near_edges
+from phongfit.fitting.fit import set_up
+from tests.fitting.scenes import SIZE, TRUTH, photograph
+
+NOISE = 0.002
+LAMP = pf.DirectionalLight((1, 1, 2), 0.5)
+
+
+def scene(surface: pf.AbstractSurface | None = None, *lights: pf.AbstractLight):
+    camera = pf.OrthographicCamera(SIZE, SIZE)
+    surface = pf.Sphere() if surface is None else surface
+    return pf.Scene(surface, camera, lights or LAMP, ambient=0.3)
+
+
+def spot(position: tuple[float, float, float]) -> pf.SpotLight:
+    return pf.SpotLight(position, (-1, -1, -3), 0.6, cutoff=12)
+
+
+BULB = "scene.lights[0].position"
+KINDS = {
+    "an outline": (
+        scene(pf.Sphere((0, 0, 0), 0.8)),
+        scene(pf.Sphere((0, 0, 0), 0.83)),
+        "scene.surface.radius",
+    ),
+    "a rim": (scene(None, spot((1, 1, 3))), scene(None, spot((1.1, 1, 3))), BULB),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_fit_keeps_off_edges_that_it_moves(kind):
+    made, guess, name = KINDS[kind]
+    image = photograph(made, TRUTH, noise=NOISE, film=pf.Film(clamp=False))
+    fit = pf.fit(guess, image, unknowns=("diffuse", "ambient", name), known=TRUTH)
+    assert fit.converged and not fit.warnings
+    assert 0.9 < fit.noise / NOISE < 1.1
+    truth = {
+        "diffuse": TRUTH.diffuse,
+        "ambient": TRUTH.ambient,
+        "scene.surface.radius": 0.8,
+        BULB: (1, 1, 3),
+    }
+    for one in ("diffuse", "ambient", name):
+        off = np.asarray(fit[one].value) - np.asarray(truth[one])
+        assert np.all(np.abs(off) < 4 * np.asarray(fit[one].error)), one
+    # What was left out is not shown as a residual, and does not count.
+    assert fit.samples < 0.9 * 3 * np.asarray(made.trace().mask).sum()
+
+
+def test_which_pixels_lie_at_an_edge():
+    made, _, name = KINDS["a rim"]
+    image = photograph(made, TRUTH, noise=NOISE, film=pf.Film(clamp=False))
+    unknowns = set_up(made, image, unknowns=("diffuse", name)).unknowns
+    (near,) = near_edges(unknowns, [made], 1)
+    lit = np.asarray(pf.render(made, pf.Material(1.0, 0.0, 1.0, 0.0)))[..., 0] > 0
+    seen = np.asarray(made.trace().mask)
+    jumps = np.zeros_like(near)
+    for axis in (0, 1):
+        both = np.diff(lit & seen, axis=axis) & (seen & np.roll(seen, -1, axis)).take(
+            range(SIZE - 1), axis
+        )
+        here = [slice(None), slice(None)]
+        for here[axis] in (slice(None, -1), slice(1, None)):
+            jumps[tuple(here)] |= both
+    # Light ends at the rim of the cone, and where the surface turns away, at 0.
+    assert near[jumps & near].all() and 20 < np.sum(near) < 4 * np.sum(jumps)
+    # Nothing moves where lights and surface are known.
+    known = set_up(made, image, unknowns=("diffuse",)).unknowns
+    assert not near_edges(known, [made])[0].any()
