@@ -60,11 +60,31 @@ def neighbour_correlation(sums: Neighbours) -> float:
 
     **Returns:** a number in [−1, 1]; 0 where it is no more than chance.
     """
+    correlation = correlation_of(sums)
+    chance = 5 / math.sqrt(max(sums.pairs, 1))
+    return correlation if abs(correlation) > chance else 0.0
+
+
+def correlation_of(sums: Neighbours) -> float:
+    """The same, with what is chance alone."""
     products, pairs, squares, count = sums
     if pairs == 0 or squares == 0:
         return 0.0
-    correlation = min(max(products / pairs * count / squares, -1.0), 1.0)
-    return correlation if abs(correlation) > 5 / math.sqrt(pairs) else 0.0
+    return min(max(products / pairs * count / squares, -1.0), 1.0)
+
+
+class Expected(NamedTuple):
+    """How neighbours' residuals correlate where the model is right, and how surely."""
+
+    correlation: float
+    deviation: float
+
+
+def correlation_beyond(sums: Neighbours, expected: Expected) -> float:
+    """How much more they correlate than expected; 0 where that is chance."""
+    beyond = correlation_of(sums) - expected.correlation
+    chance = 5 * math.hypot(expected.deviation, 1 / math.sqrt(max(sums.pairs, 1)))
+    return min(beyond, 1.0) if beyond > chance else 0.0
 
 
 def variance_inflation(correlation: float) -> float:

@@ -2,15 +2,18 @@
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.fitting.diagnostics import (
+    Expected,
     Neighbours,
     all_neighbours,
     compare_neighbours,
+    correlation_beyond,
     neighbour_correlation,
     variance_inflation,
 )
@@ -37,13 +40,14 @@ def summarize(
     place: tuple[Array, Array],
     pieces: Pieces,
     *,
-    film: Film,
+    films: tuple[Film, ...],
     scenes: tuple[Scene, ...],
     photographs: list[np.ndarray],
     shown: list[Shown],
     single: bool,
     noise_given: bool,
     arrays: tuple[str, ...],
+    expected: Expected | None = None,
 ) -> Fit:
     """The result of a fit.
 
@@ -52,12 +56,13 @@ def summarize(
     - `found`: the solution.
     - `place`: it in the user's units: see [`in_units`][].
     - `pieces`: sums over the samples there: see [`add_up`][].
-    - `film`: the images'.
+    - `films`: of each image.
     - `photographs`: images (H, W, 3) as they were given.
     - `scenes`, `shown`: the scenes and images as fitted.
     - `single`: whether one image was given, not a sequence.
     - `noise_given`: whether the noise level was known.
     - `arrays`: which arguments came as arrays.
+    - `expected`: how neighbours would correlate in the right model, if not at random.
     """
     problem, unknowns = found.problem, found.problem.unknowns
     # Meanwhile JAX is at work on the images and on the sums.
@@ -66,7 +71,10 @@ def summarize(
     residuals = [np.asarray(one.residual) for one in shown]
     used = [np.asarray(one.weight) > 0 for one in shown]
     neighbours = all_neighbours(map(compare_neighbours, residuals, used))
-    correlation = _misfit(problem, neighbours)
+    if expected is None:
+        correlation = _misfit(problem, neighbours)
+    else:
+        correlation = correlation_beyond(neighbours, expected)
     inflation = variance_inflation(correlation)
     told = estimates(problem, found.y, inflation, place, pieces)
     entries = np.array(place[0])
@@ -105,7 +113,7 @@ def summarize(
         neighbour_correlation=correlation,
         loss=type(problem.loss).__name__,
         model=type(problem.samples.channels.pixels.terms.model).__name__,
-        film=film_words(film),
+        film=films_words(films),
         converged=converged,
         steps=int(found.steps),
         reason=_CONVERGED if converged else _STOPPED,
@@ -169,7 +177,13 @@ def _with_noise_warning(fit: Fit) -> Fit:
     return dataclasses.replace(fit, warnings=(*fit.warnings, words))
 
 
+def films_words(films: Sequence[Film]) -> str:
+    """What of the images' films a fit rests on."""
+    return " / ".join(dict.fromkeys(map(film_words, films)))
+
+
 def film_words(film: Film) -> str:
     """What of a film a fit rests on."""
     rounded = "not rounded" if film.bits is None else f"{film.bits}-bit {film.encoding}"
-    return f"{'clamped' if film.clamp else 'not clamped'}, {rounded}"
+    kind = "" if film.jpeg is None else f" JPEG {film.jpeg.subsampling}".rstrip()
+    return f"{'clamped' if film.clamp else 'not clamped'}, {rounded}{kind}"

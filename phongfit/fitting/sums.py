@@ -104,6 +104,14 @@ class Jacobian(eqx.Module):
             sums = self._products(one, residual[:, None])[:, :, 0, :, 0]
         return jnp.einsum("gcki,gck->i", self.select, sums, precision=EXACT)
 
+    def push(self, step: Float[Array, " n"]) -> Float[Array, "3 samples"]:
+        r"""$J p$ of the samples."""
+        shares = jnp.einsum("gcki,i->gck", self.select, step, precision=EXACT)
+        if self.member is None:
+            return jnp.einsum("ckn,ck->cn", self.local, shares[0], precision=EXACT)
+        each = jnp.einsum("gn,gck->ckn", self.member, shares, precision=EXACT)
+        return jnp.sum(self.local * each, axis=1)
+
     def _spread(
         self, products: Float[Array, "groups 3 weights colours colours"]
     ) -> Float[Array, "weights n n"]:
