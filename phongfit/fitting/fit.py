@@ -225,8 +225,7 @@ def set_up(
     films = _checked_films(film, photographs)
     rounded = any(film.bits is not None for film in films)
     sources = [
-        as_source(*one, rounded)
-        for one in zip(photographs, seen, films, strict=True)
+        as_source(*one, rounded) for one in zip(photographs, seen, films, strict=True)
     ]
     _check_samples(sources, layout)
     _check_constants(layout, sources)
@@ -334,7 +333,9 @@ def _checked_films(
         return (find_film(images),) * len(images)
     films = (film,) * len(images) if isinstance(film, Film) else tuple(film)
     if len(films) != len(images):
-        raise ValueError(f"film: expected {len(images)}, one an image, got {len(films)}")
+        raise ValueError(
+            f"film: expected {len(images)}, one an image, got {len(films)}"
+        )
     if len({one.clamp for one in films}) > 1:
         raise ValueError("film: expected one clamp for all images, got both")
     for p, values, one in zip(photographs, images, films, strict=True):

@@ -85,8 +85,10 @@ def restore(
     measured, step = problem.samples.target, problem.samples.step
     plates = _plates(problem, sources, films)
     converged, stage, draws = found.converged, None, None
+    coarser = np.ones(measured.shape, np.asarray(measured).dtype)
     for count in (FEW, FEW, MANY):
-        stage = _Stage(problem, y, plates, measured - problem.samples.target)
+        given_back = measured - problem.samples.target
+        stage = _Stage(problem, y, plates, given_back, coarser)
         sigma = problem.sigma if noise_given else stage.noise()
         draws = stage.draw(sigma, count)
         kind = measured.dtype
@@ -99,6 +101,7 @@ def restore(
                 jnp.asarray(sigma, kind),
             ),
         )
+        coarser = draws.coarser
         solution = solve(problem, y, max_steps)
         y, steps, converged = solution.y, steps + solution.steps, solution.converged
     scatter = stage.scatter(draws)
@@ -205,6 +208,24 @@ def _whole_blocks(
     return whole.repeat(down, axis=0).repeat(across, axis=1)[:height, :width]
 
 
+def _block_means(
+    picture: Float[np.ndarray, "height width 3"],
+    used: Bool[np.ndarray, "height width 3"],
+    jpeg: JpegCompression,
+) -> Float[np.ndarray, "height width 3"]:
+    """At each pixel the mean over what is used of its block."""
+    (height, width, _), (down, across) = picture.shape, jpeg.block
+    padding = (0, -height % down), (0, -width % across), (0, 0)
+
+    def sums(values: np.ndarray) -> np.ndarray:
+        blocks = np.pad(values, padding)
+        blocks = blocks.reshape(-(-height // down), down, -1, across, 3)
+        return blocks.sum(axis=(1, 3), dtype=float)
+
+    mean = sums(np.where(used, picture, 0)) / np.maximum(sums(used), 1)
+    return mean.repeat(down, axis=0).repeat(across, axis=1)[:height, :width]
+
+
 class _Draws(NamedTuple):
     """Errors in linear light of images drawn through their films.
 
@@ -228,12 +249,14 @@ class _Stage:
         y: Float[Array, " n"],
         plates: list[_Plate],
         given_back: Float[Array, "3 samples"],
+        coarser: Float[np.ndarray, "3 samples"],
     ):
         light, (self.jacobian, at) = _look(problem, y)
         self.problem, self.y, self.plates = problem, y, plates
         self.light, self.given_back = np.asarray(light), np.asarray(given_back)
         self.used = np.asarray(problem.samples.weight) > 0
         self.inner = _inner(self.used, plates)
+        self.coarser = coarser
         self.deviation = np.asarray(at.deviation)
         self.floor = float(at.floor)
         self.left = np.asarray(at.residual)
@@ -307,31 +330,30 @@ class _Stage:
             errors = self._errors(sigma, mean, seed)
             total, squares = total + errors, squares + errors**2
             scores.append(self._pull(self.bend * errors / self.deviation))
-            pictures = [(p.picture(errors - self.given_back), p.used) for p in self.plates]
-            together = all_neighbours(compare_neighbours(*one) for one in pictures)
-            correlations.append(correlation_of(together))
-        variance = squares / count - (total / count) ** 2
+            left = errors - self.given_back
+            pairs = [compare_neighbours(p.picture(left), p.used) for p in self.plates]
+            correlations.append(correlation_of(all_neighbours(pairs)))
         return _Draws(
             total / count,
             np.array(scores),
-            self._coarser(variance, sigma),
+            self._coarser(squares / count, sigma),
             Expected(float(np.mean(correlations)), float(np.std(correlations))),
         )
 
     def _coarser(
-        self, variance: Float[np.ndarray, "3 samples"], sigma: float
+        self, squares: Float[np.ndarray, "3 samples"], sigma: float
     ) -> Float[np.ndarray, "3 samples"]:
+        """How many times as wide as a level, block by block: edges are worst."""
         weight = np.where(self.used, np.asarray(self.problem.samples.weight), 1)
-        beyond = variance - sigma**2 / weight
-        step = np.asarray(self.problem.samples.step) ** 2 / 12
+        step = np.asarray(self.problem.samples.step) / self.coarser
+        step = np.where(step > 0, step, 1)
+        beyond = (squares - sigma**2 / weight) * 12 / step**2
         factor = np.ones_like(self.light)
         for plate in self.plates:
-            if plate.film.jpeg is None:
-                continue
-            for channel in range(3):
-                row = channel, plate.columns
-                ratio = beyond[row].mean() / step[row].mean()
-                factor[row] = np.sqrt(max(ratio, 1.0))
+            if plate.film.jpeg is not None:
+                mean = _block_means(plate.picture(beyond), plate.used, plate.film.jpeg)
+                mean = mean.reshape(-1, 3)[plate.place].T
+                factor[:, plate.columns] = np.sqrt(np.maximum(mean, 1))
         return factor
 
     def scatter(self, draws: _Draws) -> Float[np.ndarray, "n n"]:

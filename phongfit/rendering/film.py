@@ -46,7 +46,7 @@ def _namespace(values: Any) -> Any:
 
 
 class Film(eqx.Module):
-    """What happens to light on its way into an image: clamp, encode, round, compress."""
+    """What happens to light on its way into an image: clamp, encode, round, JPEG."""
 
     clamp: bool = eqx.field(static=True)
     encoding: Encoding = eqx.field(static=True)
