@@ -111,7 +111,7 @@ def predict_errors(
     unknowns, sources = setting.unknowns, setting.sources
     samples = gather(sources, seen_pixels(sources))
     sigma = jnp.ones((), samples.target.dtype)
-    problem = Problem(samples, unknowns, sigma, Linear(), film.clamp)
+    problem = Problem(samples, unknowns, sigma, Linear(), setting.films[0].clamp)
     entries = first_values(unknowns.leaves, scenes, material)
     y = jnp.asarray(unknowns.position(entries))
     told = estimates(problem, y)
