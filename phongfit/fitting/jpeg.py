@@ -7,7 +7,7 @@ colour that of their mean. So the fitted image, with noise, is drawn through the
 own steps some dozen times. The mean of what it loses is given back to the photograph,
 which is fitted again; how the draws scatter says what the errors are.
 
-Each draw is a little darker than the fitted image, and shifted by a few levels: where a
+Each draw is a little brighter or darker, and shifted by some levels: where a
 large number lies between two steps is chance, but a small one rounds to 0 all the same.
 
 ??? cite "Source"
@@ -39,9 +39,9 @@ from phongfit.rendering.jpeg import JpegCompression, compressed
 FEW, MANY = 8, 32
 # An encoder may round otherwise than is assumed, and what surrounds the surface is
 # estimated: so much of what is given back counts as an error.
-DOUBT = 0.25
-# Draws are up to so much darker than the fitted image.
-DARKER = 0.1
+DOUBT = 0.5
+# Draws are up to so much brighter or darker than the fitted image.
+BRIGHTER = 0.05
 # Pixels around the surface that are averaged for what lies there.
 AROUND = 4
 # Share of the samples that lie in blocks of the surface alone, from which on these
@@ -260,8 +260,10 @@ class _Stage:
         """
         inner = self._inner()
         wanted = self._size(self.residual, inner)
-        # About as many samples for few pixels as for many.
-        seeds = range(max(1, min(FEW, 2**17 // self.light.shape[1])))
+        # About as many samples for few pixels as for many; other draws than those that
+        # were given back, which would seem to have little noise.
+        count = max(1, min(FEW, 2**17 // self.light.shape[1]))
+        seeds = range(FEW + MANY, FEW + MANY + count)
 
         def excess(variance: float) -> float:
             drawn = self.errors(np.sqrt(variance), seeds)
@@ -401,25 +403,27 @@ def _developed(
         offset = rng.uniform(-0.5, 0.5, (3, 1)).astype(light.dtype)
         levels = np.round(encode(shown, film.encoding) * top + offset) - offset
         return decode(np.clip(levels / top, 0, 1), film.encoding)
-    share, shift = _another(film.jpeg, rng)
-    levels = compressed(share * plate.levels(light) + shift, film.jpeg)
-    read = decode(np.clip((levels - shift) / share / 255, 0, 1), film.encoding)
-    return read.reshape(-1, 3)[plate.place].T
+    levels = plate.levels(light)
+    share, shift = _another(film.jpeg, float(levels.max()), rng)
+    read = (compressed(share * levels + shift, film.jpeg) - shift) / share
+    shown = decode(np.clip(read / 255, 0, 1), film.encoding)
+    return shown.reshape(-1, 3)[plate.place].T
 
 
 def _another(
-    jpeg: JpegCompression, rng: np.random.Generator
+    jpeg: JpegCompression, brightest: float, rng: np.random.Generator
 ) -> tuple[np.float32, Float[np.ndarray, " 3"]]:
     """What levels are multiplied by, and what is added to red, green and blue.
 
-    They stay between 0 and 255, so that no more is cut off than was.
+    Nothing passes white by it, so that no more is cut off than was.
     """
     # Twice as wide as the coarsest rounding of a block's mean.
-    widest = 2 * max(1.0, *(table[0][0] / 8 for table in jpeg.tables))
-    shift = rng.uniform(0, widest, 3).astype(np.float32)
+    widest = max(1.0, *(table[0][0] / 8 for table in jpeg.tables))
+    shift = rng.uniform(-widest, widest, 3).astype(np.float32)
     if len(jpeg.tables) == 1:
         shift[:] = shift[0]
-    return np.float32(1 - widest / 255 - DARKER * rng.uniform()), shift
+    most = min(1 + BRIGHTER, (255 - widest) / max(brightest, 1.0))
+    return np.float32(most - 2 * BRIGHTER * rng.uniform()), shift
 
 
 def _root(function: Callable[[float], float], scale: float) -> float:
