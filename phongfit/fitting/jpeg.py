@@ -82,9 +82,10 @@ def restore(
     """
     first, problem, y, steps = found.problem, found.problem, found.y, found.steps
     plates = _plates(first, sources, films)
+    step, sigma = np.asarray(first.samples.step), float(first.sigma)
     for _ in range(2):
         stage = _Stage(first, problem, y, plates)
-        sigma = float(problem.sigma) if noise_given else stage.noise()
+        sigma = sigma if noise_given else stage.noise()
         errors = np.array(list(stage.errors(sigma, range(FEW))))
         step = stage.wider_steps(errors, sigma)
         problem = _restored(first, errors.mean(axis=0), step, sigma)
@@ -120,8 +121,7 @@ def _restored(
         first.samples,
         (first.samples.target - jnp.asarray(lost, kind), jnp.asarray(step, kind)),
     )
-    sigma = jnp.asarray(sigma, kind)
-    return dataclasses.replace(first, samples=samples, sigma=sigma)
+    return dataclasses.replace(first, samples=samples, sigma=jnp.asarray(sigma, kind))
 
 
 class _Plate(NamedTuple):
@@ -173,24 +173,25 @@ def _plates(
         columns = own[(weight[:, own] > 0).any(axis=0)]
         place = np.asarray(view.index)[columns - size * k]
         image = np.asarray(source.image, np.float32)
-        used = np.broadcast_to(np.asarray(source.weight) > 0, image.shape)
-        around = _surroundings(image, used.any(axis=-1))
+        used = np.greater(np.broadcast_to(source.weight, image.shape), 0)
+        around = _surroundings(image, used.max(axis=-1, keepdims=True))
         plates.append(_Plate(film, around.reshape(-1, 3), place, columns, used))
     return plates
 
 
 def _surroundings(
-    image: Float[np.ndarray, "height width 3"], used: Bool[np.ndarray, "height width"]
+    image: Float[np.ndarray, "height width 3"],
+    used: Bool[np.ndarray, "height width 1"],
 ) -> Float[np.ndarray, "height width 3"]:
     """What lies around the pixels that are used, the codec's ripples smoothed away.
 
     Ripples are what is left of an edge whose high frequencies the file lacks; to keep
     them would be to believe that it never had any.
     """
-    outside = ~used[..., None]
+    outside = ~used
     share = _blurred(outside.astype(image.dtype))
     mean = _blurred(np.where(outside, image, 0)) / np.maximum(share, 1e-6)
-    near = outside & (_blurred(used[..., None].astype(image.dtype)) > 1e-6)
+    near = outside & (_blurred(used.astype(image.dtype)) > 1e-6)
     return np.where(near, mean, image)
 
 
@@ -201,8 +202,8 @@ def _blurred(image: np.ndarray) -> np.ndarray:
     for axis in (0, 1):
         wide = np.moveaxis(image, axis, 0)
         ends = np.pad(wide, [(AROUND, AROUND), (0, 0), (0, 0)])
-        rows = (w * ends[k : k + len(wide)] for k, w in enumerate(window))
-        image = np.moveaxis(sum(rows), 0, axis)
+        rows = [w * ends[k : k + len(wide)] for k, w in enumerate(window)]
+        image = np.moveaxis(np.sum(rows, axis=0), 0, axis)
     return image
 
 
@@ -279,7 +280,7 @@ class _Stage:
         """Samples whose blocks show the surface alone; all, where these are few."""
         inner = np.zeros_like(self.used)
         for plate in self.plates:
-            seen, jpeg = plate.used.any(axis=-1)[..., None], plate.film.jpeg
+            seen, jpeg = plate.used.max(axis=-1, keepdims=True), plate.film.jpeg
             if jpeg is not None:
                 seen = plate.cut(_all_over(_in_blocks(~seen, *jpeg.block) == 0, jpeg))
             inner[:, plate.columns] = seen.ravel()[plate.place]
@@ -291,7 +292,7 @@ class _Stage:
         """Mean square of what a fit leaves of such errors, in standard deviations."""
         left = self._left(residual)
         if self.problem.loss.robust:
-            return float(median_deviation(jnp.asarray(left), which)) ** 2
+            return float(median_deviation(jnp.asarray(left), jnp.asarray(which))) ** 2
         return float(np.mean(left[which].astype(float) ** 2))
 
     def _left(self, residual: np.ndarray) -> Float[np.ndarray, "3 samples"]:

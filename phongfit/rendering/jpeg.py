@@ -11,6 +11,7 @@ step. The coding after that loses nothing, and is left out.
 """
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -43,8 +44,8 @@ class JpegCompression:
     **Raises:** `ValueError` that names the argument.
     """
 
-    tables: tuple[Table, ...]
-    sampling: tuple[tuple[int, int], ...] = ()
+    tables: Sequence[Any]
+    sampling: Sequence[tuple[int, int]] = ()
     ycbcr: bool = True
 
     def __post_init__(self) -> None:
@@ -88,17 +89,16 @@ class JpegCompression:
             np.clip((np.array(table) * scale + 50) // 100, 1, 255)
             for table in (_LUMA, _CHROMA)
         )
-        return cls((luma, chroma, chroma), SAMPLINGS[subsampling])  # pyright: ignore
+        return cls((luma, chroma, chroma), SAMPLINGS[subsampling])
 
     @property
     def subsampling(self) -> str:
         """`"4:2:0"` and the like; `"grey"` for one component."""
         if len(self.tables) == 1:
             return "grey"
-        names = {sampling: name for name, sampling in SAMPLINGS.items()}
-        return names.get(self.sampling, "") or "/".join(
-            f"{across}x{down}" for across, down in self.sampling
-        )
+        named = [name for name, known in SAMPLINGS.items() if known == self.sampling]
+        sizes = "/".join(f"{across}x{down}" for across, down in self.sampling)
+        return named[0] if named else sizes
 
     @property
     def ratios(self) -> tuple[tuple[int, int], ...]:
