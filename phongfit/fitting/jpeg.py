@@ -108,6 +108,22 @@ def restore(
     return Restored(found, restored, draws.tiles)
 
 
+def foresee(
+    problem: Problem, y: Float[Array, " n"], sources: list[Source], film: Film
+) -> Problem:
+    """The problem of photographs not yet taken, with what their files will round.
+
+    **Arguments:** `y`: the truth.
+    """
+    plates, sigma = _plates(problem, sources, (film,) * len(sources)), 1.0
+    stage = _Stage(problem, problem, y, plates)
+    errors = np.array(list(stage.errors(sigma, range(FEW))))
+    step = stage.wider_steps(errors, sigma)
+    there = _restored(problem, errors.mean(axis=0), step, sigma)
+    scatter = _Stage(problem, there, y, plates).draw(8).scatter
+    return dataclasses.replace(there, scatter=jnp.asarray(scatter, y.dtype))
+
+
 def _restored(
     first: Problem,
     lost: Float[np.ndarray, "3 samples"],
