@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.fitting.estimate import estimates
+from phongfit.fitting.grid import grid_significance
 from phongfit.fitting.highlight import rejected_highlights, without_rejected
 from phongfit.fitting.leaves import EXPOSURE
 from phongfit.fitting.misfit import Drawn, find_misfit
@@ -21,6 +22,7 @@ from phongfit.fitting.tiles import Tiles
 from phongfit.fitting.warnings import (
     bound_words,
     clipped_words,
+    grid_words,
     misfit_words,
     prior_words,
     spread_words,
@@ -76,6 +78,7 @@ def summarize(
     weight = _typical_weight(problem)
     fitted = [np.asarray(one.fitted) for one in shown]
     residuals = [np.asarray(one.residual) for one in shown]
+    grids = [one.tiles.grid for one in shown]
     misfit = find_misfit([one.tiles for one in shown], side, drawn)
     samples = sum(int(np.sum(one.tiles.neighbours.samples)) for one in shown)
     # Clipped samples say nothing of the noise.
@@ -132,6 +135,7 @@ def summarize(
             *bound_words(told, unknowns),
             *prior_words(told, unknowns, misfit.inflation),
             *misfit_words(misfit, len(shown)),
+            *([] if drawn else grid_words(grid_significance(grids))),
             *spread_words(spread),
             *([] if noise_given else clipped_words(pieces, effective, samples)),
             *outlier_words(problem, found.y, pieces),
