@@ -157,7 +157,7 @@ def compressed(
         plane = planes[k]
         if ratio != (1, 1):
             plane = xp.round(_reduced(plane, ratio))
-        step = xp.asarray(table, kind)
+        step = xp.asarray(table, kind)[None, None]
         rounded = xp.round(cosines(plane) / step) * step
         plane = xp.clip(xp.round(_pixels(rounded)), -128, 127)
         if ratio != (1, 1):
