@@ -44,7 +44,7 @@ class JpegCompression:
     **Raises:** `ValueError` that names the argument.
     """
 
-    tables: Sequence[Any]
+    tables: Any
     sampling: Sequence[tuple[int, int]] = ()
     ycbcr: bool = True
 
