@@ -41,7 +41,7 @@ FEW, MANY = 8, 32
 # estimated: so much of what is given back counts as an error.
 DOUBT = 0.5
 # Draws are up to so much brighter or darker than the fitted image.
-BRIGHTER = 0.05
+BRIGHTER = 0.15
 # Pixels around the surface that are averaged for what lies there.
 AROUND = 4
 # Share of the samples that lie in blocks of the surface alone, from which on these
