@@ -127,7 +127,7 @@ def _leaf(leaf: np.ndarray) -> str:
 
 def _settings(dataset: Dataset, noise: float | None, seed: int | None) -> str:
     height, width, _ = dataset.images[0].shape
-    film = dataset.film
+    film = dataset.films[0]
     depth = "float" if film.bits is None else f"{film.bits}-bit"
     parts = [
         f"{len(dataset.images)} × {width} × {height} pixels",

@@ -48,7 +48,7 @@ def write_dataset(
     with replacing_folder(out_dir, _is_ours if overwrite else None) as folder:
         entries = _write_images(folder, dataset)
         scene = _whole_scene(dataset.scenes)
-        save_scene(folder / SCENE_FILE, scene, film=dataset.film, images=entries)
+        save_scene(folder / SCENE_FILE, scene, film=dataset.films[0], images=entries)
         if dataset.truth is not None:
             save_truth(folder / TRUTH_FILE, dataset.truth, noise=noise, seed=seed)
         sheet = contact_sheet(dataset, noise=noise, seed=seed)
@@ -61,7 +61,7 @@ def _is_ours(name: str) -> bool:
 
 def _write_images(folder: Path, dataset: Dataset) -> list[ImageRecord]:
     lights = _all_lights(dataset.scenes)
-    film, entries = dataset.film, []
+    film, entries = dataset.films[0], []
     for scene, image, mask, name in zip(
         dataset.scenes, dataset.images, dataset.masks, dataset.names, strict=True
     ):

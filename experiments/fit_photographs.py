@@ -54,7 +54,7 @@ def half(data: Dataset, first: int) -> Dataset:
 
 def predict(data: Dataset, material: pf.Material) -> list[np.ndarray]:
     """What the material would look like in each photograph."""
-    film = pf.Film(clamp=data.film.clamp)
+    film = pf.Film(clamp=data.films[0].clamp)
     return [np.asarray(pf.render(s, material, film=film)) for s in data.scenes]
 
 

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
         read_dataset as read_dataset,
     )
     from phongfit.files.images import (
+        read_film as read_film,
         read_image as read_image,
         write_image as write_image,
     )
@@ -92,6 +93,7 @@ if TYPE_CHECKING:
         phong_from_blinn as phong_from_blinn,
     )
     from phongfit.rendering.film import Film as Film
+    from phongfit.rendering.jpeg import JpegCompression as JpegCompression
     from phongfit.rendering.pixels import (
         PixelTerms as PixelTerms,
         pixel_terms as pixel_terms,
@@ -131,6 +133,7 @@ _ORIGINS = {
     "GouraudShading": "phongfit.geometry.shading",
     "Huber": "phongfit.fitting.losses",
     "ImplicitSurface": "phongfit.geometry.implicit",
+    "JpegCompression": "phongfit.rendering.jpeg",
     "Linear": "phongfit.fitting.losses",
     "Maps": "phongfit.mapping.result",
     "Material": "phongfit.material",
@@ -168,6 +171,7 @@ _ORIGINS = {
     "predict_errors": "phongfit.fitting.predict",
     "preset": "phongfit.material",
     "read_dataset": "phongfit.files.datasets",
+    "read_film": "phongfit.files.images",
     "read_image": "phongfit.files.images",
     "read_mtl": "phongfit.files.mtl",
     "refit": "phongfit.fitting.implicit",

@@ -14,14 +14,14 @@ from phongfit.files.dataset import Dataset, Photograph, Photographs
 from phongfit.files.datasets import open_dataset
 from phongfit.files.diligent import is_diligent
 from phongfit.files.fits import DataRecord, DataSettings
-from phongfit.files.images import read_image, read_mask
+from phongfit.files.images import read_image, read_mask, with_jpeg
 from phongfit.files.inputs import recording
 from phongfit.files.records import read_record
 from phongfit.files.scenes import SCENE_FILE, TRUTH_FILE, build_scene, with_lights
 from phongfit.files.schema import SceneRecord
 from phongfit.fitting.noise import find_film
 from phongfit.mapping.stacks import DatasetStack
-from phongfit.rendering.film import Encoding
+from phongfit.rendering.film import Encoding, Film
 from phongfit.scene import Scene
 
 T = TypeVar("T")
@@ -152,7 +152,10 @@ def _read_single(options: DataOptions) -> Photographs:
                 f"{source}: {array.shape[:2]} pixels came, the camera in "
                 f"{options.scene} wants {wanted}"
             )
-    film = find_film([image]) if record.clamped else record.film()
+    film = record.film()
+    if film.clamp:
+        film = with_jpeg(Film(encoding=encoding), path)
+        film = find_film([image]) if film.jpeg is None else film
     photograph = Photograph(image, mask)
     return Photographs(path.stem, (scene,), (path.name,), film, lambda _: photograph)
 

@@ -162,6 +162,7 @@ def _draw(folder: Path, found: Fit, data: Dataset, options: Options) -> None:
     # Here, since drawing takes long to import, and the table comes first.
     from phongfit.report.page import write_page
 
+    films = data.films
     found.plot(data.names).savefig(folder / PICTURE_FILE, dpi=150)
     write_page(
         folder / REPORT_FILE,
@@ -169,12 +170,12 @@ def _draw(folder: Path, found: Fit, data: Dataset, options: Options) -> None:
         title=data.name,
         names=data.names,
         command=_again(options),
-        loading=_loading(options.data, len(data.images)),
+        loading=_loading(options.data, len(data.images), any(f.jpeg for f in films)),
         thorough=options.report == "full",
     )
 
 
-def _loading(data: DataOptions, images: int) -> str:
+def _loading(data: DataOptions, images: int, jpeg: bool) -> str:
     """Lines of Python that read what was fitted, by the names of the report's call."""
     given = {
         field.name: getattr(data, field.name)
@@ -193,6 +194,7 @@ def _loading(data: DataOptions, images: int) -> str:
             "",
             f"data, _ = read_data(DataOptions({', '.join(words)}))",
             f"{names} = data.scenes, data.images, data.masks",
+            *(["film = data.film"] if jpeg else []),
         ]
     )
 

@@ -120,7 +120,7 @@ def _finish(
         scenes,
         stack,
         mask=stack.mask,
-        film=stack.photographs.film,
+        film=stack.photographs.films(),
         tile_pixels=options.tile_pixels,
         output=options.out / TILES,
         **given,

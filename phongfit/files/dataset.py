@@ -21,7 +21,8 @@ class Dataset:
     - `images`: linear light, (H, W, 3).
     - `masks`: true where a sample may be used, (H, W) or, by channel, (H, W, 3).
     - `names`: the images' file names.
-    - `film`: how light became the images' numbers.
+    - `film`: how light became the images' numbers; a tuple, one for each image, where
+        JPEG files rounded them differently.
     - `truth`: the material, where it is known.
     """
 
@@ -30,8 +31,14 @@ class Dataset:
     images: tuple[Float[np.ndarray, "height width 3"], ...]
     masks: tuple[Bool[np.ndarray, "height width *channel"], ...]
     names: tuple[str, ...]
-    film: Film
+    film: Film | tuple[Film, ...]
     truth: Material | None = None
+
+    @property
+    def films(self) -> tuple[Film, ...]:
+        """One for each image."""
+        film = self.film
+        return (film,) * len(self.images) if isinstance(film, Film) else film
 
     def __post_init__(self) -> None:
         counts = [len(self.scenes), len(self.images), len(self.masks), len(self.names)]
@@ -68,7 +75,9 @@ class Photographs:
 
     - `read`: the photograph of a number, from 0 on; it raises `ValueError` that names
         the file that is missing or wrong.
-    - `name`, `scenes`, `names`, `film`, `truth`: as in [`Dataset`][].
+    - `name`, `scenes`, `names`, `truth`: as in [`Dataset`][].
+    - `film`: of all of them, as far as is known without their files.
+    - `film_of`: that of the photograph of a number, as its file tells.
     """
 
     name: str
@@ -77,16 +86,24 @@ class Photographs:
     film: Film
     read: Callable[[int], Photograph]
     truth: Material | None = None
+    film_of: Callable[[int], Film] | None = None
+
+    def films(self) -> tuple[Film, ...]:
+        """Of each photograph, as its file tells."""
+        numbers, one = range(len(self.names)), self.film
+        return tuple(self.film_of(n) if self.film_of else one for n in numbers)
 
     def load(self) -> Dataset:
         """All of it in memory."""
         read = [self.read(number) for number in range(len(self.names))]
+        films = self.films()
+        film = films if any(one != films[0] for one in films) else films[0]
         return Dataset(
             self.name,
             self.scenes,
             tuple(image for image, _ in read),
             tuple(mask for _, mask in read),
             self.names,
-            self.film,
+            film,
             self.truth,
         )

@@ -6,6 +6,7 @@ A reader raises whatever its decoder does; [`read_image`][] makes one line of it
 import base64
 import contextlib
 import errno
+import io
 import os
 import re
 import struct
@@ -17,6 +18,9 @@ import imagecodecs
 import imageio.v3 as iio
 import numpy as np
 import OpenEXR
+from PIL import Image
+
+from phongfit.rendering.jpeg import JpegCompression
 
 MAX_PIXELS = 2**27
 """Images with more pixels are refused: they would fill the memory."""
@@ -57,6 +61,26 @@ def _read_jpeg(data: bytes, path: Path, most: int) -> np.ndarray:
     if numbers.ndim == 3 and numbers.shape[-1] != 3:
         raise Refused("CMYK came, RGB or grey is wanted")
     return numbers
+
+
+def jpeg_compression(data: bytes) -> JpegCompression:
+    """What the head of a JPEG file says that it rounds."""
+    with Image.open(io.BytesIO(data), formats=["JPEG"]) as image:
+        steps: dict = getattr(image, "quantization", {})
+        # Of each component its number, samples across and down, and its table's number.
+        layers: list[tuple[int, int, int, int]] = getattr(image, "layer", [])
+        # As the Independent JPEG Group's library takes it.
+        rgb = [layer[0] for layer in layers] == [ord(name) for name in "RGB"]
+        rgb = image.info["adobe_transform"] == 0 if "adobe" in image.info else rgb
+        rgb = rgb and "jfif" not in image.info
+    if len(layers) not in (1, 3):
+        raise Refused("CMYK came, RGB or grey is wanted")
+    return JpegCompression(
+        tuple(np.reshape(steps[table], (8, 8)) for *_, table in layers),
+        # Of one component alone its number of samples means nothing.
+        tuple((across, down) for _, across, down, _ in layers) if layers[1:] else (),
+        not rgb,
+    )
 
 
 def _read_tiff(data: bytes, path: Path, most: int) -> np.ndarray:

@@ -1,18 +1,27 @@
 """Images on disk: read as linear light, written in a stated encoding."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, UInt
 
-from phongfit.files.formats import MAX_PIXELS, READERS, WRITERS, Refused
+from phongfit.files.formats import (
+    MAX_PIXELS,
+    READERS,
+    WRITERS,
+    Refused,
+    jpeg_compression,
+)
 from phongfit.files.inputs import read_bytes
 from phongfit.files.outputs import check_file, replacing
-from phongfit.rendering.film import Encoding, as_encoding, decode, encode
+from phongfit.rendering.film import Encoding, Film, as_encoding, decode, encode
+
+T = TypeVar("T")
 
 Bits = Literal[8, 16, 32]
 """A channel's size in a file; 32 is a floating-point number."""
@@ -51,6 +60,43 @@ def read_image(
     else:
         image = from_levels(numbers, encoding)
     return np.repeat(image, 3 // image.shape[-1], axis=-1)
+
+
+def read_film(path: str | os.PathLike[str], encoding: Encoding) -> Film:
+    """How light became the numbers of an image file, for [`fit`][].
+
+        image = pf.read_image("ball.jpg", "srgb")
+        fit = pf.fit(scene, image, film=pf.read_film("ball.jpg", "srgb"))
+
+    A JPEG file says what it rounds. For the photograph as it lies in the file alone:
+    one that was cropped, rotated or shrunk has other blocks. Leave pixels out by a
+    mask, and fit all of the camera's.
+
+    **Arguments:** as of [`read_image`][].
+
+    **Raises:** `ValueError` that names the file, as [`read_image`][] does.
+    """
+    path = Path(path)
+    film = Film(encoding=as_encoding(encoding))
+    if path.suffix.lower() in JPEG:
+        return with_jpeg(film, path)
+    numbers = _read_numbers(path, MAX_PIXELS)
+    if numbers.dtype.kind == "f":
+        return Film(clamp=False)
+    return Film(encoding=film.encoding, bits=8 * numbers.dtype.itemsize)
+
+
+JPEG = (".jpg", ".jpeg")
+
+
+def with_jpeg(film: Film, path: Path) -> Film:
+    """A film that clamps with what a file of it rounds besides, if that is a JPEG.
+
+    **Raises:** `ValueError` that names the file.
+    """
+    if path.suffix.lower() not in JPEG or not film.clamp:
+        return film
+    return Film(encoding=film.encoding, jpeg=_decoded(path, jpeg_compression))
 
 
 def read_mask(
@@ -174,17 +220,7 @@ def _read_numbers(path: Path, max_pixels: int) -> np.ndarray:
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: {_wanted_suffix(path, READERS)}")
-    data = read_bytes(path)
-    try:
-        numbers = reader(data, path, max_pixels)
-    except Refused as error:
-        raise ValueError(f"{path}: {error}") from None
-    except Exception as error:
-        # Decoders raise whatever they like for what is broken, SyntaxError included.
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(
-            f"{path}: is broken or no {path.suffix} image: {reason}"
-        ) from error
+    numbers = _decoded(path, lambda data: reader(data, path, max_pixels))
     numbers = numbers[..., None] if numbers.ndim == 2 else numbers
     if numbers.ndim != 3 or 0 in numbers.shape:
         raise ValueError(f"{path}: shape {numbers.shape} came, one image is wanted")
@@ -194,6 +230,21 @@ def _read_numbers(path: Path, max_pixels: int) -> np.ndarray:
             "are wanted"
         )
     return numbers
+
+
+def _decoded(path: Path, decode: Callable[[bytes], T]) -> T:
+    """What is made of a file's bytes; what goes wrong names the file."""
+    data = read_bytes(path)
+    try:
+        return decode(data)
+    except Refused as error:
+        raise ValueError(f"{path}: {error}") from None
+    except Exception as error:
+        # Decoders raise whatever they like for what is broken, SyntaxError included.
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ValueError(
+            f"{path}: is broken or no {path.suffix} image: {reason}"
+        ) from error
 
 
 def _opaque(path: Path, numbers: np.ndarray) -> np.ndarray:

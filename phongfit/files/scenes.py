@@ -11,7 +11,7 @@ import numpy as np
 from phongfit.files.arrays import write_array
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.describe import describe, describe_material, describe_surface
-from phongfit.files.images import read_image, read_mask, write_image
+from phongfit.files.images import read_image, read_mask, with_jpeg, write_image
 from phongfit.files.inputs import inside, naming, naming_field
 from phongfit.files.outputs import write_json
 from phongfit.files.records import read_record
@@ -164,6 +164,9 @@ def open_scene_dataset(folder: str | os.PathLike[str]) -> Photographs:
         record.film(),
         lambda number: _read_entry(path, record, scene.camera, number),
         load_truth(truth) if truth.exists() else None,
+        lambda number: with_jpeg(
+            record.film(), inside(folder, record.images[number].file)
+        ),
     )
 
 

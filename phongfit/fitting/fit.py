@@ -12,6 +12,7 @@ from jaxtyping import Array
 from phongfit.checks import untraced
 from phongfit.fitting.edges import keep_off_edges
 from phongfit.fitting.inputs import Photograph, as_photographs, as_scenes, is_number
+from phongfit.fitting.jpeg import restore
 from phongfit.fitting.layout import Tie, make_unknowns
 from phongfit.fitting.losses import AbstractLoss, as_loss
 from phongfit.fitting.noise import find_film, rounding_steps
@@ -49,7 +50,7 @@ def fit(
     mask: Any = None,
     weights: Any = None,
     noise: Any = None,
-    film: Film | None = None,
+    film: Film | Sequence[Film] | None = None,
     loss: str | AbstractLoss = "linear",
     max_steps: int = 200,
 ) -> Fit:
@@ -92,9 +93,11 @@ def fit(
     - `weights`: relative inverse variances, shaped as `mask`; 0 leaves a sample out.
     - `noise`: standard deviation of the sensor's noise in linear light, a number or as
         `weights`; default estimated from the residuals.
-    - `film`: how light became numbers (clamp, encoding, bits). By default its clamp and
-        rounding are found from the values themselves. Where some are exactly 1 and
-        others negative, white was cut off: then negative values count as black.
+    - `film`: how light became numbers (clamp, encoding, bits, JPEG), one or one an
+        image. By default its clamp and rounding are found from the values themselves:
+        where some are exactly 1 and others negative, white was cut off, and negative
+        values count as black. What a JPEG file took stands in the file alone:
+        [`read_film`][] tells.
     - `loss`: `"linear"`, `"huber"`, `"soft_l1"`, `"cauchy"`, `"tukey"`, or an
         [`AbstractLoss`][].
     - `max_steps`: of the solver, in each of its passes.
@@ -141,7 +144,7 @@ def fit(
         noise=noise,
         film=film,
     )
-    layout, sources, film = setting.unknowns, setting.sources, setting.film
+    layout, sources, films = setting.unknowns, setting.sources, setting.films
     seen, loss = seen_pixels(sources), as_loss(loss)
     few = choose_few(sources, seen, ROBUST_NEAR if loss.robust else 0.5)
     found = search(
@@ -149,13 +152,18 @@ def fit(
         lambda: gather(sources, seen),
         layout,
         loss,
-        film.clamp,
+        films[0].clamp,
         noise is not None,
         max_steps,
     )
     found, sources, at_edges = keep_off_edges(
         found, sources, noise is not None, max_steps
     )
+    restored, side = None, max(tile_side(*source.mask.shape) for source in sources)
+    if any(film.jpeg is not None for film in films):
+        restored = restore(found, sources, films, noise is not None, max_steps, side)
+        found = restored.found
+        sources = restored.sources
     setting = dataclasses.replace(setting, sources=sources)
     given = {"mask": mask, "weights": weights, "noise": noise}
     # Directions are now told around where the best of several starts began.
@@ -163,7 +171,6 @@ def fit(
     # JAX computes these side by side, as long as none is looked at.
     place, pieces = in_units(layout, found.y), add_up(found.problem, found.y)
     scenes = layout.scenes(place[0], tuple(source.scene for source in sources))
-    side = max(tile_side(*source.mask.shape) for source in sources)
     shows = [
         _show(setting, k, scene, place[0], found, side)
         for k, scene in enumerate(scenes)
@@ -172,7 +179,7 @@ def fit(
         found,
         place,
         pieces,
-        film=film,
+        films=films,
         scenes=scenes,
         # Copies, whatever becomes of the arrays that came.
         photographs=[
@@ -184,16 +191,17 @@ def fit(
         noise_given=noise is not None,
         arrays=tuple(name for name, value in given.items() if not is_number(value)),
         at_edges=at_edges,
+        drawn=None if restored is None else restored.drawn,
     )
 
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """What is asked, checked: unknowns, images with their geometry, and the film."""
+    """What is asked, checked: unknowns, images with their geometry, and their films."""
 
     unknowns: Unknowns
     sources: list[Source]
-    film: Film
+    films: tuple[Film, ...]
 
 
 def set_up(
@@ -211,7 +219,7 @@ def set_up(
     mask: Any = None,
     weights: Any = None,
     noise: Any = None,
-    film: Film | None = None,
+    film: Film | Sequence[Film] | None = None,
 ) -> Setting:
     """Arguments of [`fit`][], checked and in one form.
 
@@ -243,11 +251,14 @@ def set_up(
     seen = [_geometry(one, layout.of_scene and not moving) for one in scenes]
     scene = scene if isinstance(scene, Scene) else scenes
     photographs = as_photographs(scene, image, mask, weights, noise)
-    film = _checked_film(film, photographs)
-    sources = [as_source(*one, film) for one in zip(photographs, seen, strict=True)]
+    films = _checked_films(film, photographs)
+    rounded = any(film.bits is not None for film in films)
+    sources = [
+        as_source(*one, rounded) for one in zip(photographs, seen, films, strict=True)
+    ]
     _check_samples(sources, layout)
     _check_constants(layout, sources)
-    return Setting(layout, sources, film)
+    return Setting(layout, sources, films)
 
 
 @functools.cache
@@ -282,8 +293,13 @@ def _geometry(scene: Scene, keep: bool) -> _Geometry:
     return _Geometry(gbuffer.mask, pixels, gbuffer)
 
 
-def as_source(photograph: Photograph, seen: _Geometry, film: Film) -> Source:
-    """A photograph and what it shows; pixels that see nothing have no weight."""
+def as_source(
+    photograph: Photograph, seen: _Geometry, film: Film, rounded: bool
+) -> Source:
+    """A photograph and what it shows; pixels that see nothing have no weight.
+
+    **Arguments:** `rounded`: whether any of the photographs was.
+    """
     mask, weight = np.asarray(seen.mask)[..., None], photograph.weight
     weight = np.where(mask, weight, np.zeros_like(weight))
     return Source(
@@ -292,7 +308,7 @@ def as_source(photograph: Photograph, seen: _Geometry, film: Film) -> Source:
         # A copy, whatever becomes of the array that came.
         jnp.array(_as_shown(photograph.image, film)),
         jnp.asarray(weight),
-        None if film.bits is None else rounding_steps(photograph.image, film),
+        rounding_steps(photograph.image, film) if rounded else None,
     )
 
 
@@ -324,7 +340,7 @@ def _show(
         np.int32(which),
         scene.background,
         found.problem.loss,
-        setting.film.clamp,
+        setting.films[which].clamp,
         side,
     )
     return Shown(fitted, residual, tiles)
@@ -355,17 +371,30 @@ def _expose(
     return fitted, residual, tiles
 
 
-def _checked_film(film: Film | None, photographs: list[Photograph]) -> Film:
+def _checked_films(
+    film: Film | Sequence[Film] | None, photographs: list[Photograph]
+) -> tuple[Film, ...]:
+    """A film for each photograph.
+
+    **Raises:** `ValueError` that names the argument.
+    """
     images = [p.used() for p in photographs]
     if film is None:
-        return find_film(images)
-    for p, values in zip(photographs, images, strict=True):
-        if film.clamp and values.size and not 0 <= values.min() <= values.max() <= 1:
+        return (find_film(images),) * len(images)
+    films = (film,) * len(images) if isinstance(film, Film) else tuple(film)
+    if len(films) != len(images):
+        raise ValueError(
+            f"film: expected {len(images)}, one an image, got {len(films)}"
+        )
+    if len({one.clamp for one in films}) > 1:
+        raise ValueError("film: expected one clamp for all images, got both")
+    for p, values, one in zip(photographs, images, films, strict=True):
+        if one.clamp and values.size and not 0 <= values.min() <= values.max() <= 1:
             raise ValueError(
                 f"{p.name}: values from {values.min():.4g} to {values.max():.4g} came, "
                 "a clamped film holds [0, 1]; say film=Film(clamp=False)"
             )
-    return film
+    return films
 
 
 def _check_samples(sources: list[Source], unknowns: Unknowns) -> None:

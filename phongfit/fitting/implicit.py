@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
@@ -31,8 +32,9 @@ def refit(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Material:
     differentiated.
 
     Pixels, weights, noise level, loss, bounds, ties and priors stay those of the fit;
-    which pixels see the surface and lie in shadow does too. An unknown at its bound
-    stays there, without a derivative.
+    which pixels see the surface and lie in shadow does too. What JPEG files took stays
+    what the fit found: its own dependence on image and scene has no derivative. An
+    unknown at its bound stays there, without a derivative.
 
     **Arguments:**
 
@@ -80,7 +82,7 @@ def _other_problem(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Prob
         pixels.append(resolve_terms(one)[1].select(view.index))
         light = jnp.asarray(light, old.samples.target.dtype)
         targets.append(light.reshape(-1, 3)[view.index])
-    target = jnp.concatenate(targets).T
+    target = jnp.concatenate(targets).T - _lost(fit)
     samples = eqx.tree_at(
         lambda s: (s.channels, s.target),
         old.samples,
@@ -92,6 +94,19 @@ def _other_problem(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Prob
     )
     samples = eqx.tree_at(lambda s: s.views, samples, views)
     return eqx.tree_at(lambda p: p.samples, old, samples)
+
+
+def _lost(fit: Fit) -> Float[Array, "3 samples"] | float:
+    """What the fit gave back to photographs that were JPEG files."""
+    old = fit.found.problem
+    if old.scatter is None:
+        return 0.0
+    came = (fit.photographs,) if isinstance(fit.scene, Scene) else fit.photographs
+    pixels = [
+        np.asarray(image).reshape(-1, 3)[np.asarray(view.index)]
+        for image, view in zip(came, old.samples.views, strict=True)
+    ]
+    return jnp.asarray(np.concatenate(pixels).T) - old.samples.target
 
 
 def _with_derivative(

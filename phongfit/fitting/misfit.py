@@ -19,6 +19,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from phongfit.fitting.tiles import Neighbours, Rounding, Tiles
 
@@ -72,6 +73,10 @@ class Misfit:
         return self.significance > SIGNIFICANT
 
 
+Drawn = Float[np.ndarray, "draws 3 rows columns"]
+"""Sums over tiles of residuals that are drawn; their squares add up to a variance."""
+
+
 class _Blocks(NamedTuple):
     """Sums over blocks of one image, (…, 3, rows, columns).
 
@@ -81,6 +86,7 @@ class _Blocks(NamedTuple):
 
     sums: np.ndarray
     rounding: Rounding | None
+    drawn: Drawn | None
 
 
 class _Verdict(NamedTuple):
@@ -91,16 +97,23 @@ class _Verdict(NamedTuple):
 
 
 # Residuals, their squares, their variance, and what of it is common: the first axis of
-# what is called cells below, whose second are channels.
+# what is called cells below, whose second are the channels, and all of them together.
 _Cells = np.ndarray
 
 
-def find_misfit(images: Sequence[Tiles], side: int) -> Misfit:
+def find_misfit(
+    images: Sequence[Tiles], side: int, drawn: Sequence[Drawn] | None = None
+) -> Misfit:
     """What the residuals of all images together show.
 
-    **Arguments:** `side`: pixels along a tile.
+    **Arguments:**
+
+    - `side`: pixels along a tile.
+    - `drawn`: of each image the sums of residuals that the right model would leave,
+        drawn together, where these are not independent from pixel to pixel.
     """
-    blocks = [_as_blocks(one) for one in images]
+    each = [None] * len(images) if drawn is None else drawn
+    blocks = [_as_blocks(*one) for one in zip(images, each, strict=True)]
     sums = [one.sums.sum(axis=(1, 2, 3)) for one in blocks]
     _, left, expected, _ = np.sum(sums, axis=0)
     if not (expected > 0 and 0 < left < math.inf):
@@ -108,16 +121,17 @@ def find_misfit(images: Sequence[Tiles], side: int) -> Misfit:
     # How large the noise is, is another question: here it is what is left over.
     scale = left / expected
     alone = all(_rounds_alone(one) for one in blocks)
-    # Neither neighbours nor what is lit alike say anything where rounding is shared.
+    # Neither neighbours nor what is lit alike say anything where rounding is shared,
+    # unless it was drawn: how neighbours correlate then is not looked at.
     correlation, ratio = 0.0, math.nan
-    if alone:
+    if alone and drawn is None:
         correlation, ratio = _compare_neighbours([one.neighbours for one in images])
     found: list[tuple[_Verdict, str]] = []
-    best, shown = _Verdict(-1.0, 1.0), (side, [np.zeros((4, 3, 1, 1))])
+    best, shown = _Verdict(-1.0, 1.0), (side, [np.zeros((4, 4, 1, 1))])
     for size, level in _pyramid(blocks, side):
         cells = [_cells(one, scale) for one in level]
         if size == side and alone:
-            found += _along_the_model(images, cells)
+            found += _along_the_model(images, cells, level)
         if size >= LEAST_SIDE:
             verdict = _judge(_joined(cells))
             found.append((verdict, "blocks"))
@@ -143,11 +157,12 @@ def find_misfit(images: Sequence[Tiles], side: int) -> Misfit:
     )
 
 
-def _as_blocks(tiles: Tiles) -> _Blocks:
-    rounding = tiles.rounding
+def _as_blocks(tiles: Tiles, drawn: Drawn | None) -> _Blocks:
+    # What is drawn knows what is rounded.
+    rounding = None if drawn is not None else tiles.rounding
     if rounding is not None:
         rounding = Rounding(*(np.asarray(part, float) for part in rounding))
-    return _Blocks(np.array(tiles[:4], float), rounding)
+    return _Blocks(np.array(tiles[:4], float), rounding, drawn)
 
 
 def _rounds_alone(blocks: _Blocks) -> bool:
@@ -203,7 +218,8 @@ def _halved(blocks: _Blocks) -> _Blocks:
             _merged(rounding.low, np.minimum, np.inf),
             _merged(rounding.high, np.maximum, -np.inf),
         )
-    return _Blocks(_merged(blocks.sums, np.add, 0), rounding)
+    drawn = None if blocks.drawn is None else _merged(blocks.drawn, np.add, 0)
+    return _Blocks(_merged(blocks.sums, np.add, 0), rounding, drawn)
 
 
 def _merged(values: np.ndarray, two: np.ufunc, empty: float) -> np.ndarray:
@@ -216,7 +232,7 @@ def _merged(values: np.ndarray, two: np.ufunc, empty: float) -> np.ndarray:
 
 
 def _cells(blocks: _Blocks, scale: float) -> _Cells:
-    """(4, 3, cells of one image), with variances as large as they were found."""
+    """(4, 4, cells of one image), with variances as large as they were found."""
     cells = blocks.sums.copy()
     cells[2] *= scale
     cells[3] **= 2
@@ -225,33 +241,58 @@ def _cells(blocks: _Blocks, scale: float) -> _Cells:
         # What is lit unequally does not round alike.
         levels = 1 + np.where(deviation > 0, high, 0) - np.where(deviation > 0, low, 0)
         cells[3] += deviation**2 / levels
+    cells = _with_all(cells)
+    if blocks.drawn is not None:
+        cells[3] = np.maximum(cells[3], _beyond(blocks.drawn, cells[2]))
     return cells
 
 
-def _joined(cells: Sequence[_Cells]) -> _Cells:
+def _with_all(parts: np.ndarray) -> np.ndarray:
+    """A fourth channel, (…, 4, …): all three together."""
+    return np.concatenate([parts, parts.sum(axis=1, keepdims=True)], axis=1)
+
+
+def _beyond(drawn: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """How much more sums vary in draws than they would if samples were independent.
+
+    Draws are few: a cell varies no less than the other cells of its channel do.
+    """
+    own = (_with_all(drawn) ** 2).sum(axis=0)
+    cells = tuple(range(1, own.ndim))
+    whole = variance.sum(axis=cells, keepdims=True)
+    usual = own.sum(axis=cells, keepdims=True) / np.where(whole > 0, whole, 1)
+    return np.maximum(np.maximum(own, usual * variance) - variance, 0)
+
+
+def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
     """Cells of all images, one after another."""
-    flat = [one.reshape(4, 3, -1) for one in cells]
+    flat = [one.reshape(*one.shape[:2], -1) for one in parts]
     return flat[0] if len(flat) == 1 else np.concatenate(flat, axis=-1)
 
 
 def _in_deviations(cells: _Cells) -> np.ndarray:
     """Each cell's sum over its channels, in standard deviations; 0 if empty."""
-    total, _, variance, common = cells.sum(axis=1)
+    total, _, variance, common = cells[:, 3]
     whole = variance + common
     return np.where(whole > 0, total / np.sqrt(np.where(whole > 0, whole, 1)), 0)
 
 
 def _along_the_model(
-    images: Sequence[Tiles], cells: Sequence[_Cells]
+    images: Sequence[Tiles], cells: Sequence[_Cells], blocks: Sequence[_Blocks]
 ) -> Iterator[tuple[_Verdict, str]]:
     """Tiles of equal diffuse light, and of equal highlight, taken together."""
     joined = _joined(cells)
+    drawn = [one.drawn for one in blocks if one.drawn is not None]
     for name, group in (("diffuse", _equal_light), ("highlight", _equal_angle)):
         parts = [np.asarray(getattr(one, name), float).ravel() for one in images]
         bins = group(np.concatenate(parts))
         # A product with ones counts faster than any counting.
         member = (bins[:, None] == np.arange(BINS)).astype(float)
-        yield _judge(joined @ member), name
+        together = joined @ member
+        if drawn:
+            shared = _beyond(_joined(drawn) @ member, together[2])
+            together[3] = np.maximum(together[3], shared)
+        yield _judge(together), name
 
 
 def _equal_light(light: np.ndarray) -> np.ndarray:
@@ -267,7 +308,7 @@ def _equal_angle(light: np.ndarray) -> np.ndarray:
 
 def _judge(cells: _Cells) -> _Verdict:
     """Channel by channel, and all channels together."""
-    return max(_judge_cells(cells.reshape(4, -1)), _judge_cells(cells.sum(axis=1)))
+    return max(_judge_cells(cells[:, :3].reshape(4, -1)), _judge_cells(cells[:, 3]))
 
 
 def _judge_cells(cells: _Cells) -> _Verdict:

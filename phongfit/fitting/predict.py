@@ -13,6 +13,7 @@ from phongfit.checks import untraced
 from phongfit.fitting.edges import left_out, moves_edges, near_edges
 from phongfit.fitting.estimate import Estimates, estimates
 from phongfit.fitting.fit import set_up
+from phongfit.fitting.jpeg import foresee
 from phongfit.fitting.layout import first_values
 from phongfit.fitting.losses import Linear
 from phongfit.fitting.problem import Problem, evaluate
@@ -89,7 +90,8 @@ def predict_errors(
         be unknown have their true values here.
     - `material`: the true one.
     - `noise`: standard deviation in linear light, as for [`fit`][].
-    - `film`: how light will become numbers; default a clamp alone.
+    - `film`: how light will become numbers, in all images; default a clamp alone. What
+        a JPEG file will round is drawn, as [`fit`][] does.
     - `options`: of [`fit`][]: `unknowns`, `per_channel`, `per_image`, `bounds`,
         `fixed`, `ties`, `priors`, `mask`, `weights`.
 
@@ -118,14 +120,16 @@ def predict_errors(
         # As a fit leaves them out.
         samples = left_out(samples, near_edges(unknowns, scenes))
     sigma = jnp.ones((), samples.target.dtype)
-    problem = Problem(samples, unknowns, sigma, Linear(), film.clamp)
+    problem = Problem(samples, unknowns, sigma, Linear(), setting.films[0].clamp)
     entries = first_values(unknowns.leaves, scenes, material)
     y = jnp.asarray(unknowns.position(entries))
+    if film.jpeg is not None:
+        problem = foresee(problem, y, sources, film)
     told = estimates(_expected(problem, y), y)
     is_exponent = unknowns.entry_leaf[unknowns.reported] == "shininess"
     if told.untold[is_exponent].any() and not told.untold[~is_exponent].all():
         ends = scatter(problem, sources, y)[:, unknowns.reported]
-        told = _as_scattered(told, ends - told.values)
+        told = _as_scattered(told, ends - told.values, film)
     errors = np.zeros_like(entries)
     errors[unknowns.reported] = told.errors
     return Prediction(
@@ -151,7 +155,7 @@ def _expected(problem: Problem, y: Array) -> Problem:
     return eqx.tree_at(lambda p: p.samples.target, problem, shown)
 
 
-def _as_scattered(told: Estimates, off: np.ndarray) -> Estimates:
+def _as_scattered(told: Estimates, off: np.ndarray, film: Film) -> Estimates:
     """The same, with the errors that fits are seen to make, (draws, labels)."""
     covariance = off.T @ off / len(off)
     errors = np.where(told.untold, np.inf, np.sqrt(np.diag(covariance)))
@@ -162,6 +166,8 @@ def _as_scattered(told: Estimates, off: np.ndarray) -> Estimates:
     words = (
         f"the exponent may be any: the other errors are those of {len(off)} drawn fits"
     )
+    if film.jpeg is not None:
+        words += ", which know nothing of JPEG"
     reasons = (*told.reasons, words)
     return dataclasses.replace(
         told, errors=errors, covariance=covariance, reasons=reasons

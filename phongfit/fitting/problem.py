@@ -17,13 +17,18 @@ from phongfit.programs import program
 
 
 class Problem(eqx.Module):
-    """Samples, unknowns, and how much each sample's residual counts."""
+    """Samples, unknowns, and how much each sample's residual counts.
+
+    `scatter` is the covariance of the scores, over the roots of the diagonal of JᵀJ,
+    where it is known otherwise than from independent samples.
+    """
 
     samples: Samples
     unknowns: Unknowns
     sigma: Float[Array, ""]
     loss: AbstractLoss
     clamp: bool = eqx.field(static=True)
+    scatter: Float[Array, "n n"] | None = None
 
     def noise(self) -> Float[Array, "3 n"]:
         """Standard deviation of each sample before rounding, also of those left out."""

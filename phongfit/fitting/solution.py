@@ -72,10 +72,14 @@ def _unit(problem: Problem) -> Float[Array, ""]:
     A mean over the samples, since the rounding of a sum grows with it; and no standard
     deviation below the rounding of a prediction.
     """
-    dtype = problem.sigma.dtype
+    dtype, step = problem.sigma.dtype, problem.samples.step
     used = jnp.sum(problem.samples.weight > 0)
     count = jnp.maximum(used, 1).astype(dtype)
-    coarse = 8 * float(jnp.finfo(dtype).eps) / problem.sigma / _tolerance(dtype)
+    deviation = problem.sigma
+    if step is not None:
+        # Without noise the rounding of the image is still coarser than a prediction's.
+        deviation = jnp.sqrt(deviation**2 + jnp.mean(step**2) / 12)
+    coarse = 8 * float(jnp.finfo(dtype).eps) / deviation / _tolerance(dtype)
     return jnp.sqrt(count) * jnp.maximum(coarse, 1)
 
 

@@ -288,9 +288,13 @@ def _add_up(problem: Problem, found: Linearization) -> Pieces:
     # speaks of is not told.
     told = (problem.samples.target < 1).astype(kind) if problem.clamp else None
     bread, meat, inside = jacobian.grams(None, independent, told)
+    meat = variance * meat
+    if problem.scatter is not None:
+        root = jnp.sqrt(jnp.diag(bread))
+        meat, shared = problem.scatter * jnp.outer(root, root), jnp.zeros((), kind)
     return Pieces(
         bread=steepness * bread + known,
-        meat=variance * meat + known,
+        meat=meat + known,
         inside=inside + known,
         pull=jacobian.pull(score) + jacobian.priors.T @ priors,
         drift=jacobian.pull(at.drift),

@@ -2,15 +2,17 @@
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.fitting.estimate import estimates
+from phongfit.fitting.grid import grid_significance
 from phongfit.fitting.highlight import rejected_highlights, without_rejected
 from phongfit.fitting.leaves import EXPOSURE
-from phongfit.fitting.misfit import find_misfit
+from phongfit.fitting.misfit import Drawn, find_misfit
 from phongfit.fitting.outliers import outlier_words
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.result import Fit, as_materials
@@ -20,6 +22,7 @@ from phongfit.fitting.tiles import Tiles
 from phongfit.fitting.warnings import (
     bound_words,
     clipped_words,
+    grid_words,
     misfit_words,
     prior_words,
     spread_words,
@@ -44,7 +47,7 @@ def summarize(
     place: tuple[Array, Array],
     pieces: Pieces,
     *,
-    film: Film,
+    films: tuple[Film, ...],
     scenes: tuple[Scene, ...],
     photographs: list[np.ndarray],
     shown: list[Shown],
@@ -53,6 +56,7 @@ def summarize(
     noise_given: bool,
     arrays: tuple[str, ...],
     at_edges: tuple[str, ...],
+    drawn: Sequence[Drawn] | None = None,
 ) -> Fit:
     """The result of a fit.
 
@@ -61,7 +65,7 @@ def summarize(
     - `found`: the solution.
     - `place`: it in the user's units: see [`in_units`][].
     - `pieces`: sums over the samples there: see [`add_up`][].
-    - `film`: the images'.
+    - `films`: of each image.
     - `photographs`: images (H, W, 3) as they were given.
     - `scenes`, `shown`: the scenes and images as fitted.
     - `side`: pixels along a tile of theirs.
@@ -69,13 +73,15 @@ def summarize(
     - `noise_given`: whether the noise level was known.
     - `arrays`: which arguments came as arrays.
     - `at_edges`: what there is to warn of pixels at edges that move.
+    - `drawn`: sums over tiles of residuals that are drawn: see [`find_misfit`][].
     """
     problem, unknowns = found.problem, found.problem.unknowns
     # Meanwhile JAX is at work on the images and on the sums.
     weight = _typical_weight(problem)
     fitted = [np.asarray(one.fitted) for one in shown]
     residuals = [np.asarray(one.residual) for one in shown]
-    misfit = find_misfit([one.tiles for one in shown], side)
+    grids = [one.tiles.grid for one in shown]
+    misfit = find_misfit([one.tiles for one in shown], side, drawn)
     samples = sum(int(np.sum(one.tiles.neighbours.samples)) for one in shown)
     # Clipped samples say nothing of the noise.
     effective = round(sum(float(np.sum(one.tiles.variance)) for one in shown))
@@ -121,7 +127,7 @@ def summarize(
         misfit=misfit,
         loss=type(problem.loss).__name__,
         model=type(problem.samples.channels.pixels.terms.model).__name__,
-        film=film_words(film),
+        film=films_words(films),
         converged=converged,
         steps=int(found.steps),
         reason=_CONVERGED if converged else _STOPPED,
@@ -132,6 +138,7 @@ def summarize(
             *bound_words(told, unknowns),
             *prior_words(told, unknowns, misfit.inflation),
             *(() if told.untold.all() else misfit_words(misfit, len(shown))),
+            *([] if drawn else grid_words(grid_significance(grids))),
             *spread_words(spread),
             *([] if noise_given else clipped_words(pieces, effective, samples)),
             # What lies off in one place is no matter of single samples.
@@ -163,7 +170,13 @@ def _spread(pieces: Pieces, effective: int, noise_given: bool) -> float:
     return spread if noise_given and spread**2 > 1 + beyond else 1.0
 
 
+def films_words(films: Sequence[Film]) -> str:
+    """What of the images' films a fit rests on."""
+    return " / ".join(dict.fromkeys(map(film_words, films)))
+
+
 def film_words(film: Film) -> str:
     """What of a film a fit rests on."""
     rounded = "not rounded" if film.bits is None else f"{film.bits}-bit {film.encoding}"
-    return f"{'clamped' if film.clamp else 'not clamped'}, {rounded}"
+    kind = "" if film.jpeg is None else f" JPEG {film.jpeg.subsampling}".rstrip()
+    return f"{'clamped' if film.clamp else 'not clamped'}, {rounded}{kind}"

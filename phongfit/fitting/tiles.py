@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from phongfit.fitting.grid import Grid, sum_at_places
 from phongfit.fitting.losses import AbstractLoss
 from phongfit.fitting.noise import (
     clipped_moments,
@@ -59,7 +60,7 @@ class Tiles(NamedTuple):
     - `arithmetic`: of standard deviations that the arithmetic may round in common.
     - `diffuse`, `highlight`: (rows, columns), mean light for reflectances of 1.
     - `rounding`: `None` where nothing was rounded.
-    - `neighbours`: of pixels, not of tiles.
+    - `neighbours`, `grid`: of pixels, not of tiles.
     """
 
     total: Float[Any, "3 rows columns"]
@@ -70,6 +71,7 @@ class Tiles(NamedTuple):
     highlight: Float[Any, "rows columns"]
     rounding: Rounding | None
     neighbours: Neighbours
+    grid: Grid
 
 
 def tile_side(height: int, width: int) -> int:
@@ -133,6 +135,7 @@ def sum_over_tiles(
         total(highlight).sum(axis=0) / count,
         common,
         _neighbours(score, used),
+        sum_at_places(score, used),
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from phongfit.fitting.estimate import Estimates
+from phongfit.fitting.grid import SIDE, SIGNIFICANT
 from phongfit.fitting.leaves import REFLECTANCES
 from phongfit.fitting.misfit import Misfit
 from phongfit.fitting.statistics import Pieces
@@ -63,6 +64,18 @@ _SUMMED = {
     "diffuse": "where diffuse light is equal",
     "highlight": "where the highlight is equal",
 }
+
+
+def grid_words(significance: float) -> tuple[str, ...]:
+    """An image that was a JPEG file, of which the fit has not been told."""
+    if significance <= SIGNIFICANT:
+        return ()
+    return (
+        f"residuals jump between blocks of {SIDE} × {SIDE} pixels ({significance:.2g} "
+        "σ), as those of a JPEG file do: what that rounded is no noise, and errors may "
+        "be several times too small. Fit the photograph as it lies in its file, with "
+        "film=pf.read_film(path, encoding)",
+    )
 
 
 def spread_words(spread: float) -> tuple[str, ...]:

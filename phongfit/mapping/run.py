@@ -54,7 +54,7 @@ def fit_maps(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     mask: Any = None,
     noise: Any = None,
-    film: Film | None = None,
+    film: Film | Sequence[Film] | None = None,
     loss: str | AbstractLoss = "linear",
     start: Fit | Material | None = None,
     min_cosine: float = 0.0,
@@ -89,7 +89,10 @@ def fit_maps(
         noise they have. By default each pixel's residuals tell it.
     - `film`: `Film()`: samples of 1 and above are saturated, and left out.
         `Film(clamp=False)`: none is. Default: only those of exactly 1, since one beyond
-        shows that nothing was cut off.
+        shows that nothing was cut off. Of several films only their common clamp
+        matters. What JPEG files round counts as noise, as each pixel's residuals show
+        it: give no `noise` with them. What they take from all images alike, as at the
+        rim of a highlight, is not given back as [`fit`][] does.
     - `loss`: as in [`fit`][]; a robust one wants images with outliers.
     - `start`: a fit of one material, or a material, whose exponent each pixel starts
         from, instead of the scan.
@@ -117,7 +120,7 @@ def fit_maps(
         unknowns,
         per_channel,
         bounds or {},
-        film,
+        _as_one(film, noise),
         loss,
         start,
         levels,
@@ -181,6 +184,22 @@ def fit_maps(
         hidden,
         levels,
     )
+
+
+def _as_one(film: Film | Sequence[Film] | None, noise: Any) -> Film | None:
+    """The clamp of all images.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    films = [film] if film is None or isinstance(film, Film) else list(film)
+    if noise is not None and any(one is not None and one.jpeg for one in films):
+        raise ValueError(
+            "noise: came with films of JPEG files, whose roundings it does not hold; "
+            "leave it out, and each pixel's residuals tell both"
+        )
+    if len({one is None or one.clamp for one in films}) != 1:
+        raise ValueError("film: expected one clamp for all images, got both or none")
+    return films[0]
 
 
 def _check_sizes(scenes: tuple[Scene, ...], shape: tuple[int, int, int]) -> None:

@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from phongfit.rendering.jpeg import JpegCompression, compressed
+
 Encoding = Literal["linear", "srgb"]
 ENCODINGS: tuple[Encoding, ...] = ("linear", "srgb")
 
@@ -44,17 +46,19 @@ def _namespace(values: Any) -> Any:
 
 
 class Film(eqx.Module):
-    """What happens to light on its way into an image: clamp, encode, quantise."""
+    """What happens to light on its way into an image: clamp, encode, round, JPEG."""
 
     clamp: bool = eqx.field(static=True)
     encoding: Encoding = eqx.field(static=True)
     bits: int | None = eqx.field(static=True)
+    jpeg: JpegCompression | None = eqx.field(static=True)
 
     def __init__(
         self,
         clamp: bool = True,
         encoding: Encoding = "linear",
         bits: int | None = None,
+        jpeg: JpegCompression | None = None,
     ):
         """**Arguments:**
 
@@ -63,22 +67,32 @@ class Film(eqx.Module):
         - `encoding`: `"linear"` or `"srgb"`.
         - `bits`: round to 2^bits levels; default not at all. Rounding has no useful
             derivative: leave it off where gradients are wanted.
+        - `jpeg`: what a JPEG file rounded besides, of images of 8 bits: see
+            [`read_film`][], which finds it in the file.
 
         **Raises:** `ValueError` that names the argument.
         """
         self.clamp = bool(clamp)
         self.encoding = as_encoding(encoding)
-        self.bits = as_bits(bits)
+        self.bits = as_bits(8 if bits is None and jpeg is not None else bits)
+        self.jpeg = jpeg
         if not self.clamp and (self.bits is not None or self.encoding != "linear"):
             raise ValueError("clamp: needed where a film encodes or rounds")
+        if jpeg is not None and self.bits != 8:
+            raise ValueError(f"bits: expected 8 beside jpeg, got {self.bits}")
 
     def expose(self, light: Any) -> Float[Array, "..."]:
-        """Linear light of any shape as what is stored, in [0, 1] if clamped."""
+        """Linear light as what is stored, in [0, 1] if clamped.
+
+        Of any shape; (height, width, 3) for a JPEG.
+        """
         shown = jnp.clip(light, 0, 1) if self.clamp else light
         encoded = encode(shown, self.encoding)
         if self.bits is None:
             return encoded
         levels = 2**self.bits - 1
+        if self.jpeg is not None:
+            return compressed(jnp.asarray(encoded) * levels, self.jpeg) / levels
         return jnp.round(encoded * levels) / levels
 
 

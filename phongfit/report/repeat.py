@@ -31,8 +31,15 @@ def _arrays(fit: Fit) -> dict[str, str]:
     if "weights" in arrays and fit.noise_given and "noise" not in arrays:
         # The samples know what the two make together.
         arrays.append("noise")
-    shown = {"mask": f"mask{_plural(fit)}", "weights": "weights", "noise": "noise"}
-    return {name: shown[name] for name in arrays}
+    if _is_jpeg(fit):
+        arrays.append("film")
+    shown = {"mask": f"mask{_plural(fit)}"}
+    return {name: shown.get(name, name) for name in arrays}
+
+
+def _is_jpeg(fit: Fit) -> bool:
+    """Whether the film stands in files: its tables of numbers are no part of a call."""
+    return fit.found.problem.scatter is not None
 
 
 def call(fit: Fit) -> str:
@@ -147,6 +154,8 @@ def _priors(unknowns: Unknowns) -> dict[str, tuple[float, float]]:
 
 def _film(fit: Fit) -> str:
     """The film, where the images' values would not tell it."""
+    if _is_jpeg(fit):
+        return "film"
     samples = fit.found.problem.samples
     used = np.asarray(samples.target)[np.asarray(samples.weight) > 0]
     if film_words(find_film([used])) == fit.film:

@@ -11,6 +11,7 @@ import pytest
 import phongfit as pf
 from phongfit.cli import main
 from phongfit.files.fits import load_fit
+from phongfit.files.images import read_image, write_image
 from phongfit.files.materials import read_material
 
 
@@ -213,3 +214,20 @@ def test_like_and_other_settings_do_not_mix(brass, fitted, tmp_path, capsys):
     args = ["--like", str(fitted / "fit.json"), "--loss", "huber"]
     assert main(["fit", str(brass), "-o", str(tmp_path / "out"), *args]) == 2
     assert "loss: came beside --like" in capsys.readouterr().err
+
+
+def test_jpeg_files_say_what_they_round(copy, tmp_path):
+    record = json.loads((copy / "scene.json").read_text())
+    for image in record["images"]:
+        light = read_image(copy / image["file"], record["encoding"])
+        image["file"] = image["file"].replace(".png", ".jpg")
+        write_image(copy / image["file"], light, record["encoding"])
+    (copy / "scene.json").write_text(json.dumps(record))
+    film = pf.read_film(copy / record["images"][0]["file"], record["encoding"])
+    data = pf.read_dataset(copy)
+    assert data.film == film and film.jpeg is not None
+    out = tmp_path / "fit"
+    assert main(["fit", str(copy), "-o", str(out), "--report", "none"]) == 0
+    assert load_fit(out / "fit.json").film.endswith("JPEG 4:4:4")
+    again = ["fit", str(copy), "-o", str(tmp_path / "again"), "--report", "none"]
+    assert main([*again, "--like", str(out / "fit.json")]) == 0

@@ -10,9 +10,10 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from phongfit import Film
+from phongfit import Film, JpegCompression
 from phongfit.files.images import (
     from_levels,
+    read_film,
     read_image,
     read_mask,
     to_levels,
@@ -296,3 +297,42 @@ def test_what_cannot_be_written(tmp_path, name, image, encoding, bits, message):
     with pytest.raises(ValueError, match=message):
         write_image(tmp_path / name, image, encoding, bits)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("sampling, name", [(0, "4:4:4"), (1, "4:2:2"), (2, "4:2:0")])
+def test_a_jpeg_says_what_it_rounds(tmp_path, picture, sampling, name):
+    levels = to_levels(picture, "srgb", 8)
+    iio.imwrite(tmp_path / "a.jpg", levels, quality=80, subsampling=sampling)
+    film = read_film(tmp_path / "a.jpg", "srgb")
+    assert film == Film(encoding="srgb", jpeg=JpegCompression.at_quality(80, name))
+
+
+def test_jpegs_that_are_grey_or_have_no_luma(tmp_path, picture):
+    levels = to_levels(picture, "srgb", 8)
+    iio.imwrite(tmp_path / "grey.jpg", levels[..., 0], quality=80)
+    grey = read_film(tmp_path / "grey.jpg", "srgb").jpeg
+    assert grey is not None and grey.subsampling == "grey"
+    iio.imwrite(tmp_path / "rgb.jpg", levels, quality=80, keep_rgb=True)
+    rgb = read_film(tmp_path / "rgb.jpg", "srgb").jpeg
+    assert rgb is not None and not rgb.ycbcr
+    assert rgb.tables == grey.tables * 3
+
+
+@pytest.mark.parametrize(
+    "suffix, bits, film",
+    [
+        (".png", 8, Film(encoding="srgb", bits=8)),
+        (".tif", 16, Film(encoding="srgb", bits=16)),
+        (".exr", 32, Film(clamp=False)),
+    ],
+)
+def test_films_of_other_formats(tmp_path, picture, suffix, bits, film):
+    path = tmp_path / f"image{suffix}"
+    write_image(path, picture, "linear" if bits == 32 else "srgb", bits)
+    assert read_film(path, "srgb") == film
+
+
+def test_a_broken_jpeg_has_no_film(tmp_path):
+    (tmp_path / "broken.jpg").write_bytes(b"no picture")
+    with pytest.raises(ValueError, match=r"broken\.jpg: is broken"):
+        read_film(tmp_path / "broken.jpg", "srgb")

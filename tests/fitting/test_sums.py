@@ -15,9 +15,9 @@ from phongfit.fitting.leaves import LEAVES
 from phongfit.fitting.losses import as_loss
 from phongfit.fitting.problem import Problem, evaluate
 from phongfit.fitting.samples import gather, seen_pixels
-from phongfit.fitting.solution import _unit, few_residuals
+from phongfit.fitting.solution import _unit, few_residuals, solve
 from phongfit.fitting.sums import colours, linearize, sums
-from tests.fitting.scenes import TRUTH, ball, photograph
+from tests.fitting.scenes import TRUTH, as_vector, ball, photograph
 from tests.helpers import EPS, floats
 
 NOISE = 0.03
@@ -184,3 +184,16 @@ def test_a_derivative_in_the_unknowns_alone():
 
     with pytest.raises(NotImplementedError, match="in the unknowns only"):
         jax.jvp(through, (problem.sigma,), (problem.sigma,))
+
+
+def test_a_rounded_image_without_noise_is_no_reason_to_stop():
+    film = pf.Film(encoding="srgb", bits=8)
+    scene = ball()
+    image = photograph(scene, TRUTH, film=film)
+    setting = set_up(scene, image, film=film)
+    samples = gather(setting.sources, seen_pixels(setting.sources))
+    problem = Problem(samples, setting.unknowns, floats(1e-7), pf.Linear(), True)
+    start = floats(setting.unknowns.position(as_vector(TRUTH)))
+    near, far = (solve(problem, start * share, 50) for share in (1.0, 1.02))
+    assert near.converged and far.converged
+    assert float(far.cost) == pytest.approx(float(near.cost), rel=1e-3)

@@ -14,7 +14,9 @@ from experiments.honesty.situations.base import (
     noisy,
     usual,
 )
+from phongfit.files.formats import jpeg_compression
 from phongfit.files.images import from_levels, to_levels
+from phongfit.rendering.film import Film
 
 NOISE = 0.003
 # As Pillow counts: every pixel has its colour, or four share one.
@@ -61,10 +63,8 @@ def jpeg_fits(
 def developed(light: Image, quality: int, sampling: str, known: bool) -> Decoded:
     """Light written as an sRGB JPEG and read back.
 
-    **Arguments:** `known`: whether the fit is told of the file. A film cannot say so
-    yet, and both come as arrays.
+    **Arguments:** `known`: whether the fit is told of the file.
     """
-    del known
     data = iio.imwrite(
         "<bytes>",
         to_levels(light, "srgb", 8),
@@ -73,4 +73,6 @@ def developed(light: Image, quality: int, sampling: str, known: bool) -> Decoded
         quality=quality,
         subsampling=SAMPLINGS[sampling],
     )
-    return Decoded(from_levels(iio.imread(data, extension=".jpg"), "srgb"), {})
+    jpeg = jpeg_compression(data)
+    options = {"film": Film(encoding="srgb", jpeg=jpeg)} if known else {}
+    return Decoded(from_levels(iio.imread(data, extension=".jpg"), "srgb"), options)

@@ -1,0 +1,267 @@
+r"""JPEG, of which only the losses matter here: what goes in, and what is read back.
+
+Levels become luma and two colour differences, the latter perhaps on a coarser grid;
+blocks of 8 × 8 become cosines, and each coefficient is rounded to a multiple of its
+step. The coding after that loses nothing, and is left out.
+
+??? cite "Source"
+    ITU-T T.81, *Digital compression and coding of continuous-tone still images*, 1992;
+    T.871 (JFIF), 2011, for the colours. Upsampling is that of the Independent JPEG
+    Group's library, which nearly all programs read files with.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+Table = tuple[tuple[int, ...], ...]
+SAMPLINGS = {
+    "4:4:4": ((1, 1), (1, 1), (1, 1)),
+    "4:2:2": ((2, 1), (1, 1), (1, 1)),
+    "4:2:0": ((2, 2), (1, 1), (1, 1)),
+}
+"""How many samples across and down the components have, relative to one another."""
+
+
+@dataclasses.dataclass(frozen=True)
+class JpegCompression:
+    """What a JPEG file rounds, as it says itself: see [`read_film`][].
+
+    **Arguments:**
+
+    - `tables`: of each component the steps of its 8 × 8 coefficients, in levels of 8
+        bits; rows are frequencies down the image. One component is grey, three are
+        colour.
+    - `sampling`: of each component samples across and down, relative to the others:
+        ((2, 2), (1, 1), (1, 1)) has half as much colour each way. Default all alike.
+    - `ycbcr`: whether three components are luma and colour differences; else they are
+        red, green and blue.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+
+    tables: Any
+    sampling: Sequence[tuple[int, int]] = ()
+    ycbcr: bool = True
+
+    def __post_init__(self) -> None:
+        tables = tuple(_as_table(table) for table in self.tables)
+        if len(tables) not in (1, 3):
+            raise ValueError(f"tables: expected 1 or 3 of 8 × 8, got {len(tables)}")
+        sampling = self.sampling or ((1, 1),) * len(tables)
+        sampling = tuple((int(across), int(down)) for across, down in sampling)
+        if len(sampling) != len(tables):
+            raise ValueError(
+                f"sampling: expected {len(tables)} pairs, one a table, got "
+                f"{len(sampling)}"
+            )
+        most = np.max(sampling, axis=0)
+        if np.min(sampling) < 1 or np.any(most % np.array(sampling)):
+            raise ValueError(
+                "sampling: expected whole numbers that divide the largest, got "
+                f"{sampling}"
+            )
+        object.__setattr__(self, "tables", tables)
+        object.__setattr__(self, "sampling", sampling)
+
+    @classmethod
+    def at_quality(cls, quality: int, subsampling: str = "4:2:0") -> "JpegCompression":
+        """What most programs mean by a quality of 1 … 100.
+
+        **Arguments:** `subsampling`: `"4:4:4"`, `"4:2:2"` or `"4:2:0"`.
+
+        **Raises:** `ValueError` that names the argument.
+
+        ??? cite "Source"
+            T.81, tables K.1 and K.2; their scaling is the Independent JPEG Group's.
+        """
+        if not 1 <= quality <= 100:
+            raise ValueError(f"quality: expected 1 … 100, got {quality!r}")
+        if subsampling not in SAMPLINGS:
+            wanted = ", ".join(SAMPLINGS)
+            raise ValueError(f"subsampling: expected {wanted}, got {subsampling!r}")
+        scale = 5000 // quality if quality < 50 else 200 - 2 * quality
+        luma, chroma = (
+            np.clip((np.array(table) * scale + 50) // 100, 1, 255)
+            for table in (_LUMA, _CHROMA)
+        )
+        return cls((luma, chroma, chroma), SAMPLINGS[subsampling])
+
+    @property
+    def subsampling(self) -> str:
+        """`"4:2:0"` and the like; `"grey"` for one component."""
+        if len(self.tables) == 1:
+            return "grey"
+        named = [name for name, known in SAMPLINGS.items() if known == self.sampling]
+        sizes = "/".join(f"{across}x{down}" for across, down in self.sampling)
+        return named[0] if named else sizes
+
+    @property
+    def ratios(self) -> tuple[tuple[int, int], ...]:
+        """Pixels (down, across) of which each component has one sample."""
+        across, down = np.max(self.sampling, axis=0).tolist()
+        return tuple((down // v, across // h) for h, v in self.sampling)
+
+    @property
+    def block(self) -> tuple[int, int]:
+        """Pixels (down, across) of the least piece that is coded by itself."""
+        across, down = np.max(self.sampling, axis=0).tolist()
+        return 8 * down, 8 * across
+
+    @property
+    def from_components(self) -> Float[np.ndarray, "3 components"]:
+        """Levels of red, green and blue in those of the components."""
+        if len(self.tables) == 1:
+            return np.ones((3, 1))
+        return _FROM_YCBCR if self.ycbcr else np.eye(3)
+
+    @property
+    def to_components(self) -> Float[np.ndarray, "components 3"]:
+        """The inverse; of a grey image all three channels are the same."""
+        if len(self.tables) == 1:
+            return np.array([[1.0, 0.0, 0.0]])
+        return np.linalg.inv(self.from_components)
+
+
+_FROM_YCBCR = np.array([[1, 0, 1.402], [1, -0.344136, -0.714136], [1, 1.772, 0]])
+
+
+def _as_table(given: Any) -> Table:
+    steps = np.asarray(given)
+    if steps.shape != (8, 8) or not np.all(steps >= 1):
+        raise ValueError(
+            f"tables: expected steps ≥ 1 of shape (8, 8), got shape {steps.shape}"
+        )
+    return tuple(tuple(int(step) for step in row) for row in steps)
+
+
+def compressed(
+    levels: Float[Any, "height width 3"], jpeg: JpegCompression
+) -> Float[Any, "height width 3"]:
+    """Levels 0 … 255, of JAX or NumPy, as they are read from a file of them."""
+    xp, kind = _namespace(levels), levels.dtype
+    height, width, _ = levels.shape
+    whole = xp.clip(xp.round(xp.moveaxis(levels, -1, 0)), 0, 255)
+    to, back = (
+        xp.asarray(matrix, kind)
+        for matrix in (jpeg.to_components, jpeg.from_components)
+    )
+    middle = _middle(jpeg, kind)
+    planes = xp.round(_mixed(to, _padded(whole, jpeg))) - middle
+    read = []
+    for k, (table, ratio) in enumerate(zip(jpeg.tables, jpeg.ratios, strict=True)):
+        plane = planes[k]
+        if ratio != (1, 1):
+            plane = xp.round(_reduced(plane, ratio))
+        step = xp.asarray(table, kind)[None, None]
+        rounded = xp.round(cosines(plane) / step) * step
+        plane = xp.clip(xp.round(_pixels(rounded)), -128, 127)
+        if ratio != (1, 1):
+            plane = xp.round(_enlarged(plane, ratio))
+        read.append(plane)
+    shown = xp.clip(xp.round(_mixed(back, xp.stack(read) + middle)), 0, 255)
+    return xp.moveaxis(shown[:, :height, :width], 0, -1)
+
+
+def cosines(plane: Float[Any, "height width"]) -> Float[Any, "down across 8 8"]:
+    """Cosine transform of the blocks of 8 × 8, which keeps sums of squares."""
+    xp = _namespace(plane)
+    down, across = (side // 8 for side in plane.shape)
+    blocks = xp.moveaxis(plane.reshape(down, 8, across, 8), 2, 1)
+    basis = xp.asarray(_COSINES, plane.dtype)
+    return basis @ blocks @ basis.T
+
+
+def _pixels(blocks: Float[Any, "down across 8 8"]) -> Float[Any, "height width"]:
+    """The inverse of [`cosines`][]."""
+    xp = _namespace(blocks)
+    basis = xp.asarray(_COSINES, blocks.dtype)
+    down, across = blocks.shape[:2]
+    plane = xp.moveaxis(basis.T @ blocks @ basis, 1, 2)
+    return plane.reshape(8 * down, 8 * across)
+
+
+def _namespace(values: Any) -> Any:
+    return np if isinstance(values, np.ndarray) else jnp
+
+
+def _mixed(matrix: Any, planes: Any) -> Any:
+    """Channels as components, or back; (rows, height, width)."""
+    _, height, width = planes.shape
+    return (matrix @ planes.reshape(len(planes), -1)).reshape(-1, height, width)
+
+
+def _middle(jpeg: JpegCompression, kind: Any) -> Any:
+    """The level that is 0 in a file: 128, but colour differences have it already."""
+    count = len(jpeg.tables)
+    middle = [128, 0, 0] if count == 3 and jpeg.ycbcr else [128] * count
+    return np.array(middle, kind)[:, None, None]
+
+
+def _padded(planes: Any, jpeg: JpegCompression) -> Any:
+    """Whole blocks: the last row and column are repeated."""
+    xp = _namespace(planes)
+    down, across = jpeg.block
+    _, height, width = planes.shape
+    return xp.pad(planes, [(0, 0), (0, -height % down), (0, -width % across)], "edge")
+
+
+def _reduced(plane: Any, ratio: tuple[int, int]) -> Any:
+    """Means of as many pixels as make a sample."""
+    down, across = ratio
+    height, width = plane.shape
+    cells = plane.reshape(height // down, down, width // across, across)
+    return cells.mean(axis=(1, 3)) if ratio != (1, 1) else plane
+
+
+def _enlarged(plane: Any, ratio: tuple[int, int]) -> Any:
+    """A value for every pixel: between samples where these are twice as wide."""
+    xp = _namespace(plane)
+    for axis, times in enumerate(ratio):
+        if max(ratio) > 2:
+            plane = xp.repeat(plane, times, axis=axis)
+        elif times == 2:
+            plane = _doubled(plane, axis)
+    return plane
+
+
+def _doubled(plane: Any, axis: int) -> Any:
+    """Twice as many samples along an axis, each 3/4 its own and 1/4 its neighbour's."""
+    xp = _namespace(plane)
+    wide = xp.moveaxis(plane, axis, -1)
+    ends = xp.pad(wide, [(0, 0), (1, 1)], "edge")
+    pair = xp.stack([3 * wide + ends[:, :-2], 3 * wide + ends[:, 2:]], axis=-1) / 4
+    return xp.moveaxis(pair.reshape(len(wide), -1), -1, axis)
+
+
+def _cosine_basis() -> Float[np.ndarray, "8 8"]:
+    frequency, place = np.mgrid[:8, :8]
+    basis = np.cos(np.pi * (2 * place + 1) * frequency / 16) / 2
+    basis[0] /= np.sqrt(2)
+    return basis
+
+
+_COSINES = _cosine_basis()
+
+# T.81, tables K.1 and K.2.
+_LUMA = (
+    (16, 11, 10, 16, 24, 40, 51, 61),
+    (12, 12, 14, 19, 26, 58, 60, 55),
+    (14, 13, 16, 24, 40, 57, 69, 56),
+    (14, 17, 22, 29, 51, 87, 80, 62),
+    (18, 22, 37, 56, 68, 109, 103, 77),
+    (24, 35, 55, 64, 81, 104, 113, 92),
+    (49, 64, 78, 87, 103, 121, 120, 101),
+    (72, 92, 95, 98, 112, 100, 103, 99),
+)
+_CHROMA = (
+    (17, 18, 24, 47, 99, 99, 99, 99),
+    (18, 21, 26, 66, 99, 99, 99, 99),
+    (24, 26, 56, 99, 99, 99, 99, 99),
+    (47, 66, 99, 99, 99, 99, 99, 99),
+    *((99,) * 8,) * 4,
+)
