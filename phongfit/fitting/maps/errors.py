@@ -170,7 +170,7 @@ def _widest(
     for here, points, variances in zip(
         at.point, profile.point, profile.variance, strict=True
     ):
-        off = jnp.abs(points - here) + left * sigma * jnp.sqrt(variances)
+        off = jnp.abs(points - here[None, :]) + left * sigma * jnp.sqrt(variances)
         # Infinity times 0 is nothing here: such an exponent costs all there is.
         off = jnp.where(allowed, jnp.where(jnp.isnan(off), jnp.inf, off), 0)
         found.append(jnp.max(off, axis=0) / FAR)
