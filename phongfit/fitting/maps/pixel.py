@@ -9,29 +9,30 @@ from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.fitting.maps.columns import Columns, Lights, make_columns
-from phongfit.fitting.maps.errors import Errors, standard_errors
-from phongfit.fitting.maps.exponent import (
-    At,
-    Box,
-    candidates,
-    descend,
-    evaluate,
-    lobes,
-    scan,
-)
+from phongfit.fitting.maps.errors import VAGUE, Errors, standard_errors
+from phongfit.fitting.maps.exponent import At, Box, evaluate, lobes
 from phongfit.fitting.maps.flags import Flag
 from phongfit.fitting.maps.robust import loss_weights, widening
 from phongfit.fitting.maps.samples import PixelSamples, whitened
+from phongfit.fitting.maps.search import (
+    Descent,
+    candidates,
+    descend,
+    scan,
+    where_wanted,
+)
 from phongfit.fitting.maps.settings import Settings
 from phongfit.fitting.maps.small import dot, over_channels, settled
 from phongfit.fitting.noise import median_deviation
 
-# Steps on the sum of the channels, which are a third of the price, then on all.
+# Steps on the sum of the channels, which are a third of the price, then on all; and of
+# those at most, where it takes longer.
 SUMMED_STEPS = 4
 STEPS = 4
+MOST_STEPS = 16
 # Rounds of reweighting of a robust loss.
 REWEIGHTED = 10
 REWEIGHTED_STEPS = 2
@@ -79,11 +80,14 @@ class _Found(NamedTuple):
     squares: Array
     scale: Array
     widening: Array
-    faintest: Array
 
 
 def fit_pixel(
-    samples: PixelSamples, known: Known, noise: Float[Array, ""], settings: Settings
+    samples: PixelSamples,
+    known: Known,
+    noise: Float[Array, ""],
+    coloured: Bool[Array, ""],
+    settings: Settings,
 ) -> PixelFit:
     """The material of one pixel, from its samples alone.
 
@@ -93,6 +97,7 @@ def fit_pixel(
     - `known`: what is not unknown.
     - `noise`: standard deviation of a sample in linear light, 1 if
         `settings.weighted`; not read if `settings.noise_given` is false.
+    - `coloured`: whether the light of the images differs in its colour.
     """
     dtype = samples.target.dtype
     finite = jnp.isfinite(samples.target)
@@ -116,12 +121,13 @@ def fit_pixel(
         samples.strength,
         samples.log_cosine,
     )
+    unlike = coloured | jnp.any(weight != weight[:1])
     if settings.weighted:
         samples = settled(whitened(samples))
         weight = samples.weight
 
     def solved(samples: PixelSamples, known: Known) -> _Found:
-        return _solve(samples, known, noise, settings)
+        return _solve(samples, known, noise, unlike, settings)
 
     if settings.shared:
         found = settled(solved(samples, known))
@@ -149,7 +155,7 @@ def fit_pixel(
             found.columns,
             found.t,
             sigma * found.widening,
-            found.faintest,
+            samples.log_cosine,
             _box(settings, dtype),
             settings,
         )
@@ -202,7 +208,11 @@ def _box(settings: Settings, dtype: jnp.dtype) -> Box:
 
 
 def _solve(
-    samples: PixelSamples, known: Known, noise: Array, settings: Settings
+    samples: PixelSamples,
+    known: Known,
+    noise: Array,
+    unlike: Array,
+    settings: Settings,
 ) -> _Found:
     """One group of channels: the exponent, then everything else."""
     dtype = samples.target.dtype
@@ -210,21 +220,9 @@ def _solve(
     target = settled(_less_known(samples, known, settings))
     columns = _columns(samples, target, samples.weight, settings)
     t = jnp.log(known.shininess[0])
-    faintest = jnp.array(jnp.inf, dtype)
-    model, cosine = settings.model, samples.log_cosine
     if settings.searched:
-        summed = _summed(samples, target, settings)
-        low, high = box.lowest, box.highest
-        if settings.scanned:
-            count = candidates(*settings.log_bounds)
-            t, low, high, faintest = scan(summed, model, cosine, box, count)
-            faintest = faintest / samples.target.shape[0] ** 2
-        t, low, high, faintest = settled((jnp.clip(t, low, high), low, high, faintest))
-        t, bend = descend(summed, model, cosine, t, low, high, box, SUMMED_STEPS)
-        if samples.target.shape[0] > 1:
-            edges = box.lowest, box.highest
-            t, _ = descend(columns, model, cosine, t, *edges, box, STEPS, bend)
-    at = settled(_evaluate(columns, cosine, t, box, settings))
+        t = _search(samples, target, columns, t, noise, unlike, box, settings)
+    at = settled(_evaluate(columns, samples.log_cosine, t, box, settings))
     residual = _residual(samples, target, at, t, settings)
     widened = jnp.ones((), dtype)
     scale = widened
@@ -233,7 +231,79 @@ def _solve(
             samples, target, at, t, noise, box, settings
         )
     squares = _sum(samples.weight * residual**2)
-    return _Found(at, t, columns, squares, scale, widened, faintest)
+    return _Found(at, t, columns, squares, scale, widened)
+
+
+def _search(
+    samples: PixelSamples,
+    target: Array,
+    columns: Columns,
+    t: Array,
+    noise: Array,
+    unlike: Array,
+    box: Box,
+    settings: Settings,
+) -> Array:
+    """The exponent of a group of channels.
+
+    The channels' sum is enough to start from, as if ρ were grey, where they have the
+    same samples in the same light. Where they do not, or where the exponent stays
+    vague, each of them is asked.
+    """
+    model, cosine = settings.model, samples.log_cosine
+    channels, count = samples.target.shape[0], candidates(*settings.log_bounds)
+    low, high = edges = box.lowest, box.highest
+    if channels > 1:
+        summed = _summed(samples, target, settings)
+    else:
+        summed = columns
+    if settings.scanned:
+        t, low, high = scan(summed, model, cosine, box, count)
+    t, low, high = settled((jnp.clip(t, low, high), low, high))
+    start = descend(summed, model, cosine, t, low, high, box, SUMMED_STEPS)
+
+    def variance(value: Array) -> Array:
+        return _variance(columns, samples.weight, value, noise, settings)
+
+    if channels > 1:
+        level = _variance(summed, samples.weight[:1], start.value, noise, settings)
+        level = channels * level if settings.noise_given else level
+    else:
+        level = variance(start.value)
+    found, bend = start.t, start.bend
+    if settings.scanned and channels > 1:
+        wanted = unlike | _is_vague(start, level, box)
+        found = where_wanted(
+            wanted,
+            lambda columns: scan(columns, model, cosine, box, count).t,
+            columns,
+            found,
+        )
+        bend = jnp.where(wanted, 1, bend)
+    t, bend = settled((found, bend))
+    steps = STEPS if channels > 1 else 0
+    end = descend(
+        columns, model, cosine, t, *edges, box, steps, bend, MOST_STEPS, variance
+    )
+    return end.t
+
+
+def _variance(
+    columns: Columns, weight: Array, value: Array, noise: Array, settings: Settings
+) -> Array:
+    """Of a sample: as it was given, or from the squares that a value of φ leaves."""
+    if settings.noise_given:
+        return noise**2 * jnp.ones_like(value)
+    unknowns = weight.shape[0] * (len(columns.start) + 1) + 1
+    freedom = jnp.maximum(_sum(weight) - unknowns, 1)
+    return jnp.maximum(jnp.sum(columns.rest) + value, 0) / freedom
+
+
+def _is_vague(found: Descent, variance: Array, box: Box) -> Array:
+    """Whether the model may bend within the error of the exponent, or at its bound."""
+    # φ rises by the variance at one standard error.
+    steep = found.curvature * VAGUE**2 / 2 >= variance
+    return ~steep | (found.t <= box.lowest) | (found.t >= box.highest)
 
 
 def _less_known(samples: PixelSamples, known: Known, settings: Settings) -> Array:
@@ -265,11 +335,9 @@ def _columns(
 
 def _summed(samples: PixelSamples, target: Array, settings: Settings) -> Columns:
     """Columns of the channels' sum, as if ρ were grey: enough to start from."""
-    if samples.target.shape[0] == 1:
-        return _columns(samples, target, samples.weight, settings)
     together = PixelSamples(
         target=_total(target),
-        weight=samples.weight[0:1] * samples.weight[1:2] * samples.weight[2:3],
+        weight=samples.weight[:1],
         ambient=_total(samples.ambient),
         diffuse=_total(samples.diffuse),
         strength=tuple(_total(each) for each in samples.strength),
@@ -340,9 +408,10 @@ def _reweighted(
         columns = _columns(samples, target, weight, settings)
         if settings.searched:
             edges = box.lowest, box.highest
-            t, bend = descend(
+            found = descend(
                 columns, model, cosine, t, *edges, box, REWEIGHTED_STEPS, bend
             )
+            t, bend = found.t, found.bend
         return _evaluate(columns, cosine, t, box, settings), t, bend
 
     at, t, _ = jax.lax.fori_loop(0, REWEIGHTED, step, (at, t, jnp.ones_like(t)))

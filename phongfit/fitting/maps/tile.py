@@ -126,7 +126,8 @@ def _fit_block(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
             basis.log_cosine,
             basis.veil,
         )
-        return fit_pixel(samples, outside.known, outside.noise, settings)
+        coloured = jnp.zeros((), bool)
+        return fit_pixel(samples, outside.known, outside.noise, coloured, settings)
 
     def axis(array: Array) -> int | None:
         return None if array.shape[0] == 1 else 0
