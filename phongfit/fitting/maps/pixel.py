@@ -72,7 +72,12 @@ class Known(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """A group of channels with one exponent, solved."""
+    """A group of channels with one exponent, solved.
+
+    - `columns`: of the samples as they were weighed at the end.
+    - `squares`: of all residuals; `scale`: their size, which outliers do not reach.
+    - `widening`: factor on the errors of samples so weighed.
+    """
 
     at: At
     t: Array
@@ -146,10 +151,11 @@ def fit_pixel(
         level = jnp.sqrt(jnp.sum(share * found.scale**2) / freedom)
     else:
         level = jnp.sqrt(jnp.sum(found.squares) / freedom)
-    sigma = noise if settings.noise_given else level
     told = ~black & (enough | (settings.noise_given & (count >= unknowns)))
 
     def errors_of(found: _Found) -> Errors:
+        sigma = found.scale if settings.loss.robust else level
+        sigma = noise if settings.noise_given else sigma
         return standard_errors(
             found.at,
             found.columns,
@@ -223,15 +229,11 @@ def _solve(
     if settings.searched:
         t = _search(samples, target, columns, t, noise, unlike, box, settings)
     at = settled(_evaluate(columns, samples.log_cosine, t, box, settings))
-    residual = _residual(samples, target, at, t, settings)
-    widened = jnp.ones((), dtype)
-    scale = widened
     if settings.loss.robust:
-        at, t, residual, scale, widened = _reweighted(
-            samples, target, at, t, noise, box, settings
-        )
-    squares = _sum(samples.weight * residual**2)
-    return _Found(at, t, columns, squares, scale, widened)
+        return _reweighted(samples, target, at, t, noise, box, settings)
+    squares = _sum(samples.weight * _residual(samples, target, at, t, settings) ** 2)
+    one = jnp.ones((), dtype)
+    return _Found(at, t, columns, squares, one, one)
 
 
 def _search(
@@ -391,20 +393,26 @@ def _reweighted(
     noise: Array,
     box: Box,
     settings: Settings,
-) -> tuple[At, Array, Array, Array, Array]:
-    """Iteratively reweighted least squares from a plain solution."""
-    model, cosine = settings.model, samples.log_cosine
+) -> _Found:
+    r"""Iteratively reweighted least squares from a plain solution.
 
-    def scale_of(residual: Array) -> Array:
-        if settings.noise_given:
-            return noise
-        return median_deviation(residual, samples.weight > 0)
+    All that is said of the end rests on its weights w, held: how $\phi$ rises from
+    there, and the errors, with $\sigma^2$ times the mean of w and the square of
+    [`widening`][]. So what a rejected sample would say of the exponent is not counted.
+    """
+    model, cosine = settings.model, samples.log_cosine
+    used = samples.weight > 0
+
+    def reweighed(at: At, t: Array) -> tuple[Array, Array, Array]:
+        residual = settled(_residual(samples, target, at, t, settings))
+        scale = median_deviation(residual, used)
+        unit = noise if settings.noise_given else scale
+        weight = loss_weights(settings.loss, residual / unit)
+        return settled(weight * samples.weight), residual / unit, scale
 
     def step(_: int, state: tuple[At, Array, Array]) -> tuple[At, Array, Array]:
         at, t, bend = state
-        residual = _residual(samples, target, at, t, settings)
-        weight = loss_weights(settings.loss, residual / scale_of(residual))
-        weight = weight * samples.weight
+        weight, _, _ = reweighed(at, t)
         columns = _columns(samples, target, weight, settings)
         if settings.searched:
             edges = box.lowest, box.highest
@@ -415,14 +423,18 @@ def _reweighted(
         return _evaluate(columns, cosine, t, box, settings), t, bend
 
     at, t, _ = jax.lax.fori_loop(0, REWEIGHTED, step, (at, t, jnp.ones_like(t)))
-    residual = _residual(samples, target, at, t, settings)
-    scale = median_deviation(residual, samples.weight > 0)
-    unit = noise if settings.noise_given else scale
-    widened = widening(settings.loss, residual / unit, samples.weight > 0)
-    # Errors rest on all samples: the factor says what the loss makes of them.
-    columns = _columns(samples, target, samples.weight, settings)
-    full = _evaluate(columns, cosine, t, box, settings)
-    return at._replace(sums=full.sums, slopes=full.slopes), t, residual, scale, widened
+    weight, residual, scale = reweighed(at, t)
+    columns = _columns(samples, target, weight, settings)
+    at = settled(_evaluate(columns, cosine, t, box, settings))
+    share = _sum(weight) / jnp.maximum(_sum(samples.weight), 1)
+    unknowns = settings.unknowns(channels=len(target))
+    widened = widening(settings.loss, residual, used, unknowns)
+    if settings.noise_given:
+        # No loss tells more of noise that is known than least squares.
+        widened = jnp.maximum(widened, 1)
+    widened = widened * jnp.sqrt(share)
+    squares = _sum(samples.weight * _residual(samples, target, at, t, settings) ** 2)
+    return _Found(at, t, columns, squares, scale, widened)
 
 
 def _values(found: _Found, known: Known, settings: Settings) -> tuple[Array, ...]:
