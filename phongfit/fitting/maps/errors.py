@@ -45,6 +45,7 @@ class Errors(NamedTuple):
     - `reflectances`: (channels, unknowns): the columns', then that of ρ_s.
     - `exponent`: of f.
     - `dim`, `alike`, `at_bound`, `moving`: see [`Flag`][].
+    - `vague`: whether the profile is wanted.
     """
 
     reflectances: Float[Array, "channels unknowns"]
@@ -53,6 +54,7 @@ class Errors(NamedTuple):
     alike: Bool[Array, ""]
     at_bound: Bool[Array, ""]
     moving: Bool[Array, ""]
+    vague: Bool[Array, ""]
 
 
 def standard_errors(
@@ -62,6 +64,7 @@ def standard_errors(
     sigma: Float[Array, ""],
     log_cosine: Lights,
     box: Box,
+    thorough: Bool[Array, ""],
     settings: Settings,
 ) -> Errors:
     r"""Errors from $\sigma^2 (J^\top J)^{-1}$, with no unknown held by its bound.
@@ -76,6 +79,7 @@ def standard_errors(
     - `at`, `columns`, `t`: the solution.
     - `sigma`: standard deviation of a sample.
     - `log_cosine`: as in [`PixelSamples`][].
+    - `thorough`: whether to follow the profile where it is wanted.
     """
     inner = (t > box.lowest) & (t < box.highest)
     nothing = jnp.zeros_like(t)
@@ -115,7 +119,7 @@ def standard_errors(
     log_error = sigma * _root_inverse(total)
     reach = log_error
     open_ended = ~inner
-    moving = jnp.zeros_like(dim)
+    moving = vague = jnp.zeros_like(dim)
     if settings.searched:
         error = jnp.where(dim, error_apart, error)
 
@@ -126,7 +130,7 @@ def standard_errors(
 
         vague = dim | ~inner | ~(log_error < VAGUE)
         nowhere = (jnp.zeros_like(error), t, t)
-        wider, low, high = where_wanted(vague, follow, columns, nowhere)
+        wider, low, high = where_wanted(vague & thorough, follow, columns, nowhere)
         error = jnp.maximum(error, wider)
         reach = jnp.maximum(log_error, (high - t) / FAR)
         below = (t - low) / FAR
@@ -152,6 +156,7 @@ def standard_errors(
         blurred | (settings.searched & open_ended & inner & ~dim),
         jnp.any(held & wanted) | (settings.searched & ~inner & ~dim),
         moving,
+        vague,
     )
 
 

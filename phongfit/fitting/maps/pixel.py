@@ -18,6 +18,7 @@ from phongfit.fitting.maps.flags import Flag
 from phongfit.fitting.maps.robust import loss_weights, widening
 from phongfit.fitting.maps.samples import PixelSamples, whitened
 from phongfit.fitting.maps.search import (
+    SHORTEST,
     Descent,
     candidates,
     descend,
@@ -33,9 +34,12 @@ from phongfit.fitting.noise import median_deviation
 SUMMED_STEPS = 4
 STEPS = 4
 MOST_STEPS = 16
-# Rounds of reweighting of a robust loss.
+# Rounds of reweighting of a robust loss; and where it takes longer.
 REWEIGHTED = 10
+MOST_REWEIGHTED = 40
 REWEIGHTED_STEPS = 2
+# The axis along which pixels are batched.
+BESIDE = "beside"
 
 
 class PixelFit(NamedTuple):
@@ -77,6 +81,7 @@ class _Found(NamedTuple):
     - `columns`: of the samples as they were weighed at the end.
     - `squares`: of all residuals; `scale`: their size, which outliers do not reach.
     - `widening`: factor on the errors of samples so weighed.
+    - `unsettled`: whether the search for the exponent was cut short.
     """
 
     at: At
@@ -85,16 +90,21 @@ class _Found(NamedTuple):
     squares: Array
     scale: Array
     widening: Array
+    unsettled: Array
 
 
 def fit_pixel(
     samples: PixelSamples,
     known: Known,
     noise: Float[Array, ""],
-    coloured: Bool[Array, ""],
+    thorough: Bool[Array, ""],
     settings: Settings,
-) -> PixelFit:
+) -> tuple[PixelFit, Bool[Array, ""]]:
     """The material of one pixel, from its samples alone.
+
+    What a few pixels need all that are batched with them pay for. So there are two
+    ways, one short and one thorough, and a pixel that is settled by the short one gets
+    the same from both.
 
     **Arguments:**
 
@@ -102,7 +112,9 @@ def fit_pixel(
     - `known`: what is not unknown.
     - `noise`: standard deviation of a sample in linear light, 1 if
         `settings.weighted`; not read if `settings.noise_given` is false.
-    - `coloured`: whether the light of the images differs in its colour.
+    - `thorough`: whether to do whatever helps.
+
+    **Returns:** the material, and whether the thorough way is wanted.
     """
     dtype = samples.target.dtype
     finite = jnp.isfinite(samples.target)
@@ -126,13 +138,13 @@ def fit_pixel(
         samples.strength,
         samples.log_cosine,
     )
-    unlike = coloured | jnp.any(weight != weight[:1])
+    unlike = jnp.any((weight > 0) != (weight[:1] > 0))
     if settings.weighted:
         samples = settled(whitened(samples))
         weight = samples.weight
 
     def solved(samples: PixelSamples, known: Known) -> _Found:
-        return _solve(samples, known, noise, unlike, settings)
+        return _solve(samples, known, noise, unlike, thorough, settings)
 
     if settings.shared:
         found = settled(solved(samples, known))
@@ -163,6 +175,7 @@ def fit_pixel(
             sigma * found.widening,
             samples.log_cosine,
             _box(settings, dtype),
+            thorough,
             settings,
         )
 
@@ -181,10 +194,9 @@ def fit_pixel(
         | jnp.where(told & jnp.any(errors.at_bound), Flag.AT_BOUND, 0)
         | jnp.where(told & jnp.any(errors.moving), Flag.NOT_CONVERGED, 0)
     )
-    ambient, diffuse, specular, shininess = values
-    return PixelFit(
-        ambient, diffuse, specular, shininess, deviations, level, count, flags
-    )
+    fit = PixelFit(*values, deviations, level, count, flags)
+    unsettled = jnp.any(found.unsettled | errors.vague | errors.moving)
+    return fit, told & unsettled & ~thorough
 
 
 # Channels on their own share nothing but the cosines.
@@ -218,6 +230,7 @@ def _solve(
     known: Known,
     noise: Array,
     unlike: Array,
+    thorough: Array,
     settings: Settings,
 ) -> _Found:
     """One group of channels: the exponent, then everything else."""
@@ -226,14 +239,18 @@ def _solve(
     target = settled(_less_known(samples, known, settings))
     columns = _columns(samples, target, samples.weight, settings)
     t = jnp.log(known.shininess[0])
+    unsettled = jnp.zeros((), bool)
     if settings.searched:
-        t = _search(samples, target, columns, t, noise, unlike, box, settings)
+        t, unsettled = _search(
+            samples, target, columns, t, noise, unlike, thorough, box, settings
+        )
     at = settled(_evaluate(columns, samples.log_cosine, t, box, settings))
     if settings.loss.robust:
-        return _reweighted(samples, target, at, t, noise, box, settings)
+        found = _reweighted(samples, target, at, t, noise, thorough, box, settings)
+        return found._replace(unsettled=found.unsettled | unsettled)
     squares = _sum(samples.weight * _residual(samples, target, at, t, settings) ** 2)
     one = jnp.ones((), dtype)
-    return _Found(at, t, columns, squares, one, one)
+    return _Found(at, t, columns, squares, one, one, unsettled)
 
 
 def _search(
@@ -243,10 +260,11 @@ def _search(
     t: Array,
     noise: Array,
     unlike: Array,
+    thorough: Array,
     box: Box,
     settings: Settings,
-) -> Array:
-    """The exponent of a group of channels.
+) -> tuple[Array, Array]:
+    """The exponent of a group of channels, and whether the search was cut short.
 
     The channels' sum is enough to start from, as if ρ were grey, where they have the
     same samples in the same light. Where they do not, or where the exponent stays
@@ -272,9 +290,13 @@ def _search(
         level = channels * level if settings.noise_given else level
     else:
         level = variance(start.value)
-    found, bend = start.t, start.bend
+    found, bend, unsettled = start.t, start.bend, jnp.zeros((), bool)
     if settings.scanned and channels > 1:
         wanted = unlike | _is_vague(start, level, box)
+        # If most pixels beside this one have channels of their own, all do it at once.
+        most = jax.lax.pmean(unlike.astype(t.dtype), BESIDE) > 0.5
+        unsettled = wanted & ~(thorough | most)
+        wanted = wanted & (thorough | most)
         found = where_wanted(
             wanted,
             lambda columns: scan(columns, model, cosine, box, count).t,
@@ -284,10 +306,9 @@ def _search(
         bend = jnp.where(wanted, 1, bend)
     t, bend = settled((found, bend))
     steps = STEPS if channels > 1 else 0
-    end = descend(
-        columns, model, cosine, t, *edges, box, steps, bend, MOST_STEPS, variance
-    )
-    return end.t
+    most = jnp.where(thorough, MOST_STEPS, STEPS)
+    end = descend(columns, model, cosine, t, *edges, box, steps, bend, most, variance)
+    return end.t, unsettled | ~end.ended
 
 
 def _variance(
@@ -391,6 +412,7 @@ def _reweighted(
     at: At,
     t: Array,
     noise: Array,
+    thorough: Array,
     box: Box,
     settings: Settings,
 ) -> _Found:
@@ -410,19 +432,27 @@ def _reweighted(
         weight = loss_weights(settings.loss, residual / unit)
         return settled(weight * samples.weight), residual / unit, scale
 
-    def step(_: int, state: tuple[At, Array, Array]) -> tuple[At, Array, Array]:
-        at, t, bend = state
-        weight, _, _ = reweighed(at, t)
+    def step(state: _Rounds) -> _Rounds:
+        weight, _, _ = reweighed(state.at, state.t)
         columns = _columns(samples, target, weight, settings)
+        t, bend = state.t, state.bend
         if settings.searched:
             edges = box.lowest, box.highest
             found = descend(
                 columns, model, cosine, t, *edges, box, REWEIGHTED_STEPS, bend
             )
             t, bend = found.t, found.bend
-        return _evaluate(columns, cosine, t, box, settings), t, bend
+        at = _evaluate(columns, cosine, t, box, settings)
+        return _Rounds(at, t, bend, jnp.abs(t - state.t) <= SHORTEST, state.done + 1)
 
-    at, t, _ = jax.lax.fori_loop(0, REWEIGHTED, step, (at, t, jnp.ones_like(t)))
+    most = jnp.where(thorough, MOST_REWEIGHTED, REWEIGHTED)
+
+    def unfinished(state: _Rounds) -> Array:
+        return (state.done < REWEIGHTED) | (~state.ended & (state.done < most))
+
+    start = _Rounds(at, t, jnp.ones_like(t), jnp.zeros((), bool), jnp.zeros((), int))
+    last = jax.lax.while_loop(unfinished, step, start)
+    at, t = last.at, last.t
     weight, residual, scale = reweighed(at, t)
     columns = _columns(samples, target, weight, settings)
     at = settled(_evaluate(columns, cosine, t, box, settings))
@@ -434,7 +464,17 @@ def _reweighted(
         widened = jnp.maximum(widened, 1)
     widened = widened * jnp.sqrt(share)
     squares = _sum(samples.weight * _residual(samples, target, at, t, settings) ** 2)
-    return _Found(at, t, columns, squares, scale, widened)
+    return _Found(at, t, columns, squares, scale, widened, ~last.ended)
+
+
+class _Rounds(NamedTuple):
+    """Where reweighting stands: the solution, and whether it has come to rest."""
+
+    at: At
+    t: Array
+    bend: Array
+    ended: Array
+    done: Array
 
 
 def _values(found: _Found, known: Known, settings: Settings) -> tuple[Array, ...]:

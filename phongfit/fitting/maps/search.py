@@ -6,7 +6,7 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from phongfit.fitting.maps.columns import Columns, Lights
 from phongfit.fitting.maps.exponent import (
@@ -193,6 +193,7 @@ class Descent(NamedTuple):
     - `value`, `slope`: $\phi$ less a constant, and $\phi'$, at the best that was tried.
     - `curvature`: $\phi''$ there as Gauss and Newton have it.
     - `bend`: the curvature over that.
+    - `ended`: whether what is left to go is too short to matter.
     """
 
     t: Array
@@ -200,6 +201,7 @@ class Descent(NamedTuple):
     slope: Array
     curvature: Array
     bend: Array
+    ended: Array
 
 
 class _Search(NamedTuple):
@@ -237,7 +239,7 @@ def descend(
     box: Box,
     steps: int,
     bend: Float[Array, ""] | float = 1.0,
-    most: int = 0,
+    most: Int[Array, ""] | int = 0,
     variance: Callable[[Array], Array] | None = None,
 ) -> Descent:
     r"""A better t: steps down $\phi$ between `low` and `high`.
@@ -293,13 +295,14 @@ def descend(
             search.done + 1,
         )
 
-    def unfinished(search: _Search) -> Array:
+    def ended(search: _Search) -> Array:
         short = jnp.abs(search.step) <= SHORTEST
         if variance is None:
-            return search.done < steps
-        enough = SETTLED**2 * variance(search.value)
-        ended = short | (search.gain <= enough)
-        return (search.done < steps) | (~ended & (search.done < most))
+            return short
+        return short | (search.gain <= SETTLED**2 * variance(search.value))
+
+    def unfinished(search: _Search) -> Array:
+        return (search.done < steps) | (~ended(search) & (search.done < most))
 
     infinite = jnp.full_like(start, jnp.inf)
     zero = jnp.zeros_like(start)
@@ -319,7 +322,7 @@ def descend(
     last = jax.lax.while_loop(unfinished, step, first)
     # The last step has not been tried: a short one is safe, near the bottom.
     t = jnp.where(jnp.abs(last.step) < 0.1, last.t, last.best)
-    return Descent(t, last.value, last.slope, last.curvature, last.bend)
+    return Descent(t, last.value, last.slope, last.curvature, last.bend, ended(last))
 
 
 def where_wanted(
