@@ -40,8 +40,9 @@ from phongfit.scene import Scene
 TILE_BYTES = 2**26
 """How much light a tile holds unless told otherwise: a few of them fit anywhere."""
 
-PART_BYTES = 2**22
-"""How much of it is worked on at a time on a CPU: what stays near its cores."""
+PART_BYTES = 2**24
+"""How much of it is worked on at a time on a CPU: little enough to stay near its cores,
+and enough that a last block of a few unsettled pixels does not show."""
 
 
 def fit_maps(

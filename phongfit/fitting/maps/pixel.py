@@ -5,6 +5,7 @@ fails costs no more than one that does not, and disturbs none.
 """
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple, cast
 
 import jax
@@ -38,6 +39,8 @@ MOST_STEPS = 16
 REWEIGHTED = 10
 MOST_REWEIGHTED = 40
 REWEIGHTED_STEPS = 2
+# By how much channels may differ in how the lights share them, over their sum.
+COLOURED = 0.1
 # The axis along which pixels are batched.
 BESIDE = "beside"
 
@@ -138,7 +141,7 @@ def fit_pixel(
         samples.strength,
         samples.log_cosine,
     )
-    unlike = jnp.any((weight > 0) != (weight[:1] > 0))
+    unlike = jnp.any((weight > 0) != (weight[:1] > 0)) | _coloured(samples.strength)
     if settings.weighted:
         samples = settled(whitened(samples))
         weight = samples.weight
@@ -197,6 +200,17 @@ def fit_pixel(
     fit = PixelFit(*values, deviations, level, count, flags)
     unsettled = jnp.any(found.unsettled | errors.vague | errors.moving)
     return fit, told & unsettled & ~thorough
+
+
+def _coloured(strength: Lights) -> Array:
+    """Whether the lights differ in colour: then the channels' sum says little."""
+    sums = [jnp.sum(each, axis=-1, keepdims=True) for each in strength]
+    total = functools.reduce(jnp.add, sums)
+    coloured = jnp.zeros((), bool)
+    for each in strength:
+        own, first = each * total[:1], each[:1] * total
+        coloured |= jnp.any(jnp.abs(own - first) > COLOURED * (own + first))
+    return coloured
 
 
 # Channels on their own share nothing but the cosines.
