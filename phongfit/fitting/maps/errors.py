@@ -33,6 +33,8 @@ from phongfit.fitting.maps.small import (
 
 # A search has ended where the next step would be less than this share of the error.
 SETTLED = 0.1
+# Moves of a reflectance that do not matter, however small its error.
+LEAST = 1e-4
 # A standard error of log f from which on the model bends within it.
 VAGUE = 0.25
 # Standard errors to which a profile is followed: those of intervals of 95 %.
@@ -62,6 +64,7 @@ def standard_errors(
     columns: Columns,
     t: Float[Array, ""],
     sigma: Float[Array, ""],
+    moved: Float[Array, "channels unknowns"],
     log_cosine: Lights,
     box: Box,
     thorough: Bool[Array, ""],
@@ -78,6 +81,7 @@ def standard_errors(
 
     - `at`, `columns`, `t`: the solution.
     - `sigma`: standard deviation of a sample.
+    - `moved`: by how much the reflectances last moved, where weights move them.
     - `log_cosine`: as in [`PixelSamples`][].
     - `thorough`: whether to follow the profile where it is wanted.
     """
@@ -141,6 +145,7 @@ def standard_errors(
         upward = jnp.expm1(FAR * reach) / FAR
         downward = -jnp.expm1(-FAR * below) / FAR
         reach = jnp.maximum(upward, downward)
+    moving |= jnp.any((moved > SETTLED * error) & (moved > LEAST))
     width = jnp.stack(box.upper) - jnp.stack(box.lower)
     told = (error <= width[None, :]) & ~moving
     error = jnp.where(told, error, jnp.inf)

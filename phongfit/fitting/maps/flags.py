@@ -12,9 +12,10 @@ class Flag(IntFlag):
     - `TOO_FEW`: no more samples than unknowns are left: nothing is told.
     - `NO_HIGHLIGHT`: ρ_s is 0 within its error: the exponent is not told.
     - `ALIKE`: some unknowns change its samples alike, or not at all.
-    - `AT_BOUND`: an estimate lies at its bound; a reflectance's error is then
-        one-sided, an exponent is not told.
-    - `NOT_CONVERGED`: the exponent was still moving by more than a tenth of its error.
+    - `AT_BOUND`: an estimate lies at its bound: an exponent is then not identified, and
+        a reflectance has the error that it would have without the bound.
+    - `NOT_CONVERGED`: an estimate was still moving by more than a tenth of its error:
+        nothing is identified.
     """
 
     OUTSIDE = 1

@@ -84,6 +84,7 @@ class _Found(NamedTuple):
     - `columns`: of the samples as they were weighed at the end.
     - `squares`: of all residuals; `scale`: their size, which outliers do not reach.
     - `widening`: factor on the errors of samples so weighed.
+    - `moved`: by how much the last weights moved the reflectances.
     - `unsettled`: whether the search for the exponent was cut short.
     """
 
@@ -93,6 +94,7 @@ class _Found(NamedTuple):
     squares: Array
     scale: Array
     widening: Array
+    moved: Array
     unsettled: Array
 
 
@@ -176,6 +178,7 @@ def fit_pixel(
             found.columns,
             found.t,
             sigma * found.widening,
+            found.moved,
             samples.log_cosine,
             _box(settings, dtype),
             thorough,
@@ -197,7 +200,10 @@ def fit_pixel(
         | jnp.where(told & jnp.any(errors.at_bound), Flag.AT_BOUND, 0)
         | jnp.where(told & jnp.any(errors.moving), Flag.NOT_CONVERGED, 0)
     )
-    fit = PixelFit(*values, deviations, level, count, flags)
+    ambient, diffuse, specular, shininess = values
+    fit = PixelFit(
+        ambient, diffuse, specular, shininess, deviations, level, count, flags
+    )
     unsettled = jnp.any(found.unsettled | errors.vague | errors.moving)
     return fit, told & unsettled & ~thorough
 
@@ -263,8 +269,8 @@ def _solve(
         found = _reweighted(samples, target, at, t, noise, thorough, box, settings)
         return found._replace(unsettled=found.unsettled | unsettled)
     squares = _sum(samples.weight * _residual(samples, target, at, t, settings) ** 2)
-    one = jnp.ones((), dtype)
-    return _Found(at, t, columns, squares, one, one, unsettled)
+    one, still = jnp.ones((), dtype), jnp.zeros_like(jnp.stack(at.point, axis=-1))
+    return _Found(at, t, columns, squares, one, one, still, unsettled)
 
 
 def _search(
@@ -470,6 +476,8 @@ def _reweighted(
     weight, residual, scale = reweighed(at, t)
     columns = _columns(samples, target, weight, settings)
     at = settled(_evaluate(columns, cosine, t, box, settings))
+    moved = [abs(x - y) for x, y in zip(at.point, last.at.point, strict=True)]
+    moved = jnp.stack(moved, axis=-1)
     share = _sum(weight) / jnp.maximum(_sum(samples.weight), 1)
     unknowns = settings.unknowns(channels=len(target))
     widened = widening(settings.loss, residual, used, unknowns)
@@ -478,7 +486,7 @@ def _reweighted(
         widened = jnp.maximum(widened, 1)
     widened = widened * jnp.sqrt(share)
     squares = _sum(samples.weight * _residual(samples, target, at, t, settings) ** 2)
-    return _Found(at, t, columns, squares, scale, widened, ~last.ended)
+    return _Found(at, t, columns, squares, scale, widened, moved, ~last.ended)
 
 
 class _Rounds(NamedTuple):

@@ -107,33 +107,27 @@ def fit_tile(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
         return _fit_block(tile.rows(rows), outside, thorough, settings)
 
     def unfinished(state: _Work) -> Array:
-        return (state.block < blocks) | ((state.block - blocks) * BLOCK < state.count)
+        return (state.block < blocks) | ((state.block - blocks) * BLOCK < state.n_left)
 
     def work(state: _Work) -> _Work:
         again = state.block >= blocks
-        # Beyond the end of what is left stand pixels that are there already.
-        left = jnp.where(again, (state.block - blocks) * BLOCK, 0)
-        left = jax.lax.dynamic_slice_in_dim(state.left, left, BLOCK)
+        start = jnp.where(again, (state.block - blocks) * BLOCK, 0)
+        # What stands beyond the end of those left is worked on, and never read.
+        left = jax.lax.dynamic_slice_in_dim(state.left, start, BLOCK)
         rows = jnp.where(again, left, state.block * BLOCK + along)
         found, unsettled = fit_block(rows, again)
-        (which,) = jnp.nonzero(unsettled & ~again, size=BLOCK, fill_value=0)
+        unsettled &= ~again
+        (which,) = jnp.nonzero(unsettled, size=BLOCK, fill_value=0)
+        longer = _put(state.left, rows[which], state.n_left)
         return _Work(
             state.block + 1,
             jax.tree.map(
-                lambda all, some: jax.lax.dynamic_update_slice_in_dim(
-                    all, some, state.block * BLOCK, 0
-                ),
+                lambda all, some: _put(all, some, state.block * BLOCK),
                 state.found,
                 found,
             ),
-            jnp.where(
-                again,
-                state.left,
-                jax.lax.dynamic_update_slice_in_dim(
-                    state.left, rows[which], state.count, 0
-                ),
-            ),
-            state.count + jnp.sum(unsettled & ~again).astype(state.count.dtype),
+            jnp.where(again, state.left, longer),
+            state.n_left + jnp.sum(unsettled).astype(state.n_left.dtype),
         )
 
     shapes, _ = jax.eval_shape(fit_block, along, jnp.zeros((), bool))
@@ -149,9 +143,13 @@ def fit_tile(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
     last = jax.lax.while_loop(unfinished, work, first)
     # Where a pixel's last word stands.
     order = jnp.arange(pixels)
-    at = jnp.where(order < last.count, last.left[:pixels], pixels)
+    at = jnp.where(order < last.n_left, last.left[:pixels], pixels)
     at = order.at[at].set(pixels + order, mode="drop")
     return jax.tree.map(lambda leaf: leaf[at], last.found)
+
+
+def _put(all: Array, some: Array, start: Array) -> Array:
+    return jax.lax.dynamic_update_slice_in_dim(all, some, start, 0)
 
 
 class _Work(NamedTuple):
@@ -159,13 +157,13 @@ class _Work(NamedTuple):
 
     - `block`: the next; those after the tile's own are of pixels that were left.
     - `found`: of all blocks, one after another.
-    - `left`, `count`: the pixels that were left, and how many.
+    - `left`, `n_left`: the pixels that were left, and how many.
     """
 
     block: Array
     found: PixelFit
     left: Array
-    count: Array
+    n_left: Array
 
 
 def _fit_block(
