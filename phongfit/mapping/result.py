@@ -128,8 +128,9 @@ Maps.__init__.__doc__ = """**Arguments:**
 - `samples`: (H, W), how many were used.
 - `flags`: (H, W), bits of [`Flag`][]: why a pixel is not told, or told with care.
 - `unknowns`: names of the leaves that were looked for.
-- `noise_given`: standard deviation of a sample that errors rest on, or `None` if each
-    pixel's residuals told it. (H, W) if it varies: the root mean square of a pixel's.
+- `noise_given`: standard deviation of a sample that errors rest on (where there is no
+    `MISFIT`), or `None` if each pixel's residuals told it. (H, W) if it varies: the
+    root mean square of a pixel's.
 """
 
 

@@ -268,7 +268,7 @@ class _Canvas:
         self._errors = [np.full((pixels, c), np.inf, dtype) for c in channels]
         self._noise = np.full(pixels, np.nan, dtype)
         self._samples = np.zeros(pixels, np.int32)
-        self._flags = np.full(pixels, int(Flag.OUTSIDE), np.uint8)
+        self._flags = np.full(pixels, int(Flag.OUTSIDE), np.uint16)
 
     def paint(self, pixels: np.ndarray, arrays: list[np.ndarray]) -> None:
         """Put a tile where it belongs; `arrays` are the leaves of a [`PixelFit`][]."""

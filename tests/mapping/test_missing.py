@@ -8,7 +8,7 @@ import pytest
 import scipy.stats
 
 import phongfit as pf
-from tests.mapping.synthetic import DTYPE, Stack, make_stack, pulls
+from tests.mapping.synthetic import DTYPE, Stack, make_stack, pulls, same
 
 LIGHTS, NOISE = 24, 0.01
 LEAVES = ("ambient", "diffuse", "specular", "shininess")
@@ -144,3 +144,22 @@ def test_lamps_of_several_colours():
     maps = fitted(Stack(scenes, images, truth), [EVERY] * LIGHTS)
     assert np.mean(maps.chi_squared > 1.8) < 0.005
     assert np.mean(np.abs(pulls(maps, truth, "shininess")) > 5) == 0
+
+
+def test_a_wrong_model_is_said_and_widens_errors(stack, tmp_path):
+    """A shadow that no scene knows of, over half of the picture."""
+    shadow = stack.images.copy()
+    shadow[:4, :, :10] *= DTYPE.type(0.5)
+    right, wrong = (
+        fitted(stack, [EVERY] * LIGHTS, images) for images in (stack.images, shadow)
+    )
+    assert not right.flagged(pf.Flag.MISFIT).any()
+    misfit = wrong.flagged(pf.Flag.MISFIT)
+    assert misfit[:, :10].mean() > 0.98 and not misfit[:, 10:].any()
+    ratio = wrong.stderr.ambient[misfit] / right.stderr.ambient[misfit]
+    expected = np.sqrt(wrong.chi_squared[misfit])
+    # Ambient light is what the exponent says least of.
+    assert np.median(ratio[..., 0] / expected) == pytest.approx(1, abs=0.2)
+    wrong.save(tmp_path / "maps.npz")
+    same(pf.load_maps(tmp_path / "maps.npz"), wrong)
+    assert "misfit" in str(wrong)

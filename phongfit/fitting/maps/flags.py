@@ -1,4 +1,4 @@
-"""What is to be said of a pixel besides numbers: bits of one byte."""
+"""What is to be said of a pixel besides numbers: bits of two bytes."""
 
 from enum import IntFlag
 
@@ -16,6 +16,10 @@ class Flag(IntFlag):
         a reflectance has the error that it would have without the bound.
     - `NOT_CONVERGED`: an estimate was still moving by more than a tenth of its error:
         nothing is identified.
+    - `MISFIT`: χ² is too large for the noise that was given (by 4.5 standard deviations
+        of a normal distribution): the model does not describe the pixel, or the noise
+        is larger. Its errors are widened by the root of χ² a degree of freedom. Under a
+        robust loss it is not looked for.
     """
 
     OUTSIDE = 1
@@ -26,3 +30,4 @@ class Flag(IntFlag):
     ALIKE = 32
     AT_BOUND = 64
     NOT_CONVERGED = 128
+    MISFIT = 256

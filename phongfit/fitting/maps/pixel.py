@@ -28,6 +28,7 @@ from phongfit.fitting.maps.search import (
 )
 from phongfit.fitting.maps.settings import Settings
 from phongfit.fitting.maps.small import dot, over_channels, settled
+from phongfit.fitting.misfit import SIGNIFICANT
 from phongfit.fitting.noise import median_deviation
 
 # Steps on the sum of the channels, which are a third of the price, then on all; and of
@@ -170,9 +171,15 @@ def fit_pixel(
         level = jnp.sqrt(jnp.sum(found.squares) / freedom)
     told = ~black & (enough | (settings.noise_given & (count >= unknowns)))
 
+    misfit = jnp.zeros((), bool)
+    if settings.noise_given and not settings.loss.robust:
+        misfit = told & enough & ((level / noise) ** 2 > _most_by_chance(freedom))
+
     def errors_of(found: _Found) -> Errors:
         sigma = found.scale if settings.loss.robust else level
-        sigma = noise if settings.noise_given else sigma
+        if settings.noise_given:
+            # What the model does not describe may pull as hard as it shows.
+            sigma = jnp.where(misfit, level, noise)
         return standard_errors(
             found.at,
             found.columns,
@@ -199,6 +206,7 @@ def fit_pixel(
         | jnp.where(told & jnp.any(errors.alike), Flag.ALIKE, 0)
         | jnp.where(told & jnp.any(errors.at_bound), Flag.AT_BOUND, 0)
         | jnp.where(told & jnp.any(errors.moving), Flag.NOT_CONVERGED, 0)
+        | jnp.where(misfit, Flag.MISFIT, 0)
     )
     ambient, diffuse, specular, shininess = values
     fit = PixelFit(
@@ -206,6 +214,17 @@ def fit_pixel(
     )
     unsettled = jnp.any(found.unsettled | errors.vague | errors.moving)
     return fit, told & unsettled & ~thorough
+
+
+def _most_by_chance(freedom: Array) -> Array:
+    """What χ² a degree of freedom hardly ever exceeds if there is noise alone.
+
+    ??? cite "Source"
+        Wilson and Hilferty, *The distribution of chi-square*, Proc. Natl. Acad. Sci.
+        17, 1931.
+    """
+    spread = 2 / (9 * freedom)
+    return (1 - spread + SIGNIFICANT * jnp.sqrt(spread)) ** 3
 
 
 def _coloured(strength: Lights) -> Array:
