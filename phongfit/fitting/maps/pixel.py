@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from phongfit.fitting.losses import Huber
 from phongfit.fitting.maps.columns import Columns, Lights, make_columns
 from phongfit.fitting.maps.errors import VAGUE, Errors, standard_errors
 from phongfit.fitting.maps.exponent import At, Box, evaluate, lobes
@@ -39,6 +40,8 @@ MOST_STEPS = 16
 # Rounds of reweighting of a robust loss; and where it takes longer.
 REWEIGHTED = 10
 MOST_REWEIGHTED = 40
+# Of these the first have a loss whose reflectances cannot lie in a false minimum.
+CONVEX = 5
 REWEIGHTED_STEPS = 2
 # By how much channels may differ in how the lights share them, over their sum.
 COLOURED = 0.1
@@ -464,15 +467,20 @@ def _reweighted(
     model, cosine = settings.model, samples.log_cosine
     used = samples.weight > 0
 
-    def reweighed(at: At, t: Array) -> tuple[Array, Array, Array]:
+    def measured(at: At, t: Array) -> tuple[Array, Array]:
         residual = settled(_residual(samples, target, at, t, settings))
         scale = median_deviation(residual, used)
-        unit = noise if settings.noise_given else scale
-        weight = loss_weights(settings.loss, residual / unit)
-        return settled(weight * samples.weight), residual / unit, scale
+        return residual / (noise if settings.noise_given else scale), scale
 
     def step(state: _Rounds) -> _Rounds:
-        weight, _, _ = reweighed(state.at, state.t)
+        residual, _ = measured(state.at, state.t)
+        # A convex loss leads to where one that rejects outliers sees them.
+        weight = jnp.where(
+            state.done < CONVEX,
+            loss_weights(Huber(), residual),
+            loss_weights(settings.loss, residual),
+        )
+        weight = settled(weight * samples.weight)
         columns = _columns(samples, target, weight, settings)
         t, bend = state.t, state.bend
         if settings.searched:
@@ -492,7 +500,8 @@ def _reweighted(
     start = _Rounds(at, t, jnp.ones_like(t), jnp.zeros((), bool), jnp.zeros((), int))
     last = jax.lax.while_loop(unfinished, step, start)
     at, t = last.at, last.t
-    weight, residual, scale = reweighed(at, t)
+    residual, scale = measured(at, t)
+    weight = settled(loss_weights(settings.loss, residual) * samples.weight)
     columns = _columns(samples, target, weight, settings)
     at = settled(_evaluate(columns, cosine, t, box, settings))
     moved = [abs(x - y) for x, y in zip(at.point, last.at.point, strict=True)]
