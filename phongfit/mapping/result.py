@@ -48,12 +48,16 @@ class Maps:
 
     @property
     def told(self) -> Bool[np.ndarray, "height width"]:
-        """Pixels of which every unknown is told: all errors are finite."""
+        """Pixels of which every unknown is identified: all errors are finite.
+
+        None that lies outside, and none that has not converged.
+        """
         finite = [
             np.isfinite(getattr(self.stderr, name)).all(axis=-1)
             for name in self.unknowns
         ]
-        return np.logical_and.reduce(finite) & ~self.flagged(Flag.OUTSIDE)
+        not_fitted = self.flagged(Flag.OUTSIDE | Flag.NOT_CONVERGED)
+        return np.logical_and.reduce(finite) & ~not_fitted
 
     @property
     def chi_squared(self) -> Float[np.ndarray, "height width"]:
@@ -116,16 +120,17 @@ Maps.__init__.__doc__ = """**Arguments:**
 
 - `ambient`, `diffuse`, `specular`: (H, W, 3); `shininess`: (H, W, 1), or (H, W, 3) if
     each channel has its own. 0 outside; finite everywhere.
-- `stderr`: the same four: infinite for what cannot be told, 0 for what was known. Of a
-    reflectance at its bound the error is one-sided.
+- `stderr`: the same four: infinite for what is not identified, 0 for what was known.
+    A bound takes nothing from them: the truth may lie inside of it.
 - `noise`: (H, W), root mean square of a pixel's residuals a degree of freedom, in
     linear light; NaN outside. Where `noise_given` varies, that of the pixel times the
     root of χ².
 - `samples`: (H, W), how many were used.
 - `flags`: (H, W), bits of [`Flag`][]: why a pixel is not told, or told with care.
 - `unknowns`: names of the leaves that were looked for.
-- `noise_given`: standard deviation of a sample that errors rest on, or `None` if each
-    pixel's residuals told it. (H, W) if it varies: the root mean square of a pixel's.
+- `noise_given`: standard deviation of a sample that errors rest on (where there is no
+    `MISFIT`), or `None` if each pixel's residuals told it. (H, W) if it varies: the
+    root mean square of a pixel's.
 """
 
 

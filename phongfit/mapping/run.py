@@ -40,8 +40,9 @@ from phongfit.scene import Scene
 TILE_BYTES = 2**26
 """How much light a tile holds unless told otherwise: a few of them fit anywhere."""
 
-PART_BYTES = 2**22
-"""How much of it is worked on at a time on a CPU: what stays near its cores."""
+PART_BYTES = 2**24
+"""How much of it is worked on at a time on a CPU: little enough to stay near its cores,
+and enough that a last block of a few unsettled pixels does not show."""
 
 
 def fit_maps(
@@ -286,7 +287,7 @@ class _Canvas:
         self._errors = [np.full((pixels, c), np.inf, dtype) for c in channels]
         self._noise = np.full(pixels, np.nan, dtype)
         self._samples = np.zeros(pixels, np.int32)
-        self._flags = np.full(pixels, int(Flag.OUTSIDE), np.uint8)
+        self._flags = np.full(pixels, int(Flag.OUTSIDE), np.uint16)
 
     def paint(self, pixels: np.ndarray, arrays: list[np.ndarray]) -> None:
         """Put a tile where it belongs; `arrays` are the leaves of a [`PixelFit`][]."""

@@ -61,6 +61,7 @@ def situations() -> list[Situation]:
             free=("ambient.red", "diffuse.red", "specular.red"),
             wide=True,
         ),
+        Situation("maps, an unknown shadow", "wrong", maps(shadowed, **given)),
         Situation(
             "maps, no highlight",
             "open",
@@ -188,6 +189,16 @@ def saturated(
     """What is past white is cut off."""
     del rng
     return np.minimum(images, 1), {}
+
+
+def shadowed(
+    images: Stack, rng: np.random.Generator
+) -> tuple[Stack, Mapping[str, Any]]:
+    """Under a quarter of the lamps something else takes half of the light."""
+    del rng
+    dark = images.copy()
+    dark[: len(images) // 4] *= images.dtype.type(0.5)
+    return dark, {"mask": np.ones(images.shape[1:], bool)}
 
 
 def garbage(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str, Any]]:

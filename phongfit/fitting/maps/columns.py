@@ -37,12 +37,14 @@ class Columns(NamedTuple):
         the lights j one after another.
     - `squares`: $W \sigma_j \sigma_k$ for each of [`pairs`][], one after another; twice
         that where $j \ne k$, for (k, j) is no pair of its own.
+    - `rest`: $y_\perp^\top W y_\perp$, what is left without a highlight.
     """
 
     gram: Triangle
     start: Numbers
     moments: Float[Array, "rows lobes_images"]
     squares: Float[Array, " pairs_images"]
+    rest: Float[Array, ""]
 
 
 def make_columns(
@@ -64,7 +66,8 @@ def make_columns(
     weighed = settled(tuple(weight * each for each in strength))
     rows = [joined([each * row for each in weighed]) for row in (*columns, rest)]
     squares = joined(pairs(strength, weighed, 2))
-    return settled(Columns(gram, start, jnp.stack(rows), squares))
+    left = jnp.sum(weight * rest**2)
+    return settled(Columns(gram, start, jnp.stack(rows), squares, left))
 
 
 def pairs(left: Lights, right: Lights, unequal: float = 1) -> list[Array]:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.diagnostics import SEEN
-from phongfit.fitting.maps.columns import Columns
+from phongfit.fitting.maps.columns import Columns, Lights
 from phongfit.fitting.maps.exponent import (
     At,
     Box,
@@ -16,26 +16,38 @@ from phongfit.fitting.maps.exponent import (
     full_gram,
     slope_gram,
 )
+from phongfit.fitting.maps.search import (
+    Profile,
+    candidates,
+    survey,
+    where_wanted,
+)
 from phongfit.fitting.maps.settings import Settings
 from phongfit.fitting.maps.small import (
     Numbers,
     Triangle,
     curvatures,
     factorize,
-    only,
     over_channels,
 )
 
 # A search has ended where the next step would be less than this share of the error.
 SETTLED = 0.1
+# Moves of a reflectance that do not matter, however small its error.
+LEAST = 1e-4
+# A standard error of log f from which on the model bends within it.
+VAGUE = 0.25
+# Standard errors to which a profile is followed: those of intervals of 95 %.
+FAR = 2.0
 
 
 class Errors(NamedTuple):
-    """Standard errors of a group of channels; infinite for what cannot be told.
+    """Standard errors of a group of channels; infinite for what is not identified.
 
     - `reflectances`: (channels, unknowns): the columns', then that of ρ_s.
     - `exponent`: of f.
     - `dim`, `alike`, `at_bound`, `moving`: see [`Flag`][].
+    - `vague`: whether the profile is wanted.
     """
 
     reflectances: Float[Array, "channels unknowns"]
@@ -44,6 +56,7 @@ class Errors(NamedTuple):
     alike: Bool[Array, ""]
     at_bound: Bool[Array, ""]
     moving: Bool[Array, ""]
+    vague: Bool[Array, ""]
 
 
 def standard_errors(
@@ -51,24 +64,29 @@ def standard_errors(
     columns: Columns,
     t: Float[Array, ""],
     sigma: Float[Array, ""],
-    faintest: Float[Array, ""],
+    moved: Float[Array, "channels unknowns"],
+    log_cosine: Lights,
     box: Box,
+    thorough: Bool[Array, ""],
     settings: Settings,
 ) -> Errors:
-    r"""Errors from $\sigma^2 (J^\top J)^{-1}$ of what is free.
+    r"""Errors from $\sigma^2 (J^\top J)^{-1}$, with no unknown held by its bound.
 
-    At a bound the error is one-sided: how far into the box the data let a reflectance
-    go until the squares have risen by σ².
+    An estimate that lies at its bound may have a truth inside of it, and then all that
+    is correlated with it moves: nothing at a bound counts as known. Where the exponent
+    is vague, the model bends within its error; errors then reach at least as far as the
+    profile does, which holds the exponent all over its range and has all else adapt.
 
     **Arguments:**
 
     - `at`, `columns`, `t`: the solution.
     - `sigma`: standard deviation of a sample.
-    - `faintest`: the least curvature that ρ_s has at any exponent.
+    - `moved`: by how much the reflectances last moved, where weights move them.
+    - `log_cosine`: as in [`PixelSamples`][].
+    - `thorough`: whether to follow the profile where it is wanted.
     """
     inner = (t > box.lowest) & (t < box.highest)
-    searched = settings.searched & inner
-    whole = jnp.ones_like(inner)
+    nothing = jnp.zeros_like(t)
 
     def bordered(
         columns: Columns, sums: Sums, slopes: Slopes, specular: Array, rest: Array
@@ -78,85 +96,130 @@ def standard_errors(
         corner = specular**2 * slopes.own + rest
         return (*full_gram(columns, sums), (*side, corner))
 
-    def about_t(
-        columns: Columns, sums: Sums, slopes: Slopes, point: Numbers, free: Numbers
-    ) -> Array:
-        matrix = bordered(columns, sums, slopes, point[-1], jnp.zeros_like(t))
-        return factorize(only(matrix, (*free, whole))).last
+    def about_t(columns: Columns, sums: Sums, slopes: Slopes, point: Numbers) -> Array:
+        return factorize(bordered(columns, sums, slopes, point[-1], nothing)).last
 
-    here = (columns, at.sums, at.slopes, at.point, at.free)
+    here = (columns, at.sums, at.slopes, at.point)
     alone = over_channels(about_t, *here)
     total = jnp.sum(alone)
 
     def channel(
-        columns: Columns,
-        sums: Sums,
-        slopes: Slopes,
-        point: Numbers,
-        free: Numbers,
-        alone: Array,
+        columns: Columns, sums: Sums, slopes: Slopes, point: Numbers, alone: Array
     ) -> tuple[Numbers, Numbers]:
-        apart = curvatures(full_gram(columns, sums), free)
+        apart = curvatures(full_gram(columns, sums))
         if not settings.searched:
             return apart, apart
         matrix = bordered(columns, sums, slopes, point[-1], total - alone)
-        return curvatures(matrix, (*free, searched))[:-1], apart
+        return curvatures(matrix)[:-1], apart
 
     shared, apart = over_channels(channel, *here, alone)
-
-    def reach(curvature: Numbers) -> Array:
-        return jnp.stack(
-            [
-                _reach(c, jnp.abs(pull), free, sigma)
-                for c, pull, free in zip(curvature, at.pull, at.free, strict=True)
-            ],
-            axis=-1,
-        )
-
-    error, error_apart = reach(shared), reach(apart)
+    error, error_apart = (
+        jnp.stack([sigma * _root_inverse(c) for c in curvature], axis=-1)
+        for curvature in (shared, apart)
+    )
     # Without a highlight the exponent may be anything: ρ_s is told if it is for all.
     seen = at.point[-1] >= SEEN * jnp.minimum(error[:, -1], error_apart[:, -1])
     dim = ~jnp.any(seen) & settings.shiny
-    told = jnp.stack(shared, axis=-1) > 0
+    log_error = sigma * _root_inverse(total)
+    reach = log_error
+    open_ended = ~inner
+    moving = vague = jnp.zeros_like(dim)
     if settings.searched:
         error = jnp.where(dim, error_apart, error)
-        told = jnp.where(dim, jnp.stack(apart, axis=-1) > 0, told)
-        hidden = jnp.where(dim, sigma * _root_inverse(faintest), 0)
-        is_last = jnp.arange(error.shape[-1]) == error.shape[-1] - 1
-        error = jnp.where(is_last[None, :], jnp.maximum(error, hidden), error)
-    width = jnp.stack(box.upper) - jnp.stack(box.lower)
-    told = told & (error <= width[None, :])
-    error = jnp.where(told, error, jnp.inf)
 
-    log_error = sigma * _root_inverse(total)
-    open_ended = dim | ~inner | ~(log_error <= box.highest - box.lowest)
-    exponent = jnp.where(open_ended, jnp.inf, jnp.exp(t) * log_error)
-    step = jnp.abs(at.slope) / jnp.where(at.curvature > 0, at.curvature, 1)
-    moving = (step > SETTLED * log_error) & (step > 1e-3) & ~open_ended & searched
+        def follow(columns: Columns) -> tuple[Array, Array, Array]:
+            count = candidates(*settings.log_bounds)
+            profile = survey(columns, settings.model, log_cosine, box, count)
+            return (_widest(at, profile, sigma), *_ends(at, profile, t, sigma, box))
+
+        vague = dim | ~inner | ~(log_error < VAGUE)
+        nowhere = (jnp.zeros_like(error), t, t)
+        wider, low, high = where_wanted(vague & thorough, follow, columns, nowhere)
+        error = jnp.maximum(error, wider)
+        reach = jnp.maximum(log_error, (high - t) / FAR)
+        below = (t - low) / FAR
+        open_ended = dim | ~inner | (high >= box.highest)
+        open_ended |= ~(log_error <= box.highest - box.lowest)
+        step = jnp.abs(at.slope) / jnp.where(at.curvature > 0, at.curvature, 1)
+        moving = (step > SETTLED * log_error) & (step > 1e-3) & ~open_ended
+        upward = jnp.expm1(FAR * reach) / FAR
+        downward = -jnp.expm1(-FAR * below) / FAR
+        reach = jnp.maximum(upward, downward)
+    moving |= jnp.any((moved > SETTLED * error) & (moved > LEAST))
+    width = jnp.stack(box.upper) - jnp.stack(box.lower)
+    told = (error <= width[None, :]) & ~moving
+    error = jnp.where(told, error, jnp.inf)
+    exponent = jnp.where(open_ended | moving, jnp.inf, jnp.exp(t) * reach)
 
     wanted = jnp.array([True] * len(settings.columns) + [settings.shiny])[None, :]
     held = ~jnp.stack(at.free, axis=-1)
+    blurred = jnp.any(~told & wanted) & ~moving
     return Errors(
         error,
         exponent,
         dim & settings.searched,
-        jnp.any(~told & wanted) | (settings.searched & open_ended & inner & ~dim),
+        blurred | (settings.searched & open_ended & inner & ~dim),
         jnp.any(held & wanted) | (settings.searched & ~inner & ~dim),
         moving,
+        vague,
     )
 
 
-def _reach(curvature: Array, pull: Array, free: Array, sigma: Array) -> Array:
-    """How far each unknown may go until the squares have risen by σ²."""
-    pull = jnp.where(free, 0, pull)
-    # pull·d + curvature·d²/2 = σ²/2, solved without cancellation.
-    root = jnp.sqrt(pull**2 + sigma**2 * curvature)
-    whole = pull + root
-    positive = whole > 0
-    reach = sigma**2 / jnp.where(positive, whole, 1)
-    # Without any noise there is no error, save where nothing is told anyway.
-    reach = jnp.where(positive, reach, jnp.where(curvature > 0, 0, jnp.inf))
-    return jnp.where(jnp.isfinite(sigma), reach, jnp.inf)
+def _widest(
+    at: At, profile: Profile, sigma: Array
+) -> Float[Array, "channels unknowns"]:
+    r"""Half of the interval that the profile allows at two standard errors.
+
+    For an exponent that costs $\Delta\phi$, a reflectance there may lie
+    $\sqrt{(4 \sigma^2 - \Delta\phi) v}$ from the best.
+    """
+    left = FAR**2 - _rise(at, profile, sigma)
+    allowed = (left >= 0)[:, None]
+    left = jnp.sqrt(jnp.maximum(left, 0))[:, None]
+    found = []
+    for here, points, variances in zip(
+        at.point, profile.point, profile.variance, strict=True
+    ):
+        off = jnp.abs(points - here[None, :]) + left * sigma * jnp.sqrt(variances)
+        # Infinity times 0 is nothing here: such an exponent costs all there is.
+        off = jnp.where(allowed, jnp.where(jnp.isnan(off), jnp.inf, off), 0)
+        found.append(jnp.max(off, axis=0) / FAR)
+    return jnp.stack(found, axis=-1)
+
+
+def _rise(at: At, profile: Profile, sigma: Array) -> Float[Array, " candidates"]:
+    """What candidates cost more than the solution, in variances of a sample."""
+    exact = sigma > 0
+    rise = (profile.value - at.value) / jnp.where(exact, sigma**2, 1)
+    return jnp.where(exact, rise, jnp.inf)
+
+
+def _ends(
+    at: At, profile: Profile, t: Array, sigma: Array, box: Box
+) -> tuple[Array, Array]:
+    r"""Between which exponents the profile allows any.
+
+    The signed root of what an exponent costs is a straight line where the model is
+    linear: it is followed from candidate to candidate.
+
+    ??? cite "Source"
+        Bates and Watts, *Nonlinear regression analysis and its applications*, 1988,
+        section 6.1.
+    """
+    root = jnp.sqrt(jnp.maximum(_rise(at, profile, sigma), 0))
+    root = jnp.where(profile.t < t, -root, root)
+    here, beyond = root[:-1], root[1:]
+    slope = beyond - here
+    slope = jnp.where(slope > 0, slope, jnp.inf)
+    start, spacing = profile.t[:-1], profile.t[1:] - profile.t[:-1]
+    rises = (here <= FAR) & (beyond > FAR)
+    high = jnp.where(rises, start + spacing * (FAR - here) / slope, t)
+    falls = (here < -FAR) & (beyond >= -FAR)
+    low = jnp.where(falls, start + spacing * (-FAR - here) / slope, t)
+    # A candidate at the end of the range that is allowed leaves that open.
+    high = jnp.where(root[-1] <= FAR, box.highest, jnp.max(high))
+    low = jnp.where(root[0] >= -FAR, box.lowest, jnp.min(low))
+    return low, high
 
 
 def _root_inverse(curvature: Array) -> Array:

@@ -1,4 +1,4 @@
-r"""The best exponent of one pixel: a scan over log f, then steps of Newton's kind.
+r"""The best reflectances of one pixel at one exponent, and how the squares go on.
 
 For given f the best ρ is a tiny problem in a box, made of sums over the lights. What is
 left of the squares, $\phi(t)$ with $t = \log f$, is a function of one number, whose
@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.fitting.maps.columns import (
@@ -40,16 +39,11 @@ from phongfit.fitting.maps.small import (
 )
 from phongfit.reflectance import AbstractSpecular
 
-# No step is longer, in log f: beyond a factor of 2 the slope says little.
-LONGEST = 0.7
-# How far a curvature may be from that of Gauss and Newton to be expected once more.
-BENT = 0.1, 10
 # Logarithm of the least height of a lobe that counts: products of smaller ones leave
 # the normal numbers of single precision, and those are slow.
 FAINTEST = -36.0
-# Rounds of the box problem: where it matters, and where it only ranks candidates.
+# Rounds of the box problem.
 ROUNDS = 6
-FEW_ROUNDS = 3
 
 
 class Box(NamedTuple):
@@ -226,160 +220,3 @@ def evaluate(
         sums,
         slopes,
     )
-
-
-class Scan(NamedTuple):
-    """The best of a few exponents, between which neighbours, and the faintest S.
-
-    - `t`: log f of the best, refined by a parabola.
-    - `low`, `high`: its neighbours.
-    - `faintest`: the least curvature that ρ_s has at any candidate.
-    """
-
-    t: Array
-    low: Array
-    high: Array
-    faintest: Array
-
-
-def scan(
-    columns: Columns,
-    model: AbstractSpecular,
-    log_cosine: Lights,
-    box: Box,
-    count: int,
-) -> Scan:
-    r"""Candidates a factor of 2 apart, from the lowest exponent on.
-
-    $\cos^{2f} = (\cos^f)^2$: one exponential serves all of them.
-
-    **Arguments:**
-
-    - `columns`: of one channel, or of the first of several.
-    - `count`: of candidates, ≥ 2: from [`candidates`][].
-    """
-    spacing = np.log(2).item()
-    exponent = jnp.exp(box.lowest)
-    powers = _powers(log_cosine, exponent)
-    one = jnp.ones((), exponent.dtype)
-    candidates = []
-    for k in range(count):
-        powers = settled(_squares(powers) if k else powers)
-        height = model.lobe(one, exponent * 2**k)
-        sums = sum_lights(columns, powers)
-        cross = tuple(height * number for number in sums.cross)
-        candidates.append(Sums(cross, height**2 * sums.own, height * sums.moment))
-
-    def ranked(sums: Sums) -> tuple[Array, Array]:
-        best, _ = best_reflectances(first, sums, box, FEW_ROUNDS)
-        return best.value, factorize(full_gram(first, sums)).last
-
-    first, stacked = jax.tree.map(
-        lambda leaf: leaf[0],
-        (columns, jax.tree.map(lambda *leaves: jnp.stack(leaves, 1), *candidates)),
-    )
-    value, curvature = jax.vmap(ranked)(settled(stacked))
-    best = jnp.argmin(value)
-    t = box.lowest + spacing * best.astype(exponent.dtype)
-    low = jnp.maximum(t - spacing, box.lowest)
-    high = jnp.where(best == count - 1, box.highest, t + spacing)
-    # The vertex of the parabola through the best and its neighbours.
-    left, here, right = (value[jnp.clip(best + k, 0, count - 1)] for k in (-1, 0, 1))
-    bend = left - 2 * here + right
-    inner = (best > 0) & (best < count - 1) & (bend > 0)
-    shift = jnp.where(inner, (left - right) / (2 * jnp.where(inner, bend, 1)), 0)
-    t = t + spacing * jnp.clip(shift, -0.5, 0.5)
-    t = jnp.clip(t, box.lowest, box.highest)
-    return Scan(t, low, high, jnp.min(curvature))
-
-
-def _powers(log_cosine: Lights, exponent: Array) -> Lights:
-    powers = (exponent * logarithm for logarithm in log_cosine)
-    return tuple(jnp.where(power > FAINTEST, jnp.exp(power), 0) for power in powers)
-
-
-def _squares(powers: Lights) -> Lights:
-    least = np.exp(FAINTEST / 2).item()
-    return tuple(jnp.where(power > least, power * power, 0) for power in powers)
-
-
-def candidates(lowest: float, highest: float) -> int:
-    """How many candidates a scan between two values of log f takes."""
-    return max(int(np.floor((highest - lowest) / np.log(2) + 1e-6)) + 1, 2)
-
-
-class _Search(NamedTuple):
-    r"""Where the search stands.
-
-    - `t`: to be looked at next, `step` from the best so far.
-    - `best`, `value`, `slope`: the best so far, $\phi$ and $\phi'$ there.
-    - `left`, `right`: the bottom lies between them.
-    - `bend`: the curvature there, over that of Gauss and Newton.
-    """
-
-    t: Array
-    step: Array
-    best: Array
-    value: Array
-    slope: Array
-    left: Array
-    right: Array
-    bend: Array
-
-
-def descend(
-    columns: Columns,
-    model: AbstractSpecular,
-    log_cosine: Lights,
-    start: Float[Array, ""],
-    low: Float[Array, ""],
-    high: Float[Array, ""],
-    box: Box,
-    steps: int,
-    bend: Float[Array, ""] | float = 1.0,
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    r"""A better t: `steps` steps down $\phi$ between `low` and `high`.
-
-    Newton's steps on the exact slope. The curvature is the difference of two slopes or,
-    until two are known, that of Gauss and Newton, which is several times too large or
-    too small where the residuals are those of a photograph. What leads up, and what
-    leads down too far, brackets the bottom; a step out of the bracket is halved.
-
-    **Arguments:** `bend`: the curvature over that of Gauss and Newton, to begin with.
-
-    **Returns:** t, and the last `bend`.
-    """
-
-    def step(_: int, search: _Search) -> _Search:
-        at = evaluate(columns, model, log_cosine, search.t, box)
-        # Differences below rounding must not send the search back.
-        slack = 1e-6 * jnp.abs(search.value)
-        accept = at.value <= search.value + slack
-        moved = search.t - search.best
-        secant = (at.slope - search.slope) / jnp.where(moved != 0, moved, 1)
-        best = jnp.where(accept, search.t, search.best)
-        slope = jnp.where(accept, at.slope, search.slope)
-        # Where the slope rises, or the point lies above the best, the bottom is past.
-        upward = jnp.where(accept, at.slope, moved)
-        left = jnp.where(upward < 0, search.t, search.left)
-        right = jnp.where(upward > 0, search.t, search.right)
-        measured = (moved != 0) & (secant > 0)
-        curvature = jnp.where(measured, secant, search.bend * at.curvature)
-        bend = secant / jnp.where(at.curvature > 0, at.curvature, jnp.inf)
-        bend = jnp.where(measured, jnp.clip(bend, *BENT), search.bend)
-        newton = -slope / jnp.where(curvature > 0, curvature, jnp.inf)
-        t = best + jnp.clip(newton, -LONGEST, LONGEST)
-        t = jnp.where(t <= left, (best + left) / 2, t)
-        t = jnp.where(t >= right, (best + right) / 2, t)
-        t = jnp.clip(t, low, high)
-        value = jnp.where(accept, at.value, search.value)
-        return _Search(t, t - best, best, value, slope, left, right, bend)
-
-    infinite = jnp.full_like(start, jnp.inf)
-    zero = jnp.zeros_like(start)
-    first = _Search(
-        start, zero, start, infinite, zero, -infinite, infinite, zero + bend
-    )
-    last = jax.lax.fori_loop(0, steps, step, first)
-    # The last step has not been tried: a short one is safe, near the bottom.
-    return jnp.where(jnp.abs(last.step) < 0.1, last.t, last.best), last.bend

@@ -1,4 +1,4 @@
-"""What is to be said of a pixel besides numbers: bits of one byte."""
+"""What is to be said of a pixel besides numbers: bits of two bytes."""
 
 from enum import IntFlag
 
@@ -12,9 +12,14 @@ class Flag(IntFlag):
     - `TOO_FEW`: no more samples than unknowns are left: nothing is told.
     - `NO_HIGHLIGHT`: ρ_s is 0 within its error: the exponent is not told.
     - `ALIKE`: some unknowns change its samples alike, or not at all.
-    - `AT_BOUND`: an estimate lies at its bound; a reflectance's error is then
-        one-sided, an exponent is not told.
-    - `NOT_CONVERGED`: the exponent was still moving by more than a tenth of its error.
+    - `AT_BOUND`: an estimate lies at its bound: an exponent is then not identified, and
+        a reflectance has the error that it would have without the bound.
+    - `NOT_CONVERGED`: an estimate was still moving by more than a tenth of its error:
+        nothing is identified.
+    - `MISFIT`: χ² is too large for the noise that was given (by 4.5 standard deviations
+        of a normal distribution): the model does not describe the pixel, or the noise
+        is larger. Its errors are widened by the root of χ² a degree of freedom. Under a
+        robust loss it is not looked for.
     """
 
     OUTSIDE = 1
@@ -25,3 +30,4 @@ class Flag(IntFlag):
     ALIKE = 32
     AT_BOUND = 64
     NOT_CONVERGED = 128
+    MISFIT = 256

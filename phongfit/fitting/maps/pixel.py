@@ -5,36 +5,48 @@ fails costs no more than one that does not, and disturbs none.
 """
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
+from phongfit.fitting.losses import Huber
 from phongfit.fitting.maps.columns import Columns, Lights, make_columns
-from phongfit.fitting.maps.errors import Errors, standard_errors
-from phongfit.fitting.maps.exponent import (
-    At,
-    Box,
-    candidates,
-    descend,
-    evaluate,
-    lobes,
-    scan,
-)
+from phongfit.fitting.maps.errors import VAGUE, Errors, standard_errors
+from phongfit.fitting.maps.exponent import At, Box, evaluate, lobes
 from phongfit.fitting.maps.flags import Flag
 from phongfit.fitting.maps.robust import loss_weights, widening
 from phongfit.fitting.maps.samples import PixelSamples, whitened
+from phongfit.fitting.maps.search import (
+    SHORTEST,
+    Descent,
+    candidates,
+    descend,
+    scan,
+    where_wanted,
+)
 from phongfit.fitting.maps.settings import Settings
 from phongfit.fitting.maps.small import dot, over_channels, settled
+from phongfit.fitting.misfit import SIGNIFICANT
 from phongfit.fitting.noise import median_deviation
 
-# Steps on the sum of the channels, which are a third of the price, then on all.
+# Steps on the sum of the channels, which are a third of the price, then on all; and of
+# those at most, where it takes longer.
 SUMMED_STEPS = 4
 STEPS = 4
-# Rounds of reweighting of a robust loss.
+MOST_STEPS = 16
+# Rounds of reweighting of a robust loss; and where it takes longer.
 REWEIGHTED = 10
+MOST_REWEIGHTED = 40
+# Of these the first have a loss whose reflectances cannot lie in a false minimum.
+CONVEX = 5
 REWEIGHTED_STEPS = 2
+# By how much channels may differ in how the lights share them, over their sum.
+COLOURED = 0.1
+# The axis along which pixels are batched.
+BESIDE = "beside"
 
 
 class PixelFit(NamedTuple):
@@ -71,7 +83,14 @@ class Known(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """A group of channels with one exponent, solved."""
+    """A group of channels with one exponent, solved.
+
+    - `columns`: of the samples as they were weighed at the end.
+    - `squares`: of all residuals; `scale`: their size, which outliers do not reach.
+    - `widening`: factor on the errors of samples so weighed.
+    - `moved`: by how much the last weights moved the reflectances.
+    - `unsettled`: whether the search for the exponent was cut short.
+    """
 
     at: At
     t: Array
@@ -79,13 +98,22 @@ class _Found(NamedTuple):
     squares: Array
     scale: Array
     widening: Array
-    faintest: Array
+    moved: Array
+    unsettled: Array
 
 
 def fit_pixel(
-    samples: PixelSamples, known: Known, noise: Float[Array, ""], settings: Settings
-) -> PixelFit:
+    samples: PixelSamples,
+    known: Known,
+    noise: Float[Array, ""],
+    thorough: Bool[Array, ""],
+    settings: Settings,
+) -> tuple[PixelFit, Bool[Array, ""]]:
     """The material of one pixel, from its samples alone.
+
+    What a few pixels need all that are batched with them pay for. So there are two
+    ways, one short and one thorough, and a pixel that is settled by the short one gets
+    the same from both.
 
     **Arguments:**
 
@@ -93,6 +121,9 @@ def fit_pixel(
     - `known`: what is not unknown.
     - `noise`: standard deviation of a sample in linear light, 1 if
         `settings.weighted`; not read if `settings.noise_given` is false.
+    - `thorough`: whether to do whatever helps.
+
+    **Returns:** the material, and whether the thorough way is wanted.
     """
     dtype = samples.target.dtype
     finite = jnp.isfinite(samples.target)
@@ -116,12 +147,13 @@ def fit_pixel(
         samples.strength,
         samples.log_cosine,
     )
+    unlike = jnp.any((weight > 0) != (weight[:1] > 0)) | _coloured(samples.strength)
     if settings.weighted:
         samples = settled(whitened(samples))
         weight = samples.weight
 
     def solved(samples: PixelSamples, known: Known) -> _Found:
-        return _solve(samples, known, noise, settings)
+        return _solve(samples, known, noise, unlike, thorough, settings)
 
     if settings.shared:
         found = settled(solved(samples, known))
@@ -140,17 +172,26 @@ def fit_pixel(
         level = jnp.sqrt(jnp.sum(share * found.scale**2) / freedom)
     else:
         level = jnp.sqrt(jnp.sum(found.squares) / freedom)
-    sigma = noise if settings.noise_given else level
     told = ~black & (enough | (settings.noise_given & (count >= unknowns)))
 
+    misfit = jnp.zeros((), bool)
+    if settings.noise_given and not settings.loss.robust:
+        misfit = told & enough & ((level / noise) ** 2 > _most_by_chance(freedom))
+
     def errors_of(found: _Found) -> Errors:
+        sigma = found.scale if settings.loss.robust else level
+        if settings.noise_given:
+            # What the model does not describe may pull as hard as it shows.
+            sigma = jnp.where(misfit, level, noise)
         return standard_errors(
             found.at,
             found.columns,
             found.t,
             sigma * found.widening,
-            found.faintest,
+            found.moved,
+            samples.log_cosine,
             _box(settings, dtype),
+            thorough,
             settings,
         )
 
@@ -168,11 +209,36 @@ def fit_pixel(
         | jnp.where(told & jnp.any(errors.alike), Flag.ALIKE, 0)
         | jnp.where(told & jnp.any(errors.at_bound), Flag.AT_BOUND, 0)
         | jnp.where(told & jnp.any(errors.moving), Flag.NOT_CONVERGED, 0)
+        | jnp.where(misfit, Flag.MISFIT, 0)
     )
     ambient, diffuse, specular, shininess = values
-    return PixelFit(
+    fit = PixelFit(
         ambient, diffuse, specular, shininess, deviations, level, count, flags
     )
+    unsettled = jnp.any(found.unsettled | errors.vague | errors.moving)
+    return fit, told & unsettled & ~thorough
+
+
+def _most_by_chance(freedom: Array) -> Array:
+    """What χ² a degree of freedom hardly ever exceeds if there is noise alone.
+
+    ??? cite "Source"
+        Wilson and Hilferty, *The distribution of chi-square*, Proc. Natl. Acad. Sci.
+        17, 1931.
+    """
+    spread = 2 / (9 * freedom)
+    return (1 - spread + SIGNIFICANT * jnp.sqrt(spread)) ** 3
+
+
+def _coloured(strength: Lights) -> Array:
+    """Whether the lights differ in colour: then the channels' sum says little."""
+    sums = [jnp.sum(each, axis=-1, keepdims=True) for each in strength]
+    total = functools.reduce(jnp.add, sums)
+    coloured = jnp.zeros((), bool)
+    for each in strength:
+        own, first = each * total[:1], each[:1] * total
+        coloured |= jnp.any(jnp.abs(own - first) > COLOURED * (own + first))
+    return coloured
 
 
 # Channels on their own share nothing but the cosines.
@@ -202,7 +268,12 @@ def _box(settings: Settings, dtype: jnp.dtype) -> Box:
 
 
 def _solve(
-    samples: PixelSamples, known: Known, noise: Array, settings: Settings
+    samples: PixelSamples,
+    known: Known,
+    noise: Array,
+    unlike: Array,
+    thorough: Array,
+    settings: Settings,
 ) -> _Found:
     """One group of channels: the exponent, then everything else."""
     dtype = samples.target.dtype
@@ -210,30 +281,94 @@ def _solve(
     target = settled(_less_known(samples, known, settings))
     columns = _columns(samples, target, samples.weight, settings)
     t = jnp.log(known.shininess[0])
-    faintest = jnp.array(jnp.inf, dtype)
-    model, cosine = settings.model, samples.log_cosine
+    unsettled = jnp.zeros((), bool)
     if settings.searched:
-        summed = _summed(samples, target, settings)
-        low, high = box.lowest, box.highest
-        if settings.scanned:
-            count = candidates(*settings.log_bounds)
-            t, low, high, faintest = scan(summed, model, cosine, box, count)
-            faintest = faintest / samples.target.shape[0] ** 2
-        t, low, high, faintest = settled((jnp.clip(t, low, high), low, high, faintest))
-        t, bend = descend(summed, model, cosine, t, low, high, box, SUMMED_STEPS)
-        if samples.target.shape[0] > 1:
-            edges = box.lowest, box.highest
-            t, _ = descend(columns, model, cosine, t, *edges, box, STEPS, bend)
-    at = settled(_evaluate(columns, cosine, t, box, settings))
-    residual = _residual(samples, target, at, t, settings)
-    widened = jnp.ones((), dtype)
-    scale = widened
-    if settings.loss.robust:
-        at, t, residual, scale, widened = _reweighted(
-            samples, target, at, t, noise, box, settings
+        t, unsettled = _search(
+            samples, target, columns, t, noise, unlike, thorough, box, settings
         )
-    squares = _sum(samples.weight * residual**2)
-    return _Found(at, t, columns, squares, scale, widened, faintest)
+    at = settled(_evaluate(columns, samples.log_cosine, t, box, settings))
+    if settings.loss.robust:
+        found = _reweighted(samples, target, at, t, noise, thorough, box, settings)
+        return found._replace(unsettled=found.unsettled | unsettled)
+    squares = _sum(samples.weight * _residual(samples, target, at, t, settings) ** 2)
+    one, still = jnp.ones((), dtype), jnp.zeros_like(jnp.stack(at.point, axis=-1))
+    return _Found(at, t, columns, squares, one, one, still, unsettled)
+
+
+def _search(
+    samples: PixelSamples,
+    target: Array,
+    columns: Columns,
+    t: Array,
+    noise: Array,
+    unlike: Array,
+    thorough: Array,
+    box: Box,
+    settings: Settings,
+) -> tuple[Array, Array]:
+    """The exponent of a group of channels, and whether the search was cut short.
+
+    The channels' sum is enough to start from, as if ρ were grey, where they have the
+    same samples in the same light. Where they do not, or where the exponent stays
+    vague, each of them is asked.
+    """
+    model, cosine = settings.model, samples.log_cosine
+    channels, count = samples.target.shape[0], candidates(*settings.log_bounds)
+    low, high = edges = box.lowest, box.highest
+    if channels > 1:
+        summed = _summed(samples, target, settings)
+    else:
+        summed = columns
+    if settings.scanned:
+        t, low, high = scan(summed, model, cosine, box, count)
+    t, low, high = settled((jnp.clip(t, low, high), low, high))
+    start = descend(summed, model, cosine, t, low, high, box, SUMMED_STEPS)
+
+    def variance(value: Array) -> Array:
+        return _variance(columns, samples.weight, value, noise, settings)
+
+    if channels > 1:
+        level = _variance(summed, samples.weight[:1], start.value, noise, settings)
+        level = channels * level if settings.noise_given else level
+    else:
+        level = variance(start.value)
+    found, bend, unsettled = start.t, start.bend, jnp.zeros((), bool)
+    if settings.scanned and channels > 1:
+        wanted = unlike | _is_vague(start, level, box)
+        # If most pixels beside this one have channels of their own, all do it at once.
+        most = jax.lax.pmean(unlike.astype(t.dtype), BESIDE) > 0.5
+        unsettled = wanted & ~(thorough | most)
+        wanted = wanted & (thorough | most)
+        found = where_wanted(
+            wanted,
+            lambda columns: scan(columns, model, cosine, box, count).t,
+            columns,
+            found,
+        )
+        bend = jnp.where(wanted, 1, bend)
+    t, bend = settled((found, bend))
+    steps = STEPS if channels > 1 else 0
+    most = jnp.where(thorough, MOST_STEPS, STEPS)
+    end = descend(columns, model, cosine, t, *edges, box, steps, bend, most, variance)
+    return end.t, unsettled | ~end.ended
+
+
+def _variance(
+    columns: Columns, weight: Array, value: Array, noise: Array, settings: Settings
+) -> Array:
+    """Of a sample: as it was given, or from the squares that a value of φ leaves."""
+    if settings.noise_given:
+        return noise**2 * jnp.ones_like(value)
+    unknowns = weight.shape[0] * (len(columns.start) + 1) + 1
+    freedom = jnp.maximum(_sum(weight) - unknowns, 1)
+    return jnp.maximum(jnp.sum(columns.rest) + value, 0) / freedom
+
+
+def _is_vague(found: Descent, variance: Array, box: Box) -> Array:
+    """Whether the model may bend within the error of the exponent, or at its bound."""
+    # φ rises by the variance at one standard error.
+    steep = found.curvature * VAGUE**2 / 2 >= variance
+    return ~steep | (found.t <= box.lowest) | (found.t >= box.highest)
 
 
 def _less_known(samples: PixelSamples, known: Known, settings: Settings) -> Array:
@@ -265,11 +400,9 @@ def _columns(
 
 def _summed(samples: PixelSamples, target: Array, settings: Settings) -> Columns:
     """Columns of the channels' sum, as if ρ were grey: enough to start from."""
-    if samples.target.shape[0] == 1:
-        return _columns(samples, target, samples.weight, settings)
     together = PixelSamples(
         target=_total(target),
-        weight=samples.weight[0:1] * samples.weight[1:2] * samples.weight[2:3],
+        weight=samples.weight[:1],
         ambient=_total(samples.ambient),
         diffuse=_total(samples.diffuse),
         strength=tuple(_total(each) for each in samples.strength),
@@ -321,39 +454,77 @@ def _reweighted(
     at: At,
     t: Array,
     noise: Array,
+    thorough: Array,
     box: Box,
     settings: Settings,
-) -> tuple[At, Array, Array, Array, Array]:
-    """Iteratively reweighted least squares from a plain solution."""
+) -> _Found:
+    r"""Iteratively reweighted least squares from a plain solution.
+
+    All that is said of the end rests on its weights w, held: how $\phi$ rises from
+    there, and the errors, with $\sigma^2$ times the mean of w and the square of
+    [`widening`][]. So what a rejected sample would say of the exponent is not counted.
+    """
     model, cosine = settings.model, samples.log_cosine
+    used = samples.weight > 0
 
-    def scale_of(residual: Array) -> Array:
-        if settings.noise_given:
-            return noise
-        return median_deviation(residual, samples.weight > 0)
+    def measured(at: At, t: Array) -> tuple[Array, Array]:
+        residual = settled(_residual(samples, target, at, t, settings))
+        scale = median_deviation(residual, used)
+        return residual / (noise if settings.noise_given else scale), scale
 
-    def step(_: int, state: tuple[At, Array, Array]) -> tuple[At, Array, Array]:
-        at, t, bend = state
-        residual = _residual(samples, target, at, t, settings)
-        weight = loss_weights(settings.loss, residual / scale_of(residual))
-        weight = weight * samples.weight
+    def step(state: _Rounds) -> _Rounds:
+        residual, _ = measured(state.at, state.t)
+        # A convex loss leads to where one that rejects outliers sees them.
+        weight = jnp.where(
+            state.done < CONVEX,
+            loss_weights(Huber(), residual),
+            loss_weights(settings.loss, residual),
+        )
+        weight = settled(weight * samples.weight)
         columns = _columns(samples, target, weight, settings)
+        t, bend = state.t, state.bend
         if settings.searched:
             edges = box.lowest, box.highest
-            t, bend = descend(
+            found = descend(
                 columns, model, cosine, t, *edges, box, REWEIGHTED_STEPS, bend
             )
-        return _evaluate(columns, cosine, t, box, settings), t, bend
+            t, bend = found.t, found.bend
+        at = _evaluate(columns, cosine, t, box, settings)
+        return _Rounds(at, t, bend, jnp.abs(t - state.t) <= SHORTEST, state.done + 1)
 
-    at, t, _ = jax.lax.fori_loop(0, REWEIGHTED, step, (at, t, jnp.ones_like(t)))
-    residual = _residual(samples, target, at, t, settings)
-    scale = median_deviation(residual, samples.weight > 0)
-    unit = noise if settings.noise_given else scale
-    widened = widening(settings.loss, residual / unit, samples.weight > 0)
-    # Errors rest on all samples: the factor says what the loss makes of them.
-    columns = _columns(samples, target, samples.weight, settings)
-    full = _evaluate(columns, cosine, t, box, settings)
-    return at._replace(sums=full.sums, slopes=full.slopes), t, residual, scale, widened
+    most = jnp.where(thorough, MOST_REWEIGHTED, REWEIGHTED)
+
+    def unfinished(state: _Rounds) -> Array:
+        return (state.done < REWEIGHTED) | (~state.ended & (state.done < most))
+
+    start = _Rounds(at, t, jnp.ones_like(t), jnp.zeros((), bool), jnp.zeros((), int))
+    last = jax.lax.while_loop(unfinished, step, start)
+    at, t = last.at, last.t
+    residual, scale = measured(at, t)
+    weight = settled(loss_weights(settings.loss, residual) * samples.weight)
+    columns = _columns(samples, target, weight, settings)
+    at = settled(_evaluate(columns, cosine, t, box, settings))
+    moved = [abs(x - y) for x, y in zip(at.point, last.at.point, strict=True)]
+    moved = jnp.stack(moved, axis=-1)
+    share = _sum(weight) / jnp.maximum(_sum(samples.weight), 1)
+    unknowns = settings.unknowns(channels=len(target))
+    widened = widening(settings.loss, residual, used, unknowns)
+    if settings.noise_given:
+        # No loss tells more of noise that is known than least squares.
+        widened = jnp.maximum(widened, 1)
+    widened = widened * jnp.sqrt(share)
+    squares = _sum(samples.weight * _residual(samples, target, at, t, settings) ** 2)
+    return _Found(at, t, columns, squares, scale, widened, moved, ~last.ended)
+
+
+class _Rounds(NamedTuple):
+    """Where reweighting stands: the solution, and whether it has come to rest."""
+
+    at: At
+    t: Array
+    bend: Array
+    ended: Array
+    done: Array
 
 
 def _values(found: _Found, known: Known, settings: Settings) -> tuple[Array, ...]:

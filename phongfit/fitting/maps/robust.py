@@ -25,9 +25,20 @@ def loss_weights(
 
 
 def widening(
-    loss: AbstractLoss, residual: Float[Array, "*batch"], used: Bool[Array, "*batch"]
+    loss: AbstractLoss,
+    residual: Float[Array, "*batch"],
+    used: Bool[Array, "*batch"],
+    unknowns: int = 0,
 ) -> Float[Array, ""]:
-    r"""By how much a loss widens errors: $\sqrt{E\,\psi^2} / E\,\psi'$.
+    r"""By how much a loss widens errors: $K \sqrt{E\,\psi^2} / E\,\psi'$.
+
+    Of n samples and p unknowns $E\,\psi^2$ is a sum over n - p, and
+    $K = 1 + \frac pn \operatorname{var} \psi' / (E\,\psi')^2$.
+
+    **Arguments:**
+
+    - `residual`: in standard deviations; `used`: which of them count.
+    - `unknowns`: p.
 
     ??? cite "Source"
         Huber, *Robust statistics*, 1981, section 7.6.
@@ -38,8 +49,12 @@ def widening(
 
     score, slope = jax.jvp(psi, (residual,), (jnp.ones_like(residual),))
     count = jnp.maximum(jnp.sum(used), 1).astype(residual.dtype)
-    square = jnp.sum(jnp.where(used, score**2, 0)) / count
+    freedom = jnp.maximum(count - unknowns, 1)
+    square = jnp.sum(jnp.where(used, score**2, 0)) / freedom
     steepness = jnp.sum(jnp.where(used, slope, 0)) / count
+    spread = jnp.sum(jnp.where(used, (slope - steepness) ** 2, 0)) / count
     # Where nearly all samples are outliers, the loss has no slope and tells nothing.
     told = steepness > 0.01
-    return jnp.where(told, jnp.sqrt(square) / jnp.where(told, steepness, 1), jnp.inf)
+    steepness = jnp.where(told, steepness, 1)
+    more = 1 + unknowns / count * spread / steepness**2
+    return jnp.where(told, more * jnp.sqrt(square) / steepness, jnp.inf)

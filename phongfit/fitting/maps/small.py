@@ -124,16 +124,12 @@ def dot(a: Numbers, b: Numbers) -> Array:
     return total
 
 
-def curvatures(matrix: Triangle, free: Numbers) -> Numbers:
-    """For each unknown: its curvature when the other free ones adapt to it.
+def curvatures(matrix: Triangle) -> Numbers:
+    """For each unknown: its curvature when the others adapt to it.
 
     The inverse is its variance; 0 where rounding, or the others, hide it.
     """
-    found = []
-    for k in range(len(matrix)):
-        others = (*free[:k], jnp.ones_like(free[k]), *free[k + 1 :])
-        found.append(factorize(only(matrix, others), last=k).last)
-    return tuple(found)
+    return tuple(factorize(matrix, last=k).last for k in range(len(matrix)))
 
 
 class Boxed(NamedTuple):

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Array, Float, Int, Shaped
 
 from phongfit.fitting.maps.lighting import Lighting
-from phongfit.fitting.maps.pixel import Known, PixelFit, fit_pixel
+from phongfit.fitting.maps.pixel import BESIDE, Known, PixelFit, fit_pixel
 from phongfit.fitting.maps.samples import PixelSamples
 from phongfit.fitting.maps.settings import Settings
 from phongfit.fitting.maps.small import settled
@@ -58,6 +58,24 @@ class Tile(NamedTuple):
             for part in [slice(start, start + size)]
         ]
 
+    def rows(self, rows: Int[Array, " n"]) -> "Tile":
+        """Some pixels of a tile whose arrays are those of JAX."""
+
+        def taken(array: Array, axis: int = 0) -> Array:
+            return jnp.take(array, rows, axis, mode="clip")
+
+        def unless_one(array: Array) -> Array:
+            return array if array.shape[0] == 1 else taken(array)
+
+        return Tile(
+            taken(self.target, 1),
+            taken(self.used, 1),
+            taken(self.normal),
+            unless_one(self.position),
+            unless_one(self.to_viewer),
+            None if self.visibility is None else taken(self.visibility, 2),
+        )
+
 
 class Outside(NamedTuple):
     """What all tiles share: lights, known leaves, and the noise level."""
@@ -70,6 +88,9 @@ class Outside(NamedTuple):
 def fit_tile(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
     """The material of every pixel of a tile.
 
+    Block by block in short; the few pixels for which that is not enough are gathered to
+    blocks of their own, and worked on thoroughly: see [`fit_pixel`][].
+
     **Arguments:**
 
     - `tile`: a multiple of [`BLOCK`][] pixels.
@@ -78,32 +99,77 @@ def fit_tile(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
     **Returns:** a [`PixelFit`][] whose leaves have the pixels as their first axis.
     """
     pixels = tile.normal.shape[0]
+    blocks, along = pixels // BLOCK, jnp.arange(BLOCK)
 
-    def block(start: Array) -> PixelFit:
-        def cut(array: Array, axis: int) -> Array:
-            return jax.lax.dynamic_slice_in_dim(array, start, BLOCK, axis)
+    # Traced once, though it is asked for its shapes first.
+    @jax.jit
+    def fit_block(rows: Array, thorough: Array) -> tuple[PixelFit, Array]:
+        return _fit_block(tile.rows(rows), outside, thorough, settings)
 
-        def cut_unless_one(array: Array) -> Array:
-            return array if array.shape[0] == 1 else cut(array, 0)
+    def unfinished(state: _Work) -> Array:
+        return (state.block < blocks) | ((state.block - blocks) * BLOCK < state.n_left)
 
-        visibility = None if tile.visibility is None else cut(tile.visibility, 2)
-        part = Tile(
-            cut(tile.target, 1),
-            cut(tile.used, 1),
-            cut(tile.normal, 0),
-            cut_unless_one(tile.position),
-            cut_unless_one(tile.to_viewer),
-            visibility,
+    def work(state: _Work) -> _Work:
+        again = state.block >= blocks
+        start = jnp.where(again, (state.block - blocks) * BLOCK, 0)
+        # What stands beyond the end of those left is worked on, and never read.
+        left = jax.lax.dynamic_slice_in_dim(state.left, start, BLOCK)
+        rows = jnp.where(again, left, state.block * BLOCK + along)
+        found, unsettled = fit_block(rows, again)
+        unsettled &= ~again
+        (which,) = jnp.nonzero(unsettled, size=BLOCK, fill_value=0)
+        longer = _put(state.left, rows[which], state.n_left)
+        return _Work(
+            state.block + 1,
+            jax.tree.map(
+                lambda all, some: _put(all, some, state.block * BLOCK),
+                state.found,
+                found,
+            ),
+            jnp.where(again, state.left, longer),
+            state.n_left + jnp.sum(unsettled).astype(state.n_left.dtype),
         )
-        return _fit_block(part, outside, settings)
 
-    starts = jnp.arange(0, pixels, BLOCK)
-    found = jax.lax.map(block, starts)
-    return jax.tree.map(lambda leaf: leaf.reshape(pixels, *leaf.shape[2:]), found)
+    shapes, _ = jax.eval_shape(fit_block, along, jnp.zeros((), bool))
+    zero = jnp.zeros((), along.dtype)
+    first = _Work(
+        zero,
+        jax.tree.map(
+            lambda leaf: jnp.zeros((2 * pixels, *leaf.shape[1:]), leaf.dtype), shapes
+        ),
+        jnp.zeros(pixels + BLOCK, along.dtype),
+        zero,
+    )
+    last = jax.lax.while_loop(unfinished, work, first)
+    # Where a pixel's last word stands.
+    order = jnp.arange(pixels)
+    at = jnp.where(order < last.n_left, last.left[:pixels], pixels)
+    at = order.at[at].set(pixels + order, mode="drop")
+    return jax.tree.map(lambda leaf: leaf[at], last.found)
 
 
-def _fit_block(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
-    """All pixels of a tile side by side."""
+def _put(all: Array, some: Array, start: Array) -> Array:
+    return jax.lax.dynamic_update_slice_in_dim(all, some, start, 0)
+
+
+class _Work(NamedTuple):
+    """Where the work on a tile stands.
+
+    - `block`: the next; those after the tile's own are of pixels that were left.
+    - `found`: of all blocks, one after another.
+    - `left`, `n_left`: the pixels that were left, and how many.
+    """
+
+    block: Array
+    found: PixelFit
+    left: Array
+    n_left: Array
+
+
+def _fit_block(
+    tile: Tile, outside: Outside, thorough: Array, settings: Settings
+) -> tuple[PixelFit, Array]:
+    """All pixels of a tile side by side, and which of them are not settled."""
 
     def pixel(
         target: Array,
@@ -112,7 +178,7 @@ def _fit_block(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
         position: Array,
         to_viewer: Array,
         visibility: Array | None,
-    ) -> PixelFit:
+    ) -> tuple[PixelFit, Array]:
         basis = outside.lighting.basis(
             position, normal, to_viewer, visibility, settings.min_cosine
         )
@@ -126,7 +192,7 @@ def _fit_block(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
             basis.log_cosine,
             basis.veil,
         )
-        return fit_pixel(samples, outside.known, outside.noise, settings)
+        return fit_pixel(samples, outside.known, outside.noise, thorough, settings)
 
     def axis(array: Array) -> int | None:
         return None if array.shape[0] == 1 else 0
@@ -144,6 +210,7 @@ def _fit_block(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
             axis(tile.to_viewer),
             None if tile.visibility is None else 2,
         ),
+        axis_name=BESIDE,
     )
     target, used = settled(
         (

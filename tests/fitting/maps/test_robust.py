@@ -40,3 +40,14 @@ def test_widening_on_gaussian_noise():
     used = jnp.ones(20000, bool)
     assert float(widening(Linear(), noise, used)) == pytest.approx(1, abs=0.02)
     assert float(widening(Huber(), noise, used)) == pytest.approx(0.95**-0.5, abs=0.02)
+
+
+def test_widening_counts_the_unknowns():
+    """As Huber has it: of n - p, and K; against NumPy's sums."""
+    noise = np.random.default_rng(1).normal(size=40)
+    inside = np.abs(noise) < 1.345
+    share = inside.mean()
+    square = np.sum(np.minimum(np.abs(noise), 1.345) ** 2) / 30
+    expected = (1 + 10 / 40 * (1 - share) / share) * np.sqrt(square) / share
+    found = widening(Huber(), floats(noise), jnp.ones(40, bool), unknowns=10)
+    assert float(found) == pytest.approx(expected, rel=1e-4)
