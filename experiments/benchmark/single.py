@@ -88,7 +88,7 @@ def searching(scene: pf.Scene, image: np.ndarray) -> Callable[[], Found]:
     few = choose_few(setting.sources, seen)
     first = None if few is None else gather(setting.sources, few)
     samples = gather(setting.sources, seen)
-    settings = (setting.unknowns, pf.Linear(), setting.film.clamp, False, 200)
+    settings = (setting.unknowns, pf.Linear(), setting.films[0].clamp, False, 200)
     return lambda: search(first, lambda: samples, *settings)
 
 

@@ -109,13 +109,16 @@ def restore(
 
 
 def foresee(
-    problem: Problem, y: Float[Array, " n"], sources: list[Source], film: Film
+    problem: Problem,
+    y: Float[Array, " n"],
+    sources: list[Source],
+    films: tuple[Film, ...],
 ) -> Problem:
     """The problem of photographs not yet taken, with what their files will round.
 
     **Arguments:** `y`: the truth.
     """
-    plates, sigma = _plates(problem, sources, (film,) * len(sources)), 1.0
+    plates, sigma = _plates(problem, sources, films), 1.0
     stage = _Stage(problem, problem, y, plates)
     errors = np.array(list(stage.errors(sigma, range(FEW))))
     step = stage.wider_steps(errors, sigma)

@@ -69,7 +69,7 @@ def predict_errors(
     material: Material,
     noise: Any,
     *,
-    film: Film | None = None,
+    film: Film | Sequence[Film] | None = None,
     **options: Any,
 ) -> Prediction:
     r"""Standard errors that [`fit`][] would state for photographs not yet taken.
@@ -90,8 +90,8 @@ def predict_errors(
         be unknown have their true values here.
     - `material`: the true one.
     - `noise`: standard deviation in linear light, as for [`fit`][].
-    - `film`: how light will become numbers, in all images; default a clamp alone. What
-        a JPEG file will round is drawn, as [`fit`][] does.
+    - `film`: how light will become numbers, one or one a scene; default a clamp alone.
+        What a JPEG file will round is drawn, as [`fit`][] does.
     - `options`: of [`fit`][]: `unknowns`, `per_channel`, `per_image`, `bounds`,
         `fixed`, `ties`, `priors`, `mask`, `weights`.
 
@@ -105,13 +105,18 @@ def predict_errors(
     film = Film() if film is None else film
     single = isinstance(scene, Scene)
     scenes = [scene] if single else list(scene)
-    images = [_photograph(one, material, film) for one in scenes]
+    films = [film] * len(scenes) if isinstance(film, Film) else list(film)
+    if len(films) != len(scenes):
+        raise ValueError(f"film: expected {len(scenes)}, one a scene, got {len(films)}")
+    images = [
+        _photograph(one, material, how) for one, how in zip(scenes, films, strict=True)
+    ]
     setting = set_up(
         scene,
         images[0] if single else images,
         known=material,
         noise=noise,
-        film=film,
+        film=films,
         **options,
     )
     unknowns, sources = setting.unknowns, setting.sources
@@ -123,13 +128,14 @@ def predict_errors(
     problem = Problem(samples, unknowns, sigma, Linear(), setting.films[0].clamp)
     entries = first_values(unknowns.leaves, scenes, material)
     y = jnp.asarray(unknowns.position(entries))
-    if film.jpeg is not None:
-        problem = foresee(problem, y, sources, film)
+    rounded = any(one.jpeg is not None for one in films)
+    if rounded:
+        problem = foresee(problem, y, sources, tuple(films))
     told = estimates(_expected(problem, y), y)
     is_exponent = unknowns.entry_leaf[unknowns.reported] == "shininess"
     if told.untold[is_exponent].any() and not told.untold[~is_exponent].all():
         ends = scatter(problem, sources, y)[:, unknowns.reported]
-        told = _as_scattered(told, ends - told.values, film)
+        told = _as_scattered(told, ends - told.values, rounded)
     errors = np.zeros_like(entries)
     errors[unknowns.reported] = told.errors
     return Prediction(
@@ -155,8 +161,11 @@ def _expected(problem: Problem, y: Array) -> Problem:
     return eqx.tree_at(lambda p: p.samples.target, problem, shown)
 
 
-def _as_scattered(told: Estimates, off: np.ndarray, film: Film) -> Estimates:
-    """The same, with the errors that fits are seen to make, (draws, labels)."""
+def _as_scattered(told: Estimates, off: np.ndarray, rounded: bool) -> Estimates:
+    """The same, with the errors that fits are seen to make, (draws, labels).
+
+    **Arguments:** `rounded`: whether JPEG will round, which the draws do not know.
+    """
     covariance = off.T @ off / len(off)
     errors = np.where(told.untold, np.inf, np.sqrt(np.diag(covariance)))
     # What is not told, or lies at a bound, stays so.
@@ -166,7 +175,7 @@ def _as_scattered(told: Estimates, off: np.ndarray, film: Film) -> Estimates:
     words = (
         f"the exponent may be any: the other errors are those of {len(off)} drawn fits"
     )
-    if film.jpeg is not None:
+    if rounded:
         words += ", which know nothing of JPEG"
     reasons = (*told.reasons, words)
     return dataclasses.replace(

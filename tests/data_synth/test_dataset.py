@@ -24,7 +24,7 @@ def test_without_noise_it_is_the_render():
     made = _make(bits=None)
     for scene, image in zip(made.scenes, made.images, strict=True):
         np.testing.assert_allclose(image, pf.render(scene, MATTE), atol=1e-6)
-    assert made.truth is MATTE and made.film.bits is None
+    assert made.truth is MATTE and all(film.bits is None for film in made.films)
 
 
 @pytest.mark.parametrize("bits, encoding", [(8, "srgb"), (16, "linear")])

@@ -54,6 +54,17 @@ def test_errors_grow_with_the_noise_and_fall_with_images():
     np.testing.assert_allclose(one.errors / four.errors, 2, rtol=1e-3)
 
 
+def test_a_film_for_each_scene():
+    coarse, fine = pf.Film(bits=4), pf.Film(bits=12)
+    errors = [
+        pf.predict_errors([SCENE, SCENE], TRUTH, 1e-3, film=films).errors
+        for films in ([fine, fine], [coarse, fine], [coarse, coarse])
+    ]
+    assert np.all(errors[0] < errors[1]) and np.all(errors[1] < errors[2])
+    with pytest.raises(ValueError, match="film: expected 2, one a scene, got 1"):
+        pf.predict_errors([SCENE, SCENE], TRUTH, NOISE, film=[fine])
+
+
 def test_a_reflectance_at_its_bound():
     """Nothing pulls it there: what trades with it is as uncertain as in fits."""
     dark = pf.Material(TRUTH.diffuse, TRUTH.specular, 20.0, 0.0)
