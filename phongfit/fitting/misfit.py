@@ -28,6 +28,8 @@ from phongfit.fitting.tiles import Neighbours, Rounding, Tiles
 SIGNIFICANT = 4.5
 # Pixels along the smallest block that is judged; samples of the smallest cell.
 LEAST_SIDE, LEAST_SAMPLES = 4, 8
+# Correlation of neighbours from which on they are said to be alike.
+CORRELATED = 0.1
 # Cells along diffuse light, and along the highlight.
 BINS = 16
 # Share of a deviation that rounding may have in common before neighbours, and what is

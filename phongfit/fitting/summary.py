@@ -12,7 +12,7 @@ from phongfit.fitting.estimate import estimates
 from phongfit.fitting.grid import grid_significance
 from phongfit.fitting.highlight import rejected_highlights, without_rejected
 from phongfit.fitting.leaves import EXPOSURE
-from phongfit.fitting.misfit import Drawn, find_misfit
+from phongfit.fitting.misfit import CORRELATED, Drawn, Misfit, find_misfit
 from phongfit.fitting.outliers import outlier_words
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.result import Fit, as_materials
@@ -137,12 +137,13 @@ def summarize(
             *at_edges,
             *bound_words(told, unknowns),
             *prior_words(told, unknowns, misfit.inflation),
-            *(() if told.untold.all() else misfit_words(misfit, len(shown))),
+            # Where all is white there is nothing to describe.
+            *(misfit_words(misfit, len(shown)) if np.any(pieces.inside) else ()),
             *([] if drawn else grid_words(grid_significance(grids))),
             *spread_words(spread),
             *([] if noise_given else clipped_words(pieces, effective, samples)),
-            # What lies off in one place is no matter of single samples.
-            *(() if misfit.significant else outlier_words(problem, found.y, pieces)),
+            # What neighbours share is no matter of single samples.
+            *(() if _is_shared(misfit) else outlier_words(problem, found.y, pieces)),
         ),
         region=told.region,
         found=found,
@@ -151,6 +152,10 @@ def summarize(
 
 _CONVERGED = "steps and changes of the residuals fell below the tolerance"
 _STOPPED = "the limit of steps was reached, or the numbers left the finite"
+
+
+def _is_shared(misfit: Misfit) -> bool:
+    return misfit.significant and misfit.neighbour_correlation > CORRELATED
 
 
 def _typical_weight(problem: Problem) -> float:

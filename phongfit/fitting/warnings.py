@@ -8,7 +8,7 @@ import numpy as np
 from phongfit.fitting.estimate import Estimates
 from phongfit.fitting.grid import SIDE, SIGNIFICANT
 from phongfit.fitting.leaves import REFLECTANCES
-from phongfit.fitting.misfit import Misfit
+from phongfit.fitting.misfit import CORRELATED, Misfit
 from phongfit.fitting.statistics import Pieces
 from phongfit.fitting.unknowns import Unknowns
 
@@ -23,7 +23,7 @@ CONTRADICTION = 4.0
 def misfit_words(misfit: Misfit, images: int) -> tuple[str, ...]:
     """Residuals that are not noise."""
     correlation = misfit.neighbour_correlation
-    if not misfit.significant and correlation <= 0.1:
+    if not misfit.significant and correlation <= CORRELATED:
         return ()
     widened = math.sqrt(misfit.inflation)
     shown = [f"neighbouring pixels correlate by {correlation:.2f}"]
@@ -33,7 +33,7 @@ def misfit_words(misfit: Misfit, images: int) -> tuple[str, ...]:
             f"summed {_SUMMED[misfit.along].format(side=misfit.side)} they exceed what "
             f"noise allows ({misfit.significance:.2g} σ), most near row {misfit.row}, "
             f"column {misfit.column}{image}",
-            *(shown if correlation > 0.1 else []),
+            *(shown if correlation > CORRELATED else []),
         ]
     return (
         f"residuals are not noise: {'; '.join(shown)}. The model does not describe the "
