@@ -169,17 +169,7 @@ class PointLight(AbstractLight):
         self.ambient = as_light("ambient", ambient)
 
     def illuminate(self, position: Vec3) -> Illumination:
-        offset = self.position - position
-        distance = norm(offset)
-        share = _attenuation(self.attenuation, distance)
-        return _arriving(
-            normalize(offset),
-            share,
-            self.intensity,
-            self.specular,
-            self.ambient,
-            distance,
-        )
+        return _from_bulb(self, position)
 
 
 class SpotLight(AbstractLight):
@@ -239,19 +229,8 @@ class SpotLight(AbstractLight):
         self.ambient = as_light("ambient", ambient)
 
     def illuminate(self, position: Vec3) -> Illumination:
-        offset = self.position - position
         spot = power(self._cosine(position), self.exponent)
-        spot = jnp.where(self.covers(position), spot, 0)
-        distance = norm(offset)
-        share = spot * _attenuation(self.attenuation, distance)
-        return _arriving(
-            normalize(offset),
-            share,
-            self.intensity,
-            self.specular,
-            self.ambient,
-            distance,
-        )
+        return _from_bulb(self, position, jnp.where(self.covers(position), spot, 0))
 
     def covers(self, position: Vec3) -> Bool[Array, ""]:
         return self._cosine(position) >= jnp.cos(jnp.deg2rad(self.cutoff))
@@ -259,3 +238,20 @@ class SpotLight(AbstractLight):
     def _cosine(self, position: Vec3) -> Scalar:
         """Of the angle between the axis and the way to a point."""
         return dot(normalize(position - self.position), normalize(self.axis))
+
+
+def _from_bulb(
+    light: PointLight | SpotLight, position: Vec3, spot: Scalar | float = 1.0
+) -> Illumination:
+    """What arrives from a place in the scene, `spot` of it being sent that way."""
+    offset = light.position - position
+    distance = norm(offset)
+    share = spot * _attenuation(light.attenuation, distance)
+    return _arriving(
+        normalize(offset),
+        share,
+        light.intensity,
+        light.specular,
+        light.ambient,
+        distance,
+    )

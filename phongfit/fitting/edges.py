@@ -8,6 +8,7 @@ that is unknown for the wrong reason.
 
 import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from phongfit.fitting.samples import Samples, Source
+from phongfit.fitting.samples import Source, gather
 from phongfit.fitting.search import Found, search_on
 from phongfit.fitting.unknowns import Unknowns, in_units
 from phongfit.scene import Scene
@@ -27,9 +28,15 @@ MOST_ROUNDS = 8
 
 
 def keep_off_edges(
-    found: Found, sources: list[Source], noise_given: bool, max_steps: int
+    found: Found,
+    sources: list[Source],
+    seen: list[np.ndarray],
+    noise_given: bool,
+    max_steps: int,
 ) -> tuple[Found, list[Source], tuple[str, ...]]:
     """A fit again and again, until no pixel that counts lies at an edge that it moves.
+
+    **Arguments:** `seen`: of each image the pixels that the fit gathered.
 
     **Returns:** the last fit, the images without what was left out of them, and what
     there is to warn of.
@@ -38,19 +45,36 @@ def keep_off_edges(
     scenes = tuple(source.scene for source in sources)
     if not moves_edges(unknowns, scenes):
         return found, sources, ()
-    samples, kept, crossed = found.problem.samples, sources, 0
+    kept, crossed = sources, 0
     for _ in range(MOST_ROUNDS):
         here = unknowns.scenes(in_units(unknowns, found.y)[0], scenes)
-        crossed = _count(kept, near_edges(unknowns, here, NEAREST))
+        edges = [edges_of(unknowns, scene) for scene in here]
+        crossed = _count(kept, [near(one, NEAREST) for one in edges])
         if crossed == 0:
             return found, kept, ()
-        pixels = near_edges(unknowns, here)
-        fewer = list(map(_without, sources, pixels))
+        fewer = _off(edges, sources)
         if sum(source.count() for source in fewer) <= found.y.size:
             break
         kept = fewer
-        found = search_on(found, left_out(samples, pixels), noise_given, max_steps)
+        found = search_on(found, gather(kept, seen), noise_given, max_steps)
     return found, kept, (_words(crossed),)
+
+
+def off_edges(unknowns: Unknowns, sources: list[Source]) -> list[Source]:
+    """Images without what a fit that ends where their scenes are leaves out of them."""
+    scenes = tuple(source.scene for source in sources)
+    if not moves_edges(unknowns, scenes):
+        return sources
+    return _off([edges_of(unknowns, scene) for scene in scenes], sources)
+
+
+def _off(edges: Sequence["Edges"], sources: Sequence[Source]) -> list[Source]:
+    return [
+        dataclasses.replace(
+            source, weight=jnp.where(near(one, REACH)[..., None], 0, source.weight)
+        )
+        for one, source in zip(edges, sources, strict=True)
+    ]
 
 
 def _words(crossed: int) -> str:
@@ -60,11 +84,6 @@ def _words(crossed: int) -> str:
         "says how. Values may be off by more than their errors; mask out what lies "
         "near the edge, or start nearer to the truth"
     )
-
-
-def _without(source: Source, pixels: Bool[np.ndarray, "height width"]) -> Source:
-    weight = jnp.where(pixels[..., None], 0, source.weight)
-    return dataclasses.replace(source, weight=weight)
 
 
 def _count(sources: Sequence[Source], pixels: Sequence[np.ndarray]) -> int:
@@ -84,37 +103,34 @@ def moves_edges(unknowns: Unknowns, scenes: Sequence[Scene]) -> bool:
     return any(_moving_cones(unknowns, scene) for scene in scenes)
 
 
-def near_edges(
-    unknowns: Unknowns, scenes: Sequence[Scene], reach: int = REACH
-) -> list[Bool[np.ndarray, "height width"]]:
-    """Of each scene the pixels within `reach` of an edge that moves.
+class Edges(NamedTuple):
+    """What an image shows of the edges that move.
 
-    Where the outline moves, pixels that see no surface are among them.
+    - `seen`: pixels that see the surface; `outlined`: whether the outline is an edge.
+    - `sides`: on which side of each other edge they lie.
     """
-    return [_near_edges(unknowns, scene, reach) for scene in scenes]
+
+    seen: Bool[np.ndarray, "height width"]
+    outlined: bool
+    sides: Bool[np.ndarray, "height width edges"]
 
 
-def left_out(
-    samples: Samples, pixels: Sequence[Bool[np.ndarray, "height width"]]
-) -> Samples:
-    """The same samples, without the weight of some pixels of each image."""
-    out = [
-        one.ravel()[np.asarray(view.index)]
-        for one, view in zip(pixels, samples.views, strict=True)
-    ]
-    weight = jnp.where(np.concatenate(out)[None], 0, samples.weight)
-    return eqx.tree_at(lambda s: s.weight, samples, weight)
-
-
-def _near_edges(unknowns: Unknowns, scene: Scene, reach: int) -> np.ndarray:
+def edges_of(unknowns: Unknowns, scene: Scene) -> Edges:
+    """The edges of one image that move with what is unknown."""
     seen, sides = _sides(scene, _moving_cones(unknowns, scene))
-    seen, sides = np.asarray(seen), np.asarray(sides)
-    near = np.zeros_like(seen)
-    if unknowns.moves_geometry:
-        near = _spread(~seen, reach)
-    for side in np.moveaxis(sides, -1, 0):
-        near |= _spread(side & seen, reach) & _spread(~side & seen, reach)
-    return near
+    return Edges(np.asarray(seen), unknowns.moves_geometry, np.asarray(sides))
+
+
+def near(edges: Edges, reach: int) -> Bool[np.ndarray, "height width"]:
+    """Pixels within `reach` of an edge that moves.
+
+    Where that is the outline, pixels that see no surface are among them.
+    """
+    seen = edges.seen
+    found = _spread(~seen, reach) if edges.outlined else np.zeros_like(seen)
+    for side in np.moveaxis(edges.sides, -1, 0):
+        found |= _spread(side & seen, reach) & _spread(~side & seen, reach)
+    return found
 
 
 def _moving_cones(unknowns: Unknowns, scene: Scene) -> tuple[int, ...]:

@@ -27,7 +27,7 @@ from phongfit.fitting.unknowns import Unknowns, in_units
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
 from phongfit.programs import program
-from phongfit.rendering.film import Film
+from phongfit.rendering.film import Film, as_films
 from phongfit.rendering.pixels import PixelTerms, resolve, resolve_terms
 from phongfit.scene import Scene
 
@@ -157,7 +157,7 @@ def fit(
         max_steps,
     )
     found, sources, at_edges = keep_off_edges(
-        found, sources, noise is not None, max_steps
+        found, sources, seen, noise is not None, max_steps
     )
     restored, side = None, max(tile_side(*source.mask.shape) for source in sources)
     if any(film.jpeg is not None for film in films):
@@ -381,11 +381,7 @@ def _checked_films(
     images = [p.used() for p in photographs]
     if film is None:
         return (find_film(images),) * len(images)
-    films = (film,) * len(images) if isinstance(film, Film) else tuple(film)
-    if len(films) != len(images):
-        raise ValueError(
-            f"film: expected {len(images)}, one an image, got {len(films)}"
-        )
+    films = as_films(film, len(images))
     if len({one.clamp for one in films}) > 1:
         raise ValueError("film: expected one clamp for all images, got both")
     for p, values, one in zip(photographs, images, films, strict=True):

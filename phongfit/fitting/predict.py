@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from phongfit.checks import untraced
-from phongfit.fitting.edges import left_out, moves_edges, near_edges
+from phongfit.fitting.edges import off_edges
 from phongfit.fitting.estimate import Estimates, estimates
 from phongfit.fitting.fit import set_up
 from phongfit.fitting.jpeg import foresee
@@ -22,7 +22,7 @@ from phongfit.fitting.samples import gather, seen_pixels
 from phongfit.fitting.scatter import scatter
 from phongfit.fitting.table import parameter_rows
 from phongfit.material import Material
-from phongfit.rendering.film import Film, decode
+from phongfit.rendering.film import Film, as_films, decode
 from phongfit.rendering.render import render
 from phongfit.scene import Scene
 
@@ -105,9 +105,7 @@ def predict_errors(
     film = Film() if film is None else film
     single = isinstance(scene, Scene)
     scenes = [scene] if single else list(scene)
-    films = [film] * len(scenes) if isinstance(film, Film) else list(film)
-    if len(films) != len(scenes):
-        raise ValueError(f"film: expected {len(scenes)}, one a scene, got {len(films)}")
+    films = as_films(film, len(scenes), "a scene")
     images = [
         _photograph(one, material, how) for one, how in zip(scenes, films, strict=True)
     ]
@@ -119,18 +117,16 @@ def predict_errors(
         film=films,
         **options,
     )
-    unknowns, sources = setting.unknowns, setting.sources
+    unknowns = setting.unknowns
+    sources = off_edges(unknowns, setting.sources)
     samples = gather(sources, seen_pixels(sources))
-    if moves_edges(unknowns, scenes):
-        # As a fit leaves them out.
-        samples = left_out(samples, near_edges(unknowns, scenes))
     sigma = jnp.ones((), samples.target.dtype)
     problem = Problem(samples, unknowns, sigma, Linear(), setting.films[0].clamp)
     entries = first_values(unknowns.leaves, scenes, material)
     y = jnp.asarray(unknowns.position(entries))
     rounded = any(one.jpeg is not None for one in films)
     if rounded:
-        problem = foresee(problem, y, sources, tuple(films))
+        problem = foresee(problem, y, sources, films)
     told = estimates(_expected(problem, y), y)
     is_exponent = unknowns.entry_leaf[unknowns.reported] == "shininess"
     if told.untold[is_exponent].any() and not told.untold[~is_exponent].all():

@@ -91,10 +91,7 @@ def search(
             # One pass comes near enough.
             stand = _settle(problem, stand, max_steps, noise_given, True)
         problem = Problem(samples, unknowns, sigma, loss, clamp)
-    y, sigma, converged, steps = _settle(problem, stand, max_steps, noise_given)
-    # Named by hand: to replace one field of a module takes long.
-    problem = Problem(problem.samples, unknowns, sigma, loss, clamp)
-    return Found(problem, y, converged, steps)
+    return _end(problem, stand, max_steps, noise_given)
 
 
 def search_on(
@@ -104,8 +101,14 @@ def search_on(
     old = found.problem
     stand = _Stand(found.y, old.sigma, jnp.array(False), found.steps)
     problem = Problem(samples, old.unknowns, old.sigma, old.loss, old.clamp)
+    return _end(problem, stand, max_steps, noise_given)
+
+
+def _end(problem: Problem, stand: _Stand, max_steps: int, noise_given: bool) -> Found:
     y, sigma, converged, steps = _settle(problem, stand, max_steps, noise_given)
-    problem = Problem(samples, old.unknowns, sigma, old.loss, old.clamp)
+    samples, unknowns = problem.samples, problem.unknowns
+    # Named by hand: to replace one field of a module takes long.
+    problem = Problem(samples, unknowns, sigma, problem.loss, problem.clamp)
     return Found(problem, y, converged, steps)
 
 

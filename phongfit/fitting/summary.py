@@ -183,5 +183,5 @@ def films_words(films: Sequence[Film]) -> str:
 def film_words(film: Film) -> str:
     """What of a film a fit rests on."""
     rounded = "not rounded" if film.bits is None else f"{film.bits}-bit {film.encoding}"
-    kind = "" if film.jpeg is None else f" JPEG {film.jpeg.subsampling}".rstrip()
+    kind = "" if film.jpeg is None else f" JPEG {film.jpeg.subsampling}"
     return f"{'clamped' if film.clamp else 'not clamped'}, {rounded}{kind}"

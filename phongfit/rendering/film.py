@@ -1,5 +1,6 @@
 """Film: from linear light to the numbers in a file, and back."""
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import equinox as eqx
@@ -7,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from phongfit.rendering.jpeg import JpegCompression, compressed
+from phongfit.rendering.jpeg import JpegCompression, compressed, namespace
 
 Encoding = Literal["linear", "srgb"]
 ENCODINGS: tuple[Encoding, ...] = ("linear", "srgb")
@@ -23,7 +24,7 @@ def encode(linear: Any, encoding: Encoding) -> Any:
     """
     if encoding == "linear":
         return linear
-    xp = _namespace(linear)
+    xp = namespace(linear)
     # Double where: the power has an infinite slope at 0, where it is not used.
     curved = linear > 0.0031308
     root = 1.055 * xp.where(curved, linear, 1) ** (1 / 2.4) - 0.055
@@ -34,15 +35,10 @@ def decode(encoded: Any, encoding: Encoding) -> Any:
     """The inverse of [`encode`][]."""
     if encoding == "linear":
         return encoded
-    xp = _namespace(encoded)
+    xp = namespace(encoded)
     curved = encoded > 0.04045
     root = ((xp.where(curved, encoded, 1) + 0.055) / 1.055) ** 2.4
     return xp.where(curved, root, encoded / 12.92)
-
-
-def _namespace(values: Any) -> Any:
-    """NumPy for NumPy's arrays, as files give them: nothing need be compiled."""
-    return np if isinstance(values, np.ndarray | np.generic) else jnp
 
 
 class Film(eqx.Module):
@@ -94,6 +90,19 @@ class Film(eqx.Module):
         if self.jpeg is not None:
             return compressed(jnp.asarray(encoded) * levels, self.jpeg) / levels
         return jnp.round(encoded * levels) / levels
+
+
+def as_films(
+    film: Film | Sequence[Film], count: int, each: str = "an image"
+) -> tuple[Film, ...]:
+    """A film for each of `count` images.
+
+    **Raises:** `ValueError` that names the argument, and what `each` film is one for.
+    """
+    films = (film,) * count if isinstance(film, Film) else tuple(film)
+    if len(films) != count:
+        raise ValueError(f"film: expected {count}, one {each}, got {len(films)}")
+    return films
 
 
 def as_encoding(value: Any) -> Encoding:

@@ -143,7 +143,7 @@ def compressed(
     levels: Float[Any, "height width 3"], jpeg: JpegCompression
 ) -> Float[Any, "height width 3"]:
     """Levels 0 … 255, of JAX or NumPy, as they are read from a file of them."""
-    xp, kind = _namespace(levels), levels.dtype
+    xp, kind = namespace(levels), levels.dtype
     height, width, _ = levels.shape
     whole = xp.clip(xp.round(xp.moveaxis(levels, -1, 0)), 0, 255)
     to, back = (
@@ -169,7 +169,7 @@ def compressed(
 
 def cosines(plane: Float[Any, "height width"]) -> Float[Any, "down across 8 8"]:
     """Cosine transform of the blocks of 8 × 8, which keeps sums of squares."""
-    xp = _namespace(plane)
+    xp = namespace(plane)
     down, across = (side // 8 for side in plane.shape)
     blocks = xp.moveaxis(plane.reshape(down, 8, across, 8), 2, 1)
     basis = xp.asarray(_COSINES, plane.dtype)
@@ -178,15 +178,16 @@ def cosines(plane: Float[Any, "height width"]) -> Float[Any, "down across 8 8"]:
 
 def _pixels(blocks: Float[Any, "down across 8 8"]) -> Float[Any, "height width"]:
     """The inverse of [`cosines`][]."""
-    xp = _namespace(blocks)
+    xp = namespace(blocks)
     basis = xp.asarray(_COSINES, blocks.dtype)
     down, across = blocks.shape[:2]
     plane = xp.moveaxis(basis.T @ blocks @ basis, 1, 2)
     return plane.reshape(8 * down, 8 * across)
 
 
-def _namespace(values: Any) -> Any:
-    return np if isinstance(values, np.ndarray) else jnp
+def namespace(values: Any) -> Any:
+    """NumPy for NumPy's arrays, as files give them: nothing need be compiled."""
+    return np if isinstance(values, np.ndarray | np.generic) else jnp
 
 
 def _mixed(matrix: Any, planes: Any) -> Any:
@@ -204,7 +205,7 @@ def _middle(jpeg: JpegCompression, kind: Any) -> Any:
 
 def _padded(planes: Any, jpeg: JpegCompression) -> Any:
     """Whole blocks: the last row and column are repeated."""
-    xp = _namespace(planes)
+    xp = namespace(planes)
     down, across = jpeg.block
     _, height, width = planes.shape
     return xp.pad(planes, [(0, 0), (0, -height % down), (0, -width % across)], "edge")
@@ -215,12 +216,12 @@ def _reduced(plane: Any, ratio: tuple[int, int]) -> Any:
     down, across = ratio
     height, width = plane.shape
     cells = plane.reshape(height // down, down, width // across, across)
-    return cells.mean(axis=(1, 3)) if ratio != (1, 1) else plane
+    return cells.mean(axis=(1, 3))
 
 
 def _enlarged(plane: Any, ratio: tuple[int, int]) -> Any:
     """A value for every pixel: between samples where these are twice as wide."""
-    xp = _namespace(plane)
+    xp = namespace(plane)
     for axis, times in enumerate(ratio):
         if max(ratio) > 2:
             plane = xp.repeat(plane, times, axis=axis)
@@ -231,7 +232,7 @@ def _enlarged(plane: Any, ratio: tuple[int, int]) -> Any:
 
 def _doubled(plane: Any, axis: int) -> Any:
     """Twice as many samples along an axis, each 3/4 its own and 1/4 its neighbour's."""
-    xp = _namespace(plane)
+    xp = namespace(plane)
     wide = xp.moveaxis(plane, axis, -1)
     ends = xp.pad(wide, [(0, 0), (1, 1)], "edge")
     pair = xp.stack([3 * wide + ends[:, :-2], 3 * wide + ends[:, 2:]], axis=-1) / 4

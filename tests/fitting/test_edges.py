@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.edges import near_edges
+from phongfit.fitting.edges import edges_of, near
 from phongfit.fitting.fit import set_up
 from tests.fitting.scenes import SIZE, TRUTH, photograph
 
@@ -57,19 +57,22 @@ def test_which_pixels_lie_at_an_edge():
     made, _, name = KINDS["a rim"]
     image = photograph(made, TRUTH, noise=NOISE, film=pf.Film(clamp=False))
     unknowns = set_up(made, image, unknowns=("diffuse", name)).unknowns
-    (near,) = near_edges(unknowns, [made], 1)
-    lit = np.asarray(pf.render(made, pf.Material(1.0, 0.0, 1.0, 0.0)))[..., 0] > 0
+    found = near(edges_of(unknowns, made), 1)
+    light = np.asarray(pf.render(made, pf.Material(1.0, 0.0, 1.0, 0.0)))[..., 0]
     seen = np.asarray(made.trace().mask)
-    jumps = np.zeros_like(near)
+    jumps = np.zeros_like(found)
     for axis in (0, 1):
-        both = np.diff(lit & seen, axis=axis) & (seen & np.roll(seen, -1, axis)).take(
-            range(SIZE - 1), axis
+        # Light ends at the rim of the cone by a jump, and at the terminator without.
+        before, after = (slice(None, -1), slice(1, None))
+        one, other = (
+            tuple(side if k == axis else slice(None) for k in (0, 1))
+            for side in (before, after)
         )
-        here = [slice(None), slice(None)]
-        for here[axis] in (slice(None, -1), slice(1, None)):
-            jumps[tuple(here)] |= both
-    # Light ends at the rim of the cone, and where the surface turns away, at 0.
-    assert near[jumps & near].all() and 20 < np.sum(near) < 4 * np.sum(jumps)
+        both = (abs(light[one] - light[other]) > 0.1) & seen[one] & seen[other]
+        jumps[one] |= both
+        jumps[other] |= both
+    assert jumps.sum() > 20 and found[jumps].all()
+    assert found.sum() < 4 * jumps.sum()
     # Nothing moves where lights and surface are known.
     known = set_up(made, image, unknowns=("diffuse",)).unknowns
-    assert not near_edges(known, [made])[0].any()
+    assert not near(edges_of(known, made), 2).any()
