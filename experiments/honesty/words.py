@@ -29,7 +29,7 @@ _WORDS = (
         r"cannot be told|not identif|unidentif|(may|can|could) be any"
         r"|^flag: (alike|no highlight|too few|black)",
     ),
-    (Subject.FIT, r"\bbound\b.* decides|\bdecided by .*\bbound\b"),
+    (Subject.FIT, r"\bbound\b.* decides"),
     (Subject.BOUND, r"\bat (its|the|a)\b.*\bbound\b|^flag: at bound"),
     (
         Subject.FIT,

@@ -32,6 +32,7 @@ class Estimates:
     errors: np.ndarray
     covariance: np.ndarray
     at_bound: np.ndarray
+    strain: np.ndarray
     untold: np.ndarray
     free: int
     chi_squared: float
@@ -46,6 +47,8 @@ Estimates.__init__.__doc__ = """**Arguments:**
 - `covariance`: of what is free, where what lies at a bound stays there; NaN rows for
     entries at a bound or not told, and for those whose error a bound or an exponent
     that is hardly identified makes larger than that by a quarter.
+- `strain`: of what lies at a bound, by how many standard deviations the images pull it
+    beyond.
 - `free`: how many numbers were free and told.
 - `chi_squared`: residuals, priors' too, in standard deviations, squared and summed.
 - `reasons`: why some cannot be told, in words.
@@ -104,6 +107,7 @@ def estimates(
     reasons += _reasons(unknowns, untold & ~found.untold, unseen)
 
     at_bound = found.at_bound & ~untold
+    strain = found.sums.strain(at_bound) if at_bound.any() else np.zeros(len(position))
     hidden = touched[:, untold].any(axis=1)
     bound = touched[:, at_bound].any(axis=1) & ~hidden
     errors = np.where(hidden, np.inf, errors)
@@ -117,6 +121,7 @@ def estimates(
         errors,
         covariance,
         bound,
+        np.where(touched, strain, 0).max(axis=1, initial=0),
         hidden,
         int(np.count_nonzero(~untold & ~at_bound)),
         found.chi_squared,

@@ -169,12 +169,13 @@ def fit(
     # Directions are now told around where the best of several starts began.
     layout = found.problem.unknowns
     # JAX computes these side by side, as long as none is looked at.
-    place, pieces = in_units(layout, found.y), add_up(found.problem, found.y)
+    place = in_units(layout, found.y)
     scenes = layout.scenes(place[0], tuple(source.scene for source in sources))
     shows = [
         _show(setting, k, scene, place[0], found, side)
         for k, scene in enumerate(scenes)
     ]
+    pieces = add_up(found.problem, found.y)
     return summarize(
         found,
         place,

@@ -51,9 +51,10 @@ def _along_rows(
     sides = change[:, :-2], change[:, 2:]
     larger = sum((middle > side).astype(light.dtype) for side in sides)
     larger = jnp.where(known, larger, 0)
-    sums = jnp.stack([known.astype(larger.dtype), larger, larger**2], axis=-1)
-    sums = jnp.pad(sums.sum(axis=0), [(0, -(width - 3) % SIDE), (0, 0)])
-    return sums.reshape(-1, SIDE, 3).sum(axis=0)
+    parts = known.astype(larger.dtype), larger, larger**2
+    sums = jnp.stack([part.sum(axis=0) for part in parts])
+    sums = jnp.pad(sums, [(0, 0), (0, -(width - 3) % SIDE)])
+    return sums.reshape(3, -1, SIDE).sum(axis=1).T
 
 
 def grid_significance(images: Sequence[Grid]) -> float:

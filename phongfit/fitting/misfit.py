@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from phongfit.fitting.tiles import Neighbours, Rounding, Tiles
+from phongfit.fitting.tiles import Rounding, Tiles
 
 # Standard deviations of a normal distribution from which on a misfit is no chance.
 # Some thirty tests are made; chance passes each once in 300 000 images.
@@ -127,7 +127,7 @@ def find_misfit(
     # unless it was drawn: how neighbours correlate then is not looked at.
     correlation, ratio = 0.0, math.nan
     if alone and drawn is None:
-        correlation, ratio = _compare_neighbours([one.neighbours for one in images])
+        correlation, ratio = _compare_neighbours(images)
     found: list[tuple[_Verdict, str]] = []
     best, shown = _Verdict(-1.0, 1.0), (side, [np.zeros((4, 4, 1, 1))])
     for size, level in _pyramid(blocks, side):
@@ -175,11 +175,13 @@ def _rounds_alone(blocks: _Blocks) -> bool:
     return common < COARSE * blocks.sums[2].sum()
 
 
-def _compare_neighbours(images: Sequence[Neighbours]) -> tuple[float, float]:
+def _compare_neighbours(images: Sequence[Tiles]) -> tuple[float, float]:
     """Correlation of adjacent residuals, 0 where it is chance, and size over change."""
     products, pairs, squares, count = (
-        float(np.sum([np.sum(rows, dtype=float) for rows in parts]))
-        for parts in zip(*images, strict=True)
+        sum(float(np.sum(part, dtype=float)) for part in parts)
+        for parts in zip(
+            *((*one.neighbours, one.squares, one.count) for one in images), strict=True
+        )
     )
     if pairs == 0 or squares == 0:
         return 0.0, math.nan

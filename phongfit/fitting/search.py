@@ -43,12 +43,21 @@ class Found(eqx.Module):
 
 
 class _Stand(NamedTuple):
-    """Where a search stands: the noise level is that of a sample of weight 1."""
+    """Where a search stands: the noise level is that of a sample of weight 1.
+
+    `pace` is how fast the solver's steps shrank last; 0 if that is not known.
+    """
 
     y: Float[Array, " n"]
     sigma: Float[Array, ""]
     converged: Bool[Array, ""]
     steps: Int[Array, ""]
+    pace: Float[Array, "2"]
+
+
+def _stand(y: Float[Array, " n"], sigma: Float[Array, ""]) -> _Stand:
+    """Where nothing has been solved yet."""
+    return _Stand(y, sigma, jnp.array(False), jnp.array(0), jnp.zeros(2, y.dtype))
 
 
 def search(
@@ -99,13 +108,13 @@ def search_on(
 ) -> Found:
     """From where a search ended, with other weights of the same samples."""
     old = found.problem
-    stand = _Stand(found.y, old.sigma, jnp.array(False), found.steps)
+    stand = _stand(found.y, old.sigma)._replace(steps=found.steps)
     problem = Problem(samples, old.unknowns, old.sigma, old.loss, old.clamp)
     return _end(problem, stand, max_steps, noise_given)
 
 
 def _end(problem: Problem, stand: _Stand, max_steps: int, noise_given: bool) -> Found:
-    y, sigma, converged, steps = _settle(problem, stand, max_steps, noise_given)
+    y, sigma, converged, steps, _ = _settle(problem, stand, max_steps, noise_given)
     samples, unknowns = problem.samples, problem.unknowns
     # Named by hand: to replace one field of a module takes long.
     problem = Problem(samples, unknowns, sigma, problem.loss, problem.clamp)
@@ -204,7 +213,7 @@ def _look(problem: Problem, y: Float[Array, " n"], noise_given: bool) -> _Stand:
     sigma = jnp.asarray(problem.sigma)
     if not noise_given:
         sigma = _robust_noise(problem, evaluate(problem, y))
-    return _Stand(y, sigma, jnp.array(False), jnp.array(0))
+    return _stand(y, sigma)
 
 
 @program("noise_given", "steps")
@@ -252,7 +261,7 @@ def _best_valley(
         y = ends[jnp.argmin(total)]
     else:
         y = choose(unknowns, y, ends, costs)
-    return _Stand(y, noise(common, y), jnp.array(False), jnp.array(0))
+    return _stand(y, noise(common, y))
 
 
 class _Pass(NamedTuple):
@@ -279,12 +288,12 @@ def _settle(
 
     def again(stand: _Stand, last: Bool[Array, ""]) -> tuple[_Stand, Bool[Array, ""]]:
         here = dataclasses.replace(problem, sigma=stand.sigma)
-        solution = solve(here, stand.y, max_steps)
+        solution = solve(here, stand.y, max_steps, stand.pace)
         steps = stand.steps + solution.steps
         sigma = stand.sigma
         if not noise_given:
             sigma = jnp.where(last, sigma, _noise(here, solution))
-        now = _Stand(solution.y, sigma, solution.converged, steps)
+        now = _Stand(solution.y, sigma, solution.converged, steps, solution.pace)
         return now, _depends_on_noise(problem, solution)
 
     if once or noise_given:

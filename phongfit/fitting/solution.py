@@ -87,8 +87,13 @@ def _tolerance(dtype: Any) -> float:
     return max(float(jnp.finfo(dtype).eps) ** 0.7, 1e-8)
 
 
-def make_solver(problem: Problem, dtype: Any) -> BoundedLevenbergMarquardt:
-    """The solver for a problem's box, as exact as the number type allows."""
+def make_solver(
+    problem: Problem, dtype: Any, pace: Float[Array, "2"] | None = None
+) -> BoundedLevenbergMarquardt:
+    """The solver for a problem's box, as exact as the number type allows.
+
+    **Arguments:** `pace`: see [`BoundedLevenbergMarquardt`][].
+    """
     tolerance = _tolerance(dtype)
     return BoundedLevenbergMarquardt(
         rtol=tolerance,
@@ -96,32 +101,52 @@ def make_solver(problem: Problem, dtype: Any) -> BoundedLevenbergMarquardt:
         lower=problem.unknowns.lower,
         upper=problem.unknowns.upper,
         foresee=True,
+        pace=jnp.zeros(2, dtype) if pace is None else pace,
     )
 
 
 class Solution(eqx.Module):
-    """Where the solver stopped, and why; what was left over where it last looked."""
+    """Where the solver stopped, and why; what is left over there.
+
+    `pace` is how fast its steps shrank.
+    """
 
     y: Float[Array, " n"]
     cost: Float[Array, ""]
     left: Left
     steps: Int[Array, ""]
     converged: Array
+    pace: Float[Array, "2"]
 
 
 @eqx.filter_jit
-def solve(problem: Problem, start: Float[Array, " n"], max_steps: int) -> Solution:
-    """Bounded Levenberg-Marquardt from `start`; failure is data, not an exception."""
+def solve(
+    problem: Problem,
+    start: Float[Array, " n"],
+    max_steps: int,
+    pace: Float[Array, "2"] | None = None,
+) -> Solution:
+    """Bounded Levenberg-Marquardt from `start`; failure is data, not an exception.
+
+    **Arguments:** `pace`: of an earlier solution that was near this one.
+    """
+    solver = make_solver(problem, start.dtype, pace)
     solution = optx.least_squares(
         few_residuals,
-        make_solver(problem, start.dtype),
+        solver,
         start,
         args=problem,
         has_aux=True,
         max_steps=max_steps,
         throw=False,
     )
-    done = solution.result == optx.RESULTS.successful
-    cost = 2 * _unit(problem) ** 2 * solution.state.f_info.as_min()
+    done, state = solution.result == optx.RESULTS.successful, solution.state
+    cost = 2 * _unit(problem) ** 2 * state.f_info.as_min()
     steps, converged = solution.stats["num_steps"], done & jnp.isfinite(cost)
-    return Solution(solution.value, cost, solution.state.aux, steps, converged)
+    # The last step's end may not have been evaluated: there the linear model serves.
+    change = state.f_info.jac.mv(solution.value - state.descent_state.y)
+    saved = jnp.sum(change**2) / jnp.maximum(jnp.sum(state.f_info.residual**2), 1e-30)
+    left = state.aux
+    left = Left(left.squares * jnp.maximum(1 - saved, 0), left.share, left.floor)
+    pace = solver.pace_at(state)
+    return Solution(solution.value, cost, left, steps, converged, pace)

@@ -263,6 +263,7 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
     search: Any
     verbose: Callable[..., None]
     foresee: bool
+    pace: Float[Array, "2"]
 
     def __init__(
         self,
@@ -273,6 +274,7 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         norm: Callable[[PyTree], Scalar] = optx.max_norm,
         damping: float = 1e-3,
         foresee: bool = False,
+        pace: Float[Array, "2"] | None = None,
     ):
         """**Arguments:**
 
@@ -284,6 +286,9 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         - `damping`: share of the curvature that is added at first.
         - `foresee`: end with a step after which, from how fast steps shrink, none would
             be large enough; its end is not evaluated, which spares an evaluation.
+        - `pace`: how fast steps shrank in an earlier run that ended nearby, which
+            its `pace_at` tells: so that the first step may be the last; default
+            unknown.
         """
         self.rtol = rtol
         self.atol = atol
@@ -292,6 +297,7 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         self.search = RoundingTolerantTrustRegion()
         self.verbose = _silent
         self.foresee = foresee
+        self.pace = jnp.zeros(2) if pace is None else pace
 
     def terminate(
         self,
@@ -331,21 +337,45 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
 
         Steps that shrink by a factor $\theta$ end $\theta / (1 - \theta)$ of the next
         one beyond it. That holds near the solution alone, and for steps that damping
-        does not hold back.
+        does not hold back. Of a run's first step $\theta$ is known from an earlier run,
+        and grows with the step.
 
         ??? cite "Source"
             Hairer and Wanner, *Solving Ordinary Differential Equations II*, 1996,
             section IV.8.
         """
+        previous, size, change = self._steps(state)
+        then, now = self.pace
+        usual = now / jnp.where(then > 0, then, 1)
+        usual *= jnp.maximum(size / jnp.where(then > 0, then, 1), 1)
+        theta = jnp.where(
+            previous > 0,
+            size / jnp.where(previous > 0, previous, 1),
+            jnp.where(then > 0, usual, jnp.inf),
+        )
+        near = (theta < 0.1) & (state.search_state.step_size >= 1) & ~state.first_step
+        beyond = theta / (1 - theta) * jnp.maximum(size, change)
+        return near & (state.num_steps_since_acceptance == 0) & (beyond < 1)
+
+    def pace_at(self, state: Any) -> Float[Array, "2"]:
+        """Sizes of the last two steps before a state; 0 where they are not known.
+
+        Not below the tolerance: what follows is rounding.
+        """
+        previous, size, _ = self._steps(state)
+        here = jnp.stack([previous, jnp.maximum(size, 1)])
+        return jnp.where(previous > 0, here, self.pace)
+
+    def _steps(self, state: Any) -> tuple[Scalar, Scalar, Scalar]:
+        """Sizes of the last step and of the next, and of the residuals' change by it.
+
+        In units of what the tolerances ask for.
+        """
         y, before = state.descent_state.y, state.descent_state.before
         step = jax.tree.map(jnp.subtract, state.y_eval, y)
         change = state.f_info.jac.mv(step)
-        sizes = self._size(step, y), self._size(change, state.f_info.residual)
         previous = self._size(jax.tree.map(jnp.subtract, y, before), y)
-        theta = sizes[0] / jnp.where(previous > 0, previous, 1)
-        near = (previous > 0) & (theta < 0.1) & (state.search_state.step_size >= 1)
-        beyond = theta / (1 - theta) * jnp.maximum(*sizes)
-        return near & (state.num_steps_since_acceptance == 0) & (beyond < 1)
+        return previous, self._size(step, y), self._size(change, state.f_info.residual)
 
     def _size(self, change: PyTree[Array], of: PyTree[Array]) -> Scalar:
         """A change in units of what the tolerances ask for."""

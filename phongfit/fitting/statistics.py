@@ -76,6 +76,25 @@ class Sandwich(NamedTuple):
             self.resolution,
         )
 
+    def strain(self, held: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """How hard the samples pull at what is held, in standard deviations.
+
+        Others free to follow; 0 for what is not held. For a single unknown this is the
+        score test of whether it lies where it is held.
+
+        ??? cite "Source"
+            Rao, *Large sample tests of statistical hypotheses concerning several
+            parameters*, Proc. Camb. Phil. Soc. 44(1), 1948.
+        """
+        free = np.flatnonzero(~held)
+        inverse = _inverse(self.bread[np.ix_(free, free)], self.resolution)
+        # The score of what is held, less what the others take over.
+        weights = np.diag(held.astype(float))
+        weights[:, free] -= weights @ self.bread[:, free] @ inverse
+        variance = np.einsum("ki,ij,kj->k", weights, self.meat, weights)
+        score = np.abs(weights @ self.pull)
+        return np.where(held, score / np.sqrt(np.where(variance > 0, variance, 1)), 0)
+
     def covariance(self) -> np.ndarray:
         """Of all unknowns, as if none had a bound."""
         inverse = _inverse(self.bread, self.resolution)

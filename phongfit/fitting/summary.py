@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -80,11 +81,12 @@ def summarize(
     weight = _typical_weight(problem)
     fitted = [np.asarray(one.fitted) for one in shown]
     residuals = [np.asarray(one.residual) for one in shown]
-    grids = [one.tiles.grid for one in shown]
-    misfit = find_misfit([one.tiles for one in shown], side, drawn)
-    samples = sum(int(np.sum(one.tiles.neighbours.samples)) for one in shown)
+    # NumPy's from here on: to add up an array of JAX's takes ten times as long.
+    tiles = [jax.tree.map(np.asarray, one.tiles) for one in shown]
+    misfit = find_misfit(tiles, side, drawn)
+    samples = round(sum(float(np.sum(one.count, dtype=float)) for one in tiles))
     # Clipped samples say nothing of the noise.
-    effective = round(sum(float(np.sum(one.tiles.variance)) for one in shown))
+    effective = round(sum(float(np.sum(one.variance, dtype=float)) for one in tiles))
     spread = _spread(pieces, effective, noise_given)
     if not problem.loss.robust:
         # The covariance of a robust loss goes by the residuals anyway.
@@ -139,7 +141,11 @@ def summarize(
             *prior_words(told, unknowns, misfit.inflation),
             # Where all is white there is nothing to describe.
             *(misfit_words(misfit, len(shown)) if np.any(pieces.inside) else ()),
-            *([] if drawn else grid_words(grid_significance(grids))),
+            *(
+                []
+                if drawn
+                else grid_words(grid_significance([one.grid for one in tiles]))
+            ),
             *spread_words(spread),
             *([] if noise_given else clipped_words(pieces, effective, samples)),
             # What neighbours share is no matter of single samples.

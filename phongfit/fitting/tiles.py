@@ -1,10 +1,12 @@
 """Residuals of an image, summed over square tiles: what [`find_misfit`][] looks at."""
 
+import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from phongfit.fitting.grid import Grid, sum_at_places
 from phongfit.fitting.losses import AbstractLoss
@@ -40,16 +42,13 @@ class Rounding(NamedTuple):
 
 
 class Neighbours(NamedTuple):
-    """Sums over rows of an image, and over pairs of adjacent pixels; (rows,) each.
+    """Sums over pairs of adjacent pixels, side by side and one above the other.
 
-    - `products`, `pairs`: of residuals side by side and one above the other.
-    - `squares`, `samples`: of all residuals.
+    Of each column and channel: `products` of residuals, and how many `pairs`.
     """
 
-    products: Float[Any, " rows"]
-    pairs: Int[Any, " rows"]
-    squares: Float[Any, " rows"]
-    samples: Int[Any, " rows"]
+    products: Float[Any, " columns*3"]
+    pairs: Float[Any, " columns*channels"]
 
 
 class Tiles(NamedTuple):
@@ -58,6 +57,7 @@ class Tiles(NamedTuple):
     - `total`, `squares`: of residuals in standard deviations, as the loss weighs them.
     - `variance`: what it should be: a sample has 1, less what clipping takes.
     - `arithmetic`: of standard deviations that the arithmetic may round in common.
+    - `count`: of samples.
     - `diffuse`, `highlight`: (rows, columns), mean light for reflectances of 1.
     - `rounding`: `None` where nothing was rounded.
     - `neighbours`, `grid`: of pixels, not of tiles.
@@ -67,6 +67,7 @@ class Tiles(NamedTuple):
     squares: Float[Any, "3 rows columns"]
     variance: Float[Any, "3 rows columns"]
     arithmetic: Float[Any, "3 rows columns"]
+    count: Float[Any, "3 rows columns"]
     diffuse: Float[Any, "rows columns"]
     highlight: Float[Any, "rows columns"]
     rounding: Rounding | None
@@ -112,56 +113,62 @@ def sum_over_tiles(
     exact = 8 * jnp.finfo(light.dtype).eps * jnp.abs(light) / deviation
 
     def total(values: Array) -> Array:
-        tiled = _tiled(jnp.where(used, values, 0), side, 0)
-        return jnp.moveaxis(tiled.sum(axis=(1, 3)), -1, 0)
+        return _fold(jnp.where(used, values, 0), side, jnp.add, 0)
 
     common = None
     if step is not None:
         level = light / jnp.where(step > 0, step, 1)
-        low = _tiled(jnp.where(used, level, jnp.inf), side, jnp.inf)
-        high = _tiled(jnp.where(used, level, -jnp.inf), side, -jnp.inf)
         common = Rounding(
             total(jnp.sqrt(shared_rounding_variance(step, noise)) / deviation),
-            jnp.moveaxis(low.min(axis=(1, 3)), -1, 0),
-            jnp.moveaxis(high.max(axis=(1, 3)), -1, 0),
+            _fold(jnp.where(used, level, jnp.inf), side, jnp.minimum, jnp.inf),
+            _fold(jnp.where(used, level, -jnp.inf), side, jnp.maximum, -jnp.inf),
         )
-    count = jnp.maximum(total(jnp.ones_like(light)).sum(axis=0), 1)
+    count = total(jnp.ones_like(light))
+    samples = jnp.maximum(count.sum(axis=0), 1)
     return Tiles(
         total(score),
         total(score**2),
         total(kept),
         total(exact),
-        total(diffuse).sum(axis=0) / count,
-        total(highlight).sum(axis=0) / count,
+        count,
+        total(diffuse).sum(axis=0) / samples,
+        total(highlight).sum(axis=0) / samples,
         common,
-        _neighbours(score, used),
+        _neighbours(score, weight),
         sum_at_places(score, used),
     )
 
 
-def _neighbours(residual: Array, used: Array) -> Neighbours:
+def _neighbours(residual: Array, weight: Array) -> Neighbours:
     """Residuals (H, W, 3), 0 where not used, times those to their left and above."""
 
-    def rows(values: Array) -> Array:
-        return jnp.sum(values, axis=(1, 2))
+    def products(values: Array) -> Array:
+        height, _, channels = values.shape
+        values = values.reshape(height, -1)
+        above = (values[1:] * values[:-1]).sum(axis=0)
+        # By columns: XLA's own sums along rows take twice as long.
+        aside = (values[:, channels:] * values[:, :-channels]).sum(axis=0)
+        return above.at[channels:].add(aside)
 
-    both = used[:, 1:] & used[:, :-1]
-    above = used[1:] & used[:-1]
-    products = rows(residual[:, 1:] * residual[:, :-1])
-    return Neighbours(
-        products.at[1:].add(rows(residual[1:] * residual[:-1])),
-        rows(both).at[1:].add(rows(above)),
-        rows(residual**2),
-        rows(used),
-    )
+    # Repeated for the channels they would take longer than all else.
+    pairs = products((weight > 0).astype(residual.dtype))
+    return Neighbours(products(residual), pairs * (3 // weight.shape[-1]))
 
 
-def _tiled(
-    values: Array, side: int, empty: float
-) -> Float[Array, "rows side columns side 3"]:
-    """Tiles along two axes of their own, filled up with `empty`."""
+def _fold(
+    values: Float[Array, "height width 3"],
+    side: int,
+    two: Callable[[Array, Array], Array],
+    empty: float,
+) -> Float[Array, "3 rows columns"]:
+    """All pixels of a tile as one; tiles that overhang are filled up with `empty`."""
     padding = [(0, -length % side) for length in values.shape[:2]]
     if np.any(padding):
         values = jnp.pad(values, [*padding, (0, 0)], constant_values=empty)
     height, width, channels = values.shape
-    return values.reshape(height // side, side, width // side, side, channels)
+    # Row upon row: XLA's own sums along several axes take twice as long.
+    rows = values.reshape(height // side, side, width * channels)
+    folded = functools.reduce(two, [rows[:, k] for k in range(side)])
+    tiles = folded.reshape(height // side, width // side, side, channels)
+    folded = functools.reduce(two, [tiles[:, :, k] for k in range(side)])
+    return jnp.moveaxis(folded, -1, 0)

@@ -16,7 +16,7 @@ from phongfit.fitting.unknowns import Unknowns
 FEW = 50
 # Share of a standard error by which the noise level's own may move a parameter.
 MOVED = 0.25
-# Standard deviations between a prior and the images that are no chance.
+# Standard deviations between the images and a prior, or a bound, that are no chance.
 CONTRADICTION = 4.0
 
 
@@ -96,12 +96,19 @@ def bound_words(told: Estimates, unknowns: Unknowns) -> Iterator[str]:
         above = high - told.values[k] < told.values[k] - low
         words = f"{label} lies at its {'upper' if above else 'lower'} bound "
         words += f"{high if above else low:g}: its error is one-sided"
+        decides = told.strain[k] > CONTRADICTION
+        if decides:
+            words += f". The bound decides: the images pull {told.strain[k]:.2g} σ "
+            words += "beyond it, and what depends on it is off as well"
         leaf = unknowns.entry_leaf[unknowns.reported[k]]
         # Nothing sends back less than no light.
         if above or leaf not in REFLECTANCES:
             wider = (low, 5 * high) if above else (low / 5, high)
             words += ". If it may lie beyond, try bounds="
             words += f"{{'{label}': ({wider[0]:g}, {wider[1]:g})}}"
+        elif decides:
+            words += ". Look for light that is missing from the image, or too much of "
+            words += "it in the scene"
         yield words
 
 

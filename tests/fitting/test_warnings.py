@@ -48,6 +48,21 @@ def test_a_bound_that_decides():
     fit = pf.fit(SCENE, NOISY, bounds={"shininess": (1, 15)})
     assert said(fit, "shininess lies at its upper bound 15: its error is one-sided")
     assert said(fit, "bounds={'shininess': (1, 75)}")
+    assert said(fit, "The bound decides")
+    # Light that is less than none: the model is wrong, and wider bounds are no remedy.
+    dark = pf.fit(SCENE, NOISY - 0.1, film=pf.Film(clamp=False))
+    assert said(dark, "ambient.blue lies at its lower bound 0")
+    assert said(dark, "Look for light that is missing from the image")
+
+
+def test_a_bound_that_chance_touches():
+    """Reflectances that are 0 end there half of the time; then all else is right."""
+    material = pf.Material(TRUTH.diffuse, TRUTH.specular, TRUTH.shininess, 0.0)
+    light = np.asarray(pf.render(SCENE, material, film=pf.Film(clamp=False)))
+    rng = np.random.default_rng(1)
+    fits = [pf.fit(SCENE, light + NOISE * rng.normal(size=light.shape)) for _ in "12"]
+    assert any(said(fit, "lies at its lower bound 0") for fit in fits)
+    assert not any(said(fit, "decides") for fit in fits)
 
 
 def test_noise_that_few_samples_know():
