@@ -77,6 +77,7 @@ ALTERNATE = {
     "test_identifiability",
     "test_implicit",
     "test_intervals",
+    "test_jpeg",
     "test_meshes",
     "test_misfit",
     "test_outliers",
@@ -86,6 +87,7 @@ ALTERNATE = {
     "test_robust",
     "test_scenes",
     "test_statistics",
+    "test_warnings",
 }
 
 

@@ -13,6 +13,8 @@ FAR = 5.0
 """Errors that an estimate is off by, if it is far off. For one on its bound, whose
 error is one-sided and may have the tail of an exponential distribution, the square."""
 
+# Standard deviations of a normal distribution that a 95 % interval reaches.
+REACH = 1.96
 # Of a number: below it, an error is one of arithmetic.
 ROUNDING = 1e-12
 
@@ -64,7 +66,10 @@ def look(answers: Answers) -> Marks:
     truth, off = answers.truth, np.abs(answers.estimate - answers.truth)
     slack = ROUNDING * np.abs(truth)
     trusted = finite & ~doubted[:, None]
-    reach = np.where(answers.at_bound, FAR**2, FAR) * answers.error
+    # Where errors grow with the distance, the interval says so, on the truth's side.
+    side = np.where(truth > answers.estimate, answers.high, answers.low)
+    error = np.fmax(answers.error, np.abs(side - answers.estimate) / REACH)
+    reach = np.where(answers.at_bound, FAR**2, FAR) * error
     # A bound that keeps an estimate from the truth is said to lie there.
     kept = (truth < answers.box[:, 0]) | (truth > answers.box[:, 1])
     return Marks(

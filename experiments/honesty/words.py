@@ -35,7 +35,7 @@ _WORDS = (
         Subject.FIT,
         r"not converge|not noise|not describe|lack of fit|misfit"
         r"|noise .*(wrong|too|larger|smaller)|errors are (too small|widened)"
-        r"|outlier|reject|jpeg|prior|saturat|white|^flag: not converged",
+        r"|outlier|reject|jpeg|prior|saturat|clipped|white|^flag: not converged",
     ),
 )
 _PATTERNS = [(subject, re.compile(words, re.IGNORECASE)) for subject, words in _WORDS]

@@ -37,9 +37,6 @@ from phongfit.rendering.jpeg import JpegCompression, compressed
 # Draws while the fit still moves, and at its end: a standard error of 32 draws is
 # known to 12 %.
 FEW, MANY = 8, 32
-# An encoder may round otherwise than is assumed, and what surrounds the surface is
-# estimated: so much of what is given back counts as an error.
-DOUBT = 0.5
 # Draws are up to so much brighter or darker than the fitted image.
 BRIGHTER = 0.15
 # Pixels around the surface that are averaged for what lies there.
@@ -386,7 +383,9 @@ def _rows(draws: Sequence[np.ndarray]) -> Float[np.ndarray, "draws ..."]:
     each = np.array(draws, float)
     mean, count = each.mean(axis=0, keepdims=True), len(each)
     apart = (each - mean) * np.sqrt((1 + 1 / count) / (count - 1))
-    return np.concatenate([apart, DOUBT * mean])
+    # An encoder may round otherwise than is assumed, and what surrounds the surface is
+    # estimated: what is given back counts as an error.
+    return np.concatenate([apart, mean])
 
 
 def _in_tiles(

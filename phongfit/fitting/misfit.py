@@ -44,6 +44,8 @@ class Misfit:
     **Arguments:**
 
     - `neighbour_correlation`: of residuals of adjacent pixels: 0 for noise.
+    - `channel_correlation`: of the three residuals of a pixel: 1 where one channel was
+        stored thrice.
     - `over_repeatability`: size of the residuals over that of their differences from
         pixel to pixel, where the model cancels: near 1 for noise; NaN where residuals
         are rounding.
@@ -59,6 +61,7 @@ class Misfit:
     """
 
     neighbour_correlation: float = 0.0
+    channel_correlation: float = 0.0
     over_repeatability: float = math.nan
     significance: float = 0.0
     inflation: float = 1.0
@@ -125,13 +128,14 @@ def find_misfit(
     alone = all(_rounds_alone(one) for one in blocks)
     # Neither neighbours nor what is lit alike say anything where rounding is shared,
     # unless it was drawn: how neighbours correlate then is not looked at.
-    correlation, ratio = 0.0, math.nan
+    correlation, channels, ratio = 0.0, 0.0, math.nan
     if alone and drawn is None:
         correlation, ratio = _compare_neighbours(images)
+        channels = _compare_channels(images)
     found: list[tuple[_Verdict, str]] = []
     best, shown = _Verdict(-1.0, 1.0), (side, [np.zeros((4, 4, 1, 1))])
     for size, level in _pyramid(blocks, side):
-        cells = [_cells(one, scale) for one in level]
+        cells = [_cells(one, scale, channels) for one in level]
         if size == side and alone:
             found += _along_the_model(images, cells, level)
         if size >= LEAST_SIDE:
@@ -147,6 +151,7 @@ def find_misfit(
     row, column = np.unravel_index(np.argmax(np.abs(maps[image])), maps[image].shape)
     return Misfit(
         correlation,
+        channels,
         ratio,
         worst.significance,
         max([variance_inflation(correlation), *significant]),
@@ -178,10 +183,10 @@ def _rounds_alone(blocks: _Blocks) -> bool:
 def _compare_neighbours(images: Sequence[Tiles]) -> tuple[float, float]:
     """Correlation of adjacent residuals, 0 where it is chance, and size over change."""
     products, pairs, squares, count = (
-        sum(float(np.sum(part, dtype=float)) for part in parts)
-        for parts in zip(
-            *((*one.neighbours, one.squares, one.count) for one in images), strict=True
-        )
+        _over_all([one.neighbours.products for one in images]),
+        _over_all([one.neighbours.pairs for one in images]),
+        _over_all([one.squares for one in images]),
+        _over_all([one.count for one in images]),
     )
     if pairs == 0 or squares == 0:
         return 0.0, math.nan
@@ -189,6 +194,21 @@ def _compare_neighbours(images: Sequence[Tiles]) -> tuple[float, float]:
     # Of half the squared difference, the share that is not repeated.
     ratio = 1 / math.sqrt(max(1 - correlation, 1e-12))
     return correlation if abs(correlation) > 5 / math.sqrt(pairs) else 0.0, ratio
+
+
+def _compare_channels(images: Sequence[Tiles]) -> float:
+    """Correlation of the residuals of a pixel's channels, 0 where it is chance."""
+    squares = _over_all([one.squares for one in images])
+    # No more pairs of channels than samples.
+    pairs = _over_all([one.count for one in images])
+    if not squares > 0:
+        return 0.0
+    correlation = _over_all([one.neighbours.channels for one in images]) / squares
+    return min(correlation, 1.0) if correlation > 5 / math.sqrt(pairs) else 0.0
+
+
+def _over_all(parts: Sequence[np.ndarray]) -> float:
+    return sum(float(np.sum(part, dtype=float)) for part in parts)
 
 
 def variance_inflation(correlation: float) -> float:
@@ -235,8 +255,11 @@ def _merged(values: np.ndarray, two: np.ufunc, empty: float) -> np.ndarray:
     return two(values[..., ::2], values[..., 1::2])
 
 
-def _cells(blocks: _Blocks, scale: float) -> _Cells:
-    """(4, 4, cells of one image), with variances as large as they were found."""
+def _cells(blocks: _Blocks, scale: float, channels: float) -> _Cells:
+    """(4, 4, cells of one image), with variances as large as they were found.
+
+    **Arguments:** `channels`: how the noise of a pixel's channels correlates.
+    """
     cells = blocks.sums.copy()
     cells[2] *= scale
     cells[3] **= 2
@@ -246,6 +269,8 @@ def _cells(blocks: _Blocks, scale: float) -> _Cells:
         levels = 1 + np.where(deviation > 0, high, 0) - np.where(deviation > 0, low, 0)
         cells[3] += deviation**2 / levels
     cells = _with_all(cells)
+    # What channels have in common their sum has thrice; no less than single ones say.
+    cells[1:3, 3] *= 1 + 2 * channels
     if blocks.drawn is not None:
         cells[3] = np.maximum(cells[3], _beyond(blocks.drawn, cells[2]))
     return cells

@@ -13,7 +13,7 @@ from phongfit.fitting.identifiability import threshold, unidentified, unit_diago
 from phongfit.fitting.intervals import SHARE, WIDTHS, Quadratic
 from phongfit.fitting.noise import median_deviation, shared_rounding_variance
 from phongfit.fitting.problem import Evaluation, Problem
-from phongfit.fitting.sums import Linearization, linearize
+from phongfit.fitting.sums import EXACT, Linearization, linearize
 from phongfit.fitting.unknowns import Unknowns
 from phongfit.programs import program
 
@@ -372,6 +372,49 @@ def _shared_rounding(problem: Problem, y: Float[Array, " n"]) -> np.ndarray:
         np.bincount(group, weights=column * share.ravel()[used]) for column in columns
     ]
     return np.array(sums) @ np.array(sums).T
+
+
+def with_channels_alike(
+    problem: Problem, y: Float[Array, " n"], correlation: float
+) -> Problem:
+    """The problem with the covariance of scores that noise shared by channels makes.
+
+    **Arguments:** `correlation`: of the residuals of a pixel's channels.
+    """
+    scores, root = _scores_of_channels(problem, y, jnp.asarray(correlation, y.dtype))
+    scatter = np.asarray(scores)
+    if problem.samples.step is not None:
+        scatter = scatter + _shared_rounding(problem, y)
+    variance = float(add_up(problem, y).loss_variance)
+    root = np.where(root > 0, root, 1)
+    scatter = jnp.asarray(variance * scatter / np.outer(root, root), y.dtype)
+    return dataclasses.replace(problem, scatter=scatter)
+
+
+@program()
+def _scores_of_channels(
+    problem: Problem, y: Float[Array, " n"], correlation: Float[Array, ""]
+) -> tuple[Array, Array]:
+    r"""Sums of $J_c^\top J_d$ as channels correlate; $J^\top J$'s diagonal's roots."""
+    found = linearize(problem, y)
+    jacobian = found.jacobian
+    share = jacobian.local * jnp.sqrt(found.at.variance_share)[:, None]
+    alike = jnp.where(jnp.eye(3, dtype=bool), 1, correlation)
+    member = jacobian.member
+    if member is None:
+        member = jnp.ones_like(share[:1, 0])
+    products = jnp.einsum(
+        "ckn,dln,gn->gcdkl", share, share, member, precision=EXACT, optimize="optimal"
+    )
+    scores = jnp.einsum(
+        "gcki,gcdkl,gdlj,cd->ij",
+        jacobian.select,
+        products,
+        jacobian.select,
+        alike,
+        precision=EXACT,
+    )
+    return scores, jnp.sqrt(jnp.diag(jacobian.grams(None)[0]))
 
 
 def _inverse(bread: np.ndarray, resolution: float) -> np.ndarray:

@@ -18,7 +18,7 @@ from phongfit.fitting.outliers import outlier_words
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.result import Fit, as_materials
 from phongfit.fitting.search import Found
-from phongfit.fitting.statistics import Pieces
+from phongfit.fitting.statistics import Pieces, add_up, with_channels_alike
 from phongfit.fitting.tiles import Tiles
 from phongfit.fitting.warnings import (
     bound_words,
@@ -91,6 +91,10 @@ def summarize(
     if not problem.loss.robust:
         # The covariance of a robust loss goes by the residuals anyway.
         misfit = dataclasses.replace(misfit, inflation=misfit.inflation * spread**2)
+    if misfit.channel_correlation > CORRELATED and problem.scatter is None:
+        problem = with_channels_alike(problem, found.y, misfit.channel_correlation)
+        found = dataclasses.replace(found, problem=problem)
+        pieces = add_up(problem, found.y)
     told = estimates(problem, found.y, misfit.inflation, place, pieces)
     rejected = rejected_highlights(problem, found.y)
     told = without_rejected(told, unknowns, rejected)
@@ -147,7 +151,11 @@ def summarize(
                 else grid_words(grid_significance([one.grid for one in tiles]))
             ),
             *spread_words(spread),
-            *([] if noise_given else clipped_words(pieces, effective, samples)),
+            *(
+                ()
+                if noise_given or told.untold.all()
+                else clipped_words(pieces, effective, samples)
+            ),
             # What neighbours share is no matter of single samples.
             *(() if _is_shared(misfit) else outlier_words(problem, found.y, pieces)),
         ),

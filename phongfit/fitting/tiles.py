@@ -44,11 +44,13 @@ class Rounding(NamedTuple):
 class Neighbours(NamedTuple):
     """Sums over pairs of adjacent pixels, side by side and one above the other.
 
-    Of each column and channel: `products` of residuals, and how many `pairs`.
+    Of each column and channel: `products` of residuals, and how many `pairs`. Of the
+    three channels of all pixels, taken two by two, the products in `channels`.
     """
 
     products: Float[Any, " columns*3"]
     pairs: Float[Any, " columns*channels"]
+    channels: Float[Any, " columns"]
 
 
 class Tiles(NamedTuple):
@@ -152,7 +154,9 @@ def _neighbours(residual: Array, weight: Array) -> Neighbours:
 
     # Repeated for the channels they would take longer than all else.
     pairs = products((weight > 0).astype(residual.dtype))
-    return Neighbours(products(residual), pairs * (3 // weight.shape[-1]))
+    red, green, blue = (residual[..., k] for k in range(3))
+    channels = (red * green + green * blue + blue * red).sum(axis=0)
+    return Neighbours(products(residual), pairs * (3 // weight.shape[-1]), channels)
 
 
 def _fold(

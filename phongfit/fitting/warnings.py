@@ -14,6 +14,8 @@ from phongfit.fitting.unknowns import Unknowns
 
 # Samples from which a noise level is estimated well enough.
 FEW = 50
+# Share of the samples that must not be clipped for that.
+FEW_SHARE = 0.1
 # Share of a standard error by which the noise level's own may move a parameter.
 MOVED = 0.25
 # Standard deviations between the images and a prior, or a bound, that are no chance.
@@ -50,7 +52,8 @@ def clipped_words(pieces: Pieces, effective: int, samples: int) -> tuple[str, ..
     # How far the solution moves with the noise level, by one error of that.
     moved = inverse @ np.asarray(pieces.drift, float) / math.sqrt(2 * max(effective, 1))
     error = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
-    if effective >= FEW and np.all(np.abs(moved) < MOVED * error):
+    enough = effective >= max(FEW, FEW_SHARE * samples)
+    if enough and np.all(np.abs(moved) < MOVED * error):
         return ()
     return (
         f"{samples - effective:,} of {samples:,} samples are clipped: the noise is "

@@ -39,7 +39,7 @@ def _arrays(fit: Fit) -> dict[str, str]:
 
 def _is_jpeg(fit: Fit) -> bool:
     """Whether the film stands in files: its tables of numbers are no part of a call."""
-    return fit.found.problem.scatter is not None
+    return "JPEG" in fit.film
 
 
 def call(fit: Fit) -> str:

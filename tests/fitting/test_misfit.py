@@ -6,6 +6,7 @@ import phongfit as pf
 from phongfit.fitting.losses import LOSSES
 from phongfit.fitting.misfit import SIGNIFICANT, find_misfit, variance_inflation
 from phongfit.fitting.tiles import Measured, sum_over_tiles, tile_side
+from tests.fitting.scenes import TRUTH, ball, photograph
 
 SIDE = 2
 SIZE = 64
@@ -156,6 +157,33 @@ def test_tiles_are_small_in_small_images():
 @pytest.mark.parametrize(("correlation", "factor"), [(-0.5, 1), (0, 1), (0.5, 9)])
 def test_variance_inflation(correlation, factor):
     assert variance_inflation(correlation) == pytest.approx(factor)
+
+
+def test_one_channel_stored_thrice():
+    """Channels share their noise: the model is right, and three know what one does."""
+    alike = np.repeat(noise()[..., :1], 3, axis=-1)
+    found = looked_at(alike)
+    assert found.channel_correlation == pytest.approx(1, abs=1e-3)
+    assert not found.significant
+    assert looked_at(noise()).channel_correlation == 0
+    half = (noise(1) + alike) / np.sqrt(2)
+    assert looked_at(half).channel_correlation == pytest.approx(0.5, abs=0.05)
+
+
+@pytest.mark.parametrize("loss", ["linear", "huber"])
+def test_errors_where_channels_share_their_noise(loss):
+    """What channels share is known from one of them; what each has, as ever."""
+    scene = ball()
+    clean = photograph(scene, TRUTH)
+    rng = np.random.default_rng(0)
+    own = 0.01 * rng.normal(size=clean.shape)
+    apart = pf.fit(scene, clean + own, loss=loss)
+    alike = pf.fit(scene, clean + own[..., :1], loss=loss)
+    assert not alike.warnings
+    ratio = alike.errors / apart.errors
+    labels = list(alike.labels)
+    assert ratio[labels.index("shininess")] == pytest.approx(np.sqrt(3), rel=0.15)
+    assert ratio[labels.index("ambient.red")] == pytest.approx(1, rel=0.1)
 
 
 def test_mean_of_neighbours_correlates():

@@ -73,6 +73,8 @@ def test_noise_that_few_samples_know():
     assert np.mean(image[8:24, 8:24] == 1) > 0.9
     assert said(pf.fit(bright, image), "samples are clipped: the noise is estimated")
     assert not said(pf.fit(bright, image, noise=0.1), "samples are clipped")
+    # Where all is white another warning says so.
+    assert not said(pf.fit(bright, np.ones_like(image)), "samples are clipped")
 
 
 def test_a_white_image_is_said_to_be_white():

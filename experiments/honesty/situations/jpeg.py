@@ -4,13 +4,18 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import imageio.v3 as iio
+import numpy as np
 
+import phongfit as pf
 from experiments.honesty.answers import Answers, Shot, fit_all
 from experiments.honesty.situations.base import (
+    Draw,
     Draws,
     Image,
     Situation,
     Subject,
+    ball,
+    lamp,
     noisy,
     usual,
 )
@@ -36,20 +41,35 @@ def situations() -> list[Situation]:
     for quality in (75, 90, 95):
         for sampling in SAMPLINGS:
             for known in (True, False):
-                ask = jpeg_fits(usual(), quality, sampling, known)
+                ask = jpeg_fits(any_ball, quality, sampling, known)
                 origin = "its film known" if known else "of unknown origin"
                 name = f"JPEG {quality}, {sampling}, {origin}"
                 found.append(Situation(name, "doubtful", ask, wide=True))
     return found
 
 
+def any_ball(rng: np.random.Generator) -> Subject:
+    """A ball of its own under a lamp of its own: what is rounded away hangs on both.
+
+    Many photographs of one ball would all lose the same, and be one draw of that.
+    """
+    material = pf.Material(
+        diffuse=rng.uniform(0.15, 0.6, 3),
+        specular=rng.uniform(0.2, 0.4, 3),
+        shininess=np.exp(rng.uniform(np.log(8), np.log(40))),
+        ambient=rng.uniform(0.2, 0.6, 3),
+    )
+    return usual(material, ball(lamp((*rng.uniform(-1, 1, 2), 2))))
+
+
 def jpeg_fits(
-    subject: Subject, quality: int, sampling: str, known: bool
+    draw: Draw, quality: int, sampling: str, known: bool
 ) -> Callable[[Draws], Answers]:
     """Fits of photographs that were JPEG files."""
 
     def shots(draws: Draws) -> Iterator[Shot]:
         for rng in draws:
+            subject = draw(rng)
             light = noisy(NOISE)(subject.light[0], rng)
             read = developed(light, quality, sampling, known)
             scenes = subject.scenes

@@ -18,8 +18,8 @@ class Flag(IntFlag):
         nothing is identified.
     - `MISFIT`: χ² is too large for the noise that was given (by 4.5 standard deviations
         of a normal distribution): the model does not describe the pixel, or the noise
-        is larger. Its errors are widened by the root of χ² a degree of freedom. Under a
-        robust loss it is not looked for.
+        is larger. Its errors are widened by the root of χ² a degree of freedom. A
+        robust loss goes by the median of the residuals in place of χ².
     """
 
     OUTSIDE = 1

@@ -43,6 +43,15 @@ MOST_REWEIGHTED = 40
 # Of these the first have a loss whose reflectances cannot lie in a false minimum.
 CONVEX = 5
 REWEIGHTED_STEPS = 2
+# Thorough starts, of which each leaves out one of so many groups of samples.
+GROUPS = 3
+# They are tried where less of the highlight's information is left than this share, or
+# where residuals are larger than the noise by this factor.
+KEPT = 0.6
+LARGER = 1.3
+# Efficiency of a median of absolute values as a measure of scale: Hampel, *The
+# influence curve and its role in robust estimation*, J. Am. Stat. Assoc. 69(346), 1974.
+MEDIAN = 0.37
 # By how much channels may differ in how the lights share them, over their sum.
 COLOURED = 0.1
 # The axis along which pixels are batched.
@@ -175,8 +184,10 @@ def fit_pixel(
     told = ~black & (enough | (settings.noise_given & (count >= unknowns)))
 
     misfit = jnp.zeros((), bool)
-    if settings.noise_given and not settings.loss.robust:
-        misfit = told & enough & ((level / noise) ** 2 > _most_by_chance(freedom))
+    if settings.noise_given:
+        # Of a normal distribution a median knows no more than a third of the samples.
+        heard = freedom * (MEDIAN if settings.loss.robust else 1)
+        misfit = told & enough & ((level / noise) ** 2 > _most_by_chance(heard))
 
     def errors_of(found: _Found) -> Errors:
         sigma = found.scale if settings.loss.robust else level
@@ -463,6 +474,14 @@ def _reweighted(
     All that is said of the end rests on its weights w, held: how $\phi$ rises from
     there, and the errors, with $\sigma^2$ times the mean of w and the square of
     [`widening`][]. So what a rejected sample would say of the exponent is not counted.
+
+    A pixel that deserves it is begun several times, each time without some of the
+    samples, and the end that the loss likes best counts: an outlier in the highlight
+    may have drawn the plain solution after it.
+
+    ??? cite "Source"
+        Rousseeuw and Van Driessen, *Computing LTS regression for large data sets*, Data
+        Min. Knowl. Discov. 12, 2006: starts from subsets.
     """
     model, cosine = settings.model, samples.log_cosine
     used = samples.weight > 0
@@ -497,8 +516,36 @@ def _reweighted(
     def unfinished(state: _Rounds) -> Array:
         return (state.done < REWEIGHTED) | (~state.ended & (state.done < most))
 
-    start = _Rounds(at, t, jnp.ones_like(t), jnp.zeros((), bool), jnp.zeros((), int))
-    last = jax.lax.while_loop(unfinished, step, start)
+    def begin(left: Array) -> tuple[At, Array]:
+        """Where all samples but some lead to."""
+        columns = _columns(samples, target, settled(samples.weight * left), settings)
+        begun = t
+        if settings.scanned:
+            count = candidates(*settings.log_bounds)
+            begun = scan(columns, model, cosine, box, count).t
+        return _evaluate(columns, cosine, begun, box, settings), begun
+
+    def attempt(state: _Attempts) -> _Attempts:
+        left = (_group(samples) != state.done - 1).astype(t.dtype)
+        start = where_wanted(state.done > 0, begin, left, (at, t))
+        ended = jnp.zeros((), bool)
+        first = _Rounds(*start, jnp.ones_like(t), ended, jnp.zeros((), int))
+        last = jax.lax.while_loop(unfinished, step, first)
+        residual = settled(_residual(samples, target, last.at, last.t, settings))
+        better = (state.done == 0) | _is_better(
+            residual, state.residual, used, noise, settings
+        )
+        last, residual = jax.tree.map(
+            lambda new, old: jnp.where(better, new, old),
+            (last, residual),
+            (state.best, state.residual),
+        )
+        return _Attempts(last, residual, state.done + 1)
+
+    none = _Rounds(at, t, jnp.ones_like(t), jnp.zeros((), bool), jnp.zeros((), int))
+    first = _Attempts(none, jnp.zeros_like(target), jnp.zeros((), int))
+    wanted = jnp.where(thorough, 1 + GROUPS, 1)
+    last = jax.lax.while_loop(lambda s: s.done < wanted, attempt, first).best
     at, t = last.at, last.t
     residual, scale = measured(at, t)
     weight = settled(loss_weights(settings.loss, residual) * samples.weight)
@@ -514,7 +561,50 @@ def _reweighted(
         widened = jnp.maximum(widened, 1)
     widened = widened * jnp.sqrt(share)
     squares = _sum(samples.weight * _residual(samples, target, at, t, settings) ** 2)
-    return _Found(at, t, columns, squares, scale, widened, moved, ~last.ended)
+    doubtful = ~last.ended | _is_doubtful(samples, weight, t, settings)
+    if settings.noise_given:
+        doubtful |= scale > LARGER * noise
+    return _Found(at, t, columns, squares, scale, widened, moved, doubtful)
+
+
+def _is_doubtful(
+    samples: PixelSamples, weight: Array, t: Array, settings: Settings
+) -> Array:
+    """Whether a loss rejects much of what tells a channel's highlight."""
+    lobe, _ = lobes(settings.model, samples.log_cosine, t)
+    told = samples.weight * _shine(samples, lobe) ** 2
+    kept = jnp.sum(weight * _shine(samples, lobe) ** 2, axis=-1)
+    return jnp.any(kept < KEPT * jnp.sum(told, axis=-1))
+
+
+def _group(samples: PixelSamples) -> Array:
+    """Samples in groups of which each has a share of every channel's lights."""
+    channels, images = samples.target.shape
+    return (jnp.arange(channels)[:, None] + jnp.arange(images)[None]) % GROUPS
+
+
+def _is_better(
+    residual: Array, other: Array, used: Array, noise: Array, settings: Settings
+) -> Array:
+    """Whether a loss finds less left over, at the smaller of both scales."""
+    scale = noise
+    if not settings.noise_given:
+        scale = jnp.minimum(
+            median_deviation(residual, used), median_deviation(other, used)
+        )
+
+    def cost(residual: Array) -> Array:
+        return _sum(jnp.where(used, settings.loss.root(residual / scale) ** 2, 0))
+
+    return cost(residual) < cost(other)
+
+
+class _Attempts(NamedTuple):
+    """The best of several starts, what it leaves over, and how many were tried."""
+
+    best: "_Rounds"
+    residual: Array
+    done: Array
 
 
 class _Rounds(NamedTuple):

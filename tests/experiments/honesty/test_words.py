@@ -13,6 +13,7 @@ SENTENCES = {
     "specular.red cannot be told: the loss took the highlight for outliers": (
         Subject.FIT
     ),
+    "90 of 100 samples are clipped: the noise is estimated": Subject.FIT,
     "the image has the blocks of a JPEG file": Subject.FIT,
     "its prior is 25 standard deviations off": Subject.FIT,
     "shininess lies at its bound of 1000, which decides the others": Subject.FIT,
