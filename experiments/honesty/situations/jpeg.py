@@ -1,5 +1,6 @@
 """JPEG files: rounding that is alike within blocks, told or not."""
 
+import functools
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -9,6 +10,8 @@ import numpy as np
 import phongfit as pf
 from experiments.honesty.answers import Answers, Shot, fit_all
 from experiments.honesty.situations.base import (
+    LARGE,
+    SIZE,
     Draw,
     Draws,
     Image,
@@ -41,14 +44,16 @@ def situations() -> list[Situation]:
     for quality in (75, 90, 95):
         for sampling in SAMPLINGS:
             for known in (True, False):
-                ask = jpeg_fits(any_ball, quality, sampling, known)
+                # To see that an image has blocks takes more than a few dozen of them.
+                draw = functools.partial(any_ball, size=SIZE if known else LARGE)
+                ask = jpeg_fits(draw, quality, sampling, known)
                 origin = "its film known" if known else "of unknown origin"
                 name = f"JPEG {quality}, {sampling}, {origin}"
                 found.append(Situation(name, "doubtful", ask, wide=True))
     return found
 
 
-def any_ball(rng: np.random.Generator) -> Subject:
+def any_ball(rng: np.random.Generator, size: int) -> Subject:
     """A ball of its own under a lamp of its own: what is rounded away hangs on both.
 
     Many photographs of one ball would all lose the same, and be one draw of that.
@@ -59,7 +64,7 @@ def any_ball(rng: np.random.Generator) -> Subject:
         shininess=np.exp(rng.uniform(np.log(8), np.log(40))),
         ambient=rng.uniform(0.2, 0.6, 3),
     )
-    return usual(material, ball(lamp((*rng.uniform(-1, 1, 2), 2))))
+    return usual(material, ball(lamp((*rng.uniform(-1, 1, 2), 2)), size=size))
 
 
 def jpeg_fits(
