@@ -17,6 +17,9 @@ from phongfit.fitting.sums import EXACT, Linearization, linearize
 from phongfit.fitting.unknowns import Unknowns
 from phongfit.programs import program
 
+# What is left over is rounding of the arithmetic up to so many times its floor.
+ROUNDED = 2
+
 
 @dataclasses.dataclass(frozen=True)
 class Statistics:
@@ -340,7 +343,7 @@ def _spread(problem: Problem, at: Evaluation) -> Float[Array, ""]:
 
 def _is_exact(problem: Problem, at: Evaluation) -> Bool[Array, ""]:
     """Whether nothing is left over but what arithmetic of this precision rounds."""
-    exact = problem.sigma <= 1.01 * at.floor
+    exact = problem.sigma <= ROUNDED * at.floor
     return exact & (problem.samples.step is None)
 
 

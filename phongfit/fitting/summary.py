@@ -83,7 +83,10 @@ def summarize(
     residuals = [np.asarray(one.residual) for one in shown]
     # NumPy's from here on: to add up an array of JAX's takes ten times as long.
     tiles = [jax.tree.map(np.asarray, one.tiles) for one in shown]
-    misfit = find_misfit(tiles, side, drawn)
+    # How arithmetic rounds says nothing of the model, nor of the film.
+    exact = bool(pieces.exact) and not noise_given
+    misfit = Misfit() if exact else find_misfit(tiles, side, drawn)
+    blocks = 0.0 if exact or drawn else grid_significance([t.grid for t in tiles])
     samples = round(sum(float(np.sum(one.count, dtype=float)) for one in tiles))
     # Clipped samples say nothing of the noise.
     effective = round(sum(float(np.sum(one.variance, dtype=float)) for one in tiles))
@@ -145,11 +148,7 @@ def summarize(
             *prior_words(told, unknowns, misfit.inflation),
             # Where all is white there is nothing to describe.
             *(misfit_words(misfit, len(shown)) if np.any(pieces.inside) else ()),
-            *(
-                []
-                if drawn
-                else grid_words(grid_significance([one.grid for one in tiles]))
-            ),
+            *grid_words(blocks),
             *spread_words(spread),
             *(
                 ()

@@ -50,7 +50,7 @@ class Neighbours(NamedTuple):
 
     products: Float[Any, " columns*3"]
     pairs: Float[Any, " columns*channels"]
-    channels: Float[Any, " columns"]
+    channels: Float[Any, ""]
 
 
 class Tiles(NamedTuple):
@@ -154,8 +154,9 @@ def _neighbours(residual: Array, weight: Array) -> Neighbours:
 
     # Repeated for the channels they would take longer than all else.
     pairs = products((weight > 0).astype(residual.dtype))
-    red, green, blue = (residual[..., k] for k in range(3))
-    channels = (red * green + green * blue + blue * red).sum(axis=0)
+    pixels = residual.reshape(-1, 3)
+    both = jnp.einsum("nc,nd->cd", pixels, pixels, precision="highest")
+    channels = (jnp.sum(both) - jnp.trace(both)) / 2
     return Neighbours(products(residual), pairs * (3 // weight.shape[-1]), channels)
 
 

@@ -170,6 +170,22 @@ def test_one_channel_stored_thrice():
     assert looked_at(half).channel_correlation == pytest.approx(0.5, abs=0.05)
 
 
+def test_rounding_of_the_arithmetic_is_no_misfit():
+    """What an image without noise leaves has a pattern, and means nothing."""
+    scene = ball()
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        truth = pf.Material(
+            rng.uniform(0.1, 0.9, 3),
+            rng.uniform(0.15, 0.8, 3),
+            np.exp(rng.uniform(np.log(5), np.log(100))),
+            rng.uniform(0.1, 0.9, 3),
+        )
+        image = pf.render(scene, truth, film=pf.Film(clamp=False))
+        fit = pf.fit(scene, np.asarray(image))
+        assert not fit.misfit.significant and not fit.warnings, seed
+
+
 @pytest.mark.parametrize("loss", ["linear", "huber"])
 def test_errors_where_channels_share_their_noise(loss):
     """What channels share is known from one of them; what each has, as ever."""
