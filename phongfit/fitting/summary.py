@@ -94,7 +94,9 @@ def summarize(
     if not problem.loss.robust:
         # The covariance of a robust loss goes by the residuals anyway.
         misfit = dataclasses.replace(misfit, inflation=misfit.inflation * spread**2)
-    if misfit.channel_correlation > CORRELATED and problem.scatter is None:
+    # What a wrong model leaves is alike in all channels, too, and widens errors anyway.
+    alike = misfit.channel_correlation > CORRELATED and not misfit.significant
+    if alike and problem.scatter is None:
         problem = with_channels_alike(problem, found.y, misfit.channel_correlation)
         found = dataclasses.replace(found, problem=problem)
         pieces = add_up(problem, found.y)
