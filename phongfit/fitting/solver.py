@@ -346,16 +346,15 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         """
         previous, size, change = self._steps(state)
         then, now = self.pace
-        usual = now / jnp.where(then > 0, then, 1)
-        usual *= jnp.maximum(size / jnp.where(then > 0, then, 1), 1)
-        theta = jnp.where(
-            previous > 0,
-            size / jnp.where(previous > 0, previous, 1),
-            jnp.where(then > 0, usual, jnp.inf),
-        )
-        near = (theta < 0.1) & (state.search_state.step_size >= 1) & ~state.first_step
+        of = jnp.where(previous > 0, previous, then)
+        share = size / jnp.where(of > 0, of, 1)
+        usual = now / jnp.where(then > 0, then, 1) * jnp.maximum(share, 1)
+        theta = jnp.where(previous > 0, share, usual)
+        near = (of > 0) & (theta < 0.1) & ~state.first_step
+        undamped = state.search_state.step_size >= 1
         beyond = theta / (1 - theta) * jnp.maximum(size, change)
-        return near & (state.num_steps_since_acceptance == 0) & (beyond < 1)
+        accepted = state.num_steps_since_acceptance == 0
+        return near & undamped & accepted & (beyond < 1)
 
     def pace_at(self, state: Any) -> Float[Array, "2"]:
         """Sizes of the last two steps before a state; 0 where they are not known.

@@ -378,17 +378,20 @@ def _shared_rounding(problem: Problem, y: Float[Array, " n"]) -> np.ndarray:
 
 
 def with_channels_alike(
-    problem: Problem, y: Float[Array, " n"], correlation: float
+    problem: Problem, y: Float[Array, " n"], pieces: "Pieces", correlation: float
 ) -> Problem:
     """The problem with the covariance of scores that noise shared by channels makes.
 
-    **Arguments:** `correlation`: of the residuals of a pixel's channels.
+    **Arguments:**
+
+    - `pieces`: sums over the samples.
+    - `correlation`: of the residuals of a pixel's channels.
     """
     scores, root = _scores_of_channels(problem, y, jnp.asarray(correlation, y.dtype))
     scatter = np.asarray(scores)
     if problem.samples.step is not None:
         scatter = scatter + _shared_rounding(problem, y)
-    variance = float(add_up(problem, y).loss_variance)
+    variance = float(pieces.loss_variance)
     root = np.where(root > 0, root, 1)
     scatter = jnp.asarray(variance * scatter / np.outer(root, root), y.dtype)
     return dataclasses.replace(problem, scatter=scatter)

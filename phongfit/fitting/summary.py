@@ -97,7 +97,9 @@ def summarize(
     # What a wrong model leaves is alike in all channels, too, and widens errors anyway.
     alike = misfit.channel_correlation > CORRELATED and not misfit.significant
     if alike and problem.scatter is None:
-        problem = with_channels_alike(problem, found.y, misfit.channel_correlation)
+        problem = with_channels_alike(
+            problem, found.y, pieces, misfit.channel_correlation
+        )
         found = dataclasses.replace(found, problem=problem)
         pieces = add_up(problem, found.y)
     told = estimates(problem, found.y, misfit.inflation, place, pieces)
@@ -112,6 +114,8 @@ def summarize(
     errors[unknowns.reported] = told.errors
     material, stderr = as_materials(unknowns, entries, errors)
     converged = bool(found.converged)
+    # Of the noise there is nothing to say.
+    settled = noise_given or told.untold.all()
     return Fit(
         material=material,
         stderr=stderr,
@@ -152,11 +156,7 @@ def summarize(
             *(misfit_words(misfit, len(shown)) if np.any(pieces.inside) else ()),
             *grid_words(blocks),
             *spread_words(spread),
-            *(
-                ()
-                if noise_given or told.untold.all()
-                else clipped_words(pieces, effective, samples)
-            ),
+            *([] if settled else clipped_words(pieces, effective, samples)),
             # What neighbours share is no matter of single samples.
             *(() if _is_shared(misfit) else outlier_words(problem, found.y, pieces)),
         ),

@@ -528,9 +528,7 @@ def _reweighted(
     def attempt(state: _Attempts) -> _Attempts:
         left = (_group(samples) != state.done - 1).astype(t.dtype)
         start = where_wanted(state.done > 0, begin, left, (at, t))
-        ended = jnp.zeros((), bool)
-        first = _Rounds(*start, jnp.ones_like(t), ended, jnp.zeros((), int))
-        last = jax.lax.while_loop(unfinished, step, first)
+        last = jax.lax.while_loop(unfinished, step, _before_rounds(*start))
         residual = settled(_residual(samples, target, last.at, last.t, settings))
         better = (state.done == 0) | _is_better(
             residual, state.residual, used, noise, settings
@@ -542,8 +540,8 @@ def _reweighted(
         )
         return _Attempts(last, residual, state.done + 1)
 
-    none = _Rounds(at, t, jnp.ones_like(t), jnp.zeros((), bool), jnp.zeros((), int))
-    first = _Attempts(none, jnp.zeros_like(target), jnp.zeros((), int))
+    none = jnp.zeros_like(target)
+    first = _Attempts(_before_rounds(at, t), none, jnp.zeros((), int))
     wanted = jnp.where(thorough, 1 + GROUPS, 1)
     last = jax.lax.while_loop(lambda s: s.done < wanted, attempt, first).best
     at, t = last.at, last.t
@@ -572,9 +570,9 @@ def _is_doubtful(
 ) -> Array:
     """Whether a loss rejects much of what tells a channel's highlight."""
     lobe, _ = lobes(settings.model, samples.log_cosine, t)
-    told = samples.weight * _shine(samples, lobe) ** 2
-    kept = jnp.sum(weight * _shine(samples, lobe) ** 2, axis=-1)
-    return jnp.any(kept < KEPT * jnp.sum(told, axis=-1))
+    height = _shine(samples, lobe) ** 2
+    told, kept = (jnp.sum(each * height, axis=-1) for each in (samples.weight, weight))
+    return jnp.any(kept < KEPT * told)
 
 
 def _group(samples: PixelSamples) -> Array:
@@ -599,14 +597,6 @@ def _is_better(
     return cost(residual) < cost(other)
 
 
-class _Attempts(NamedTuple):
-    """The best of several starts, what it leaves over, and how many were tried."""
-
-    best: "_Rounds"
-    residual: Array
-    done: Array
-
-
 class _Rounds(NamedTuple):
     """Where reweighting stands: the solution, and whether it has come to rest."""
 
@@ -614,6 +604,18 @@ class _Rounds(NamedTuple):
     t: Array
     bend: Array
     ended: Array
+    done: Array
+
+
+def _before_rounds(at: At, t: Array) -> _Rounds:
+    return _Rounds(at, t, jnp.ones_like(t), jnp.zeros((), bool), jnp.zeros((), int))
+
+
+class _Attempts(NamedTuple):
+    """The best of several starts, what it leaves over, and how many were tried."""
+
+    best: _Rounds
+    residual: Array
     done: Array
 
 
