@@ -266,3 +266,18 @@ def test_start_on_a_bound_and_fixed_unknowns():
     # The root of d/dx: -400 x (1/4 - x²) = 2 (1 - x).
     (best,) = [x.real for x in np.roots([400, 0, -98, -2]) if 0.5 < x.real < 2]
     near(solution.value[0], best, 1e4 * EPS)
+
+
+@pytest.mark.parametrize("far", [1e-4, 0.3])
+def test_an_earlier_pace_is_trusted_no_further_than_it_holds(far):
+    """Near where an earlier run ended one evaluation does; from afar it goes on."""
+    end = floats([1.0, 1.0])
+    start = end + far * floats([1.0, -1.0])
+    solver = BoundedLevenbergMarquardt(
+        1e-5, 1e-5, end - 9, end + 9, foresee=True, pace=floats([2000.0, 1.0])
+    )
+    found = optx.least_squares(
+        lambda y, args: rosenbrock(y, jnp), solver, start, max_steps=99, throw=False
+    )
+    assert (int(found.stats["num_steps"]) == 1) == (far < 1e-3)
+    np.testing.assert_allclose(found.value, end, atol=1e-4)
