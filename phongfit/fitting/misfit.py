@@ -15,7 +15,7 @@ over all cells shows a misfit that is spread out, its largest value one that is 
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +46,8 @@ class Misfit:
     - `neighbour_correlation`: of residuals of adjacent pixels: 0 for noise.
     - `channel_correlation`: of the three residuals of a pixel: 1 where one channel was
         stored thrice.
+    - `unequal`: how significantly noise differs between channels, or with light, in
+        standard deviations of a normal distribution.
     - `over_repeatability`: size of the residuals over that of their differences from
         pixel to pixel, where the model cancels: near 1 for noise; NaN where residuals
         are rounding.
@@ -62,6 +64,7 @@ class Misfit:
 
     neighbour_correlation: float = 0.0
     channel_correlation: float = 0.0
+    unequal: float = 0.0
     over_repeatability: float = math.nan
     significance: float = 0.0
     inflation: float = 1.0
@@ -76,6 +79,11 @@ class Misfit:
     def significant(self) -> bool:
         """Whether noise alone would not show this."""
         return self.significance > SIGNIFICANT
+
+    @property
+    def noise_differs(self) -> bool:
+        """Whether noise differs between channels or with light: no misfit says so."""
+        return self.unequal > SIGNIFICANT and not self.significant
 
 
 Drawn = Float[np.ndarray, "draws 3 rows columns"]
@@ -104,6 +112,8 @@ class _Verdict(NamedTuple):
 # Residuals, their squares, their variance, and what of it is common: the first axis of
 # what is called cells below, whose second are the channels, and all of them together.
 _Cells = np.ndarray
+# One where a tile (row) is lit as a group of tiles (column) is.
+_Members = np.ndarray
 
 
 def find_misfit(
@@ -119,25 +129,80 @@ def find_misfit(
     """
     each = [None] * len(images) if drawn is None else drawn
     blocks = [_as_blocks(*one) for one in zip(images, each, strict=True)]
-    sums = [one.sums.sum(axis=(1, 2, 3)) for one in blocks]
-    _, left, expected, _ = np.sum(sums, axis=0)
+    # (4, channels)
+    sums = np.sum([one.sums.sum(axis=(2, 3)) for one in blocks], axis=0)
+    _, left, expected, _ = sums.sum(axis=1)
     if not (expected > 0 and 0 < left < math.inf):
         return Misfit()
-    # How large the noise is, is another question: here it is what is left over.
-    scale = left / expected
+    # How large a channel's noise is, is another question: here it is what is left over.
+    scale = np.where(sums[1] > 0, sums[1], left) / np.maximum(sums[2], 1e-30)
     alone = all(_rounds_alone(one) for one in blocks)
     # Neither neighbours nor what is lit alike say anything where rounding is shared,
     # unless it was drawn: how neighbours correlate then is not looked at.
-    correlation, channels, ratio = 0.0, 0.0, math.nan
+    groups = _lit_alike(images) if alone else {}
+    correlation, channels, unequal, ratio = 0.0, 0.0, 0.0, math.nan
+    if alone:
+        unequal = _compare_noise(blocks, groups)
     if alone and drawn is None:
         correlation, ratio = _compare_neighbours(images)
         channels = _compare_channels(images)
+    seen = _look(blocks, groups, side, scale, channels)
+    if seen.worst.significance > SIGNIFICANT and channels > 0:
+        # What a wrong model leaves is alike in all channels, and is no shared noise.
+        seen = _look(blocks, groups, side, scale, 0.0)
+    maps = tuple(_in_deviations(one) for one in seen.cells)
+    image = int(np.argmax([np.abs(one).max() for one in maps]))
+    row, column = np.unravel_index(np.argmax(np.abs(maps[image])), maps[image].shape)
+    return Misfit(
+        correlation,
+        channels,
+        unequal,
+        ratio,
+        seen.worst.significance,
+        max(variance_inflation(correlation), seen.inflation),
+        seen.along,
+        seen.side,
+        image,
+        int((row + 0.5) * seen.side),
+        int((column + 0.5) * seen.side),
+        maps,
+    )
+
+
+class _Seen(NamedTuple):
+    """The worst of all verdicts, what it is along, and the blocks that stand out most.
+
+    `inflation` is the largest of those verdicts that are significant.
+    """
+
+    worst: _Verdict
+    along: str
+    inflation: float
+    side: int
+    cells: Sequence[_Cells]
+
+
+def _look(
+    blocks: list[_Blocks],
+    groups: Mapping[str, _Members],
+    side: int,
+    scale: np.ndarray,
+    channels: float,
+) -> _Seen:
+    """At blocks of all sizes, and along the model's shapes.
+
+    **Arguments:**
+
+    - `groups`: which tiles are lit alike: see [`_lit_alike`][].
+    - `scale`: of each channel's variances.
+    - `channels`: how the noise of a pixel's channels correlates.
+    """
     found: list[tuple[_Verdict, str]] = []
     best, shown = _Verdict(-1.0, 1.0), (side, [np.zeros((4, 4, 1, 1))])
     for size, level in _pyramid(blocks, side):
         cells = [_cells(one, scale, channels) for one in level]
-        if size == side and alone:
-            found += _along_the_model(images, cells, level)
+        if size == side:
+            found += _along_the_model(cells, level, groups)
         if size >= LEAST_SIDE:
             verdict = _judge(_joined(cells))
             found.append((verdict, "blocks"))
@@ -145,23 +210,7 @@ def find_misfit(
                 best, shown = verdict, (size, cells)
     worst, along = max(found, key=lambda one: one[0].significance)
     significant = [v.inflation for v, _ in found if v.significance > SIGNIFICANT]
-    size, cells = shown
-    maps = tuple(_in_deviations(one) for one in cells)
-    image = int(np.argmax([np.abs(one).max() for one in maps]))
-    row, column = np.unravel_index(np.argmax(np.abs(maps[image])), maps[image].shape)
-    return Misfit(
-        correlation,
-        channels,
-        ratio,
-        worst.significance,
-        max([variance_inflation(correlation), *significant]),
-        along,
-        size,
-        image,
-        int((row + 0.5) * size),
-        int((column + 0.5) * size),
-        maps,
-    )
+    return _Seen(worst, along, max([1.0, *significant]), *shown)
 
 
 def _as_blocks(tiles: Tiles, drawn: Drawn | None) -> _Blocks:
@@ -255,13 +304,13 @@ def _merged(values: np.ndarray, two: np.ufunc, empty: float) -> np.ndarray:
     return two(values[..., ::2], values[..., 1::2])
 
 
-def _cells(blocks: _Blocks, scale: float, channels: float) -> _Cells:
+def _cells(blocks: _Blocks, scale: np.ndarray, channels: float) -> _Cells:
     """(4, 4, cells of one image), with variances as large as they were found.
 
     **Arguments:** `channels`: how the noise of a pixel's channels correlates.
     """
     cells = blocks.sums.copy()
-    cells[2] *= scale
+    cells[2] *= scale[:, None, None]
     cells[3] **= 2
     if blocks.rounding is not None:
         deviation, low, high = blocks.rounding
@@ -306,22 +355,65 @@ def _in_deviations(cells: _Cells) -> np.ndarray:
     return np.where(whole > 0, total / np.sqrt(np.where(whole > 0, whole, 1)), 0)
 
 
-def _along_the_model(
-    images: Sequence[Tiles], cells: Sequence[_Cells], blocks: Sequence[_Blocks]
-) -> Iterator[tuple[_Verdict, str]]:
-    """Tiles of equal diffuse light, and of equal highlight, taken together."""
-    joined = _joined(cells)
-    drawn = [one.drawn for one in blocks if one.drawn is not None]
+def _lit_alike(images: Sequence[Tiles]) -> dict[str, _Members]:
+    """Tiles of equal diffuse light, and of equal highlight."""
+    members = {}
     for name, group in (("diffuse", _equal_light), ("highlight", _equal_angle)):
         parts = [np.asarray(getattr(one, name), float).ravel() for one in images]
         bins = group(np.concatenate(parts))
         # A product with ones counts faster than any counting.
-        member = (bins[:, None] == np.arange(BINS)).astype(float)
+        members[name] = (bins[:, None] == np.arange(BINS)).astype(float)
+    return members
+
+
+def _along_the_model(
+    cells: Sequence[_Cells], blocks: Sequence[_Blocks], groups: Mapping[str, _Members]
+) -> Iterator[tuple[_Verdict, str]]:
+    """Tiles that are lit alike, taken together."""
+    joined = _joined(cells)
+    drawn = [one.drawn for one in blocks if one.drawn is not None]
+    for name, member in groups.items():
         together = joined @ member
         if drawn:
             shared = _beyond(_joined(drawn) @ member, together[2])
             together[3] = np.maximum(together[3], shared)
         yield _judge(together), name
+
+
+def _compare_noise(blocks: Sequence[_Blocks], groups: Mapping[str, _Members]) -> float:
+    """Does noise differ between channels, or with light? In standard deviations.
+
+    Mean squares of tiles that are lit alike, by how much they differ between such
+    groups of tiles and within them: whatever the noise's distribution.
+
+    ??? cite "Source"
+        Scheffé, *The Analysis of Variance*, 1959, chapter 3. F as a normal deviate:
+        Paulson, *An approximate normalization of the analysis of variance
+        distribution*, Ann. Math. Stat. 13(2), 1942.
+    """
+    joined = _joined([one.sums for one in blocks])
+    found = 0.0
+    for member in groups.values():
+        together = joined @ member
+        each, whole = _squares_over(joined), _squares_over(together)
+        mean = together[1].sum() ** 2 / together[2].sum()
+        between, freedom = whole.sum() - mean, np.count_nonzero(whole) - 1
+        within, rest = each.sum() - whole.sum(), np.count_nonzero(each) - freedom - 1
+        if min(freedom, rest) < 1 or not within > 0:
+            continue
+        ratio = (between / freedom) / (within / rest)
+        above, below = 2 / (9 * freedom), 2 / (9 * rest)
+        root = max(ratio, 0.0) ** (1 / 3)
+        deviate = (1 - below) * root - (1 - above)
+        found = max(found, deviate / math.sqrt(below * root**2 + above))
+    return found
+
+
+def _squares_over(sums: np.ndarray) -> np.ndarray:
+    """Each cell's sum of squares, squared and over its variance; 0 if it has none."""
+    variance = sums[2]
+    told = variance > 0
+    return np.where(told, sums[1] ** 2 / np.where(told, variance, 1), 0)
 
 
 def _equal_light(light: np.ndarray) -> np.ndarray:

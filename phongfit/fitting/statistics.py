@@ -13,7 +13,12 @@ from phongfit.fitting.identifiability import threshold, unidentified, unit_diago
 from phongfit.fitting.intervals import SHARE, WIDTHS, Quadratic
 from phongfit.fitting.noise import median_deviation, shared_rounding_variance
 from phongfit.fitting.problem import Evaluation, Problem
-from phongfit.fitting.sums import EXACT, Linearization, linearize
+from phongfit.fitting.scores import (
+    independent_variance,
+    linearized,
+    shared_rounding,
+)
+from phongfit.fitting.sums import Linearization, linearize
 from phongfit.fitting.unknowns import Unknowns
 from phongfit.programs import program
 
@@ -164,7 +169,7 @@ def sandwich(
         found = in_numpy(_pieces_in_double(problem, y))
     meat = found.meat
     if found.shared > 1e-6:
-        meat = meat + found.loss_variance * _shared_rounding(problem, y)
+        meat = meat + found.loss_variance * shared_rounding(problem, y)
     return Sandwich(found.bread, inflation * meat, found.pull, found.inside, resolution)
 
 
@@ -247,12 +252,9 @@ def _too_coarse(bread: np.ndarray, resolution: float) -> bool:
 
 def _pieces_in_double(problem: Problem, y: Float[Array, " n"]) -> "Pieces":
     """The same derivatives, added up in double precision."""
-    parts = problem, _linearize(problem, y)
+    parts = problem, linearized(problem, y)
     with jax.enable_x64(True):
         return _add_up(*jax.tree.map(_in_double, parts))
-
-
-_linearize = eqx.filter_jit(linearize)
 
 
 def _in_double(leaf: Any) -> Any:
@@ -296,12 +298,10 @@ def _add_up(problem: Problem, found: Linearization) -> Pieces:
         # A loss that bends: the variance of its score, and its mean slope.
         variance = jnp.sum(jnp.where(used, score**2, 0)) / count
         steepness = jnp.sum(jnp.where(used, slope, 0)) / count
-    independent, shared = at.variance_share, jnp.zeros((), kind)
-    if problem.samples.step is not None:
-        common = _common(problem, at)
-        rounding = problem.samples.step**2 / 12
-        alone = at.noise**2 * at.variance_share + rounding - common
-        independent = alone / at.deviation**2
+    independent, shared = independent_variance(problem, at), jnp.zeros((), kind)
+    step = problem.samples.step
+    if step is not None:
+        common = shared_rounding_variance(step, at.noise)
         shared = jnp.max(common / at.deviation**2)
     squares = jnp.sum(samples**2)
     kurtosis = count * jnp.sum((samples / jnp.sqrt(squares)) ** 4)
@@ -345,82 +345,6 @@ def _is_exact(problem: Problem, at: Evaluation) -> Bool[Array, ""]:
     """Whether nothing is left over but what arithmetic of this precision rounds."""
     exact = problem.sigma <= ROUNDED * at.floor
     return exact & (problem.samples.step is None)
-
-
-def _common(problem: Problem, at: Evaluation) -> Float[Array, "3 samples"]:
-    """Variance of the rounding that samples of one level share."""
-    step = problem.samples.step
-    if step is None:
-        return jnp.zeros_like(at.noise)
-    return shared_rounding_variance(step, at.noise)
-
-
-def _shared_rounding(problem: Problem, y: Float[Array, " n"]) -> np.ndarray:
-    """Covariance of the sum of scores from rounding that samples share.
-
-    A region of one colour rounds as one, so samples of one channel and level are taken
-    to share the part of their rounding error that noise does not dither.
-    """
-    found = _linearize(problem, y)
-    jacobian, common = found.jacobian, _common(problem, found.at)
-    common = common / found.at.deviation**2
-    used = np.asarray(problem.samples.weight).ravel() > 0
-    columns = jacobian.columns().reshape(len(y), -1)[:, used]
-    share = np.sqrt(np.asarray(common, float))
-    target = np.asarray(problem.samples.target).ravel()[used]
-    channel = np.repeat(np.arange(3), len(used) // 3)[used]
-    level = np.unique(target, return_inverse=True)[1]
-    group = np.unique(level * 3 + channel, return_inverse=True)[1]
-    sums = [
-        np.bincount(group, weights=column * share.ravel()[used]) for column in columns
-    ]
-    return np.array(sums) @ np.array(sums).T
-
-
-def with_channels_alike(
-    problem: Problem, y: Float[Array, " n"], pieces: "Pieces", correlation: float
-) -> Problem:
-    """The problem with the covariance of scores that noise shared by channels makes.
-
-    **Arguments:**
-
-    - `pieces`: sums over the samples.
-    - `correlation`: of the residuals of a pixel's channels.
-    """
-    scores, root = _scores_of_channels(problem, y, jnp.asarray(correlation, y.dtype))
-    scatter = np.asarray(scores)
-    if problem.samples.step is not None:
-        scatter = scatter + _shared_rounding(problem, y)
-    variance = float(pieces.loss_variance)
-    root = np.where(root > 0, root, 1)
-    scatter = jnp.asarray(variance * scatter / np.outer(root, root), y.dtype)
-    return dataclasses.replace(problem, scatter=scatter)
-
-
-@program()
-def _scores_of_channels(
-    problem: Problem, y: Float[Array, " n"], correlation: Float[Array, ""]
-) -> tuple[Array, Array]:
-    r"""Sums of $J_c^\top J_d$ as channels correlate; $J^\top J$'s diagonal's roots."""
-    found = linearize(problem, y)
-    jacobian = found.jacobian
-    share = jacobian.local * jnp.sqrt(found.at.variance_share)[:, None]
-    alike = jnp.where(jnp.eye(3, dtype=bool), 1, correlation)
-    member = jacobian.member
-    if member is None:
-        member = jnp.ones_like(share[:1, 0])
-    products = jnp.einsum(
-        "ckn,dln,gn->gcdkl", share, share, member, precision=EXACT, optimize="optimal"
-    )
-    scores = jnp.einsum(
-        "gcki,gcdkl,gdlj,cd->ij",
-        jacobian.select,
-        products,
-        jacobian.select,
-        alike,
-        precision=EXACT,
-    )
-    return scores, jnp.sqrt(jnp.diag(jacobian.grams(None)[0]))
 
 
 def _inverse(bread: np.ndarray, resolution: float) -> np.ndarray:

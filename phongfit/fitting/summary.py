@@ -13,12 +13,18 @@ from phongfit.fitting.estimate import estimates
 from phongfit.fitting.grid import grid_significance
 from phongfit.fitting.highlight import rejected_highlights, without_rejected
 from phongfit.fitting.leaves import EXPOSURE
-from phongfit.fitting.misfit import CORRELATED, Drawn, Misfit, find_misfit
+from phongfit.fitting.misfit import (
+    CORRELATED,
+    Drawn,
+    Misfit,
+    find_misfit,
+)
 from phongfit.fitting.outliers import outlier_words
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.result import Fit, as_materials
+from phongfit.fitting.scores import with_noise_as_found
 from phongfit.fitting.search import Found
-from phongfit.fitting.statistics import Pieces, add_up, with_channels_alike
+from phongfit.fitting.statistics import Pieces, add_up
 from phongfit.fitting.tiles import Tiles
 from phongfit.fitting.warnings import (
     bound_words,
@@ -96,9 +102,10 @@ def summarize(
         misfit = dataclasses.replace(misfit, inflation=misfit.inflation * spread**2)
     # What a wrong model leaves is alike in all channels, too, and widens errors anyway.
     alike = misfit.channel_correlation > CORRELATED and not misfit.significant
-    if alike and problem.scatter is None:
-        problem = with_channels_alike(
-            problem, found.y, pieces, misfit.channel_correlation
+    if (alike or misfit.noise_differs) and problem.scatter is None:
+        correlation = misfit.channel_correlation if alike else 0.0
+        problem = with_noise_as_found(
+            problem, found.y, correlation, misfit.noise_differs
         )
         found = dataclasses.replace(found, problem=problem)
         pieces = add_up(problem, found.y)

@@ -45,6 +45,8 @@ def _head(fit: "Fit") -> list[str]:
     judged = f", residuals {size:.3g} × repeatability" if size == size else ""
     if fit.noise_given:
         noise, judged = "given", f", reduced χ² {fit.reduced_chi_squared:.4g}"
+    if fit.misfit.noise_differs:
+        noise += ", not the same everywhere"
     state = "converged" if fit.converged else "NOT CONVERGED"
     return [
         f"phongfit: {images}, {fit.samples:,} samples, {fit.model}, {fit.film}",

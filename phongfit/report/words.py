@@ -103,7 +103,10 @@ def _residual_words(fit: Fit) -> str:
         return f"Residuals are {times:.2f} times the noise that was given, {level}."
     if fit.misfit.significant or fit.neighbour_correlation > 0.1:
         return f"Residuals are of size {level}, but they are not noise alone."
-    return f"What is left over looks like noise of standard deviation {level}."
+    words = f"What is left over looks like noise of standard deviation {level}"
+    if fit.misfit.noise_differs:
+        words += ", not the same in all channels or all light; errors allow for it"
+    return f"{words}."
 
 
 def _told_leaf(fit: Fit, name: str) -> bool:

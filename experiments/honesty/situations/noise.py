@@ -48,7 +48,9 @@ def situations() -> list[Situation]:
         "noise given is twice": fits(usual(), noisy(), noise=2 * NOISE),
         "noise of neighbours alike": fits(usual(), smoothed),
         "shot noise, not given": fits(usual(), shot_noise),
+        "shot noise, not given, cauchy": fits(usual(), shot_noise, loss="cauchy"),
         "dark noise in one channel": fits(usual(), red_noise),
+        "dark noise in one channel, tukey": fits(usual(), red_noise, loss="tukey"),
     }
     exact: dict[str, Any] = {
         "no noise": fits(any_material, noisy(0.0)),
