@@ -429,21 +429,26 @@ def _equal_angle(light: np.ndarray) -> np.ndarray:
 
 def _judge(cells: _Cells) -> _Verdict:
     """Channel by channel, and all channels together."""
-    return max(_judge_cells(cells[:, :3].reshape(4, -1)), _judge_cells(cells[:, 3]))
+    total, squares, variance, common = cells
+    judged = variance >= LEAST_SAMPLES
+    variance = np.where(judged, variance, 1)
+    square = np.where(judged, total**2 / (variance + common), 0)
+    # Noise that is larger in some cells than in others makes T² vary more.
+    local = np.where(judged, np.maximum(squares / variance, 1), 0)
+    highest = (square / np.maximum(local, 1)).max(axis=1)
+    parts = judged.sum(axis=1), square.sum(axis=1), (local**2).sum(axis=1), highest
+    rows = np.array(parts).T.tolist()
+    count, sums, freedoms, alone = zip(*rows[:3], strict=True)
+    apart = _judge_sums(sum(count), sum(sums), sum(freedoms), max(alone))
+    return max(apart, _judge_sums(*rows[3]))
 
 
-def _judge_cells(cells: _Cells) -> _Verdict:
-    judged = cells[2] >= LEAST_SAMPLES
-    count = int(np.count_nonzero(judged))
+def _judge_sums(count: float, square: float, local: float, highest: float) -> _Verdict:
+    """Sums of T², and of what it varies by; and the largest of all."""
     if count < 3:
         return _Verdict(0.0, 1.0)
-    total, squares, variance, common = cells[:, judged]
-    square = total**2 / (variance + common)
-    # Noise that is larger in some cells than in others makes T² vary more.
-    local = np.maximum(squares / variance, 1)
-    mean, freedom = float(square.mean()), count**2 / float(local @ local)
-    spread = 2 / (9 * freedom)
+    mean, spread = square / count, 2 * local / (9 * count**2)
     spread_out = (mean ** (1 / 3) - (1 - spread)) / math.sqrt(spread)
     # As often as chance passes it in any of the cells.
-    alone = float(np.max(square / local)) - 2 * math.log(count)
+    alone = highest - 2 * math.log(count)
     return _Verdict(max(spread_out, math.sqrt(max(alone, 0))), max(mean, 1.0))

@@ -179,7 +179,8 @@ def gather(sources: list[Source], used: list[np.ndarray]) -> Samples:
     **Arguments:** `used`: of each image the pixels wanted, counted row by row.
     """
     size = _padded(max(len(index) for index in used))
-    image = np.repeat(np.arange(len(sources), dtype=np.int32), size)
+    index = np.arange(len(sources), dtype=np.int32)[:, None]
+    image = np.broadcast_to(index, (len(sources), size)).ravel()
     places = [_repeated(index, size) for index in used]
     asked = list(zip(sources, places, map(len, used), strict=True))
     if len(asked) == 1 and sources[0].pixels.interpolation is None:

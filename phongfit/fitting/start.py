@@ -52,9 +52,18 @@ def _few(view: PixelTerms, seen: np.ndarray, count: int, near: int) -> np.ndarra
     if len(seen) <= count:
         return seen
     even = seen[np.linspace(0, len(seen) - 1, count - near).astype(int)]
-    nearest = _nearness(view)[seen]
-    bright = seen[np.argpartition(nearest, -near)[-near:]]
+    bright = seen[_largest(_nearness(view)[seen], near)]
     return np.concatenate([even, bright])
+
+
+def _largest(values: np.ndarray, count: int) -> np.ndarray:
+    """Places of the largest numbers, looked for among those that are large at all."""
+    few = values[::16]
+    rank = min(count // 8 + 1, len(few))
+    places = np.flatnonzero(values >= np.partition(few, -rank)[-rank])
+    if len(places) < count:
+        places = np.arange(len(values))
+    return places[np.argpartition(values[places], -count)[-count:]]
 
 
 def _nearness(view: PixelTerms) -> np.ndarray:

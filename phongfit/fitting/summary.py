@@ -89,10 +89,11 @@ def summarize(
     residuals = [np.asarray(one.residual) for one in shown]
     # NumPy's from here on: to add up an array of JAX's takes ten times as long.
     tiles = [jax.tree.map(np.asarray, one.tiles) for one in shown]
-    # How arithmetic rounds says nothing of the model, nor of the film.
-    exact = bool(pieces.exact) and not noise_given
-    misfit = Misfit() if exact else find_misfit(tiles, side, drawn)
-    blocks = 0.0 if exact or drawn else grid_significance([t.grid for t in tiles])
+    misfit = find_misfit(tiles, side, drawn)
+    blocks = 0.0 if drawn else grid_significance([t.grid for t in tiles])
+    if bool(pieces.exact) and not noise_given:
+        # How arithmetic rounds says nothing of the model, nor of the film.
+        misfit, blocks = Misfit(), 0.0
     samples = round(sum(float(np.sum(one.count, dtype=float)) for one in tiles))
     # Clipped samples say nothing of the noise.
     effective = round(sum(float(np.sum(one.variance, dtype=float)) for one in tiles))
