@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from phongfit.fitting.solver import (
         BoundedLevenbergMarquardt as BoundedLevenbergMarquardt,
     )
+    from phongfit.fitting.specification import Specification as Specification
     from phongfit.geometry import shapes as shapes
     from phongfit.geometry.cameras import (
         AbstractCamera as AbstractCamera,
@@ -153,6 +154,7 @@ _ORIGINS = {
     "Scene": "phongfit.scene",
     "ShadingTerms": "phongfit.rendering.terms",
     "SoftL1": "phongfit.fitting.losses",
+    "Specification": "phongfit.fitting.specification",
     "Sphere": "phongfit.geometry.surfaces",
     "SpotLight": "phongfit.lights",
     "Tukey": "phongfit.fitting.losses",

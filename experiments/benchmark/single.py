@@ -38,6 +38,7 @@ from phongfit.fitting.fit import set_up
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.samples import gather, seen_pixels
 from phongfit.fitting.search import Found, search
+from phongfit.fitting.specification import Specification
 from phongfit.fitting.start import choose_few
 
 TRUTH = pf.Material((0.6, 0.3, 0.2), 0.3, 60.0, 0.5)
@@ -83,7 +84,7 @@ def start(problem: Problem) -> Float[Array, " n"]:
 
 def searching(scene: pf.Scene, image: np.ndarray) -> Callable[[], Found]:
     """From samples to the solution, without a starting guess."""
-    setting = set_up(scene, image)
+    setting = set_up(Specification(), scene, image)
     seen = seen_pixels(setting.sources)
     few = choose_few(setting.sources, seen)
     first = None if few is None else gather(setting.sources, few)

@@ -13,7 +13,7 @@ from phongfit.files.fits import FitSettings, LossName
 from phongfit.files.inputs import naming
 from phongfit.files.materials import read_material
 from phongfit.files.outputs import plain
-from phongfit.fitting.fit import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
+from phongfit.fitting.specification import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
 
 Value = TypeVar("Value")
 

@@ -18,8 +18,8 @@ from phongfit.files.inputs import naming
 from phongfit.files.outputs import plain, write_json
 from phongfit.files.records import AbstractRecord, read_record
 from phongfit.files.schema import MaterialRecord, SpecularRecord
-from phongfit.fitting.fit import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
 from phongfit.fitting.result import Fit
+from phongfit.fitting.specification import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
 from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular
 from phongfit.rendering.film import Encoding

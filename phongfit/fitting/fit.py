@@ -13,12 +13,18 @@ from phongfit.checks import untraced
 from phongfit.fitting.edges import keep_off_edges
 from phongfit.fitting.inputs import Photograph, as_photographs, as_scenes, is_number
 from phongfit.fitting.jpeg import restore
-from phongfit.fitting.layout import Tie, make_unknowns
-from phongfit.fitting.losses import AbstractLoss, as_loss
+from phongfit.fitting.layout import make_unknowns
+from phongfit.fitting.losses import AbstractLoss
 from phongfit.fitting.noise import find_film, rounding_steps
 from phongfit.fitting.result import Fit
 from phongfit.fitting.samples import Source, gather, seen_pixels
 from phongfit.fitting.search import Found, search
+from phongfit.fitting.specification import (
+    DEFAULT_PER_CHANNEL,
+    DEFAULT_UNKNOWNS,
+    Specification,
+    Tie,
+)
 from phongfit.fitting.start import ROBUST_NEAR, choose_few
 from phongfit.fitting.statistics import add_up
 from phongfit.fitting.summary import Shown, summarize
@@ -30,9 +36,6 @@ from phongfit.programs import program
 from phongfit.rendering.film import Film, as_films
 from phongfit.rendering.pixels import PixelTerms, resolve, resolve_terms
 from phongfit.scene import Scene
-
-DEFAULT_UNKNOWNS = ("ambient", "diffuse", "specular", "shininess")
-DEFAULT_PER_CHANNEL = ("ambient", "diffuse", "specular")
 
 
 def fit(
@@ -128,9 +131,7 @@ def fit(
         weights=weights,
         noise=noise,
     )
-    setting = set_up(
-        scene,
-        image,
+    specification = Specification(
         unknowns=unknowns,
         per_channel=per_channel,
         per_image=per_image,
@@ -139,13 +140,15 @@ def fit(
         fixed=fixed,
         ties=ties,
         priors=priors,
-        mask=mask,
-        weights=weights,
-        noise=noise,
         film=film,
+        loss=loss,
+        max_steps=max_steps,
+    )
+    setting = set_up(
+        specification, scene, image, mask=mask, weights=weights, noise=noise
     )
     layout, sources, films = setting.unknowns, setting.sources, setting.films
-    seen, loss = seen_pixels(sources), as_loss(loss)
+    seen, loss = seen_pixels(sources), specification.loss
     few = choose_few(sources, seen, ROBUST_NEAR if loss.robust else 0.5)
     found = search(
         None if few is None else gather(sources, few),
@@ -180,6 +183,7 @@ def fit(
         found,
         place,
         pieces,
+        specification=specification,
         films=films,
         scenes=scenes,
         # Copies, whatever becomes of the arrays that came.
@@ -206,45 +210,24 @@ class Setting:
 
 
 def set_up(
+    specification: Specification,
     scene: Scene | Sequence[Scene],
     image: Any,
     *,
-    unknowns: Sequence[str] = DEFAULT_UNKNOWNS,
-    per_channel: Sequence[str] = DEFAULT_PER_CHANNEL,
-    per_image: Sequence[str] = (),
-    known: Material | None = None,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    fixed: Mapping[str, Any] | None = None,
-    ties: Mapping[str, Tie] | None = None,
-    priors: Mapping[str, tuple[Any, float]] | None = None,
     mask: Any = None,
     weights: Any = None,
     noise: Any = None,
-    film: Film | Sequence[Film] | None = None,
 ) -> Setting:
-    """Arguments of [`fit`][], checked and in one form.
+    """What is asked next to the data, checked and in one form.
 
     **Raises:** `ValueError` that names the argument.
     """
     scenes = as_scenes(scene)
     dtype, materials = jnp.result_type(float), scenes[0].surface.materials
-    asked = (unknowns, per_channel, per_image, known, bounds, fixed, ties, priors)
-    nothing_said = all(a is b for a, b in zip(asked, _DEFAULT, strict=True))
-    if nothing_said and len(scenes) == 1:
+    if len(scenes) == 1 and specification.asks_as_usual:
         layout = _default_unknowns(dtype, materials)
     else:
-        layout = make_unknowns(
-            unknowns,
-            per_channel,
-            _dark(dtype) if known is None else known,
-            bounds or {},
-            materials=materials,
-            scenes=scenes,
-            per_image=per_image,
-            fixed=fixed,
-            ties=ties,
-            priors=priors,
-        )
+        layout = make_unknowns(specification, materials, scenes)
     # Shadows move with the lights that throw them.
     shadows = any(scene.shadows for scene in scenes)
     moving = layout.moves_geometry or (shadows and layout.moves_lights)
@@ -252,7 +235,7 @@ def set_up(
     seen = [_geometry(one, layout.of_scene and not moving) for one in scenes]
     scene = scene if isinstance(scene, Scene) else scenes
     photographs = as_photographs(scene, image, mask, weights, noise)
-    films = _checked_films(film, photographs)
+    films = _checked_films(specification.film, photographs)
     rounded = any(film.bits is not None for film in films)
     sources = [
         as_source(*one, rounded) for one in zip(photographs, seen, films, strict=True)
@@ -263,21 +246,10 @@ def set_up(
 
 
 @functools.cache
-def _dark(dtype: Any) -> Material:
-    """Nothing is known: no light comes back."""
-    del dtype  # that of its numbers
-    return Material(0.0, 0.0, 32.0, 0.0)
-
-
-_DEFAULT = (DEFAULT_UNKNOWNS, DEFAULT_PER_CHANNEL, (), None, None, None, None, None)
-
-
-@functools.cache
 def _default_unknowns(dtype: Any, materials: int) -> Unknowns:
     """Those of one image where nothing was said; to make them takes a while."""
-    known = _dark(dtype)
-    names = DEFAULT_UNKNOWNS, DEFAULT_PER_CHANNEL
-    return make_unknowns(*names, known, {}, materials=materials)
+    del dtype  # that of their numbers
+    return make_unknowns(Specification(), materials)
 
 
 class _Geometry(NamedTuple):

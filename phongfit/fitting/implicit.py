@@ -99,7 +99,7 @@ def _other_problem(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Prob
 def _lost(fit: Fit) -> Float[Array, "3 samples"] | float:
     """What the fit gave back to photographs that were JPEG files."""
     old = fit.found.problem
-    if "JPEG" not in fit.film:
+    if all(film.jpeg is None for film in fit.films):
         return 0.0
     came = (fit.photographs,) if isinstance(fit.scene, Scene) else fit.photographs
     pixels = [

@@ -16,45 +16,37 @@ from phongfit.fitting.leaves import (
     leaf,
     scene_arrays,
 )
+from phongfit.fitting.specification import Specification, Tie
 from phongfit.fitting.unknowns import Unknowns
 from phongfit.material import Material
 from phongfit.scene import Scene
 
-# A name, or a factor and a name.
-Tie = str | tuple[float, str]
-
 
 def make_unknowns(
-    unknowns: Sequence[str],
-    per_channel: Sequence[str],
-    known: Material,
-    bounds: Mapping[str, tuple[float, float]],
-    *,
-    materials: int = 1,
-    scenes: Sequence[Scene] = (),
-    per_image: Sequence[str] = (),
-    fixed: Mapping[str, Any] | None = None,
-    ties: Mapping[str, Tie] | None = None,
-    priors: Mapping[str, tuple[Any, float]] | None = None,
+    specification: Specification, materials: int = 1, scenes: Sequence[Scene] = ()
 ) -> Unknowns:
     """The unknowns of a fit, checked; of `materials` materials each has its own.
 
-    **Arguments:** as of [`fit`][].
-
     **Raises:** `ValueError` that names the argument and the entry that is wrong.
     """
-    leaves = _leaves(unknowns, per_channel, per_image, known, materials, scenes)
+    bounds, fixed, ties, priors = (
+        getattr(specification, name) for name in ("bounds", "fixed", "ties", "priors")
+    )
+    # Where nothing is known, no light comes back.
+    known = specification.known
+    known = Material(0.0, 0.0, 32.0, 0.0) if known is None else known
+    leaves = _leaves(specification, known, materials, scenes)
     names = _Names(leaves)
     size = len(names.labels)
     first = first_values(leaves, scenes)
-    factor, offset, is_fixed, source = _held(names, fixed or {}, ties or {})
+    factor, offset, is_fixed, source = _held(names, fixed, ties)
     own = (np.arange(size) == source) & ~is_fixed
     if not own.any():
         raise ValueError("fixed: nothing unknown is left")
 
     low, high = _boxes(names, bounds, is_fixed)
     low, high = _narrowed(names, low, high, factor, source)
-    _check_fixed(names, offset, is_fixed, ties or {})
+    _check_fixed(names, offset, is_fixed, ties)
     forms = np.repeat([f.form for f in leaves], [f.size for f in leaves])
     scale = _scales(leaves, first)
     logarithm, direction = forms == "logarithm", forms == "direction"
@@ -74,7 +66,7 @@ def make_unknowns(
         count = 2 if direction[entry] else 1
         owners += [entry] * count
         taken += count
-    mean, deviation, has_prior = _priors(names, priors or {}, is_fixed)
+    mean, deviation, has_prior = _priors(names, priors, is_fixed)
     base = first[direction].reshape(-1, 3)
     base = base / np.maximum(np.linalg.norm(base, axis=1, keepdims=True), 1e-30)
     kind = jnp.result_type(float)
@@ -154,37 +146,8 @@ class _Names:
 
 
 def _leaves(
-    unknowns: Sequence[str],
-    per_channel: Sequence[str],
-    per_image: Sequence[str],
-    known: Material,
-    materials: int,
-    scenes: Sequence[Scene],
+    asked: Specification, known: Material, materials: int, scenes: Sequence[Scene]
 ) -> tuple[Leaf, ...]:
-    for argument, names in (
-        ("unknowns", unknowns),
-        ("per_channel", per_channel),
-        ("per_image", per_image),
-    ):
-        if isinstance(names, str):
-            raise ValueError(f"{argument}: a list of names is wanted, {names!r} came")
-    if not unknowns:
-        raise ValueError("unknowns: none came, at least one is wanted")
-    if len(set(unknowns)) != len(unknowns):
-        raise ValueError(f"unknowns: a name came twice: {', '.join(unknowns)}")
-    for argument, names in (("per_channel", per_channel), ("per_image", per_image)):
-        for name in names:
-            if name not in (*LEAVES, *unknowns):
-                wanted = ", ".join(dict.fromkeys((*LEAVES, *unknowns)))
-                raise ValueError(
-                    f"{argument}: {name!r} came, one of {wanted} is wanted"
-                )
-    for name in per_image:
-        if not is_of_scene(name):
-            raise ValueError(
-                f"per_image: {name!r} came, but an array of the scenes is wanted: all "
-                "images show the same material"
-            )
     rows = () if materials == 1 else ((materials, 1), (materials, 3))
     for name in LEAVES:
         shape = getattr(known, name).shape
@@ -192,10 +155,16 @@ def _leaves(
             wanted = ", ".join(map(str, ((), (3,), *rows)))
             raise ValueError(f"known: {name} has shape {shape}, one of {wanted} wanted")
     # In the order of the table that users read, whatever the order they were named in.
-    ordered = [name for name in LEAVES if name in unknowns]
-    ordered += [name for name in unknowns if name not in LEAVES]
+    ordered = [name for name in LEAVES if name in asked.unknowns]
+    ordered += [name for name in asked.unknowns if name not in LEAVES]
     leaves = tuple(
-        leaf(name, name in per_channel, materials, scenes, name in per_image)
+        leaf(
+            name,
+            name in asked.per_channel,
+            materials,
+            scenes,
+            name in asked.per_image,
+        )
         for name in ordered
     )
     for entry in leaves:

@@ -20,6 +20,7 @@ from phongfit.fitting.problem import Problem, evaluate
 from phongfit.fitting.result import as_materials
 from phongfit.fitting.samples import gather, seen_pixels
 from phongfit.fitting.scatter import scatter
+from phongfit.fitting.specification import Specification
 from phongfit.fitting.table import parameter_rows
 from phongfit.material import Material
 from phongfit.rendering.film import Film, as_films, decode
@@ -109,13 +110,13 @@ def predict_errors(
     images = [
         _photograph(one, material, how) for one, how in zip(scenes, films, strict=True)
     ]
+    data = {name: options.pop(name, None) for name in ("mask", "weights")}
     setting = set_up(
+        _specification(options, known=material, film=tuple(films)),
         scene,
         images[0] if single else images,
-        known=material,
         noise=noise,
-        film=films,
-        **options,
+        **data,
     )
     unknowns = setting.unknowns
     sources = off_edges(unknowns, setting.sources)
@@ -145,6 +146,20 @@ def predict_errors(
         warnings=told.reasons,
         samples=sum(source.count() for source in sources),
     )
+
+
+def _specification(options: dict[str, Any], **given: Any) -> Specification:
+    """**Raises:** `TypeError` that names an option that is none."""
+    fields = [field.name for field in dataclasses.fields(Specification)]
+    allowed = [name for name in fields if name not in (*given, "loss", "max_steps")]
+    for name in options:
+        if name not in allowed:
+            wanted = ", ".join((*allowed, "mask", "weights"))
+            raise TypeError(
+                f"predict_errors: {name!r} is none of its options, expected one of "
+                f"{wanted}"
+            )
+    return Specification(**given, **options)
 
 
 def _expected(problem: Problem, y: Array) -> Problem:

@@ -15,10 +15,12 @@ from phongfit.fitting.profile import LEVELS, profile, profile_pair
 from phongfit.fitting.quantiles import student_reach
 from phongfit.fitting.region import Region
 from phongfit.fitting.search import Found
+from phongfit.fitting.specification import Specification
 from phongfit.fitting.table import fit_table
 from phongfit.fitting.unknowns import Unknowns
 from phongfit.material import Material
 from phongfit.programs import program
+from phongfit.rendering.film import Film
 from phongfit.showing import report
 
 if TYPE_CHECKING:
@@ -43,6 +45,8 @@ class Fit:
     [`Estimate`][].
     """
 
+    specification: Specification
+    films: tuple[Film, ...]
     material: Material
     stderr: Material
     scene: Any
@@ -66,9 +70,7 @@ class Fit:
     degrees_of_freedom: int
     chi_squared: float
     misfit: Misfit
-    loss: str
     model: str
-    film: str
     converged: bool
     steps: int
     reason: str
@@ -162,6 +164,16 @@ class Fit:
         return report("profiles").plot_profile(self, name, other)
 
     @property
+    def loss(self) -> str:
+        """Its name."""
+        return type(self.specification.loss).__name__
+
+    @property
+    def film(self) -> str:
+        """What of the images' films the fit rests on."""
+        return " / ".join(dict.fromkeys(map(_film_words, self.films)))
+
+    @property
     def neighbour_correlation(self) -> float:
         """Of residuals: well above 0 where the model does not describe the image."""
         return self.misfit.neighbour_correlation
@@ -223,8 +235,16 @@ class Fit:
         return report("notebook").of_fit(self)
 
 
+def _film_words(film: Film) -> str:
+    rounded = "not rounded" if film.bits is None else f"{film.bits}-bit {film.encoding}"
+    kind = "" if film.jpeg is None else f" JPEG {film.jpeg.subsampling}"
+    return f"{'clamped' if film.clamp else 'not clamped'}, {rounded}{kind}"
+
+
 Fit.__init__.__doc__ = """**Arguments:**
 
+- `specification`: what was asked.
+- `films`: of each image, found or given.
 - `material`, `stderr`: the estimate, and a material of its standard errors: infinite
     for what cannot be told, 0 for what was known.
 - `scene`, `exposure`: the scene or scenes with what was unknown of them, and what each

@@ -88,13 +88,19 @@ def _tolerance(dtype: Any) -> float:
 
 
 def make_solver(
-    problem: Problem, dtype: Any, pace: Float[Array, "2"] | None = None
+    problem: Problem,
+    dtype: Any,
+    pace: Float[Array, "2"] | None = None,
+    coarse: Float[Array, ""] | float = 0.0,
 ) -> BoundedLevenbergMarquardt:
     """The solver for a problem's box, as exact as the number type allows.
 
-    **Arguments:** `pace`: see [`BoundedLevenbergMarquardt`][].
+    **Arguments:**
+
+    - `pace`: see [`BoundedLevenbergMarquardt`][].
+    - `coarse`: a tolerance that is enough.
     """
-    tolerance = _tolerance(dtype)
+    tolerance = jnp.maximum(coarse, _tolerance(dtype))
     return BoundedLevenbergMarquardt(
         rtol=tolerance,
         atol=tolerance,
@@ -125,12 +131,16 @@ def solve(
     start: Float[Array, " n"],
     max_steps: int,
     pace: Float[Array, "2"] | None = None,
+    coarse: Float[Array, ""] | float = 0.0,
 ) -> Solution:
     """Bounded Levenberg-Marquardt from `start`; failure is data, not an exception.
 
-    **Arguments:** `pace`: of an earlier solution that was near this one.
+    **Arguments:**
+
+    - `pace`: of an earlier solution that was near this one.
+    - `coarse`: see [`make_solver`][].
     """
-    solver = make_solver(problem, start.dtype, pace)
+    solver = make_solver(problem, start.dtype, pace, coarse)
     solution = optx.least_squares(
         few_residuals,
         solver,

@@ -24,6 +24,7 @@ from phongfit.fitting.problem import Problem
 from phongfit.fitting.result import Fit, as_materials
 from phongfit.fitting.scores import with_noise_as_found
 from phongfit.fitting.search import Found
+from phongfit.fitting.specification import Specification
 from phongfit.fitting.statistics import Pieces, add_up
 from phongfit.fitting.tiles import Tiles
 from phongfit.fitting.warnings import (
@@ -54,6 +55,7 @@ def summarize(
     place: tuple[Array, Array],
     pieces: Pieces,
     *,
+    specification: Specification,
     films: tuple[Film, ...],
     scenes: tuple[Scene, ...],
     photographs: list[np.ndarray],
@@ -72,6 +74,7 @@ def summarize(
     - `found`: the solution.
     - `place`: it in the user's units: see [`in_units`][].
     - `pieces`: sums over the samples there: see [`add_up`][].
+    - `specification`: what was asked.
     - `films`: of each image.
     - `photographs`: images (H, W, 3) as they were given.
     - `scenes`, `shown`: the scenes and images as fitted.
@@ -125,6 +128,8 @@ def summarize(
     # Of the noise there is nothing to say.
     settled = noise_given or told.untold.all()
     return Fit(
+        specification=specification,
+        films=films,
         material=material,
         stderr=stderr,
         scene=scenes[0] if single else scenes,
@@ -148,9 +153,7 @@ def summarize(
         degrees_of_freedom=max(effective + sum(unknowns.has_prior) - told.free, 0),
         chi_squared=told.chi_squared,
         misfit=misfit,
-        loss=type(problem.loss).__name__,
         model=type(problem.samples.channels.pixels.terms.model).__name__,
-        film=films_words(films),
         converged=converged,
         steps=int(found.steps),
         reason=_CONVERGED if converged else _STOPPED,
@@ -196,15 +199,3 @@ def _spread(pieces: Pieces, effective: int, noise_given: bool) -> float:
     spread = float(pieces.spread)
     beyond = max(LEAST_EXCESS, 5 * math.sqrt(2 / max(effective, 1)))
     return spread if noise_given and spread**2 > 1 + beyond else 1.0
-
-
-def films_words(films: Sequence[Film]) -> str:
-    """What of the images' films a fit rests on."""
-    return " / ".join(dict.fromkeys(map(film_words, films)))
-
-
-def film_words(film: Film) -> str:
-    """What of a film a fit rests on."""
-    rounded = "not rounded" if film.bits is None else f"{film.bits}-bit {film.encoding}"
-    kind = "" if film.jpeg is None else f" JPEG {film.jpeg.subsampling}"
-    return f"{'clamped' if film.clamp else 'not clamped'}, {rounded}{kind}"

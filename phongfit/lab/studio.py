@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from phongfit.files.formats import data_uri
-from phongfit.fitting.fit import DEFAULT_UNKNOWNS, fit
+from phongfit.fitting.fit import fit
+from phongfit.fitting.specification import DEFAULT_UNKNOWNS
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.shapes import Ball
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer, Sphere

@@ -1,18 +1,16 @@
-"""The call that repeats a fit, written out from what the fit itself knows."""
+"""The call that repeats a fit: what was asked, written out."""
 
+import dataclasses
 from typing import Any
 
+import equinox as eqx
+import jax
 import numpy as np
 
-from phongfit.fitting.fit import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
-from phongfit.fitting.leaves import LEAVES, is_of_scene
-from phongfit.fitting.losses import LOSSES
-from phongfit.fitting.noise import find_film
+from phongfit.fitting.losses import LOSSES, AbstractLoss
 from phongfit.fitting.result import Fit
-from phongfit.fitting.summary import film_words
-from phongfit.fitting.unknowns import Unknowns
 from phongfit.material import Material
-from phongfit.rendering.film import ENCODINGS, Film
+from phongfit.rendering.film import Film
 
 
 def names(fit: Fit) -> list[str]:
@@ -39,7 +37,7 @@ def _arrays(fit: Fit) -> dict[str, str]:
 
 def _is_jpeg(fit: Fit) -> bool:
     """Whether the film stands in files: its tables of numbers are no part of a call."""
-    return "JPEG" in fit.film
+    return any(film.jpeg is not None for film in fit.films)
 
 
 def call(fit: Fit) -> str:
@@ -47,134 +45,49 @@ def call(fit: Fit) -> str:
 
     Scenes, images and other arrays are the caller's: see [`names`][].
     """
-    unknowns = fit.found.problem.unknowns
-    given = {
-        "unknowns": _unless(DEFAULT_UNKNOWNS, _names(unknowns)),
-        "per_channel": _unless(_default_channels(unknowns), _per_channel(unknowns)),
-        "per_image": _unless((), _per_image(unknowns)),
-        "known": _known(unknowns),
-        "bounds": _unless({}, _bounds(fit)),
-        "fixed": _unless({}, _fixed(unknowns)),
-        "ties": _unless({}, _ties(unknowns)),
-        "priors": _unless({}, _priors(unknowns)),
-        "noise": f"{fit.noise:.6g}" if fit.noise_given else "",
-        "film": _film(fit),
-        "loss": _loss(fit),
-    }
-    given |= _arrays(fit)
+    asked = {name: _written(v) for name, v in fit.specification.changed.items()}
+    noise = {"noise": f"{fit.noise:.6g}"} if fit.noise_given else {}
+    given = asked | noise | _arrays(fit)
     lines = [", ".join(names(fit)[:2])]
-    lines += [f"{name}={value}" for name, value in given.items() if value]
+    lines += [f"{name}={value}" for name, value in given.items()]
     inside = "".join(f"    {line},\n" for line in lines)
     return f"fit = pf.fit(\n{inside})"
 
 
-def _unless(default: Any, value: Any) -> str:
-    return "" if value == default else repr(value)
+def _written(value: Any) -> str:
+    """As Python writes it, in the fewest digits of its own precision."""
+    match value:
+        case AbstractLoss() if value in LOSSES.values():
+            return repr(next(name for name in LOSSES if LOSSES[name] == value))
+        case AbstractLoss():
+            return _made(value)
+        case Material():
+            return _made(value, Material())
+        case Film():
+            return _made(value, Film())
+        case (Film(), *_):
+            return f"({', '.join(map(_written, value))},)"
+    return repr(value)
 
 
-def _names(unknowns: Unknowns) -> tuple[str, ...]:
-    return tuple(unknowns.names)
-
-
-def _default_channels(unknowns: Unknowns) -> tuple[str, ...]:
-    return tuple(name for name in unknowns.names if name in DEFAULT_PER_CHANNEL)
-
-
-def _per_channel(unknowns: Unknowns) -> tuple[str, ...]:
-    return tuple(leaf.name for leaf in unknowns.leaves if max(leaf.channels) >= 0)
-
-
-def _per_image(unknowns: Unknowns) -> tuple[str, ...]:
-    return tuple(
-        leaf.name
-        for leaf in unknowns.leaves
-        if leaf.per_image and is_of_scene(leaf.name)
+def _made(value: eqx.Module, usual: eqx.Module | None = None) -> str:
+    """The call that makes it, of arguments that differ from the usual ones."""
+    fields = {
+        f.name: _numbers(getattr(value, f.name)) for f in dataclasses.fields(value)
+    }
+    inside = ", ".join(
+        f"{name}={number!r}"
+        for name, number in fields.items()
+        if usual is None or number != _numbers(getattr(usual, name))
     )
+    return f"pf.{type(value).__name__}({inside})"
 
 
-def _known(unknowns: Unknowns) -> str:
-    """The material's leaves that were not unknown, where they are not the defaults."""
-    plain = Material(0.0, 0.0, 32.0, 0.0)
-    leaves = {}
-    for name in LEAVES:
-        value = np.asarray(getattr(unknowns.known, name))
-        default = np.asarray(getattr(plain, name))
-        if name not in unknowns.names and not np.all(value == default):
-            leaves[name] = [_short(number) for number in value.ravel()]
-            leaves[name] = leaves[name][0] if value.ndim == 0 else leaves[name]
-            if value.ndim > 1:
-                leaves[name] = [[_short(n) for n in row] for row in value]
-    if not leaves:
-        return ""
-    # Those that are left out must say so, since a Material has defaults of its own.
-    full = {"diffuse": 0.0, "ambient": 0.0} | leaves
-    return f"pf.Material({', '.join(f'{k}={v!r}' for k, v in full.items())})"
-
-
-def _bounds(fit: Fit) -> dict[str, tuple[float, float]]:
-    unknowns = fit.found.problem.unknowns
-    defaults = [f.default_bounds for f in unknowns.leaves for _ in f.labels]
-    forms = unknowns.forms
-    found = {}
-    for label, entry, box in zip(
-        fit.labels, unknowns.reported, fit.bounds, strict=True
-    ):
-        low, high = (float(edge) for edge in box)
-        own = unknowns.source[entry] == entry and forms[entry] != "direction"
-        if own and (low, high) != defaults[entry]:
-            found[label] = (low, high)
-    return found
-
-
-def _fixed(unknowns: Unknowns) -> dict[str, float]:
-    offset = np.asarray(unknowns.offset)
-    labels = unknowns.entry_labels
-    held = np.flatnonzero(unknowns.fixed)
-    return {labels[entry]: _short(offset[entry]) for entry in held}
-
-
-def _ties(unknowns: Unknowns) -> dict[str, tuple[float, str]]:
-    factor, labels = np.asarray(unknowns.factor), unknowns.entry_labels
-    return {
-        labels[entry]: (_short(factor[entry]), labels[source])
-        for entry, source in enumerate(unknowns.source)
-        if entry != source
-    }
-
-
-def _priors(unknowns: Unknowns) -> dict[str, tuple[float, float]]:
-    mean = np.asarray(unknowns.prior_mean)
-    deviation = np.asarray(unknowns.prior_deviation)
-    labels = unknowns.entry_labels
-    return {
-        labels[entry]: (_short(mean[entry]), _short(deviation[entry]))
-        for entry in np.flatnonzero(unknowns.has_prior)
-    }
-
-
-def _film(fit: Fit) -> str:
-    """The film, where the images' values would not tell it."""
-    if _is_jpeg(fit):
-        return "film"
-    samples = fit.found.problem.samples
-    used = np.asarray(samples.target)[np.asarray(samples.weight) > 0]
-    if film_words(find_film([used])) == fit.film:
-        return ""
-    films: list[dict[str, Any]] = [{}, {"clamp": False}]
-    films += [{"encoding": e, "bits": b} for e in ENCODINGS for b in range(1, 17)]
-    settings = next(one for one in films if film_words(Film(**one)) == fit.film)
-    return f"pf.Film({', '.join(f'{k}={v!r}' for k, v in settings.items())})"
-
-
-def _loss(fit: Fit) -> str:
-    loss = fit.found.problem.loss
-    names = [name for name, known in LOSSES.items() if known == loss]
-    if names:
-        return _unless("linear", names[0])
-    settings = ", ".join(f"{key}={value!r}" for key, value in vars(loss).items())
-    return f"pf.{type(loss).__name__}({settings})"
-
-
-def _short(number: Any) -> float:
-    """A number in the fewest digits of its own precision."""
-    return float(str(number))
+def _numbers(value: Any) -> Any:
+    """An array as nested lists of short numbers."""
+    if isinstance(value, jax.Array):
+        return _numbers(np.asarray(value))
+    if isinstance(value, np.ndarray) and value.ndim:
+        return [_numbers(one) for one in value]
+    # A number in the fewest digits of its own precision.
+    return float(str(value)) if isinstance(value, np.ndarray | np.floating) else value

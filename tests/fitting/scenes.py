@@ -1,10 +1,14 @@
 """Small scenes for fits: few distinct shapes, so that tests share compilations."""
 
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import phongfit as pf
+from phongfit.fitting.layout import make_unknowns
+from phongfit.fitting.specification import Specification
+from phongfit.fitting.unknowns import Unknowns
 from phongfit.rendering.film import decode
 
 SIZE = 32
@@ -142,3 +146,24 @@ def _random_light(rng: np.random.Generator, kind: int):
         )
 
     return light
+
+
+def unknowns_of(
+    unknowns: Sequence[str],
+    per_channel: Sequence[str],
+    known: pf.Material,
+    bounds: Mapping[str, tuple[float, float]],
+    *,
+    materials: int = 1,
+    scenes: Sequence[pf.Scene] = (),
+    **options: Any,
+) -> Unknowns:
+    """Those of a fit that is asked for these."""
+    asked = Specification(
+        unknowns=unknowns,
+        per_channel=per_channel,
+        known=known,
+        bounds=bounds,
+        **options,
+    )
+    return make_unknowns(asked, materials, scenes)

@@ -6,6 +6,7 @@ import pytest
 import phongfit as pf
 from phongfit.fitting.edges import edges_of, near
 from phongfit.fitting.fit import set_up
+from phongfit.fitting.specification import Specification
 from tests.fitting.scenes import SIZE, TRUTH, photograph
 
 NOISE = 0.002
@@ -56,7 +57,7 @@ def test_a_fit_keeps_off_edges_that_it_moves(kind):
 def test_which_pixels_lie_at_an_edge():
     made, _, name = KINDS["a rim"]
     image = photograph(made, TRUTH, noise=NOISE, film=pf.Film(clamp=False))
-    unknowns = set_up(made, image, unknowns=("diffuse", name)).unknowns
+    unknowns = set_up(Specification(unknowns=("diffuse", name)), made, image).unknowns
     found = near(edges_of(unknowns, made), 1)
     light = np.asarray(pf.render(made, pf.Material(1.0, 0.0, 1.0, 0.0)))[..., 0]
     seen = np.asarray(made.trace().mask)
@@ -74,5 +75,5 @@ def test_which_pixels_lie_at_an_edge():
     assert jumps.sum() > 20 and found[jumps].all()
     assert found.sum() < 4 * jumps.sum()
     # Nothing moves where lights and surface are known.
-    known = set_up(made, image, unknowns=("diffuse",)).unknowns
+    known = set_up(Specification(unknowns=("diffuse",)), made, image).unknowns
     assert not near(edges_of(known, made), 2).any()

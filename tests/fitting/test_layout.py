@@ -6,10 +6,9 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.charts import tangents
-from phongfit.fitting.layout import make_unknowns
 from phongfit.fitting.leaves import scene_arrays
 from phongfit.fitting.unknowns import Unknowns, in_units
-from tests.fitting.scenes import ball
+from tests.fitting.scenes import ball, unknowns_of
 from tests.helpers import floats, near
 
 KNOWN = pf.Material(0.1, 0.2, 50.0, 0.5)
@@ -21,7 +20,7 @@ DIRECTION = "scene.lights[0].direction"
 def layout(*names: str, **options) -> Unknowns:
     """Unknowns of these names; diffuse has three channels."""
     scenes = [SCENE] * options.pop("images", 1)
-    return make_unknowns(
+    return unknowns_of(
         names, ("diffuse",), KNOWN, options.pop("bounds", {}), scenes=scenes, **options
     )
 
@@ -77,7 +76,7 @@ def test_a_chain_of_followers_stays_in_all_their_bounds():
     ties = {"specular": (3.0, "emission"), "emission": (0.5, "diffuse")}
     bounds = {"emission": (0.2, 0.9)}
     names = ("diffuse", "specular", "emission")
-    unknowns = make_unknowns(names, (), KNOWN, bounds, ties=ties)
+    unknowns = unknowns_of(names, (), KNOWN, bounds, ties=ties)
     near(unknowns.bounds, [(0.4, 2 / 3), (0.6, 1), (0.2, 1 / 3)], 1e-6)
 
 
@@ -93,7 +92,7 @@ def test_chains_of_ties():
 
 
 def test_a_leaf_tied_to_a_leaf_goes_channel_by_channel():
-    unknowns = make_unknowns(
+    unknowns = unknowns_of(
         ("ambient", "diffuse"),
         ("ambient", "diffuse"),
         KNOWN,
@@ -105,7 +104,7 @@ def test_a_leaf_tied_to_a_leaf_goes_channel_by_channel():
 
 
 def test_exponents_are_tied_in_the_users_units():
-    unknowns = make_unknowns(
+    unknowns = unknowns_of(
         ("shininess",),
         (),
         KNOWN,
@@ -202,7 +201,7 @@ def test_directions_are_told_around_any_other():
 def test_directions_along_an_axis(axis):
     light = pf.DirectionalLight(axis)
     scene = pf.Scene(pf.Sphere(), SCENE.camera, light)
-    unknowns = make_unknowns((DIRECTION,), (), KNOWN, {}, scenes=[scene])
+    unknowns = unknowns_of((DIRECTION,), (), KNOWN, {}, scenes=[scene])
     values, slope = in_units(unknowns, floats([0, 0]))
     near(values, axis)
     near(slope.T @ slope, np.eye(2))
@@ -216,7 +215,7 @@ def test_a_rotation_is_three_angles_and_stays_a_rotation():
     start = np.asarray(pf.look_at((1, 2, 4), (0, 0, 0)))
     camera = pf.OrthographicCamera(4, 4, rotation=start + 1e-5)
     scene = pf.Scene(pf.Sphere(), camera, SCENE.lights)
-    unknowns = make_unknowns((ROTATION,), (), KNOWN, {}, scenes=[scene])
+    unknowns = unknowns_of((ROTATION,), (), KNOWN, {}, scenes=[scene])
     assert unknowns.labels == tuple(f"{ROTATION}.{axis}" for axis in "xyz")
     near(unknowns.bounds, [(-180, 180)] * 3)
     near(unknowns.start, [0, 0, 0])
@@ -244,7 +243,7 @@ def test_rotations_of_several_images():
         for turn in turns
     ]
     held = {f"scenes[1].camera.rotation.{axis}": 0 for axis in "xy"}
-    unknowns = make_unknowns(
+    unknowns = unknowns_of(
         (ROTATION,), (), KNOWN, {}, scenes=scenes, per_image=(ROTATION,), fixed=held
     )
     assert unknowns.labels[-1] == "scenes[1].camera.rotation.z"
@@ -380,16 +379,16 @@ def test_a_spot_s_edge_is_no_unknown():
     """Pixels jump from lit to dark: no derivative says how they would."""
     scene = ball("spot")
     with pytest.raises(ValueError, match=r"unknowns: scene.lights\[0\].cutoff cannot"):
-        make_unknowns(("scene.lights[0].cutoff",), (), KNOWN, {}, scenes=[scene])
+        unknowns_of(("scene.lights[0].cutoff",), (), KNOWN, {}, scenes=[scene])
     with pytest.raises(ValueError) as raised:
-        make_unknowns(("gloss",), (), KNOWN, {}, scenes=[scene])
+        unknowns_of(("gloss",), (), KNOWN, {}, scenes=[scene])
     assert "exponent" in str(raised.value) and "cutoff" not in str(raised.value)
 
 
 def test_scenes_that_differ():
     bright = pf.Scene(pf.Sphere(), SCENE.camera, SCENE.lights, ambient=0.4)
     with pytest.raises(ValueError, match="scene.ambient differs .* per_image"):
-        make_unknowns(("scene.ambient",), (), KNOWN, {}, scenes=[SCENE, bright])
+        unknowns_of(("scene.ambient",), (), KNOWN, {}, scenes=[SCENE, bright])
 
 
 def test_the_entries_are_differentiable():

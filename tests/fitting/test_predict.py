@@ -10,6 +10,7 @@ import phongfit as pf
 from phongfit.fitting import scatter
 from phongfit.fitting.fit import set_up
 from phongfit.fitting.samples import seen_pixels
+from phongfit.fitting.specification import Specification
 from phongfit.fitting.start import choose_few
 from tests.fitting.scenes import LEAVES, TRUTH, as_vector, ball, photograph
 from tests.helpers import known, near
@@ -134,7 +135,7 @@ def test_errors_at_one_exponent_are_too_small(few_draws, scene, times):
 
 def test_of_many_pixels_a_few_stand_for_all():
     scene = ball(size=96)
-    (source,) = set_up(scene, photograph(scene, MATTE)).sources
+    (source,) = set_up(Specification(), scene, photograph(scene, MATTE)).sources
     (seen,) = seen_pixels([source])
     (few,) = known(choose_few([source], [seen]))
     weight = np.asarray(scatter._stands_for(source, seen, few).weight).reshape(-1, 1)

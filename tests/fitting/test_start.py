@@ -3,13 +3,12 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.layout import make_unknowns
 from phongfit.fitting.leaves import LEAVES
 from phongfit.fitting.problem import Problem
 from phongfit.fitting.samples import Source, gather, seen_pixels
 from phongfit.fitting.start import CANDIDATES, SUBSET, choose_few, scan
 from phongfit.rendering.pixels import resolve_terms
-from tests.fitting.scenes import TRUTH, ball, photograph
+from tests.fitting.scenes import TRUTH, ball, photograph, unknowns_of
 
 DARK = pf.Material(0.0, 0.0, 32.0, 0.0)
 DEFAULTS = (LEAVES[:-1], ("ambient", "diffuse", "specular"), DARK, {})
@@ -27,7 +26,7 @@ def source_of(scene: pf.Scene, image: np.ndarray) -> Source:
 
 
 def started(scene: pf.Scene, image: np.ndarray, layout=None) -> pf.Material:
-    layout = make_unknowns(*DEFAULTS) if layout is None else layout
+    layout = unknowns_of(*DEFAULTS) if layout is None else layout
     source = source_of(scene, image)
     samples = gather([source], seen_pixels([source]))
     sigma = jnp.asarray(1e-6, samples.target.dtype)
@@ -70,7 +69,7 @@ def test_an_exponent_for_each_channel():
     scene = ball()
     names = LEAVES[:-1]
     start = started(
-        scene, photograph(scene, truth), make_unknowns(names, names, DARK, {})
+        scene, photograph(scene, truth), unknowns_of(names, names, DARK, {})
     )
     ratio = np.asarray(start.shininess) / np.asarray(truth.shininess)
     assert np.all(np.abs(np.log(ratio)) < STEP)
@@ -79,7 +78,7 @@ def test_an_exponent_for_each_channel():
 def test_shared_reflectances_and_a_known_exponent():
     truth = pf.Material((0.6, 0.3, 0.2), 0.3, 20.0, 0.4)
     scene = ball()
-    layout = make_unknowns(("diffuse", "specular", "ambient"), ("diffuse",), truth, {})
+    layout = unknowns_of(("diffuse", "specular", "ambient"), ("diffuse",), truth, {})
     start = started(scene, photograph(scene, truth), layout)
     for name in LEAVES[:3]:
         assert np.allclose(getattr(start, name), getattr(truth, name), atol=1e-3)
@@ -88,7 +87,7 @@ def test_shared_reflectances_and_a_known_exponent():
 
 def test_known_reflectances_are_taken_off():
     scene = ball()
-    layout = make_unknowns(("specular", "shininess"), ("specular",), TRUTH, {})
+    layout = unknowns_of(("specular", "shininess"), ("specular",), TRUTH, {})
     start = started(scene, photograph(scene, TRUTH), layout)
     assert np.allclose(start.specular, TRUTH.specular, atol=0.03)
     assert abs(np.log(float(start.shininess) / 20)) < STEP
@@ -97,7 +96,7 @@ def test_known_reflectances_are_taken_off():
 def test_bounds_hold_in_the_start():
     scene = ball()
     bounds = {"diffuse": (0.0, 0.25), "shininess": (30.0, 90.0), "ambient": (0.45, 1.0)}
-    layout = make_unknowns(*DEFAULTS[:3], bounds)
+    layout = unknowns_of(*DEFAULTS[:3], bounds)
     start = started(scene, photograph(scene, TRUTH), layout)
     assert np.asarray(start.diffuse)[0] == np.float32(0.25)
     assert 30 <= float(start.shininess) * (1 + 1e-6) <= 35

@@ -9,9 +9,15 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.identifiability import linked_groups, unidentified
-from phongfit.fitting.layout import make_unknowns
 from phongfit.fitting.leaves import LEAVES
-from tests.fitting.scenes import TRUTH, as_vector, ball, developed, photograph
+from tests.fitting.scenes import (
+    TRUTH,
+    as_vector,
+    ball,
+    developed,
+    photograph,
+    unknowns_of,
+)
 
 SCENE = ball()
 DRAWS = 250
@@ -161,7 +167,7 @@ def test_every_second_pixel_is_half_of_the_data():
     np.testing.assert_allclose(half.errors / whole.errors, 2**0.5, rtol=0.1)
 
 
-LAYOUT = make_unknowns(LEAVES[1:4], (), pf.Material(), {})
+LAYOUT = unknowns_of(LEAVES[1:4], (), pf.Material(), {})
 
 
 @pytest.mark.parametrize(

@@ -10,14 +10,14 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.fit import set_up
-from phongfit.fitting.layout import make_unknowns
 from phongfit.fitting.leaves import LEAVES
 from phongfit.fitting.losses import as_loss
 from phongfit.fitting.problem import Problem, evaluate
 from phongfit.fitting.samples import gather, seen_pixels
 from phongfit.fitting.solution import _unit, few_residuals, solve
+from phongfit.fitting.specification import Specification
 from phongfit.fitting.sums import colours, linearize, sums
-from tests.fitting.scenes import TRUTH, as_vector, ball, photograph
+from tests.fitting.scenes import TRUTH, as_vector, ball, photograph, unknowns_of
 from tests.helpers import EPS, floats
 
 NOISE = 0.03
@@ -62,7 +62,9 @@ def problem_of(kind: str) -> tuple[Problem, jax.Array]:
     ]
     images = [np.where(image > 0.55, 1, image) for image in images]
     setting = set_up(
-        scene, images if isinstance(scene, list) else images[0], known=TRUTH, **options
+        Specification(known=TRUTH, **options),
+        scene,
+        images if isinstance(scene, list) else images[0],
     )
     loss = as_loss("tukey" if kind == "tukey" else "linear")
     samples = gather(setting.sources, seen_pixels(setting.sources))
@@ -168,7 +170,7 @@ def test_sums_are_those_of_the_whole_jacobian(kind):
     ],
 )
 def test_how_many_derivatives(names, per_channel, options, count):
-    unknowns = make_unknowns(names, per_channel, TRUTH, {}, **options)
+    unknowns = unknowns_of(names, per_channel, TRUTH, {}, **options)
     tangents, select = colours(unknowns)
     assert tangents.shape == (count, unknowns.lower.size)
     assert np.array_equal(tangents.sum(axis=0), np.ones(unknowns.lower.size))
@@ -190,7 +192,7 @@ def test_a_rounded_image_without_noise_is_no_reason_to_stop():
     film = pf.Film(encoding="srgb", bits=8)
     scene = ball()
     image = photograph(scene, TRUTH, film=film)
-    setting = set_up(scene, image, film=film)
+    setting = set_up(Specification(film=film), scene, image)
     samples = gather(setting.sources, seen_pixels(setting.sources))
     problem = Problem(samples, setting.unknowns, floats(1e-7), pf.Linear(), True)
     start = floats(setting.unknowns.position(as_vector(TRUTH)))

@@ -10,6 +10,7 @@ from phongfit.files.outputs import write_json
 from phongfit.fitting.intervals import Quadratic
 from phongfit.fitting.misfit import Misfit
 from phongfit.fitting.region import Part, Region
+from phongfit.fitting.specification import Specification
 from phongfit.fitting.table import fit_table
 from phongfit.material import Material
 
@@ -42,6 +43,8 @@ def result(**changes) -> pf.Fit:
     """A result written by hand, so that its table can be read off."""
     return dataclasses.replace(
         pf.Fit(
+            specification=Specification(),
+            films=(pf.Film(encoding="srgb", bits=8),),
             material=Material((0.5, 0.25, 0.0), 0.125, 40.0),
             stderr=Material((0.01, 0.01, 0.0), 0.02, 0.0),
             scene=pf.Scene(pf.Sphere()),
@@ -65,9 +68,7 @@ def result(**changes) -> pf.Fit:
             degrees_of_freedom=12342,
             chi_squared=12342.0,
             misfit=Misfit(),
-            loss="Linear",
             model="BlinnPhong",
-            film="clamped, 8-bit srgb",
             converged=True,
             steps=7,
             reason="it was good",

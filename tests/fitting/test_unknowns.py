@@ -3,15 +3,15 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.layout import make_unknowns
 from phongfit.fitting.leaves import DEFAULT_BOUNDS, LEAVES
+from tests.fitting.scenes import unknowns_of
 from tests.helpers import floats, near
 
 KNOWN = pf.Material(0.1, (0.2, 0.3, 0.4), 50.0, 0.5, 0.6)
 
 
 def test_labels_and_order():
-    layout = make_unknowns(
+    layout = unknowns_of(
         ("shininess", "specular", "ambient"), ("ambient", "shininess"), KNOWN, {}
     )
     assert layout.labels == (
@@ -24,7 +24,7 @@ def test_labels_and_order():
 
 
 def test_leaves_from_a_vector():
-    layout = make_unknowns(("diffuse", "shininess"), ("diffuse",), KNOWN, {})
+    layout = unknowns_of(("diffuse", "shininess"), ("diffuse",), KNOWN, {})
     material = layout.material(floats([0.7, 0.8, 0.9, np.log(20)]))
     near(material.diffuse, [0.7, 0.8, 0.9])
     near(material.shininess, 20, 1e-6)
@@ -38,7 +38,7 @@ def test_leaves_from_a_vector():
 @pytest.mark.parametrize("name", LEAVES)
 @pytest.mark.parametrize("size", [1, 3])
 def test_every_leaf(name, size):
-    layout = make_unknowns((name,), (name,) if size == 3 else (), KNOWN, {})
+    layout = unknowns_of((name,), (name,) if size == 3 else (), KNOWN, {})
     assert len(layout.labels) == size
     vector = layout.lower + floats(np.linspace(0.1, 0.2, size))
     leaf = np.atleast_1d(getattr(layout.material(vector), name))
@@ -51,7 +51,7 @@ def test_every_leaf(name, size):
 
 def test_bounds_are_told_as_they_were_given():
     given = {"shininess": (2, 300), "diffuse": (-0.25, np.inf), "ambient": (0.1, 0.7)}
-    layout = make_unknowns(
+    layout = unknowns_of(
         ("ambient", "diffuse", "shininess"), ("diffuse",), KNOWN, given
     )
     expected = [(0.1, 0.7)] + [(-0.25, np.inf)] * 3 + [(2, 300)]
@@ -60,12 +60,12 @@ def test_bounds_are_told_as_they_were_given():
 
 
 def test_bounds_of_what_is_known_are_allowed():
-    layout = make_unknowns(("diffuse",), (), KNOWN, {"shininess": (1, 9)})
+    layout = unknowns_of(("diffuse",), (), KNOWN, {"shininess": (1, 9)})
     assert layout.labels == ("diffuse",)
 
 
 def test_it_is_differentiable():
-    layout = make_unknowns(("specular", "shininess"), (), KNOWN, {})
+    layout = unknowns_of(("specular", "shininess"), (), KNOWN, {})
 
     def product(y):
         material = layout.material(y)
@@ -76,9 +76,7 @@ def test_it_is_differentiable():
 
 
 def test_several_materials():
-    layout = make_unknowns(
-        ("diffuse", "shininess"), ("diffuse",), KNOWN, {}, materials=2
-    )
+    layout = unknowns_of(("diffuse", "shininess"), ("diffuse",), KNOWN, {}, materials=2)
     assert layout.labels == (
         *("diffuse[0].red", "diffuse[0].green", "diffuse[0].blue"),
         *("diffuse[1].red", "diffuse[1].green", "diffuse[1].blue"),

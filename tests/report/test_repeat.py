@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.fitting.specification import Specification
 from phongfit.report.repeat import call, names
 from tests.fitting.scenes import SIZE, TRUTH, ball, photograph
 from tests.report.conftest import NOISE, SETTINGS
@@ -51,7 +52,7 @@ def test_arrays_and_film_are_in_the_call():
     fit = pf.fit(scene, image, film=film, **given)
     text = call(fit)
     assert names(fit) == ["scene", "image", "mask", "weights", "noise"]
-    assert "    film=pf.Film(encoding='linear', bits=10),\n" in text
+    assert "    film=pf.Film(bits=10),\n" in text
     check_same(run(text, scene=scene, image=image, **given), fit)
     again = run(text, scene=scene, image=image, **given)
     assert again.film == fit.film and again.samples == fit.samples
@@ -60,13 +61,15 @@ def test_arrays_and_film_are_in_the_call():
 @pytest.mark.parametrize(
     "film, written",
     [
-        ("clamped, not rounded", None),
-        ("not clamped, not rounded", "pf.Film(clamp=False)"),
-        ("clamped, 16-bit srgb", "pf.Film(encoding='srgb', bits=16)"),
+        (None, None),
+        (pf.Film(clamp=False), "pf.Film(clamp=False)"),
+        (pf.Film(encoding="srgb", bits=16), "pf.Film(encoding='srgb', bits=16)"),
+        ([pf.Film(), pf.Film(bits=8)], "(pf.Film(), pf.Film(bits=8),)"),
     ],
 )
-def test_a_film_that_the_values_do_not_tell(one, film, written):
-    text = call(dataclasses.replace(one, film=film))
+def test_a_film_that_was_given(one, film, written):
+    asked = Specification(film=film)
+    text = call(dataclasses.replace(one, specification=asked))
     assert ("film=" in text) == (written is not None)
     assert written is None or f"    film={written},\n" in text
 
@@ -101,9 +104,6 @@ def test_so_does_that_of_several_images():
     ],
 )
 def test_losses_have_their_names(one, loss, written):
-    problem = dataclasses.replace(one.found.problem, loss=loss)
-    fit = dataclasses.replace(
-        one, found=dataclasses.replace(one.found, problem=problem)
-    )
+    fit = dataclasses.replace(one, specification=Specification(loss=loss))
     assert (written or "pf.fit") in call(fit)
     assert ("loss" in call(fit)) == (written is not None)
