@@ -26,7 +26,7 @@ _WORDS = (
     (Subject.FIT, r"highlight for outliers"),
     (
         Subject.OPEN,
-        r"cannot be told|not identif|unidentif|(may|can|could) be any"
+        r"(cannot|nothing can) be told|not identif|unidentif|(may|can|could) be any"
         r"|^flag: (alike|no highlight|too few|black)",
     ),
     (Subject.FIT, r"\bbound\b.* decides"),

@@ -369,23 +369,35 @@ class _Stage:
             left = self._left(scaled)
             tiles.append([_in_tiles(p.picture(left), side) for p in self.plates])
         root = np.sqrt(np.diag(self.gram))
-        rows = _rows(scores) / np.where(root > 0, root, 1)
+        doubts = self._doubts(total / MANY)
+        rows = np.concatenate([_apart(scores), doubts]) / np.where(root > 0, root, 1)
         each = [_rows(one) for one in zip(*tiles, strict=True)]
         return _Draws(total / MANY, rows.T @ rows, each)
 
+    def _doubts(self, lost: Float[np.ndarray, "3 samples"]) -> Float[np.ndarray, "3 n"]:
+        """Scores of what is given back, which counts as an error.
 
-def _rows(draws: Sequence[np.ndarray]) -> Float[np.ndarray, "draws ..."]:
+        An encoder may round otherwise than is assumed, and what surrounds the surface
+        is estimated. By chance little may be lost in one of the channels: it is taken
+        from all of them, in turn.
+        """
+        turns = [np.roll(lost / self.deviation, k, axis=0) for k in range(3)]
+        return np.array([self._pull(self.bend * one) for one in turns]) / np.sqrt(3)
+
+
+def _apart(draws: Sequence[np.ndarray]) -> Float[np.ndarray, "draws ..."]:
     """Vectors whose products with themselves add up to the covariance of a draw.
 
-    The mean, which is given back, is known no better than from so many draws, and is
-    doubted.
+    About a mean that is known no better than from so many draws.
     """
     each = np.array(draws, float)
-    mean, count = each.mean(axis=0, keepdims=True), len(each)
-    apart = (each - mean) * np.sqrt((1 + 1 / count) / (count - 1))
-    # An encoder may round otherwise than is assumed, and what surrounds the surface is
-    # estimated: what is given back counts as an error.
-    return np.concatenate([apart, mean])
+    count = len(each)
+    return (each - each.mean(axis=0)) * np.sqrt((1 + 1 / count) / (count - 1))
+
+
+def _rows(draws: Sequence[np.ndarray]) -> Float[np.ndarray, "draws ..."]:
+    """The same, and the mean: it is given back, and doubted."""
+    return np.concatenate([_apart(draws), np.mean(draws, axis=0, keepdims=True)])
 
 
 def _in_tiles(
