@@ -22,7 +22,7 @@ from phongfit.files.describe import describe_material
 from phongfit.files.fits import DataRecord, LossName
 from phongfit.files.inputs import naming
 from phongfit.files.materials import read_material
-from phongfit.files.outputs import check_folder, plain, replacing_folder
+from phongfit.files.outputs import check_folder, replacing_folder
 from phongfit.fitting.fit import fit
 from phongfit.mapping.folder import (
     ARRAYS_FILE,
@@ -36,6 +36,7 @@ from phongfit.mapping.result import LEAVES, Maps
 from phongfit.mapping.run import fit_maps
 from phongfit.mapping.stacks import DatasetStack
 from phongfit.material import Material
+from phongfit.plain import plain
 
 TILES = "tiles"
 FLAGS_FILE = "flags.png"

@@ -12,8 +12,8 @@ from phongfit.files.describe import describe_material
 from phongfit.files.fits import FitSettings, LossName
 from phongfit.files.inputs import naming
 from phongfit.files.materials import read_material
-from phongfit.files.outputs import plain
 from phongfit.fitting.specification import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
+from phongfit.plain import plain
 
 Value = TypeVar("Value")
 

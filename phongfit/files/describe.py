@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 from phongfit.environment import Fog
-from phongfit.files.outputs import plain
 from phongfit.geometry.cameras import (
     AbstractCamera,
     OrthographicCamera,
@@ -21,6 +20,7 @@ from phongfit.geometry.shading import (
 from phongfit.geometry.surfaces import AbstractSurface, NormalMap, Sphere
 from phongfit.lights import AbstractLight, DirectionalLight, PointLight, SpotLight
 from phongfit.material import Material
+from phongfit.plain import plain
 from phongfit.reflectance import AbstractSpecular, BlinnPhong, Phong
 
 Described = dict[str, Any]

@@ -4,7 +4,6 @@ import importlib.metadata
 import math
 import os
 import platform
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,7 +14,7 @@ from pydantic import BeforeValidator, Field
 
 from phongfit.files.describe import describe
 from phongfit.files.inputs import naming
-from phongfit.files.outputs import plain, write_json
+from phongfit.files.outputs import write_json
 from phongfit.files.records import AbstractRecord, read_record
 from phongfit.files.schema import MaterialRecord, SpecularRecord
 from phongfit.fitting.result import Fit
@@ -214,7 +213,6 @@ def save_fit(
     told = fit.to_dict()
     for name in ("model", "loss"):
         del told[name]
-    bounds, intervals = _edges(fit.bounds), _edges(fit.intervals())
     content: dict[str, Any] = {
         "format": FIT_FORMAT,
         "version": 1,
@@ -222,20 +220,9 @@ def save_fit(
         "settings": settings.model_dump(),
         "model": describe(model),
         **told,
-        "bounds": bounds,
-        "intervals": intervals,
-        "tied": fit.tied,
-        "noise_given": fit.noise_given,
-        "images": fit.images,
-        "degrees_of_freedom": fit.degrees_of_freedom,
         "made_with": made_with(),
     }
     write_json(path, content)
-
-
-def _edges(edges: Float[np.ndarray, "n 2"]) -> list[list[float | None]]:
-    """(low, high) as numbers that JSON knows: null for what is not finite."""
-    return [[float(e) if math.isfinite(e) else None for e in row] for row in edges]
 
 
 def load_fit(path: str | os.PathLike[str]) -> FitRecord:
@@ -291,11 +278,3 @@ def distances(record: FitRecord, fit: Fit) -> Float[np.ndarray, " n"]:
     distance = np.abs(fit.values - values) / scale
     distance = np.where(told[0] == told[1], distance, np.inf)
     return np.where(told[0] | told[1], distance, np.nan)
-
-
-def plain_settings(settings: Mapping[str, Any]) -> FitSettings:
-    """Options of a command as a record; infinity becomes null.
-
-    **Raises:** `ValueError` that names the option.
-    """
-    return FitSettings.model_validate(plain(dict(settings)))

@@ -28,8 +28,9 @@ from jaxtyping import Float, Int
 
 from phongfit.files.describe import describe_material
 from phongfit.files.limits import colour, exponent, limited
-from phongfit.files.outputs import plain, replacing
+from phongfit.files.outputs import replacing
 from phongfit.material import Material
+from phongfit.plain import plain
 
 FORMAT = "glTF"
 F0_OF_WHITE = 0.04

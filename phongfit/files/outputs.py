@@ -2,16 +2,14 @@
 
 import contextlib
 import json
-import math
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import jax
-import numpy as np
+from phongfit.plain import plain
 
 LINE_WIDTH = 88
 
@@ -169,9 +167,8 @@ def _blaming(path: Path, temporary: Path) -> Iterator[None]:
 def write_json(path: str | os.PathLike[str], data: Any) -> None:
     """Write `data` as strict JSON, in one piece.
 
-    Arrays become lists, in as few digits as give back the same number of their own
-    precision; NaN and infinity, which JSON does not know, become null. Keys keep their
-    order, and short lists stay on one line.
+    Arrays and numbers become what [`plain`][] makes of them. Keys keep their order, and
+    short lists stay on one line.
 
     **Arguments:** `path`; `data`: mappings, sequences, arrays, numbers, text, paths.
 
@@ -180,33 +177,6 @@ def write_json(path: str | os.PathLike[str], data: Any) -> None:
     text = _layout(plain(data), 0) + "\n"
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-def plain(value: Any) -> Any:
-    """`value` as what JSON knows: see [`write_json`][]."""
-    if isinstance(value, jax.Array | np.ndarray | np.generic):
-        return _plain_array(np.asarray(value))
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
-    raise TypeError(f"{type(value).__name__} has no place in JSON")
-
-
-def _plain_array(array: np.ndarray) -> Any:
-    if array.ndim > 0:
-        return [_plain_array(item) for item in array]
-    if array.dtype.kind != "f":
-        return plain(array.item())
-    # By way of its shortest text, 0.1 of single precision is 0.1 and not
-    # 0.10000000149011612.
-    return plain(float(str(array[()])))
 
 
 def _layout(value: Any, indent: int) -> str:

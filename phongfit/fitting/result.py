@@ -19,6 +19,7 @@ from phongfit.fitting.specification import Specification
 from phongfit.fitting.table import fit_table
 from phongfit.fitting.unknowns import Unknowns
 from phongfit.material import Material
+from phongfit.plain import plain
 from phongfit.programs import program
 from phongfit.rendering.film import Film
 from phongfit.showing import report
@@ -36,13 +37,13 @@ class Estimate(NamedTuple):
     untold: np.ndarray
 
 
-@dataclasses.dataclass(frozen=True, repr=False)
+@dataclasses.dataclass(frozen=True, repr=False, eq=False)
 class Fit:
     """A material with its uncertainty, and how it came about.
 
-    Arrays are NumPy's; entries of `values`, `errors`, `covariance` and the flags are in
-    the order of `labels`. `fit["diffuse"]` or `fit["diffuse.red"]` is an
-    [`Estimate`][].
+    `print` shows the table. Arrays are NumPy's; entries of `values`, `errors`,
+    `covariance` and the flags are in the order of `labels`. `fit["diffuse"]` or
+    `fit["diffuse.red"]` is an [`Estimate`][]. Fits are compared by identity.
     """
 
     specification: Specification
@@ -75,8 +76,8 @@ class Fit:
     steps: int
     reason: str
     warnings: tuple[str, ...]
-    region: Region = dataclasses.field(compare=False)
-    found: Found = dataclasses.field(compare=False)
+    region: Region
+    found: Found
 
     def __getitem__(self, name: str) -> Estimate:
         """A leaf by its name, or one number by its label.
@@ -198,9 +199,9 @@ class Fit:
             return self.covariance / np.outer(deviation, deviation)
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything but the images, in plain numbers, lists and strings."""
+        """Everything but the images, as what `json.dumps` takes: see [`plain`][]."""
         leaves = ("ambient", "diffuse", "specular", "shininess", "emission")
-        return {
+        numbers = {
             "material": {k: np.asarray(getattr(self.material, k)) for k in leaves},
             "stderr": {k: np.asarray(getattr(self.stderr, k)) for k in leaves},
             "labels": list(self.labels),
@@ -209,9 +210,15 @@ class Fit:
             "covariance": self.covariance,
             "at_bound": self.at_bound,
             "untold": self.untold,
+            "tied": self.tied,
+            "bounds": self.bounds,
+            "intervals": self.intervals(),
             "exposure": self.exposure,
             "noise": self.noise,
+            "noise_given": self.noise_given,
             "samples": self.samples,
+            "images": self.images,
+            "degrees_of_freedom": self.degrees_of_freedom,
             "reduced_chi_squared": self.reduced_chi_squared,
             "neighbour_correlation": self.neighbour_correlation,
             "misfit_significance": self.misfit.significance,
@@ -224,12 +231,17 @@ class Fit:
             "reason": self.reason,
             "warnings": list(self.warnings),
         }
+        return plain(numbers)
 
     def __str__(self) -> str:
         return fit_table(self)
 
     def __repr__(self) -> str:
-        return fit_table(self)
+        state = "converged" if self.converged else "NOT CONVERGED"
+        images = f"{self.images} image{'s' if self.images > 1 else ''}"
+        many = len(self.warnings)
+        count = f"{len(self.labels)} parameters, {many} warning{'s' * (many != 1)}"
+        return f"<Fit of {images}: {count}, {state}>"
 
     def _repr_html_(self) -> str:
         return report("notebook").of_fit(self)

@@ -79,6 +79,8 @@ def test_a_fit_knows_what_it_was_asked():
     asked = Specification(unknowns=("diffuse",), known=TRUTH, loss="linear")
     fit = pf.fit(scene, image, **asked.changed)
     assert fit.specification == asked
+    # And is itself, whatever it is compared with.
+    assert fit == fit and fit != asked and len({fit}) == 1
     assert fit.films == (pf.Film(),) and fit.loss == "Linear"
 
 

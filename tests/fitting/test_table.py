@@ -151,8 +151,9 @@ def test_extreme_numbers_stay_in_their_columns():
     assert len({line.index("±") for line in lines}) == 1
 
 
-def test_repr_is_the_table():
-    assert repr(result()) == str(result()) == fit_table(result())
+def test_print_shows_the_table_and_repr_one_line():
+    assert str(result()) == fit_table(result())
+    assert repr(result()) == "<Fit of 1 image: 4 parameters, 1 warning, converged>"
 
 
 def test_numbers_of_a_result():
@@ -171,6 +172,8 @@ def test_json(tmp_path):
     fit = result()
     write_json(path, fit.to_dict())
     read = json.loads(path.read_text())
+    assert json.loads(json.dumps(fit.to_dict(), allow_nan=False)) == read
+    assert read["degrees_of_freedom"] == 12342 and read["bounds"][3] == [1, 1000]
     assert read["values"] == [0.5, 0.25, 0.125, 40.0]
     assert read["errors"] == [0.01, 0.01, 0.02, None]
     assert read["labels"] == list(LABELS)

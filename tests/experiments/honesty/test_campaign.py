@@ -20,7 +20,7 @@ from experiments.honesty.judge import judge
 from experiments.honesty.situations import all_situations
 from experiments.honesty.situations.base import Situation
 from experiments.honesty.table import cells, summary
-from phongfit.files.outputs import plain
+from phongfit.plain import plain
 from tests.experiments.honesty.made_up import made_up
 
 # They share what is compiled: one scene, one size, one kind of file.

@@ -1,0 +1,42 @@
+"""Numbers, arrays and text as what JSON knows."""
+
+import math
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+
+def plain(value: Any) -> Any:
+    """A value as lists, dictionaries, numbers and text.
+
+    Arrays become lists, in as few digits as give back the same number of their own
+    precision; NaN and infinity, which JSON does not know, become null.
+
+    **Raises:** `TypeError` for what has no place in JSON.
+    """
+    if isinstance(value, jax.Array | np.ndarray | np.generic):
+        return _plain_array(np.asarray(value))
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    raise TypeError(f"{type(value).__name__} has no place in JSON")
+
+
+def _plain_array(array: np.ndarray) -> Any:
+    if array.ndim > 0:
+        return [_plain_array(item) for item in array]
+    if array.dtype.kind != "f":
+        return plain(array.item())
+    # By way of its shortest text, 0.1 of single precision is 0.1 and not
+    # 0.10000000149011612.
+    return plain(float(str(array[()])))
