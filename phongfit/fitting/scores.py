@@ -46,7 +46,8 @@ def with_noise_as_found(
     if problem.samples.step is not None:
         covariance = covariance + variance * shared_rounding(problem, y)
     root = np.sqrt(np.diag(plain))
-    scale = np.outer(*2 * [np.where(root > 0, root, 1)])
+    root = np.where(root > 0, root, 1)
+    scale = np.outer(root, root)
     scatter = covariance / scale
     if problem.loss.robust:
         # What this becomes is divided by a curvature that is equally steep everywhere.

@@ -37,6 +37,13 @@ def basis(scene):
     return np.stack([np.asarray(one, float)[..., 0].ravel() for one in columns], axis=1)
 
 
+def check_errors(fit, color, expected):
+    """Of one channel's reflectances, as well as a line through squares is known."""
+    labels = [f"{name}.{color}" for name in LINEAR]
+    errors = [fit.errors[fit.labels.index(label)] for label in labels]
+    np.testing.assert_allclose(errors, expected, rtol=0.2)
+
+
 @pytest.mark.parametrize("level", [shot_noise, red_noise])
 def test_errors_where_noise_is_not_the_same_everywhere(level):
     scene = ball()
@@ -50,9 +57,7 @@ def test_errors_where_noise_is_not_the_same_everywhere(level):
     for channel, color in enumerate(("red", "green", "blue")):
         meat = columns.T @ (columns * variance[:, channel, None])
         expected = np.sqrt(np.diag(inverse @ meat @ inverse))
-        labels = [f"{name}.{color}" for name in LINEAR]
-        errors = [fit.errors[fit.labels.index(label)] for label in labels]
-        np.testing.assert_allclose(errors, expected, rtol=0.2)
+        check_errors(fit, color, expected)
 
 
 def test_a_noisy_channel_under_a_robust_loss():
@@ -69,9 +74,7 @@ def test_a_noisy_channel_under_a_robust_loss():
         score, slope = map(np.asarray, LOSSES["tukey"].score(times * drawn))
         deviation = fit.noise * np.sqrt(np.mean(score**2)) / np.mean(slope)
         expected = deviation * np.sqrt(np.diag(inverse))
-        labels = [f"{name}.{color}" for name in LINEAR]
-        errors = [fit.errors[fit.labels.index(label)] for label in labels]
-        np.testing.assert_allclose(errors, expected, rtol=0.2)
+        check_errors(fit, color, expected)
 
 
 def test_noise_that_is_the_same_everywhere():
