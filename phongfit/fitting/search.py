@@ -33,8 +33,9 @@ STARTS = 16
 MOST_MOVED = 8
 
 
-# Share of the residuals' size that a pass may leave to the next one to find.
-NEAR = 3e-4
+# Share of the residuals' size that a pass may leave to the next one to find, where
+# there is so much more noise than rounding.
+NEAR, NOISY = 3e-4, 1e3
 
 
 class Found(eqx.Module):
@@ -104,7 +105,7 @@ def search(
             # One pass comes near enough.
             stand = _settle(problem, stand, max_steps, noise_given, True)
         problem = Problem(samples, unknowns, sigma, loss, clamp)
-    return _end(problem, stand, max_steps, noise_given)
+    return _end(problem, stand, max_steps, noise_given, few is not None)
 
 
 def search_on(
@@ -117,8 +118,16 @@ def search_on(
     return _end(problem, stand, max_steps, noise_given)
 
 
-def _end(problem: Problem, stand: _Stand, max_steps: int, noise_given: bool) -> Found:
-    y, sigma, converged, steps, _ = _settle(problem, stand, max_steps, noise_given)
+def _end(
+    problem: Problem,
+    stand: _Stand,
+    max_steps: int,
+    noise_given: bool,
+    near: bool = False,
+) -> Found:
+    y, sigma, converged, steps, _ = _settle(
+        problem, stand, max_steps, noise_given, near=near
+    )
     samples, unknowns = problem.samples, problem.unknowns
     # Named by hand: to replace one field of a module takes long.
     problem = Problem(samples, unknowns, sigma, problem.loss, problem.clamp)
@@ -277,17 +286,23 @@ class _Pass(NamedTuple):
     done: Bool[Array, ""]
 
 
-@program("max_steps", "noise_given", "once")
+@program("max_steps", "noise_given", "once", "near")
 def _settle(
     problem: Problem,
     stand: _Stand,
     max_steps: int,
     noise_given: bool,
     once: bool = False,
+    near: bool = False,
 ) -> _Stand:
     """Solve until the noise level that the solution rests on is what it leaves.
 
     Where the solution depends on that level, the last solve is for the level stated.
+
+    **Arguments:**
+
+    - `once`: one solve is enough.
+    - `near`: the end is near: a first solve need not reach what the next one will.
     """
 
     def again(
@@ -307,8 +322,8 @@ def _settle(
         return again(stand, jnp.array(False), exact)[0]
 
     def step(at: _Pass) -> _Pass:
-        # The first of them need not end where the next one will move on anyway.
-        first = at.passes == 0
+        noisy = at.now.sigma > NOISY * jnp.finfo(stand.y.dtype).eps
+        first = near & noisy & (at.passes == 0)
         now, depends = again(at.now, at.last, jnp.where(first, NEAR, exact))
         change = now.sigma / at.now.sigma
         falls, same = change <= 0.97, jnp.abs(jnp.log(change)) < 0.03
