@@ -81,10 +81,10 @@ def _scores(
     square, own = used * score**2, used * independent_variance(problem, at)
     usual = jnp.sum(square) / jnp.maximum(jnp.sum(own), 1)
     variance = usual if problem.loss.robust else jnp.ones_like(usual)
-    steepness = None
+    steepness, light = None, at.difference + problem.samples.target
     if unequal:
-        light = at.difference + problem.samples.target
         own = own * jax.vmap(_along_light)(light, square / usual, own)
+    if unequal and problem.loss.robust:
         mean = jnp.sum(used * slope) / jnp.maximum(jnp.sum(used), 1)
         steepness = jax.vmap(_along_light)(light, used * slope / mean, used)
     share = jacobian.local * jnp.sqrt(own)[:, None]

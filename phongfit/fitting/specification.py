@@ -66,10 +66,10 @@ class Specification:
             "per_channel": _names("per_channel", per_channel),
             "per_image": _names("per_image", per_image),
             "known": known,
-            "bounds": _plain(bounds or {}),
-            "fixed": _plain(fixed or {}),
-            "ties": _plain(whole),
-            "priors": _plain(priors or {}),
+            "bounds": _comparable(bounds or {}),
+            "fixed": _comparable(fixed or {}),
+            "ties": _comparable(whole),
+            "priors": _comparable(priors or {}),
             "film": film if isinstance(film, Film) or film is None else tuple(film),
             "loss": as_loss(loss),
             "max_steps": max_steps,
@@ -107,7 +107,7 @@ class Specification:
     def changed(self) -> dict[str, Any]:
         """What differs from the defaults."""
         given = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return {name: v for name, v in given.items() if v != getattr(_PLAIN, name)}
+        return {name: v for name, v in given.items() if v != getattr(_USUAL, name)}
 
 
 def _names(argument: str, given: Sequence[str]) -> tuple[str, ...]:
@@ -116,13 +116,13 @@ def _names(argument: str, given: Sequence[str]) -> tuple[str, ...]:
     return () if given is None else tuple(given)
 
 
-def _plain(value: Any) -> Any:
+def _comparable(value: Any) -> Any:
     """Arrays and their like as numbers, which can be compared."""
     if isinstance(value, Mapping):
-        return {key: _plain(one) for key, one in value.items()}
+        return {key: _comparable(one) for key, one in value.items()}
     if isinstance(value, (tuple, list)):
-        return tuple(map(_plain, value))
-    return _plain(np.asarray(value).tolist()) if hasattr(value, "dtype") else value
+        return tuple(map(_comparable, value))
+    return _comparable(np.asarray(value).tolist()) if hasattr(value, "dtype") else value
 
 
-_PLAIN = Specification()
+_USUAL = Specification()

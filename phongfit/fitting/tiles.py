@@ -105,11 +105,12 @@ def sum_over_tiles(
     """
     weight, step, sigma = measured.weight, measured.step, measured.sigma
     used = jnp.broadcast_to(weight > 0, light.shape)
+    none = jnp.zeros_like(light)
     # Always so: without a condition XLA would do this anew for each of the sums.
     left = jax.lax.cond(
         ~(sigma < 0),
         lambda: _leave(measured, light, loss, clamp),
-        lambda: _Left(*4 * [jnp.zeros_like(light)]),
+        lambda: _Left(none, none, none, None if step is None else none),
     )
     score = left.score
 
@@ -146,7 +147,7 @@ class _Left(NamedTuple):
     score: Float[Array, "height width 3"]
     variance: Float[Array, "height width 3"]
     arithmetic: Float[Array, "height width 3"]
-    rounding: Float[Array, "height width 3"]
+    rounding: Float[Array, "height width 3"] | None
 
 
 def _leave(
@@ -160,16 +161,17 @@ def _leave(
     noise = sigma / jnp.sqrt(jnp.where(weight > 0, weight, 1))
     noise = jnp.broadcast_to(noise, image.shape)
     film = clipped_moments(light, noise) if clamp else unclipped_moments(light)
-    rounding = common = jnp.zeros_like(light)
-    if step is not None:
-        rounding, common = step**2 / 12, shared_rounding_variance(step, noise)
+    rounding = jnp.zeros_like(light) if step is None else step**2 / 12
     deviation = jnp.sqrt(noise**2 + rounding)
+    shared = None
+    if step is not None:
+        shared = jnp.sqrt(shared_rounding_variance(step, noise)) / deviation
     residual = jnp.where(used, (image - film.mean) / deviation, 0)
     return _Left(
         loss.score(residual)[0] if loss.robust else residual,
         (noise**2 * film.variance_share + rounding) / deviation**2,
         8 * jnp.finfo(light.dtype).eps * jnp.abs(light) / deviation,
-        jnp.sqrt(common) / deviation,
+        shared,
     )
 
 

@@ -5,11 +5,11 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import numpy as np
 
 from phongfit.fitting.losses import LOSSES, AbstractLoss
 from phongfit.fitting.result import Fit
 from phongfit.material import Material
+from phongfit.plain import plain
 from phongfit.rendering.film import Film
 
 
@@ -45,9 +45,10 @@ def call(fit: Fit) -> str:
 
     Scenes, images and other arrays are the caller's: see [`names`][].
     """
-    asked = {name: _written(v) for name, v in fit.specification.changed.items()}
+    arrays, changed = _arrays(fit), fit.specification.changed
+    asked = {name: _written(v) for name, v in changed.items() if name not in arrays}
     noise = {"noise": f"{fit.noise:.6g}"} if fit.noise_given else {}
-    given = asked | noise | _arrays(fit)
+    given = asked | noise | arrays
     lines = [", ".join(names(fit)[:2])]
     lines += [f"{name}={value}" for name, value in given.items()]
     inside = "".join(f"    {line},\n" for line in lines)
@@ -85,9 +86,4 @@ def _made(value: eqx.Module, usual: eqx.Module | None = None) -> str:
 
 def _numbers(value: Any) -> Any:
     """An array as nested lists of short numbers."""
-    if isinstance(value, jax.Array):
-        return _numbers(np.asarray(value))
-    if isinstance(value, np.ndarray) and value.ndim:
-        return [_numbers(one) for one in value]
-    # A number in the fewest digits of its own precision.
-    return float(str(value)) if isinstance(value, np.ndarray | np.floating) else value
+    return plain(value) if isinstance(value, jax.Array) else value
