@@ -1,14 +1,29 @@
 """Compiled programs that nobody waits for until a result is looked at."""
 
+import dataclasses
 import functools
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar, dataclass_transform
 
 import equinox as eqx
 import jax
 
 P = ParamSpec("P")
 R = TypeVar("R")
+T = TypeVar("T")
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
+def record(cls: type[T]) -> type[T]:
+    """A frozen dataclass of arrays that programs take.
+
+    Made in a tenth of the time that an `equinox.Module` takes, and taken apart in C++:
+    a fit makes and hands over a dozen. Fields of `metadata={"static": True}` are
+    compiled in.
+    """
+    return jax.tree_util.register_dataclass(
+        dataclasses.dataclass(frozen=True, eq=False)(cls)
+    )
 
 
 def program(*static: str) -> Callable[[Callable[P, R]], Callable[P, R]]:

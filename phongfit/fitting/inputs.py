@@ -74,7 +74,7 @@ def _check_alike(scenes: Sequence[Scene]) -> None:
         ("number of materials", lambda s: s.surface.materials),
         ("use of fog", lambda s: s.fog is not None),
     ):
-        if any(of(scene) != of(scenes[0]) for scene in scenes):
+        if any(of(scene) != of(scenes[0]) for scene in scenes[1:]):
             raise ValueError(f"scene: all scenes must have the same {what}")
 
 

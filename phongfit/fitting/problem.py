@@ -1,5 +1,7 @@
 """The least-squares problem: residuals in standard deviations."""
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -13,10 +15,11 @@ from phongfit.fitting.noise import (
 )
 from phongfit.fitting.samples import Channels, Samples
 from phongfit.fitting.unknowns import Unknowns
-from phongfit.programs import program
+from phongfit.programs import program, record
 
 
-class Problem(eqx.Module):
+@record
+class Problem:
     """Samples, unknowns, and how much each sample's residual counts.
 
     `scatter` is the covariance of the scores, over the roots of the diagonal of JᵀJ,
@@ -27,7 +30,7 @@ class Problem(eqx.Module):
     unknowns: Unknowns
     sigma: Float[Array, ""]
     loss: AbstractLoss
-    clamp: bool = eqx.field(static=True)
+    clamp: bool = dataclasses.field(metadata={"static": True})
     scatter: Float[Array, "n n"] | None = None
 
     def noise(self) -> Float[Array, "3 n"]:

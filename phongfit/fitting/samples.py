@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from phongfit.geometry.shading import Interpolation
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
-from phongfit.programs import program
+from phongfit.programs import program, record
 from phongfit.rendering.pixels import PixelTerms, pixel_terms, resolve
 from phongfit.scene import Scene
 
@@ -21,7 +21,8 @@ from phongfit.scene import Scene
 MANY = 2**14
 
 
-class View(eqx.Module):
+@record
+class View:
     """One image's scene, and where in the image its samples lie.
 
     `gbuffer` is that of the samples alone; `None` if rays must be traced again whenever
@@ -39,7 +40,8 @@ class View(eqx.Module):
         return resolve(scene)[1].select(self.index)
 
 
-class Channels(eqx.Module):
+@record
+class Channels:
     """What samples see, a channel at a time.
 
     The pixels' colour axis of 3 comes first, and an axis of 1 stays in its place: an
@@ -100,7 +102,8 @@ def by_channel(pixels: PixelTerms) -> Channels:
     return Channels(eqx.tree_at(_colours, pixels, replace_fn=_colour_first))
 
 
-class Samples(eqx.Module):
+@record
+class Samples:
     """Geometry, light and measured light of N pixels; padding has weight 0."""
 
     channels: Channels

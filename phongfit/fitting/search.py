@@ -19,7 +19,7 @@ from phongfit.fitting.samples import Samples
 from phongfit.fitting.solution import Solution, solve
 from phongfit.fitting.start import choose, scan, scan_bands
 from phongfit.fitting.unknowns import Unknowns
-from phongfit.programs import program
+from phongfit.programs import program, record
 
 # A pass solves with the noise level that the pass before left over.
 MOST_PASSES = 8
@@ -38,7 +38,8 @@ MOST_MOVED = 8
 NEAR, NOISY = 3e-4, 1e3
 
 
-class Found(eqx.Module):
+@record
+class Found:
     """The solution, the problem with its final noise level, and how it ended."""
 
     problem: Problem

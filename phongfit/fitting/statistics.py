@@ -304,7 +304,7 @@ def _add_up(problem: Problem, found: Linearization) -> Pieces:
         common = shared_rounding_variance(step, at.noise)
         shared = jnp.max(common / at.deviation**2)
     squares = jnp.sum(samples**2)
-    kurtosis = count * jnp.sum((samples / jnp.sqrt(squares)) ** 4)
+    kurtosis = count * jnp.sum((samples * jax.lax.rsqrt(squares)) ** 4)
     known = jacobian.priors.T @ jacobian.priors
     # A white sample tells only that the light is no less than white: what nothing else
     # speaks of is not told.

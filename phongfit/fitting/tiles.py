@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.grid import Grid, sum_at_places
 from phongfit.fitting.losses import AbstractLoss
@@ -104,15 +104,14 @@ def sum_over_tiles(
     - `side`: pixels along a tile.
     """
     weight, step, sigma = measured.weight, measured.step, measured.sigma
-    used = jnp.broadcast_to(weight > 0, light.shape)
     none = jnp.zeros_like(light)
     # Always so: without a condition XLA would do this anew for each of the sums.
     left = jax.lax.cond(
         ~(sigma < 0),
         lambda: _leave(measured, light, loss, clamp),
-        lambda: _Left(none, none, none, None if step is None else none),
+        lambda: _Left(none > 0, none, none, none, None if step is None else none),
     )
-    score = left.score
+    used, score = left.used, left.score
 
     def total(values: Array) -> Array:
         return _fold(jnp.where(used, values, 0), side, jnp.add, 0)
@@ -144,6 +143,7 @@ def sum_over_tiles(
 class _Left(NamedTuple):
     """Of each sample what [`Tiles`][] adds up, and the deviation of shared rounding."""
 
+    used: Bool[Array, "height width 3"]
     score: Float[Array, "height width 3"]
     variance: Float[Array, "height width 3"]
     arithmetic: Float[Array, "height width 3"]
@@ -161,15 +161,16 @@ def _leave(
     noise = sigma / jnp.sqrt(jnp.where(weight > 0, weight, 1))
     noise = jnp.broadcast_to(noise, image.shape)
     film = clipped_moments(light, noise) if clamp else unclipped_moments(light)
-    rounding = jnp.zeros_like(light) if step is None else step**2 / 12
-    deviation = jnp.sqrt(noise**2 + rounding)
-    shared = None
+    deviation, variance, shared = noise, film.variance_share, None
     if step is not None:
+        deviation = jnp.sqrt(noise**2 + step**2 / 12)
         shared = jnp.sqrt(shared_rounding_variance(step, noise)) / deviation
+        variance = (noise**2 * variance + step**2 / 12) / deviation**2
     residual = jnp.where(used, (image - film.mean) / deviation, 0)
     return _Left(
+        used,
         loss.score(residual)[0] if loss.robust else residual,
-        (noise**2 * film.variance_share + rounding) / deviation**2,
+        variance,
         8 * jnp.finfo(light.dtype).eps * jnp.abs(light) / deviation,
         shared,
     )

@@ -25,11 +25,14 @@ from phongfit.fitting.leaves import (
     with_arrays,
 )
 from phongfit.material import Material
-from phongfit.programs import program
+from phongfit.programs import program, record
 from phongfit.scene import Scene
 
+STATIC = {"static": True}
 
-class Unknowns(eqx.Module):
+
+@record
+class Unknowns:
     r"""Which leaves are wanted, what holds them together, and the solver's box.
 
     The numbers of all leaves, one after the other, are the *entries*, in the user's
@@ -37,16 +40,16 @@ class Unknowns(eqx.Module):
     is fixed: $\theta_i = o_i + c_i\,\phi_{s(i)}(y)$.
     """
 
-    leaves: tuple[Leaf, ...] = eqx.field(static=True)
-    materials: int = eqx.field(static=True)
-    images: int = eqx.field(static=True)
+    leaves: tuple[Leaf, ...] = dataclasses.field(metadata=STATIC)
+    materials: int = dataclasses.field(metadata=STATIC)
+    images: int = dataclasses.field(metadata=STATIC)
     # The entry that each number of y belongs to; of a direction, its first.
-    owner: tuple[int, ...] = eqx.field(static=True)
+    owner: tuple[int, ...] = dataclasses.field(metadata=STATIC)
     # Of each entry: whose number it takes, and that entry's first place in y.
-    source: tuple[int, ...] = eqx.field(static=True)
-    place: tuple[int, ...] = eqx.field(static=True)
-    fixed: tuple[bool, ...] = eqx.field(static=True)
-    has_prior: tuple[bool, ...] = eqx.field(static=True)
+    source: tuple[int, ...] = dataclasses.field(metadata=STATIC)
+    place: tuple[int, ...] = dataclasses.field(metadata=STATIC)
+    fixed: tuple[bool, ...] = dataclasses.field(metadata=STATIC)
+    has_prior: tuple[bool, ...] = dataclasses.field(metadata=STATIC)
     known: Material
     factor: Float[Array, " entries"]
     offset: Float[Array, " entries"]
