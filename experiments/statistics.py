@@ -25,9 +25,9 @@ from rich.table import Table
 import phongfit as pf
 from experiments.output import JsonFile, check_outputs, save_numbers
 from phongfit.cli import run
-from phongfit.fitting.problem import Problem
-from phongfit.fitting.profile import total_cost
-from phongfit.fitting.solution import Solution, solve
+from phongfit.fitting.problem.problem import Problem
+from phongfit.fitting.solve.solution import Solution, solve
+from phongfit.fitting.uncertainty.profile import total_cost
 
 NOISE = 0.01
 LEVEL = 0.95

@@ -24,7 +24,11 @@ if TYPE_CHECKING:
     )
     from phongfit.fitting.fit import fit as fit
     from phongfit.fitting.implicit import refit as refit
-    from phongfit.fitting.losses import (
+    from phongfit.fitting.predict import (
+        Prediction as Prediction,
+        predict_errors as predict_errors,
+    )
+    from phongfit.fitting.problem.losses import (
         AbstractLoss as AbstractLoss,
         Cauchy as Cauchy,
         Huber as Huber,
@@ -32,17 +36,15 @@ if TYPE_CHECKING:
         SoftL1 as SoftL1,
         Tukey as Tukey,
     )
-    from phongfit.fitting.maps.flags import Flag as Flag
-    from phongfit.fitting.predict import (
-        Prediction as Prediction,
-        predict_errors as predict_errors,
-    )
-    from phongfit.fitting.profile import Profile as Profile, ProfilePair as ProfilePair
+    from phongfit.fitting.problem.specification import Specification as Specification
     from phongfit.fitting.result import Estimate as Estimate, Fit as Fit
-    from phongfit.fitting.solver import (
+    from phongfit.fitting.solve.solver import (
         BoundedLevenbergMarquardt as BoundedLevenbergMarquardt,
     )
-    from phongfit.fitting.specification import Specification as Specification
+    from phongfit.fitting.uncertainty.profile import (
+        Profile as Profile,
+        ProfilePair as ProfilePair,
+    )
     from phongfit.geometry import shapes as shapes
     from phongfit.geometry.cameras import (
         AbstractCamera as AbstractCamera,
@@ -72,9 +74,10 @@ if TYPE_CHECKING:
         PointLight as PointLight,
         SpotLight as SpotLight,
     )
-    from phongfit.mapping.result import Maps as Maps, load_maps as load_maps
-    from phongfit.mapping.run import fit_maps as fit_maps
-    from phongfit.mapping.stacks import (
+    from phongfit.maps.pixel.flags import Flag as Flag
+    from phongfit.maps.result import Maps as Maps, load_maps as load_maps
+    from phongfit.maps.run import fit_maps as fit_maps
+    from phongfit.maps.stacks import (
         AbstractStack as AbstractStack,
         DatasetStack as DatasetStack,
         PhotographStack as PhotographStack,
@@ -113,30 +116,30 @@ if TYPE_CHECKING:
 _ORIGINS = {
     "AbstractCamera": "phongfit.geometry.cameras",
     "AbstractLight": "phongfit.lights",
-    "AbstractLoss": "phongfit.fitting.losses",
+    "AbstractLoss": "phongfit.fitting.problem.losses",
     "AbstractShading": "phongfit.geometry.shading",
     "AbstractSpecular": "phongfit.reflectance",
-    "AbstractStack": "phongfit.mapping.stacks",
+    "AbstractStack": "phongfit.maps.stacks",
     "AbstractSurface": "phongfit.geometry.surfaces",
     "BlinnPhong": "phongfit.reflectance",
-    "BoundedLevenbergMarquardt": "phongfit.fitting.solver",
-    "Cauchy": "phongfit.fitting.losses",
+    "BoundedLevenbergMarquardt": "phongfit.fitting.solve.solver",
+    "Cauchy": "phongfit.fitting.problem.losses",
     "Dataset": "phongfit.files.datasets",
-    "DatasetStack": "phongfit.mapping.stacks",
+    "DatasetStack": "phongfit.maps.stacks",
     "DirectionalLight": "phongfit.lights",
     "Estimate": "phongfit.fitting.result",
     "Film": "phongfit.rendering.film",
     "Fit": "phongfit.fitting.result",
-    "Flag": "phongfit.fitting.maps.flags",
+    "Flag": "phongfit.maps.pixel.flags",
     "FlatShading": "phongfit.geometry.shading",
     "Fog": "phongfit.environment",
     "GBuffer": "phongfit.geometry.surfaces",
     "GouraudShading": "phongfit.geometry.shading",
-    "Huber": "phongfit.fitting.losses",
+    "Huber": "phongfit.fitting.problem.losses",
     "ImplicitSurface": "phongfit.geometry.implicit",
     "JpegCompression": "phongfit.rendering.jpeg",
-    "Linear": "phongfit.fitting.losses",
-    "Maps": "phongfit.mapping.result",
+    "Linear": "phongfit.fitting.problem.losses",
+    "Maps": "phongfit.maps.result",
     "Material": "phongfit.material",
     "Mesh": "phongfit.geometry.meshes",
     "NormalMap": "phongfit.geometry.surfaces",
@@ -145,25 +148,25 @@ _ORIGINS = {
     "PerspectiveCamera": "phongfit.geometry.cameras",
     "Phong": "phongfit.reflectance",
     "PhongShading": "phongfit.geometry.shading",
-    "PhotographStack": "phongfit.mapping.stacks",
+    "PhotographStack": "phongfit.maps.stacks",
     "PixelTerms": "phongfit.rendering.pixels",
     "PointLight": "phongfit.lights",
     "Prediction": "phongfit.fitting.predict",
-    "Profile": "phongfit.fitting.profile",
-    "ProfilePair": "phongfit.fitting.profile",
+    "Profile": "phongfit.fitting.uncertainty.profile",
+    "ProfilePair": "phongfit.fitting.uncertainty.profile",
     "Scene": "phongfit.scene",
     "ShadingTerms": "phongfit.rendering.terms",
-    "SoftL1": "phongfit.fitting.losses",
-    "Specification": "phongfit.fitting.specification",
+    "SoftL1": "phongfit.fitting.problem.losses",
+    "Specification": "phongfit.fitting.problem.specification",
     "Sphere": "phongfit.geometry.surfaces",
     "SpotLight": "phongfit.lights",
-    "Tukey": "phongfit.fitting.losses",
+    "Tukey": "phongfit.fitting.problem.losses",
     "blinn_from_phong": "phongfit.reflectance",
     "combine": "phongfit.rendering.terms",
     "fit": "phongfit.fitting.fit",
-    "fit_maps": "phongfit.mapping.run",
+    "fit_maps": "phongfit.maps.run",
     "join": "phongfit.geometry.meshes",
-    "load_maps": "phongfit.mapping.result",
+    "load_maps": "phongfit.maps.result",
     "load_mesh": "phongfit.files.meshes",
     "load_scene": "phongfit.files.scenes",
     "look_at": "phongfit.geometry.cameras",

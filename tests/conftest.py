@@ -63,7 +63,7 @@ def browser():
 
 # Of files and words, or of the precision that maps are made in: float32 alone, unless
 # a mark says otherwise.
-SINGLE = {"commands", "data_synth", "experiments", "files", "mapping"}
+SINGLE = {"commands", "data_synth", "experiments", "files", "maps"}
 # Whole fits and pictures, which take long to compile: every other one in float32, the
 # rest in float64. The parts that fits are made of run in both.
 ALTERNATE = {
@@ -73,7 +73,7 @@ ALTERNATE = {
     "report",
     "test_edges",
     "test_fit",
-    "test_highlight",
+    "test_rejected",
     "test_identifiability",
     "test_implicit",
     "test_intervals",
@@ -119,6 +119,9 @@ def pytest_collection_modifyitems(config, items):
 def _home(path: Path, number: int) -> bool | None:
     """Whether the test of this number in its file is for float64; `None`: for both."""
     folder = path.relative_to(Path(__file__).parent).parts[0]
+    if path.parent.name == "pixel":
+        # Of a pixel of maps alone.
+        return None
     if not ALTERNATE.isdisjoint({folder, path.stem}):
         return number % 2 == 0
     return False if folder in SINGLE else None

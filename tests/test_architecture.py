@@ -19,7 +19,7 @@ ORDER = [
     {"rendering"},
     {"fitting"},
     {"files"},
-    {"mapping"},
+    {"maps"},
     {"report"},
     {"lab"},
     {"commands"},
@@ -27,6 +27,8 @@ ORDER = [
     {"__main__"},
 ]
 PLACE = {part: place for place, parts in enumerate(ORDER) for part in parts}
+# Within `fitting`: what is asked, how it is solved, what is known of the answer.
+STRATA = ["problem", "solve", "uncertainty"]
 # What only one part may know.
 KEPT = {
     "optimistix": "fitting",
@@ -109,6 +111,19 @@ def test_only_what_shows_imports_by_name():
     assert re.findall(r"import_module\((.*)\)", source) == [
         'f"phongfit.report.{module}"'
     ]
+
+
+@pytest.mark.parametrize("path", MODULES, ids=str)
+def test_strata_of_fitting_rest_on_those_below(path):
+    if path.parts[:2] != ("phongfit", "fitting"):
+        return
+    here = STRATA.index(path.parts[2]) if path.parts[2] in STRATA else len(STRATA)
+    package = ".".join(path.parts[:-1])
+    for name in imported((ROOT / path).read_text(), package):
+        if name.startswith("phongfit.fitting."):
+            other = name.split(".")[2]
+            there = STRATA.index(other) if other in STRATA else len(STRATA)
+            assert there <= here, f"{path} imports {name}"
 
 
 def test_every_part_has_its_place():

@@ -35,11 +35,11 @@ from experiments.benchmark.single_peers import (
 )
 from experiments.benchmark.timing import medians
 from phongfit.fitting.fit import set_up
-from phongfit.fitting.problem import Problem
-from phongfit.fitting.samples import gather, seen_pixels
-from phongfit.fitting.search import Found, search
-from phongfit.fitting.specification import Specification
-from phongfit.fitting.start import choose_few
+from phongfit.fitting.problem.problem import Problem
+from phongfit.fitting.problem.samples import gather, seen_pixels
+from phongfit.fitting.problem.specification import Specification
+from phongfit.fitting.solve.search import Found, search
+from phongfit.fitting.solve.start import choose_few
 
 TRUTH = pf.Material((0.6, 0.3, 0.2), 0.3, 60.0, 0.5)
 NOISE = 0.01

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import scipy.special
 
-from phongfit.fitting.maps.settings import LEAVES
-from phongfit.fitting.problem import Problem
+from phongfit.fitting.problem.problem import Problem
+from phongfit.maps.pixel.settings import LEAVES
 
 ADAM_RATE, ADAM_MOST = 0.03, 4000
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 import phongfit as pf
-from phongfit.fitting.layout import first_values
+from phongfit.fitting.problem.layout import first_values
 
 Scenes: TypeAlias = pf.Scene | Sequence[pf.Scene]
 LEVEL = 0.95

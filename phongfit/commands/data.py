@@ -19,8 +19,8 @@ from phongfit.files.inputs import recording
 from phongfit.files.records import read_record
 from phongfit.files.scenes import SCENE_FILE, TRUTH_FILE, build_scene, with_lights
 from phongfit.files.schema import SceneRecord
-from phongfit.fitting.noise import find_film
-from phongfit.mapping.stacks import DatasetStack
+from phongfit.fitting.problem.noise import find_film
+from phongfit.maps.stacks import DatasetStack
 from phongfit.rendering.film import Encoding, Film
 from phongfit.scene import Scene
 

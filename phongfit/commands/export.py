@@ -21,8 +21,8 @@ from phongfit.files.scenes import load_scene
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.shapes import Ball
 from phongfit.geometry.surfaces import AbstractSurface, Sphere
-from phongfit.mapping.export import export_maps
-from phongfit.mapping.folder import RECORD_FILE
+from phongfit.maps.export import export_maps
+from phongfit.maps.folder import RECORD_FILE
 from phongfit.material import Material, unstack_materials
 from phongfit.reflectance import AbstractSpecular, BlinnPhong
 

@@ -24,7 +24,7 @@ from phongfit.files.inputs import naming
 from phongfit.files.materials import read_material
 from phongfit.files.outputs import check_folder, replacing_folder
 from phongfit.fitting.fit import fit
-from phongfit.mapping.folder import (
+from phongfit.maps.folder import (
     ARRAYS_FILE,
     NORMALS_FILE,
     RECORD_FILE,
@@ -32,9 +32,9 @@ from phongfit.mapping.folder import (
     save_folder,
     seen_normals,
 )
-from phongfit.mapping.result import LEAVES, Maps
-from phongfit.mapping.run import fit_maps
-from phongfit.mapping.stacks import DatasetStack
+from phongfit.maps.result import LEAVES, Maps
+from phongfit.maps.run import fit_maps
+from phongfit.maps.stacks import DatasetStack
 from phongfit.material import Material
 from phongfit.plain import plain
 

@@ -12,7 +12,7 @@ from phongfit.files.describe import describe_material
 from phongfit.files.fits import FitSettings, LossName
 from phongfit.files.inputs import naming
 from phongfit.files.materials import read_material
-from phongfit.fitting.specification import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
+from phongfit.fitting.problem.specification import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
 from phongfit.plain import plain
 
 Value = TypeVar("Value")

@@ -17,8 +17,8 @@ from phongfit.files.inputs import naming
 from phongfit.files.outputs import write_json
 from phongfit.files.records import AbstractRecord, read_record
 from phongfit.files.schema import MaterialRecord, SpecularRecord
+from phongfit.fitting.problem.specification import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
 from phongfit.fitting.result import Fit
-from phongfit.fitting.specification import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
 from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular
 from phongfit.rendering.film import Encoding

@@ -10,26 +10,36 @@ import numpy as np
 from jaxtyping import Array
 
 from phongfit.checks import untraced
-from phongfit.fitting.edges import keep_off_edges
-from phongfit.fitting.inputs import Photograph, as_photographs, as_scenes, is_number
-from phongfit.fitting.jpeg import restore
-from phongfit.fitting.layout import make_unknowns
-from phongfit.fitting.losses import AbstractLoss
-from phongfit.fitting.noise import find_film, rounding_steps
-from phongfit.fitting.result import Fit
-from phongfit.fitting.samples import Source, gather, seen_pixels
-from phongfit.fitting.search import Found, search
-from phongfit.fitting.specification import (
+from phongfit.fitting.problem.inputs import (
+    Photograph,
+    as_photographs,
+    as_scenes,
+    is_number,
+)
+from phongfit.fitting.problem.layout import make_unknowns
+from phongfit.fitting.problem.losses import AbstractLoss
+from phongfit.fitting.problem.noise import find_film, rounding_steps
+from phongfit.fitting.problem.samples import Source, gather, seen_pixels
+from phongfit.fitting.problem.specification import (
     DEFAULT_PER_CHANNEL,
     DEFAULT_UNKNOWNS,
     Specification,
     Tie,
 )
-from phongfit.fitting.start import ROBUST_NEAR, choose_few
-from phongfit.fitting.statistics import add_up
+from phongfit.fitting.problem.unknowns import Unknowns, in_units
+from phongfit.fitting.result import Fit
+from phongfit.fitting.solve.edges import keep_off_edges
+from phongfit.fitting.solve.jpeg import restore
+from phongfit.fitting.solve.search import Found, search
+from phongfit.fitting.solve.start import ROBUST_NEAR, choose_few
 from phongfit.fitting.summary import Shown, summarize
-from phongfit.fitting.tiles import Measured, Tiles, sum_over_tiles, tile_side
-from phongfit.fitting.unknowns import Unknowns, in_units
+from phongfit.fitting.uncertainty.statistics import add_up
+from phongfit.fitting.uncertainty.tiles import (
+    Measured,
+    Tiles,
+    sum_over_tiles,
+    tile_side,
+)
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
 from phongfit.programs import program

@@ -10,10 +10,10 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from phongfit.fitting.problem import Problem
+from phongfit.fitting.problem.problem import Problem
+from phongfit.fitting.problem.samples import by_channel, join_pixels
 from phongfit.fitting.result import Fit
-from phongfit.fitting.samples import by_channel, join_pixels
-from phongfit.fitting.solution import solve
+from phongfit.fitting.solve.solution import solve
 from phongfit.material import Material
 from phongfit.rendering.pixels import resolve_terms
 from phongfit.scene import Scene

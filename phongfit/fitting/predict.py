@@ -10,18 +10,18 @@ import numpy as np
 from jaxtyping import Array
 
 from phongfit.checks import untraced
-from phongfit.fitting.edges import off_edges
-from phongfit.fitting.estimate import Estimates, estimates
 from phongfit.fitting.fit import set_up
-from phongfit.fitting.jpeg import foresee
-from phongfit.fitting.layout import first_values
-from phongfit.fitting.losses import Linear
-from phongfit.fitting.problem import Problem, evaluate
+from phongfit.fitting.problem.layout import first_values
+from phongfit.fitting.problem.losses import Linear
+from phongfit.fitting.problem.problem import Problem, evaluate
+from phongfit.fitting.problem.samples import gather, seen_pixels
+from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.result import as_materials
-from phongfit.fitting.samples import gather, seen_pixels
-from phongfit.fitting.scatter import scatter
-from phongfit.fitting.specification import Specification
-from phongfit.fitting.table import parameter_rows
+from phongfit.fitting.solve.edges import off_edges
+from phongfit.fitting.solve.jpeg import foresee
+from phongfit.fitting.uncertainty.estimate import Estimates, estimates
+from phongfit.fitting.uncertainty.numbers import parameter_rows
+from phongfit.fitting.uncertainty.scatter import scatter
 from phongfit.material import Material
 from phongfit.rendering.film import Film, as_films, decode
 from phongfit.rendering.render import render

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -10,14 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from phongfit.fitting.misfit import Misfit
-from phongfit.fitting.profile import LEVELS, profile, profile_pair
-from phongfit.fitting.quantiles import student_reach
-from phongfit.fitting.region import Region
-from phongfit.fitting.search import Found
-from phongfit.fitting.specification import Specification
-from phongfit.fitting.table import fit_table
-from phongfit.fitting.unknowns import Unknowns
+from phongfit.fitting.problem.specification import Specification
+from phongfit.fitting.problem.unknowns import Unknowns
+from phongfit.fitting.solve.search import Found
+from phongfit.fitting.uncertainty.misfit import Misfit
+from phongfit.fitting.uncertainty.numbers import parameter_rows
+from phongfit.fitting.uncertainty.profile import LEVELS, profile, profile_pair
+from phongfit.fitting.uncertainty.quantiles import student_reach
+from phongfit.fitting.uncertainty.region import Region
 from phongfit.material import Material
 from phongfit.plain import plain
 from phongfit.programs import program
@@ -299,3 +300,62 @@ def as_materials(
     none = jax.tree.map(jnp.zeros_like, unknowns.known)
     errors_alone = dataclasses.replace(unknowns, known=none)
     return unknowns.with_leaves(entries), errors_alone.with_leaves(errors)
+
+
+def fit_table(fit: Fit, least_correlation: float = 0.1, most: int = 10) -> str:
+    """Value ± standard error, correlations and warnings, for a fixed-width font."""
+    rows = parameter_rows(fit.labels, fit.values, fit.errors, fit.at_bound, fit.untold)
+    for k, words in lopsided(fit).items():
+        rows[k + 1] += f"  {words}"
+    lines = [*_head(fit), "", *rows]
+    correlations = _correlations(fit, least_correlation, most)
+    if correlations:
+        title = f"correlations (of those ≥ {least_correlation:g}, the largest {most})"
+        lines += ["", title, *correlations]
+    if fit.warnings:
+        lines += ["", "warnings"]
+        for warning in fit.warnings:
+            lines += textwrap.wrap(
+                warning, 86, initial_indent="  ! ", subsequent_indent="    "
+            )
+    return "\n".join(lines)
+
+
+def lopsided(fit: Fit) -> dict[int, str]:
+    """Errors up and down in words, where one is more than a fifth larger."""
+    told = np.flatnonzero(~fit.untold & ~fit.at_bound)
+    sides = fit.sides[told]
+    return {
+        int(k): f"+{up:.2g} −{down:.2g}"
+        for k, (down, up) in zip(told, sides, strict=True)
+        if max(down, up) > 1.2 * min(down, up)
+    }
+
+
+def _head(fit: Fit) -> list[str]:
+    images = f"{fit.images} image" + ("s" if fit.images > 1 else "")
+    noise, size = "estimated", fit.misfit.over_repeatability
+    judged = f", residuals {size:.3g} × repeatability" if size == size else ""
+    if fit.noise_given:
+        noise, judged = "given", f", reduced χ² {fit.reduced_chi_squared:.4g}"
+    if fit.misfit.noise_differs:
+        noise += ", not the same everywhere"
+    state = "converged" if fit.converged else "NOT CONVERGED"
+    return [
+        f"phongfit: {images}, {fit.samples:,} samples, {fit.model}, {fit.film}",
+        f"  {state} after {fit.steps} steps: {fit.reason}",
+        f"  loss {fit.loss}, noise {fit.noise:.3g} ({noise}){judged}",
+    ]
+
+
+def _correlations(fit: Fit, least: float, most: int) -> list[str]:
+    matrix = fit.correlation
+    pairs = [
+        (matrix[i, j], fit.labels[i], fit.labels[j])
+        for i in range(len(fit.labels))
+        for j in range(i)
+        if abs(matrix[i, j]) >= least and not (fit.tied[i] or fit.tied[j])
+    ]
+    pairs.sort(key=lambda pair: -abs(pair[0]))
+    width = max(len(label) for label in fit.labels)
+    return [f"  {a:<{width}}  {b:<{width}}  {c:+.3f}" for c, a, b in pairs[:most]]

@@ -9,25 +9,25 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from phongfit.fitting.estimate import estimates
-from phongfit.fitting.grid import grid_significance
-from phongfit.fitting.highlight import rejected_highlights, without_rejected
-from phongfit.fitting.leaves import EXPOSURE
-from phongfit.fitting.misfit import (
+from phongfit.fitting.problem.leaves import EXPOSURE
+from phongfit.fitting.problem.problem import Problem
+from phongfit.fitting.problem.specification import Specification
+from phongfit.fitting.result import Fit, as_materials
+from phongfit.fitting.solve.jpeg import Drawn
+from phongfit.fitting.solve.search import Found
+from phongfit.fitting.uncertainty.estimate import estimates
+from phongfit.fitting.uncertainty.grid import grid_significance
+from phongfit.fitting.uncertainty.misfit import (
     CORRELATED,
-    Drawn,
     Misfit,
     find_misfit,
 )
-from phongfit.fitting.outliers import outlier_words
-from phongfit.fitting.problem import Problem
-from phongfit.fitting.result import Fit, as_materials
-from phongfit.fitting.scores import with_noise_as_found
-from phongfit.fitting.search import Found
-from phongfit.fitting.specification import Specification
-from phongfit.fitting.statistics import Pieces, add_up
-from phongfit.fitting.tiles import Tiles
-from phongfit.fitting.warnings import (
+from phongfit.fitting.uncertainty.outliers import outlier_words
+from phongfit.fitting.uncertainty.rejected import rejected_highlights, without_rejected
+from phongfit.fitting.uncertainty.scores import with_noise_as_found
+from phongfit.fitting.uncertainty.statistics import Pieces, add_up
+from phongfit.fitting.uncertainty.tiles import Tiles
+from phongfit.fitting.uncertainty.warnings import (
     bound_words,
     clipped_words,
     grid_words,

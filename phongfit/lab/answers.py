@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from phongfit.fitting.leaves import CHANNELS, REFLECTANCES
+from phongfit.fitting.problem.leaves import CHANNELS, REFLECTANCES
 from phongfit.fitting.result import Fit
-from phongfit.fitting.table import number_with_error
+from phongfit.fitting.uncertainty.numbers import number_with_error
 from phongfit.lab.settings import Settings, matters
 from phongfit.lab.stage import angles, make_lights
 

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from phongfit.files.formats import data_uri
 from phongfit.fitting.fit import fit
-from phongfit.fitting.specification import DEFAULT_UNKNOWNS
+from phongfit.fitting.problem.specification import DEFAULT_UNKNOWNS
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.shapes import Ball
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer, Sphere

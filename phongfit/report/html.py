@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from phongfit.files.formats import data_uri
-from phongfit.fitting.result import Fit
-from phongfit.fitting.table import lopsided, number_with_error
+from phongfit.fitting.result import Fit, lopsided
+from phongfit.fitting.uncertainty.numbers import number_with_error
 from phongfit.report.style import png
 from phongfit.report.words import unit
 

@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from phongfit.fitting.maps.flags import Flag
-from phongfit.mapping.result import Maps
+from phongfit.maps.pixel.flags import Flag
+from phongfit.maps.result import Maps
 from phongfit.report.pictures import displayed
 from phongfit.report.style import picture, quiet, styled
 

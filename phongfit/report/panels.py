@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from phongfit.fitting.descent import Descent, descend
 from phongfit.fitting.result import Fit
+from phongfit.fitting.uncertainty.descent import Descent, descend
 from phongfit.report.html import source
 from phongfit.report.pictures import displayed, draw_residual
 from phongfit.report.plots import (

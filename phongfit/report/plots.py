@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from phongfit.fitting.descent import Descent
 from phongfit.fitting.result import Fit
+from phongfit.fitting.uncertainty.descent import Descent
 from phongfit.report.pictures import Row, comparison, draw_residual
 from phongfit.report.residuals import draw_against_level, draw_blocks, draw_histogram
 from phongfit.report.style import ACCENT, INK, SIGNED, picture, quiet, styled

@@ -5,8 +5,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.interpolate import PchipInterpolator
 
-from phongfit.fitting.profile import Profile, ProfilePair
 from phongfit.fitting.result import Fit
+from phongfit.fitting.uncertainty.profile import Profile, ProfilePair
 from phongfit.report.style import ACCENT, INK, PALE, picture, styled
 from phongfit.report.words import unit
 

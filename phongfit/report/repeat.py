@@ -6,7 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax
 
-from phongfit.fitting.losses import LOSSES, AbstractLoss
+from phongfit.fitting.problem.losses import LOSSES, AbstractLoss
 from phongfit.fitting.result import Fit
 from phongfit.material import Material
 from phongfit.plain import plain

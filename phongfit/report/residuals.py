@@ -5,7 +5,7 @@ import scipy.stats
 from jaxtyping import Float
 from matplotlib.axes import Axes
 
-from phongfit.fitting.problem import evaluate
+from phongfit.fitting.problem.problem import evaluate
 from phongfit.fitting.result import Fit
 from phongfit.report.style import CHANNELS, INK, PALE, SIGNED, quiet
 

@@ -8,9 +8,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from phongfit.fitting.leaves import REFLECTANCES
+from phongfit.fitting.problem.leaves import REFLECTANCES
 from phongfit.fitting.result import Fit
-from phongfit.fitting.table import number_with_error
+from phongfit.fitting.uncertainty.numbers import number_with_error
 
 _MATERIAL = ("ambient", "diffuse", "specular", "shininess")
 # By the last word of a label.

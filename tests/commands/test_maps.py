@@ -11,7 +11,7 @@ import phongfit as pf
 from phongfit.cli import main
 from phongfit.commands import maps as command
 from phongfit.files.dataset import Photographs
-from phongfit.mapping.folder import load_folder
+from phongfit.maps.folder import load_folder
 
 FEW = ["--unknowns", "ambient", "diffuse", "--known", "preset:brass"]
 

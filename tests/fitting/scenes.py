@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import phongfit as pf
-from phongfit.fitting.layout import make_unknowns
-from phongfit.fitting.specification import Specification
-from phongfit.fitting.unknowns import Unknowns
+from phongfit.fitting.problem.layout import make_unknowns
+from phongfit.fitting.problem.specification import Specification
+from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.rendering.film import decode
 
 SIZE = 32

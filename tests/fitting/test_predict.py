@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting import scatter
 from phongfit.fitting.fit import set_up
-from phongfit.fitting.samples import seen_pixels
-from phongfit.fitting.specification import Specification
-from phongfit.fitting.start import choose_few
+from phongfit.fitting.problem.samples import seen_pixels
+from phongfit.fitting.problem.specification import Specification
+from phongfit.fitting.solve.start import choose_few
+from phongfit.fitting.uncertainty import scatter
 from tests.fitting.scenes import LEAVES, TRUTH, as_vector, ball, photograph
 from tests.helpers import known, near
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.leaves import scene_arrays
+from phongfit.fitting.problem.leaves import scene_arrays
 from tests.fitting.scenes import LEAVES, TRUTH, as_vector, ball, photograph, two_lights
 from tests.helpers import floats, near
 

@@ -10,7 +10,7 @@ import optimistix as optx
 import pytest
 import scipy.optimize
 
-from phongfit.fitting.solver import BoundedLevenbergMarquardt
+from phongfit.fitting.solve.solver import BoundedLevenbergMarquardt
 from tests.fitting.standard_problems import PROBLEMS, Problem
 from tests.helpers import EPS, floats
 

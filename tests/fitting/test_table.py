@@ -7,11 +7,11 @@ import pytest
 
 import phongfit as pf
 from phongfit.files.outputs import write_json
-from phongfit.fitting.intervals import Quadratic
-from phongfit.fitting.misfit import Misfit
-from phongfit.fitting.region import Part, Region
-from phongfit.fitting.specification import Specification
-from phongfit.fitting.table import fit_table
+from phongfit.fitting.problem.specification import Specification
+from phongfit.fitting.result import fit_table
+from phongfit.fitting.uncertainty.intervals import Quadratic
+from phongfit.fitting.uncertainty.misfit import Misfit
+from phongfit.fitting.uncertainty.region import Part, Region
 from phongfit.material import Material
 
 LABELS = ("diffuse.red", "diffuse.green", "specular", "shininess")

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import phongfit as pf
-from phongfit.fitting.descent import descend
+from phongfit.fitting.uncertainty.descent import descend
 from phongfit.report.pictures import displayed, signed
 from phongfit.report.plots import (
     MOST_UNKNOWNS,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.specification import Specification
+from phongfit.fitting.problem.specification import Specification
 from phongfit.report.repeat import call, names
 from tests.fitting.scenes import SIZE, TRUTH, ball, photograph
 from tests.report.conftest import NOISE, SETTINGS

@@ -21,7 +21,7 @@ from experiments.honesty.situations.base import (
     usual,
 )
 from experiments.honesty.situations.noise import film
-from phongfit.fitting.quantiles import student_reach
+from phongfit.fitting.uncertainty.quantiles import student_reach
 
 
 def situations() -> list[Situation]:

@@ -16,7 +16,7 @@ from experiments.honesty.situations.base import (
     noisy,
     usual,
 )
-from phongfit.fitting.losses import LOSSES
+from phongfit.fitting.problem.losses import LOSSES
 
 
 def situations() -> list[Situation]:

@@ -12,7 +12,7 @@ import phongfit as pf
 from data_synth.lights import spread_directions
 from experiments.honesty.answers import LEVEL, Answers
 from experiments.honesty.situations.base import NOISE, UNCLAMPED, Draws, Situation
-from phongfit.fitting.quantiles import student_reach
+from phongfit.fitting.uncertainty.quantiles import student_reach
 
 # Pixels for every draw that is asked for.
 PIXELS = 100

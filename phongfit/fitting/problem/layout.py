@@ -1,0 +1,412 @@
+"""From what a user names to [`Unknowns`][]: bounds, fixed values, ties, priors."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from phongfit.fitting.problem.charts import nearest_rotation, tangents
+from phongfit.fitting.problem.leaves import (
+    DEFAULT_BOUNDS,
+    LEAVES,
+    Leaf,
+    is_of_scene,
+    leaf,
+    scene_arrays,
+)
+from phongfit.fitting.problem.specification import Specification, Tie
+from phongfit.fitting.problem.unknowns import Unknowns
+from phongfit.material import Material
+from phongfit.scene import Scene
+
+
+def make_unknowns(
+    specification: Specification, materials: int = 1, scenes: Sequence[Scene] = ()
+) -> Unknowns:
+    """The unknowns of a fit, checked; of `materials` materials each has its own.
+
+    **Raises:** `ValueError` that names the argument and the entry that is wrong.
+    """
+    bounds, fixed, ties, priors = (
+        getattr(specification, name) for name in ("bounds", "fixed", "ties", "priors")
+    )
+    # Where nothing is known, no light comes back.
+    known = specification.known
+    known = Material(0.0, 0.0, 32.0, 0.0) if known is None else known
+    leaves = _leaves(specification, known, materials, scenes)
+    names = _Names(leaves)
+    size = len(names.labels)
+    first = first_values(leaves, scenes)
+    factor, offset, is_fixed, source = _held(names, fixed, ties)
+    own = (np.arange(size) == source) & ~is_fixed
+    if not own.any():
+        raise ValueError("fixed: nothing unknown is left")
+
+    low, high = _boxes(names, bounds, is_fixed)
+    low, high = _narrowed(names, low, high, factor, source)
+    _check_fixed(names, offset, is_fixed, ties)
+    forms = np.repeat([f.form for f in leaves], [f.size for f in leaves])
+    scale = _scales(leaves, first)
+    logarithm, direction = forms == "logarithm", forms == "direction"
+    with np.errstate(divide="ignore"):
+        low, high = (
+            np.where(logarithm, np.log(np.where(logarithm, e, 1)), e / scale)
+            for e in (low, high)
+        )
+    start = np.where(direction | logarithm, 0, first / scale)
+    place, taken = np.zeros(size, int), 0
+    owners = []
+    for entry in np.flatnonzero(own):
+        if direction[entry] and names.part[entry] > 0:
+            place[entry] = place[entry - 1]
+            continue
+        place[entry] = taken
+        count = 2 if direction[entry] else 1
+        owners += [entry] * count
+        taken += count
+    mean, deviation, has_prior = _priors(names, priors, is_fixed)
+    base = first[direction].reshape(-1, 3)
+    base = base / np.maximum(np.linalg.norm(base, axis=1, keepdims=True), 1e-30)
+    kind = jnp.result_type(float)
+    # One transfer for all: each takes its time.
+    arrays = jax.device_put(
+        {
+            name: values.astype(kind)
+            for name, values in dict(
+                factor=factor,
+                offset=offset,
+                scale=scale,
+                base=base,
+                across=tangents(base),
+                turn=_rotations(leaves, scenes),
+                prior_mean=mean,
+                prior_deviation=deviation,
+                start=np.clip(start, low, high)[owners],
+                lower=low[owners],
+                upper=high[owners],
+            ).items()
+        }
+    )
+    return Unknowns(
+        leaves=leaves,
+        materials=materials,
+        images=max(len(scenes), 1),
+        owner=tuple(int(entry) for entry in owners),
+        source=tuple(source.tolist()),
+        place=tuple(place.tolist()),
+        fixed=tuple(is_fixed.tolist()),
+        has_prior=tuple(has_prior.tolist()),
+        known=known,
+        **arrays,
+    )
+
+
+class _Names:
+    """From a leaf's or an entry's name to places among the entries."""
+
+    def __init__(self, leaves: tuple[Leaf, ...]):
+        self.labels = [label for leaf in leaves for label in leaf.labels]
+        self.form = [leaf.form for leaf in leaves for _ in leaf.labels]
+        self.leaf = [leaf for leaf in leaves for _ in leaf.labels]
+        self.part = [
+            part
+            for leaf in leaves
+            for _ in leaf.rows
+            for part in range(len(leaf.parts))
+        ]
+        self._of: dict[str, list[int]] = {}
+        for entry, (label, one) in enumerate(zip(self.labels, self.leaf, strict=True)):
+            row = label.removesuffix(one.parts[self.part[entry]])
+            for name in {one.name, row, label}:
+                self._of.setdefault(name, []).append(entry)
+
+    def entries(self, argument: str, name: str) -> np.ndarray:
+        """**Raises:** `ValueError` if nothing that is unknown has this name."""
+        if name not in self._of:
+            there = ", ".join(
+                dict.fromkeys((*[f.name for f in self.leaf], *self.labels))
+            )
+            raise ValueError(f"{argument}: {name!r} came, one of {there} is wanted")
+        return np.array(self._of[name])
+
+    def numbers(self, argument: str, name: str, given: Any) -> np.ndarray:
+        """One number for each entry of a name, from one for all or one each."""
+        entries = self.entries(argument, name)
+        try:
+            values = np.broadcast_to(np.asarray(given, float).ravel(), entries.shape)
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"{argument}: {name}: {given!r} came, {len(entries)} numbers are wanted"
+            ) from error
+        if not np.all(np.isfinite(values)):
+            raise ValueError(f"{argument}: {name}: {given!r} is not finite")
+        return values
+
+
+def _leaves(
+    asked: Specification, known: Material, materials: int, scenes: Sequence[Scene]
+) -> tuple[Leaf, ...]:
+    rows = () if materials == 1 else ((materials, 1), (materials, 3))
+    for name in LEAVES:
+        shape = getattr(known, name).shape
+        if shape not in ((), (1,), (3,), *rows):
+            wanted = ", ".join(map(str, ((), (3,), *rows)))
+            raise ValueError(f"known: {name} has shape {shape}, one of {wanted} wanted")
+    # In the order of the table that users read, whatever the order they were named in.
+    ordered = [name for name in LEAVES if name in asked.unknowns]
+    ordered += [name for name in asked.unknowns if name not in LEAVES]
+    leaves = tuple(
+        leaf(
+            name,
+            name in asked.per_channel,
+            materials,
+            scenes,
+            name in asked.per_image,
+        )
+        for name in ordered
+    )
+    for entry in leaves:
+        if is_of_scene(entry.name) and not entry.per_image:
+            arrays = [np.asarray(scene_arrays(scene)[entry.name]) for scene in scenes]
+            if any(not np.array_equal(array, arrays[0]) for array in arrays):
+                raise ValueError(
+                    f"unknowns: {entry.name} differs between the scenes; name it in "
+                    "per_image as well, or start all from the same"
+                )
+    return leaves
+
+
+def first_values(
+    leaves: tuple[Leaf, ...],
+    scenes: Sequence[Scene],
+    material: Material | None = None,
+) -> np.ndarray:
+    """What scenes and material say of all entries; 1 where they say nothing."""
+    values = []
+    for one in leaves:
+        size = (len(one.rows), len(one.parts))
+        said = np.ones(())
+        if one.form == "rotation":
+            # Angles from where it is.
+            said = np.zeros(())
+        elif is_of_scene(one.name):
+            arrays = [scene_arrays(scene)[one.name] for scene in scenes[: size[0]]]
+            said = np.stack([np.asarray(a, float).ravel() for a in arrays])
+        elif material is not None and one.name in LEAVES:
+            said = np.asarray(getattr(material, one.name), float)
+        if said.shape[-1:] == (3,) and size[1] == 1:
+            # One number for three colours: their mean.
+            said = said.mean(axis=-1, keepdims=True)
+        values.append(np.broadcast_to(said, size).ravel())
+    return np.concatenate(values)
+
+
+def _scales(leaves: tuple[Leaf, ...], first: np.ndarray) -> np.ndarray:
+    """Units in which the numbers of a scene are of order 1."""
+    scales, ends = [], np.cumsum([one.size for one in leaves])
+    for one, end in zip(leaves, ends, strict=True):
+        scale = np.abs(first[end - one.size : end]).max()
+        if one.form == "rotation":
+            scale = np.rad2deg(1.0)
+        elif not is_of_scene(one.name) or one.form == "direction" or scale == 0:
+            scale = 1.0
+        scales.append(np.full(one.size, scale))
+    return np.concatenate(scales)
+
+
+def _rotations(leaves: tuple[Leaf, ...], scenes: Sequence[Scene]) -> np.ndarray:
+    """(rotations, 3, 3): where those that are unknown start, exactly orthonormal."""
+    found = [
+        nearest_rotation(np.asarray(scene_arrays(scene)[one.name]))
+        for one in leaves
+        if one.form == "rotation"
+        for scene in scenes[: len(one.rows)]
+    ]
+    return np.array(found).reshape(-1, 3, 3)
+
+
+def _held(
+    names: _Names,
+    fixed: Mapping[str, Any],
+    ties: Mapping[str, Tie],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of each entry: factor, offset, whether it is fixed, and whose number it takes."""
+    size = len(names.labels)
+    factor, offset = np.ones(size), np.zeros(size)
+    is_fixed, source = np.zeros(size, bool), np.arange(size)
+    for name, given in fixed.items():
+        entries = names.entries("fixed", name)
+        if any(names.form[entry] == "direction" for entry in entries):
+            raise ValueError(f"fixed: {name} is a direction; leave it out of unknowns")
+        offset[entries] = names.numbers("fixed", name, given)
+        factor[entries], is_fixed[entries] = 0, True
+    for name, given in ties.items():
+        share, other = _share_and_name(name, given)
+        entries, others = names.entries("ties", name), names.entries("ties", other)
+        if len(others) not in (1, len(entries)):
+            raise ValueError(
+                f"ties: {name} has {len(entries)} numbers, {other} has {len(others)}"
+            )
+        for entry, target in zip(entries, np.resize(others, len(entries)), strict=True):
+            _check_tie(names, int(entry), int(target), is_fixed, source)
+            factor[entry], source[entry] = share, target
+    return _followed(factor, offset, is_fixed, source)
+
+
+def _share_and_name(name: str, given: Tie) -> tuple[float, str]:
+    if isinstance(given, str):
+        return 1.0, given
+    try:
+        share, other = given
+        factor = float(share)
+    except (TypeError, ValueError):
+        factor, other = np.nan, None
+    if not np.isfinite(factor) or not isinstance(other, str):
+        raise ValueError(
+            f"ties: {name}: {given!r} came, a name or (factor, name) is wanted"
+        )
+    return factor, other
+
+
+def _check_tie(
+    names: _Names, entry: int, target: int, is_fixed: np.ndarray, source: np.ndarray
+) -> None:
+    label, other = names.labels[entry], names.labels[target]
+    if is_fixed[entry]:
+        raise ValueError(f"ties: {label} is fixed already")
+    if source[entry] != entry:
+        raise ValueError(f"ties: {label} is tied twice")
+    end = target
+    while source[end] != end:
+        end = source[end]
+    if end == entry:
+        raise ValueError(f"ties: {label} is tied to itself")
+    forms = {names.form[entry], names.form[target]}
+    if "direction" in forms:
+        raise ValueError(f"ties: {label} to {other}: directions cannot be tied")
+    materials = {names.leaf[k].name in LEAVES for k in (entry, target)}
+    if len(forms) > 1 or len(materials) > 1:
+        raise ValueError(
+            f"ties: {label} to {other}: reflectances, exponents and numbers of the "
+            "scene can only be tied among themselves"
+        )
+
+
+def _followed(
+    factor: np.ndarray,
+    offset: np.ndarray,
+    is_fixed: np.ndarray,
+    source: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Ties to what is itself tied or fixed, followed to where they end."""
+    for entry in range(len(source)):
+        while source[source[entry]] != source[entry]:
+            target = source[entry]
+            factor[entry] *= factor[target]
+            source[entry] = source[target]
+        target = source[entry]
+        if target != entry and is_fixed[target]:
+            offset[entry] = factor[entry] * offset[target]
+            factor[entry], is_fixed[entry], source[entry] = 0, True, entry
+    return factor, offset, is_fixed, source
+
+
+def _boxes(
+    names: _Names, bounds: Mapping[str, tuple[float, float]], is_fixed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bounds of all entries in the user's units."""
+    low, high = np.array([leaf.default_bounds for leaf in names.leaf]).T.copy()
+    for name, box in bounds.items():
+        # Bounds of what is known do no harm.
+        if name in DEFAULT_BOUNDS and name not in {f.name for f in names.leaf}:
+            continue
+        entries = names.entries("bounds", name)
+        if any(names.form[entry] == "direction" for entry in entries):
+            raise ValueError(f"bounds: {name}: a direction has none")
+        for entry in entries[is_fixed[entries]]:
+            raise ValueError(f"bounds: {names.labels[entry]} is fixed")
+        low[entries], high[entries] = _box(name, box, names.form[entries[0]])
+    return low, high
+
+
+def _narrowed(
+    names: _Names,
+    low: np.ndarray,
+    high: np.ndarray,
+    factor: np.ndarray,
+    source: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes in which those that follow an entry stay within their own bounds too."""
+    low, high = low.copy(), high.copy()
+    for entry, target in enumerate(source):
+        if entry == target:
+            continue
+        box = np.array([low[entry], high[entry]])
+        inside = box[0] <= 0 <= box[1]
+        if factor[entry] != 0:
+            ends = np.sort(box / factor[entry])
+            low[target] = max(low[target], ends[0])
+            high[target] = min(high[target], ends[1])
+            inside = low[target] < high[target]
+        if not inside:
+            label, other = names.labels[entry], names.labels[target]
+            raise ValueError(
+                f"ties: {label} = {factor[entry]:g} × {other} leaves {other} no range "
+                f"of values within the bounds of both ({label}: {box[0]:g} … "
+                f"{box[1]:g})"
+            )
+    return low, high
+
+
+def _check_fixed(
+    names: _Names, value: np.ndarray, is_fixed: np.ndarray, ties: Mapping[str, Tie]
+) -> None:
+    """Nothing that cannot be negative is held below 0."""
+    for entry in np.flatnonzero(is_fixed):
+        if value[entry] < 0 <= names.leaf[entry].default_bounds[0]:
+            label = names.labels[entry]
+            tied = any(entry in names.entries("ties", name) for name in ties)
+            raise ValueError(
+                f"{'ties' if tied else 'fixed'}: {label} is held at {value[entry]:g}, "
+                "a number ≥ 0 is expected"
+            )
+
+
+def _box(name: str, box: tuple[float, float], form: str) -> tuple[float, float]:
+    try:
+        low, high = (float(edge) for edge in box)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"bounds: {name}: {box!r} came, (low, high) wanted") from error
+    if not low < high:
+        raise ValueError(f"bounds: {name}: {low:g} < {high:g} does not hold")
+    if form == "logarithm" and (low <= 0 or not np.isfinite(high)):
+        raise ValueError(
+            f"bounds: {name}: ({low:g}, {high:g}) came, 0 < low and a "
+            "finite high are wanted"
+        )
+    return low, high
+
+
+def _priors(
+    names: _Names, priors: Mapping[str, tuple[Any, float]], is_fixed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    size = len(names.labels)
+    mean, deviation, has = np.zeros(size), np.ones(size), np.zeros(size, bool)
+    for name, given in priors.items():
+        try:
+            center, width = given
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"priors: {name}: {given!r} came, (mean, standard deviation) wanted"
+            ) from error
+        entries = names.entries("priors", name)
+        mean[entries] = names.numbers("priors", name, center)
+        deviation[entries] = names.numbers("priors", name, width)
+        if np.any(deviation[entries] <= 0):
+            raise ValueError(f"priors: {name}: a standard deviation > 0 is wanted")
+        if is_fixed[entries].any():
+            raise ValueError(f"priors: {name} is fixed")
+        has[entries] = True
+    return mean, deviation, has

@@ -1,0 +1,155 @@
+"""The least-squares problem: residuals in standard deviations."""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from phongfit.fitting.problem.losses import AbstractLoss
+from phongfit.fitting.problem.noise import (
+    arithmetic_floor,
+    clipped_mean,
+    clipped_moments,
+    unclipped_moments,
+)
+from phongfit.fitting.problem.samples import Channels, Samples
+from phongfit.fitting.problem.unknowns import Unknowns
+from phongfit.programs import program, record
+
+
+@record
+class Problem:
+    """Samples, unknowns, and how much each sample's residual counts.
+
+    `scatter` is the covariance of the scores, over the roots of the diagonal of JᵀJ,
+    where it is known otherwise than from independent samples.
+    """
+
+    samples: Samples
+    unknowns: Unknowns
+    sigma: Float[Array, ""]
+    loss: AbstractLoss
+    clamp: bool = dataclasses.field(metadata={"static": True})
+    scatter: Float[Array, "n n"] | None = None
+
+    def noise(self) -> Float[Array, "3 n"]:
+        """Standard deviation of each sample before rounding, also of those left out."""
+        weight = self.samples.weight
+        return self.sigma / jnp.sqrt(jnp.where(weight > 0, weight, 1))
+
+    def light(self, y: Float[Array, " n"]) -> Float[Array, "3 samples"]:
+        """Linear light, before the film, that the model predicts for each sample."""
+        entries = self.unknowns.entries(y)
+        light = self.channels(entries).light(self.unknowns.with_leaves(entries))
+        exposure = self.exposure(entries)
+        return light if exposure is None else light * exposure
+
+    def channels(self, entries: Float[Array, " entries"]) -> Channels:
+        """What the samples see in the scenes that the entries make."""
+        if not self.unknowns.of_scene:
+            return self.samples.channels
+        scenes = tuple(view.scene for view in self.samples.views)
+        return self.samples.lit(self.unknowns.scenes(entries, scenes))
+
+    def exposure(
+        self, entries: Float[Array, " entries"]
+    ) -> Float[Array, "1 samples"] | None:
+        """What the light of each sample is multiplied by; `None` if it is known."""
+        if not self.unknowns.exposed:
+            return None
+        return self.unknowns.exposures(entries)[self.samples.image][None]
+
+    def deviation(self) -> Float[Array, "3 samples"]:
+        """Standard deviation of each sample, rounding included."""
+        if self.samples.step is None:
+            return self.noise()
+        return jnp.sqrt(self.noise() ** 2 + self.samples.step**2 / 12)
+
+    def unclipped(self) -> Bool[Array, "3 samples"]:
+        """Samples whose residuals show the noise: neither black nor white ones.
+
+        All that are used, where too few are left.
+        """
+        used, target = self.samples.weight > 0, self.samples.target
+        if not self.clamp:
+            return used
+        inside = used & (target > 0) & (target < 1)
+        return jnp.where(jnp.sum(inside) > self.unknowns.lower.size, inside, used)
+
+    def residual(self, y: Float[Array, " n"]) -> Float[Array, "3 samples"]:
+        """(model − image) in standard deviations; 0 where a sample is left out."""
+        return self.compare(self.light(y))
+
+    def compare(self, light: Float[Array, "3 samples"]) -> Float[Array, "3 samples"]:
+        """Residuals of any light, before the film, that a model may predict.
+
+        The model's prediction is the mean of what the film shows.
+        """
+        shown = clipped_mean(light, self.noise()) if self.clamp else light
+        difference = (shown - self.samples.target) / self.deviation()
+        return jnp.where(self.samples.weight > 0, difference, 0)
+
+    def costs(self, y: Float[Array, " n"]) -> Float[Array, "materials 3"]:
+        """What the samples of each material and channel cost."""
+        cost = self.loss.root(self.residual(y)) ** 2
+        rows = jnp.arange(self.unknowns.materials, dtype=self.samples.image.dtype)
+        member = self.samples.material_index()[None] == rows[:, None]
+        return member.astype(cost.dtype) @ cost.T
+
+    def measure(self, light: Float[Array, "3 samples"]) -> "Evaluation":
+        """The same, and all else that is to be known of each sample."""
+        noise, deviation = self.noise(), self.deviation()
+        film = unclipped_moments(light)
+        if self.clamp:
+            film = clipped_moments(light, noise)
+        used = self.samples.weight > 0
+        difference = jnp.where(used, film.mean - self.samples.target, 0)
+        return Evaluation(
+            difference,
+            difference / deviation,
+            jnp.where(used, film.slope, 0) / deviation,
+            jnp.where(used, film.drift, 0) * noise / deviation,
+            noise,
+            deviation,
+            jnp.where(used, film.variance_share, 0),
+            arithmetic_floor(jnp.where(used, self.samples.target, 0)),
+        )
+
+    def group(self) -> Int[Array, " samples"]:
+        """Which material, and image where images differ, each sample belongs to."""
+        owner = self.samples.material_index()
+        if not self.unknowns.differs_between_images:
+            return owner
+        return owner * self.unknowns.images + self.samples.image
+
+
+class Evaluation(eqx.Module):
+    """What is left over at a point, sample by sample."""
+
+    difference: Float[Array, "3 samples"]
+    residual: Float[Array, "3 samples"]
+    slope: Float[Array, "3 samples"]
+    drift: Float[Array, "3 samples"]
+    noise: Float[Array, "3 samples"]
+    deviation: Float[Array, "3 samples"]
+    variance_share: Float[Array, "3 samples"]
+    floor: Float[Array, ""]
+
+
+Evaluation.__init__.__doc__ = """**Arguments:**
+
+- `difference`: model − image in linear light; 0 where a sample is left out.
+- `residual`: the same in standard deviations.
+- `slope`: of the residual in the model's light.
+- `drift`: of the prediction, in standard deviations, in the logarithm of the noise.
+- `noise`, `deviation`: standard deviations before and after rounding.
+- `variance_share`: what clipping leaves of the noise's variance, 0 … 1.
+- `floor`: noise level at and below which all that is left over is rounding.
+"""
+
+
+@program()
+def evaluate(problem: Problem, y: Float[Array, " n"]) -> Evaluation:
+    """Differences between model and image, and what noise they are measured by."""
+    return problem.measure(problem.light(y))

@@ -1,0 +1,128 @@
+"""What is asked of a fit: everything but the data."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from phongfit.fitting.problem.leaves import LEAVES, is_of_scene
+from phongfit.fitting.problem.losses import AbstractLoss, as_loss
+from phongfit.material import Material
+from phongfit.rendering.film import Film
+
+DEFAULT_UNKNOWNS = ("ambient", "diffuse", "specular", "shininess")
+DEFAULT_PER_CHANNEL = ("ambient", "diffuse", "specular")
+
+# A name, or a factor and a name.
+Tie = str | tuple[float, str]
+
+
+@dataclasses.dataclass(frozen=True, init=False)
+class Specification:
+    """The options of [`fit`][], in one form: compared, kept, and asked for again.
+
+    Sequences become tuples, arrays nested tuples of numbers, a tie a factor and a name,
+    and a loss's name that loss. Whether names and numbers fit a scene is seen when they
+    meet it.
+    """
+
+    unknowns: tuple[str, ...]
+    per_channel: tuple[str, ...]
+    per_image: tuple[str, ...]
+    known: Material | None
+    bounds: Mapping[str, tuple[float, float]]
+    fixed: Mapping[str, Any]
+    ties: Mapping[str, tuple[float, str]]
+    priors: Mapping[str, tuple[Any, float]]
+    film: Film | tuple[Film, ...] | None
+    loss: AbstractLoss
+    max_steps: int
+
+    def __init__(
+        self,
+        *,
+        unknowns: Sequence[str] = DEFAULT_UNKNOWNS,
+        per_channel: Sequence[str] = DEFAULT_PER_CHANNEL,
+        per_image: Sequence[str] = (),
+        known: Material | None = None,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+        fixed: Mapping[str, Any] | None = None,
+        ties: Mapping[str, Tie] | None = None,
+        priors: Mapping[str, tuple[Any, float]] | None = None,
+        film: Film | Sequence[Film] | None = None,
+        loss: str | AbstractLoss = "linear",
+        max_steps: int = 200,
+    ):
+        """**Arguments:** those of [`fit`][], but the data: `scene`, `image`, `mask`,
+        `weights`, `noise`.
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        ties = {} if ties is None else ties
+        whole = {k: (1.0, v) if isinstance(v, str) else v for k, v in ties.items()}
+        fields = {
+            "unknowns": _names("unknowns", unknowns),
+            "per_channel": _names("per_channel", per_channel),
+            "per_image": _names("per_image", per_image),
+            "known": known,
+            "bounds": _comparable(bounds or {}),
+            "fixed": _comparable(fixed or {}),
+            "ties": _comparable(whole),
+            "priors": _comparable(priors or {}),
+            "film": film if isinstance(film, Film) or film is None else tuple(film),
+            "loss": as_loss(loss),
+            "max_steps": max_steps,
+        }
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+        self._check_names()
+
+    def _check_names(self) -> None:
+        if not self.unknowns:
+            raise ValueError("unknowns: none came, at least one is wanted")
+        if len(set(self.unknowns)) != len(self.unknowns):
+            raise ValueError(f"unknowns: a name came twice: {', '.join(self.unknowns)}")
+        there = tuple(dict.fromkeys((*LEAVES, *self.unknowns)))
+        for argument in ("per_channel", "per_image"):
+            for name in getattr(self, argument):
+                if name not in there:
+                    raise ValueError(
+                        f"{argument}: {name!r} came, one of {', '.join(there)} is "
+                        "wanted"
+                    )
+        for name in self.per_image:
+            if not is_of_scene(name):
+                raise ValueError(
+                    f"per_image: {name!r} came, but an array of the scenes is wanted: "
+                    "all images show the same material"
+                )
+
+    @property
+    def asks_as_usual(self) -> bool:
+        """Whether the unknowns are the default ones, and nothing is known of them."""
+        return not self.changed.keys() - {"film", "loss", "max_steps"}
+
+    @property
+    def changed(self) -> dict[str, Any]:
+        """What differs from the defaults."""
+        given = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return {name: v for name, v in given.items() if v != getattr(_USUAL, name)}
+
+
+def _names(argument: str, given: Sequence[str]) -> tuple[str, ...]:
+    if isinstance(given, str):
+        raise ValueError(f"{argument}: a list of names is wanted, {given!r} came")
+    return () if given is None else tuple(given)
+
+
+def _comparable(value: Any) -> Any:
+    """Arrays and their like as numbers, which can be compared."""
+    if isinstance(value, Mapping):
+        return {key: _comparable(one) for key, one in value.items()}
+    if isinstance(value, (tuple, list)):
+        return tuple(map(_comparable, value))
+    return _comparable(np.asarray(value).tolist()) if hasattr(value, "dtype") else value
+
+
+_USUAL = Specification()

@@ -1,0 +1,322 @@
+"""The unknowns of a fit as one vector, and back.
+
+The solver sees every unknown at order 1 and inside a box: reflectances as they are, an
+exponent as its logarithm, numbers of the scene in units of what they were, a direction
+as two coordinates around a base, a rotation as three angles from where it was.
+"""
+
+import dataclasses
+import functools
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from phongfit.fitting.problem.charts import on_sphere, turned
+from phongfit.fitting.problem.leaves import (
+    EXPOSURE,
+    LEAVES,
+    Leaf,
+    is_of_scene,
+    moves_geometry,
+    with_arrays,
+)
+from phongfit.material import Material
+from phongfit.programs import program, record
+from phongfit.scene import Scene
+
+STATIC = {"static": True}
+
+
+@record
+class Unknowns:
+    r"""Which leaves are wanted, what holds them together, and the solver's box.
+
+    The numbers of all leaves, one after the other, are the *entries*, in the user's
+    units. An entry has its own place in the solver's vector y, is tied to another's or
+    is fixed: $\theta_i = o_i + c_i\,\phi_{s(i)}(y)$.
+    """
+
+    leaves: tuple[Leaf, ...] = dataclasses.field(metadata=STATIC)
+    materials: int = dataclasses.field(metadata=STATIC)
+    images: int = dataclasses.field(metadata=STATIC)
+    # The entry that each number of y belongs to; of a direction, its first.
+    owner: tuple[int, ...] = dataclasses.field(metadata=STATIC)
+    # Of each entry: whose number it takes, and that entry's first place in y.
+    source: tuple[int, ...] = dataclasses.field(metadata=STATIC)
+    place: tuple[int, ...] = dataclasses.field(metadata=STATIC)
+    fixed: tuple[bool, ...] = dataclasses.field(metadata=STATIC)
+    has_prior: tuple[bool, ...] = dataclasses.field(metadata=STATIC)
+    known: Material
+    factor: Float[Array, " entries"]
+    offset: Float[Array, " entries"]
+    scale: Float[Array, " entries"]
+    # Around which directions are told, and two unit vectors across each.
+    base: Float[Array, "directions 3"]
+    across: Float[Array, "directions 2 3"]
+    # Where rotations started.
+    turn: Float[Array, "rotations 3 3"]
+    prior_mean: Float[Array, " entries"]
+    prior_deviation: Float[Array, " entries"]
+    # What the scenes say of y; of a material nothing is known beforehand.
+    start: Float[Array, " n"]
+    lower: Float[Array, " n"]
+    upper: Float[Array, " n"]
+
+    @functools.cached_property
+    def names(self) -> tuple[str, ...]:
+        """The leaves' names."""
+        return tuple(leaf.name for leaf in self.leaves)
+
+    @functools.cached_property
+    def entry_labels(self) -> tuple[str, ...]:
+        """A name for every entry."""
+        return tuple(label for leaf in self.leaves for label in leaf.labels)
+
+    @functools.cached_property
+    def reported(self) -> np.ndarray:
+        """Entries that are not fixed: those that a fit tells."""
+        return np.flatnonzero(~np.array(self.fixed))
+
+    @functools.cached_property
+    def labels(self) -> tuple[str, ...]:
+        """A name for every reported entry: `diffuse.red`, or `ambient[2].red`."""
+        labels = self.entry_labels
+        return tuple(labels[entry] for entry in self.reported)
+
+    @functools.cached_property
+    def tied(self) -> np.ndarray:
+        """True for reported entries that follow another one."""
+        return ~self._own[self.reported]
+
+    @functools.cached_property
+    def bounds(self) -> np.ndarray:
+        """(reported, 2): lower and upper bounds in the user's units."""
+        edges = np.stack([self.lower, self.upper], axis=-1).astype(float)
+        edges = edges[np.array(self.place)]
+        scale = np.asarray(self.scale, float)[:, None]
+        forms = self.forms[:, None]
+        # What is no logarithm could overflow.
+        powers = np.exp(np.where(forms == "logarithm", edges, 0))
+        edges = np.where(forms == "logarithm", powers, scale * edges)
+        edges = np.where(forms == "direction", [[-1.0, 1.0]], edges)
+        factor, offset = (np.asarray(a, float) for a in (self.factor, self.offset))
+        followed = edges[np.array(self.source)][self.reported]
+        with np.errstate(invalid="ignore"):
+            followed = followed * factor[self.reported, None]
+        # What follows another 0 times is 0.
+        followed = np.where(np.isnan(followed), 0, followed)
+        edges = np.sort(offset[self.reported, None] + followed, axis=1)
+        # A logarithm of single precision gives back 1000 as 1000.00012.
+        digits = 6 if self.lower.dtype == np.float32 else 14
+        values, place = np.unique(edges, return_inverse=True)
+        values = np.array([float(f"{x:.{digits}g}") for x in values])
+        return values[place.reshape(edges.shape)]
+
+    @functools.cached_property
+    def owned(self) -> np.ndarray:
+        """The entry that each number of y belongs to; of a direction, its first."""
+        return np.array(self.owner)
+
+    @functools.cached_property
+    def _free(self) -> np.ndarray:
+        """True for entries that have their own place in y."""
+        return self._own & ~np.array(self.fixed)
+
+    @functools.cached_property
+    def _own(self) -> np.ndarray:
+        """True for entries that follow no other one."""
+        return np.arange(len(self.source)) == np.array(self.source)
+
+    @functools.cached_property
+    def forms(self) -> np.ndarray:
+        """How the solver sees each entry: plain, as a logarithm, or as a direction."""
+        return np.repeat([f.form for f in self.leaves], [f.size for f in self.leaves])
+
+    @functools.cached_property
+    def entry_leaf(self) -> np.ndarray:
+        """The leaf's name, for every entry."""
+        return np.repeat(self.names, [leaf.size for leaf in self.leaves])
+
+    @functools.cached_property
+    def entry_row(self) -> np.ndarray:
+        """The material or image, for every entry; 0 where there is one for all."""
+        rows = [np.repeat(np.arange(len(f.rows)), len(f.parts)) for f in self.leaves]
+        return np.concatenate(rows)
+
+    @functools.cached_property
+    def entry_channel(self) -> np.ndarray:
+        """The channel, for every entry; −1 where it is of all."""
+        return np.concatenate([np.tile(f.channels, len(f.rows)) for f in self.leaves])
+
+    @functools.cached_property
+    def kinds(self) -> np.ndarray:
+        """The leaf that each number of y belongs to."""
+        return self.entry_leaf[self.owned]
+
+    @functools.cached_property
+    def owners(self) -> np.ndarray:
+        """The material that each number of y belongs to; 0 where it has none."""
+        rows = np.where(np.isin(self.entry_leaf, LEAVES), self.entry_row, 0)
+        return rows[self.owned]
+
+    @functools.cached_property
+    def columns(self) -> np.ndarray:
+        """The channel that each number of y belongs to; −1 where shared by all."""
+        return self.entry_channel[self.owned]
+
+    @functools.cached_property
+    def y_labels(self) -> tuple[str, ...]:
+        """A name for every number of y; both of a direction have the direction's."""
+        labels, forms = self.entry_labels, self.forms
+        return tuple(
+            labels[entry].removesuffix(".x")
+            if forms[entry] == "direction"
+            else labels[entry]
+            for entry in self.owned
+        )
+
+    @functools.cached_property
+    def logarithmic(self) -> np.ndarray:
+        """True where the solver works with a logarithm."""
+        return self.forms[self.owned] == "logarithm"
+
+    @functools.cached_property
+    def of_scene(self) -> bool:
+        """Whether anything of the scenes is unknown."""
+        return any(is_of_scene(name) for name in self.names)
+
+    @functools.cached_property
+    def exposed(self) -> bool:
+        """Whether the images' exposures are unknown."""
+        return EXPOSURE in self.names
+
+    @functools.cached_property
+    def entry_per_image(self) -> np.ndarray:
+        """True for entries of one image alone."""
+        per_image = [leaf.per_image for leaf in self.leaves]
+        return np.repeat(per_image, [leaf.size for leaf in self.leaves])
+
+    @functools.cached_property
+    def differs_between_images(self) -> bool:
+        """Whether there are entries of one image alone."""
+        return any(leaf.per_image for leaf in self.leaves)
+
+    @functools.cached_property
+    def moves_geometry(self) -> bool:
+        """Whether rays must be traced anew for every guess."""
+        return any(moves_geometry(name) for name in self.names)
+
+    @functools.cached_property
+    def moves_lights(self) -> bool:
+        """Whether shadows may move."""
+        places = ("position", "direction", "axis")
+        return any(is_of_scene(n) and n.endswith(places) for n in self.names)
+
+    @functools.cached_property
+    def direction_places(self) -> np.ndarray:
+        """Where in y the first of each direction's two numbers is."""
+        return np.flatnonzero(self.forms[self.owned] == "direction")[::2]
+
+    def entries(self, y: Float[Array, " n"]) -> Float[Array, " entries"]:
+        """All entries in the user's units."""
+        numbers = jnp.where(self._free, y[np.array(self.place)], 0)
+        logarithm = self.forms == "logarithm"
+        # What is no logarithm could overflow.
+        powers = jnp.exp(jnp.where(logarithm, numbers, 0))
+        own = jnp.where(logarithm, powers, self.scale * numbers)
+        for k, entry in enumerate(self._directions()):
+            place = self.place[entry]
+            there = on_sphere(self.base[k], self.across[k], y[place : place + 2])
+            own = own.at[entry : entry + 3].set(there)
+        return self.offset + self.factor * own[np.array(self.source)]
+
+    def _directions(self) -> list[int]:
+        """The first entries of all directions."""
+        return np.flatnonzero(self.forms == "direction")[::3].tolist()
+
+    def aimed(
+        self,
+        base: Float[Array, "directions 3"],
+        across: Float[Array, "directions 2 3"],
+    ) -> "Unknowns":
+        """The same, with directions told around others than where they started."""
+        return dataclasses.replace(self, base=base, across=across)
+
+    def position(self, entries: np.ndarray) -> np.ndarray:
+        """The y that makes these entries, as near as the box allows."""
+        own = entries[self.owned].astype(float)
+        scaled = own / np.asarray(self.scale, float)[self.owned]
+        logarithm = np.log(np.where(self.logarithmic, np.maximum(own, 1e-30), 1))
+        y = np.where(self.logarithmic, logarithm, scaled)
+        direction = self.forms[self.owned] == "direction"
+        y = np.where(direction, np.asarray(self.start, float), y)
+        y = np.clip(y, np.asarray(self.lower), np.asarray(self.upper))
+        return y.astype(self.lower.dtype)
+
+    def values(self, y: Float[Array, " n"]) -> Float[Array, " reported"]:
+        """Reported entries in the user's units."""
+        return self.entries(y)[self.reported]
+
+    def parts(self, entries: Any) -> dict[str, Array]:
+        """The entries cut into leaves, each (rows, parts)."""
+        ends = np.cumsum([leaf.size for leaf in self.leaves])
+        return {
+            leaf.name: entries[end - leaf.size : end].reshape(len(leaf.rows), -1)
+            for leaf, end in zip(self.leaves, ends, strict=True)
+        }
+
+    def material(self, y: Float[Array, " n"]) -> Material:
+        """The material that the solver's vector stands for."""
+        return self.with_leaves(self.entries(y))
+
+    def with_leaves(self, entries: Any) -> Material:
+        """A material with the wanted leaves from entries in the user's units."""
+        parts = {n: p for n, p in self.parts(entries).items() if n in LEAVES}
+        if self.materials == 1:
+            # One material: (3,), or () for one number.
+            parts = {n: p[0] if p.shape[1] > 1 else p[0, 0] for n, p in parts.items()}
+        return eqx.tree_at(
+            lambda material: [getattr(material, name) for name in parts],
+            self.known,
+            [jnp.asarray(part) for part in parts.values()],
+        )
+
+    def scenes(self, entries: Any, scenes: tuple[Scene, ...]) -> tuple[Scene, ...]:
+        """The scenes with what is unknown of them from the entries."""
+        if not self.of_scene:
+            return scenes
+        parts = {n: p for n, p in self.parts(entries).items() if is_of_scene(n)}
+        done = 0
+        for leaf in self.leaves:
+            if leaf.form == "rotation":
+                start = self.turn[done : done + len(leaf.rows)]
+                parts[leaf.name] = jax.vmap(turned)(start, parts[leaf.name])
+                done += len(leaf.rows)
+
+        def of(k: int) -> dict[str, Array]:
+            return {n: part[min(k, len(part) - 1)] for n, part in parts.items()}
+
+        return tuple(with_arrays(scene, of(k)) for k, scene in enumerate(scenes))
+
+    def exposures(self, entries: Any) -> Float[Array, " images"]:
+        """What the light of each image is multiplied by."""
+        parts = self.parts(entries)
+        if EXPOSURE not in parts:
+            return jnp.ones((self.images,), entries.dtype)
+        return parts[EXPOSURE].reshape(-1)
+
+    def prior_residual(self, y: Float[Array, " n"]) -> Float[Array, " priors"]:
+        """How far the entries with a prior are from it, in standard deviations."""
+        wanted = np.flatnonzero(np.array(self.has_prior))
+        off = self.entries(y)[wanted] - self.prior_mean[wanted]
+        return off / self.prior_deviation[wanted]
+
+
+@program()
+def in_units(unknowns: Unknowns, y: Float[Array, " n"]) -> tuple[Array, Array]:
+    """All entries in the user's units, and the derivative of those reported in y."""
+    return unknowns.entries(y), jax.jacfwd(unknowns.values)(y)

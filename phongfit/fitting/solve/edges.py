@@ -1,0 +1,172 @@
+"""Edges that unknowns move: light jumps there, and the pixels at them are left out.
+
+An outline, the rim of a spot's cone, the border of a cast shadow: as one of these moves
+over a pixel, its light jumps, and between jumps it says nothing of where the edge is.
+Derivatives know no jumps, so a pixel on the wrong side of an edge would pull on all
+that is unknown for the wrong reason.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool
+
+from phongfit.fitting.problem.samples import Source, gather
+from phongfit.fitting.problem.unknowns import Unknowns, in_units
+from phongfit.fitting.solve.search import Found, search_on
+from phongfit.scene import Scene
+
+# Pixels to either side of an edge that are left out, and of these the nearest, which
+# must be: an edge may come to rest within the strip, not beside it.
+REACH, NEAREST = 2, 1
+MOST_ROUNDS = 8
+
+
+def keep_off_edges(
+    found: Found,
+    sources: list[Source],
+    seen: list[np.ndarray],
+    noise_given: bool,
+    max_steps: int,
+) -> tuple[Found, list[Source], tuple[str, ...]]:
+    """A fit again and again, until no pixel that counts lies at an edge that it moves.
+
+    **Arguments:** `seen`: of each image the pixels that the fit gathered.
+
+    **Returns:** the last fit, the images without what was left out of them, and what
+    there is to warn of.
+    """
+    unknowns = found.problem.unknowns
+    scenes = tuple(source.scene for source in sources)
+    if not moves_edges(unknowns, scenes):
+        return found, sources, ()
+    kept, crossed = sources, 0
+    for _ in range(MOST_ROUNDS):
+        here = unknowns.scenes(in_units(unknowns, found.y)[0], scenes)
+        edges = [edges_of(unknowns, scene) for scene in here]
+        crossed = _count(kept, [near(one, NEAREST) for one in edges])
+        if crossed == 0:
+            return found, kept, ()
+        fewer = _off(edges, sources)
+        if sum(source.count() for source in fewer) <= found.y.size:
+            break
+        kept = fewer
+        found = search_on(found, gather(kept, seen), noise_given, max_steps)
+    return found, kept, (_words(crossed),)
+
+
+def off_edges(unknowns: Unknowns, sources: list[Source]) -> list[Source]:
+    """Images without what a fit that ends where their scenes are leaves out of them."""
+    scenes = tuple(source.scene for source in sources)
+    if not moves_edges(unknowns, scenes):
+        return sources
+    return _off([edges_of(unknowns, scene) for scene in scenes], sources)
+
+
+def _off(edges: Sequence["Edges"], sources: Sequence[Source]) -> list[Source]:
+    return [
+        dataclasses.replace(
+            source, weight=jnp.where(near(one, REACH)[..., None], 0, source.weight)
+        )
+        for one, source in zip(edges, sources, strict=True)
+    ]
+
+
+def _words(crossed: int) -> str:
+    return (
+        f"{crossed} pixels that count lie at an edge (an outline, the rim of a spot, a "
+        "shadow) that moves with what is unknown: light jumps there, and no derivative "
+        "says how. Values may be off by more than their errors; mask out what lies "
+        "near the edge, or start nearer to the truth"
+    )
+
+
+def _count(sources: Sequence[Source], pixels: Sequence[np.ndarray]) -> int:
+    """How many of these pixels count."""
+    return sum(
+        int(np.count_nonzero((np.asarray(source.weight) > 0).any(axis=-1) & one))
+        for source, one in zip(sources, pixels, strict=True)
+    )
+
+
+def moves_edges(unknowns: Unknowns, scenes: Sequence[Scene]) -> bool:
+    """Whether an edge moves with what is unknown."""
+    if unknowns.moves_geometry:
+        return True
+    if unknowns.moves_lights and any(scene.shadows for scene in scenes):
+        return True
+    return any(_moving_cones(unknowns, scene) for scene in scenes)
+
+
+class Edges(NamedTuple):
+    """What an image shows of the edges that move.
+
+    - `seen`: pixels that see the surface; `outlined`: whether the outline is an edge.
+    - `sides`: on which side of each other edge they lie.
+    """
+
+    seen: Bool[np.ndarray, "height width"]
+    outlined: bool
+    sides: Bool[np.ndarray, "height width edges"]
+
+
+def edges_of(unknowns: Unknowns, scene: Scene) -> Edges:
+    """The edges of one image that move with what is unknown."""
+    seen, sides = _sides(scene, _moving_cones(unknowns, scene))
+    return Edges(np.asarray(seen), unknowns.moves_geometry, np.asarray(sides))
+
+
+def near(edges: Edges, reach: int) -> Bool[np.ndarray, "height width"]:
+    """Pixels within `reach` of an edge that moves.
+
+    Where that is the outline, pixels that see no surface are among them.
+    """
+    seen = edges.seen
+    found = _spread(~seen, reach) if edges.outlined else np.zeros_like(seen)
+    for side in np.moveaxis(edges.sides, -1, 0):
+        found |= _spread(side & seen, reach) & _spread(~side & seen, reach)
+    return found
+
+
+def _moving_cones(unknowns: Unknowns, scene: Scene) -> tuple[int, ...]:
+    """Lights that end somewhere, and of which something unknown moves that edge."""
+    places = ("position", "axis", "direction")
+    return tuple(
+        k
+        for k, light in enumerate(scene.lights)
+        if light.jumps
+        and (
+            unknowns.moves_geometry
+            or any(f"scene.lights[{k}].{place}" in unknowns.names for place in places)
+        )
+    )
+
+
+@eqx.filter_jit
+def _sides(
+    scene: Scene, cones: tuple[int, ...]
+) -> tuple[Bool[Array, "height width"], Bool[Array, "height width edges"]]:
+    """Which pixels see the surface, and on which side of each edge they lie."""
+    buffer = scene.trace()
+    sides = [jax.vmap(jax.vmap(scene.lights[k].covers))(buffer.position) for k in cones]
+    if buffer.visibility is not None and buffer.visibility.ndim == 3:
+        sides += list(jnp.moveaxis(buffer.visibility > 0, -1, 0))
+    none = jnp.zeros((*buffer.mask.shape, 0), bool)
+    return buffer.mask, jnp.stack(sides, axis=-1) if sides else none
+
+
+def _spread(pixels: np.ndarray, reach: int) -> np.ndarray:
+    """Pixels with one of these no further than `reach` rows and columns away."""
+    for axis in (0, 1):
+        rows = np.moveaxis(pixels, axis, 0)
+        wide = rows.copy()
+        for step in range(1, reach + 1):
+            wide[step:] |= rows[:-step]
+            wide[:-step] |= rows[step:]
+        pixels = np.moveaxis(wide, 0, axis)
+    return pixels

@@ -1,0 +1,483 @@
+r"""What a JPEG file took from its image, as far as the fitted image tells.
+
+Its errors are no noise. A coefficient that rounds to 0 takes its signal with it, at
+each edge and each highlight alike; colour on a coarser grid bleeds over silhouettes;
+and all pixels of a block share the rounding of its coefficients, all blocks of one
+colour that of their mean. So the fitted image, with noise, is drawn through the file's
+own steps some dozen times. The mean of what it loses is given back to the photograph,
+which is fitted again; how the draws scatter says what the errors are.
+
+Each draw is a little brighter or darker, and shifted by some levels: where a
+large number lies between two steps is chance, but a small one rounds to 0 all the same.
+
+??? cite "Source"
+    Widrow and Kollár, *Quantization noise*, 2008, chapters 4 and 19; Gouriéroux,
+    Monfort and Renault, *Indirect inference*, J. Appl. Econometrics 8(S1), 1993.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from phongfit.fitting.problem.noise import median_deviation
+from phongfit.fitting.problem.problem import Problem, evaluate
+from phongfit.fitting.problem.samples import Source
+from phongfit.fitting.solve.search import Found
+from phongfit.fitting.solve.solution import solve
+from phongfit.fitting.solve.sums import Linearization, linearize
+from phongfit.rendering.film import Film, decode, encode
+from phongfit.rendering.jpeg import JpegCompression, compressed
+
+# Draws while the fit still moves, and at its end: a standard error of 32 draws is
+# known to 12 %.
+FEW, MANY = 8, 32
+# Draws are up to so much brighter or darker than the fitted image.
+BRIGHTER = 0.15
+# Pixels around the surface that are averaged for what lies there.
+AROUND = 4
+# Share of the samples that lie in blocks of the surface alone, from which on these
+# tell the noise.
+ENOUGH = 0.1
+# How often the search for the noise quadruples a variance that is too small.
+GROWN = 6
+
+Drawn = Float[np.ndarray, "draws 3 rows columns"]
+"""Sums over tiles of residuals that are drawn; their squares add up to a variance."""
+
+
+class Restored(NamedTuple):
+    """A fit of photographs that have been given back what JPEG took.
+
+    - `found`: the solution, and its problem.
+    - `sources`: these photographs, with steps as wide as what the files rounded.
+    - `drawn`: sums over tiles of what the right model leaves: see [`find_misfit`][].
+    """
+
+    found: Found
+    sources: list[Source]
+    drawn: list[Drawn]
+
+
+def restore(
+    found: Found,
+    sources: list[Source],
+    films: tuple[Film, ...],
+    noise_given: bool,
+    max_steps: int,
+    side: int,
+) -> Restored:
+    """Fit again, what the files took from their images given back.
+
+    **Arguments:**
+
+    - `found`: a fit of the images as they are.
+    - `sources`, `films`: the images; those that are no JPEG take part too.
+    - `side`: pixels along a tile.
+    """
+    first, problem, y, steps = found.problem, found.problem, found.y, found.steps
+    plates = _plates(first, sources, films)
+    step, sigma = np.asarray(first.samples.step), float(first.sigma)
+    for _ in range(2):
+        stage = _Stage(first, problem, y, plates)
+        sigma = sigma if noise_given else stage.noise()
+        errors = np.array(list(stage.errors(sigma, range(FEW))))
+        step = stage.wider_steps(errors, sigma)
+        problem = _restored(first, errors.mean(axis=0), step, sigma)
+        solution = solve(problem, y, max_steps)
+        y, steps = solution.y, steps + solution.steps
+    draws = _Stage(first, problem, y, plates).draw(side)
+    problem = _restored(first, draws.lost, step, sigma)
+    solution = solve(problem, y, max_steps)
+    restored = [
+        dataclasses.replace(
+            source,
+            image=source.image - jnp.asarray(plate.picture(draws.lost)),
+            step=plate.picture(step),
+        )
+        for source, plate in zip(sources, plates, strict=True)
+    ]
+    scatter = jnp.asarray(draws.scatter, y.dtype)
+    problem = dataclasses.replace(problem, scatter=scatter)
+    found = Found(problem, solution.y, solution.converged, steps + solution.steps)
+    return Restored(found, restored, draws.tiles)
+
+
+def foresee(
+    problem: Problem,
+    y: Float[Array, " n"],
+    sources: list[Source],
+    films: tuple[Film, ...],
+) -> Problem:
+    """The problem of photographs not yet taken, with what their files will round.
+
+    **Arguments:** `y`: the truth.
+    """
+    plates, sigma = _plates(problem, sources, films), 1.0
+    stage = _Stage(problem, problem, y, plates)
+    errors = np.array(list(stage.errors(sigma, range(FEW))))
+    step = stage.wider_steps(errors, sigma)
+    there = _restored(problem, errors.mean(axis=0), step, sigma)
+    scatter = _Stage(problem, there, y, plates).draw(8).scatter
+    return dataclasses.replace(there, scatter=jnp.asarray(scatter, y.dtype))
+
+
+def _restored(
+    first: Problem,
+    lost: Float[np.ndarray, "3 samples"],
+    step: Float[np.ndarray, "3 samples"],
+    sigma: float,
+) -> Problem:
+    """The problem with what was lost given back, and other steps and noise."""
+    kind = first.samples.target.dtype
+    samples = eqx.tree_at(
+        lambda s: (s.target, s.step),
+        first.samples,
+        (first.samples.target - jnp.asarray(lost, kind), jnp.asarray(step, kind)),
+    )
+    return dataclasses.replace(first, samples=samples, sigma=jnp.asarray(sigma, kind))
+
+
+class _Plate(NamedTuple):
+    """An image as its film makes it.
+
+    - `around`: its light, (pixels, 3), where `place` is not: what lies about the
+        surface.
+    - `place`, `columns`: the pixels that the fit uses, counted row by row, and where
+        they stand among the samples.
+    - `used`: true for the samples that count, (height, width, 3).
+    """
+
+    film: Film
+    around: Float[np.ndarray, "pixels 3"]
+    place: Int[np.ndarray, " n"]
+    columns: Int[np.ndarray, " n"]
+    used: Bool[np.ndarray, "height width 3"]
+
+    def picture(
+        self, samples: Float[np.ndarray, "3 samples"]
+    ) -> Float[np.ndarray, "height width 3"]:
+        """Numbers of the samples, where they lie in the image; 0 elsewhere."""
+        picture = np.zeros(self.around.shape, samples.dtype)
+        picture[self.place] = samples[:, self.columns].T
+        return np.where(self.used, picture.reshape(self.used.shape), 0)
+
+    def cut(self, picture: np.ndarray) -> Float[np.ndarray, "height width channels"]:
+        """What lies in the image, of one that was filled up to whole blocks."""
+        height, width, _ = self.used.shape
+        return picture[:height, :width]
+
+    def levels(
+        self, light: Float[np.ndarray, "3 n"]
+    ) -> Float[np.ndarray, "height width 3"]:
+        """Encoded levels 0 … 255 of the image with this light on the surface."""
+        canvas = self.around.copy()
+        canvas[self.place] = light.T
+        shown = np.clip(canvas, 0, 1).reshape(self.used.shape)
+        return encode(shown, self.film.encoding) * 255
+
+
+def _plates(
+    problem: Problem, sources: list[Source], films: tuple[Film, ...]
+) -> list[_Plate]:
+    plates, weight = [], np.asarray(problem.samples.weight)
+    views, size = problem.samples.views, problem.samples.image.size // len(sources)
+    for k, (view, source, film) in enumerate(zip(views, sources, films, strict=True)):
+        own = np.arange(size * k, size * (k + 1))
+        columns = own[(weight[:, own] > 0).any(axis=0)]
+        place = np.asarray(view.index)[columns - size * k]
+        image = np.asarray(source.image, np.float32)
+        used = np.greater(np.broadcast_to(source.weight, image.shape), 0)
+        around = _surroundings(image, used.max(axis=-1, keepdims=True))
+        plates.append(_Plate(film, around.reshape(-1, 3), place, columns, used))
+    return plates
+
+
+def _surroundings(
+    image: Float[np.ndarray, "height width 3"],
+    used: Bool[np.ndarray, "height width 1"],
+) -> Float[np.ndarray, "height width 3"]:
+    """What lies around the pixels that are used, the codec's ripples smoothed away.
+
+    Ripples are what is left of an edge whose high frequencies the file lacks; to keep
+    them would be to believe that it never had any.
+    """
+    outside = ~used
+    share = _blurred(outside.astype(image.dtype))
+    mean = _blurred(np.where(outside, image, 0)) / np.maximum(share, 1e-6)
+    near = outside & (_blurred(used.astype(image.dtype)) > 1e-6)
+    return np.where(near, mean, image)
+
+
+def _blurred(image: np.ndarray) -> np.ndarray:
+    """Means over a window, which falls off linearly from its middle."""
+    ramp = np.arange(1, AROUND + 1, dtype=image.dtype)
+    window = np.concatenate([ramp, [AROUND + 1], ramp[::-1]]) / (AROUND + 1) ** 2
+    for axis in (0, 1):
+        wide = np.moveaxis(image, axis, 0)
+        ends = np.pad(wide, [(AROUND, AROUND), (0, 0), (0, 0)])
+        rows = [w * ends[k : k + len(wide)] for k, w in enumerate(window)]
+        image = np.moveaxis(np.sum(rows, axis=0), 0, axis)
+    return image
+
+
+def _in_blocks(
+    picture: np.ndarray, down: int, across: int
+) -> Float[np.ndarray, "rows columns channels"]:
+    """Sums over the blocks of an image, of which the last may be cut."""
+    height, width, channels = picture.shape
+    padded = np.pad(picture, [(0, -height % down), (0, -width % across), (0, 0)])
+    blocks = padded.reshape(-(-height // down), down, -1, across, channels)
+    return blocks.sum(axis=(1, 3), dtype=float)
+
+
+class _Draws(NamedTuple):
+    """What images drawn through their films lose, and how that scatters.
+
+    - `lost`: its mean, in linear light.
+    - `scatter`: covariance of the scores: see [`Problem`][].
+    - `tiles`: of each image: see [`find_misfit`][].
+    """
+
+    lost: Float[np.ndarray, "3 samples"]
+    scatter: Float[np.ndarray, "n n"]
+    tiles: list[Drawn]
+
+
+class _Stage:
+    """The fitted images, ready to be drawn through their films."""
+
+    def __init__(
+        self,
+        first: Problem,
+        problem: Problem,
+        y: Float[Array, " n"],
+        plates: list[_Plate],
+    ):
+        light, found = _look(problem, y)
+        self.problem, self.y, self.plates = problem, y, plates
+        self.light, self.jacobian, at = np.asarray(light), found.jacobian, found.at
+        self.given_back = np.asarray(first.samples.target - problem.samples.target)
+        self.step = np.asarray(first.samples.step)
+        weight = np.asarray(problem.samples.weight)
+        self.used, self.weight = weight > 0, np.where(weight > 0, weight, 1)
+        self.deviation, self.floor = np.asarray(at.deviation), float(at.floor)
+        self.residual = np.asarray(at.residual)
+        # How much an outlier's error still moves the solution.
+        self.bend = np.asarray(problem.loss.score(at.residual)[1])
+        self.gram = np.asarray(self.jacobian.gram(), float)
+        self.inverse = np.linalg.pinv(self.gram, hermitian=True)
+
+    def noise(self) -> float:
+        """The sensor's noise, with which as much is left over as was.
+
+        What JPEG makes of it is found by drawing: most of it may be rounded away.
+        """
+        inner = self._inner()
+        wanted = self._size(self.residual, inner)
+        # About as many samples for few pixels as for many; other draws than those that
+        # were given back, which would seem to have little noise.
+        count = max(1, min(FEW, 2**17 // self.light.shape[1]))
+        seeds = range(FEW + MANY, FEW + MANY + count)
+
+        def excess(variance: float) -> float:
+            drawn = self.errors(np.sqrt(variance), seeds)
+            left = (one - self.given_back for one in drawn)
+            sizes = [self._size(one / self.deviation, inner) for one in left]
+            return float(np.mean(sizes)) - wanted
+
+        scale = float(np.mean(self.step[self.used] ** 2)) / 12
+        scale = max(float(self.problem.sigma) ** 2, scale)
+        return max(float(np.sqrt(_root(excess, scale))), self.floor)
+
+    def _inner(self) -> Bool[np.ndarray, "3 samples"]:
+        """Samples whose blocks show the surface alone; all, where these are few."""
+        inner = np.zeros_like(self.used)
+        for plate in self.plates:
+            seen, jpeg = plate.used.max(axis=-1, keepdims=True), plate.film.jpeg
+            if jpeg is not None:
+                seen = plate.cut(_all_over(_in_blocks(~seen, *jpeg.block) == 0, jpeg))
+            inner[:, plate.columns] = seen.ravel()[plate.place]
+        inner &= self.used
+        few = np.count_nonzero(inner) <= ENOUGH * np.count_nonzero(self.used)
+        return self.used if few else inner
+
+    def _size(self, residual: np.ndarray, which: np.ndarray) -> float:
+        """Mean square of what a fit leaves of such errors, in standard deviations."""
+        left = self._left(residual)
+        if self.problem.loss.robust:
+            return float(median_deviation(jnp.asarray(left), jnp.asarray(which))) ** 2
+        return float(np.mean(left[which].astype(float) ** 2))
+
+    def _left(self, residual: np.ndarray) -> Float[np.ndarray, "3 samples"]:
+        """What a fit leaves of such errors."""
+        taken = jnp.asarray(self.inverse @ self._pull(residual), self.y.dtype)
+        return residual - np.asarray(self.jacobian.change(taken))
+
+    def _pull(self, residual: np.ndarray) -> Float[np.ndarray, " n"]:
+        return np.asarray(
+            self.jacobian.pull(jnp.asarray(residual, self.y.dtype)), float
+        )
+
+    def errors(
+        self, sigma: float, seeds: range
+    ) -> Iterator[Float[np.ndarray, "3 samples"]]:
+        """What noise and films add to what the fit predicts; 0 where nothing is used.
+
+        No two draws have the same roundings.
+        """
+        kind = self.light.dtype
+        there = dataclasses.replace(self.problem, sigma=jnp.asarray(sigma, kind))
+        predicted = evaluate(there, self.y).difference + there.samples.target
+        predicted, noise = np.asarray(predicted), sigma / np.sqrt(self.weight)
+        for seed in seeds:
+            rng, errors = np.random.default_rng(seed), np.zeros_like(self.light)
+            drawn = rng.standard_normal(self.light.shape, np.float32)
+            light = self.light + (noise * drawn).astype(kind)
+            for plate in self.plates:
+                shown = _developed(plate, light[:, plate.columns], rng)
+                errors[:, plate.columns] = shown - predicted[:, plate.columns]
+            yield np.where(self.used, errors, 0)
+
+    def wider_steps(
+        self, errors: Float[np.ndarray, "draws 3 samples"], sigma: float
+    ) -> Float[np.ndarray, "3 samples"]:
+        """Steps of a rounding with such errors, block by block: edges are worst."""
+        beyond = 12 * ((errors**2).mean(axis=0) - sigma**2 / self.weight)
+        wider = self.step.copy()
+        for plate in self.plates:
+            jpeg, step = plate.film.jpeg, plate.picture(self.step)
+            if jpeg is None:
+                continue
+            shares = plate.picture(beyond) / np.where(step > 0, step, 1) ** 2
+            mean = _in_blocks(shares, *jpeg.block)
+            mean = mean / np.maximum(_in_blocks(plate.used, *jpeg.block), 1)
+            factor = plate.cut(_all_over(np.sqrt(np.maximum(mean, 1)), jpeg))
+            wider[:, plate.columns] *= factor.reshape(-1, 3)[plate.place].T
+        return wider
+
+    def draw(self, side: int) -> _Draws:
+        """Many draws at the problem's own noise."""
+        total, scores, tiles = np.zeros_like(self.light), [], []
+        # Other draws than those that the solution comes from.
+        for errors in self.errors(float(self.problem.sigma), range(FEW, FEW + MANY)):
+            total += errors
+            scaled = errors / self.deviation
+            scores.append(self._pull(self.bend * scaled))
+            left = self._left(scaled)
+            tiles.append([_in_tiles(p.picture(left), side) for p in self.plates])
+        root = np.sqrt(np.diag(self.gram))
+        doubts = self._doubts(total / MANY)
+        rows = np.concatenate([_apart(scores), doubts]) / np.where(root > 0, root, 1)
+        each = [_rows(one) for one in zip(*tiles, strict=True)]
+        return _Draws(total / MANY, rows.T @ rows, each)
+
+    def _doubts(self, lost: Float[np.ndarray, "3 samples"]) -> Float[np.ndarray, "3 n"]:
+        """Scores of what is given back, which counts as an error.
+
+        An encoder may round otherwise than is assumed, and what surrounds the surface
+        is estimated. By chance little may be lost in one of the channels: it is taken
+        from all of them, in turn.
+        """
+        turns = [np.roll(lost / self.deviation, k, axis=0) for k in range(3)]
+        return np.array([self._pull(self.bend * one) for one in turns]) / np.sqrt(3)
+
+
+def _apart(draws: Sequence[np.ndarray]) -> Float[np.ndarray, "draws ..."]:
+    """Vectors whose products with themselves add up to the covariance of a draw.
+
+    About a mean that is known no better than from so many draws.
+    """
+    each = np.array(draws, float)
+    count = len(each)
+    return (each - each.mean(axis=0)) * np.sqrt((1 + 1 / count) / (count - 1))
+
+
+def _rows(draws: Sequence[np.ndarray]) -> Float[np.ndarray, "draws ..."]:
+    """The same, and the mean: it is given back, and doubted."""
+    return np.concatenate([_apart(draws), np.mean(draws, axis=0, keepdims=True)])
+
+
+def _in_tiles(
+    picture: Float[np.ndarray, "height width 3"], side: int
+) -> Float[np.ndarray, "3 rows columns"]:
+    return np.moveaxis(_in_blocks(picture, side, side), -1, 0)
+
+
+def _all_over(
+    blocks: Float[np.ndarray, "rows columns channels"], jpeg: JpegCompression
+) -> Float[np.ndarray, "height width channels"]:
+    """At each pixel the number of its block; the last blocks are whole ones."""
+    down, across = jpeg.block
+    return blocks.repeat(down, axis=0).repeat(across, axis=1)
+
+
+@eqx.filter_jit
+def _look(problem: Problem, y: Float[Array, " n"]) -> tuple[Array, Linearization]:
+    return problem.light(y), linearize(problem, y)
+
+
+def _developed(
+    plate: _Plate,
+    light: Float[np.ndarray, "3 n"],
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "3 n"]:
+    """Light on the surface as it is read from the file; its roundings are drawn."""
+    film = plate.film
+    if film.jpeg is None:
+        shown = np.clip(light, 0, 1) if film.clamp else light
+        if film.bits is None:
+            return shown
+        top = 2**film.bits - 1
+        offset = rng.uniform(-0.5, 0.5, (3, 1)).astype(light.dtype)
+        levels = np.round(encode(shown, film.encoding) * top + offset) - offset
+        return decode(np.clip(levels / top, 0, 1), film.encoding)
+    levels = plate.levels(light)
+    share, shift = _another(film.jpeg, float(levels.max()), rng)
+    read = (compressed(share * levels + shift, film.jpeg) - shift) / share
+    shown = decode(np.clip(read / 255, 0, 1), film.encoding)
+    return shown.reshape(-1, 3)[plate.place].T
+
+
+def _another(
+    jpeg: JpegCompression, brightest: float, rng: np.random.Generator
+) -> tuple[np.float32, Float[np.ndarray, " 3"]]:
+    """What levels are multiplied by, and what is added to red, green and blue.
+
+    Nothing passes white by it, so that no more is cut off than was.
+    """
+    # Twice as wide as the coarsest rounding of a block's mean.
+    widest = max(1.0, *(table[0][0] / 8 for table in jpeg.tables))
+    shift = rng.uniform(-widest, widest, 3).astype(np.float32)
+    if len(jpeg.tables) == 1:
+        shift[:] = shift[0]
+    most = min(1 + BRIGHTER, (255 - widest) / max(brightest, 1.0))
+    return np.float32(most - 2 * BRIGHTER * rng.uniform()), shift
+
+
+def _root(function: Callable[[float], float], scale: float) -> float:
+    """Where a rising function of a variance is 0; 0 if it is never below."""
+    low, high = 0.0, scale
+    below, above = function(low), function(high)
+    if below >= 0:
+        return 0.0
+    for _ in range(GROWN):
+        if above > 0:
+            break
+        low, below, high = high, above, 4 * high
+        above = function(high)
+    if above <= 0:
+        return high
+    for _ in range(3):
+        # Nearly a line, so that its crossing is soon found.
+        middle = low - below * (high - low) / (above - below)
+        there = function(middle)
+        if there < 0:
+            low, below = middle, there
+        else:
+            high, above = middle, there
+    return low - below * (high - low) / (above - below)

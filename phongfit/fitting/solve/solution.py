@@ -1,0 +1,162 @@
+"""Solving the problem by sums over its samples, with a solver for least squares."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Float, Int
+
+from phongfit.fitting.problem.problem import Problem
+from phongfit.fitting.solve.solver import BoundedLevenbergMarquardt
+from phongfit.fitting.solve.sums import Left, sums
+
+
+@eqx.filter_custom_jvp
+def few_residuals(
+    y: Float[Array, " n"], problem: Problem
+) -> tuple[Float[Array, " n+1"], Left]:
+    r"""n + 1 residuals that no Gauss-Newton method can tell from all of them.
+
+    With the symmetric root $R = (J^\top J)^{1/2}$ they are $R^{-1} J^\top r$ and what
+    is left of the length of $r$; their Jacobian is $R$ and a row of zeros. So sum of
+    squares, gradient and $J^\top J$ are those of the problem, and a solver holds n + 1
+    numbers instead of a million.
+
+    **Returns:** these, and what a noise level follows from: optimistix's `aux`.
+    """
+    residuals, _, left = _residuals_and_root(y, problem)
+    return residuals, left
+
+
+@few_residuals.def_jvp
+def _derivative(
+    at: tuple[Array, Problem], towards: tuple[Array | None, Any]
+) -> tuple[tuple[Array, Left], tuple[Array, Left]]:
+    residuals, root, left = _residuals_and_root(*at)
+    tangent, others = towards
+    if any(leaf is not None for leaf in jax.tree.leaves(others)):
+        raise NotImplementedError("few_residuals: a derivative in the unknowns only")
+    moved = jnp.zeros_like(at[0]) if tangent is None else root @ tangent
+    moved = jnp.append(moved, jnp.zeros((), moved.dtype))
+    return (residuals, left), (moved, jax.tree.map(jnp.zeros_like, left))
+
+
+def _residuals_and_root(
+    y: Float[Array, " n"], problem: Problem
+) -> tuple[Float[Array, " n+1"], Float[Array, "n n"], Left]:
+    total = sums(problem, y)
+    tiny = jnp.finfo(y.dtype).tiny
+    scale = jnp.sqrt(jnp.diag(total.hessian))
+    scale = jnp.where(scale > 0, scale, 1)
+    values, vectors = jnp.linalg.eigh(total.hessian / jnp.outer(scale, scale))
+    # Rounding can leave a direction that nothing is known of below zero.
+    root = jnp.sqrt(jnp.maximum(values, 0))
+    small = jnp.finfo(root.dtype).eps * jnp.max(root)
+    inverse = jnp.where(root > small, 1 / jnp.where(root > small, root, 1), 0)
+    head = vectors @ (inverse * (vectors.T @ (total.gradient / scale)))
+    jacobian = (vectors * root[None]) @ vectors.T * scale[None]
+    # A curvature so low that the cost would fall below zero is too low.
+    length = jnp.sum(head**2)
+    steeper = jnp.sqrt(jnp.maximum(length / jnp.maximum(total.cost, tiny), 1))
+    tail = jnp.sqrt(jnp.maximum(total.cost - length / steeper**2, 0))
+    unit = _unit(problem)
+    residuals = jnp.append(head / steeper, tail) / unit
+    return residuals, jacobian * steeper / unit, total.left
+
+
+def _unit(problem: Problem) -> Float[Array, ""]:
+    """What residuals are measured in, so that one tolerance serves all problems.
+
+    A mean over the samples, since the rounding of a sum grows with it; and no standard
+    deviation below the rounding of a prediction.
+    """
+    dtype, step = problem.sigma.dtype, problem.samples.step
+    used = jnp.sum(problem.samples.weight > 0)
+    count = jnp.maximum(used, 1).astype(dtype)
+    deviation = problem.sigma
+    if step is not None:
+        # Without noise the rounding of the image is still coarser than a prediction's.
+        deviation = jnp.sqrt(deviation**2 + jnp.mean(step**2) / 12)
+    coarse = 8 * float(jnp.finfo(dtype).eps) / deviation / _tolerance(dtype)
+    return jnp.sqrt(count) * jnp.maximum(coarse, 1)
+
+
+def _tolerance(dtype: Any) -> float:
+    return max(float(jnp.finfo(dtype).eps) ** 0.7, 1e-8)
+
+
+def make_solver(
+    problem: Problem,
+    dtype: Any,
+    pace: Float[Array, "2"] | None = None,
+    coarse: Float[Array, ""] | float = 0.0,
+) -> BoundedLevenbergMarquardt:
+    """The solver for a problem's box, as exact as the number type allows.
+
+    **Arguments:**
+
+    - `pace`: see [`BoundedLevenbergMarquardt`][].
+    - `coarse`: a tolerance that is enough.
+    """
+    tolerance = jnp.maximum(coarse, _tolerance(dtype))
+    return BoundedLevenbergMarquardt(
+        rtol=tolerance,
+        atol=tolerance,
+        lower=problem.unknowns.lower,
+        upper=problem.unknowns.upper,
+        foresee=True,
+        pace=jnp.zeros(2, dtype) if pace is None else pace,
+    )
+
+
+class Solution(eqx.Module):
+    """Where the solver stopped, and why; what is left over there.
+
+    `pace` is how fast its steps shrank.
+    """
+
+    y: Float[Array, " n"]
+    cost: Float[Array, ""]
+    left: Left
+    steps: Int[Array, ""]
+    converged: Array
+    pace: Float[Array, "2"]
+
+
+@eqx.filter_jit
+def solve(
+    problem: Problem,
+    start: Float[Array, " n"],
+    max_steps: int,
+    pace: Float[Array, "2"] | None = None,
+    coarse: Float[Array, ""] | float = 0.0,
+) -> Solution:
+    """Bounded Levenberg-Marquardt from `start`; failure is data, not an exception.
+
+    **Arguments:**
+
+    - `pace`: of an earlier solution that was near this one.
+    - `coarse`: see [`make_solver`][].
+    """
+    solver = make_solver(problem, start.dtype, pace, coarse)
+    solution = optx.least_squares(
+        few_residuals,
+        solver,
+        start,
+        args=problem,
+        has_aux=True,
+        max_steps=max_steps,
+        throw=False,
+    )
+    done, state = solution.result == optx.RESULTS.successful, solution.state
+    cost = 2 * _unit(problem) ** 2 * state.f_info.as_min()
+    steps, converged = solution.stats["num_steps"], done & jnp.isfinite(cost)
+    # The last step's end may not have been evaluated: there the linear model serves.
+    change = state.f_info.jac.mv(solution.value - state.descent_state.y)
+    saved = jnp.sum(change**2) / jnp.maximum(jnp.sum(state.f_info.residual**2), 1e-30)
+    left = state.aux
+    left = Left(left.squares * jnp.maximum(1 - saved, 0), left.share, left.floor)
+    pace = solver.pace_at(state)
+    return Solution(solution.value, cost, left, steps, converged, pace)

@@ -1,0 +1,389 @@
+"""Bounded Levenberg-Marquardt, as an optimistix solver that stands on its own.
+
+    solver = BoundedLevenbergMarquardt(rtol=1e-8, atol=1e-8, lower=l, upper=u)
+    optx.least_squares(residuals, solver, y0)
+
+optimistix has no bounds for least squares, and ignores those in `options` silently.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, PyTree, Scalar, ScalarLike
+
+from phongfit.fitting.solve.box import least_squares_in_box
+
+
+class _State(eqx.Module):
+    """What a step needs of the last accepted point; and the one before."""
+
+    y: PyTree[Array]
+    before: PyTree[Array]
+    triangle: Float[Array, "k n+1"]
+    scale: Float[Array, " n"]
+
+
+class BoxDampedNewtonDescent(optx.AbstractDescent):
+    r"""The best damped Gauss-Newton step that stays in a box.
+
+    Minimises $\|J p + r\|^2 + \lambda \|D p\|^2$ over all $p$ with
+    $l \le y + p \le u$, where $D$ holds the largest norms that the columns of $J$ have
+    had so far, and $\lambda$ is `damping` over the step size. A parameter may end
+    exactly on its bound and may leave it again. It works on a QR factor of $J$:
+    $J^\top J$ would square the condition number, which float32 cannot afford.
+
+    ??? cite "Source"
+        Moré, *The Levenberg-Marquardt algorithm: implementation and theory*, Numerical
+        Analysis, Lecture Notes in Mathematics 630, 1978: norms that never shrink keep
+        the region of trust where the residuals turn flat.
+    """
+
+    lower: PyTree[Array]
+    upper: PyTree[Array]
+    damping: float = 1e-3
+
+    def init(self, y: PyTree[Array], f_info_struct: Any) -> _State:
+        flat, _ = ravel_pytree(y)
+        rows = sum(leaf.size for leaf in jax.tree.leaves(f_info_struct.residual))
+        shape = (min(rows, flat.size + 1), flat.size + 1)
+        return _State(y, y, jnp.zeros(shape, flat.dtype), jnp.zeros_like(flat))
+
+    def query(self, y: PyTree[Array], f_info: Any, state: _State) -> _State:
+        residual, _ = ravel_pytree(f_info.residual)
+        both = jnp.column_stack([f_info.jac.as_matrix(), residual])
+        triangle = jnp.linalg.qr(both, mode="r")
+        norms = jnp.linalg.norm(triangle[:, :-1], axis=0)
+        return _State(y, state.y, triangle, jnp.maximum(state.scale, norms))
+
+    def step(
+        self, step_size: Scalar, state: _State
+    ) -> tuple[PyTree[Array], optx.RESULTS]:
+        from_flat = ravel_pytree(state.y)[1]
+        y, lower, upper = (
+            ravel_pytree(tree)[0] for tree in (state.y, self.lower, self.upper)
+        )
+        jacobian, residual = state.triangle[:, :-1], state.triangle[:, -1]
+        # What does nothing at all here still needs a positive curvature.
+        scale = jnp.where(state.scale > 0, state.scale, 1)
+        # A GPU would otherwise multiply in reduced precision.
+        with jax.default_matmul_precision("highest"):
+            still = _unfelt(jacobian, residual, upper - lower)
+            step = least_squares_in_box(
+                jacobian,
+                residual,
+                jnp.sqrt(self.damping / step_size) * scale,
+                jnp.where(still, 0, lower - y),
+                jnp.where(still, 0, upper - y),
+            )
+            meets = (step == lower - y) | (step == upper - y)
+            idle = _is_rounding(jacobian, residual, y, step) & ~meets
+        step = jnp.where(idle, 0, step)
+        return from_flat(_landing(y, step, lower, upper)), optx.RESULTS.successful
+
+
+def _unfelt(
+    jacobian: Float[Array, "k n"],
+    residual: Float[Array, " k"],
+    width: Float[Array, " n"],
+) -> Bool[Array, " n"]:
+    """Parameters that the residuals hardly feel, and that the cost would not feel.
+
+    They rest: their steps are arbitrary, and without an end in sight.
+    """
+    resolution = jnp.finfo(width.dtype).eps
+    curvature = jnp.sum(jacobian**2, axis=0)
+    faint = curvature <= resolution * jnp.max(curvature)
+    slope = jnp.abs(jacobian.T @ residual)
+    parabola = slope * (slope / jnp.where(curvature > 0, 2 * curvature, jnp.inf))
+    gain = jnp.minimum(parabola, slope * width)
+    return faint & (gain <= resolution * jnp.sum(residual**2) / 2)
+
+
+def _is_rounding(
+    jacobian: Float[Array, "k n"],
+    residual: Float[Array, " k"],
+    y: Float[Array, " n"],
+    step: Float[Array, " n"],
+) -> Bool[Array, ""]:
+    """Whether a step changes the residuals by no more than the rounding of y does.
+
+    Such steps are noise; taken, they would go on for ever where columns are parallel.
+    """
+    norms = jnp.linalg.norm(jacobian, axis=0)
+    rounding = jnp.sum(jnp.abs(y) * norms) + jnp.linalg.norm(residual)
+    change = jnp.linalg.norm(jacobian @ step)
+    return change <= jnp.finfo(y.dtype).eps * rounding
+
+
+def _landing(
+    y: Float[Array, " n"],
+    step: Float[Array, " n"],
+    lower: Float[Array, " n"],
+    upper: Float[Array, " n"],
+) -> Float[Array, " n"]:
+    """`step`, such that y + step rounds to the bound where it was meant to meet it.
+
+    Or to a point just inside: from far off, no step may end on a bound near 0.
+    """
+    there = jnp.clip(y + step, lower, upper)
+    there = jnp.where(step == lower - y, lower, there)
+    there = jnp.where(step == upper - y, upper, there)
+    step = step + (there - (y + step))
+    step = jnp.where(y + step < lower, jnp.nextafter(step, jnp.inf), step)
+    return jnp.where(y + step > upper, jnp.nextafter(step, -jnp.inf), step)
+
+
+BoxDampedNewtonDescent.__init__.__doc__ = r"""**Arguments:**
+
+- `lower`, `upper`: of the structure of the unknowns; may be infinite.
+- `damping`: $\lambda$ at the first step.
+"""
+
+
+class _SearchState(eqx.Module):
+    step_size: Scalar
+
+
+class RoundingTolerantTrustRegion(optx.AbstractSearch):
+    r"""Accepts what lowers the cost, and knows by how much below the cost's rounding.
+
+    Near the solution the true and the predicted decrease are both below the rounding of
+    the cost. A search that compares them rejects every step there and never ends; one
+    that accepts every step there wanders about, where $J^\top J$ is far from the
+    curvature. There the decrease is taken from the slopes at both ends instead,
+    $-\tfrac12 (r_0 \cdot J_0 p + r_1 \cdot J_1 p)$, whose rounding shrinks with the
+    step.
+
+    ??? cite "Source"
+        Hager and Zhang, *A new conjugate gradient method with guaranteed descent and an
+        efficient line search*, SIAM J. Optim. 16(1), 2005: the approximate Wolfe
+        conditions.
+    """
+
+    good: float = 0.75
+    poor: float = 0.25
+    grow: float = 4.0
+    shrink: float = 0.25
+
+    def init(self, y: PyTree[Array], f_info_struct: Any) -> _SearchState:
+        del f_info_struct
+        dtype = jnp.result_type(*jax.tree.leaves(y))
+        return _SearchState(jnp.ones((), dtype))
+
+    def step(
+        self,
+        first_step: Bool[Array, ""],
+        y: PyTree[Array],
+        y_eval: PyTree[Array],
+        f_info: Any,
+        f_eval_info: Any,
+        state: _SearchState,
+    ) -> tuple[Scalar, Bool[Array, ""], optx.RESULTS, _SearchState]:
+        difference = jax.tree.map(jnp.subtract, y_eval, y)
+        before, after = f_info.as_min(), f_eval_info.as_min()
+        slope, change = _slope(f_info, difference)
+        predicted = -slope - change**2 / 2
+        decrease = before - after
+        resolution = jnp.finfo(before.dtype).eps
+        unclear = jnp.abs(decrease) <= 8 * resolution * before
+        by_slopes = -(slope + _slope(f_eval_info, difference)[0]) / 2
+        decrease = jnp.where(unclear, by_slopes, decrease)
+        # What the slopes round, and where nothing can be said.
+        rounding = 2 * resolution * jnp.sqrt(2 * before) * change
+        accept = first_step | (decrease >= -rounding)
+        alike = (jnp.abs(decrease) <= rounding) & (predicted <= rounding)
+        factor = jnp.where(decrease >= self.good * predicted, self.grow, 1)
+        factor = jnp.where(decrease < self.poor * predicted, self.shrink, factor)
+        factor = jnp.where(alike | first_step, 1, factor)
+        factor = jnp.where(accept, factor, self.shrink)
+        step_size = factor * state.step_size
+        return step_size, accept, optx.RESULTS.successful, _SearchState(step_size)
+
+
+def _slope(f_info: Any, difference: PyTree[Array]) -> tuple[Scalar, Scalar]:
+    """Slope of the cost along a step, and how far the residuals move, linearly."""
+    change, _ = ravel_pytree(f_info.jac.mv(difference))
+    residual, _ = ravel_pytree(f_info.residual)
+    return jnp.sum(residual * change), jnp.linalg.norm(change)
+
+
+RoundingTolerantTrustRegion.__init__.__doc__ = """**Arguments:**
+
+- `good`, `poor`: shares of the predicted decrease from which on the step size grows,
+    and below which it shrinks.
+- `grow`, `shrink`: factors on the step size; it shrinks too where a step is rejected.
+"""
+
+
+class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
+    r"""Levenberg-Marquardt for least squares in a box: a descent and a search.
+
+    Minimises $\tfrac12 \|r(y)\|^2$ over all $y$ with $l \le y \le u$, for some tens of
+    unknowns and any number of residuals. The bounds hold exactly at every point that is
+    evaluated, and may bind at the solution. A step costs a Jacobian and a QR
+    factorisation of it; one that is rejected, the derivative along one direction.
+
+    It ends with `optx.RESULTS.successful` where a step moves unknowns and residuals by
+    less than the tolerances ask for, or by less than their rounding: tolerances that
+    are too tight, in float32 too, end in the best that can be had. Otherwise it ends at
+    `max_steps`. NaN or infinite residuals are steps that are rejected.
+
+    Units of the unknowns do not matter, nor do columns of zeros or parallel ones. It
+    works under `jit` and `vmap`, there as long as the slowest needs. On the problems of
+    Moré, Garbow and Hillstrom, free and in boxes, it ends no higher than SciPy's
+    `least_squares`.
+
+    !!! example
+        ```python
+        def rosenbrock(y, args):
+            return jnp.stack([10 * (y[1] - y[0] ** 2), 1 - y[0]])
+
+        lower, upper = jnp.array([-5.0, -5.0]), jnp.array([0.5, 5.0])
+        solver = BoundedLevenbergMarquardt(1e-6, 1e-6, lower, upper)
+        solution = optx.least_squares(rosenbrock, solver, jnp.array([-1.2, 1.0]))
+        solution.value  # [0.5, 0.25]
+        ```
+
+    ??? cite "Source"
+        Kanzow, Yamashita and Fukushima, *Levenberg-Marquardt methods with strong local
+        convergence properties for solving nonlinear equations with convex constraints*,
+        J. Comput. Appl. Math. 172, 2004; scaling and search as in
+        [`BoxDampedNewtonDescent`][] and [`RoundingTolerantTrustRegion`][].
+    """
+
+    rtol: Any
+    atol: Any
+    norm: Callable[[PyTree], Scalar]
+    descent: Any
+    search: Any
+    verbose: Callable[..., None]
+    foresee: bool
+    pace: Float[Array, "2"]
+
+    def __init__(
+        self,
+        rtol: ScalarLike,
+        atol: ScalarLike,
+        lower: PyTree[Array],
+        upper: PyTree[Array],
+        norm: Callable[[PyTree], Scalar] = optx.max_norm,
+        damping: float = 1e-3,
+        foresee: bool = False,
+        pace: Float[Array, "2"] | None = None,
+    ):
+        """**Arguments:**
+
+        - `rtol`, `atol`: relative and absolute tolerance on the change of unknowns and
+            residuals, at which an accepted step is the last.
+        - `lower`, `upper`: bounds, of the structure of the unknowns; may be infinite.
+            The starting point must lie between them.
+        - `norm`: of these changes.
+        - `damping`: share of the curvature that is added at first.
+        - `foresee`: end with a step after which, from how fast steps shrink, none would
+            be large enough; its end is not evaluated, which spares an evaluation.
+        - `pace`: how fast steps shrank in an earlier run that ended nearby, which
+            its `pace_at` tells: so that the first step may be the last; default
+            unknown.
+        """
+        self.rtol = rtol
+        self.atol = atol
+        self.norm = norm
+        self.descent = BoxDampedNewtonDescent(lower, upper, damping)
+        self.search = RoundingTolerantTrustRegion()
+        self.verbose = _silent
+        self.foresee = foresee
+        self.pace = jnp.zeros(2) if pace is None else pace
+
+    def terminate(
+        self,
+        fn: Any,
+        y: PyTree[Array],
+        args: PyTree,
+        options: dict[str, Any],
+        state: Any,
+        tags: frozenset[object],
+    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
+        """Also, if asked for, where the next step is the last."""
+        del fn, y, args, options, tags
+        ends = state.terminate
+        return ends | self._is_last(state) if self.foresee else ends, state.result
+
+    def postprocess(
+        self,
+        fn: Any,
+        y: PyTree[Array],
+        aux: Any,
+        args: PyTree,
+        options: dict[str, Any],
+        state: Any,
+        tags: frozenset[object],
+        result: optx.RESULTS,
+    ) -> tuple[PyTree[Array], Any, dict[str, Any]]:
+        """The last step is taken, though nothing is evaluated there."""
+        del fn, args, options, tags, result
+        if not self.foresee:
+            return y, aux, {}
+        last = self._is_last(state) & ~state.terminate
+        y = jax.tree.map(lambda end, y: jnp.where(last, end, y), state.y_eval, y)
+        return y, aux, {}
+
+    def _is_last(self, state: Any) -> Bool[Array, ""]:
+        r"""Whether a further step after the next one would be too small to be taken.
+
+        Steps that shrink by a factor $\theta$ end $\theta / (1 - \theta)$ of the next
+        one beyond it. That holds near the solution alone, and for steps that damping
+        does not hold back. Of a run's first step $\theta$ is known from an earlier run,
+        and grows with the step.
+
+        ??? cite "Source"
+            Hairer and Wanner, *Solving Ordinary Differential Equations II*, 1996,
+            section IV.8.
+        """
+        previous, size, change = self._steps(state)
+        then, now = self.pace
+        of = jnp.where(previous > 0, previous, then)
+        share = size / jnp.where(of > 0, of, 1)
+        usual = now / jnp.where(then > 0, then, 1) * jnp.maximum(share, 1)
+        theta = jnp.where(previous > 0, share, usual)
+        near = (of > 0) & (theta < 0.1) & ~state.first_step
+        undamped = state.search_state.step_size >= 1
+        beyond = theta / (1 - theta) * jnp.maximum(size, change)
+        accepted = state.num_steps_since_acceptance == 0
+        return near & undamped & accepted & (beyond < 1)
+
+    def pace_at(self, state: Any) -> Float[Array, "2"]:
+        """Sizes of the last two steps before a state; 0 where they are not known.
+
+        Not below the tolerance: what follows is rounding.
+        """
+        previous, size, _ = self._steps(state)
+        here = jnp.stack([previous, jnp.maximum(size, 1)])
+        return jnp.where(previous > 0, here, self.pace)
+
+    def _steps(self, state: Any) -> tuple[Scalar, Scalar, Scalar]:
+        """Sizes of the last step and of the next, and of the residuals' change by it.
+
+        In units of what the tolerances ask for.
+        """
+        y, before = state.descent_state.y, state.descent_state.before
+        step = jax.tree.map(jnp.subtract, state.y_eval, y)
+        change = state.f_info.jac.mv(step)
+        previous = self._size(jax.tree.map(jnp.subtract, y, before), y)
+        return previous, self._size(step, y), self._size(change, state.f_info.residual)
+
+    def _size(self, change: PyTree[Array], of: PyTree[Array]) -> Scalar:
+        """A change in units of what the tolerances ask for."""
+
+        def share(change: Array, of: Array) -> Array:
+            return jnp.abs(change) / (self.atol + self.rtol * jnp.abs(of))
+
+        return self.norm(jax.tree.map(share, change, of))
+
+
+def _silent(**report: Any) -> None:
+    del report

@@ -1,0 +1,283 @@
+r"""A starting point without a guess: for given f the best ρ is a tiny linear problem.
+
+A scan over log f solves it for each candidate, in the box, and takes the best. Three
+numbers a sample (A, D and S(f)) enter only through their sums of products.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from phongfit.fitting.problem.leaves import LEAVES, REFLECTANCES
+from phongfit.fitting.problem.problem import Problem
+from phongfit.fitting.problem.samples import Channels, Source
+from phongfit.fitting.problem.unknowns import Unknowns
+from phongfit.fitting.solve.box import minimize_in_box
+from phongfit.rendering.pixels import PixelTerms
+
+CANDIDATES = 24
+# Bands of exponents of which a robust fit tries the best.
+BANDS = 6
+SUBSET = 2048
+# What a robust loss is to reject may lie just there: then it must be the smaller part.
+ROBUST_NEAR = 0.25
+
+
+def choose_few(
+    sources: list[Source], seen: list[np.ndarray], near: float = 0.5
+) -> list[np.ndarray] | None:
+    """A few thousand samples: evenly spread ones, and the nearest to highlights.
+
+    A narrow highlight covers few pixels, but only these know f.
+
+    **Arguments:**
+
+    - `seen`: of each image the pixels that may be taken.
+    - `near`: share of those that are nearest to highlights.
+
+    **Returns:** of each image those taken; `None` if that were all.
+    """
+    if sum(map(len, seen)) <= SUBSET:
+        return None
+    share = max(SUBSET // len(sources), 32)
+    return [
+        _few(source.pixels, pixels, share, int(near * share))
+        for source, pixels in zip(sources, seen, strict=True)
+    ]
+
+
+def _few(view: PixelTerms, seen: np.ndarray, count: int, near: int) -> np.ndarray:
+    if len(seen) <= count:
+        return seen
+    even = seen[np.linspace(0, len(seen) - 1, count - near).astype(int)]
+    bright = seen[_largest(_nearness(view)[seen], near)]
+    return np.concatenate([even, bright])
+
+
+def _largest(values: np.ndarray, count: int) -> np.ndarray:
+    """Places of the largest numbers, looked for among those that are large at all."""
+    few = values[::16]
+    rank = min(count // 8 + 1, len(few))
+    places = np.flatnonzero(values >= np.partition(few, -rank)[-rank])
+    if len(places) < count:
+        places = np.arange(len(values))
+    return places[np.argpartition(values[places], -count)[-count:]]
+
+
+def _nearness(view: PixelTerms) -> np.ndarray:
+    """Largest cosine from any highlight, pixel by pixel."""
+    nearest = np.asarray(_nearest(view.terms.cosine, view.terms.strength)).ravel()
+    if view.interpolation is None:
+        return nearest
+    index = np.asarray(view.interpolation.index)
+    return nearest[index.reshape(-1, index.shape[-1])].max(axis=-1)
+
+
+@jax.jit
+def _nearest(cosine: Array, strength: Array) -> Array:
+    lit = jnp.any(strength != 0, axis=-1)
+    return jnp.max(jnp.where(lit, cosine, 0), axis=-1, initial=0)
+
+
+@eqx.filter_jit
+def scan(problem: Problem, y: Float[Array, " n"]) -> Float[Array, " n"]:
+    """`y` with the best material for its scenes, over a grid of exponents.
+
+    Where exponents differ between channels or materials, each takes its own best.
+    """
+    return choose(problem.unknowns, y, *_candidates(problem, y))
+
+
+@eqx.filter_jit
+def scan_bands(problem: Problem, y: Float[Array, " n"]) -> Float[Array, "bands n"]:
+    """The same, with the best of each of several bands of exponents."""
+    vectors, costs = _candidates(problem, y)
+    bands = np.array_split(np.arange(len(vectors)), min(BANDS, len(vectors)))
+    return jnp.stack(
+        [choose(problem.unknowns, y, vectors[one], costs[one]) for one in bands]
+    )
+
+
+def _candidates(
+    problem: Problem, y: Float[Array, " n"]
+) -> tuple[Float[Array, "candidates n"], Float[Array, "candidates materials 3"]]:
+    """For each exponent of a grid the best vector, and what it costs."""
+    unknowns = problem.unknowns
+    entries = unknowns.entries(y)
+    scene = _Lit(problem.channels(entries), problem.exposure(entries))
+    logarithm = unknowns.logarithmic
+    if logarithm.any():
+        first = int(np.argmax(logarithm))
+        low, high = unknowns.lower[first], unknowns.upper[first]
+        grid = low + (high - low) * jnp.linspace(0, 1, CANDIDATES, dtype=low.dtype)
+        exponents = jnp.exp(grid)
+    else:
+        grid = jnp.zeros((1,), y.dtype)
+        exponents = _shininess(unknowns, entries)[None]
+
+    def at(exponent: Array) -> tuple[Array, Array]:
+        return _best_reflectances(problem, scene, exponent)
+
+    vectors, costs = jax.lax.map(at, exponents)
+    return jnp.where(logarithm, grid[:, None], vectors), costs
+
+
+def choose(
+    unknowns: Unknowns,
+    y: Float[Array, " n"],
+    vectors: Float[Array, "candidates n"],
+    costs: Float[Array, "candidates materials 3"],
+) -> Float[Array, " n"]:
+    """`y` with the material of the vectors that cost least.
+
+    Where exponents differ between channels or materials, each takes its own best.
+    """
+    costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
+    own = jnp.argmin(costs, axis=0)
+    common = jnp.argmin(jnp.sum(costs, axis=-1), axis=0)
+    logarithm = unknowns.logarithmic
+    alone = (unknowns.columns >= 0) & bool((unknowns.columns[logarithm] >= 0).any())
+    chosen = jnp.where(
+        alone, own[unknowns.owners, unknowns.columns], common[unknowns.owners]
+    )
+    found = vectors[chosen, np.arange(len(chosen))]
+    found = jnp.where(np.isin(unknowns.kinds, LEAVES), found, y)
+    return jnp.clip(found, unknowns.lower, unknowns.upper)
+
+
+def _shininess(unknowns: Unknowns, entries: Float[Array, " entries"]) -> Array:
+    """The exponent where it is known."""
+    return unknowns.with_leaves(entries).shininess
+
+
+class _Lit(eqx.Module):
+    """What the samples see, and what their light is multiplied by."""
+
+    channels: Channels
+    exposure: Float[Array, "1 samples"] | None
+
+    def basis(self, exponent: Array) -> Float[Array, "3 4 samples"]:
+        basis = self.channels.basis(exponent)
+        return basis if self.exposure is None else basis * self.exposure[None]
+
+    def fog_light(self) -> Float[Array, "3 samples"]:
+        light = self.channels.fog_light()
+        return light if self.exposure is None else light * self.exposure
+
+
+def _best_reflectances(
+    problem: Problem, scene: _Lit, exponent: Float[Array, "..."]
+) -> tuple[Float[Array, " n"], Float[Array, "materials 3"]]:
+    """For one exponent: the best vector, and what each material's channels leave."""
+    samples, unknowns = problem.samples, problem.unknowns
+    clamp, robust = problem.clamp, problem.loss.robust
+    basis = scene.basis(exponent)
+    target = samples.target - scene.fog_light()
+    owner = samples.material_index()
+    rows = jnp.arange(unknowns.materials, dtype=owner.dtype)
+    members = owner[None] == rows[:, None]
+    select, offset = _selection(unknowns)
+    white = samples.target >= 1
+    # What was clipped says only that the light is no less than white: at first it is
+    # left out, then it counts where the model falls short of white.
+    weight = jnp.where(white & clamp, 0, samples.weight)
+
+    def step(weight: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
+        sums = _sums(basis, target, weight, members)
+        y = _solve(*sums, select, offset, unknowns)
+        light = jnp.einsum("mck,ckn->mcn", offset + select @ y, basis)
+        light = light[0] if len(light) == 1 else _own(light, owner)
+        beyond = white & clamp & (light >= target)
+        weight = jnp.where(beyond, 0, samples.weight)
+        if robust:
+            weight = weight / _absolute(light - target)
+        return weight, (y, light)
+
+    # Absolute deviations, which a share of garbage hardly moves, take longer.
+    length = 6 if robust else 2 if clamp else 1
+    _, (vectors, lights) = jax.lax.scan(step, weight, length=length)
+    shown = lights[-1] + (samples.target - target)
+    shown = jnp.clip(shown, 0, 1) if clamp else shown
+    difference = shown - samples.target
+    left = samples.weight * (_absolute(difference) if robust else difference**2)
+    return vectors[-1], members.astype(left.dtype) @ left.T
+
+
+def _own(light: Float[Array, "materials 3 samples"], owner: Array) -> Array:
+    """Of what each material would show, each sample's own."""
+    return jnp.take_along_axis(light, owner[None, None], axis=0)[0]
+
+
+def _absolute(difference: Array) -> Array:
+    """Absolute values, rounded off below a hundredth of white."""
+    return jnp.sqrt(difference**2 + 1e-4)
+
+
+def _selection(unknowns: Unknowns) -> tuple[Array, Array]:
+    """How a vector makes reflectances (M, 3, 4): `offset + select @ y`.
+
+    The columns are those of `REFLECTANCES`.
+    """
+    places, numbers = [], []
+    for entry, leaf in enumerate(unknowns.entry_leaf):
+        if leaf in REFLECTANCES:
+            column = unknowns.entry_channel[entry]
+            for channel in range(3) if column < 0 else [column]:
+                where = (unknowns.entry_row[entry], channel, REFLECTANCES.index(leaf))
+                places.append((*where, unknowns.place[unknowns.source[entry]]))
+                numbers.append(entry)
+    wanted = np.array([name in unknowns.names for name in REFLECTANCES])
+    leaves = [_rows(getattr(unknowns.known, name), unknowns) for name in REFLECTANCES]
+    offset = jnp.where(wanted, 0, jnp.stack(leaves, axis=-1))
+    size = (unknowns.materials, 3, len(REFLECTANCES), unknowns.lower.size)
+    select = jnp.zeros(size, unknowns.lower.dtype)
+    if numbers:
+        owner, channel, leaf, place = np.array(places).T
+        entry = np.array(numbers)
+        share = (unknowns.factor * unknowns.scale)[entry]
+        select = select.at[owner, channel, leaf, place].add(share)
+        offset = offset.at[owner, channel, leaf].add(unknowns.offset[entry])
+    return select, offset
+
+
+def _rows(leaf: Float[Array, "..."], unknowns: Unknowns) -> Float[Array, "materials 3"]:
+    """A known leaf, for each material and channel."""
+    leaf = leaf.reshape((1,) * (2 - leaf.ndim) + leaf.shape)
+    return jnp.broadcast_to(leaf, (unknowns.materials, 3))
+
+
+def _sums(
+    basis: Float[Array, "3 4 samples"],
+    target: Float[Array, "3 samples"],
+    weight: Float[Array, "3 samples"],
+    members: Bool[Array, "materials samples"],
+) -> tuple[Float[Array, "materials 3 4 4"], Float[Array, "materials 3 4"]]:
+    """Sums of products of the basis, and with the target, for each material."""
+    exact = jax.lax.Precision.HIGHEST
+
+    def of(member: Bool[Array, " samples"]) -> tuple[Array, Array]:
+        weighted = basis * jnp.where(member[None], weight, 0)[:, None]
+        gram = jnp.einsum("ckn,cln->ckl", weighted, basis, precision=exact)
+        moment = jnp.einsum("ckn,cn->ck", weighted, target, precision=exact)
+        return gram, moment
+
+    return jax.lax.map(of, members)
+
+
+def _solve(
+    gram: Float[Array, "materials 3 4 4"],
+    moment: Float[Array, "materials 3 4"],
+    select: Float[Array, "materials 3 4 n"],
+    offset: Float[Array, "materials 3 4"],
+    unknowns: Unknowns,
+) -> Float[Array, " n"]:
+    """Bounded linear least squares for the reflectances, from sums of products."""
+    moment = moment - jnp.einsum("mckl,mcl->mck", gram, offset)
+    hessian = jnp.einsum("mcki,mckl,mclj->ij", select, gram, select)
+    gradient = -jnp.einsum("mcki,mck->i", select, moment)
+    # A ridge far below any measurement, for columns that are zero or alike.
+    ridge = 1e-6 * jnp.max(jnp.diag(hessian))
+    ridge = jnp.where(ridge > 0, ridge, 1) * jnp.eye(len(gradient), dtype=gram.dtype)
+    return minimize_in_box(hessian + ridge, gradient, unknowns.lower, unknowns.upper)

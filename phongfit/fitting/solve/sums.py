@@ -1,0 +1,252 @@
+r"""The Jacobian of a fit without its zeros, and $J^\top J$ from it.
+
+A reflectance of one material and channel moves the samples of that material and channel
+alone. So a single derivative serves all unknowns that have no sample in common: ten
+unknowns of an RGB image need four, and those of 24 materials need no more.
+
+??? cite "Source"
+    Curtis, Powell and Reid, *On the estimation of sparse Jacobian matrices*, J. Inst.
+    Maths Applics 13, 1974.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from phongfit.fitting.problem.leaves import LEAVES
+from phongfit.fitting.problem.problem import Evaluation, Problem
+from phongfit.fitting.problem.unknowns import Unknowns
+
+
+def colours(unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
+    """Unknowns that share a derivative, and where it belongs to which of them.
+
+    **Returns:**
+
+    - (colours, n): ones for the unknowns of a colour.
+    - (groups, 3, colours, n): one where samples of that group and channel are moved by
+        this unknown of the colour.
+    """
+    cells = moved_samples(unknowns)
+    taken: list[np.ndarray] = []
+    colour_of = np.zeros(len(cells), int)
+    for k, cell in enumerate(cells):
+        free = [c for c, used in enumerate(taken) if not (used & cell).any()]
+        if not free:
+            taken.append(np.zeros_like(cell))
+            free = [len(taken) - 1]
+        colour_of[k] = free[0]
+        taken[free[0]] |= cell
+    tangents = np.zeros((len(taken), len(cells)))
+    tangents[colour_of, np.arange(len(cells))] = 1
+    select = tangents * np.moveaxis(cells, 0, -1)[:, :, None, :]
+    return tangents, select
+
+
+def moved_samples(unknowns: Unknowns) -> np.ndarray:
+    """(n, groups, 3): which samples each unknown moves."""
+    images = unknowns.images if unknowns.differs_between_images else 1
+    size = unknowns.lower.size
+    cells = np.zeros((size, unknowns.materials, images, 3), bool)
+    names, rows = unknowns.entry_leaf, unknowns.entry_row
+    per_image = unknowns.entry_per_image
+    for entry, source in enumerate(unknowns.source):
+        if unknowns.fixed[entry]:
+            continue
+        channel = unknowns.entry_channel[entry]
+        channels = slice(None) if channel < 0 else slice(channel, channel + 1)
+        owner = slice(None)
+        if names[entry] in LEAVES and unknowns.materials > 1:
+            owner = slice(rows[entry], rows[entry] + 1)
+        image = slice(None)
+        if per_image[entry]:
+            image = slice(rows[entry], rows[entry] + 1)
+        place = unknowns.place[source]
+        count = 2 if unknowns.forms[source] == "direction" else 1
+        cells[place : place + count, owner, image, channels] = True
+    return cells.reshape(size, -1, 3)
+
+
+# A GPU would otherwise multiply in reduced precision.
+EXACT = jax.lax.Precision.HIGHEST
+
+
+class Jacobian(eqx.Module):
+    """Derivatives of the samples' residuals, a colour each."""
+
+    local: Float[Array, "3 colours samples"]
+    priors: Float[Array, "priors n"]
+    select: Float[Array, "groups 3 colours n"]
+    member: Float[Array, "groups samples"] | None
+
+    def gram(self, weight: Float[Array, "3 samples"] | None = None) -> Array:
+        r"""$J^\top W J$ of the samples, (n, n)."""
+        if self.member is not None:
+            return self.grams(weight)[0]
+        left = self.local if weight is None else self.local * weight[:, None]
+        products = jnp.einsum("ckn,cln->ckl", left, self.local, precision=EXACT)
+        return self._spread(products[None, :, None])[0]
+
+    def grams(self, *weights: Float[Array, "3 samples"] | None) -> Array:
+        """The same for several weights at once, (weights, n, n)."""
+        one = jnp.ones_like(self.local[:, 0])
+        each = [one if weight is None else weight for weight in weights]
+        return self._spread(self._products(jnp.stack(each, axis=1), self.local))
+
+    def pull(self, residual: Float[Array, "3 samples"]) -> Float[Array, " n"]:
+        r"""$J^\top r$ of the samples."""
+        if self.member is None:
+            sums = jnp.einsum("ckn,cn->ck", self.local, residual, precision=EXACT)[None]
+        else:
+            one = jnp.ones_like(residual[:, None])
+            sums = self._products(one, residual[:, None])[:, :, 0, :, 0]
+        return jnp.einsum("gcki,gck->i", self.select, sums, precision=EXACT)
+
+    def change(self, step: Float[Array, " n"]) -> Float[Array, "3 samples"]:
+        """$J p$ of the samples, for a step p."""
+        shares = jnp.einsum("gcki,i->gck", self.select, step, precision=EXACT)
+        if self.member is None:
+            return jnp.einsum("ckn,ck->cn", self.local, shares[0], precision=EXACT)
+        return jnp.einsum(
+            "ckn,gck,gn->cn", self.local, shares, self.member, precision=EXACT
+        )
+
+    def _spread(
+        self, products: Float[Array, "groups 3 weights colours colours"]
+    ) -> Float[Array, "weights n n"]:
+        """Sums of products of colours as those of the unknowns that they belong to."""
+        half = jnp.einsum("gcwkl,gclj->gcwkj", products, self.select, precision=EXACT)
+        return jnp.einsum("gcki,gcwkj->wij", self.select, half, precision=EXACT)
+
+    def _products(
+        self,
+        weights: Float[Array, "3 weights samples"],
+        others: Float[Array, "3 rows samples"],
+    ) -> Float[Array, "groups 3 weights colours rows"]:
+        """Sums over each group's samples of colours times weights times others.
+
+        Block by block: so what is weighted stays in a processor's cache.
+        """
+        _, colours, count = self.local.shape
+        groups = 1 if self.member is None else len(self.member)
+        rows = groups * weights.shape[1] * colours
+        block = _block(count, rows)
+
+        def add(total: Array, begin: Array) -> tuple[Array, None]:
+            def part(whole: Array) -> Array:
+                return jax.lax.dynamic_slice_in_dim(whole, begin, block, axis=-1)
+
+            # Side by side as rows of one matrix: further axes would be slow.
+            left = part(weights)[:, :, None] * part(self.local)[:, None]
+            left = left.reshape(3, -1, block)
+            if self.member is not None:
+                each = part(self.member)[None, :, None] * left[:, None]
+                left = each.reshape(3, -1, block)
+            more = jnp.einsum("ckn,cln->ckl", left, part(others), precision=EXACT)
+            return total + more, None
+
+        none = jnp.zeros((3, rows, others.shape[1]), self.local.dtype)
+        total, _ = jax.lax.scan(add, none, jnp.arange(0, count, block))
+        total = total.reshape(3, groups, weights.shape[1], colours, -1)
+        return jnp.moveaxis(total, 1, 0)
+
+    def columns(self) -> np.ndarray:
+        """The whole matrix, (n, 3, samples), in double precision."""
+        local, select = np.asarray(self.local, float), np.asarray(self.select, float)
+        if self.member is None:
+            return np.einsum("cki,ckn->icn", select[0], local)
+        group = np.argmax(np.asarray(self.member), axis=0)
+        return np.einsum("ncki,ckn->icn", select[group], local)
+
+
+def _block(count: int, rows: int) -> int:
+    """A power of two that divides samples into blocks: small, but not too many."""
+    block = count & -count
+    while block > 2048 and count < 64 * block:
+        block //= 2
+    # Where there are many rows, they would fill the memory.
+    while block > 64 and rows * block > 2**20:
+        block //= 2
+    return block
+
+
+class Linearization(eqx.Module):
+    """Residuals at a point, of samples and priors, and how they change."""
+
+    at: Evaluation
+    priors: Float[Array, " priors"]
+    jacobian: Jacobian
+
+
+def linearize(problem: Problem, y: Float[Array, " n"]) -> Linearization:
+    """Residuals of samples and priors, and their Jacobian."""
+    tangents, select = colours(problem.unknowns)
+    kind = y.dtype
+    light, push = jax.linearize(problem.light, y)
+    # The film works sample by sample: its slope serves all unknowns.
+    at = problem.measure(light)
+    moved = jax.vmap(push, out_axes=1)(jnp.asarray(tangents, kind))
+    local = moved * at.slope[:, None]
+    priors = problem.unknowns.prior_residual(y)
+    slopes = jax.jacfwd(problem.unknowns.prior_residual)(y)
+    groups, member = select.shape[0], None
+    if groups > 1:
+        index = problem.group()
+        each = jnp.arange(groups, dtype=index.dtype)
+        member = (index[None] == each[:, None]).astype(kind)
+    jacobian = Jacobian(local, slopes, jnp.asarray(select, kind), member)
+    return Linearization(at, priors, jacobian)
+
+
+class Left(eqx.Module):
+    """What is left over at a point, as a noise level follows from it.
+
+    **Arguments:**
+
+    - `squares`: weighted sum of squared differences in linear light.
+    - `share`: samples, each by what clipping leaves of its noise's variance.
+    - `floor`: noise level at and below which all of it is rounding.
+    """
+
+    squares: Float[Array, ""]
+    share: Float[Array, ""]
+    floor: Float[Array, ""]
+
+
+class Sums(eqx.Module):
+    """All that a Gauss-Newton method asks of a problem, at one point."""
+
+    hessian: Float[Array, "n n"]
+    gradient: Float[Array, " n"]
+    cost: Float[Array, ""]
+    left: Left
+
+
+def sums(problem: Problem, y: Float[Array, " n"]) -> Sums:
+    r"""Cost $\sum \rho(r^2)$, half its gradient, and half its curvature.
+
+    The curvature is $J^\top W J$ with $W = \psi'(r)$ where the loss bends upwards, and
+    a share of the usual weight $\psi(r)/r$ where it does not.
+    """
+    found = linearize(problem, y)
+    residual, priors, jacobian = found.at.residual, found.priors, found.jacobian
+    slopes, loss = jacobian.priors, problem.loss
+    if not loss.robust:
+        hessian, gradient = jacobian.gram(), jacobian.pull(residual)
+        cost = jnp.sum(residual**2)
+    else:
+        score, bend = loss.score(residual)
+        usual = score / jnp.where(residual == 0, 1, residual)
+        hessian = jacobian.gram(jnp.maximum(bend, 0.1 * usual))
+        gradient = jacobian.pull(score)
+        cost = jnp.sum(loss.root(residual) ** 2)
+    at = found.at
+    squares = jnp.sum(at.difference**2 * problem.samples.weight)
+    return Sums(
+        hessian + slopes.T @ slopes,
+        gradient + slopes.T @ priors,
+        cost + jnp.sum(priors**2),
+        Left(squares, jnp.sum(at.variance_share), at.floor),
+    )

@@ -1,0 +1,74 @@
+"""The way down to a solution, walked once more: how a fit converged."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from phongfit.fitting.problem.problem import Problem
+from phongfit.fitting.solve.search import Found
+from phongfit.fitting.solve.solution import few_residuals, make_solver
+from phongfit.fitting.solve.start import scan
+from phongfit.fitting.uncertainty.profile import total_cost
+
+MOST_STEPS = 60
+
+
+@dataclasses.dataclass(frozen=True)
+class Descent:
+    """Costs along the way from the scan's start to where the solver ends.
+
+    **Arguments:**
+
+    - `costs`: χ² at the start and after each step; a rejected step repeats its cost.
+    - `least`: χ² of the fit, which a single way can miss where the scene is unknown:
+        the fit has tried several.
+    """
+
+    costs: np.ndarray
+    least: float
+
+
+def descend(found: Found) -> Descent:
+    """The cost step by step, on all samples, with the noise level of the fit.
+
+    The search of a fit goes several ways, on few samples first, and keeps no record:
+    that would make it slower. This goes one way.
+    """
+    start = scan(found.problem, found.problem.unknowns.start)
+    points, count = _walk(found.problem, start)
+    costs = [total_cost(found.problem, y) for y in points[: int(count)]]
+    return Descent(np.array(costs), total_cost(found.problem, found.y))
+
+
+@eqx.filter_jit
+def _walk(
+    problem: Problem, start: Float[Array, " n"]
+) -> tuple[Float[Array, "steps n"], Array]:
+    """Where the solver stood, from its start on, and how many of these are filled.
+
+    Its first step evaluates the start.
+    """
+    solver = make_solver(problem, start.dtype)
+    tags = frozenset[object]()
+    shape, left = jax.eval_shape(few_residuals, start, problem)
+    first = solver.init(few_residuals, start, problem, {}, shape, left, tags)
+    arrays, static = eqx.partition(first, eqx.is_array)
+
+    def unfinished(carry: Any) -> Array:
+        _, arrays, _, count = carry
+        return (count < MOST_STEPS) & ~eqx.combine(arrays, static).terminate
+
+    def step(carry: Any) -> Any:
+        y, arrays, points, count = carry
+        state = eqx.combine(arrays, static)
+        y, state, _ = solver.step(few_residuals, y, problem, {}, state, tags)
+        return y, eqx.filter(state, eqx.is_array), points.at[count].set(y), count + 1
+
+    points = jnp.zeros((MOST_STEPS, start.size), start.dtype)
+    carry = (start, arrays, points, jnp.zeros((), int))
+    return jax.lax.while_loop(unfinished, step, carry)[2:]

@@ -1,0 +1,190 @@
+"""From the solver's vector to numbers in the user's units, with their errors."""
+
+import dataclasses
+import functools
+
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from phongfit.fitting.problem.problem import Problem
+from phongfit.fitting.problem.unknowns import Unknowns, in_units
+from phongfit.fitting.uncertainty.exponents import Doubts, parts_over_exponents
+from phongfit.fitting.uncertainty.identifiability import doubtful_exponents
+from phongfit.fitting.uncertainty.region import Part, Region
+from phongfit.fitting.uncertainty.statistics import (
+    Pieces,
+    Statistics,
+    quadratic_about,
+    statistics,
+)
+
+# From this error of log f on, one quadratic does not tell what else f may be.
+VAGUE = 0.1
+# Errors that a bound makes larger by this factor are not those of the covariance.
+MISLEADING = 1.25
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimates:
+    """What is known of every reported entry, in the order of `Unknowns.labels`."""
+
+    values: np.ndarray
+    errors: np.ndarray
+    covariance: np.ndarray
+    at_bound: np.ndarray
+    strain: np.ndarray
+    untold: np.ndarray
+    free: int
+    chi_squared: float
+    reasons: tuple[str, ...]
+    region: Region
+
+
+Estimates.__init__.__doc__ = """**Arguments:**
+
+- `values`, `errors`: the larger side of the interval in which Δχ² stays below 1;
+    infinite errors for what cannot be told.
+- `covariance`: of what is free, where what lies at a bound stays there; NaN rows for
+    entries at a bound or not told, and for those whose error a bound or an exponent
+    that is hardly identified makes larger than that by a quarter.
+- `strain`: of what lies at a bound, by how many standard deviations the images pull it
+    beyond.
+- `free`: how many numbers were free and told.
+- `chi_squared`: residuals, priors' too, in standard deviations, squared and summed.
+- `reasons`: why some cannot be told, in words.
+- `region`: intervals at any level.
+"""
+
+
+def estimates(
+    problem: Problem,
+    y: Float[Array, " n"],
+    inflation: float = 1.0,
+    place: tuple[Array, Array] | None = None,
+    pieces: Pieces | None = None,
+) -> Estimates:
+    """Values and errors at a solution.
+
+    **Arguments:**
+
+    - `inflation`: factor on all variances.
+    - `place`, `pieces`: what [`in_units`][] and [`add_up`][] say of it, if at hand.
+    """
+    unknowns = problem.unknowns
+    place = in_units(unknowns, y) if place is None else place
+    found = statistics(problem, y, inflation, pieces)
+    position = np.asarray(y, float)
+    entries, slope = (np.asarray(a, float) for a in place)
+    values = np.clip(entries[unknowns.reported], *unknowns.bounds.T)
+    touched = slope != 0
+    inner = np.where(np.isfinite(found.covariance), found.covariance, 0)
+    covariance = slope @ inner @ slope.T
+    errors = np.sqrt(np.diag(covariance))
+
+    unseen, faint = doubtful_exponents(unknowns, position, found.sums)
+    vague = _vague(unknowns, position, found, unseen)
+    make = functools.partial(_one_part, found, unknowns, position)
+    if vague.any():
+        doubts = Doubts(vague, unseen, faint)
+        parts = parts_over_exponents(problem, y, found, inflation, doubts)
+        make = functools.partial(tuple, parts)
+    region = Region(
+        values,
+        slope,
+        unknowns.forms[unknowns.reported] == "logarithm",
+        unknowns.bounds,
+        np.zeros(len(values), bool),
+        make,
+    )
+    untold, reasons = found.untold | unseen, [*found.reasons]
+    if vague.any() or _near_bounds(unknowns, position, found):
+        ends = region.ends(1.0)
+        errors = np.max(np.abs(ends - values[:, None]), axis=1)
+        wide = np.all(ends == unknowns.bounds, axis=1) & np.isfinite(errors)
+        untold |= touched[wide].any(axis=0)
+    directions = np.isin(unknowns.forms[unknowns.owned], ("direction", "rotation"))
+    untold |= directions & (found.stderr > np.pi / 2)
+    reasons += _reasons(unknowns, untold & ~found.untold, unseen)
+
+    at_bound = found.at_bound & ~untold
+    strain = found.sums.strain(at_bound) if at_bound.any() else np.zeros(len(position))
+    hidden = touched[:, untold].any(axis=1)
+    bound = touched[:, at_bound].any(axis=1) & ~hidden
+    errors = np.where(hidden, np.inf, errors)
+    with np.errstate(invalid="ignore"):
+        misled = errors > MISLEADING * np.sqrt(np.diag(covariance))
+    without = hidden | bound | misled
+    covariance[without, :] = covariance[:, without] = np.nan
+    covariance[hidden, hidden] = np.inf
+    return Estimates(
+        values,
+        errors,
+        covariance,
+        bound,
+        np.where(touched, strain, 0).max(axis=1, initial=0),
+        hidden,
+        int(np.count_nonzero(~untold & ~at_bound)),
+        found.chi_squared,
+        tuple(reasons),
+        dataclasses.replace(region, open_ended=hidden),
+    )
+
+
+def _one_part(
+    found: Statistics, unknowns: Unknowns, position: Float[np.ndarray, " n"]
+) -> tuple[Part, ...]:
+    """One quadratic for all."""
+    everything = np.arange(len(position))
+    quadratic = quadratic_about(found, unknowns, position, everything)
+    return (Part(everything, (quadratic,)),)
+
+
+def _near_bounds(
+    unknowns: Unknowns, position: Float[np.ndarray, " n"], found: Statistics
+) -> bool:
+    """Whether a bound may cut an interval of one standard error."""
+    lower, upper = np.asarray(unknowns.lower), np.asarray(unknowns.upper)
+    with np.errstate(invalid="ignore"):
+        near = np.minimum(position - lower, upper - position) < found.stderr
+    return bool(np.any(found.at_bound | (near & ~found.untold)))
+
+
+def _vague(
+    unknowns: Unknowns,
+    position: Float[np.ndarray, " n"],
+    found: Statistics,
+    unseen: Bool[np.ndarray, " n"],
+) -> Bool[np.ndarray, " n"]:
+    """Exponents that one quadratic does not do for."""
+    exponents = unknowns.logarithmic
+    if found.untold[~exponents].all():
+        return np.zeros(len(position), bool)
+    with np.errstate(invalid="ignore"):
+        vague = exponents & (unseen | (found.stderr > VAGUE))
+    held = np.flatnonzero(exponents & found.at_bound & ~vague)
+    if len(held):
+        (part,) = _one_part(found, unknowns, position)
+        ends = part.ends(np.eye(len(position))[held], 1.0)
+        vague[held] = np.abs(ends).max(axis=1) > VAGUE
+    return vague
+
+
+def _reasons(
+    unknowns: Unknowns,
+    untold: Bool[np.ndarray, " n"],
+    unseen: Bool[np.ndarray, " n"],
+) -> list[str]:
+    """Why the Jacobian does not leave these open, but the data do."""
+    labels = np.array(unknowns.y_labels)
+    kinds, owners = unknowns.kinds, unknowns.owners
+    hiding = (kinds == "specular") & np.isin(owners, owners[unseen])
+    words = {
+        "its error is wider than its bounds": ~unseen & ~hiding,
+        "specular is 0 within its error": unseen,
+        "some exponents would hide the highlight where no pixel is used": hiding,
+    }
+    return [
+        f"{label} cannot be told: {why}"
+        for why, chosen in words.items()
+        for label in dict.fromkeys(labels[untold & chosen])
+    ]

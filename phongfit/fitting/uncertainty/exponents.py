@@ -1,0 +1,228 @@
+"""Where an exponent is hardly identified: quadratics over all that it may be.
+
+Without a highlight the exponent may be anything, and with it changes what the others
+may be: near f = 1 a highlight is nearly Lambert's light, at f = 1000 a few pixels see
+it. No quadratic about the solution tells that. But at a given exponent all reflectances
+are linear: so the exponent is held at places all over its bounds, the others are fitted
+again, and about each place the cost is a quadratic.
+
+??? cite "Source"
+    Davies, *Hypothesis testing when a nuisance parameter is present only under the
+    alternative*, Biometrika 64(2), 1977.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from phongfit.fitting.problem.problem import Problem
+from phongfit.fitting.problem.unknowns import Unknowns
+from phongfit.fitting.solve.solution import solve
+from phongfit.fitting.solve.sums import moved_samples
+from phongfit.fitting.uncertainty.identifiability import SEEN, linked_groups
+from phongfit.fitting.uncertainty.intervals import Quadratic
+from phongfit.fitting.uncertainty.region import Part
+from phongfit.fitting.uncertainty.sandwich import Sandwich, as_quadratic
+from phongfit.fitting.uncertainty.statistics import (
+    Pieces,
+    Statistics,
+    add_up,
+    in_numpy,
+    quadratic_about,
+    sandwich_at,
+)
+from phongfit.programs import program
+
+# Exponents between the bounds: by default they grow by 1.4 from one to the next.
+PLACES = 16
+MAX_STEPS = 30
+
+
+class Doubts(NamedTuple):
+    """Which exponents are hardly identified.
+
+    - `vague`: one quadratic does not do for them.
+    - `unseen`: their highlight is not seen: each value is as good as another, unless it
+        makes the fit much worse.
+    - `faint`: it is seen, but so faintly that chance may have chosen them.
+    """
+
+    vague: Bool[np.ndarray, " n"]
+    unseen: Bool[np.ndarray, " n"]
+    faint: Bool[np.ndarray, " n"]
+
+
+class _Place(NamedTuple):
+    """The best fit for some exponents, and how much worse it is than the solution.
+
+    `rise` has an entry for each group of samples and each prior.
+    """
+
+    y: Float[np.ndarray, " n"]
+    sums: Sandwich
+    rise: Float[np.ndarray, " terms"]
+
+
+def parts_over_exponents(
+    problem: Problem,
+    y: Float[Array, " n"],
+    found: Statistics,
+    inflation: float,
+    doubts: Doubts,
+) -> tuple[Part, ...]:
+    """Quadratics that cover the bounds of exponents.
+
+    **Arguments:** `y`, `found`: the solution and what is known there; `inflation` went
+    into it.
+    """
+    felt, vague = _felt_terms(problem), doubts.vague
+    groups = [np.arange(len(y))]
+    if np.count_nonzero(vague) > 1:
+        # What has no sample in common is held and fitted again in one go.
+        linked = felt.astype(int) @ felt.T.astype(int) > 0
+        groups = linked_groups(linked, np.ones(len(y), bool))
+    turns = max(np.count_nonzero(vague[group]) for group in groups)
+    held = np.zeros((turns, len(y)), bool)
+    for group in groups:
+        exponents = group[vague[group]]
+        held[np.arange(len(exponents)), exponents] = True
+    solution = _Place(np.asarray(y, float), found.sums, np.zeros(felt.shape[1]))
+    grids = [_grid(problem, y, found, inflation, turn) for turn in held]
+
+    def part(group: Int[np.ndarray, " k"]) -> Part:
+        terms = np.any(felt[group], axis=0, keepdims=True)[0]
+        quadratics = [
+            quadratic
+            for turn, grid in zip(held, grids, strict=True)
+            for exponent in group[turn[group]]
+            for quadratic in _cells(
+                [*grid, solution],
+                problem.unknowns,
+                group,
+                int(exponent),
+                terms,
+                bool(doubts.unseen[exponent]),
+            )
+        ]
+        if not quadratics:
+            whole = quadratic_about(found, problem.unknowns, solution.y, group)
+            return Part(group, (whole,))
+        searched = np.any((vague & doubts.faint)[group])
+        return Part(group, tuple(quadratics), bool(searched))
+
+    return tuple(map(part, groups))
+
+
+def _felt_terms(problem: Problem) -> Bool[np.ndarray, "n terms"]:
+    """Which groups of samples, and which priors, each unknown moves."""
+    unknowns = problem.unknowns
+    moved = moved_samples(unknowns).reshape(len(unknowns.owned), -1)
+    with_prior = np.flatnonzero(unknowns.has_prior)
+    places = np.array(unknowns.place)[np.array(unknowns.source)[with_prior]]
+    priors = np.arange(len(moved))[:, None] == places[None]
+    return np.column_stack([moved, priors])
+
+
+def _grid(
+    problem: Problem,
+    y: Float[Array, " n"],
+    found: Statistics,
+    inflation: float,
+    turn: Bool[np.ndarray, " n"],
+) -> list[_Place]:
+    """The best fits with some exponents held, all over their bounds."""
+    shares = (np.arange(PLACES) + 0.5) / PLACES
+    ends, rises, pieces = _fit_with_held(problem, y, turn, shares.astype(y.dtype))
+    pieces = in_numpy(pieces)
+    scale = found.scale
+    places = []
+    for k, end in enumerate(ends):
+        one = jax.tree.map(lambda leaf, k=k: leaf[k], pieces)
+        sums = sandwich_at(problem, end, inflation, one)
+        rise = scale * np.asarray(rises[k], float)
+        places.append(_Place(np.asarray(end, float), sums, rise))
+    return places
+
+
+@program()
+def _fit_with_held(
+    problem: Problem,
+    y: Float[Array, " n"],
+    turn: Bool[np.ndarray, " n"],
+    shares: Float[np.ndarray, " places"],
+) -> tuple[Float[Array, "places n"], Float[Array, "places terms"], Pieces]:
+    """Solutions where some unknowns are held, by how much the cost rises, and sums."""
+    unknowns = problem.unknowns
+    lower, upper = unknowns.lower, unknowns.upper
+
+    def terms(y: Array) -> tuple[Array, Array]:
+        return problem.loss.root(problem.residual(y)), unknowns.prior_residual(y)
+
+    samples, priors = terms(y)
+    group, count = problem.group(), moved_samples(unknowns).shape[1]
+    member = group[None] == jnp.arange(count, dtype=group.dtype)[:, None]
+
+    def at(near: Array, share: Array) -> tuple[Array, tuple[Array, Array, Pieces]]:
+        value = lower + share * (upper - lower)
+        edges = jnp.where(turn, value, lower), jnp.where(turn, value, upper)
+        held = eqx.tree_at(
+            lambda p: (p.unknowns.lower, p.unknowns.upper), problem, edges
+        )
+        end = solve(held, jnp.where(turn, value, near), MAX_STEPS).y
+        # Differences of squares before they are summed: a sum would round them away.
+        there, priors_there = terms(end)
+        rise = (there - samples) * (there + samples)
+        rise = member.astype(rise.dtype) @ rise.T
+        of_priors = (priors_there - priors) * (priors_there + priors)
+        rise = jnp.concatenate([rise.ravel(), of_priors])
+        return end, (end, rise, add_up(problem, end))
+
+    return jax.lax.scan(at, y, jnp.asarray(shares))[1]
+
+
+def _cells(
+    places: list[_Place],
+    unknowns: Unknowns,
+    group: Int[np.ndarray, " k"],
+    exponent: int,
+    felt: Bool[np.ndarray, " terms"],
+    unseen: bool,
+) -> list[Quadratic]:
+    """Quadratics about places, each as far as halfway to the next.
+
+    **Arguments:** `places`: the last is the solution.
+    """
+    box = unknowns.lower, unknowns.upper
+    lower, upper = (np.array(edge, float)[group] for edge in box)
+    (own,) = np.flatnonzero(group == exponent)
+    solution = places[-1]
+    # What lies near the solution is told by it.
+    least = (upper[own] - lower[own]) / PLACES / 2
+    here = solution.y[exponent]
+    apart = [place for place in places[:-1] if abs(place.y[exponent] - here) > least]
+    places = sorted([*apart, solution], key=lambda place: place.y[exponent])
+    middles = np.array([place.y[exponent] for place in places])
+    edges = (middles[1:] + middles[:-1]) / 2
+    edges = np.concatenate([[lower[own]], edges, [upper[own]]])
+    quadratics = []
+    for k, place in enumerate(places):
+        lower[own], upper[own] = edges[k], edges[k + 1]
+        y = place.y[group]
+        quadratic = as_quadratic(
+            place.sums.part(group),
+            lower - y,
+            upper - y,
+            steep=(group == exponent) & (place is not solution),
+            rise=float(place.rise[felt].sum()),
+            center=y - solution.y[group],
+        )
+        if unseen and quadratic.least < SEEN**2:
+            rise = quadratic.rise - quadratic.least
+            quadratic = dataclasses.replace(quadratic, rise=rise)
+        quadratics.append(quadratic)
+    return quadratics

@@ -1,0 +1,167 @@
+"""Which unknowns the data leave open, and why, in words: by rank, and by highlight."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from phongfit.fitting.problem.leaves import LEAVES, REFLECTANCES
+from phongfit.fitting.problem.unknowns import Unknowns
+from phongfit.fitting.uncertainty.quantiles import chi_squared_reach
+from phongfit.fitting.uncertainty.sandwich import (
+    Sandwich,
+    as_quadratic,
+    threshold,
+    unit_diagonal,
+)
+
+# A highlight counts as seen from so many standard errors on. Its exponent is the one
+# that fits best: chance reaches further than 3.
+SEEN = 4.0
+# Of a highlight below so many standard errors chance has chosen the exponent too.
+PLAIN = SEEN + 2
+
+
+def unfelt(
+    bread: np.ndarray, unknowns: Unknowns, position: np.ndarray, resolution: float
+) -> np.ndarray:
+    """Unknowns that the samples do not feel.
+
+    A logarithm moves light by shares of what there is, which may be far less than
+    white: so it is compared with what the reflectances' own shares would move.
+    """
+    diagonal = np.diag(bread)
+    largest = np.full(len(diagonal), max(diagonal.max(), 1e-300))
+    reflectances = np.isin(unknowns.kinds, REFLECTANCES)
+    if reflectances.any():
+        shares = diagonal[reflectances] * np.minimum(position[reflectances] ** 2, 1)
+        largest[unknowns.logarithmic] = max(shares.max(), 1e-300)
+    return diagonal <= threshold(resolution) * largest
+
+
+_SILENT = {
+    "ambient": "no ambient light falls on a pixel that is used",
+    "diffuse": "no light falls on a pixel that is used, or all of these are white",
+    "specular": "no pixel that is used sees a highlight",
+    "shininess": "there is no highlight: specular is 0, or no pixel sees it",
+    "emission": "all pixels that are used are white",
+}
+
+
+def unidentified(
+    bread: np.ndarray, unknowns: Unknowns, position: np.ndarray, resolution: float
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Which unknowns the Jacobian leaves open, and why, in words."""
+    labels = np.array(unknowns.y_labels)
+    kinds = unknowns.kinds
+    silent = unfelt(bread, unknowns, position, resolution)
+    reasons = [
+        f"{_listed(labels[silent & (kinds == kind)])} cannot be told: "
+        + _SILENT.get(kind, "no pixel that is used depends on it")
+        for kind in unknowns.names
+        if (silent & (kinds == kind)).any()
+    ]
+    untold = silent.copy()
+    heard = np.flatnonzero(~silent)
+    if len(heard):
+        scaled, _ = unit_diagonal(bread[np.ix_(heard, heard)])
+        values, vectors = np.linalg.eigh(scaled)
+        null = vectors[:, values <= threshold(resolution)]
+        # Vectors of one null space mix: the projection tells who takes part.
+        part = null @ null.T
+        mixed = np.diag(part) > 1e-4
+        untold[heard[mixed]] = True
+        for group in linked_groups(np.abs(part) > 1e-4, mixed):
+            names = _listed(labels[heard[group]])
+            if "," not in names:
+                names += ": its two angles"
+            reasons.append(f"{names} cannot be told apart: they change the image alike")
+    return untold, tuple(reasons)
+
+
+def _listed(labels: np.ndarray) -> str:
+    """Names, each once."""
+    return ", ".join(dict.fromkeys(labels.tolist()))
+
+
+def linked_groups(linked: np.ndarray, members: np.ndarray) -> list[np.ndarray]:
+    """Connected groups among the members of a symmetric relation."""
+    left = set(np.flatnonzero(members).tolist())
+    groups = []
+    while left:
+        group, frontier = set(), {min(left)}
+        while frontier:
+            group |= frontier
+            near = {int(j) for i in frontier for j in np.flatnonzero(linked[i])}
+            frontier = (near & left) - group
+        left -= group
+        groups.append(np.array(sorted(group)))
+    return groups
+
+
+def doubtful_exponents(
+    unknowns: Unknowns, position: Float[np.ndarray, " n"], sums: Sandwich
+) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Exponents of highlights that are not seen, and of those that are seen faintly.
+
+    Of each material the colours' ρ_s are judged, each alone and all together.
+
+    **Arguments:** `position`, `sums`: the solution, and the sums there.
+    """
+    kinds, owners = unknowns.kinds, unknowns.owners
+    unseen, faint = np.zeros((2, len(position)), bool)
+    specular = kinds == "specular"
+    if not specular.any() or not unknowns.logarithmic.any():
+        return unseen, faint
+    # An unknown light scales a highlight, but cannot make one out of nothing.
+    felt = ~unfelt(sums.inside, unknowns, position, sums.resolution)
+    group = np.flatnonzero(np.isin(kinds, LEAVES) & felt)
+    part = sums.part(group)
+    covariance = part.covariance()
+    for owner in np.unique(owners[specular]):
+        own = owners == owner
+        colours = np.flatnonzero(specular[group] & own[group])
+        height = position[group[colours]]
+        exponents = own & (kinds == "shininess")
+        together = covariance[np.ix_(colours, colours)]
+        if _stands_out(height, together, PLAIN):
+            continue
+        if _stands_out(height, together, SEEN) or _cannot_be_none(
+            unknowns, position, part, group, colours
+        ):
+            faint |= exponents
+        else:
+            unseen |= exponents
+    return unseen, faint
+
+
+def _stands_out(
+    height: Float[np.ndarray, " k"],
+    covariance: Float[np.ndarray, "k k"],
+    deviations: float,
+) -> bool:
+    """Whether any is so many standard errors high, or all are, which is as rare."""
+    if not len(height):
+        return False
+    error = np.sqrt(np.maximum(np.diag(covariance), 0))
+    if np.any(height >= deviations * error):
+        return True
+    distance = height @ np.linalg.pinv(covariance, hermitian=True) @ height
+    return bool(distance >= chi_squared_reach(deviations, len(height)))
+
+
+def _cannot_be_none(
+    unknowns: Unknowns,
+    position: Float[np.ndarray, " n"],
+    part: Sandwich,
+    group: np.ndarray,
+    colours: np.ndarray,
+) -> bool:
+    """The same of any one, where bounds keep the others from making up for it."""
+    here = position[group]
+    lower, upper = (
+        np.asarray(edge, float)[group] - here
+        for edge in (unknowns.lower, unknowns.upper)
+    )
+    lower[colours] = -np.inf
+    along = np.eye(len(group))[colours]
+    low = as_quadratic(part, lower, upper).ends(along, SEEN**2)[:, 0]
+    return bool(np.any(here[colours] + low >= 0))

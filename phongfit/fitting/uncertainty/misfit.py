@@ -1,0 +1,450 @@
+r"""Lack of fit: residuals that add up where noise would cancel.
+
+Independent residuals $z_i$ of mean 0, summed over a cell of pixels, give $T = \sum z_i
+/ \sqrt{\sum \operatorname{var} z_i}$ of variance 1. A wrong model leaves residuals of
+one sign where it is wrong: $T^2$ grows with the size of the cell, though neighbouring
+pixels hardly correlate. So $T^2$ is looked at in blocks of growing size, and along the
+two numbers that the model's shape depends on, diffuse light and highlight: its mean
+over all cells shows a misfit that is spread out, its largest value one that is not.
+
+??? cite "Source"
+    Tests by grouping: Neill and Johnson, *Testing for lack of fit in regression: a
+    review*, Commun. Stat. Theory Methods 13(4), 1984. A mean of $T^2$ is judged by
+    Wilson and Hilferty, *The distribution of chi-square*, PNAS 17(12), 1931.
+"""
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from phongfit.fitting.solve.jpeg import Drawn
+from phongfit.fitting.uncertainty.tiles import Rounding, Tiles
+
+# Standard deviations of a normal distribution from which on a misfit is no chance.
+# Some thirty tests are made; chance passes each once in 300 000 images.
+SIGNIFICANT = 4.5
+# Pixels along the smallest block that is judged; samples of the smallest cell.
+LEAST_SIDE, LEAST_SAMPLES = 4, 8
+# Correlation of neighbours from which on they are said to be alike.
+CORRELATED = 0.1
+# Cells along diffuse light, and along the highlight.
+BINS = 16
+# Share of a deviation that rounding may have in common before neighbours, and what is
+# lit alike, say nothing.
+COARSE = 0.03
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Misfit:
+    """Whether residuals are noise, and where they are not.
+
+    **Arguments:**
+
+    - `neighbour_correlation`: of residuals of adjacent pixels: 0 for noise.
+    - `channel_correlation`: of the three residuals of a pixel: 1 where one channel was
+        stored thrice.
+    - `unequal`: how significantly noise differs between channels, or with light, in
+        standard deviations of a normal distribution.
+    - `over_repeatability`: size of the residuals over that of their differences from
+        pixel to pixel, where the model cancels: near 1 for noise; NaN where residuals
+        are rounding.
+    - `significance`: of the largest misfit found, in standard deviations of a normal
+        distribution.
+    - `inflation`: factor on all variances, at least 1: that of sums of residuals over
+        what noise would give them, or what neighbours that correlate stand for; and
+        that of all residuals over the noise that was given.
+    - `along`: where it was found: in `"blocks"`, along `"diffuse"` or `"highlight"`.
+    - `side`: pixels along the blocks that show it best.
+    - `image`, `row`, `column`: middle of the block that stands out most, in pixels.
+    - `maps`: of each image these blocks' sums in standard deviations, (rows, columns).
+    """
+
+    neighbour_correlation: float = 0.0
+    channel_correlation: float = 0.0
+    unequal: float = 0.0
+    over_repeatability: float = math.nan
+    significance: float = 0.0
+    inflation: float = 1.0
+    along: str = "blocks"
+    side: int = LEAST_SIDE
+    image: int = 0
+    row: int = 0
+    column: int = 0
+    maps: tuple[np.ndarray, ...] = ()
+
+    @property
+    def significant(self) -> bool:
+        """Whether noise alone would not show this."""
+        return self.significance > SIGNIFICANT
+
+    @property
+    def noise_differs(self) -> bool:
+        """Whether noise differs between channels or with light: no misfit says so."""
+        return self.unequal > SIGNIFICANT and not self.significant
+
+
+class _Blocks(NamedTuple):
+    """Sums over blocks of one image, (…, 3, rows, columns).
+
+    `sums` are those of [`Tiles`][]: residuals, their squares, their variance, and what
+    the arithmetic rounds in common.
+    """
+
+    sums: np.ndarray
+    rounding: Rounding | None
+    drawn: Drawn | None
+
+
+class _Verdict(NamedTuple):
+    """How significant a misfit is, and the factor on variances that it stands for."""
+
+    significance: float
+    inflation: float
+
+
+# Residuals, their squares, their variance, and what of it is common: the first axis of
+# what is called cells below, whose second are the channels, and all of them together.
+_Cells = np.ndarray
+# One where a tile (row) is lit as a group of tiles (column) is.
+_Members = np.ndarray
+
+
+def find_misfit(
+    images: Sequence[Tiles], side: int, drawn: Sequence[Drawn] | None = None
+) -> Misfit:
+    """What the residuals of all images together show.
+
+    **Arguments:**
+
+    - `side`: pixels along a tile.
+    - `drawn`: of each image the sums of residuals that the right model would leave,
+        drawn together, where these are not independent from pixel to pixel.
+    """
+    each = [None] * len(images) if drawn is None else drawn
+    blocks = [_as_blocks(*one) for one in zip(images, each, strict=True)]
+    # (4, channels)
+    sums = np.sum([one.sums.sum(axis=(2, 3)) for one in blocks], axis=0)
+    _, left, expected, _ = sums.sum(axis=1)
+    if not (expected > 0 and 0 < left < math.inf):
+        return Misfit()
+    # How large a channel's noise is, is another question: here it is what is left over.
+    scale = np.where(sums[1] > 0, sums[1], left) / np.maximum(sums[2], 1e-30)
+    alone = all(_rounds_alone(one) for one in blocks)
+    # Neither neighbours nor what is lit alike say anything where rounding is shared,
+    # unless it was drawn: how neighbours correlate then is not looked at.
+    groups = _lit_alike(images) if alone else {}
+    correlation, channels, unequal, ratio = 0.0, 0.0, 0.0, math.nan
+    if alone:
+        unequal = _compare_noise(blocks, groups)
+    if alone and drawn is None:
+        correlation, ratio = _compare_neighbours(images)
+        channels = _compare_channels(images)
+    seen = _look(blocks, groups, side, scale, channels)
+    if seen.worst.significance > SIGNIFICANT and channels > 0:
+        # What a wrong model leaves is alike in all channels, and is no shared noise.
+        seen = _look(blocks, groups, side, scale, 0.0)
+    maps = tuple(_in_deviations(one) for one in seen.cells)
+    image = int(np.argmax([np.abs(one).max() for one in maps]))
+    row, column = np.unravel_index(np.argmax(np.abs(maps[image])), maps[image].shape)
+    return Misfit(
+        correlation,
+        channels,
+        unequal,
+        ratio,
+        seen.worst.significance,
+        max(variance_inflation(correlation), seen.inflation),
+        seen.along,
+        seen.side,
+        image,
+        int((row + 0.5) * seen.side),
+        int((column + 0.5) * seen.side),
+        maps,
+    )
+
+
+class _Seen(NamedTuple):
+    """The worst of all verdicts, what it is along, and the blocks that stand out most.
+
+    `inflation` is the largest of those verdicts that are significant.
+    """
+
+    worst: _Verdict
+    along: str
+    inflation: float
+    side: int
+    cells: Sequence[_Cells]
+
+
+def _look(
+    blocks: list[_Blocks],
+    groups: Mapping[str, _Members],
+    side: int,
+    scale: np.ndarray,
+    channels: float,
+) -> _Seen:
+    """At blocks of all sizes, and along the model's shapes.
+
+    **Arguments:**
+
+    - `groups`: which tiles are lit alike: see [`_lit_alike`][].
+    - `scale`: of each channel's variances.
+    - `channels`: how the noise of a pixel's channels correlates.
+    """
+    found: list[tuple[_Verdict, str]] = []
+    best, shown = _Verdict(-1.0, 1.0), (side, [np.zeros((4, 4, 1, 1))])
+    for size, level in _pyramid(blocks, side):
+        cells = [_cells(one, scale, channels) for one in level]
+        if size == side:
+            found += _along_the_model(cells, level, groups)
+        if size >= LEAST_SIDE:
+            verdict = _judge(_joined(cells))
+            found.append((verdict, "blocks"))
+            if verdict.significance > best.significance:
+                best, shown = verdict, (size, cells)
+    worst, along = max(found, key=lambda one: one[0].significance)
+    significant = [v.inflation for v, _ in found if v.significance > SIGNIFICANT]
+    return _Seen(worst, along, max([1.0, *significant]), *shown)
+
+
+def _as_blocks(tiles: Tiles, drawn: Drawn | None) -> _Blocks:
+    # What is drawn knows what is rounded.
+    rounding = None if drawn is not None else tiles.rounding
+    if rounding is not None:
+        rounding = Rounding(*(np.asarray(part, float) for part in rounding))
+    return _Blocks(np.array(tiles[:4], float), rounding, drawn)
+
+
+def _rounds_alone(blocks: _Blocks) -> bool:
+    """Whether samples that are alike round independently."""
+    common = blocks.sums[3].sum()
+    if blocks.rounding is not None:
+        common += blocks.rounding.deviation.sum()
+    return common < COARSE * blocks.sums[2].sum()
+
+
+def _compare_neighbours(images: Sequence[Tiles]) -> tuple[float, float]:
+    """Correlation of adjacent residuals, 0 where it is chance, and size over change."""
+    products, pairs, squares, count = (
+        _over_all([one.neighbours.products for one in images]),
+        _over_all([one.neighbours.pairs for one in images]),
+        _over_all([one.squares for one in images]),
+        _over_all([one.count for one in images]),
+    )
+    if pairs == 0 or squares == 0:
+        return 0.0, math.nan
+    correlation = min(max(products / pairs * count / squares, -1.0), 1.0)
+    # Of half the squared difference, the share that is not repeated.
+    ratio = 1 / math.sqrt(max(1 - correlation, 1e-12))
+    return correlation if abs(correlation) > 5 / math.sqrt(pairs) else 0.0, ratio
+
+
+def _compare_channels(images: Sequence[Tiles]) -> float:
+    """Correlation of the residuals of a pixel's channels, 0 where it is chance."""
+    squares = _over_all([one.squares for one in images])
+    # No more pairs of channels than samples.
+    pairs = _over_all([one.count for one in images])
+    if not squares > 0:
+        return 0.0
+    correlation = _over_all([one.neighbours.channels for one in images]) / squares
+    return min(correlation, 1.0) if correlation > 5 / math.sqrt(pairs) else 0.0
+
+
+def _over_all(parts: Sequence[np.ndarray]) -> float:
+    return sum(float(np.sum(part, dtype=float)) for part in parts)
+
+
+def variance_inflation(correlation: float) -> float:
+    r"""Factor on variances if neighbours correlate: $(\frac{1+c}{1-c})^2$, at least 1.
+
+    Pixels that repeat one another are fewer independent ones. The factor is that of a
+    first-order autoregressive process along each image axis.
+
+    ??? cite "Source"
+        Bayley and Hammersley, *The effective number of independent observations in an
+        autocorrelated time series*, J. R. Stat. Soc. Suppl. 8(2), 1946.
+    """
+    c = min(max(correlation, 0.0), 0.99)
+    return ((1 + c) / (1 - c)) ** 2
+
+
+def _pyramid(blocks: list[_Blocks], side: int) -> Iterator[tuple[int, list[_Blocks]]]:
+    """Blocks of growing size, up to whole images."""
+    yield side, blocks
+    while any(one.sums.shape[-2:] != (1, 1) for one in blocks):
+        blocks, side = [_halved(one) for one in blocks], 2 * side
+        yield side, blocks
+
+
+def _halved(blocks: _Blocks) -> _Blocks:
+    """Two by two as one."""
+    rounding = blocks.rounding
+    if rounding is not None:
+        rounding = Rounding(
+            _merged(rounding.deviation, np.add, 0),
+            _merged(rounding.low, np.minimum, np.inf),
+            _merged(rounding.high, np.maximum, -np.inf),
+        )
+    drawn = None if blocks.drawn is None else _merged(blocks.drawn, np.add, 0)
+    return _Blocks(_merged(blocks.sums, np.add, 0), rounding, drawn)
+
+
+def _merged(values: np.ndarray, two: np.ufunc, empty: float) -> np.ndarray:
+    rows, columns = values.shape[-2:]
+    if rows % 2 or columns % 2:
+        beyond = [(0, 0)] * (values.ndim - 2) + [(0, rows % 2), (0, columns % 2)]
+        values = np.pad(values, beyond, constant_values=empty)
+    values = two(values[..., ::2, :], values[..., 1::2, :])
+    return two(values[..., ::2], values[..., 1::2])
+
+
+def _cells(blocks: _Blocks, scale: np.ndarray, channels: float) -> _Cells:
+    """(4, 4, cells of one image), with variances as large as they were found.
+
+    **Arguments:** `channels`: how the noise of a pixel's channels correlates.
+    """
+    cells = blocks.sums.copy()
+    cells[2] *= scale[:, None, None]
+    cells[3] **= 2
+    if blocks.rounding is not None:
+        deviation, low, high = blocks.rounding
+        # What is lit unequally does not round alike.
+        levels = 1 + np.where(deviation > 0, high, 0) - np.where(deviation > 0, low, 0)
+        cells[3] += deviation**2 / levels
+    cells = _with_all(cells)
+    # What channels have in common their sum has thrice; no less than single ones say.
+    cells[1:3, 3] *= 1 + 2 * channels
+    if blocks.drawn is not None:
+        cells[3] = np.maximum(cells[3], _beyond(blocks.drawn, cells[2]))
+    return cells
+
+
+def _with_all(parts: np.ndarray) -> np.ndarray:
+    """A fourth channel, (…, 4, …): all three together."""
+    return np.concatenate([parts, parts.sum(axis=1, keepdims=True)], axis=1)
+
+
+def _beyond(drawn: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """How much more sums vary in draws than they would if samples were independent.
+
+    Draws are few: a cell varies no less than the other cells of its channel do.
+    """
+    own = (_with_all(drawn) ** 2).sum(axis=0)
+    cells = tuple(range(1, own.ndim))
+    whole = variance.sum(axis=cells, keepdims=True)
+    usual = own.sum(axis=cells, keepdims=True) / np.where(whole > 0, whole, 1)
+    return np.maximum(np.maximum(own, usual * variance) - variance, 0)
+
+
+def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Cells of all images, one after another."""
+    flat = [one.reshape(*one.shape[:2], -1) for one in parts]
+    return flat[0] if len(flat) == 1 else np.concatenate(flat, axis=-1)
+
+
+def _in_deviations(cells: _Cells) -> np.ndarray:
+    """Each cell's sum over its channels, in standard deviations; 0 if empty."""
+    total, _, variance, common = cells[:, 3]
+    whole = variance + common
+    return np.where(whole > 0, total / np.sqrt(np.where(whole > 0, whole, 1)), 0)
+
+
+def _lit_alike(images: Sequence[Tiles]) -> dict[str, _Members]:
+    """Tiles of equal diffuse light, and of equal highlight."""
+    members = {}
+    for name, group in (("diffuse", _equal_light), ("highlight", _equal_angle)):
+        parts = [np.asarray(getattr(one, name), float).ravel() for one in images]
+        bins = group(np.concatenate(parts))
+        # A product with ones counts faster than any counting.
+        members[name] = (bins[:, None] == np.arange(BINS)).astype(float)
+    return members
+
+
+def _along_the_model(
+    cells: Sequence[_Cells], blocks: Sequence[_Blocks], groups: Mapping[str, _Members]
+) -> Iterator[tuple[_Verdict, str]]:
+    """Tiles that are lit alike, taken together."""
+    joined = _joined(cells)
+    drawn = [one.drawn for one in blocks if one.drawn is not None]
+    for name, member in groups.items():
+        together = joined @ member
+        if drawn:
+            shared = _beyond(_joined(drawn) @ member, together[2])
+            together[3] = np.maximum(together[3], shared)
+        yield _judge(together), name
+
+
+def _compare_noise(blocks: Sequence[_Blocks], groups: Mapping[str, _Members]) -> float:
+    """Does noise differ between channels, or with light? In standard deviations.
+
+    Mean squares of tiles that are lit alike, by how much they differ between such
+    groups of tiles and within them: whatever the noise's distribution.
+
+    ??? cite "Source"
+        Scheffé, *The Analysis of Variance*, 1959, chapter 3. F as a normal deviate:
+        Paulson, *An approximate normalization of the analysis of variance
+        distribution*, Ann. Math. Stat. 13(2), 1942.
+    """
+    joined = _joined([one.sums for one in blocks])
+    found = 0.0
+    for member in groups.values():
+        together = joined @ member
+        each, whole = _squares_over(joined), _squares_over(together)
+        mean = together[1].sum() ** 2 / together[2].sum()
+        between, freedom = whole.sum() - mean, np.count_nonzero(whole) - 1
+        within, rest = each.sum() - whole.sum(), np.count_nonzero(each) - freedom - 1
+        if min(freedom, rest) < 1 or not within > 0:
+            continue
+        ratio = (between / freedom) / (within / rest)
+        above, below = 2 / (9 * freedom), 2 / (9 * rest)
+        root = max(ratio, 0.0) ** (1 / 3)
+        deviate = (1 - below) * root - (1 - above)
+        found = max(found, deviate / math.sqrt(below * root**2 + above))
+    return found
+
+
+def _squares_over(sums: np.ndarray) -> np.ndarray:
+    """Each cell's sum of squares, squared and over its variance; 0 if it has none."""
+    variance = sums[2]
+    told = variance > 0
+    return np.where(told, sums[1] ** 2 / np.where(told, variance, 1), 0)
+
+
+def _equal_light(light: np.ndarray) -> np.ndarray:
+    share = light / max(float(light.max()), 1e-300)
+    return np.clip(BINS * share, 0, BINS - 1).astype(int)
+
+
+def _equal_angle(light: np.ndarray) -> np.ndarray:
+    """A highlight's logarithm falls with the square of the angle from its centre."""
+    share = np.maximum(light / max(float(light.max()), 1e-300), 1e-30)
+    return np.clip(-2 * np.log(share), 0, BINS - 1).astype(int)
+
+
+def _judge(cells: _Cells) -> _Verdict:
+    """Channel by channel, and all channels together."""
+    total, squares, variance, common = cells
+    judged = variance >= LEAST_SAMPLES
+    variance = np.where(judged, variance, 1)
+    square = np.where(judged, total**2 / (variance + common), 0)
+    # Noise that is larger in some cells than in others makes T² vary more.
+    local = np.where(judged, np.maximum(squares / variance, 1), 0)
+    highest = (square / np.maximum(local, 1)).max(axis=1)
+    parts = judged.sum(axis=1), square.sum(axis=1), (local**2).sum(axis=1), highest
+    rows = np.array(parts).T.tolist()
+    count, sums, freedoms, alone = zip(*rows[:3], strict=True)
+    apart = _judge_sums(sum(count), sum(sums), sum(freedoms), max(alone))
+    return max(apart, _judge_sums(*rows[3]))
+
+
+def _judge_sums(count: float, square: float, local: float, highest: float) -> _Verdict:
+    """Sums of T², and of what it varies by; and the largest of all."""
+    if count < 3:
+        return _Verdict(0.0, 1.0)
+    mean, spread = square / count, 2 * local / (9 * count**2)
+    spread_out = (mean ** (1 / 3) - (1 - spread)) / math.sqrt(spread)
+    # As often as chance passes it in any of the cells.
+    alone = highest - 2 * math.log(count)
+    return _Verdict(max(spread_out, math.sqrt(max(alone, 0))), max(mean, 1.0))

@@ -1,0 +1,139 @@
+"""Samples far off the model, and how far they pull a fit.
+
+Standard errors know of noise alone. What is not of the model, such as dust or a
+passer-by, moves least squares, and every loss that goes on listening to it.
+
+??? cite "Source"
+    Belsley, Kuh and Welsch, *Regression diagnostics*, 1980, chapter 2: what a fit would
+    be with some samples left out, to first order.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from phongfit.fitting.problem.noise import median_deviation
+from phongfit.fitting.problem.problem import Problem
+from phongfit.fitting.solve.sums import Linearization, linearize
+from phongfit.fitting.uncertainty.rejected import gathered_at_highlights
+from phongfit.fitting.uncertainty.statistics import Pieces
+from phongfit.programs import program
+
+# Standard deviations: of a million samples of normal noise less than one lies beyond.
+FAR = 5.0
+# Standard errors: an estimate that is pulled by less is still told by its error.
+FELT = 1.0
+# Of weights, until the least absolute deviations are near enough.
+ROUNDS = 12
+# Standard deviations of a normal sample's kurtosis: more of it is no chance.
+HEAVY = 5.0
+
+
+class _Far(eqx.Module):
+    """Samples that are far off: which, how they pull, and what the others say."""
+
+    which: Bool[Array, "3 samples"]
+    used: Int[Array, ""]
+    pull: Float[Array, " n"]
+    others: Float[Array, "n n"]
+
+
+def outlier_words(
+    problem: Problem, y: Float[Array, " n"], pieces: Pieces
+) -> tuple[str, ...]:
+    """A warning, if samples that are far off move an estimate by its standard error.
+
+    **Arguments:**
+
+    - `y`: the solution.
+    - `pieces`: sums over the samples there: see [`add_up`][].
+    """
+    heavy = float(pieces.tails) > HEAVY and not bool(pieces.exact)
+    if not problem.loss.robust and not heavy:
+        return ()
+    far, unknowns = _far(problem, y), problem.unknowns
+    position = np.asarray(y)
+    free = (np.asarray(unknowns.lower) < position) & (
+        position < np.asarray(unknowns.upper)
+    )
+    shifts = np.where(free, _shifts(far, pieces, free), 0)
+    most = int(np.argmax(shifts))
+    # A highlight of another shape than the model's is no outlier.
+    if shifts[most] < FELT or gathered_at_highlights(problem, y, far.which).any():
+        return ()
+    count = int(jnp.sum(far.which))
+    share = 100 * count / int(far.used)
+    other = '"tukey"' if problem.loss.robust else '"cauchy" or "tukey"'
+    return (
+        f"outliers: {count} samples ({share:.2g} %) lie more than {FAR:g} standard "
+        f"deviations off the model and pull the estimates, {unknowns.y_labels[most]} "
+        f"by {shifts[most]:.1f} of its standard errors; leave them out by a mask, or "
+        f"try loss={other}",
+    )
+
+
+def _shifts(far: _Far, pieces: Pieces, free: np.ndarray) -> np.ndarray:
+    """How far each free unknown is pulled, in standard errors; 0 for the others."""
+    both = np.ix_(free, free)
+    bread, meat, others = (
+        np.asarray(part, float)[both]
+        for part in (pieces.bread, pieces.meat, far.others)
+    )
+    inverse = np.linalg.pinv(bread, hermitian=True)
+    variance = np.diag(inverse @ meat @ inverse)
+    shift = np.linalg.pinv(others, hermitian=True) @ np.asarray(far.pull, float)[free]
+    shifts = np.zeros(len(free))
+    shifts[free] = np.abs(shift) / np.sqrt(np.where(variance > 0, variance, np.inf))
+    return shifts
+
+
+@program()
+def _far(problem: Problem, y: Float[Array, " n"]) -> _Far:
+    found = linearize(problem, y)
+    jacobian, used = found.jacobian, problem.samples.weight > 0
+    left, scale = found.at.residual, jnp.ones((), y.dtype)
+    if not problem.loss.robust:
+        # Least squares give in to outliers, which then hide behind one another.
+        left = _absolute_deviations(problem, y, found)
+        scale = median_deviation(left, problem.unclipped())
+    far = used & (jnp.abs(left) > FAR * scale)
+    score, slope = problem.loss.score(found.at.residual)
+    others = jacobian.gram(jnp.where(far, 0, slope))
+    return _Far(
+        far,
+        jnp.sum(used),
+        jacobian.pull(jnp.where(far, score, 0)),
+        others + jacobian.priors.T @ jacobian.priors,
+    )
+
+
+def _absolute_deviations(
+    problem: Problem, y: Float[Array, " n"], found: Linearization
+) -> Float[Array, "3 samples"]:
+    """Residuals as the least absolute deviations near y would leave them.
+
+    To first order in y, by least squares with ever new weights.
+    """
+    unknowns, jacobian, priors = problem.unknowns, found.jacobian, found.jacobian.priors
+    free = (unknowns.lower < y) & (y < unknowns.upper)
+    chosen, identity = problem.unclipped(), jnp.eye(len(y), dtype=y.dtype)
+
+    def again(step: Array, _: None) -> tuple[Array, None]:
+        left = found.at.residual + jacobian.change(step)
+        weight = 1 / jnp.hypot(left, median_deviation(left, chosen))
+        pull = jacobian.pull(weight * left) + priors.T @ (found.priors + priors @ step)
+        curvature = jacobian.gram(weight) + priors.T @ priors
+        scale = jnp.sqrt(jnp.where(free, jnp.diag(curvature), 0))
+        scale = jnp.where(scale > 0, scale, 1)
+        known = free & (jnp.diag(curvature) > 0)
+        both = known[:, None] & free[None, :]
+        matrix = jnp.where(both, curvature / jnp.outer(scale, scale), 0)
+        # What no sample feels stays, and what is not told apart hardly moves.
+        matrix = jnp.where(both | ~identity.astype(bool), matrix, 1) + 1e-5 * identity
+        more = jnp.linalg.solve(matrix, jnp.where(free, pull / scale, 0)) / scale
+        return step - more, None
+
+    step, _ = jax.lax.scan(again, jnp.zeros_like(y), length=ROUNDS)
+    return found.at.residual + jacobian.change(step)

@@ -1,0 +1,274 @@
+"""Profile likelihood: what holding an unknown costs, all others fitted again."""
+
+import dataclasses
+from collections.abc import Iterable
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from phongfit.fitting.problem.problem import Problem
+from phongfit.fitting.problem.unknowns import Unknowns
+from phongfit.fitting.solve.search import Found
+from phongfit.fitting.solve.solution import solve
+from phongfit.fitting.solve.sums import linearize
+from phongfit.fitting.uncertainty.numbers import number_with_error
+from phongfit.fitting.uncertainty.quantiles import fisher_quantile, student_reach
+from phongfit.fitting.uncertainty.statistics import quadratic_about, statistics
+
+# One, two and three standard deviations of a normal distribution.
+LEVELS = (0.6827, 0.9545, 0.9973)
+# Steps of a profile in standard errors, and how far it may go without an end.
+STEP, FARTHEST = 0.5, 16
+# Points along each axis of a pair.
+ACROSS = 15
+# Of a profile on one side.
+MOST_POINTS = 60
+MAX_STEPS = 50
+
+
+@dataclasses.dataclass(frozen=True)
+class Profile:
+    """How much worse the fit is where one unknown is held.
+
+    **Arguments:**
+
+    - `label`: the unknown.
+    - `values`: where it was held, rising; user's units.
+    - `rise`: Δχ² there, scaled such that it is (Δ/standard error)² near the estimate.
+    - `intervals`: level → (low, high); an end that is a bound was not reached.
+    """
+
+    label: str
+    values: np.ndarray
+    rise: np.ndarray
+    intervals: dict[float, tuple[float, float]]
+
+    def __str__(self) -> str:
+        rows = [f"{self.label}: profile-likelihood intervals"]
+        for level, (low, high) in self.intervals.items():
+            ends = (number_with_error(end, (high - low) / 2) for end in (low, high))
+            rows.append(f"  {100 * level:5.2f} %  {' … '.join(ends)}")
+        return "\n".join(rows)
+
+
+@dataclasses.dataclass(frozen=True)
+class ProfilePair:
+    """How much worse the fit is where two unknowns are held.
+
+    **Arguments:**
+
+    - `labels`: the two.
+    - `values`: where each was held, user's units.
+    - `rise`: Δχ², (values of the first, values of the second).
+    - `thresholds`: level → the Δχ² that bounds its region.
+    """
+
+    labels: tuple[str, str]
+    values: tuple[np.ndarray, np.ndarray]
+    rise: np.ndarray
+    thresholds: dict[float, float]
+
+
+def profile(
+    found: Found,
+    label: str,
+    freedom: int,
+    levels: tuple[float, ...] = LEVELS,
+    inflation: float = 1.0,
+) -> Profile:
+    """The profile of one unknown: see [`Fit`][]`.profile`.
+
+    **Arguments:** `inflation`: factor on all variances, as of the standard errors.
+    """
+    _check_levels(levels)
+    held = _Held(found, [label], inflation)
+    (place,) = held.places
+    reach = {p: student_reach(p, freedom) for p in levels}
+    farthest = max(reach.values())
+    sides = [held.walk(place, sign, farthest) for sign in (-1, 1)]
+    points = np.array([*reversed(sides[0][1:]), *sides[1]])
+    y, roots = points.T
+    values = held.values(place, y)
+    signed = np.where(np.arange(len(y)) < len(sides[0]) - 1, -roots, roots)
+    low, high = held.box(place)
+    intervals = {
+        level: (
+            _crossing(values[: len(sides[0])], signed[: len(sides[0])], -far, low),
+            _crossing(
+                values[len(sides[0]) - 1 :], signed[len(sides[0]) - 1 :], far, high
+            ),
+        )
+        for level, far in reach.items()
+    }
+    return Profile(label, values, roots**2, intervals)
+
+
+def profile_pair(
+    found: Found,
+    labels: tuple[str, str],
+    freedom: int,
+    levels: tuple[float, ...] = LEVELS,
+    inflation: float = 1.0,
+) -> ProfilePair:
+    """The profile of two unknowns on a grid: see [`Fit`][]`.profile`."""
+    _check_levels(levels)
+    if labels[0] == labels[1]:
+        raise ValueError(f"other: {labels[1]!r} came twice, two unknowns are wanted")
+    held = _Held(found, labels, inflation)
+    freedom = max(freedom, 1)
+    thresholds = {p: 2 * fisher_quantile(p, 2, freedom) for p in levels}
+    farthest = 1.15 * np.sqrt(max(thresholds.values()))
+    grids = [held.grid(place, farthest, ACROSS) for place in held.places]
+    rise = np.zeros((ACROSS, ACROSS))
+    for i, first in enumerate(grids[0]):
+        y = held.best
+        # To and fro, so that each point starts from its neighbour.
+        order = range(ACROSS) if i % 2 == 0 else reversed(range(ACROSS))
+        for j in order:
+            at = dict(zip(held.places, (first, grids[1][j]), strict=True))
+            rise[i, j], y = held.rise(at, y)
+    first, second = (
+        held.values(place, grid) for place, grid in zip(held.places, grids, strict=True)
+    )
+    return ProfilePair((labels[0], labels[1]), (first, second), rise, thresholds)
+
+
+def _check_levels(levels: Iterable[float]) -> None:
+    for level in levels:
+        if not 0 < level < 1:
+            raise ValueError(f"levels: {level!r} came, numbers in (0, 1) are wanted")
+
+
+def _crossing(
+    values: np.ndarray, signed: np.ndarray, level: float, bound: float
+) -> float:
+    """Where the signed root of the rise meets a level; the bound if it never does."""
+    rising = np.append(True, signed[1:] > np.maximum.accumulate(signed)[:-1])
+    values, signed = values[rising], signed[rising]
+    if len(values) < 2 or not signed[0] <= level <= signed[-1]:
+        return bound
+    # Here, since SciPy takes long to import, and few who fit ask for a profile.
+    from scipy.interpolate import PchipInterpolator
+
+    return float(PchipInterpolator(signed, values)(level))
+
+
+class _Held:
+    """A solved problem of which some unknowns are held, and the others fitted again."""
+
+    def __init__(self, found: Found, labels: Iterable[str], inflation: float):
+        self.problem, self.best = found.problem, found.y
+        unknowns = found.problem.unknowns
+        self.places = [_place(unknowns, label) for label in labels]
+        self.lower = np.asarray(unknowns.lower)
+        self.upper = np.asarray(unknowns.upper)
+        told = statistics(found.problem, found.y, inflation)
+        about = quadratic_about(
+            told, unknowns, np.asarray(found.y, float), np.arange(len(self.lower))
+        )
+        along = np.eye(len(self.lower))[self.places]
+        self.errors = np.zeros(len(self.lower))
+        self.errors[self.places] = np.abs(about.ends(along, 1.0)).max(axis=1)
+        ratios = [
+            self._spread(place) / told.stderr[place]
+            for place in self.places
+            if np.isfinite(told.stderr[place])
+        ]
+        # A sandwich covariance is not what the curvature says: nor is the profile.
+        self.scale = float(np.mean(ratios)) ** 2 if ratios else 1.0
+        self.least = total_cost(self.problem, self.best)
+
+    def _spread(self, place: int) -> float:
+        """Standard error from the curvature of the cost alone, what is free free."""
+        y = np.asarray(self.best)
+        free = (y > self.lower) & (y < self.upper)
+        curvature = np.asarray(_curvature(self.problem, self.best), float)
+        inverse = np.linalg.pinv(curvature[np.ix_(free, free)], hermitian=True)
+        return float(np.sqrt(inverse.diagonal()[np.count_nonzero(free[:place])]))
+
+    def rise(
+        self, at: dict[int, float], start: Float[Array, " n"]
+    ) -> tuple[float, Float[Array, " n"]]:
+        """Δχ² where some numbers of y are held, and the y that leaves it."""
+        lower, upper, y = (
+            np.array(a) for a in (self.lower, self.upper, np.asarray(start))
+        )
+        for place, value in at.items():
+            lower[place] = upper[place] = y[place] = value
+        held = eqx.tree_at(
+            lambda p: (p.unknowns.lower, p.unknowns.upper),
+            self.problem,
+            (jnp.asarray(lower), jnp.asarray(upper)),
+        )
+        solution = solve(held, jnp.asarray(y), MAX_STEPS)
+        squares = total_cost(self.problem, solution.y)
+        return max(squares - self.least, 0.0) * self.scale, solution.y
+
+    def walk(self, place: int, sign: int, farthest: float) -> list[tuple[float, float]]:
+        """(y, √Δχ²) from the estimate outwards, until past `farthest` or a bound."""
+        y, edge = self.best, (self.lower if sign < 0 else self.upper)[place]
+        here = float(np.asarray(y)[place])
+        points, step = [(here, 0.0)], STEP * self.errors[place]
+        while points[-1][1] < 1.05 * farthest and here != edge:
+            if len(points) > FARTHEST / STEP:
+                # A cost that hardly rises is left in growing steps.
+                step *= 2
+            here = here + sign * step
+            if sign * (here - edge) >= 0 or len(points) > MOST_POINTS:
+                here = float(edge)
+            if not np.isfinite(here):
+                break
+            rise, y = self.rise({place: here}, y)
+            points.append((here, float(np.sqrt(rise))))
+        return points
+
+    def grid(self, place: int, farthest: float, count: int) -> np.ndarray:
+        """Points of y around the estimate, in the box."""
+        center = float(np.asarray(self.best)[place])
+        reach = farthest * self.errors[place]
+        low = max(center - reach, float(self.lower[place]))
+        high = min(center + reach, float(self.upper[place]))
+        return np.linspace(low, high, count)
+
+    def values(self, place: int, y: np.ndarray) -> np.ndarray:
+        """Numbers of one place in the user's units."""
+        unknowns = self.problem.unknowns
+        if unknowns.logarithmic[place]:
+            return np.exp(y)
+        return y * float(unknowns.scale[unknowns.owned[place]])
+
+    def box(self, place: int) -> tuple[float, float]:
+        """The bounds of one place in the user's units."""
+        unknowns = self.problem.unknowns
+        entry = unknowns.owned[place]
+        (row,) = np.flatnonzero(unknowns.reported == entry)
+        return tuple(unknowns.bounds[row].tolist())
+
+
+def _place(unknowns: Unknowns, label: str) -> int:
+    labels = list(unknowns.y_labels)
+    free = [one for one in labels if labels.count(one) == 1]
+    if label not in free:
+        raise ValueError(f"name: {label!r} came, one of {', '.join(free)} is wanted")
+    return labels.index(label)
+
+
+def total_cost(problem: Problem, y: Float[Array, " n"]) -> float:
+    """The cost, added up in double precision: profiles are small differences of it."""
+    samples, priors = _costs(problem, y)
+    return float(np.sum(np.asarray(samples, float)) + np.sum(np.asarray(priors, float)))
+
+
+@eqx.filter_jit
+def _curvature(problem: Problem, y: Float[Array, " n"]) -> Float[Array, "n n"]:
+    found = linearize(problem, y)
+    known = found.jacobian.priors.T @ found.jacobian.priors
+    return found.jacobian.gram(problem.loss.score(found.at.residual)[1]) + known
+
+
+@eqx.filter_jit
+def _costs(problem: Problem, y: Float[Array, " n"]) -> tuple[Array, Array]:
+    samples = problem.loss.root(problem.residual(y)) ** 2
+    return samples, problem.unknowns.prior_residual(y) ** 2

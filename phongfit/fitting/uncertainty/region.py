@@ -1,0 +1,80 @@
+"""Where the truth may lie: intervals of all reported entries, at any level."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from phongfit.fitting.uncertainty.intervals import Quadratic
+from phongfit.fitting.uncertainty.quantiles import two_for_one
+
+
+class Part(NamedTuple):
+    """Unknowns that share no sample with others, and quadratics that cover their box.
+
+    - `places`: theirs in the solver's vector.
+    - `quadratics`: of Δχ², about several places.
+    - `searched`: whether chance has chosen one more number than the one asked for: the
+        exponent of a faint highlight.
+    """
+
+    places: Int[np.ndarray, " k"]
+    quadratics: tuple[Quadratic, ...]
+    searched: bool = False
+
+    def ends(self, along: Float[np.ndarray, "m k"], level: float) -> np.ndarray:
+        """The hull of what the quadratics allow, (m, 2), in steps from the solution."""
+        level = two_for_one(level) if self.searched else level
+        least = min(quadratic.least for quadratic in self.quadratics)
+        ends = [quadratic.ends(along, level + least) for quadratic in self.quadratics]
+        low, high = np.moveaxis(np.array(ends), -1, 0)
+        return np.stack([np.nanmin(low, axis=0), np.nanmax(high, axis=0)], axis=-1)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Region:
+    """What the data allow, from the solution to wherever it is asked.
+
+    **Arguments:**
+
+    - `values`: reported entries in the user's units.
+    - `slope`: their derivatives in the solver's vector, (reported, n).
+    - `logarithmic`: true for entries that the solver sees as logarithms.
+    - `bounds`: (reported, 2).
+    - `open_ended`: true for what is not identified: its bounds are all that is left.
+    - `make`: gives the parts when they are first asked for.
+    """
+
+    values: Float[np.ndarray, " reported"]
+    slope: Float[np.ndarray, "reported n"]
+    logarithmic: Bool[np.ndarray, " reported"]
+    bounds: Float[np.ndarray, "reported 2"]
+    open_ended: Bool[np.ndarray, " reported"]
+    make: Callable[[], tuple[Part, ...]]
+
+    @functools.cached_property
+    def parts(self) -> tuple[Part, ...]:
+        """Of the unknowns."""
+        return self.make()
+
+    def ends(self, level: float) -> Float[np.ndarray, "reported 2"]:
+        r"""Where $\Delta\chi^2$ has risen to a level, all other unknowns at their best.
+
+        **Returns:** lower and upper ends in the user's units, cut to the bounds.
+        """
+        moved = np.zeros((len(self.values), 2))
+        for part in self.parts:
+            along = self.slope[:, part.places]
+            here = np.any(along != 0, axis=1)
+            if here.any():
+                moved[here] = part.ends(along[here], level)
+        # The solution itself is always among what is allowed.
+        moved = np.stack([np.minimum(moved[:, 0], 0), np.maximum(moved[:, 1], 0)], -1)
+        values, logarithmic = self.values[:, None], self.logarithmic[:, None]
+        shares = np.where(logarithmic, moved / np.where(logarithmic, values, 1), 0)
+        ends = np.where(logarithmic, values * np.exp(shares), values + moved)
+        ends = np.where(self.open_ended[:, None], self.bounds, ends)
+        return np.clip(ends, self.bounds[:, :1], self.bounds[:, 1:])

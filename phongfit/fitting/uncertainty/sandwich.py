@@ -1,0 +1,139 @@
+r"""$B^{-1} M B^{-1}$: covariance from the curvature of a cost and from its gradient's.
+
+??? cite "Source"
+    Huber, *The behavior of maximum likelihood estimates under nonstandard conditions*,
+    Proc. 5th Berkeley Symp. 1, 1967; White, *A heteroskedasticity-consistent covariance
+    matrix estimator*, Econometrica 48(4), 1980.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from phongfit.fitting.uncertainty.intervals import SHARE, WIDTHS, Quadratic
+
+
+class Sandwich(NamedTuple):
+    r"""What $B^{-1} M B^{-1}$ is made of at a point, in double precision.
+
+    - `bread`: $B$, the curvature of half the cost.
+    - `meat`: $M$, the covariance of its gradient, widened for residuals that are not
+        independent.
+    - `pull`: that gradient.
+    - `inside`: $J^\top J$ of the samples that are not white.
+    - `resolution`: of the numbers that the sums were made of.
+    """
+
+    bread: np.ndarray
+    meat: np.ndarray
+    pull: np.ndarray
+    inside: np.ndarray
+    resolution: float
+
+    def part(self, chosen: np.ndarray) -> "Sandwich":
+        """That of some unknowns, the others known."""
+        both = np.ix_(chosen, chosen)
+        return Sandwich(
+            self.bread[both],
+            self.meat[both],
+            self.pull[chosen],
+            self.inside[both],
+            self.resolution,
+        )
+
+    def strain(self, held: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """How hard the samples pull at what is held, in standard deviations.
+
+        Others free to follow; 0 for what is not held. For a single unknown this is the
+        score test of whether it lies where it is held.
+
+        ??? cite "Source"
+            Rao, *Large sample tests of statistical hypotheses concerning several
+            parameters*, Proc. Camb. Phil. Soc. 44(1), 1948.
+        """
+        free = np.flatnonzero(~held)
+        inverse = inverse_of(self.bread[np.ix_(free, free)], self.resolution)
+        # The score of what is held, less what the others take over.
+        weights = np.diag(held.astype(float))
+        weights[:, free] -= weights @ self.bread[:, free] @ inverse
+        variance = np.einsum("ki,ij,kj->k", weights, self.meat, weights)
+        score = np.abs(weights @ self.pull)
+        return np.where(held, score / np.sqrt(np.where(variance > 0, variance, 1)), 0)
+
+    def covariance(self) -> np.ndarray:
+        """Of all unknowns, as if none had a bound."""
+        inverse = inverse_of(self.bread, self.resolution)
+        return inverse @ self.meat @ inverse
+
+
+def as_quadratic(
+    sums: Sandwich,
+    lower: Float[np.ndarray, " n"],
+    upper: Float[np.ndarray, " n"],
+    *,
+    steep: Bool[np.ndarray, " n"] | None = None,
+    rise: float = 0.0,
+    center: Float[np.ndarray, " n"] | None = None,
+) -> Quadratic:
+    r"""$\Delta\chi^2$ about a point, of which a sandwich is the covariance.
+
+    Without bounds the estimates would have the covariance $V = B^{-1} M B^{-1}$; a cost
+    that is curved by $V^{-1}$ says of them what $\chi^2$ says where $M = B$.
+
+    **Arguments:**
+
+    - `sums`: there.
+    - `lower`, `upper`: the box, in steps from the point.
+    - `steep`: true for what was held there, and is not at its best.
+    - `rise`: of $\chi^2$ there.
+    - `center`: the point, as a step from the solution; default none.
+    """
+    scaled, root = unit_diagonal(sums.bread)
+    values, vectors = np.linalg.eigh(scaled)
+    told = values > threshold(sums.resolution)
+    half = vectors[:, told] * np.sqrt(values[told])
+    dual = vectors[:, told] / np.sqrt(values[told])
+    # What the meat is in units of the bread: 1 where residuals are as expected.
+    core = dual.T @ (sums.meat / np.outer(root, root)) @ dual
+    shares, axes = np.linalg.eigh(core)
+    # Rounding may leave nothing, or less, of a direction that is hardly told.
+    shares = np.maximum(shares, 1e-6 * shares.max(initial=1e-30))
+    half = half @ axes
+    precision = (half / shares) @ half.T * np.outer(root, root)
+    # P B⁻¹ is the factor between a gradient of the cost and one of this.
+    slope = root * ((half / shares) @ (axes.T @ (dual.T @ (sums.pull / root))))
+    # Of what is free the slope is rounding; a bound holds back what would fall.
+    slope_held = np.where(lower >= 0, np.maximum(slope, 0), 0)
+    slope_held = np.where(upper <= 0, np.minimum(slope, 0), slope_held)
+    free = (lower < 0) & (upper > 0)
+    kept = free & (np.zeros_like(free) if steep is None else steep)
+    slope = np.where(kept, slope, np.where(free, 0, slope_held))
+    # Where the data leave a direction open, the box decides.
+    width = np.maximum(upper - lower, 1e-12)
+    known = np.diag(precision)
+    ridge = SHARE * known + 1 / (WIDTHS * width) ** 2 + 1e-30
+    center = np.zeros_like(slope) if center is None else center
+    precision = (precision + precision.T) / 2 + np.diag(ridge)
+    return Quadratic(precision, slope, lower, upper, rise, center)
+
+
+def inverse_of(bread: np.ndarray, resolution: float) -> np.ndarray:
+    """Inverse on the directions that can be told; 0 on the others."""
+    scaled, root = unit_diagonal(bread)
+    values, vectors = np.linalg.eigh(scaled)
+    told = values > threshold(resolution)
+    inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T
+    return inverse / np.outer(root, root)
+
+
+def unit_diagonal(bread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A matrix with a unit diagonal, and the roots of the old one (1 for 0)."""
+    root = np.sqrt(np.diag(bread))
+    root = np.where(root > 0, root, 1)
+    return bread / np.outer(root, root), root
+
+
+def threshold(resolution: float) -> float:
+    """Eigenvalue of a normalised JᵀJ below which a direction is rounding alone."""
+    return max((32 * resolution) ** 2, 1e-14)

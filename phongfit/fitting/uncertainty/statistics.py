@@ -1,0 +1,249 @@
+"""From the Jacobian at the solution to error bars, and to what they cannot say."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from phongfit.fitting.problem.noise import median_deviation, shared_rounding_variance
+from phongfit.fitting.problem.problem import Evaluation, Problem
+from phongfit.fitting.problem.unknowns import Unknowns
+from phongfit.fitting.solve.sums import Linearization, linearize
+from phongfit.fitting.uncertainty.identifiability import unidentified
+from phongfit.fitting.uncertainty.intervals import Quadratic
+from phongfit.fitting.uncertainty.sandwich import (
+    Sandwich,
+    as_quadratic,
+    inverse_of,
+    unit_diagonal,
+)
+from phongfit.fitting.uncertainty.scores import (
+    independent_variance,
+    linearized,
+    shared_rounding,
+)
+from phongfit.programs import program
+
+# What is left over is rounding of the arithmetic up to so many times its floor.
+ROUNDED = 2
+
+
+@dataclasses.dataclass(frozen=True)
+class Statistics:
+    """Uncertainty of a solution in the solver's units.
+
+    `covariance` is that of the unknowns that are free and can be told, those at a bound
+    held there: NaN for these, infinite variance for those that cannot be told. `spread`
+    is the standard error that the curvature of the cost alone would give. `sums` are
+    what intervals are made of: see [`as_quadratic`][].
+    """
+
+    sums: Sandwich
+    covariance: np.ndarray
+    spread: np.ndarray
+    untold: np.ndarray
+    at_bound: np.ndarray
+    chi_squared: float
+    reasons: tuple[str, ...]
+
+    @property
+    def stderr(self) -> np.ndarray:
+        """Standard errors of what is free."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def scale(self) -> float:
+        """What the cost's own rise is to be multiplied by, as the variances say."""
+        ratios = (self.spread / self.stderr)[np.isfinite(self.stderr)] ** 2
+        return float(np.mean(ratios)) if len(ratios) else 1.0
+
+
+def statistics(
+    problem: Problem,
+    y: Float[Array, " n"],
+    inflation: float,
+    pieces: "Pieces | None" = None,
+) -> Statistics:
+    """Sandwich covariance of a bounded fit, its free part, and what cannot be told.
+
+    **Arguments:**
+
+    - `problem`, `y`: the problem, and its solution.
+    - `inflation`: factor on all variances for residuals that are not independent.
+    - `pieces`: sums over the samples, if they are at hand.
+    """
+    found = in_numpy(add_up(problem, y) if pieces is None else pieces)
+    sums = sandwich_at(problem, y, inflation, found)
+    position = np.asarray(y)
+    unknowns = problem.unknowns
+    at_bound = (position <= np.asarray(unknowns.lower)) | (
+        position >= np.asarray(unknowns.upper)
+    )
+    untold, reasons = unidentified(sums.inside, unknowns, position, sums.resolution)
+    if untold.all() and _all_white(problem):
+        words = "nothing can be told: all samples that are used are white. Expose less"
+        reasons = (f"{words}, or mask what is overexposed",)
+    at_bound &= ~untold
+
+    size = len(position)
+    covariance, spread = np.full((size, size), np.nan), np.full(size, np.nan)
+    free = ~at_bound
+    part = sums.part(free)
+    inverse = inverse_of(part.bread, part.resolution)
+    covariance[np.ix_(free, free)] = inverse @ part.meat @ inverse
+    spread[free] = np.sqrt(np.diag(inverse))
+    covariance[untold, :] = covariance[:, untold] = np.nan
+    covariance[untold, untold] = np.inf
+    chi_squared = float(found.chi_squared)
+    return Statistics(sums, covariance, spread, untold, at_bound, chi_squared, reasons)
+
+
+def _all_white(problem: Problem) -> bool:
+    used = np.asarray(problem.samples.weight) > 0
+    return problem.clamp and bool(np.all(np.asarray(problem.samples.target)[used] >= 1))
+
+
+def sandwich_at(
+    problem: Problem, y: Float[Array, " n"], inflation: float, pieces: Any
+) -> Sandwich:
+    """The sums at a point, in double precision where single leaves them open.
+
+    **Arguments:** `pieces`: those of [`add_up`][], as NumPy's arrays.
+    """
+    resolution, found = float(np.finfo(y.dtype).eps), pieces
+    if found.exact:
+        # What is left over is rounding of the arithmetic, which samples share.
+        inflation = inflation * float(np.sum(np.asarray(problem.samples.weight) > 0))
+    if _too_coarse(found.inside, resolution):
+        found = in_numpy(_pieces_in_double(problem, y))
+    meat = found.meat
+    if found.shared > 1e-6:
+        meat = meat + found.loss_variance * shared_rounding(problem, y)
+    return Sandwich(found.bread, inflation * meat, found.pull, found.inside, resolution)
+
+
+def quadratic_about(
+    found: Statistics,
+    unknowns: Unknowns,
+    y: Float[np.ndarray, " n"],
+    group: Int[np.ndarray, " k"],
+) -> Quadratic:
+    """That of some unknowns about the solution, in all of their box."""
+    box = unknowns.lower, unknowns.upper
+    lower, upper = (np.asarray(edge, float)[group] - y[group] for edge in box)
+    return as_quadratic(found.sums.part(group), lower, upper)
+
+
+def in_numpy(pieces: "Pieces") -> Any:
+    """The same sums, as NumPy's in double precision."""
+    return jax.tree.map(lambda part: np.asarray(part, float), pieces)
+
+
+def _too_coarse(bread: np.ndarray, resolution: float) -> bool:
+    """Whether sums of this precision leave open if a direction is told at all."""
+    if resolution < 1e-10 or not np.all(np.isfinite(bread)):
+        return False
+    heard = np.diag(bread) > 0
+    values = np.linalg.eigvalsh(unit_diagonal(bread[np.ix_(heard, heard)])[0])
+    return bool(np.any(values < 1e4 * resolution))
+
+
+def _pieces_in_double(problem: Problem, y: Float[Array, " n"]) -> "Pieces":
+    """The same derivatives, added up in double precision."""
+    parts = problem, linearized(problem, y)
+    with jax.enable_x64(True):
+        return _add_up(*jax.tree.map(_in_double, parts))
+
+
+def _in_double(leaf: Any) -> Any:
+    return jnp.asarray(np.asarray(leaf), float) if eqx.is_inexact_array(leaf) else leaf
+
+
+class Pieces(eqx.Module):
+    """Sums over the samples that all statistics are made of."""
+
+    bread: Float[Array, "n n"]
+    meat: Float[Array, "n n"]
+    inside: Float[Array, "n n"]
+    pull: Float[Array, " n"]
+    drift: Float[Array, " n"]
+    loss_variance: Float[Array, ""]
+    shared: Float[Array, ""]
+    chi_squared: Float[Array, ""]
+    spread: Float[Array, ""]
+    # Kurtosis of the residuals beyond a normal one, in its standard deviations.
+    tails: Float[Array, ""]
+    exact: Bool[Array, ""]
+
+
+@program()
+def add_up(problem: Problem, y: Float[Array, " n"]) -> Pieces:
+    """The sums at a solution."""
+    return _add_up(problem, linearize(problem, y))
+
+
+@eqx.filter_jit
+def _add_up(problem: Problem, found: Linearization) -> Pieces:
+    at, priors, jacobian = found.at, found.priors, found.jacobian
+    samples = at.residual
+    kind = samples.dtype
+    used = problem.samples.weight > 0
+    count = jnp.maximum(jnp.sum(used), 1).astype(kind)
+
+    score, slope = problem.loss.score(samples)
+    variance, steepness = jnp.ones((), kind), jnp.ones((), kind)
+    if problem.loss.robust:
+        # A loss that bends: the variance of its score, and its mean slope.
+        variance = jnp.sum(jnp.where(used, score**2, 0)) / count
+        steepness = jnp.sum(jnp.where(used, slope, 0)) / count
+    independent, shared = independent_variance(problem, at), jnp.zeros((), kind)
+    step = problem.samples.step
+    if step is not None:
+        common = shared_rounding_variance(step, at.noise)
+        shared = jnp.max(common / at.deviation**2)
+    squares = jnp.sum(samples**2)
+    kurtosis = count * jnp.sum((samples * jax.lax.rsqrt(squares)) ** 4)
+    known = jacobian.priors.T @ jacobian.priors
+    # A white sample tells only that the light is no less than white: what nothing else
+    # speaks of is not told.
+    told = (problem.samples.target < 1).astype(kind) if problem.clamp else None
+    bread, meat, inside = jacobian.grams(None, independent, told)
+    meat = variance * meat
+    if problem.scatter is not None:
+        root = jnp.sqrt(jnp.diag(bread))
+        meat, shared = problem.scatter * jnp.outer(root, root), jnp.zeros((), kind)
+    return Pieces(
+        bread=steepness * bread + known,
+        meat=meat + known,
+        inside=inside + known,
+        pull=jacobian.pull(score) + jacobian.priors.T @ priors,
+        drift=jacobian.pull(at.drift),
+        loss_variance=variance,
+        shared=shared,
+        chi_squared=squares + jnp.sum(priors**2),
+        spread=_spread(problem, at),
+        tails=(kurtosis - 3) * jnp.sqrt(count / 24),
+        exact=_is_exact(problem, at),
+    )
+
+
+def _spread(problem: Problem, at: Evaluation) -> Float[Array, ""]:
+    """Residuals' size in standard deviations, outliers left to a loss that bears them.
+
+    1 where the noise level is right.
+    """
+    used = problem.samples.weight > 0
+    if problem.loss.robust:
+        return median_deviation(at.residual, used & (at.variance_share > 0.5))
+    expected = jnp.sum(jnp.where(used, at.variance_share, 0))
+    return jnp.sqrt(jnp.sum(at.residual**2) / jnp.maximum(expected, 1))
+
+
+def _is_exact(problem: Problem, at: Evaluation) -> Bool[Array, ""]:
+    """Whether nothing is left over but what arithmetic of this precision rounds."""
+    exact = problem.sigma <= ROUNDED * at.floor
+    return exact & (problem.samples.step is None)

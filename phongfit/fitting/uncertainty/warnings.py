@@ -1,0 +1,137 @@
+"""What a fit says of its own weaknesses: what is wrong, how large, what to try."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from phongfit.fitting.problem.leaves import REFLECTANCES
+from phongfit.fitting.problem.unknowns import Unknowns
+from phongfit.fitting.uncertainty.estimate import Estimates
+from phongfit.fitting.uncertainty.grid import SIDE, SIGNIFICANT
+from phongfit.fitting.uncertainty.misfit import CORRELATED, Misfit
+from phongfit.fitting.uncertainty.statistics import Pieces
+
+# Samples from which a noise level is estimated well enough.
+FEW = 50
+# Share of the samples that must not be clipped for that.
+FEW_SHARE = 0.1
+# Share of a standard error by which the noise level's own may move a parameter.
+MOVED = 0.25
+# Standard deviations between the images and a prior, or a bound, that are no chance.
+CONTRADICTION = 4.0
+
+
+def misfit_words(misfit: Misfit, images: int) -> tuple[str, ...]:
+    """Residuals that are not noise."""
+    correlation = misfit.neighbour_correlation
+    if not misfit.significant and correlation <= CORRELATED:
+        return ()
+    widened = math.sqrt(misfit.inflation)
+    shown = [f"neighbouring pixels correlate by {correlation:.2f}"]
+    if misfit.significant:
+        image = f" of image {misfit.image}" if images > 1 else ""
+        shown = [
+            f"summed {_SUMMED[misfit.along].format(side=misfit.side)} they exceed what "
+            f"noise allows ({misfit.significance:.2g} σ), most near row {misfit.row}, "
+            f"column {misfit.column}{image}",
+            *(shown if correlation > CORRELATED else []),
+        ]
+    return (
+        f"residuals are not noise: {'; '.join(shown)}. The model does not describe the "
+        f"image fully; errors are widened {widened:.1f} times, which "
+        "covers no bias. Look at plot_residuals(); mask what does not belong, try "
+        "another specular model, or make what may be wrong unknown",
+    )
+
+
+def clipped_words(pieces: Pieces, effective: int, samples: int) -> tuple[str, ...]:
+    """Where the noise level is estimated from samples that hardly know it."""
+    bread = np.asarray(pieces.bread, float)
+    inverse = np.linalg.pinv(bread, rcond=1e-6, hermitian=True)
+    # How far the solution moves with the noise level, by one error of that.
+    moved = inverse @ np.asarray(pieces.drift, float) / math.sqrt(2 * max(effective, 1))
+    error = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
+    enough = effective >= max(FEW, FEW_SHARE * samples)
+    if enough and np.all(np.abs(moved) < MOVED * error):
+        return ()
+    return (
+        f"{samples - effective:,} of {samples:,} samples are clipped: the noise is "
+        "estimated from the others, and the errors do not know how badly. Give noise=, "
+        "or expose less",
+    )
+
+
+_SUMMED = {
+    "blocks": "over blocks of {side} × {side} pixels",
+    "diffuse": "where diffuse light is equal",
+    "highlight": "where the highlight is equal",
+}
+
+
+def grid_words(significance: float) -> tuple[str, ...]:
+    """An image that was a JPEG file, of which the fit has not been told."""
+    if significance <= SIGNIFICANT:
+        return ()
+    return (
+        f"residuals jump between blocks of {SIDE} × {SIDE} pixels ({significance:.2g} "
+        "σ), as those of a JPEG file do: what that rounded is no noise, and errors may "
+        "be several times too small. Fit the photograph as it lies in its file, with "
+        "film=pf.read_film(path, encoding)",
+    )
+
+
+def spread_words(spread: float) -> tuple[str, ...]:
+    """Residuals so many times as large as the noise that was given."""
+    if spread == 1:
+        return ()
+    return (
+        f"residuals are {spread:.1f} times as large as the noise that was given: the "
+        "noise or the model is wrong; errors allow for it. Give the noise as it is, or "
+        "leave it to be estimated",
+    )
+
+
+def bound_words(told: Estimates, unknowns: Unknowns) -> Iterator[str]:
+    """Where a bound decides, not the images."""
+    for k in np.flatnonzero(told.at_bound):
+        label, (low, high) = unknowns.labels[k], unknowns.bounds[k]
+        above = high - told.values[k] < told.values[k] - low
+        words = f"{label} lies at its {'upper' if above else 'lower'} bound "
+        words += f"{high if above else low:g}: its error is one-sided"
+        decides = told.strain[k] > CONTRADICTION
+        if decides:
+            words += f". The bound decides: the images pull {told.strain[k]:.2g} σ "
+            words += "beyond it, and what depends on it is off as well"
+        leaf = unknowns.entry_leaf[unknowns.reported[k]]
+        # Nothing sends back less than no light.
+        if above or leaf not in REFLECTANCES:
+            wider = (low, 5 * high) if above else (low / 5, high)
+            words += ". If it may lie beyond, try bounds="
+            words += f"{{'{label}': ({wider[0]:g}, {wider[1]:g})}}"
+        elif decides:
+            words += ". Look for light that is missing from the image, or too much of "
+            words += "it in the scene"
+        yield words
+
+
+def prior_words(told: Estimates, unknowns: Unknowns, inflation: float) -> Iterator[str]:
+    """Priors that the images contradict."""
+    for k, entry in enumerate(unknowns.reported):
+        if not unknowns.has_prior[entry]:
+            continue
+        mean, deviation = (
+            float(each[entry])
+            for each in (unknowns.prior_mean, unknowns.prior_deviation)
+        )
+        off = (told.values[k] - mean) / deviation
+        # The estimate leans on its prior: by so much it knows no more than that does.
+        share = told.covariance[k, k] / inflation / deviation**2
+        share = min(share, 1 - 1e-6) if np.isfinite(share) else 0.0
+        conflict = abs(off) / math.sqrt(1 - share)
+        if conflict > CONTRADICTION:
+            yield (
+                f"the prior of {unknowns.labels[k]}, {mean:g} ± {deviation:g}, and the "
+                f"images contradict each other ({conflict:.2g} σ): what comes out is "
+                "neither's. Widen the prior, or look for what else is wrong"
+            )

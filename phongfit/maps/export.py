@@ -1,0 +1,97 @@
+"""Maps for other programs: materials with texture images."""
+
+from pathlib import Path
+
+import numpy as np
+
+from phongfit.files.gltf import pbr_material, write_gltf
+from phongfit.files.mtl import MAX_NS
+from phongfit.files.outputs import replacing_files
+from phongfit.maps.folder import load_folder
+from phongfit.maps.textures import (
+    Leaves,
+    gltf_textures,
+    leaves_of,
+    mtl_textures,
+    rectangle,
+)
+from phongfit.material import Material
+
+
+def export_maps(folder: Path, path: Path, to: str, *, nearest: bool) -> str:
+    """Write the maps of a folder as a material with textures, all or nothing.
+
+    What a pixel cannot tell is filled in: see [`phongfit.maps.textures`][].
+
+    **Arguments:**
+
+    - `path`: the file to write; the textures of an `.mtl` go beside it.
+    - `to`: `"mtl"` or `"gltf"`.
+    - `nearest`: where the format cannot hold an exponent, write the nearest it holds.
+
+    **Returns:** what was written, in words.
+
+    **Raises:** `ValueError` that names the file or the leaf, `OSError` that names
+    `path`.
+    """
+    maps, record, normals = load_folder(folder)
+    leaves, name = leaves_of(maps, record.model.build()), record.data.name
+    if not leaves.inside.any():
+        raise ValueError(f"{folder}: no pixel of these maps was fitted")
+    words = _filled_words(leaves)
+    if to == "mtl":
+        return _write_mtl(path, name, leaves, nearest) + words
+    height, width = maps.flags.shape
+    material = pbr_material(name, typical(leaves), nearest=True)
+    material["extras"]["of"] = "the median of the maps; each texel has its own"
+    parts = [(rectangle(height, width), material)]
+    write_gltf(path, parts, gltf_textures(leaves, normals))
+    return f"{name}, {width} × {height} texels" + words
+
+
+def _filled_words(leaves: Leaves) -> str:
+    """In how many pixels something is not their own; nothing if in none."""
+    count, of = int(leaves.filled.sum()), int(leaves.inside.sum())
+    if count == 0:
+        return ""
+    return (
+        f"; {count:,} of {of:,} pixels cannot tell all: there a highlight is 0, or has "
+        "the median of the others"
+    )
+
+
+def typical(leaves: Leaves) -> Material:
+    """The median over all pixels, leaf by leaf."""
+    inside = leaves.inside[..., 0] > 0
+    return Material(
+        np.median(leaves.diffuse[inside], axis=0),
+        np.median(leaves.specular[inside], axis=0),
+        float(np.median(leaves.shininess[inside])),
+        np.median(leaves.ambient[inside], axis=0),
+    )
+
+
+def _write_mtl(path: Path, name: str, leaves: Leaves, nearest: bool) -> str:
+    if any(blank in path.stem for blank in " \t#"):
+        raise ValueError(f"{path}: a name without blanks is wanted, for the textures")
+    highest = float(leaves.shininess.max())
+    if highest > MAX_NS and not nearest:
+        raise ValueError(
+            f"shininess: {highest:g} came, .mtl holds at most {MAX_NS:g} (nearest=True "
+            "takes the nearest that it holds)"
+        )
+    capped = np.minimum(leaves.shininess, MAX_NS)
+    textures = mtl_textures(leaves._replace(shininess=capped))
+    lines = [
+        "# Textures multiply the numbers; those of colours are sRGB-encoded.",
+        f"newmtl {'_'.join(name.split())}",
+    ]
+    for key, (_, numbers) in textures.items():
+        shown = " ".join(f"{number:.9g}" for number in numbers)
+        lines += [f"{key} {shown}", f"map_{key} {path.stem}_{key}.png"]
+    text = "\n".join([*lines, "illum 2", ""])
+    with replacing_files(path) as folder:
+        for key, (image, _) in textures.items():
+            (folder / f"{path.stem}_{key}.png").write_bytes(image)
+        (folder / path.name).write_text(text, encoding="utf-8")
+    return f"{name}, with {', '.join(f'{path.stem}_{key}.png' for key in textures)}"

@@ -1,0 +1,117 @@
+"""Maps as a folder: `maps.npz` for programs, floating-point TIFF for other tools."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field
+
+from phongfit.files.arrays import read_array, write_array
+from phongfit.files.describe import describe
+from phongfit.files.fits import DataRecord, Edges, LossName, made_with
+from phongfit.files.formats import WRITERS
+from phongfit.files.inputs import inside, naming
+from phongfit.files.outputs import replacing, write_json
+from phongfit.files.records import AbstractRecord, read_record
+from phongfit.files.schema import MaterialRecord, SpecularRecord
+from phongfit.geometry.tracing import trace
+from phongfit.maps.result import LEAVES, Maps, load_maps
+from phongfit.reflectance import AbstractSpecular
+from phongfit.scene import Scene
+
+MAPS_FORMAT = "phongfit maps"
+RECORD_FILE = "maps.json"
+ARRAYS_FILE = "maps.npz"
+NORMALS_FILE = "normals.npy"
+
+
+class MapSettings(AbstractRecord):
+    """What maps were asked for: see [`fit_maps`][]."""
+
+    unknowns: list[str] = list(LEAVES)
+    per_channel: list[str] = ["ambient", "diffuse", "specular"]
+    known: MaterialRecord | None = None
+    bounds: dict[str, Edges] = {}
+    noise: Annotated[float, Field(gt=0)] | None = None
+    loss: LossName = "linear"
+
+
+class MapsRecord(AbstractRecord):
+    """`maps.json`: what the arrays beside it are, and how they were made."""
+
+    format: Literal["phongfit maps"]
+    version: Literal[1]
+    data: DataRecord
+    settings: MapSettings
+    model: SpecularRecord
+    made_with: dict[str, str]
+
+
+def seen_normals(scene: Scene) -> Float[np.ndarray, "height width 3"]:
+    """Normals in the camera's axes (right, up, towards it); 0 where none is seen."""
+    gbuffer = trace(scene.surface, scene.camera)
+    normals = np.asarray(gbuffer.normal) @ np.asarray(scene.camera.rotation)
+    return np.where(np.asarray(gbuffer.mask)[..., None], normals, 0)
+
+
+def save_folder(
+    folder: Path,
+    maps: Maps,
+    *,
+    data: DataRecord,
+    settings: MapSettings,
+    model: AbstractSpecular,
+    normals: Float[np.ndarray, "height width 3"],
+) -> None:
+    """Write maps into a folder that is there.
+
+    A TIFF for each map and one for its errors, with infinity where a pixel cannot tell.
+
+    **Raises:** `OSError` that names the file.
+    """
+    maps.save(folder / ARRAYS_FILE)
+    write_array(folder / NORMALS_FILE, normals)
+    for name in maps.unknowns:
+        _write_tiff(folder / f"{name}.tif", getattr(maps, name))
+        _write_tiff(folder / f"stderr_{name}.tif", getattr(maps.stderr, name))
+    content = {
+        "format": MAPS_FORMAT,
+        "version": 1,
+        "data": data.model_dump(),
+        "settings": settings.model_dump(),
+        "model": describe(model),
+        "made_with": made_with(),
+    }
+    write_json(folder / RECORD_FILE, content)
+
+
+def _write_tiff(path: Path, array: np.ndarray) -> None:
+    # Not as an image, which knows no infinity.
+    numbers = np.broadcast_to(array, (*array.shape[:2], 3)).astype(np.float32)
+    with replacing(path) as temporary:
+        WRITERS[".tif"][32](temporary, np.ascontiguousarray(numbers))
+
+
+def load_folder(folder: Path) -> tuple[Maps, MapsRecord, np.ndarray]:
+    """The maps of a folder, their record, and the normals.
+
+    **Raises:** `ValueError` that names the file and what is wrong with it.
+    """
+    with naming(str(folder)):
+        record, arrays, normals = (
+            inside(folder, name) for name in (RECORD_FILE, ARRAYS_FILE, NORMALS_FILE)
+        )
+    maps = load_maps(arrays)
+    return maps, read_record(record, MapsRecord), _normals(normals, maps)
+
+
+def _normals(path: Path, maps: Maps) -> np.ndarray:
+    normals = read_array(path, "normals")
+    wanted = (*maps.flags.shape, 3)
+    if normals.shape != wanted or not np.isfinite(normals).all():
+        raise ValueError(
+            f"{path}: {normals.dtype} of shape {normals.shape} came, finite numbers of "
+            f"shape {wanted} are wanted"
+        )
+    return normals

@@ -1,0 +1,334 @@
+"""From scenes to what tiles need: geometry resolved once, lights stacked, settings."""
+
+import dataclasses
+import hashlib
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from phongfit.fitting.problem.leaves import DEFAULT_BOUNDS
+from phongfit.fitting.problem.losses import as_loss
+from phongfit.geometry.shading import PhongShading
+from phongfit.geometry.tracing import trace
+from phongfit.maps.layers import Masks, Noise
+from phongfit.maps.pixel.lighting import Lighting
+from phongfit.maps.pixel.pixel import Known
+from phongfit.maps.pixel.settings import LEAVES, Settings
+from phongfit.maps.pixel.tile import Outside, Tile
+from phongfit.material import Material
+from phongfit.rendering.film import Film
+from phongfit.scene import Scene
+
+
+class Fitted(Protocol):
+    """What has a material: the [`Fit`][] of a whole image."""
+
+    @property
+    def material(self) -> Material:
+        """Where pixels start from."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Geometry:
+    """Per pixel what it sees; one row where it is the same for all."""
+
+    normal: np.ndarray
+    position: np.ndarray
+    to_viewer: np.ndarray
+    visibility: np.ndarray | None
+    mask: np.ndarray
+
+    def tile(
+        self, pixels: np.ndarray, target: np.ndarray, used: np.ndarray, size: int
+    ) -> Tile:
+        """The tile of some pixels, padded to `size` with pixels that are not used."""
+        missing = size - len(pixels)
+        padded = np.pad(pixels, (0, missing), mode="edge")
+
+        def rows(table: np.ndarray) -> np.ndarray:
+            return table if len(table) == 1 else table[padded]
+
+        seen = self.visibility
+        return Tile(
+            np.pad(target, ((0, 0), (0, missing), (0, 0))),
+            np.pad(used, ((0, 0), (0, missing), (0, 0))),
+            self.normal[padded],
+            rows(self.position),
+            rows(self.to_viewer),
+            None if seen is None else seen[..., padded],
+        )
+
+
+def check_scenes(scenes: Any) -> tuple[Scene, ...]:
+    """Scenes of one surface and camera, lit pixel by pixel, otherwise in any light.
+
+    **Raises:** `ValueError` that names the scene.
+    """
+    scenes = (scenes,) if isinstance(scenes, Scene) else tuple(scenes)
+    if not scenes or not all(isinstance(scene, Scene) for scene in scenes):
+        raise ValueError("scenes: a sequence of at least one Scene is wanted")
+    first = scenes[0]
+    for k, scene in enumerate(scenes):
+        if not isinstance(scene.shading, PhongShading):
+            raise ValueError(
+                f"scenes[{k}]: {type(scene.shading).__name__} came; a material per "
+                "pixel needs PhongShading, which lights every pixel on its own"
+            )
+        for what in ("surface", "camera", "specular", "local_viewer"):
+            if not _same(getattr(scene, what), getattr(first, what)):
+                raise ValueError(
+                    f"scenes[{k}]: its {what} is not that of scenes[0]; scenes of one "
+                    "map differ in their lights and fog only"
+                )
+    _check_power(first)
+    return scenes
+
+
+def _same(a: Any, b: Any) -> bool:
+    if a is b:
+        return True
+    if jax.tree.structure(a) != jax.tree.structure(b):
+        return False
+    pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return all(x is y or np.array_equal(x, y) for x, y in pairs)
+
+
+def _check_power(scene: Scene) -> None:
+    """The search rests on lobes that are powers of a cosine, whatever their height."""
+    dtype = jnp.result_type(float)
+    cosine, exponent = jnp.array([0.3, 0.9], dtype), jnp.array([1.7, 23.0], dtype)
+    lobe = scene.specular.lobe(cosine, exponent)
+    top = scene.specular.lobe(jnp.ones_like(cosine), exponent)
+    if not np.allclose(lobe, top * cosine**exponent, rtol=1e-3, atol=0):
+        raise ValueError(
+            f"scenes: the lobe of {type(scene.specular).__name__} is no power of the "
+            "cosine, as that of Phong and BlinnPhong is"
+        )
+
+
+def resolve(scenes: tuple[Scene, ...], lighting: Lighting) -> Geometry:
+    """What every pixel sees, from the first scene; shadows from each."""
+    first = scenes[0]
+    gbuffer = trace(first.surface, first.camera)
+    mask = np.asarray(gbuffer.mask)
+    to_viewer = gbuffer.to_viewer
+    if first.local_viewer is True:
+        offset = first.camera.position - gbuffer.position
+        to_viewer = offset / jnp.linalg.norm(offset, axis=-1, keepdims=True)
+    elif first.local_viewer is False:
+        to_viewer = jnp.broadcast_to(first.camera.rotation[:, 2], gbuffer.normal.shape)
+    visibility = None
+    if any(scene.shadows for scene in scenes):
+        visibility = _visibility(scenes, lighting, mask.shape)
+    return Geometry(
+        _rows(gbuffer.normal, alike=False),
+        _rows(gbuffer.position),
+        _rows(to_viewer),
+        visibility,
+        mask,
+    )
+
+
+def _rows(array: Any, alike: bool = True) -> np.ndarray:
+    """(pixels, 3), or (1, 3) if all are alike."""
+    rows = np.asarray(array).reshape(-1, 3)
+    return rows[:1].copy() if alike and (rows == rows[0]).all() else rows
+
+
+def _visibility(
+    scenes: tuple[Scene, ...], lighting: Lighting, size: tuple[int, int]
+) -> np.ndarray:
+    dtype = np.dtype(jnp.result_type(float))
+    seen = np.ones((len(scenes), lighting.lobes, size[0] * size[1]), dtype)
+    for row, k in enumerate(lighting.order):
+        if scenes[k].shadows:
+            traced = scenes[k].trace().visibility
+            assert traced is not None
+            lights = len(scenes[k].lights)
+            seen[row, :lights] = np.asarray(traced).reshape(-1, lights).T
+    return seen
+
+
+def make_settings(
+    scenes: tuple[Scene, ...],
+    unknowns: Sequence[str],
+    per_channel: Sequence[str],
+    bounds: Mapping[str, tuple[float, float]],
+    film: Film | None,
+    loss: Any,
+    start: Any,
+    noise: Noise,
+    min_cosine: float,
+) -> Settings:
+    """Settings of a pixel's fit, checked.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    for argument, names in (
+        ("unknowns", unknowns),
+        ("per_channel", per_channel),
+        ("bounds", tuple(bounds)),
+    ):
+        for name in names:
+            if name not in LEAVES:
+                raise ValueError(
+                    f"{argument}: {name!r} came, one of {', '.join(LEAVES)} is wanted"
+                )
+    lacking = [
+        name
+        for name in ("ambient", "diffuse", "specular")
+        if name in unknowns and name not in per_channel
+    ]
+    if lacking:
+        raise ValueError(
+            f"per_channel: {', '.join(lacking)} missing; reflectances of a map are "
+            "always one for each channel, the exponent may be shared"
+        )
+    # Where there is no ambient light, nothing can be told of what it would do.
+    names = tuple(
+        name
+        for name in LEAVES
+        if name in unknowns and (name != "ambient" or _has_ambient(scenes))
+    )
+    if not names:
+        raise ValueError("unknowns: at least one that light falls on is wanted")
+    if "shininess" in names and "specular" not in names:
+        raise ValueError("unknowns: shininess came without specular, which it shapes")
+    cutoff, exactly = (1.0, True) if film is None else (1.0, False)
+    if film is not None and not film.clamp:
+        cutoff = float("inf")
+    return Settings(
+        names=names,
+        bounds=tuple(_bound(name, bounds) for name in LEAVES),
+        shared="shininess" not in per_channel,
+        model=scenes[0].specular,
+        loss=as_loss(loss),
+        scanned=start is None,
+        min_cosine=float(min_cosine),
+        noise_given=noise.known,
+        weighted=noise.varies,
+        cutoff=cutoff,
+        exactly=exactly,
+    )
+
+
+def _bound(name: str, bounds: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
+    try:
+        low, high = (float(edge) for edge in bounds.get(name, DEFAULT_BOUNDS[name]))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"bounds: {name}: (low, high) wanted") from error
+    if not low < high or not (low > 0 if name == "shininess" else low >= 0):
+        raise ValueError(f"bounds: {name}: ({low:g}, {high:g}) came, 0 ≤ low < high")
+    if name == "shininess" and not np.isfinite(high):
+        raise ValueError(f"bounds: {name}: a finite high is wanted")
+    return low, high
+
+
+def _has_ambient(scenes: tuple[Scene, ...]) -> bool:
+    return any(
+        np.any(np.asarray(scene.ambient))
+        or any(
+            np.any(np.asarray(getattr(light, "ambient", 0))) for light in scene.lights
+        )
+        for scene in scenes
+    )
+
+
+def check_enough(settings: Settings, images: int) -> None:
+    """Enough images for the unknowns of a pixel.
+
+    **Raises:** `ValueError` that says what fewer could tell.
+    """
+    unknowns = settings.unknowns()
+    if 3 * images > unknowns:
+        return
+    needed = unknowns // 3 + 1
+    could = [
+        f"unknowns={names!r}"
+        for names in (("diffuse", "specular"), ("ambient", "diffuse"), ("diffuse",))
+        if set(names) <= set(settings.names) and 3 * images > 3 * len(names)
+    ]
+    hint = (
+        f"with {images}, {could[0]} can be told, the rest being known"
+        if could
+        else "one material for all pixels can be told by fit"
+    )
+    raise ValueError(
+        f"images: {images} came, which is {3 * images} samples a pixel for its "
+        f"{unknowns} unknowns; at least {needed} are wanted ({hint})"
+    )
+
+
+def make_outside(
+    lighting: Lighting, settings: Settings, known: Any, start: Any, noise: Noise
+) -> Outside:
+    """What all tiles share.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    dtype = jnp.result_type(float)
+    base = Material(0.0, 0.0, 32.0, 0.0) if known is None else known
+    if not isinstance(base, Material):
+        raise ValueError(f"known: {type(base).__name__} came, a Material is wanted")
+    first = base
+    if start is not None:
+        first = getattr(start, "material", start)
+        if not isinstance(first, Material):
+            raise ValueError(
+                f"start: {type(start).__name__} came, a Fit or a Material is wanted"
+            )
+    exponent = (first if settings.searched else base).shininess
+    low, high = settings.bound("shininess")
+    exponents = _three("start" if settings.searched else "known", exponent)
+    if settings.shared:
+        exponents = np.exp(np.log(np.maximum(exponents, 1e-6)).mean(keepdims=True))
+    if settings.searched:
+        exponents = np.clip(exponents, low, high)
+    values = [_three("known", getattr(base, name)) for name in LEAVES[:3]]
+    return Outside(
+        lighting,
+        Known(*(jnp.asarray(v, dtype) for v in (*values, exponents))),
+        jnp.asarray(noise.level, dtype),
+    )
+
+
+def _three(name: str, leaf: Any) -> np.ndarray:
+    values = np.asarray(leaf, float)
+    if values.size not in (1, 3):
+        raise ValueError(f"{name}: a leaf of shape {values.shape} came, () or (3,)")
+    return np.broadcast_to(values.ravel(), (3,)).copy()
+
+
+def identify(
+    settings: Settings,
+    outside: Outside,
+    geometry: Geometry,
+    masks: Masks,
+    noise: Noise,
+) -> dict[str, str]:
+    """Checksums of all that the result rests on, save for the images."""
+    light = hashlib.blake2b(digest_size=16)
+    for leaf in jax.tree.leaves(outside):
+        light.update(np.ascontiguousarray(leaf).tobytes())
+    lighting = outside.lighting
+    modes = [None if kind.fog is None else kind.fog.mode for kind in lighting.kinds]
+    light.update(repr((lighting.order, modes)).encode())
+    place = hashlib.blake2b(digest_size=16)
+    for array in (geometry.normal, geometry.position, geometry.to_viewer):
+        place.update(np.ascontiguousarray(array).data.cast("B"))
+    if geometry.visibility is not None:
+        place.update(np.ascontiguousarray(geometry.visibility).data.cast("B"))
+    place.update(np.packbits(geometry.mask).tobytes())
+    masks.identify(place.update)
+    level = hashlib.blake2b(digest_size=16)
+    noise.identify(level.update)
+    return {
+        "settings": repr(settings),
+        "lights": light.hexdigest(),
+        "surface": place.hexdigest(),
+        "noise": level.hexdigest(),
+    }

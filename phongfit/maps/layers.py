@@ -1,0 +1,170 @@
+"""What is given for every sample beside the images: masks, and levels of noise."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from phongfit.fitting.problem.inputs import is_number
+from phongfit.maps.stacks import Update, gather
+
+
+class Layers:
+    """Numbers over the pixels: the same for all images, or others for each."""
+
+    def __init__(self, name: str, given: Any, shape: tuple[int, int, int], dtype: Any):
+        """**Arguments:**
+
+        - `name`: of the argument, for errors.
+        - `given`: (H, W), (H, W, 3), or a sequence of these or of numbers, one for each
+            image.
+        - `shape`: of the stack.
+        - `dtype`: of what is taken; the arrays themselves are not copied.
+
+        **Raises:** `ValueError` that names the argument, and which of several it is.
+        """
+        count, *size = shape
+        fine = (tuple(size), (*size, 3))
+        if not isinstance(given, list | tuple):
+            given = np.asarray(given)
+            if given.shape in fine:
+                given = [given]
+            elif given.ndim in (0, 2):
+                raise ValueError(
+                    f"{name}: shape {given.shape} came, {fine[0]} or {fine[1]} is "
+                    "wanted"
+                )
+        layers = [np.asarray(layer) for layer in given]
+        if len(layers) not in (1, count):
+            raise ValueError(f"{name}: {len(layers)} came for {count} images")
+        for k, layer in enumerate(layers):
+            if layer.shape not in ((), *fine) or layer.dtype.kind not in "biuf":
+                which = f"{name}[{k}]" if len(layers) > 1 else name
+                raise ValueError(
+                    f"{which}: {layer.dtype} of shape {layer.shape} came, "
+                    f"{fine[0]} or {fine[1]} is wanted"
+                )
+        self._layers = layers
+        self._size = tuple(size)
+        self._dtype = np.dtype(dtype)
+
+    def __len__(self) -> int:
+        return len(self._layers)
+
+    def __getitem__(self, k: int) -> Shaped[np.ndarray, "height width some_channels"]:
+        """One layer as a whole."""
+        layer = self._layers[k].astype(self._dtype, copy=False)
+        if layer.ndim < 3:
+            layer = layer[..., None]
+        return np.broadcast_to(layer, (*self._size, layer.shape[-1]))
+
+    def take(
+        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
+    ) -> Shaped[np.ndarray, "some_images n some_channels"]:
+        """Numbers of some pixels; as many images and channels as there are numbers."""
+        if len(self) == 1:
+            order = (0,)
+        taken = [gather(self[k], pixels) for k in order]
+        channels = max(row.shape[-1] for row in taken)
+        return np.stack([np.broadcast_to(r, (len(pixels), channels)) for r in taken])
+
+    def identify(self, update: Update) -> None:
+        """Feed all numbers to a checksum."""
+        for layer in self._layers:
+            update(f"{self._dtype} {layer.shape}".encode())
+            update(np.ascontiguousarray(layer.astype(self._dtype)).tobytes())
+
+
+class Masks:
+    """Which samples may be used."""
+
+    def __init__(self, mask: Any, shape: tuple[int, int, int]):
+        """**Arguments:** `mask`: `None` for all, or as for [`Layers`][].
+
+        **Raises:** `ValueError` that names the mask.
+        """
+        self._layers = None if mask is None else Layers("mask", mask, shape, bool)
+        self._size = shape[1:]
+
+    def anywhere(self) -> Bool[np.ndarray, "height width"]:
+        """Pixels of which any sample may be used."""
+        if self._layers is None:
+            return np.ones(self._size, bool)
+        seen = np.zeros(self._size, bool)
+        for k in range(len(self._layers)):
+            seen |= self._layers[k].any(axis=-1)
+        return seen
+
+    def take(
+        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
+    ) -> Bool[np.ndarray, "some_images n some_channels"]:
+        """Whether samples of some pixels may be used."""
+        if self._layers is None:
+            return np.ones((1, len(pixels), 1), bool)
+        return self._layers.take(pixels, order)
+
+    def identify(self, update: Update) -> None:
+        """Feed the masks to a checksum."""
+        if self._layers is not None:
+            self._layers.identify(update)
+
+
+class Noise:
+    """Standard deviations of the samples: not known, one number, or one for each.
+
+    - `known`: whether they were given.
+    - `varies`: whether they are not all the same number.
+    - `level`: that number; 1 where there is none, or where they vary.
+    """
+
+    def __init__(self, noise: Any, shape: tuple[int, int, int]):
+        """**Arguments:** `noise`: `None`, a number, or as for [`Layers`][].
+
+        **Raises:** `ValueError` that names the noise.
+        """
+        self.known = noise is not None
+        several = not is_number(noise)
+        self.varies = several
+        self.level = 1.0
+        if several:
+            dtype = jnp.result_type(float)
+            self._layers = Layers("noise", noise, shape, dtype)
+            for k in range(len(self._layers)):
+                layer = self._layers[k]
+                if not np.all(np.isfinite(layer) & (layer > 0)):
+                    which = f"[{k}]" if len(self._layers) > 1 else ""
+                    raise ValueError(f"noise{which}: finite numbers > 0 are wanted")
+        elif self.known:
+            try:
+                number: Any = noise
+                self.level = float(number)
+            except (TypeError, ValueError):
+                self.level = np.nan
+            if not 0 < self.level < np.inf:
+                raise ValueError(f"noise: {noise!r} came, a number > 0 is wanted")
+
+    def weigh(
+        self,
+        used: Bool[np.ndarray, "some_images n some_channels"],
+        pixels: Int[np.ndarray, " n"],
+        order: Sequence[int],
+    ) -> Shaped[np.ndarray, "some_images n some_channels"]:
+        """Which samples count; where the noise varies, the inverse of theirs."""
+        if not self.varies:
+            return used
+        return np.where(used, 1 / self._layers.take(pixels, order), 0)
+
+    def given(self) -> float | Float[np.ndarray, "height width"] | None:
+        """The level: where it varies, the root mean square of each pixel's samples."""
+        if not self.varies:
+            return self.level if self.known else None
+        layers = range(len(self._layers))
+        squares = sum(np.mean(self._layers[k] ** 2, axis=-1) for k in layers)
+        return np.sqrt(squares / len(layers))
+
+    def identify(self, update: Update) -> None:
+        """Feed noise that varies to a checksum; other is told by its level."""
+        if self.varies:
+            self._layers.identify(update)

@@ -1,0 +1,60 @@
+"""Losses as weights: what an outlier still counts, and what that does to errors."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from phongfit.fitting.problem.losses import AbstractLoss
+
+
+def loss_weights(
+    loss: AbstractLoss, residual: Float[Array, "*batch"]
+) -> Float[Array, "*batch"]:
+    r"""$\rho'(z)$ at $z = r^2$: the weight that makes least squares of a loss.
+
+    **Arguments:** `residual`: in standard deviations.
+    """
+
+    def cost(z: Array) -> Array:
+        return z * loss.ratio(z)
+
+    z = jnp.maximum(residual**2, jnp.finfo(residual.dtype).eps)
+    _, slope = jax.jvp(cost, (z,), (jnp.ones_like(z),))
+    # Rounding can push the weight of a far outlier below its 0.
+    return jnp.maximum(slope, 0)
+
+
+def widening(
+    loss: AbstractLoss,
+    residual: Float[Array, "*batch"],
+    used: Bool[Array, "*batch"],
+    unknowns: int = 0,
+) -> Float[Array, ""]:
+    r"""By how much a loss widens errors: $K \sqrt{E\,\psi^2} / E\,\psi'$.
+
+    Of n samples and p unknowns $E\,\psi^2$ is a sum over n - p, and
+    $K = 1 + \frac pn \operatorname{var} \psi' / (E\,\psi')^2$.
+
+    **Arguments:**
+
+    - `residual`: in standard deviations; `used`: which of them count.
+    - `unknowns`: p.
+
+    ??? cite "Source"
+        Huber, *Robust statistics*, 1981, section 7.6.
+    """
+
+    def psi(r: Array) -> Array:
+        return r * loss_weights(loss, r)
+
+    score, slope = jax.jvp(psi, (residual,), (jnp.ones_like(residual),))
+    count = jnp.maximum(jnp.sum(used), 1).astype(residual.dtype)
+    freedom = jnp.maximum(count - unknowns, 1)
+    square = jnp.sum(jnp.where(used, score**2, 0)) / freedom
+    steepness = jnp.sum(jnp.where(used, slope, 0)) / count
+    spread = jnp.sum(jnp.where(used, (slope - steepness) ** 2, 0)) / count
+    # Where nearly all samples are outliers, the loss has no slope and tells nothing.
+    told = steepness > 0.01
+    steepness = jnp.where(told, steepness, 1)
+    more = 1 + unknowns / count * spread / steepness**2
+    return jnp.where(told, more * jnp.sqrt(square) / steepness, jnp.inf)

@@ -1,0 +1,342 @@
+r"""The best exponent of one pixel: a scan over log f, then steps of Newton's kind."""
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from phongfit.maps.pixel.columns import Columns, Lights
+from phongfit.maps.pixel.exponent import (
+    FAINTEST,
+    Box,
+    Sums,
+    best_reflectances,
+    evaluate,
+    full_gram,
+    sum_lights,
+)
+from phongfit.maps.pixel.small import (
+    Numbers,
+    curvatures,
+    over_channels,
+    settled,
+)
+from phongfit.reflectance import AbstractSpecular
+
+# Candidates of a scan are a factor of 2 apart.
+SPACING = np.log(2).item()
+# Rounds of the box problem where it only ranks candidates.
+FEW_ROUNDS = 3
+# No step is longer, in log f: beyond a factor of 2 the slope says little.
+LONGEST = 0.7
+# How far a curvature may be from that of Gauss and Newton to be expected once more.
+BENT = 0.1, 10
+# Share of a value that its rounding may make up, in units of the precision's.
+ROUNDED = 500
+# A search has ended where the next step is shorter than this, or than this share of the
+# standard error.
+SHORTEST = 1e-3
+SETTLED = 0.05
+
+S = TypeVar("S")
+T = TypeVar("T")
+
+
+class Scan(NamedTuple):
+    """The best of a few exponents, refined by a parabola, and its neighbours."""
+
+    t: Array
+    low: Array
+    high: Array
+
+
+class Profile(NamedTuple):
+    r"""The best reflectances at exponents all over their range.
+
+    - `t`: (candidates,) logarithms of the exponents, rising.
+    - `value`: (candidates,) $\phi$ less a constant.
+    - `point`: for each unknown (candidates, channels), the columns' and last that of
+        ρ_s.
+    - `variance`: the same, of noise 1 and for this exponent; no bound holds anything.
+    """
+
+    t: Array
+    value: Array
+    point: Numbers
+    variance: Numbers
+
+
+def scan(
+    columns: Columns,
+    model: AbstractSpecular,
+    log_cosine: Lights,
+    box: Box,
+    count: int,
+) -> Scan:
+    """The best of all candidates.
+
+    **Arguments:** `count`: of candidates: from [`candidates`][].
+    """
+
+    def value(columns: Columns, sums: Sums) -> Array:
+        return best_reflectances(columns, sums, box, FEW_ROUNDS)[0].value
+
+    def candidate(sums: Sums) -> Array:
+        return jnp.sum(over_channels(value, columns, sums))
+
+    sums = _candidate_sums(columns, model, log_cosine, box, count)
+    return _lowest(jax.vmap(candidate)(_stacked(sums)), box)
+
+
+def survey(
+    columns: Columns,
+    model: AbstractSpecular,
+    log_cosine: Lights,
+    box: Box,
+    count: int,
+) -> Profile:
+    """The best at all candidates, and at the end of the range."""
+
+    def channel(columns: Columns, sums: Sums) -> tuple[Array, Numbers, Numbers]:
+        best, _ = best_reflectances(columns, sums, box, FEW_ROUNDS)
+        variance = tuple(
+            jnp.where(c > 0, 1 / jnp.where(c > 0, c, 1), jnp.inf)
+            for c in curvatures(full_gram(columns, sums))
+        )
+        return best.value, best.point, variance
+
+    def candidate(sums: Sums) -> tuple[Array, Numbers, Numbers]:
+        value, point, variance = over_channels(channel, columns, sums)
+        return jnp.sum(value), point, variance
+
+    sums = _candidate_sums(columns, model, log_cosine, box, count)
+    highest = jnp.exp(box.highest)
+    end = _sums_at(columns, model, highest, _powers(log_cosine, highest))
+    value, point, variance = jax.vmap(candidate)(_stacked([*sums, end]))
+    steps = jnp.arange(count).astype(highest.dtype)
+    t = jnp.append(box.lowest + SPACING * steps, box.highest)
+    return Profile(t, 2 * value, point, variance)
+
+
+def candidates(lowest: float, highest: float) -> int:
+    """How many candidates a scan between two values of log f takes."""
+    return max(int(np.ceil((highest - lowest) / SPACING - 1e-6)), 1)
+
+
+def _candidate_sums(
+    columns: Columns,
+    model: AbstractSpecular,
+    log_cosine: Lights,
+    box: Box,
+    count: int,
+) -> list[Sums]:
+    r"""The sums of candidates a factor of 2 apart, from the lowest exponent on.
+
+    $\cos^{2f} = (\cos^f)^2$: one exponential serves all of them.
+    """
+    exponent = jnp.exp(box.lowest)
+    powers = _powers(log_cosine, exponent)
+    found = []
+    for k in range(count):
+        powers = settled(_squares(powers) if k else powers)
+        found.append(_sums_at(columns, model, exponent * 2**k, powers))
+    return found
+
+
+def _sums_at(
+    columns: Columns, model: AbstractSpecular, exponent: Array, powers: Lights
+) -> Sums:
+    """The sums for the powers of the cosines with an exponent."""
+    height = model.lobe(jnp.ones((), exponent.dtype), exponent)
+    sums = sum_lights(columns, powers)
+    cross = tuple(height * number for number in sums.cross)
+    return Sums(cross, height**2 * sums.own, height * sums.moment)
+
+
+def _stacked(sums: list[Sums]) -> Sums:
+    return settled(jax.tree.map(lambda *leaves: jnp.stack(leaves), *sums))
+
+
+def _powers(log_cosine: Lights, exponent: Array) -> Lights:
+    powers = (exponent * logarithm for logarithm in log_cosine)
+    return tuple(jnp.where(power > FAINTEST, jnp.exp(power), 0) for power in powers)
+
+
+def _squares(powers: Lights) -> Lights:
+    least = np.exp(FAINTEST / 2).item()
+    return tuple(jnp.where(power > least, power * power, 0) for power in powers)
+
+
+def _lowest(value: Float[Array, " candidates"], box: Box) -> Scan:
+    """The candidate with the least value, between its neighbours."""
+    count = value.shape[0]
+    best = jnp.argmin(value)
+    t = box.lowest + SPACING * best.astype(value.dtype)
+    low = jnp.maximum(t - SPACING, box.lowest)
+    high = jnp.where(best == count - 1, box.highest, t + SPACING)
+    # The vertex of the parabola through the best and its neighbours.
+    left, here, right = (value[jnp.clip(best + k, 0, count - 1)] for k in (-1, 0, 1))
+    bend = left - 2 * here + right
+    inner = (best > 0) & (best < count - 1) & (bend > 0)
+    shift = jnp.where(inner, (left - right) / (2 * jnp.where(inner, bend, 1)), 0)
+    t = t + SPACING * jnp.clip(shift, -0.5, 0.5)
+    return Scan(jnp.clip(t, box.lowest, box.highest), low, high)
+
+
+class Descent(NamedTuple):
+    r"""Where a search ended.
+
+    - `t`: the best, or what one more short step makes of it.
+    - `value`, `slope`: $\phi$ less a constant, and $\phi'$, at the best that was tried.
+    - `curvature`: $\phi''$ there as Gauss and Newton have it.
+    - `bend`: the curvature over that.
+    - `ended`: whether what is left to go is too short to matter.
+    """
+
+    t: Array
+    value: Array
+    slope: Array
+    curvature: Array
+    bend: Array
+    ended: Array
+
+
+class _Search(NamedTuple):
+    r"""Where the search stands.
+
+    - `t`: to be looked at next, `step` from the best so far.
+    - `best`, `value`, `slope`, `curvature`: the best so far, $\phi$ there, $\phi'$ and
+        $\phi''$ as Gauss and Newton have it.
+    - `left`, `right`: the bottom lies between them.
+    - `bend`: the curvature, over that of Gauss and Newton.
+    - `gain`: by how much the next step is expected to lower $\phi$.
+    - `done`: how many steps were made.
+    """
+
+    t: Array
+    step: Array
+    best: Array
+    value: Array
+    slope: Array
+    curvature: Array
+    left: Array
+    right: Array
+    bend: Array
+    gain: Array
+    done: Array
+
+
+def descend(
+    columns: Columns,
+    model: AbstractSpecular,
+    log_cosine: Lights,
+    start: Float[Array, ""],
+    low: Float[Array, ""],
+    high: Float[Array, ""],
+    box: Box,
+    steps: int,
+    bend: Float[Array, ""] | float = 1.0,
+    most: Int[Array, ""] | int = 0,
+    variance: Callable[[Array], Array] | None = None,
+) -> Descent:
+    r"""A better t: steps down $\phi$ between `low` and `high`.
+
+    Newton's steps on the exact slope. The curvature is the difference of two slopes or,
+    until two are known, that of Gauss and Newton, which is several times too large or
+    too small where the residuals are those of a photograph. What leads up, and what
+    leads down too far, brackets the bottom; a step out of the bracket is halved.
+
+    **Arguments:**
+
+    - `steps`: so many are made in any case.
+    - `bend`: the curvature over that of Gauss and Newton, to begin with.
+    - `most`: so many are made at most where the bottom is not reached sooner.
+    - `variance`: from $\phi$ to the variance of a sample, by which that is judged.
+    """
+    rounding = ROUNDED * jnp.finfo(start.dtype).eps
+
+    def step(search: _Search) -> _Search:
+        at = evaluate(columns, model, log_cosine, search.t, box)
+        # Differences below rounding must not send the search back.
+        accept = at.value <= search.value + rounding * jnp.abs(search.value)
+        moved = search.t - search.best
+        secant = (at.slope - search.slope) / jnp.where(moved != 0, moved, 1)
+        best = jnp.where(accept, search.t, search.best)
+        slope = jnp.where(accept, at.slope, search.slope)
+        expected = jnp.where(accept, at.curvature, search.curvature)
+        # Where the slope rises, or the point lies above the best, the bottom is past.
+        upward = jnp.where(accept, at.slope, moved)
+        left = jnp.where(upward < 0, search.t, search.left)
+        right = jnp.where(upward > 0, search.t, search.right)
+        measured = (moved != 0) & (secant > 0)
+        curvature = jnp.where(measured, secant, search.bend * at.curvature)
+        bend = secant / jnp.where(at.curvature > 0, at.curvature, jnp.inf)
+        bend = jnp.where(measured, jnp.clip(bend, *BENT), search.bend)
+        newton = -slope / jnp.where(curvature > 0, curvature, jnp.inf)
+        t = best + jnp.clip(newton, -LONGEST, LONGEST)
+        t = jnp.where(t <= left, (best + left) / 2, t)
+        t = jnp.where(t >= right, (best + right) / 2, t)
+        t = jnp.clip(t, low, high)
+        value = jnp.where(accept, at.value, search.value)
+        return _Search(
+            t,
+            t - best,
+            best,
+            value,
+            slope,
+            expected,
+            left,
+            right,
+            bend,
+            jnp.abs(slope * (t - best)) / 2,
+            search.done + 1,
+        )
+
+    def ended(search: _Search) -> Array:
+        short = jnp.abs(search.step) <= SHORTEST
+        if variance is None:
+            return short
+        return short | (search.gain <= SETTLED**2 * variance(search.value))
+
+    def unfinished(search: _Search) -> Array:
+        return (search.done < steps) | (~ended(search) & (search.done < most))
+
+    infinite = jnp.full_like(start, jnp.inf)
+    zero = jnp.zeros_like(start)
+    first = _Search(
+        start,
+        infinite,
+        start,
+        infinite,
+        zero,
+        zero,
+        -infinite,
+        infinite,
+        zero + bend,
+        infinite,
+        jnp.zeros((), jnp.int32),
+    )
+    last = jax.lax.while_loop(unfinished, step, first)
+    # The last step has not been tried: a short one is safe, near the bottom.
+    t = jnp.where(jnp.abs(last.step) < 0.1, last.t, last.best)
+    return Descent(t, last.value, last.slope, last.curvature, last.bend, ended(last))
+
+
+def where_wanted(
+    wanted: Array, compute: Callable[[S], T], argument: S, otherwise: T
+) -> T:
+    """`compute(argument)` where it is wanted, else `otherwise`.
+
+    Of a batch nothing is computed if nobody in it wants it: a loop of one round.
+    """
+
+    def once(state: tuple[Array, T]) -> tuple[Array, T]:
+        # What does not change in a loop is computed ahead of it, wanted or not: so the
+        # argument is tied to what does.
+        wanted, tied = settled((state[0], argument))
+        return jnp.zeros_like(wanted), compute(tied)
+
+    return jax.lax.while_loop(lambda state: state[0], once, (wanted, otherwise))[1]

@@ -1,0 +1,73 @@
+"""What a fit of every pixel looks for, and how: fixed when it is compiled."""
+
+import dataclasses
+import math
+
+from phongfit.fitting.problem.losses import AbstractLoss, Linear
+from phongfit.reflectance import AbstractSpecular, BlinnPhong
+
+COLUMNS = ("ambient", "diffuse")
+"""Reflectances whose basis no exponent changes."""
+
+LEAVES = (*COLUMNS, "specular", "shininess")
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """How one pixel is fitted.
+
+    - `names`: the unknowns, a subset of `LEAVES`.
+    - `bounds`: (low, high) of each of `LEAVES`.
+    - `shared`: whether the channels share one exponent.
+    - `model`: of the highlight; its lobe is a power of the cosine.
+    - `loss`: how much a residual counts.
+    - `scanned`: whether the exponent is looked for everywhere, or only downhill from
+        where it starts.
+    - `min_cosine`: a sample that no light reaches at a cosine above this is left out.
+    - `noise_given`: whether the noise is known, or told by each pixel's residuals.
+    - `weighted`: whether each sample's weight is the inverse of its own noise.
+    - `cutoff`: values from this one on are saturated; `exactly`: only this one is.
+    """
+
+    names: tuple[str, ...] = LEAVES
+    bounds: tuple[tuple[float, float], ...] = ((0, 1), (0, 1), (0, 1), (1, 1000))
+    shared: bool = True
+    model: AbstractSpecular = BlinnPhong()
+    loss: AbstractLoss = Linear()
+    scanned: bool = True
+    min_cosine: float = 0.0
+    noise_given: bool = False
+    weighted: bool = False
+    cutoff: float = 1.0
+    exactly: bool = True
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The unknowns that the exponent does not touch."""
+        return tuple(name for name in COLUMNS if name in self.names)
+
+    @property
+    def shiny(self) -> bool:
+        """Whether the strength of the highlight is unknown."""
+        return "specular" in self.names
+
+    @property
+    def searched(self) -> bool:
+        """Whether the exponent is unknown."""
+        return "shininess" in self.names
+
+    def bound(self, name: str) -> tuple[float, float]:
+        """(low, high) of a leaf."""
+        return self.bounds[LEAVES.index(name)]
+
+    @property
+    def log_bounds(self) -> tuple[float, float]:
+        """(low, high) of the logarithm of the exponent."""
+        low, high = self.bound("shininess")
+        return math.log(low), math.log(high)
+
+    def unknowns(self, channels: int = 3) -> int:
+        """How many numbers are unknown in a pixel of so many channels."""
+        exponents = 1 if self.shared else channels
+        reflectances = len(self.columns) + self.shiny
+        return channels * reflectances + self.searched * exponents

@@ -1,0 +1,162 @@
+"""What a fit of every pixel gives back."""
+
+import dataclasses
+import io
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from phongfit.files.inputs import read_bytes
+from phongfit.files.outputs import replacing
+from phongfit.maps.pixel.flags import Flag
+from phongfit.material import Material
+
+LEAVES = ("ambient", "diffuse", "specular", "shininess")
+
+
+class Leaves(NamedTuple):
+    """A number for each leaf of a material, as maps."""
+
+    ambient: Float[np.ndarray, "height width 3"]
+    diffuse: Float[np.ndarray, "height width 3"]
+    specular: Float[np.ndarray, "height width 3"]
+    shininess: Float[np.ndarray, "height width exponents"]
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Maps:
+    """A material per pixel with its uncertainty. Arrays are NumPy's."""
+
+    ambient: Float[np.ndarray, "height width 3"]
+    diffuse: Float[np.ndarray, "height width 3"]
+    specular: Float[np.ndarray, "height width 3"]
+    shininess: Float[np.ndarray, "height width exponents"]
+    stderr: Leaves
+    noise: Float[np.ndarray, "height width"]
+    samples: Int[np.ndarray, "height width"]
+    flags: Int[np.ndarray, "height width"]
+    unknowns: tuple[str, ...]
+    noise_given: float | Float[np.ndarray, "height width"] | None
+
+    @property
+    def material(self) -> Material:
+        """The maps as a [`Material`][], for [`render`][]; 0 outside."""
+        return Material(self.diffuse, self.specular, self.shininess, self.ambient)
+
+    @property
+    def told(self) -> Bool[np.ndarray, "height width"]:
+        """Pixels of which every unknown is identified: all errors are finite.
+
+        None that lies outside, and none that has not converged.
+        """
+        finite = [
+            np.isfinite(getattr(self.stderr, name)).all(axis=-1)
+            for name in self.unknowns
+        ]
+        not_fitted = self.flagged(Flag.OUTSIDE | Flag.NOT_CONVERGED)
+        return np.logical_and.reduce(finite) & ~not_fitted
+
+    @property
+    def chi_squared(self) -> Float[np.ndarray, "height width"]:
+        """χ² a degree of freedom: near 1 where the model describes the pixel.
+
+        Measured by the noise that was given, or else by that of the median pixel; NaN
+        where no pixel was fitted.
+        """
+        level = self.noise_given
+        if level is None:
+            fitted = np.isfinite(self.noise)
+            level = float(np.median(self.noise[fitted])) if fitted.any() else np.nan
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return (self.noise / np.asarray(level, self.noise.dtype)) ** 2
+
+    def flagged(self, flag: Flag) -> Bool[np.ndarray, "height width"]:
+        """Pixels with any of the given flags."""
+        return (self.flags & int(flag)) != 0
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write all maps to an `.npz` file, in one piece; [`load_maps`][] reads it.
+
+        **Raises:** `ValueError` for another suffix, `OSError` that names `path`.
+        """
+        if not os.fspath(path).endswith(".npz"):
+            raise ValueError(f"{os.fspath(path)}: a name that ends in .npz is wanted")
+        arrays = {name: getattr(self, name) for name in LEAVES}
+        arrays |= {f"stderr_{name}": getattr(self.stderr, name) for name in LEAVES}
+        arrays |= {name: getattr(self, name) for name in ("noise", "samples", "flags")}
+        given = np.nan if self.noise_given is None else self.noise_given
+        with replacing(path) as temporary:
+            np.savez(
+                temporary,
+                allow_pickle=False,
+                unknowns=np.array(self.unknowns),
+                noise_given=np.array(given),
+                **arrays,
+            )
+
+    def __str__(self) -> str:
+        height, width = self.flags.shape
+        inside = ~self.flagged(Flag.OUTSIDE)
+        lines = [
+            f"phongfit: maps of {height} × {width} pixels, {inside.sum():,} fitted, "
+            f"{self.told.sum():,} told in all of {', '.join(self.unknowns)}"
+        ]
+        for flag in Flag:
+            count = int((self.flagged(flag) & (inside | (flag == Flag.OUTSIDE))).sum())
+            if count:
+                lines.append(
+                    f"  {str(flag.name).lower().replace('_', ' '):<14}{count:>12,}"
+                )
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
+Maps.__init__.__doc__ = """**Arguments:**
+
+- `ambient`, `diffuse`, `specular`: (H, W, 3); `shininess`: (H, W, 1), or (H, W, 3) if
+    each channel has its own. 0 outside; finite everywhere.
+- `stderr`: the same four: infinite for what is not identified, 0 for what was known.
+    A bound takes nothing from them: the truth may lie inside of it.
+- `noise`: (H, W), root mean square of a pixel's residuals a degree of freedom, in
+    linear light; NaN outside. Where `noise_given` varies, that of the pixel times the
+    root of χ².
+- `samples`: (H, W), how many were used.
+- `flags`: (H, W), bits of [`Flag`][]: why a pixel is not told, or told with care.
+- `unknowns`: names of the leaves that were looked for.
+- `noise_given`: standard deviation of a sample that errors rest on (where there is no
+    `MISFIT`), or `None` if each pixel's residuals told it. (H, W) if it varies: the
+    root mean square of a pixel's.
+"""
+
+
+def load_maps(path: str | os.PathLike[str]) -> Maps:
+    """Maps from a file of [`Maps.save`][].
+
+    **Raises:** `ValueError` that names the file: it is missing, broken, or of another
+    kind.
+    """
+    try:
+        with np.load(io.BytesIO(read_bytes(Path(path))), allow_pickle=False) as arrays:
+            given: Any = arrays["noise_given"]
+            if given.ndim == 0:
+                given = None if np.isnan(given) else float(given)
+            leaves: Any = {name: arrays[name] for name in LEAVES}
+            stderr: Any = {name: arrays[f"stderr_{name}"] for name in LEAVES}
+            return Maps(
+                **leaves,
+                stderr=Leaves(**stderr),
+                noise=arrays["noise"],
+                samples=arrays["samples"],
+                flags=arrays["flags"],
+                unknowns=tuple(str(name) for name in arrays["unknowns"]),
+                noise_given=given,
+            )
+    except Exception as error:
+        # A broken file makes this reader raise nearly anything.
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ValueError(f"{os.fspath(path)}: cannot be read: {reason}") from error

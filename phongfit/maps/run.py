@@ -1,0 +1,332 @@
+"""`fit_maps`: stacks of images under many lights in, maps of materials out."""
+
+import concurrent.futures
+import hashlib
+import importlib.metadata
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jax.sharding import Mesh
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+from phongfit.checks import untraced
+from phongfit.fitting.problem.losses import AbstractLoss
+from phongfit.maps.job import (
+    Fitted,
+    check_enough,
+    check_scenes,
+    identify,
+    make_outside,
+    make_settings,
+    resolve,
+)
+from phongfit.maps.layers import Masks, Noise
+from phongfit.maps.pixel.flags import Flag
+from phongfit.maps.pixel.lighting import make_lighting
+from phongfit.maps.pixel.pixel import PixelFit
+from phongfit.maps.pixel.settings import LEAVES
+from phongfit.maps.pixel.tile import BLOCK, Tile, compiled
+from phongfit.maps.result import Leaves, Maps
+from phongfit.maps.stacks import as_stack
+from phongfit.maps.store import TileStore
+from phongfit.material import Material
+from phongfit.rendering.film import Film
+from phongfit.scene import Scene
+
+TILE_BYTES = 2**26
+"""How much light a tile holds unless told otherwise: a few of them fit anywhere."""
+
+PART_BYTES = 2**24
+"""How much of it is worked on at a time on a CPU: little enough to stay near its cores,
+and enough that a last block of a few unsettled pixels does not show."""
+
+
+def fit_maps(
+    scenes: Sequence[Scene],
+    images: Any,
+    *,
+    unknowns: Sequence[str] = LEAVES,
+    per_channel: Sequence[str] = ("ambient", "diffuse", "specular"),
+    known: Material | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    mask: Any = None,
+    noise: Any = None,
+    film: Film | Sequence[Film] | None = None,
+    loss: str | AbstractLoss = "linear",
+    start: Material | Fitted | None = None,
+    min_cosine: float = 0.0,
+    tile_pixels: int | None = None,
+    devices: Sequence[Any] | None = None,
+    output: str | os.PathLike[str] | None = None,
+    progress: bool = True,
+) -> Maps:
+    r"""A material for every pixel of images under many lights, with standard errors.
+
+    Photometric stereo's data, with the normals known. Every pixel is fitted from its
+    own samples: the best reflectances for given f are a small problem in a box, and
+    $\log f$ is found by a scan and Newton's steps, so that no starting guess is needed.
+    Tiles of pixels pass through memory one after another.
+
+    **Arguments:**
+
+    - `scenes`: one for each image; they share surface and camera and differ in lights
+        and fog.
+    - `images`: (L, H, W, 3) or a sequence of (H, W, 3), linear light as floats where
+        white is 1, in memory or memory-mapped, or an [`AbstractStack`][] such as
+        [`PhotographStack`][], which reads files, or [`DatasetStack`][].
+    - `unknowns`: leaves to be found. Where no ambient light falls, `ambient` is not.
+    - `per_channel`: with `"shininess"` each channel has its own exponent.
+    - `known`: values of the leaves that are not unknown; default no reflectance and an
+        exponent of 32.
+    - `bounds`: name → (low, high), as in [`fit`][].
+    - `mask`: (H, W) or (H, W, 3), true where samples may be used; or one for each
+        image.
+    - `noise`: standard deviation of a sample in linear light: a number, (H, W) or
+        (H, W, 3), or one of these for each image; samples then count by how little
+        noise they have. By default each pixel's residuals tell it.
+    - `film`: `Film()`: samples of 1 and above are saturated, and left out.
+        `Film(clamp=False)`: none is. Default: only those of exactly 1, since one beyond
+        shows that nothing was cut off. Of several films only their common clamp
+        matters. What JPEG files round counts as noise, as each pixel's residuals show
+        it: give no `noise` with them. What they take from all images alike, as at the
+        rim of a highlight, is not given back as [`fit`][] does.
+    - `loss`: as in [`fit`][]; a robust one wants images with outliers.
+    - `start`: a fit of one material, or a material, whose exponent each pixel starts
+        from, instead of the scan.
+    - `min_cosine`: samples that no light reaches at a cosine above this are left out,
+        as shadowed; −1 leaves out none.
+    - `tile_pixels`: pixels of a tile; default what 64 MB of light hold.
+    - `devices`: on which tiles are spread; default all local ones.
+    - `output`: a folder that keeps finished tiles. A run that was interrupted goes on
+        from there, to the same bits. It must be empty, or of the same job.
+    - `progress`: show a bar, if the output is a terminal.
+
+    **Returns:** [`Maps`][]. A pixel that cannot tell has infinite errors and flags.
+
+    **Raises:** `ValueError` that names the argument: wrong shapes, too few images for
+    the unknowns, a file of a stack that is missing or broken (finished tiles stay).
+    """
+    instead = "fit_maps is no function that JAX can trace"
+    untraced(instead, scenes=scenes, images=images, known=known, mask=mask, noise=noise)
+    scenes = check_scenes(scenes)
+    stack = as_stack(images)
+    _check_sizes(scenes, stack.shape)
+    levels = Noise(noise, stack.shape)
+    settings = make_settings(
+        scenes,
+        unknowns,
+        per_channel,
+        bounds or {},
+        _as_one(film, noise),
+        loss,
+        start,
+        levels,
+        min_cosine,
+    )
+    check_enough(settings, len(scenes))
+    lighting = make_lighting(scenes)
+    outside = make_outside(lighting, settings, known, start, levels)
+    masks = Masks(mask, stack.shape)
+    geometry = resolve(scenes, lighting)
+    seen = geometry.mask & masks.anywhere()
+    pixels = np.flatnonzero(seen)
+    if not len(pixels):
+        raise ValueError("mask: it leaves no pixel that sees the surface")
+    mesh = Mesh(np.array(devices or jax.local_devices()), ("pixels",))
+    size, part = _tile_size(len(pixels), len(scenes), tile_pixels, mesh)
+    tiles = [pixels[k : k + size] for k in range(0, len(pixels), size)]
+    store = None
+    if output is not None:
+        job = identify(settings, outside, geometry, masks, levels)
+        checksum = hashlib.blake2b(digest_size=16)
+        stack.identify(checksum.update)
+        job |= {
+            "images": checksum.hexdigest(),
+            "tile": f"{size} pixels on {mesh.size} devices",
+            "versions": _versions(),
+        }
+        store = TileStore(output, job)
+
+    def read(tile: int) -> Tile | None:
+        if store is not None and store.load(tile) is not None:
+            return None
+        target = stack.take(tiles[tile], lighting.order)
+        used = masks.take(tiles[tile], lighting.order) & ~np.ma.getmask(target)
+        used = levels.weigh(used, tiles[tile], lighting.order)
+        return geometry.tile(tiles[tile], np.ma.getdata(target), used, size)
+
+    run = compiled(settings, mesh)
+
+    def work(part: Tile) -> list[np.ndarray]:
+        return [np.asarray(leaf) for leaf in jax.tree.leaves(run(part, outside))]
+
+    maps = _Canvas(seen.shape, 1 if settings.shared else 3, outside.noise.dtype)
+    with concurrent.futures.ThreadPoolExecutor(_workers(mesh)) as workers:
+        for k, tile in _bar(_ahead(read, len(tiles)), len(tiles), progress):
+            if tile is None:
+                assert store is not None
+                arrays = store.load(k)
+                assert arrays is not None
+            else:
+                # XLA works on so little with one core.
+                leaves = zip(*workers.map(work, tile.parts(part)), strict=True)
+                arrays = [np.concatenate(leaf)[: len(tiles[k])] for leaf in leaves]
+                if store is not None:
+                    store.save(k, arrays)
+            maps.paint(tiles[k], arrays)
+    # No ambient light: nothing is told, and nothing was looked for.
+    hidden = tuple(name for name in unknowns if name not in settings.names)
+    return maps.finished(
+        tuple(name for name in LEAVES if name in unknowns),
+        hidden,
+        levels,
+    )
+
+
+def _as_one(film: Film | Sequence[Film] | None, noise: Any) -> Film | None:
+    """The clamp of all images.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    films = [film] if film is None or isinstance(film, Film) else list(film)
+    if noise is not None and any(one is not None and one.jpeg for one in films):
+        raise ValueError(
+            "noise: came with films of JPEG files, whose roundings it does not hold; "
+            "leave it out, and each pixel's residuals tell both"
+        )
+    if len({one is None or one.clamp for one in films}) != 1:
+        raise ValueError("film: expected one clamp for all images, got both or none")
+    return films[0]
+
+
+def _check_sizes(scenes: tuple[Scene, ...], shape: tuple[int, int, int]) -> None:
+    camera = scenes[0].camera
+    if shape[0] != len(scenes):
+        raise ValueError(f"images: {shape[0]} came for {len(scenes)} scenes")
+    if shape[1:] != (camera.height, camera.width):
+        raise ValueError(
+            f"images: {shape[1:]} pixels came, the scenes' camera has "
+            f"{(camera.height, camera.width)}"
+        )
+
+
+def _tile_size(
+    pixels: int, images: int, wanted: int | None, mesh: Mesh
+) -> tuple[int, int]:
+    """Pixels of a tile and of its parts, multiples of what devices take at a time."""
+    unit = BLOCK * mesh.size
+    if wanted is None:
+        wanted = TILE_BYTES // (images * 12)
+    elif not isinstance(wanted, int) or wanted < 1:
+        raise ValueError(f"tile_pixels: {wanted!r} came, a whole number ≥ 1 wanted")
+    units = -(-min(wanted, pixels) // unit)
+    parts = 1
+    if _on_cpu(mesh):
+        parts = -(-units // max(PART_BYTES // (images * 12 * unit), 1))
+        parts = max(parts, min(_workers(mesh), units))
+    part = -(-units // parts) * unit
+    return parts * part, part
+
+
+def _workers(mesh: Mesh) -> int:
+    """How many parts are worked on side by side."""
+    return os.cpu_count() or 1 if _on_cpu(mesh) and mesh.size == 1 else 1
+
+
+def _on_cpu(mesh: Mesh) -> bool:
+    return mesh.devices.flat[0].platform == "cpu"
+
+
+def _versions() -> str:
+    names = ("phongfit", "jax", "jaxlib")
+    return " ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
+
+
+def _ahead(read: Any, count: int) -> Iterator[tuple[int, Any]]:
+    """What is read, tile by tile; the next is read while one is worked on."""
+    with concurrent.futures.ThreadPoolExecutor(1) as reader:
+        coming = reader.submit(read, 0)
+        for k in range(count):
+            here = coming.result()
+            if k + 1 < count:
+                coming = reader.submit(read, k + 1)
+            yield k, here
+
+
+def _bar(
+    items: Iterator[tuple[int, Any]], total: int, wanted: bool
+) -> Iterator[tuple[int, Any]]:
+    """The same, with a progress bar where there is a terminal to show it."""
+    console = Console(stderr=True)
+    if not wanted or not console.is_terminal:
+        yield from items
+        return
+    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress("tiles", *columns, console=console, transient=True) as bar:
+        yield from bar.track(items, total=total)
+
+
+_LEAF: Any = 0
+_SHAPE = jax.tree.structure(
+    PixelFit(_LEAF, _LEAF, _LEAF, _LEAF, (_LEAF,) * 4, _LEAF, _LEAF, _LEAF)
+)
+
+
+class _Canvas:
+    """The maps while they are painted, tile by tile."""
+
+    def __init__(self, size: tuple[int, int], exponents: int, dtype: Any):
+        pixels = size[0] * size[1]
+        self._size = size
+        channels = (3, 3, 3, exponents)
+        self._values = [np.zeros((pixels, c), dtype) for c in channels]
+        self._errors = [np.full((pixels, c), np.inf, dtype) for c in channels]
+        self._noise = np.full(pixels, np.nan, dtype)
+        self._samples = np.zeros(pixels, np.int32)
+        self._flags = np.full(pixels, int(Flag.OUTSIDE), np.uint16)
+
+    def paint(self, pixels: np.ndarray, arrays: list[np.ndarray]) -> None:
+        """Put a tile where it belongs; `arrays` are the leaves of a [`PixelFit`][]."""
+        tile: PixelFit = jax.tree.unflatten(_SHAPE, arrays)
+        leaves = (tile.ambient, tile.diffuse, tile.specular, tile.shininess)
+        for canvas, values in zip(self._values, leaves, strict=True):
+            canvas[pixels] = values
+        for canvas, values in zip(self._errors, tile.errors, strict=True):
+            canvas[pixels] = values
+        self._noise[pixels] = tile.noise
+        self._samples[pixels] = tile.samples
+        self._flags[pixels] = tile.flags
+
+    def finished(
+        self, unknowns: tuple[str, ...], hidden: tuple[str, ...], noise: Noise
+    ) -> Maps:
+        for name in hidden:
+            self._errors[LEAVES.index(name)][:] = np.inf
+        shape = self._size
+        values: Any
+        errors: Any
+        values, errors = (
+            {
+                name: canvas.reshape(*shape, -1)
+                for name, canvas in zip(LEAVES, leaves, strict=True)
+            }
+            for leaves in (self._values, self._errors)
+        )
+        given: Any = noise.given()
+        left = self._noise.reshape(shape)
+        if noise.varies:
+            # Each sample was measured by its own noise.
+            left = left * given
+        return Maps(
+            **values,
+            stderr=Leaves(**errors),
+            noise=left,
+            samples=self._samples.reshape(shape),
+            flags=self._flags.reshape(shape),
+            unknowns=tuple(name for name in unknowns if name not in hidden),
+            noise_given=given,
+        )

@@ -1,0 +1,130 @@
+"""Maps as texture images: 8 bits, colours sRGB-encoded as renderers expect them.
+
+What a pixel cannot tell is chance in the maps, as their errors say; a texture has no
+errors. So a highlight that is 0 within its error becomes 0, and whatever else a pixel
+cannot tell becomes the median of the pixels that can.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from phongfit.files.formats import encode_png
+from phongfit.files.gltf import Part, Textures, roughness, specular_colour
+from phongfit.files.images import to_levels
+from phongfit.files.limits import as_blinn
+from phongfit.maps.pixel.flags import Flag
+from phongfit.maps.result import LEAVES, Maps
+from phongfit.material import Material
+from phongfit.reflectance import AbstractSpecular
+
+
+class Leaves(NamedTuple):
+    """Maps of the un-normalised Blinn-Phong model, (H, W, 3), and where they are.
+
+    `filled`: pixels whose numbers are not all their own.
+    """
+
+    ambient: Float[np.ndarray, "height width 3"]
+    diffuse: Float[np.ndarray, "height width 3"]
+    specular: Float[np.ndarray, "height width 3"]
+    shininess: Float[np.ndarray, "height width 1"]
+    inside: Float[np.ndarray, "height width 1"]
+    filled: Bool[np.ndarray, "height width"]
+
+
+def leaves_of(maps: Maps, model: AbstractSpecular) -> Leaves:
+    """What textures are made of; where channels have own exponents, their mean.
+
+    The mean is that of logarithms: it is ratios of exponents that are seen.
+    """
+    filled, is_filled = filled_in(maps)
+    material = as_blinn(filled, model)
+    inside = ~maps.flagged(Flag.OUTSIDE)[..., None]
+    exponents = np.maximum(np.asarray(material.shininess, float), 1e-6)
+    return Leaves(
+        np.asarray(material.ambient, float),
+        np.asarray(material.diffuse, float),
+        np.asarray(material.specular, float),
+        np.where(inside, np.exp(np.log(exponents).mean(axis=-1, keepdims=True)), 0),
+        inside.astype(float),
+        is_filled,
+    )
+
+
+def filled_in(maps: Maps) -> tuple[Material, Bool[np.ndarray, "height width"]]:
+    """The maps with what is chance in them filled in, and the pixels where it was."""
+    inside = ~maps.flagged(Flag.OUTSIDE)[..., None]
+    # Black pixels stay black; and an exponent that lies at its bound is no chance.
+    vague = maps.flagged(Flag.TOO_FEW | Flag.NO_HIGHLIGHT | Flag.ALIKE)[..., None]
+    leaves, touched = {}, np.zeros(maps.flags.shape, bool)
+    for name in LEAVES:
+        values, errors = getattr(maps, name), getattr(maps.stderr, name)
+        chance = inside & vague & ~np.isfinite(errors)
+        leaves[name] = np.where(chance, _medians(values, inside & ~chance), values)
+        touched |= chance.any(axis=-1)
+    # Its error is finite: it is known to be small, and of its exponent nothing is.
+    matte = maps.flagged(Flag.NO_HIGHLIGHT)[..., None]
+    matte = matte & np.isfinite(maps.stderr.specular)
+    leaves["specular"] = np.where(matte, 0, leaves["specular"])
+    return dataclasses.replace(maps.material, **leaves), touched
+
+
+def _medians(values: np.ndarray, told: np.ndarray) -> np.ndarray:
+    """The median of each channel over the pixels that tell it; 0 if none does."""
+    kept = [channel[own] for channel, own in zip(values.T, told.T, strict=True)]
+    return np.array([np.median(one) if one.size else 0 for one in kept], values.dtype)
+
+
+def gltf_textures(
+    leaves: Leaves, normals: Float[np.ndarray, "height width 3"]
+) -> Textures:
+    """The four textures of a glTF material: see [`phongfit.files.gltf`][].
+
+    **Arguments:** `normals`: in the axes of the image (right, up, to the viewer).
+    """
+    tint = specular_colour(leaves.specular, leaves.shininess)
+    factor = np.maximum(tint.reshape(-1, 3).max(axis=0), 1e-6)
+    base = np.concatenate(
+        [to_levels(leaves.diffuse, "srgb", 8), to_levels(leaves.inside, "linear", 8)],
+        axis=-1,
+    )
+    # Red is not used, blue is metallic.
+    rough = np.zeros_like(leaves.diffuse)
+    rough[..., 1] = roughness(leaves.shininess)[..., 0]
+    ahead = np.where(leaves.inside > 0, normals, [0, 0, 1])
+    return Textures(
+        encode_png(base),
+        encode_png(to_levels(rough, "linear", 8)),
+        encode_png(to_levels(tint / factor, "srgb", 8)),
+        encode_png(to_levels((ahead + 1) / 2, "linear", 8)),
+        factor,
+    )
+
+
+def mtl_textures(leaves: Leaves) -> dict[str, tuple[bytes, list[float]]]:
+    """For each texture of an .mtl its bytes, and the numbers that it multiplies."""
+    highest = float(max(leaves.shininess.max(), 1.0))
+    white = [1.0, 1.0, 1.0]
+    grey = np.repeat(leaves.shininess / highest, 3, axis=-1)
+    return {
+        "Ka": (encode_png(to_levels(leaves.ambient, "srgb", 8)), white),
+        "Kd": (encode_png(to_levels(leaves.diffuse, "srgb", 8)), white),
+        "Ks": (encode_png(to_levels(leaves.specular, "srgb", 8)), white),
+        "Ns": (encode_png(to_levels(grey, "linear", 8)), [highest]),
+    }
+
+
+def rectangle(height: int, width: int) -> Part:
+    """The picture's plane, 2 high, facing +z: what the textures of maps lie on."""
+    x, y = width / height, 1.0
+    corners = np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
+    return Part(
+        corners,
+        np.array([[0, 1, 2], [0, 2, 3]]),
+        np.tile([0.0, 0.0, 1.0], (4, 1)),
+        np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]]),
+        np.tile([1.0, 0.0, 0.0, 1.0], (4, 1)),
+    )

@@ -1,0 +1,206 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.fitting.problem.inputs import as_photographs
+from tests.fitting.scenes import SIZE, ball
+
+SHAPE = (SIZE, SIZE, 3)
+SCENE = ball()
+GREY = np.full(SHAPE, 0.25)
+NOWHERE = np.zeros((SIZE, SIZE))
+CORNER = NOWHERE.copy()
+CORNER[0, 0] = 1  # sees no surface
+THREE = NOWHERE.copy()
+THREE[16, 15:18] = 1  # nine samples
+BROKEN = GREY.copy()
+BROKEN[7, 8, 2] = np.nan
+BROKEN[9, 8, 1] = np.inf
+OTHER_MODEL = ball(specular=pf.Phong())
+CENTRE = np.hypot(*(np.indices((SIZE, SIZE)) + 0.5 - SIZE / 2)) < 10
+
+
+@pytest.mark.parametrize(
+    "message, scene, image, options",
+    [
+        (
+            r"image: shape \(3, 3, 3\) came, .* wants \(32, 32, 3\)",
+            SCENE,
+            GREY[:3, :3],
+            {},
+        ),
+        (r"image: shape \(32, 32\) came", SCENE, GREY[..., 0], {}),
+        ("image: uint8 values came; linear light", SCENE, GREY.astype(np.uint8), {}),
+        ("image: <U1 values came", SCENE, np.full(SHAPE, "x"), {}),
+        ("image: complex128 values came", SCENE, GREY * 1j, {}),
+        (
+            "image: 2 samples are NaN or infinite, the first in row 7, column 8, "
+            "channel 2; mask them out",
+            SCENE,
+            BROKEN,
+            {},
+        ),
+        ("scene: a Scene, or a sequence", [], [], {}),
+        ("scene: a Scene, or a sequence", [GREY], [GREY], {}),
+        ("scene: a Scene, or a sequence", 3.0, GREY, {}),
+        ("image: 1 came for 2 scenes", [SCENE, SCENE], [GREY], {}),
+        ("image: 2 came as scenes, so a sequence", [SCENE, SCENE], None, {}),
+        (r"image\[1\]: shape", [SCENE, SCENE], [GREY, GREY[:5]], {}),
+        (
+            "scene: all scenes must have the same specular model",
+            [SCENE, OTHER_MODEL],
+            [GREY, GREY],
+            {},
+        ),
+        ("mask: 1 came for 2 scenes", [SCENE] * 2, [GREY] * 2, {"mask": [CENTRE]}),
+        (
+            r"mask\[1\]: mask and weights leave no pixel",
+            [SCENE] * 2,
+            [GREY] * 2,
+            {"mask": [CENTRE, NOWHERE]},
+        ),
+        (
+            "weights: 3 came for 2 scenes",
+            [SCENE] * 2,
+            [GREY] * 2,
+            {"weights": [CENTRE] * 3},
+        ),
+        ("mask: mask and weights leave no pixel", SCENE, GREY, {"mask": NOWHERE}),
+        ("mask: mask and weights leave no pixel", SCENE, GREY, {"weights": NOWHERE}),
+        ("mask: it leaves no pixel that sees the surf", SCENE, GREY, {"mask": CORNER}),
+        ("mask: 9 samples are left for 10 unknowns", SCENE, GREY, {"mask": THREE}),
+        (r"mask: shape \(3, 3\) came", SCENE, GREY, {"mask": CENTRE[:3, :3]}),
+        (r"weights: shape \(3,\) came", SCENE, GREY, {"weights": np.ones(3)}),
+        ("weights: finite numbers ≥ 0", SCENE, GREY, {"weights": CENTRE - 0.5}),
+        ("weights: finite numbers ≥ 0", SCENE, GREY, {"weights": CENTRE * np.nan}),
+        ("noise: finite numbers > 0", SCENE, GREY, {"noise": -0.01}),
+        ("noise: finite numbers > 0", SCENE, GREY, {"noise": 0.0}),
+        ("noise: finite numbers > 0", SCENE, GREY, {"noise": np.inf}),
+        ("noise: <U3 values came", SCENE, GREY, {"noise": "low"}),
+        (r"noise: shape \(5, 5\)", SCENE, GREY, {"noise": np.ones((5, 5))}),
+        (
+            "unknowns: 'gloss' came, one of ambient, ",
+            SCENE,
+            GREY,
+            {"unknowns": ["gloss"]},
+        ),
+        ("unknowns: none came", SCENE, GREY, {"unknowns": ()}),
+        ("unknowns: none came", SCENE, GREY, {"unknowns": None}),
+        ("unknowns: 3 came, one of ambient, ", SCENE, GREY, {"unknowns": (3,)}),
+        (
+            "unknowns: a name came twice: diffuse, diffuse",
+            SCENE,
+            GREY,
+            {"unknowns": ("diffuse", "diffuse")},
+        ),
+        ("per_channel: 'f' came", SCENE, GREY, {"per_channel": ("f",)}),
+        ("bounds: 'rho' came", SCENE, GREY, {"bounds": {"rho": (0, 1)}}),
+        (
+            "bounds: diffuse: 1 < 0 does not hold",
+            SCENE,
+            GREY,
+            {"bounds": {"diffuse": (1, 0)}},
+        ),
+        ("bounds: diffuse: 3 came, ", SCENE, GREY, {"bounds": {"diffuse": 3}}),
+        ("bounds: ambient: nan < 1", SCENE, GREY, {"bounds": {"ambient": (np.nan, 1)}}),
+        (
+            r"bounds: shininess: \(0, 10\) came, 0 < low",
+            SCENE,
+            GREY,
+            {"bounds": {"shininess": (0, 10)}},
+        ),
+        (
+            r"bounds: shininess: \(1, inf\) came",
+            SCENE,
+            GREY,
+            {"bounds": {"shininess": (1, np.inf)}},
+        ),
+        (
+            r"known: diffuse has shape \(4, 1\)",
+            SCENE,
+            GREY,
+            {"known": pf.Material(diffuse=np.ones((4, 1)))},
+        ),
+        ("loss: 'l1' came, one of linear, huber", SCENE, GREY, {"loss": "l1"}),
+        (
+            "image: values from 0.25 to 1.25 came, a clamped film holds",
+            SCENE,
+            np.where(CENTRE[..., None], GREY, 1.25),
+            {"film": pf.Film()},
+        ),
+        (
+            "unknowns: ambient and emission both came",
+            SCENE,
+            GREY,
+            {"unknowns": ("ambient", "emission", "diffuse")},
+        ),
+    ],
+)
+def test_errors_name_the_argument(message, scene, image, options):
+    with pytest.raises(ValueError, match=f"^{message}"):
+        pf.fit(scene, image, **options)
+
+
+def test_a_ball_larger_than_its_numbers():
+    # Exactly as many samples as unknowns leave no room for an error.
+    mask = np.zeros(SHAPE)
+    mask[16, 15:18] = 1
+    mask[17, 16, 0] = 1
+    with pytest.raises(ValueError, match="mask: 10 samples are left for 10 unknowns"):
+        pf.fit(SCENE, GREY, mask=mask)
+
+
+@pytest.mark.parametrize(
+    "options, expected",
+    [
+        ({}, np.ones(SHAPE)),
+        ({"mask": CENTRE}, np.repeat(CENTRE[..., None], 3, axis=-1)),
+        ({"mask": CENTRE.astype(int) * 255}, np.repeat(CENTRE[..., None], 3, axis=-1)),
+        ({"mask": np.ones(SHAPE) * [1, 0, 1]}, np.ones(SHAPE) * [1, 0, 1]),
+        ({"weights": 2 * CENTRE}, np.repeat(2.0 * CENTRE[..., None], 3, axis=-1)),
+        ({"noise": 0.5}, np.full(SHAPE, 4.0)),
+        ({"noise": np.full((SIZE, SIZE), 0.5)}, np.full(SHAPE, 4.0)),
+        ({"weights": 3.0, "noise": 0.5, "mask": CENTRE}, 12.0 * CENTRE[..., None]),
+    ],
+)
+def test_mask_weights_and_noise_become_weights(options, expected):
+    given = {"mask": None, "weights": None, "noise": None} | options
+    (photograph,) = as_photographs(SCENE, GREY, **given)
+    assert photograph.weight.shape == (SHAPE if any(options) else (1, 1, 1))
+    weight = np.broadcast_to(photograph.weight, SHAPE)
+    assert np.array_equal(weight, np.broadcast_to(expected, SHAPE))
+    assert np.array_equal(np.ravel(photograph.used()), GREY[weight > 0])
+    assert photograph.weight.dtype == jnp.result_type(float)
+    assert photograph.name == "image"
+
+
+def test_broken_pixels_may_be_masked():
+    mask = np.isfinite(BROKEN)
+    (photograph,) = as_photographs(SCENE, BROKEN, mask, None, None)
+    assert np.all(np.isfinite(photograph.image))
+    assert np.array_equal(photograph.weight, mask)
+    (weighted,) = as_photographs(SCENE, BROKEN, None, 1.0 * mask, None)
+    assert np.array_equal(weighted.weight, mask)
+
+
+def test_several():
+    masks, noises = [CENTRE, ~CENTRE], [0.5, np.full(SHAPE, 0.25)]
+    photographs = as_photographs(
+        (SCENE, SCENE), np.stack([GREY, 2 * GREY]), masks, None, noises
+    )
+    assert [p.name for p in photographs] == ["image[0]", "image[1]"]
+    assert photographs[1].image.max() == 0.5
+    assert photographs[0].weight[16, 16, 0] == 4
+    assert photographs[1].weight[16, 16, 0] == 0
+    assert photographs[1].weight[0, 0, 0] == 16
+    # One number is the noise of all.
+    both = as_photographs([SCENE] * 2, [GREY] * 2, None, None, 0.5)
+    assert all(np.all(p.weight == 4) for p in both)
+
+
+def test_arguments_stay_as_they_are():
+    image, mask, weights = BROKEN.copy(), np.isfinite(BROKEN), np.ones(SHAPE)
+    as_photographs(SCENE, image, mask, weights, 0.1)
+    assert np.array_equal(image, BROKEN, equal_nan=True)
+    assert np.all(weights == 1)

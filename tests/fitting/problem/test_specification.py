@@ -1,0 +1,91 @@
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.fitting.problem.specification import Specification
+from tests.fitting.scenes import TRUTH, ball, photograph
+
+OPTIONS = {
+    "unknowns": ["diffuse", "shininess"],
+    "known": pf.Material(0.0, 0.2, 32.0, (0.5, 0.4, 0.3)),
+    "bounds": {"shininess": np.array([2.0, 90.0])},
+    "fixed": {"diffuse.red": jnp.asarray(0.25)},
+    "ties": {"diffuse.green": "diffuse.blue"},
+    "priors": {"diffuse": (np.array([0.1, 0.2, 0.3]), 0.05)},
+    "film": [pf.Film(bits=8), pf.Film()],
+    "loss": "tukey",
+}
+
+
+def test_two_of_the_same_are_equal_however_they_were_written():
+    asked = Specification(**OPTIONS)
+    again = Specification(
+        unknowns=("diffuse", "shininess"),
+        known=pf.Material(0.0, 0.2, 32.0, (0.5, 0.4, 0.3)),
+        bounds={"shininess": (2, 90)},
+        fixed={"diffuse.red": 0.25},
+        ties={"diffuse.green": (1, "diffuse.blue")},
+        priors={"diffuse": ([0.1, 0.2, 0.3], 0.05)},
+        film=(pf.Film(bits=8), pf.Film()),
+        loss=pf.Tukey(),
+    )
+    assert asked == again
+    assert asked.changed.keys() == OPTIONS.keys()
+    # What was changed says it all.
+    assert Specification(**asked.changed) == asked
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_each_of_them_counts(name):
+    options = {name: OPTIONS[name]}
+    if name in ("fixed", "ties", "priors"):
+        options["unknowns"] = OPTIONS["unknowns"]
+    asked = Specification(**options)
+    assert asked != Specification()
+    assert asked.asks_as_usual == (name in ("film", "loss"))
+
+
+def test_nothing_was_asked():
+    assert Specification().changed == {} and Specification().asks_as_usual
+
+
+def test_it_stays_as_it_is():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Specification().loss = pf.Tukey()  # pyright: ignore
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ({"unknowns": "diffuse"}, "unknowns: a list of names is wanted"),
+        ({"unknowns": ()}, "unknowns: none came"),
+        ({"unknowns": ("diffuse", "diffuse")}, "unknowns: a name came twice: diffuse"),
+        ({"per_channel": ("gloss",)}, "per_channel: 'gloss' came, one of ambient"),
+        ({"per_image": ("diffuse",)}, "per_image: 'diffuse' came, but an array of"),
+        ({"loss": "square"}, "loss: 'square' came"),
+    ],
+)
+def test_errors_name_the_argument(options, words):
+    with pytest.raises(ValueError, match=words):
+        Specification(**options)
+
+
+def test_a_fit_knows_what_it_was_asked():
+    scene = ball()
+    image = photograph(scene, TRUTH)
+    asked = Specification(unknowns=("diffuse",), known=TRUTH, loss="linear")
+    fit = pf.fit(scene, image, **asked.changed)
+    assert fit.specification == asked
+    # And is itself, whatever it is compared with.
+    assert fit == fit and fit != asked and len({fit}) == 1
+    assert fit.films == (pf.Film(),) and fit.loss == "Linear"
+
+
+def test_a_misspelt_option_is_named():
+    with pytest.raises(TypeError, match="predict_errors: 'unknown' is none .* unkn"):
+        pf.predict_errors(ball(), TRUTH, 0.01, unknown=("diffuse",))
+    with pytest.raises(TypeError, match="'unknown'"):
+        pf.fit(ball(), np.zeros((32, 32, 3)), unknown=())  # pyright: ignore

@@ -1,0 +1,93 @@
+"""What is wrong is said by name, before anything is fitted."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from tests.maps.synthetic import make_stack
+
+STACK = make_stack(4, 6, 5, ambient=0.2)
+
+
+def fit(scenes=STACK.scenes, images=STACK.images, **options):
+    return pf.fit_maps(scenes, images, **options)
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ({"images": STACK.images[:4]}, "images: 4 came for 5 scenes"),
+        ({"images": [*STACK.images[:4], STACK.images[4, :3]]}, r"images\[4\]: shape"),
+        ({"images": STACK.images[:, :3]}, "the scenes' camera has"),
+        ({"images": (255 * STACK.images).astype(np.uint8)}, r"images\[0\]: uint8"),
+        ({"images": []}, "images: none"),
+        ({"images": 3}, "images: a sequence"),
+        ({"scenes": []}, "scenes: a sequence"),
+        ({"mask": np.zeros((4, 6), bool)}, "mask: it leaves no pixel"),
+        ({"mask": np.ones((3, 6), bool)}, r"mask: shape \(3, 6\)"),
+        ({"mask": [np.ones((4, 6), bool)] * 2}, "mask: 2 came for 5 images"),
+        ({"noise": 0.0}, "noise: 0.0"),
+        ({"noise": "much"}, "noise: 'much' came"),
+        ({"noise": np.ones(3)}, "noise: 3 came for 5 images"),
+        ({"noise": np.ones((6, 4))}, r"noise: shape \(6, 4\) came"),
+        ({"noise": np.zeros((4, 6))}, "noise: finite numbers > 0"),
+        ({"noise": [1, 1, 1, 1, np.full((4, 6, 3), np.nan)]}, r"noise\[4\]: finite"),
+        ({"noise": [1, 1, 1, np.ones((4, 3)), 1]}, r"noise\[3\]: float64 of shape"),
+        ({"unknowns": ("diffus",)}, "unknowns: 'diffus' came"),
+        ({"unknowns": ("diffuse", "shininess")}, "without specular"),
+        ({"unknowns": ()}, "unknowns: at least one"),
+        ({"per_channel": ("diffuse",)}, "per_channel: ambient, specular missing"),
+        ({"bounds": {"diffuse": (1, 0)}}, "bounds: diffuse"),
+        ({"bounds": {"shininess": (0, 10)}}, "bounds: shininess"),
+        ({"start": 30.0}, "start: float came"),
+        ({"known": 30.0}, "known: float came"),
+        ({"tile_pixels": 0}, "tile_pixels: 0 came"),
+        ({"loss": "hubert"}, "loss: 'hubert'"),
+    ],
+)
+def test_named(options, words):
+    with pytest.raises(ValueError, match=words):
+        fit(**options)
+
+
+def test_too_few_images_say_what_they_can_tell():
+    with pytest.raises(ValueError, match=r"images: 2 came.*at least 4.*'diffuse'"):
+        fit(STACK.scenes[:2], STACK.images[:2])
+    with pytest.raises(ValueError, match="one material for all pixels"):
+        fit(STACK.scenes[:1], STACK.images[:1])
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"specular": pf.Phong()}, r"scenes\[1\]: its specular"),
+        ({"camera": pf.OrthographicCamera(6, 5)}, "its camera"),
+        ({"surface": pf.NormalMap(np.ones((4, 6, 3)))}, "its surface"),
+    ],
+)
+def test_scenes_differ_in_lights_only(change, words):
+    first, second, *rest = STACK.scenes
+    second = dataclasses.replace(second, **change)
+    with pytest.raises(ValueError, match=words):
+        fit((first, second, *rest))
+
+
+class Wobbly(pf.AbstractSpecular):
+    """A lobe that is no power."""
+
+    def cosine(self, normal, to_light, to_viewer):
+        return pf.BlinnPhong().cosine(normal, to_light, to_viewer)
+
+    def lobe(self, cosine, shininess):
+        return pf.BlinnPhong().lobe(cosine, shininess) + 0.1 * cosine
+
+    def diffuse_scale(self):
+        return 1.0
+
+
+def test_lobes_must_be_powers():
+    scenes = [dataclasses.replace(s, specular=Wobbly()) for s in STACK.scenes]
+    with pytest.raises(ValueError, match="lobe of Wobbly"):
+        fit(scenes)

@@ -1,0 +1,63 @@
+"""Fog that is known: maps look through it."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from tests.maps.synthetic import DTYPE
+
+SIZE = 20
+QUICK: dict[str, Any] = {
+    "unknowns": ("diffuse",),
+    "film": pf.Film(clamp=False),
+    "tile_pixels": 512,
+}
+
+
+def make(*fogs: pf.Fog | None) -> tuple[list[pf.Scene], list[np.ndarray], pf.Material]:
+    """A ball behind one fog after the other, each under its own light."""
+    rng = np.random.default_rng(0)
+    camera = pf.PerspectiveCamera(SIZE, SIZE)
+    truth = pf.Material(rng.uniform(0.2, 0.6, (SIZE, SIZE, 3)), 0.2, 12.0, 0.5)
+    scenes = [
+        pf.Scene(pf.Sphere(), camera, pf.PointLight(place), ambient=0.2, fog=fog)
+        for place, fog in zip(rng.uniform(2, 4, (len(fogs), 3)), fogs, strict=True)
+    ]
+    film = pf.Film(clamp=False)
+    images = [np.asarray(pf.render(s, truth, film=film), DTYPE) for s in scenes]
+    return scenes, images, truth
+
+
+def test_what_lies_behind_the_fog():
+    """Of every mode, and none, in scenes of one map."""
+    fogs = (
+        pf.Fog((0.5, 0.6, 0.7), density=0.2),
+        pf.Fog(0.8, "linear", start=3, end=9),
+        None,
+        pf.Fog(0.3, "exp2", density=0.1),
+    )
+    scenes, foggy, truth = make(*fogs)
+    known = pf.Material(0.0, truth.specular, truth.shininess, truth.ambient)
+    maps = pf.fit_maps(scenes, foggy, known=known, noise=0.01, **QUICK)
+    assert maps.told.sum() > 80
+    true = np.asarray(truth.diffuse)
+    np.testing.assert_allclose(maps.diffuse[maps.told], true[maps.told], atol=2e-5)
+    # The thicker the fog, the less is told.
+    bare = [pf.Scene(s.surface, s.camera, s.lights, s.ambient) for s in scenes]
+    images = [np.asarray(pf.render(s, truth, film=QUICK["film"])) for s in bare]
+    clear = pf.fit_maps(bare, images, known=known, noise=0.01, **QUICK)
+    assert np.all(maps.stderr.diffuse[maps.told] > clear.stderr.diffuse[maps.told])
+    ignored = pf.fit_maps(bare, foggy, known=known, noise=0.01, **QUICK)
+    assert np.median(np.abs(ignored.diffuse - true)[maps.told]) > 0.05
+
+
+def test_another_fog_is_another_job(tmp_path):
+    out: dict[str, Any] = {"output": tmp_path / "out"}
+    thin, thinner = (pf.Fog(0.5, mode, density=0.2) for mode in ("exp", "exp2"))
+    scenes, images, _ = make(thin, thin)
+    pf.fit_maps(scenes, images, **QUICK, **out)
+    others, _, _ = make(thinner, thinner)
+    with pytest.raises(ValueError, match="another job .*its lights differs"):
+        pf.fit_maps(others, images, **QUICK, **out)

@@ -1,0 +1,111 @@
+"""Noise that is not the same in every sample: weights, errors, χ²."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from tests.maps.synthetic import DTYPE, Stack, make_stack, pulls, same
+
+FREE = pf.Film(clamp=False)
+MATTE: dict[str, Any] = {
+    "unknowns": ("ambient", "diffuse"),
+    "film": FREE,
+    "tile_pixels": 512,
+}
+
+
+@pytest.fixture(scope="module")
+def clean() -> Stack:
+    return make_stack(24, 32, 16, noise=0.0)
+
+
+def matte(clean: Stack) -> np.ndarray:
+    """What the stack would show if nothing shone."""
+    truth = pf.Material(clean.truth.diffuse, 0.0, 32.0, clean.truth.ambient)
+    shown = [np.asarray(pf.render(s, truth, film=FREE)) for s in clean.scenes]
+    return np.stack(shown)
+
+
+def noisy(images: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    draws = np.random.default_rng(3).normal(size=images.shape)
+    return (images + noise * draws).astype(DTYPE)
+
+
+@pytest.mark.slow
+def test_shot_noise(clean):
+    """Of all unknowns: pulls of spread 1, and χ² near 1 pixel by pixel."""
+    noise = np.sqrt(0.002**2 + 4e-4 * clean.images)
+    assert noise.max() > 3 * noise.min()
+    images = noisy(clean.images, noise)
+    maps = pf.fit_maps(clean.scenes, images, noise=list(noise), film=FREE)
+    chi_squared = maps.chi_squared[maps.told]
+    assert chi_squared.size > 700
+    freedom = 3 * 16 - 10
+    assert chi_squared.mean() == pytest.approx(1, abs=4 * np.sqrt(2 / freedom / 700))
+    assert chi_squared.std() == pytest.approx(np.sqrt(2 / freedom), rel=0.15)
+    for name in ("ambient", "diffuse", "specular"):
+        pull = pulls(maps, clean.truth, name)
+        spread = np.diff(np.quantile(pull, [0.1587, 0.8413]))[0] / 2
+        assert 0.9 < spread < 1.1, name
+    assert isinstance(maps.noise_given, np.ndarray)
+    np.testing.assert_allclose(
+        maps.noise_given, np.sqrt((noise**2).mean(axis=(0, 3))), rtol=1e-4
+    )
+
+
+def test_noisy_images_count_for_less(clean):
+    """A number for each image: the better ones decide, and errors say how well."""
+    levels = np.where(np.arange(16) % 2, 0.003, 0.06)
+    images = noisy(matte(clean), levels[:, None, None, None])
+    weighted, plain = (
+        pf.fit_maps(clean.scenes, images, noise=noise, **MATTE)
+        for noise in (levels, 0.0425)
+    )
+    off = [
+        np.std(maps.diffuse - np.asarray(clean.truth.diffuse))
+        for maps in (weighted, plain)
+    ]
+    assert off[0] < 0.3 * off[1]
+    pull = pulls(weighted, clean.truth, "diffuse")
+    assert np.mean(pull**2) == pytest.approx(1, abs=0.1)
+    assert weighted.chi_squared[weighted.told].mean() == pytest.approx(1, abs=0.05)
+
+
+def test_the_same_noise_everywhere(clean, tmp_path):
+    """A map of one number says what the number says, and is kept with the maps."""
+    images = noisy(matte(clean), np.array(0.01))
+    number = pf.fit_maps(clean.scenes, images, noise=0.01, **MATTE)
+    level = np.full((24, 32), 0.01)
+    for noise in (level, [level[..., None] * np.ones(3)] * 16):
+        maps = pf.fit_maps(clean.scenes, images, noise=noise, **MATTE)
+        for name in ("ambient", "diffuse"):
+            for a, b in ((maps, number), (maps.stderr, number.stderr)):
+                np.testing.assert_allclose(
+                    getattr(a, name), getattr(b, name), rtol=2e-3, atol=1e-5
+                )
+        np.testing.assert_allclose(maps.noise, number.noise, rtol=1e-3)
+        np.testing.assert_array_equal(maps.flags, number.flags)
+    assert number.noise_given == 0.01
+    maps.save(tmp_path / "maps.npz")
+    read = pf.load_maps(tmp_path / "maps.npz")
+    same(read, maps)
+    np.testing.assert_array_equal(read.noise_given, maps.noise_given)
+    np.testing.assert_array_equal(read.chi_squared, maps.chi_squared)
+
+
+def test_tiles_of_a_run_with_noise(clean, tmp_path):
+    """Cut and resumed to the same bits; other noise is another job."""
+    noise = np.random.default_rng(0).uniform(0.005, 0.02, clean.images.shape)
+    images = noisy(matte(clean), noise)
+    options: dict[str, Any] = MATTE | {"noise": list(noise)}
+    uncut: dict[str, Any] = options | {"tile_pixels": 1024}
+    whole = pf.fit_maps(clean.scenes, images, **uncut)
+    out: dict[str, Any] = {"output": tmp_path / "out"}
+    same(pf.fit_maps(clean.scenes, images, **options, **out), whole)
+    (tmp_path / "out" / "tile_000001.npz").unlink()
+    same(pf.fit_maps(clean.scenes, images, **options, **out), whole)
+    with pytest.raises(ValueError, match="another job .*its noise differs"):
+        options["noise"] = 2 * noise
+        pf.fit_maps(clean.scenes, images, **options, **out)

@@ -1,0 +1,221 @@
+"""Maps: the truth within its errors, and what a pixel cannot tell is said."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.maps.pixel.flags import Flag
+from tests.maps.synthetic import DTYPE, Stack, make_stack, pulls
+
+LEAVES = ("ambient", "diffuse", "specular", "shininess")
+FREE = pf.Film(clamp=False)
+
+
+@pytest.fixture(scope="module")
+def stack() -> Stack:
+    return make_stack()
+
+
+@pytest.fixture(scope="module")
+def maps(stack: Stack) -> pf.Maps:
+    return pf.fit_maps(stack.scenes, stack.images, film=FREE)
+
+
+def test_truth_lies_within_the_errors(stack, maps):
+    assert maps.told.mean() > 0.95
+    for name in LEAVES:
+        pull = pulls(maps, stack.truth, name)
+        assert abs(pull.mean()) < 6 / np.sqrt(pull.size) + 0.03, name
+        # The tails of an exponent are long, so a mean square would say little.
+        spread = np.diff(np.quantile(pull, [0.1587, 0.8413]))[0] / 2
+        assert 0.9 < spread < 1.1, name
+    assert np.median(maps.noise) == pytest.approx(0.01, rel=0.05)
+    assert np.median(maps.chi_squared) == pytest.approx(1, rel=0.05)
+
+
+def test_material_renders_what_was_seen(stack, maps):
+    shown = np.stack([
+        np.asarray(pf.render(scene, maps.material, film=FREE))
+        for scene in stack.scenes[:3]
+    ])  # fmt: skip
+    assert np.sqrt(np.mean((shown - stack.images[:3]) ** 2)) < 0.0115
+
+
+def test_bad_pixels_are_marked_and_disturb_none(stack, maps):
+    images = stack.images.copy()
+    images[:, 3, 4] = 0
+    images[2, 5, 6, 1] = np.nan
+    images[:, 7, 8] = np.inf
+    images[4:, 9, 10] = np.nan
+    mask = np.ones((16, 24), bool)
+    mask[0, 0] = False
+    found = pf.fit_maps(stack.scenes, images, film=FREE, mask=mask)
+    assert found.flagged(pf.Flag.BLACK)[3, 4]
+    assert found.flagged(pf.Flag.NOT_FINITE)[[5, 7, 9], [6, 8, 10]].all()
+    assert found.flagged(pf.Flag.TOO_FEW)[7, 8]
+    assert found.flagged(pf.Flag.OUTSIDE)[0, 0]
+    assert found.flags[0, 0] == pf.Flag.OUTSIDE and found.samples[0, 0] == 0
+    assert found.samples[5, 6] == 47 and found.told[5, 6]
+    for y, x in ((3, 4), (7, 8), (0, 0)):
+        assert not found.told[y, x]
+        for name in LEAVES:
+            assert np.isinf(getattr(found.stderr, name)[y, x]).all()
+    touched = np.zeros((16, 24), bool)
+    touched[[3, 5, 7, 9, 0], [4, 6, 8, 10, 0]] = True
+    for name in LEAVES:
+        values, before = getattr(found, name), getattr(maps, name)
+        assert np.isfinite(values).all()
+        np.testing.assert_allclose(values[~touched], before[~touched], rtol=1e-3)
+        assert not np.isnan(getattr(found.stderr, name)).any()
+
+
+def test_saturated_samples_are_left_out(stack):
+    """Clamped at 1, a sample says too little: a known film leaves it out."""
+    flat = pf.Material(0.0, 0.6, 5.0, 0.4)
+    shiny = pf.Material(stack.truth.diffuse, 0.6, 5.0, 0.4)
+    clamped = [np.asarray(pf.render(s, shiny)) for s in stack.scenes]
+    assert np.mean(np.stack(clamped) == 1) > 0.01
+    honest, told, wrong = (
+        pf.fit_maps(stack.scenes, clamped, unknowns=("diffuse",), known=flat, film=film)
+        for film in (None, pf.Film(), FREE)
+    )
+    assert honest.samples.sum() < wrong.samples.sum()
+    for found in (honest, told):
+        np.testing.assert_allclose(found.diffuse, stack.truth.diffuse, atol=1e-5)
+    assert np.abs(wrong.diffuse - np.asarray(stack.truth.diffuse)).max() > 0.01
+
+
+def test_no_highlight_and_no_light_are_told(stack):
+    """A matte pixel has no exponent; one without ambient light has no ρ_a."""
+    matte = make_stack(ambient=0.0)
+    truth = pf.Material(matte.truth.diffuse, 0.0, 32.0, 0.0)
+    images = np.stack(
+        [np.asarray(pf.render(s, truth, film=FREE)) for s in matte.scenes]
+    )
+    images = images + 0.01 * np.random.default_rng(1).normal(size=images.shape)
+    found = pf.fit_maps(matte.scenes, images.astype(DTYPE), film=FREE, noise=0.01)
+    dim = found.flagged(pf.Flag.NO_HIGHLIGHT)
+    assert dim.mean() > 0.9
+    assert np.isinf(found.stderr.shininess[dim]).all()
+    assert np.isinf(found.stderr.ambient).all() and not found.ambient.any()
+    assert "ambient" not in found.unknowns
+    pull = (found.diffuse - np.asarray(truth.diffuse)) / found.stderr.diffuse
+    assert np.median(np.abs(pull[dim])) < 1
+    assert found.noise_given == 0.01
+
+
+def test_some_leaves_may_be_known(stack):
+    known = stack.truth
+    flat = pf.Material(0.0, 0.3, 15.0, 0.4)
+    with pytest.raises(ValueError, match="known: a leaf of shape"):
+        pf.fit_maps(stack.scenes, stack.images, unknowns=("diffuse",), known=known)
+    clean = [np.asarray(pf.render(s, flat, film=FREE)) for s in stack.scenes]
+    matte = pf.Material(known.diffuse, 0.0, 15.0, 0.0)
+    images = np.stack([
+        image + np.asarray(pf.render(s, matte, film=FREE))
+        for image, s in zip(clean, stack.scenes, strict=True)
+    ])  # fmt: skip
+    found = pf.fit_maps(stack.scenes, images, unknowns=("diffuse",), known=flat)
+    np.testing.assert_allclose(found.diffuse, known.diffuse, atol=1e-5)
+    assert not found.stderr.specular.any() and (found.shininess == 15).all()
+
+
+def test_an_outlier_in_the_highlight():
+    """It may draw the first solution after it; starts without it find the truth."""
+    stack = make_stack(30, 40, 16, noise=0.01)
+    rng = np.random.default_rng(5)
+    hit = rng.random(stack.images.shape) < 0.1
+    spoilt = np.where(hit, rng.random(stack.images.shape), stack.images).astype(DTYPE)
+    maps = pf.fit_maps(stack.scenes, spoilt, loss="tukey", noise=0.01)
+    trusted = maps.told & ~maps.flagged(Flag.MISFIT)
+    assert trusted.mean() > 0.95
+    for name, most in (("shininess", 0.005), ("specular", 0.012)):
+        off = np.abs(getattr(maps, name) - np.asarray(getattr(stack.truth, name)))
+        far = np.any(off > 5 * getattr(maps.stderr, name), axis=-1)
+        assert far[trusted].mean() < most, name
+
+
+def test_a_robust_loss_says_misfit():
+    """Where most samples are not as the model has them, a loss cannot reject them."""
+    stack = make_stack(8, 10, 16, noise=0.01)
+    wrong = stack.images.copy()
+    wrong[::2, :4] *= DTYPE.type(0.5)
+    maps = pf.fit_maps(stack.scenes, wrong, loss="cauchy", noise=0.01)
+    misfit = maps.flagged(Flag.MISFIT)
+    assert misfit[:4].mean() > 0.9 and not misfit[4:].any()
+
+
+def test_robust_loss_ignores_outliers():
+    stack = make_stack(16, 24, 24, ambient=0.0)
+    rng = np.random.default_rng(5)
+    # One image in eight lies in a cast shadow that no scene knows of.
+    dark = rng.random(stack.images.shape[:3]) < 1 / 8
+    images = np.where(dark[..., None], 0.02, stack.images).astype(DTYPE)
+    plain, robust = (
+        pf.fit_maps(stack.scenes, images, film=FREE, loss=loss)
+        for loss in ("linear", "cauchy")
+    )
+    for name in ("diffuse", "specular"):
+        true = np.asarray(getattr(stack.truth, name))
+        off = [
+            np.median(np.abs(np.asarray(getattr(m, name)) - true))
+            for m in (robust, plain)
+        ]
+        assert off[0] < 0.4 * off[1], name
+    assert np.median(robust.noise) < 0.02
+    moving = robust.flagged(Flag.NOT_CONVERGED)
+    assert moving.mean() < 0.02 and not (robust.told & moving).any()
+    # Errors rest on the samples that the loss accepts, and count the unknowns.
+    for name in ("diffuse", "specular", "shininess"):
+        pull = pulls(robust, stack.truth, name)
+        assert 0.91 < np.mean(np.abs(pull) < 1.96) < 0.98, name
+        assert np.mean(np.abs(pull) > 5) < 0.01, name
+
+
+def test_what_has_not_converged_is_never_told(maps):
+    assert maps.told[0, 0]
+    flags = maps.flags.copy()
+    flags[0, 0] |= Flag.NOT_CONVERGED
+    assert not dataclasses.replace(maps, flags=flags).told[0, 0]
+
+
+def test_it_converges_though_the_model_is_wrong():
+    """As on photographs: a surface that is not Lambert's, and a narrow highlight."""
+    stack = make_stack(16, 24, 40, ambient=0.0)
+    matte, glint = pf.Material((0.5, 0.3, 0.2), 0.0), pf.Material(0.0, 0.1, 800.0)
+    images = np.stack([
+        0.5 * np.asarray(pf.render(scene, matte, film=FREE)) ** 1.3
+        + np.asarray(pf.render(scene, glint, film=FREE))
+        for scene in stack.scenes
+    ])  # fmt: skip
+    found = pf.fit_maps(stack.scenes, images, film=FREE)
+    assert np.median(found.noise) > 0.004
+    # Steps of Gauss and Newton alone leave 16 % behind.
+    assert np.mean(found.flagged(Flag.NOT_CONVERGED)) < 0.03
+
+
+def test_an_exponent_for_each_channel(stack):
+    leaves = ("ambient", "diffuse", "specular", "shininess")
+    first = pf.Material(shininess=15.0)
+    found = pf.fit_maps(
+        stack.scenes, stack.images, film=FREE, per_channel=leaves, start=first
+    )
+    assert found.shininess.shape == (16, 24, 3)
+    true = np.broadcast_to(np.asarray(stack.truth.shininess), (16, 24, 3))
+    pull = ((found.shininess - true) / found.stderr.shininess)[found.told]
+    spread = np.diff(np.quantile(pull, [0.1587, 0.8413]))[0] / 2
+    assert 0.85 < spread < 1.15
+
+
+@pytest.mark.slow
+def test_sixteen_thousand_pixels():
+    """χ² of the parameters, pixel by pixel, on 16 000 pixels and 96 lights."""
+    stack = make_stack(128, 125, 96)
+    maps = pf.fit_maps(stack.scenes, stack.images, film=FREE)
+    assert maps.told.mean() > 0.99
+    for name in LEAVES:
+        pull = pulls(maps, stack.truth, name)
+        assert np.mean(pull**2) == pytest.approx(1, abs=0.08), name
+        assert np.mean(np.abs(pull) < 1.96) == pytest.approx(0.95, abs=0.01), name

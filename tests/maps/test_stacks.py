@@ -1,0 +1,95 @@
+"""Stacks that files fill: what they hold, and how little of it at a time."""
+
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.files.dataset import Photograph, Photographs
+from tests.maps.synthetic import DTYPE, Stack, make_stack, same, write_diligent
+
+QUICK: dict[str, Any] = {"unknowns": ("diffuse",), "tile_pixels": 512}
+
+
+@pytest.fixture(scope="module")
+def stack() -> Stack:
+    return make_stack(48, 64, 12, ambient=0.0)
+
+
+@pytest.fixture(scope="module")
+def written(stack, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("diligent")
+    write_diligent(folder, stack, brightness=1.5)
+    return folder
+
+
+def test_a_data_set_read_piece_by_piece(written):
+    """The same bits as with all of it in memory, saturated samples left out."""
+    limits = {"min_cosine": 0.3, "min_facing": 0.88}
+    data = pf.open_dataset(written, **limits)
+    whole = data.load()
+    hidden = ~np.stack(whole.masks)
+    assert 0 < hidden.all(axis=(0, 3)).mean() < 0.5
+    stack = pf.DatasetStack(data)
+    found, expected = (
+        pf.fit_maps(data.scenes, images, mask=mask, film=data.film, **QUICK)
+        for images, mask in ((stack, stack.mask), (whole.images, whole.masks))
+    )
+    same(found, expected)
+    assert expected.samples.max() > expected.samples[expected.told].min()
+    assert expected.told.sum() > 1000
+
+
+def test_one_photograph_is_in_memory():
+    """However many there are; all of them only when all are asked for."""
+    count, size = 16, 256
+    scene = pf.Scene(pf.Sphere(), pf.OrthographicCamera(size, size))
+
+    def read(number: int) -> Photograph:
+        image = np.full((size, size, 3), number / count, DTYPE)
+        return Photograph(image, np.ones((size, size), bool))
+
+    names = tuple(str(number) for number in range(count))
+    data = Photographs("made", (scene,) * count, names, pf.Film(), read)
+    one = size * size * 3 * DTYPE.itemsize
+    tracemalloc.start()
+    try:
+        pf.DatasetStack(data).take(np.arange(64), range(count))
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.reset_peak()
+        whole = data.load()
+        _, all_of_it = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(whole.images) == count and all_of_it > count * one
+    assert peak < 4 * one
+
+
+def test_what_identifies_a_data_set(written, tmp_path):
+    """Another image, or another mask, is another job."""
+
+    def checksum(folder: Path, **options: float) -> bytes:
+        parts: list[bytes] = []
+        pf.DatasetStack(pf.open_dataset(folder, **options)).identify(
+            lambda part: parts.append(bytes(part))
+        )
+        return b"".join(parts)
+
+    for path in written.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    first = checksum(written)
+    assert checksum(tmp_path) == first
+    assert checksum(written, min_cosine=0.5) != first
+    (tmp_path / "003.png").write_bytes((written / "004.png").read_bytes())
+    assert checksum(tmp_path) != first
+
+
+def test_a_broken_photograph_is_named_at_once(written, tmp_path):
+    for path in written.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "007.png").write_bytes(b"junk")
+    with pytest.raises(ValueError, match=r"007\.png: is broken"):
+        pf.DatasetStack(pf.open_dataset(tmp_path))

@@ -1,0 +1,91 @@
+"""What pixels that cannot tell become in textures, where there are no errors."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.maps.result import LEAVES, Leaves, Maps
+from phongfit.maps.textures import filled_in, leaves_of
+from phongfit.report.maps import draw_leaf
+
+SIZE = (2, 3)
+# Of six pixels: two that tell all, a matte one, one that no light shows a highlight
+# of, one with its exponent at the bound, and one outside.
+FLAGS = np.array(
+    [
+        [0, 0, pf.Flag.NO_HIGHLIGHT],
+        [pf.Flag.NO_HIGHLIGHT | pf.Flag.ALIKE, pf.Flag.AT_BOUND, pf.Flag.OUTSIDE],
+    ]
+)
+
+
+def made() -> Maps:
+    """Numbers of which those that are chance stand out."""
+    grey = np.ones((*SIZE, 3))
+    specular = np.array([[0.2, 0.4, 0.03], [0.9, 0.3, 0]])[..., None] * grey
+    shininess = np.array([[10.0, 40, 777], [888, 1000, 0]])[..., None]
+    errors = {name: np.full((*SIZE, 3), 0.01) for name in LEAVES[:2]}
+    told = np.array([[0.01, 0.01, 0.02], [np.inf, 0.01, np.inf]])[..., None] * grey
+    exponents = np.array([[1.0, 1, np.inf], [np.inf, np.inf, np.inf]])[..., None]
+    return Maps(
+        ambient=0.1 * grey,
+        diffuse=0.5 * grey,
+        specular=specular,
+        shininess=shininess,
+        stderr=Leaves(**errors, specular=told, shininess=exponents),
+        noise=np.full(SIZE, 0.01),
+        samples=np.full(SIZE, 90),
+        flags=FLAGS,
+        unknowns=LEAVES,
+        noise_given=None,
+    )
+
+
+def test_chance_is_filled_in():
+    filled, where = filled_in(made())
+    # Medians of .2, .4, .03 and .3, and of 10, 40 and 1000.
+    expected = [[0.2, 0.4, 0], [0.25, 0.3, 0]]
+    np.testing.assert_allclose(np.asarray(filled.specular)[..., 1], expected, 1e-6)
+    expected = [[10, 40, 40], [40, 1000, 0]]
+    np.testing.assert_allclose(np.asarray(filled.shininess)[..., 0], expected, 1e-6)
+    np.testing.assert_array_equal(where, [[0, 0, 1], [1, 0, 0]])
+    np.testing.assert_array_equal(filled.diffuse, np.asarray(made().material.diffuse))
+
+
+@pytest.mark.parametrize("model", [pf.Phong(), pf.BlinnPhong(normalized=True)])
+def test_before_exponents_are_converted(model):
+    """What is filled in is converted like the rest."""
+    leaves = leaves_of(made(), model)
+    times = 4 if isinstance(model, pf.Phong) else 1
+    expected = np.array([[10, 40, 40], [40, 1000, 0]]) * times
+    np.testing.assert_allclose(leaves.shininess[..., 0], expected, rtol=1e-6)
+    assert np.all(leaves.specular[0, 2] == 0) and leaves.filled.sum() == 2
+
+
+def test_where_no_pixel_tells():
+    none = dataclasses.replace(made(), flags=FLAGS | int(pf.Flag.TOO_FEW))
+    lost = Leaves(*(np.full_like(leaf, np.inf) for leaf in none.stderr))
+    filled, where = filled_in(dataclasses.replace(none, stderr=lost))
+    assert not np.asarray(filled.specular).any() and where.sum() == 5
+
+
+def test_what_is_known_or_black_stays():
+    maps = made()
+    known = Leaves(*(np.zeros_like(leaf) for leaf in maps.stderr))
+    filled, where = filled_in(dataclasses.replace(maps, stderr=known, flags=0 * FLAGS))
+    np.testing.assert_array_equal(filled.shininess, maps.material.shininess)
+    assert not where.any()
+    black = dataclasses.replace(maps, flags=np.full(SIZE, int(pf.Flag.BLACK)))
+    assert not filled_in(black)[1].any()
+
+
+def test_previews_leave_chance_out():
+    figure = draw_leaf(made(), "shininess")
+    numbers = np.ma.asarray(figure.axes[0].images[0].get_array())
+    shown = np.ma.filled(numbers.astype(float), np.nan)
+    np.testing.assert_array_equal(np.isfinite(shown), [[1, 1, 0], [0, 0, 0]])
+    figure = draw_leaf(made(), "specular")
+    colours = np.asarray(figure.axes[0].images[0].get_array())
+    assert np.all(colours[1, 0] == 0.85) and np.ptp(colours[0, :, 0]) > 0.1

@@ -1,0 +1,174 @@
+"""Tiles: the same bits however they are cut, read, interrupted or spread."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.files.images import write_image
+from tests.maps.synthetic import make_stack, same
+
+# The plumbing is the same for every fit: the fewest unknowns compile fastest.
+QUICK = {"unknowns": ("diffuse",), "film": pf.Film(clamp=False)}
+STACK = make_stack(48, 64, 4, ambient=0.0)
+SIZE = 512
+
+
+@pytest.fixture(scope="module")
+def maps() -> pf.Maps:
+    return pf.fit_maps(STACK.scenes, STACK.images, tile_pixels=SIZE, **QUICK)
+
+
+def test_tiles_of_any_size(maps):
+    same(pf.fit_maps(STACK.scenes, STACK.images, tile_pixels=2 * SIZE, **QUICK), maps)
+
+
+def test_sources(maps, tmp_path):
+    """Memory-mapped, a list, another memory order."""
+    np.save(tmp_path / "stack.npy", STACK.images)
+    mapped = np.load(tmp_path / "stack.npy", mmap_mode="r")
+    turned = [np.asfortranarray(image) for image in STACK.images]
+    for images in (mapped, list(STACK.images), turned):
+        same(pf.fit_maps(STACK.scenes, images, tile_pixels=SIZE, **QUICK), maps)
+
+
+def test_photographs_one_at_a_time(tmp_path):
+    paths = [tmp_path / f"{k}.png" for k in range(4)]
+    for path, image in zip(paths, STACK.images, strict=True):
+        write_image(path, image, "linear", 16)
+    stack = pf.PhotographStack(paths, "linear")
+    read = [pf.read_image(path, "linear") for path in paths]
+    found, expected = (
+        pf.fit_maps(STACK.scenes, images, tile_pixels=SIZE, **QUICK)
+        for images in (stack, read)
+    )
+    same(found, expected)
+    with pytest.raises(ValueError, match="gone.png"):
+        pf.PhotographStack([tmp_path / "gone.png"], "linear")
+
+
+def test_a_file_that_goes_missing_is_named_and_finished_tiles_stay(tmp_path):
+    class Vanishing(pf.PhotographStack):
+        """Loses a file after two tiles."""
+
+        taken = 0
+
+        def take(self, pixels, order):
+            Vanishing.taken += 1
+            if Vanishing.taken == 3:
+                (tmp_path / "2.png").rename(tmp_path / "away.png")
+            return super().take(pixels, order)
+
+    paths = [tmp_path / f"{k}.png" for k in range(4)]
+    for path, image in zip(paths, STACK.images, strict=True):
+        write_image(path, image, "linear", 16)
+    out = tmp_path / "out"
+    options = QUICK | {"tile_pixels": SIZE, "output": out}
+    with pytest.raises(ValueError, match=r"2\.png: cannot be read"):
+        pf.fit_maps(STACK.scenes, Vanishing(paths, "linear"), **options)
+    done = sorted(out.glob("tile_*.npz"))
+    assert len(done) == 2
+    stamps = [path.stat().st_mtime_ns for path in done]
+    (tmp_path / "away.png").rename(tmp_path / "2.png")
+    stack = pf.PhotographStack(paths, "linear")
+    found = pf.fit_maps(STACK.scenes, stack, **options)
+    assert [path.stat().st_mtime_ns for path in done] == stamps
+    expected = pf.fit_maps(STACK.scenes, stack, **QUICK, tile_pixels=SIZE)
+    same(found, expected)
+
+
+def test_a_broken_tile_is_done_again(maps, tmp_path):
+    options = QUICK | {"tile_pixels": SIZE, "output": tmp_path / "out"}
+    pf.fit_maps(STACK.scenes, STACK.images, **options)
+    path = tmp_path / "out" / "tile_000001.npz"
+    path.write_bytes(path.read_bytes()[:1000])
+    same(pf.fit_maps(STACK.scenes, STACK.images, **options), maps)
+
+
+def test_another_job_is_refused(tmp_path):
+    options = QUICK | {"tile_pixels": SIZE, "output": tmp_path / "out"}
+    pf.fit_maps(STACK.scenes, STACK.images, **options)
+    with pytest.raises(ValueError, match="another job .*images differs"):
+        pf.fit_maps(STACK.scenes, STACK.images * 2, **options)
+    with pytest.raises(ValueError, match="another job .*settings differs"):
+        pf.fit_maps(STACK.scenes, STACK.images, **options, min_cosine=0.1)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "a.txt").write_text("a")
+    with pytest.raises(ValueError, match="other files"):
+        pf.fit_maps(
+            STACK.scenes, STACK.images, **options | {"output": tmp_path / "full"}
+        )
+
+
+def test_saved_and_loaded(maps, tmp_path):
+    maps.save(tmp_path / "maps.npz")
+    same(pf.load_maps(tmp_path / "maps.npz"), maps)
+    assert str(maps).startswith("phongfit: maps of 48 × 64 pixels, 3,072 fitted")
+    with pytest.raises(ValueError, match="ends in .npz"):
+        maps.save(tmp_path / "maps.png")
+    (tmp_path / "broken.npz").write_bytes(b"PK")
+    with pytest.raises(ValueError, match=r"broken\.npz: cannot be read"):
+        pf.load_maps(tmp_path / "broken.npz")
+
+
+PROGRAM = """
+import sys
+import phongfit as pf
+from tests.maps.test_tiles import QUICK, SIZE, STACK
+import time
+class Slow(pf.AbstractStack):
+    def __init__(self, inner): self.inner = inner
+    @property
+    def shape(self): return self.inner.shape
+    def identify(self, update): self.inner.identify(update)
+    def take(self, pixels, order):
+        time.sleep(float(sys.argv[3]))
+        return self.inner.take(pixels, order)
+from phongfit.maps.stacks import ArrayStack
+out = None if sys.argv[1] == "-" else sys.argv[1]
+maps = pf.fit_maps(
+    STACK.scenes, Slow(ArrayStack(STACK.images)), tile_pixels=SIZE, output=out, **QUICK
+)
+maps.save(sys.argv[2])
+"""
+
+
+def start(*arguments: str, **environment: str) -> subprocess.Popen:
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, *arguments],
+        cwd=Path(__file__).parents[2],
+        env=os.environ | environment,
+    )
+
+
+def test_killed_and_run_again(maps, tmp_path):
+    """kill -9 in the middle: the second run ends with the bits of a quiet one."""
+    out, file = tmp_path / "out", tmp_path / "maps.npz"
+    first = start(str(out), str(file), "0.7")
+    deadline = time.monotonic() + 120
+    while len(list(out.glob("tile_*.npz"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.02)
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    assert not file.exists()
+    assert 2 <= len(list(out.glob("tile_*.npz"))) < 6
+    assert start(str(out), str(file), "0").wait() == 0
+    same(pf.load_maps(file), maps)
+
+
+def test_four_devices_give_what_one_gives(maps, tmp_path):
+    file = tmp_path / "maps.npz"
+    flags = "--xla_force_host_platform_device_count=4"
+    assert start("-", str(file), "0", XLA_FLAGS=flags).wait() == 0
+    found = pf.load_maps(file)
+    for name in ("diffuse", "noise"):
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(maps, name), rtol=1e-5, atol=1e-6
+        )
+    np.testing.assert_array_equal(found.flags, maps.flags)
