@@ -36,6 +36,8 @@ if TYPE_CHECKING:
         SoftL1 as SoftL1,
         Tukey as Tukey,
     )
+    from phongfit.fitting.problem.posing import make_problem as make_problem
+    from phongfit.fitting.problem.problem import Problem as Problem
     from phongfit.fitting.problem.specification import Specification as Specification
     from phongfit.fitting.result import Estimate as Estimate, Fit as Fit
     from phongfit.fitting.solve.solver import (
@@ -152,6 +154,7 @@ _ORIGINS = {
     "PixelTerms": "phongfit.rendering.pixels",
     "PointLight": "phongfit.lights",
     "Prediction": "phongfit.fitting.predict",
+    "Problem": "phongfit.fitting.problem.problem",
     "Profile": "phongfit.fitting.uncertainty.profile",
     "ProfilePair": "phongfit.fitting.uncertainty.profile",
     "Scene": "phongfit.scene",
@@ -170,6 +173,7 @@ _ORIGINS = {
     "load_mesh": "phongfit.files.meshes",
     "load_scene": "phongfit.files.scenes",
     "look_at": "phongfit.geometry.cameras",
+    "make_problem": "phongfit.fitting.problem.posing",
     "open_dataset": "phongfit.files.datasets",
     "phong_from_blinn": "phongfit.reflectance",
     "pixel_terms": "phongfit.rendering.pixels",

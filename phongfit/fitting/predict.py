@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Array
 
 from phongfit.checks import untraced
-from phongfit.fitting.fit import set_up
 from phongfit.fitting.problem.layout import first_values
 from phongfit.fitting.problem.losses import Linear
+from phongfit.fitting.problem.posing import set_up
 from phongfit.fitting.problem.problem import Problem, evaluate
 from phongfit.fitting.problem.samples import gather, seen_pixels
 from phongfit.fitting.problem.specification import Specification
@@ -112,7 +112,15 @@ def predict_errors(
     ]
     data = {name: options.pop(name, None) for name in ("mask", "weights")}
     setting = set_up(
-        _specification(options, known=material, film=tuple(films)),
+        Specification.checked(
+            "predict_errors",
+            options,
+            others=("mask", "weights"),
+            known=material,
+            film=tuple(films),
+            loss="linear",
+            max_steps=200,
+        ),
         scene,
         images[0] if single else images,
         noise=noise,
@@ -146,20 +154,6 @@ def predict_errors(
         warnings=told.reasons,
         samples=sum(source.count() for source in sources),
     )
-
-
-def _specification(options: dict[str, Any], **given: Any) -> Specification:
-    """**Raises:** `TypeError` that names an option that is none."""
-    fields = [field.name for field in dataclasses.fields(Specification)]
-    allowed = [name for name in fields if name not in (*given, "loss", "max_steps")]
-    for name in options:
-        if name not in allowed:
-            wanted = ", ".join((*allowed, "mask", "weights"))
-            raise TypeError(
-                f"predict_errors: {name!r} is none of its options, expected one of "
-                f"{wanted}"
-            )
-    return Specification(**given, **options)
 
 
 def _expected(problem: Problem, y: Array) -> Problem:

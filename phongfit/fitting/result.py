@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.solve.search import Found
@@ -164,6 +165,16 @@ class Fit:
         **Raises:** `ValueError` for a name that was not free.
         """
         return report("profiles").plot_profile(self, name, other)
+
+    @property
+    def problem(self) -> Problem:
+        """What was solved, with the noise level as found: see [`make_problem`][]."""
+        return self.found.problem
+
+    @property
+    def position(self) -> np.ndarray:
+        """The solution as the vector that `problem`'s functions take."""
+        return np.asarray(self.found.y)
 
     @property
     def loss(self) -> str:

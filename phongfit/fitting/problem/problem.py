@@ -15,6 +15,7 @@ from phongfit.fitting.problem.noise import (
 )
 from phongfit.fitting.problem.samples import Channels, Samples
 from phongfit.fitting.problem.unknowns import Unknowns
+from phongfit.material import Material
 from phongfit.programs import program, record
 
 
@@ -80,6 +81,25 @@ class Problem:
     def residual(self, y: Float[Array, " n"]) -> Float[Array, "3 samples"]:
         """(model − image) in standard deviations; 0 where a sample is left out."""
         return self.compare(self.light(y))
+
+    def log_likelihood(self, y: Float[Array, " n"]) -> Float[Array, ""]:
+        r"""$-\frac12 \sum_i \big(\rho(r_i^2) + \ln 2\pi\sigma_i^2\big)$ of the samples.
+
+        That of normal noise under the linear loss. Where samples are clipped they are
+        compared with the mean of what clipping leaves, which is a quasi-likelihood.
+        """
+        used = self.samples.weight > 0
+        share = self.loss.root(self.residual(y)) ** 2
+        share += jnp.log(2 * jnp.pi * self.deviation() ** 2)
+        return -jnp.sum(jnp.where(used, share, 0)) / 2
+
+    def log_prior(self, y: Float[Array, " n"]) -> Float[Array, ""]:
+        """Of the normal priors, up to a constant; bounds are the caller's to keep."""
+        return -jnp.sum(self.unknowns.prior_residual(y) ** 2) / 2
+
+    def material(self, y: Float[Array, " n"]) -> Material:
+        """The material that a vector of unknowns stands for."""
+        return self.unknowns.material(y)
 
     def compare(self, light: Float[Array, "3 samples"]) -> Float[Array, "3 samples"]:
         """Residuals of any light, before the film, that a model may predict.

@@ -78,6 +78,35 @@ class Specification:
             object.__setattr__(self, name, value)
         self._check_names()
 
+    @classmethod
+    def checked(
+        cls,
+        function: str,
+        options: Mapping[str, Any],
+        others: Sequence[str] = (),
+        **given: Any,
+    ) -> "Specification":
+        """Of the options that a function was called with, and of what it sets itself.
+
+        **Arguments:** `others`: further options that the function has.
+
+        **Raises:** `TypeError` that names an option that it has not.
+        """
+        fields = (field.name for field in dataclasses.fields(cls))
+        allowed = [name for name in fields if name not in given]
+        for name in options:
+            if name not in allowed:
+                raise TypeError(
+                    f"{function}: got an unexpected option {name!r}, expected one of "
+                    f"{', '.join((*allowed, *others))}"
+                )
+        return cls(**given, **options)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """All of it as keyword arguments of [`fit`][]."""
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+
     def _check_names(self) -> None:
         if not self.unknowns:
             raise ValueError("unknowns: none came, at least one is wanted")
@@ -106,8 +135,8 @@ class Specification:
     @property
     def changed(self) -> dict[str, Any]:
         """What differs from the defaults."""
-        given = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return {name: v for name, v in given.items() if v != getattr(_USUAL, name)}
+        given = self.options.items()
+        return {name: v for name, v in given if v != getattr(_USUAL, name)}
 
 
 def _names(argument: str, given: Sequence[str]) -> tuple[str, ...]:

@@ -1,0 +1,214 @@
+"""From a specification and data to a problem whose residuals can be asked for."""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from phongfit.checks import untraced
+from phongfit.fitting.problem.inputs import Photograph, as_photographs, as_scenes
+from phongfit.fitting.problem.layout import make_unknowns
+from phongfit.fitting.problem.noise import find_film, rounding_steps
+from phongfit.fitting.problem.problem import Problem
+from phongfit.fitting.problem.samples import Source, gather, seen_pixels
+from phongfit.fitting.problem.specification import Specification
+from phongfit.fitting.problem.unknowns import Unknowns
+from phongfit.geometry.surfaces import GBuffer
+from phongfit.rendering.film import Film, as_films
+from phongfit.rendering.pixels import PixelTerms, resolve, resolve_terms
+from phongfit.scene import Scene
+
+
+def make_problem(
+    scene: Scene | Sequence[Scene],
+    image: Any,
+    noise: Any,
+    *,
+    mask: Any = None,
+    weights: Any = None,
+    **options: Any,
+) -> Problem:
+    """What [`fit`][] solves, for samplers and solvers of one's own.
+
+    A [`Problem`][] is a function of a vector of unknowns: `residual(y)`,
+    `log_likelihood(y)`, `log_prior(y)` and `material(y)` are pure, and go through
+    `jax.jit`, `jax.vmap` and `jax.grad`. What is known about the unknowns stands in
+    `unknowns`: `y_labels`, `start`, `lower` and `upper`.
+
+    **Arguments:**
+
+    - `scene`, `image`, `mask`, `weights`: as for [`fit`][].
+    - `noise`: standard deviation in linear light, a number or as `weights`.
+    - `options`: those of a [`Specification`][].
+
+    **Raises:** `ValueError` that names the argument; `TypeError` for an option that
+    there is not.
+    """
+    if noise is None:
+        raise ValueError("noise: expected a standard deviation, got None")
+    untraced(
+        "make the problem outside of what JAX traces: its functions go through",
+        scene=scene,
+        image=image,
+        noise=noise,
+        mask=mask,
+        weights=weights,
+        **options,
+    )
+    specification = Specification.checked("make_problem", options)
+    setting = set_up(
+        specification, scene, image, mask=mask, weights=weights, noise=noise
+    )
+    samples = gather(setting.sources, seen_pixels(setting.sources))
+    sigma = jnp.ones((), samples.target.dtype)
+    return Problem(
+        samples,
+        setting.unknowns,
+        sigma,
+        specification.loss,
+        setting.films[0].clamp,
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """What is asked, checked: unknowns, images with their geometry, and their films."""
+
+    unknowns: Unknowns
+    sources: list[Source]
+    films: tuple[Film, ...]
+
+
+def set_up(
+    specification: Specification,
+    scene: Scene | Sequence[Scene],
+    image: Any,
+    *,
+    mask: Any = None,
+    weights: Any = None,
+    noise: Any = None,
+) -> Setting:
+    """What is asked next to the data, checked and in one form.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    scenes = as_scenes(scene)
+    dtype, materials = jnp.result_type(float), scenes[0].surface.materials
+    if len(scenes) == 1 and specification.asks_as_usual:
+        layout = _default_unknowns(dtype, materials)
+    else:
+        layout = make_unknowns(specification, materials, scenes)
+    # Shadows move with the lights that throw them.
+    shadows = any(scene.shadows for scene in scenes)
+    moving = layout.moves_geometry or (shadows and layout.moves_lights)
+    # Begun here: JAX goes on with it while the images are looked at.
+    seen = [_geometry(one, layout.of_scene and not moving) for one in scenes]
+    scene = scene if isinstance(scene, Scene) else scenes
+    photographs = as_photographs(scene, image, mask, weights, noise)
+    films = _checked_films(specification.film, photographs)
+    rounded = any(film.bits is not None for film in films)
+    sources = [
+        as_source(*one, rounded) for one in zip(photographs, seen, films, strict=True)
+    ]
+    _check_samples(sources, layout)
+    _check_constants(layout, sources)
+    return Setting(layout, sources, films)
+
+
+@functools.cache
+def _default_unknowns(dtype: Any, materials: int) -> Unknowns:
+    """Those of one image where nothing was said; to make them takes a while."""
+    del dtype  # that of their numbers
+    return make_unknowns(Specification(), materials)
+
+
+class _Geometry(NamedTuple):
+    mask: Array
+    pixels: PixelTerms
+    gbuffer: GBuffer | None
+
+
+def _geometry(scene: Scene, keep: bool) -> _Geometry:
+    """What the pixels see; with all of it kept, they can be lit anew."""
+    if not keep:
+        return _Geometry(*resolve_terms(scene), None)
+    gbuffer, pixels = resolve(scene)
+    return _Geometry(gbuffer.mask, pixels, gbuffer)
+
+
+def as_source(
+    photograph: Photograph, seen: _Geometry, film: Film, rounded: bool
+) -> Source:
+    """A photograph and what it shows; pixels that see nothing have no weight.
+
+    **Arguments:** `rounded`: whether any of the photographs was.
+    """
+    mask, weight = np.asarray(seen.mask)[..., None], photograph.weight
+    weight = np.where(mask, weight, np.zeros_like(weight))
+    return Source(
+        photograph.scene,
+        *seen,
+        # A copy, whatever becomes of the array that came.
+        jnp.array(_as_shown(photograph.image, film)),
+        jnp.asarray(weight),
+        rounding_steps(photograph.image, film) if rounded else None,
+    )
+
+
+def _as_shown(image: np.ndarray, film: Film) -> np.ndarray:
+    """What was cut off at white alone, at black as well."""
+    return np.maximum(image, 0) if film.clamp and image.min() < 0 else image
+
+
+def _checked_films(
+    film: Film | Sequence[Film] | None, photographs: list[Photograph]
+) -> tuple[Film, ...]:
+    """A film for each photograph.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    images = [p.used() for p in photographs]
+    if film is None:
+        return (find_film(images),) * len(images)
+    films = as_films(film, len(images))
+    if len({one.clamp for one in films}) > 1:
+        raise ValueError("film: expected one clamp for all images, got both")
+    for p, values, one in zip(photographs, images, films, strict=True):
+        if one.clamp and values.size and not 0 <= values.min() <= values.max() <= 1:
+            raise ValueError(
+                f"{p.name}: values from {values.min():.4g} to {values.max():.4g} came, "
+                "a clamped film holds [0, 1]; say film=Film(clamp=False)"
+            )
+    return films
+
+
+def _check_samples(sources: list[Source], unknowns: Unknowns) -> None:
+    count = sum(source.count() for source in sources)
+    if count == 0:
+        raise ValueError("mask: it leaves no pixel that sees the surface")
+    free = unknowns.lower.size
+    if count + sum(unknowns.has_prior) <= free:
+        raise ValueError(
+            f"mask: {count} samples are left for {free} unknowns; more "
+            "samples than unknowns are wanted"
+        )
+
+
+def _check_constants(unknowns: Unknowns, sources: list[Source]) -> None:
+    """Ambient and emission are one constant wherever the ambient light is the same."""
+    if not {"ambient", "emission"} <= set(unknowns.names):
+        return
+    light = np.concatenate(
+        [np.asarray(source.pixels.terms.ambient).reshape(-1, 3) for source in sources]
+    )
+    free = set(np.array(unknowns.entry_leaf)[unknowns.owned])
+    known = {"ambient", "emission"} - free or any(unknowns.has_prior)
+    if not known and np.all(np.ptp(light, axis=0) <= 1e-6 * np.abs(light).max()):
+        raise ValueError(
+            "unknowns: ambient and emission both came, but under constant ambient "
+            "light they are one constant; leave one out"
+        )

@@ -1,0 +1,76 @@
+"""The problem in the open: what a sampler or another solver asks of it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import phongfit as pf
+
+NOISE = 0.01
+CAMERA = pf.OrthographicCamera(24, 24)
+LIGHT = pf.DirectionalLight((1, 1, 2))
+SCENE = pf.Scene(pf.Sphere(), CAMERA, LIGHT, ambient=0.3)
+TRUTH = pf.Material((0.6, 0.3, 0.2), 0.3, 20.0, 0.5)
+IMAGE = np.asarray(pf.render(SCENE, TRUTH)) + NOISE * np.random.default_rng(0).normal(
+    size=(24, 24, 3)
+)
+FREE = pf.Film(clamp=False)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return pf.make_problem(SCENE, IMAGE, NOISE, film=FREE)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return pf.fit(SCENE, IMAGE, noise=NOISE, film=FREE)
+
+
+def test_the_likelihood_is_that_of_normal_noise(problem, fit):
+    y = problem.unknowns.start
+    light = np.asarray(pf.render(SCENE, problem.material(y), film=FREE), float)
+    seen = np.asarray(SCENE.trace().mask)
+    expected = norm.logpdf(IMAGE[seen], light[seen], NOISE).sum()
+    np.testing.assert_allclose(problem.log_likelihood(y), expected, rtol=1e-4)
+    assert problem.residual(y).size >= 3 * seen.sum()
+
+
+def test_the_fit_is_where_it_is_largest(problem, fit):
+    y = jnp.asarray(fit.position)
+    slope = jax.grad(problem.log_likelihood)(y)
+    curvature = -jax.hessian(problem.log_likelihood)(y)
+    errors = np.sqrt(np.diag(np.linalg.inv(np.asarray(curvature, float))))
+    # In standard errors the gradient is nothing.
+    assert np.max(np.abs(np.asarray(slope) * errors)) < 0.02
+    exponent = fit.labels.index("shininess")
+    np.testing.assert_allclose(
+        errors[exponent] * fit.values[exponent], fit.errors[exponent], rtol=0.05
+    )
+
+
+def test_its_functions_go_through_jax(problem):
+    ys = jnp.stack([problem.unknowns.start, problem.unknowns.start * 0.9])
+    together = jax.jit(jax.vmap(problem.log_likelihood))(ys)
+    alone = [problem.log_likelihood(y) for y in ys]
+    np.testing.assert_allclose(together, np.array(alone), rtol=1e-5)
+    # The problem itself is an argument, too.
+    slope = jax.jit(jax.grad(lambda problem, y: problem.log_likelihood(y), 1))
+    assert np.isfinite(slope(problem, ys[0])).all()
+
+
+def test_priors_are_normal():
+    priors = {"shininess": (30.0, 3.0)}
+    problem = pf.make_problem(SCENE, IMAGE, NOISE, priors=priors)
+    at = {label: k for k, label in enumerate(problem.unknowns.y_labels)}["shininess"]
+    y = problem.unknowns.start.at[at].set(jnp.log(36.0))
+    np.testing.assert_allclose(problem.log_prior(y), -(2.0**2) / 2, rtol=1e-4)
+
+
+def test_it_asks_for_the_noise_and_for_options_that_there_are():
+    with pytest.raises(ValueError, match="^noise: expected a standard deviation"):
+        pf.make_problem(SCENE, IMAGE, None)
+    with pytest.raises(TypeError, match="make_problem: .*'unknown'"):
+        pf.make_problem(SCENE, IMAGE, NOISE, unknown=["diffuse"])
