@@ -58,7 +58,7 @@ class Spread:
         errors, as shares of the truth;
     - `pull`: root mean square of errors over what each fit states itself, where it
         states one;
-    - `told`: whether the prediction says that the parameter can be told;
+    - `identified`: whether the prediction says that the parameter can be told;
     - `draws`: how many fits.
     """
 
@@ -66,13 +66,13 @@ class Spread:
     bound: np.ndarray
     observed: np.ndarray
     pull: np.ndarray
-    told: np.ndarray
+    identified: np.ndarray
     draws: int
 
     @property
     def ratio(self) -> np.ndarray:
         """Observed over predicted; NaN for what cannot be told."""
-        return np.where(self.told, self.observed / self.bound, np.nan)
+        return np.where(self.identified, self.observed / self.bound, np.nan)
 
     @property
     def slack(self) -> float:
@@ -203,14 +203,14 @@ def spread(setting: Setting, draws: int, seed: int) -> Spread:
             images = [np.clip(image, 0, 1) for image in images]
         fit = pf.fit(scenes, images, **options)
         off.append(relative(fit.values[order], truth))
-        stated = np.where(fit.untold | fit.at_bound, np.nan, fit.errors)[order]
+        stated = np.where(fit.unidentified | fit.at_bound, np.nan, fit.errors)[order]
         pulls.append(off[-1] * truth / stated)
     return Spread(
         setting.x,
         predicted.errors[order] / truth,
         np.sqrt(np.mean(np.square(off), axis=0)),
         root_mean_square(np.array(pulls)),
-        ~predicted.untold[order] & ~predicted.at_bound[order],
+        ~predicted.unidentified[order] & ~predicted.at_bound[order],
         draws,
     )
 
@@ -287,9 +287,11 @@ def draw_sweep(axes: Axes, sweep: Sweep, spreads: list[Spread]) -> None:
     x = np.array([one.x for one in spreads])
     for k, name in enumerate(LEAVES):
         colour, marker, _ = style.PARAMETERS[name]
-        bound = np.array([one.bound[k] if one.told[k] else np.nan for one in spreads])
+        bound = np.array(
+            [one.bound[k] if one.identified[k] else np.nan for one in spreads]
+        )
         observed = np.array([one.observed[k] for one in spreads])
-        told = np.array([one.told.all() for one in spreads])
+        told = np.array([one.identified.all() for one in spreads])
         axes.plot(x, 100 * bound, c=colour)
         label = style.symbol(name)
         axes.plot(x[told], 100 * observed[told], marker, c=colour, label=label)
@@ -307,7 +309,7 @@ def draw_sweep(axes: Axes, sweep: Sweep, spreads: list[Spread]) -> None:
 def say(found: Found) -> str:
     """The answer in words."""
     spreads = [one for _, spreads in found for one in spreads]
-    told = np.array([one.told.all() for one in spreads])
+    told = np.array([one.identified.all() for one in spreads])
     ratio = np.array([one.ratio for one in spreads])
     beside = ~told[:, None] & np.isfinite(ratio)
     answer = (
@@ -366,14 +368,16 @@ def failures(found: Found) -> tuple[str, ...]:
     for sweep, spreads in found:
         for one in spreads:
             judged = [(one.ratio, 1 - one.slack, "the prediction")]
-            if not one.told.all():
+            if not one.identified.all():
                 # Where an exponent roams, fits state what the widest that the image
                 # allows would give: more than the spread of those that come out.
                 judged += [(one.pull, 0.0, "the errors that fits state")]
             wrong += [
                 f"{sweep.name} {one.x:.3g}: {name} scatters {share:.2f} times {what}"
                 for shares, least, what in judged
-                for name, share, told in zip(LEAVES, shares, one.told, strict=True)
+                for name, share, told in zip(
+                    LEAVES, shares, one.identified, strict=True
+                )
                 if told and not least <= share <= 1 + one.slack
             ]
     return tuple(wrong)

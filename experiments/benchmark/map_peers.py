@@ -154,7 +154,7 @@ def rows(pixels: int = 16_000, lights: int = 96, *, scipy: int = 200) -> list[Ro
     stack = make_stack(pixels, lights)
     maps = fit_stack(stack)
     values, errors = as_rows(maps)
-    told = maps.told & ~maps.flagged(pf.Flag.NOT_CONVERGED)
+    told = maps.identified & ~maps.flagged(pf.Flag.NOT_CONVERGED)
     ours = Found(map_seconds(stack, 15) / told.size, values, told.ravel())
     ways = {
         "map": ("phongfit, `fit_maps`", ours),

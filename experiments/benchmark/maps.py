@@ -70,7 +70,7 @@ def _map(folder: str) -> None:
     start = time.perf_counter()
     maps = pf.fit_maps(scenes, images, film=FREE)
     taken = time.perf_counter() - start
-    assert maps.told.mean() > 0.9
+    assert maps.identified.mean() > 0.9
     print(_peak_bytes() / 1e9, taken)
 
 

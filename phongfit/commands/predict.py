@@ -71,8 +71,8 @@ def _numbers(told: Prediction, noise: float) -> dict:
         "errors": told.errors,
         "covariance": told.covariance,
         "at_bound": told.at_bound,
-        "untold": told.untold,
-        "samples": told.samples,
+        "unidentified": told.unidentified,
+        "n_samples": told.n_samples,
         "noise": noise,
         "warnings": list(told.warnings),
     }

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import jax
 import numpy as np
 from jaxtyping import Float
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from phongfit.files.describe import describe
 from phongfit.files.inputs import naming
@@ -24,6 +24,9 @@ from phongfit.reflectance import AbstractSpecular
 from phongfit.rendering.film import Encoding
 
 FIT_FORMAT = "phongfit fit"
+FIT_VERSION = 2
+# What version 1 called otherwise.
+_RENAMED = {"untold": "unidentified", "samples": "n_samples", "images": "n_images"}
 LossName = Literal["linear", "huber", "soft_l1", "cauchy", "tukey"]
 
 
@@ -122,7 +125,7 @@ class FitRecord(AbstractRecord):
     """`fit.json`."""
 
     format: Literal["phongfit fit"]
-    version: Literal[1]
+    version: Literal[2]
     data: DataRecord
     settings: FitSettings
     model: SpecularRecord
@@ -132,7 +135,7 @@ class FitRecord(AbstractRecord):
     values: list[float]
     errors: Numbers
     at_bound: list[bool]
-    untold: list[bool]
+    unidentified: list[bool]
     tied: list[bool]
     bounds: list[Edges]
     covariance: list[Numbers]
@@ -141,8 +144,8 @@ class FitRecord(AbstractRecord):
     exposure: list[float]
     noise: float
     noise_given: bool
-    samples: int
-    images: int
+    n_samples: int
+    n_images: int
     degrees_of_freedom: int
     reduced_chi_squared: float | None
     neighbour_correlation: float
@@ -155,6 +158,17 @@ class FitRecord(AbstractRecord):
     reason: str
     warnings: list[str]
     made_with: dict[str, str]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _upgrade(cls, data: Any) -> Any:
+        # In place, so that errors find in it what they name.
+        if isinstance(data, dict) and data.get("version") == 1:
+            for old, new in _RENAMED.items():
+                if old in data:
+                    data.setdefault(new, data.pop(old))
+            data["version"] = FIT_VERSION
+        return data
 
     def build(self) -> Material:
         """The material: leaves () or (3,), or (M, 3) and (M, 1) of M materials.
@@ -215,7 +229,7 @@ def save_fit(
         del told[name]
     content: dict[str, Any] = {
         "format": FIT_FORMAT,
-        "version": 1,
+        "version": FIT_VERSION,
         "data": data.model_dump(),
         "settings": settings.model_dump(),
         "model": describe(model),
@@ -244,7 +258,7 @@ def check_fit(record: FitRecord) -> None:
     **Raises:** `ValueError` that names the field.
     """
     count = len(record.labels)
-    for name in ("values", "errors", "at_bound", "untold", "tied", "bounds"):
+    for name in ("values", "errors", "at_bound", "unidentified", "tied", "bounds"):
         length = len(getattr(record, name))
         if length != count:
             raise ValueError(f"{name}: {length} came for {count} labels")

@@ -38,9 +38,9 @@ class Prediction:
         errors: infinite for what could not be told.
     - `stderr`: a material of these errors.
     - `covariance`: of the estimates; NaN rows for what could not be told.
-    - `untold`: true where the images would leave the value open.
+    - `unidentified`: true where the images would leave the value open.
     - `warnings`: why, in words.
-    - `samples`: pixels times channels that would be used.
+    - `n_samples`: pixels times channels that would be used.
     """
 
     labels: tuple[str, ...]
@@ -49,16 +49,16 @@ class Prediction:
     stderr: Material
     covariance: np.ndarray
     at_bound: np.ndarray
-    untold: np.ndarray
+    unidentified: np.ndarray
     warnings: tuple[str, ...]
-    samples: int
+    n_samples: int
 
     def __str__(self) -> str:
         rows = parameter_rows(
-            self.labels, self.values, self.errors, self.at_bound, self.untold
+            self.labels, self.values, self.errors, self.at_bound, self.unidentified
         )
         words = [f"  ! {warning}" for warning in self.warnings]
-        head = f"phongfit: what {self.samples:,} samples could tell"
+        head = f"phongfit: what {self.n_samples:,} samples could tell"
         return "\n".join([head, "", *rows, *(["", *words] if words else [])])
 
     def __repr__(self) -> str:
@@ -138,7 +138,10 @@ def predict_errors(
         problem = foresee(problem, y, sources, films)
     told = estimates(_expected(problem, y), y)
     is_exponent = unknowns.entry_leaf[unknowns.reported] == "shininess"
-    if told.untold[is_exponent].any() and not told.untold[~is_exponent].all():
+    if (
+        told.unidentified[is_exponent].any()
+        and not told.unidentified[~is_exponent].all()
+    ):
         ends = scatter(problem, sources, y)[:, unknowns.reported]
         told = _as_scattered(told, ends - told.values, rounded)
     errors = np.zeros_like(entries)
@@ -150,9 +153,9 @@ def predict_errors(
         stderr=as_materials(unknowns, entries, errors)[1],
         covariance=told.covariance,
         at_bound=told.at_bound,
-        untold=told.untold,
+        unidentified=told.unidentified,
         warnings=told.reasons,
-        samples=sum(source.count() for source in sources),
+        n_samples=sum(source.count() for source in sources),
     )
 
 
@@ -172,9 +175,9 @@ def _as_scattered(told: Estimates, off: np.ndarray, rounded: bool) -> Estimates:
     **Arguments:** `rounded`: whether JPEG will round, which the draws do not know.
     """
     covariance = off.T @ off / len(off)
-    errors = np.where(told.untold, np.inf, np.sqrt(np.diag(covariance)))
+    errors = np.where(told.unidentified, np.inf, np.sqrt(np.diag(covariance)))
     # What is not told, or lies at a bound, stays so.
-    without = told.untold | told.at_bound
+    without = told.unidentified | told.at_bound
     unknown = without[:, None] | without[None]
     covariance = np.where(unknown, told.covariance, covariance)
     words = (

@@ -36,7 +36,7 @@ class Estimate(NamedTuple):
     value: np.ndarray
     error: np.ndarray
     at_bound: np.ndarray
-    untold: np.ndarray
+    unidentified: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True, repr=False, eq=False)
@@ -59,7 +59,7 @@ class Fit:
     errors: np.ndarray
     covariance: np.ndarray
     at_bound: np.ndarray
-    untold: np.ndarray
+    unidentified: np.ndarray
     bounds: np.ndarray
     tied: np.ndarray
     photographs: Any
@@ -68,8 +68,8 @@ class Fit:
     noise: float
     noise_given: bool
     arrays: tuple[str, ...]
-    samples: int
-    images: int
+    n_samples: int
+    n_images: int
     degrees_of_freedom: int
     chi_squared: float
     misfit: Misfit
@@ -98,7 +98,7 @@ class Fit:
             self.values[chosen],
             self.errors[chosen],
             self.at_bound[chosen],
-            self.untold[chosen],
+            self.unidentified[chosen],
         )
 
     def intervals(self, level: float = 0.95) -> np.ndarray:
@@ -221,15 +221,15 @@ class Fit:
             "errors": self.errors,
             "covariance": self.covariance,
             "at_bound": self.at_bound,
-            "untold": self.untold,
+            "unidentified": self.unidentified,
             "tied": self.tied,
             "bounds": self.bounds,
             "intervals": self.intervals(),
             "exposure": self.exposure,
             "noise": self.noise,
             "noise_given": self.noise_given,
-            "samples": self.samples,
-            "images": self.images,
+            "n_samples": self.n_samples,
+            "n_images": self.n_images,
             "degrees_of_freedom": self.degrees_of_freedom,
             "reduced_chi_squared": self.reduced_chi_squared,
             "neighbour_correlation": self.neighbour_correlation,
@@ -250,7 +250,7 @@ class Fit:
 
     def __repr__(self) -> str:
         state = "converged" if self.converged else "NOT CONVERGED"
-        images = f"{self.images} image{'s' if self.images > 1 else ''}"
+        images = f"{self.n_images} image{'s' if self.n_images > 1 else ''}"
         many = len(self.warnings)
         count = f"{len(self.labels)} parameters, {many} warning{'s' * (many != 1)}"
         return f"<Fit of {images}: {count}, {state}>"
@@ -280,7 +280,7 @@ Fit.__init__.__doc__ = """**Arguments:**
     identified exponent makes larger than this by a quarter.
 - `at_bound`: true where the estimate lies on its bound. Its error is then one-sided:
     how far into the box the data let it go.
-- `untold`: true where the data leave the value open.
+- `unidentified`: true where the data leave the value open.
 - `bounds`: (n, 2), lower and upper.
 - `tied`: true for what follows another entry.
 - `photographs`: images (H, W, 3), linear light, one or a tuple as they were given.
@@ -289,7 +289,7 @@ Fit.__init__.__doc__ = """**Arguments:**
 - `noise`: standard deviation of a sample, in linear light where white is 1.
 - `noise_given`: whether it was known.
 - `arrays`: those of `mask`, `weights` and `noise` that were given, an entry a sample.
-- `samples`: pixels times channels used.
+- `n_samples`, `n_images`: how many were used; a sample is one channel of a pixel.
 - `degrees_of_freedom`: samples and priors less unknowns that were free.
 - `chi_squared`: sum of the squared residuals in standard deviations.
 - `misfit`: whether residuals are noise: a [`Misfit`][]. Where they are not, the model
@@ -315,7 +315,9 @@ def as_materials(
 
 def fit_table(fit: Fit, least_correlation: float = 0.1, most: int = 10) -> str:
     """Value ± standard error, correlations and warnings, for a fixed-width font."""
-    rows = parameter_rows(fit.labels, fit.values, fit.errors, fit.at_bound, fit.untold)
+    rows = parameter_rows(
+        fit.labels, fit.values, fit.errors, fit.at_bound, fit.unidentified
+    )
     for k, words in lopsided(fit).items():
         rows[k + 1] += f"  {words}"
     lines = [*_head(fit), "", *rows]
@@ -334,7 +336,7 @@ def fit_table(fit: Fit, least_correlation: float = 0.1, most: int = 10) -> str:
 
 def lopsided(fit: Fit) -> dict[int, str]:
     """Errors up and down in words, where one is more than a fifth larger."""
-    told = np.flatnonzero(~fit.untold & ~fit.at_bound)
+    told = np.flatnonzero(~fit.unidentified & ~fit.at_bound)
     sides = fit.sides[told]
     return {
         int(k): f"+{up:.2g} −{down:.2g}"
@@ -344,7 +346,7 @@ def lopsided(fit: Fit) -> dict[int, str]:
 
 
 def _head(fit: Fit) -> list[str]:
-    images = f"{fit.images} image" + ("s" if fit.images > 1 else "")
+    images = f"{fit.n_images} image" + ("s" if fit.n_images > 1 else "")
     noise, size = "estimated", fit.misfit.over_repeatability
     judged = f", residuals {size:.3g} × repeatability" if size == size else ""
     if fit.noise_given:
@@ -353,7 +355,7 @@ def _head(fit: Fit) -> list[str]:
         noise += ", not the same everywhere"
     state = "converged" if fit.converged else "NOT CONVERGED"
     return [
-        f"phongfit: {images}, {fit.samples:,} samples, {fit.model}, {fit.film}",
+        f"phongfit: {images}, {fit.n_samples:,} samples, {fit.model}, {fit.film}",
         f"  {state} after {fit.steps} steps: {fit.reason}",
         f"  loss {fit.loss}, noise {fit.noise:.3g} ({noise}){judged}",
     ]

@@ -126,7 +126,7 @@ def summarize(
     material, stderr = as_materials(unknowns, entries, errors)
     converged = bool(found.converged)
     # Of the noise there is nothing to say.
-    settled = noise_given or told.untold.all()
+    settled = noise_given or told.unidentified.all()
     return Fit(
         specification=specification,
         films=films,
@@ -139,7 +139,7 @@ def summarize(
         errors=told.errors,
         covariance=told.covariance,
         at_bound=told.at_bound,
-        untold=told.untold,
+        unidentified=told.unidentified,
         bounds=unknowns.bounds.copy(),
         tied=unknowns.tied.copy(),
         photographs=photographs[0] if single else tuple(photographs),
@@ -148,8 +148,8 @@ def summarize(
         noise=float(problem.sigma) / math.sqrt(weight),
         noise_given=noise_given,
         arrays=arrays,
-        samples=samples,
-        images=len(shown),
+        n_samples=samples,
+        n_images=len(shown),
         degrees_of_freedom=max(effective + sum(unknowns.has_prior) - told.free, 0),
         chi_squared=told.chi_squared,
         misfit=misfit,

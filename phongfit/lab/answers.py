@@ -37,14 +37,14 @@ def _material_found(fit: Fit) -> dict[str, Any]:
     return {
         leaf: np.asarray(getattr(fit.material, leaf), float).tolist()
         for leaf in OF_MATERIAL
-        if not np.any(fit[leaf].untold)
+        if not np.any(fit[leaf].unidentified)
     }
 
 
 def _light_found(fit: Fit) -> dict[str, float]:
     """Angles and distance of a light whose place was unknown."""
     places = [label for label in fit.labels if label.startswith("scene.lights[0]")]
-    if not places or any(fit[label].untold for label in places):
+    if not places or any(fit[label].unidentified for label in places):
         return {}
     azimuth, elevation, distance = angles([fit[label].value for label in places])
     found = {"azimuth": azimuth, "elevation": elevation}
@@ -78,7 +78,7 @@ def _head(fit: Fit) -> str:
     state = "Converged" if fit.converged else "Did not converge"
     noise = "given" if fit.noise_given else "estimated"
     return (
-        f"{state} after {fit.steps} steps on {fit.samples:,} samples; "
+        f"{state} after {fit.steps} steps on {fit.n_samples:,} samples; "
         f"noise {fit.noise:.2g} ({noise})"
     )
 
@@ -86,7 +86,7 @@ def _head(fit: Fit) -> str:
 def _row(fit: Fit, k: int, known: dict[str, float]) -> dict[str, str]:
     label, value, error = fit.labels[k], float(fit.values[k]), float(fit.errors[k])
     truth = known.get(label)
-    told = not fit.untold[k]
+    told = not fit.unidentified[k]
     row = {
         "label": label,
         "name": _name(label),

@@ -47,7 +47,7 @@ class Maps:
         return Material(self.diffuse, self.specular, self.shininess, self.ambient)
 
     @property
-    def told(self) -> Bool[np.ndarray, "height width"]:
+    def identified(self) -> Bool[np.ndarray, "height width"]:
         """Pixels of which every unknown is identified: all errors are finite.
 
         None that lies outside, and none that has not converged.
@@ -102,7 +102,7 @@ class Maps:
         inside = ~self.flagged(Flag.OUTSIDE)
         lines = [
             f"phongfit: maps of {height} × {width} pixels, {inside.sum():,} fitted, "
-            f"{self.told.sum():,} told in all of {', '.join(self.unknowns)}"
+            f"{self.identified.sum():,} told in all of {', '.join(self.unknowns)}"
         ]
         for flag in Flag:
             count = int((self.flagged(flag) & (inside | (flag == Flag.OUTSIDE))).sum())

@@ -51,7 +51,7 @@ def _row(fit: Fit, k: int, words: str) -> dict[str, Any]:
         "value": number_with_error(value, error),
         "unit": unit(fit.labels[k]),
     }
-    if fit.untold[k] or not np.isfinite(error):
+    if fit.unidentified[k] or not np.isfinite(error):
         return row | {"error": "∞", "percent": "", "note": "cannot be told"}
     percent = f"{100 * error / abs(value):.2g} %" if value else "–"
     notes = [

@@ -18,7 +18,7 @@ TITLES = {
     "specular": "specular ρ_s",
     "shininess": "exponent f",
 }
-UNTOLD = "0.85"
+UNIDENTIFIED = "0.85"
 """Grey where there is nothing to be shown."""
 
 
@@ -44,8 +44,10 @@ def draw_leaf(maps: Maps, name: str) -> Figure:
         if coloured:
             _draw_colours(axes[0], values, told)
         _draw_scale(axes[-2], values.mean(axis=-1), told, _numbers_title(name))
-        untold = int(np.sum(inside & ~told))
-        title = "standard error" + (f", {untold:,} pixels untold" if untold else "")
+        unidentified = int(np.sum(inside & ~told))
+        title = "standard error" + (
+            f", {unidentified:,} pixels untold" if unidentified else ""
+        )
         _draw_scale(axes[-1], spread, told, title)
         figure.suptitle(TITLES[name], fontsize=11)
     return figure
@@ -59,7 +61,7 @@ def _draw_colours(axes: Axes, values: np.ndarray, told: np.ndarray) -> None:
     brightest = float(np.quantile(values[told], 0.995)) if told.any() else 1.0
     factor = 1 / max(brightest, 1e-6) if brightest < 0.5 else 1.0
     shown = displayed(factor * values)
-    axes.imshow(np.where(told[..., None], shown, float(UNTOLD)))
+    axes.imshow(np.where(told[..., None], shown, float(UNIDENTIFIED)))
     axes.set_title("colour" + (f", {factor:.2g} × brighter" if factor > 1 else ""))
     quiet(axes)
 
@@ -69,7 +71,7 @@ def _draw_scale(axes: Axes, numbers: np.ndarray, told: np.ndarray, title: str) -
     axes.set_title(title)
     shown = np.where(told & np.isfinite(numbers), numbers, np.nan)
     if np.isnan(shown).all():
-        axes.imshow(np.full((*numbers.shape, 3), float(UNTOLD)))
+        axes.imshow(np.full((*numbers.shape, 3), float(UNIDENTIFIED)))
         words = "no pixel can tell"
         axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)
         return
@@ -77,7 +79,7 @@ def _draw_scale(axes: Axes, numbers: np.ndarray, told: np.ndarray, title: str) -
     options: dict[str, Any] = {"vmin": low, "vmax": max(high, low + 1e-12)}
     if low > 0 and high > 20 * low:
         options = {"norm": LogNorm(low, high)}
-    axes.set_facecolor(UNTOLD)
+    axes.set_facecolor(UNIDENTIFIED)
     drawn = axes.imshow(shown, cmap="viridis", interpolation="nearest", **options)
     figure = axes.get_figure(root=True)
     assert figure is not None
@@ -102,7 +104,7 @@ def draw_flags(maps: Maps) -> Figure:
             axes[0].text(0.5, 0.5, words, ha="center", va="center")
         inside = ~maps.flagged(Flag.OUTSIDE)
         for axis, flag in zip(axes, raised, strict=False):
-            shown = np.where(inside, 1.0, float(UNTOLD))
+            shown = np.where(inside, 1.0, float(UNIDENTIFIED))
             marked = maps.flagged(flag)
             axis.imshow(np.where(marked, 0.0, shown), cmap="gray", vmin=0, vmax=1)
             name = str(flag.name).lower().replace("_", " ")

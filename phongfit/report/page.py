@@ -73,7 +73,7 @@ def page(
 ) -> str:
     """The text of the page: see [`write_page`][]."""
     every = names_of(fit, names)
-    images = chosen(fit.images)
+    images = chosen(fit.n_images)
     with styled():
         pictures = [trio(fit, k, every[k], images) for k in images]
         curves, about_curves = profiles(fit, thorough)

@@ -97,8 +97,8 @@ def about_pictures(fit: Fit, images: Sequence[int]) -> str:
         words.append(f", {factor:.2g} times brighter than they are")
     words.append("; the residual in linear light, the channel that is furthest off. ")
     words.append("Where a sample was left out, the residual is 0.")
-    if len(images) < fit.images:
-        words.append(f" Shown are {len(images)} of {fit.images}.")
+    if len(images) < fit.n_images:
+        words.append(f" Shown are {len(images)} of {fit.n_images}.")
     return "".join(words)
 
 
@@ -132,7 +132,7 @@ def profiles(fit: Fit, thorough: bool) -> tuple[list[Shown], str]:
     if not thorough:
         return [], "Profiles were not asked for."
     wanted = profiled(fit)
-    labels = wanted[: MOST_PROFILES * MOST_SAMPLES // fit.samples]
+    labels = wanted[: MOST_PROFILES * MOST_SAMPLES // fit.n_samples]
     if not wanted or not fit.converged:
         why = "the solver did not converge" if wanted else "no unknown is told"
         return [], f"There are none: {why}."
@@ -147,7 +147,7 @@ def profiles(fit: Fit, thorough: bool) -> tuple[list[Shown], str]:
     if len(labels) < len(wanted):
         counts = {0: "none is", 1: "one alone is", 2: "two alone are"}
         return shown, (
-            f"A profile solves the fit of all {fit.samples:,} samples some twenty "
+            f"A profile solves the fit of all {fit.n_samples:,} samples some twenty "
             f"times more: {counts[len(labels)]} drawn here, to spare minutes. {draws} "
             f"{'another' if labels else 'one'}. Where there is none, errors rest on "
             "the curvature at the estimate alone."
@@ -202,7 +202,7 @@ def convergence(fit: Fit, thorough: bool) -> tuple[Shown | None, str]:
     end = f"The fit took {fit.steps} steps: {fit.reason}."
     if not thorough:
         return None, end
-    if fit.samples > MOST_PROFILES * MOST_SAMPLES:
+    if fit.n_samples > MOST_PROFILES * MOST_SAMPLES:
         return None, f"{end} Its course is not drawn: of so many samples it takes long."
     descent = descend(fit.found)
     if not np.isfinite(descent.costs).all():

@@ -36,11 +36,11 @@ def names_of(fit: Fit, names: Sequence[str]) -> list[str]:
 
     **Raises:** `ValueError` if there are names, but not one for each image.
     """
-    if names and len(names) != fit.images:
-        raise ValueError(f"names: {len(names)} came for {fit.images} images")
+    if names and len(names) != fit.n_images:
+        raise ValueError(f"names: {len(names)} came for {fit.n_images} images")
     if names:
         return [str(name) for name in names]
-    return [""] if fit.images == 1 else [f"image {k}" for k in range(fit.images)]
+    return [""] if fit.n_images == 1 else [f"image {k}" for k in range(fit.n_images)]
 
 
 def plot(fit: Fit, names: Sequence[str] = (), most: int = MOST_IMAGES) -> Figure:
@@ -54,7 +54,7 @@ def plot(fit: Fit, names: Sequence[str] = (), most: int = MOST_IMAGES) -> Figure
     **Raises:** `ValueError` if there are names, but not one for each image.
     """
     every = names_of(fit, names)
-    images = chosen(fit.images, most)
+    images = chosen(fit.n_images, most)
     factor = brightening(fit, images)
     photographs, fitted, left = (
         as_tuple(some) for some in (fit.photographs, fit.fitted, fit.residuals)
@@ -73,7 +73,7 @@ def plot_residuals(fit: Fit) -> Figure:
     In standard deviations of each sample; the images in linear light. Pure noise
     follows the dashed lines, and neither images nor sums show anything of the object.
     """
-    images = chosen(fit.images)
+    images = chosen(fit.n_images)
     left = as_tuple(fit.residuals)
     alone = len(images) == 1
     with styled():

@@ -52,7 +52,7 @@ def as_tuple(images: Any) -> tuple[np.ndarray, ...]:
 
 def told(fit: Fit) -> np.ndarray:
     """True where the data tell a number, and it lies on no bound."""
-    return ~fit.untold & ~fit.at_bound & np.isfinite(fit.errors)
+    return ~fit.unidentified & ~fit.at_bound & np.isfinite(fit.errors)
 
 
 def summary(fit: Fit) -> list[str]:
@@ -63,7 +63,7 @@ def summary(fit: Fit) -> list[str]:
         found = "; ".join(_leaf_words(fit, name) for name in known)
         sentences.append(f"Found: {found}.")
     for flags, what in (
-        (fit.untold, "The data cannot tell {}: the warnings say why."),
+        (fit.unidentified, "The data cannot tell {}: the warnings say why."),
         (fit.at_bound, "At the end of what was allowed: {}."),
     ):
         labels = [label for label, flag in zip(fit.labels, flags, strict=True) if flag]
@@ -83,10 +83,10 @@ def listed(words: Sequence[str], most: int = 6) -> str:
 
 
 def _what(fit: Fit) -> str:
-    count = "one photograph" if fit.images == 1 else f"{fit.images} photographs"
+    count = "one photograph" if fit.n_images == 1 else f"{fit.n_images} photographs"
     materials = fit.found.problem.unknowns.materials
     what = "One material was" if materials == 1 else f"{materials} materials were"
-    samples = f"{fit.samples:,} samples (pixels times channels)"
+    samples = f"{fit.n_samples:,} samples (pixels times channels)"
     return f"{what} fitted to {count}: {samples}, {len(fit.labels)} unknowns."
 
 

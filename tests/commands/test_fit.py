@@ -3,6 +3,7 @@
 import html
 import json
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,7 +42,7 @@ def test_all_numbers_are_written(brass, fitted):
     np.testing.assert_allclose(
         np.array(record.intervals, float), fit.intervals(), rtol=1e-6
     )
-    assert record.samples == fit.samples and record.converged
+    assert record.n_samples == fit.n_samples and record.converged
     assert set(record.data.inputs) == {"001.png", "002.png", "003.png", "scene.json"}
     assert record.made_with["precision"] == fit.material.diffuse.dtype.name
     near = pf.preset("brass").diffuse
@@ -60,6 +61,30 @@ def test_a_file_from_before_there_were_intervals(fitted, tmp_path):
     del content["intervals"]
     path.write_text(json.dumps(content))
     assert load_fit(path).intervals is None
+
+
+OLD = Path(__file__).parents[1] / "data" / "records" / "fit_version_1.json"
+
+
+def test_a_file_of_version_1(tmp_path):
+    """Its fields had other names."""
+    record = load_fit(OLD)
+    assert record.labels == ["diffuse", "shininess", "scene.lights[0].intensity"]
+    assert record.unidentified == [True, False, False]
+    assert (record.version, record.n_samples, record.n_images) == (2, 492, 1)
+    assert np.isinf(record.numbers()[1]).tolist() == record.unidentified
+    assert read_material(str(OLD)).material.shininess == record.values[1]
+    path = tmp_path / "fit.json"
+    path.write_text(OLD.read_text().replace("[true, false, false]", "[true, false, 1]"))
+    with pytest.raises(ValueError, match=r"unidentified\[2\]: 1"):
+        load_fit(path)
+
+
+def test_names_of_version_1_are_no_names_of_version_2(fitted, tmp_path):
+    path = tmp_path / "fit.json"
+    path.write_text((fitted / "fit.json").read_text().replace("n_samples", "samples"))
+    with pytest.raises(ValueError, match="did you mean 'n_samples'"):
+        load_fit(path)
 
 
 def test_the_report_says_how_to_repeat_it_in_python(brass, tmp_path):
@@ -131,7 +156,7 @@ def test_every_setting_arrives_and_is_kept(brass, tmp_path, capsys):
     assert values["specular.blue"] == pytest.approx(0.8 * values["specular.red"])
     assert record.build().shininess == pytest.approx(27.897436)
     assert set(record.data.inputs) == {"002.png", "scene.json"}
-    assert record.noise_given and record.images == 1
+    assert record.noise_given and record.n_images == 1
 
 
 def test_pictures_and_report(brass, tmp_path, capsys):
@@ -188,7 +213,7 @@ def test_bad_options(brass, tmp_path, capsys, args, words):
             {"format": "phongfit truth"},
             "format: \"phongfit truth\" came, 'phongfit fit'",
         ),
-        ({"version": 2}, "version: 2 came"),
+        ({"version": 3}, "version: 3 came"),
         ({"values": [0.5]}, "values: 1 came for 10 labels"),
         ({"covariance": [[1.0]]}, "covariance: 10 rows of 10 numbers"),
         ({"settings__loss": "l2"}, 'settings.loss: "l2" came'),

@@ -33,7 +33,7 @@ def test_maps_their_errors_and_pictures(brass, mapped):
     assert truth is not None
     for name in ("ambient", "diffuse"):
         off = getattr(maps, name) - np.asarray(getattr(truth, name))
-        pull = (off / getattr(maps.stderr, name))[inside & maps.told]
+        pull = (off / getattr(maps.stderr, name))[inside & maps.identified]
         assert pull.size > 150 and np.mean(np.abs(pull) < 3) > 0.95, name
         tiff = imagecodecs.tiff_decode((mapped / f"{name}.tif").read_bytes())
         np.testing.assert_allclose(tiff, getattr(maps, name), rtol=1e-6)
@@ -107,13 +107,13 @@ def test_textures_of_a_gltf_file(mapped, tmp_path, capsys):
     told = inside[..., None] & np.isfinite(maps.stderr.diffuse)
     np.testing.assert_allclose(linear[told], maps.diffuse[told], atol=0.005)
     # Its lights leave some of it dark.
-    untold = inside & ~maps.told
-    assert 0 < untold.sum() < 0.5 * inside.sum()
+    unidentified = inside & ~maps.identified
+    assert 0 < unidentified.sum() < 0.5 * inside.sum()
     for k in range(3):
         middle = np.median(maps.diffuse[told[..., k], k])
         filled = linear[inside & ~told[..., k], k]
         np.testing.assert_allclose(filled, middle, atol=0.005)
-    words = f"{untold.sum()} of {inside.sum()} pixels cannot tell all"
+    words = f"{unidentified.sum()} of {inside.sum()} pixels cannot tell all"
     assert words in capsys.readouterr().out
     rough = np.asarray(material.metallicRoughnessTexture)  # pyright: ignore
     expected = (2 / (maps.shininess[..., 0] + 2)) ** 0.25
@@ -135,7 +135,7 @@ def test_textures_of_an_mtl(mapped, tmp_path, capsys):
     maps, _, _ = load_folder(mapped)
     inside = ~maps.flagged(pf.Flag.OUTSIDE)
     diffuse = pf.read_image(tmp_path / lines["map_Kd"], "srgb")
-    told = maps.told
+    told = maps.identified
     np.testing.assert_allclose(diffuse[told], maps.diffuse[told], atol=0.005)
     exponent = pf.read_image(tmp_path / lines["map_Ns"], "linear") * float(lines["Ns"])
     np.testing.assert_allclose(

@@ -28,7 +28,7 @@ def test_fits_reach_the_bound(found):
         observed / bound
         for one in settings
         for observed, bound, told in zip(
-            one["observed"], one["bound"], one["told"], strict=True
+            one["observed"], one["bound"], one["identified"], strict=True
         )
         if told
     ])  # fmt: skip
@@ -51,14 +51,14 @@ def test_what_makes_errors_larger(found):
     specular, f = LEAVES.index("specular"), LEAVES.index("shininess")
     for name in ("clipping", "highlight"):
         first, last = numbers[name]
-        assert first["told"].all()
-        lost = ~last["told"] | (last["bound"] > 5 * first["bound"])
+        assert first["identified"].all()
+        lost = ~last["identified"] | (last["bound"] > 5 * first["bound"])
         assert lost[specular] and lost[f]
 
 
 def test_a_highlight_out_of_view_cannot_be_told(found):
     *_, last = found(EXPERIMENT).numbers["highlight"]
-    told = dict(zip(LEAVES, last["told"], strict=True))
+    told = dict(zip(LEAVES, last["identified"], strict=True))
     assert last["x"] < 1 and not told["specular"] and not told["shininess"]
     # What the fits themselves state of the others covers any exponent.
     assert told["diffuse"] and 0.3 < last["pull"][LEAVES.index("diffuse")] < 1.2
@@ -75,7 +75,9 @@ def test_a_spread_off_the_bound_is_seen():
     assert words == "noise 0.01: shininess scatters 1.20 times the prediction"
     # What cannot be told is not judged; of the others the fits' own errors are, too.
     open_ = dataclasses.replace(
-        wide, told=np.array([True, True, False, True]), pull=np.array([1, 1, 9, 1.3])
+        wide,
+        identified=np.array([True, True, False, True]),
+        pull=np.array([1, 1, 9, 1.3]),
     )
     (words,) = failures([(sweep, [open_])])
     assert words == "noise 0.01: ambient scatters 1.30 times the errors that fits state"

@@ -39,8 +39,8 @@ def test_what_comes_back():
     near(fit.covariance, fit.covariance.T, 1e-12)
     assert np.all(np.linalg.eigvalsh(fit.correlation) > 0)
     assert fit.material.shininess.shape == () and fit.stderr.shininess.shape == ()
-    assert fit.images == 1 and fit.samples == 3 * MASK.sum()
-    assert fit.degrees_of_freedom == fit.samples - 10
+    assert fit.n_images == 1 and fit.n_samples == 3 * MASK.sum()
+    assert fit.degrees_of_freedom == fit.n_samples - 10
     assert 0.9 * NOISE < fit.noise < 1.1 * NOISE
     assert (fit.loss, fit.model) == ("Linear", "BlinnPhong")
     assert 1 < fit.steps < 50 and not fit.warnings
@@ -153,7 +153,7 @@ def test_several_images():
     images = [photograph(s, TRUTH, noise=NOISE, seed=k) for k, s in enumerate(scenes)]
     fit = pf.fit(scenes, images)
     check_near_truth(fit)
-    assert fit.images == 2 and fit.samples == 6 * MASK.sum()
+    assert fit.n_images == 2 and fit.n_samples == 6 * MASK.sum()
     assert isinstance(fit.fitted, tuple) and isinstance(fit.residuals, tuple)
     for shown, left, image in zip(fit.fitted, fit.residuals, images, strict=True):
         near(left[MASK], (image - shown)[MASK], 1e-5)
@@ -178,7 +178,7 @@ def test_each_image_has_its_mask_and_noise():
     )
     check_near_truth(fit)
     assert 0.9 < fit.reduced_chi_squared < 1.1
-    assert fit.samples == 3 * (MASK.sum() + (MASK & lower).sum())
+    assert fit.n_samples == 3 * (MASK.sum() + (MASK & lower).sum())
     assert np.all(fit.residuals[1][:16] == 0)
 
 
@@ -192,7 +192,7 @@ def test_masked_pixels_do_not_matter():
     assert np.array_equal(fit.values, other.values)
     weighted = pf.fit(SCENE, image, weights=mask.astype(float))
     assert np.array_equal(fit.values, weighted.values)
-    assert fit.samples == weighted.samples == 3 * mask.sum()
+    assert fit.n_samples == weighted.n_samples == 3 * mask.sum()
     check_near_truth(fit)
 
 
@@ -336,7 +336,7 @@ def test_print(noise):
 def test_a_result_becomes_json(tmp_path):
     scene = ball(ambient=0.0)
     fit = pf.fit(scene, photograph(scene, TRUTH, noise=NOISE))
-    assert fit.untold[:3].all()
+    assert fit.unidentified[:3].all()
     path = tmp_path / "fit.json"
     write_json(path, fit.to_dict())
     assert '"stderr"' in path.read_text() and "Infinity" not in path.read_text()

@@ -40,8 +40,8 @@ def test_it_is_what_fits_state_and_what_happens():
     np.testing.assert_allclose(stated, predicted.errors, rtol=0.02)
     spread = np.std([fit.values for fit in fits], axis=0)
     np.testing.assert_allclose(spread, predicted.errors, rtol=0.25)
-    assert predicted.samples == fits[0].samples
-    assert not predicted.warnings and not predicted.untold.any()
+    assert predicted.n_samples == fits[0].n_samples
+    assert not predicted.warnings and not predicted.unidentified.any()
     near(predicted.errors**2, np.diag(predicted.covariance), 1e-5)
     near(as_vector(predicted.stderr), predicted.errors, 1e-5)
 
@@ -82,7 +82,7 @@ def test_a_reflectance_at_its_bound():
 
 def test_what_could_not_be_told_is_named(few_draws):
     predicted = pf.predict_errors(SCENE, MATTE, NOISE)
-    assert predicted.untold[9] and np.isinf(predicted.errors[9])
+    assert predicted.unidentified[9] and np.isinf(predicted.errors[9])
     assert np.isinf(predicted.stderr.shininess)
     assert any("shininess cannot be told" in words for words in predicted.warnings)
     text = str(predicted)
@@ -99,7 +99,7 @@ def check_like_fits(
 ) -> None:
     """What is predicted of ρ_a and ρ_d is what so many fits are off by."""
     predicted = pf.predict_errors(scene, material, NOISE)
-    assert predicted.untold.tolist() == [False] * 9 + [True]
+    assert predicted.unidentified.tolist() == [False] * 9 + [True]
     off = []
     for seed in range(count):
         image = photograph(scene, material, noise=NOISE, seed=seed)
@@ -168,7 +168,7 @@ def test_options_are_those_of_a_fit():
     half = np.zeros((32, 32), bool)
     half[::2] = True
     masked = pf.predict_errors(SCENE, TRUTH, NOISE, mask=half)
-    assert masked.samples < 0.6 * free.samples
+    assert masked.n_samples < 0.6 * free.n_samples
     np.testing.assert_allclose(masked.errors / free.errors, 2**0.5, rtol=0.15)
     tied = pf.predict_errors(SCENE, TRUTH, NOISE, unknowns=LEAVES[:2], per_channel=())
     assert tied.labels == ("ambient", "diffuse")

@@ -28,7 +28,7 @@ def check_exact(scene: pf.Scene, truth: pf.Material) -> None:
     image = np.asarray(pf.render(scene, truth))
     assert image.max() < 1
     fit = pf.fit(scene, image)
-    assert fit.converged and not fit.untold.any()
+    assert fit.converged and not fit.unidentified.any()
     np.testing.assert_allclose(
         fit.values, as_vector(truth), rtol=1e-7 if DOUBLE else 1e-4
     )
@@ -115,15 +115,15 @@ def check_errors(
     offs: list[np.ndarray], fits: list[pf.Fit], least: float = 0.99
 ) -> None:
     """Most within 4 standard errors; few without an error, each for a reason."""
-    told = np.array([~fit.untold for fit in fits])
+    told = np.array([~fit.unidentified for fit in fits])
     within = np.abs(np.array(offs)[told]) <= 4
     assert within.mean() >= least, f"{(~within).sum()} of {within.size} beyond 4 σ"
     assert told.mean() >= 0.97, f"{(~told).sum()} of {told.size} have no error"
     for fit in fits:
         reasons = [w for w in fit.warnings if "cannot be told" in w]
-        for label in np.array(fit.labels)[fit.untold]:
+        for label in np.array(fit.labels)[fit.unidentified]:
             assert any(label in reason for reason in reasons)
-        assert np.array_equal(np.isinf(fit.errors), fit.untold)
+        assert np.array_equal(np.isinf(fit.errors), fit.unidentified)
 
 
 @MANY
@@ -137,7 +137,7 @@ def test_random_scenes_with_noise(count):
     assert min(clipped) < 0.02 and 0.15 < max(clipped) < 0.21
     check_errors(offs, fits)
     # Nor are the errors too wide.
-    told = np.array([~fit.untold for fit in fits])
+    told = np.array([~fit.unidentified for fit in fits])
     typical = np.median(np.abs(np.array(offs)[told]))
     assert 0.6 < typical < 0.75
 

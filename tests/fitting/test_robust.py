@@ -95,7 +95,7 @@ def test_a_prior_tells_what_the_image_does_not():
         unknowns=("diffuse", "ambient", "exposure"),
         priors={"exposure": (1.0, 0.05)},
     )
-    assert not predicted.untold.any() and not predicted.warnings
+    assert not predicted.unidentified.any() and not predicted.warnings
     np.testing.assert_allclose(predicted.errors[-1], 0.05, rtol=1e-3)
     relative = predicted.errors[3:6] / np.asarray(TRUTH.diffuse)
     assert np.all((relative > 0.05) & (relative < 0.06))
@@ -107,7 +107,7 @@ def test_parts_of_a_result():
     assert leaf.value.shape == leaf.error.shape == (3,)
     np.testing.assert_array_equal(leaf.value, fit.values[3:6])
     assert (one.value, one.error) == (fit.values[3], fit.errors[3])
-    assert not one.at_bound and not one.untold
+    assert not one.at_bound and not one.unidentified
     assert fit["shininess"].value == fit.values[9]
     for name in ("gloss", "diff", "diffuse.", "diffuse.red.x", ""):
         with pytest.raises(KeyError, match="came, one of ambient.red, "):

@@ -79,7 +79,7 @@ def test_numbers_of_a_scene_are_found(noise):
         per_channel=("diffuse", "scene.lights[0].intensity"),
         known=TRUTH,
     )
-    assert fit.converged and not fit.untold.any(), fit
+    assert fit.converged and not fit.unidentified.any(), fit
     off = fit.values - true_values(fit, MIXED)
     if noise:
         assert np.all(np.abs(off) < 4 * fit.errors), fit
@@ -133,7 +133,7 @@ def test_each_image_has_its_light_and_exposure():
         per_image=(name,),
         fixed={"exposure[0]": 1.0},
     )
-    assert fit.converged and not fit.untold.any(), fit
+    assert fit.converged and not fit.unidentified.any(), fit
     expected = (*strengths, exposures[1])
     labels = ("scenes[0].lights[0].intensity", "scenes[1].lights[0].intensity")
     for label, value in zip((*labels, "exposure[1]"), expected, strict=True):
@@ -158,7 +158,7 @@ def test_a_surface_that_is_traced_again():
         unknowns=("scene.surface.radius",),
         known=TRUTH,
     )
-    assert fit.converged and not fit.untold.any(), fit
+    assert fit.converged and not fit.unidentified.any(), fit
     assert np.all(np.abs(fit.values - 1) < 4 * fit.errors)
     near(fit.scene.surface.radius, fit["scene.surface.radius"].value, 1e-6)
 
@@ -174,7 +174,7 @@ ALIKE = "cannot be told apart: they change the image alike"
 
 
 @pytest.mark.parametrize(
-    "scene, names, untold",
+    "scene, names, unidentified",
     [
         (ONE_LIGHT, (*LEAVES, BOTH[0]), ("diffuse", "specular", BOTH[0])),
         (
@@ -188,20 +188,20 @@ ALIKE = "cannot be told apart: they change the image alike"
         (SCENE, (*LEAVES, BOTH[0]), ()),
     ],
 )
-def test_what_nobody_could_tell_is_named(scene, names, untold):
+def test_what_nobody_could_tell_is_named(scene, names, unidentified):
     predicted = pf.predict_errors(scene, TRUTH, NOISE, unknowns=names)
     leaves = {
         label.removesuffix(f".{colour}")
-        for label in np.array(predicted.labels)[predicted.untold]
+        for label in np.array(predicted.labels)[predicted.unidentified]
         for colour in COLOURS
         if label.endswith(colour) or not label.endswith(COLOURS)
     }
-    assert leaves == set(untold)
-    assert np.array_equal(np.isinf(predicted.errors), predicted.untold)
-    assert len(predicted.warnings) == bool(untold)
+    assert leaves == set(unidentified)
+    assert np.array_equal(np.isinf(predicted.errors), predicted.unidentified)
+    assert len(predicted.warnings) == bool(unidentified)
     for warning in predicted.warnings:
         assert warning.endswith(ALIKE)
-        assert all(name in warning for name in untold)
+        assert all(name in warning for name in unidentified)
 
 
 @pytest.mark.parametrize("noise", [NOISE, 0.0])
@@ -212,8 +212,8 @@ def test_one_image_does_not_tell_its_exposure(noise):
     (warning,) = fit.warnings
     assert warning.endswith(ALIKE) and "exposure" in warning
     # The exponent does not depend on the scale.
-    assert np.flatnonzero(~fit.untold).tolist() == [9]
+    assert np.flatnonzero(~fit.unidentified).tolist() == [9]
     assert abs(fit.values[9] - 20) < max(4 * fit.errors[9], 2e-3)
-    assert np.array_equal(np.isinf(fit.errors), fit.untold)
+    assert np.array_equal(np.isinf(fit.errors), fit.unidentified)
     ratio = fit.values[:9] * fit.exposure / as_vector(TRUTH)[:9]
     assert np.all(np.abs(ratio - 1) < 0.1)

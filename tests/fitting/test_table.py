@@ -54,7 +54,7 @@ def result(**changes) -> pf.Fit:
             errors=np.array([0.01, 0.01, 0.02, np.inf]),
             covariance=COVARIANCE,
             at_bound=np.zeros(4, bool),
-            untold=np.array([False, False, False, True]),
+            unidentified=np.array([False, False, False, True]),
             bounds=np.array([[0, 1], [0, 1], [0, 1], [1, 1000]]),
             tied=np.zeros(4, bool),
             photographs=np.zeros((2, 2, 3)),
@@ -63,8 +63,8 @@ def result(**changes) -> pf.Fit:
             noise=0.0123,
             noise_given=False,
             arrays=(),
-            samples=12345,
-            images=1,
+            n_samples=12345,
+            n_images=1,
             degrees_of_freedom=12342,
             chi_squared=12342.0,
             misfit=Misfit(),
@@ -103,7 +103,7 @@ def test_head():
         "loss Linear",
     ):
         assert words in text
-    several = str(result(images=3, noise_given=True, converged=False))
+    several = str(result(n_images=3, noise_given=True, converged=False))
     for words in ("3 images", "(given), reduced χ² 1", "NOT CONVERGED after 7"):
         assert words in several
 
@@ -143,8 +143,8 @@ def test_warnings_and_width():
 def test_extreme_numbers_stay_in_their_columns():
     values = np.array([1e-7, 0.99999999, 0.5, 999.99])
     errors = np.array([3e-9, 1e-12, 0.0, 123.0])
-    untold = np.zeros(4, bool)
-    text = str(result(values=values, errors=errors, untold=untold))
+    unidentified = np.zeros(4, bool)
+    text = str(result(values=values, errors=errors, unidentified=unidentified))
     assert "nan" not in text.lower()
     assert max(len(line) for line in text.splitlines()) <= 90
     lines = [line for line in text.splitlines() if "±" in line]
@@ -178,7 +178,7 @@ def test_json(tmp_path):
     assert read["errors"] == [0.01, 0.01, 0.02, None]
     assert read["labels"] == list(LABELS)
     assert read["material"]["diffuse"] == [0.5, 0.25, 0.0]
-    assert read["untold"] == [False, False, False, True]
+    assert read["unidentified"] == [False, False, False, True]
     assert read["warnings"] == list(fit.warnings)
     assert read["converged"] is True and read["steps"] == 7
     assert read["covariance"][0][:3] == [0.0001, -0.00005, 0]

@@ -67,7 +67,7 @@ def make_stack(
 
 def pulls(maps: pf.Maps, truth: pf.Material, name: str) -> np.ndarray:
     """(estimate − truth) / predicted error, where all is told and within its bounds."""
-    sound = maps.told & ~maps.flagged(pf.Flag.AT_BOUND)
+    sound = maps.identified & ~maps.flagged(pf.Flag.AT_BOUND)
     error = np.asarray(getattr(maps.stderr, name), float)
     value = np.asarray(getattr(maps, name), float)
     true = np.broadcast_to(np.asarray(getattr(truth, name), float), value.shape)

@@ -41,16 +41,20 @@ def test_what_lies_behind_the_fog():
     scenes, foggy, truth = make(*fogs)
     known = pf.Material(0.0, truth.specular, truth.shininess, truth.ambient)
     maps = pf.fit_maps(scenes, foggy, known=known, noise=0.01, **QUICK)
-    assert maps.told.sum() > 80
+    assert maps.identified.sum() > 80
     true = np.asarray(truth.diffuse)
-    np.testing.assert_allclose(maps.diffuse[maps.told], true[maps.told], atol=2e-5)
+    np.testing.assert_allclose(
+        maps.diffuse[maps.identified], true[maps.identified], atol=2e-5
+    )
     # The thicker the fog, the less is told.
     bare = [pf.Scene(s.surface, s.camera, s.lights, s.ambient) for s in scenes]
     images = [np.asarray(pf.render(s, truth, film=QUICK["film"])) for s in bare]
     clear = pf.fit_maps(bare, images, known=known, noise=0.01, **QUICK)
-    assert np.all(maps.stderr.diffuse[maps.told] > clear.stderr.diffuse[maps.told])
+    assert np.all(
+        maps.stderr.diffuse[maps.identified] > clear.stderr.diffuse[maps.identified]
+    )
     ignored = pf.fit_maps(bare, foggy, known=known, noise=0.01, **QUICK)
-    assert np.median(np.abs(ignored.diffuse - true)[maps.told]) > 0.05
+    assert np.median(np.abs(ignored.diffuse - true)[maps.identified]) > 0.05
 
 
 def test_another_fog_is_another_job(tmp_path):

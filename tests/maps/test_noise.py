@@ -40,7 +40,7 @@ def test_shot_noise(clean):
     assert noise.max() > 3 * noise.min()
     images = noisy(clean.images, noise)
     maps = pf.fit_maps(clean.scenes, images, noise=list(noise), film=FREE)
-    chi_squared = maps.chi_squared[maps.told]
+    chi_squared = maps.chi_squared[maps.identified]
     assert chi_squared.size > 700
     freedom = 3 * 16 - 10
     assert chi_squared.mean() == pytest.approx(1, abs=4 * np.sqrt(2 / freedom / 700))
@@ -70,7 +70,9 @@ def test_noisy_images_count_for_less(clean):
     assert off[0] < 0.3 * off[1]
     pull = pulls(weighted, clean.truth, "diffuse")
     assert np.mean(pull**2) == pytest.approx(1, abs=0.1)
-    assert weighted.chi_squared[weighted.told].mean() == pytest.approx(1, abs=0.05)
+    assert weighted.chi_squared[weighted.identified].mean() == pytest.approx(
+        1, abs=0.05
+    )
 
 
 def test_the_same_noise_everywhere(clean, tmp_path):

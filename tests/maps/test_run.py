@@ -24,7 +24,7 @@ def maps(stack: Stack) -> pf.Maps:
 
 
 def test_truth_lies_within_the_errors(stack, maps):
-    assert maps.told.mean() > 0.95
+    assert maps.identified.mean() > 0.95
     for name in LEAVES:
         pull = pulls(maps, stack.truth, name)
         assert abs(pull.mean()) < 6 / np.sqrt(pull.size) + 0.03, name
@@ -57,9 +57,9 @@ def test_bad_pixels_are_marked_and_disturb_none(stack, maps):
     assert found.flagged(pf.Flag.TOO_FEW)[7, 8]
     assert found.flagged(pf.Flag.OUTSIDE)[0, 0]
     assert found.flags[0, 0] == pf.Flag.OUTSIDE and found.samples[0, 0] == 0
-    assert found.samples[5, 6] == 47 and found.told[5, 6]
+    assert found.samples[5, 6] == 47 and found.identified[5, 6]
     for y, x in ((3, 4), (7, 8), (0, 0)):
-        assert not found.told[y, x]
+        assert not found.identified[y, x]
         for name in LEAVES:
             assert np.isinf(getattr(found.stderr, name)[y, x]).all()
     touched = np.zeros((16, 24), bool)
@@ -129,7 +129,7 @@ def test_an_outlier_in_the_highlight():
     hit = rng.random(stack.images.shape) < 0.1
     spoilt = np.where(hit, rng.random(stack.images.shape), stack.images).astype(DTYPE)
     maps = pf.fit_maps(stack.scenes, spoilt, loss="tukey", noise=0.01)
-    trusted = maps.told & ~maps.flagged(Flag.MISFIT)
+    trusted = maps.identified & ~maps.flagged(Flag.MISFIT)
     assert trusted.mean() > 0.95
     for name, most in (("shininess", 0.005), ("specular", 0.012)):
         off = np.abs(getattr(maps, name) - np.asarray(getattr(stack.truth, name)))
@@ -166,7 +166,7 @@ def test_robust_loss_ignores_outliers():
         assert off[0] < 0.4 * off[1], name
     assert np.median(robust.noise) < 0.02
     moving = robust.flagged(Flag.NOT_CONVERGED)
-    assert moving.mean() < 0.02 and not (robust.told & moving).any()
+    assert moving.mean() < 0.02 and not (robust.identified & moving).any()
     # Errors rest on the samples that the loss accepts, and count the unknowns.
     for name in ("diffuse", "specular", "shininess"):
         pull = pulls(robust, stack.truth, name)
@@ -175,7 +175,7 @@ def test_robust_loss_ignores_outliers():
 
 
 def test_what_has_not_converged_is_never_told(maps):
-    assert maps.told[0, 0]
+    assert maps.identified[0, 0]
     flags = maps.flags.copy()
     flags[0, 0] |= Flag.NOT_CONVERGED
     assert not dataclasses.replace(maps, flags=flags).told[0, 0]
@@ -204,7 +204,7 @@ def test_an_exponent_for_each_channel(stack):
     )
     assert found.shininess.shape == (16, 24, 3)
     true = np.broadcast_to(np.asarray(stack.truth.shininess), (16, 24, 3))
-    pull = ((found.shininess - true) / found.stderr.shininess)[found.told]
+    pull = ((found.shininess - true) / found.stderr.shininess)[found.identified]
     spread = np.diff(np.quantile(pull, [0.1587, 0.8413]))[0] / 2
     assert 0.85 < spread < 1.15
 
@@ -214,7 +214,7 @@ def test_sixteen_thousand_pixels():
     """χ² of the parameters, pixel by pixel, on 16 000 pixels and 96 lights."""
     stack = make_stack(128, 125, 96)
     maps = pf.fit_maps(stack.scenes, stack.images, film=FREE)
-    assert maps.told.mean() > 0.99
+    assert maps.identified.mean() > 0.99
     for name in LEAVES:
         pull = pulls(maps, stack.truth, name)
         assert np.mean(pull**2) == pytest.approx(1, abs=0.08), name

@@ -39,8 +39,8 @@ def test_a_data_set_read_piece_by_piece(written):
         for images, mask in ((stack, stack.mask), (whole.images, whole.masks))
     )
     same(found, expected)
-    assert expected.samples.max() > expected.samples[expected.told].min()
-    assert expected.told.sum() > 1000
+    assert expected.samples.max() > expected.samples[expected.identified].min()
+    assert expected.identified.sum() > 1000
 
 
 def test_one_photograph_is_in_memory():

@@ -145,18 +145,18 @@ def test_which_unknowns_get_a_profile(one, open_fit):
 
 
 def test_of_many_samples_there_are_few_profiles(one):
-    many = dataclasses.replace(one, samples=2_000_000)
+    many = dataclasses.replace(one, n_samples=2_000_000)
     pictures, about = profiles(many, True)
     assert [shown["alt"].split()[2] for shown in pictures] == ["shininess:"]
     assert "all 2,000,000 samples" in about and "one alone is drawn" in about
     assert 'fit.plot_profile("specular.red") draws another' in about
-    endless = dataclasses.replace(one, samples=4_000_000)
+    endless = dataclasses.replace(one, n_samples=4_000_000)
     pictures, about = profiles(endless, True)
     assert pictures == [] and "none is drawn" in about
     assert 'fit.plot_profile("shininess") draws' in about
     course, about = convergence(endless, True)
     assert course is None and "Its course is not drawn" in about
-    matte = dataclasses.replace(endless, untold=np.ones(10, bool))
+    matte = dataclasses.replace(endless, unidentified=np.ones(10, bool))
     assert profiles(matte, True)[1] == "There are none: no unknown is told."
 
 

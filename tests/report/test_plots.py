@@ -75,7 +75,7 @@ def test_some_of_many(count, most, expected):
 def test_residuals_are_in_standard_deviations(one):
     found = residuals(one)
     every = np.concatenate([values for _, values in found])
-    assert every.size == one.samples and 0.95 < every.std() < 1.05
+    assert every.size == one.n_samples and 0.95 < every.std() < 1.05
     left = one.residuals[one.residuals != 0] / one.noise
     near(np.sort(every), np.sort(left), 1e-3)
     light = np.sort(np.concatenate([light for light, _ in found]))
@@ -121,7 +121,7 @@ def test_of_many_unknowns_the_most_correlated_are_shown(one):
         errors=np.ones(many),
         covariance=covariance,
         at_bound=np.zeros(many, bool),
-        untold=np.zeros(many, bool),
+        unidentified=np.zeros(many, bool),
         tied=np.zeros(many, bool),
     )
     shown = shown_unknowns(wide)
@@ -129,7 +129,7 @@ def test_of_many_unknowns_the_most_correlated_are_shown(one):
 
 
 def test_nothing_to_correlate(one):
-    none = dataclasses.replace(one, untold=np.ones(10, bool))
+    none = dataclasses.replace(one, unidentified=np.ones(10, bool))
     assert "nothing to correlate" in texts(none.plot_correlations())
 
 

@@ -55,7 +55,7 @@ def test_arrays_and_film_are_in_the_call():
     assert "    film=pf.Film(bits=10),\n" in text
     check_same(run(text, scene=scene, image=image, **given), fit)
     again = run(text, scene=scene, image=image, **given)
-    assert again.film == fit.film and again.samples == fit.samples
+    assert again.film == fit.film and again.n_samples == fit.n_samples
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ class Estimates:
     covariance: np.ndarray
     at_bound: np.ndarray
     strain: np.ndarray
-    untold: np.ndarray
+    unidentified: np.ndarray
     free: int
     chi_squared: float
     reasons: tuple[str, ...]
@@ -96,19 +96,19 @@ def estimates(
         np.zeros(len(values), bool),
         make,
     )
-    untold, reasons = found.untold | unseen, [*found.reasons]
+    unidentified, reasons = found.unidentified | unseen, [*found.reasons]
     if vague.any() or _near_bounds(unknowns, position, found):
         ends = region.ends(1.0)
         errors = np.max(np.abs(ends - values[:, None]), axis=1)
         wide = np.all(ends == unknowns.bounds, axis=1) & np.isfinite(errors)
-        untold |= touched[wide].any(axis=0)
+        unidentified |= touched[wide].any(axis=0)
     directions = np.isin(unknowns.forms[unknowns.owned], ("direction", "rotation"))
-    untold |= directions & (found.stderr > np.pi / 2)
-    reasons += _reasons(unknowns, untold & ~found.untold, unseen)
+    unidentified |= directions & (found.stderr > np.pi / 2)
+    reasons += _reasons(unknowns, unidentified & ~found.unidentified, unseen)
 
-    at_bound = found.at_bound & ~untold
+    at_bound = found.at_bound & ~unidentified
     strain = found.sums.strain(at_bound) if at_bound.any() else np.zeros(len(position))
-    hidden = touched[:, untold].any(axis=1)
+    hidden = touched[:, unidentified].any(axis=1)
     bound = touched[:, at_bound].any(axis=1) & ~hidden
     errors = np.where(hidden, np.inf, errors)
     with np.errstate(invalid="ignore"):
@@ -123,7 +123,7 @@ def estimates(
         bound,
         np.where(touched, strain, 0).max(axis=1, initial=0),
         hidden,
-        int(np.count_nonzero(~untold & ~at_bound)),
+        int(np.count_nonzero(~unidentified & ~at_bound)),
         found.chi_squared,
         tuple(reasons),
         dataclasses.replace(region, open_ended=hidden),
@@ -146,7 +146,7 @@ def _near_bounds(
     lower, upper = np.asarray(unknowns.lower), np.asarray(unknowns.upper)
     with np.errstate(invalid="ignore"):
         near = np.minimum(position - lower, upper - position) < found.stderr
-    return bool(np.any(found.at_bound | (near & ~found.untold)))
+    return bool(np.any(found.at_bound | (near & ~found.unidentified)))
 
 
 def _vague(
@@ -157,7 +157,7 @@ def _vague(
 ) -> Bool[np.ndarray, " n"]:
     """Exponents that one quadratic does not do for."""
     exponents = unknowns.logarithmic
-    if found.untold[~exponents].all():
+    if found.unidentified[~exponents].all():
         return np.zeros(len(position), bool)
     with np.errstate(invalid="ignore"):
         vague = exponents & (unseen | (found.stderr > VAGUE))
@@ -171,7 +171,7 @@ def _vague(
 
 def _reasons(
     unknowns: Unknowns,
-    untold: Bool[np.ndarray, " n"],
+    unidentified: Bool[np.ndarray, " n"],
     unseen: Bool[np.ndarray, " n"],
 ) -> list[str]:
     """Why the Jacobian does not leave these open, but the data do."""
@@ -186,5 +186,5 @@ def _reasons(
     return [
         f"{label} cannot be told: {why}"
         for why, chosen in words.items()
-        for label in dict.fromkeys(labels[untold & chosen])
+        for label in dict.fromkeys(labels[unidentified & chosen])
     ]

@@ -46,7 +46,7 @@ _SILENT = {
 }
 
 
-def unidentified(
+def find_unidentified(
     bread: np.ndarray, unknowns: Unknowns, position: np.ndarray, resolution: float
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Which unknowns the Jacobian leaves open, and why, in words."""
@@ -59,7 +59,7 @@ def unidentified(
         for kind in unknowns.names
         if (silent & (kinds == kind)).any()
     ]
-    untold = silent.copy()
+    unidentified = silent.copy()
     heard = np.flatnonzero(~silent)
     if len(heard):
         scaled, _ = unit_diagonal(bread[np.ix_(heard, heard)])
@@ -68,13 +68,13 @@ def unidentified(
         # Vectors of one null space mix: the projection tells who takes part.
         part = null @ null.T
         mixed = np.diag(part) > 1e-4
-        untold[heard[mixed]] = True
+        unidentified[heard[mixed]] = True
         for group in linked_groups(np.abs(part) > 1e-4, mixed):
             names = _listed(labels[heard[group]])
             if "," not in names:
                 names += ": its two angles"
             reasons.append(f"{names} cannot be told apart: they change the image alike")
-    return untold, tuple(reasons)
+    return unidentified, tuple(reasons)
 
 
 def _listed(labels: np.ndarray) -> str:

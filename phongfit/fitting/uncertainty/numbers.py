@@ -8,13 +8,13 @@ def parameter_rows(
     values: np.ndarray,
     errors: np.ndarray,
     at_bound: np.ndarray,
-    untold: np.ndarray,
+    unidentified: np.ndarray,
 ) -> list[str]:
     """A heading, and a line for each parameter."""
     width = max(len(label) for label in labels)
     rows = [f"  {'':<{width}}  {'value':>12}  {'std. error':>12}  {'%':>8}"]
     for label, value, error, bound, open_ in zip(
-        labels, values, errors, at_bound, untold, strict=True
+        labels, values, errors, at_bound, unidentified, strict=True
     ):
         row = f"  {label:<{width}}  {number_with_error(value, error):>12}"
         if open_:

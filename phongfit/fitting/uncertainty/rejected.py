@@ -152,6 +152,6 @@ def without_rejected(
         errors=np.where(here, np.inf, told.errors),
         covariance=covariance,
         at_bound=told.at_bound & ~here,
-        untold=told.untold | here,
+        unidentified=told.unidentified | here,
         reasons=(*told.reasons, words),
     )

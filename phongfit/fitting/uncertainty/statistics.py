@@ -13,7 +13,7 @@ from phongfit.fitting.problem.noise import median_deviation, shared_rounding_var
 from phongfit.fitting.problem.problem import Evaluation, Problem
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.solve.sums import Linearization, linearize
-from phongfit.fitting.uncertainty.identifiability import unidentified
+from phongfit.fitting.uncertainty.identifiability import find_unidentified
 from phongfit.fitting.uncertainty.intervals import Quadratic
 from phongfit.fitting.uncertainty.sandwich import (
     Sandwich,
@@ -45,7 +45,7 @@ class Statistics:
     sums: Sandwich
     covariance: np.ndarray
     spread: np.ndarray
-    untold: np.ndarray
+    unidentified: np.ndarray
     at_bound: np.ndarray
     chi_squared: float
     reasons: tuple[str, ...]
@@ -83,11 +83,13 @@ def statistics(
     at_bound = (position <= np.asarray(unknowns.lower)) | (
         position >= np.asarray(unknowns.upper)
     )
-    untold, reasons = unidentified(sums.inside, unknowns, position, sums.resolution)
-    if untold.all() and _all_white(problem):
+    unidentified, reasons = find_unidentified(
+        sums.inside, unknowns, position, sums.resolution
+    )
+    if unidentified.all() and _all_white(problem):
         words = "nothing can be told: all samples that are used are white. Expose less"
         reasons = (f"{words}, or mask what is overexposed",)
-    at_bound &= ~untold
+    at_bound &= ~unidentified
 
     size = len(position)
     covariance, spread = np.full((size, size), np.nan), np.full(size, np.nan)
@@ -96,10 +98,12 @@ def statistics(
     inverse = inverse_of(part.bread, part.resolution)
     covariance[np.ix_(free, free)] = inverse @ part.meat @ inverse
     spread[free] = np.sqrt(np.diag(inverse))
-    covariance[untold, :] = covariance[:, untold] = np.nan
-    covariance[untold, untold] = np.inf
+    covariance[unidentified, :] = covariance[:, unidentified] = np.nan
+    covariance[unidentified, unidentified] = np.inf
     chi_squared = float(found.chi_squared)
-    return Statistics(sums, covariance, spread, untold, at_bound, chi_squared, reasons)
+    return Statistics(
+        sums, covariance, spread, unidentified, at_bound, chi_squared, reasons
+    )
 
 
 def _all_white(problem: Problem) -> bool:

@@ -51,7 +51,7 @@ def test_a_fit_keeps_off_edges_that_it_moves(kind):
         off = np.asarray(fit[one].value) - np.asarray(truth[one])
         assert np.all(np.abs(off) < 4 * np.asarray(fit[one].error)), one
     # What was left out is not shown as a residual, and does not count.
-    assert fit.samples < 0.9 * 3 * np.asarray(made.trace().mask).sum()
+    assert fit.n_samples < 0.9 * 3 * np.asarray(made.trace().mask).sum()
 
 
 def test_which_pixels_lie_at_an_edge():

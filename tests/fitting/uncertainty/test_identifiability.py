@@ -17,18 +17,18 @@ PLATE = pf.Scene(
 COLOURS = ("red", "green", "blue")
 
 
-def check_untold(fit: pf.Fit, names: tuple[str, ...], words: str) -> None:
+def check_unidentified(fit: pf.Fit, names: tuple[str, ...], words: str) -> None:
     """Exactly the leaves of these names have no finite error, for this reason."""
-    untold = [label for label in fit.labels if label.split(".")[0] in names]
-    assert np.array(fit.labels)[fit.untold].tolist() == untold
-    assert np.array_equal(np.isinf(fit.errors), fit.untold)
-    assert np.array_equal(np.isinf(np.diag(fit.covariance)), fit.untold)
+    unidentified = [label for label in fit.labels if label.split(".")[0] in names]
+    assert np.array(fit.labels)[fit.unidentified].tolist() == unidentified
+    assert np.array_equal(np.isinf(fit.errors), fit.unidentified)
+    assert np.array_equal(np.isinf(np.diag(fit.covariance)), fit.unidentified)
     reasons = [warning for warning in fit.warnings if words in warning]
     assert reasons, fit.warnings
-    assert all(any(label in reason for reason in reasons) for label in untold)
+    assert all(any(label in reason for reason in reasons) for label in unidentified)
     for name in names:
         assert np.all(np.isinf(getattr(fit.stderr, name)))
-    assert str(fit).count("cannot be told") >= len(untold)
+    assert str(fit).count("cannot be told") >= len(unidentified)
 
 
 @NOISES
@@ -37,7 +37,7 @@ def test_a_flat_plate(noise):
     fit = pf.fit(PLATE, photograph(PLATE, TRUTH, noise=noise))
     assert fit.converged
     names = ("ambient", "diffuse", "specular", "shininess")
-    check_untold(fit, names, "cannot be told apart: they change the image alike")
+    check_unidentified(fit, names, "cannot be told apart: they change the image alike")
     assert np.abs(np.mean(fit.residuals)) < 1e-3
 
 
@@ -55,7 +55,7 @@ def test_no_highlight(noise):
     matte = pf.Material(TRUTH.diffuse, 0.0, 20.0, TRUTH.ambient)
     fit = pf.fit(ball(), photograph(ball(), matte, noise=noise))
     assert fit.converged
-    check_untold(fit, ("shininess",), "shininess cannot be told: ")
+    check_unidentified(fit, ("shininess",), "shininess cannot be told: ")
     assert np.all(fit.values[6:9] <= 4 * fit.errors[6:9])
     assert any("specular is 0" in warning for warning in fit.warnings)
 
@@ -65,7 +65,9 @@ def test_no_ambient_light(noise):
     scene = ball(ambient=0.0)
     fit = pf.fit(scene, photograph(scene, TRUTH, noise=noise))
     assert fit.converged
-    check_untold(fit, ("ambient",), "no ambient light falls on a pixel that is used")
+    check_unidentified(
+        fit, ("ambient",), "no ambient light falls on a pixel that is used"
+    )
     others = np.abs(fit.values - as_vector(TRUTH))[3:]
     assert np.all(others < np.maximum(4.5 * fit.errors[3:], 1e-4))
 
@@ -78,14 +80,14 @@ def test_a_highlight_that_is_masked(noise):
     seen = np.asarray(pf.render(ball(ambient=0.0), mirror)).max(axis=-1) > 1e-7
     assert 10 < seen.sum() < 300
     fit = pf.fit(ball(), photograph(ball(), shiny, noise=noise), mask=~seen)
-    check_untold(fit, ("specular", "shininess"), "cannot be told")
+    check_unidentified(fit, ("specular", "shininess"), "cannot be told")
 
 
 def test_an_image_in_other_units():
     """A millionth of white: nothing is as bright as its numbers could be."""
     image = photograph(ball(), TRUTH, noise=0.01, film=pf.Film(clamp=False))
     fit, dark = pf.fit(ball(), image), pf.fit(ball(), 1e-6 * image)
-    assert not dark.warnings and not dark.untold.any()
+    assert not dark.warnings and not dark.unidentified.any()
     scale = np.where(np.arange(10) < 9, 1e-6, 1)
     near(dark.values / scale, fit.values, 3e-3)
     near(dark.errors / scale, fit.errors, 3e-3)
@@ -94,7 +96,7 @@ def test_an_image_in_other_units():
 def test_everything_is_black():
     fit = pf.fit(ball(), np.zeros((SIZE, SIZE, 3)))
     assert fit.converged
-    assert fit.at_bound[:9].all() and fit.untold[9]
+    assert fit.at_bound[:9].all() and fit.unidentified[9]
     assert np.all(fit.values[:9] == 0)
     assert np.all(fit.errors[:9] < 0.01)
 
@@ -102,7 +104,7 @@ def test_everything_is_black():
 def test_everything_is_white():
     """Light may be white, or any amount brighter."""
     fit = pf.fit(ball(), np.ones((SIZE, SIZE, 3)), film=pf.Film())
-    assert fit.untold.all() and np.all(np.isinf(fit.errors))
+    assert fit.unidentified.all() and np.all(np.isinf(fit.errors))
     (warning,) = fit.warnings
     assert "all samples that are used are white" in warning
 
@@ -115,9 +117,11 @@ def test_nearly_everything_is_white():
     image = photograph(scene, bright, noise=0.01)
     assert 0 < np.mean(image[np.asarray(scene.trace().mask)] < 1) < 0.1
     fit = pf.fit(scene, image)
-    assert fit.untold[6:].all() and np.array_equal(np.isinf(fit.errors), fit.untold)
+    assert fit.unidentified[6:].all() and np.array_equal(
+        np.isinf(fit.errors), fit.unidentified
+    )
     truth = np.array([1.0, 1.0, 1.0, 0.9, 0.8, 0.7, 0.5, 0.5, 0.5, 20.0])
-    told = ~fit.untold & ~fit.at_bound
+    told = ~fit.unidentified & ~fit.at_bound
     assert np.all(np.abs(fit.values - truth)[told] < 4.5 * fit.errors[told])
 
 
@@ -134,7 +138,7 @@ def test_ambient_and_emission_under_different_ambient_light():
         unknowns=("ambient", "diffuse", "specular", "shininess", "emission"),
         per_channel=("diffuse", "specular", "emission"),
     )
-    assert fit.converged and not fit.untold.any()
+    assert fit.converged and not fit.unidentified.any()
     off = np.asarray(fit.material.emission) - np.asarray(truth.emission)
     assert np.all(np.abs(off) < 4 * np.asarray(fit.stderr.emission))
     assert abs(float(fit.material.ambient) - 0.5) < 4 * float(fit.stderr.ambient)
@@ -145,7 +149,7 @@ def test_a_bound_that_binds_is_marked():
     offs, bound = [], []
     for seed in range(24):
         fit = pf.fit(ball(), photograph(ball(), truth, noise=0.01, seed=seed))
-        assert fit.converged and not fit.untold.any()
+        assert fit.converged and not fit.unidentified.any()
         assert not np.delete(fit.at_bound, 5).any()
         bound.append(bool(fit.at_bound[5]))
         offs.append((fit.values - as_vector(truth)) / fit.errors)
@@ -182,4 +186,4 @@ def test_one_channel_without_light(colour):
     )
     fit = pf.fit(scene, photograph(scene, TRUTH, noise=0.01))
     expected = [f"{name}.{COLOURS[colour]}" for name in ("diffuse", "specular")]
-    assert np.array(fit.labels)[fit.untold].tolist() == expected
+    assert np.array(fit.labels)[fit.unidentified].tolist() == expected

@@ -146,11 +146,11 @@ FRONT = pf.Scene(
 def test_specular_where_the_exponent_is_not_identified(scene, specular, shininess):
     truth = pf.Material(TRUTH.diffuse, specular, shininess, TRUTH.ambient)
     low, high, fits = coverage(scene, truth, 0.05, 16)
-    assert np.mean([fit.untold[9] for fit in fits]) > 0.8
+    assert np.mean([fit.unidentified[9] for fit in fits]) > 0.8
     expected = as_vector(
         pf.Material(truth.diffuse, np.full(3, specular), shininess, truth.ambient)
     )
-    told = ~np.array([fit.untold for fit in fits])
+    told = ~np.array([fit.unidentified for fit in fits])
     inside = (low <= expected) & (expected <= high)
     assert inside[told].mean() > 0.94
     off = np.array([fit.values for fit in fits]) - expected

@@ -164,7 +164,7 @@ def test_an_end_at_a_bound():
 def test_what_cannot_be_told_has_its_box():
     matte = pf.Material(TRUTH.diffuse, 0.0, 20.0, TRUTH.ambient)
     fit = pf.fit(SCENE, photograph(SCENE, matte, noise=NOISE), noise=NOISE)
-    assert fit["shininess"].untold
+    assert fit["shininess"].unidentified
     profile = fit.profile("shininess", levels=(0.99, 0.999))
     assert profile.intervals == {0.99: (1, 1000), 0.999: (1, 1000)}
 

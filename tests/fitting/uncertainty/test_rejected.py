@@ -21,7 +21,7 @@ def test_a_rejected_highlight_is_not_told():
     lost = [words for words in fit.warnings if REJECTED in words]
     assert len(lost) == 1 and 'loss="linear"' in lost[0]
     lobe = np.array([name.startswith(("specular", "shininess")) for name in fit.labels])
-    np.testing.assert_array_equal(fit.untold, lobe)
+    np.testing.assert_array_equal(fit.unidentified, lobe)
     assert np.all(np.isinf(fit.errors[lobe])) and np.all(np.isfinite(fit.errors[~lobe]))
     assert rejected_highlights(fit.found.problem, fit.found.y).min() > 0
 

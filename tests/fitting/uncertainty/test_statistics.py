@@ -9,7 +9,10 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.problem.leaves import LEAVES
-from phongfit.fitting.uncertainty.identifiability import linked_groups, unidentified
+from phongfit.fitting.uncertainty.identifiability import (
+    find_unidentified,
+    linked_groups,
+)
 from tests.fitting.scenes import (
     TRUTH,
     as_vector,
@@ -171,7 +174,7 @@ LAYOUT = unknowns_of(LEAVES[1:4], (), pf.Material(), {})
 
 
 @pytest.mark.parametrize(
-    "rows, untold, words",
+    "rows, unidentified, words",
     [
         ([[1, 0, 0], [0, 1, 0], [0, 0, 1]], [], None),
         ([[1, 0, 0], [0, 1, 0], [0, 0, 0]], [2], "shininess cannot be told: there is"),
@@ -185,10 +188,10 @@ LAYOUT = unknowns_of(LEAVES[1:4], (), pf.Material(), {})
         ([[1, 1, 0], [0, 0.001, 0], [0, 0, 1]], [], None),
     ],
 )
-def test_who_cannot_be_told(rows, untold, words):
+def test_who_cannot_be_told(rows, unidentified, words):
     jacobian = np.array(rows, float)
-    flags, reasons = unidentified(jacobian.T @ jacobian, LAYOUT, np.ones(3), 1e-7)
-    assert np.flatnonzero(flags).tolist() == untold
+    flags, reasons = find_unidentified(jacobian.T @ jacobian, LAYOUT, np.ones(3), 1e-7)
+    assert np.flatnonzero(flags).tolist() == unidentified
     assert len(reasons) == (0 if words is None else 1)
     if words:
         assert reasons[0].startswith(words)

@@ -79,6 +79,6 @@ def test_noise_that_few_samples_know():
 
 def test_a_white_image_is_said_to_be_white():
     fit = pf.fit(SCENE, np.ones_like(NOISY))
-    assert fit.untold.all()
+    assert fit.unidentified.all()
     assert said(fit, "all samples that are used are white")
     assert not said(fit, "no ambient light")
