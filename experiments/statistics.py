@@ -143,14 +143,14 @@ def excess(seed: int, starts: int) -> float:
     """How far a fit's cost lies above the best of random starts, as a share of it."""
     scene, image = random_problem(seed)
     fit = pf.fit(scene, image)
-    problem, unknowns = fit.found.problem, fit.found.problem.unknowns
+    problem, unknowns = fit.solution.problem, fit.solution.problem.unknowns
     low, high = np.asarray(unknowns.lower), np.asarray(unknowns.upper)
     rng = np.random.default_rng(seed)
     points = low + (high - low) * rng.random((starts, len(low)))
     ends = _ends(problem, jnp.asarray(points.astype(low.dtype)))
     costs = np.where(np.isfinite(ends.cost), ends.cost, np.inf)
     best = total_cost(problem, ends.y[int(np.argmin(costs))])
-    return (total_cost(problem, fit.found.y) - best) / best
+    return (total_cost(problem, fit.solution.y) - best) / best
 
 
 def show(title: str, found: Spread) -> Table:

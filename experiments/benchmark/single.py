@@ -38,7 +38,7 @@ from phongfit.fitting.fit import set_up
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.samples import gather, seen_pixels
 from phongfit.fitting.problem.specification import Specification
-from phongfit.fitting.solve.search import Found, search
+from phongfit.fitting.solve.search import SearchResult, search
 from phongfit.fitting.solve.start import choose_few
 
 TRUTH = pf.Material((0.6, 0.3, 0.2), 0.3, 60.0, 0.5)
@@ -82,7 +82,7 @@ def start(problem: Problem) -> Float[Array, " n"]:
     return jnp.asarray(guess.astype(problem.sigma.dtype))
 
 
-def searching(scene: pf.Scene, image: np.ndarray) -> Callable[[], Found]:
+def searching(scene: pf.Scene, image: np.ndarray) -> Callable[[], SearchResult]:
     """From samples to the solution, without a starting guess."""
     setting = set_up(Specification(), scene, image)
     seen = seen_pixels(setting.sources)
@@ -136,7 +136,11 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
     """All ways, timed in turns."""
     scene, image = target(resolution)
     fit = pf.fit(scene, image)
-    problem, answer, y = fit.found.problem, fit.found.y, start(fit.found.problem)
+    problem, answer, y = (
+        fit.solution.problem,
+        fit.solution.y,
+        start(fit.solution.problem),
+    )
     ways: dict[str, tuple[str, Callable[[], Any]]] = {
         "fit": ("phongfit, all of `pf.fit`", lambda: pf.fit(scene, image)),
         "search": ("phongfit, its search alone", searching(scene, image)),

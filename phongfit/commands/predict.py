@@ -56,23 +56,23 @@ def main(options: Options) -> int:
     one = scenes[0] if len(scenes) == 1 else scenes
     given = options.unknown.given()
     with stage("predicting"):
-        told = predict_errors(one, material, options.noise, film=film, **given)
-    print(told)
+        prediction = predict_errors(one, material, options.noise, film=film, **given)
+    print(prediction)
     if options.json is not None:
-        write_json(options.json, _numbers(told, options.noise))
+        write_json(options.json, _numbers(prediction, options.noise))
         print(f"\n{options.json}")
     return 0
 
 
-def _numbers(told: Prediction, noise: float) -> dict:
+def _numbers(prediction: Prediction, noise: float) -> dict:
     return {
-        "labels": list(told.labels),
-        "values": told.values,
-        "errors": told.errors,
-        "covariance": told.covariance,
-        "at_bound": told.at_bound,
-        "unidentified": told.unidentified,
-        "n_samples": told.n_samples,
+        "labels": list(prediction.labels),
+        "values": prediction.values,
+        "errors": prediction.errors,
+        "covariance": prediction.covariance,
+        "at_bound": prediction.at_bound,
+        "unidentified": prediction.unidentified,
+        "n_samples": prediction.n_samples,
         "noise": noise,
-        "warnings": list(told.warnings),
+        "warnings": list(prediction.warnings),
     }

@@ -224,16 +224,16 @@ def save_fit(
 
     **Raises:** `OSError` that names the file.
     """
-    told = fit.to_dict()
+    numbers = fit.to_dict()
     for name in ("model", "loss"):
-        del told[name]
+        del numbers[name]
     content: dict[str, Any] = {
         "format": FIT_FORMAT,
         "version": FIT_VERSION,
         "data": data.model_dump(),
         "settings": settings.model_dump(),
         "model": describe(model),
-        **told,
+        **numbers,
         "made_with": made_with(),
     }
     write_json(path, content)
@@ -286,9 +286,9 @@ def distances(record: FitRecord, fit: Fit) -> Float[np.ndarray, " n"]:
             f"{', '.join(record.labels)}"
         )
     values, errors = record.numbers()
-    told = np.isfinite(errors), np.isfinite(fit.errors)
+    finite = np.isfinite(errors), np.isfinite(fit.errors)
     # No finer than the numbers themselves: at a bound an error may be 0.
     scale = np.maximum(errors, 1e-5 * np.abs(values) + 1e-7)
     distance = np.abs(fit.values - values) / scale
-    distance = np.where(told[0] == told[1], distance, np.inf)
-    return np.where(told[0] | told[1], distance, np.nan)
+    distance = np.where(finite[0] == finite[1], distance, np.inf)
+    return np.where(finite[0] | finite[1], distance, np.nan)

@@ -25,10 +25,10 @@ from phongfit.fitting.problem.unknowns import Unknowns, in_units
 from phongfit.fitting.result import Fit
 from phongfit.fitting.solve.edges import keep_off_edges
 from phongfit.fitting.solve.jpeg import restore
-from phongfit.fitting.solve.search import Found, search
+from phongfit.fitting.solve.search import SearchResult, search
 from phongfit.fitting.solve.start import ROBUST_NEAR, choose_few
-from phongfit.fitting.summary import Shown, summarize
-from phongfit.fitting.uncertainty.statistics import add_up
+from phongfit.fitting.summary import FittedImage, summarize
+from phongfit.fitting.uncertainty.statistics import sandwich_sums
 from phongfit.fitting.uncertainty.tiles import (
     Measured,
     Tiles,
@@ -169,7 +169,7 @@ def fit(
     restored, side = None, max(tile_side(*source.mask.shape) for source in sources)
     if any(film.jpeg is not None for film in films):
         restored = restore(found, sources, films, noise is not None, max_steps, side)
-        found = restored.found
+        found = restored.solution
         sources = restored.sources
     setting = dataclasses.replace(setting, sources=sources)
     given = {"mask": mask, "weights": weights, "noise": noise}
@@ -178,15 +178,15 @@ def fit(
     # JAX computes these side by side, as long as none is looked at.
     place = in_units(layout, found.y)
     scenes = layout.scenes(place[0], tuple(source.scene for source in sources))
-    shows = [
-        _show(setting, k, scene, place[0], found, side)
+    fitted_images = [
+        _fitted_image(setting, k, scene, place[0], found, side)
         for k, scene in enumerate(scenes)
     ]
-    pieces = add_up(found.problem, found.y)
+    sums = sandwich_sums(found.problem, found.y)
     return summarize(
         found,
         place,
-        pieces,
+        sums,
         specification=specification,
         films=films,
         scenes=scenes,
@@ -194,7 +194,7 @@ def fit(
         photographs=[
             np.array(one, found.y.dtype) for one in ([image] if single else image)
         ],
-        shown=shows,
+        images=fitted_images,
         side=side,
         single=single,
         noise_given=noise is not None,
@@ -204,14 +204,14 @@ def fit(
     )
 
 
-def _show(
+def _fitted_image(
     setting: Setting,
     which: int,
     scene: Scene,
     entries: Array,
-    found: Found,
+    found: SearchResult,
     side: int,
-) -> Shown:
+) -> FittedImage:
     """What the fit makes of one image, and residuals in tiles of `side` pixels."""
     source, unknowns = setting.sources[which], setting.unknowns
     mask, view = source.mask, source.pixels
@@ -230,7 +230,7 @@ def _show(
         setting.films[which].clamp,
         side,
     )
-    return Shown(fitted, residual, tiles)
+    return FittedImage(fitted, residual, tiles)
 
 
 @program("clamp", "side")

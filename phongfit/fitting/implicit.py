@@ -48,7 +48,7 @@ def refit(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Material:
     """
     problem = _other_problem(fit, scene, image)
     known = jax.tree.map(_without_derivative, problem)
-    found = solve(known, fit.found.y, MAX_STEPS)
+    found = solve(known, fit.solution.y, MAX_STEPS)
     y = _with_derivative(problem, found.y)
     y = jnp.where(found.converged, y, jnp.nan)
     return problem.unknowns.material(y)
@@ -62,7 +62,7 @@ def _other_problem(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Prob
     single = isinstance(scene, Scene)
     scenes = (scene,) if single else tuple(scene)
     images = (image,) if single else tuple(image)
-    old = fit.found.problem
+    old = fit.solution.problem
     views = old.samples.views
     if len(scenes) != len(views) or len(images) != len(views):
         raise ValueError(
@@ -98,7 +98,7 @@ def _other_problem(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Prob
 
 def _lost(fit: Fit) -> Float[Array, "3 samples"] | float:
     """What the fit gave back to photographs that were JPEG files."""
-    old = fit.found.problem
+    old = fit.solution.problem
     if all(film.jpeg is None for film in fit.films):
         return 0.0
     came = (fit.photographs,) if isinstance(fit.scene, Scene) else fit.photographs

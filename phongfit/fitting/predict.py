@@ -35,9 +35,9 @@ class Prediction:
     **Arguments:**
 
     - `labels`, `values`, `errors`: the unknowns, their true values, and standard
-        errors: infinite for what could not be told.
+        errors: infinite for what is not identifiable.
     - `stderr`: a material of these errors.
-    - `covariance`: of the estimates; NaN rows for what could not be told.
+    - `covariance`: of the estimates; NaN rows for what is not identifiable.
     - `unidentified`: true where the images would leave the value open.
     - `warnings`: why, in words.
     - `n_samples`: pixels times channels that would be used.
@@ -79,8 +79,8 @@ def predict_errors(
     J)^{-1}$: no unbiased estimate from these images can be better. So lights and views
     can be compared, and placed well.
 
-    Where an exponent cannot be told, fits end at any, and the bound at a single one
-    says too little. Errors are then root mean squares of what 400 fits of drawn
+    Where an exponent is not identifiable, fits end at any, and the bound at a single
+    one says too little. Errors are then root mean squares of what 400 fits of drawn
     photographs, which know the noise, are off by. The draws are the same each time and
     take seconds; such an error is known to 4 %, less well where a few fits stray far.
     What a fit itself states is larger there, often twice: it holds for any exponent.
@@ -136,25 +136,25 @@ def predict_errors(
     rounded = any(one.jpeg is not None for one in films)
     if rounded:
         problem = foresee(problem, y, sources, films)
-    told = estimates(_expected(problem, y), y)
+    estimated = estimates(_expected(problem, y), y)
     is_exponent = unknowns.entry_leaf[unknowns.reported] == "shininess"
     if (
-        told.unidentified[is_exponent].any()
-        and not told.unidentified[~is_exponent].all()
+        estimated.unidentified[is_exponent].any()
+        and not estimated.unidentified[~is_exponent].all()
     ):
         ends = scatter(problem, sources, y)[:, unknowns.reported]
-        told = _as_scattered(told, ends - told.values, rounded)
+        estimated = _as_scattered(estimated, ends - estimated.values, rounded)
     errors = np.zeros_like(entries)
-    errors[unknowns.reported] = told.errors
+    errors[unknowns.reported] = estimated.errors
     return Prediction(
         labels=unknowns.labels,
-        values=told.values,
-        errors=told.errors,
+        values=estimated.values,
+        errors=estimated.errors,
         stderr=as_materials(unknowns, entries, errors)[1],
-        covariance=told.covariance,
-        at_bound=told.at_bound,
-        unidentified=told.unidentified,
-        warnings=told.reasons,
+        covariance=estimated.covariance,
+        at_bound=estimated.at_bound,
+        unidentified=estimated.unidentified,
+        warnings=estimated.reasons,
         n_samples=sum(source.count() for source in sources),
     )
 
@@ -169,25 +169,25 @@ def _expected(problem: Problem, y: Array) -> Problem:
     return eqx.tree_at(lambda p: p.samples.target, problem, shown)
 
 
-def _as_scattered(told: Estimates, off: np.ndarray, rounded: bool) -> Estimates:
+def _as_scattered(estimated: Estimates, off: np.ndarray, rounded: bool) -> Estimates:
     """The same, with the errors that fits are seen to make, (draws, labels).
 
     **Arguments:** `rounded`: whether JPEG will round, which the draws do not know.
     """
     covariance = off.T @ off / len(off)
-    errors = np.where(told.unidentified, np.inf, np.sqrt(np.diag(covariance)))
-    # What is not told, or lies at a bound, stays so.
-    without = told.unidentified | told.at_bound
+    errors = np.where(estimated.unidentified, np.inf, np.sqrt(np.diag(covariance)))
+    # What is not identified, or lies at a bound, stays so.
+    without = estimated.unidentified | estimated.at_bound
     unknown = without[:, None] | without[None]
-    covariance = np.where(unknown, told.covariance, covariance)
+    covariance = np.where(unknown, estimated.covariance, covariance)
     words = (
         f"the exponent may be any: the other errors are those of {len(off)} drawn fits"
     )
     if rounded:
         words += ", which know nothing of JPEG"
-    reasons = (*told.reasons, words)
+    reasons = (*estimated.reasons, words)
     return dataclasses.replace(
-        told, errors=errors, covariance=covariance, reasons=reasons
+        estimated, errors=errors, covariance=covariance, reasons=reasons
     )
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.problem.unknowns import Unknowns
-from phongfit.fitting.solve.search import Found
+from phongfit.fitting.solve.search import SearchResult
 from phongfit.fitting.uncertainty.misfit import Misfit
 from phongfit.fitting.uncertainty.numbers import parameter_rows
 from phongfit.fitting.uncertainty.profile import LEVELS, profile, profile_pair
@@ -79,7 +79,7 @@ class Fit:
     reason: str
     warnings: tuple[str, ...]
     region: Region
-    found: Found
+    solution: SearchResult
 
     def __getitem__(self, name: str) -> Estimate:
         """A leaf by its name, or one number by its label.
@@ -141,8 +141,8 @@ class Fit:
         """
         setting = (self.degrees_of_freedom, tuple(levels), self.misfit.inflation)
         if other is None:
-            return profile(self.found, name, *setting)
-        return profile_pair(self.found, (name, other), *setting)
+            return profile(self.solution, name, *setting)
+        return profile_pair(self.solution, (name, other), *setting)
 
     def plot(self, names: Sequence[str] = ()) -> "Figure":
         """Photograph, fit and residual as a matplotlib figure, of some of the images.
@@ -169,12 +169,12 @@ class Fit:
     @property
     def problem(self) -> Problem:
         """What was solved, with the noise level as found: see [`make_problem`][]."""
-        return self.found.problem
+        return self.solution.problem
 
     @property
     def position(self) -> np.ndarray:
         """The solution as the vector that `problem`'s functions take."""
-        return np.asarray(self.found.y)
+        return np.asarray(self.solution.y)
 
     @property
     def loss(self) -> str:
@@ -297,7 +297,7 @@ Fit.__init__.__doc__ = """**Arguments:**
 - `converged`, `steps`, `reason`: how the solver ended.
 - `warnings`: plain sentences.
 - `region`: what the data allow, which [`Fit`][]`.intervals` asks.
-- `found`: the solved problem, which [`Fit`][]`.profile` and [`refit`][] go on from.
+- `solution`: the solved problem, which [`Fit`][]`.profile` and [`refit`][] go on from.
 """
 
 

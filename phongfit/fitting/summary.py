@@ -14,7 +14,7 @@ from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.result import Fit, as_materials
 from phongfit.fitting.solve.jpeg import Drawn
-from phongfit.fitting.solve.search import Found
+from phongfit.fitting.solve.search import SearchResult
 from phongfit.fitting.uncertainty.estimate import estimates
 from phongfit.fitting.uncertainty.grid import grid_significance
 from phongfit.fitting.uncertainty.misfit import (
@@ -25,7 +25,7 @@ from phongfit.fitting.uncertainty.misfit import (
 from phongfit.fitting.uncertainty.outliers import outlier_words
 from phongfit.fitting.uncertainty.rejected import rejected_highlights, without_rejected
 from phongfit.fitting.uncertainty.scores import with_noise_as_found
-from phongfit.fitting.uncertainty.statistics import Pieces, add_up
+from phongfit.fitting.uncertainty.statistics import SandwichSums, sandwich_sums
 from phongfit.fitting.uncertainty.tiles import Tiles
 from phongfit.fitting.uncertainty.warnings import (
     bound_words,
@@ -42,7 +42,7 @@ from phongfit.scene import Scene
 LEAST_EXCESS = 0.1
 
 
-class Shown(NamedTuple):
+class FittedImage(NamedTuple):
     """What a fit makes of an image, and what it leaves of it."""
 
     fitted: Float[Array, "height width 3"]
@@ -51,15 +51,15 @@ class Shown(NamedTuple):
 
 
 def summarize(
-    found: Found,
+    found: SearchResult,
     place: tuple[Array, Array],
-    pieces: Pieces,
+    sums: SandwichSums,
     *,
     specification: Specification,
     films: tuple[Film, ...],
     scenes: tuple[Scene, ...],
     photographs: list[np.ndarray],
-    shown: list[Shown],
+    images: list[FittedImage],
     side: int,
     single: bool,
     noise_given: bool,
@@ -73,11 +73,11 @@ def summarize(
 
     - `found`: the solution.
     - `place`: it in the user's units: see [`in_units`][].
-    - `pieces`: sums over the samples there: see [`add_up`][].
+    - `sums`: sums over the samples there: see [`sandwich_sums`][].
     - `specification`: what was asked.
     - `films`: of each image.
     - `photographs`: images (H, W, 3) as they were given.
-    - `scenes`, `shown`: the scenes and images as fitted.
+    - `scenes`, `images`: the scenes and images as fitted.
     - `side`: pixels along a tile of theirs.
     - `single`: whether one image was given, not a sequence.
     - `noise_given`: whether the noise level was known.
@@ -88,19 +88,19 @@ def summarize(
     problem, unknowns = found.problem, found.problem.unknowns
     # Meanwhile JAX is at work on the images and on the sums.
     weight = _typical_weight(problem)
-    fitted = [np.asarray(one.fitted) for one in shown]
-    residuals = [np.asarray(one.residual) for one in shown]
+    fitted = [np.asarray(one.fitted) for one in images]
+    residuals = [np.asarray(one.residual) for one in images]
     # NumPy's from here on: to add up an array of JAX's takes ten times as long.
-    tiles = [jax.tree.map(np.asarray, one.tiles) for one in shown]
+    tiles = [jax.tree.map(np.asarray, one.tiles) for one in images]
     misfit = find_misfit(tiles, side, drawn)
     blocks = 0.0 if drawn else grid_significance([t.grid for t in tiles])
-    if bool(pieces.exact) and not noise_given:
+    if bool(sums.exact) and not noise_given:
         # How arithmetic rounds says nothing of the model, nor of the film.
         misfit, blocks = Misfit(), 0.0
     samples = round(sum(float(np.sum(one.count, dtype=float)) for one in tiles))
     # Clipped samples say nothing of the noise.
     effective = round(sum(float(np.sum(one.variance, dtype=float)) for one in tiles))
-    spread = _spread(pieces, effective, noise_given)
+    spread = _spread(sums, effective, noise_given)
     if not problem.loss.robust:
         # The covariance of a robust loss goes by the residuals anyway.
         misfit = dataclasses.replace(misfit, inflation=misfit.inflation * spread**2)
@@ -112,21 +112,21 @@ def summarize(
             problem, found.y, correlation, misfit.noise_differs
         )
         found = dataclasses.replace(found, problem=problem)
-        pieces = add_up(problem, found.y)
-    told = estimates(problem, found.y, misfit.inflation, place, pieces)
+        sums = sandwich_sums(problem, found.y)
+    estimated = estimates(problem, found.y, misfit.inflation, place, sums)
     rejected = rejected_highlights(problem, found.y)
-    told = without_rejected(told, unknowns, rejected)
+    estimated = without_rejected(estimated, unknowns, rejected)
     entries = np.array(place[0])
-    exposure = np.ones(len(shown))
+    exposure = np.ones(len(images))
     if unknowns.exposed:
         exposure = np.array(unknowns.parts(entries)[EXPOSURE])
-    entries[unknowns.reported] = told.values
+    entries[unknowns.reported] = estimated.values
     errors = np.zeros_like(entries)
-    errors[unknowns.reported] = told.errors
+    errors[unknowns.reported] = estimated.errors
     material, stderr = as_materials(unknowns, entries, errors)
     converged = bool(found.converged)
     # Of the noise there is nothing to say.
-    settled = noise_given or told.unidentified.all()
+    nothing_clipped_to_say = noise_given or estimated.unidentified.all()
     return Fit(
         specification=specification,
         films=films,
@@ -135,11 +135,11 @@ def summarize(
         scene=scenes[0] if single else scenes,
         exposure=exposure.ravel(),
         labels=unknowns.labels,
-        values=told.values,
-        errors=told.errors,
-        covariance=told.covariance,
-        at_bound=told.at_bound,
-        unidentified=told.unidentified,
+        values=estimated.values,
+        errors=estimated.errors,
+        covariance=estimated.covariance,
+        at_bound=estimated.at_bound,
+        unidentified=estimated.unidentified,
         bounds=unknowns.bounds.copy(),
         tied=unknowns.tied.copy(),
         photographs=photographs[0] if single else tuple(photographs),
@@ -149,9 +149,9 @@ def summarize(
         noise_given=noise_given,
         arrays=arrays,
         n_samples=samples,
-        n_images=len(shown),
-        degrees_of_freedom=max(effective + sum(unknowns.has_prior) - told.free, 0),
-        chi_squared=told.chi_squared,
+        n_images=len(images),
+        degrees_of_freedom=max(effective + sum(unknowns.has_prior) - estimated.free, 0),
+        chi_squared=estimated.chi_squared,
         misfit=misfit,
         model=type(problem.samples.channels.pixels.terms.model).__name__,
         converged=converged,
@@ -159,20 +159,24 @@ def summarize(
         reason=_CONVERGED if converged else _STOPPED,
         warnings=(
             *(() if converged else ("the solver did not converge",)),
-            *told.reasons,
+            *estimated.reasons,
             *at_edges,
-            *bound_words(told, unknowns),
-            *prior_words(told, unknowns, misfit.inflation),
+            *bound_words(estimated, unknowns),
+            *prior_words(estimated, unknowns, misfit.inflation),
             # Where all is white there is nothing to describe.
-            *(misfit_words(misfit, len(shown)) if np.any(pieces.inside) else ()),
+            *(misfit_words(misfit, len(images)) if np.any(sums.inside) else ()),
             *grid_words(blocks),
             *spread_words(spread),
-            *([] if settled else clipped_words(pieces, effective, samples)),
+            *(
+                []
+                if nothing_clipped_to_say
+                else clipped_words(sums, effective, samples)
+            ),
             # What neighbours share is no matter of single samples.
-            *(() if _is_shared(misfit) else outlier_words(problem, found.y, pieces)),
+            *(() if _is_shared(misfit) else outlier_words(problem, found.y, sums)),
         ),
-        region=told.region,
-        found=found,
+        region=estimated.region,
+        solution=found,
     )
 
 
@@ -194,8 +198,8 @@ def _typical_weight(problem: Problem) -> float:
     return float(typical)
 
 
-def _spread(pieces: Pieces, effective: int, noise_given: bool) -> float:
+def _spread(sums: SandwichSums, effective: int, noise_given: bool) -> float:
     """How many times larger residuals are than the noise given; 1 where by chance."""
-    spread = float(pieces.spread)
+    spread = float(sums.spread)
     beyond = max(LEAST_EXCESS, 5 * math.sqrt(2 / max(effective, 1)))
     return spread if noise_given and spread**2 > 1 + beyond else 1.0

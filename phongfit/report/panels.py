@@ -27,7 +27,7 @@ MOST_SAMPLES = 1_000_000
 # The first of these that the data tell; then the others, one of each kind.
 _PROFILED = ("shininess", "specular", "diffuse")
 
-Shown = dict[str, Any]
+Panel = dict[str, Any]
 """`source`, `alt` and `caption` of a picture."""
 
 
@@ -36,14 +36,14 @@ def _drawn(
     alt: str,
     caption: str = "",
     size: tuple[float, float] = (4.4, 3.1),
-) -> Shown:
+) -> Panel:
     """One picture of the page: small, so that its labels can be read on a phone."""
     figure = picture(*size)
     draw(figure.subplots())
     return {"source": source(figure), "alt": alt, "caption": caption}
 
 
-def trio(fit: Fit, k: int, name: str, images: Sequence[int]) -> Shown:
+def trio(fit: Fit, k: int, name: str, images: Sequence[int]) -> Panel:
     """Photograph, fit and residual of image `k`, as bright as all `images` shown."""
     photograph, fitted, residual = (
         as_tuple(some)[k] for some in (fit.photographs, fit.fitted, fit.residuals)
@@ -80,7 +80,7 @@ def _size(image: np.ndarray) -> tuple[float, float]:
     return 3.4, float(np.clip(3.4 * height / width, 1.2, 6))
 
 
-def _image(image: np.ndarray, alt: str, caption: str) -> Shown:
+def _image(image: np.ndarray, alt: str, caption: str) -> Panel:
     """An image up to the edge of its picture."""
     figure = picture(*_size(image), layout=None)
     axes = figure.add_axes((0, 0, 1, 1))
@@ -123,11 +123,11 @@ def profiled(fit: Fit) -> list[str]:
 
 
 def _free_labels(fit: Fit) -> list[str]:
-    labels = list(fit.found.problem.unknowns.y_labels)
+    labels = list(fit.solution.problem.unknowns.y_labels)
     return [label for label in labels if labels.count(label) == 1]
 
 
-def profiles(fit: Fit, thorough: bool) -> tuple[list[Shown], str]:
+def profiles(fit: Fit, thorough: bool) -> tuple[list[Panel], str]:
     """A few profiles, if they are wanted, and a word on the others."""
     if not thorough:
         return [], "Profiles were not asked for."
@@ -155,7 +155,7 @@ def profiles(fit: Fit, thorough: bool) -> tuple[list[Shown], str]:
     return shown, f"{draws} that of another unknown." if left > 0 else ""
 
 
-def correlations(fit: Fit) -> tuple[Shown | None, str]:
+def correlations(fit: Fit) -> tuple[Panel | None, str]:
     """The matrix, if there is one, and its strongest entry in words."""
     entries = shown_unknowns(fit)
     if len(entries) < 2:
@@ -177,7 +177,7 @@ def correlations(fit: Fit) -> tuple[Shown | None, str]:
     return shown | {"inches": size[0]}, strongest
 
 
-def residuals(fit: Fit) -> list[Shown]:
+def residuals(fit: Fit) -> list[Panel]:
     """Are they noise?"""
     return [
         _drawn(
@@ -197,14 +197,14 @@ def residuals(fit: Fit) -> list[Shown]:
     ]
 
 
-def convergence(fit: Fit, thorough: bool) -> tuple[Shown | None, str]:
+def convergence(fit: Fit, thorough: bool) -> tuple[Panel | None, str]:
     """How the solver ended and, if that is wanted, the cost step by step."""
     end = f"The fit took {fit.steps} steps: {fit.reason}."
     if not thorough:
         return None, end
     if fit.n_samples > MOST_PROFILES * MOST_SAMPLES:
         return None, f"{end} Its course is not drawn: of so many samples it takes long."
-    descent = descend(fit.found)
+    descent = descend(fit.solution)
     if not np.isfinite(descent.costs).all():
         return None, f"{end} Costs are not finite."
     steps = len(descent.costs) - 1

@@ -22,8 +22,8 @@ def residuals(
 
     σ is that of each sample: noise and rounding, by its weight.
     """
-    problem = fit.found.problem
-    found = evaluate(problem, fit.found.y)
+    problem = fit.solution.problem
+    found = evaluate(problem, fit.solution.y)
     used = np.asarray(problem.samples.weight) > 0
     light = np.asarray(found.difference) + np.asarray(problem.samples.target)
     in_sigma = -np.asarray(found.residual)

@@ -84,7 +84,7 @@ def listed(words: Sequence[str], most: int = 6) -> str:
 
 def _what(fit: Fit) -> str:
     count = "one photograph" if fit.n_images == 1 else f"{fit.n_images} photographs"
-    materials = fit.found.problem.unknowns.materials
+    materials = fit.solution.problem.unknowns.materials
     what = "One material was" if materials == 1 else f"{materials} materials were"
     samples = f"{fit.n_samples:,} samples (pixels times channels)"
     return f"{what} fitted to {count}: {samples}, {len(fit.labels)} unknowns."
@@ -130,7 +130,7 @@ def _leaf_words(fit: Fit, name: str) -> str:
 def assumptions(fit: Fit) -> dict[str, str]:
     """What the numbers rest on, as name and value."""
     scene = fit.scene[0] if isinstance(fit.scene, tuple) else fit.scene
-    unknowns = fit.found.problem.unknowns
+    unknowns = fit.solution.problem.unknowns
     model = f"{fit.model} ({settings(scene.specular)})"
     noise = f"{fit.noise:.3g} of white, {'given' if fit.noise_given else 'estimated'}"
     kinds = sorted({type(light).__name__ for light in scene.lights})
@@ -159,7 +159,7 @@ def settings(module: Any) -> str:
 
 def bounds_words(fit: Fit) -> str:
     """Bounds of the unknowns; those that are alike are told once."""
-    unknowns = fit.found.problem.unknowns
+    unknowns = fit.solution.problem.unknowns
     leaves = unknowns.entry_leaf[unknowns.reported]
     groups: dict[tuple[float, float], list[str]] = {}
     for leaf, (low, high) in zip(leaves.tolist(), fit.bounds.tolist(), strict=True):
@@ -174,7 +174,7 @@ def bounds_words(fit: Fit) -> str:
 
 def known_words(fit: Fit) -> str:
     """What was held, tied or had a prior."""
-    unknowns = fit.found.problem.unknowns
+    unknowns = fit.solution.problem.unknowns
     labels = unknowns.entry_labels
     groups = (
         ("held", labels, unknowns.fixed),

@@ -42,7 +42,7 @@ def test_all_ways_end_at_one_answer():
 
 def test_the_start_is_the_peers():
     scene, image = single.target(24)
-    problem = fit(scene, image).found.problem
+    problem = fit(scene, image).solution.problem
     material = problem.unknowns.material(single.start(problem))
     assert float(material.shininess) == pytest.approx(8)
     assert material.diffuse.tolist() == [0.5, 0.5, 0.5]
@@ -50,7 +50,7 @@ def test_the_start_is_the_peers():
 
 def test_residuals_written_out_are_the_problems():
     scene, image = single.target(24)
-    problem = fit(scene, image).found.problem
+    problem = fit(scene, image).solution.problem
     y = single.start(problem)
     used = np.asarray(problem.samples.weight)[0] > 0
     expected = np.asarray(problem.residual(y))[:, used]
@@ -66,7 +66,7 @@ def test_residuals_written_out_are_the_problems():
 )
 def test_adam_of_pytorch_comes_near():
     scene, image = single.target(24)
-    found = fit(scene, image).found
+    found = fit(scene, image).solution
     y, answer = np.asarray(single.start(found.problem)), np.asarray(found.y)
     problem = single_peers.written_out(found.problem)
     end, steps = single_peers.torch_adam(problem, y, answer)()

@@ -74,7 +74,7 @@ def result(**changes) -> pf.Fit:
             reason="it was good",
             warnings=("shininess cannot be told: " + 20 * "because it is so, ",),
             region=REGION,
-            found=cast(Any, None),
+            solution=cast(Any, None),
         ),
         **changes,
     )

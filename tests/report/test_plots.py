@@ -159,7 +159,7 @@ def test_profile_of_a_pair(one):
 
 
 def test_the_way_down(one):
-    descent = descend(one.found)
+    descent = descend(one.solution)
     costs = descent.costs
     assert 2 < len(costs) < 40 and np.all(np.diff(costs) < 1e-6 * costs[0])
     assert costs[0] > costs[-1]

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool
 
 from phongfit.fitting.problem.samples import Source, gather
 from phongfit.fitting.problem.unknowns import Unknowns, in_units
-from phongfit.fitting.solve.search import Found, search_on
+from phongfit.fitting.solve.search import SearchResult, search_on
 from phongfit.scene import Scene
 
 # Pixels to either side of an edge that are left out, and of these the nearest, which
@@ -28,12 +28,12 @@ MOST_ROUNDS = 8
 
 
 def keep_off_edges(
-    found: Found,
+    found: SearchResult,
     sources: list[Source],
     seen: list[np.ndarray],
     noise_given: bool,
     max_steps: int,
-) -> tuple[Found, list[Source], tuple[str, ...]]:
+) -> tuple[SearchResult, list[Source], tuple[str, ...]]:
     """A fit again and again, until no pixel that counts lies at an edge that it moves.
 
     **Arguments:** `seen`: of each image the pixels that the fit gathered.

@@ -27,7 +27,7 @@ from jaxtyping import Array, Bool, Float, Int
 from phongfit.fitting.problem.noise import median_deviation
 from phongfit.fitting.problem.problem import Problem, evaluate
 from phongfit.fitting.problem.samples import Source
-from phongfit.fitting.solve.search import Found
+from phongfit.fitting.solve.search import SearchResult
 from phongfit.fitting.solve.solution import solve
 from phongfit.fitting.solve.sums import Linearization, linearize
 from phongfit.rendering.film import Film, decode, encode
@@ -53,18 +53,18 @@ Drawn = Float[np.ndarray, "draws 3 rows columns"]
 class Restored(NamedTuple):
     """A fit of photographs that have been given back what JPEG took.
 
-    - `found`: the solution, and its problem.
+    - `solution`: of the fit, and its problem.
     - `sources`: these photographs, with steps as wide as what the files rounded.
     - `drawn`: sums over tiles of what the right model leaves: see [`find_misfit`][].
     """
 
-    found: Found
+    solution: SearchResult
     sources: list[Source]
     drawn: list[Drawn]
 
 
 def restore(
-    found: Found,
+    found: SearchResult,
     sources: list[Source],
     films: tuple[Film, ...],
     noise_given: bool,
@@ -103,7 +103,9 @@ def restore(
     ]
     scatter = jnp.asarray(draws.scatter, y.dtype)
     problem = dataclasses.replace(problem, scatter=scatter)
-    found = Found(problem, solution.y, solution.converged, steps + solution.steps)
+    found = SearchResult(
+        problem, solution.y, solution.converged, steps + solution.steps
+    )
     return Restored(found, restored, draws.tiles)
 
 

@@ -39,7 +39,7 @@ NEAR, NOISY = 3e-4, 1e3
 
 
 @record
-class Found:
+class SearchResult:
     """The solution, the problem with its final noise level, and how it ended."""
 
     problem: Problem
@@ -48,7 +48,7 @@ class Found:
     steps: Int[Array, ""]
 
 
-class _Stand(NamedTuple):
+class _SearchState(NamedTuple):
     """Where a search stands: the noise level is that of a sample of weight 1.
 
     `pace` is how fast the solver's steps shrank last; 0 if that is not known.
@@ -61,9 +61,9 @@ class _Stand(NamedTuple):
     pace: Float[Array, "2"]
 
 
-def _stand(y: Float[Array, " n"], sigma: Float[Array, ""]) -> _Stand:
+def _first_state(y: Float[Array, " n"], sigma: Float[Array, ""]) -> _SearchState:
     """Where nothing has been solved yet."""
-    return _Stand(y, sigma, jnp.array(False), jnp.array(0), jnp.zeros(2, y.dtype))
+    return _SearchState(y, sigma, jnp.array(False), jnp.array(0), jnp.zeros(2, y.dtype))
 
 
 def search(
@@ -74,7 +74,7 @@ def search(
     clamp: bool,
     noise_given: bool,
     max_steps: int,
-) -> Found:
+) -> SearchResult:
     """The least cost, without a starting guess of the material.
 
     Nobody waits for it: one program after the other takes over what the last one found.
@@ -95,44 +95,44 @@ def search(
         y, unknowns = _best_of_several(problem, noise_given, max_steps)
         problem = Problem(first, unknowns, sigma, loss, clamp)
     if loss.robust:
-        stand = _best_valley(problem, y, noise_given, min(max_steps, 50))
+        state = _best_valley(problem, y, noise_given, min(max_steps, 50))
     elif unknowns.of_scene or unknowns.exposed:
-        stand = _look(problem, y, noise_given)
+        state = _look(problem, y, noise_given)
     else:
-        stand = _begin(problem, y, noise_given)
+        state = _begin(problem, y, noise_given)
     if few is not None:
         samples = gather()
         if not loss.robust:
             # One pass comes near enough.
-            stand = _settle(problem, stand, max_steps, noise_given, True)
+            state = _settle(problem, state, max_steps, noise_given, True)
         problem = Problem(samples, unknowns, sigma, loss, clamp)
-    return _end(problem, stand, max_steps, noise_given, few is not None)
+    return _end(problem, state, max_steps, noise_given, few is not None)
 
 
 def search_on(
-    found: Found, samples: Samples, noise_given: bool, max_steps: int
-) -> Found:
+    found: SearchResult, samples: Samples, noise_given: bool, max_steps: int
+) -> SearchResult:
     """From where a search ended, with other weights of the same samples."""
     old = found.problem
-    stand = _stand(found.y, old.sigma)._replace(steps=found.steps)
+    state = _first_state(found.y, old.sigma)._replace(steps=found.steps)
     problem = Problem(samples, old.unknowns, old.sigma, old.loss, old.clamp)
-    return _end(problem, stand, max_steps, noise_given)
+    return _end(problem, state, max_steps, noise_given)
 
 
 def _end(
     problem: Problem,
-    stand: _Stand,
+    state: _SearchState,
     max_steps: int,
     noise_given: bool,
     near: bool = False,
-) -> Found:
+) -> SearchResult:
     y, sigma, converged, steps, _ = _settle(
-        problem, stand, max_steps, noise_given, near=near
+        problem, state, max_steps, noise_given, near=near
     )
     samples, unknowns = problem.samples, problem.unknowns
     # Named by hand: to replace one field of a module takes long.
     problem = Problem(samples, unknowns, sigma, problem.loss, problem.clamp)
-    return Found(problem, y, converged, steps)
+    return SearchResult(problem, y, converged, steps)
 
 
 def _best_of_several(
@@ -216,24 +216,24 @@ def spread_starts(unknowns: Unknowns, count: int) -> Starts:
 
 
 @program("noise_given")
-def _begin(problem: Problem, y: Float[Array, " n"], noise_given: bool) -> _Stand:
+def _begin(problem: Problem, y: Float[Array, " n"], noise_given: bool) -> _SearchState:
     """Where the scan ends, and the noise level there."""
     return _look(problem, scan(problem, y), noise_given)
 
 
 @program("noise_given")
-def _look(problem: Problem, y: Float[Array, " n"], noise_given: bool) -> _Stand:
+def _look(problem: Problem, y: Float[Array, " n"], noise_given: bool) -> _SearchState:
     """The noise level where a search begins, which outliers may be near."""
     sigma = jnp.asarray(problem.sigma)
     if not noise_given:
         sigma = _robust_noise(problem, evaluate(problem, y))
-    return _stand(y, sigma)
+    return _first_state(y, sigma)
 
 
 @program("noise_given", "steps")
 def _best_valley(
     problem: Problem, y: Float[Array, " n"], noise_given: bool, steps: int
-) -> _Stand:
+) -> _SearchState:
     """The best of the ends that starts with narrow and wide highlights lead to.
 
     A robust cost has several valleys: what one explanation rejects, another explains.
@@ -275,13 +275,13 @@ def _best_valley(
         y = ends[jnp.argmin(total)]
     else:
         y = choose(unknowns, y, ends, costs)
-    return _stand(y, noise(common, y))
+    return _first_state(y, noise(common, y))
 
 
 class _Pass(NamedTuple):
     """Passes over the noise level: in the last it is held, and then all is done."""
 
-    now: _Stand
+    now: _SearchState
     passes: Int[Array, ""]
     last: Bool[Array, ""]
     done: Bool[Array, ""]
@@ -290,12 +290,12 @@ class _Pass(NamedTuple):
 @program("max_steps", "noise_given", "once", "near")
 def _settle(
     problem: Problem,
-    stand: _Stand,
+    state: _SearchState,
     max_steps: int,
     noise_given: bool,
     once: bool = False,
     near: bool = False,
-) -> _Stand:
+) -> _SearchState:
     """Solve until the noise level that the solution rests on is what it leaves.
 
     Where the solution depends on that level, the last solve is for the level stated.
@@ -307,23 +307,23 @@ def _settle(
     """
 
     def again(
-        stand: _Stand, last: Bool[Array, ""], coarse: Float[Array, ""]
-    ) -> tuple[_Stand, Bool[Array, ""]]:
-        here = dataclasses.replace(problem, sigma=stand.sigma)
-        solution = solve(here, stand.y, max_steps, stand.pace, coarse)
-        steps = stand.steps + solution.steps
-        sigma = stand.sigma
+        state: _SearchState, last: Bool[Array, ""], coarse: Float[Array, ""]
+    ) -> tuple[_SearchState, Bool[Array, ""]]:
+        here = dataclasses.replace(problem, sigma=state.sigma)
+        solution = solve(here, state.y, max_steps, state.pace, coarse)
+        steps = state.steps + solution.steps
+        sigma = state.sigma
         if not noise_given:
             sigma = jnp.where(last, sigma, _noise(here, solution))
-        now = _Stand(solution.y, sigma, solution.converged, steps, solution.pace)
+        now = _SearchState(solution.y, sigma, solution.converged, steps, solution.pace)
         return now, _depends_on_noise(problem, solution)
 
-    exact = jnp.zeros((), stand.y.dtype)
+    exact = jnp.zeros((), state.y.dtype)
     if once or noise_given:
-        return again(stand, jnp.array(False), exact)[0]
+        return again(state, jnp.array(False), exact)[0]
 
     def step(at: _Pass) -> _Pass:
-        noisy = at.now.sigma > NOISY * jnp.finfo(stand.y.dtype).eps
+        noisy = at.now.sigma > NOISY * jnp.finfo(state.y.dtype).eps
         first = near & noisy & (at.passes == 0)
         now, depends = again(at.now, at.last, jnp.where(first, NEAR, exact))
         change = now.sigma / at.now.sigma
@@ -334,7 +334,7 @@ def _settle(
         return _Pass(now, passes, late | same, done)
 
     none = jnp.array(False)
-    first = _Pass(stand, jnp.array(0), none, none)
+    first = _Pass(state, jnp.array(0), none, none)
     return jax.lax.while_loop(lambda at: ~at.done, step, first).now
 
 
@@ -344,15 +344,15 @@ def _depends_on_noise(problem: Problem, solution: Solution) -> Bool[Array, ""]:
     rounded, known = samples.step is not None, any(problem.unknowns.has_prior)
     if rounded or known or problem.loss.robust:
         return jnp.array(True)
-    count = jnp.sum(samples.weight > 0).astype(solution.left.share.dtype)
-    return solution.left.share < (1 - CLIPPED) * count
+    count = jnp.sum(samples.weight > 0).astype(solution.residual_sums.share.dtype)
+    return solution.residual_sums.share < (1 - CLIPPED) * count
 
 
 def _noise(problem: Problem, solution: Solution) -> Float[Array, ""]:
     """Standard deviation of a sample of weight 1, before rounding."""
     if problem.loss.robust:
         return _robust_noise(problem, evaluate(problem, solution.y))
-    left = solution.left
+    left = solution.residual_sums
     variance = left.squares / jnp.maximum(left.share - solution.y.size, 1)
     return _unrounded(problem, variance, left.floor)
 

@@ -10,13 +10,13 @@ from jaxtyping import Array, Float, Int
 
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.solve.solver import BoundedLevenbergMarquardt
-from phongfit.fitting.solve.sums import Left, sums
+from phongfit.fitting.solve.sums import ResidualSums, sums
 
 
 @eqx.filter_custom_jvp
 def few_residuals(
     y: Float[Array, " n"], problem: Problem
-) -> tuple[Float[Array, " n+1"], Left]:
+) -> tuple[Float[Array, " n+1"], ResidualSums]:
     r"""n + 1 residuals that no Gauss-Newton method can tell from all of them.
 
     With the symmetric root $R = (J^\top J)^{1/2}$ they are $R^{-1} J^\top r$ and what
@@ -26,26 +26,29 @@ def few_residuals(
 
     **Returns:** these, and what a noise level follows from: optimistix's `aux`.
     """
-    residuals, _, left = _residuals_and_root(y, problem)
-    return residuals, left
+    residuals, _, residual_sums = _residuals_and_root(y, problem)
+    return residuals, residual_sums
 
 
 @few_residuals.def_jvp
 def _derivative(
     at: tuple[Array, Problem], towards: tuple[Array | None, Any]
-) -> tuple[tuple[Array, Left], tuple[Array, Left]]:
-    residuals, root, left = _residuals_and_root(*at)
+) -> tuple[tuple[Array, ResidualSums], tuple[Array, ResidualSums]]:
+    residuals, root, residual_sums = _residuals_and_root(*at)
     tangent, others = towards
     if any(leaf is not None for leaf in jax.tree.leaves(others)):
         raise NotImplementedError("few_residuals: a derivative in the unknowns only")
     moved = jnp.zeros_like(at[0]) if tangent is None else root @ tangent
     moved = jnp.append(moved, jnp.zeros((), moved.dtype))
-    return (residuals, left), (moved, jax.tree.map(jnp.zeros_like, left))
+    return (residuals, residual_sums), (
+        moved,
+        jax.tree.map(jnp.zeros_like, residual_sums),
+    )
 
 
 def _residuals_and_root(
     y: Float[Array, " n"], problem: Problem
-) -> tuple[Float[Array, " n+1"], Float[Array, "n n"], Left]:
+) -> tuple[Float[Array, " n+1"], Float[Array, "n n"], ResidualSums]:
     total = sums(problem, y)
     tiny = jnp.finfo(y.dtype).tiny
     scale = jnp.sqrt(jnp.diag(total.hessian))
@@ -63,7 +66,7 @@ def _residuals_and_root(
     tail = jnp.sqrt(jnp.maximum(total.cost - length / steeper**2, 0))
     unit = _unit(problem)
     residuals = jnp.append(head / steeper, tail) / unit
-    return residuals, jacobian * steeper / unit, total.left
+    return residuals, jacobian * steeper / unit, total.residual_sums
 
 
 def _unit(problem: Problem) -> Float[Array, ""]:
@@ -119,7 +122,7 @@ class Solution(eqx.Module):
 
     y: Float[Array, " n"]
     cost: Float[Array, ""]
-    left: Left
+    residual_sums: ResidualSums
     steps: Int[Array, ""]
     converged: Array
     pace: Float[Array, "2"]
@@ -156,7 +159,8 @@ def solve(
     # The last step's end may not have been evaluated: there the linear model serves.
     change = state.f_info.jac.mv(solution.value - state.descent_state.y)
     saved = jnp.sum(change**2) / jnp.maximum(jnp.sum(state.f_info.residual**2), 1e-30)
-    left = state.aux
-    left = Left(left.squares * jnp.maximum(1 - saved, 0), left.share, left.floor)
+    last = state.aux
+    squares = last.squares * jnp.maximum(1 - saved, 0)
+    residual_sums = ResidualSums(squares, last.share, last.floor)
     pace = solver.pace_at(state)
-    return Solution(solution.value, cost, left, steps, converged, pace)
+    return Solution(solution.value, cost, residual_sums, steps, converged, pace)

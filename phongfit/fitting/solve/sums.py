@@ -200,7 +200,7 @@ def linearize(problem: Problem, y: Float[Array, " n"]) -> Linearization:
     return Linearization(at, priors, jacobian)
 
 
-class Left(eqx.Module):
+class ResidualSums(eqx.Module):
     """What is left over at a point, as a noise level follows from it.
 
     **Arguments:**
@@ -221,7 +221,7 @@ class Sums(eqx.Module):
     hessian: Float[Array, "n n"]
     gradient: Float[Array, " n"]
     cost: Float[Array, ""]
-    left: Left
+    residual_sums: ResidualSums
 
 
 def sums(problem: Problem, y: Float[Array, " n"]) -> Sums:
@@ -248,5 +248,5 @@ def sums(problem: Problem, y: Float[Array, " n"]) -> Sums:
         hessian + slopes.T @ slopes,
         gradient + slopes.T @ priors,
         cost + jnp.sum(priors**2),
-        Left(squares, jnp.sum(at.variance_share), at.floor),
+        ResidualSums(squares, jnp.sum(at.variance_share), at.floor),
     )

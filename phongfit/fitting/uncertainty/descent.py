@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.fitting.problem.problem import Problem
-from phongfit.fitting.solve.search import Found
+from phongfit.fitting.solve.search import SearchResult
 from phongfit.fitting.solve.solution import few_residuals, make_solver
 from phongfit.fitting.solve.start import scan
 from phongfit.fitting.uncertainty.profile import total_cost
@@ -33,7 +33,7 @@ class Descent:
     least: float
 
 
-def descend(found: Found) -> Descent:
+def descend(found: SearchResult) -> Descent:
     """The cost step by step, on all samples, with the noise level of the fit.
 
     The search of a fit goes several ways, on few samples first, and keeps no record:

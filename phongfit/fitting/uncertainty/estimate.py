@@ -12,7 +12,7 @@ from phongfit.fitting.uncertainty.exponents import Doubts, parts_over_exponents
 from phongfit.fitting.uncertainty.identifiability import doubtful_exponents
 from phongfit.fitting.uncertainty.region import Part, Region
 from phongfit.fitting.uncertainty.statistics import (
-    Pieces,
+    SandwichSums,
     Statistics,
     quadratic_about,
     statistics,
@@ -61,18 +61,18 @@ def estimates(
     y: Float[Array, " n"],
     inflation: float = 1.0,
     place: tuple[Array, Array] | None = None,
-    pieces: Pieces | None = None,
+    sums: SandwichSums | None = None,
 ) -> Estimates:
     """Values and errors at a solution.
 
     **Arguments:**
 
     - `inflation`: factor on all variances.
-    - `place`, `pieces`: what [`in_units`][] and [`add_up`][] say of it, if at hand.
+    - `place`, `sums`: of [`in_units`][] and [`sandwich_sums`][] there, if at hand.
     """
     unknowns = problem.unknowns
     place = in_units(unknowns, y) if place is None else place
-    found = statistics(problem, y, inflation, pieces)
+    found = statistics(problem, y, inflation, sums)
     position = np.asarray(y, float)
     entries, slope = (np.asarray(a, float) for a in place)
     values = np.clip(entries[unknowns.reported], *unknowns.bounds.T)
@@ -81,7 +81,7 @@ def estimates(
     covariance = slope @ inner @ slope.T
     errors = np.sqrt(np.diag(covariance))
 
-    unseen, faint = doubtful_exponents(unknowns, position, found.sums)
+    unseen, faint = doubtful_exponents(unknowns, position, found.sandwich)
     vague = _vague(unknowns, position, found, unseen)
     make = functools.partial(_one_part, found, unknowns, position)
     if vague.any():
@@ -107,7 +107,9 @@ def estimates(
     reasons += _reasons(unknowns, unidentified & ~found.unidentified, unseen)
 
     at_bound = found.at_bound & ~unidentified
-    strain = found.sums.strain(at_bound) if at_bound.any() else np.zeros(len(position))
+    strain = (
+        found.sandwich.strain(at_bound) if at_bound.any() else np.zeros(len(position))
+    )
     hidden = touched[:, unidentified].any(axis=1)
     bound = touched[:, at_bound].any(axis=1) & ~hidden
     errors = np.where(hidden, np.inf, errors)

@@ -3,8 +3,8 @@
 Without a highlight the exponent may be anything, and with it changes what the others
 may be: near f = 1 a highlight is nearly Lambert's light, at f = 1000 a few pixels see
 it. No quadratic about the solution tells that. But at a given exponent all reflectances
-are linear: so the exponent is held at places all over its bounds, the others are fitted
-again, and about each place the cost is a quadratic.
+are linear: so the exponent is held at points all over its bounds, the others are fitted
+again, and about each point the cost is a quadratic.
 
 ??? cite "Source"
     Davies, *Hypothesis testing when a nuisance parameter is present only under the
@@ -29,17 +29,17 @@ from phongfit.fitting.uncertainty.intervals import Quadratic
 from phongfit.fitting.uncertainty.region import Part
 from phongfit.fitting.uncertainty.sandwich import Sandwich, as_quadratic
 from phongfit.fitting.uncertainty.statistics import (
-    Pieces,
+    SandwichSums,
     Statistics,
-    add_up,
     in_numpy,
     quadratic_about,
     sandwich_at,
+    sandwich_sums,
 )
 from phongfit.programs import program
 
 # Exponents between the bounds: by default they grow by 1.4 from one to the next.
-PLACES = 16
+GRID_POINTS = 16
 MAX_STEPS = 30
 
 
@@ -57,14 +57,14 @@ class Doubts(NamedTuple):
     faint: Bool[np.ndarray, " n"]
 
 
-class _Place(NamedTuple):
+class _GridPoint(NamedTuple):
     """The best fit for some exponents, and how much worse it is than the solution.
 
     `rise` has an entry for each group of samples and each prior.
     """
 
     y: Float[np.ndarray, " n"]
-    sums: Sandwich
+    sandwich: Sandwich
     rise: Float[np.ndarray, " terms"]
 
 
@@ -91,7 +91,7 @@ def parts_over_exponents(
     for group in groups:
         exponents = group[vague[group]]
         held[np.arange(len(exponents)), exponents] = True
-    solution = _Place(np.asarray(y, float), found.sums, np.zeros(felt.shape[1]))
+    solution = _GridPoint(np.asarray(y, float), found.sandwich, np.zeros(felt.shape[1]))
     grids = [_grid(problem, y, found, inflation, turn) for turn in held]
 
     def part(group: Int[np.ndarray, " k"]) -> Part:
@@ -123,8 +123,8 @@ def _felt_terms(problem: Problem) -> Bool[np.ndarray, "n terms"]:
     unknowns = problem.unknowns
     moved = moved_samples(unknowns).reshape(len(unknowns.owned), -1)
     with_prior = np.flatnonzero(unknowns.has_prior)
-    places = np.array(unknowns.place)[np.array(unknowns.source)[with_prior]]
-    priors = np.arange(len(moved))[:, None] == places[None]
+    indices = np.array(unknowns.place)[np.array(unknowns.source)[with_prior]]
+    priors = np.arange(len(moved))[:, None] == indices[None]
     return np.column_stack([moved, priors])
 
 
@@ -134,19 +134,19 @@ def _grid(
     found: Statistics,
     inflation: float,
     turn: Bool[np.ndarray, " n"],
-) -> list[_Place]:
+) -> list[_GridPoint]:
     """The best fits with some exponents held, all over their bounds."""
-    shares = (np.arange(PLACES) + 0.5) / PLACES
-    ends, rises, pieces = _fit_with_held(problem, y, turn, shares.astype(y.dtype))
-    pieces = in_numpy(pieces)
+    shares = (np.arange(GRID_POINTS) + 0.5) / GRID_POINTS
+    ends, rises, sums = _fit_with_held(problem, y, turn, shares.astype(y.dtype))
+    sums = in_numpy(sums)
     scale = found.scale
-    places = []
+    points = []
     for k, end in enumerate(ends):
-        one = jax.tree.map(lambda leaf, k=k: leaf[k], pieces)
-        sums = sandwich_at(problem, end, inflation, one)
+        one = jax.tree.map(lambda leaf, k=k: leaf[k], sums)
+        sandwich = sandwich_at(problem, end, inflation, one)
         rise = scale * np.asarray(rises[k], float)
-        places.append(_Place(np.asarray(end, float), sums, rise))
-    return places
+        points.append(_GridPoint(np.asarray(end, float), sandwich, rise))
+    return points
 
 
 @program()
@@ -154,8 +154,8 @@ def _fit_with_held(
     problem: Problem,
     y: Float[Array, " n"],
     turn: Bool[np.ndarray, " n"],
-    shares: Float[np.ndarray, " places"],
-) -> tuple[Float[Array, "places n"], Float[Array, "places terms"], Pieces]:
+    shares: Float[np.ndarray, " points"],
+) -> tuple[Float[Array, "points n"], Float[Array, "points terms"], SandwichSums]:
     """Solutions where some unknowns are held, by how much the cost rises, and sums."""
     unknowns = problem.unknowns
     lower, upper = unknowns.lower, unknowns.upper
@@ -167,7 +167,9 @@ def _fit_with_held(
     group, count = problem.group(), moved_samples(unknowns).shape[1]
     member = group[None] == jnp.arange(count, dtype=group.dtype)[:, None]
 
-    def at(near: Array, share: Array) -> tuple[Array, tuple[Array, Array, Pieces]]:
+    def at(
+        near: Array, share: Array
+    ) -> tuple[Array, tuple[Array, Array, SandwichSums]]:
         value = lower + share * (upper - lower)
         edges = jnp.where(turn, value, lower), jnp.where(turn, value, upper)
         held = eqx.tree_at(
@@ -180,45 +182,45 @@ def _fit_with_held(
         rise = member.astype(rise.dtype) @ rise.T
         of_priors = (priors_there - priors) * (priors_there + priors)
         rise = jnp.concatenate([rise.ravel(), of_priors])
-        return end, (end, rise, add_up(problem, end))
+        return end, (end, rise, sandwich_sums(problem, end))
 
     return jax.lax.scan(at, y, jnp.asarray(shares))[1]
 
 
 def _cells(
-    places: list[_Place],
+    points: list[_GridPoint],
     unknowns: Unknowns,
     group: Int[np.ndarray, " k"],
     exponent: int,
     felt: Bool[np.ndarray, " terms"],
     unseen: bool,
 ) -> list[Quadratic]:
-    """Quadratics about places, each as far as halfway to the next.
+    """Quadratics about points, each as far as halfway to the next.
 
-    **Arguments:** `places`: the last is the solution.
+    **Arguments:** `points`: the last is the solution.
     """
     box = unknowns.lower, unknowns.upper
     lower, upper = (np.array(edge, float)[group] for edge in box)
     (own,) = np.flatnonzero(group == exponent)
-    solution = places[-1]
+    solution = points[-1]
     # What lies near the solution is told by it.
-    least = (upper[own] - lower[own]) / PLACES / 2
+    least = (upper[own] - lower[own]) / GRID_POINTS / 2
     here = solution.y[exponent]
-    apart = [place for place in places[:-1] if abs(place.y[exponent] - here) > least]
-    places = sorted([*apart, solution], key=lambda place: place.y[exponent])
-    middles = np.array([place.y[exponent] for place in places])
+    apart = [point for point in points[:-1] if abs(point.y[exponent] - here) > least]
+    points = sorted([*apart, solution], key=lambda point: point.y[exponent])
+    middles = np.array([point.y[exponent] for point in points])
     edges = (middles[1:] + middles[:-1]) / 2
     edges = np.concatenate([[lower[own]], edges, [upper[own]]])
     quadratics = []
-    for k, place in enumerate(places):
+    for k, point in enumerate(points):
         lower[own], upper[own] = edges[k], edges[k + 1]
-        y = place.y[group]
+        y = point.y[group]
         quadratic = as_quadratic(
-            place.sums.part(group),
+            point.sandwich.part(group),
             lower - y,
             upper - y,
-            steep=(group == exponent) & (place is not solution),
-            rise=float(place.rise[felt].sum()),
+            steep=(group == exponent) & (point is not solution),
+            rise=float(point.rise[felt].sum()),
             center=y - solution.y[group],
         )
         if unseen and quadratic.least < SEEN**2:

@@ -98,13 +98,13 @@ def linked_groups(linked: np.ndarray, members: np.ndarray) -> list[np.ndarray]:
 
 
 def doubtful_exponents(
-    unknowns: Unknowns, position: Float[np.ndarray, " n"], sums: Sandwich
+    unknowns: Unknowns, position: Float[np.ndarray, " n"], sandwich: Sandwich
 ) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """Exponents of highlights that are not seen, and of those that are seen faintly.
 
     Of each material the colours' ρ_s are judged, each alone and all together.
 
-    **Arguments:** `position`, `sums`: the solution, and the sums there.
+    **Arguments:** `position`, `sandwich`: the solution, and the sums there.
     """
     kinds, owners = unknowns.kinds, unknowns.owners
     unseen, faint = np.zeros((2, len(position)), bool)
@@ -112,9 +112,9 @@ def doubtful_exponents(
     if not specular.any() or not unknowns.logarithmic.any():
         return unseen, faint
     # An unknown light scales a highlight, but cannot make one out of nothing.
-    felt = ~unfelt(sums.inside, unknowns, position, sums.resolution)
+    felt = ~unfelt(sandwich.inside, unknowns, position, sandwich.resolution)
     group = np.flatnonzero(np.isin(kinds, LEAVES) & felt)
-    part = sums.part(group)
+    part = sandwich.part(group)
     covariance = part.covariance()
     for owner in np.unique(owners[specular]):
         own = owners == owner

@@ -18,7 +18,7 @@ from phongfit.fitting.problem.noise import median_deviation
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.solve.sums import Linearization, linearize
 from phongfit.fitting.uncertainty.rejected import gathered_at_highlights
-from phongfit.fitting.uncertainty.statistics import Pieces
+from phongfit.fitting.uncertainty.statistics import SandwichSums
 from phongfit.programs import program
 
 # Standard deviations: of a million samples of normal noise less than one lies beyond.
@@ -41,16 +41,16 @@ class _Far(eqx.Module):
 
 
 def outlier_words(
-    problem: Problem, y: Float[Array, " n"], pieces: Pieces
+    problem: Problem, y: Float[Array, " n"], sums: SandwichSums
 ) -> tuple[str, ...]:
     """A warning, if samples that are far off move an estimate by its standard error.
 
     **Arguments:**
 
     - `y`: the solution.
-    - `pieces`: sums over the samples there: see [`add_up`][].
+    - `sums`: sums over the samples there: see [`sandwich_sums`][].
     """
-    heavy = float(pieces.tails) > HEAVY and not bool(pieces.exact)
+    heavy = float(sums.tails) > HEAVY and not bool(sums.exact)
     if not problem.loss.robust and not heavy:
         return ()
     far, unknowns = _far(problem, y), problem.unknowns
@@ -58,7 +58,7 @@ def outlier_words(
     free = (np.asarray(unknowns.lower) < position) & (
         position < np.asarray(unknowns.upper)
     )
-    shifts = np.where(free, _shifts(far, pieces, free), 0)
+    shifts = np.where(free, _shifts(far, sums, free), 0)
     most = int(np.argmax(shifts))
     # A highlight of another shape than the model's is no outlier.
     if shifts[most] < FELT or gathered_at_highlights(problem, y, far.which).any():
@@ -74,12 +74,11 @@ def outlier_words(
     )
 
 
-def _shifts(far: _Far, pieces: Pieces, free: np.ndarray) -> np.ndarray:
+def _shifts(far: _Far, sums: SandwichSums, free: np.ndarray) -> np.ndarray:
     """How far each free unknown is pulled, in standard errors; 0 for the others."""
     both = np.ix_(free, free)
     bread, meat, others = (
-        np.asarray(part, float)[both]
-        for part in (pieces.bread, pieces.meat, far.others)
+        np.asarray(part, float)[both] for part in (sums.bread, sums.meat, far.others)
     )
     inverse = np.linalg.pinv(bread, hermitian=True)
     variance = np.diag(inverse @ meat @ inverse)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.unknowns import Unknowns
-from phongfit.fitting.solve.search import Found
+from phongfit.fitting.solve.search import SearchResult
 from phongfit.fitting.solve.solution import solve
 from phongfit.fitting.solve.sums import linearize
 from phongfit.fitting.uncertainty.numbers import number_with_error
@@ -72,7 +72,7 @@ class ProfilePair:
 
 
 def profile(
-    found: Found,
+    found: SearchResult,
     label: str,
     freedom: int,
     levels: tuple[float, ...] = LEVELS,
@@ -84,15 +84,15 @@ def profile(
     """
     _check_levels(levels)
     held = _Held(found, [label], inflation)
-    (place,) = held.places
+    (index,) = held.indices
     reach = {p: student_reach(p, freedom) for p in levels}
     farthest = max(reach.values())
-    sides = [held.walk(place, sign, farthest) for sign in (-1, 1)]
+    sides = [held.walk(index, sign, farthest) for sign in (-1, 1)]
     points = np.array([*reversed(sides[0][1:]), *sides[1]])
     y, roots = points.T
-    values = held.values(place, y)
+    values = held.values(index, y)
     signed = np.where(np.arange(len(y)) < len(sides[0]) - 1, -roots, roots)
-    low, high = held.box(place)
+    low, high = held.box(index)
     intervals = {
         level: (
             _crossing(values[: len(sides[0])], signed[: len(sides[0])], -far, low),
@@ -106,7 +106,7 @@ def profile(
 
 
 def profile_pair(
-    found: Found,
+    found: SearchResult,
     labels: tuple[str, str],
     freedom: int,
     levels: tuple[float, ...] = LEVELS,
@@ -120,17 +120,18 @@ def profile_pair(
     freedom = max(freedom, 1)
     thresholds = {p: 2 * fisher_quantile(p, 2, freedom) for p in levels}
     farthest = 1.15 * np.sqrt(max(thresholds.values()))
-    grids = [held.grid(place, farthest, ACROSS) for place in held.places]
+    grids = [held.grid(index, farthest, ACROSS) for index in held.indices]
     rise = np.zeros((ACROSS, ACROSS))
     for i, first in enumerate(grids[0]):
         y = held.best
         # To and fro, so that each point starts from its neighbour.
         order = range(ACROSS) if i % 2 == 0 else reversed(range(ACROSS))
         for j in order:
-            at = dict(zip(held.places, (first, grids[1][j]), strict=True))
+            at = dict(zip(held.indices, (first, grids[1][j]), strict=True))
             rise[i, j], y = held.rise(at, y)
     first, second = (
-        held.values(place, grid) for place, grid in zip(held.places, grids, strict=True)
+        held.values(index, grid)
+        for index, grid in zip(held.indices, grids, strict=True)
     )
     return ProfilePair((labels[0], labels[1]), (first, second), rise, thresholds)
 
@@ -158,35 +159,35 @@ def _crossing(
 class _Held:
     """A solved problem of which some unknowns are held, and the others fitted again."""
 
-    def __init__(self, found: Found, labels: Iterable[str], inflation: float):
+    def __init__(self, found: SearchResult, labels: Iterable[str], inflation: float):
         self.problem, self.best = found.problem, found.y
         unknowns = found.problem.unknowns
-        self.places = [_place(unknowns, label) for label in labels]
+        self.indices = [_index(unknowns, label) for label in labels]
         self.lower = np.asarray(unknowns.lower)
         self.upper = np.asarray(unknowns.upper)
-        told = statistics(found.problem, found.y, inflation)
+        at_best = statistics(found.problem, found.y, inflation)
         about = quadratic_about(
-            told, unknowns, np.asarray(found.y, float), np.arange(len(self.lower))
+            at_best, unknowns, np.asarray(found.y, float), np.arange(len(self.lower))
         )
-        along = np.eye(len(self.lower))[self.places]
+        along = np.eye(len(self.lower))[self.indices]
         self.errors = np.zeros(len(self.lower))
-        self.errors[self.places] = np.abs(about.ends(along, 1.0)).max(axis=1)
+        self.errors[self.indices] = np.abs(about.ends(along, 1.0)).max(axis=1)
         ratios = [
-            self._spread(place) / told.stderr[place]
-            for place in self.places
-            if np.isfinite(told.stderr[place])
+            self._spread(index) / at_best.stderr[index]
+            for index in self.indices
+            if np.isfinite(at_best.stderr[index])
         ]
         # A sandwich covariance is not what the curvature says: nor is the profile.
         self.scale = float(np.mean(ratios)) ** 2 if ratios else 1.0
         self.least = total_cost(self.problem, self.best)
 
-    def _spread(self, place: int) -> float:
+    def _spread(self, index: int) -> float:
         """Standard error from the curvature of the cost alone, what is free free."""
         y = np.asarray(self.best)
         free = (y > self.lower) & (y < self.upper)
         curvature = np.asarray(_curvature(self.problem, self.best), float)
         inverse = np.linalg.pinv(curvature[np.ix_(free, free)], hermitian=True)
-        return float(np.sqrt(inverse.diagonal()[np.count_nonzero(free[:place])]))
+        return float(np.sqrt(inverse.diagonal()[np.count_nonzero(free[:index])]))
 
     def rise(
         self, at: dict[int, float], start: Float[Array, " n"]
@@ -195,8 +196,8 @@ class _Held:
         lower, upper, y = (
             np.array(a) for a in (self.lower, self.upper, np.asarray(start))
         )
-        for place, value in at.items():
-            lower[place] = upper[place] = y[place] = value
+        for index, value in at.items():
+            lower[index] = upper[index] = y[index] = value
         held = eqx.tree_at(
             lambda p: (p.unknowns.lower, p.unknowns.upper),
             self.problem,
@@ -206,11 +207,11 @@ class _Held:
         squares = total_cost(self.problem, solution.y)
         return max(squares - self.least, 0.0) * self.scale, solution.y
 
-    def walk(self, place: int, sign: int, farthest: float) -> list[tuple[float, float]]:
+    def walk(self, index: int, sign: int, farthest: float) -> list[tuple[float, float]]:
         """(y, √Δχ²) from the estimate outwards, until past `farthest` or a bound."""
-        y, edge = self.best, (self.lower if sign < 0 else self.upper)[place]
-        here = float(np.asarray(y)[place])
-        points, step = [(here, 0.0)], STEP * self.errors[place]
+        y, edge = self.best, (self.lower if sign < 0 else self.upper)[index]
+        here = float(np.asarray(y)[index])
+        points, step = [(here, 0.0)], STEP * self.errors[index]
         while points[-1][1] < 1.05 * farthest and here != edge:
             if len(points) > FARTHEST / STEP:
                 # A cost that hardly rises is left in growing steps.
@@ -220,34 +221,34 @@ class _Held:
                 here = float(edge)
             if not np.isfinite(here):
                 break
-            rise, y = self.rise({place: here}, y)
+            rise, y = self.rise({index: here}, y)
             points.append((here, float(np.sqrt(rise))))
         return points
 
-    def grid(self, place: int, farthest: float, count: int) -> np.ndarray:
+    def grid(self, index: int, farthest: float, count: int) -> np.ndarray:
         """Points of y around the estimate, in the box."""
-        center = float(np.asarray(self.best)[place])
-        reach = farthest * self.errors[place]
-        low = max(center - reach, float(self.lower[place]))
-        high = min(center + reach, float(self.upper[place]))
+        center = float(np.asarray(self.best)[index])
+        reach = farthest * self.errors[index]
+        low = max(center - reach, float(self.lower[index]))
+        high = min(center + reach, float(self.upper[index]))
         return np.linspace(low, high, count)
 
-    def values(self, place: int, y: np.ndarray) -> np.ndarray:
-        """Numbers of one place in the user's units."""
+    def values(self, index: int, y: np.ndarray) -> np.ndarray:
+        """Numbers of one index in the user's units."""
         unknowns = self.problem.unknowns
-        if unknowns.logarithmic[place]:
+        if unknowns.logarithmic[index]:
             return np.exp(y)
-        return y * float(unknowns.scale[unknowns.owned[place]])
+        return y * float(unknowns.scale[unknowns.owned[index]])
 
-    def box(self, place: int) -> tuple[float, float]:
-        """The bounds of one place in the user's units."""
+    def box(self, index: int) -> tuple[float, float]:
+        """The bounds of one index in the user's units."""
         unknowns = self.problem.unknowns
-        entry = unknowns.owned[place]
+        entry = unknowns.owned[index]
         (row,) = np.flatnonzero(unknowns.reported == entry)
         return tuple(unknowns.bounds[row].tolist())
 
 
-def _place(unknowns: Unknowns, label: str) -> int:
+def _index(unknowns: Unknowns, label: str) -> int:
     labels = list(unknowns.y_labels)
     free = [one for one in labels if labels.count(one) == 1]
     if label not in free:

@@ -123,11 +123,11 @@ def _count(
 
 
 def without_rejected(
-    told: Estimates, unknowns: Unknowns, rejected: Int[np.ndarray, "materials 3"]
+    estimated: Estimates, unknowns: Unknowns, rejected: Int[np.ndarray, "materials 3"]
 ) -> Estimates:
     """The same, with what only a rejected highlight could tell marked as not told."""
     if not rejected.any():
-        return told
+        return estimated
     leaves, rows = unknowns.entry_leaf, unknowns.entry_row
     columns = unknowns.entry_channel
     rows = np.where(np.isin(leaves, ("specular", "shininess")), rows, 0)
@@ -137,7 +137,7 @@ def without_rejected(
     here &= np.isin(leaves, ("specular", "shininess"))
     # A tied entry is as little told as the one that it follows.
     here = (here | here[np.array(unknowns.source)])[unknowns.reported]
-    covariance = told.covariance.copy()
+    covariance = estimated.covariance.copy()
     covariance[here, :] = covariance[:, here] = np.nan
     covariance[here, here] = np.inf
     labels = ", ".join(np.array(unknowns.labels)[here])
@@ -148,10 +148,10 @@ def without_rejected(
         "show something else"
     )
     return dataclasses.replace(
-        told,
-        errors=np.where(here, np.inf, told.errors),
+        estimated,
+        errors=np.where(here, np.inf, estimated.errors),
         covariance=covariance,
-        at_bound=told.at_bound & ~here,
-        unidentified=told.unidentified | here,
-        reasons=(*told.reasons, words),
+        at_bound=estimated.at_bound & ~here,
+        unidentified=estimated.unidentified | here,
+        reasons=(*estimated.reasons, words),
     )

@@ -68,7 +68,7 @@ class Sandwich(NamedTuple):
 
 
 def as_quadratic(
-    sums: Sandwich,
+    sandwich: Sandwich,
     lower: Float[np.ndarray, " n"],
     upper: Float[np.ndarray, " n"],
     *,
@@ -83,26 +83,26 @@ def as_quadratic(
 
     **Arguments:**
 
-    - `sums`: there.
+    - `sandwich`: there.
     - `lower`, `upper`: the box, in steps from the point.
     - `steep`: true for what was held there, and is not at its best.
     - `rise`: of $\chi^2$ there.
     - `center`: the point, as a step from the solution; default none.
     """
-    scaled, root = unit_diagonal(sums.bread)
+    scaled, root = unit_diagonal(sandwich.bread)
     values, vectors = np.linalg.eigh(scaled)
-    told = values > threshold(sums.resolution)
+    told = values > threshold(sandwich.resolution)
     half = vectors[:, told] * np.sqrt(values[told])
     dual = vectors[:, told] / np.sqrt(values[told])
     # What the meat is in units of the bread: 1 where residuals are as expected.
-    core = dual.T @ (sums.meat / np.outer(root, root)) @ dual
+    core = dual.T @ (sandwich.meat / np.outer(root, root)) @ dual
     shares, axes = np.linalg.eigh(core)
     # Rounding may leave nothing, or less, of a direction that is hardly told.
     shares = np.maximum(shares, 1e-6 * shares.max(initial=1e-30))
     half = half @ axes
     precision = (half / shares) @ half.T * np.outer(root, root)
     # P B⁻¹ is the factor between a gradient of the cost and one of this.
-    slope = root * ((half / shares) @ (axes.T @ (dual.T @ (sums.pull / root))))
+    slope = root * ((half / shares) @ (axes.T @ (dual.T @ (sandwich.pull / root))))
     # Of what is free the slope is rounding; a bound holds back what would fall.
     slope_held = np.where(lower >= 0, np.maximum(slope, 0), 0)
     slope_held = np.where(upper <= 0, np.minimum(slope, 0), slope_held)

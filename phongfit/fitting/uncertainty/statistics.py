@@ -38,11 +38,11 @@ class Statistics:
 
     `covariance` is that of the unknowns that are free and can be told, those at a bound
     held there: NaN for these, infinite variance for those that cannot be told. `spread`
-    is the standard error that the curvature of the cost alone would give. `sums` are
+    is the standard error that the curvature of the cost alone would give. `sandwich` is
     what intervals are made of: see [`as_quadratic`][].
     """
 
-    sums: Sandwich
+    sandwich: Sandwich
     covariance: np.ndarray
     spread: np.ndarray
     unidentified: np.ndarray
@@ -66,7 +66,7 @@ def statistics(
     problem: Problem,
     y: Float[Array, " n"],
     inflation: float,
-    pieces: "Pieces | None" = None,
+    sums: "SandwichSums | None" = None,
 ) -> Statistics:
     """Sandwich covariance of a bounded fit, its free part, and what cannot be told.
 
@@ -74,17 +74,17 @@ def statistics(
 
     - `problem`, `y`: the problem, and its solution.
     - `inflation`: factor on all variances for residuals that are not independent.
-    - `pieces`: sums over the samples, if they are at hand.
+    - `sums`: sums over the samples, if they are at hand.
     """
-    found = in_numpy(add_up(problem, y) if pieces is None else pieces)
-    sums = sandwich_at(problem, y, inflation, found)
+    found = in_numpy(sandwich_sums(problem, y) if sums is None else sums)
+    sandwich = sandwich_at(problem, y, inflation, found)
     position = np.asarray(y)
     unknowns = problem.unknowns
     at_bound = (position <= np.asarray(unknowns.lower)) | (
         position >= np.asarray(unknowns.upper)
     )
     unidentified, reasons = find_unidentified(
-        sums.inside, unknowns, position, sums.resolution
+        sandwich.inside, unknowns, position, sandwich.resolution
     )
     if unidentified.all() and _all_white(problem):
         words = "nothing can be told: all samples that are used are white. Expose less"
@@ -94,7 +94,7 @@ def statistics(
     size = len(position)
     covariance, spread = np.full((size, size), np.nan), np.full(size, np.nan)
     free = ~at_bound
-    part = sums.part(free)
+    part = sandwich.part(free)
     inverse = inverse_of(part.bread, part.resolution)
     covariance[np.ix_(free, free)] = inverse @ part.meat @ inverse
     spread[free] = np.sqrt(np.diag(inverse))
@@ -102,7 +102,7 @@ def statistics(
     covariance[unidentified, unidentified] = np.inf
     chi_squared = float(found.chi_squared)
     return Statistics(
-        sums, covariance, spread, unidentified, at_bound, chi_squared, reasons
+        sandwich, covariance, spread, unidentified, at_bound, chi_squared, reasons
     )
 
 
@@ -112,18 +112,18 @@ def _all_white(problem: Problem) -> bool:
 
 
 def sandwich_at(
-    problem: Problem, y: Float[Array, " n"], inflation: float, pieces: Any
+    problem: Problem, y: Float[Array, " n"], inflation: float, sums: Any
 ) -> Sandwich:
     """The sums at a point, in double precision where single leaves them open.
 
-    **Arguments:** `pieces`: those of [`add_up`][], as NumPy's arrays.
+    **Arguments:** `sums`: those of [`sandwich_sums`][], as NumPy's arrays.
     """
-    resolution, found = float(np.finfo(y.dtype).eps), pieces
+    resolution, found = float(np.finfo(y.dtype).eps), sums
     if found.exact:
         # What is left over is rounding of the arithmetic, which samples share.
         inflation = inflation * float(np.sum(np.asarray(problem.samples.weight) > 0))
     if _too_coarse(found.inside, resolution):
-        found = in_numpy(_pieces_in_double(problem, y))
+        found = in_numpy(_sums_in_double(problem, y))
     meat = found.meat
     if found.shared > 1e-6:
         meat = meat + found.loss_variance * shared_rounding(problem, y)
@@ -139,12 +139,12 @@ def quadratic_about(
     """That of some unknowns about the solution, in all of their box."""
     box = unknowns.lower, unknowns.upper
     lower, upper = (np.asarray(edge, float)[group] - y[group] for edge in box)
-    return as_quadratic(found.sums.part(group), lower, upper)
+    return as_quadratic(found.sandwich.part(group), lower, upper)
 
 
-def in_numpy(pieces: "Pieces") -> Any:
+def in_numpy(sums: "SandwichSums") -> Any:
     """The same sums, as NumPy's in double precision."""
-    return jax.tree.map(lambda part: np.asarray(part, float), pieces)
+    return jax.tree.map(lambda part: np.asarray(part, float), sums)
 
 
 def _too_coarse(bread: np.ndarray, resolution: float) -> bool:
@@ -156,18 +156,18 @@ def _too_coarse(bread: np.ndarray, resolution: float) -> bool:
     return bool(np.any(values < 1e4 * resolution))
 
 
-def _pieces_in_double(problem: Problem, y: Float[Array, " n"]) -> "Pieces":
+def _sums_in_double(problem: Problem, y: Float[Array, " n"]) -> "SandwichSums":
     """The same derivatives, added up in double precision."""
     parts = problem, linearized(problem, y)
     with jax.enable_x64(True):
-        return _add_up(*jax.tree.map(_in_double, parts))
+        return _sandwich_sums(*jax.tree.map(_in_double, parts))
 
 
 def _in_double(leaf: Any) -> Any:
     return jnp.asarray(np.asarray(leaf), float) if eqx.is_inexact_array(leaf) else leaf
 
 
-class Pieces(eqx.Module):
+class SandwichSums(eqx.Module):
     """Sums over the samples that all statistics are made of."""
 
     bread: Float[Array, "n n"]
@@ -185,13 +185,13 @@ class Pieces(eqx.Module):
 
 
 @program()
-def add_up(problem: Problem, y: Float[Array, " n"]) -> Pieces:
+def sandwich_sums(problem: Problem, y: Float[Array, " n"]) -> SandwichSums:
     """The sums at a solution."""
-    return _add_up(problem, linearize(problem, y))
+    return _sandwich_sums(problem, linearize(problem, y))
 
 
 @eqx.filter_jit
-def _add_up(problem: Problem, found: Linearization) -> Pieces:
+def _sandwich_sums(problem: Problem, found: Linearization) -> SandwichSums:
     at, priors, jacobian = found.at, found.priors, found.jacobian
     samples = at.residual
     kind = samples.dtype
@@ -220,7 +220,7 @@ def _add_up(problem: Problem, found: Linearization) -> Pieces:
     if problem.scatter is not None:
         root = jnp.sqrt(jnp.diag(bread))
         meat, shared = problem.scatter * jnp.outer(root, root), jnp.zeros((), kind)
-    return Pieces(
+    return SandwichSums(
         bread=steepness * bread + known,
         meat=meat + known,
         inside=inside + known,

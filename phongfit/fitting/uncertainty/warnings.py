@@ -10,7 +10,7 @@ from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.uncertainty.estimate import Estimates
 from phongfit.fitting.uncertainty.grid import SIDE, SIGNIFICANT
 from phongfit.fitting.uncertainty.misfit import CORRELATED, Misfit
-from phongfit.fitting.uncertainty.statistics import Pieces
+from phongfit.fitting.uncertainty.statistics import SandwichSums
 
 # Samples from which a noise level is estimated well enough.
 FEW = 50
@@ -45,12 +45,12 @@ def misfit_words(misfit: Misfit, images: int) -> tuple[str, ...]:
     )
 
 
-def clipped_words(pieces: Pieces, effective: int, samples: int) -> tuple[str, ...]:
+def clipped_words(sums: SandwichSums, effective: int, samples: int) -> tuple[str, ...]:
     """Where the noise level is estimated from samples that hardly know it."""
-    bread = np.asarray(pieces.bread, float)
+    bread = np.asarray(sums.bread, float)
     inverse = np.linalg.pinv(bread, rcond=1e-6, hermitian=True)
     # How far the solution moves with the noise level, by one error of that.
-    moved = inverse @ np.asarray(pieces.drift, float) / math.sqrt(2 * max(effective, 1))
+    moved = inverse @ np.asarray(sums.drift, float) / math.sqrt(2 * max(effective, 1))
     error = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     enough = effective >= max(FEW, FEW_SHARE * samples)
     if enough and np.all(np.abs(moved) < MOVED * error):
@@ -92,16 +92,18 @@ def spread_words(spread: float) -> tuple[str, ...]:
     )
 
 
-def bound_words(told: Estimates, unknowns: Unknowns) -> Iterator[str]:
+def bound_words(estimated: Estimates, unknowns: Unknowns) -> Iterator[str]:
     """Where a bound decides, not the images."""
-    for k in np.flatnonzero(told.at_bound):
+    for k in np.flatnonzero(estimated.at_bound):
         label, (low, high) = unknowns.labels[k], unknowns.bounds[k]
-        above = high - told.values[k] < told.values[k] - low
+        above = high - estimated.values[k] < estimated.values[k] - low
         words = f"{label} lies at its {'upper' if above else 'lower'} bound "
         words += f"{high if above else low:g}: its error is one-sided"
-        decides = told.strain[k] > CONTRADICTION
+        decides = estimated.strain[k] > CONTRADICTION
         if decides:
-            words += f". The bound decides: the images pull {told.strain[k]:.2g} σ "
+            words += (
+                f". The bound decides: the images pull {estimated.strain[k]:.2g} σ "
+            )
             words += "beyond it, and what depends on it is off as well"
         leaf = unknowns.entry_leaf[unknowns.reported[k]]
         # Nothing sends back less than no light.
@@ -115,7 +117,9 @@ def bound_words(told: Estimates, unknowns: Unknowns) -> Iterator[str]:
         yield words
 
 
-def prior_words(told: Estimates, unknowns: Unknowns, inflation: float) -> Iterator[str]:
+def prior_words(
+    estimated: Estimates, unknowns: Unknowns, inflation: float
+) -> Iterator[str]:
     """Priors that the images contradict."""
     for k, entry in enumerate(unknowns.reported):
         if not unknowns.has_prior[entry]:
@@ -124,9 +128,9 @@ def prior_words(told: Estimates, unknowns: Unknowns, inflation: float) -> Iterat
             float(each[entry])
             for each in (unknowns.prior_mean, unknowns.prior_deviation)
         )
-        off = (told.values[k] - mean) / deviation
+        off = (estimated.values[k] - mean) / deviation
         # The estimate leans on its prior: by so much it knows no more than that does.
-        share = told.covariance[k, k] / inflation / deviation**2
+        share = estimated.covariance[k, k] / inflation / deviation**2
         share = min(share, 1 - 1e-6) if np.isfinite(share) else 0.0
         conflict = abs(off) / math.sqrt(1 - share)
         if conflict > CONTRADICTION:

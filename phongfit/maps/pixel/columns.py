@@ -16,7 +16,7 @@ from phongfit.maps.pixel.small import (
     Numbers,
     Triangle,
     factorize,
-    settled,
+    optimization_barrier,
     solve,
 )
 
@@ -51,23 +51,25 @@ def make_columns(
     columns: Lights, target: Array, weight: Array, strength: Lights
 ) -> Columns:
     """Columns of one channel; where `weight` is 0, the others are only finite."""
-    columns, target, weight, strength = settled((columns, target, weight, strength))
+    columns, target, weight, strength = optimization_barrier(
+        (columns, target, weight, strength)
+    )
     start, gram, rest = (), (), target
     if columns:
-        rows = settled(jnp.stack([weight * column for column in columns]))
+        rows = optimization_barrier(jnp.stack([weight * column for column in columns]))
         size = len(columns)
         products = [weighed_sums(rows, vector) for vector in (*columns, target)]
         gram = tuple(tuple(products[j][i] for j in range(i + 1)) for i in range(size))
         moments = tuple(products[-1][i] for i in range(size))
-        gram, moments = settled((gram, moments))
+        gram, moments = optimization_barrier((gram, moments))
         start = solve(factorize(gram), moments)
         for column, x in zip(columns, start, strict=True):
             rest = rest - x * column
-    weighed = settled(tuple(weight * each for each in strength))
+    weighed = optimization_barrier(tuple(weight * each for each in strength))
     rows = [joined([each * row for each in weighed]) for row in (*columns, rest)]
     squares = joined(pairs(strength, weighed, 2))
     left = jnp.sum(weight * rest**2)
-    return settled(Columns(gram, start, jnp.stack(rows), squares, left))
+    return optimization_barrier(Columns(gram, start, jnp.stack(rows), squares, left))
 
 
 def pairs(left: Lights, right: Lights, unequal: float = 1) -> list[Array]:

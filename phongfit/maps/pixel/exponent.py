@@ -32,8 +32,8 @@ from phongfit.maps.pixel.small import (
     factorize,
     minimize_in_box,
     only,
+    optimization_barrier,
     over_channels,
-    settled,
     solve,
     times,
 )
@@ -119,7 +119,7 @@ def lobes(
         lobe = height * jnp.where(power > FAINTEST, jnp.exp(power), 0)
         tops.append(lobe)
         slopes.append(lobe * (power + rise / height))
-    return settled((tuple(tops), tuple(slopes)))
+    return optimization_barrier((tuple(tops), tuple(slopes)))
 
 
 def sum_lights(columns: Columns, lobe: Lights) -> Sums:
@@ -157,13 +157,13 @@ def best_reflectances(
     start = (*columns.start, zero)
     lower = tuple(edge - x for edge, x in zip(box.lower, start, strict=True))
     upper = tuple(edge - x for edge, x in zip(box.upper, start, strict=True))
-    matrix, lower, upper = settled((matrix, lower, upper))
+    matrix, lower, upper = optimization_barrier((matrix, lower, upper))
     found = minimize_in_box(matrix, vector, lower, upper, rounds)
     product = times(matrix, found.point)
     pull = tuple(p - v for p, v in zip(product, vector, strict=True))
     moved = zip(start, found.point, box.lower, box.upper, strict=True)
     point = tuple(jnp.clip(x + d, low, high) for x, d, low, high in moved)
-    return settled((Boxed(point, found.value, found.free), pull))
+    return optimization_barrier((Boxed(point, found.value, found.free), pull))
 
 
 def full_gram(columns: Columns, sums: Sums) -> Triangle:
@@ -206,8 +206,8 @@ def evaluate(
         alone = jnp.maximum(slopes.own - dot(held, imitated), 0)
         return best, specular * score, specular**2 * alone, pull
 
-    sums, slopes = settled((sums, slopes))
-    best, score, curvature, pull = settled(
+    sums, slopes = optimization_barrier((sums, slopes))
+    best, score, curvature, pull = optimization_barrier(
         over_channels(channel, columns, sums, slopes)
     )
     return At(

@@ -30,7 +30,7 @@ from phongfit.maps.pixel.search import (
     where_wanted,
 )
 from phongfit.maps.pixel.settings import Settings
-from phongfit.maps.pixel.small import dot, over_channels, settled
+from phongfit.maps.pixel.small import dot, optimization_barrier, over_channels
 
 # Steps on the sum of the channels, which are a third of the price, then on all; and of
 # those at most, where it takes longer.
@@ -145,7 +145,7 @@ def fit_pixel(
     light = samples.target if samples.veil is None else samples.target - samples.veil
     target = jnp.where(sound, light, 0) * weight
     infinite = jnp.where(finite, 0, samples.weight)
-    weight, target = settled((weight, target))
+    weight, target = optimization_barrier((weight, target))
     lost = _sum(infinite) > 0
     black = _sum(jnp.abs(target)) == 0
     samples = PixelSamples(
@@ -158,16 +158,18 @@ def fit_pixel(
     )
     unlike = jnp.any((weight > 0) != (weight[:1] > 0)) | _coloured(samples.strength)
     if settings.weighted:
-        samples = settled(whitened(samples))
+        samples = optimization_barrier(whitened(samples))
         weight = samples.weight
 
     def solved(samples: PixelSamples, known: Known) -> _Found:
         return _solve(samples, known, noise, unlike, thorough, settings)
 
     if settings.shared:
-        found = settled(solved(samples, known))
+        found = optimization_barrier(solved(samples, known))
     else:
-        found = settled(jax.vmap(solved, in_axes=_EACH)(*_split(samples, known)))
+        found = optimization_barrier(
+            jax.vmap(solved, in_axes=_EACH)(*_split(samples, known))
+        )
     total = _sum(weight)
     count = total.astype(jnp.int32)
     unknowns = settings.unknowns()
@@ -207,7 +209,7 @@ def fit_pixel(
         )
 
     errors = errors_of(found) if settings.shared else jax.vmap(errors_of)(found)
-    errors = settled(errors)
+    errors = optimization_barrier(errors)
     values = _values(found, known, settings)
     deviations = _leaves(errors, told, dtype, settings)
     flags = (
@@ -289,7 +291,7 @@ def _solve(
     """One group of channels: the exponent, then everything else."""
     dtype = samples.target.dtype
     box = _box(settings, dtype)
-    target = settled(_less_known(samples, known, settings))
+    target = optimization_barrier(_less_known(samples, known, settings))
     columns = _columns(samples, target, samples.weight, settings)
     t = jnp.log(known.shininess[0])
     unsettled = jnp.zeros((), bool)
@@ -297,7 +299,7 @@ def _solve(
         t, unsettled = _search(
             samples, target, columns, t, noise, unlike, thorough, box, settings
         )
-    at = settled(_evaluate(columns, samples.log_cosine, t, box, settings))
+    at = optimization_barrier(_evaluate(columns, samples.log_cosine, t, box, settings))
     if settings.loss.robust:
         found = _reweighted(samples, target, at, t, noise, thorough, box, settings)
         return found._replace(unsettled=found.unsettled | unsettled)
@@ -332,7 +334,7 @@ def _search(
         summed = columns
     if settings.scanned:
         t, low, high = scan(summed, model, cosine, box, count)
-    t, low, high = settled((jnp.clip(t, low, high), low, high))
+    t, low, high = optimization_barrier((jnp.clip(t, low, high), low, high))
     start = descend(summed, model, cosine, t, low, high, box, SUMMED_STEPS)
 
     def variance(value: Array) -> Array:
@@ -357,7 +359,7 @@ def _search(
             found,
         )
         bend = jnp.where(wanted, 1, bend)
-    t, bend = settled((found, bend))
+    t, bend = optimization_barrier((found, bend))
     steps = STEPS if channels > 1 else 0
     most = jnp.where(thorough, MOST_STEPS, STEPS)
     end = descend(columns, model, cosine, t, *edges, box, steps, bend, most, variance)
@@ -419,7 +421,7 @@ def _summed(samples: PixelSamples, target: Array, settings: Settings) -> Columns
         strength=tuple(_total(each) for each in samples.strength),
         log_cosine=samples.log_cosine,
     )
-    together = settled(together)
+    together = optimization_barrier(together)
     return _columns(together, together.target, together.weight, settings)
 
 
@@ -487,7 +489,7 @@ def _reweighted(
     used = samples.weight > 0
 
     def measured(at: At, t: Array) -> tuple[Array, Array]:
-        residual = settled(_residual(samples, target, at, t, settings))
+        residual = optimization_barrier(_residual(samples, target, at, t, settings))
         scale = median_deviation(residual, used)
         return residual / (noise if settings.noise_given else scale), scale
 
@@ -499,7 +501,7 @@ def _reweighted(
             loss_weights(Huber(), residual),
             loss_weights(settings.loss, residual),
         )
-        weight = settled(weight * samples.weight)
+        weight = optimization_barrier(weight * samples.weight)
         columns = _columns(samples, target, weight, settings)
         t, bend = state.t, state.bend
         if settings.searched:
@@ -518,7 +520,9 @@ def _reweighted(
 
     def begin(left: Array) -> tuple[At, Array]:
         """Where all samples but some lead to."""
-        columns = _columns(samples, target, settled(samples.weight * left), settings)
+        columns = _columns(
+            samples, target, optimization_barrier(samples.weight * left), settings
+        )
         begun = t
         if settings.scanned:
             count = candidates(*settings.log_bounds)
@@ -529,7 +533,9 @@ def _reweighted(
         left = (_group(samples) != state.done - 1).astype(t.dtype)
         start = where_wanted(state.done > 0, begin, left, (at, t))
         last = jax.lax.while_loop(unfinished, step, _before_rounds(*start))
-        residual = settled(_residual(samples, target, last.at, last.t, settings))
+        residual = optimization_barrier(
+            _residual(samples, target, last.at, last.t, settings)
+        )
         better = (state.done == 0) | _is_better(
             residual, state.residual, used, noise, settings
         )
@@ -546,9 +552,11 @@ def _reweighted(
     last = jax.lax.while_loop(lambda s: s.done < wanted, attempt, first).best
     at, t = last.at, last.t
     residual, scale = measured(at, t)
-    weight = settled(loss_weights(settings.loss, residual) * samples.weight)
+    weight = optimization_barrier(
+        loss_weights(settings.loss, residual) * samples.weight
+    )
     columns = _columns(samples, target, weight, settings)
-    at = settled(_evaluate(columns, cosine, t, box, settings))
+    at = optimization_barrier(_evaluate(columns, cosine, t, box, settings))
     moved = [abs(x - y) for x, y in zip(at.point, last.at.point, strict=True)]
     moved = jnp.stack(moved, axis=-1)
     share = _sum(weight) / jnp.maximum(_sum(samples.weight), 1)

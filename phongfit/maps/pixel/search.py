@@ -21,8 +21,8 @@ from phongfit.maps.pixel.exponent import (
 from phongfit.maps.pixel.small import (
     Numbers,
     curvatures,
+    optimization_barrier,
     over_channels,
-    settled,
 )
 from phongfit.reflectance import AbstractSpecular
 
@@ -141,7 +141,7 @@ def _candidate_sums(
     powers = _powers(log_cosine, exponent)
     found = []
     for k in range(count):
-        powers = settled(_squares(powers) if k else powers)
+        powers = optimization_barrier(_squares(powers) if k else powers)
         found.append(_sums_at(columns, model, exponent * 2**k, powers))
     return found
 
@@ -157,7 +157,7 @@ def _sums_at(
 
 
 def _stacked(sums: list[Sums]) -> Sums:
-    return settled(jax.tree.map(lambda *leaves: jnp.stack(leaves), *sums))
+    return optimization_barrier(jax.tree.map(lambda *leaves: jnp.stack(leaves), *sums))
 
 
 def _powers(log_cosine: Lights, exponent: Array) -> Lights:
@@ -336,7 +336,7 @@ def where_wanted(
     def once(state: tuple[Array, T]) -> tuple[Array, T]:
         # What does not change in a loop is computed ahead of it, wanted or not: so the
         # argument is tied to what does.
-        wanted, tied = settled((state[0], argument))
+        wanted, tied = optimization_barrier((state[0], argument))
         return jnp.zeros_like(wanted), compute(tied)
 
     return jax.lax.while_loop(lambda state: state[0], once, (wanted, otherwise))[1]

@@ -19,7 +19,7 @@ Triangle: TypeAlias = tuple[Numbers, ...]
 T = TypeVar("T")
 
 
-def settled(values: T) -> T:
+def optimization_barrier(values: T) -> T:
     """The same values, computed once and kept.
 
     Left alone, the compiler computes what several results share anew for each of them;
@@ -77,7 +77,7 @@ def factorize(matrix: Triangle, last: int | None = None) -> Factors:
         pivot = jnp.where(told, pivot, 0)
         inverse.append(jnp.where(told, 1 / jnp.where(told, pivot, 1), 0))
         lower.append(scaled)
-    return settled(Factors(tuple(lower), tuple(inverse), pivot))
+    return optimization_barrier(Factors(tuple(lower), tuple(inverse), pivot))
 
 
 def solve(factors: Factors, vector: Numbers) -> Numbers:
@@ -169,7 +169,9 @@ def minimize_in_box(
         pushed = times(matrix, held)
         pull = tuple(jnp.where(free[i], vector[i] - pushed[i], 0) for i in range(size))
         solved = solve(factorize(only(matrix, free)), pull)
-        x = settled(tuple(jnp.where(free[i], solved[i], held[i]) for i in range(size)))
+        x = optimization_barrier(
+            tuple(jnp.where(free[i], solved[i], held[i]) for i in range(size))
+        )
         inside = tuple(jnp.clip(x[i], lower[i], upper[i]) for i in range(size))
         half = times(matrix, inside)
         value = dot(inside, tuple(half[i] / 2 - vector[i] for i in range(size)))

@@ -15,7 +15,7 @@ from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.pixel import BESIDE, Known, PixelFit, fit_pixel
 from phongfit.maps.pixel.samples import PixelSamples
 from phongfit.maps.pixel.settings import Settings
-from phongfit.maps.pixel.small import settled
+from phongfit.maps.pixel.small import optimization_barrier
 
 BLOCK = 512
 """Pixels that are worked on together: few enough for the numbers to stay in cache."""
@@ -182,7 +182,7 @@ def _fit_block(
         basis = outside.lighting.basis(
             position, normal, to_viewer, visibility, settings.min_cosine
         )
-        basis = settled(basis)
+        basis = optimization_barrier(basis)
         samples = PixelSamples(
             target,
             jnp.broadcast_to(used * basis.lit[None, :], target.shape),
@@ -212,7 +212,7 @@ def _fit_block(
         ),
         axis_name=BESIDE,
     )
-    target, used = settled(
+    target, used = optimization_barrier(
         (
             _channels_first(tile.target),
             _channels_first(tile.used.astype(tile.target.dtype)),

@@ -23,7 +23,7 @@ def test_a_rejected_highlight_is_not_told():
     lobe = np.array([name.startswith(("specular", "shininess")) for name in fit.labels])
     np.testing.assert_array_equal(fit.unidentified, lobe)
     assert np.all(np.isinf(fit.errors[lobe])) and np.all(np.isfinite(fit.errors[~lobe]))
-    assert rejected_highlights(fit.found.problem, fit.found.y).min() > 0
+    assert rejected_highlights(fit.solution.problem, fit.solution.y).min() > 0
 
 
 @pytest.mark.parametrize("loss", ["huber", "tukey"])
