@@ -1,10 +1,10 @@
-"""Question: how well can a material be told from an image, and do fits reach the limit?
+"""Question: how well does an image identify a material, and do fits reach the limit?
 
 The Cramér-Rao bound, which no unbiased estimate can beat, is predicted for each
 parameter as noise, lamps, resolution, clipping and the part of the highlight that is
 seen change; beside it stands the spread of many fits of noisy images. Errors are shares
 of the true value; that of f is one of its logarithm. Where the prediction says that the
-exponent cannot be told, those of the others rest on fits that it draws itself.
+exponent is not identifiable, those of the others rest on fits that it draws itself.
 """
 
 import dataclasses
@@ -58,7 +58,7 @@ class Spread:
         errors, as shares of the truth;
     - `pull`: root mean square of errors over what each fit states itself, where it
         states one;
-    - `identified`: whether the prediction says that the parameter can be told;
+    - `identified`: whether the prediction says that the parameter is identifiable;
     - `draws`: how many fits.
     """
 
@@ -71,7 +71,7 @@ class Spread:
 
     @property
     def ratio(self) -> np.ndarray:
-        """Observed over predicted; NaN for what cannot be told."""
+        """Observed over predicted; NaN for what is not identifiable."""
         return np.where(self.identified, self.observed / self.bound, np.nan)
 
     @property
@@ -257,7 +257,7 @@ def draw(found: Found) -> Figure:
     for axes, (sweep, spreads) in zip(panels, found, strict=False):
         draw_sweep(axes, sweep, spreads)
     panels[0].legend(ncols=2, title="lines: predicted; marks: fits")
-    panels[3].set_title("hollow marks: something cannot be told")
+    panels[3].set_title("hollow marks: something is not identifiable")
     for axes in panels[:-1]:
         axes.set_ylabel("error (% of the value)")
     ratios, start = panels[-1], 0
@@ -291,11 +291,15 @@ def draw_sweep(axes: Axes, sweep: Sweep, spreads: list[Spread]) -> None:
             [one.bound[k] if one.identified[k] else np.nan for one in spreads]
         )
         observed = np.array([one.observed[k] for one in spreads])
-        told = np.array([one.identified.all() for one in spreads])
+        identified = np.array([one.identified.all() for one in spreads])
         axes.plot(x, 100 * bound, c=colour)
         label = style.symbol(name)
-        axes.plot(x[told], 100 * observed[told], marker, c=colour, label=label)
-        axes.plot(x[~told], 100 * observed[~told], marker, c=colour, mfc="none")
+        axes.plot(
+            x[identified], 100 * observed[identified], marker, c=colour, label=label
+        )
+        axes.plot(
+            x[~identified], 100 * observed[~identified], marker, c=colour, mfc="none"
+        )
     axes.set_yscale("log")
     if sweep.log:
         axes.set_xscale("log")
@@ -309,17 +313,18 @@ def draw_sweep(axes: Axes, sweep: Sweep, spreads: list[Spread]) -> None:
 def say(found: Found) -> str:
     """The answer in words."""
     spreads = [one for _, spreads in found for one in spreads]
-    told = np.array([one.identified.all() for one in spreads])
+    identified = np.array([one.identified.all() for one in spreads])
     ratio = np.array([one.ratio for one in spreads])
-    beside = ~told[:, None] & np.isfinite(ratio)
+    beside = ~identified[:, None] & np.isfinite(ratio)
     answer = (
-        f"Where all four parameters can be told, the spread of {spreads[0].draws} fits "
-        f"lies on the Cramér-Rao bound: {ratio[told].min():.2f} to "
-        f"{ratio[told].max():.2f} of it in {ratio[told].size} comparisons, their mean "
-        f"{ratio[told].mean():.3f}. Errors grow as the noise does; ρ_s and f are told "
-        "worst, and first lost: where too much of the highlight is white or out of "
-        f"view, {np.count_nonzero(~told)} of {len(told)} settings say that they cannot "
-        "be told."
+        "Where all four parameters are identifiable, the spread of "
+        f"{spreads[0].draws} fits lies on the Cramér-Rao bound: "
+        f"{ratio[identified].min():.2f} to "
+        f"{ratio[identified].max():.2f} of it in {ratio[identified].size} comparisons, "
+        f"their mean {ratio[identified].mean():.3f}. Errors grow as the noise does; "
+        "ρ_s and f are known worst, and first lost: where too much of the highlight is white or out of "
+        f"view, {np.count_nonzero(~identified)} of {len(identified)} settings say that "
+        "they are not identifiable."
     )
     if beside.any():
         answer += (
@@ -375,10 +380,10 @@ def failures(found: Found) -> tuple[str, ...]:
             wrong += [
                 f"{sweep.name} {one.x:.3g}: {name} scatters {share:.2f} times {what}"
                 for shares, least, what in judged
-                for name, share, told in zip(
+                for name, share, identified in zip(
                     LEAVES, shares, one.identified, strict=True
                 )
-                if told and not least <= share <= 1 + one.slack
+                if identified and not least <= share <= 1 + one.slack
             ]
     return tuple(wrong)
 

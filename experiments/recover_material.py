@@ -4,7 +4,7 @@ Targets of known truth (plastic, metal, matte; one and several lights; rounded t
 bits, with and without noise) are fitted without a starting guess. Truth and estimate ±
 standard error are printed side by side. The exit status is 1 if a fit does not
 converge, if an estimate is more than 4 standard errors off, or if the fit claims to
-know what the image cannot tell.
+know what the image does not identify.
 """
 
 import dataclasses
@@ -140,7 +140,7 @@ def show(result: dict) -> Table:
             off = f"{(estimate - truth) / error:+.1f} σ"
             row = (f"{estimate:.5g}", f"± {error:.2g}", off)
         else:
-            row = (f"{estimate:.5g}", "cannot be told", "")
+            row = (f"{estimate:.5g}", "not identifiable", "")
         table.add_row(label, f"{truth:.5g}", *row)
     return table
 
@@ -182,11 +182,13 @@ def main(
     save_picture(picture, comparison(rows, blocks=2))
     save_numbers(json, results)
     failed = [result["name"] for result in results if result["wrong"]]
-    told = sum(int(np.isfinite(result["stderr"]).sum()) for result in results)
+    identified = sum(int(np.isfinite(result["stderr"]).sum()) for result in results)
     verdict = (
         f"FAILED: {'; '.join(failed)}" if failed else "all within 4 standard errors"
     )
-    console.print(f"{len(results)} targets, {told} parameters told: {verdict}")
+    console.print(
+        f"{len(results)} targets, {identified} parameters identified: {verdict}"
+    )
     return 1 if failed else 0
 
 

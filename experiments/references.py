@@ -1,8 +1,8 @@
 """Scenes that other renderers drew: their files.
 
 `NAME.json` says what is in a scene, `NAME.npz` holds the mesh and the image. Two kinds
-are known, told apart by what they name: those of OpenGL's fixed-function pipeline, and
-those of a ray tracer (POV-Ray).
+are known, distinguished by what they name: those of OpenGL's fixed-function pipeline,
+and those of a ray tracer (POV-Ray).
 """
 
 import json

@@ -3,7 +3,7 @@
 Images are made in one way and fitted in another: the other highlight, the other
 shading, a lamp missing or misplaced or too bright, a wrong encoding, a shadow or a
 clamp left out. For each mistake the bias of every parameter is measured, in its own
-unit and in the errors that the fit states, and which diagnostics of the fit tell.
+unit and in the errors that the fit states, and which diagnostics of the fit say so.
 """
 
 import dataclasses
@@ -49,7 +49,7 @@ class Outcome:
 
     - `bias`: estimate − truth; `in_errors`: the same over the errors stated;
     - `chi_squared`: reduced; `correlation`: of neighbouring residuals;
-    - `flags`: the diagnostics that tell in most of the images: see `DIAGNOSTICS`;
+    - `flags`: the diagnostics that say so in most of the images: see `DIAGNOSTICS`;
     - `residual`: of one of the images, in units of the noise.
     """
 
@@ -181,14 +181,14 @@ def outcome(mistake: Mistake, draws: int, seed: int) -> Outcome:
     truth = np.array([float(getattr(TRUTH, leaf)) for leaf in LEAVES])
     off = np.array([fit.values[order] - truth for fit in fits])
     errors = np.array([fit.errors[order] for fit in fits])
-    told = np.array([[name in flags(fit) for name in DIAGNOSTICS] for fit in fits])
+    raised = np.array([[name in flags(fit) for name in DIAGNOSTICS] for fit in fits])
     return Outcome(
         mistake.name,
         off.mean(axis=0),
         (off / errors).mean(axis=0),
         float(np.mean([fit.reduced_chi_squared for fit in fits])),
         float(np.mean([fit.neighbour_correlation for fit in fits])),
-        tuple(np.array(DIAGNOSTICS)[told.mean(axis=0) > 0.5].tolist()),
+        tuple(np.array(DIAGNOSTICS)[raised.mean(axis=0) > 0.5].tolist()),
         mistake.excuse,
         fits[0].residuals.mean(axis=-1) / NOISE,
     )
@@ -253,7 +253,7 @@ def draw(outcomes: list[Outcome]) -> Figure:
     table.tick_params(length=0, labeltop=True, labelbottom=False)
     table.axvline(len(LEAVES) - 0.5, c=style.BLACK, lw=0.8)
     table.set_xlabel(
-        "off by: estimate − truth, and in units σ of the error stated      ●: tells"
+        "off by: estimate − truth, and in units σ of the error stated      ●: says so"
     )
     return figure
 
@@ -330,7 +330,7 @@ def find(small: bool) -> Finding:
         draw(outcomes),
         "Maps of what fits leave over: noise where the model is right, rings, "
         "crescents and patches where it is wrong; a table of how far each parameter "
-        "is off, and which diagnostics tell.",
+        "is off, and which diagnostics say so.",
         Table(
             (
                 "mistake",

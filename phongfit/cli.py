@@ -41,7 +41,7 @@ For example:
   phongfit export out/fit --to gltf -o out/brass.glb
   phongfit fit --help
 
-Errors are told in one line, with exit status 2; an interrupt with 130. What was
+Errors are reported in one line, with exit status 2; an interrupt with 130. What was
 compiled is kept in $XDG_CACHE_HOME/phongfit (else ~/.cache/phongfit), which may be
 deleted at any time; PHONGFIT_CACHE=FOLDER puts it elsewhere, PHONGFIT_CACHE=off
 nowhere. JAX_ENABLE_X64=1 computes in double precision.
@@ -157,7 +157,7 @@ def run(
 
     - `function`: its docstring is the help text. What it returns is the exit status,
         where None is 0. `ValueError` and `OSError` mean that the user's input is at
-        fault and are told in one line; all others are faults of ours and keep their
+        fault and are reported in one line; all others are faults of ours and keep their
         traceback.
     - `args`: default what the process was started with.
     - `prog`: the command's name in help texts.
@@ -168,7 +168,7 @@ def run(
 
 
 def _guard(call: Callable[[], int | None]) -> int:
-    """The exit status of a call, where a fault of the input is told in one line."""
+    """The exit status of a call, where a fault of the input is reported in one line."""
     try:
         return call() or 0
     except SystemExit as stop:

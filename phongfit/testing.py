@@ -129,7 +129,7 @@ def _contract(output: Float[Array, "..."]) -> Scalar:
     if output.dtype != jnp.float64:
         raise ValueError(
             f"function: returned {output.dtype} for float64 input, which finite "
-            "differences cannot be told from"
+            "differences cannot be distinguished from"
         )
     if output.size == 1:
         return output.reshape(())

@@ -154,8 +154,8 @@ def rows(pixels: int = 16_000, lights: int = 96, *, scipy: int = 200) -> list[Ro
     stack = make_stack(pixels, lights)
     maps = fit_stack(stack)
     values, errors = as_rows(maps)
-    told = maps.identified & ~maps.flagged(pf.Flag.NOT_CONVERGED)
-    ours = Found(map_seconds(stack, 15) / told.size, values, told.ravel())
+    identified = maps.identified & ~maps.flagged(pf.Flag.NOT_CONVERGED)
+    ours = Found(map_seconds(stack, 15) / identified.size, values, identified.ravel())
     ways = {
         "map": ("phongfit, `fit_maps`", ours),
         "vmapped_lm": ("optimistix LM, `vmap`", vmapped_lm(stack, pixels)),
@@ -191,9 +191,10 @@ def judge(
     """How near a way comes to the map's values and to the truth, in its errors."""
     count = len(found.values)
     values, errors, truth = (array[:count] for array in (values, errors, truth))
-    told = np.isfinite(errors).all(axis=1)
+    identified = np.isfinite(errors).all(axis=1)
     from_map, from_truth = (
-        np.abs(found.values - there)[told] / errors[told] for there in (values, truth)
+        np.abs(found.values - there)[identified] / errors[identified]
+        for there in (values, truth)
     )
     return Row(
         name,

@@ -1,4 +1,4 @@
-"""What a warning is about, told from its words: the one place that knows them."""
+"""What a warning is about, found from its words: the one place that knows them."""
 
 import collections
 import enum
@@ -26,8 +26,8 @@ _WORDS = (
     (Subject.FIT, r"highlight for outliers"),
     (
         Subject.OPEN,
-        r"(cannot|nothing can) be told|not identif|unidentif|(may|can|could) be any"
-        r"|^flag: (alike|no highlight|too few|black)",
+        r"not identif|nothing is identif|degenerate|(may|can|could) be any"
+        r"|^flag: (degenerate|no highlight|too few|black)",
     ),
     (Subject.FIT, r"\bbound\b.* decides"),
     (Subject.BOUND, r"\bat (its|the|a)\b.*\bbound\b|^flag: at bound"),

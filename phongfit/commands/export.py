@@ -60,8 +60,8 @@ def main(options: Options) -> int:
     glTF knows another one: roughness = (2 / (f + 2))^(1/4), F0 = 8 rho_s / (f + 2) by
     KHR_materials_specular, metallic 0; the exact numbers stand in its extras. Maps
     become texture images: beside an .mtl; inside a glTF file, on a rectangle with their
-    normals. A highlight that is 0 within its error is 0 there, and what else a pixel
-    cannot tell is the median of those that can.
+    normals. A highlight that is 0 within its error is 0 there, and what a pixel
+    does not identify is the median of those that can.
 
     For example:
       phongfit export out/fit --to gltf -o out/brass.glb

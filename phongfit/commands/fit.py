@@ -69,8 +69,9 @@ class Options:
 def main(options: Options) -> int:
     """Fit one material to photographs, and say how well it is known.
 
-    Prints values with standard errors, correlations, and what could not be told. There
-    is no starting guess and no random number: the same photographs give the same fit.
+    Prints values with standard errors, correlations, and what is not identifiable.
+    There is no starting guess and no random number: the same photographs give the same
+    fit.
 
     For example:
       phongfit fit out/brass -o out/fit
@@ -145,7 +146,7 @@ def _compare(record: FitRecord, found: Fit, read: DataRecord) -> bool:
         return True
     distance = distances(record, found)
     if np.isnan(distance).all():
-        print("like the recorded fit: nothing is told by either")
+        print("like the recorded fit: neither identifies anything")
         return True
     worst = int(np.nanargmax(distance))
     agrees = bool(distance[worst] <= 1)

@@ -46,7 +46,7 @@ OURS = {
     *(f"stderr_{name}.tif" for name in LEAVES),
 }
 SHARED = ("ambient", "diffuse")
-"""What each pixel still tells where the highlight is one for all of them."""
+"""What each pixel still identifies where the highlight is one for all of them."""
 
 
 @dataclass(frozen=True)

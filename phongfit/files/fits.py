@@ -275,8 +275,8 @@ def check_fit(record: FitRecord) -> None:
 def distances(record: FitRecord, fit: Fit) -> Float[np.ndarray, " n"]:
     """How far a fit is from a recorded one, in the recorded standard errors.
 
-    **Returns:** a number for each label: infinite where only one of the two tells the
-    value, NaN where neither does.
+    **Returns:** a number for each label: infinite where only one of the two identifies
+    the value, NaN where neither does.
 
     **Raises:** `ValueError` if the labels differ.
     """

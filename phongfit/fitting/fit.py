@@ -104,17 +104,17 @@ def fit(
         image. By default its clamp and rounding are found from the values themselves:
         where some are exactly 1 and others negative, white was cut off, and negative
         values count as black. What a JPEG file took stands in the file alone:
-        [`read_film`][] tells.
+        [`read_film`][] reads it.
     - `loss`: `"linear"`, `"huber"`, `"soft_l1"`, `"cauchy"`, `"tukey"`, or an
         [`AbstractLoss`][].
     - `max_steps`: of the solver, in each of its passes.
 
-    **Returns:** a [`Fit`][]. Numerical failure is told in its `converged` and
+    **Returns:** a [`Fit`][]. Numerical failure is reported in its `converged` and
     `warnings`; nothing is raised.
 
     **Raises:** `ValueError` that names the argument: wrong shapes, NaN or infinite
     pixels, a mask that leaves nothing, fewer samples than unknowns, ambient and
-    emission both unknown where no pixel can tell them apart; arrays that JAX traces
+    emission both unknown where they are degenerate; arrays that JAX traces
     (see [`refit`][] for derivatives of a fit).
     """
     single = isinstance(scene, Scene)
@@ -173,7 +173,7 @@ def fit(
         sources = restored.sources
     setting = dataclasses.replace(setting, sources=sources)
     given = {"mask": mask, "weights": weights, "noise": noise}
-    # Directions are now told around where the best of several starts began.
+    # Directions are now relative to where the best of several starts began.
     layout = found.problem.unknowns
     # JAX computes these side by side, as long as none is looked at.
     place = in_units(layout, found.y)

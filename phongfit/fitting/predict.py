@@ -58,7 +58,7 @@ class Prediction:
             self.labels, self.values, self.errors, self.at_bound, self.unidentified
         )
         words = [f"  ! {warning}" for warning in self.warnings]
-        head = f"phongfit: what {self.n_samples:,} samples could tell"
+        head = f"phongfit: what {self.n_samples:,} samples could identify"
         return "\n".join([head, "", *rows, *(["", *words] if words else [])])
 
     def __repr__(self) -> str:
@@ -162,7 +162,7 @@ def predict_errors(
 def _expected(problem: Problem, y: Array) -> Problem:
     """The problem with what a film shows on average: without noise black is darker.
 
-    So nothing pulls at the truth. White samples stay white: they tell little.
+    So nothing pulls at the truth. White samples stay white: they say little.
     """
     target = problem.samples.target
     shown = target + jnp.where(target < 1, evaluate(problem, y).difference, 0)

@@ -110,7 +110,7 @@ class Fit:
         chance is at least `level` there, and more where a highlight is not seen.
 
         **Returns:** (n, 2), cut to the bounds, which are all that is left of what
-        cannot be told. At a bound they are one-sided.
+        is not identifiable. At a bound they are one-sided.
 
         **Raises:** `ValueError` if `level` is not in (0, 1).
         """
@@ -204,7 +204,7 @@ class Fit:
 
     @property
     def correlation(self) -> np.ndarray:
-        """Correlations of the unknowns; NaN for those at a bound or not told."""
+        """Correlations of the unknowns; NaN for those at a bound or not identified."""
         deviation = np.sqrt(np.diag(self.covariance))
         deviation = np.where(np.isfinite(deviation), deviation, np.nan)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -270,13 +270,13 @@ Fit.__init__.__doc__ = """**Arguments:**
 - `specification`: what was asked.
 - `films`: of each image, found or given.
 - `material`, `stderr`: the estimate, and a material of its standard errors: infinite
-    for what cannot be told, 0 for what was known.
+    for what is not identifiable, 0 for what was known.
 - `scene`, `exposure`: the scene or scenes with what was unknown of them, and what each
     image's light was multiplied by.
 - `labels`, `values`, `errors`: the unknowns as vectors, such as `diffuse.red`. An error
     is the larger side of the interval in which Δχ² stays below 1.
 - `covariance`: of `values`, where what lies at a bound stays there. NaN rows for
-    unknowns at a bound or not told, and for those whose error a bound or a hardly
+    unknowns at a bound or not identified, and for those whose error a bound or a hardly
     identified exponent makes larger than this by a quarter.
 - `at_bound`: true where the estimate lies on its bound. Its error is then one-sided:
     how far into the box the data let it go.
@@ -336,11 +336,11 @@ def fit_table(fit: Fit, least_correlation: float = 0.1, most: int = 10) -> str:
 
 def lopsided(fit: Fit) -> dict[int, str]:
     """Errors up and down in words, where one is more than a fifth larger."""
-    told = np.flatnonzero(~fit.unidentified & ~fit.at_bound)
-    sides = fit.sides[told]
+    identified = np.flatnonzero(~fit.unidentified & ~fit.at_bound)
+    sides = fit.sides[identified]
     return {
         int(k): f"+{up:.2g} −{down:.2g}"
-        for k, (down, up) in zip(told, sides, strict=True)
+        for k, (down, up) in zip(identified, sides, strict=True)
         if max(down, up) > 1.2 * min(down, up)
     }
 

@@ -21,7 +21,7 @@ def fit_answer(fit: Fit, truth: Settings | None) -> dict[str, Any]:
 
     **Returns:** plain text and numbers: `rows` of the table; `head`, how the fit went;
     `warnings`; `text`, the fit's own table; `settings`, for the sliders, without what
-    cannot be told.
+    not identifiable.
     """
     known = {} if truth is None else true_numbers(truth)
     return {
@@ -86,19 +86,19 @@ def _head(fit: Fit) -> str:
 def _row(fit: Fit, k: int, known: dict[str, float]) -> dict[str, str]:
     label, value, error = fit.labels[k], float(fit.values[k]), float(fit.errors[k])
     truth = known.get(label)
-    told = not fit.unidentified[k]
+    identified = not fit.unidentified[k]
     row = {
         "label": label,
         "name": _name(label),
         "truth": "" if truth is None else f"{truth:.4g}",
-        "value": number_with_error(value, error) if told else "–",
-        "error": f"± {error:.2g}" if told else "± ∞",
+        "value": number_with_error(value, error) if identified else "–",
+        "error": f"± {error:.2g}" if identified else "± ∞",
         "off": "",
-        "note": "" if told else "cannot be told",
+        "note": "" if identified else "not identifiable",
     }
     if fit.at_bound[k]:
         row["note"] = "at its bound"
-    if truth is not None and told and error > 0:
+    if truth is not None and identified and error > 0:
         row["off"] = f"{(value - truth) / error:+.1f} σ".replace("-", "−")
     return row
 

@@ -39,7 +39,7 @@ Record = TypeVar("Record", bound=AbstractRecord)
 def make_app(studio: Studio, host: str = "127.0.0.1") -> Starlette:
     """The page and what it asks for.
 
-    What is wrong with a request is told in one line: `{"error": …}`, status 400.
+    What is wrong with a request is reported in one line: `{"error": …}`, status 400.
 
     **Arguments:** `host`: what the server listens at.
     """
@@ -134,5 +134,5 @@ def _tell(request: Request, error: Exception) -> Response:
 def _fault(request: Request, error: Exception) -> Response:
     """We are at fault: the server prints a traceback, the page stays alive."""
     del request
-    words = f"the server failed ({type(error).__name__}); its terminal tells more"
+    words = f"the server failed ({type(error).__name__}); its terminal says more"
     return JSONResponse({"error": words}, status_code=500)

@@ -21,7 +21,7 @@ from phongfit.material import Material
 def export_maps(folder: Path, path: Path, to: str, *, nearest: bool) -> str:
     """Write the maps of a folder as a material with textures, all or nothing.
 
-    What a pixel cannot tell is filled in: see [`phongfit.maps.textures`][].
+    What a pixel does not identify is filled in: see [`phongfit.maps.textures`][].
 
     **Arguments:**
 
@@ -55,8 +55,8 @@ def _filled_words(leaves: Leaves) -> str:
     if count == 0:
         return ""
     return (
-        f"; {count:,} of {of:,} pixels cannot tell all: there a highlight is 0, or has "
-        "the median of the others"
+        f"; {count:,} of {of:,} pixels do not identify all: there a highlight is 0, or "
+        "has the median of the others"
     )
 
 

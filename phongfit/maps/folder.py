@@ -66,7 +66,7 @@ def save_folder(
 ) -> None:
     """Write maps into a folder that is there.
 
-    A TIFF for each map and one for its errors, with infinity where a pixel cannot tell.
+    A TIFF for each map and one for its errors, infinite where a pixel is unidentified.
 
     **Raises:** `OSError` that names the file.
     """

@@ -188,7 +188,7 @@ def make_settings(
             f"per_channel: {', '.join(lacking)} missing; reflectances of a map are "
             "always one for each channel, the exponent may be shared"
         )
-    # Where there is no ambient light, nothing can be told of what it would do.
+    # Where there is no ambient light, nothing is known of what it would do.
     names = tuple(
         name
         for name in LEAVES
@@ -241,7 +241,7 @@ def _has_ambient(scenes: tuple[Scene, ...]) -> bool:
 def check_enough(settings: Settings, images: int) -> None:
     """Enough images for the unknowns of a pixel.
 
-    **Raises:** `ValueError` that says what fewer could tell.
+    **Raises:** `ValueError` that says what fewer could identify.
     """
     unknowns = settings.unknowns()
     if 3 * images > unknowns:
@@ -253,9 +253,9 @@ def check_enough(settings: Settings, images: int) -> None:
         if set(names) <= set(settings.names) and 3 * images > 3 * len(names)
     ]
     hint = (
-        f"with {images}, {could[0]} can be told, the rest being known"
+        f"with {images}, {could[0]} is identifiable, the rest being known"
         if could
-        else "one material for all pixels can be told by fit"
+        else "one material for all pixels can be found by fit"
     )
     raise ValueError(
         f"images: {images} came, which is {3 * images} samples a pixel for its "

@@ -165,6 +165,6 @@ class Noise:
         return np.sqrt(squares / len(layers))
 
     def identify(self, update: Update) -> None:
-        """Feed noise that varies to a checksum; other is told by its level."""
+        """Feed noise that varies to a checksum; other is given by its level."""
         if self.varies:
             self._layers.identify(update)

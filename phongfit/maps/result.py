@@ -102,7 +102,7 @@ class Maps:
         inside = ~self.flagged(Flag.OUTSIDE)
         lines = [
             f"phongfit: maps of {height} × {width} pixels, {inside.sum():,} fitted, "
-            f"{self.identified.sum():,} told in all of {', '.join(self.unknowns)}"
+            f"{self.identified.sum():,} identified in all of {', '.join(self.unknowns)}"
         ]
         for flag in Flag:
             count = int((self.flagged(flag) & (inside | (flag == Flag.OUTSIDE))).sum())
@@ -126,11 +126,11 @@ Maps.__init__.__doc__ = """**Arguments:**
     linear light; NaN outside. Where `noise_given` varies, that of the pixel times the
     root of χ².
 - `samples`: (H, W), how many were used.
-- `flags`: (H, W), bits of [`Flag`][]: why a pixel is not told, or told with care.
+- `flags`: (H, W), bits of [`Flag`][]: why a pixel is not identified, or only with care.
 - `unknowns`: names of the leaves that were looked for.
 - `noise_given`: standard deviation of a sample that errors rest on (where there is no
-    `MISFIT`), or `None` if each pixel's residuals told it. (H, W) if it varies: the
-    root mean square of a pixel's.
+    `MISFIT`), or `None` if it was estimated from each pixel's residuals. (H, W) if it
+    varies: the root mean square of a pixel's.
 """
 
 

@@ -87,7 +87,7 @@ def fit_maps(
         image.
     - `noise`: standard deviation of a sample in linear light: a number, (H, W) or
         (H, W, 3), or one of these for each image; samples then count by how little
-        noise they have. By default each pixel's residuals tell it.
+        noise they have. By default it is estimated from each pixel's residuals.
     - `film`: `Film()`: samples of 1 and above are saturated, and left out.
         `Film(clamp=False)`: none is. Default: only those of exactly 1, since one beyond
         shows that nothing was cut off. Of several films only their common clamp
@@ -105,7 +105,8 @@ def fit_maps(
         from there, to the same bits. It must be empty, or of the same job.
     - `progress`: show a bar, if the output is a terminal.
 
-    **Returns:** [`Maps`][]. A pixel that cannot tell has infinite errors and flags.
+    **Returns:** [`Maps`][]. A pixel that does not identify an unknown has infinite
+    errors and flags.
 
     **Raises:** `ValueError` that names the argument: wrong shapes, too few images for
     the unknowns, a file of a stack that is missing or broken (finished tiles stay).
@@ -178,7 +179,7 @@ def fit_maps(
                 if store is not None:
                     store.save(k, arrays)
             maps.paint(tiles[k], arrays)
-    # No ambient light: nothing is told, and nothing was looked for.
+    # No ambient light: nothing is identified, and nothing was looked for.
     hidden = tuple(name for name in unknowns if name not in settings.names)
     return maps.finished(
         tuple(name for name in LEAVES if name in unknowns),
@@ -196,7 +197,7 @@ def _as_one(film: Film | Sequence[Film] | None, noise: Any) -> Film | None:
     if noise is not None and any(one is not None and one.jpeg for one in films):
         raise ValueError(
             "noise: came with films of JPEG files, whose roundings it does not hold; "
-            "leave it out, and each pixel's residuals tell both"
+            "leave it out, and both are estimated from each pixel's residuals"
         )
     if len({one is None or one.clamp for one in films}) != 1:
         raise ValueError("film: expected one clamp for all images, got both or none")

@@ -1,8 +1,8 @@
 """Maps as texture images: 8 bits, colours sRGB-encoded as renderers expect them.
 
-What a pixel cannot tell is chance in the maps, as their errors say; a texture has no
-errors. So a highlight that is 0 within its error becomes 0, and whatever else a pixel
-cannot tell becomes the median of the pixels that can.
+What a pixel does not identify is chance in the maps, as their errors say; a texture has
+no errors. So a highlight that is 0 within its error becomes 0, and whatever else a
+pixel does not identify becomes the median of the pixels that can.
 """
 
 import dataclasses
@@ -58,7 +58,7 @@ def filled_in(maps: Maps) -> tuple[Material, Bool[np.ndarray, "height width"]]:
     """The maps with what is chance in them filled in, and the pixels where it was."""
     inside = ~maps.flagged(Flag.OUTSIDE)[..., None]
     # Black pixels stay black; and an exponent that lies at its bound is no chance.
-    vague = maps.flagged(Flag.TOO_FEW | Flag.NO_HIGHLIGHT | Flag.ALIKE)[..., None]
+    vague = maps.flagged(Flag.TOO_FEW | Flag.NO_HIGHLIGHT | Flag.DEGENERATE)[..., None]
     leaves, touched = {}, np.zeros(maps.flags.shape, bool)
     for name in LEAVES:
         values, errors = getattr(maps, name), getattr(maps.stderr, name)
@@ -72,9 +72,9 @@ def filled_in(maps: Maps) -> tuple[Material, Bool[np.ndarray, "height width"]]:
     return dataclasses.replace(maps.material, **leaves), touched
 
 
-def _medians(values: np.ndarray, told: np.ndarray) -> np.ndarray:
-    """The median of each channel over the pixels that tell it; 0 if none does."""
-    kept = [channel[own] for channel, own in zip(values.T, told.T, strict=True)]
+def _medians(values: np.ndarray, identified: np.ndarray) -> np.ndarray:
+    """The median of each channel over the pixels that identify it; 0 if none does."""
+    kept = [channel[own] for channel, own in zip(values.T, identified.T, strict=True)]
     return np.array([np.median(one) if one.size else 0 for one in kept], values.dtype)
 
 

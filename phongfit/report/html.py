@@ -52,7 +52,7 @@ def _row(fit: Fit, k: int, words: str) -> dict[str, Any]:
         "unit": unit(fit.labels[k]),
     }
     if fit.unidentified[k] or not np.isfinite(error):
-        return row | {"error": "∞", "percent": "", "note": "cannot be told"}
+        return row | {"error": "∞", "percent": "", "note": "not identifiable"}
     percent = f"{100 * error / abs(value):.2g} %" if value else "–"
     notes = [
         *(["at its bound"] if fit.at_bound[k] else []),

@@ -31,7 +31,7 @@ def draw_leaf(maps: Maps, name: str) -> Figure:
     values = np.asarray(getattr(maps, name), float)
     errors = np.asarray(getattr(maps.stderr, name), float)
     inside = ~maps.flagged(Flag.OUTSIDE)
-    told = inside & np.isfinite(errors).all(axis=-1)
+    identified = inside & np.isfinite(errors).all(axis=-1)
     with np.errstate(invalid="ignore"):
         spread = np.sqrt(np.mean(errors**2, axis=-1))
     height, width = inside.shape
@@ -42,13 +42,13 @@ def draw_leaf(maps: Maps, name: str) -> Figure:
         figure = picture(columns * (side + 0.6), 3.5)
         axes = figure.subplots(1, columns, squeeze=False)[0]
         if coloured:
-            _draw_colours(axes[0], values, told)
-        _draw_scale(axes[-2], values.mean(axis=-1), told, _numbers_title(name))
-        unidentified = int(np.sum(inside & ~told))
+            _draw_colours(axes[0], values, identified)
+        _draw_scale(axes[-2], values.mean(axis=-1), identified, _numbers_title(name))
+        unidentified = int(np.sum(inside & ~identified))
         title = "standard error" + (
-            f", {unidentified:,} pixels untold" if unidentified else ""
+            f", {unidentified:,} pixels not identified" if unidentified else ""
         )
-        _draw_scale(axes[-1], spread, told, title)
+        _draw_scale(axes[-1], spread, identified, title)
         figure.suptitle(TITLES[name], fontsize=11)
     return figure
 
@@ -57,22 +57,26 @@ def _numbers_title(name: str) -> str:
     return "exponent" if name == "shininess" else "mean of the channels"
 
 
-def _draw_colours(axes: Axes, values: np.ndarray, told: np.ndarray) -> None:
-    brightest = float(np.quantile(values[told], 0.995)) if told.any() else 1.0
+def _draw_colours(axes: Axes, values: np.ndarray, identified: np.ndarray) -> None:
+    brightest = (
+        float(np.quantile(values[identified], 0.995)) if identified.any() else 1.0
+    )
     factor = 1 / max(brightest, 1e-6) if brightest < 0.5 else 1.0
     shown = displayed(factor * values)
-    axes.imshow(np.where(told[..., None], shown, float(UNIDENTIFIED)))
+    axes.imshow(np.where(identified[..., None], shown, float(UNIDENTIFIED)))
     axes.set_title("colour" + (f", {factor:.2g} × brighter" if factor > 1 else ""))
     quiet(axes)
 
 
-def _draw_scale(axes: Axes, numbers: np.ndarray, told: np.ndarray, title: str) -> None:
+def _draw_scale(
+    axes: Axes, numbers: np.ndarray, identified: np.ndarray, title: str
+) -> None:
     quiet(axes)
     axes.set_title(title)
-    shown = np.where(told & np.isfinite(numbers), numbers, np.nan)
+    shown = np.where(identified & np.isfinite(numbers), numbers, np.nan)
     if np.isnan(shown).all():
         axes.imshow(np.full((*numbers.shape, 3), float(UNIDENTIFIED)))
-        words = "no pixel can tell"
+        words = "no pixel identifies it"
         axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)
         return
     low, high = np.nanquantile(shown, [0.005, 0.995])
@@ -89,7 +93,7 @@ def _draw_scale(axes: Axes, numbers: np.ndarray, told: np.ndarray, title: str) -
 
 
 def draw_flags(maps: Maps) -> Figure:
-    """Which pixels are not told, or told with care, and why: a map for each reason."""
+    """Pixels not identified, or only with care, and why: a map for each reason."""
     raised = [f for f in Flag if f != Flag.OUTSIDE and maps.flagged(f).any()]
     height, width = maps.flags.shape
     with styled():
@@ -100,7 +104,7 @@ def draw_flags(maps: Maps) -> Figure:
         for axis in axes[len(raised) :]:
             axis.set_axis_off()
         if not raised:
-            words = "no pixel has a flag:\nall are told"
+            words = "no pixel has a flag:\nall are identified"
             axes[0].text(0.5, 0.5, words, ha="center", va="center")
         inside = ~maps.flagged(Flag.OUTSIDE)
         for axis, flag in zip(axes, raised, strict=False):

@@ -19,12 +19,12 @@ from phongfit.report.plots import (
 from phongfit.report.profiles import draw_profile
 from phongfit.report.residuals import draw_against_level, draw_blocks, draw_histogram
 from phongfit.report.style import picture, quiet
-from phongfit.report.words import as_tuple, listed, told
+from phongfit.report.words import as_tuple, identified, listed
 
 MOST_PROFILES = 3
 # A profile goes through all samples about a hundred times; so does the way down.
 MOST_SAMPLES = 1_000_000
-# The first of these that the data tell; then the others, one of each kind.
+# The first of these that the data identify; then the others, one of each kind.
 _PROFILED = ("shininess", "specular", "diffuse")
 
 Panel = dict[str, Any]
@@ -105,11 +105,11 @@ def about_pictures(fit: Fit, images: Sequence[int]) -> str:
 def profiled(fit: Fit) -> list[str]:
     """Which unknowns get a profile: a few, the exponent first, one of each kind."""
     free = set(_free_labels(fit))
-    known = told(fit)
+    known = identified(fit)
     labels = [
         label
-        for label, is_told in zip(fit.labels, known, strict=True)
-        if is_told and label in free
+        for label, is_free in zip(fit.labels, known, strict=True)
+        if is_free and label in free
     ]
     leaves = {label: label.partition(".")[0].partition("[")[0] for label in labels}
     order = sorted(
@@ -134,7 +134,7 @@ def profiles(fit: Fit, thorough: bool) -> tuple[list[Panel], str]:
     wanted = profiled(fit)
     labels = wanted[: MOST_PROFILES * MOST_SAMPLES // fit.n_samples]
     if not wanted or not fit.converged:
-        why = "the solver did not converge" if wanted else "no unknown is told"
+        why = "the solver did not converge" if wanted else "no unknown is identified"
         return [], f"There are none: {why}."
     shown = []
     for label in labels:
@@ -159,7 +159,7 @@ def correlations(fit: Fit) -> tuple[Panel | None, str]:
     """The matrix, if there is one, and its strongest entry in words."""
     entries = shown_unknowns(fit)
     if len(entries) < 2:
-        return None, "Here fewer than two unknowns are told, so there are none."
+        return None, "Here fewer than two unknowns are identified, so there are none."
     matrix = fit.correlation[np.ix_(entries, entries)]
     lower = np.tril(matrix, -1)
     i, j = np.unravel_index(int(np.nanargmax(np.abs(lower))), lower.shape)

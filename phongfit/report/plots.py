@@ -12,7 +12,7 @@ from phongfit.fitting.uncertainty.descent import Descent
 from phongfit.report.pictures import Row, comparison, draw_residual
 from phongfit.report.residuals import draw_against_level, draw_blocks, draw_histogram
 from phongfit.report.style import ACCENT, INK, SIGNED, picture, quiet, styled
-from phongfit.report.words import as_tuple, told
+from phongfit.report.words import as_tuple, identified
 
 MOST_IMAGES = 4
 MOST_UNKNOWNS = 24
@@ -101,7 +101,7 @@ def plot_residuals(fit: Fit) -> Figure:
 def shown_unknowns(fit: Fit) -> list[int]:
     """Entries that have correlations; of many, those with the largest."""
     known = np.isfinite(np.diag(fit.covariance))
-    free = np.flatnonzero(told(fit) & known & ~fit.tied)
+    free = np.flatnonzero(identified(fit) & known & ~fit.tied)
     if len(free) <= MOST_UNKNOWNS:
         return free.tolist()
     matrix = np.abs(fit.correlation[np.ix_(free, free)])
@@ -117,7 +117,7 @@ def draw_correlations(axes: Axes, fit: Fit) -> None:
     matrix = fit.correlation[np.ix_(entries, entries)]
     quiet(axes)
     if len(entries) < 2:
-        words = "fewer than two unknowns are told:\nthere is nothing to correlate"
+        words = "fewer than two unknowns are identified:\nthere is nothing to correlate"
         axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)
         return
     shown = axes.imshow(matrix, cmap=SIGNED, vmin=-1, vmax=1)
@@ -141,10 +141,10 @@ def draw_correlations(axes: Axes, fit: Fit) -> None:
 
 
 def plot_correlations(fit: Fit) -> Figure:
-    """Which unknowns the image hardly tells apart: near ±1, only a mixture is known.
+    """Which unknowns the image hardly separates: near ±1, only a mixture is known.
 
-    Unknowns at a bound, or not told, have no correlations and are left out; of many
-    unknowns those with the largest are shown.
+    Unknowns at a bound, or not identified, have no correlations and are left out; of
+    many unknowns those with the largest are shown.
     """
     side = 2.6 + 0.33 * max(len(shown_unknowns(fit)), 3)
     with styled():

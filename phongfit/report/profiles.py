@@ -60,7 +60,7 @@ def plot_profile(fit: Fit, name: str, other: str | None = None) -> Figure:
 
     The unknown is held at values around its estimate and all others are fitted again:
     see [`Fit`][]`.profile`. Where the curve leaves the dashed parabola, the standard
-    error does not tell all.
+    error does not say all.
 
     **Raises:** `ValueError` for a name that was not free.
     """

@@ -50,27 +50,27 @@ def as_tuple(images: Any) -> tuple[np.ndarray, ...]:
     return images if isinstance(images, tuple) else (images,)
 
 
-def told(fit: Fit) -> np.ndarray:
-    """True where the data tell a number, and it lies on no bound."""
+def identified(fit: Fit) -> np.ndarray:
+    """True where the data identify a number, and it lies on no bound."""
     return ~fit.unidentified & ~fit.at_bound & np.isfinite(fit.errors)
 
 
 def summary(fit: Fit) -> list[str]:
     """What came out, in a few sentences."""
     sentences = [_what(fit), _how_it_ended(fit), _residual_words(fit)]
-    known = [name for name in _MATERIAL if _told_leaf(fit, name)]
+    known = [name for name in _MATERIAL if _identified_leaf(fit, name)]
     if known:
         found = "; ".join(_leaf_words(fit, name) for name in known)
         sentences.append(f"Found: {found}.")
     for flags, what in (
-        (fit.unidentified, "The data cannot tell {}: the warnings say why."),
+        (fit.unidentified, "The data do not identify {}: the warnings say why."),
         (fit.at_bound, "At the end of what was allowed: {}."),
     ):
         labels = [label for label, flag in zip(fit.labels, flags, strict=True) if flag]
         if labels:
             sentences.append(what.format(listed(labels)))
-    if told(fit).all():
-        sentences.append("The data tell everything that was asked.")
+    if identified(fit).all():
+        sentences.append("The data identify everything that was asked.")
     return sentences
 
 
@@ -109,9 +109,9 @@ def _residual_words(fit: Fit) -> str:
     return f"{words}."
 
 
-def _told_leaf(fit: Fit, name: str) -> bool:
+def _identified_leaf(fit: Fit, name: str) -> bool:
     entries = [k for k, label in enumerate(fit.labels) if _is_of(label, name)]
-    return bool(entries) and len(entries) <= 3 and bool(told(fit)[entries].all())
+    return bool(entries) and len(entries) <= 3 and bool(identified(fit)[entries].all())
 
 
 def _is_of(label: str, name: str) -> bool:
@@ -158,7 +158,7 @@ def settings(module: Any) -> str:
 
 
 def bounds_words(fit: Fit) -> str:
-    """Bounds of the unknowns; those that are alike are told once."""
+    """Bounds of the unknowns; those that are the same are named once."""
     unknowns = fit.solution.problem.unknowns
     leaves = unknowns.entry_leaf[unknowns.reported]
     groups: dict[tuple[float, float], list[str]] = {}

@@ -104,16 +104,16 @@ def test_textures_of_a_gltf_file(mapped, tmp_path, capsys):
     base = np.asarray(material.baseColorTexture)  # pyright: ignore
     assert np.array_equal(base[..., 3] > 0, inside)
     linear = pf.rendering.film.decode(base[..., :3] / 255, "srgb")
-    told = inside[..., None] & np.isfinite(maps.stderr.diffuse)
-    np.testing.assert_allclose(linear[told], maps.diffuse[told], atol=0.005)
+    identified = inside[..., None] & np.isfinite(maps.stderr.diffuse)
+    np.testing.assert_allclose(linear[identified], maps.diffuse[identified], atol=0.005)
     # Its lights leave some of it dark.
     unidentified = inside & ~maps.identified
     assert 0 < unidentified.sum() < 0.5 * inside.sum()
     for k in range(3):
-        middle = np.median(maps.diffuse[told[..., k], k])
-        filled = linear[inside & ~told[..., k], k]
+        middle = np.median(maps.diffuse[identified[..., k], k])
+        filled = linear[inside & ~identified[..., k], k]
         np.testing.assert_allclose(filled, middle, atol=0.005)
-    words = f"{unidentified.sum()} of {inside.sum()} pixels cannot tell all"
+    words = f"{unidentified.sum()} of {inside.sum()} pixels do not identify all"
     assert words in capsys.readouterr().out
     rough = np.asarray(material.metallicRoughnessTexture)  # pyright: ignore
     expected = (2 / (maps.shininess[..., 0] + 2)) ** 0.25
@@ -135,8 +135,10 @@ def test_textures_of_an_mtl(mapped, tmp_path, capsys):
     maps, _, _ = load_folder(mapped)
     inside = ~maps.flagged(pf.Flag.OUTSIDE)
     diffuse = pf.read_image(tmp_path / lines["map_Kd"], "srgb")
-    told = maps.identified
-    np.testing.assert_allclose(diffuse[told], maps.diffuse[told], atol=0.005)
+    identified = maps.identified
+    np.testing.assert_allclose(
+        diffuse[identified], maps.diffuse[identified], atol=0.005
+    )
     exponent = pf.read_image(tmp_path / lines["map_Ns"], "linear") * float(lines["Ns"])
     np.testing.assert_allclose(
         exponent[inside][:, 0], maps.shininess[inside][:, 0], rtol=0.01

@@ -108,8 +108,8 @@ def test_the_stack_is_what_a_map_takes_it_for(stack):
     """The peers' model is the library's: a map finds the truth it was made of."""
     values, errors = map_peers.as_rows(maps.fit_stack(stack))
     pulls = (values - stack.truth.reshape(-1, UNKNOWNS)) / errors
-    told = np.isfinite(errors).all(axis=1)
-    assert told.mean() > 0.95 and np.mean(np.abs(pulls[told]) < 4) > 0.99
+    identified = np.isfinite(errors).all(axis=1)
+    assert identified.mean() > 0.95 and np.mean(np.abs(pulls[identified]) < 4) > 0.99
 
 
 def test_peers_of_a_map_end_at_its_answer(stack):

@@ -27,10 +27,10 @@ def test_fits_reach_the_bound(found):
     ratios = np.array([
         observed / bound
         for one in settings
-        for observed, bound, told in zip(
+        for observed, bound, identified in zip(
             one["observed"], one["bound"], one["identified"], strict=True
         )
-        if told
+        if identified
     ])  # fmt: skip
     assert len(ratios) >= 34 and np.all(np.abs(ratios - 1) < 0.34)
     # All together they are known to 2 %.
@@ -56,12 +56,12 @@ def test_what_makes_errors_larger(found):
         assert lost[specular] and lost[f]
 
 
-def test_a_highlight_out_of_view_cannot_be_told(found):
+def test_a_highlight_out_of_view_is_not_identifiable(found):
     *_, last = found(EXPERIMENT).numbers["highlight"]
-    told = dict(zip(LEAVES, last["identified"], strict=True))
-    assert last["x"] < 1 and not told["specular"] and not told["shininess"]
+    identified = dict(zip(LEAVES, last["identified"], strict=True))
+    assert last["x"] < 1 and not identified["specular"] and not identified["shininess"]
     # What the fits themselves state of the others covers any exponent.
-    assert told["diffuse"] and 0.3 < last["pull"][LEAVES.index("diffuse")] < 1.2
+    assert identified["diffuse"] and 0.3 < last["pull"][LEAVES.index("diffuse")] < 1.2
 
 
 def test_a_spread_off_the_bound_is_seen():
@@ -73,7 +73,8 @@ def test_a_spread_off_the_bound_is_seen():
     wide = dataclasses.replace(right, observed=np.array([1.0, 1.0, 1.2, 1.0]))
     (words,) = failures([(sweep, [wide])])
     assert words == "noise 0.01: shininess scatters 1.20 times the prediction"
-    # What cannot be told is not judged; of the others the fits' own errors are, too.
+    # What is not identifiable is not judged; of the others the fits' own errors are,
+    # too.
     open_ = dataclasses.replace(
         wide,
         identified=np.array([True, True, False, True]),

@@ -133,9 +133,11 @@ def test_wrong_shading_is_told_and_not_fitted_away():
     image = noisy(target)
     wrong = pf.fit(triangle(pf.GouraudShading()), image)
     assert any("residuals are not noise" in warning for warning in wrong.warnings)
-    told = np.isfinite(wrong.errors)
+    identified = np.isfinite(wrong.errors)
     truth = true_values(TRUTH, wrong.labels)
-    assert np.all(np.abs(wrong.values - truth)[told] < 4 * wrong.errors[told])
+    assert np.all(
+        np.abs(wrong.values - truth)[identified] < 4 * wrong.errors[identified]
+    )
     given = pf.fit(triangle(pf.GouraudShading()), image, noise=0.01)
     assert given.reduced_chi_squared > 10
     assert any("noise that was given" in warning for warning in given.warnings)

@@ -80,11 +80,11 @@ def test_a_reflectance_at_its_bound():
     assert np.all(predicted.errors < 2.2 * spread)
 
 
-def test_what_could_not_be_told_is_named(few_draws):
+def test_what_is_not_identifiable_is_named(few_draws):
     predicted = pf.predict_errors(SCENE, MATTE, NOISE)
     assert predicted.unidentified[9] and np.isinf(predicted.errors[9])
     assert np.isinf(predicted.stderr.shininess)
-    assert any("shininess cannot be told" in words for words in predicted.warnings)
+    assert any("shininess is not identifiable" in words for words in predicted.warnings)
     text = str(predicted)
     assert text.startswith("phongfit: what ") and "! shininess cannot" in text
 
@@ -162,9 +162,9 @@ def test_options_are_those_of_a_fit():
     fewer = pf.predict_errors(SCENE, TRUTH, NOISE, fixed={"diffuse": TRUTH.diffuse})
     assert fewer.labels == tuple(k for k in free.labels if "diffuse" not in k)
     assert np.all(fewer.errors < free.errors[[0, 1, 2, 6, 7, 8, 9]])
-    told = pf.predict_errors(SCENE, TRUTH, NOISE, priors={"shininess": (20, 0.1)})
+    predicted = pf.predict_errors(SCENE, TRUTH, NOISE, priors={"shininess": (20, 0.1)})
     expected = 1 / np.sqrt(1 / free.errors[9] ** 2 + 1 / 0.1**2)
-    assert told.errors[9] == pytest.approx(expected, rel=1e-3)
+    assert predicted.errors[9] == pytest.approx(expected, rel=1e-3)
     half = np.zeros((32, 32), bool)
     half[::2] = True
     masked = pf.predict_errors(SCENE, TRUTH, NOISE, mask=half)

@@ -115,12 +115,14 @@ def check_errors(
     offs: list[np.ndarray], fits: list[pf.Fit], least: float = 0.99
 ) -> None:
     """Most within 4 standard errors; few without an error, each for a reason."""
-    told = np.array([~fit.unidentified for fit in fits])
-    within = np.abs(np.array(offs)[told]) <= 4
+    identified = np.array([~fit.unidentified for fit in fits])
+    within = np.abs(np.array(offs)[identified]) <= 4
     assert within.mean() >= least, f"{(~within).sum()} of {within.size} beyond 4 σ"
-    assert told.mean() >= 0.97, f"{(~told).sum()} of {told.size} have no error"
+    assert identified.mean() >= 0.97, (
+        f"{(~identified).sum()} of {identified.size} have no error"
+    )
     for fit in fits:
-        reasons = [w for w in fit.warnings if "cannot be told" in w]
+        reasons = [w for w in fit.warnings if "not identifiable" in w]
         for label in np.array(fit.labels)[fit.unidentified]:
             assert any(label in reason for reason in reasons)
         assert np.array_equal(np.isinf(fit.errors), fit.unidentified)
@@ -137,8 +139,8 @@ def test_random_scenes_with_noise(count):
     assert min(clipped) < 0.02 and 0.15 < max(clipped) < 0.21
     check_errors(offs, fits)
     # Nor are the errors too wide.
-    told = np.array([~fit.unidentified for fit in fits])
-    typical = np.median(np.abs(np.array(offs)[told]))
+    identified = np.array([~fit.unidentified for fit in fits])
+    typical = np.median(np.abs(np.array(offs)[identified]))
     assert 0.6 < typical < 0.75
 
 

@@ -1,4 +1,4 @@
-"""Numbers of the scenes as unknowns: found, or named where nobody could tell them."""
+"""Numbers of the scenes as unknowns: found, or named as unidentified."""
 
 import equinox as eqx
 import numpy as np
@@ -170,7 +170,7 @@ TWINS = pf.Scene(
     0.3,
 )
 BOTH = ("scene.lights[0].intensity", "scene.lights[1].intensity")
-ALIKE = "cannot be told apart: they change the image alike"
+DEGENERATE = "are degenerate: they change the image in the same way"
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ def test_what_nobody_could_tell_is_named(scene, names, unidentified):
     assert np.array_equal(np.isinf(predicted.errors), predicted.unidentified)
     assert len(predicted.warnings) == bool(unidentified)
     for warning in predicted.warnings:
-        assert warning.endswith(ALIKE)
+        assert warning.endswith(DEGENERATE)
         assert all(name in warning for name in unidentified)
 
 
@@ -210,7 +210,7 @@ def test_one_image_does_not_tell_its_exposure(noise):
     fit = pf.fit(ONE_LIGHT, image, unknowns=(*LEAVES, "exposure"))
     assert fit.converged
     (warning,) = fit.warnings
-    assert warning.endswith(ALIKE) and "exposure" in warning
+    assert warning.endswith(DEGENERATE) and "exposure" in warning
     # The exponent does not depend on the scale.
     assert np.flatnonzero(~fit.unidentified).tolist() == [9]
     assert abs(fit.values[9] - 20) < max(4 * fit.errors[9], 2e-3)

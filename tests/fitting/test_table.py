@@ -72,7 +72,7 @@ def result(**changes) -> pf.Fit:
             converged=True,
             steps=7,
             reason="it was good",
-            warnings=("shininess cannot be told: " + 20 * "because it is so, ",),
+            warnings=("shininess is not identifiable: " + 20 * "because it is so, ",),
             region=REGION,
             solution=cast(Any, None),
         ),
@@ -90,7 +90,7 @@ def test_values_and_errors():
     table = rows(str(result()))
     assert table["diffuse.red"] == ["0.500", "±", "0.01", "2"]
     assert table["specular"] == ["0.125", "±", "0.02", "16", "+0.02", "−0.005"]
-    assert table["shininess"] == ["40", "±", "∞", "cannot", "be", "told"]
+    assert table["shininess"] == ["40", "±", "∞", "not", "identifiable"]
 
 
 def test_head():

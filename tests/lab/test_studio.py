@@ -103,15 +103,15 @@ def test_a_fit_of_a_made_target(studio):
     assert 0.01 < answer["scale"] < 0.06
 
 
-def test_what_cannot_be_told(studio):
+def test_what_is_not_identifiable(studio):
     """Where no light falls there is no highlight, and nothing diffuse."""
     dark = Settings(intensity=(0, 0, 0))
     made = studio.make_target(TargetRequest(settings=dark))
     answer = studio.fit(FitRequest(settings=dark, target=made["target"]))
     told = {row["label"]: row["note"] for row in answer["rows"]}
-    assert told["shininess"] == told["diffuse.red"] == "cannot be told"
+    assert told["shininess"] == told["diffuse.red"] == "not identifiable"
     assert told["ambient.red"] == ""
-    assert any("cannot be told" in words for words in answer["warnings"])
+    assert any("not identifiable" in words for words in answer["warnings"])
     assert set(answer["settings"]) == {"ambient"}
 
 

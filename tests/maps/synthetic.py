@@ -66,7 +66,7 @@ def make_stack(
 
 
 def pulls(maps: pf.Maps, truth: pf.Material, name: str) -> np.ndarray:
-    """(estimate − truth) / predicted error, where all is told and within its bounds."""
+    """(estimate − truth) / predicted error, where identified and within the bounds."""
     sound = maps.identified & ~maps.flagged(pf.Flag.AT_BOUND)
     error = np.asarray(getattr(maps.stderr, name), float)
     value = np.asarray(getattr(maps, name), float)

@@ -46,7 +46,7 @@ def test_what_lies_behind_the_fog():
     np.testing.assert_allclose(
         maps.diffuse[maps.identified], true[maps.identified], atol=2e-5
     )
-    # The thicker the fog, the less is told.
+    # The thicker the fog, the less is identified.
     bare = [pf.Scene(s.surface, s.camera, s.lights, s.ambient) for s in scenes]
     images = [np.asarray(pf.render(s, truth, film=QUICK["film"])) for s in bare]
     clear = pf.fit_maps(bare, images, known=known, noise=0.01, **QUICK)

@@ -112,9 +112,9 @@ def test_pixels_at_a_bound(stack):
                 np.asarray(getattr(truth, name)), getattr(maps, name).shape
             )[bound]
         )
-        told = np.isfinite(error)
-        assert np.mean(np.abs(off[told]) > 5 * error[told]) < 0.002, name
-        assert 0.92 < np.mean(np.abs(off[told]) < 1.96 * error[told]), name
+        identified = np.isfinite(error)
+        assert np.mean(np.abs(off[identified]) > 5 * error[identified]) < 0.002, name
+        assert 0.92 < np.mean(np.abs(off[identified]) < 1.96 * error[identified]), name
 
 
 def test_lamps_of_several_colours():

@@ -1,4 +1,4 @@
-"""Maps: the truth within its errors, and what a pixel cannot tell is said."""
+"""Maps: the truth within its errors, and what a pixel does not identify is said."""
 
 import dataclasses
 
@@ -77,12 +77,12 @@ def test_saturated_samples_are_left_out(stack):
     shiny = pf.Material(stack.truth.diffuse, 0.6, 5.0, 0.4)
     clamped = [np.asarray(pf.render(s, shiny)) for s in stack.scenes]
     assert np.mean(np.stack(clamped) == 1) > 0.01
-    honest, told, wrong = (
+    honest, given, wrong = (
         pf.fit_maps(stack.scenes, clamped, unknowns=("diffuse",), known=flat, film=film)
         for film in (None, pf.Film(), FREE)
     )
     assert honest.samples.sum() < wrong.samples.sum()
-    for found in (honest, told):
+    for found in (honest, given):
         np.testing.assert_allclose(found.diffuse, stack.truth.diffuse, atol=1e-5)
     assert np.abs(wrong.diffuse - np.asarray(stack.truth.diffuse)).max() > 0.01
 
@@ -174,11 +174,11 @@ def test_robust_loss_ignores_outliers():
         assert np.mean(np.abs(pull) > 5) < 0.01, name
 
 
-def test_what_has_not_converged_is_never_told(maps):
+def test_what_has_not_converged_is_never_identified(maps):
     assert maps.identified[0, 0]
     flags = maps.flags.copy()
     flags[0, 0] |= Flag.NOT_CONVERGED
-    assert not dataclasses.replace(maps, flags=flags).told[0, 0]
+    assert not dataclasses.replace(maps, flags=flags).identified[0, 0]
 
 
 def test_it_converges_though_the_model_is_wrong():

@@ -1,4 +1,4 @@
-"""What pixels that cannot tell become in textures, where there are no errors."""
+"""What pixels that identify nothing become in textures, where there are no errors."""
 
 import dataclasses
 
@@ -11,12 +11,12 @@ from phongfit.maps.textures import filled_in, leaves_of
 from phongfit.report.maps import draw_leaf
 
 SIZE = (2, 3)
-# Of six pixels: two that tell all, a matte one, one that no light shows a highlight
+# Of six pixels: two that identify all, a matte one, one that no light shows a highlight
 # of, one with its exponent at the bound, and one outside.
 FLAGS = np.array(
     [
         [0, 0, pf.Flag.NO_HIGHLIGHT],
-        [pf.Flag.NO_HIGHLIGHT | pf.Flag.ALIKE, pf.Flag.AT_BOUND, pf.Flag.OUTSIDE],
+        [pf.Flag.NO_HIGHLIGHT | pf.Flag.DEGENERATE, pf.Flag.AT_BOUND, pf.Flag.OUTSIDE],
     ]
 )
 
@@ -27,14 +27,14 @@ def made() -> Maps:
     specular = np.array([[0.2, 0.4, 0.03], [0.9, 0.3, 0]])[..., None] * grey
     shininess = np.array([[10.0, 40, 777], [888, 1000, 0]])[..., None]
     errors = {name: np.full((*SIZE, 3), 0.01) for name in LEAVES[:2]}
-    told = np.array([[0.01, 0.01, 0.02], [np.inf, 0.01, np.inf]])[..., None] * grey
+    speculars = np.array([[0.01, 0.01, 0.02], [np.inf, 0.01, np.inf]])[..., None] * grey
     exponents = np.array([[1.0, 1, np.inf], [np.inf, np.inf, np.inf]])[..., None]
     return Maps(
         ambient=0.1 * grey,
         diffuse=0.5 * grey,
         specular=specular,
         shininess=shininess,
-        stderr=Leaves(**errors, specular=told, shininess=exponents),
+        stderr=Leaves(**errors, specular=speculars, shininess=exponents),
         noise=np.full(SIZE, 0.01),
         samples=np.full(SIZE, 90),
         flags=FLAGS,

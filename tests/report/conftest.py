@@ -25,14 +25,14 @@ SETTINGS: dict[str, Any] = {
 
 @pytest.fixture(scope="session")
 def one() -> pf.Fit:
-    """One image, everything told."""
+    """One image, everything identified."""
     scene = ball()
     return pf.fit(scene, photograph(scene, TRUTH, noise=NOISE))
 
 
 @pytest.fixture(scope="session")
 def open_fit() -> pf.Fit:
-    """Six dark photographs of a matte ball: f cannot be told, ρ_a lies at a bound."""
+    """Six dark photographs of a matte ball: f not identifiable, ρ_a lies at a bound."""
     camera = pf.OrthographicCamera(SIZE, SIZE // 2)
     scenes = [
         pf.Scene(pf.Sphere(), camera, pf.DirectionalLight((x, 1, 2), 0.2), 0.2)

@@ -26,7 +26,7 @@ def test_a_fit(one, open_fit):
     assert "shininess" in html and "converged after" in html
     assert "⚠" not in html
     html = open_fit._repr_html_()
-    assert html.count("⚠") == len(open_fit.warnings) and "cannot be told" in html
+    assert html.count("⚠") == len(open_fit.warnings) and "not identifiable" in html
 
 
 def test_a_material_looks_like_itself():

@@ -62,7 +62,7 @@ def test_every_number_is_there(whole, one):
         assert label in text
     value, error = one["shininess"][:2]
     assert f"shininess {value:.1f}" in text or f"{value:.2f} ± {error:.2g}" in text
-    assert "The data tell everything that was asked." in text
+    assert "The data identify everything that was asked." in text
     assert "converged" in text and "NOT" not in text
     for assumption in ("BlinnPhong (gate: yes", "clamped, not rounded", "optimistix "):
         assert assumption in text
@@ -83,11 +83,11 @@ def test_it_stands_alone_and_pictures_have_words(whole):
             assert re.match(r"data:|#|$", attributes.get(name, ""))
 
 
-def test_what_cannot_be_told(open_fit):
+def test_what_is_not_identifiable(open_fit):
     elements = Elements(page(open_fit, title="matte", thorough=False))
     text = words(elements)
-    assert "The data cannot tell shininess: the warnings say why." in text
-    assert "± ∞" in text and "cannot be told" in text
+    assert "The data do not identify shininess: the warnings say why." in text
+    assert "± ∞" in text and "not identifiable" in text
     assert "At the end of what was allowed: " in text and "at its bound" in text
     for warning in open_fit.warnings:
         assert warning in text
@@ -157,7 +157,7 @@ def test_of_many_samples_there_are_few_profiles(one):
     course, about = convergence(endless, True)
     assert course is None and "Its course is not drawn" in about
     matte = dataclasses.replace(endless, unidentified=np.ones(10, bool))
-    assert profiles(matte, True)[1] == "There are none: no unknown is told."
+    assert profiles(matte, True)[1] == "There are none: no unknown is identified."
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,7 @@ def fits(
 
     - `subject`: the true one, or how to draw it.
     - `take`: what makes a photograph of light.
-    - `fitted`: the scenes that the fit is told; default the true ones.
+    - `fitted`: the scenes that the fit is given; default the true ones.
     - `given`, `options`: of the fit.
     - `others`: see [`Shot`][].
     """
@@ -105,12 +105,12 @@ def fits(
             true = subject if isinstance(subject, Subject) else subject(rng)
             single = len(true.scenes) == 1
             images = [take(light, rng) for light in true.light]
-            told = true.scenes if fitted is None else fitted
-            if single and not isinstance(told, pf.Scene):
-                told = told[0]
+            stated = true.scenes if fitted is None else fitted
+            if single and not isinstance(stated, pf.Scene):
+                stated = stated[0]
             more = {} if given is None else given(true.light[0], rng)
             yield Shot(
-                told,
+                stated,
                 images[0] if single else images,
                 {**options, **more},
                 true.scenes,

@@ -110,7 +110,7 @@ def bounds() -> list[Situation]:
 
 
 def unknowable() -> list[Situation]:
-    """What no pixel tells."""
+    """What no pixel identifies."""
     faint = changed(specular=0.004)
     exponent = ("shininess",)
     highlight = ("specular", "shininess")

@@ -1,4 +1,4 @@
-"""JPEG files: rounding that is alike within blocks, told or not."""
+"""JPEG files: rounding that is alike within blocks, known or not."""
 
 import functools
 from collections.abc import Callable, Iterator, Mapping
@@ -32,7 +32,7 @@ SAMPLINGS = {"4:4:4": 0, "4:2:0": 2}
 
 
 class Decoded(NamedTuple):
-    """A photograph from a file, and what the fit is told of the file."""
+    """A photograph from a file, and what the fit knows of the file."""
 
     image: Image
     options: Mapping[str, Any]
@@ -88,7 +88,7 @@ def jpeg_fits(
 def developed(light: Image, quality: int, sampling: str, known: bool) -> Decoded:
     """Light written as an sRGB JPEG and read back.
 
-    **Arguments:** `known`: whether the fit is told of the file.
+    **Arguments:** `known`: whether the fit knows of the file.
     """
     data = iio.imwrite(
         "<bytes>",

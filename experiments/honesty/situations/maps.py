@@ -26,7 +26,7 @@ Materials = Callable[[np.random.Generator, tuple[int, int]], pf.Material]
 
 
 Spoil = Callable[[Stack, np.random.Generator], tuple[Stack, Mapping[str, Any]]]
-"""What becomes of photographs, and what the map is told of it."""
+"""What becomes of photographs, and what the map knows of it."""
 
 
 def situations() -> list[Situation]:

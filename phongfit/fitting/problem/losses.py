@@ -23,7 +23,7 @@ class AbstractLoss(eqx.Module):
     r"""A loss, written as the root $\tilde r = r \sqrt{\rho(r^2) / r^2}$.
 
     The sum of $\tilde r^2$ is the robust cost, so that a plain least-squares solver
-    minimises it. `robust` tells that outliers are expected.
+    minimises it. `robust` says that outliers are expected.
     """
 
     robust: ClassVar[bool]

@@ -210,7 +210,7 @@ def shared_rounding_variance(step: Values, sigma: Values) -> Values:
 
 def arithmetic_floor(image: Values) -> Float[Array, ""]:
     """Noise level below which residuals are rounding of the arithmetic."""
-    # A black image is not told to a digit more than a dark one.
+    # A black image is known to no digit more than a dark one.
     largest = jnp.max(jnp.abs(image), initial=1e-3)
     return 16 * jnp.finfo(image.dtype).eps * largest
 

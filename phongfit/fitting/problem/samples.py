@@ -154,7 +154,7 @@ Samples.__init__.__doc__ = """**Arguments:**
 class Source:
     """One image as a fit takes it in: what its pixels see, and what was measured.
 
-    `mask` tells where the surface is seen. `weight` has one channel where all three
+    `mask` says where the surface is seen. `weight` has one channel where all three
     have the same. `gbuffer` is `None` unless the pixels will be lit anew, and `step` if
     nothing was rounded.
     """

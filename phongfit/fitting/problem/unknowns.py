@@ -54,7 +54,8 @@ class Unknowns:
     factor: Float[Array, " entries"]
     offset: Float[Array, " entries"]
     scale: Float[Array, " entries"]
-    # Around which directions are told, and two unit vectors across each.
+    # The directions that unknown ones are relative to, and two unit vectors across
+    # each.
     base: Float[Array, "directions 3"]
     across: Float[Array, "directions 2 3"]
     # Where rotations started.
@@ -78,7 +79,7 @@ class Unknowns:
 
     @functools.cached_property
     def reported(self) -> np.ndarray:
-        """Entries that are not fixed: those that a fit tells."""
+        """Entries that are not fixed: those that a fit estimates."""
         return np.flatnonzero(~np.array(self.fixed))
 
     @functools.cached_property
@@ -243,7 +244,7 @@ class Unknowns:
         base: Float[Array, "directions 3"],
         across: Float[Array, "directions 2 3"],
     ) -> "Unknowns":
-        """The same, with directions told around others than where they started."""
+        """The same, with directions relative to others than where they started."""
         return dataclasses.replace(self, base=base, across=across)
 
     def position(self, entries: np.ndarray) -> np.ndarray:

@@ -44,7 +44,7 @@ def least_squares_in_box(
     r"""The $p$ in $[l, u]$ that minimises $\|A p + r\|^2 + \|d \odot p\|^2$.
 
     As [`minimize_in_box`][], but by orthogonal factors: $A^\top A$ is never formed, so
-    that what $A$ tells apart in this precision is told apart.
+    that what $A$ resolves in this precision is resolved.
 
     **Arguments:**
 

@@ -1,4 +1,4 @@
-r"""What a JPEG file took from its image, as far as the fitted image tells.
+r"""What a JPEG file took from its image, as far as the fitted image shows.
 
 Its errors are no noise. A coefficient that rounds to 0 takes its signal with it, at
 each edge and each highlight alike; colour on a coarser grid bleeds over silhouettes;

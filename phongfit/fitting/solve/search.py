@@ -140,7 +140,7 @@ def _best_of_several(
 ) -> tuple[Float[Array, " n"], Unknowns]:
     """The best end of several starts, for a noise that blurs small valleys away.
 
-    **Returns:** also the unknowns, with directions told around where that one started.
+    **Returns:** also the unknowns, with directions relative to where that one started.
     """
     if not noise_given:
         problem = dataclasses.replace(problem, sigma=jnp.full_like(problem.sigma, 0.05))
@@ -154,7 +154,7 @@ def _best_of_several(
 
 
 class Starts(NamedTuple):
-    """Points to start from, each with directions told around its own bases."""
+    """Points to start from, each with directions relative to its own bases."""
 
     y: Float[Array, "*starts n"]
     base: Float[Array, "*starts directions 3"]

@@ -17,7 +17,7 @@ from phongfit.fitting.solve.sums import ResidualSums, sums
 def few_residuals(
     y: Float[Array, " n"], problem: Problem
 ) -> tuple[Float[Array, " n+1"], ResidualSums]:
-    r"""n + 1 residuals that no Gauss-Newton method can tell from all of them.
+    r"""n + 1 residuals that no Gauss-Newton method can distinguish from all of them.
 
     With the symmetric root $R = (J^\top J)^{1/2}$ they are $R^{-1} J^\top r$ and what
     is left of the length of $r$; their Jacobian is $R$ and a row of zeros. So sum of

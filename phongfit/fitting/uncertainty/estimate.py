@@ -9,7 +9,10 @@ from jaxtyping import Array, Bool, Float
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.unknowns import Unknowns, in_units
 from phongfit.fitting.uncertainty.exponents import Doubts, parts_over_exponents
-from phongfit.fitting.uncertainty.identifiability import doubtful_exponents
+from phongfit.fitting.uncertainty.identifiability import (
+    doubtful_exponents,
+    not_identifiable,
+)
 from phongfit.fitting.uncertainty.region import Part, Region
 from phongfit.fitting.uncertainty.statistics import (
     SandwichSums,
@@ -18,7 +21,7 @@ from phongfit.fitting.uncertainty.statistics import (
     statistics,
 )
 
-# From this error of log f on, one quadratic does not tell what else f may be.
+# From this error of log f on, one quadratic does not say what else f may be.
 VAGUE = 0.1
 # Errors that a bound makes larger by this factor are not those of the covariance.
 MISLEADING = 1.25
@@ -43,15 +46,15 @@ class Estimates:
 Estimates.__init__.__doc__ = """**Arguments:**
 
 - `values`, `errors`: the larger side of the interval in which Δχ² stays below 1;
-    infinite errors for what cannot be told.
+    infinite errors for what is not identifiable.
 - `covariance`: of what is free, where what lies at a bound stays there; NaN rows for
-    entries at a bound or not told, and for those whose error a bound or an exponent
-    that is hardly identified makes larger than that by a quarter.
+    entries at a bound or not identified, and for those whose error a bound or an
+    exponent that is hardly identified makes larger than that by a quarter.
 - `strain`: of what lies at a bound, by how many standard deviations the images pull it
     beyond.
-- `free`: how many numbers were free and told.
+- `free`: how many numbers were free and identified.
 - `chi_squared`: residuals, priors' too, in standard deviations, squared and summed.
-- `reasons`: why some cannot be told, in words.
+- `reasons`: why some are not identifiable, in words.
 - `region`: intervals at any level.
 """
 
@@ -186,7 +189,7 @@ def _reasons(
         "some exponents would hide the highlight where no pixel is used": hiding,
     }
     return [
-        f"{label} cannot be told: {why}"
+        f"{not_identifiable([label])}: {why}"
         for why, chosen in words.items()
         for label in dict.fromkeys(labels[unidentified & chosen])
     ]

@@ -2,9 +2,9 @@
 
 Without a highlight the exponent may be anything, and with it changes what the others
 may be: near f = 1 a highlight is nearly Lambert's light, at f = 1000 a few pixels see
-it. No quadratic about the solution tells that. But at a given exponent all reflectances
-are linear: so the exponent is held at points all over its bounds, the others are fitted
-again, and about each point the cost is a quadratic.
+it. No quadratic about the solution describes that. But at a given exponent all
+reflectances are linear: so the exponent is held at points all over its bounds, the
+others are fitted again, and about each point the cost is a quadratic.
 
 ??? cite "Source"
     Davies, *Hypothesis testing when a nuisance parameter is present only under the
@@ -203,7 +203,7 @@ def _cells(
     lower, upper = (np.array(edge, float)[group] for edge in box)
     (own,) = np.flatnonzero(group == exponent)
     solution = points[-1]
-    # What lies near the solution is told by it.
+    # What lies near the solution is described by it.
     least = (upper[own] - lower[own]) / GRID_POINTS / 2
     here = solution.y[exponent]
     apart = [point for point in points[:-1] if abs(point.y[exponent] - here) > least]

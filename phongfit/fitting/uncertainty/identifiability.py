@@ -1,5 +1,7 @@
 """Which unknowns the data leave open, and why, in words: by rank, and by highlight."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -54,7 +56,8 @@ def find_unidentified(
     kinds = unknowns.kinds
     silent = unfelt(bread, unknowns, position, resolution)
     reasons = [
-        f"{_listed(labels[silent & (kinds == kind)])} cannot be told: "
+        not_identifiable(labels[silent & (kinds == kind)])
+        + ": "
         + _SILENT.get(kind, "no pixel that is used depends on it")
         for kind in unknowns.names
         if (silent & (kinds == kind)).any()
@@ -65,7 +68,7 @@ def find_unidentified(
         scaled, _ = unit_diagonal(bread[np.ix_(heard, heard)])
         values, vectors = np.linalg.eigh(scaled)
         null = vectors[:, values <= threshold(resolution)]
-        # Vectors of one null space mix: the projection tells who takes part.
+        # Vectors of one null space mix: the projection says who takes part.
         part = null @ null.T
         mixed = np.diag(part) > 1e-4
         unidentified[heard[mixed]] = True
@@ -73,13 +76,21 @@ def find_unidentified(
             names = _listed(labels[heard[group]])
             if "," not in names:
                 names += ": its two angles"
-            reasons.append(f"{names} cannot be told apart: they change the image alike")
+            reasons.append(
+                f"{names} are degenerate: they change the image in the same way"
+            )
     return unidentified, tuple(reasons)
 
 
-def _listed(labels: np.ndarray) -> str:
+def not_identifiable(labels: np.ndarray | Sequence[str]) -> str:
+    """`a is not identifiable`, or `a, b are not identifiable`."""
+    names = _listed(labels)
+    return f"{names} {'are' if ',' in names else 'is'} not identifiable"
+
+
+def _listed(labels: np.ndarray | Sequence[str]) -> str:
     """Names, each once."""
-    return ", ".join(dict.fromkeys(labels.tolist()))
+    return ", ".join(dict.fromkeys(map(str, labels)))
 
 
 def linked_groups(linked: np.ndarray, members: np.ndarray) -> list[np.ndarray]:

@@ -408,8 +408,8 @@ def _compare_noise(blocks: Sequence[_Blocks], groups: Mapping[str, _Members]) ->
 def _squares_over(sums: np.ndarray) -> np.ndarray:
     """Each cell's sum of squares, squared and over its variance; 0 if it has none."""
     variance = sums[2]
-    told = variance > 0
-    return np.where(told, sums[1] ** 2 / np.where(told, variance, 1), 0)
+    varies = variance > 0
+    return np.where(varies, sums[1] ** 2 / np.where(varies, variance, 1), 0)
 
 
 def _equal_light(light: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ def parameter_rows(
     ):
         row = f"  {label:<{width}}  {number_with_error(value, error):>12}"
         if open_:
-            row += "   ± ∞  cannot be told"
+            row += "   ± ∞  not identifiable"
         else:
             share = f"{100 * error / abs(value):8.2g}" if value else f"{'–':>8}"
             row += f"  ±{error:>11.2g}  {share}"

@@ -23,7 +23,7 @@ from phongfit.programs import program
 
 # Standard deviations: of a million samples of normal noise less than one lies beyond.
 FAR = 5.0
-# Standard errors: an estimate that is pulled by less is still told by its error.
+# Standard errors: an estimate that is pulled by less is still described by its error.
 FELT = 1.0
 # Of weights, until the least absolute deviations are near enough.
 ROUNDS = 12
@@ -129,7 +129,7 @@ def _absolute_deviations(
         known = free & (jnp.diag(curvature) > 0)
         both = known[:, None] & free[None, :]
         matrix = jnp.where(both, curvature / jnp.outer(scale, scale), 0)
-        # What no sample feels stays, and what is not told apart hardly moves.
+        # What no sample feels stays, and what is degenerate hardly moves.
         matrix = jnp.where(both | ~identity.astype(bool), matrix, 1) + 1e-5 * identity
         more = jnp.linalg.solve(matrix, jnp.where(free, pull / scale, 0)) / scale
         return step - more, None

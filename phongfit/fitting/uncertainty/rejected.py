@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.uncertainty.estimate import Estimates
+from phongfit.fitting.uncertainty.identifiability import not_identifiable
 from phongfit.programs import program
 
 # Exponents of the highlights that are looked for; wider ones are no small cluster.
@@ -125,7 +126,7 @@ def _count(
 def without_rejected(
     estimated: Estimates, unknowns: Unknowns, rejected: Int[np.ndarray, "materials 3"]
 ) -> Estimates:
-    """The same, with what only a rejected highlight could tell marked as not told."""
+    """The same, with all that a rejected highlight alone could identify left open."""
     if not rejected.any():
         return estimated
     leaves, rows = unknowns.entry_leaf, unknowns.entry_row
@@ -135,14 +136,14 @@ def without_rejected(
         columns < 0, rejected[rows].any(axis=1), rejected[rows, columns] > 0
     )
     here &= np.isin(leaves, ("specular", "shininess"))
-    # A tied entry is as little told as the one that it follows.
+    # A tied entry is as little identified as the one that it follows.
     here = (here | here[np.array(unknowns.source)])[unknowns.reported]
     covariance = estimated.covariance.copy()
     covariance[here, :] = covariance[:, here] = np.nan
     covariance[here, here] = np.inf
-    labels = ", ".join(np.array(unknowns.labels)[here])
-    words = (
-        f"{labels} cannot be told: the loss took the highlight for outliers. A compact "
+    words = not_identifiable(np.array(unknowns.labels)[here])
+    words += (
+        ": the loss took the highlight for outliers. A compact "
         f"cluster of {rejected.sum()} samples that it rejects, brighter than the fit, "
         'lies where the model has its highlight; try loss="linear", or a mask if they '
         "show something else"

@@ -91,13 +91,13 @@ def as_quadratic(
     """
     scaled, root = unit_diagonal(sandwich.bread)
     values, vectors = np.linalg.eigh(scaled)
-    told = values > threshold(sandwich.resolution)
-    half = vectors[:, told] * np.sqrt(values[told])
-    dual = vectors[:, told] / np.sqrt(values[told])
+    identified = values > threshold(sandwich.resolution)
+    half = vectors[:, identified] * np.sqrt(values[identified])
+    dual = vectors[:, identified] / np.sqrt(values[identified])
     # What the meat is in units of the bread: 1 where residuals are as expected.
     core = dual.T @ (sandwich.meat / np.outer(root, root)) @ dual
     shares, axes = np.linalg.eigh(core)
-    # Rounding may leave nothing, or less, of a direction that is hardly told.
+    # Rounding may leave nothing, or less, of a direction that is hardly identified.
     shares = np.maximum(shares, 1e-6 * shares.max(initial=1e-30))
     half = half @ axes
     precision = (half / shares) @ half.T * np.outer(root, root)
@@ -119,11 +119,11 @@ def as_quadratic(
 
 
 def inverse_of(bread: np.ndarray, resolution: float) -> np.ndarray:
-    """Inverse on the directions that can be told; 0 on the others."""
+    """Inverse on the identified directions; 0 on the others."""
     scaled, root = unit_diagonal(bread)
     values, vectors = np.linalg.eigh(scaled)
-    told = values > threshold(resolution)
-    inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T
+    identified = values > threshold(resolution)
+    inverse = (vectors[:, identified] / values[identified]) @ vectors[:, identified].T
     return inverse / np.outer(root, root)
 
 

@@ -1,4 +1,4 @@
-"""How fits scatter where no formula tells it: photographs are drawn, and fitted.
+"""How fits scatter where no formula says it: photographs are drawn, and fitted.
 
 Without a highlight the exponent may end anywhere, and with it changes what the lobe is
 mistaken for: near f = 1 it is nearly Lambert's. Errors at one exponent say too little.

@@ -57,12 +57,12 @@ def with_noise_as_found(
 
 
 def _quotient(plain: np.ndarray, steep: np.ndarray, resolution: float) -> np.ndarray:
-    """One by the other, in the directions that can be told; 1 in others."""
+    """One by the other, in the identified directions; 1 in others."""
     values, vectors = np.linalg.eigh(plain)
-    told = values > threshold(resolution)
-    half = vectors[:, told] * np.sqrt(values[told])
-    dual = vectors[:, told] / np.sqrt(values[told])
-    rest = vectors[:, ~told] @ vectors[:, ~told].T
+    identified = values > threshold(resolution)
+    half = vectors[:, identified] * np.sqrt(values[identified])
+    dual = vectors[:, identified] / np.sqrt(values[identified])
+    rest = vectors[:, ~identified] @ vectors[:, ~identified].T
     return half @ np.linalg.inv(dual.T @ steep @ dual) @ dual.T + rest
 
 

@@ -36,10 +36,10 @@ ROUNDED = 2
 class Statistics:
     """Uncertainty of a solution in the solver's units.
 
-    `covariance` is that of the unknowns that are free and can be told, those at a bound
-    held there: NaN for these, infinite variance for those that cannot be told. `spread`
-    is the standard error that the curvature of the cost alone would give. `sandwich` is
-    what intervals are made of: see [`as_quadratic`][].
+    `covariance` is that of the unknowns that are free and identifiable, those at a
+    bound held there: NaN for these, infinite variance for those that are not
+    identifiable. `spread` is the standard error that the curvature of the cost alone
+    would give. `sandwich` is what intervals are made of: see [`as_quadratic`][].
     """
 
     sandwich: Sandwich
@@ -68,7 +68,7 @@ def statistics(
     inflation: float,
     sums: "SandwichSums | None" = None,
 ) -> Statistics:
-    """Sandwich covariance of a bounded fit, its free part, and what cannot be told.
+    """Sandwich covariance of a bounded fit, its free part, and what is unidentified.
 
     **Arguments:**
 
@@ -87,7 +87,9 @@ def statistics(
         sandwich.inside, unknowns, position, sandwich.resolution
     )
     if unidentified.all() and _all_white(problem):
-        words = "nothing can be told: all samples that are used are white. Expose less"
+        words = (
+            "nothing is identifiable: all samples that are used are white. Expose less"
+        )
         reasons = (f"{words}, or mask what is overexposed",)
     at_bound &= ~unidentified
 
@@ -148,7 +150,7 @@ def in_numpy(sums: "SandwichSums") -> Any:
 
 
 def _too_coarse(bread: np.ndarray, resolution: float) -> bool:
-    """Whether sums of this precision leave open if a direction is told at all."""
+    """Whether rounding of the sums hides if a direction is identified at all."""
     if resolution < 1e-10 or not np.all(np.isfinite(bread)):
         return False
     heard = np.diag(bread) > 0
@@ -212,10 +214,10 @@ def _sandwich_sums(problem: Problem, found: Linearization) -> SandwichSums:
     squares = jnp.sum(samples**2)
     kurtosis = count * jnp.sum((samples * jax.lax.rsqrt(squares)) ** 4)
     known = jacobian.priors.T @ jacobian.priors
-    # A white sample tells only that the light is no less than white: what nothing else
-    # speaks of is not told.
-    told = (problem.samples.target < 1).astype(kind) if problem.clamp else None
-    bread, meat, inside = jacobian.grams(None, independent, told)
+    # A white sample says only that the light is no less than white: what nothing else
+    # measures is not identified.
+    below_white = (problem.samples.target < 1).astype(kind) if problem.clamp else None
+    bread, meat, inside = jacobian.grams(None, independent, below_white)
     meat = variance * meat
     if problem.scatter is not None:
         root = jnp.sqrt(jnp.diag(bread))

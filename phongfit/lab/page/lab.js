@@ -40,16 +40,16 @@ async function upload(path, file, more = {}) {
 
 // Messages.
 
-function tell(message) {
+function report(message) {
   $("#problem span").textContent = message;
   $("#problem").hidden = message === "";
 }
 
-/** What a press of a button or a chosen file does; a failure is told, no more. */
+/** What a press of a button or a chosen file does; a failure is reported, no more. */
 function handler(work) {
   return async (event) => {
-    tell("");
-    try { await work(event); } catch (error) { tell(error.message); }
+    report("");
+    try { await work(event); } catch (error) { report(error.message); }
   };
 }
 
@@ -78,10 +78,10 @@ async function draw() {
       await drawOnce();
       $("#answered").textContent = `${Math.round(performance.now() - since)} ms`;
     }
-    if (!$("#problem").hidden && $("#problem").dataset.of === "picture") tell("");
+    if (!$("#problem").hidden && $("#problem").dataset.of === "picture") report("");
   } catch (error) {
     moved = null;
-    tell(error.message);
+    report(error.message);
     $("#problem").dataset.of = "picture";
   } finally {
     drawing = false;
@@ -262,7 +262,7 @@ async function start() {
   $("#encoding").addEventListener("change", ({ target: menu }) => {
     $("#photograph").disabled = menu.value === "";
   });
-  $("#problem button").addEventListener("click", () => tell(""));
+  $("#problem button").addEventListener("click", () => report(""));
   $("#make").addEventListener("click", handler(makeTarget));
   $("#drop").addEventListener("click", handler(() => setTarget(null)));
   $("#sphere").addEventListener("click", handler(() => setSurface("sphere", null)));

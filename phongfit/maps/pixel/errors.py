@@ -46,14 +46,14 @@ class Errors(NamedTuple):
 
     - `reflectances`: (channels, unknowns): the columns', then that of ρ_s.
     - `exponent`: of f.
-    - `dim`, `alike`, `at_bound`, `moving`: see [`Flag`][].
+    - `dim`, `degenerate`, `at_bound`, `moving`: see [`Flag`][].
     - `vague`: whether the profile is wanted.
     """
 
     reflectances: Float[Array, "channels unknowns"]
     exponent: Float[Array, ""]
     dim: Bool[Array, ""]
-    alike: Bool[Array, ""]
+    degenerate: Bool[Array, ""]
     at_bound: Bool[Array, ""]
     moving: Bool[Array, ""]
     vague: Bool[Array, ""]
@@ -117,7 +117,8 @@ def standard_errors(
         jnp.stack([sigma * _root_inverse(c) for c in curvature], axis=-1)
         for curvature in (shared, apart)
     )
-    # Without a highlight the exponent may be anything: ρ_s is told if it is for all.
+    # Without a highlight the exponent may be anything: ρ_s is identified if it is for
+    # all.
     seen = at.point[-1] >= SEEN * jnp.minimum(error[:, -1], error_apart[:, -1])
     dim = ~jnp.any(seen) & settings.shiny
     log_error = sigma * _root_inverse(total)
@@ -147,13 +148,13 @@ def standard_errors(
         reach = jnp.maximum(upward, downward)
     moving |= jnp.any((moved > SETTLED * error) & (moved > LEAST))
     width = jnp.stack(box.upper) - jnp.stack(box.lower)
-    told = (error <= width[None, :]) & ~moving
-    error = jnp.where(told, error, jnp.inf)
+    identified = (error <= width[None, :]) & ~moving
+    error = jnp.where(identified, error, jnp.inf)
     exponent = jnp.where(open_ended | moving, jnp.inf, jnp.exp(t) * reach)
 
     wanted = jnp.array([True] * len(settings.columns) + [settings.shiny])[None, :]
     held = ~jnp.stack(at.free, axis=-1)
-    blurred = jnp.any(~told & wanted) & ~moving
+    blurred = jnp.any(~identified & wanted) & ~moving
     return Errors(
         error,
         exponent,

@@ -4,14 +4,14 @@ from enum import IntFlag
 
 
 class Flag(IntFlag):
-    """Why a pixel, or part of it, is not told, or told with care.
+    """Why a pixel, or part of it, is not identified, or only with care.
 
     - `OUTSIDE`: it sees no surface, or is masked; nothing was looked for.
-    - `BLACK`: all its samples are zero: nothing is told.
+    - `BLACK`: all its samples are zero: nothing is identified.
     - `NOT_FINITE`: it has NaN or infinite samples, which are left out.
-    - `TOO_FEW`: no more samples than unknowns are left: nothing is told.
-    - `NO_HIGHLIGHT`: ρ_s is 0 within its error: the exponent is not told.
-    - `ALIKE`: some unknowns change its samples alike, or not at all.
+    - `TOO_FEW`: no more samples than unknowns are left: nothing is identified.
+    - `NO_HIGHLIGHT`: ρ_s is 0 within its error: the exponent is not identified.
+    - `DEGENERATE`: some unknowns change its samples in the same way, or not at all.
     - `AT_BOUND`: an estimate lies at its bound: an exponent is then not identified, and
         a reflectance has the error that it would have without the bound.
     - `NOT_CONVERGED`: an estimate was still moving by more than a tenth of its error:
@@ -27,7 +27,7 @@ class Flag(IntFlag):
     NOT_FINITE = 4
     TOO_FEW = 8
     NO_HIGHLIGHT = 16
-    ALIKE = 32
+    DEGENERATE = 32
     AT_BOUND = 64
     NOT_CONVERGED = 128
     MISFIT = 256

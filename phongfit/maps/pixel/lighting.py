@@ -42,7 +42,7 @@ class Basis(eqx.Module):
 class Lighting(eqx.Module):
     """The lights of all images, asked for one pixel.
 
-    `order` tells which image each of its rows is: images of one kind stand together.
+    `order` says which image each of its rows is: images of one kind stand together.
     `camera` is that of all scenes, if there is fog in any.
     """
 

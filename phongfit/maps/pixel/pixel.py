@@ -1,4 +1,4 @@
-"""One pixel under many lights: its material, with errors, and what it cannot tell.
+"""One pixel under many lights: its material, with errors, and what is unidentified.
 
 The caller batches with `vmap`. Nothing here branches on numbers, so that a pixel that
 fails costs no more than one that does not, and disturbs none.
@@ -62,7 +62,8 @@ class PixelFit(NamedTuple):
     """The material of one pixel.
 
     - `ambient`, `diffuse`, `specular`: (3,) each, `shininess`: (3,) or (1,) if shared.
-    - `errors`: the same four, infinite for what cannot be told, 0 for what was known.
+    - `errors`: the same four, infinite for what is not identified, 0 for what was
+        known.
     - `noise`: root mean square of the residuals a degree of freedom, in linear light,
         or in the samples' own standard deviations.
     - `samples`: how many were used.
@@ -183,13 +184,13 @@ def fit_pixel(
         level = jnp.sqrt(jnp.sum(share * found.scale**2) / freedom)
     else:
         level = jnp.sqrt(jnp.sum(found.squares) / freedom)
-    told = ~black & (enough | (settings.noise_given & (count >= unknowns)))
+    identified = ~black & (enough | (settings.noise_given & (count >= unknowns)))
 
     misfit = jnp.zeros((), bool)
     if settings.noise_given:
         # Of a normal distribution a median knows no more than a third of the samples.
         heard = freedom * (MEDIAN if settings.loss.robust else 1)
-        misfit = told & enough & ((level / noise) ** 2 > _most_by_chance(heard))
+        misfit = identified & enough & ((level / noise) ** 2 > _most_by_chance(heard))
 
     def errors_of(found: _Found) -> Errors:
         sigma = found.scale if settings.loss.robust else level
@@ -211,17 +212,17 @@ def fit_pixel(
     errors = errors_of(found) if settings.shared else jax.vmap(errors_of)(found)
     errors = optimization_barrier(errors)
     values = _values(found, known, settings)
-    deviations = _leaves(errors, told, dtype, settings)
+    deviations = _leaves(errors, identified, dtype, settings)
     flags = (
         jnp.where(black, Flag.BLACK, 0)
         | jnp.where(lost, Flag.NOT_FINITE, 0)
         | jnp.where(
             enough | settings.noise_given & (count >= unknowns), 0, Flag.TOO_FEW
         )
-        | jnp.where(told & jnp.any(errors.dim), Flag.NO_HIGHLIGHT, 0)
-        | jnp.where(told & jnp.any(errors.alike), Flag.ALIKE, 0)
-        | jnp.where(told & jnp.any(errors.at_bound), Flag.AT_BOUND, 0)
-        | jnp.where(told & jnp.any(errors.moving), Flag.NOT_CONVERGED, 0)
+        | jnp.where(identified & jnp.any(errors.dim), Flag.NO_HIGHLIGHT, 0)
+        | jnp.where(identified & jnp.any(errors.degenerate), Flag.DEGENERATE, 0)
+        | jnp.where(identified & jnp.any(errors.at_bound), Flag.AT_BOUND, 0)
+        | jnp.where(identified & jnp.any(errors.moving), Flag.NOT_CONVERGED, 0)
         | jnp.where(misfit, Flag.MISFIT, 0)
     )
     ambient, diffuse, specular, shininess = values
@@ -229,7 +230,7 @@ def fit_pixel(
         ambient, diffuse, specular, shininess, deviations, level, count, flags
     )
     unsettled = jnp.any(found.unsettled | errors.vague | errors.moving)
-    return fit, told & unsettled & ~thorough
+    return fit, identified & unsettled & ~thorough
 
 
 def _most_by_chance(freedom: Array) -> Array:
@@ -563,7 +564,7 @@ def _reweighted(
     unknowns = settings.unknowns(channels=len(target))
     widened = widening(settings.loss, residual, used, unknowns)
     if settings.noise_given:
-        # No loss tells more of noise that is known than least squares.
+        # No loss says more of noise that is known than least squares.
         widened = jnp.maximum(widened, 1)
     widened = widened * jnp.sqrt(share)
     squares = _sum(samples.weight * _residual(samples, target, at, t, settings) ** 2)
@@ -576,11 +577,11 @@ def _reweighted(
 def _is_doubtful(
     samples: PixelSamples, weight: Array, t: Array, settings: Settings
 ) -> Array:
-    """Whether a loss rejects much of what tells a channel's highlight."""
+    """Whether a loss rejects much of what shows a channel's highlight."""
     lobe, _ = lobes(settings.model, samples.log_cosine, t)
     height = _shine(samples, lobe) ** 2
-    told, kept = (jnp.sum(each * height, axis=-1) for each in (samples.weight, weight))
-    return jnp.any(kept < KEPT * told)
+    whole, kept = (jnp.sum(each * height, axis=-1) for each in (samples.weight, weight))
+    return jnp.any(kept < KEPT * whole)
 
 
 def _group(samples: PixelSamples) -> Array:
@@ -643,11 +644,11 @@ def _values(found: _Found, known: Known, settings: Settings) -> tuple[Array, ...
 
 
 def _leaves(
-    errors: Errors, told: Array, dtype: jnp.dtype, settings: Settings
+    errors: Errors, identified: Array, dtype: jnp.dtype, settings: Settings
 ) -> tuple[Array, Array, Array, Array]:
-    """Errors in the order of the leaves: infinite where nothing is told."""
+    """Errors in the order of the leaves: infinite where nothing is identified."""
     reflectances = errors.reflectances.reshape(3, -1)
-    reflectances = jnp.where(told, reflectances, jnp.inf)
+    reflectances = jnp.where(identified, reflectances, jnp.inf)
     none = jnp.zeros((3,), dtype)
     leaves = [
         reflectances[:, settings.columns.index(name)]
@@ -656,6 +657,6 @@ def _leaves(
         for name in ("ambient", "diffuse")
     ]
     specular = reflectances[:, -1] if settings.shiny else none
-    exponent = jnp.where(told, errors.exponent, jnp.inf).reshape(-1)
+    exponent = jnp.where(identified, errors.exponent, jnp.inf).reshape(-1)
     exponent = exponent if settings.searched else jnp.zeros_like(exponent)
     return leaves[0], leaves[1], specular, exponent

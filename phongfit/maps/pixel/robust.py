@@ -53,8 +53,8 @@ def widening(
     square = jnp.sum(jnp.where(used, score**2, 0)) / freedom
     steepness = jnp.sum(jnp.where(used, slope, 0)) / count
     spread = jnp.sum(jnp.where(used, (slope - steepness) ** 2, 0)) / count
-    # Where nearly all samples are outliers, the loss has no slope and tells nothing.
-    told = steepness > 0.01
-    steepness = jnp.where(told, steepness, 1)
+    # Where nearly all samples are outliers, the loss has no slope and says nothing.
+    identified = steepness > 0.01
+    steepness = jnp.where(identified, steepness, 1)
     more = 1 + unknowns / count * spread / steepness**2
-    return jnp.where(told, more * jnp.sqrt(square) / steepness, jnp.inf)
+    return jnp.where(identified, more * jnp.sqrt(square) / steepness, jnp.inf)

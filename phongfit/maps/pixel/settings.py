@@ -24,7 +24,8 @@ class Settings:
     - `scanned`: whether the exponent is looked for everywhere, or only downhill from
         where it starts.
     - `min_cosine`: a sample that no light reaches at a cosine above this is left out.
-    - `noise_given`: whether the noise is known, or told by each pixel's residuals.
+    - `noise_given`: whether the noise is known, or estimated from each pixel's
+        residuals.
     - `weighted`: whether each sample's weight is the inverse of its own noise.
     - `cutoff`: values from this one on are saturated; `exactly`: only this one is.
     """

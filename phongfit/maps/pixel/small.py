@@ -31,8 +31,8 @@ def optimization_barrier(values: T) -> T:
 class Factors(NamedTuple):
     r"""$H = L D L^\top$: rows of L below its diagonal, and the inverses of D.
 
-    A direction that rounding alone could have made has an inverse of 0: nothing is told
-    along it, and nothing moves. `last` is the last entry of D.
+    A direction that rounding alone could have made has an inverse of 0: nothing is
+    known along it, and nothing moves. `last` is the last entry of D.
     """
 
     lower: Triangle
@@ -73,9 +73,9 @@ def factorize(matrix: Triangle, last: int | None = None) -> Factors:
         pivot = whole
         for number, share in zip(row, scaled, strict=True):
             pivot = pivot - number * share
-        told = pivot > smallest * whole
-        pivot = jnp.where(told, pivot, 0)
-        inverse.append(jnp.where(told, 1 / jnp.where(told, pivot, 1), 0))
+        identified = pivot > smallest * whole
+        pivot = jnp.where(identified, pivot, 0)
+        inverse.append(jnp.where(identified, 1 / jnp.where(identified, pivot, 1), 0))
         lower.append(scaled)
     return optimization_barrier(Factors(tuple(lower), tuple(inverse), pivot))
 

@@ -80,7 +80,7 @@ def test_a_wrong_answer_with_a_warning(words):
 
 
 def test_a_warning_of_something_else_is_none():
-    said = ("shininess cannot be told: specular is 0 within its error", BOUND)
+    said = ("shininess is not identifiable: specular is 0 within its error", BOUND)
     answers = dataclasses.replace(off(made_up(), 100, 7), warnings=(said,) * 100)
     assert "100 of 100 draws" in judge(answers, "wrong").faults[0]
 

@@ -10,7 +10,7 @@ SENTENCES = {
     "residuals are 2.0 times as large as the noise that was given: the noise or the "
     "model is wrong, errors are too small": Subject.FIT,
     "3 % of the samples are outliers": Subject.FIT,
-    "specular.red cannot be told: the loss took the highlight for outliers": (
+    "specular.red is not identifiable: the loss took the highlight for outliers": (
         Subject.FIT
     ),
     "90 of 100 samples are clipped: the noise is estimated": Subject.FIT,
@@ -19,9 +19,9 @@ SENTENCES = {
     "shininess lies at its bound of 1000, which decides the others": Subject.FIT,
     "ambient.red lies at its bound: its error is one-sided": Subject.BOUND,
     "flag: at bound": Subject.BOUND,
-    "ambient.red cannot be told: its error is wider than its bounds": Subject.OPEN,
-    "diffuse.red cannot be told: no light falls on a pixel that is used, or all of "
-    "these are white": Subject.OPEN,
+    "ambient.red is not identifiable: its error is wider than its bounds": Subject.OPEN,
+    "diffuse.red is not identifiable: no light falls on a pixel that is used, or all "
+    "of these are white": Subject.OPEN,
     "shininess is not identifiable: no pixel sees a highlight": Subject.OPEN,
     "the exponent may be any: the other errors are those of drawn fits": Subject.OPEN,
     "flag: no highlight": Subject.OPEN,

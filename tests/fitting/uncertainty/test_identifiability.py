@@ -1,4 +1,4 @@
-"""No finite error for what the image cannot tell, and the reason in words."""
+"""No finite error for what the image does not identify, and the reason in words."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def check_unidentified(fit: pf.Fit, names: tuple[str, ...], words: str) -> None:
     assert all(any(label in reason for reason in reasons) for label in unidentified)
     for name in names:
         assert np.all(np.isinf(getattr(fit.stderr, name)))
-    assert str(fit).count("cannot be told") >= len(unidentified)
+    assert str(fit).count("not identifiable") >= len(unidentified)
 
 
 @NOISES
@@ -37,13 +37,15 @@ def test_a_flat_plate(noise):
     fit = pf.fit(PLATE, photograph(PLATE, TRUTH, noise=noise))
     assert fit.converged
     names = ("ambient", "diffuse", "specular", "shininess")
-    check_unidentified(fit, names, "cannot be told apart: they change the image alike")
+    check_unidentified(
+        fit, names, "are degenerate: they change the image in the same way"
+    )
     assert np.abs(np.mean(fit.residuals)) < 1e-3
 
 
 @NOISES
 def test_a_flat_plate_with_one_unknown(noise):
-    """What is left of it can be told, where the rest is known."""
+    """What is left of it is identifiable, where the rest is known."""
     image = photograph(PLATE, TRUTH, noise=noise)
     fit = pf.fit(PLATE, image, unknowns=("diffuse",), known=TRUTH)
     assert np.all(np.abs(fit.values - TRUTH.diffuse) < np.maximum(4 * fit.errors, 1e-6))
@@ -55,7 +57,7 @@ def test_no_highlight(noise):
     matte = pf.Material(TRUTH.diffuse, 0.0, 20.0, TRUTH.ambient)
     fit = pf.fit(ball(), photograph(ball(), matte, noise=noise))
     assert fit.converged
-    check_unidentified(fit, ("shininess",), "shininess cannot be told: ")
+    check_unidentified(fit, ("shininess",), "shininess is not identifiable: ")
     assert np.all(fit.values[6:9] <= 4 * fit.errors[6:9])
     assert any("specular is 0" in warning for warning in fit.warnings)
 
@@ -80,7 +82,7 @@ def test_a_highlight_that_is_masked(noise):
     seen = np.asarray(pf.render(ball(ambient=0.0), mirror)).max(axis=-1) > 1e-7
     assert 10 < seen.sum() < 300
     fit = pf.fit(ball(), photograph(ball(), shiny, noise=noise), mask=~seen)
-    check_unidentified(fit, ("specular", "shininess"), "cannot be told")
+    check_unidentified(fit, ("specular", "shininess"), "not identifiable")
 
 
 def test_an_image_in_other_units():
@@ -121,8 +123,8 @@ def test_nearly_everything_is_white():
         np.isinf(fit.errors), fit.unidentified
     )
     truth = np.array([1.0, 1.0, 1.0, 0.9, 0.8, 0.7, 0.5, 0.5, 0.5, 20.0])
-    told = ~fit.unidentified & ~fit.at_bound
-    assert np.all(np.abs(fit.values - truth)[told] < 4.5 * fit.errors[told])
+    identified = ~fit.unidentified & ~fit.at_bound
+    assert np.all(np.abs(fit.values - truth)[identified] < 4.5 * fit.errors[identified])
 
 
 def test_ambient_and_emission_under_different_ambient_light():

@@ -150,12 +150,12 @@ def test_specular_where_the_exponent_is_not_identified(scene, specular, shinines
     expected = as_vector(
         pf.Material(truth.diffuse, np.full(3, specular), shininess, truth.ambient)
     )
-    told = ~np.array([fit.unidentified for fit in fits])
+    identified = ~np.array([fit.unidentified for fit in fits])
     inside = (low <= expected) & (expected <= high)
-    assert inside[told].mean() > 0.94
+    assert inside[identified].mean() > 0.94
     off = np.array([fit.values for fit in fits]) - expected
     errors = np.array([fit.errors for fit in fits])
-    assert np.mean(np.abs(off)[told] < 2 * errors[told]) > 0.94
+    assert np.mean(np.abs(off)[identified] < 2 * errors[identified]) > 0.94
 
 
 def test_an_interval_follows_the_exponent():

@@ -161,7 +161,7 @@ def test_an_end_at_a_bound():
         np.testing.assert_allclose(t, [-1, 1], rtol=0.03)
 
 
-def test_what_cannot_be_told_has_its_box():
+def test_what_is_not_identifiable_has_its_box():
     matte = pf.Material(TRUTH.diffuse, 0.0, 20.0, TRUTH.ambient)
     fit = pf.fit(SCENE, photograph(SCENE, matte, noise=NOISE), noise=NOISE)
     assert fit["shininess"].unidentified

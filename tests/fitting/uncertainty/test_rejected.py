@@ -14,7 +14,7 @@ GLOSSY = pf.Material(TRUTH.diffuse, TRUTH.specular, 200.0, TRUTH.ambient)
 REJECTED = "took the highlight for outliers"
 
 
-def test_a_rejected_highlight_is_not_told():
+def test_a_rejected_highlight_is_not_identified():
     """Nothing sharper than f = 4 is allowed, so the highlight fits nowhere."""
     image = photograph(SCENE, GLOSSY, noise=0.01)
     fit = pf.fit(SCENE, image, loss="tukey", bounds={"shininess": (1.0, 4.0)})

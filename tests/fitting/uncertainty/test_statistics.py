@@ -177,18 +177,26 @@ LAYOUT = unknowns_of(LEAVES[1:4], (), pf.Material(), {})
     "rows, unidentified, words",
     [
         ([[1, 0, 0], [0, 1, 0], [0, 0, 1]], [], None),
-        ([[1, 0, 0], [0, 1, 0], [0, 0, 0]], [2], "shininess cannot be told: there is"),
-        ([[1, 0, 0], [0, 0, 0], [0, 0, 1]], [1], "specular cannot be told: no pixel"),
-        ([[1, 1, 0], [0, 0, 1]], [0, 1], "diffuse, specular cannot be told apart"),
-        ([[1, 1, 2], [1, 1, 3]], [0, 1], "diffuse, specular cannot be told apart"),
-        ([[1, 2, 3]], [0, 1, 2], "diffuse, specular, shininess cannot be told apart"),
+        (
+            [[1, 0, 0], [0, 1, 0], [0, 0, 0]],
+            [2],
+            "shininess is not identifiable: there is",
+        ),
+        (
+            [[1, 0, 0], [0, 0, 0], [0, 0, 1]],
+            [1],
+            "specular is not identifiable: no pixel",
+        ),
+        ([[1, 1, 0], [0, 0, 1]], [0, 1], "diffuse, specular are degenerate"),
+        ([[1, 1, 2], [1, 1, 3]], [0, 1], "diffuse, specular are degenerate"),
+        ([[1, 2, 3]], [0, 1, 2], "diffuse, specular, shininess are degenerate"),
         # Units do not decide: far smaller than the others, but alone.
         ([[1, 0, 0], [0, 1e-2, 0], [0, 0, 1e2]], [], None),
-        # Nearly alike is not alike.
+        # Nearly degenerate is not degenerate.
         ([[1, 1, 0], [0, 0.001, 0], [0, 0, 1]], [], None),
     ],
 )
-def test_who_cannot_be_told(rows, unidentified, words):
+def test_who_is_not_identifiable(rows, unidentified, words):
     jacobian = np.array(rows, float)
     flags, reasons = find_unidentified(jacobian.T @ jacobian, LAYOUT, np.ones(3), 1e-7)
     assert np.flatnonzero(flags).tolist() == unidentified

@@ -59,7 +59,7 @@ def test_curvatures_are_inverse_variances():
     np.testing.assert_allclose(found, 1 / np.einsum("nii->ni", inverse), rtol=2e-3)
 
 
-def test_what_rounding_hides_is_not_told():
+def test_what_rounding_hides_is_not_identified():
     gram = np.ones((COUNT, 2, 2))
     factors = factorize(triangle(gram))
     assert not np.any(factors.last) and not np.any(factors.inverse[1])
