@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     )
     from phongfit.files.meshes import load_mesh as load_mesh
     from phongfit.files.mtl import read_mtl as read_mtl, write_mtl as write_mtl
+    from phongfit.files.saved import load_fit as load_fit, save_fit as save_fit
     from phongfit.files.scenes import (
         load_scene as load_scene,
         save_scene as save_scene,
@@ -169,6 +170,7 @@ _ORIGINS = {
     "fit": "phongfit.fitting.fit",
     "fit_maps": "phongfit.maps.run",
     "join": "phongfit.geometry.meshes",
+    "load_fit": "phongfit.files.saved",
     "load_maps": "phongfit.maps.result",
     "load_mesh": "phongfit.files.meshes",
     "load_scene": "phongfit.files.scenes",
@@ -185,6 +187,7 @@ _ORIGINS = {
     "read_mtl": "phongfit.files.mtl",
     "refit": "phongfit.fitting.implicit",
     "render": "phongfit.rendering.render",
+    "save_fit": "phongfit.files.saved",
     "save_scene": "phongfit.files.scenes",
     "stack_materials": "phongfit.material",
     "terms": "phongfit.rendering.terms",

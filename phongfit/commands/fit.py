@@ -16,20 +16,20 @@ from phongfit.commands.options import (
     OutFolder,
     UnknownOptions,
     optional,
-    settings_of,
+    specification_of,
 )
 from phongfit.commands.progress import stage
 from phongfit.files.dataset import Dataset
 from phongfit.files.fits import (
     DataRecord,
     FitRecord,
-    FitSettings,
     distances,
-    load_fit,
-    save_fit,
+    read_fit_record,
+    write_fit_record,
 )
 from phongfit.files.outputs import check_folder, replacing_folder
 from phongfit.fitting.fit import fit
+from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.result import Fit
 
 FIT_FILE = "fit.json"
@@ -85,20 +85,14 @@ def main(options: Options) -> int:
     keep_compiled()
     may_replace = OURS.__contains__ if options.overwrite else None
     check_folder(options.out.resolve(), may_replace)
-    record = None if options.like is None else load_fit(options.like)
-    settings, reading = _settings(options, record)
+    record = None if options.like is None else read_fit_record(options.like)
+    asked, noise, reading = _asked(options, record)
     data, read = read_data(reading)
     with replacing_folder(options.out, may_replace) as folder:
         with stage("fitting"):
-            found = _fit(data, settings)
+            found = _fit(data, asked, noise)
         print(found, flush=True)
-        save_fit(
-            folder / FIT_FILE,
-            found,
-            settings=settings,
-            data=read,
-            model=data.scenes[0].specular,
-        )
+        write_fit_record(folder / FIT_FILE, found, data=read, noise=noise)
         if options.report != "none":
             with stage("drawing"):
                 _draw(folder, found, data, options)
@@ -108,12 +102,13 @@ def main(options: Options) -> int:
     return 0 if found.converged and agrees else 1
 
 
-def _settings(
+def _asked(
     options: Options, record: FitRecord | None
-) -> tuple[FitSettings, DataOptions]:
+) -> tuple[Specification, float | None, DataOptions]:
     """What is asked for: by options, or by the fit that is to be repeated."""
     if record is None:
-        return settings_of(options.unknown, options.fitting), options.data
+        asked = specification_of(options.unknown, options.fitting)
+        return asked, options.fitting.noise, options.data
     for group in (options.unknown, options.fitting):
         for field in dataclasses.fields(group):
             if getattr(group, field.name) != field.default:
@@ -121,14 +116,15 @@ def _settings(
                     f"{field.name}: came beside --like, which says it; one of the two "
                     "is wanted"
                 )
-    return record.settings, dataclasses.replace(
-        options.data, **record.data.reading.model_dump()
-    )
+    settings, reading = record.settings, record.data.reading.model_dump()
+    data = dataclasses.replace(options.data, **reading)
+    return settings.specification(), settings.noise, data
 
 
-def _fit(data: Dataset, settings: FitSettings) -> Fit:
+def _fit(data: Dataset, asked: Specification, noise: float | None) -> Fit:
     # A single image stands alone, so that its residual is one image too.
-    options: dict[str, Any] = settings.options() | {"film": data.film}
+    options: dict[str, Any] = dataclasses.replace(asked, film=data.film).options
+    options["noise"] = noise
     if len(data.images) == 1:
         return fit(data.scenes[0], data.images[0], mask=data.masks[0], **options)
     return fit(data.scenes, data.images, mask=data.masks, **options)

@@ -8,12 +8,14 @@ from typing import Annotated, Any, TypeVar
 
 from tyro.conf import arg
 
-from phongfit.files.describe import describe_material
-from phongfit.files.fits import FitSettings, LossName
+from phongfit.files.fits import LossName
 from phongfit.files.inputs import naming
 from phongfit.files.materials import read_material
-from phongfit.fitting.problem.specification import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
-from phongfit.plain import plain
+from phongfit.fitting.problem.specification import (
+    DEFAULT_PER_CHANNEL,
+    DEFAULT_UNKNOWNS,
+    Specification,
+)
 
 Value = TypeVar("Value")
 
@@ -62,7 +64,7 @@ class UnknownOptions:
     priors: Annotated[tuple[str, ...], optional("LABEL=MEAN:SD ...")] = ()
 
     def given(self) -> dict[str, Any]:
-        """Keyword arguments of [`fit`][].
+        """Keyword arguments of a [`Specification`][].
 
         **Raises:** `ValueError` that names the option.
         """
@@ -100,26 +102,22 @@ class FitOptions:
     max_steps: Annotated[int, arg(metavar="N")] = 200
 
 
-def settings_of(unknowns: UnknownOptions, options: FitOptions) -> FitSettings:
-    """Options as the settings that `fit.json` keeps.
+def specification_of(unknowns: UnknownOptions, options: FitOptions) -> Specification:
+    """What is asked of a fit; its film is the data's.
 
     **Raises:** `ValueError` that names the option.
     """
+    for name, wanted in (("noise", "a number > 0"), ("max_steps", "1 or more")):
+        value = getattr(options, name)
+        if value is not None and not 0 < value < float("inf"):
+            raise ValueError(f"{name}: {value} came, {wanted} is wanted")
     known = None
     if options.known is not None:
         with naming("known"):
-            known = describe_material(read_material(options.known).material)
-    given = unknowns.given() | {
-        "known": known,
-        "noise": options.noise,
-        "loss": options.loss,
-        "max_steps": options.max_steps,
-    }
-    for name, wanted in (("noise", "a number > 0"), ("max_steps", "1 or more")):
-        value = given[name]
-        if value is not None and not 0 < value < float("inf"):
-            raise ValueError(f"{name}: {value} came, {wanted} is wanted")
-    return FitSettings.model_validate(plain(given))
+            known = read_material(options.known).material
+    return Specification(
+        **unknowns.given(), known=known, loss=options.loss, max_steps=options.max_steps
+    )
 
 
 def parse_bounds(words: Sequence[str]) -> dict[str, tuple[float, float]]:

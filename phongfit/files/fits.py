@@ -12,16 +12,23 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BeforeValidator, Field, model_validator
 
-from phongfit.files.describe import describe
+from phongfit.files.describe import describe, describe_material
 from phongfit.files.inputs import naming
 from phongfit.files.outputs import write_json
 from phongfit.files.records import AbstractRecord, read_record
 from phongfit.files.schema import MaterialRecord, SpecularRecord
-from phongfit.fitting.problem.specification import DEFAULT_PER_CHANNEL, DEFAULT_UNKNOWNS
+from phongfit.fitting.problem.losses import LOSSES
+from phongfit.fitting.problem.specification import (
+    DEFAULT_PER_CHANNEL,
+    DEFAULT_UNKNOWNS,
+    Specification,
+)
 from phongfit.fitting.result import Fit
 from phongfit.material import Material
+from phongfit.plain import plain
 from phongfit.reflectance import AbstractSpecular
 from phongfit.rendering.film import Encoding
+from phongfit.scene import Scene
 
 FIT_FORMAT = "phongfit fit"
 FIT_VERSION = 2
@@ -68,8 +75,26 @@ class FitSettings(AbstractRecord):
     loss: LossName = "linear"
     max_steps: Annotated[int, Field(ge=1)] = 200
 
-    def options(self) -> dict[str, Any]:
-        """Keyword arguments of [`fit`][]."""
+    @classmethod
+    def of(cls, specification: Specification, noise: float | None) -> "FitSettings":
+        """What stands in the file of a specification; its film is the data's.
+
+        **Raises:** `ValueError` for a loss that has no name.
+        """
+        given = {k: v for k, v in specification.options.items() if k != "film"}
+        known, loss = specification.known, specification.loss
+        names = [name for name, one in LOSSES.items() if one == loss]
+        if not names:
+            raise ValueError(f"loss: expected one of {', '.join(LOSSES)}, got {loss}")
+        given |= {
+            "known": None if known is None else describe_material(known),
+            "loss": names[0],
+            "noise": noise,
+        }
+        return cls.model_validate(plain(given))
+
+    def specification(self) -> Specification:
+        """What was asked, but for the film, which the data know."""
         with naming("known"):
             known = None if self.known is None else self.known.build()
         bounds = {
@@ -79,19 +104,18 @@ class FitSettings(AbstractRecord):
             )
             for name, (low, high) in self.bounds.items()
         }
-        return {
-            "unknowns": tuple(self.unknowns),
-            "per_channel": tuple(self.per_channel),
-            "per_image": tuple(self.per_image),
-            "known": known,
-            "bounds": bounds,
-            "fixed": dict(self.fixed),
-            "ties": dict(self.ties),
-            "priors": dict(self.priors),
-            "noise": self.noise,
-            "loss": self.loss,
-            "max_steps": self.max_steps,
-        }
+        return Specification(
+            unknowns=self.unknowns,
+            per_channel=self.per_channel,
+            per_image=self.per_image,
+            known=known,
+            bounds=bounds,
+            fixed=self.fixed,
+            ties=self.ties,
+            priors=self.priors,
+            loss=self.loss,
+            max_steps=self.max_steps,
+        )
 
 
 class DataSettings(AbstractRecord):
@@ -207,39 +231,35 @@ def made_with() -> dict[str, str]:
     }
 
 
-def save_fit(
-    path: str | os.PathLike[str],
-    fit: Fit,
-    *,
-    settings: FitSettings,
-    data: DataRecord,
-    model: AbstractSpecular,
+def write_fit_record(
+    path: str | os.PathLike[str], fit: Fit, *, data: DataRecord, noise: float | None
 ) -> None:
     """Write a fit, in one piece, so that it can be repeated elsewhere.
 
     **Arguments:**
 
-    - `settings`, `data`: what it was asked for, and what it was made from.
-    - `model`: of the highlight, the scenes'.
+    - `data`: what it was made from.
+    - `noise`: that was given, if it was.
 
     **Raises:** `OSError` that names the file.
     """
     numbers = fit.to_dict()
     for name in ("model", "loss"):
         del numbers[name]
+    scene = fit.scene if isinstance(fit.scene, Scene) else fit.scene[0]
     content: dict[str, Any] = {
         "format": FIT_FORMAT,
         "version": FIT_VERSION,
         "data": data.model_dump(),
-        "settings": settings.model_dump(),
-        "model": describe(model),
+        "settings": FitSettings.of(fit.specification, noise).model_dump(),
+        "model": describe(scene.specular),
         **numbers,
         "made_with": made_with(),
     }
     write_json(path, content)
 
 
-def load_fit(path: str | os.PathLike[str]) -> FitRecord:
+def read_fit_record(path: str | os.PathLike[str]) -> FitRecord:
     """The record of a fit from its file.
 
     **Raises:** `ValueError` that names the file, the field, what came and what is

@@ -9,7 +9,7 @@ import jax
 import pytest
 
 from phongfit.commands.cache import cache_folder, keep_compiled
-from phongfit.files.fits import load_fit
+from phongfit.files.fits import read_fit_record
 
 
 @pytest.mark.parametrize(
@@ -77,5 +77,5 @@ def test_a_fit_in_a_process_of_its_own(brass, tmp_path):
     assert done.returncode == 0, done.stderr
     assert done.stderr == "" and "\x1b" not in done.stdout and "\r" not in done.stdout
     assert "diffuse.red" in done.stdout and str(out) in done.stdout
-    assert load_fit(out / "fit.json").converged
+    assert read_fit_record(out / "fit.json").converged
     assert sum(path.name.startswith("jit_") for path in cache.iterdir()) > 10

@@ -34,6 +34,16 @@ class Part(NamedTuple):
         return np.stack([np.nanmin(low, axis=0), np.nanmax(high, axis=0)], axis=-1)
 
 
+@dataclasses.dataclass(frozen=True)
+class _AtHand:
+    """Gives the parts that it has."""
+
+    parts: tuple[Part, ...]
+
+    def __call__(self) -> tuple[Part, ...]:
+        return self.parts
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Region:
     """What the data allow, from the solution to wherever it is asked.
@@ -59,6 +69,10 @@ class Region:
     def parts(self) -> tuple[Part, ...]:
         """Of the unknowns."""
         return self.make()
+
+    def evaluated(self) -> "Region":
+        """The same with its parts at hand, which no function has to make."""
+        return dataclasses.replace(self, make=_AtHand(self.parts))
 
     def ends(self, level: float) -> Float[np.ndarray, "reported 2"]:
         r"""Where $\Delta\chi^2$ has risen to a level, all other unknowns at their best.

@@ -85,9 +85,7 @@ def test_a_fit_knows_what_it_was_asked():
 
 
 def test_a_misspelt_option_is_named():
-    with pytest.raises(
-        TypeError, match="predict_errors: .*option 'unknown', expected one of unkn"
-    ):
+    with pytest.raises(TypeError, match="predict_errors: .*'unknown', expected one of"):
         pf.predict_errors(ball(), TRUTH, 0.01, unknown=("diffuse",))
     with pytest.raises(TypeError, match="'unknown'"):
         pf.fit(ball(), np.zeros((32, 32, 3)), unknown=())  # pyright: ignore

@@ -1,0 +1,183 @@
+"""Values of the package's own classes as one file of arrays, and back.
+
+Structure is JSON, numbers are NumPy's arrays, both in one `.npz`. No code is stored and
+none is run: a class is named, and must be there when the file is read.
+"""
+
+import dataclasses
+import io
+import json
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from phongfit.files.inputs import MAX_BYTES, naming, read_bytes
+from phongfit.files.outputs import replacing
+
+_STRUCTURE = "structure"
+
+
+def write_packed(path: Path, header: dict[str, Any], value: Any) -> None:
+    """Write a value, whole or not at all.
+
+    **Arguments:**
+
+    - `header`: JSON of its own, which is read first.
+    - `value`: numbers, text, arrays, sequences, dictionaries and dataclasses of these.
+
+    **Raises:** `OSError` that names the file; `ValueError` that names the part of
+    `value` that cannot be stored, such as a function.
+    """
+    packer = _Packer()
+    structure = {**header, "value": packer.pack(value, "")}
+    text = np.frombuffer(json.dumps(structure).encode(), np.uint8)
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(
+            file, allow_pickle=False, **packer.arrays | {_STRUCTURE: text}
+        )
+
+
+def read_packed(path: Path, header: dict[str, Any], remedies: dict[str, str]) -> Any:
+    """The value of a file.
+
+    **Arguments:** `header`: what must stand there; `remedies`: what to do if not.
+
+    **Raises:** `ValueError` that names the file: it is missing, broken, of another
+    kind or version, or holds what this program does not know.
+    """
+    data = read_bytes(path)
+    with naming(str(path)):
+        try:
+            with zipfile.ZipFile(io.BytesIO(data)) as archive:
+                size = sum(entry.file_size for entry in archive.infolist())
+            if size > MAX_BYTES:
+                raise ValueError(f"{size} bytes unpacked, at most {MAX_BYTES} wanted")
+            with np.load(io.BytesIO(data), allow_pickle=False) as file:
+                arrays = dict(file)
+            structure = json.loads(arrays[_STRUCTURE].tobytes())
+            found = {name: structure[name] for name in header}
+        except (zipfile.BadZipFile, KeyError, EOFError, json.JSONDecodeError) as error:
+            raise ValueError("is no file that Fit.save has written") from error
+        for name, wanted in header.items():
+            if found[name] != wanted:
+                remedy = f"; {remedies[name]}" if name in remedies else ""
+                got = found[name]
+                raise ValueError(f"{name}: expected {wanted}, got {got}{remedy}")
+        return _Unpacker(arrays).unpack(structure["value"])
+
+
+class _Packer:
+    """Structure as JSON; arrays aside, each once."""
+
+    def __init__(self) -> None:
+        self.arrays: dict[str, np.ndarray] = {}
+        self._known: dict[int, tuple[Any, str]] = {}
+
+    def pack(self, value: Any, where: str) -> Any:
+        if value is None or isinstance(value, bool | str):
+            return value
+        if isinstance(value, np.ndarray | np.generic | jax.Array):
+            kind = "jax" if isinstance(value, jax.Array) else "array"
+            return {kind: self._array(value)}
+        if isinstance(value, int | float):
+            return {"number": repr(value)} if isinstance(value, float) else value
+        if isinstance(value, dict):
+            items = value.items()
+            return {"dict": [[k, self.pack(v, f"{where}[{k!r}]")] for k, v in items]}
+        if isinstance(value, list):
+            return [self.pack(v, f"{where}[{k}]") for k, v in enumerate(value)]
+        names = _fields(type(value))
+        if names is not None:
+            if not isinstance(value, tuple):
+                # Some have a default from their class alone.
+                names = [name for name in names if name in vars(value)]
+            parts = {n: self.pack(getattr(value, n), f"{where}.{n}") for n in names}
+            return {"class": _name(type(value)), "fields": parts}
+        if isinstance(value, tuple):
+            parts = [self.pack(v, f"{where}[{k}]") for k, v in enumerate(value)]
+            return {"tuple": parts}
+        kind = "a function" if callable(value) else f"a {type(value).__name__}"
+        raise ValueError(
+            f"{where.removeprefix('.')}: {kind} cannot be saved, expected numbers, "
+            "arrays, or a dataclass of these"
+        )
+
+    def _array(self, value: Any) -> str:
+        # The value itself is kept, so that no other one gets its identity.
+        _, name = self._known.setdefault(id(value), (value, f"a{len(self._known)}"))
+        self.arrays[name] = np.asarray(value)
+        return name
+
+
+class _Unpacker:
+    """Values from their structure."""
+
+    def __init__(self, arrays: dict[str, np.ndarray]):
+        self._arrays = arrays
+        self._shared: dict[str, jax.Array] = {}
+
+    def unpack(self, node: Any) -> Any:
+        match node:
+            case list():
+                return [self.unpack(one) for one in node]
+            case {"array": name}:
+                array = self._arrays[name]
+                return array if array.ndim else array[()]
+            case {"jax": name}:
+                if name not in self._shared:
+                    self._shared[name] = jnp.asarray(self._arrays[name])
+                return self._shared[name]
+            case {"number": text}:
+                return float(text)
+            case {"dict": items}:
+                return {key: self.unpack(one) for key, one in items}
+            case {"tuple": parts}:
+                return tuple(self.unpack(one) for one in parts)
+            case {"class": name, "fields": parts}:
+                return self._made(name, parts)
+        return node
+
+    def _made(self, name: str, parts: dict[str, Any]) -> Any:
+        kind = _class(name)
+        fields = _fields(kind)
+        missing = {name for name in fields or () if not hasattr(kind, name)}
+        if fields is None or not missing <= set(parts) <= set(fields):
+            raise ValueError(
+                f"{name}: expected its fields {fields}, got {list(parts)}: the file is "
+                "of another version"
+            )
+        values = {field: self.unpack(part) for field, part in parts.items()}
+        if issubclass(kind, tuple):
+            return kind(**values)
+        made = object.__new__(kind)
+        for field, value in values.items():
+            object.__setattr__(made, field, value)
+        return made
+
+
+def _fields(kind: type) -> list[str] | None:
+    """Names of the fields of a dataclass or a named tuple; `None` of other classes."""
+    if dataclasses.is_dataclass(kind):
+        return [field.name for field in dataclasses.fields(kind)]
+    names = getattr(kind, "_fields", None)
+    return list(names) if issubclass(kind, tuple) and names is not None else None
+
+
+def _name(kind: type) -> str:
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def _class(name: str) -> type:
+    """A class by its name, of a module that is loaded: nothing is imported for it."""
+    module, _, path = name.partition(":")
+    found: Any = sys.modules.get(module)
+    for part in path.split("."):
+        found = getattr(found, part, None)
+    if not isinstance(found, type):
+        raise ValueError(f"{path}: there is no such class; import {module} first")
+    return found
