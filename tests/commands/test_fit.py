@@ -68,7 +68,7 @@ OLD = Path(__file__).parents[1] / "data" / "records" / "fit_version_1.json"
 
 def test_a_file_of_version_1(tmp_path):
     """Its fields had other names."""
-    record = load_fit(OLD)
+    record = read_fit_record(OLD)
     assert record.labels == ["diffuse", "shininess", "scene.lights[0].intensity"]
     assert record.unidentified == [True, False, False]
     assert (record.version, record.n_samples, record.n_images) == (2, 492, 1)
@@ -77,14 +77,14 @@ def test_a_file_of_version_1(tmp_path):
     path = tmp_path / "fit.json"
     path.write_text(OLD.read_text().replace("[true, false, false]", "[true, false, 1]"))
     with pytest.raises(ValueError, match=r"unidentified\[2\]: 1"):
-        load_fit(path)
+        read_fit_record(path)
 
 
 def test_names_of_version_1_are_no_names_of_version_2(fitted, tmp_path):
     path = tmp_path / "fit.json"
     path.write_text((fitted / "fit.json").read_text().replace("n_samples", "samples"))
     with pytest.raises(ValueError, match="did you mean 'n_samples'"):
-        load_fit(path)
+        read_fit_record(path)
 
 
 def test_the_report_says_how_to_repeat_it_in_python(brass, tmp_path):
