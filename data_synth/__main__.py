@@ -39,7 +39,7 @@ def _shown(metavar: str, default: str) -> Any:
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
 
 
-Leaf = Annotated[Numbers, _shown("X|R G B", "the material's")]
+Parameter = Annotated[Numbers, _shown("X|R G B", "the material's")]
 
 
 @dataclass(frozen=True)
@@ -79,15 +79,15 @@ class Options:
 
     material: str = "plastic"
 
-    diffuse: Leaf = ()
+    diffuse: Parameter = ()
 
-    specular: Leaf = ()
+    specular: Parameter = ()
 
-    shininess: Leaf = ()
+    shininess: Parameter = ()
 
-    ambient: Leaf = ()
+    ambient: Parameter = ()
 
-    emission: Leaf = ()
+    emission: Parameter = ()
 
     model: Literal["blinn-phong", "phong"] = "blinn-phong"
 
@@ -174,15 +174,15 @@ def _material(options: Options) -> Material:
             f"material: {options.material!r} came, plastic or preset:NAME is wanted"
         )
     base = PLASTIC if kind == "plastic" else preset(name)
-    leaves = {
+    parameters = {
         "diffuse": options.diffuse,
         "specular": options.specular,
         "shininess": options.shininess,
         "ambient": options.ambient,
         "emission": options.emission,
     }
-    given = {name: _number(name, leaf) for name, leaf in leaves.items() if leaf}
-    return Material(**({name: getattr(base, name) for name in leaves} | given))
+    given = {name: _number(name, value) for name, value in parameters.items() if value}
+    return Material(**({name: getattr(base, name) for name in parameters} | given))
 
 
 def _lights(options: Options, intensity: float | Numbers) -> tuple[AbstractLight, ...]:

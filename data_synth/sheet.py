@@ -106,22 +106,24 @@ def _vector(vector: Float[np.ndarray, "3"]) -> str:
 def _truth(material: Material | None) -> str:
     if material is None:
         return "material unknown"
-    leaves = [
+    parameters = [
         ("diffuse", material.diffuse),
         ("specular", material.specular),
         ("shininess", material.shininess),
         ("ambient", material.ambient),
     ]
     if np.any(np.asarray(material.emission)):
-        leaves.append(("emission", material.emission))
-    return "     ".join(f"{name} {_leaf(np.asarray(leaf))}" for name, leaf in leaves)
+        parameters.append(("emission", material.emission))
+    return "     ".join(
+        f"{name} {_text(np.asarray(values))}" for name, values in parameters
+    )
 
 
-def _leaf(leaf: np.ndarray) -> str:
-    leaf = leaf.ravel()
-    if leaf.size > 3:
+def _text(values: np.ndarray) -> str:
+    values = values.ravel()
+    if values.size > 3:
         return "map"
-    numbers = leaf[:1] if np.ptp(leaf) == 0 else leaf
+    numbers = values[:1] if np.ptp(values) == 0 else values
     return " ".join(f"{number:.3g}" for number in numbers)
 
 

@@ -26,7 +26,7 @@ SHARP = pf.Material(0.5, 0.3, 60.0, 0.5)
 NOISE = 0.01
 SIZE = 48
 UNCLAMPED = pf.Film(clamp=False)
-LEAVES = tuple(style.PARAMETERS)
+PARAMETERS = tuple(style.PARAMETERS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Sweep:
 
 @dataclasses.dataclass(frozen=True)
 class Spread:
-    """What many fits of one setting show, each in the order of `LEAVES`.
+    """What many fits of one setting show, each in the order of `PARAMETERS`.
 
     - `bound`, `observed`: the predicted error, and the root mean square of the fits'
         errors, as shares of the truth;
@@ -187,7 +187,7 @@ def spread(setting: Setting, draws: int, seed: int) -> Spread:
     )
     scenes = list(setting.scenes)
     predicted = pf.predict_errors(scenes, setting.material, **options)
-    order = [predicted.labels.index(leaf) for leaf in LEAVES]
+    order = [predicted.labels.index(leaf) for leaf in PARAMETERS]
     truth = predicted.values[order]
     lights = [
         np.asarray(pf.render(scene, setting.material, film=UNCLAMPED))
@@ -218,7 +218,7 @@ def spread(setting: Setting, draws: int, seed: int) -> Spread:
 def relative(values: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Errors as shares of the truth; of f that of its logarithm, as it is fitted."""
     share = values / truth - 1
-    f = LEAVES.index("shininess")
+    f = PARAMETERS.index("shininess")
     share[f] = np.log(values[f] / truth[f])
     return share
 
@@ -267,7 +267,7 @@ def draw(found: Found) -> Figure:
     middles = []
     for _, spreads in found:
         places = start + np.arange(len(spreads))
-        for k, name in enumerate(LEAVES):
+        for k, name in enumerate(PARAMETERS):
             colour, marker, _ = style.PARAMETERS[name]
             judged = [one.ratio[k] for one in spreads]
             ratios.plot(places + 0.18 * (k - 1.5), judged, marker, c=colour, ms=3.5)
@@ -285,7 +285,7 @@ def draw(found: Found) -> Figure:
 def draw_sweep(axes: Axes, sweep: Sweep, spreads: list[Spread]) -> None:
     """Bounds as lines, fits as marks, parameter by parameter."""
     x = np.array([one.x for one in spreads])
-    for k, name in enumerate(LEAVES):
+    for k, name in enumerate(PARAMETERS):
         colour, marker, _ = style.PARAMETERS[name]
         bound = np.array(
             [one.bound[k] if one.identified[k] else np.nan for one in spreads]
@@ -322,9 +322,9 @@ def say(found: Found) -> str:
         f"{ratio[identified].min():.2f} to "
         f"{ratio[identified].max():.2f} of it in {ratio[identified].size} comparisons, "
         f"their mean {ratio[identified].mean():.3f}. Errors grow as the noise does; "
-        "ρ_s and f are known worst, and first lost: where too much of the highlight is white or out of "
-        f"view, {np.count_nonzero(~identified)} of {len(identified)} settings say that "
-        "they are not identifiable."
+        "ρ_s and f are known worst, and first lost: where too much of the highlight is "
+        f"white or out of view, {np.count_nonzero(~identified)} of {len(identified)} "
+        "settings say that they are not identifiable."
     )
     if beside.any():
         answer += (
@@ -359,7 +359,7 @@ def find(small: bool) -> Finding:
             (
                 "spread / predicted",
                 "x",
-                *(style.PARAMETERS[name][2] for name in LEAVES),
+                *(style.PARAMETERS[name][2] for name in PARAMETERS),
             ),
             rows,
         ),
@@ -381,7 +381,7 @@ def failures(found: Found) -> tuple[str, ...]:
                 f"{sweep.name} {one.x:.3g}: {name} scatters {share:.2f} times {what}"
                 for shares, least, what in judged
                 for name, share, identified in zip(
-                    LEAVES, shares, one.identified, strict=True
+                    PARAMETERS, shares, one.identified, strict=True
                 )
                 if identified and not least <= share <= 1 + one.slack
             ]

@@ -46,9 +46,9 @@ def ball(size: int, ambient: float = 0.0, background: float = 0.0) -> pf.Scene:
     return pf.Scene(pf.Sphere(), camera, lamp, ambient, background=background)
 
 
-def light(scene: pf.Scene, **leaves: float) -> np.ndarray:
-    """Linear light of a ball whose other leaves are 0."""
-    material = pf.Material(**(dict(diffuse=0.0, ambient=0.0) | leaves))
+def light(scene: pf.Scene, **parameters: float) -> np.ndarray:
+    """Linear light of a ball whose other parameters are 0."""
+    material = pf.Material(**(dict(diffuse=0.0, ambient=0.0) | parameters))
     return np.asarray(pf.render(scene, material, film=UNCLAMPED), float)
 
 

@@ -30,7 +30,7 @@ from phongfit.cli import run
 from phongfit.files.dataset import Dataset
 from phongfit.report.pictures import Row, comparison
 
-LEAVES = ("ambient", "diffuse", "specular", "shininess")
+PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -24,7 +24,7 @@ from phongfit.report.style import quiet
 
 TRUTH = pf.Material(0.5, 0.3, 20.0, 0.4)
 NOISE = 0.01
-LEAVES = tuple(style.PARAMETERS)
+PARAMETERS = tuple(style.PARAMETERS)
 UNCLAMPED = pf.Film(clamp=False)
 LAMP = (1.0, 1.0, 2.0)
 
@@ -45,7 +45,7 @@ class Mistake:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What a mistake does, means over several noisy images, in the order of `LEAVES`.
+    """What a mistake does, means over noisy images, in the order of `PARAMETERS`.
 
     - `bias`: estimate − truth; `in_errors`: the same over the errors stated;
     - `chi_squared`: reduced; `correlation`: of neighbouring residuals;
@@ -177,8 +177,8 @@ def outcome(mistake: Mistake, draws: int, seed: int) -> Outcome:
         )
         for _ in range(draws)
     ]
-    order = [fits[0].labels.index(leaf) for leaf in LEAVES]
-    truth = np.array([float(getattr(TRUTH, leaf)) for leaf in LEAVES])
+    order = [fits[0].labels.index(leaf) for leaf in PARAMETERS]
+    truth = np.array([float(getattr(TRUTH, leaf)) for leaf in PARAMETERS])
     off = np.array([fit.values[order] - truth for fit in fits])
     errors = np.array([fit.errors[order] for fit in fits])
     raised = np.array([[name in flags(fit) for name in DIAGNOSTICS] for fit in fits])
@@ -232,9 +232,9 @@ def draw(outcomes: list[Outcome]) -> Figure:
     table = bottom.subplots()
     deviation = np.array([one.in_errors for one in outcomes])
     strength = np.sign(deviation) * np.log10(1 + np.abs(deviation))
-    columns = len(LEAVES) + len(DIAGNOSTICS)
+    columns = len(PARAMETERS) + len(DIAGNOSTICS)
     cells = np.zeros((len(outcomes), columns))
-    cells[:, : len(LEAVES)] = strength
+    cells[:, : len(PARAMETERS)] = strength
     table.imshow(cells, cmap="RdBu_r", vmin=-3, vmax=3, aspect="auto")
     quiet(table)
     for row, one in enumerate(outcomes):
@@ -244,14 +244,14 @@ def draw(outcomes: list[Outcome]) -> Figure:
             write(table, k, row, f"{value}\n{share}", ink)
         numbers = {"χ²": f"{one.chi_squared:.3g} "}
         numbers["neighbours"] = f"{one.correlation:.2f} "
-        for k, name in enumerate(DIAGNOSTICS, len(LEAVES)):
+        for k, name in enumerate(DIAGNOSTICS, len(PARAMETERS)):
             number = numbers.get(name, "")
             write(table, k, row, number + ("●" if name in one.flags else "·"))
     table.set_yticks(range(len(outcomes)), [one.name for one in outcomes])
-    names = [f"{style.symbol(leaf)}: off by" for leaf in LEAVES]
+    names = [f"{style.symbol(leaf)}: off by" for leaf in PARAMETERS]
     table.set_xticks(range(columns), [*names, *DIAGNOSTICS])
     table.tick_params(length=0, labeltop=True, labelbottom=False)
-    table.axvline(len(LEAVES) - 0.5, c=style.BLACK, lw=0.8)
+    table.axvline(len(PARAMETERS) - 0.5, c=style.BLACK, lw=0.8)
     table.set_xlabel(
         "off by: estimate − truth, and in units σ of the error stated      ●: says so"
     )
@@ -265,7 +265,7 @@ def write(axes: Axes, column: int, row: int, words: str, ink: str = "black") -> 
 
 def offsets(one: Outcome) -> tuple[list[str], list[str]]:
     """Biases as text: in their own units, and in errors stated."""
-    digits = [1 if leaf == "shininess" else 3 for leaf in LEAVES]
+    digits = [1 if leaf == "shininess" else 3 for leaf in PARAMETERS]
     values = [f"{bias:+.{n}f}" for bias, n in zip(one.bias, digits, strict=True)]
     shares = [
         f"{share:+.0f} σ" if abs(share) >= 10 else f"{share:+.1f} σ"
@@ -284,12 +284,12 @@ def say(right: Outcome, others: list[Outcome]) -> str:
     misled = [one for one in others if one.misled]
     hidden = [one for one in misled if not one.flags]
     shares = {name: sum(name in one.flags for one in others) for name in DIAGNOSTICS}
-    worst = max(others, key=lambda one: abs(one.bias[LEAVES.index("shininess")]))
+    worst = max(others, key=lambda one: abs(one.bias[PARAMETERS.index("shininess")]))
     return (
         f"{len(misled)} of {len(others)} mistakes move a parameter by more than three "
         "of its stated errors; the exponent suffers most: "
         f"{worst.name!r} moves f = {float(TRUTH.shininess):g} by "
-        f"{worst.bias[LEAVES.index('shininess')]:+.0f}. What gives them away: "
+        f"{worst.bias[PARAMETERS.index('shininess')]:+.0f}. What gives them away: "
         + ", ".join(
             f"{name} {count} of {len(others)}" for name, count in shares.items()
         )
@@ -334,7 +334,7 @@ def find(small: bool) -> Finding:
         Table(
             (
                 "mistake",
-                *(f"{style.PARAMETERS[leaf][2]} off" for leaf in LEAVES),
+                *(f"{style.PARAMETERS[leaf][2]} off" for leaf in PARAMETERS),
                 "given away by",
             ),
             rows,

@@ -20,8 +20,8 @@ class Material(eqx.Module):
     $$I = \text{emission} + I_a \rho_a + \sum_{\text{lights}} I_s (\rho_d \max(s \cdot
     m, 0) + \rho_s \cos^f)$$
 
-    Every leaf has shape () (one number for all channels) or ends in a colour axis of
-    1 or 3: (3,) is one material, (M, 3) is M materials, (H, W, 3) is a map.
+    Every parameter has shape () (one number for all channels) or ends in a colour axis
+    of 1 or 3: (3,) is one material, (M, 3) is M materials, (H, W, 3) is a map.
     """
 
     diffuse: Float[Array, "..."]
@@ -65,9 +65,9 @@ class Material(eqx.Module):
 
 
 def stack_materials(materials: Iterable[Material]) -> Material:
-    """Several materials as one `Material` of leaves (M, 3), for `material_index`.
+    """Several materials as one `Material` of parameters (M, 3), for `material_index`.
 
-    **Arguments:** `materials`: leaves of shape () or (3,), or already several: (M, 3).
+    **Arguments:** `materials`: parameters of shape () or (3,), or several: (M, 3).
 
     **Returns:** all of them, in order. The exponent has shape (M, 1) if no material has
     three of its own.
@@ -95,11 +95,11 @@ def stack_materials(materials: Iterable[Material]) -> Material:
 
 
 def unstack_materials(material: Material, count: int | None = None) -> list[Material]:
-    """The inverse of [`stack_materials`][]: one `Material` for each row of its leaves.
+    """The inverse of [`stack_materials`][]: one `Material` for each row.
 
-    **Arguments:** `count`: how many; default as many as the leaves hold.
+    **Arguments:** `count`: how many; default as many as the parameters hold.
 
-    **Raises:** `ValueError` for a leaf of another number of rows, and for a map.
+    **Raises:** `ValueError` for a parameter of another number of rows, and for a map.
     """
     held = [len(leaf) for leaf in jax.tree.leaves(material) if leaf.ndim == 2]
     count = max(held, default=1) if count is None else count
@@ -109,7 +109,8 @@ def unstack_materials(material: Material, count: int | None = None) -> list[Mate
             return leaf
         if leaf.ndim > 2 or len(leaf) not in (1, count):
             raise ValueError(
-                f"material: a leaf of shape {leaf.shape} came, {count} rows are wanted"
+                f"material: expected {count} rows, got a parameter of shape "
+                f"{leaf.shape}"
             )
         return leaf[min(i, len(leaf) - 1)]
 

@@ -13,19 +13,19 @@ import numpy as np
 import scipy.special
 
 from phongfit.fitting.problem.problem import Problem
-from phongfit.maps.pixel.settings import LEAVES
+from phongfit.maps.pixel.settings import MAP_PARAMETERS
 
 ADAM_RATE, ADAM_MOST = 0.03, 4000
 
 
 @dataclasses.dataclass(frozen=True)
 class WrittenOut:
-    """Samples that are used, and where in the solver's vector each leaf is.
+    """Samples that are used, and where in the solver's vector each parameter is.
 
     - `ambient`, `diffuse`, `strength`, `target`: (3, samples).
     - `logarithm`: (samples,), of the cosine from the highlight's centre.
     - `sigma`: of a sample's noise; residuals are in its units.
-    - `places`: for each of `LEAVES`.
+    - `places`: for each of `MAP_PARAMETERS`.
     """
 
     ambient: Any
@@ -84,7 +84,7 @@ def written_out(problem: Problem) -> WrittenOut:
         kept(problem.samples.target),
         np.log(np.maximum(cosine, 1e-30)),
         float(problem.sigma),
-        tuple(np.flatnonzero(unknowns.kinds == name) for name in LEAVES),
+        tuple(np.flatnonzero(unknowns.y_parameter == name) for name in MAP_PARAMETERS),
     )
 
 
@@ -100,7 +100,7 @@ def torch_adam(
     }
     places = tuple(torch.tensor(place) for place in problem.places)
     samples = dataclasses.replace(problem, **arrays, places=places)
-    (f,) = problem.places[LEAVES.index("shininess")]
+    (f,) = problem.places[MAP_PARAMETERS.index("shininess")]
 
     def upper_tail(z: Any) -> Any:
         return torch.special.erfc(z / math.sqrt(2)) / 2

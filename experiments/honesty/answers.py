@@ -95,7 +95,7 @@ def of_fit(fit: pf.Fit, shot: Shot) -> Said:
 def true_values(fit: pf.Fit, shot: Shot) -> np.ndarray:
     """The truth in the order of a fit's labels."""
     unknowns = fit.solution.problem.unknowns
-    values = first_values(unknowns.leaves, shot.scenes, shot.material)
+    values = first_values(unknowns.parameters, shot.scenes, shot.material)
     known = {**dict(zip(unknowns.entry_labels, values, strict=True)), **shot.others}
     return np.array([known[label] for label in fit.labels])
 

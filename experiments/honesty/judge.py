@@ -77,7 +77,7 @@ def judge(
     **Arguments:**
 
     - `kind`: what is asked of it.
-    - `free`: leaves, or labels, that the data cannot identify.
+    - `free`: parameters, or labels, that the data cannot identify.
     - `wide`: whether intervals may be too wide here.
     """
     marks, labels = look(answers), answers.labels

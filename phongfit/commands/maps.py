@@ -32,7 +32,7 @@ from phongfit.maps.folder import (
     save_folder,
     seen_normals,
 )
-from phongfit.maps.result import LEAVES, Maps
+from phongfit.maps.result import MAP_PARAMETERS, Maps
 from phongfit.maps.run import fit_maps
 from phongfit.maps.stacks import DatasetStack
 from phongfit.material import Material
@@ -42,8 +42,8 @@ TILES = "tiles"
 FLAGS_FILE = "flags.png"
 OURS = {
     *(RECORD_FILE, ARRAYS_FILE, NORMALS_FILE, FLAGS_FILE),
-    *(f"{name}.{suffix}" for name in LEAVES for suffix in ("png", "tif")),
-    *(f"stderr_{name}.tif" for name in LEAVES),
+    *(f"{name}.{suffix}" for name in MAP_PARAMETERS for suffix in ("png", "tif")),
+    *(f"stderr_{name}.tif" for name in MAP_PARAMETERS),
 }
 SHARED = ("ambient", "diffuse")
 """What each pixel still identifies where the highlight is one for all of them."""
@@ -61,10 +61,10 @@ class Options:
         highlight: own: every pixel has its own. shared: one for all, which a fit of one
             material finds first, with all photographs in memory; for few lights or
             sharp highlights, of which a pixel sees one at most.
-        unknowns: Leaves to be found, of ambient diffuse specular shininess.
+        unknowns: Parameters to be found, of ambient diffuse specular shininess.
         per_channel: Which of them differ between red, green and blue; with shininess,
             each channel has its own exponent.
-        known: A material for the leaves that are not unknown.
+        known: A material for the parameters that are not unknown.
         bounds: Other bounds than 0:1 (reflectances) and 1:1000 (shininess).
         noise: Standard deviation of the sensor's noise in linear light, where white
             is 1. Default: what each pixel's residuals show.
@@ -78,7 +78,7 @@ class Options:
     data: OmitArgPrefixes[DataOptions]
     out: OutFolder
     highlight: Literal["own", "shared"] = "own"
-    unknowns: Names = LEAVES
+    unknowns: Names = MAP_PARAMETERS
     per_channel: Names = ("ambient", "diffuse", "specular")
     known: Annotated[str | None, optional("preset:NAME|FILE")] = None
     bounds: Annotated[Words, optional("NAME=LOW:HIGH ...")] = ()
@@ -186,8 +186,8 @@ def _settings(given: dict[str, Any]) -> MapSettings:
 
 def _draw(folder: Path, found: Maps) -> None:
     # Here, since drawing takes long to import.
-    from phongfit.report.maps import draw_flags, draw_leaf
+    from phongfit.report.maps import draw_flags, draw_parameter
 
     for name in found.unknowns:
-        draw_leaf(found, name).savefig(folder / f"{name}.png", dpi=130)
+        draw_parameter(found, name).savefig(folder / f"{name}.png", dpi=130)
     draw_flags(found).savefig(folder / FLAGS_FILE, dpi=130)

@@ -38,7 +38,7 @@ class UnknownOptions:
     """What is unknown. Labels are those of the table, such as diffuse.red.
 
     Args:
-        unknowns: Leaves of the material (ambient diffuse specular shininess
+        unknowns: Parameters of the material (ambient diffuse specular shininess
             emission), arrays of the scene such as scene.lights[0].direction, or
             exposure.
         per_channel: Which of them have a value for each of red, green and blue.
@@ -84,7 +84,7 @@ class FitOptions:
     """How it is fitted.
 
     Args:
-        known: A material (a preset, .mtl, .json, fit.json) for the leaves that are
+        known: A material (a preset, .mtl, .json, fit.json) for the parameters that are
             not unknown. Default: no reflectance, exponent 32.
         noise: Standard deviation of the sensor's noise in linear light, where white
             is 1. Default: what the residuals show.

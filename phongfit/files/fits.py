@@ -54,7 +54,7 @@ Follows = Annotated[tuple[float, str], BeforeValidator(_as_tuple)]
 """(factor, label)."""
 
 Nested = float | None | Numbers | list[Numbers]
-"""A leaf: one number, RGB, or a row for each of several materials."""
+"""A parameter: one number, RGB, or a row for each of several materials."""
 
 Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 """A SHA-256 in hexadecimal digits."""
@@ -135,7 +135,7 @@ class DataRecord(AbstractRecord):
     inputs: dict[str, Digest]
 
 
-class LeavesRecord(AbstractRecord):
+class ParametersRecord(AbstractRecord):
     """A material of any shape, or its errors."""
 
     ambient: Nested
@@ -153,8 +153,8 @@ class FitRecord(AbstractRecord):
     data: DataRecord
     settings: FitSettings
     model: SpecularRecord
-    material: LeavesRecord
-    stderr: LeavesRecord
+    material: ParametersRecord
+    stderr: ParametersRecord
     labels: Annotated[list[str], Field(min_length=1)]
     values: list[float]
     errors: Numbers
@@ -195,13 +195,13 @@ class FitRecord(AbstractRecord):
         return data
 
     def build(self) -> Material:
-        """The material: leaves () or (3,), or (M, 3) and (M, 1) of M materials.
+        """The material: parameters () or (3,), or (M, 3) and (M, 1) of M materials.
 
-        **Raises:** `ValueError` that names the leaf.
+        **Raises:** `ValueError` that names the parameter.
         """
-        leaves = {name: _array(leaf) for name, leaf in self.material}
+        parameters = {name: _array(given) for name, given in self.material}
         with naming("material"):
-            return Material(**leaves)
+            return Material(**parameters)
 
     def numbers(self) -> tuple[np.ndarray, np.ndarray]:
         """Values and errors; an error of null is infinite."""

@@ -72,8 +72,8 @@ def fit(
     - `scene`: one, or a sequence of scenes (lights, views) of one material.
     - `image`: (height, width, 3) linear light where white is 1, or a sequence of these,
         one a scene.
-    - `unknowns`: leaves of the material to be found; where the surface is made of M
-        materials, of each of them: the leaves that come back have shape (M, 3) or
+    - `unknowns`: parameters of the material to be found; where the surface is made of M
+        materials, of each of them: those that come back have shape (M, 3) or
         (M, 1). Arrays of the scene by their place, such as
         `"scene.lights[0].direction"` or `"scene.fog.density"`, which start from what
         the scene has. Directions are looked for on the whole sphere. A camera's
@@ -85,7 +85,7 @@ def fit(
     - `per_channel`: those of them with one value for each of red, green and blue; other
         colours have one for all.
     - `per_image`: arrays of the scenes of which each image has its own.
-    - `known`: values of the leaves that are not unknown; default no reflectance, no
+    - `known`: values of the parameters that are not unknown; default no reflectance, no
         emission and an exponent of 32.
     - `bounds`: name or label → (low, high), in place of 0 … 1 for reflectances and
         emission and 1 … 1000 for shininess. Labels are those of the result:
@@ -176,16 +176,16 @@ def fit(
     # Directions are now relative to where the best of several starts began.
     layout = found.problem.unknowns
     # JAX computes these side by side, as long as none is looked at.
-    place = in_units(layout, found.y)
-    scenes = layout.scenes(place[0], tuple(source.scene for source in sources))
+    in_user_units = in_units(layout, found.y)
+    scenes = layout.scenes(in_user_units[0], tuple(source.scene for source in sources))
     fitted_images = [
-        _fitted_image(setting, k, scene, place[0], found, side)
+        _fitted_image(setting, k, scene, in_user_units[0], found, side)
         for k, scene in enumerate(scenes)
     ]
     sums = sandwich_sums(found.problem, found.y)
     return summarize(
         found,
-        place,
+        in_user_units,
         sums,
         specification=specification,
         films=films,
@@ -246,7 +246,7 @@ def _expose(
     clamp: bool,
     side: int,
 ) -> tuple[Array, Array, Tiles]:
-    material = unknowns.with_leaves(entries)
+    material = unknowns.as_material(entries)
     exposure = unknowns.exposures(entries)[which]
     light = view.radiance(material) * exposure
     basis = view.basis(material.shininess)

@@ -131,13 +131,13 @@ def predict_errors(
     samples = gather(sources, seen_pixels(sources))
     sigma = jnp.ones((), samples.target.dtype)
     problem = Problem(samples, unknowns, sigma, Linear(), setting.films[0].clamp)
-    entries = first_values(unknowns.leaves, scenes, material)
+    entries = first_values(unknowns.parameters, scenes, material)
     y = jnp.asarray(unknowns.position(entries))
     rounded = any(one.jpeg is not None for one in films)
     if rounded:
         problem = foresee(problem, y, sources, films)
     estimated = estimates(_expected(problem, y), y)
-    is_exponent = unknowns.entry_leaf[unknowns.reported] == "shininess"
+    is_exponent = unknowns.entry_parameter[unknowns.reported] == "shininess"
     if (
         estimated.unidentified[is_exponent].any()
         and not estimated.unidentified[~is_exponent].all()

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class Estimate(NamedTuple):
-    """One leaf, or one number of it, as a fit found it."""
+    """One parameter, or one number of it, as a fit found it."""
 
     value: np.ndarray
     error: np.ndarray
@@ -82,7 +82,7 @@ class Fit:
     solution: SearchResult
 
     def __getitem__(self, name: str) -> Estimate:
-        """A leaf by its name, or one number by its label.
+        """A parameter by its name, or one number by its label.
 
         **Raises:** `KeyError` that says what there is.
         """
@@ -212,10 +212,10 @@ class Fit:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the images, as what `json.dumps` takes: see [`plain`][]."""
-        leaves = ("ambient", "diffuse", "specular", "shininess", "emission")
+        names = ("ambient", "diffuse", "specular", "shininess", "emission")
         numbers = {
-            "material": {k: np.asarray(getattr(self.material, k)) for k in leaves},
-            "stderr": {k: np.asarray(getattr(self.stderr, k)) for k in leaves},
+            "material": {k: np.asarray(getattr(self.material, k)) for k in names},
+            "stderr": {k: np.asarray(getattr(self.stderr, k)) for k in names},
             "labels": list(self.labels),
             "values": self.values,
             "errors": self.errors,
@@ -310,7 +310,7 @@ def as_materials(
     """All entries, and their errors, as materials; what was known has no error."""
     none = jax.tree.map(jnp.zeros_like, unknowns.known)
     errors_alone = dataclasses.replace(unknowns, known=none)
-    return unknowns.with_leaves(entries), errors_alone.with_leaves(errors)
+    return unknowns.as_material(entries), errors_alone.as_material(errors)
 
 
 def fit_table(fit: Fit, least_correlation: float = 0.1, most: int = 10) -> str:

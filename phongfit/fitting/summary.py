@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from phongfit.fitting.problem.leaves import EXPOSURE
+from phongfit.fitting.problem.parameters import EXPOSURE
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.result import Fit, as_materials
@@ -52,7 +52,7 @@ class FittedImage(NamedTuple):
 
 def summarize(
     found: SearchResult,
-    place: tuple[Array, Array],
+    in_user_units: tuple[Array, Array],
     sums: SandwichSums,
     *,
     specification: Specification,
@@ -72,7 +72,7 @@ def summarize(
     **Arguments:**
 
     - `found`: the solution.
-    - `place`: it in the user's units: see [`in_units`][].
+    - `in_user_units`: it in the user's units: see [`in_units`][].
     - `sums`: sums over the samples there: see [`sandwich_sums`][].
     - `specification`: what was asked.
     - `films`: of each image.
@@ -113,10 +113,10 @@ def summarize(
         )
         found = dataclasses.replace(found, problem=problem)
         sums = sandwich_sums(problem, found.y)
-    estimated = estimates(problem, found.y, misfit.inflation, place, sums)
+    estimated = estimates(problem, found.y, misfit.inflation, in_user_units, sums)
     rejected = rejected_highlights(problem, found.y)
     estimated = without_rejected(estimated, unknowns, rejected)
-    entries = np.array(place[0])
+    entries = np.array(in_user_units[0])
     exposure = np.ones(len(images))
     if unknowns.exposed:
         exposure = np.array(unknowns.parts(entries)[EXPOSURE])

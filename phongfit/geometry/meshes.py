@@ -90,7 +90,8 @@ class Mesh(AbstractSurface):
         - `faces`: (F, 3) indices of vertices, counter-clockwise seen from outside.
         - `normals`: (V, 3), of any length; default computed from the faces around.
         - `material_index`: (F,) whole numbers ≥ 0: which of several materials a face is
-            made of. Each leaf of the `Material` then has shape (M, 3), (M, 1) or ().
+            made of. Each parameter of the `Material` then has shape (M, 3), (M, 1) or
+            ().
         - `weighting`: of the faces around a vertex, `"area"` or `"angle"`.
         - `crease_angle`: degrees; an edge between faces whose normals differ by more is
             sharp, and its vertices are doubled. Default: every edge is smooth.

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from phongfit.fitting.problem.leaves import CHANNELS, REFLECTANCES
+from phongfit.fitting.problem.parameters import CHANNELS, REFLECTANCES
 from phongfit.fitting.result import Fit
 from phongfit.fitting.uncertainty.numbers import number_with_error
 from phongfit.lab.settings import Settings, matters
@@ -35,9 +35,9 @@ def fit_answer(fit: Fit, truth: Settings | None) -> dict[str, Any]:
 
 def _material_found(fit: Fit) -> dict[str, Any]:
     return {
-        leaf: np.asarray(getattr(fit.material, leaf), float).tolist()
-        for leaf in OF_MATERIAL
-        if not np.any(fit[leaf].unidentified)
+        name: np.asarray(getattr(fit.material, name), float).tolist()
+        for name in OF_MATERIAL
+        if not np.any(fit[name].unidentified)
     }
 
 
@@ -54,9 +54,9 @@ def _light_found(fit: Fit) -> dict[str, float]:
 def true_numbers(settings: Settings) -> dict[str, float]:
     """What a fit of a target made of these settings should find, label by label."""
     numbers = {"shininess": settings.shininess}
-    for leaf in REFLECTANCES:
-        for channel, value in zip(CHANNELS, getattr(settings, leaf, ()), strict=False):
-            numbers[f"{leaf}.{channel}"] = value
+    for name in REFLECTANCES:
+        for channel, value in zip(CHANNELS, getattr(settings, name, ()), strict=False):
+            numbers[f"{name}.{channel}"] = value
     for light in make_lights(settings):
         for place in ("direction", "position"):
             for axis, value in zip("xyz", getattr(light, place, ()), strict=False):

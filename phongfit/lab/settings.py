@@ -189,13 +189,13 @@ class FitRequest(AbstractRecord):
 
 def describe_settings() -> dict[str, Any]:
     """All that the page is built from: fields, their limits and words, and presets."""
-    leaves = ("ambient", "diffuse", "specular", "shininess")
+    names = ("ambient", "diffuse", "specular", "shininess")
     return {
         "settings": Settings.model_json_schema()["properties"],
         "options": FitOptions.model_json_schema()["properties"],
         "noise": TargetRequest.model_json_schema()["properties"]["noise"],
         "presets": {
-            name: dict(zip(leaves, numbers, strict=True))
+            name: dict(zip(names, numbers, strict=True))
             for name, numbers in OPENGL_MATERIALS.items()
         },
     }

@@ -9,11 +9,11 @@ from phongfit.files.mtl import MAX_NS
 from phongfit.files.outputs import replacing_files
 from phongfit.maps.folder import load_folder
 from phongfit.maps.textures import (
-    Leaves,
+    TextureMaps,
     gltf_textures,
-    leaves_of,
     mtl_textures,
     rectangle,
+    texture_maps,
 )
 from phongfit.material import Material
 
@@ -31,27 +31,27 @@ def export_maps(folder: Path, path: Path, to: str, *, nearest: bool) -> str:
 
     **Returns:** what was written, in words.
 
-    **Raises:** `ValueError` that names the file or the leaf, `OSError` that names
+    **Raises:** `ValueError` that names the file or the parameter, `OSError` that names
     `path`.
     """
     maps, record, normals = load_folder(folder)
-    leaves, name = leaves_of(maps, record.model.build()), record.data.name
-    if not leaves.inside.any():
+    textured, name = texture_maps(maps, record.model.build()), record.data.name
+    if not textured.inside.any():
         raise ValueError(f"{folder}: no pixel of these maps was fitted")
-    words = _filled_words(leaves)
+    words = _filled_words(textured)
     if to == "mtl":
-        return _write_mtl(path, name, leaves, nearest) + words
+        return _write_mtl(path, name, textured, nearest) + words
     height, width = maps.flags.shape
-    material = pbr_material(name, typical(leaves), nearest=True)
+    material = pbr_material(name, typical(textured), nearest=True)
     material["extras"]["of"] = "the median of the maps; each texel has its own"
     parts = [(rectangle(height, width), material)]
-    write_gltf(path, parts, gltf_textures(leaves, normals))
+    write_gltf(path, parts, gltf_textures(textured, normals))
     return f"{name}, {width} × {height} texels" + words
 
 
-def _filled_words(leaves: Leaves) -> str:
+def _filled_words(textured: TextureMaps) -> str:
     """In how many pixels something is not their own; nothing if in none."""
-    count, of = int(leaves.filled.sum()), int(leaves.inside.sum())
+    count, of = int(textured.filled.sum()), int(textured.inside.sum())
     if count == 0:
         return ""
     return (
@@ -60,28 +60,28 @@ def _filled_words(leaves: Leaves) -> str:
     )
 
 
-def typical(leaves: Leaves) -> Material:
-    """The median over all pixels, leaf by leaf."""
-    inside = leaves.inside[..., 0] > 0
+def typical(textured: TextureMaps) -> Material:
+    """The median over all pixels, parameter by parameter."""
+    inside = textured.inside[..., 0] > 0
     return Material(
-        np.median(leaves.diffuse[inside], axis=0),
-        np.median(leaves.specular[inside], axis=0),
-        float(np.median(leaves.shininess[inside])),
-        np.median(leaves.ambient[inside], axis=0),
+        np.median(textured.diffuse[inside], axis=0),
+        np.median(textured.specular[inside], axis=0),
+        float(np.median(textured.shininess[inside])),
+        np.median(textured.ambient[inside], axis=0),
     )
 
 
-def _write_mtl(path: Path, name: str, leaves: Leaves, nearest: bool) -> str:
+def _write_mtl(path: Path, name: str, textured: TextureMaps, nearest: bool) -> str:
     if any(blank in path.stem for blank in " \t#"):
         raise ValueError(f"{path}: a name without blanks is wanted, for the textures")
-    highest = float(leaves.shininess.max())
+    highest = float(textured.shininess.max())
     if highest > MAX_NS and not nearest:
         raise ValueError(
             f"shininess: {highest:g} came, .mtl holds at most {MAX_NS:g} (nearest=True "
             "takes the nearest that it holds)"
         )
-    capped = np.minimum(leaves.shininess, MAX_NS)
-    textures = mtl_textures(leaves._replace(shininess=capped))
+    capped = np.minimum(textured.shininess, MAX_NS)
+    textures = mtl_textures(textured._replace(shininess=capped))
     lines = [
         "# Textures multiply the numbers; those of colours are sRGB-encoded.",
         f"newmtl {'_'.join(name.split())}",

@@ -16,7 +16,7 @@ from phongfit.files.outputs import replacing, write_json
 from phongfit.files.records import AbstractRecord, read_record
 from phongfit.files.schema import MaterialRecord, SpecularRecord
 from phongfit.geometry.tracing import trace
-from phongfit.maps.result import LEAVES, Maps, load_maps
+from phongfit.maps.result import MAP_PARAMETERS, Maps, load_maps
 from phongfit.reflectance import AbstractSpecular
 from phongfit.scene import Scene
 
@@ -29,7 +29,7 @@ NORMALS_FILE = "normals.npy"
 class MapSettings(AbstractRecord):
     """What maps were asked for: see [`fit_maps`][]."""
 
-    unknowns: list[str] = list(LEAVES)
+    unknowns: list[str] = list(MAP_PARAMETERS)
     per_channel: list[str] = ["ambient", "diffuse", "specular"]
     known: MaterialRecord | None = None
     bounds: dict[str, Edges] = {}

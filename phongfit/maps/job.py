@@ -9,14 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from phongfit.fitting.problem.leaves import DEFAULT_BOUNDS
 from phongfit.fitting.problem.losses import as_loss
+from phongfit.fitting.problem.parameters import DEFAULT_BOUNDS
 from phongfit.geometry.shading import PhongShading
 from phongfit.geometry.tracing import trace
 from phongfit.maps.layers import Masks, Noise
 from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.pixel import Known
-from phongfit.maps.pixel.settings import LEAVES, Settings
+from phongfit.maps.pixel.settings import MAP_PARAMETERS, Settings
 from phongfit.maps.pixel.tile import Outside, Tile
 from phongfit.material import Material
 from phongfit.rendering.film import Film
@@ -174,9 +174,10 @@ def make_settings(
         ("bounds", tuple(bounds)),
     ):
         for name in names:
-            if name not in LEAVES:
+            if name not in MAP_PARAMETERS:
                 raise ValueError(
-                    f"{argument}: {name!r} came, one of {', '.join(LEAVES)} is wanted"
+                    f"{argument}: expected one of {', '.join(MAP_PARAMETERS)}, "
+                    f"got {name!r}"
                 )
     lacking = [
         name
@@ -191,7 +192,7 @@ def make_settings(
     # Where there is no ambient light, nothing is known of what it would do.
     names = tuple(
         name
-        for name in LEAVES
+        for name in MAP_PARAMETERS
         if name in unknowns and (name != "ambient" or _has_ambient(scenes))
     )
     if not names:
@@ -203,7 +204,7 @@ def make_settings(
         cutoff = float("inf")
     return Settings(
         names=names,
-        bounds=tuple(_bound(name, bounds) for name in LEAVES),
+        bounds=tuple(_bound(name, bounds) for name in MAP_PARAMETERS),
         shared="shininess" not in per_channel,
         model=scenes[0].specular,
         loss=as_loss(loss),
@@ -288,7 +289,7 @@ def make_outside(
         exponents = np.exp(np.log(np.maximum(exponents, 1e-6)).mean(keepdims=True))
     if settings.searched:
         exponents = np.clip(exponents, low, high)
-    values = [_three("known", getattr(base, name)) for name in LEAVES[:3]]
+    values = [_three("known", getattr(base, name)) for name in MAP_PARAMETERS[:3]]
     return Outside(
         lighting,
         Known(*(jnp.asarray(v, dtype) for v in (*values, exponents))),
@@ -299,7 +300,9 @@ def make_outside(
 def _three(name: str, leaf: Any) -> np.ndarray:
     values = np.asarray(leaf, float)
     if values.size not in (1, 3):
-        raise ValueError(f"{name}: a leaf of shape {values.shape} came, () or (3,)")
+        raise ValueError(
+            f"{name}: a parameter of shape {values.shape} came, () or (3,)"
+        )
     return np.broadcast_to(values.ravel(), (3,)).copy()
 
 

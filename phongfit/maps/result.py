@@ -12,13 +12,12 @@ from jaxtyping import Bool, Float, Int
 from phongfit.files.inputs import read_bytes
 from phongfit.files.outputs import replacing
 from phongfit.maps.pixel.flags import Flag
+from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.material import Material
 
-LEAVES = ("ambient", "diffuse", "specular", "shininess")
 
-
-class Leaves(NamedTuple):
-    """A number for each leaf of a material, as maps."""
+class ParameterMaps(NamedTuple):
+    """A map of numbers for each parameter of a material."""
 
     ambient: Float[np.ndarray, "height width 3"]
     diffuse: Float[np.ndarray, "height width 3"]
@@ -34,7 +33,7 @@ class Maps:
     diffuse: Float[np.ndarray, "height width 3"]
     specular: Float[np.ndarray, "height width 3"]
     shininess: Float[np.ndarray, "height width exponents"]
-    stderr: Leaves
+    stderr: ParameterMaps
     noise: Float[np.ndarray, "height width"]
     samples: Int[np.ndarray, "height width"]
     flags: Int[np.ndarray, "height width"]
@@ -84,8 +83,10 @@ class Maps:
         """
         if not os.fspath(path).endswith(".npz"):
             raise ValueError(f"{os.fspath(path)}: a name that ends in .npz is wanted")
-        arrays = {name: getattr(self, name) for name in LEAVES}
-        arrays |= {f"stderr_{name}": getattr(self.stderr, name) for name in LEAVES}
+        arrays = {name: getattr(self, name) for name in MAP_PARAMETERS}
+        arrays |= {
+            f"stderr_{name}": getattr(self.stderr, name) for name in MAP_PARAMETERS
+        }
         arrays |= {name: getattr(self, name) for name in ("noise", "samples", "flags")}
         given = np.nan if self.noise_given is None else self.noise_given
         with replacing(path) as temporary:
@@ -127,7 +128,7 @@ Maps.__init__.__doc__ = """**Arguments:**
     root of χ².
 - `samples`: (H, W), how many were used.
 - `flags`: (H, W), bits of [`Flag`][]: why a pixel is not identified, or only with care.
-- `unknowns`: names of the leaves that were looked for.
+- `unknowns`: names of the parameters that were looked for.
 - `noise_given`: standard deviation of a sample that errors rest on (where there is no
     `MISFIT`), or `None` if it was estimated from each pixel's residuals. (H, W) if it
     varies: the root mean square of a pixel's.
@@ -145,11 +146,11 @@ def load_maps(path: str | os.PathLike[str]) -> Maps:
             given: Any = arrays["noise_given"]
             if given.ndim == 0:
                 given = None if np.isnan(given) else float(given)
-            leaves: Any = {name: arrays[name] for name in LEAVES}
-            stderr: Any = {name: arrays[f"stderr_{name}"] for name in LEAVES}
+            maps: Any = {name: arrays[name] for name in MAP_PARAMETERS}
+            stderr: Any = {name: arrays[f"stderr_{name}"] for name in MAP_PARAMETERS}
             return Maps(
-                **leaves,
-                stderr=Leaves(**stderr),
+                **maps,
+                stderr=ParameterMaps(**stderr),
                 noise=arrays["noise"],
                 samples=arrays["samples"],
                 flags=arrays["flags"],

@@ -28,9 +28,9 @@ from phongfit.maps.layers import Masks, Noise
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.lighting import make_lighting
 from phongfit.maps.pixel.pixel import PixelFit
-from phongfit.maps.pixel.settings import LEAVES
+from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.pixel.tile import BLOCK, Tile, compiled
-from phongfit.maps.result import Leaves, Maps
+from phongfit.maps.result import Maps, ParameterMaps
 from phongfit.maps.stacks import as_stack
 from phongfit.maps.store import TileStore
 from phongfit.material import Material
@@ -49,7 +49,7 @@ def fit_maps(
     scenes: Sequence[Scene],
     images: Any,
     *,
-    unknowns: Sequence[str] = LEAVES,
+    unknowns: Sequence[str] = MAP_PARAMETERS,
     per_channel: Sequence[str] = ("ambient", "diffuse", "specular"),
     known: Material | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
@@ -78,10 +78,11 @@ def fit_maps(
     - `images`: (L, H, W, 3) or a sequence of (H, W, 3), linear light as floats where
         white is 1, in memory or memory-mapped, or an [`AbstractStack`][] such as
         [`PhotographStack`][], which reads files, or [`DatasetStack`][].
-    - `unknowns`: leaves to be found. Where no ambient light falls, `ambient` is not.
+    - `unknowns`: parameters to be found. Where no ambient light falls, `ambient` is
+        not.
     - `per_channel`: with `"shininess"` each channel has its own exponent.
-    - `known`: values of the leaves that are not unknown; default no reflectance and an
-        exponent of 32.
+    - `known`: values of the parameters that are not unknown; default no reflectance and
+        an exponent of 32.
     - `bounds`: name → (low, high), as in [`fit`][].
     - `mask`: (H, W) or (H, W, 3), true where samples may be used; or one for each
         image.
@@ -182,7 +183,7 @@ def fit_maps(
     # No ambient light: nothing is identified, and nothing was looked for.
     hidden = tuple(name for name in unknowns if name not in settings.names)
     return maps.finished(
-        tuple(name for name in LEAVES if name in unknowns),
+        tuple(name for name in MAP_PARAMETERS if name in unknowns),
         hidden,
         levels,
     )
@@ -306,14 +307,14 @@ class _Canvas:
         self, unknowns: tuple[str, ...], hidden: tuple[str, ...], noise: Noise
     ) -> Maps:
         for name in hidden:
-            self._errors[LEAVES.index(name)][:] = np.inf
+            self._errors[MAP_PARAMETERS.index(name)][:] = np.inf
         shape = self._size
         values: Any
         errors: Any
         values, errors = (
             {
                 name: canvas.reshape(*shape, -1)
-                for name, canvas in zip(LEAVES, leaves, strict=True)
+                for name, canvas in zip(MAP_PARAMETERS, leaves, strict=True)
             }
             for leaves in (self._values, self._errors)
         )
@@ -324,7 +325,7 @@ class _Canvas:
             left = left * given
         return Maps(
             **values,
-            stderr=Leaves(**errors),
+            stderr=ParameterMaps(**errors),
             noise=left,
             samples=self._samples.reshape(shape),
             flags=self._flags.reshape(shape),

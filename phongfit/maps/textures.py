@@ -16,12 +16,12 @@ from phongfit.files.gltf import Part, Textures, roughness, specular_colour
 from phongfit.files.images import to_levels
 from phongfit.files.limits import as_blinn
 from phongfit.maps.pixel.flags import Flag
-from phongfit.maps.result import LEAVES, Maps
+from phongfit.maps.result import MAP_PARAMETERS, Maps
 from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular
 
 
-class Leaves(NamedTuple):
+class TextureMaps(NamedTuple):
     """Maps of the un-normalised Blinn-Phong model, (H, W, 3), and where they are.
 
     `filled`: pixels whose numbers are not all their own.
@@ -35,7 +35,7 @@ class Leaves(NamedTuple):
     filled: Bool[np.ndarray, "height width"]
 
 
-def leaves_of(maps: Maps, model: AbstractSpecular) -> Leaves:
+def texture_maps(maps: Maps, model: AbstractSpecular) -> TextureMaps:
     """What textures are made of; where channels have own exponents, their mean.
 
     The mean is that of logarithms: it is ratios of exponents that are seen.
@@ -44,7 +44,7 @@ def leaves_of(maps: Maps, model: AbstractSpecular) -> Leaves:
     material = as_blinn(filled, model)
     inside = ~maps.flagged(Flag.OUTSIDE)[..., None]
     exponents = np.maximum(np.asarray(material.shininess, float), 1e-6)
-    return Leaves(
+    return TextureMaps(
         np.asarray(material.ambient, float),
         np.asarray(material.diffuse, float),
         np.asarray(material.specular, float),
@@ -59,17 +59,17 @@ def filled_in(maps: Maps) -> tuple[Material, Bool[np.ndarray, "height width"]]:
     inside = ~maps.flagged(Flag.OUTSIDE)[..., None]
     # Black pixels stay black; and an exponent that lies at its bound is no chance.
     vague = maps.flagged(Flag.TOO_FEW | Flag.NO_HIGHLIGHT | Flag.DEGENERATE)[..., None]
-    leaves, touched = {}, np.zeros(maps.flags.shape, bool)
-    for name in LEAVES:
+    filled, touched = {}, np.zeros(maps.flags.shape, bool)
+    for name in MAP_PARAMETERS:
         values, errors = getattr(maps, name), getattr(maps.stderr, name)
         chance = inside & vague & ~np.isfinite(errors)
-        leaves[name] = np.where(chance, _medians(values, inside & ~chance), values)
+        filled[name] = np.where(chance, _medians(values, inside & ~chance), values)
         touched |= chance.any(axis=-1)
     # Its error is finite: it is known to be small, and of its exponent nothing is.
     matte = maps.flagged(Flag.NO_HIGHLIGHT)[..., None]
     matte = matte & np.isfinite(maps.stderr.specular)
-    leaves["specular"] = np.where(matte, 0, leaves["specular"])
-    return dataclasses.replace(maps.material, **leaves), touched
+    filled["specular"] = np.where(matte, 0, filled["specular"])
+    return dataclasses.replace(maps.material, **filled), touched
 
 
 def _medians(values: np.ndarray, identified: np.ndarray) -> np.ndarray:
@@ -79,22 +79,25 @@ def _medians(values: np.ndarray, identified: np.ndarray) -> np.ndarray:
 
 
 def gltf_textures(
-    leaves: Leaves, normals: Float[np.ndarray, "height width 3"]
+    textured: TextureMaps, normals: Float[np.ndarray, "height width 3"]
 ) -> Textures:
     """The four textures of a glTF material: see [`phongfit.files.gltf`][].
 
     **Arguments:** `normals`: in the axes of the image (right, up, to the viewer).
     """
-    tint = specular_colour(leaves.specular, leaves.shininess)
+    tint = specular_colour(textured.specular, textured.shininess)
     factor = np.maximum(tint.reshape(-1, 3).max(axis=0), 1e-6)
     base = np.concatenate(
-        [to_levels(leaves.diffuse, "srgb", 8), to_levels(leaves.inside, "linear", 8)],
+        [
+            to_levels(textured.diffuse, "srgb", 8),
+            to_levels(textured.inside, "linear", 8),
+        ],
         axis=-1,
     )
     # Red is not used, blue is metallic.
-    rough = np.zeros_like(leaves.diffuse)
-    rough[..., 1] = roughness(leaves.shininess)[..., 0]
-    ahead = np.where(leaves.inside > 0, normals, [0, 0, 1])
+    rough = np.zeros_like(textured.diffuse)
+    rough[..., 1] = roughness(textured.shininess)[..., 0]
+    ahead = np.where(textured.inside > 0, normals, [0, 0, 1])
     return Textures(
         encode_png(base),
         encode_png(to_levels(rough, "linear", 8)),
@@ -104,15 +107,15 @@ def gltf_textures(
     )
 
 
-def mtl_textures(leaves: Leaves) -> dict[str, tuple[bytes, list[float]]]:
+def mtl_textures(textured: TextureMaps) -> dict[str, tuple[bytes, list[float]]]:
     """For each texture of an .mtl its bytes, and the numbers that it multiplies."""
-    highest = float(max(leaves.shininess.max(), 1.0))
+    highest = float(max(textured.shininess.max(), 1.0))
     white = [1.0, 1.0, 1.0]
-    grey = np.repeat(leaves.shininess / highest, 3, axis=-1)
+    grey = np.repeat(textured.shininess / highest, 3, axis=-1)
     return {
-        "Ka": (encode_png(to_levels(leaves.ambient, "srgb", 8)), white),
-        "Kd": (encode_png(to_levels(leaves.diffuse, "srgb", 8)), white),
-        "Ks": (encode_png(to_levels(leaves.specular, "srgb", 8)), white),
+        "Ka": (encode_png(to_levels(textured.ambient, "srgb", 8)), white),
+        "Kd": (encode_png(to_levels(textured.diffuse, "srgb", 8)), white),
+        "Ks": (encode_png(to_levels(textured.specular, "srgb", 8)), white),
         "Ns": (encode_png(to_levels(grey, "linear", 8)), [highest]),
     }
 

@@ -44,7 +44,8 @@ class PixelTerms(eqx.Module):
     def radiance(self, material: Material) -> Float[Array, "*batch 3"]:
         """Linear RGB of every pixel, before the film's clamp.
 
-        **Raises:** `ValueError` if the material's leaves do not fit: see [`combine`][].
+        **Raises:** `ValueError` if the material's parameters do not fit: see
+        [`combine`][].
         """
         light = combine(self.terms, material)
         if self.clamp:
@@ -59,7 +60,7 @@ class PixelTerms(eqx.Module):
         With [`PixelTerms.fog_light`][] this is the whole image, save for a clamp at the
         points.
 
-        **Arguments:** `shininess`: as a leaf of a [`Material`][].
+        **Arguments:** `shininess`: as a parameter of a [`Material`][].
         """
         at_points = (
             self.terms.ambient,

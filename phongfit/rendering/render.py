@@ -23,7 +23,7 @@ def render(
     **Arguments:**
 
     - `scene`: geometry and lights.
-    - `material`: leaves of shape () or (3,), maps of shape (height, width, 3) with
+    - `material`: parameters of shape () or (3,), maps of shape (height, width, 3) with
         Phong shading, or (M, 3) where the surface is made of M materials.
     - `film`: default clamps to [0, 1] and leaves the light linear.
     - `gbuffer`: from `scene.trace()`, to render the same geometry again at less cost.

@@ -35,7 +35,7 @@ class ShadingTerms(eqx.Module):
     materials: int = eqx.field(static=True, default=1)
 
     def specular(self, shininess: Float[Array, "..."]) -> Float[Array, "*batch 3"]:
-        """Basis image S(f), for an exponent as a leaf of a [`Material`][]."""
+        """Basis image S(f), for an exponent as a parameter of a [`Material`][]."""
         shininess = self.leaf("shininess", shininess)
         *batch, _ = self.cosine.shape
         channels = 1 if shininess.ndim == 0 else shininess.shape[-1]
@@ -52,9 +52,9 @@ class ShadingTerms(eqx.Module):
         return jax.lax.scan(add, none, each, unroll=AT_ONCE)[0]
 
     def leaf(self, name: str, leaf: Float[Array, "..."]) -> Float[Array, "..."]:
-        """A leaf of a [`Material`][], as it is at the points where there are several.
+        """A parameter of a [`Material`][] at the points, where there are several.
 
-        **Raises:** `ValueError` that names the leaf if it holds too few materials.
+        **Raises:** `ValueError` that names the parameter if it holds too few materials.
         """
         if self.material_index is None or leaf.ndim != 2 or len(leaf) == 1:
             return leaf
@@ -72,15 +72,15 @@ ShadingTerms.__init__.__doc__ = """**Arguments:**
 - `cosine`: of the angle from each light's highlight.
 - `strength`: RGB of each light's highlight at its centre, for ρ_s = 1.
 - `model`: turns `cosine` into the height of the highlight.
-- `material_index`: which of `materials` each point is made of: a leaf of shape (M, 3)
-    or (M, 1) is then M materials. `None` where there is one.
+- `material_index`: which of `materials` each point is made of: a parameter of shape
+    (M, 3) or (M, 1) is then M materials. `None` where there is one.
 """
 
 
 def _spread(
     name: str, leaf: Float[Array, "..."], shape: tuple[int, ...]
 ) -> Float[Array, "..."]:
-    """A leaf of a material, broadcast to `shape`, whose last axis is colour."""
+    """A parameter of a material, broadcast to `shape`, whose last axis is colour."""
     missing = len(shape) - leaf.ndim
     if missing < 0 or any(
         have not in (1, want)
@@ -195,12 +195,12 @@ def _visibility(
 def combine(terms: ShadingTerms, material: Material) -> Float[Array, "*batch 3"]:
     r"""$\text{emission} + \rho_a A + \rho_d D + \rho_s S(f)$, before any clamp.
 
-    **Arguments:** `terms` of any batch shape; `material` whose leaves broadcast to it,
-    or hold a material for each index in `terms`.
+    **Arguments:** `terms` of any batch shape; `material` whose parameters broadcast to
+    it, or hold a material for each index in `terms`.
 
     **Returns:** linear RGB of the batch shape and 3.
 
-    **Raises:** `ValueError` that names the leaf which fits neither.
+    **Raises:** `ValueError` that names the parameter which fits neither.
     """
     shape = terms.diffuse.shape
 

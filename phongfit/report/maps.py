@@ -22,7 +22,7 @@ UNIDENTIFIED = "0.85"
 """Grey where there is nothing to be shown."""
 
 
-def draw_leaf(maps: Maps, name: str) -> Figure:
+def draw_parameter(maps: Maps, name: str) -> Figure:
     """A map as it looks, its numbers with their scale, and its standard errors.
 
     Numbers are means over the channels, errors root mean squares. Pixels that cannot

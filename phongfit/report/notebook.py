@@ -22,7 +22,7 @@ from phongfit.report.plots import plot
 from phongfit.report.words import settings, summary
 from phongfit.scene import Scene
 
-LEAVES = ("diffuse", "specular", "shininess", "ambient", "emission")
+SHOWN = ("diffuse", "specular", "shininess", "ambient", "emission")
 MOST_MATERIALS, MOST_LIGHTS = 8, 12
 SWATCH, PIXELS = 144, 240
 
@@ -45,16 +45,16 @@ def of_fit(fit: Fit) -> str:
 
 def of_material(material: Material) -> str:
     """What a ball of it looks like under one light, and its numbers."""
-    leaves = {name: np.asarray(getattr(material, name)) for name in LEAVES}
-    if max(leaf.ndim for leaf in leaves.values()) > 2:
-        maps = {name: leaf for name, leaf in leaves.items() if leaf.ndim > 2}
+    numbers = {name: np.asarray(getattr(material, name)) for name in SHOWN}
+    if max(leaf.ndim for leaf in numbers.values()) > 2:
+        maps = {name: leaf for name, leaf in numbers.items() if leaf.ndim > 2}
         return fill(
             "material.html",
             balls=[
                 {"source": _map(leaf), "alt": f"Map of {name}.", "name": name}
                 for name, leaf in maps.items()
             ],
-            rows=[(name, [_range(leaf)]) for name, leaf in leaves.items()],
+            rows=[(name, [_range(leaf)]) for name, leaf in numbers.items()],
             names=["from … to"],
             more=0,
         )
@@ -67,7 +67,7 @@ def of_material(material: Material) -> str:
     ]
     rows = [
         (name, [_numbers(np.asarray(getattr(one, name))) for one in shown])
-        for name in LEAVES
+        for name in SHOWN
     ]
     return fill(
         "material.html",
@@ -103,7 +103,7 @@ def of_scene(scene: Scene) -> str:
 
 
 def _numbers(leaf: np.ndarray) -> str:
-    """A leaf of one material: one number, or three that differ."""
+    """A parameter of one material: one number, or three that differ."""
     values = leaf.ravel()
     values = values[:1] if np.ptp(values) == 0 else values
     return ", ".join(f"{value:.4g}" for value in values)

@@ -111,14 +111,14 @@ def profiled(fit: Fit) -> list[str]:
         for label, is_free in zip(fit.labels, known, strict=True)
         if is_free and label in free
     ]
-    leaves = {label: label.partition(".")[0].partition("[")[0] for label in labels}
+    parameters = {label: label.partition(".")[0].partition("[")[0] for label in labels}
     order = sorted(
         labels,
         key=lambda label: (
-            _PROFILED.index(leaves[label]) if leaves[label] in _PROFILED else 9
+            _PROFILED.index(parameters[label]) if parameters[label] in _PROFILED else 9
         ),
     )
-    firsts = {leaves[label]: label for label in reversed(order)}
+    firsts = {parameters[label]: label for label in reversed(order)}
     return [label for label in order if label in firsts.values()][:MOST_PROFILES]
 
 

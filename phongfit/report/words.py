@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from phongfit.fitting.problem.leaves import REFLECTANCES
+from phongfit.fitting.problem.parameters import REFLECTANCES
 from phongfit.fitting.result import Fit
 from phongfit.fitting.uncertainty.numbers import number_with_error
 
@@ -33,9 +33,9 @@ _REFLECTANCE, _LENGTH = "reflectance, 0 … 1", "world units"
 
 def unit(label: str) -> str:
     """What a number is measured in, from its label."""
-    leaf = label.partition("[")[0].partition(".")[0]
-    if leaf in REFLECTANCES:
-        return "light, white = 1" if leaf == "emission" else _REFLECTANCE
+    parameter = label.partition("[")[0].partition(".")[0]
+    if parameter in REFLECTANCES:
+        return "light, white = 1" if parameter == "emission" else _REFLECTANCE
     words = label.removesuffix(".x").removesuffix(".y").removesuffix(".z")
     for channel in (".red", ".green", ".blue"):
         words = words.removesuffix(channel)
@@ -58,9 +58,9 @@ def identified(fit: Fit) -> np.ndarray:
 def summary(fit: Fit) -> list[str]:
     """What came out, in a few sentences."""
     sentences = [_what(fit), _how_it_ended(fit), _residual_words(fit)]
-    known = [name for name in _MATERIAL if _identified_leaf(fit, name)]
+    known = [name for name in _MATERIAL if _identified_parameter(fit, name)]
     if known:
-        found = "; ".join(_leaf_words(fit, name) for name in known)
+        found = "; ".join(_parameter_words(fit, name) for name in known)
         sentences.append(f"Found: {found}.")
     for flags, what in (
         (fit.unidentified, "The data do not identify {}: the warnings say why."),
@@ -109,7 +109,7 @@ def _residual_words(fit: Fit) -> str:
     return f"{words}."
 
 
-def _identified_leaf(fit: Fit, name: str) -> bool:
+def _identified_parameter(fit: Fit, name: str) -> bool:
     entries = [k for k, label in enumerate(fit.labels) if _is_of(label, name)]
     return bool(entries) and len(entries) <= 3 and bool(identified(fit)[entries].all())
 
@@ -118,7 +118,7 @@ def _is_of(label: str, name: str) -> bool:
     return label == name or label.startswith(f"{name}.")
 
 
-def _leaf_words(fit: Fit, name: str) -> str:
+def _parameter_words(fit: Fit, name: str) -> str:
     numbers = [
         f"{number_with_error(value, error)} ± {error:.2g}"
         for label, value, error in zip(fit.labels, fit.values, fit.errors, strict=True)
@@ -160,12 +160,14 @@ def settings(module: Any) -> str:
 def bounds_words(fit: Fit) -> str:
     """Bounds of the unknowns; those that are the same are named once."""
     unknowns = fit.solution.problem.unknowns
-    leaves = unknowns.entry_leaf[unknowns.reported]
+    parameters = unknowns.entry_parameter[unknowns.reported]
     groups: dict[tuple[float, float], list[str]] = {}
-    for leaf, (low, high) in zip(leaves.tolist(), fit.bounds.tolist(), strict=True):
+    for parameter, (low, high) in zip(
+        parameters.tolist(), fit.bounds.tolist(), strict=True
+    ):
         names = groups.setdefault((low, high), [])
-        if leaf not in names:
-            names.append(leaf)
+        if parameter not in names:
+            names.append(parameter)
     return "; ".join(
         f"{listed(names)} {low:g} … {high:g}".replace("inf", "∞").replace("-", "−")
         for (low, high), names in groups.items()

@@ -5,7 +5,7 @@ import pytest
 
 from experiments.how_well import (
     EXPERIMENT,
-    LEAVES,
+    PARAMETERS,
     SIZE,
     Spread,
     Sweep,
@@ -48,7 +48,7 @@ def test_what_makes_errors_larger(found):
     np.testing.assert_allclose(
         bound["resolution"][1] / bound["resolution"][0], 2 / 3, 0.1
     )
-    specular, f = LEAVES.index("specular"), LEAVES.index("shininess")
+    specular, f = PARAMETERS.index("specular"), PARAMETERS.index("shininess")
     for name in ("clipping", "highlight"):
         first, last = numbers[name]
         assert first["identified"].all()
@@ -58,10 +58,12 @@ def test_what_makes_errors_larger(found):
 
 def test_a_highlight_out_of_view_is_not_identifiable(found):
     *_, last = found(EXPERIMENT).numbers["highlight"]
-    identified = dict(zip(LEAVES, last["identified"], strict=True))
+    identified = dict(zip(PARAMETERS, last["identified"], strict=True))
     assert last["x"] < 1 and not identified["specular"] and not identified["shininess"]
     # What the fits themselves state of the others covers any exponent.
-    assert identified["diffuse"] and 0.3 < last["pull"][LEAVES.index("diffuse")] < 1.2
+    assert (
+        identified["diffuse"] and 0.3 < last["pull"][PARAMETERS.index("diffuse")] < 1.2
+    )
 
 
 def test_a_spread_off_the_bound_is_seen():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from experiments.wrong_model import DIAGNOSTICS, EXPERIMENT, LEAVES, TRUTH
+from experiments.wrong_model import DIAGNOSTICS, EXPERIMENT, PARAMETERS, TRUTH
 
 pytestmark = pytest.mark.float64
 
@@ -12,7 +12,7 @@ def outcomes(found):
 
 
 def bias(outcome, leaf):
-    return outcome["bias"][LEAVES.index(leaf)]
+    return outcome["bias"][PARAMETERS.index(leaf)]
 
 
 def test_the_right_model_is_fine(found, outcomes):

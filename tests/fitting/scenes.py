@@ -12,7 +12,7 @@ from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.rendering.film import decode
 
 SIZE = 32
-LEAVES = ("ambient", "diffuse", "specular", "shininess")
+PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 
 
 def two_lights(kind: str) -> tuple[pf.AbstractLight, pf.AbstractLight]:
@@ -56,7 +56,7 @@ TRUTH = pf.Material(
 
 def as_vector(material: pf.Material) -> np.ndarray:
     """The ten numbers of a material in the order of a fit's default unknowns."""
-    leaves = [np.asarray(getattr(material, name), float) for name in LEAVES]
+    leaves = [np.asarray(getattr(material, name), float) for name in PARAMETERS]
     return np.concatenate([np.ravel(leaf) for leaf in leaves])
 
 

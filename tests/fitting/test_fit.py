@@ -16,7 +16,7 @@ MASK = np.asarray(SCENE.trace().mask)
 
 
 def check_near_truth(fit: pf.Fit, truth: pf.Material = TRUTH) -> None:
-    """Converged, and every leaf within 4.5 of its standard errors."""
+    """Converged, and every parameter within 4.5 of its standard errors."""
     assert fit.converged
     for name in ("ambient", "diffuse", "specular", "shininess", "emission"):
         off = np.asarray(getattr(fit.material, name)) - getattr(truth, name)

@@ -12,7 +12,7 @@ from phongfit.fitting.problem.samples import seen_pixels
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.solve.start import choose_few
 from phongfit.fitting.uncertainty import scatter
-from tests.fitting.scenes import LEAVES, TRUTH, as_vector, ball, photograph
+from tests.fitting.scenes import PARAMETERS, TRUTH, as_vector, ball, photograph
 from tests.helpers import known, near
 
 SCENE = ball()
@@ -170,7 +170,9 @@ def test_options_are_those_of_a_fit():
     masked = pf.predict_errors(SCENE, TRUTH, NOISE, mask=half)
     assert masked.n_samples < 0.6 * free.n_samples
     np.testing.assert_allclose(masked.errors / free.errors, 2**0.5, rtol=0.15)
-    tied = pf.predict_errors(SCENE, TRUTH, NOISE, unknowns=LEAVES[:2], per_channel=())
+    tied = pf.predict_errors(
+        SCENE, TRUTH, NOISE, unknowns=PARAMETERS[:2], per_channel=()
+    )
     assert tied.labels == ("ambient", "diffuse")
 
 

@@ -5,8 +5,15 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.problem.leaves import scene_arrays
-from tests.fitting.scenes import LEAVES, TRUTH, as_vector, ball, photograph, two_lights
+from phongfit.fitting.problem.parameters import scene_arrays
+from tests.fitting.scenes import (
+    PARAMETERS,
+    TRUTH,
+    as_vector,
+    ball,
+    photograph,
+    two_lights,
+)
 from tests.helpers import floats, near
 
 NOISE = 0.01
@@ -32,7 +39,7 @@ def changed(scene: pf.Scene, arrays: dict) -> pf.Scene:
 def true_values(fit: pf.Fit, scene: pf.Scene) -> np.ndarray:
     """The truth in the order of a fit's labels; directions of length 1."""
     arrays = scene_arrays(scene)
-    truth = {f"{name}.": getattr(TRUTH, name) for name in LEAVES}
+    truth = {f"{name}.": getattr(TRUTH, name) for name in PARAMETERS}
     for name, array in arrays.items():
         long = name.endswith("direction")
         truth[f"{name}."] = array / np.linalg.norm(array) if long else array
@@ -129,7 +136,7 @@ def test_each_image_has_its_light_and_exposure():
     fit = pf.fit(
         [start, start],
         images,
-        unknowns=(*LEAVES, name, "exposure"),
+        unknowns=(*PARAMETERS, name, "exposure"),
         per_image=(name,),
         fixed={"exposure[0]": 1.0},
     )
@@ -176,16 +183,16 @@ DEGENERATE = "are degenerate: they change the image in the same way"
 @pytest.mark.parametrize(
     "scene, names, unidentified",
     [
-        (ONE_LIGHT, (*LEAVES, BOTH[0]), ("diffuse", "specular", BOTH[0])),
+        (ONE_LIGHT, (*PARAMETERS, BOTH[0]), ("diffuse", "specular", BOTH[0])),
         (
             ONE_LIGHT,
-            (*LEAVES, "exposure"),
+            (*PARAMETERS, "exposure"),
             ("ambient", "diffuse", "specular", "exposure"),
         ),
-        (SCENE, (*LEAVES, "scene.ambient"), ("ambient", "scene.ambient")),
+        (SCENE, (*PARAMETERS, "scene.ambient"), ("ambient", "scene.ambient")),
         (TWINS, BOTH, BOTH),
         # The other light is known, and so is the scale.
-        (SCENE, (*LEAVES, BOTH[0]), ()),
+        (SCENE, (*PARAMETERS, BOTH[0]), ()),
     ],
 )
 def test_what_nobody_could_tell_is_named(scene, names, unidentified):
@@ -207,7 +214,7 @@ def test_what_nobody_could_tell_is_named(scene, names, unidentified):
 @pytest.mark.parametrize("noise", [NOISE, 0.0])
 def test_one_image_does_not_tell_its_exposure(noise):
     image = photograph(ONE_LIGHT, TRUTH, noise=noise)
-    fit = pf.fit(ONE_LIGHT, image, unknowns=(*LEAVES, "exposure"))
+    fit = pf.fit(ONE_LIGHT, image, unknowns=(*PARAMETERS, "exposure"))
     assert fit.converged
     (warning,) = fit.warnings
     assert warning.endswith(DEGENERATE) and "exposure" in warning

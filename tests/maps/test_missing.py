@@ -11,7 +11,7 @@ import phongfit as pf
 from tests.maps.synthetic import DTYPE, Stack, make_stack, pulls, same
 
 LIGHTS, NOISE = 24, 0.01
-LEAVES = ("ambient", "diffuse", "specular", "shininess")
+PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 EVERY = np.ones((20, 20, 3), bool)
 
 
@@ -45,7 +45,7 @@ def mosaic() -> list[np.ndarray]:
 def test_a_mosaic(stack):
     maps = fitted(stack, mosaic())
     assert np.all(maps.samples == LIGHTS)
-    for name in LEAVES:
+    for name in PARAMETERS:
         found = coverage(maps, stack.truth, name)
         # Exponents near the end of what the data tell have wide, one-sided errors.
         assert 0.92 < found < (0.995 if name == "shininess" else 0.98), name
@@ -75,7 +75,7 @@ def test_a_saturated_channel():
     images = np.minimum(clean + NOISE * rng.normal(size=clean.shape), 1)
     assert np.mean(images[..., 0] == 1) > 0.25 and np.all(images[..., 1:] < 1)
     maps = fitted(usual, [EVERY] * LIGHTS, images.astype(DTYPE))
-    for name in LEAVES:
+    for name in PARAMETERS:
         assert 0.92 < coverage(maps, truth, name) < 0.98, name
     assert np.mean(maps.chi_squared > 1.8) < 0.01
 
@@ -104,7 +104,7 @@ def test_pixels_at_a_bound(stack):
     maps = fitted(stack, mosaic(), images)
     bound = maps.flagged(pf.Flag.AT_BOUND)
     assert 0.5 < bound.mean() < 0.95
-    for name in LEAVES:
+    for name in PARAMETERS:
         error = getattr(maps.stderr, name)[bound]
         off = (
             getattr(maps, name)[bound]

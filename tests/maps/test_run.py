@@ -9,7 +9,7 @@ import phongfit as pf
 from phongfit.maps.pixel.flags import Flag
 from tests.maps.synthetic import DTYPE, Stack, make_stack, pulls
 
-LEAVES = ("ambient", "diffuse", "specular", "shininess")
+PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 FREE = pf.Film(clamp=False)
 
 
@@ -25,7 +25,7 @@ def maps(stack: Stack) -> pf.Maps:
 
 def test_truth_lies_within_the_errors(stack, maps):
     assert maps.identified.mean() > 0.95
-    for name in LEAVES:
+    for name in PARAMETERS:
         pull = pulls(maps, stack.truth, name)
         assert abs(pull.mean()) < 6 / np.sqrt(pull.size) + 0.03, name
         # The tails of an exponent are long, so a mean square would say little.
@@ -60,11 +60,11 @@ def test_bad_pixels_are_marked_and_disturb_none(stack, maps):
     assert found.samples[5, 6] == 47 and found.identified[5, 6]
     for y, x in ((3, 4), (7, 8), (0, 0)):
         assert not found.identified[y, x]
-        for name in LEAVES:
+        for name in PARAMETERS:
             assert np.isinf(getattr(found.stderr, name)[y, x]).all()
     touched = np.zeros((16, 24), bool)
     touched[[3, 5, 7, 9, 0], [4, 6, 8, 10, 0]] = True
-    for name in LEAVES:
+    for name in PARAMETERS:
         values, before = getattr(found, name), getattr(maps, name)
         assert np.isfinite(values).all()
         np.testing.assert_allclose(values[~touched], before[~touched], rtol=1e-3)
@@ -109,7 +109,7 @@ def test_no_highlight_and_no_light_are_told(stack):
 def test_some_leaves_may_be_known(stack):
     known = stack.truth
     flat = pf.Material(0.0, 0.3, 15.0, 0.4)
-    with pytest.raises(ValueError, match="known: a leaf of shape"):
+    with pytest.raises(ValueError, match="known: a parameter of shape"):
         pf.fit_maps(stack.scenes, stack.images, unknowns=("diffuse",), known=known)
     clean = [np.asarray(pf.render(s, flat, film=FREE)) for s in stack.scenes]
     matte = pf.Material(known.diffuse, 0.0, 15.0, 0.0)
@@ -215,7 +215,7 @@ def test_sixteen_thousand_pixels():
     stack = make_stack(128, 125, 96)
     maps = pf.fit_maps(stack.scenes, stack.images, film=FREE)
     assert maps.identified.mean() > 0.99
-    for name in LEAVES:
+    for name in PARAMETERS:
         pull = pulls(maps, stack.truth, name)
         assert np.mean(pull**2) == pytest.approx(1, abs=0.08), name
         assert np.mean(np.abs(pull) < 1.96) == pytest.approx(0.95, abs=0.01), name

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.maps.result import LEAVES, Leaves, Maps
-from phongfit.maps.textures import filled_in, leaves_of
-from phongfit.report.maps import draw_leaf
+from phongfit.maps.result import MAP_PARAMETERS, Maps, ParameterMaps
+from phongfit.maps.textures import filled_in, texture_maps
+from phongfit.report.maps import draw_parameter
 
 SIZE = (2, 3)
 # Of six pixels: two that identify all, a matte one, one that no light shows a highlight
@@ -26,7 +26,7 @@ def made() -> Maps:
     grey = np.ones((*SIZE, 3))
     specular = np.array([[0.2, 0.4, 0.03], [0.9, 0.3, 0]])[..., None] * grey
     shininess = np.array([[10.0, 40, 777], [888, 1000, 0]])[..., None]
-    errors = {name: np.full((*SIZE, 3), 0.01) for name in LEAVES[:2]}
+    errors = {name: np.full((*SIZE, 3), 0.01) for name in MAP_PARAMETERS[:2]}
     speculars = np.array([[0.01, 0.01, 0.02], [np.inf, 0.01, np.inf]])[..., None] * grey
     exponents = np.array([[1.0, 1, np.inf], [np.inf, np.inf, np.inf]])[..., None]
     return Maps(
@@ -34,11 +34,11 @@ def made() -> Maps:
         diffuse=0.5 * grey,
         specular=specular,
         shininess=shininess,
-        stderr=Leaves(**errors, specular=speculars, shininess=exponents),
+        stderr=ParameterMaps(**errors, specular=speculars, shininess=exponents),
         noise=np.full(SIZE, 0.01),
         samples=np.full(SIZE, 90),
         flags=FLAGS,
-        unknowns=LEAVES,
+        unknowns=MAP_PARAMETERS,
         noise_given=None,
     )
 
@@ -57,23 +57,23 @@ def test_chance_is_filled_in():
 @pytest.mark.parametrize("model", [pf.Phong(), pf.BlinnPhong(normalized=True)])
 def test_before_exponents_are_converted(model):
     """What is filled in is converted like the rest."""
-    leaves = leaves_of(made(), model)
+    textured = texture_maps(made(), model)
     times = 4 if isinstance(model, pf.Phong) else 1
     expected = np.array([[10, 40, 40], [40, 1000, 0]]) * times
-    np.testing.assert_allclose(leaves.shininess[..., 0], expected, rtol=1e-6)
-    assert np.all(leaves.specular[0, 2] == 0) and leaves.filled.sum() == 2
+    np.testing.assert_allclose(textured.shininess[..., 0], expected, rtol=1e-6)
+    assert np.all(textured.specular[0, 2] == 0) and textured.filled.sum() == 2
 
 
 def test_where_no_pixel_tells():
     none = dataclasses.replace(made(), flags=FLAGS | int(pf.Flag.TOO_FEW))
-    lost = Leaves(*(np.full_like(leaf, np.inf) for leaf in none.stderr))
+    lost = ParameterMaps(*(np.full_like(leaf, np.inf) for leaf in none.stderr))
     filled, where = filled_in(dataclasses.replace(none, stderr=lost))
     assert not np.asarray(filled.specular).any() and where.sum() == 5
 
 
 def test_what_is_known_or_black_stays():
     maps = made()
-    known = Leaves(*(np.zeros_like(leaf) for leaf in maps.stderr))
+    known = ParameterMaps(*(np.zeros_like(leaf) for leaf in maps.stderr))
     filled, where = filled_in(dataclasses.replace(maps, stderr=known, flags=0 * FLAGS))
     np.testing.assert_array_equal(filled.shininess, maps.material.shininess)
     assert not where.any()
@@ -82,10 +82,10 @@ def test_what_is_known_or_black_stays():
 
 
 def test_previews_leave_chance_out():
-    figure = draw_leaf(made(), "shininess")
+    figure = draw_parameter(made(), "shininess")
     numbers = np.ma.asarray(figure.axes[0].images[0].get_array())
     shown = np.ma.filled(numbers.astype(float), np.nan)
     np.testing.assert_array_equal(np.isfinite(shown), [[1, 1, 0], [0, 0, 0]])
-    figure = draw_leaf(made(), "specular")
+    figure = draw_parameter(made(), "specular")
     colours = np.asarray(figure.axes[0].images[0].get_array())
     assert np.all(colours[1, 0] == 0.85) and np.ptp(colours[0, :, 0]) > 0.1

@@ -37,7 +37,7 @@ class Situation:
 
     - `name`, `kind`: see [`judge`][];
     - `ask`: from a generator for each draw to what is said of them;
-    - `free`: leaves that the data cannot identify;
+    - `free`: parameters that the data cannot identify;
     - `wide`: whether intervals may be too wide;
     - `share`: of the draws asked for, where a draw takes long.
     """
@@ -124,11 +124,11 @@ def fits(
 MATERIAL = pf.Material((0.6, 0.3, 0.2), (0.3, 0.25, 0.35), 20.0, (0.5, 0.4, 0.3))
 
 
-def changed(**leaves: Any) -> pf.Material:
-    """The usual material, or one with other leaves."""
+def changed(**parameters: Any) -> pf.Material:
+    """The usual material, or one with other parameters."""
     usual = {name: getattr(MATERIAL, name) for name in ("diffuse", "specular")}
     usual |= {name: getattr(MATERIAL, name) for name in ("shininess", "ambient")}
-    return pf.Material(**(usual | leaves))
+    return pf.Material(**(usual | parameters))
 
 
 def lamp(

@@ -18,7 +18,7 @@ from phongfit.fitting.uncertainty.quantiles import student_reach
 PIXELS = 100
 LIGHTS = 16
 AMBIENT = 0.3
-LEAVES = ("ambient", "diffuse", "specular", "shininess")
+PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 CHANNELS = ("red", "green", "blue")
 
 Stack = Float[np.ndarray, "lights height width 3"]
@@ -45,7 +45,7 @@ def situations() -> list[Situation]:
         "maps, Cauchy, clean": maps(loss="cauchy"),
         "maps, Tukey, clean, noise given": maps(whole, loss="tukey", **given),
         "maps, Tukey, 10% garbage": maps(garbage, loss="tukey", **given),
-        "maps, an exponent a channel": maps(per_channel=LEAVES),
+        "maps, an exponent a channel": maps(per_channel=PARAMETERS),
         "maps, seven lights": maps(whole, lights=7, **given),
     }
     wide = ("0.05", "bounds", "garbage", "seven", "channel", "missing", "mosaic")
@@ -210,7 +210,7 @@ def garbage(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str
 
 def of_maps(found: pf.Maps, truth: pf.Material) -> Answers:
     """Every pixel as a draw, every flag as a warning."""
-    columns = [column for leaf in LEAVES for column in _columns(found, truth, leaf)]
+    columns = [column for leaf in PARAMETERS for column in _columns(found, truth, leaf)]
     labels, value, error, true = zip(*columns, strict=True)
     estimate, error, true = (
         np.stack(one, axis=1).astype(float) for one in (value, error, true)

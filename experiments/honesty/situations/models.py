@@ -23,7 +23,7 @@ from experiments.honesty.situations.base import (
     when_asked,
 )
 
-LEAVES = ("ambient", "diffuse", "specular", "shininess")
+PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 
 
 def situations() -> list[Situation]:
@@ -55,7 +55,7 @@ def situations() -> list[Situation]:
         Situation(
             "an exponent a channel",
             "right",
-            fits(usual(coloured), noisy(), per_channel=LEAVES),
+            fits(usual(coloured), noisy(), per_channel=PARAMETERS),
         ),
     ]
 

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from phongfit.fitting.problem.charts import nearest_rotation, tangents
-from phongfit.fitting.problem.leaves import (
+from phongfit.fitting.problem.parameters import (
     DEFAULT_BOUNDS,
-    LEAVES,
-    Leaf,
+    MATERIAL_PARAMETERS,
+    Parameter,
     is_of_scene,
-    leaf,
+    parameter,
     scene_arrays,
 )
 from phongfit.fitting.problem.specification import Specification, Tie
@@ -35,10 +35,10 @@ def make_unknowns(
     # Where nothing is known, no light comes back.
     known = specification.known
     known = Material(0.0, 0.0, 32.0, 0.0) if known is None else known
-    leaves = _leaves(specification, known, materials, scenes)
-    names = _Names(leaves)
+    parameters = _parameters(specification, known, materials, scenes)
+    names = _Names(parameters)
     size = len(names.labels)
-    first = first_values(leaves, scenes)
+    first = first_values(parameters, scenes)
     factor, offset, is_fixed, source = _held(names, fixed, ties)
     own = (np.arange(size) == source) & ~is_fixed
     if not own.any():
@@ -47,8 +47,8 @@ def make_unknowns(
     low, high = _boxes(names, bounds, is_fixed)
     low, high = _narrowed(names, low, high, factor, source)
     _check_fixed(names, offset, is_fixed, ties)
-    forms = np.repeat([f.form for f in leaves], [f.size for f in leaves])
-    scale = _scales(leaves, first)
+    forms = np.repeat([f.form for f in parameters], [f.size for f in parameters])
+    scale = _scales(parameters, first)
     logarithm, direction = forms == "logarithm", forms == "direction"
     with np.errstate(divide="ignore"):
         low, high = (
@@ -56,15 +56,15 @@ def make_unknowns(
             for e in (low, high)
         )
     start = np.where(direction | logarithm, 0, first / scale)
-    place, taken = np.zeros(size, int), 0
-    owners = []
+    y_index, taken = np.zeros(size, int), 0
+    own_entries = []
     for entry in np.flatnonzero(own):
         if direction[entry] and names.part[entry] > 0:
-            place[entry] = place[entry - 1]
+            y_index[entry] = y_index[entry - 1]
             continue
-        place[entry] = taken
+        y_index[entry] = taken
         count = 2 if direction[entry] else 1
-        owners += [entry] * count
+        own_entries += [entry] * count
         taken += count
     mean, deviation, has_prior = _priors(names, priors, is_fixed)
     base = first[direction].reshape(-1, 3)
@@ -80,22 +80,22 @@ def make_unknowns(
                 scale=scale,
                 base=base,
                 across=tangents(base),
-                turn=_rotations(leaves, scenes),
+                turn=_rotations(parameters, scenes),
                 prior_mean=mean,
                 prior_deviation=deviation,
-                start=np.clip(start, low, high)[owners],
-                lower=low[owners],
-                upper=high[owners],
+                start=np.clip(start, low, high)[own_entries],
+                lower=low[own_entries],
+                upper=high[own_entries],
             ).items()
         }
     )
     return Unknowns(
-        leaves=leaves,
+        parameters=parameters,
         materials=materials,
         images=max(len(scenes), 1),
-        owner=tuple(int(entry) for entry in owners),
+        entry_of_y=tuple(int(entry) for entry in own_entries),
         source=tuple(source.tolist()),
-        place=tuple(place.tolist()),
+        y_index=tuple(y_index.tolist()),
         fixed=tuple(is_fixed.tolist()),
         has_prior=tuple(has_prior.tolist()),
         known=known,
@@ -104,20 +104,21 @@ def make_unknowns(
 
 
 class _Names:
-    """From a leaf's or an entry's name to places among the entries."""
+    """From a parameter's or an entry's name to indices of entries."""
 
-    def __init__(self, leaves: tuple[Leaf, ...]):
-        self.labels = [label for leaf in leaves for label in leaf.labels]
-        self.form = [leaf.form for leaf in leaves for _ in leaf.labels]
-        self.leaf = [leaf for leaf in leaves for _ in leaf.labels]
+    def __init__(self, parameters: tuple[Parameter, ...]):
+        self.labels = [label for one in parameters for label in one.labels]
+        self.form = [one.form for one in parameters for _ in one.labels]
+        self.parameter = [one for one in parameters for _ in one.labels]
         self.part = [
             part
-            for leaf in leaves
-            for _ in leaf.rows
-            for part in range(len(leaf.parts))
+            for one in parameters
+            for _ in one.rows
+            for part in range(len(one.parts))
         ]
         self._of: dict[str, list[int]] = {}
-        for entry, (label, one) in enumerate(zip(self.labels, self.leaf, strict=True)):
+        pairs = zip(self.labels, self.parameter, strict=True)
+        for entry, (label, one) in enumerate(pairs):
             row = label.removesuffix(one.parts[self.part[entry]])
             for name in {one.name, row, label}:
                 self._of.setdefault(name, []).append(entry)
@@ -126,7 +127,7 @@ class _Names:
         """**Raises:** `ValueError` if nothing that is unknown has this name."""
         if name not in self._of:
             there = ", ".join(
-                dict.fromkeys((*[f.name for f in self.leaf], *self.labels))
+                dict.fromkeys((*[f.name for f in self.parameter], *self.labels))
             )
             raise ValueError(f"{argument}: {name!r} came, one of {there} is wanted")
         return np.array(self._of[name])
@@ -145,20 +146,20 @@ class _Names:
         return values
 
 
-def _leaves(
+def _parameters(
     asked: Specification, known: Material, materials: int, scenes: Sequence[Scene]
-) -> tuple[Leaf, ...]:
+) -> tuple[Parameter, ...]:
     rows = () if materials == 1 else ((materials, 1), (materials, 3))
-    for name in LEAVES:
+    for name in MATERIAL_PARAMETERS:
         shape = getattr(known, name).shape
         if shape not in ((), (1,), (3,), *rows):
             wanted = ", ".join(map(str, ((), (3,), *rows)))
             raise ValueError(f"known: {name} has shape {shape}, one of {wanted} wanted")
     # In the order of the table that users read, whatever the order they were named in.
-    ordered = [name for name in LEAVES if name in asked.unknowns]
-    ordered += [name for name in asked.unknowns if name not in LEAVES]
-    leaves = tuple(
-        leaf(
+    ordered = [name for name in MATERIAL_PARAMETERS if name in asked.unknowns]
+    ordered += [name for name in asked.unknowns if name not in MATERIAL_PARAMETERS]
+    parameters = tuple(
+        parameter(
             name,
             name in asked.per_channel,
             materials,
@@ -167,7 +168,7 @@ def _leaves(
         )
         for name in ordered
     )
-    for entry in leaves:
+    for entry in parameters:
         if is_of_scene(entry.name) and not entry.per_image:
             arrays = [np.asarray(scene_arrays(scene)[entry.name]) for scene in scenes]
             if any(not np.array_equal(array, arrays[0]) for array in arrays):
@@ -175,17 +176,17 @@ def _leaves(
                     f"unknowns: {entry.name} differs between the scenes; name it in "
                     "per_image as well, or start all from the same"
                 )
-    return leaves
+    return parameters
 
 
 def first_values(
-    leaves: tuple[Leaf, ...],
+    parameters: tuple[Parameter, ...],
     scenes: Sequence[Scene],
     material: Material | None = None,
 ) -> np.ndarray:
     """What scenes and material say of all entries; 1 where they say nothing."""
     values = []
-    for one in leaves:
+    for one in parameters:
         size = (len(one.rows), len(one.parts))
         said = np.ones(())
         if one.form == "rotation":
@@ -194,7 +195,7 @@ def first_values(
         elif is_of_scene(one.name):
             arrays = [scene_arrays(scene)[one.name] for scene in scenes[: size[0]]]
             said = np.stack([np.asarray(a, float).ravel() for a in arrays])
-        elif material is not None and one.name in LEAVES:
+        elif material is not None and one.name in MATERIAL_PARAMETERS:
             said = np.asarray(getattr(material, one.name), float)
         if said.shape[-1:] == (3,) and size[1] == 1:
             # One number for three colours: their mean.
@@ -203,10 +204,10 @@ def first_values(
     return np.concatenate(values)
 
 
-def _scales(leaves: tuple[Leaf, ...], first: np.ndarray) -> np.ndarray:
+def _scales(parameters: tuple[Parameter, ...], first: np.ndarray) -> np.ndarray:
     """Units in which the numbers of a scene are of order 1."""
-    scales, ends = [], np.cumsum([one.size for one in leaves])
-    for one, end in zip(leaves, ends, strict=True):
+    scales, ends = [], np.cumsum([one.size for one in parameters])
+    for one, end in zip(parameters, ends, strict=True):
         scale = np.abs(first[end - one.size : end]).max()
         if one.form == "rotation":
             scale = np.rad2deg(1.0)
@@ -216,11 +217,13 @@ def _scales(leaves: tuple[Leaf, ...], first: np.ndarray) -> np.ndarray:
     return np.concatenate(scales)
 
 
-def _rotations(leaves: tuple[Leaf, ...], scenes: Sequence[Scene]) -> np.ndarray:
+def _rotations(
+    parameters: tuple[Parameter, ...], scenes: Sequence[Scene]
+) -> np.ndarray:
     """(rotations, 3, 3): where those that are unknown start, exactly orthonormal."""
     found = [
         nearest_rotation(np.asarray(scene_arrays(scene)[one.name]))
-        for one in leaves
+        for one in parameters
         if one.form == "rotation"
         for scene in scenes[: len(one.rows)]
     ]
@@ -286,7 +289,8 @@ def _check_tie(
     forms = {names.form[entry], names.form[target]}
     if "direction" in forms:
         raise ValueError(f"ties: {label} to {other}: directions cannot be tied")
-    materials = {names.leaf[k].name in LEAVES for k in (entry, target)}
+    both = (names.parameter[k].name for k in (entry, target))
+    materials = {name in MATERIAL_PARAMETERS for name in both}
     if len(forms) > 1 or len(materials) > 1:
         raise ValueError(
             f"ties: {label} to {other}: reflectances, exponents and numbers of the "
@@ -317,10 +321,10 @@ def _boxes(
     names: _Names, bounds: Mapping[str, tuple[float, float]], is_fixed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper bounds of all entries in the user's units."""
-    low, high = np.array([leaf.default_bounds for leaf in names.leaf]).T.copy()
+    low, high = np.array([one.default_bounds for one in names.parameter]).T.copy()
     for name, box in bounds.items():
         # Bounds of what is known do no harm.
-        if name in DEFAULT_BOUNDS and name not in {f.name for f in names.leaf}:
+        if name in DEFAULT_BOUNDS and name not in {f.name for f in names.parameter}:
             continue
         entries = names.entries("bounds", name)
         if any(names.form[entry] == "direction" for entry in entries):
@@ -365,7 +369,7 @@ def _check_fixed(
 ) -> None:
     """Nothing that cannot be negative is held below 0."""
     for entry in np.flatnonzero(is_fixed):
-        if value[entry] < 0 <= names.leaf[entry].default_bounds[0]:
+        if value[entry] < 0 <= names.parameter[entry].default_bounds[0]:
             label = names.labels[entry]
             tied = any(entry in names.entries("ties", name) for name in ties)
             raise ValueError(

@@ -42,7 +42,7 @@ class Problem:
     def light(self, y: Float[Array, " n"]) -> Float[Array, "3 samples"]:
         """Linear light, before the film, that the model predicts for each sample."""
         entries = self.unknowns.entries(y)
-        light = self.channels(entries).light(self.unknowns.with_leaves(entries))
+        light = self.channels(entries).light(self.unknowns.as_material(entries))
         exposure = self.exposure(entries)
         return light if exposure is None else light * exposure
 
@@ -138,10 +138,10 @@ class Problem:
 
     def group(self) -> Int[Array, " samples"]:
         """Which material, and image where images differ, each sample belongs to."""
-        owner = self.samples.material_index()
+        material = self.samples.material_index()
         if not self.unknowns.differs_between_images:
-            return owner
-        return owner * self.unknowns.images + self.samples.image
+            return material
+        return material * self.unknowns.images + self.samples.image
 
 
 class Evaluation(eqx.Module):

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from phongfit.fitting.problem.leaves import LEAVES, is_of_scene
 from phongfit.fitting.problem.losses import AbstractLoss, as_loss
+from phongfit.fitting.problem.parameters import MATERIAL_PARAMETERS, is_of_scene
 from phongfit.material import Material
 from phongfit.rendering.film import Film
 
@@ -112,7 +112,7 @@ class Specification:
             raise ValueError("unknowns: none came, at least one is wanted")
         if len(set(self.unknowns)) != len(self.unknowns):
             raise ValueError(f"unknowns: a name came twice: {', '.join(self.unknowns)}")
-        there = tuple(dict.fromkeys((*LEAVES, *self.unknowns)))
+        there = tuple(dict.fromkeys((*MATERIAL_PARAMETERS, *self.unknowns)))
         for argument in ("per_channel", "per_image"):
             for name in getattr(self, argument):
                 if name not in there:

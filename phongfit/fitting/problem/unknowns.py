@@ -16,10 +16,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.fitting.problem.charts import on_sphere, turned
-from phongfit.fitting.problem.leaves import (
+from phongfit.fitting.problem.parameters import (
     EXPOSURE,
-    LEAVES,
-    Leaf,
+    MATERIAL_PARAMETERS,
+    Parameter,
     is_of_scene,
     moves_geometry,
     with_arrays,
@@ -33,21 +33,21 @@ STATIC = {"static": True}
 
 @record
 class Unknowns:
-    r"""Which leaves are wanted, what holds them together, and the solver's box.
+    r"""Which parameters are unknown, what holds them together, and the solver's box.
 
-    The numbers of all leaves, one after the other, are the *entries*, in the user's
-    units. An entry has its own place in the solver's vector y, is tied to another's or
+    The numbers of all parameters, one after the other, are the *entries*, in the user's
+    units. An entry has its own number in the solver's vector y, is tied to another's or
     is fixed: $\theta_i = o_i + c_i\,\phi_{s(i)}(y)$.
     """
 
-    leaves: tuple[Leaf, ...] = dataclasses.field(metadata=STATIC)
+    parameters: tuple[Parameter, ...] = dataclasses.field(metadata=STATIC)
     materials: int = dataclasses.field(metadata=STATIC)
     images: int = dataclasses.field(metadata=STATIC)
     # The entry that each number of y belongs to; of a direction, its first.
-    owner: tuple[int, ...] = dataclasses.field(metadata=STATIC)
-    # Of each entry: whose number it takes, and that entry's first place in y.
+    entry_of_y: tuple[int, ...] = dataclasses.field(metadata=STATIC)
+    # Of each entry: whose number it takes, and the index in y of its own first number.
     source: tuple[int, ...] = dataclasses.field(metadata=STATIC)
-    place: tuple[int, ...] = dataclasses.field(metadata=STATIC)
+    y_index: tuple[int, ...] = dataclasses.field(metadata=STATIC)
     fixed: tuple[bool, ...] = dataclasses.field(metadata=STATIC)
     has_prior: tuple[bool, ...] = dataclasses.field(metadata=STATIC)
     known: Material
@@ -69,13 +69,15 @@ class Unknowns:
 
     @functools.cached_property
     def names(self) -> tuple[str, ...]:
-        """The leaves' names."""
-        return tuple(leaf.name for leaf in self.leaves)
+        """The parameters' names."""
+        return tuple(parameter.name for parameter in self.parameters)
 
     @functools.cached_property
     def entry_labels(self) -> tuple[str, ...]:
         """A name for every entry."""
-        return tuple(label for leaf in self.leaves for label in leaf.labels)
+        return tuple(
+            label for parameter in self.parameters for label in parameter.labels
+        )
 
     @functools.cached_property
     def reported(self) -> np.ndarray:
@@ -97,7 +99,7 @@ class Unknowns:
     def bounds(self) -> np.ndarray:
         """(reported, 2): lower and upper bounds in the user's units."""
         edges = np.stack([self.lower, self.upper], axis=-1).astype(float)
-        edges = edges[np.array(self.place)]
+        edges = edges[np.array(self.y_index)]
         scale = np.asarray(self.scale, float)[:, None]
         forms = self.forms[:, None]
         # What is no logarithm could overflow.
@@ -118,13 +120,13 @@ class Unknowns:
         return values[place.reshape(edges.shape)]
 
     @functools.cached_property
-    def owned(self) -> np.ndarray:
+    def y_entry(self) -> np.ndarray:
         """The entry that each number of y belongs to; of a direction, its first."""
-        return np.array(self.owner)
+        return np.array(self.entry_of_y)
 
     @functools.cached_property
     def _free(self) -> np.ndarray:
-        """True for entries that have their own place in y."""
+        """True for entries that have their own number in y."""
         return self._own & ~np.array(self.fixed)
 
     @functools.cached_property
@@ -135,39 +137,47 @@ class Unknowns:
     @functools.cached_property
     def forms(self) -> np.ndarray:
         """How the solver sees each entry: plain, as a logarithm, or as a direction."""
-        return np.repeat([f.form for f in self.leaves], [f.size for f in self.leaves])
+        return np.repeat(
+            [f.form for f in self.parameters], [f.size for f in self.parameters]
+        )
 
     @functools.cached_property
-    def entry_leaf(self) -> np.ndarray:
-        """The leaf's name, for every entry."""
-        return np.repeat(self.names, [leaf.size for leaf in self.leaves])
+    def entry_parameter(self) -> np.ndarray:
+        """The parameter's name, for every entry."""
+        return np.repeat(self.names, [parameter.size for parameter in self.parameters])
 
     @functools.cached_property
     def entry_row(self) -> np.ndarray:
         """The material or image, for every entry; 0 where there is one for all."""
-        rows = [np.repeat(np.arange(len(f.rows)), len(f.parts)) for f in self.leaves]
+        rows = [
+            np.repeat(np.arange(len(f.rows)), len(f.parts)) for f in self.parameters
+        ]
         return np.concatenate(rows)
 
     @functools.cached_property
     def entry_channel(self) -> np.ndarray:
         """The channel, for every entry; −1 where it is of all."""
-        return np.concatenate([np.tile(f.channels, len(f.rows)) for f in self.leaves])
+        return np.concatenate(
+            [np.tile(f.channels, len(f.rows)) for f in self.parameters]
+        )
 
     @functools.cached_property
-    def kinds(self) -> np.ndarray:
-        """The leaf that each number of y belongs to."""
-        return self.entry_leaf[self.owned]
+    def y_parameter(self) -> np.ndarray:
+        """The name of the parameter that each number of y belongs to."""
+        return self.entry_parameter[self.y_entry]
 
     @functools.cached_property
-    def owners(self) -> np.ndarray:
+    def y_material(self) -> np.ndarray:
         """The material that each number of y belongs to; 0 where it has none."""
-        rows = np.where(np.isin(self.entry_leaf, LEAVES), self.entry_row, 0)
-        return rows[self.owned]
+        rows = np.where(
+            np.isin(self.entry_parameter, MATERIAL_PARAMETERS), self.entry_row, 0
+        )
+        return rows[self.y_entry]
 
     @functools.cached_property
-    def columns(self) -> np.ndarray:
+    def y_channel(self) -> np.ndarray:
         """The channel that each number of y belongs to; −1 where shared by all."""
-        return self.entry_channel[self.owned]
+        return self.entry_channel[self.y_entry]
 
     @functools.cached_property
     def y_labels(self) -> tuple[str, ...]:
@@ -177,13 +187,13 @@ class Unknowns:
             labels[entry].removesuffix(".x")
             if forms[entry] == "direction"
             else labels[entry]
-            for entry in self.owned
+            for entry in self.y_entry
         )
 
     @functools.cached_property
     def logarithmic(self) -> np.ndarray:
         """True where the solver works with a logarithm."""
-        return self.forms[self.owned] == "logarithm"
+        return self.forms[self.y_entry] == "logarithm"
 
     @functools.cached_property
     def of_scene(self) -> bool:
@@ -198,13 +208,13 @@ class Unknowns:
     @functools.cached_property
     def entry_per_image(self) -> np.ndarray:
         """True for entries of one image alone."""
-        per_image = [leaf.per_image for leaf in self.leaves]
-        return np.repeat(per_image, [leaf.size for leaf in self.leaves])
+        per_image = [parameter.per_image for parameter in self.parameters]
+        return np.repeat(per_image, [parameter.size for parameter in self.parameters])
 
     @functools.cached_property
     def differs_between_images(self) -> bool:
         """Whether there are entries of one image alone."""
-        return any(leaf.per_image for leaf in self.leaves)
+        return any(parameter.per_image for parameter in self.parameters)
 
     @functools.cached_property
     def moves_geometry(self) -> bool:
@@ -218,20 +228,20 @@ class Unknowns:
         return any(is_of_scene(n) and n.endswith(places) for n in self.names)
 
     @functools.cached_property
-    def direction_places(self) -> np.ndarray:
+    def direction_indices(self) -> np.ndarray:
         """Where in y the first of each direction's two numbers is."""
-        return np.flatnonzero(self.forms[self.owned] == "direction")[::2]
+        return np.flatnonzero(self.forms[self.y_entry] == "direction")[::2]
 
     def entries(self, y: Float[Array, " n"]) -> Float[Array, " entries"]:
         """All entries in the user's units."""
-        numbers = jnp.where(self._free, y[np.array(self.place)], 0)
+        numbers = jnp.where(self._free, y[np.array(self.y_index)], 0)
         logarithm = self.forms == "logarithm"
         # What is no logarithm could overflow.
         powers = jnp.exp(jnp.where(logarithm, numbers, 0))
         own = jnp.where(logarithm, powers, self.scale * numbers)
         for k, entry in enumerate(self._directions()):
-            place = self.place[entry]
-            there = on_sphere(self.base[k], self.across[k], y[place : place + 2])
+            index = self.y_index[entry]
+            there = on_sphere(self.base[k], self.across[k], y[index : index + 2])
             own = own.at[entry : entry + 3].set(there)
         return self.offset + self.factor * own[np.array(self.source)]
 
@@ -249,11 +259,11 @@ class Unknowns:
 
     def position(self, entries: np.ndarray) -> np.ndarray:
         """The y that makes these entries, as near as the box allows."""
-        own = entries[self.owned].astype(float)
-        scaled = own / np.asarray(self.scale, float)[self.owned]
+        own = entries[self.y_entry].astype(float)
+        scaled = own / np.asarray(self.scale, float)[self.y_entry]
         logarithm = np.log(np.where(self.logarithmic, np.maximum(own, 1e-30), 1))
         y = np.where(self.logarithmic, logarithm, scaled)
-        direction = self.forms[self.owned] == "direction"
+        direction = self.forms[self.y_entry] == "direction"
         y = np.where(direction, np.asarray(self.start, float), y)
         y = np.clip(y, np.asarray(self.lower), np.asarray(self.upper))
         return y.astype(self.lower.dtype)
@@ -263,20 +273,24 @@ class Unknowns:
         return self.entries(y)[self.reported]
 
     def parts(self, entries: Any) -> dict[str, Array]:
-        """The entries cut into leaves, each (rows, parts)."""
-        ends = np.cumsum([leaf.size for leaf in self.leaves])
+        """The entries cut into parameters, each (rows, parts)."""
+        ends = np.cumsum([parameter.size for parameter in self.parameters])
         return {
-            leaf.name: entries[end - leaf.size : end].reshape(len(leaf.rows), -1)
-            for leaf, end in zip(self.leaves, ends, strict=True)
+            parameter.name: entries[end - parameter.size : end].reshape(
+                len(parameter.rows), -1
+            )
+            for parameter, end in zip(self.parameters, ends, strict=True)
         }
 
     def material(self, y: Float[Array, " n"]) -> Material:
         """The material that the solver's vector stands for."""
-        return self.with_leaves(self.entries(y))
+        return self.as_material(self.entries(y))
 
-    def with_leaves(self, entries: Any) -> Material:
-        """A material with the wanted leaves from entries in the user's units."""
-        parts = {n: p for n, p in self.parts(entries).items() if n in LEAVES}
+    def as_material(self, entries: Any) -> Material:
+        """A material with the unknown parameters from entries in the user's units."""
+        parts = {
+            n: p for n, p in self.parts(entries).items() if n in MATERIAL_PARAMETERS
+        }
         if self.materials == 1:
             # One material: (3,), or () for one number.
             parts = {n: p[0] if p.shape[1] > 1 else p[0, 0] for n, p in parts.items()}
@@ -292,11 +306,11 @@ class Unknowns:
             return scenes
         parts = {n: p for n, p in self.parts(entries).items() if is_of_scene(n)}
         done = 0
-        for leaf in self.leaves:
-            if leaf.form == "rotation":
-                start = self.turn[done : done + len(leaf.rows)]
-                parts[leaf.name] = jax.vmap(turned)(start, parts[leaf.name])
-                done += len(leaf.rows)
+        for parameter in self.parameters:
+            if parameter.form == "rotation":
+                start = self.turn[done : done + len(parameter.rows)]
+                parts[parameter.name] = jax.vmap(turned)(start, parts[parameter.name])
+                done += len(parameter.rows)
 
         def of(k: int) -> dict[str, Array]:
             return {n: part[min(k, len(part) - 1)] for n, part in parts.items()}

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.fitting.problem.charts import spread_directions, tangents
-from phongfit.fitting.problem.leaves import LEAVES, moves_geometry
 from phongfit.fitting.problem.losses import AbstractLoss
 from phongfit.fitting.problem.noise import median_deviation
+from phongfit.fitting.problem.parameters import MATERIAL_PARAMETERS, moves_geometry
 from phongfit.fitting.problem.problem import Evaluation, Problem, evaluate
 from phongfit.fitting.problem.samples import Samples
 from phongfit.fitting.problem.unknowns import Unknowns
@@ -178,8 +178,8 @@ def _best_end(problem: Problem, starts: Starts, steps: int) -> Starts:
 def _moved(unknowns: Unknowns, start: Starts, which: int) -> Starts:
     """A point, and the same with one direction all over the sphere."""
     y, base = (np.repeat(np.asarray(a, float)[None], STARTS, axis=0) for a in start[:2])
-    place = unknowns.direction_places[which]
-    y[1:, place : place + 2] = 0
+    index = unknowns.direction_indices[which]
+    y[1:, index : index + 2] = 0
     base[1:, which] = spread_directions(STARTS - 1)
     return _starts(unknowns, y, base)
 
@@ -202,10 +202,10 @@ def spread_starts(unknowns: Unknowns, count: int) -> Starts:
     moved = first + rng.normal(size=shape)
     starts = np.where(np.isfinite(across), across, np.where(low == 0, scaled, moved))
     # A camera or surface far from where it is said to be sees nothing, or is not seen.
-    near = [moves_geometry(kind) for kind in unknowns.kinds]
+    near = [moves_geometry(kind) for kind in unknowns.y_parameter]
     starts = np.where(near, first + 0.1 * (moved - first), starts)
-    stays = np.isin(unknowns.kinds, LEAVES)
-    stays |= unknowns.forms[unknowns.owned] == "direction"
+    stays = np.isin(unknowns.y_parameter, MATERIAL_PARAMETERS)
+    stays |= unknowns.forms[unknowns.y_entry] == "direction"
     starts = np.where(stays, first, starts)
     starts[0] = first
     starts = np.clip(starts, low, high)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from phongfit.fitting.problem.leaves import LEAVES, REFLECTANCES
+from phongfit.fitting.problem.parameters import MATERIAL_PARAMETERS, REFLECTANCES
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.samples import Channels, Source
 from phongfit.fitting.problem.unknowns import Unknowns
@@ -138,18 +138,18 @@ def choose(
     own = jnp.argmin(costs, axis=0)
     common = jnp.argmin(jnp.sum(costs, axis=-1), axis=0)
     logarithm = unknowns.logarithmic
-    alone = (unknowns.columns >= 0) & bool((unknowns.columns[logarithm] >= 0).any())
+    alone = (unknowns.y_channel >= 0) & bool((unknowns.y_channel[logarithm] >= 0).any())
     chosen = jnp.where(
-        alone, own[unknowns.owners, unknowns.columns], common[unknowns.owners]
+        alone, own[unknowns.y_material, unknowns.y_channel], common[unknowns.y_material]
     )
     found = vectors[chosen, np.arange(len(chosen))]
-    found = jnp.where(np.isin(unknowns.kinds, LEAVES), found, y)
+    found = jnp.where(np.isin(unknowns.y_parameter, MATERIAL_PARAMETERS), found, y)
     return jnp.clip(found, unknowns.lower, unknowns.upper)
 
 
 def _shininess(unknowns: Unknowns, entries: Float[Array, " entries"]) -> Array:
     """The exponent where it is known."""
-    return unknowns.with_leaves(entries).shininess
+    return unknowns.as_material(entries).shininess
 
 
 class _Lit(eqx.Module):
@@ -175,9 +175,9 @@ def _best_reflectances(
     clamp, robust = problem.clamp, problem.loss.robust
     basis = scene.basis(exponent)
     target = samples.target - scene.fog_light()
-    owner = samples.material_index()
-    rows = jnp.arange(unknowns.materials, dtype=owner.dtype)
-    members = owner[None] == rows[:, None]
+    material_of = samples.material_index()
+    rows = jnp.arange(unknowns.materials, dtype=material_of.dtype)
+    members = material_of[None] == rows[:, None]
     select, offset = _selection(unknowns)
     white = samples.target >= 1
     # What was clipped says only that the light is no less than white: at first it is
@@ -188,7 +188,7 @@ def _best_reflectances(
         sums = _sums(basis, target, weight, members)
         y = _solve(*sums, select, offset, unknowns)
         light = jnp.einsum("mck,ckn->mcn", offset + select @ y, basis)
-        light = light[0] if len(light) == 1 else _own(light, owner)
+        light = light[0] if len(light) == 1 else _own(light, material_of)
         beyond = white & clamp & (light >= target)
         weight = jnp.where(beyond, 0, samples.weight)
         if robust:
@@ -205,9 +205,9 @@ def _best_reflectances(
     return vectors[-1], members.astype(left.dtype) @ left.T
 
 
-def _own(light: Float[Array, "materials 3 samples"], owner: Array) -> Array:
+def _own(light: Float[Array, "materials 3 samples"], material_of: Array) -> Array:
     """Of what each material would show, each sample's own."""
-    return jnp.take_along_axis(light, owner[None, None], axis=0)[0]
+    return jnp.take_along_axis(light, material_of[None, None], axis=0)[0]
 
 
 def _absolute(difference: Array) -> Array:
@@ -220,32 +220,34 @@ def _selection(unknowns: Unknowns) -> tuple[Array, Array]:
 
     The columns are those of `REFLECTANCES`.
     """
-    places, numbers = [], []
-    for entry, leaf in enumerate(unknowns.entry_leaf):
-        if leaf in REFLECTANCES:
+    indices, numbers = [], []
+    for entry, name in enumerate(unknowns.entry_parameter):
+        if name in REFLECTANCES:
             column = unknowns.entry_channel[entry]
             for channel in range(3) if column < 0 else [column]:
-                where = (unknowns.entry_row[entry], channel, REFLECTANCES.index(leaf))
-                places.append((*where, unknowns.place[unknowns.source[entry]]))
+                where = (unknowns.entry_row[entry], channel, REFLECTANCES.index(name))
+                indices.append((*where, unknowns.y_index[unknowns.source[entry]]))
                 numbers.append(entry)
     wanted = np.array([name in unknowns.names for name in REFLECTANCES])
-    leaves = [_rows(getattr(unknowns.known, name), unknowns) for name in REFLECTANCES]
-    offset = jnp.where(wanted, 0, jnp.stack(leaves, axis=-1))
+    known = [_rows(getattr(unknowns.known, name), unknowns) for name in REFLECTANCES]
+    offset = jnp.where(wanted, 0, jnp.stack(known, axis=-1))
     size = (unknowns.materials, 3, len(REFLECTANCES), unknowns.lower.size)
     select = jnp.zeros(size, unknowns.lower.dtype)
     if numbers:
-        owner, channel, leaf, place = np.array(places).T
+        material, channel, column, index = np.array(indices).T
         entry = np.array(numbers)
         share = (unknowns.factor * unknowns.scale)[entry]
-        select = select.at[owner, channel, leaf, place].add(share)
-        offset = offset.at[owner, channel, leaf].add(unknowns.offset[entry])
+        select = select.at[material, channel, column, index].add(share)
+        offset = offset.at[material, channel, column].add(unknowns.offset[entry])
     return select, offset
 
 
-def _rows(leaf: Float[Array, "..."], unknowns: Unknowns) -> Float[Array, "materials 3"]:
-    """A known leaf, for each material and channel."""
-    leaf = leaf.reshape((1,) * (2 - leaf.ndim) + leaf.shape)
-    return jnp.broadcast_to(leaf, (unknowns.materials, 3))
+def _rows(
+    known: Float[Array, "..."], unknowns: Unknowns
+) -> Float[Array, "materials 3"]:
+    """A known parameter, for each material and channel."""
+    known = known.reshape((1,) * (2 - known.ndim) + known.shape)
+    return jnp.broadcast_to(known, (unknowns.materials, 3))
 
 
 def _sums(

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from phongfit.fitting.problem.leaves import LEAVES
+from phongfit.fitting.problem.parameters import MATERIAL_PARAMETERS
 from phongfit.fitting.problem.problem import Evaluation, Problem
 from phongfit.fitting.problem.unknowns import Unknowns
 
@@ -50,22 +50,22 @@ def moved_samples(unknowns: Unknowns) -> np.ndarray:
     images = unknowns.images if unknowns.differs_between_images else 1
     size = unknowns.lower.size
     cells = np.zeros((size, unknowns.materials, images, 3), bool)
-    names, rows = unknowns.entry_leaf, unknowns.entry_row
+    names, rows = unknowns.entry_parameter, unknowns.entry_row
     per_image = unknowns.entry_per_image
     for entry, source in enumerate(unknowns.source):
         if unknowns.fixed[entry]:
             continue
         channel = unknowns.entry_channel[entry]
         channels = slice(None) if channel < 0 else slice(channel, channel + 1)
-        owner = slice(None)
-        if names[entry] in LEAVES and unknowns.materials > 1:
-            owner = slice(rows[entry], rows[entry] + 1)
+        material = slice(None)
+        if names[entry] in MATERIAL_PARAMETERS and unknowns.materials > 1:
+            material = slice(rows[entry], rows[entry] + 1)
         image = slice(None)
         if per_image[entry]:
             image = slice(rows[entry], rows[entry] + 1)
-        place = unknowns.place[source]
+        index = unknowns.y_index[source]
         count = 2 if unknowns.forms[source] == "direction" else 1
-        cells[place : place + count, owner, image, channels] = True
+        cells[index : index + count, material, image, channels] = True
     return cells.reshape(size, -1, 3)
 
 

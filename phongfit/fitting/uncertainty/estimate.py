@@ -63,7 +63,7 @@ def estimates(
     problem: Problem,
     y: Float[Array, " n"],
     inflation: float = 1.0,
-    place: tuple[Array, Array] | None = None,
+    in_user_units: tuple[Array, Array] | None = None,
     sums: SandwichSums | None = None,
 ) -> Estimates:
     """Values and errors at a solution.
@@ -71,13 +71,14 @@ def estimates(
     **Arguments:**
 
     - `inflation`: factor on all variances.
-    - `place`, `sums`: of [`in_units`][] and [`sandwich_sums`][] there, if at hand.
+    - `in_user_units`, `sums`: of [`in_units`][] and [`sandwich_sums`][] there, if at
+        hand.
     """
     unknowns = problem.unknowns
-    place = in_units(unknowns, y) if place is None else place
+    in_user_units = in_units(unknowns, y) if in_user_units is None else in_user_units
     found = statistics(problem, y, inflation, sums)
     position = np.asarray(y, float)
-    entries, slope = (np.asarray(a, float) for a in place)
+    entries, slope = (np.asarray(a, float) for a in in_user_units)
     values = np.clip(entries[unknowns.reported], *unknowns.bounds.T)
     touched = slope != 0
     inner = np.where(np.isfinite(found.covariance), found.covariance, 0)
@@ -105,7 +106,7 @@ def estimates(
         errors = np.max(np.abs(ends - values[:, None]), axis=1)
         wide = np.all(ends == unknowns.bounds, axis=1) & np.isfinite(errors)
         unidentified |= touched[wide].any(axis=0)
-    directions = np.isin(unknowns.forms[unknowns.owned], ("direction", "rotation"))
+    directions = np.isin(unknowns.forms[unknowns.y_entry], ("direction", "rotation"))
     unidentified |= directions & (found.stderr > np.pi / 2)
     reasons += _reasons(unknowns, unidentified & ~found.unidentified, unseen)
 
@@ -181,8 +182,8 @@ def _reasons(
 ) -> list[str]:
     """Why the Jacobian does not leave these open, but the data do."""
     labels = np.array(unknowns.y_labels)
-    kinds, owners = unknowns.kinds, unknowns.owners
-    hiding = (kinds == "specular") & np.isin(owners, owners[unseen])
+    parameters, materials = unknowns.y_parameter, unknowns.y_material
+    hiding = (parameters == "specular") & np.isin(materials, materials[unseen])
     words = {
         "its error is wider than its bounds": ~unseen & ~hiding,
         "specular is 0 within its error": unseen,

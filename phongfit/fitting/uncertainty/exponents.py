@@ -121,9 +121,9 @@ def parts_over_exponents(
 def _felt_terms(problem: Problem) -> Bool[np.ndarray, "n terms"]:
     """Which groups of samples, and which priors, each unknown moves."""
     unknowns = problem.unknowns
-    moved = moved_samples(unknowns).reshape(len(unknowns.owned), -1)
+    moved = moved_samples(unknowns).reshape(len(unknowns.y_entry), -1)
     with_prior = np.flatnonzero(unknowns.has_prior)
-    indices = np.array(unknowns.place)[np.array(unknowns.source)[with_prior]]
+    indices = np.array(unknowns.y_index)[np.array(unknowns.source)[with_prior]]
     priors = np.arange(len(moved))[:, None] == indices[None]
     return np.column_stack([moved, priors])
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from phongfit.fitting.problem.leaves import LEAVES, REFLECTANCES
+from phongfit.fitting.problem.parameters import MATERIAL_PARAMETERS, REFLECTANCES
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.uncertainty.quantiles import chi_squared_reach
 from phongfit.fitting.uncertainty.sandwich import (
@@ -32,7 +32,7 @@ def unfelt(
     """
     diagonal = np.diag(bread)
     largest = np.full(len(diagonal), max(diagonal.max(), 1e-300))
-    reflectances = np.isin(unknowns.kinds, REFLECTANCES)
+    reflectances = np.isin(unknowns.y_parameter, REFLECTANCES)
     if reflectances.any():
         shares = diagonal[reflectances] * np.minimum(position[reflectances] ** 2, 1)
         largest[unknowns.logarithmic] = max(shares.max(), 1e-300)
@@ -53,14 +53,14 @@ def find_unidentified(
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Which unknowns the Jacobian leaves open, and why, in words."""
     labels = np.array(unknowns.y_labels)
-    kinds = unknowns.kinds
+    parameters = unknowns.y_parameter
     silent = unfelt(bread, unknowns, position, resolution)
     reasons = [
-        not_identifiable(labels[silent & (kinds == kind)])
+        not_identifiable(labels[silent & (parameters == kind)])
         + ": "
         + _SILENT.get(kind, "no pixel that is used depends on it")
         for kind in unknowns.names
-        if (silent & (kinds == kind)).any()
+        if (silent & (parameters == kind)).any()
     ]
     unidentified = silent.copy()
     heard = np.flatnonzero(~silent)
@@ -117,21 +117,21 @@ def doubtful_exponents(
 
     **Arguments:** `position`, `sandwich`: the solution, and the sums there.
     """
-    kinds, owners = unknowns.kinds, unknowns.owners
+    parameters, materials = unknowns.y_parameter, unknowns.y_material
     unseen, faint = np.zeros((2, len(position)), bool)
-    specular = kinds == "specular"
+    specular = parameters == "specular"
     if not specular.any() or not unknowns.logarithmic.any():
         return unseen, faint
     # An unknown light scales a highlight, but cannot make one out of nothing.
     felt = ~unfelt(sandwich.inside, unknowns, position, sandwich.resolution)
-    group = np.flatnonzero(np.isin(kinds, LEAVES) & felt)
+    group = np.flatnonzero(np.isin(parameters, MATERIAL_PARAMETERS) & felt)
     part = sandwich.part(group)
     covariance = part.covariance()
-    for owner in np.unique(owners[specular]):
-        own = owners == owner
+    for material in np.unique(materials[specular]):
+        own = materials == material
         colours = np.flatnonzero(specular[group] & own[group])
         height = position[group[colours]]
-        exponents = own & (kinds == "shininess")
+        exponents = own & (parameters == "shininess")
         together = covariance[np.ix_(colours, colours)]
         if _stands_out(height, together, PLAIN):
             continue

@@ -238,12 +238,12 @@ class _Held:
         unknowns = self.problem.unknowns
         if unknowns.logarithmic[index]:
             return np.exp(y)
-        return y * float(unknowns.scale[unknowns.owned[index]])
+        return y * float(unknowns.scale[unknowns.y_entry[index]])
 
     def box(self, index: int) -> tuple[float, float]:
         """The bounds of one index in the user's units."""
         unknowns = self.problem.unknowns
-        entry = unknowns.owned[index]
+        entry = unknowns.y_entry[index]
         (row,) = np.flatnonzero(unknowns.reported == entry)
         return tuple(unknowns.bounds[row].tolist())
 

@@ -129,13 +129,13 @@ def without_rejected(
     """The same, with all that a rejected highlight alone could identify left open."""
     if not rejected.any():
         return estimated
-    leaves, rows = unknowns.entry_leaf, unknowns.entry_row
+    parameters, rows = unknowns.entry_parameter, unknowns.entry_row
     columns = unknowns.entry_channel
-    rows = np.where(np.isin(leaves, ("specular", "shininess")), rows, 0)
+    rows = np.where(np.isin(parameters, ("specular", "shininess")), rows, 0)
     here = np.where(
         columns < 0, rejected[rows].any(axis=1), rejected[rows, columns] > 0
     )
-    here &= np.isin(leaves, ("specular", "shininess"))
+    here &= np.isin(parameters, ("specular", "shininess"))
     # A tied entry is as little identified as the one that it follows.
     here = (here | here[np.array(unknowns.source)])[unknowns.reported]
     covariance = estimated.covariance.copy()

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from phongfit.fitting.problem.leaves import REFLECTANCES
+from phongfit.fitting.problem.parameters import REFLECTANCES
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.uncertainty.estimate import Estimates
 from phongfit.fitting.uncertainty.grid import SIDE, SIGNIFICANT
@@ -105,9 +105,9 @@ def bound_words(estimated: Estimates, unknowns: Unknowns) -> Iterator[str]:
                 f". The bound decides: the images pull {estimated.strain[k]:.2g} σ "
             )
             words += "beyond it, and what depends on it is off as well"
-        leaf = unknowns.entry_leaf[unknowns.reported[k]]
+        parameter = unknowns.entry_parameter[unknowns.reported[k]]
         # Nothing sends back less than no light.
-        if above or leaf not in REFLECTANCES:
+        if above or parameter not in REFLECTANCES:
             wider = (low, 5 * high) if above else (low / 5, high)
             words += ". If it may lie beyond, try bounds="
             words += f"{{'{label}': ({wider[0]:g}, {wider[1]:g})}}"

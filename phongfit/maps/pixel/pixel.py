@@ -81,7 +81,7 @@ class PixelFit(NamedTuple):
 
 
 class Known(NamedTuple):
-    """Leaves of the material where they are not unknown; of the exponent, the start.
+    """Parameters of the material that are not unknown; of the exponent, the start.
 
     (3,) each, and (1,) for a shared exponent.
     """
@@ -386,7 +386,7 @@ def _is_vague(found: Descent, variance: Array, box: Box) -> Array:
 
 
 def _less_known(samples: PixelSamples, known: Known, settings: Settings) -> Array:
-    """The target without the light of leaves that are known."""
+    """The target without the light of parameters that are known."""
     target = samples.target
     if "ambient" not in settings.names:
         target = target - known.ambient[:, None] * samples.ambient
@@ -629,7 +629,7 @@ class _Attempts(NamedTuple):
 
 
 def _values(found: _Found, known: Known, settings: Settings) -> tuple[Array, ...]:
-    """The four leaves of the solution."""
+    """The four parameters of the solution."""
     point = [number.reshape(3) for number in found.at.point]
     leaves = []
     for name in ("ambient", "diffuse"):
@@ -646,7 +646,7 @@ def _values(found: _Found, known: Known, settings: Settings) -> tuple[Array, ...
 def _leaves(
     errors: Errors, identified: Array, dtype: jnp.dtype, settings: Settings
 ) -> tuple[Array, Array, Array, Array]:
-    """Errors in the order of the leaves: infinite where nothing is identified."""
+    """Errors in the order of the parameters: infinite where nothing is identified."""
     reflectances = errors.reflectances.reshape(3, -1)
     reflectances = jnp.where(identified, reflectances, jnp.inf)
     none = jnp.zeros((3,), dtype)

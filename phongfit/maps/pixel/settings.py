@@ -9,15 +9,15 @@ from phongfit.reflectance import AbstractSpecular, BlinnPhong
 COLUMNS = ("ambient", "diffuse")
 """Reflectances whose basis no exponent changes."""
 
-LEAVES = (*COLUMNS, "specular", "shininess")
+MAP_PARAMETERS = (*COLUMNS, "specular", "shininess")
 
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
     """How one pixel is fitted.
 
-    - `names`: the unknowns, a subset of `LEAVES`.
-    - `bounds`: (low, high) of each of `LEAVES`.
+    - `names`: the unknowns, a subset of `MAP_PARAMETERS`.
+    - `bounds`: (low, high) of each of `MAP_PARAMETERS`.
     - `shared`: whether the channels share one exponent.
     - `model`: of the highlight; its lobe is a power of the cosine.
     - `loss`: how much a residual counts.
@@ -30,7 +30,7 @@ class Settings:
     - `cutoff`: values from this one on are saturated; `exactly`: only this one is.
     """
 
-    names: tuple[str, ...] = LEAVES
+    names: tuple[str, ...] = MAP_PARAMETERS
     bounds: tuple[tuple[float, float], ...] = ((0, 1), (0, 1), (0, 1), (1, 1000))
     shared: bool = True
     model: AbstractSpecular = BlinnPhong()
@@ -58,8 +58,8 @@ class Settings:
         return "shininess" in self.names
 
     def bound(self, name: str) -> tuple[float, float]:
-        """(low, high) of a leaf."""
-        return self.bounds[LEAVES.index(name)]
+        """(low, high) of a parameter."""
+        return self.bounds[MAP_PARAMETERS.index(name)]
 
     @property
     def log_bounds(self) -> tuple[float, float]:

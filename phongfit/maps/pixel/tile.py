@@ -78,7 +78,7 @@ class Tile(NamedTuple):
 
 
 class Outside(NamedTuple):
-    """What all tiles share: lights, known leaves, and the noise level."""
+    """What all tiles share: lights, known parameters, and the noise level."""
 
     lighting: Lighting
     known: Known

@@ -6,7 +6,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.problem.charts import tangents
-from phongfit.fitting.problem.leaves import scene_arrays
+from phongfit.fitting.problem.parameters import scene_arrays
 from phongfit.fitting.problem.unknowns import Unknowns, in_units
 from tests.fitting.scenes import ball, unknowns_of
 from tests.helpers import floats, near
@@ -170,7 +170,7 @@ def test_each_image_has_its_own():
     first, second = unknowns.scenes(at, (SCENE, SCENE))
     near(scene_arrays(first)[INTENSITY], [0.35] * 3)
     near(scene_arrays(second)[INTENSITY], [1.05] * 3)
-    near(unknowns.with_leaves(at).diffuse, KNOWN.diffuse)
+    near(unknowns.as_material(at).diffuse, KNOWN.diffuse)
 
 
 @pytest.mark.parametrize("y", [(0, 0), (0.5, -2), (1e3, 1e3)])

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.problem.leaves import DEFAULT_BOUNDS, LEAVES
+from phongfit.fitting.problem.parameters import DEFAULT_BOUNDS, MATERIAL_PARAMETERS
 from tests.fitting.scenes import unknowns_of
 from tests.helpers import floats, near
 
@@ -35,7 +35,7 @@ def test_leaves_from_a_vector():
     near(material.emission, 0.6)
 
 
-@pytest.mark.parametrize("name", LEAVES)
+@pytest.mark.parametrize("name", MATERIAL_PARAMETERS)
 @pytest.mark.parametrize("size", [1, 3])
 def test_every_leaf(name, size):
     layout = unknowns_of((name,), (name,) if size == 3 else (), KNOWN, {})
@@ -43,7 +43,7 @@ def test_every_leaf(name, size):
     vector = layout.lower + floats(np.linspace(0.1, 0.2, size))
     leaf = np.atleast_1d(getattr(layout.material(vector), name))
     near(leaf, layout.values(vector), 1e-6)
-    for other in set(LEAVES) - {name}:
+    for other in set(MATERIAL_PARAMETERS) - {name}:
         near(getattr(layout.material(vector), other), getattr(KNOWN, other))
     (low, high), *_ = layout.bounds
     assert (low, high) == DEFAULT_BOUNDS[name]
@@ -86,5 +86,5 @@ def test_several_materials():
     material = layout.material(vector)
     near(material.diffuse, [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
     near(material.shininess, [[10], [100]], 1e-5)
-    assert np.array_equal(layout.owners, [0, 0, 0, 1, 1, 1, 0, 1])
-    assert np.array_equal(layout.columns, [0, 1, 2, 0, 1, 2, -1, -1])
+    assert np.array_equal(layout.y_material, [0, 0, 0, 1, 1, 1, 0, 1])
+    assert np.array_equal(layout.y_channel, [0, 1, 2, 0, 1, 2, -1, -1])

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.problem.leaves import LEAVES
+from phongfit.fitting.problem.parameters import MATERIAL_PARAMETERS
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.samples import Source, gather, seen_pixels
 from phongfit.fitting.solve.start import CANDIDATES, SUBSET, choose_few, scan
@@ -11,7 +11,7 @@ from phongfit.rendering.pixels import resolve_terms
 from tests.fitting.scenes import TRUTH, ball, photograph, unknowns_of
 
 DARK = pf.Material(0.0, 0.0, 32.0, 0.0)
-DEFAULTS = (LEAVES[:-1], ("ambient", "diffuse", "specular"), DARK, {})
+DEFAULTS = (MATERIAL_PARAMETERS[:-1], ("ambient", "diffuse", "specular"), DARK, {})
 # A step of the grid in log f from 1 to 1000.
 STEP = np.log(1000) / (CANDIDATES - 1)
 
@@ -67,7 +67,7 @@ def test_a_clipped_highlight():
 def test_an_exponent_for_each_channel():
     truth = pf.Material(TRUTH.diffuse, TRUTH.specular, (5.0, 20.0, 80.0), TRUTH.ambient)
     scene = ball()
-    names = LEAVES[:-1]
+    names = MATERIAL_PARAMETERS[:-1]
     start = started(
         scene, photograph(scene, truth), unknowns_of(names, names, DARK, {})
     )
@@ -80,7 +80,7 @@ def test_shared_reflectances_and_a_known_exponent():
     scene = ball()
     layout = unknowns_of(("diffuse", "specular", "ambient"), ("diffuse",), truth, {})
     start = started(scene, photograph(scene, truth), layout)
-    for name in LEAVES[:3]:
+    for name in MATERIAL_PARAMETERS[:3]:
         assert np.allclose(getattr(start, name), getattr(truth, name), atol=1e-3)
     assert float(start.shininess) == 20
 
@@ -106,7 +106,7 @@ def test_bounds_hold_in_the_start():
 def test_a_dark_image_starts_dark():
     scene = ball()
     start = started(scene, np.zeros((32, 32, 3)))
-    for name in LEAVES[:3]:
+    for name in MATERIAL_PARAMETERS[:3]:
         assert np.allclose(getattr(start, name), 0, atol=1e-6)
 
 

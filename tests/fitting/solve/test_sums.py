@@ -10,8 +10,8 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.fit import set_up
-from phongfit.fitting.problem.leaves import LEAVES
 from phongfit.fitting.problem.losses import as_loss
+from phongfit.fitting.problem.parameters import MATERIAL_PARAMETERS
 from phongfit.fitting.problem.problem import Problem, evaluate
 from phongfit.fitting.problem.samples import gather, seen_pixels
 from phongfit.fitting.problem.specification import Specification
@@ -151,10 +151,10 @@ def test_sums_are_those_of_the_whole_jacobian(kind):
 @pytest.mark.parametrize(
     "names, per_channel, options, count",
     [
-        (LEAVES[:4], LEAVES[:3], {}, 4),
-        (LEAVES[:4], (), {}, 4),
-        (LEAVES[:4], LEAVES[:4], {}, 4),
-        (LEAVES[:4], LEAVES[:3], {"materials": 24}, 4),
+        (MATERIAL_PARAMETERS[:4], MATERIAL_PARAMETERS[:3], {}, 4),
+        (MATERIAL_PARAMETERS[:4], (), {}, 4),
+        (MATERIAL_PARAMETERS[:4], MATERIAL_PARAMETERS[:4], {}, 4),
+        (MATERIAL_PARAMETERS[:4], MATERIAL_PARAMETERS[:3], {"materials": 24}, 4),
         (("diffuse",), ("diffuse",), {}, 1),
         (("diffuse", "exposure"), ("diffuse",), {"scenes": [SCENE] * 5}, 2),
         # A direction has two.

@@ -18,7 +18,7 @@ COLOURS = ("red", "green", "blue")
 
 
 def check_unidentified(fit: pf.Fit, names: tuple[str, ...], words: str) -> None:
-    """Exactly the leaves of these names have no finite error, for this reason."""
+    """Exactly the parameters of these names have no finite error, for this reason."""
     unidentified = [label for label in fit.labels if label.split(".")[0] in names]
     assert np.array(fit.labels)[fit.unidentified].tolist() == unidentified
     assert np.array_equal(np.isinf(fit.errors), fit.unidentified)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.problem.leaves import LEAVES
+from phongfit.fitting.problem.parameters import MATERIAL_PARAMETERS
 from phongfit.fitting.uncertainty.identifiability import (
     find_unidentified,
     linked_groups,
@@ -170,7 +170,7 @@ def test_every_second_pixel_is_half_of_the_data():
     np.testing.assert_allclose(half.errors / whole.errors, 2**0.5, rtol=0.1)
 
 
-LAYOUT = unknowns_of(LEAVES[1:4], (), pf.Material(), {})
+LAYOUT = unknowns_of(MATERIAL_PARAMETERS[1:4], (), pf.Material(), {})
 
 
 @pytest.mark.parametrize(

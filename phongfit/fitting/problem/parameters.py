@@ -17,7 +17,7 @@ from jaxtyping import Array
 from phongfit.scene import Scene
 
 REFLECTANCES = ("ambient", "diffuse", "specular", "emission")
-LEAVES = ("ambient", "diffuse", "specular", "shininess", "emission")
+MATERIAL_PARAMETERS = ("ambient", "diffuse", "specular", "shininess", "emission")
 EXPOSURE = "exposure"
 CHANNELS = ("red", "green", "blue")
 # Arrays of a scene that are RGB, unit vectors, and numbers that cannot be negative.
@@ -43,8 +43,8 @@ Form = Literal["plain", "logarithm", "direction", "rotation"]
 
 
 @dataclasses.dataclass(frozen=True)
-class Leaf:
-    """One leaf that is wanted, and how its numbers are called.
+class Parameter:
+    """One parameter that is unknown, and how its numbers are called.
 
     `rows` are the materials or the images that have it each to itself, `parts` the
     numbers of a row: a colour's channels, a vector's components, or one.
@@ -65,8 +65,8 @@ class Leaf:
     def labels(self) -> tuple[str, ...]:
         """A name for each: `diffuse[2].red`, `scenes[1].lights[0].position.x`."""
         if self.per_image and is_of_scene(self.name):
-            place = self.name.removeprefix("scene")
-            names = [f"scenes{row}{place}" for row in self.rows]
+            path = self.name.removeprefix("scene")
+            names = [f"scenes{row}{path}" for row in self.rows]
         else:
             names = [self.name + row for row in self.rows]
         return tuple(name + part for name in names for part in self.parts)
@@ -89,7 +89,7 @@ class Leaf:
 
 
 def is_of_scene(name: str) -> bool:
-    """Whether a leaf is the scene's, not the material's."""
+    """Whether a parameter is the scene's, not the material's."""
     return name.startswith("scene.")
 
 
@@ -98,10 +98,10 @@ def moves_geometry(name: str) -> bool:
     return name.startswith(("scene.surface", "scene.camera"))
 
 
-def leaf(
+def parameter(
     name: str, colours: bool, materials: int, scenes: Sequence[Scene], per_image: bool
-) -> Leaf:
-    """A leaf by its name.
+) -> Parameter:
+    """A parameter by its name.
 
     **Arguments:**
 
@@ -109,15 +109,15 @@ def leaf(
     - `materials`: how many the surface has.
     - `per_image`: whether each image has its own.
 
-    **Raises:** `ValueError` that says what there is, if there is no such leaf.
+    **Raises:** `ValueError` that says what there is, if there is no such parameter.
     """
     several = len(scenes) > 1
     rgb = tuple(f".{channel}" for channel in CHANNELS) if colours else ("",)
     if name == EXPOSURE:
-        return Leaf(name, _rows(len(scenes)), ("",), "plain", several)
-    if name in LEAVES:
+        return Parameter(name, _rows(len(scenes)), ("",), "plain", several)
+    if name in MATERIAL_PARAMETERS:
         scale: Form = "logarithm" if name == "shininess" else "plain"
-        return Leaf(name, _rows(materials), rgb, scale)
+        return Parameter(name, _rows(materials), rgb, scale)
     value = scene_arrays(scenes[0])[name] if is_known(name, scenes) else None
     if value is None or name.startswith("scene.background"):
         raise ValueError(f"unknowns: {name!r} came, one of {_choice(scenes)} is wanted")
@@ -140,7 +140,7 @@ def leaf(
     if _is_rotation(name, value):
         form = "rotation"
     rows = _rows(len(scenes)) if per_image else ("",)
-    return Leaf(name, rows, parts, form, per_image and several)
+    return Parameter(name, rows, parts, form, per_image and several)
 
 
 def _is_rotation(name: str, array: Array) -> bool:
@@ -168,14 +168,14 @@ def is_known(name: str, scenes: Sequence[Scene]) -> bool:
 
 
 def scene_arrays(scene: Scene) -> dict[str, Array]:
-    """All arrays of floats in a scene, by their places."""
+    """All arrays of floats in a scene, by their paths."""
     floats = eqx.filter(scene, eqx.is_inexact_array)
     found = jax.tree_util.tree_flatten_with_path(floats)[0]
     return {"scene" + jax.tree_util.keystr(path): array for path, array in found}
 
 
 def with_arrays(scene: Scene, arrays: Mapping[str, Any]) -> Scene:
-    """A scene with other numbers in some places; one may stand for a colour's three."""
+    """A scene with some of its arrays replaced; one may stand for a colour's three."""
 
     def put(path: Any, old: Any) -> Any:
         new = arrays.get("scene" + jax.tree_util.keystr(path))
@@ -198,4 +198,4 @@ def _choice(scenes: Sequence[Scene]) -> str:
         and "background" not in name
         and name not in _jumps(scenes)
     ]
-    return ", ".join((*LEAVES, EXPOSURE, *arrays))
+    return ", ".join((*MATERIAL_PARAMETERS, EXPOSURE, *arrays))
