@@ -111,6 +111,7 @@ if TYPE_CHECKING:
         combine as combine,
         terms as terms,
     )
+    from phongfit.report.page import write_page as write_page
     from phongfit.report.pictures import show as show
     from phongfit.scene import Scene as Scene
 
@@ -196,6 +197,7 @@ _ORIGINS = {
     "unstack_materials": "phongfit.material",
     "show": "phongfit.report.pictures",
     "write_image": "phongfit.files.images",
+    "write_page": "phongfit.report.page",
     "write_mtl": "phongfit.files.mtl",
 }
 _MODULES = {

@@ -168,7 +168,7 @@ def _draw(folder: Path, found: Fit, data: Dataset, options: Options) -> None:
         names=data.names,
         command=_again(options),
         loading=_loading(options.data, len(data.images), any(f.jpeg for f in films)),
-        thorough=options.report == "full",
+        diagnostics=found.diagnose() if options.report == "full" else None,
     )
 
 

@@ -15,6 +15,13 @@ from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.solve.search import SearchResult
+from phongfit.fitting.uncertainty.descent import descend
+from phongfit.fitting.uncertainty.diagnostics import (
+    MOST_PROFILES,
+    MOST_SAMPLES,
+    Diagnostics,
+    choose_profiles,
+)
 from phongfit.fitting.uncertainty.misfit import Misfit
 from phongfit.fitting.uncertainty.numbers import parameter_rows
 from phongfit.fitting.uncertainty.profile import LEVELS, profile, profile_pair
@@ -119,6 +126,11 @@ class Fit:
         return self.region.ends(student_reach(level, self.degrees_of_freedom) ** 2)
 
     @property
+    def identified(self) -> np.ndarray:
+        """True where the data tell a number, and it lies on no bound."""
+        return ~self.unidentified & ~self.at_bound & np.isfinite(self.errors)
+
+    @property
     def sides(self) -> np.ndarray:
         """How far down and up the intervals of one standard error reach, (n, 2)."""
         return np.abs(self.region.ends(1.0) - self.values[:, None])
@@ -143,6 +155,21 @@ class Fit:
         if other is None:
             return profile(self.solution, name, *setting)
         return profile_pair(self.solution, (name, other), *setting)
+
+    def diagnose(self) -> Diagnostics:
+        """Profiles of a few unknowns, and the course of the convergence.
+
+        For these the fit is solved some fifty times more: seconds. Of millions of
+        samples there are fewer, or none.
+        """
+        identified = np.flatnonzero(self.identified)
+        free = self.problem.unknowns.y_labels
+        chosen = choose_profiles([self.labels[k] for k in identified], free)
+        few = MOST_PROFILES * MOST_SAMPLES // self.n_samples if self.converged else 0
+        descent = None
+        if self.n_samples <= MOST_PROFILES * MOST_SAMPLES:
+            descent = descend(self.solution)
+        return Diagnostics(chosen, tuple(map(self.profile, chosen[:few])), descent)
 
     def plot(self, names: Sequence[str] = ()) -> "Figure":
         """Photograph, fit and residual as a matplotlib figure, of some of the images.

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 
 from phongfit.files.outputs import replacing
 from phongfit.fitting.result import Fit
+from phongfit.fitting.uncertainty.diagnostics import Diagnostics
 from phongfit.report.html import fill, parameters
 from phongfit.report.panels import (
     about_pictures,
@@ -29,7 +30,7 @@ def write_page(
     assumptions: Mapping[str, str] | None = None,
     command: str = "",
     loading: str = "",
-    thorough: bool = True,
+    diagnostics: Diagnostics | None = None,
 ) -> None:
     """Write a report of a fit: a page that stands alone, whole or not at all.
 
@@ -42,8 +43,8 @@ def write_page(
         the files; shown before what the fit itself knows.
     - `command`: the command line that repeats the fit, if there was one.
     - `loading`: lines of Python that make what [`call`][] takes: scene, image, mask.
-    - `thorough`: with profiles and the course of the convergence, for which the fit is
-        solved some fifty times more: seconds.
+    - `diagnostics`: what [`Fit`][]`.diagnose` found: profiles, and the course of the
+        convergence; without it the page has none.
 
     **Raises:** `OSError` that names `path`; `ValueError` if there are names, but not
     one for each image.
@@ -55,7 +56,7 @@ def write_page(
         assumptions=assumptions,
         command=command,
         loading=loading,
-        thorough=thorough,
+        diagnostics=diagnostics,
     )
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -69,15 +70,15 @@ def page(
     assumptions: Mapping[str, str] | None = None,
     command: str = "",
     loading: str = "",
-    thorough: bool = True,
+    diagnostics: Diagnostics | None = None,
 ) -> str:
     """The text of the page: see [`write_page`][]."""
     every = names_of(fit, names)
     images = chosen(fit.n_images)
     with styled():
         pictures = [trio(fit, k, every[k], images) for k in images]
-        curves, about_curves = profiles(fit, thorough)
-        course, about_course = convergence(fit, thorough)
+        curves, about_curves = profiles(fit, diagnostics)
+        course, about_course = convergence(fit, diagnostics)
         matrix, about_matrix = correlations(fit)
         left_over = residuals(fit)
     return fill(

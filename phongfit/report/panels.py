@@ -7,7 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from phongfit.fitting.result import Fit
-from phongfit.fitting.uncertainty.descent import Descent, descend
+from phongfit.fitting.uncertainty.descent import Descent
+from phongfit.fitting.uncertainty.diagnostics import Diagnostics
 from phongfit.report.html import source
 from phongfit.report.pictures import displayed, draw_residual
 from phongfit.report.plots import (
@@ -19,13 +20,7 @@ from phongfit.report.plots import (
 from phongfit.report.profiles import draw_profile
 from phongfit.report.residuals import draw_against_level, draw_blocks, draw_histogram
 from phongfit.report.style import picture, quiet
-from phongfit.report.words import as_tuple, identified, listed
-
-MOST_PROFILES = 3
-# A profile goes through all samples about a hundred times; so does the way down.
-MOST_SAMPLES = 1_000_000
-# The first of these that the data identify; then the others, one of each kind.
-_PROFILED = ("shininess", "specular", "diffuse")
+from phongfit.report.words import as_tuple, listed
 
 Panel = dict[str, Any]
 """`source`, `alt` and `caption` of a picture."""
@@ -102,47 +97,23 @@ def about_pictures(fit: Fit, images: Sequence[int]) -> str:
     return "".join(words)
 
 
-def profiled(fit: Fit) -> list[str]:
-    """Which unknowns get a profile: a few, the exponent first, one of each kind."""
-    free = set(_free_labels(fit))
-    known = identified(fit)
-    labels = [
-        label
-        for label, is_free in zip(fit.labels, known, strict=True)
-        if is_free and label in free
-    ]
-    parameters = {label: label.partition(".")[0].partition("[")[0] for label in labels}
-    order = sorted(
-        labels,
-        key=lambda label: (
-            _PROFILED.index(parameters[label]) if parameters[label] in _PROFILED else 9
-        ),
-    )
-    firsts = {parameters[label]: label for label in reversed(order)}
-    return [label for label in order if label in firsts.values()][:MOST_PROFILES]
-
-
-def _free_labels(fit: Fit) -> list[str]:
-    labels = list(fit.solution.problem.unknowns.y_labels)
-    return [label for label in labels if labels.count(label) == 1]
-
-
-def profiles(fit: Fit, thorough: bool) -> tuple[list[Panel], str]:
-    """A few profiles, if they are wanted, and a word on the others."""
-    if not thorough:
+def profiles(fit: Fit, found: Diagnostics | None) -> tuple[list[Panel], str]:
+    """The profiles that there are, and a word on the others."""
+    if found is None:
         return [], "Profiles were not asked for."
-    wanted = profiled(fit)
-    labels = wanted[: MOST_PROFILES * MOST_SAMPLES // fit.n_samples]
+    wanted, labels = found.chosen, [one.label for one in found.profiles]
     if not wanted or not fit.converged:
         why = "the solver did not converge" if wanted else "no unknown is identified"
         return [], f"There are none: {why}."
     shown = []
-    for label in labels:
-        found = fit.profile(label)
-        low, high = found.intervals[min(found.intervals)]
-        alt = f"Profile of {label}: it lies between {low:.4g} and {high:.4g} (68 %)."
-        shown.append(_drawn(lambda axes, p=found: draw_profile(axes, fit, p), alt))
-    left = len(_free_labels(fit)) - len(labels)
+    for one in found.profiles:
+        low, high = one.intervals[min(one.intervals)]
+        alt = (
+            f"Profile of {one.label}: it lies between {low:.4g} and {high:.4g} (68 %)."
+        )
+        shown.append(_drawn(lambda axes, p=one: draw_profile(axes, fit, p), alt))
+    free = fit.problem.unknowns.y_labels
+    left = sum(free.count(label) == 1 for label in free) - len(labels)
     draws = f'In Python, fit.plot_profile("{wanted[len(shown) % len(wanted)]}") draws'
     if len(labels) < len(wanted):
         counts = {0: "none is", 1: "one alone is", 2: "two alone are"}
@@ -197,14 +168,14 @@ def residuals(fit: Fit) -> list[Panel]:
     ]
 
 
-def convergence(fit: Fit, thorough: bool) -> tuple[Panel | None, str]:
-    """How the solver ended and, if that is wanted, the cost step by step."""
+def convergence(fit: Fit, found: Diagnostics | None) -> tuple[Panel | None, str]:
+    """How the solver ended and, if that is known, the cost step by step."""
     end = f"The fit took {fit.steps} steps: {fit.reason}."
-    if not thorough:
+    if found is None:
         return None, end
-    if fit.n_samples > MOST_PROFILES * MOST_SAMPLES:
+    if found.descent is None:
         return None, f"{end} Its course is not drawn: of so many samples it takes long."
-    descent = descend(fit.solution)
+    descent = found.descent
     if not np.isfinite(descent.costs).all():
         return None, f"{end} Costs are not finite."
     steps = len(descent.costs) - 1

@@ -12,7 +12,7 @@ from phongfit.fitting.uncertainty.descent import Descent
 from phongfit.report.pictures import Row, comparison, draw_residual
 from phongfit.report.residuals import draw_against_level, draw_blocks, draw_histogram
 from phongfit.report.style import ACCENT, INK, SIGNED, picture, quiet, styled
-from phongfit.report.words import as_tuple, identified
+from phongfit.report.words import as_tuple
 
 MOST_IMAGES = 4
 MOST_UNKNOWNS = 24
@@ -101,7 +101,7 @@ def plot_residuals(fit: Fit) -> Figure:
 def shown_unknowns(fit: Fit) -> list[int]:
     """Entries that have correlations; of many, those with the largest."""
     known = np.isfinite(np.diag(fit.covariance))
-    free = np.flatnonzero(identified(fit) & known & ~fit.tied)
+    free = np.flatnonzero(fit.identified & known & ~fit.tied)
     if len(free) <= MOST_UNKNOWNS:
         return free.tolist()
     matrix = np.abs(fit.correlation[np.ix_(free, free)])

@@ -50,11 +50,6 @@ def as_tuple(images: Any) -> tuple[np.ndarray, ...]:
     return images if isinstance(images, tuple) else (images,)
 
 
-def identified(fit: Fit) -> np.ndarray:
-    """True where the data identify a number, and it lies on no bound."""
-    return ~fit.unidentified & ~fit.at_bound & np.isfinite(fit.errors)
-
-
 def summary(fit: Fit) -> list[str]:
     """What came out, in a few sentences."""
     sentences = [_what(fit), _how_it_ended(fit), _residual_words(fit)]
@@ -69,7 +64,7 @@ def summary(fit: Fit) -> list[str]:
         labels = [label for label, flag in zip(fit.labels, flags, strict=True) if flag]
         if labels:
             sentences.append(what.format(listed(labels)))
-    if identified(fit).all():
+    if fit.identified.all():
         sentences.append("The data identify everything that was asked.")
     return sentences
 
@@ -111,7 +106,7 @@ def _residual_words(fit: Fit) -> str:
 
 def _identified_parameter(fit: Fit, name: str) -> bool:
     entries = [k for k, label in enumerate(fit.labels) if _is_of(label, name)]
-    return bool(entries) and len(entries) <= 3 and bool(identified(fit)[entries].all())
+    return bool(entries) and len(entries) <= 3 and bool(fit.identified[entries].all())
 
 
 def _is_of(label: str, name: str) -> bool:

@@ -31,7 +31,7 @@ def pages(tmp_path_factory, one, open_fit) -> dict[str, Path]:
             names=names,
             assumptions={"encoding": "linear", LONG: LONG},
             command=f"phongfit fit {LONG}",
-            thorough=fit is one,
+            diagnostics=one.diagnose() if fit is one else None,
         )
     return {path.stem: path for path in folder.iterdir()}
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from phongfit.report.page import page, write_page
-from phongfit.report.panels import convergence, profiled, profiles
+from phongfit.report.panels import convergence, profiles
 from phongfit.report.words import bounds_words, known_words, listed, unit
 
 
@@ -33,7 +33,8 @@ class Elements(html.parser.HTMLParser):
 
 @pytest.fixture(scope="module")
 def whole(one) -> Elements:
-    return Elements(page(one, title="A ball", command="phongfit fit ball"))
+    command, found = "phongfit fit ball", one.diagnose()
+    return Elements(page(one, title="A ball", command=command, diagnostics=found))
 
 
 def words(elements: Elements) -> str:
@@ -84,7 +85,7 @@ def test_it_stands_alone_and_pictures_have_words(whole):
 
 
 def test_what_is_not_identifiable(open_fit):
-    elements = Elements(page(open_fit, title="matte", thorough=False))
+    elements = Elements(page(open_fit, title="matte"))
     text = words(elements)
     assert "The data do not identify shininess: the warnings say why." in text
     assert "± ∞" in text and "not identifiable" in text
@@ -101,7 +102,7 @@ def test_what_did_not_converge(one):
     failed = dataclasses.replace(
         one, converged=False, warnings=("the solver did not converge",)
     )
-    text = words(Elements(page(failed, title="failed")))
+    text = words(Elements(page(failed, title="failed", diagnostics=failed.diagnose())))
     assert "NOT converged" in text and "1 warning " in text
     assert "The solver did not converge in" in text
     assert "There are none: the solver did not converge." in text
@@ -116,7 +117,6 @@ def test_text_from_outside_is_never_markup(one):
             names=[evil],
             assumptions={evil: evil},
             command=evil,
-            thorough=False,
         )
     )
     assert not elements.all("script")
@@ -127,37 +127,32 @@ def test_text_from_outside_is_never_markup(one):
 
 def test_written_whole_or_not_at_all(one, tmp_path, monkeypatch):
     path = tmp_path / "report.html"
-    write_page(path, one, title="first", thorough=False)
+    write_page(path, one, title="first")
     before = path.read_text(encoding="utf-8")
     assert before.startswith("<!doctype html>") and before.rstrip().endswith("</html>")
     with pytest.raises(ValueError, match="names: 2 came for 1 images"):
         write_page(path, one, title="second", names=["a", "b"])
     with pytest.raises(OSError, match="there is no folder"):
-        write_page(tmp_path / "no" / "report.html", one, title="t", thorough=False)
+        write_page(tmp_path / "no" / "report.html", one, title="t")
     assert path.read_text(encoding="utf-8") == before
     assert [file.name for file in tmp_path.iterdir()] == ["report.html"]
 
 
-def test_which_unknowns_get_a_profile(one, open_fit):
-    assert profiled(one) == ["shininess", "specular.red", "diffuse.red"]
-    assert "shininess" not in profiled(open_fit)
-    assert "diffuse.red" in profiled(open_fit)
-
-
 def test_of_many_samples_there_are_few_profiles(one):
     many = dataclasses.replace(one, n_samples=2_000_000)
-    pictures, about = profiles(many, True)
+    pictures, about = profiles(many, many.diagnose())
     assert [shown["alt"].split()[2] for shown in pictures] == ["shininess:"]
     assert "all 2,000,000 samples" in about and "one alone is drawn" in about
     assert 'fit.plot_profile("specular.red") draws another' in about
     endless = dataclasses.replace(one, n_samples=4_000_000)
-    pictures, about = profiles(endless, True)
+    pictures, about = profiles(endless, endless.diagnose())
     assert pictures == [] and "none is drawn" in about
     assert 'fit.plot_profile("shininess") draws' in about
-    course, about = convergence(endless, True)
+    course, about = convergence(endless, endless.diagnose())
     assert course is None and "Its course is not drawn" in about
     matte = dataclasses.replace(endless, unidentified=np.ones(10, bool))
-    assert profiles(matte, True)[1] == "There are none: no unknown is identified."
+    about = profiles(matte, matte.diagnose())[1]
+    assert about == "There are none: no unknown is identified."
 
 
 @pytest.mark.parametrize(
