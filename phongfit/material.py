@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from phongfit.checks import as_reflectance
+from phongfit.checks import as_reflectance, traced
 from phongfit.presets import OPENGL_MATERIALS
 from phongfit.showing import report
 
@@ -60,8 +60,23 @@ class Material(eqx.Module):
         self.ambient = as_reflectance("ambient", ambient)
         self.emission = as_reflectance("emission", emission)
 
+    def __repr__(self) -> str:
+        numbers = (f"{name}={_written(value)}" for name, value in vars(self).items())
+        return f"Material({', '.join(numbers)})"
+
     def _repr_html_(self) -> str:
         return report("notebook").of_material(self)
+
+
+def _written(value: Any) -> str:
+    """One number, or RGB, to four digits; what holds more by its shape."""
+    if not eqx.is_array_like(value):
+        # Where a tree of materials holds something else than numbers.
+        return repr(value)
+    if jnp.ndim(value) > 1 or traced(value):
+        return eqx.tree_pformat(value)
+    numbers = [f"{float(one):.4g}" for one in jnp.atleast_1d(jnp.asarray(value))]
+    return f"({', '.join(numbers)})" if jnp.ndim(value) else numbers[0]
 
 
 def stack_materials(materials: Iterable[Material]) -> Material:

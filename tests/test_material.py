@@ -1,3 +1,4 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -94,3 +95,28 @@ def test_defaults_are_matte():
     near(material.specular, 0)
     near(material.emission, 0)
     assert floats(0) < material.diffuse <= 1
+
+
+@pytest.mark.parametrize(
+    "material, words",
+    [
+        (
+            pf.Material((0.6, 0.3, 0.25), 1 / 3, 20.0, 0.5),
+            "Material(diffuse=(0.6, 0.3, 0.25), specular=0.3333, shininess=20, "
+            "ambient=0.5, emission=0)",
+        ),
+        (pf.Material(np.full((4, 3), 0.1)), "Material(diffuse=f*[4,3], specular=0,"),
+        (jax.tree.map(lambda _: None, pf.Material()), "Material(diffuse=None,"),
+    ],
+)
+def test_it_is_written_in_numbers(material, words):
+    text = str(material).replace("f32[", "f*[").replace("f64[", "f*[")
+    assert text.startswith(words) and repr(material) == str(material)
+
+
+def test_it_is_written_under_jit_as_well():
+    def shape(material):
+        assert "diffuse=f" in str(material)
+        return material.diffuse
+
+    jax.jit(shape)(pf.Material())

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from phongfit.lab.studio import Studio
+    from phongfit.lab.session import Session
 
 MAX_RESOLUTION = 1024
 
@@ -94,21 +94,21 @@ def _serve(listener: socket.socket, options: Options) -> None:
 
     from phongfit.lab.guard import is_loopback
     from phongfit.lab.server import make_app
+    from phongfit.lab.session import Session
     from phongfit.lab.settings import PictureRequest, Settings
-    from phongfit.lab.studio import Studio
 
-    studio = Studio(options.resolution)
+    session = Session(options.resolution)
     # The first picture is there when the page is.
-    studio.picture(PictureRequest(settings=Settings()))
+    session.picture(PictureRequest(settings=Settings()))
     config = uvicorn.Config(
-        make_app(studio, options.host),
+        make_app(session, options.host),
         log_level="warning",
         access_log=False,
         timeout_graceful_shutdown=3,
     )
     url = _url(listener, options.host)
     try:
-        with _warming_up(studio):
+        with _warming_up(session):
             _announce(url, is_loopback(options.host), options.browser)
             uvicorn.Server(config).run(sockets=[listener])
     except KeyboardInterrupt:
@@ -126,10 +126,10 @@ def _announce(url: str, only_here: bool, browser: bool) -> None:
 
 
 @contextlib.contextmanager
-def _warming_up(studio: "Studio") -> Iterator[None]:
+def _warming_up(session: "Session") -> Iterator[None]:
     """Compile beside the block, and no longer than it."""
     stop = threading.Event()
-    thread = threading.Thread(target=studio.warm_up, args=(stop,))
+    thread = threading.Thread(target=session.warm_up, args=(stop,))
     thread.start()
     try:
         yield

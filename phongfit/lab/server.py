@@ -14,13 +14,13 @@ from starlette.routing import Route
 
 from phongfit.files.records import AbstractRecord, parse_record
 from phongfit.lab.guard import Guard
+from phongfit.lab.session import Session
 from phongfit.lab.settings import (
     FitRequest,
     PictureRequest,
     TargetRequest,
     describe_settings,
 )
-from phongfit.lab.studio import Studio
 from phongfit.lab.uploads import MAX_BYTES
 from phongfit.rendering.film import as_encoding
 
@@ -36,7 +36,7 @@ Endpoint = Callable[[Request], Awaitable[Response]]
 Record = TypeVar("Record", bound=AbstractRecord)
 
 
-def make_app(studio: Studio, host: str = "127.0.0.1") -> Starlette:
+def make_app(session: Session, host: str = "127.0.0.1") -> Starlette:
     """The page and what it asks for.
 
     What is wrong with a request is reported in one line: `{"error": …}`, status 400.
@@ -50,23 +50,23 @@ def make_app(studio: Studio, host: str = "127.0.0.1") -> Starlette:
         return JSONResponse(about)
 
     def picture(request: PictureRequest) -> Response:
-        return Response(studio.picture(request), media_type="image/png")
+        return Response(session.picture(request), media_type="image/png")
 
     def mesh(request: Request, content: bytes) -> dict[str, Any]:
-        return studio.add_mesh(_query(request, "name"), content)
+        return session.add_mesh(_query(request, "name"), content)
 
     def photograph(request: Request, content: bytes) -> dict[str, Any]:
         encoding = as_encoding(_query(request, "encoding"))
-        return studio.add_photograph(_query(request, "name"), content, encoding)
+        return session.add_photograph(_query(request, "name"), content, encoding)
 
     def mask(request: Request, content: bytes) -> dict[str, Any]:
         token, name = _query(request, "target"), _query(request, "name")
-        return studio.add_mask(token, name, content)
+        return session.add_mask(token, name, content)
 
     posts = {
         "/api/picture": _asked(PictureRequest, picture),
-        "/api/target": _asked(TargetRequest, studio.make_target),
-        "/api/fit": _asked(FitRequest, studio.fit),
+        "/api/target": _asked(TargetRequest, session.make_target),
+        "/api/fit": _asked(FitRequest, session.fit),
         "/api/mesh": _uploaded(mesh),
         "/api/photograph": _uploaded(photograph),
         "/api/mask": _uploaded(mask),

@@ -158,7 +158,9 @@ class FitOptions(AbstractRecord):
         },
     )
     rim: float = _slider("fit", "rim left out: n·v below", 0.0, 0, 0.9, step=0.01)
-    light_too: bool = _slider("fit", "the light's place is unknown too", False)
+    light_too: bool = _slider(
+        "fit", "the light's direction or position is unknown too", False
+    )
 
 
 class PictureRequest(AbstractRecord):

@@ -14,7 +14,7 @@ from phongfit.files.images import read_image, read_mask
 from phongfit.files.inputs import naming
 from phongfit.files.meshes import load_mesh
 from phongfit.geometry.meshes import Mesh
-from phongfit.lab.stage import fitted_into_view
+from phongfit.lab.scene import fitted_into_view
 from phongfit.rendering.film import Encoding
 
 MAX_BYTES = 2**26

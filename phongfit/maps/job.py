@@ -186,8 +186,9 @@ def make_settings(
     ]
     if lacking:
         raise ValueError(
-            f"per_channel: {', '.join(lacking)} missing; reflectances of a map are "
-            "always one for each channel, the exponent may be shared"
+            "per_channel: expected every reflectance that is unknown, got none of "
+            f"{', '.join(lacking)}: a map has one for each channel, and only shininess "
+            "may be shared"
         )
     # Where there is no ambient light, nothing is known of what it would do.
     names = tuple(

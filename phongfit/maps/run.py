@@ -80,7 +80,10 @@ def fit_maps(
         [`PhotographStack`][], which reads files, or [`DatasetStack`][].
     - `unknowns`: parameters to be found. Where no ambient light falls, `ambient` is
         not.
-    - `per_channel`: with `"shininess"` each channel has its own exponent.
+    - `per_channel`: parameters with a number for each of red, green and blue. The
+        reflectances that are unknown must be among them, since each channel of a pixel
+        is fitted by itself; `"shininess"` may be, and then each channel has its own
+        exponent.
     - `known`: values of the parameters that are not unknown; default no reflectance and
         an exponent of 32.
     - `bounds`: name → (low, high), as in [`fit`][].

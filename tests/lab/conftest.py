@@ -9,21 +9,21 @@ import uvicorn
 
 from phongfit.lab.command import listening
 from phongfit.lab.server import make_app
-from phongfit.lab.studio import Studio
+from phongfit.lab.session import Session
 
 SIZE = 64
 
 
 @pytest.fixture(scope="session")
-def studio() -> Studio:
-    return Studio(SIZE)
+def session() -> Session:
+    return Session(SIZE)
 
 
 @contextlib.contextmanager
-def serving(studio: Studio) -> Iterator[int]:
+def serving(session: Session) -> Iterator[int]:
     """A server as the command starts it; gives the port that it listens at."""
     with listening("127.0.0.1", 0) as listener:
-        config = uvicorn.Config(make_app(studio), log_level="warning", lifespan="off")
+        config = uvicorn.Config(make_app(session), log_level="warning", lifespan="off")
         server = uvicorn.Server(config)
         thread = threading.Thread(target=server.run, args=([listener],))
         thread.start()
@@ -35,6 +35,6 @@ def serving(studio: Studio) -> Iterator[int]:
 
 
 @pytest.fixture(scope="session")
-def port(studio) -> Iterator[int]:
-    with serving(studio) as port:
+def port(session) -> Iterator[int]:
+    with serving(session) as port:
         yield port

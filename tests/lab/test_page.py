@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from phongfit.lab.studio import Studio
+from phongfit.lab.session import Session
 from tests.lab.conftest import serving
 
 pytestmark = pytest.mark.float64
@@ -206,7 +206,7 @@ def test_sliders_are_answered_at_once(page):
 @pytest.mark.parametrize("name", [None, "ring.obj"])
 def test_sliders_are_answered_within_200_ms(browser, tmp_path, name, shading):
     """At 256 × 256 pixels: the median of 20, for the sphere and for 4096 faces."""
-    with serving(Studio(256)) as port:
+    with serving(Session(256)) as port:
         page = browser.new_page()
         page.goto(f"http://127.0.0.1:{port}/")
         if name is not None:

@@ -35,10 +35,16 @@ def fit(scenes=STACK.scenes, images=STACK.images, **options):
         ({"noise": np.zeros((4, 6))}, "noise: finite numbers > 0"),
         ({"noise": [1, 1, 1, 1, np.full((4, 6, 3), np.nan)]}, r"noise\[4\]: finite"),
         ({"noise": [1, 1, 1, np.ones((4, 3)), 1]}, r"noise\[3\]: float64 of shape"),
-        ({"unknowns": ("diffus",)}, "unknowns: 'diffus' came"),
+        (
+            {"unknowns": ("diffus",)},
+            "unknowns: expected one of ambient, .*, got 'diffus'",
+        ),
         ({"unknowns": ("diffuse", "shininess")}, "without specular"),
         ({"unknowns": ()}, "unknowns: at least one"),
-        ({"per_channel": ("diffuse",)}, "per_channel: ambient, specular missing"),
+        (
+            {"per_channel": ("diffuse",)},
+            "per_channel: expected every reflectance .*, got none of ambient, specular",
+        ),
         ({"bounds": {"diffuse": (1, 0)}}, "bounds: diffuse"),
         ({"bounds": {"shininess": (0, 10)}}, "bounds: shininess"),
         ({"start": 30.0}, "start: float came"),

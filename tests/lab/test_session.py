@@ -8,7 +8,8 @@ import pytest
 import trimesh
 
 import phongfit as pf
-from phongfit.lab.answers import differences
+from phongfit.lab.responses import differences
+from phongfit.lab.session import Session
 from phongfit.lab.settings import (
     FitOptions,
     FitRequest,
@@ -16,7 +17,6 @@ from phongfit.lab.settings import (
     Settings,
     TargetRequest,
 )
-from phongfit.lab.studio import Studio
 from tests.lab.conftest import SIZE
 
 pytestmark = pytest.mark.float64
@@ -24,8 +24,8 @@ pytestmark = pytest.mark.float64
 TURNED = Settings(azimuth=-20.0, shininess=9.0)
 
 
-def _picture(studio: Studio, settings: Settings, target: str | None = None):
-    content = studio.picture(PictureRequest(settings=settings, target=target))
+def _picture(session: Session, settings: Settings, target: str | None = None):
+    content = session.picture(PictureRequest(settings=settings, target=target))
     return imagecodecs.png_decode(content)
 
 
@@ -33,7 +33,7 @@ def _png(image: np.ndarray) -> bytes:
     return bytes(imagecodecs.png_encode(image))
 
 
-def test_the_picture_is_the_renderers(studio):
+def test_the_picture_is_the_renderers(session):
     camera = pf.OrthographicCamera(SIZE, SIZE)
     azimuth, elevation = np.deg2rad([-20, 30])
     direction = (
@@ -45,51 +45,51 @@ def test_the_picture_is_the_renderers(studio):
     material = pf.Material((0.6, 0.3, 0.2), 0.4, 9.0, (0.6, 0.3, 0.2))
     film = pf.Film(encoding="srgb", bits=8)
     expected = np.round(255 * np.asarray(pf.render(scene, material, film=film)))
-    assert np.abs(_picture(studio, TURNED) - expected).max() <= 1
+    assert np.abs(_picture(session, TURNED) - expected).max() <= 1
 
 
-def test_geometry_is_traced_once(studio):
-    _picture(studio, TURNED)
-    before = studio._geometry.cache_info()
+def test_geometry_is_traced_once(session):
+    _picture(session, TURNED)
+    before = session._geometry.cache_info()
     for settings in (TURNED, Settings(light="none"), Settings(diffuse=(0, 0, 1))):
-        _picture(studio, settings)
-    after = studio._geometry.cache_info()
+        _picture(session, settings)
+    after = session._geometry.cache_info()
     assert after.misses == before.misses and after.hits == before.hits + 3
 
 
-def test_a_mesh_under_each_shading_method(studio, tmp_path):
+def test_a_mesh_under_each_shading_method(session, tmp_path):
     path = tmp_path / "ball.stl"
     trimesh.creation.icosphere(2).export(path)
-    loaded = studio.add_mesh(path.name, path.read_bytes())
+    loaded = session.add_mesh(path.name, path.read_bytes())
     assert loaded["faces"] == 320
     shown = [
-        _picture(studio, Settings(surface=loaded["surface"], shading=shading))
+        _picture(session, Settings(surface=loaded["surface"], shading=shading))
         for shading in ("flat", "gouraud", "phong")
     ]
     colours = [len(np.unique(image.reshape(-1, 3), axis=0)) for image in shown]
     # Each face has one colour: a pixel sees one of 160 of them at most.
     assert colours[0] <= 161 < min(colours[1:])
-    sphere = _picture(studio, Settings(shading="flat"))
+    sphere = _picture(session, Settings(shading="flat"))
     assert not np.array_equal(sphere, shown[0])
 
 
-def test_what_is_no_longer_held(studio):
+def test_what_is_no_longer_held(session):
     with pytest.raises(ValueError, match="mesh: is no longer held; load it again"):
-        _picture(studio, Settings(surface="elsewhere"))
+        _picture(session, Settings(surface="elsewhere"))
     with pytest.raises(ValueError, match="target: is no longer held"):
-        _picture(studio, Settings(), "elsewhere")
-    first = studio.make_target(TargetRequest(settings=Settings()))["target"]
+        _picture(session, Settings(), "elsewhere")
+    first = session.make_target(TargetRequest(settings=Settings()))["target"]
     for _ in range(8):
-        studio.make_target(TargetRequest(settings=Settings()))
+        session.make_target(TargetRequest(settings=Settings()))
     with pytest.raises(ValueError, match="target: is no longer held"):
-        studio.fit(FitRequest(settings=Settings(), target=first))
+        session.fit(FitRequest(settings=Settings(), target=first))
 
 
-def test_a_fit_of_a_made_target(studio):
-    made = studio.make_target(TargetRequest(settings=TURNED, noise=0.01, seed=3))
+def test_a_fit_of_a_made_target(session):
+    made = session.make_target(TargetRequest(settings=TURNED, noise=0.01, seed=3))
     # The material of the sliders does not matter, their light does.
     asked = Settings(azimuth=-20.0, diffuse=(0, 1, 0))
-    answer = studio.fit(FitRequest(settings=asked, target=made["target"]))
+    answer = session.fit(FitRequest(settings=asked, target=made["target"]))
     assert len(answer["rows"]) == 10 and answer["differs"] == []
     for row in answer["rows"]:
         value, error = float(row["value"]), float(row["error"].removeprefix("± "))
@@ -103,14 +103,14 @@ def test_a_fit_of_a_made_target(studio):
     assert 0.01 < answer["scale"] < 0.06
 
 
-def test_what_is_not_identifiable(studio):
+def test_what_is_not_identifiable(session):
     """Where no light falls there is no highlight, and nothing diffuse."""
     dark = Settings(intensity=(0, 0, 0))
-    made = studio.make_target(TargetRequest(settings=dark))
-    answer = studio.fit(FitRequest(settings=dark, target=made["target"]))
-    told = {row["label"]: row["note"] for row in answer["rows"]}
-    assert told["shininess"] == told["diffuse.red"] == "not identifiable"
-    assert told["ambient.red"] == ""
+    made = session.make_target(TargetRequest(settings=dark))
+    answer = session.fit(FitRequest(settings=dark, target=made["target"]))
+    notes = {row["label"]: row["note"] for row in answer["rows"]}
+    assert notes["shininess"] == notes["diffuse.red"] == "not identifiable"
+    assert notes["ambient.red"] == ""
     assert any("not identifiable" in words for words in answer["warnings"])
     assert set(answer["settings"]) == {"ambient"}
 
@@ -127,58 +127,58 @@ def test_what_a_fit_assumes_otherwise():
 
 
 @pytest.mark.slow
-def test_a_light_whose_place_is_unknown(studio):
-    made = studio.make_target(TargetRequest(settings=TURNED))
+def test_a_light_whose_place_is_unknown(session):
+    made = session.make_target(TargetRequest(settings=TURNED))
     asked = FitRequest(
         settings=Settings(azimuth=-10.0, elevation=20.0),
         target=made["target"],
         options=FitOptions(light_too=True),
     )
-    answer = studio.fit(asked)
+    answer = session.fit(asked)
     assert answer["settings"]["azimuth"] == pytest.approx(-20, abs=0.5)
     assert answer["settings"]["elevation"] == pytest.approx(30, abs=0.5)
     names = {row["name"]: row["truth"] for row in answer["rows"]}
     assert names["light direction y"] == "0.5"
 
 
-def test_no_light_has_no_place(studio):
-    made = studio.make_target(TargetRequest(settings=Settings(light="none")))
+def test_no_light_has_no_place(session):
+    made = session.make_target(TargetRequest(settings=Settings(light="none")))
     asked = FitRequest(
         settings=Settings(light="none"),
         target=made["target"],
         options=FitOptions(light_too=True),
     )
     with pytest.raises(ValueError, match="light: there is none"):
-        studio.fit(asked)
+        session.fit(asked)
 
 
-def test_a_photograph_and_its_mask(studio):
+def test_a_photograph_and_its_mask(session):
     settings = Settings(centre_x=40.0, centre_y=50.0, radius=30.0)
     shape = (40, 60)
-    loaded = studio.add_photograph("dark.png", _png(_dark(shape)), "linear")
+    loaded = session.add_photograph("dark.png", _png(_dark(shape)), "linear")
     assert loaded["photograph"] and (loaded["height"], loaded["width"]) == shape
     assert loaded["brighten"] == pytest.approx(0.8 * 255 / 51)
-    assert _picture(studio, settings, loaded["target"]).shape == (*shape, 3)
+    assert _picture(session, settings, loaded["target"]).shape == (*shape, 3)
     mask = np.zeros(shape, np.uint8)
     rows, columns = np.mgrid[:40, :60] + 0.5
     mask[(rows - 20) ** 2 + (columns - 24) ** 2 < 12**2] = 1
-    masked = studio.add_mask(loaded["target"], "mask.png", _png(mask))
+    masked = session.add_mask(loaded["target"], "mask.png", _png(mask))
     assert masked["centre_x"] == pytest.approx(40, abs=0.1)
     assert masked["centre_y"] == pytest.approx(50, abs=0.1)
     assert masked["radius"] == pytest.approx(30, abs=0.1)
     with pytest.raises(ValueError, match=r"small.png: \(4, 4\) pixels came"):
-        studio.add_mask(loaded["target"], "small.png", _png(mask[:4, :4]))
+        session.add_mask(loaded["target"], "small.png", _png(mask[:4, :4]))
     with pytest.raises(ValueError, match="empty.png: it leaves no pixel"):
-        studio.add_mask(loaded["target"], "empty.png", _png(0 * mask))
+        session.add_mask(loaded["target"], "empty.png", _png(0 * mask))
 
 
 def _dark(shape: tuple[int, int]) -> np.ndarray:
     return np.full((*shape, 3), 51, np.uint8)
 
 
-def test_warming_up_stops_when_told(studio):
+def test_warming_up_stops_when_told(session):
     stop = threading.Event()
     stop.set()
-    before = studio._geometry.cache_info()
-    studio.warm_up(stop)
-    assert studio._geometry.cache_info() == before
+    before = session._geometry.cache_info()
+    session.warm_up(stop)
+    assert session._geometry.cache_info() == before

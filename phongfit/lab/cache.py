@@ -1,4 +1,4 @@
-"""What was loaded into the page, kept until newer things need its place."""
+"""What was loaded into the page, kept until newer things need the room."""
 
 import secrets
 import threading
@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Shelf(Generic[T]):
+class Cache(Generic[T]):
     """A few things, each under a name that nobody can guess.
 
     The one used longest ago makes room for a new one, so memory stays bounded however

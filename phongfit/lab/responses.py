@@ -7,14 +7,14 @@ import numpy as np
 from phongfit.fitting.problem.parameters import CHANNELS, REFLECTANCES
 from phongfit.fitting.result import Fit
 from phongfit.fitting.uncertainty.numbers import number_with_error
+from phongfit.lab.scene import angles, make_lights
 from phongfit.lab.settings import Settings, matters
-from phongfit.lab.stage import angles, make_lights
 
 SYMBOLS = {"diffuse": "ρ_d", "specular": "ρ_s", "ambient": "ρ_a", "shininess": "f"}
 OF_MATERIAL = ("diffuse", "specular", "ambient", "shininess")
 
 
-def fit_answer(fit: Fit, truth: Settings | None) -> dict[str, Any]:
+def fit_response(fit: Fit, truth: Settings | None) -> dict[str, Any]:
     """What the page shows of a fit, but the pictures.
 
     **Arguments:** `truth`: the settings that the target was made of, if it was.
@@ -42,13 +42,13 @@ def _material_found(fit: Fit) -> dict[str, Any]:
 
 
 def _light_found(fit: Fit) -> dict[str, float]:
-    """Angles and distance of a light whose place was unknown."""
-    places = [label for label in fit.labels if label.startswith("scene.lights[0]")]
-    if not places or any(fit[label].unidentified for label in places):
+    """Angles and distance of a light whose direction or position was unknown."""
+    labels = [label for label in fit.labels if label.startswith("scene.lights[0]")]
+    if not labels or any(fit[label].unidentified for label in labels):
         return {}
-    azimuth, elevation, distance = angles([fit[label].value for label in places])
+    azimuth, elevation, distance = angles([fit[label].value for label in labels])
     found = {"azimuth": azimuth, "elevation": elevation}
-    return found | ({} if "direction" in places[0] else {"distance": distance})
+    return found | ({} if "direction" in labels[0] else {"distance": distance})
 
 
 def true_numbers(settings: Settings) -> dict[str, float]:

@@ -16,8 +16,10 @@ from phongfit.fitting.problem.specification import DEFAULT_UNKNOWNS
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.shapes import Ball
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer, Sphere
-from phongfit.lab.answers import differences, fit_answer
+from phongfit.lab.cache import Cache
 from phongfit.lab.pictures import brightening, png, residual_png
+from phongfit.lab.responses import differences, fit_response
+from phongfit.lab.scene import Frame, make_lights, make_material, make_scene
 from phongfit.lab.settings import (
     SPHERE,
     FitOptions,
@@ -26,8 +28,6 @@ from phongfit.lab.settings import (
     Settings,
     TargetRequest,
 )
-from phongfit.lab.shelf import Shelf
-from phongfit.lab.stage import Frame, make_lights, make_material, make_scene
 from phongfit.lab.uploads import read_mesh, read_photograph, read_photograph_mask
 from phongfit.rendering.film import Encoding, Film
 from phongfit.rendering.render import render
@@ -59,7 +59,7 @@ class Target:
         return Frame(height, width, free=self.truth is None)
 
 
-class Studio:
+class Session:
     """Answers requests of the page, from any thread.
 
     Geometry is resolved once and kept; a slider of the material or the light costs one
@@ -69,8 +69,8 @@ class Studio:
     def __init__(self, resolution: int = 256):
         """**Arguments:** `resolution`: width and height of pictures, pixels."""
         self.frame = Frame(resolution, resolution)
-        self._meshes: Shelf[Mesh] = Shelf("mesh")
-        self._targets: Shelf[Target] = Shelf("target")
+        self._meshes: Cache[Mesh] = Cache("mesh")
+        self._targets: Cache[Target] = Cache("target")
         self._geometry = functools.lru_cache(maxsize=8)(self._trace)
         # A fit keeps all cores busy: the next one waits.
         self._fitting = threading.Lock()
@@ -137,7 +137,7 @@ class Studio:
         settings, options = request.settings, request.options
         target = self._targets.get(request.target)
         surface, gbuffer = self._geometry(_geometry_of(settings), target.frame)
-        unknowns = (*DEFAULT_UNKNOWNS, *_place_of_light(settings, options))
+        unknowns = (*DEFAULT_UNKNOWNS, *_unknown_of_light(settings, options))
         used = target.mask & _faces_viewer(gbuffer, options.rim)
         with self._fitting:
             start = time.perf_counter()
@@ -151,7 +151,7 @@ class Studio:
             seconds = time.perf_counter() - start
         residual, scale = residual_png(found.residuals, used)
         truth = target.truth
-        return fit_answer(found, truth) | {
+        return fit_response(found, truth) | {
             "seconds": seconds,
             "differs": [] if truth is None else differences(settings, truth),
             "fitted": data_uri(png(found.fitted, target.brighten)),
@@ -226,10 +226,12 @@ def _faces_viewer(gbuffer: GBuffer, rim: float) -> Bool[np.ndarray, "height widt
     return np.asarray(gbuffer.mask) & (np.sum(normal * view, axis=-1) >= rim)
 
 
-def _place_of_light(settings: Settings, options: FitOptions) -> tuple[str, ...]:
+def _unknown_of_light(settings: Settings, options: FitOptions) -> tuple[str, ...]:
     if not options.light_too:
         return ()
     if not make_lights(settings):
-        raise ValueError("light: there is none whose place could be unknown")
-    place = "direction" if settings.light == "directional" else "position"
-    return (f"scene.lights[0].{place}",)
+        raise ValueError(
+            "light: there is no light whose direction or position could be unknown"
+        )
+    path = "direction" if settings.light == "directional" else "position"
+    return (f"scene.lights[0].{path}",)

@@ -7,8 +7,7 @@ import pytest
 import trimesh
 
 import phongfit as pf
-from phongfit.lab.settings import Settings
-from phongfit.lab.stage import (
+from phongfit.lab.scene import (
     Frame,
     angles,
     fitted_into_view,
@@ -16,6 +15,7 @@ from phongfit.lab.stage import (
     make_lights,
     make_scene,
 )
+from phongfit.lab.settings import Settings
 from tests.helpers import near
 
 FRAME = Frame(32, 32)
