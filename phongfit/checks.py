@@ -22,7 +22,7 @@ def as_floats(name: str, value: Any) -> Float[Array, "..."]:
         # By way of NumPy where it can be: that compiles nothing. It cannot where a
         # tracer hides in a list.
         given = isinstance(value, Array)
-        array = value if given else (jnp if _is_traced(value) else np).asarray(value)
+        array = value if given else (jnp if is_traced(value) else np).asarray(value)
         if array.dtype.kind not in "bfiucV":
             array = jnp.asarray(value)
     except (TypeError, ValueError) as error:
@@ -136,16 +136,16 @@ def untraced(instead: str, **arguments: Any) -> None:
     - `arguments`: by their names, pytrees.
     """
     # In one go, since nearly always there is none.
-    if not _is_traced(arguments):
+    if not is_traced(arguments):
         return
-    name = next(name for name, value in arguments.items() if _is_traced(value))
+    name = next(name for name, value in arguments.items() if is_traced(value))
     raise ValueError(
         f"{name}: a traced array came (inside jit, grad or vmap), known numbers are "
         f"wanted; {instead}"
     )
 
 
-def _is_traced(value: Any) -> bool:
+def is_traced(value: Any) -> bool:
     """Whether a tracer is among the leaves."""
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from phongfit.checks import as_reflectance, traced
+from phongfit.checks import as_reflectance, is_traced
 from phongfit.presets import OPENGL_MATERIALS
 from phongfit.showing import report
 
@@ -73,7 +73,7 @@ def _written(value: Any) -> str:
     if not eqx.is_array_like(value):
         # Where a tree of materials holds something else than numbers.
         return repr(value)
-    if jnp.ndim(value) > 1 or traced(value):
+    if jnp.ndim(value) > 1 or is_traced(value):
         return eqx.tree_pformat(value)
     numbers = [f"{float(one):.4g}" for one in jnp.atleast_1d(jnp.asarray(value))]
     return f"({', '.join(numbers)})" if jnp.ndim(value) else numbers[0]
