@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         load_scene as load_scene,
         save_scene as save_scene,
     )
+    from phongfit.files.schema import register as register
     from phongfit.fitting.fit import fit as fit
     from phongfit.fitting.implicit import refit as refit
     from phongfit.fitting.predict import (
@@ -187,6 +188,7 @@ _ORIGINS = {
     "read_image": "phongfit.files.images",
     "read_mtl": "phongfit.files.mtl",
     "refit": "phongfit.fitting.implicit",
+    "register": "phongfit.files.schema",
     "render": "phongfit.rendering.render",
     "save_fit": "phongfit.files.saved",
     "save_scene": "phongfit.files.scenes",

@@ -8,7 +8,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from phongfit.checks import as_light, as_scalar, at_least
-from phongfit.vectors import Scalar
+from phongfit.vectors import Rgb, Scalar
 
 FogMode = Literal["linear", "exp", "exp2"]
 FOG_MODES: tuple[FogMode, ...] = get_args(FogMode)
@@ -26,7 +26,7 @@ class Fog(eqx.Module):
         Segal and Akeley, *The OpenGL graphics system, version 1.5*, section 3.10.
     """
 
-    color: Float[Array, "3"]
+    color: Rgb
     mode: FogMode = eqx.field(static=True)
     density: Float[Array, ""]
     start: Float[Array, ""]

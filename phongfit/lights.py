@@ -19,7 +19,7 @@ from phongfit.checks import (
     nonzero,
     require,
 )
-from phongfit.vectors import Scalar, Vec3, dot, norm, normalize, power
+from phongfit.vectors import Rgb, Scalar, Vec3, dot, norm, normalize, power
 
 
 class Illumination(eqx.Module):
@@ -83,9 +83,9 @@ class DirectionalLight(AbstractLight):
     """Parallel rays: the sun, or a lamp far away."""
 
     direction: Float[Array, "3"]
-    intensity: Float[Array, "3"]
-    specular: Float[Array, "3"] | None
-    ambient: Float[Array, "3"]
+    intensity: Rgb
+    specular: Rgb | None
+    ambient: Rgb
 
     def __init__(
         self,
@@ -138,10 +138,10 @@ class PointLight(AbstractLight):
     r"""A bulb: light falls off as $1 / (a_0 + a_1 d + a_2 d^2)$."""
 
     position: Float[Array, "3"]
-    intensity: Float[Array, "3"]
     attenuation: Float[Array, "3"]
-    specular: Float[Array, "3"] | None
-    ambient: Float[Array, "3"]
+    intensity: Rgb
+    specular: Rgb | None
+    ambient: Rgb
 
     def __init__(
         self,
@@ -185,10 +185,10 @@ class SpotLight(AbstractLight):
     axis: Float[Array, "3"]
     cutoff: Float[Array, ""]
     exponent: Float[Array, ""]
-    intensity: Float[Array, "3"]
     attenuation: Float[Array, "3"]
-    specular: Float[Array, "3"] | None
-    ambient: Float[Array, "3"]
+    intensity: Rgb
+    specular: Rgb | None
+    ambient: Rgb
 
     def __init__(
         self,

@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
-from jaxtyping import Array, Float
 
 from phongfit.checks import as_light
 from phongfit.environment import Fog
@@ -15,6 +14,7 @@ from phongfit.geometry.tracing import trace
 from phongfit.lights import AbstractLight, DirectionalLight
 from phongfit.reflectance import AbstractSpecular, BlinnPhong
 from phongfit.showing import report
+from phongfit.vectors import Rgb
 
 
 class Scene(eqx.Module):
@@ -23,12 +23,12 @@ class Scene(eqx.Module):
     surface: AbstractSurface
     camera: AbstractCamera
     lights: tuple[AbstractLight, ...]
-    ambient: Float[Array, "3"]
+    ambient: Rgb
+    background: Rgb
     specular: AbstractSpecular
     shading: AbstractShading
-    fog: Fog | None
-    background: Float[Array, "3"]
     shadows: bool = eqx.field(static=True)
+    fog: Fog | None
     local_viewer: bool | None = eqx.field(static=True)
 
     def __init__(

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 Vec3: TypeAlias = Float[Array, "3"]
+Rgb: TypeAlias = Float[Array, "rgb=3"]
 Scalar: TypeAlias = Float[Array, ""]
 
 

@@ -1,5 +1,6 @@
 """README and CONTRIBUTING: their code runs, and what they point to is there."""
 
+import contextlib
 import importlib.util
 import re
 from pathlib import Path
@@ -34,8 +35,9 @@ def run(name: str) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def contributing() -> dict[str, Any]:
-    return run("CONTRIBUTING.md")
+def contributing(tmp_path_factory) -> dict[str, Any]:
+    with contextlib.chdir(tmp_path_factory.mktemp("contributing")):
+        return run("CONTRIBUTING.md")
 
 
 @as_users_run_it

@@ -18,11 +18,11 @@ from phongfit.commands.options import (
 )
 from phongfit.commands.progress import stage
 from phongfit.files.dataset import Photographs
-from phongfit.files.describe import describe_material
 from phongfit.files.fits import DataRecord, LossName
 from phongfit.files.inputs import naming
 from phongfit.files.materials import read_material
 from phongfit.files.outputs import check_folder, replacing_folder
+from phongfit.files.schema import describe_material
 from phongfit.fitting.fit import fit
 from phongfit.maps.folder import (
     ARRAYS_FILE,

@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BeforeValidator, Field, model_validator
 
-from phongfit.files.describe import describe, describe_material
+from phongfit.files.arguments import describe
 from phongfit.files.inputs import naming
 from phongfit.files.outputs import write_json
 from phongfit.files.records import AbstractRecord, read_record
-from phongfit.files.schema import MaterialRecord, SpecularRecord
+from phongfit.files.schema import MaterialRecord, SpecularRecord, describe_material
 from phongfit.fitting.problem.losses import LOSSES
 from phongfit.fitting.problem.specification import (
     DEFAULT_PER_CHANNEL,

@@ -26,9 +26,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from phongfit.files.describe import describe_material
 from phongfit.files.limits import colour, exponent, limited
 from phongfit.files.outputs import replacing
+from phongfit.files.schema import describe_material
 from phongfit.material import Material
 from phongfit.plain import plain
 

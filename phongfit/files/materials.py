@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from phongfit.files.describe import describe, describe_material
+from phongfit.files.arguments import describe
 from phongfit.files.fits import FIT_FORMAT, FitRecord, check_fit
 from phongfit.files.inputs import naming, naming_field
 from phongfit.files.mtl import read_mtl
@@ -13,10 +13,10 @@ from phongfit.files.outputs import write_json
 from phongfit.files.records import AbstractRecord, read_one_of
 from phongfit.files.schema import (
     TRUTH_FORMAT,
-    BlinnPhongRecord,
     MaterialRecord,
     SpecularRecord,
     TruthRecord,
+    describe_material,
 )
 from phongfit.material import Material, preset
 from phongfit.reflectance import AbstractSpecular, BlinnPhong
@@ -30,7 +30,7 @@ class MaterialFile(AbstractRecord):
     format: Literal["phongfit material"]
     version: Literal[1]
     name: str = "material"
-    model: SpecularRecord = BlinnPhongRecord(kind="blinn-phong")
+    model: SpecularRecord | None = None
     material: MaterialRecord
 
 
@@ -100,7 +100,10 @@ def _from_record(path: Path) -> NamedMaterial:
             case MaterialFile():
                 with naming_field("material"):
                     material = record.material.build()
-                return NamedMaterial(record.name, material, record.model.build())
+                model = record.model
+                return NamedMaterial(
+                    record.name, material, model.build() if model else BlinnPhong()
+                )
     raise AssertionError(f"{type(record).__name__} has no place in FORMATS")
 
 

@@ -35,29 +35,30 @@ class AbstractRecord(BaseModel):
     @classmethod
     def _check_keys(cls, data: Any) -> Any:
         # Before pydantic's own check, which does not say what the known keys are.
-        known = list(cls.model_fields)
+        known = [field.alias or name for name, field in cls.model_fields.items()]
         for key in data if isinstance(data, dict) else ():
             if key not in known:
                 near = difflib.get_close_matches(key, known, n=1)
                 hint = f"did you mean {near[0]!r}?" if near else f"known: {known}"
-                raise _complain(f"{shorten(key)} is no key of it; {hint}")
+                raise complain(f"{shorten(key)} is no key of it; {hint}")
         return data
 
 
-def _complain(text: str) -> PydanticCustomError:
+def complain(text: str) -> PydanticCustomError:
+    """What a validator raises to say what came and what is wanted in its own words."""
     # The text is not the template itself, since it may hold braces.
     return PydanticCustomError("phongfit", "{text}", {"text": text})
 
 
 def _as_three(value: Any) -> Any:
     if not isinstance(value, list | tuple) or len(value) != 3:
-        raise _complain(f"{shorten(value)} came, three numbers are wanted")
+        raise complain(f"{shorten(value)} came, three numbers are wanted")
     return tuple(value)
 
 
 def _as_rows(value: Any) -> Any:
     if not isinstance(value, list | tuple) or len(value) != 3:
-        raise _complain(f"{shorten(value)} came, three rows are wanted")
+        raise complain(f"{shorten(value)} came, three rows are wanted")
     return tuple(value)
 
 
@@ -75,7 +76,7 @@ def _as_leaf(value: Any) -> Any:
         return (value,)
     if isinstance(value, list | tuple) and len(value) in (1, 3):
         return tuple(value)
-    raise _complain(f"{shorten(value)} came, one number or three are wanted")
+    raise complain(f"{shorten(value)} came, one number or three are wanted")
 
 
 Vector = Annotated[tuple[float, float, float], BeforeValidator(_as_three)]
@@ -104,14 +105,17 @@ def read_record(path: Path, kind: type[Record]) -> Record:
     """
     text = read_text(path)
     with naming(str(path)):
-        return parse_record(text, kind)
+        return parse_record(text, kind, path.parent)
 
 
-def parse_record(text: str, kind: type[Record]) -> Record:
-    """The record that a JSON text holds; raises as [`read_record`][] does."""
+def parse_record(text: str, kind: type[Record], folder: Path | None = None) -> Record:
+    """The record that a JSON text holds; raises as [`read_record`][] does.
+
+    **Arguments:** `folder`: where the files lie that the text names.
+    """
     data = _parse_json(text)
     try:
-        return kind.model_validate(data)
+        return kind.model_validate(data, context=folder)
     except ValidationError as error:
         raise ValueError(_explain(error.errors()[0], data)) from None
 
@@ -166,28 +170,22 @@ def _explain(error: ErrorDetails, data: Any) -> str:
     """`lights[1].direction: what came, what is wanted`."""
     place = _locate(error["loc"], data, absent=error["type"] == "missing")
     came = error["input"]
-    message, context = error["msg"], error.get("ctx", {})
+    message = error["msg"]
     match error["type"]:
         case "missing":
             return f"{place}: is missing"
-        case "union_tag_not_found" if isinstance(came, dict):
-            return f"{place}.kind: is missing"
-        case "union_tag_invalid":
-            tag, wanted = shorten(context["tag"]), context["expected_tags"]
-            return f"{place}.kind: {tag} came, one of {wanted} is wanted"
-        case "union_tag_not_found" | "model_type" | "model_attributes_type":
+        case "model_type" | "model_attributes_type":
             return f"{place}: {shorten(came)} came, an object {{…}} is wanted"
         case "phongfit":
             return f"{place}: {message}"
+        case "value_error":
+            return f"{place}: {error.get('ctx', {}).get('error', message)}"
     wanted = message.removeprefix("Input should be ")
     return f"{place}: {shorten(came)} came, {wanted} is wanted"
 
 
 def _locate(location: tuple[int | str, ...], data: Any, absent: bool) -> str:
-    """A place in a JSON file in the usual notation; its end may be `absent` there.
-
-    pydantic's places also hold the kinds of records, which are no keys of the data.
-    """
+    """A place in a JSON file in the usual notation; its end may be `absent` there."""
     place = ""
     for step in location[:-1] if absent else location:
         if isinstance(step, int):

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from phongfit.files.arguments import describe
 from phongfit.files.arrays import write_array
 from phongfit.files.dataset import Photograph, Photographs
-from phongfit.files.describe import describe, describe_material, describe_surface
+from phongfit.files.formats import MAX_PIXELS
 from phongfit.files.images import read_image, read_mask, with_jpeg, write_image
 from phongfit.files.inputs import inside, naming, naming_field
 from phongfit.files.outputs import write_json
@@ -21,9 +22,10 @@ from phongfit.files.schema import (
     ImageRecord,
     SceneRecord,
     TruthRecord,
+    describe_material,
 )
 from phongfit.geometry.cameras import AbstractCamera
-from phongfit.geometry.surfaces import AbstractSurface, NormalMap
+from phongfit.geometry.surfaces import NormalMap
 from phongfit.material import Material
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
@@ -80,23 +82,9 @@ def save_scene(
     file cannot be written.
     """
     path = _scene_file(path)
-    surface, arrays = describe_surface(scene.surface, path.stem)
-    data: dict[str, Any] = {
-        "format": SCENE_FORMAT,
-        "version": 1,
-        "surface": surface,
-        "camera": describe(scene.camera),
-        "lights": [describe(light) for light in scene.lights],
-        "ambient": scene.ambient,
-        "background": scene.background,
-        "specular": describe(scene.specular),
-        "shading": describe(scene.shading),
-        "shadows": scene.shadows,
-    }
-    if scene.fog is not None:
-        data["fog"] = describe(scene.fog)
-    if scene.local_viewer is not None:
-        data["local_viewer"] = scene.local_viewer
+    arrays: dict[str, np.ndarray] = {}
+    data: dict[str, Any] = {"format": SCENE_FORMAT, "version": 1}
+    data |= describe(scene, path.stem, arrays)
     if film is not None:
         data["encoding"] = film.encoding
         data["clamped"] = film.clamp
@@ -178,44 +166,28 @@ def _scene_file(path: str | os.PathLike[str]) -> Path:
 def build_scene(path: Path, record: SceneRecord) -> Scene:
     """The scene of a record, with all lights on.
 
-    **Arguments:** `path`: of its file, beside which its arrays lie.
+    **Arguments:** `path`: of its file, for messages.
 
     **Raises:** `ValueError` as [`load_scene`][] does.
     """
     with naming(str(path)):
-        with naming_field("surface"):
-            surface = record.surface.build(path.parent)
-        with naming_field("camera"):
-            camera = record.camera.build()
-        _check_fit(surface, camera)
-        lights = []
-        for at, light in enumerate(record.lights):
-            with naming_field(f"lights[{at}]"):
-                lights.append(light.build())
-        fog = None
-        if record.fog is not None:
-            with naming_field("fog"):
-                fog = record.fog.build()
-        return Scene(
-            surface,
-            camera,
-            lights,
-            record.ambient,
-            specular=record.specular.build(),
-            shading=record.shading.build(),
-            fog=fog,
-            shadows=record.shadows,
-            background=record.background,
-            local_viewer=record.local_viewer,
+        scene = record.build()
+        _check_size(scene)
+    return scene
+
+
+def _check_size(scene: Scene) -> None:
+    width, height = scene.camera.width, scene.camera.height
+    if width * height > MAX_PIXELS:
+        raise ValueError(
+            f"camera.width: {width} × {height} pixels came, at most {MAX_PIXELS} are "
+            "wanted"
         )
-
-
-def _check_fit(surface: AbstractSurface, camera: AbstractCamera) -> None:
-    size = (camera.height, camera.width)
-    if isinstance(surface, NormalMap) and surface.mask.shape != size:
+    surface = scene.surface
+    if isinstance(surface, NormalMap) and surface.mask.shape != (height, width):
         raise ValueError(
             f"surface: a normal map of {surface.mask.shape} pixels came, the camera "
-            f"wants {size}"
+            f"wants {(height, width)}"
         )
 
 

@@ -1,29 +1,24 @@
-"""What may stand in our JSON files, record by record, and what is built from it.
+"""What may stand in our JSON files: kinds of objects, and whole files.
 
-A record checks names and kinds; values are checked by the constructor that `build`
-calls, so that a rule stands in one place. To add a light, a surface or a camera, write
-its record, with a `kind` of its own, add it to the union after it, and say under
-`describe` in [`phongfit.files.describe`][] how it is saved.
+To add a light, a surface, a camera, …, write a line where the others are registered.
 """
 
-from pathlib import Path
-from typing import Annotated, Any, Literal
+import inspect
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, PlainValidator
 
-from phongfit.environment import Fog, FogMode
-from phongfit.files.arrays import read_array
-from phongfit.files.formats import MAX_PIXELS
-from phongfit.files.images import read_mask
-from phongfit.files.inputs import inside, naming
-from phongfit.files.records import (
-    AbstractRecord,
-    Colour,
-    FileName,
-    Leaf,
-    Matrix,
-    Vector,
+from phongfit.files.arguments import (
+    RECORDS,
+    AbstractPart,
+    Arguments,
+    FileBeside,
+    arguments_of,
+    describe,
+    kinds_of,
+    one_of,
 )
+from phongfit.files.records import AbstractRecord, FileName, Vector
 from phongfit.geometry.cameras import (
     AbstractCamera,
     OrthographicCamera,
@@ -31,313 +26,134 @@ from phongfit.geometry.cameras import (
     look_at,
 )
 from phongfit.geometry.meshes import Mesh
-from phongfit.geometry.normals import Weighting
 from phongfit.geometry.shading import (
     AbstractShading,
     FlatShading,
     GouraudShading,
     PhongShading,
-    Place,
 )
 from phongfit.geometry.surfaces import AbstractSurface, NormalMap, Sphere
 from phongfit.lights import AbstractLight, DirectionalLight, PointLight, SpotLight
 from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular, BlinnPhong, Phong
 from phongfit.rendering.film import Encoding, Film
+from phongfit.scene import Scene
 
 SCENE_FORMAT = "phongfit scene"
 TRUTH_FORMAT = "phongfit truth"
 
 
-# Surfaces.
+# Kinds.
 
 
-class SphereRecord(AbstractRecord):
-    kind: Literal["sphere"]
-    center: Vector = (0.0, 0.0, 0.0)
-    radius: float = 1.0
+class CameraArguments(Arguments):
+    """A camera's, which may be turned by what it looks at instead of a rotation."""
 
-    def build(self, folder: Path) -> AbstractSurface:
-        del folder
-        return Sphere(self.center, self.radius)
+    target: Vector | None = None
+    up: Vector | None = None
 
-
-class NormalMapRecord(AbstractRecord):
-    kind: Literal["normal_map"]
-    normals: FileName
-    mask: FileName | None = None
-    positions: FileName | None = None
-
-    def build(self, folder: Path) -> AbstractSurface:
-        def read(name: str, file: str | None, reader: Any) -> Any:
-            with naming(name):
-                return None if file is None else reader(inside(folder, file))
-
-        return NormalMap(
-            read("normals", self.normals, lambda path: read_array(path, "normals")),
-            read("mask", self.mask, read_mask),
-            read("positions", self.positions, lambda p: read_array(p, "positions")),
-        )
+    def given(self) -> dict[str, Any]:
+        given = Arguments.given(self)
+        if self.target is None and self.up is None:
+            return given
+        if given["rotation"] is not None:
+            raise ValueError(
+                "rotation: came beside target or up, one of the two is wanted"
+            )
+        target, up = self.target or (0.0, 0.0, 0.0), self.up or (0.0, 1.0, 0.0)
+        return given | {"rotation": look_at(given["position"], target, up)}
 
 
-class MeshRecord(AbstractRecord):
-    """Arrays in files of their own, as [`save_scene`][] writes them."""
-
-    kind: Literal["mesh"]
-    vertices: FileName
-    faces: FileName
-    normals: FileName | None = None
-    material_index: FileName | None = None
-    weighting: Weighting = "area"
-    two_sided: bool = False
-
-    def build(self, folder: Path) -> AbstractSurface:
-        def read(name: str, file: str | None) -> Any:
-            with naming(name):
-                return None if file is None else read_array(inside(folder, file), name)
-
-        return Mesh(
-            read("vertices", self.vertices),
-            read("faces", self.faces),
-            read("normals", self.normals),
-            read("material_index", self.material_index),
-            weighting=self.weighting,
-            two_sided=self.two_sided,
-        )
-
-
-class MeshFileRecord(AbstractRecord):
+class MeshFile(AbstractPart):
     """A mesh in a common format: see [`load_mesh`][]."""
 
-    kind: Literal["mesh_file"]
-    file: FileName
+    makes: ClassVar[type] = AbstractSurface
+
+    kind: Literal["mesh_file"] = "mesh_file"
+    file: FileBeside
     two_sided: bool = False
 
-    def build(self, folder: Path) -> AbstractSurface:
+    def build(self) -> AbstractSurface:
         # Here, since trimesh takes long to import.
         from phongfit.files.meshes import load_mesh
 
-        with naming("file"):
-            path = inside(folder, self.file)
-        return load_mesh(path, two_sided=self.two_sided).mesh
+        return load_mesh(self.file, two_sided=self.two_sided).mesh
 
 
-SurfaceRecord = Annotated[
-    SphereRecord | NormalMapRecord | MeshRecord | MeshFileRecord,
-    Field(discriminator="kind"),
-]
+# In each of them a kind has a name of its own.
+FAMILIES = (
+    AbstractSurface,
+    AbstractCamera,
+    AbstractLight,
+    AbstractSpecular,
+    AbstractShading,
+)
 
 
-# Cameras.
+def register(made: type, kind: str, /, **keys: str) -> None:
+    """Let scene files know a class: [`load_scene`][] and [`save_scene`][] take it then.
+
+    ```python
+    phongfit.register(Candle, "candle")
+    ```
+
+    Fields and defaults are those of its constructor, shapes those of its annotations:
+    `Float[Array, ""]` is a number, `"3"` three, `"rgb=3"` a colour (three, or one for
+    all), `"3 3"` three rows. An array of another shape goes into a file beside the
+    scene's. The class keeps each argument in a field of the same name, as something
+    that its constructor would take again.
+
+    **Arguments:**
+
+    - `made`: a light, surface, camera, specular model or shading method. It may be
+        registered again, as happens in a notebook.
+    - `kind`: what files call it.
+    - `keys`: what files call an argument, where that is not its name.
+
+    **Raises:** `ValueError` for a kind that is taken, and for a class that files
+    cannot hold.
+    """
+    families = [base for base in FAMILIES if base in getattr(made, "__mro__", ())]
+    if not families or inspect.isabstract(made):
+        wanted = ", ".join(base.__name__ for base in FAMILIES)
+        raise ValueError(f"made: {made!r} came, wanted is a final class of: {wanted}")
+    for name, record in kinds_of(families[0]).items():
+        same = _full_name(record.makes) == _full_name(made)
+        if name == kind and not same:
+            raise ValueError(f"kind: {kind!r} is taken by {record.makes.__name__}")
+        if name != kind and same:
+            raise ValueError(f"kind: {made.__name__} is registered as {name!r}")
+    turned = (
+        issubclass(made, AbstractCamera)
+        and "rotation" in inspect.signature(made).parameters
+    )
+    base = CameraArguments if turned else Arguments
+    arguments_of(made, keys, kind=kind)(base)
 
 
-Pixels = Annotated[int, Field(ge=1, le=MAX_PIXELS)]
+def _full_name(made: type) -> tuple[str, str]:
+    return made.__module__, made.__qualname__
 
 
-def _rotation(
-    position: Vector, target: Vector | None, up: Vector | None, rotation: Any
-) -> Any:
-    """Either a rotation, or the look-at that `target` and `up` ask for, or None."""
-    if target is None and up is None:
-        return rotation
-    if rotation is not None:
-        raise ValueError("rotation: came beside target or up, one of the two is wanted")
-    return look_at(position, target or (0.0, 0.0, 0.0), up or (0.0, 1.0, 0.0))
-
-
-def _check_pixels(width: int, height: int) -> None:
-    if width * height > MAX_PIXELS:
-        raise ValueError(
-            f"width: {width} × {height} pixels came, at most {MAX_PIXELS} are wanted"
-        )
-
-
-class OrthographicRecord(AbstractRecord):
-    kind: Literal["orthographic"]
-    width: Pixels
-    height: Pixels
-    view_height: float = 2.2
-    position: Vector = (0.0, 0.0, 5.0)
-    target: Vector | None = None
-    up: Vector | None = None
-    rotation: Matrix | None = None
-
-    def build(self) -> AbstractCamera:
-        _check_pixels(self.width, self.height)
-        return OrthographicCamera(
-            self.width,
-            self.height,
-            view_height=self.view_height,
-            position=self.position,
-            rotation=_rotation(self.position, self.target, self.up, self.rotation),
-        )
-
-
-class PerspectiveRecord(AbstractRecord):
-    kind: Literal["perspective"]
-    width: Pixels
-    height: Pixels
-    fov_y_degrees: Annotated[float, Field(gt=0, lt=180)] = 30.0
-    position: Vector = (0.0, 0.0, 5.0)
-    target: Vector | None = None
-    up: Vector | None = None
-    rotation: Matrix | None = None
-
-    def build(self) -> AbstractCamera:
-        _check_pixels(self.width, self.height)
-        return PerspectiveCamera(
-            self.width,
-            self.height,
-            fov_y=self.fov_y_degrees,
-            position=self.position,
-            rotation=_rotation(self.position, self.target, self.up, self.rotation),
-        )
-
-
-CameraRecord = Annotated[
-    OrthographicRecord | PerspectiveRecord, Field(discriminator="kind")
-]
-
-
-# Lights.
-
-
-class DirectionalRecord(AbstractRecord):
-    kind: Literal["directional"]
-    direction: Vector
-    intensity: Colour = (1.0, 1.0, 1.0)
-    specular: Colour | None = None
-    ambient: Colour = (0.0, 0.0, 0.0)
-
-    def build(self) -> AbstractLight:
-        return DirectionalLight(
-            self.direction,
-            self.intensity,
-            specular=self.specular,
-            ambient=self.ambient,
-        )
-
-
-class PointRecord(AbstractRecord):
-    kind: Literal["point"]
-    position: Vector
-    intensity: Colour = (1.0, 1.0, 1.0)
-    attenuation: Vector = (1.0, 0.0, 0.0)
-    specular: Colour | None = None
-    ambient: Colour = (0.0, 0.0, 0.0)
-
-    def build(self) -> AbstractLight:
-        return PointLight(
-            self.position,
-            self.intensity,
-            attenuation=self.attenuation,
-            specular=self.specular,
-            ambient=self.ambient,
-        )
-
-
-class SpotRecord(AbstractRecord):
-    kind: Literal["spot"]
-    position: Vector
-    axis: Vector
-    cutoff_degrees: Annotated[float, Field(gt=0, le=90)] = 45.0
-    exponent: float = 0.0
-    intensity: Colour = (1.0, 1.0, 1.0)
-    attenuation: Vector = (1.0, 0.0, 0.0)
-    specular: Colour | None = None
-    ambient: Colour = (0.0, 0.0, 0.0)
-
-    def build(self) -> AbstractLight:
-        return SpotLight(
-            self.position,
-            self.axis,
-            self.intensity,
-            cutoff=self.cutoff_degrees,
-            exponent=self.exponent,
-            attenuation=self.attenuation,
-            specular=self.specular,
-            ambient=self.ambient,
-        )
-
-
-LightRecord = Annotated[
-    DirectionalRecord | PointRecord | SpotRecord, Field(discriminator="kind")
-]
-
-
-# Models of the highlight.
-
-
-class PhongRecord(AbstractRecord):
-    kind: Literal["phong"]
-    gate: bool = True
-
-    def build(self) -> AbstractSpecular:
-        return Phong(self.gate)
-
-
-class BlinnPhongRecord(AbstractRecord):
-    kind: Literal["blinn-phong"]
-    gate: bool = True
-    normalized: bool = False
-
-    def build(self) -> AbstractSpecular:
-        return BlinnPhong(self.gate, self.normalized)
-
-
-SpecularRecord = Annotated[PhongRecord | BlinnPhongRecord, Field(discriminator="kind")]
-
-
-# Shading methods and fog.
-
-
-class FlatRecord(AbstractRecord):
-    kind: Literal["flat"]
-    at: Place = "centroid"
-    clamp: bool = False
-
-    def build(self) -> AbstractShading:
-        return FlatShading(self.at, self.clamp)
-
-
-class GouraudRecord(AbstractRecord):
-    kind: Literal["gouraud"]
-    clamp: bool = False
-
-    def build(self) -> AbstractShading:
-        return GouraudShading(self.clamp)
-
-
-class PhongShadingRecord(AbstractRecord):
-    kind: Literal["phong"]
-
-    def build(self) -> AbstractShading:
-        return PhongShading()
-
-
-ShadingRecord = Annotated[
-    FlatRecord | GouraudRecord | PhongShadingRecord, Field(discriminator="kind")
-]
-
-
-class FogRecord(AbstractRecord):
-    color: Colour
-    mode: FogMode = "exp"
-    density: float = 1.0
-    start: float = 0.0
-    end: float = 1.0
-
-    def build(self) -> Fog:
-        return Fog(
-            self.color,
-            self.mode,
-            density=self.density,
-            start=self.start,
-            end=self.end,
-        )
+RECORDS[AbstractSurface] = MeshFile
+register(Sphere, "sphere")
+register(NormalMap, "normal_map")
+register(Mesh, "mesh")
+register(OrthographicCamera, "orthographic")
+register(PerspectiveCamera, "perspective", fov_y="fov_y_degrees")
+register(DirectionalLight, "directional")
+register(PointLight, "point")
+register(SpotLight, "spot", cutoff="cutoff_degrees")
+register(Phong, "phong")
+register(BlinnPhong, "blinn-phong")
+register(FlatShading, "flat")
+register(GouraudShading, "gouraud")
+register(PhongShading, "phong")
 
 
 # Whole files.
+
+SpecularRecord = Annotated[AbstractPart, PlainValidator(one_of(AbstractSpecular))]
 
 
 class ImageRecord(AbstractRecord):
@@ -348,21 +164,12 @@ class ImageRecord(AbstractRecord):
     mask: FileName | None = None
 
 
-class SceneRecord(AbstractRecord):
+@arguments_of(Scene)
+class SceneRecord(Arguments):
     """`scene.json`: a scene and, for a data set, the images that were taken of it."""
 
     format: Literal["phongfit scene"]
     version: Literal[1]
-    surface: SurfaceRecord
-    camera: CameraRecord
-    lights: list[LightRecord] = []
-    ambient: Colour = (0.0, 0.0, 0.0)
-    background: Colour = (0.0, 0.0, 0.0)
-    specular: SpecularRecord = BlinnPhongRecord(kind="blinn-phong")
-    shading: ShadingRecord = PhongShadingRecord(kind="phong")
-    fog: FogRecord | None = None
-    shadows: bool = False
-    local_viewer: bool | None = None
     encoding: Encoding | None = None
     bits: Annotated[int, Field(ge=1, le=16)] | None = None
     clamped: bool = True
@@ -375,26 +182,30 @@ class SceneRecord(AbstractRecord):
         return Film(encoding=self.encoding or "linear", bits=self.bits)
 
 
-class MaterialRecord(AbstractRecord):
-    diffuse: Leaf
-    specular: Leaf
-    shininess: Leaf
-    ambient: Leaf
-    emission: Leaf = (0.0,)
+# Whoever leaves out a reflectance in a file has forgotten it.
+@arguments_of(Material, required=("diffuse", "specular", "shininess", "ambient"))
+class MaterialRecord(Arguments):
+    """Leaves of one number for all channels, or RGB."""
 
-    def build(self) -> Material:
-        return Material(
-            *(
-                leaf[0] if len(leaf) == 1 else leaf
-                for leaf in (
-                    self.diffuse,
-                    self.specular,
-                    self.shininess,
-                    self.ambient,
-                    self.emission,
-                )
-            )
-        )
+    def given(self) -> dict[str, Any]:
+        leaves = Arguments.given(self)
+        return {
+            name: leaf[0] if isinstance(leaf, tuple) and len(leaf) == 1 else leaf
+            for name, leaf in leaves.items()
+        }
+
+
+def describe_material(material: Material) -> dict[str, Any]:
+    """A material as its record reads it: every leaf one number, or RGB.
+
+    **Raises:** `ValueError` for a leaf of another shape.
+    """
+    described = describe(material)
+    for name in described:
+        shape = getattr(material, name).shape
+        if shape not in ((), (3,)):
+            raise ValueError(f"{name}: shape {shape} came, () or (3,) is wanted")
+    return described
 
 
 class TruthRecord(AbstractRecord):

@@ -118,9 +118,9 @@ def look_at(position: Any, target: Any, up: Any = (0, 1, 0)) -> Float[Array, "3 
 class OrthographicCamera(AbstractCamera):
     """Parallel rays: a very long lens, far away."""
 
+    view_height: Float[Array, ""]
     width: int = eqx.field(static=True)
     height: int = eqx.field(static=True)
-    view_height: Float[Array, ""]
     position: Float[Array, "3"]
     rotation: Float[Array, "3 3"]
 
@@ -184,9 +184,9 @@ class OrthographicCamera(AbstractCamera):
 class PerspectiveCamera(AbstractCamera):
     """A pinhole camera."""
 
+    fov_y: Float[Array, ""]
     width: int = eqx.field(static=True)
     height: int = eqx.field(static=True)
-    fov_y: Float[Array, ""]
     position: Float[Array, "3"]
     rotation: Float[Array, "3 3"]
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 from phongfit.checks import as_vector, require
 from phongfit.geometry.cameras import AbstractCamera, Ray
 from phongfit.geometry.normals import implicit_normal
-from phongfit.geometry.surfaces import AbstractSurface, GBuffer
+from phongfit.geometry.surfaces import AbstractSurface, GBuffer, trace_rays
 from phongfit.vectors import Scalar, Vec3, dot
 
 
@@ -59,9 +59,7 @@ class ImplicitSurface(AbstractSurface):
 
     @eqx.filter_jit
     def trace(self, camera: AbstractCamera) -> GBuffer:
-        position, normal, mask = jax.vmap(jax.vmap(self.intersect))(camera.rays())
-        to_viewer = jax.vmap(jax.vmap(camera.to_viewer))(position)
-        return GBuffer(position, normal, to_viewer, mask)
+        return trace_rays(self.intersect, camera)
 
     def intersect(self, ray: Ray) -> tuple[Vec3, Vec3, Bool[Array, ""]]:
         """Where one ray first meets the surface from outside.
@@ -100,10 +98,6 @@ class ImplicitSurface(AbstractSurface):
         for _ in distance.shape:
             one = jax.vmap(one)
         return one(position, normal, to_light, distance)
-
-    @property
-    def materials(self) -> int:
-        return 1
 
     def _span(self, ray: Ray) -> tuple[Scalar, Scalar]:
         """Distances at which a ray enters and leaves the box; the first is not less

@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -100,9 +101,23 @@ class AbstractSurface(eqx.Module):
         """
 
     @property
-    @abc.abstractmethod
     def materials(self) -> int:
         """How many materials the surface tells apart."""
+        return 1
+
+
+def trace_rays(
+    intersect: Callable[[Ray], tuple[Vec3, Vec3, Bool[Array, ""]]],
+    camera: AbstractCamera,
+) -> GBuffer:
+    """What a camera sees of a surface that is solved for one ray.
+
+    **Arguments:** `intersect`: gives the position, the unit normal there, and whether
+    the ray meets the surface; harmless placeholders where it does not.
+    """
+    position, normal, mask = jax.vmap(jax.vmap(intersect))(camera.rays())
+    to_viewer = jax.vmap(jax.vmap(camera.to_viewer))(position)
+    return GBuffer(position, normal, to_viewer, mask)
 
 
 class Sphere(AbstractSurface):
@@ -147,10 +162,7 @@ class Sphere(AbstractSurface):
 
     @eqx.filter_jit
     def trace(self, camera: AbstractCamera) -> GBuffer:
-        pixels = jax.vmap(jax.vmap(self.intersect))
-        position, normal, mask = pixels(camera.rays())
-        to_viewer = jax.vmap(jax.vmap(camera.to_viewer))(position)
-        return GBuffer(position, normal, to_viewer, mask)
+        return trace_rays(self.intersect, camera)
 
     def reached(
         self,
@@ -163,10 +175,6 @@ class Sphere(AbstractSurface):
         # From a point of a sphere, the way through it is 2 r |s·m| long.
         chord = -2 * self.radius * jnp.sum(normal * to_light, axis=-1)
         return (chord <= 0) | (distance <= chord)
-
-    @property
-    def materials(self) -> int:
-        return 1
 
 
 class NormalMap(AbstractSurface):

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
+from phongfit.files.arguments import describe
 from phongfit.files.arrays import read_array, write_array
-from phongfit.files.describe import describe
 from phongfit.files.fits import DataRecord, Edges, LossName, made_with
 from phongfit.files.formats import WRITERS
 from phongfit.files.inputs import inside, naming

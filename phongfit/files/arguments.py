@@ -1,0 +1,282 @@
+"""Records of objects: the arguments of a constructor, read off its class.
+
+Names, defaults and shapes are written once, in the class. [`arguments_of`][] makes the
+record of them, and [`describe`][] writes what the record reads.
+"""
+
+import dataclasses
+import functools
+import inspect
+import operator
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import AbstractArray, Bool, Float
+from pydantic import (
+    AfterValidator,
+    Field,
+    PlainValidator,
+    ValidationError,
+    ValidationInfo,
+    create_model,
+)
+
+from phongfit.files.arrays import read_array
+from phongfit.files.images import read_mask
+from phongfit.files.inputs import inside, naming_field
+from phongfit.files.records import (
+    AbstractRecord,
+    Colour,
+    FileName,
+    Leaf,
+    Matrix,
+    Vector,
+    complain,
+    shorten,
+)
+from phongfit.plain import plain
+
+
+class AbstractPart(AbstractRecord):
+    """What stands in a file for one object, which is of the class `makes`."""
+
+    makes: ClassVar[type]
+
+    def build(self) -> Any:
+        """The object. **Raises:** `ValueError` that begins with a field's name."""
+        raise NotImplementedError
+
+
+class Arguments(AbstractPart):
+    """The arguments of a constructor: see [`arguments_of`][].
+
+    A record of its own may say in `given` what else they are made of.
+    """
+
+    def given(self) -> dict[str, Any]:
+        """What the constructor gets; what was left out is its own default."""
+        return {name: _built(name, getattr(self, name)) for name in _kept(self.makes)}
+
+    def build(self) -> Any:
+        try:
+            return self.makes(**self.given())
+        except ValueError as error:
+            # The constructor knows the argument's name, the file may have another.
+            name, colon, reason = str(error).partition(":")
+            raise ValueError(f"{_key(type(self), name)}{colon}{reason}") from error
+
+
+def _built(place: str, value: Any) -> Any:
+    """The object of a record, and those of a list of records; other values as is."""
+    if isinstance(value, list):
+        return [_built(f"{place}[{at}]", item) for at, item in enumerate(value)]
+    if not isinstance(value, AbstractPart):
+        return value
+    with naming_field(place):
+        return value.build()
+
+
+RECORDS: dict[type, type[AbstractPart]] = {}
+"""What stands in files for the objects of a class."""
+
+R = TypeVar("R", bound=Arguments)
+
+
+def arguments_of(
+    made: type,
+    keys: Mapping[str, str] | None = None,
+    *,
+    kind: str | None = None,
+    required: Collection[str] = (),
+) -> Callable[[type[R]], type[R]]:
+    """Gives a record the fields that are the arguments of a constructor.
+
+    **Arguments:**
+
+    - `made`, `keys`, `kind`: see [`register`][].
+    - `required`: arguments without a default in files, though they have one in Python.
+
+    **Raises:** `ValueError` for a class that files cannot hold.
+    """
+    keys = {} if keys is None else keys
+    arguments, hints = _kept(made), get_type_hints(made)
+    for name, parameter in inspect.signature(made).parameters.items():
+        if name not in arguments and parameter.default is parameter.empty:
+            raise ValueError(f"{name}: {made.__name__} keeps it in no field")
+    for name in keys:
+        if name not in arguments:
+            raise ValueError(f"{name}: {made.__name__} takes no such argument")
+    fields: dict[str, Any] = {} if kind is None else {"kind": (Literal[kind], kind)}
+    for name, default in arguments.items():
+        if name in fields:
+            raise ValueError(f"{name}: files have another use for this name")
+        if name in required or default is inspect.Parameter.empty:
+            default = ...
+        stored = _stored(f"{made.__name__}.{name}", hints[name])
+        fields[name] = (stored, Field(default, alias=keys.get(name)))
+
+    def derive(base: type[R]) -> type[R]:
+        record = create_model(
+            base.__name__, __base__=base, __module__=base.__module__, **fields
+        )
+        record.makes = made
+        RECORDS[made] = record
+        return record
+
+    return derive
+
+
+def _kept(made: type) -> dict[str, Any]:
+    """Defaults of a constructor's arguments that are kept in fields, in their order."""
+    parameters = inspect.signature(made).parameters
+    names = [field.name for field in dataclasses.fields(made)]
+    return {name: parameters[name].default for name in names if name in parameters}
+
+
+def _key(record: type[AbstractRecord], name: str) -> str:
+    """What files call a field."""
+    field = record.model_fields.get(name)
+    return name if field is None or field.alias is None else field.alias
+
+
+def _stored(name: str, hint: Any) -> Any:
+    """What a value of an annotated type is in a file."""
+    if get_origin(hint) in (Union, UnionType):
+        options = (_stored(name, option) for option in get_args(hint))
+        return functools.reduce(operator.or_, options)
+    if get_origin(hint) is tuple:
+        return list[_stored(name, get_args(hint)[0])]
+    if get_origin(hint) is Literal or hint in (bool, int, float, str, NoneType):
+        return hint
+    if _is_a(hint, AbstractArray):
+        in_file = {None: _NUMBERS.get(hint.dim_str), ".png": _Mask, ".npy": _Array}
+        return in_file[_suffix(hint)]
+    if _is_a(hint, eqx.Module):
+        if inspect.isabstract(hint):
+            return Annotated[AbstractPart, PlainValidator(one_of(hint))]
+        return RECORDS.get(hint) or arguments_of(hint)(Arguments)
+    raise ValueError(f"{name}: files have no place for {hint}")
+
+
+def _is_a(hint: Any, base: type) -> bool:
+    return isinstance(hint, type) and issubclass(hint, base)
+
+
+def _suffix(hint: Any) -> str | None:
+    """Of the file beside ours that an array goes into; `None` if it stands in ours."""
+    for option in get_args(hint) or (hint,):
+        if _is_a(option, AbstractArray):
+            if option.dtype is Float and option.dim_str in _NUMBERS:
+                return None
+            return ".png" if option.dtype is Bool else ".npy"
+    return None
+
+
+def _beside(name: str, info: ValidationInfo) -> str:
+    if not isinstance(info.context, Path):
+        raise ValueError(f"{name!r} came, but the text is in no folder")
+    return str(inside(info.context, name))
+
+
+def _read_array(path: str, info: ValidationInfo) -> np.ndarray:
+    return read_array(Path(path), str(info.field_name))
+
+
+def _read_mask(path: str) -> np.ndarray:
+    return read_mask(Path(path))
+
+
+FileBeside = Annotated[FileName, AfterValidator(_beside)]
+"""The path of a file that is named by another in its folder."""
+
+_Array = Annotated[FileBeside, AfterValidator(_read_array)]
+_Mask = Annotated[FileBeside, AfterValidator(_read_mask)]
+_NUMBERS = {"": float, "3": Vector, "rgb=3": Colour, "3 3": Matrix, "...": Leaf}
+
+
+def kinds_of(base: type) -> dict[str, type[AbstractPart]]:
+    """Records of the classes derived from `base`, by what files call their kind."""
+    return {
+        record.model_fields["kind"].default: record
+        for made, record in RECORDS.items()
+        if issubclass(made, base) and "kind" in record.model_fields
+    }
+
+
+def one_of(base: type) -> Callable[[Any, ValidationInfo], AbstractPart]:
+    """Reads what stands for an object of a class derived from `base`, by its `kind`."""
+
+    def read(data: Any, info: ValidationInfo) -> AbstractPart:
+        if not isinstance(data, dict):
+            raise complain(f"{shorten(data)} came, an object {{…}} is wanted")
+        kind, kinds = data.get("kind"), kinds_of(base)
+        if isinstance(kind, str) and kind in kinds:
+            return kinds[kind].model_validate(data, context=info.context)
+        wanted = ", ".join(repr(name) for name in kinds)
+        wrong = complain(f"{shorten(kind)} came, one of {wanted} is wanted")
+        error = "missing" if "kind" not in data else wrong
+        raise ValidationError.from_exception_data(
+            "kind", [{"type": error, "loc": ("kind",), "input": data}]
+        )
+
+    return read
+
+
+def describe(
+    value: Any, stem: str = "", beside: dict[str, np.ndarray] | None = None
+) -> dict[str, Any]:
+    """What the record of an object reads.
+
+    **Arguments:**
+
+    - `stem`: how the names of files begin that arrays go into.
+    - `beside`: gets these arrays, by the names of their files.
+
+    **Raises:** `ValueError` if its class, or that of a part, is not registered, or
+    there is an array and no `beside`.
+    """
+    record = RECORDS.get(type(value))
+    if record is None:
+        raise ValueError(
+            f"{type(value).__name__}: cannot be saved in a scene file; "
+            "phongfit.register makes a class known"
+        )
+
+    def written(name: str, part: Any) -> Any:
+        if isinstance(part, eqx.Module):
+            return describe(part, stem, beside)
+        if isinstance(part, tuple):
+            return [written(name, item) for item in part]
+        suffix = _suffix(hints[name])
+        if suffix is None or part is None:
+            return plain(part)
+        if beside is None:
+            raise ValueError(f"{name}: only a scene file can have an array beside it")
+        file = f"{stem}_{name}{suffix}"
+        if file in beside:
+            file = f"{stem}_{name}_{len(beside)}{suffix}"
+        beside[file] = np.asarray(part)
+        return file
+
+    hints = get_type_hints(type(value))
+    kind = record.model_fields.get("kind")
+    content: dict[str, Any] = {} if kind is None else {"kind": kind.default}
+    for name, default in _kept(type(value)).items():
+        part = getattr(value, name)
+        if part is not None or default is not None:
+            content[_key(record, name)] = written(name, part)
+    return content
