@@ -36,7 +36,6 @@ KEPT = {
     "imagecodecs": "files",
     "OpenEXR": "files",
     "trimesh": "files",
-    "OpenGL": "files",
     "embreex": "geometry",
     "starlette": "lab",
     "uvicorn": "lab",

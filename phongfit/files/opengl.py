@@ -1,8 +1,7 @@
 """Materials, lights and fog as the fixed-function OpenGL 1.x takes them, both ways.
 
 Parameters are dicts from OpenGL's own names to numbers, as `glMaterialfv`, `glLightfv`
-and `glFogfv` want them. No OpenGL is needed here; see
-[`phongfit.files.opengl_context`][] for a live one.
+and `glFogfv` want them. No OpenGL is needed here.
 
 ??? cite "Source"
     Segal and Akeley, *The OpenGL graphics system, version 1.5*, section 2.14.

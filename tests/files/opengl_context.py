@@ -1,15 +1,11 @@
-"""A live OpenGL context, through PyOpenGL: the extra `phongfit[opengl]`.
-
-A program that draws with the fixed-function pipeline calls these between its own calls,
-with its context current, to see what a fitted material looks like.
-"""
+"""A live OpenGL context, through PyOpenGL, which draws what phongfit hands it."""
 
 from typing import Any
 
 import numpy as np
 
+from experiments.opengl_scene import MAX_LIGHTS, camera_to_opengl, scene_to_opengl
 from phongfit.files.opengl import Parameters, light_to_opengl, material_to_opengl
-from phongfit.files.opengl_scene import MAX_LIGHTS, camera_to_opengl, scene_to_opengl
 from phongfit.geometry.meshes import Mesh
 from phongfit.lights import AbstractLight
 from phongfit.material import Material, unstack_materials
@@ -17,12 +13,9 @@ from phongfit.scene import Scene
 
 
 def _gl() -> Any:
-    try:
-        import OpenGL.GL
-    except ImportError as error:
-        raise ImportError(
-            "PyOpenGL is missing: install phongfit with its extra, phongfit[opengl]"
-        ) from error
+    # Here, since it fixes its platform when it is first imported.
+    import OpenGL.GL
+
     return OpenGL.GL
 
 
