@@ -7,7 +7,6 @@ import dataclasses
 import difflib
 import functools
 import gc
-import importlib
 import importlib.metadata
 import inspect
 import io
@@ -114,7 +113,24 @@ def _heeded_interrupts() -> Iterator[None]:
 
 def _load(name: str) -> Callable[..., int | None]:
     # One at a time, since JAX and decoders take long to import.
-    return importlib.import_module(f"phongfit.commands.{name}").main
+    match name:
+        case "synth":
+            from phongfit.commands import synth as command
+        case "render":
+            from phongfit.commands import render as command
+        case "fit":
+            from phongfit.commands import fit as command
+        case "maps":
+            from phongfit.commands import maps as command
+        case "predict":
+            from phongfit.commands import predict as command
+        case "export":
+            from phongfit.commands import export as command
+        case "lab":
+            from phongfit.commands import lab as command
+        case _:
+            raise AssertionError(f"{name} is none of COMMANDS")
+    return command.main
 
 
 def _overview(args: Sequence[str]) -> None:

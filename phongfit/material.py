@@ -11,7 +11,6 @@ from jaxtyping import Array, Float
 
 from phongfit.checks import as_reflectance, is_traced
 from phongfit.presets import OPENGL_MATERIALS
-from phongfit.showing import report
 
 
 class Material(eqx.Module):
@@ -65,7 +64,9 @@ class Material(eqx.Module):
         return f"Material({', '.join(numbers)})"
 
     def _repr_html_(self) -> str:
-        return report("notebook").of_material(self)
+        from phongfit.report.notebook import of_material
+
+        return of_material(self)
 
 
 def _written(value: Any) -> str:

@@ -13,7 +13,6 @@ from phongfit.geometry.surfaces import AbstractSurface, GBuffer, NormalMap
 from phongfit.geometry.tracing import trace
 from phongfit.lights import AbstractLight, DirectionalLight
 from phongfit.reflectance import AbstractSpecular, BlinnPhong
-from phongfit.showing import report
 from phongfit.vectors import Rgb
 
 
@@ -117,4 +116,6 @@ class Scene(eqx.Module):
         )
 
     def _repr_html_(self) -> str:
-        return report("notebook").of_scene(self)
+        from phongfit.report.notebook import of_scene
+
+        return of_scene(self)

@@ -1,6 +1,5 @@
 """`phongfit synth`: the data sets of `data_synth`, where that is installed."""
 
-import importlib
 import importlib.util
 from collections.abc import Callable
 
@@ -18,7 +17,9 @@ def command() -> Callable[..., int]:
     """What makes the data set; phongfit itself does without it."""
     if importlib.util.find_spec(PACKAGE) is None:
         return absent
-    return importlib.import_module(f"{PACKAGE}.__main__").main
+    from data_synth.__main__ import main
+
+    return main
 
 
 main = command()

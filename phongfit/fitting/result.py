@@ -31,7 +31,6 @@ from phongfit.material import Material
 from phongfit.plain import plain
 from phongfit.programs import program
 from phongfit.rendering.film import Film
-from phongfit.showing import report
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -176,22 +175,30 @@ class Fit:
 
         **Arguments:** `names`: of the images; default their numbers.
         """
-        return report("plots").plot(self, names)
+        from phongfit.report.plots import plot
+
+        return plot(self, names)
 
     def plot_residuals(self) -> "Figure":
         """Are the residuals noise? Their histogram, course with light, and images."""
-        return report("plots").plot_residuals(self)
+        from phongfit.report.plots import plot_residuals
+
+        return plot_residuals(self)
 
     def plot_correlations(self) -> "Figure":
         """The matrix of correlations as a matplotlib figure."""
-        return report("plots").plot_correlations(self)
+        from phongfit.report.plots import plot_correlations
+
+        return plot_correlations(self)
 
     def plot_profile(self, name: str, other: str | None = None) -> "Figure":
         """The profile of one unknown with its intervals, or the regions of a pair.
 
         **Raises:** `ValueError` for a name that was not free.
         """
-        return report("profiles").plot_profile(self, name, other)
+        from phongfit.report.profiles import plot_profile
+
+        return plot_profile(self, name, other)
 
     @property
     def problem(self) -> Problem:
@@ -283,7 +290,9 @@ class Fit:
         return f"<Fit of {images}: {count}, {state}>"
 
     def _repr_html_(self) -> str:
-        return report("notebook").of_fit(self)
+        from phongfit.report.notebook import of_fit
+
+        return of_fit(self)
 
 
 def _film_words(film: Film) -> str:

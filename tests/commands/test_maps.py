@@ -12,6 +12,7 @@ from phongfit.cli import main
 from phongfit.commands import maps as command
 from phongfit.files.dataset import Photographs
 from phongfit.maps.folder import load_folder
+from phongfit.rendering.film import decode
 
 FEW = ["--unknowns", "ambient", "diffuse", "--known", "preset:brass"]
 
@@ -103,7 +104,7 @@ def test_textures_of_a_gltf_file(mapped, tmp_path, capsys):
     inside = ~maps.flagged(pf.Flag.OUTSIDE)
     base = np.asarray(material.baseColorTexture)  # pyright: ignore
     assert np.array_equal(base[..., 3] > 0, inside)
-    linear = pf.rendering.film.decode(base[..., :3] / 255, "srgb")
+    linear = decode(base[..., :3] / 255, "srgb")
     identified = inside[..., None] & np.isfinite(maps.stderr.diffuse)
     np.testing.assert_allclose(linear[identified], maps.diffuse[identified], atol=0.005)
     # Its lights leave some of it dark.

@@ -1,0 +1,101 @@
+"""Every public name, once: [`phongfit`][] imports each when it is first asked for."""
+
+from . import testing as testing
+from .environment import Fog as Fog
+from .files.datasets import (
+    Dataset as Dataset,
+    open_dataset as open_dataset,
+    read_dataset as read_dataset,
+)
+from .files.images import (
+    read_film as read_film,
+    read_image as read_image,
+    write_image as write_image,
+)
+from .files.meshes import load_mesh as load_mesh
+from .files.mtl import read_mtl as read_mtl, write_mtl as write_mtl
+from .files.saved import load_fit as load_fit, save_fit as save_fit
+from .files.scenes import load_scene as load_scene, save_scene as save_scene
+from .files.schema import register as register
+from .fitting.fit import fit as fit
+from .fitting.implicit import refit as refit
+from .fitting.predict import Prediction as Prediction, predict_errors as predict_errors
+from .fitting.problem.losses import (
+    AbstractLoss as AbstractLoss,
+    Cauchy as Cauchy,
+    Huber as Huber,
+    Linear as Linear,
+    SoftL1 as SoftL1,
+    Tukey as Tukey,
+)
+from .fitting.problem.posing import make_problem as make_problem
+from .fitting.problem.problem import Problem as Problem
+from .fitting.problem.specification import Specification as Specification
+from .fitting.result import Estimate as Estimate, Fit as Fit
+from .fitting.solve.solver import BoundedLevenbergMarquardt as BoundedLevenbergMarquardt
+from .fitting.uncertainty.profile import Profile as Profile, ProfilePair as ProfilePair
+from .geometry import shapes as shapes
+from .geometry.cameras import (
+    AbstractCamera as AbstractCamera,
+    OrthographicCamera as OrthographicCamera,
+    PerspectiveCamera as PerspectiveCamera,
+    look_at as look_at,
+)
+from .geometry.implicit import ImplicitSurface as ImplicitSurface
+from .geometry.meshes import Mesh as Mesh, join as join
+from .geometry.parametric import tessellate as tessellate
+from .geometry.shading import (
+    AbstractShading as AbstractShading,
+    FlatShading as FlatShading,
+    GouraudShading as GouraudShading,
+    PhongShading as PhongShading,
+)
+from .geometry.surfaces import (
+    AbstractSurface as AbstractSurface,
+    GBuffer as GBuffer,
+    NormalMap as NormalMap,
+    Sphere as Sphere,
+)
+from .geometry.tracing import trace as trace
+from .lights import (
+    AbstractLight as AbstractLight,
+    DirectionalLight as DirectionalLight,
+    PointLight as PointLight,
+    SpotLight as SpotLight,
+)
+from .maps.pixel.flags import Flag as Flag
+from .maps.result import Maps as Maps, load_maps as load_maps
+from .maps.run import fit_maps as fit_maps
+from .maps.stacks import (
+    AbstractStack as AbstractStack,
+    DatasetStack as DatasetStack,
+    PhotographStack as PhotographStack,
+)
+from .material import (
+    PRESETS as PRESETS,
+    Material as Material,
+    preset as preset,
+    stack_materials as stack_materials,
+    unstack_materials as unstack_materials,
+)
+from .reflectance import (
+    AbstractSpecular as AbstractSpecular,
+    BlinnPhong as BlinnPhong,
+    Phong as Phong,
+    blinn_from_phong as blinn_from_phong,
+    phong_from_blinn as phong_from_blinn,
+)
+from .rendering.film import Film as Film
+from .rendering.jpeg import JpegCompression as JpegCompression
+from .rendering.pixels import PixelTerms as PixelTerms, pixel_terms as pixel_terms
+from .rendering.render import render as render
+from .rendering.terms import (
+    ShadingTerms as ShadingTerms,
+    combine as combine,
+    terms as terms,
+)
+from .report.page import write_page as write_page
+from .report.pictures import show as show
+from .scene import Scene as Scene
+
+__version__: str

@@ -1,0 +1,48 @@
+"""The public names: all there, each imported when it is first asked for."""
+
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import phongfit as pf
+
+NAMES = dir(pf)
+
+
+def test_every_name_is_there():
+    assert len(NAMES) > 70
+    for name in NAMES:
+        value = getattr(pf, name)
+        origin = getattr(value, "__module__", getattr(value, "__name__", "phongfit"))
+        assert origin.split(".")[0] in ("phongfit", "builtins"), name
+    with pytest.raises(AttributeError, match="Sfere"):
+        pf.Sfere  # noqa: B018  # pyright: ignore
+
+
+def test_a_star_imports_them_all():
+    names = {}
+    exec("from phongfit import *", names)
+    assert set(NAMES) <= set(names)
+    assert names["Sphere"] is pf.Sphere
+
+
+def test_classes_can_be_pickled():
+    assert pickle.loads(pickle.dumps(pf.Sphere)) is pf.Sphere
+    assert pickle.loads(pickle.dumps(pf.Film(bits=8))) == pf.Film(bits=8)
+
+
+def test_versions_agree():
+    assert pf.__version__.count(".") == 2
+
+
+def test_help_needs_no_jax():
+    code = (
+        "import sys, phongfit, phongfit.cli; assert phongfit.cli.main(['--help']) == 0;"
+        "sys.exit(any(name in sys.modules for name in ('jax', 'numpy', 'pydantic')))"
+    )
+    root = Path(__file__).parents[1]
+    done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True)
+    assert done.returncode == 0, done
