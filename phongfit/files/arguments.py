@@ -4,6 +4,7 @@ Names, defaults and shapes are written once, in the class. [`arguments_of`][] ma
 record of them, and [`describe`][] writes what the record reads.
 """
 
+import abc
 import dataclasses
 import functools
 import inspect
@@ -56,9 +57,9 @@ class AbstractPart(AbstractRecord):
 
     makes: ClassVar[type]
 
+    @abc.abstractmethod
     def build(self) -> Any:
         """The object. **Raises:** `ValueError` that begins with a field's name."""
-        raise NotImplementedError
 
 
 class Arguments(AbstractPart):
