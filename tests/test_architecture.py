@@ -40,13 +40,14 @@ KEPT = {
     "starlette": "lab",
     "uvicorn": "lab",
 }
-# The exceptions, inside a function: what shows itself asks `report` how, since how it
-# looks is no part of it; and a command makes data sets where `data_synth` is installed.
+# The exceptions, inside a function: what shows or saves itself asks `report` or `files`
+# how, since that is no part of it; and a command makes data sets where `data_synth` is
+# installed.
 LATER = {
-    "phongfit/material.py": "phongfit.report.",
-    "phongfit/scene.py": "phongfit.report.",
-    "phongfit/fitting/result.py": "phongfit.report.",
-    "phongfit/commands/synth.py": "data_synth.",
+    "phongfit/material.py": ("phongfit.report.",),
+    "phongfit/scene.py": ("phongfit.report.",),
+    "phongfit/fitting/result.py": ("phongfit.report.", "phongfit.files.saved."),
+    "phongfit/commands/synth.py": ("data_synth.",),
 }
 MODULES = [
     path.relative_to(ROOT)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import os
 import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -278,6 +279,12 @@ class Fit:
             "warnings": list(self.warnings),
         }
         return plain(numbers)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write all of it to one file, for [`load_fit`][]: see [`save_fit`][]."""
+        from phongfit.files.saved import save_fit
+
+        save_fit(path, self)
 
     def __str__(self) -> str:
         return fit_table(self)

@@ -47,7 +47,7 @@ def fit():
 
 
 def test_a_loaded_fit_says_what_it_said(fit, tmp_path):
-    pf.save_fit(tmp_path / "fit.npz", fit)
+    fit.save(tmp_path / "fit.npz")
     again = pf.load_fit(tmp_path / "fit.npz")
     assert str(again) == str(fit)
     assert again.to_dict() == fit.to_dict()
