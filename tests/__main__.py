@@ -2,23 +2,34 @@
 
 What takes long and gains little runs in one of them only (see `conftest.py`), unless
 `--both` is among the arguments. Two processes side by side, since the precision is
-fixed when JAX starts. Most of their time is compilation of what runs once, so XLA
-compiles in a hurry, unless `XLA_FLAGS` says otherwise; commands and experiments run as
-users run them.
+fixed when JAX starts.
+
+Most of their time is compilation of what runs once, so XLA compiles in a hurry, unless
+`XLA_FLAGS` says otherwise, and what it has compiled is kept for the next run: below
+`JAX_COMPILATION_CACHE_DIR`, or else in `~/.cache/phongfit/tests`, which may be deleted
+at any time. Commands and experiments run as users run them.
 """
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
+from importlib.metadata import version
+from pathlib import Path
 
-# Machine code as it comes. The others are of XLA's inner life, which not all have: what
-# takes long to write, and products that round otherwise from one triangle to the next.
+# Machine code as it comes, by one thread: two processes are at work already. The others
+# are of XLA's inner life, which not all have: what takes long to write, and products
+# that round otherwise from one triangle to the next.
 QUICK = (
     "--xla_backend_optimization_level=0",
+    "--xla_cpu_parallel_codegen_split_count=1",
     "--xla_cpu_use_fusion_emitters=false",
     "--xla_cpu_max_isa=AVX",
 )
+# Bytes of compiled programs, above which all are compiled anew: a run leaves a quarter
+# of it, and what changes in the code adds to it.
+MOST = 2**29
 
 
 def main() -> int:
@@ -28,16 +39,41 @@ def main() -> int:
     with tempfile.TemporaryFile("w+") as later:
         double = subprocess.Popen(
             [*command, "-p", "no:cacheprovider"],
-            env=environment | {"JAX_ENABLE_X64": "1"},
+            env=environment | precision(64),
             stdout=later,
             stderr=subprocess.STDOUT,
         )
         print("float32", flush=True)
-        single = subprocess.run(command, env=environment | {"JAX_ENABLE_X64": "0"})
+        single = subprocess.run(command, env=environment | precision(32))
         status = double.wait()
         later.seek(0)
         print(f"\nfloat64\n{later.read()}", flush=True)
     return int(bool(single.returncode or status))
+
+
+def precision(bits: int) -> dict[str, str]:
+    """Environment of a run, whose compiled programs no other run writes meanwhile."""
+    chosen = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    folder = Path(chosen) if chosen else Path.home() / ".cache" / "phongfit" / "tests"
+    return {
+        "JAX_ENABLE_X64": "1" if bits == 64 else "0",
+        "JAX_COMPILATION_CACHE_DIR": str(compiled(folder / f"float{bits}")),
+        # Small ones too: there are thousands of them.
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+    }
+
+
+def compiled(folder: Path) -> Path:
+    """A folder in it for programs of this JAX; those of others, and too many, go."""
+    ours = folder / f"jax-{version('jax')}-jaxlib-{version('jaxlib')}"
+    for other in folder.glob("jax-*"):
+        size = sum(path.stat().st_size for path in other.iterdir())
+        if other != ours or size > MOST:
+            shutil.rmtree(other)
+    # Programs are run as they are found: nobody else may put any there.
+    ours.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return ours
 
 
 def quick_flags() -> str:

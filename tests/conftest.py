@@ -1,14 +1,21 @@
-"""The suite runs once in float32 and once in float64: see `python -m tests`."""
+"""The suite runs once in float32 and once in float64: see `python -m tests`.
 
-import collections
+Some tests run in one of the two, unless `--both` is asked for: those with the mark
+`float64`; those of the folders in `SINGLE`, in float32; and those in `ALTERNATE`, where
+a checksum of a test's name and parameters chooses, whatever stands before it.
+"""
+
 import gc
 import shutil
+import zlib
 from pathlib import Path
 
 import jax
 import matplotlib
 import pytest
 from hypothesis import settings
+
+ROOT = Path(__file__).parent
 
 matplotlib.use("agg")
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -61,11 +68,11 @@ def browser():
         chromium.close()
 
 
-# Of files and words, or of the precision that maps are made in: float32 alone, unless
-# a mark says otherwise.
+# Of files and words, or as commands and experiments are run, or of the precision that
+# maps are made in: float32 alone.
 SINGLE = {"commands", "data_synth", "experiments", "files", "maps"}
-# Whole fits and pictures, which take long to compile: every other one in float32, the
-# rest in float64. The parts that fits are made of run in both.
+# Whole fits and pictures, which take long to compile: about a third of them in float32,
+# where all of `SINGLE` runs, the others in float64. The parts of a fit run in both.
 ALTERNATE = {
     "geometry",
     "lab",
@@ -99,29 +106,44 @@ def pytest_addoption(parser):
     )
 
 
+def pytest_ignore_collect(collection_path, config):
+    """What float64 has no part in need not even be imported there."""
+    if _double() and not config.getoption("--both"):
+        return _folder(collection_path) in SINGLE or None
+    return None
+
+
 def pytest_collection_modifyitems(config, items):
     """What need not run in both precisions runs in one."""
-    double = jax.numpy.result_type(float) == jax.numpy.float64
+    double = _double()
     once = pytest.mark.skip(reason=f"runs in float{32 if double else 64} alone")
-    numbers = collections.Counter()
     for item in items:
-        numbers[item.path] += 1
         if item.get_closest_marker("float64"):
+            if _folder(item.path) in SINGLE:
+                raise pytest.UsageError(f"{item.nodeid}: float64 is not run there")
             home = True
         elif config.getoption("--both"):
             continue
         else:
-            home = _home(item.path, numbers[item.path])
+            home = _home(item.path, item.name)
         if home not in (None, double):
             item.add_marker(once)
 
 
-def _home(path: Path, number: int) -> bool | None:
-    """Whether the test of this number in its file is for float64; `None`: for both."""
-    folder = path.relative_to(Path(__file__).parent).parts[0]
-    if path.parent.name == "pixel":
-        # Of a pixel of maps alone.
+def _double() -> bool:
+    return jax.numpy.result_type(float) == jax.numpy.float64
+
+
+def _folder(path: Path) -> str:
+    """The folder or file of `tests` that a path is or lies in."""
+    return path.relative_to(ROOT).parts[0] if path != ROOT else ""
+
+
+def _home(path: Path, name: str) -> bool | None:
+    """Whether the test of this name in a file is for float64; `None`: for both."""
+    folder = _folder(path)
+    if folder in SINGLE:
+        return False
+    if ALTERNATE.isdisjoint({folder, path.stem}):
         return None
-    if not ALTERNATE.isdisjoint({folder, path.stem}):
-        return number % 2 == 0
-    return False if folder in SINGLE else None
+    return zlib.crc32(f"{path.stem}.{name}".encode()) % 3 != 0

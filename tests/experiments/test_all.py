@@ -10,8 +10,6 @@ from matplotlib.axes import Axes
 from experiments import all as every
 from phongfit.cli import run
 
-pytestmark = pytest.mark.float64
-
 
 class Page(html.parser.HTMLParser):
     """Pictures, links and ids of a page, and its text."""

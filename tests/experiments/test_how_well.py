@@ -16,8 +16,6 @@ from experiments.how_well import (
     spread,
 )
 
-pytestmark = pytest.mark.float64
-
 
 def test_fits_reach_the_bound(found):
     """Forty fits a setting: a spread is known to 11 %, three of which are 34 %."""

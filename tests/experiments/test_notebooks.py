@@ -9,8 +9,6 @@ from nbformat import NotebookNode
 
 from experiments.run_notebooks import execute, notebooks, read
 
-pytestmark = pytest.mark.float64
-
 # Which of several equal correlations come first, rounding decides.
 CORRELATION = re.compile(r"^\s+\S+\s+\S+\s+[+-][01]\.\d+$")
 NUMBER = re.compile(r"\d+(?:\.\d*)?")

@@ -10,8 +10,6 @@ from experiments.shading_methods import (
     edge_jumps,
 )
 
-pytestmark = pytest.mark.float64
-
 
 def test_what_gouraud_loses_it_regains_on_finer_meshes(found):
     finding = found(EXPERIMENT)

@@ -3,8 +3,6 @@ import pytest
 
 from experiments.wrong_model import DIAGNOSTICS, EXPERIMENT, PARAMETERS, TRUTH
 
-pytestmark = pytest.mark.float64
-
 
 @pytest.fixture(scope="module")
 def outcomes(found):

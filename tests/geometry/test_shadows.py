@@ -78,7 +78,7 @@ def test_in_shadow_only_ambient_light_and_emission_are_left():
 @pytest.mark.parametrize("size, place", [(1, 0), (1e-3, 0), (1e3, 0), (1, 50)])
 def test_no_acne_on_a_coarse_mesh_of_any_size_and_place(size, place):
     """Where a face and its normals both look to the light, a convex mesh is lit."""
-    ball = shapes.Ball().mesh(12, 6)
+    ball = shapes.Ball().mesh(12, 8)
     shift = np.array([place, -place, 0])
     mesh = pf.Mesh(np.asarray(ball.vertices) * size + shift, ball.faces, ball.normals)
     view = pf.PerspectiveCamera.look_at(

@@ -25,7 +25,7 @@ SHAPES = [
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda s: type(s).__name__)
 def test_both_ways_to_write_it_down_are_the_same_surface(shape):
-    mesh = shape.mesh(7, 5)
+    mesh = shape.mesh(8, 6)
     on_it = jax.vmap(shape.implicit)(mesh.vertices)
     near(on_it, 0, 10 * CLOSE)
     corner = np.asarray(shape.corner())
@@ -85,9 +85,9 @@ def test_gradients_reach_the_numbers_of_a_shape():
 
 
 def test_a_sphere_of_triangles_has_whole_poles():
-    mesh = Ball().mesh(9, 6)
-    near(known(mesh.normals)[:10], np.broadcast_to([0.0, -1, 0], (10, 3)), 2e-3)
-    near(known(mesh.normals)[-10:], np.broadcast_to([0.0, 1, 0], (10, 3)), 2e-3)
+    mesh = Ball().mesh(8, 6)
+    near(known(mesh.normals)[:9], np.broadcast_to([0.0, -1, 0], (9, 3)), 2e-3)
+    near(known(mesh.normals)[-9:], np.broadcast_to([0.0, 1, 0], (9, 3)), 2e-3)
 
 
 def test_a_surface_of_ones_own():

@@ -26,7 +26,7 @@ INTENSITY = "scene.lights[0].intensity"
 
 
 def two_materials() -> pf.Scene:
-    mesh = pf.shapes.Ball().mesh(12, 6)
+    mesh = pf.shapes.Ball().mesh(12, 8)
     half = (np.arange(len(mesh.faces)) % 2).astype(np.int32)
     surface = pf.Mesh(mesh.vertices, mesh.faces, mesh.normals, half)
     return pf.Scene(surface, SCENE.camera, SCENE.lights, SCENE.ambient)
