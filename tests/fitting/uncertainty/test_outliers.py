@@ -6,7 +6,7 @@ import pytest
 import phongfit as pf
 from tests.fitting.scenes import TRUTH, ball, photograph
 
-SIZE = 64
+SIZE = 32
 SCENE = ball(size=SIZE)
 NOISY = photograph(SCENE, TRUTH, noise=0.01)
 
