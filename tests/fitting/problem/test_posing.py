@@ -40,8 +40,8 @@ def test_the_likelihood_is_that_of_normal_noise(problem, fit):
 
 def test_the_fit_is_where_it_is_largest(problem, fit):
     y = jnp.asarray(fit.position)
-    slope = jax.grad(problem.log_likelihood)(y)
-    curvature = -jax.hessian(problem.log_likelihood)(y)
+    slope = jax.jit(jax.grad(problem.log_likelihood))(y)
+    curvature = -jax.jit(jax.hessian(problem.log_likelihood))(y)
     errors = np.sqrt(np.diag(np.linalg.inv(np.asarray(curvature, float))))
     # In standard errors the gradient is nothing.
     assert np.max(np.abs(np.asarray(slope) * errors)) < 0.02

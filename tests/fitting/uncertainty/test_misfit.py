@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from tests.fitting.scenes import TRUTH, ball, photograph
 
 SIDE = 2
 SIZE = 64
+# As a fit calls it.
+summed = eqx.filter_jit(sum_over_tiles)
 
 
 def looked_at(residual, *, used=None, loss="linear", step=None, sigma=1.0):
@@ -23,7 +26,7 @@ def looked_at(residual, *, used=None, loss="linear", step=None, sigma=1.0):
     y, x = np.indices((height, width)) / max(height, width)
     ramp = np.repeat((x + 0.1 * y)[..., None], 3, axis=-1)
     weight = np.ones((height, width, 1)) if used is None else used
-    found = sum_over_tiles(
+    found = summed(
         Measured(
             jnp.asarray(grey + residual),
             jnp.asarray(weight, float),
