@@ -1,0 +1,30 @@
+"""What a run of the tests leaves of compiled programs, and what it removes."""
+
+from tests import __main__ as runner
+
+
+def test_programs_of_another_jax_go_and_ours_stay(tmp_path):
+    other = tmp_path / "jax-0.1-jaxlib-0.1"
+    other.mkdir()
+    (other / "jit_run").write_bytes(b"old")
+    (tmp_path / "thesis.txt").write_text("years of work")
+    ours = runner.compiled(tmp_path)
+    (ours / "jit_run").write_bytes(b"new")
+    assert runner.compiled(tmp_path) == ours and (ours / "jit_run").exists()
+    assert ours.stat().st_mode & 0o077 == 0
+    assert {path.name for path in tmp_path.iterdir()} == {ours.name, "thesis.txt"}
+
+
+def test_too_many_go(tmp_path, monkeypatch):
+    ours = runner.compiled(tmp_path)
+    (ours / "jit_run").write_bytes(bytes(11))
+    monkeypatch.setattr(runner, "MOST", 10)
+    assert runner.compiled(tmp_path) == ours and not list(ours.iterdir())
+
+
+def test_runs_side_by_side_write_apart(tmp_path, monkeypatch):
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
+    single, double = (
+        runner.precision(bits)["JAX_COMPILATION_CACHE_DIR"] for bits in (32, 64)
+    )
+    assert single != double and single.startswith(str(tmp_path))
