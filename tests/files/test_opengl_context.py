@@ -33,10 +33,10 @@ needs_mesa = pytest.mark.skipif(
 
 def scenes():
     """Scenes with their materials, between them all of what OpenGL can do."""
-    torus = pf.shapes.Torus().mesh(24, 16)
-    ball = pf.shapes.Ball(0.8).mesh(16, 9)
+    torus = pf.shapes.Torus().mesh(48, 24)
+    ball = pf.shapes.Ball(0.8).mesh(48, 24)
     pair = pf.join([torus, ball])
-    tube = pf.shapes.Cylinder(0.6, 1.4).mesh(16, 4, two_sided=True)
+    tube = pf.shapes.Cylinder(0.6, 1.4).mesh(48, 24, two_sided=True)
     near_view = pf.PerspectiveCamera.look_at(
         (1, 2, 3), width=SIZE, height=SIZE, fov_y=40
     )
