@@ -86,7 +86,8 @@ def test_what_is_not_identifiable_is_named(few_draws):
     assert np.isinf(predicted.stderr.shininess)
     assert any("shininess is not identifiable" in words for words in predicted.warnings)
     text = str(predicted)
-    assert text.startswith("phongfit: what ") and "! shininess is not identifiable" in text
+    assert text.startswith("phongfit: what ")
+    assert "! shininess is not identifiable" in text
 
 
 @pytest.fixture

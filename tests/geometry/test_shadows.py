@@ -1,3 +1,5 @@
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -75,6 +77,11 @@ def test_in_shadow_only_ambient_light_and_emission_are_left():
     near(image[0, 0], dark + 0.9 * (0.5 + 0.4))
 
 
+@eqx.filter_jit
+def directions(light, positions):
+    return jax.vmap(lambda position: light.illuminate(position).to_light)(positions)
+
+
 @pytest.mark.parametrize("size, place", [(1, 0), (1e-3, 0), (1e3, 0), (1, 50)])
 def test_no_acne_on_a_coarse_mesh_of_any_size_and_place(size, place):
     """Where a face and its normals both look to the light, a convex mesh is lit."""
@@ -91,9 +98,7 @@ def test_no_acne_on_a_coarse_mesh_of_any_size_and_place(size, place):
         pf.DirectionalLight((1, 0, 0.02)),
     ):
         gbuffer = pf.trace(mesh, view, [light], shadows=True)
-        to_light = np.stack(
-            [light.illuminate(p).to_light for p in gbuffer.position.reshape(-1, 3)[::7]]
-        )
+        to_light = directions(light, gbuffer.position.reshape(-1, 3)[::7])
         facing = np.sum(
             known(gbuffer.surface_normal).reshape(-1, 3)[::7] * to_light, axis=1
         )
