@@ -129,10 +129,10 @@ def make(options: Options) -> Dataset:
     """
     if not 1 <= options.resolution <= MAX_RESOLUTION:
         raise ValueError(
-            f"resolution: {options.resolution} came, 1 … {MAX_RESOLUTION} is wanted"
+            f"resolution: expected 1 … {MAX_RESOLUTION}, got {options.resolution}"
         )
     if not 0 <= options.seed < 2**32:
-        raise ValueError(f"seed: {options.seed} came, 0 … {2**32 - 1} is wanted")
+        raise ValueError(f"seed: expected 0 … {2**32 - 1}, got {options.seed}")
     material = _material(options)
     scene = Scene(
         Sphere(options.center, options.radius),
@@ -163,7 +163,7 @@ def make(options: Options) -> Dataset:
 
 def _number(name: str, values: Numbers) -> float | Numbers:
     if len(values) not in (1, 3):
-        raise ValueError(f"{name}: {len(values)} numbers came, 1 or 3 are wanted")
+        raise ValueError(f"{name}: expected 1 or 3 numbers, got {len(values)}")
     return values[0] if len(values) == 1 else values
 
 
@@ -171,7 +171,7 @@ def _material(options: Options) -> Material:
     kind, _, name = options.material.partition(":")
     if kind not in ("plastic", "preset") or (kind == "plastic" and name):
         raise ValueError(
-            f"material: {options.material!r} came, plastic or preset:NAME is wanted"
+            f"material: expected plastic or preset:NAME, got {options.material!r}"
         )
     base = PLASTIC if kind == "plastic" else preset(name)
     parameters = {

@@ -64,10 +64,10 @@ def make_dataset(
     **Raises:** `ValueError` that names the argument.
     """
     if not (np.isfinite(noise) and noise >= 0):
-        raise ValueError(f"noise: {noise} came, a number ≥ 0 is wanted")
+        raise ValueError(f"noise: expected a number ≥ 0, got {noise}")
     film = Film(encoding=encoding, bits=bits)
     if bits not in (None, 8, 16):
-        raise ValueError(f"bits: {bits} came, 8, 16 or None is wanted")
+        raise ValueError(f"bits: expected 8, 16 or None, got {bits}")
     surface = Sphere() if surface is None else surface
     camera = OrthographicCamera() if camera is None else camera
 
@@ -103,7 +103,7 @@ def deal(
     count = len(lights) if images is None else images
     if not 1 <= count <= len(lights):
         raise ValueError(
-            f"images: {count} came, 1 … {len(lights)} are wanted (each needs a light)"
+            f"images: expected 1 … {len(lights)}, got {count} (each needs a light)"
         )
     return tuple(
         dataclasses.replace(scene, lights=lights[at::count]) for at in range(count)

@@ -65,7 +65,7 @@ def make_lights(
     **Raises:** `ValueError` that names the argument.
     """
     if count < 1:
-        raise ValueError(f"lights: {count} came, at least 1 is wanted")
+        raise ValueError(f"lights: expected at least 1, got {count}")
     makers = {"directional": _directional, "point": _point, "spot": _spot}
     turns = tuple(makers) if kind == "mixed" else (kind,)
     return tuple(
@@ -125,8 +125,8 @@ def exposure(scenes: tuple[Scene, ...], material: Material) -> float:
     factor = min(factors)
     if factor <= 0:
         raise ValueError(
-            "ambient_light: with the material's ambient and emission it is nearly "
-            "white by itself; less is wanted, or the intensity of the lights given"
+            "ambient_light: expected less, or the intensity of the lights given: with "
+            "the material's ambient and emission it is nearly white by itself"
         )
     # Three digits, rounded down, are easier to read in a file.
     unit = 10.0 ** (np.floor(np.log10(factor)) - 2) if np.isfinite(factor) else 1.0

@@ -81,7 +81,7 @@ def _file_bits(bits: int | None) -> Bits:
             return 32
         case 8 | 16:
             return bits
-    raise ValueError(f"bits: {bits} came, 8, 16 or None is wanted")
+    raise ValueError(f"bits: expected 8, 16 or None, got {bits}")
 
 
 def _all_lights(scenes: Sequence[Scene]) -> list[AbstractLight]:

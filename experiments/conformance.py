@@ -82,8 +82,8 @@ def compare(reference: Reference) -> Agreement:
     image = np.asarray(image, float)
     if image.shape != reference.image.shape:
         raise ValueError(
-            f"{reference.name}: its image has shape {reference.image.shape}, "
-            f"{image.shape} is wanted"
+            f"{reference.name}: expected shape {image.shape}, got "
+            f"{reference.image.shape}"
         )
     mask = np.asarray(gbuffer.mask)
     if reference.vertex_colors is None:
@@ -137,7 +137,7 @@ def main(options: Options) -> int:
     folder cannot be read.
     """
     if not options.folders:
-        raise ValueError("FOLDER: none came, at least one is wanted")
+        raise ValueError("FOLDER: expected at least one, got none")
     if options.json is not None:
         check_file(options.json)
     paths = [path for folder in options.folders for path in find_references(folder)]

@@ -118,7 +118,7 @@ def main(
     check_outputs(picture, json)
     data = read(folder)
     if len(data.images) < 2:
-        raise ValueError(f"{folder}: one photograph came, at least two are wanted")
+        raise ValueError(f"{folder}: expected at least two photographs, got one")
     seen, unseen = half(data, 0), half(data, 1)
     fits = {
         "free": fit(seen, WHOLE, ()),

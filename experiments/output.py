@@ -25,8 +25,8 @@ def check_outputs(picture: Path | None, json: Path | None) -> None:
     known = FigureCanvasBase.get_supported_filetypes()
     if picture is not None and picture.suffix.removeprefix(".").lower() not in known:
         raise ValueError(
-            f"{picture}: suffix {picture.suffix!r} came, a picture's is wanted, such "
-            "as .png or .pdf"
+            f"{picture}: expected the suffix of a picture, such as .png or .pdf, got "
+            f"{picture.suffix!r}"
         )
 
 

@@ -107,9 +107,9 @@ def _opengl_camera(said: dict[str, Any]) -> pf.AbstractCamera:
         )
     right, top = projection["right"], projection["top"]
     if projection["left"] != -right or projection["bottom"] != -top:
-        raise ValueError("projection: one off the axis came, a centred one is wanted")
+        raise ValueError("projection: expected a centred one, got one off the axis")
     if not np.isclose(right / top, width / height):
-        raise ValueError("projection: square pixels are wanted, others came")
+        raise ValueError("projection: expected square pixels, got others")
     return pf.OrthographicCamera.look_at(
         *place, width=width, height=height, view_height=2 * top
     )
@@ -134,7 +134,7 @@ def _raytraced(name: str, said: dict[str, Any], arrays: Arrays) -> Reference:
     models = {"phong": pf.Phong(), "blinn-phong": pf.BlinnPhong()}
     if model not in models:
         raise ValueError(
-            f"specular_model: {model!r} came, one of {list(models)} wanted"
+            f"specular_model: expected one of {list(models)}, got {model!r}"
         )
     scene = pf.Scene(
         pf.Mesh(

@@ -183,7 +183,7 @@ def main(
         json: Where the numbers go.
     """
     if min(draws, starts) < 1 or problems < 0:
-        raise ValueError("draws, starts: whole numbers ≥ 1 are wanted")
+        raise ValueError("draws, starts: expected whole numbers ≥ 1")
     check_outputs(None, json)
     console = Console()
     numbers, wrong = {}, []

@@ -28,7 +28,7 @@ def as_floats(name: str, value: Any) -> Float[Array, "..."]:
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: {value!r} is not an array of numbers") from error
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
-        raise ValueError(f"{name}: complex numbers came, real ones are wanted")
+        raise ValueError(f"{name}: expected real numbers, got complex numbers")
     # Too large for the precision is infinite, which is refused in its own words.
     with np.errstate(over="ignore"):
         return jnp.asarray(array if array.dtype == wanted else array.astype(wanted))
@@ -38,7 +38,7 @@ def as_vector(name: str, value: Any) -> Float[Array, "3"]:
     """`value` as a vector of shape (3,); `ValueError` names `name`."""
     array = as_floats(name, value)
     if array.shape != (3,):
-        raise ValueError(f"{name}: shape {array.shape} came, (3,) is wanted")
+        raise ValueError(f"{name}: expected shape (3,), got {array.shape}")
     return require(name, array, np.isfinite, jnp.isfinite, "finite numbers")
 
 
@@ -46,7 +46,7 @@ def as_scalar(name: str, value: Any) -> Float[Array, ""]:
     """`value` as one finite number of shape (); `ValueError` names `name`."""
     array = as_floats(name, value)
     if array.shape != ():
-        raise ValueError(f"{name}: shape {array.shape} came, one number is wanted")
+        raise ValueError(f"{name}: expected one number, got shape {array.shape}")
     return require(name, array, np.isfinite, jnp.isfinite, "a finite number")
 
 
@@ -54,7 +54,7 @@ def as_light(name: str, value: Any) -> Float[Array, "3"]:
     """`value`, one number or three, as RGB light of shape (3,), finite and ≥ 0."""
     array = as_floats(name, value)
     if array.shape not in ((), (1,), (3,)):
-        raise ValueError(f"{name}: shape {array.shape} came, () or (3,) is wanted")
+        raise ValueError(f"{name}: expected shape () or (3,), got {array.shape}")
     return at_least(name, jnp.broadcast_to(array, (3,)), 0)
 
 
@@ -63,9 +63,9 @@ def as_reflectance(name: str, value: Any) -> Float[Array, "..."]:
     array = as_floats(name, value)
     if array.ndim > 0 and array.shape[-1] not in (1, 3):
         raise ValueError(
-            f"{name}: shape {array.shape} came; the last axis is colour and is 1 or 3 "
-            f"(one number for each of {array.shape[-1]} materials has shape "
-            f"({array.shape[-1]}, 1))"
+            f"{name}: expected 1 or 3 along the last axis, which is colour, got "
+            f"{array.shape} (one number for each of {array.shape[-1]} materials has "
+            f"shape ({array.shape[-1]}, 1))"
         )
     return at_least(name, array, 0)
 
@@ -76,16 +76,16 @@ def as_integers(name: str, value: Any, lowest: int, below: float) -> np.ndarray:
     A NumPy array: they say what belongs together, and that is never traced.
     """
     if isinstance(value, Tracer):
-        raise ValueError(f"{name}: a traced array came, known numbers are wanted")
+        raise ValueError(f"{name}: expected known numbers, got a traced array")
     array = np.asarray(value)
     if array.dtype.kind not in "iu":
-        raise ValueError(f"{name}: {array.dtype} came, whole numbers are wanted")
+        raise ValueError(f"{name}: expected whole numbers, got {array.dtype}")
     wrong = (array < lowest) | (array >= below)
     if wrong.any():
         where = tuple(int(i) for i in np.argwhere(wrong)[0])
         raise ValueError(
-            f"{name}: {array[where]} came at {where}, whole numbers ≥ {lowest} and < "
-            f"{below} are wanted"
+            f"{name}: expected whole numbers ≥ {lowest} and < {below}, got "
+            f"{array[where]} at {where}"
         )
     return array.astype(np.int32)
 
@@ -101,7 +101,7 @@ def as_indices(
         return None, 1
     array = as_integers(name, value, 0, np.inf)
     if array.shape != shape:
-        raise ValueError(f"{name}: shape {array.shape} came, {shape} is wanted")
+        raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
     return jnp.asarray(array), int(array.max(initial=0)) + 1
 
 
@@ -140,8 +140,8 @@ def untraced(instead: str, **arguments: Any) -> None:
         return
     name = next(name for name, value in arguments.items() if is_traced(value))
     raise ValueError(
-        f"{name}: a traced array came (inside jit, grad or vmap), known numbers are "
-        f"wanted; {instead}"
+        f"{name}: expected known numbers, got a traced array (inside jit, grad or "
+        f"vmap); {instead}"
     )
 
 
@@ -163,9 +163,9 @@ def require(
     traced one.
     """
     if isinstance(array, Tracer):
-        return eqx.error_if(array, ~traced(array), f"{name}: {wanted} wanted")
+        return eqx.error_if(array, ~traced(array), f"{name}: expected {wanted}")
     values = np.asarray(array)
     if not np.all(known(values)):
         came = np.array2string(values, threshold=6, precision=6)
-        raise ValueError(f"{name}: {came} came, {wanted} wanted")
+        raise ValueError(f"{name}: expected {wanted}, got {came}")
     return array

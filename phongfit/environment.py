@@ -53,7 +53,7 @@ class Fog(eqx.Module):
         """
         if mode not in FOG_MODES:
             wanted = " or ".join(repr(name) for name in FOG_MODES)
-            raise ValueError(f"mode: {mode!r} came, {wanted} is wanted")
+            raise ValueError(f"mode: expected {wanted}, got {mode!r}")
         self.color = as_light("color", color)
         self.mode = mode
         self.density = at_least("density", as_scalar("density", density), 0)
@@ -61,7 +61,7 @@ class Fog(eqx.Module):
         self.end = as_scalar("end", end)
         known = not any(isinstance(x, Tracer) for x in (self.start, self.end))
         if mode == "linear" and known and self.start == self.end:
-            raise ValueError(f"end: {end} came, a depth other than start is wanted")
+            raise ValueError(f"end: expected a depth other than start, got {end}")
 
     def transmittance(self, depth: Scalar) -> Scalar:
         """Share in [0, 1] of the surface's light that comes through.

@@ -92,12 +92,12 @@ def stack_materials(materials: Iterable[Material]) -> Material:
     """
     materials = list(materials)
     if not materials:
-        raise ValueError("materials: none came, at least one is wanted")
+        raise ValueError("materials: expected at least one, got none")
 
     def rows(material: Material) -> list[Array]:
         leaves = [jnp.atleast_2d(leaf) for leaf in jax.tree.leaves(material)]
         if any(leaf.ndim > 2 for leaf in leaves):
-            raise ValueError("materials: a map came, single materials are wanted")
+            raise ValueError("materials: expected single materials, got a map")
         count = max(len(leaf) for leaf in leaves)
         return [jnp.broadcast_to(leaf, (count, leaf.shape[1])) for leaf in leaves]
 

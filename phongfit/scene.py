@@ -65,7 +65,7 @@ class Scene(eqx.Module):
         camera = OrthographicCamera() if camera is None else camera
         lights = (lights,) if isinstance(lights, AbstractLight) else lights
         if not isinstance(lights, Iterable):
-            raise ValueError(f"lights: {lights!r} came, a list of lights is wanted")
+            raise ValueError(f"lights: expected a list of lights, got {lights!r}")
         lights = tuple(lights)
         specular = BlinnPhong() if specular is None else specular
         shading = PhongShading() if shading is None else shading
@@ -81,7 +81,7 @@ class Scene(eqx.Module):
         ):
             if not isinstance(value, kind):
                 wanted = getattr(kind, "__name__", kind)
-                raise ValueError(f"{name}: {value!r} came, {wanted} wanted")
+                raise ValueError(f"{name}: expected {wanted}, got {value!r}")
         if isinstance(surface, NormalMap) and surface.positions is None:
             if not all(isinstance(light, DirectionalLight) for light in lights):
                 raise ValueError(

@@ -53,7 +53,7 @@ def check_gradients(
     there is nothing to differentiate.
     """
     if order not in (1, 2):
-        raise ValueError(f"order: {order!r} came, 1 or 2 is wanted")
+        raise ValueError(f"order: expected 1 or 2, got {order!r}")
     with jax.enable_x64(True):
         leaves, rebuild = _as_vector_space(point)
         start = np.concatenate([leaf.ravel() for _, leaf in leaves])
@@ -90,10 +90,10 @@ def _as_vector_space(point: PyTree) -> tuple[Leaves, Callable[[Array], PyTree]]:
     floats, rest = eqx.partition(point, eqx.is_inexact_array_like)
     with_paths, structure = jax.tree_util.tree_flatten_with_path(floats)
     if not with_paths:
-        raise ValueError("point: no float came, something to differentiate is wanted")
+        raise ValueError("point: expected something to differentiate, got no float")
     for path, leaf in with_paths:
         if np.iscomplexobj(leaf):
-            raise ValueError(f"point: {_path(path)} is complex, real numbers wanted")
+            raise ValueError(f"point: expected real numbers, got complex {_path(path)}")
     leaves = [(_path(path), np.asarray(leaf, np.float64)) for path, leaf in with_paths]
     ends = np.cumsum([leaf.size for _, leaf in leaves])[:-1]
 

@@ -221,3 +221,14 @@ def photographs(name: str) -> Path:
     if not folder.is_dir():
         pytest.skip(f"there are no photographs at {folder}")
     return folder
+
+
+def said(words: str, text: str) -> bool:
+    """Whether a text has these words; what stands for ` ... ` may be anything."""
+    start = 0
+    for part in words.split(" ... "):
+        found = text.find(part, start)
+        if found < 0:
+            return False
+        start = found + len(part)
+    return True

@@ -189,7 +189,7 @@ def main(
         picture: Where a figure of them goes.
     """
     if min(resolution, runs) < 1:
-        raise ValueError("resolution, runs: whole numbers ≥ 1 are wanted")
+        raise ValueError("resolution, runs: expected whole numbers ≥ 1")
     check_outputs(picture, json)
     console = Console()
 

@@ -56,7 +56,7 @@ def main(
     """
     count = (FEW if small else 100) if draws is None else draws
     if count < 1:
-        raise ValueError("draws: a whole number ≥ 1 is wanted")
+        raise ValueError("draws: expected a whole number ≥ 1")
     check_outputs(None, json)
     console = Console()
     if not console.is_terminal:

@@ -138,8 +138,8 @@ def _read_single(options: DataOptions) -> Photographs:
     encoding = options.encoding or record.encoding
     if encoding is None:
         raise ValueError(
-            f"encoding: {options.scene} does not say it, --encoding linear or srgb is "
-            "wanted"
+            f"encoding: expected --encoding linear or srgb, since {options.scene} does "
+            "not say it"
         )
     image = read_image(path, encoding)
     mask = np.ones(image.shape[:2], bool)
@@ -149,8 +149,8 @@ def _read_single(options: DataOptions) -> Photographs:
     for source, array in ((path, image), (options.mask, mask)):
         if array.shape[:2] != wanted:
             raise ValueError(
-                f"{source}: {array.shape[:2]} pixels came, the camera in "
-                f"{options.scene} wants {wanted}"
+                f"{source}: expected {wanted} pixels, as the camera in {options.scene} "
+                f"has, got {array.shape[:2]}"
             )
     film = record.film()
     if film.clamp:

@@ -72,7 +72,9 @@ def main(options: Options) -> int:
     keep_compiled()
     check_file(options.out)
     if options.scene is not None and options.to != "gltf":
-        raise ValueError(f"scene: came, but {options.to} knows no shape; gltf does")
+        raise ValueError(
+            f"scene: expected none, since {options.to} holds no shape; gltf does"
+        )
     try:
         written = _export(options)
     except ValueError as error:
@@ -99,7 +101,7 @@ def _check_maps(folder: Path, options: Options) -> None:
             "know textures"
         )
     if options.scene is not None:
-        raise ValueError("scene: maps lie on their picture's plane, no scene is wanted")
+        raise ValueError("scene: expected none, since maps lie on their picture")
 
 
 class Job(NamedTuple):
@@ -139,8 +141,8 @@ def _single(job: Job) -> str:
     """The name of the only material, for formats that hold no more."""
     if len(job.given) != 1:
         raise ValueError(
-            f"to: {job.options.to} holds one material, {len(job.given)} came; mtl and "
-            "gltf hold several"
+            f"to: expected one material for {job.options.to}, got {len(job.given)}; "
+            "mtl and gltf hold several"
         )
     return job.names[0]
 
@@ -160,7 +162,8 @@ def _write_gltf(job: Job) -> None:
     parts = surface_parts(surface)
     if len(job.blinn) not in (1, len(parts)):
         raise ValueError(
-            f"scene: its surface has {len(parts)} materials, {len(job.blinn)} came"
+            f"scene: expected {len(parts)} materials for its surface, got "
+            f"{len(job.blinn)}"
         )
     materials = [
         pbr_material(name, one, job.options.nearest)

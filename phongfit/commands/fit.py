@@ -113,8 +113,8 @@ def _asked(
         for field in dataclasses.fields(group):
             if getattr(group, field.name) != field.default:
                 raise ValueError(
-                    f"{field.name}: came beside --like, which says it; one of the two "
-                    "is wanted"
+                    f"{field.name}: expected this option or --like, which says it, got "
+                    "both"
                 )
     settings, reading = record.settings, record.data.reading.model_dump()
     data = dataclasses.replace(options.data, **reading)

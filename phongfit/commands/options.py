@@ -110,7 +110,7 @@ def specification_of(unknowns: UnknownOptions, options: FitOptions) -> Specifica
     for name, wanted in (("noise", "a number > 0"), ("max_steps", "1 or more")):
         value = getattr(options, name)
         if value is not None and not 0 < value < float("inf"):
-            raise ValueError(f"{name}: {value} came, {wanted} is wanted")
+            raise ValueError(f"{name}: expected {wanted}, got {value}")
     known = None
     if options.known is not None:
         with naming("known"):
@@ -136,14 +136,12 @@ def pairs(
     for word in words:
         name, equals, value = word.partition("=")
         if not name or not equals or name in found:
-            raise ValueError(
-                f"{option}: {word!r} came, NAME=VALUE is wanted, once each"
-            )
+            raise ValueError(f"{option}: expected NAME=VALUE, once each, got {word!r}")
         try:
             found[name] = parse(value)
         except ValueError:
             raise ValueError(
-                f"{option}: {value!r} came for {name}, {_WANTED[parse]} wanted"
+                f"{option}: expected {_WANTED[parse]} for {name}, got {value!r}"
             ) from None
     return found
 

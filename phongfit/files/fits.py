@@ -216,7 +216,7 @@ def _array(numbers: Any) -> np.ndarray:
     try:
         return np.array(numbers, float)
     except ValueError as error:
-        raise ValueError("rows of one length are wanted") from error
+        raise ValueError("expected rows of one length") from error
 
 
 def made_with() -> dict[str, str]:
@@ -281,14 +281,14 @@ def check_fit(record: FitRecord) -> None:
     for name in ("values", "errors", "at_bound", "unidentified", "tied", "bounds"):
         length = len(getattr(record, name))
         if length != count:
-            raise ValueError(f"{name}: {length} came for {count} labels")
+            raise ValueError(f"{name}: expected {count}, one a label, got {length}")
     if record.intervals is not None and len(record.intervals) != count:
         raise ValueError(
             f"intervals: expected {count}, one a label, got {len(record.intervals)}"
         )
     rows = [len(row) for row in record.covariance]
     if rows != [count] * count:
-        raise ValueError(f"covariance: {count} rows of {count} numbers are wanted")
+        raise ValueError(f"covariance: expected {count} rows of {count} numbers")
     record.build()
 
 
@@ -302,8 +302,8 @@ def distances(record: FitRecord, fit: Fit) -> Float[np.ndarray, " n"]:
     """
     if tuple(record.labels) != fit.labels:
         raise ValueError(
-            f"labels: {', '.join(fit.labels)} came, those of the recorded fit are "
-            f"{', '.join(record.labels)}"
+            f"labels: expected those of the recorded fit, {', '.join(record.labels)}, "
+            f"got {', '.join(fit.labels)}"
         )
     values, errors = record.numbers()
     finite = np.isfinite(errors), np.isfinite(fit.errors)

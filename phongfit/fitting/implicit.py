@@ -66,18 +66,18 @@ def _other_problem(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Prob
     views = old.samples.views
     if len(scenes) != len(views) or len(images) != len(views):
         raise ValueError(
-            f"scene: {len(scenes)} and {len(images)} images came, the fit had "
-            f"{len(views)}"
+            f"scene: expected {len(views)} scenes and images, as the fit had, got "
+            f"{len(scenes)} and {len(images)}"
         )
     pixels, targets = [], []
     for k, (view, one, light) in enumerate(zip(views, scenes, images, strict=True)):
         size, came = ((s.camera.height, s.camera.width) for s in (view.scene, one))
         if came != size:
-            raise ValueError(f"scene: {k} shows {came} pixels, {size} are wanted")
+            raise ValueError(f"scene: expected {size} pixels of scene {k}, got {came}")
         shape = (*size, 3)
         if jnp.shape(light) != shape:
             raise ValueError(
-                f"image: shape {jnp.shape(light)} came for scene {k}, {shape} is wanted"
+                f"image: expected shape {shape} for scene {k}, got {jnp.shape(light)}"
             )
         pixels.append(resolve_terms(one)[1].select(view.index))
         light = jnp.asarray(light, old.samples.target.dtype)

@@ -99,7 +99,7 @@ class Fit:
             if label == name or (label.startswith(name) and label[len(name)] in ".[")
         ]
         if not entries:
-            raise KeyError(f"{name!r} came, one of {', '.join(self.labels)} is wanted")
+            raise KeyError(f"expected one of {', '.join(self.labels)}, got {name!r}")
         chosen = entries[0] if self.labels[entries[0]] == name else entries
         return Estimate(
             self.values[chosen],
@@ -122,7 +122,7 @@ class Fit:
         **Raises:** `ValueError` if `level` is not in (0, 1).
         """
         if not 0 < level < 1:
-            raise ValueError(f"level: {level!r} came, a number in (0, 1) is wanted")
+            raise ValueError(f"level: expected a number in (0, 1), got {level!r}")
         return self.region.ends(student_reach(level, self.degrees_of_freedom) ** 2)
 
     @property

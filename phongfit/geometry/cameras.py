@@ -61,14 +61,14 @@ class AbstractCamera(eqx.Module):
 
 def _as_size(name: str, value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise ValueError(f"{name}: {value!r} came, a whole number ≥ 1 is wanted")
+        raise ValueError(f"{name}: expected a whole number ≥ 1, got {value!r}")
     return int(value)
 
 
 def _as_rotation(value: Any) -> Float[Array, "3 3"]:
     rotation = as_floats("rotation", value)
     if rotation.shape != (3, 3):
-        raise ValueError(f"rotation: shape {rotation.shape} came, (3, 3) is wanted")
+        raise ValueError(f"rotation: expected shape (3, 3), got {rotation.shape}")
 
     def fine(xp: Any) -> Callable[[Any], Any]:
         # x × y = z tells a rotation from a mirror, which would swap left and right.

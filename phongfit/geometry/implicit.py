@@ -43,9 +43,9 @@ class ImplicitSurface(AbstractSurface):
         **Raises:** `ValueError` that names the argument.
         """
         if not callable(function):
-            raise ValueError(f"function: {function!r} came, a function is wanted")
+            raise ValueError(f"function: expected a function, got {function!r}")
         if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
-            raise ValueError(f"steps: {steps!r} came, a whole number ≥ 1 is wanted")
+            raise ValueError(f"steps: expected a whole number ≥ 1, got {steps!r}")
         self.function = function
         self.lower = as_vector("lower", lower)
         self.upper = as_vector("upper", upper)

@@ -103,21 +103,21 @@ class Mesh(AbstractSurface):
         """
         vertices = as_floats("vertices", vertices)
         if vertices.ndim != 2 or vertices.shape[1] != 3:
-            raise ValueError(f"vertices: shape {vertices.shape} came, (V, 3) is wanted")
+            raise ValueError(f"vertices: expected shape (V, 3), got {vertices.shape}")
         if np.size(faces) == 0:
-            raise ValueError("faces: none came, a mesh of at least one is wanted")
+            raise ValueError("faces: expected a mesh of at least one, got none")
         faces = as_integers("faces", faces, 0, len(vertices))
         if faces.ndim != 2 or faces.shape[1] != 3:
-            raise ValueError(f"faces: shape {faces.shape} came, (F, 3) is wanted")
+            raise ValueError(f"faces: expected shape (F, 3), got {faces.shape}")
         if weighting not in WEIGHTINGS:
             wanted = " or ".join(repr(name) for name in WEIGHTINGS)
-            raise ValueError(f"weighting: {weighting!r} came, {wanted} is wanted")
+            raise ValueError(f"weighting: expected {wanted}, got {weighting!r}")
         require("vertices", vertices, np.isfinite, jnp.isfinite, "finite numbers")
         if normals is not None:
             normals = as_floats("normals", normals)
             if normals.shape != vertices.shape:
                 raise ValueError(
-                    f"normals: shape {normals.shape} came, {vertices.shape} is wanted"
+                    f"normals: expected shape {vertices.shape}, got {normals.shape}"
                 )
             require("normals", normals, np.isfinite, jnp.isfinite, "finite numbers")
             normals = jax.vmap(normalize)(normals)
@@ -287,7 +287,7 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
     """
     meshes = list(meshes)
     if not meshes:
-        raise ValueError("meshes: none came, at least one is wanted")
+        raise ValueError("meshes: expected at least one, got none")
     if len({mesh.two_sided for mesh in meshes}) > 1:
         raise ValueError("meshes: some are two-sided and some are not")
     faces, indices, vertices, materials = [], [], 0, 0

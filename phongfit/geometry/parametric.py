@@ -39,7 +39,7 @@ def tessellate(
     us, vs = _steps("u", u, "columns", columns), _steps("v", v, "rows", rows)
     point = jax.eval_shape(function, us[0], vs[0])
     if point.shape != (3,):
-        raise ValueError(f"function: a point of shape {point.shape} came, not (3,)")
+        raise ValueError(f"function: expected points of shape (3,), got {point.shape}")
     middle = (us[0] + us[-1]) / 2, (vs[0] + vs[-1]) / 2
 
     def at(u: Scalar, v: Scalar) -> tuple[Vec3, Vec3]:
@@ -66,10 +66,10 @@ def tessellate(
 def _steps(name: str, ends: Any, count_name: str, count: Any) -> Float[Array, " steps"]:
     ends = as_floats(name, ends)
     if ends.shape != (2,):
-        raise ValueError(f"{name}: shape {ends.shape} came, (first, last) is wanted")
+        raise ValueError(f"{name}: expected shape (first, last), got {ends.shape}")
     require(name, ends, np.isfinite, jnp.isfinite, "finite numbers")
     if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-        raise ValueError(f"{count_name}: {count!r} came, a whole number ≥ 1 is wanted")
+        raise ValueError(f"{count_name}: expected a whole number ≥ 1, got {count!r}")
     return jnp.linspace(ends[0], ends[1], count + 1)
 
 

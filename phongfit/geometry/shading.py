@@ -178,7 +178,7 @@ class FlatShading(AbstractShading):
         """
         if at not in PLACES:
             wanted = " or ".join(repr(name) for name in PLACES)
-            raise ValueError(f"at: {at!r} came, {wanted} is wanted")
+            raise ValueError(f"at: expected {wanted}, got {at!r}")
         self.at = at
         self.clamp = bool(clamp)
 
@@ -214,15 +214,15 @@ class FlatShading(AbstractShading):
 def _as_mesh(surface: AbstractSurface) -> Mesh:
     if not isinstance(surface, Mesh):
         raise ValueError(
-            f"shading: flat and Gouraud shading need a Mesh, {type(surface).__name__} "
-            "came"
+            "shading: expected a Mesh for flat or Gouraud shading, got "
+            f"{type(surface).__name__}"
         )
     return surface
 
 
 def _hits(gbuffer: GBuffer) -> tuple[Array, Array]:
     if gbuffer.face is None or gbuffer.barycentrics is None:
-        raise ValueError("gbuffer: one traced from a mesh is wanted, with its faces")
+        raise ValueError("gbuffer: expected one traced from a mesh, with its faces")
     return gbuffer.face, gbuffer.barycentrics
 
 

@@ -156,7 +156,7 @@ class HeightField(AbstractShape):
         **Raises:** `ValueError` that names the argument.
         """
         if not callable(function):
-            raise ValueError(f"function: {function!r} came, a function is wanted")
+            raise ValueError(f"function: expected a function, got {function!r}")
         self.function = function
         self.width = _size("width", width)
         self.height = _size("height", height)

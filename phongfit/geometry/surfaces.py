@@ -207,17 +207,17 @@ class NormalMap(AbstractSurface):
         normals = as_floats("normals", normals)
         if normals.ndim != 3 or normals.shape[-1] != 3:
             raise ValueError(
-                f"normals: shape {normals.shape} came, (height, width, 3) is wanted"
+                f"normals: expected shape (height, width, 3), got {normals.shape}"
             )
         size = normals.shape[:2]
         mask = jnp.ones(size, bool) if mask is None else as_floats("mask", mask) != 0
         if mask.shape != size:
-            raise ValueError(f"mask: shape {mask.shape} came, {size} is wanted")
+            raise ValueError(f"mask: expected shape {size}, got {mask.shape}")
         if positions is not None:
             positions = as_floats("positions", positions)
             if positions.shape != normals.shape:
                 raise ValueError(
-                    f"positions: shape {positions.shape} came, {normals.shape} wanted"
+                    f"positions: expected shape {normals.shape}, got {positions.shape}"
                 )
 
         def finite(a: Any) -> Any:
@@ -244,8 +244,8 @@ class NormalMap(AbstractSurface):
     def trace(self, camera: AbstractCamera) -> GBuffer:
         if self.mask.shape != (camera.height, camera.width):
             raise ValueError(
-                f"surface: a normal map of {self.mask.shape} pixels came, the camera "
-                f"wants ({camera.height}, {camera.width})"
+                f"surface: expected a normal map of ({camera.height}, {camera.width}) "
+                f"pixels, as the camera has, got {self.mask.shape}"
             )
         if self.positions is not None:
             positions = self.positions

@@ -44,10 +44,10 @@ def lab(options: Options) -> None:
       phongfit lab --port 0 --no-browser
     """
     if not 0 <= options.port < 2**16:
-        raise ValueError(f"port: {options.port} came, 0 … {2**16 - 1} is wanted")
+        raise ValueError(f"port: expected 0 … {2**16 - 1}, got {options.port}")
     if not 16 <= options.resolution <= MAX_RESOLUTION:
         raise ValueError(
-            f"resolution: {options.resolution} came, 16 … {MAX_RESOLUTION} is wanted"
+            f"resolution: expected 16 … {MAX_RESOLUTION}, got {options.resolution}"
         )
     _check_installed()
     with listening(options.host, options.port) as listener:

@@ -48,7 +48,7 @@ def read_mesh(name: str, content: bytes) -> Mesh:
         with naming(str(path)):
             if len(mesh.faces) > MAX_FACES:
                 raise ValueError(
-                    f"{len(mesh.faces)} faces came, at most {MAX_FACES} are wanted"
+                    f"expected at most {MAX_FACES}, got {len(mesh.faces)} faces"
                 )
             return fitted_into_view(mesh)
 
@@ -86,7 +86,7 @@ def read_photograph_mask(
     whole = _shrink(mask[..., None].astype(float), times)[..., 0] >= 1
     if whole.shape != shape:
         came, wanted = mask.shape, tuple(times * side for side in shape)
-        raise ValueError(f"{_plain(name)}: {came} pixels came, {wanted} are wanted")
+        raise ValueError(f"{_plain(name)}: expected {wanted} pixels, got {came}")
     return whole
 
 

@@ -73,12 +73,12 @@ def typical(textured: TextureMaps) -> Material:
 
 def _write_mtl(path: Path, name: str, textured: TextureMaps, nearest: bool) -> str:
     if any(blank in path.stem for blank in " \t#"):
-        raise ValueError(f"{path}: a name without blanks is wanted, for the textures")
+        raise ValueError(f"{path}: expected a name without blanks, for the textures")
     highest = float(textured.shininess.max())
     if highest > MAX_NS and not nearest:
         raise ValueError(
-            f"shininess: {highest:g} came, .mtl holds at most {MAX_NS:g} (nearest=True "
-            "takes the nearest that it holds)"
+            f"shininess: expected at most {MAX_NS:g} for .mtl, got {highest:g} "
+            "(nearest=True takes the nearest that it holds)"
         )
     capped = np.minimum(textured.shininess, MAX_NS)
     textures = mtl_textures(textured._replace(shininess=capped))

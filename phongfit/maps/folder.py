@@ -111,7 +111,7 @@ def _normals(path: Path, maps: Maps) -> np.ndarray:
     wanted = (*maps.flags.shape, 3)
     if normals.shape != wanted or not np.isfinite(normals).all():
         raise ValueError(
-            f"{path}: {normals.dtype} of shape {normals.shape} came, finite numbers of "
-            f"shape {wanted} are wanted"
+            f"{path}: expected finite numbers of shape {wanted}, got {normals.dtype} "
+            f"of shape {normals.shape}"
         )
     return normals

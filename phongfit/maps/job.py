@@ -70,13 +70,13 @@ def check_scenes(scenes: Any) -> tuple[Scene, ...]:
     """
     scenes = (scenes,) if isinstance(scenes, Scene) else tuple(scenes)
     if not scenes or not all(isinstance(scene, Scene) for scene in scenes):
-        raise ValueError("scenes: a sequence of at least one Scene is wanted")
+        raise ValueError("scenes: expected a sequence of at least one Scene")
     first = scenes[0]
     for k, scene in enumerate(scenes):
         if not isinstance(scene.shading, PhongShading):
             raise ValueError(
-                f"scenes[{k}]: {type(scene.shading).__name__} came; a material per "
-                "pixel needs PhongShading, which lights every pixel on its own"
+                f"scenes[{k}]: expected PhongShading, which lights every pixel on its "
+                f"own, got {type(scene.shading).__name__}"
             )
         for what in ("surface", "camera", "specular", "local_viewer"):
             if not _same(getattr(scene, what), getattr(first, what)):
@@ -197,9 +197,9 @@ def make_settings(
         if name in unknowns and (name != "ambient" or _has_ambient(scenes))
     )
     if not names:
-        raise ValueError("unknowns: at least one that light falls on is wanted")
+        raise ValueError("unknowns: expected at least one that light falls on")
     if "shininess" in names and "specular" not in names:
-        raise ValueError("unknowns: shininess came without specular, which it shapes")
+        raise ValueError("unknowns: expected specular with shininess, which shapes it")
     cutoff, exactly = (1.0, True) if film is None else (1.0, False)
     if film is not None and not film.clamp:
         cutoff = float("inf")
@@ -222,11 +222,13 @@ def _bound(name: str, bounds: Mapping[str, tuple[float, float]]) -> tuple[float,
     try:
         low, high = (float(edge) for edge in bounds.get(name, DEFAULT_BOUNDS[name]))
     except (TypeError, ValueError) as error:
-        raise ValueError(f"bounds: {name}: (low, high) wanted") from error
+        raise ValueError(f"bounds: {name}: expected (low, high)") from error
     if not low < high or not (low > 0 if name == "shininess" else low >= 0):
-        raise ValueError(f"bounds: {name}: ({low:g}, {high:g}) came, 0 ≤ low < high")
+        raise ValueError(
+            f"bounds: {name}: expected 0 ≤ low < high, got ({low:g}, {high:g})"
+        )
     if name == "shininess" and not np.isfinite(high):
-        raise ValueError(f"bounds: {name}: a finite high is wanted")
+        raise ValueError(f"bounds: {name}: expected a finite high")
     return low, high
 
 
@@ -260,8 +262,8 @@ def check_enough(settings: Settings, images: int) -> None:
         else "one material for all pixels can be found by fit"
     )
     raise ValueError(
-        f"images: {images} came, which is {3 * images} samples a pixel for its "
-        f"{unknowns} unknowns; at least {needed} are wanted ({hint})"
+        f"images: expected at least {needed} for the {unknowns} unknowns of a pixel, "
+        f"got {images}, which is {3 * images} samples ({hint})"
     )
 
 
@@ -275,13 +277,13 @@ def make_outside(
     dtype = jnp.result_type(float)
     base = Material(0.0, 0.0, 32.0, 0.0) if known is None else known
     if not isinstance(base, Material):
-        raise ValueError(f"known: {type(base).__name__} came, a Material is wanted")
+        raise ValueError(f"known: expected a Material, got {type(base).__name__}")
     first = base
     if start is not None:
         first = getattr(start, "material", start)
         if not isinstance(first, Material):
             raise ValueError(
-                f"start: {type(start).__name__} came, a Fit or a Material is wanted"
+                f"start: expected a Fit or a Material, got {type(start).__name__}"
             )
     exponent = (first if settings.searched else base).shininess
     low, high = settings.bound("shininess")
@@ -302,7 +304,7 @@ def _three(name: str, leaf: Any) -> np.ndarray:
     values = np.asarray(leaf, float)
     if values.size not in (1, 3):
         raise ValueError(
-            f"{name}: a parameter of shape {values.shape} came, () or (3,)"
+            f"{name}: expected parameters of shape () or (3,), got {values.shape}"
         )
     return np.broadcast_to(values.ravel(), (3,)).copy()
 

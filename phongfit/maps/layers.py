@@ -33,18 +33,19 @@ class Layers:
                 given = [given]
             elif given.ndim in (0, 2):
                 raise ValueError(
-                    f"{name}: shape {given.shape} came, {fine[0]} or {fine[1]} is "
-                    "wanted"
+                    f"{name}: expected shape {fine[0]} or {fine[1]}, got {given.shape}"
                 )
         layers = [np.asarray(layer) for layer in given]
         if len(layers) not in (1, count):
-            raise ValueError(f"{name}: {len(layers)} came for {count} images")
+            raise ValueError(
+                f"{name}: expected {count}, one an image, got {len(layers)}"
+            )
         for k, layer in enumerate(layers):
             if layer.shape not in ((), *fine) or layer.dtype.kind not in "biuf":
                 which = f"{name}[{k}]" if len(layers) > 1 else name
                 raise ValueError(
-                    f"{which}: {layer.dtype} of shape {layer.shape} came, "
-                    f"{fine[0]} or {fine[1]} is wanted"
+                    f"{which}: expected numbers of shape {fine[0]} or {fine[1]}, got "
+                    f"{layer.dtype} of shape {layer.shape}"
                 )
         self._layers = layers
         self._size = tuple(size)
@@ -135,7 +136,7 @@ class Noise:
                 layer = self._layers[k]
                 if not np.all(np.isfinite(layer) & (layer > 0)):
                     which = f"[{k}]" if len(self._layers) > 1 else ""
-                    raise ValueError(f"noise{which}: finite numbers > 0 are wanted")
+                    raise ValueError(f"noise{which}: expected finite numbers > 0")
         elif self.known:
             try:
                 number: Any = noise
@@ -143,7 +144,7 @@ class Noise:
             except (TypeError, ValueError):
                 self.level = np.nan
             if not 0 < self.level < np.inf:
-                raise ValueError(f"noise: {noise!r} came, a number > 0 is wanted")
+                raise ValueError(f"noise: expected a number > 0, got {noise!r}")
 
     def weigh(
         self,

@@ -82,7 +82,7 @@ class Maps:
         **Raises:** `ValueError` for another suffix, `OSError` that names `path`.
         """
         if not os.fspath(path).endswith(".npz"):
-            raise ValueError(f"{os.fspath(path)}: a name that ends in .npz is wanted")
+            raise ValueError(f"{os.fspath(path)}: expected a name that ends in .npz")
         arrays = {name: getattr(self, name) for name in MAP_PARAMETERS}
         arrays |= {
             f"stderr_{name}": getattr(self.stderr, name) for name in MAP_PARAMETERS

@@ -200,8 +200,8 @@ def _as_one(film: Film | Sequence[Film] | None, noise: Any) -> Film | None:
     films = [film] if film is None or isinstance(film, Film) else list(film)
     if noise is not None and any(one is not None and one.jpeg for one in films):
         raise ValueError(
-            "noise: came with films of JPEG files, whose roundings it does not hold; "
-            "leave it out, and both are estimated from each pixel's residuals"
+            "noise: expected none with films of JPEG files, since it does not hold "
+            "their rounding; both are estimated from each pixel's residuals"
         )
     if len({one is None or one.clamp for one in films}) != 1:
         raise ValueError("film: expected one clamp for all images, got both or none")
@@ -211,11 +211,11 @@ def _as_one(film: Film | Sequence[Film] | None, noise: Any) -> Film | None:
 def _check_sizes(scenes: tuple[Scene, ...], shape: tuple[int, int, int]) -> None:
     camera = scenes[0].camera
     if shape[0] != len(scenes):
-        raise ValueError(f"images: {shape[0]} came for {len(scenes)} scenes")
+        raise ValueError(f"images: expected {len(scenes)}, one a scene, got {shape[0]}")
     if shape[1:] != (camera.height, camera.width):
         raise ValueError(
-            f"images: {shape[1:]} pixels came, the scenes' camera has "
-            f"{(camera.height, camera.width)}"
+            f"images: expected {(camera.height, camera.width)} pixels, as the scenes' "
+            f"camera has, got {shape[1:]}"
         )
 
 
@@ -227,7 +227,7 @@ def _tile_size(
     if wanted is None:
         wanted = TILE_BYTES // (images * 12)
     elif not isinstance(wanted, int) or wanted < 1:
-        raise ValueError(f"tile_pixels: {wanted!r} came, a whole number ≥ 1 wanted")
+        raise ValueError(f"tile_pixels: expected a whole number ≥ 1, got {wanted!r}")
     units = -(-min(wanted, pixels) // unit)
     parts = 1
     if _on_cpu(mesh):

@@ -61,26 +61,26 @@ class ArrayStack(AbstractStack):
             try:
                 images = list(images)
             except TypeError as error:
-                raise ValueError("images: a sequence of images is wanted") from error
+                raise ValueError("images: expected a sequence of images") from error
         arrays = [image if isinstance(image, np.ndarray) else np.asarray(image)
                   for image in images]  # fmt: skip
         if not arrays:
-            raise ValueError("images: none came, at least one is wanted")
+            raise ValueError("images: expected at least one, got none")
         first = arrays[0].shape
         for k, array in enumerate(arrays):
             if array.dtype.kind != "f":
                 raise ValueError(
-                    f"images[{k}]: {array.dtype} values came; linear light as floats "
-                    "is wanted, where white is 1 (see read_image)"
+                    f"images[{k}]: expected linear light as floats, where white is 1 "
+                    f"(see read_image), got {array.dtype}"
                 )
             if array.ndim != 3 or array.shape[-1] != 3 or 0 in array.shape:
                 raise ValueError(
-                    f"images[{k}]: shape {array.shape} came, (height, width, 3) wanted"
+                    f"images[{k}]: expected shape (height, width, 3), got {array.shape}"
                 )
             if array.shape != first:
                 raise ValueError(
-                    f"images[{k}]: shape {array.shape} came, that of images[0] is "
-                    f"{first}"
+                    f"images[{k}]: expected shape {first}, as of images[0], got "
+                    f"{array.shape}"
                 )
         self._arrays = tuple(arrays)
 
@@ -121,7 +121,7 @@ class PhotographStack(AbstractStack):
         self._paths = tuple(Path(path) for path in paths)
         self._encoding: Encoding = as_encoding(encoding)
         if not self._paths:
-            raise ValueError("paths: none came, at least one is wanted")
+            raise ValueError("paths: expected at least one, got none")
         self._size = read_image(self._paths[0], self._encoding).shape[:2]
 
     @property
@@ -136,8 +136,8 @@ class PhotographStack(AbstractStack):
             image = read_image(self._paths[k], self._encoding)
             if image.shape[:2] != self._size:
                 raise ValueError(
-                    f"{self._paths[k]}: {image.shape[:2]} pixels came, "
-                    f"{self._paths[0].name} has {self._size}"
+                    f"{self._paths[k]}: expected {self._size} pixels, as "
+                    f"{self._paths[0].name} has, got {image.shape[:2]}"
                 )
             taken[row] = gather(image, pixels)
         return taken

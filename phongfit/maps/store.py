@@ -33,7 +33,8 @@ class TileStore:
             _check(manifest, job)
         elif any(not name.name.startswith(".") for name in self._folder.iterdir()):
             raise ValueError(
-                f"output: {self._folder} holds other files, an empty folder is wanted"
+                f"output: expected an empty folder, got {self._folder}, which holds "
+                "other files"
             )
         else:
             write_json(manifest, job)

@@ -109,7 +109,7 @@ def as_encoding(value: Any) -> Encoding:
     """`value` if it names an encoding, else a `ValueError`."""
     if value not in ENCODINGS:
         wanted = " or ".join(repr(name) for name in ENCODINGS)
-        raise ValueError(f"encoding: {value!r} came, {wanted} is wanted")
+        raise ValueError(f"encoding: expected {wanted}, got {value!r}")
     return value
 
 
@@ -119,5 +119,5 @@ def as_bits(value: Any) -> int | None:
         return None
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or not 1 <= value <= 16:
-        raise ValueError(f"bits: {value!r} came, None or 1 … 16 is wanted")
+        raise ValueError(f"bits: expected None or 1 … 16, got {value!r}")
     return int(value)

@@ -60,8 +60,8 @@ class ShadingTerms(eqx.Module):
             return leaf
         if len(leaf) < self.materials:
             raise ValueError(
-                f"{name}: shape {leaf.shape} came, a row for each of the surface's "
-                f"{self.materials} materials is wanted"
+                f"{name}: expected a row for each of the surface's {self.materials} "
+                f"materials, got shape {leaf.shape}"
             )
         return leaf[self.material_index]
 
@@ -86,7 +86,7 @@ def _spread(
         have not in (1, want)
         for have, want in zip(leaf.shape, shape[missing:], strict=True)
     ):
-        raise ValueError(f"{name}: shape {leaf.shape} came, {shape} or less is wanted")
+        raise ValueError(f"{name}: expected shape {shape} or less, got {leaf.shape}")
     return jnp.broadcast_to(leaf.reshape((1,) * missing + leaf.shape), shape)
 
 
@@ -186,8 +186,8 @@ def _visibility(
     if gbuffer.visibility is None or gbuffer.visibility.shape != wanted:
         came = None if gbuffer.visibility is None else gbuffer.visibility.shape
         raise ValueError(
-            f"gbuffer: its visibility has shape {came}, {wanted} is wanted for the "
-            "shadows of this scene: trace it with scene.trace()"
+            f"gbuffer: expected visibility of shape {wanted} for the shadows of this "
+            f"scene, got {came}: trace it with scene.trace()"
         )
     return gbuffer.visibility
 

@@ -51,8 +51,8 @@ def show(image: Any, *, title: str = "", brighten: float = 1.0) -> Figure:
         pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] == 3)
     ):
         raise ValueError(
-            f"image: shape {pixels.shape} of {pixels.dtype} came, (height, width, 3) "
-            "or (height, width) numbers are wanted"
+            "image: expected (height, width, 3) or (height, width) numbers, got shape "
+            f"{pixels.shape} of {pixels.dtype}"
         )
     height, width = pixels.shape[:2]
     with styled():

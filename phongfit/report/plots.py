@@ -37,7 +37,9 @@ def names_of(fit: Fit, names: Sequence[str]) -> list[str]:
     **Raises:** `ValueError` if there are names, but not one for each image.
     """
     if names and len(names) != fit.n_images:
-        raise ValueError(f"names: {len(names)} came for {fit.n_images} images")
+        raise ValueError(
+            f"names: expected {fit.n_images}, one an image, got {len(names)}"
+        )
     if names:
         return [str(name) for name in names]
     return [""] if fit.n_images == 1 else [f"image {k}" for k in range(fit.n_images)]

@@ -14,6 +14,7 @@ from phongfit.cli import main
 from phongfit.files.fits import read_fit_record
 from phongfit.files.images import read_image, write_image
 from phongfit.files.materials import read_material
+from tests.helpers import said
 
 
 def _change(path, **changes):
@@ -182,16 +183,16 @@ def test_pictures_and_report(brass, tmp_path, capsys):
 @pytest.mark.parametrize(
     "args, words",
     [
-        (["--bounds", "diffuse"], "bounds: 'diffuse' came, NAME=VALUE is wanted"),
+        (["--bounds", "diffuse"], "bounds: expected NAME=VALUE"),
         (["--bounds", "diffuse=1"], "bounds: '1' came for diffuse, two numbers"),
         (["--fixed", "diffuse=x"], "fixed: 'x' came for diffuse, a number"),
         (["--ties", "a=2*"], "ties: '2*' came for a, a label, or FACTOR*LABEL"),
-        (["--ties", "a=b", "a=c"], "ties: 'a=c' came"),
+        (["--ties", "a=b", "a=c"], "ties: expected ... got 'a=c'"),
         (["--known", "gold"], "known: material: 'gold' came, preset:NAME"),
-        (["--noise", "0"], "noise: 0.0 came, a number > 0"),
-        (["--noise", "nan"], "noise: nan came"),
-        (["--max-steps", "0"], "max_steps: 0 came"),
-        (["--unknowns", "colour"], "unknowns: 'colour' came, one of ambient"),
+        (["--noise", "0"], "noise: expected a number > 0"),
+        (["--noise", "nan"], "noise: expected ... got nan"),
+        (["--max-steps", "0"], "max_steps: expected ... got 0"),
+        (["--unknowns", "colour"], "unknowns: expected one of ambient"),
         (["--scene", "scene.json"], "is a folder, which says this itself"),
         (["--loss", "l2"], "--loss"),
         (["--like", "no.json"], "no.json: cannot be read"),
@@ -200,7 +201,7 @@ def test_pictures_and_report(brass, tmp_path, capsys):
 def test_bad_options(brass, tmp_path, capsys, args, words):
     assert main(["fit", str(brass), "-o", str(tmp_path / "out"), *args]) == 2
     output = capsys.readouterr()
-    assert output.err.startswith("error: ") and words in output.err, output.err
+    assert output.err.startswith("error: ") and said(words, output.err), output.err
     assert output.err.count("\n") == 1 and output.out == ""
     assert not list(tmp_path.iterdir())
 
@@ -213,8 +214,8 @@ def test_bad_options(brass, tmp_path, capsys, args, words):
             "format: \"phongfit truth\" came, 'phongfit fit'",
         ),
         ({"version": 3}, "version: 3 came"),
-        ({"values": [0.5]}, "values: 1 came for 10 labels"),
-        ({"covariance": [[1.0]]}, "covariance: 10 rows of 10 numbers"),
+        ({"values": [0.5]}, "values: expected 10, one a label, got 1"),
+        ({"covariance": [[1.0]]}, "covariance: expected 10 rows of 10 numbers"),
         ({"settings__loss": "l2"}, 'settings.loss: "l2" came'),
         ({"settings__lost": 1}, "\"lost\" is no key of it; did you mean 'loss'?"),
         ({"settings__noise": -1}, "settings.noise: -1 came"),
@@ -237,7 +238,7 @@ def test_a_wrong_record_names_the_field(fitted, tmp_path, changes, words):
 def test_like_and_other_settings_do_not_mix(brass, fitted, tmp_path, capsys):
     args = ["--like", str(fitted / "fit.json"), "--loss", "huber"]
     assert main(["fit", str(brass), "-o", str(tmp_path / "out"), *args]) == 2
-    assert "loss: came beside --like" in capsys.readouterr().err
+    assert "loss: expected this option or --like" in capsys.readouterr().err
 
 
 def test_jpeg_files_say_what_they_round(copy, tmp_path):

@@ -102,13 +102,13 @@ def test_directions_are_spread():
 @pytest.mark.parametrize(
     "options, message",
     [
-        ({"noise": -0.1}, "noise: -0.1 came"),
-        ({"noise": np.nan}, "noise: nan came"),
-        ({"images": 0}, "images: 0 came, 1 … 4"),
-        ({"images": 5}, "images: 5 came, 1 … 4"),
-        ({"lights": []}, "images: 0 came"),
-        ({"bits": 12}, "bits: 12 came"),
-        ({"encoding": "gamma"}, "encoding: 'gamma' came"),
+        ({"noise": -0.1}, "noise: expected .*, got -0.1"),
+        ({"noise": np.nan}, "noise: expected .*, got nan"),
+        ({"images": 0}, "images: expected 1 … 4.*got 0"),
+        ({"images": 5}, "images: expected 1 … 4.*got 5"),
+        ({"lights": []}, "images: expected .*, got 0"),
+        ({"bits": 12}, "bits: expected .*, got 12"),
+        ({"encoding": "gamma"}, "encoding: expected .*, got 'gamma'"),
         ({"ambient": -1}, "ambient: "),
     ],
 )
@@ -118,7 +118,7 @@ def test_wrong_options(options, message):
 
 
 def test_wrong_lights():
-    with pytest.raises(ValueError, match="lights: 0 came"):
+    with pytest.raises(ValueError, match="lights: expected .*, got 0"):
         make_lights(0)
     camera = pf.OrthographicCamera(8, 8)
     scene = pf.Scene(pf.Sphere(), camera, make_lights(1), ambient=2.0)

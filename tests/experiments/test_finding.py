@@ -75,7 +75,7 @@ def test_an_animation_beside_the_picture(tmp_path):
     [
         ("--picture", "file/a.png", "there is no folder"),
         ("--picture", "file/new/a.png", "no folder can be made in"),
-        ("--picture", "a.xyz", "suffix '.xyz' came"),
+        ("--picture", "a.xyz", "got '.xyz'"),
         ("--picture", ".", "is a folder"),
         ("--json", "file/a.json", "there is no folder"),
         ("--json", "../" * 40, "is a folder"),

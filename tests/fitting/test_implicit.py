@@ -81,11 +81,15 @@ def test_a_list_of_images():
 @pytest.mark.parametrize(
     "scene, image, words",
     [
-        (SCENE, IMAGE[:8], "image: shape .8, 16, 3. came for scene 0, .16, 16, 3."),
-        (SCENE, IMAGE[..., 0], "image: shape .16, 16. came"),
-        ([SCENE, SCENE], [IMAGE, IMAGE], "scene: 2 and 2 images came, the fit had 1"),
-        ([SCENE], [IMAGE, IMAGE], "scene: 1 and 2 images came"),
-        (ball(), IMAGE, "scene: 0 shows .32, 32. pixels, .16, 16. are wanted"),
+        (
+            SCENE,
+            IMAGE[:8],
+            "image: expected shape .16, 16, 3. for scene 0, got .8, 16, 3.",
+        ),
+        (SCENE, IMAGE[..., 0], "image: expected .*, got .16, 16."),
+        ([SCENE, SCENE], [IMAGE, IMAGE], "scene: expected 1 .*, got 2 and 2"),
+        ([SCENE], [IMAGE, IMAGE], "scene: expected 1 .*, got 1 and 2"),
+        (ball(), IMAGE, "scene: expected .16, 16. pixels of scene 0, got .32, 32."),
     ],
 )
 def test_wrong_shapes(scene, image, words):
@@ -94,7 +98,7 @@ def test_wrong_shapes(scene, image, words):
         pf.refit(fit, scene, image)
 
 
-REFIT = r"a traced array came .*differentiate refit\(fit, scene, image\)"
+REFIT = r"got a traced array .*differentiate refit\(fit, scene, image\)"
 TRACED = [
     ("image", floats(IMAGE), lambda x: pf.fit(SCENE, x)),
     ("image", floats(np.stack([IMAGE, OTHER])), lambda x: pf.fit([SCENE, SCENE], x)),
@@ -132,5 +136,7 @@ def test_nor_are_predictions_and_maps():
         ("images", both, lambda x: pf.fit_maps([SCENE, SCENE], x).material.diffuse),
         ("scenes", SCENE, lambda x: pf.fit_maps([x, x], both).material.diffuse),
     ):
-        with pytest.raises(ValueError, match=f"^{name}: a traced array came"):
+        with pytest.raises(
+            ValueError, match=f"^{name}: expected known numbers, got a traced array"
+        ):
             eqx.filter_grad(lambda x, f=function: jnp.sum(jnp.asarray(f(x))))(point)

@@ -110,7 +110,7 @@ def test_parts_of_a_result():
     assert not one.at_bound and not one.unidentified
     assert fit["shininess"].value == fit.values[9]
     for name in ("gloss", "diff", "diffuse.", "diffuse.red.x", ""):
-        with pytest.raises(KeyError, match="came, one of ambient.red, "):
+        with pytest.raises(KeyError, match="expected one of ambient.red, "):
             fit[name]
     low, high = fit.intervals(0.6827).T
     np.testing.assert_allclose(high - low, 2 * fit.errors, rtol=1e-3)

@@ -162,7 +162,7 @@ def test_the_essays_triangle():
 
 @pytest.mark.parametrize("shading", [pf.FlatShading(), pf.GouraudShading()])
 def test_faces_and_vertices_are_wanted(shading):
-    with pytest.raises(ValueError, match="^shading: .*need a Mesh, Sphere came"):
+    with pytest.raises(ValueError, match="^shading: expected a Mesh .*, got Sphere"):
         pf.Scene(pf.Sphere(), shading=shading)
     scene = pf.Scene(square(), VIEW, shading=shading)
     with pytest.raises(ValueError, match="^gbuffer: .*faces"):
@@ -170,5 +170,5 @@ def test_faces_and_vertices_are_wanted(shading):
 
 
 def test_flat_shading_knows_two_places():
-    with pytest.raises(ValueError, match="^at: 'first' came"):
+    with pytest.raises(ValueError, match="^at: expected .*, got 'first'"):
         pf.FlatShading("first")  # pyright: ignore[reportArgumentType]

@@ -47,7 +47,7 @@ def test_a_mesh_without_its_materials():
 
 def test_too_many_faces(monkeypatch):
     monkeypatch.setattr(uploads, "MAX_FACES", 0)
-    with pytest.raises(ValueError, match="a.obj: 1 faces came, at most 0 are wanted"):
+    with pytest.raises(ValueError, match="a.obj: expected at most 0, got 1 faces"):
         read_mesh("a.obj", TRIANGLE)
 
 
@@ -92,7 +92,9 @@ def test_a_large_photograph_is_shrunk(monkeypatch):
     shrunk = read_photograph_mask("m.png", content, once, (8, 5))
     # A block counts where all of it is inside.
     assert shrunk.sum() == 2 * 2 and shrunk[1:3, :2].all()
-    with pytest.raises(ValueError, match=r"m.png: \(25, 15\) pixels came, \(24, 18\)"):
+    with pytest.raises(
+        ValueError, match=r"m.png: expected \(24, 18\) pixels, got \(25, 15\)"
+    ):
         read_photograph_mask("m.png", content, once, (8, 6))
 
 

@@ -130,7 +130,7 @@ def test_written_whole_or_not_at_all(one, tmp_path, monkeypatch):
     write_page(path, one, title="first")
     before = path.read_text(encoding="utf-8")
     assert before.startswith("<!doctype html>") and before.rstrip().endswith("</html>")
-    with pytest.raises(ValueError, match="names: 2 came for 1 images"):
+    with pytest.raises(ValueError, match="names: expected 1, one an image, got 2"):
         write_page(path, one, title="second", names=["a", "b"])
     with pytest.raises(OSError, match="there is no folder"):
         write_page(tmp_path / "no" / "report.html", one, title="t")

@@ -38,7 +38,7 @@ def as_scenes(scene: Scene | Sequence[Scene]) -> tuple[Scene, ...]:
     """
     scenes = tuple(scene) if isinstance(scene, Iterable) else (scene,)
     if not scenes or not all(isinstance(s, Scene) for s in scenes):
-        raise ValueError("scene: a Scene, or a sequence of at least one, is wanted")
+        raise ValueError("scene: expected a Scene, or a sequence of at least one")
     _check_alike(scenes)
     return scenes
 
@@ -89,10 +89,11 @@ def _sequence(name: str, given: Any, count: int) -> list[Any]:
         entries = list(given)
     except TypeError as error:
         raise ValueError(
-            f"{name}: {count} came as scenes, so a sequence is wanted"
+            f"{name}: expected a sequence of {count}, one a scene, got "
+            f"{type(given).__name__}"
         ) from error
     if len(entries) != count:
-        raise ValueError(f"{name}: {len(entries)} came for {count} scenes")
+        raise ValueError(f"{name}: expected {count}, one a scene, got {len(entries)}")
     return entries
 
 
@@ -103,12 +104,13 @@ def _photograph(
     pixels = np.asarray(image)
     if pixels.dtype.kind != "f":
         raise ValueError(
-            f"image{which}: {pixels.dtype} values came; linear light as floats is "
-            "wanted, where white is 1 (see read_image)"
+            f"image{which}: expected linear light as floats, where white is 1 (see "
+            f"read_image), got {pixels.dtype}"
         )
     if pixels.shape != shape:
         raise ValueError(
-            f"image{which}: shape {pixels.shape} came, the scene's camera wants {shape}"
+            f"image{which}: expected shape {shape}, as the scene's camera has, got "
+            f"{pixels.shape}"
         )
     pixels = pixels.astype(jnp.result_type(float), copy=False)
     weight = np.ones((1, 1, 1), pixels.dtype)
@@ -117,12 +119,12 @@ def _photograph(
     if weights is not None:
         values = _per_sample(f"weights{which}", weights, shape)
         if not np.all(np.isfinite(values) & (values >= 0)):
-            raise ValueError(f"weights{which}: finite numbers ≥ 0 are wanted")
+            raise ValueError(f"weights{which}: expected finite numbers ≥ 0")
         weight = weight * values
     if noise is not None:
         values = _per_sample(f"noise{which}", noise, shape)
         if not np.all(np.isfinite(values) & (values > 0)):
-            raise ValueError(f"noise{which}: finite numbers > 0 are wanted")
+            raise ValueError(f"noise{which}: expected finite numbers > 0")
         weight = weight / values**2
     if not weight.any():
         raise ValueError(f"mask{which}: mask and weights leave no pixel")
@@ -144,11 +146,11 @@ def _per_sample(name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
     """A number, (H, W) or (H, W, 3) as (H, W, 3)."""
     values = np.asarray(given)
     if values.dtype.kind not in "bfiu":
-        raise ValueError(f"{name}: {values.dtype} values came, numbers are wanted")
+        raise ValueError(f"{name}: expected numbers, got {values.dtype} values")
     if values.shape == shape[:2]:
         values = values[..., None]
     elif values.shape not in ((), shape):
         raise ValueError(
-            f"{name}: shape {values.shape} came, {shape[:2]} or {shape} is wanted"
+            f"{name}: expected shape {shape[:2]} or {shape}, got {values.shape}"
         )
     return np.broadcast_to(values, shape)

@@ -129,7 +129,7 @@ class _Names:
             there = ", ".join(
                 dict.fromkeys((*[f.name for f in self.parameter], *self.labels))
             )
-            raise ValueError(f"{argument}: {name!r} came, one of {there} is wanted")
+            raise ValueError(f"{argument}: expected one of {there}, got {name!r}")
         return np.array(self._of[name])
 
     def numbers(self, argument: str, name: str, given: Any) -> np.ndarray:
@@ -139,7 +139,7 @@ class _Names:
             values = np.broadcast_to(np.asarray(given, float).ravel(), entries.shape)
         except (TypeError, ValueError) as error:
             raise ValueError(
-                f"{argument}: {name}: {given!r} came, {len(entries)} numbers are wanted"
+                f"{argument}: {name}: expected {len(entries)} numbers, got {given!r}"
             ) from error
         if not np.all(np.isfinite(values)):
             raise ValueError(f"{argument}: {name}: {given!r} is not finite")
@@ -153,8 +153,8 @@ def _parameters(
     for name in MATERIAL_PARAMETERS:
         shape = getattr(known, name).shape
         if shape not in ((), (1,), (3,), *rows):
-            wanted = ", ".join(map(str, ((), (3,), *rows)))
-            raise ValueError(f"known: {name} has shape {shape}, one of {wanted} wanted")
+            wanted = " or ".join(map(str, ((), (3,), *rows)))
+            raise ValueError(f"known: {name}: expected shape {wanted}, got {shape}")
     # In the order of the table that users read, whatever the order they were named in.
     ordered = [name for name in MATERIAL_PARAMETERS if name in asked.unknowns]
     ordered += [name for name in asked.unknowns if name not in MATERIAL_PARAMETERS]
@@ -268,7 +268,7 @@ def _share_and_name(name: str, given: Tie) -> tuple[float, str]:
         factor, other = np.nan, None
     if not np.isfinite(factor) or not isinstance(other, str):
         raise ValueError(
-            f"ties: {name}: {given!r} came, a name or (factor, name) is wanted"
+            f"ties: {name}: expected a name or (factor, name), got {given!r}"
         )
     return factor, other
 
@@ -382,13 +382,15 @@ def _box(name: str, box: tuple[float, float], form: str) -> tuple[float, float]:
     try:
         low, high = (float(edge) for edge in box)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"bounds: {name}: {box!r} came, (low, high) wanted") from error
+        raise ValueError(
+            f"bounds: {name}: expected (low, high), got {box!r}"
+        ) from error
     if not low < high:
         raise ValueError(f"bounds: {name}: {low:g} < {high:g} does not hold")
     if form == "logarithm" and (low <= 0 or not np.isfinite(high)):
         raise ValueError(
-            f"bounds: {name}: ({low:g}, {high:g}) came, 0 < low and a "
-            "finite high are wanted"
+            f"bounds: {name}: expected 0 < low and a finite high, got ({low:g}, "
+            f"{high:g})"
         )
     return low, high
 
@@ -403,13 +405,13 @@ def _priors(
             center, width = given
         except (TypeError, ValueError) as error:
             raise ValueError(
-                f"priors: {name}: {given!r} came, (mean, standard deviation) wanted"
+                f"priors: {name}: expected (mean, standard deviation), got {given!r}"
             ) from error
         entries = names.entries("priors", name)
         mean[entries] = names.numbers("priors", name, center)
         deviation[entries] = names.numbers("priors", name, width)
         if np.any(deviation[entries] <= 0):
-            raise ValueError(f"priors: {name}: a standard deviation > 0 is wanted")
+            raise ValueError(f"priors: {name}: expected a standard deviation > 0")
         if is_fixed[entries].any():
             raise ValueError(f"priors: {name} is fixed")
         has[entries] = True

@@ -133,5 +133,5 @@ def as_loss(value: str | AbstractLoss) -> AbstractLoss:
     if isinstance(value, AbstractLoss):
         return value
     if value not in LOSSES:
-        raise ValueError(f"loss: {value!r} came, one of {', '.join(LOSSES)} is wanted")
+        raise ValueError(f"loss: expected one of {', '.join(LOSSES)}, got {value!r}")
     return LOSSES[value]

@@ -120,7 +120,7 @@ def parameter(
         return Parameter(name, _rows(materials), rgb, scale)
     value = scene_arrays(scenes[0])[name] if is_known(name, scenes) else None
     if value is None or name.startswith("scene.background"):
-        raise ValueError(f"unknowns: {name!r} came, one of {_choice(scenes)} is wanted")
+        raise ValueError(f"unknowns: expected one of {_choice(scenes)}, got {name!r}")
     if name in _jumps(scenes):
         raise ValueError(
             f"unknowns: {name} cannot be fitted: where it ends the light, pixels jump "

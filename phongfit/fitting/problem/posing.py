@@ -180,8 +180,8 @@ def _checked_films(
     for p, values, one in zip(photographs, images, films, strict=True):
         if one.clamp and values.size and not 0 <= values.min() <= values.max() <= 1:
             raise ValueError(
-                f"{p.name}: values from {values.min():.4g} to {values.max():.4g} came, "
-                "a clamped film holds [0, 1]; say film=Film(clamp=False)"
+                f"{p.name}: expected values in [0, 1], as a clamped film holds, got "
+                f"{values.min():.4g} … {values.max():.4g}; say film=Film(clamp=False)"
             )
     return films
 
@@ -193,8 +193,8 @@ def _check_samples(sources: list[Source], unknowns: Unknowns) -> None:
     free = unknowns.lower.size
     if count + sum(unknowns.has_prior) <= free:
         raise ValueError(
-            f"mask: {count} samples are left for {free} unknowns; more "
-            "samples than unknowns are wanted"
+            f"mask: expected more samples than unknowns, got {count} samples for "
+            f"{free} unknowns"
         )
 
 
@@ -209,6 +209,6 @@ def _check_constants(unknowns: Unknowns, sources: list[Source]) -> None:
     known = {"ambient", "emission"} - free or any(unknowns.has_prior)
     if not known and np.all(np.ptp(light, axis=0) <= 1e-6 * np.abs(light).max()):
         raise ValueError(
-            "unknowns: ambient and emission both came, but under constant ambient "
-            "light they are one constant; leave one out"
+            "unknowns: expected ambient or emission, got both: under constant ambient "
+            "light they are degenerate; leave one out"
         )

@@ -109,21 +109,22 @@ class Specification:
 
     def _check_names(self) -> None:
         if not self.unknowns:
-            raise ValueError("unknowns: none came, at least one is wanted")
+            raise ValueError("unknowns: expected at least one, got none")
         if len(set(self.unknowns)) != len(self.unknowns):
-            raise ValueError(f"unknowns: a name came twice: {', '.join(self.unknowns)}")
+            raise ValueError(
+                f"unknowns: expected each name once, got {', '.join(self.unknowns)}"
+            )
         there = tuple(dict.fromkeys((*MATERIAL_PARAMETERS, *self.unknowns)))
         for argument in ("per_channel", "per_image"):
             for name in getattr(self, argument):
                 if name not in there:
                     raise ValueError(
-                        f"{argument}: {name!r} came, one of {', '.join(there)} is "
-                        "wanted"
+                        f"{argument}: expected one of {', '.join(there)}, got {name!r}"
                     )
         for name in self.per_image:
             if not is_of_scene(name):
                 raise ValueError(
-                    f"per_image: {name!r} came, but an array of the scenes is wanted: "
+                    f"per_image: expected an array of the scenes, got {name!r}: "
                     "all images show the same material"
                 )
 
@@ -141,7 +142,7 @@ class Specification:
 
 def _names(argument: str, given: Sequence[str]) -> tuple[str, ...]:
     if isinstance(given, str):
-        raise ValueError(f"{argument}: a list of names is wanted, {given!r} came")
+        raise ValueError(f"{argument}: expected a list of names, got {given!r}")
     return () if given is None else tuple(given)
 
 

@@ -115,7 +115,7 @@ def profile_pair(
     """The profile of two unknowns on a grid: see [`Fit`][]`.profile`."""
     _check_levels(levels)
     if labels[0] == labels[1]:
-        raise ValueError(f"other: {labels[1]!r} came twice, two unknowns are wanted")
+        raise ValueError(f"other: expected two unknowns, got {labels[1]!r} twice")
     held = _Held(found, labels, inflation)
     freedom = max(freedom, 1)
     thresholds = {p: 2 * fisher_quantile(p, 2, freedom) for p in levels}
@@ -139,7 +139,7 @@ def profile_pair(
 def _check_levels(levels: Iterable[float]) -> None:
     for level in levels:
         if not 0 < level < 1:
-            raise ValueError(f"levels: {level!r} came, numbers in (0, 1) are wanted")
+            raise ValueError(f"levels: expected numbers in (0, 1), got {level!r}")
 
 
 def _crossing(
@@ -252,7 +252,7 @@ def _index(unknowns: Unknowns, label: str) -> int:
     labels = list(unknowns.y_labels)
     free = [one for one in labels if labels.count(one) == 1]
     if label not in free:
-        raise ValueError(f"name: {label!r} came, one of {', '.join(free)} is wanted")
+        raise ValueError(f"name: expected one of {', '.join(free)}, got {label!r}")
     return labels.index(label)
 
 

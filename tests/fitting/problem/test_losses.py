@@ -104,5 +104,7 @@ def test_names():
         assert as_loss(name) is loss
     mine = pf.Huber(k=0.3)
     assert as_loss(mine) is mine
-    with pytest.raises(ValueError, match="loss: 'l2' came, one of linear, huber"):
+    with pytest.raises(
+        ValueError, match="loss: expected one of linear, huber.*got 'l2'"
+    ):
         as_loss("l2")

@@ -112,5 +112,5 @@ def test_errors_are_foreseen():
 
 def test_maps_do_not_take_the_sensors_noise_for_all_of_it():
     scene = ball(size=SIZE)
-    with pytest.raises(ValueError, match="noise: came with films of JPEG"):
+    with pytest.raises(ValueError, match="noise: expected none with films of JPEG"):
         pf.fit_maps([scene], [photograph(0, 95)], film=film(95), noise=NOISE)
