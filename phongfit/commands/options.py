@@ -159,7 +159,7 @@ def _tie(text: str) -> tuple[float, str]:
 
 
 _WANTED: dict[Callable[[str], Any], str] = {
-    float: "a number is",
-    _two_numbers: "two numbers with a colon are",
-    _tie: "a label, or FACTOR*LABEL, is",
+    float: "a number",
+    _two_numbers: "two numbers with a colon",
+    _tie: "a label, or FACTOR*LABEL,",
 }

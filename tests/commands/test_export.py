@@ -253,7 +253,7 @@ def test_what_a_format_cannot_hold(tmp_path, capsys, to, words):
         ),
         (
             ["preset:gold", "--to", "mtl", "-o", "a", "--scene", "s"],
-            "mtl knows no shape",
+            "mtl holds no shape",
         ),
         (["preset:gold", "--to", "png", "-o", "a"], "--to"),
     ],

@@ -184,9 +184,15 @@ def test_pictures_and_report(brass, tmp_path, capsys):
     "args, words",
     [
         (["--bounds", "diffuse"], "bounds: expected NAME=VALUE"),
-        (["--bounds", "diffuse=1"], "bounds: '1' came for diffuse, two numbers"),
-        (["--fixed", "diffuse=x"], "fixed: 'x' came for diffuse, a number"),
-        (["--ties", "a=2*"], "ties: '2*' came for a, a label, or FACTOR*LABEL"),
+        (
+            ["--bounds", "diffuse=1"],
+            "bounds: expected two numbers ... for diffuse, got '1'",
+        ),
+        (["--fixed", "diffuse=x"], "fixed: expected a number for diffuse, got 'x'"),
+        (
+            ["--ties", "a=2*"],
+            "ties: expected a label, or FACTOR*LABEL, for a, got '2*'",
+        ),
         (["--ties", "a=b", "a=c"], "ties: expected ... got 'a=c'"),
         (["--known", "gold"], "known: material: 'gold' came, preset:NAME"),
         (["--noise", "0"], "noise: expected a number > 0"),
@@ -222,7 +228,10 @@ def test_bad_options(brass, tmp_path, capsys, args, words):
         ({"settings__bounds": {"diffuse": [1]}}, "settings.bounds.diffuse"),
         ({"data__inputs": {"a.png": "zz"}}, "data.inputs"),
         ({"material__diffuse": [[0.1], [0.1, 0.2]]}, "rows of one length"),
-        ({"material__diffuse": -1.0}, "material: diffuse: -1"),
+        (
+            {"material__diffuse": -1.0},
+            "material: diffuse: expected finite numbers ≥ 0, got -1",
+        ),
         ({"labels": []}, "labels: [] came"),
     ],
 )

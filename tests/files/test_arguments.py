@@ -117,7 +117,7 @@ def test_one_line_of_what_is_wrong(tmp_path, text, message):
 def test_the_constructor_speaks_in_the_files_names(tmp_path):
     np.save(tmp_path / "i.npy", [1])
     text = '{"index": "i.npy", "size_metres": -1}'
-    with pytest.raises(ValueError, match="^size_metres: -1. came"):
+    with pytest.raises(ValueError, match="^size_metres: expected .*, got -1."):
         parse_record(text, ThingRecord, tmp_path).build()
 
 

@@ -272,7 +272,7 @@ def test_nan_pixels(tmp_path):
 def test_encoding_is_never_guessed(tmp_path, picture):
     with pytest.raises(TypeError, match="encoding"):
         read_image(tmp_path / "a.png")  # pyright: ignore
-    with pytest.raises(ValueError, match="encoding: 'gamma' came"):
+    with pytest.raises(ValueError, match="encoding: expected .*, got 'gamma'"):
         read_image(tmp_path / "a.png", "gamma")  # pyright: ignore
     write_image(tmp_path / "a.exr", picture, "linear")
     with pytest.raises(ValueError, match="floating-point images are linear"):
@@ -290,7 +290,13 @@ def test_encoding_is_never_guessed(tmp_path, picture):
         ("a.jpg", np.zeros((2, 3, 3)), "linear", 16, "bits: 16 came, 8"),
         ("a.exr", np.zeros((2, 3, 3)), "srgb", 32, "floating-point images are lin"),
         ("a.bmp", np.zeros((2, 3, 3)), "linear", 8, "suffix '.bmp' came"),
-        ("a.png", np.zeros((2, 3, 3)), "gamma", 8, "encoding: 'gamma' came"),
+        (
+            "a.png",
+            np.zeros((2, 3, 3)),
+            "gamma",
+            8,
+            "encoding: expected .*, got 'gamma'",
+        ),
     ],
 )
 def test_what_cannot_be_written(tmp_path, name, image, encoding, bits, message):

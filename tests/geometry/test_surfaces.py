@@ -167,7 +167,10 @@ def test_outside_the_mask_nothing_matters():
 @pytest.mark.parametrize(
     "camera, message",
     [
-        (pf.OrthographicCamera(2, 3), r"^surface: .*\(2, 3\) pixels.*\(3, 2\)"),
+        (
+            pf.OrthographicCamera(2, 3),
+            r"^surface: expected .*\(3, 2\) pixels.*got \(2, 3\)",
+        ),
         (pf.PerspectiveCamera(3, 2), "^surface: .*orthographic"),
     ],
 )

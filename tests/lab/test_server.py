@@ -57,7 +57,7 @@ def test_a_picture(port):
         ("/api/mesh?name=a.obj", "v 1 2\nf 1 2 3", "a.obj: cannot be read"),
         ("/api/mesh", "", "name: is missing"),
         ("/api/photograph?name=a.png", "", "encoding: is missing"),
-        ("/api/photograph?name=a.png&encoding=hdr", "", "encoding: 'hdr' came"),
+        ("/api/photograph?name=a.png&encoding=hdr", "", "got 'hdr'"),
         ("/api/photograph?name=a.png&encoding=srgb", "PNG", "a.png: is broken"),
         ("/api/mask?name=a.png&target=x", "", "target: is no longer held"),
     ],
