@@ -69,7 +69,7 @@ def browser():
 
 
 # Of files and words, or as commands and experiments are run, or of the precision that
-# maps are made in: float32 alone.
+# maps are made in: float32 alone. The arithmetic of a map's pixel runs in both.
 SINGLE = {"commands", "data_synth", "experiments", "files", "maps"}
 # Whole fits and pictures, which take long to compile: about a third of them in float32,
 # where all of `SINGLE` runs, the others in float64. The parts of a fit run in both.
@@ -108,8 +108,8 @@ def pytest_addoption(parser):
 
 def pytest_ignore_collect(collection_path, config):
     """What float64 has no part in need not even be imported there."""
-    if _double() and not config.getoption("--both"):
-        return _folder(collection_path) in SINGLE or None
+    if _double() and not config.getoption("--both") and collection_path.is_file():
+        return _is_single(collection_path) or None
     return None
 
 
@@ -119,7 +119,7 @@ def pytest_collection_modifyitems(config, items):
     once = pytest.mark.skip(reason=f"runs in float{32 if double else 64} alone")
     for item in items:
         if item.get_closest_marker("float64"):
-            if _folder(item.path) in SINGLE:
+            if _is_single(item.path):
                 raise pytest.UsageError(f"{item.nodeid}: float64 is not run there")
             home = True
         elif config.getoption("--both"):
@@ -139,11 +139,14 @@ def _folder(path: Path) -> str:
     return path.relative_to(ROOT).parts[0] if path != ROOT else ""
 
 
+def _is_single(path: Path) -> bool:
+    return _folder(path) in SINGLE and path.parent.name != "pixel"
+
+
 def _home(path: Path, name: str) -> bool | None:
     """Whether the test of this name in a file is for float64; `None`: for both."""
-    folder = _folder(path)
-    if folder in SINGLE:
+    if _is_single(path):
         return False
-    if ALTERNATE.isdisjoint({folder, path.stem}):
+    if ALTERNATE.isdisjoint({_folder(path), path.stem}):
         return None
     return zlib.crc32(f"{path.stem}.{name}".encode()) % 3 != 0
