@@ -138,7 +138,7 @@ def make(options: Options) -> Dataset:
         Sphere(options.center, options.radius),
         _camera(options),
         ambient=_number("ambient_light", options.ambient_light),
-        specular=BlinnPhong() if options.model == "blinn-phong" else Phong(),
+        specular_model=BlinnPhong() if options.model == "blinn-phong" else Phong(),
     )
     if options.intensity:
         intensity = _number("intensity", options.intensity)
@@ -153,7 +153,7 @@ def make(options: Options) -> Dataset:
         lights=_lights(options, intensity),
         images=options.images,
         ambient=scene.ambient,
-        specular=scene.specular,
+        specular=scene.specular_model,
         noise=options.noise,
         bits=options.bits,
         encoding=options.encoding,

@@ -71,7 +71,7 @@ def make_dataset(
     surface = Sphere() if surface is None else surface
     camera = OrthographicCamera() if camera is None else camera
 
-    whole = Scene(surface, camera, (), ambient, specular=specular)
+    whole = Scene(surface, camera, (), ambient, specular_model=specular)
     if lights is None:
         lit = deal(whole, make_lights(), images)
         lights = make_lights(intensity=exposure(lit, material))

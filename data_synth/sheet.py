@@ -134,7 +134,7 @@ def _settings(dataset: Dataset, noise: float | None, seed: int | None) -> str:
     parts = [
         f"{len(dataset.images)} × {width} × {height} pixels",
         f"{depth} {LABELS[film.encoding]}",
-        type(dataset.scenes[0].specular).__name__,
+        type(dataset.scenes[0].specular_model).__name__,
     ]
     parts += [] if noise is None else [f"noise {noise:g}"]
     parts += [] if seed is None else [f"seed {seed}"]

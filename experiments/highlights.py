@@ -66,7 +66,9 @@ def ball(
     across = np.array([-1.0, 1.0]) / np.sqrt(2) * np.sin(turn)
     lamp = pf.DirectionalLight((*across, np.cos(turn)))
     camera = pf.OrthographicCamera(size, size, view_height=2.05)
-    return pf.Scene(pf.Sphere(), camera, lamp, specular=model, background=background)
+    return pf.Scene(
+        pf.Sphere(), camera, lamp, specular_model=model, background=background
+    )
 
 
 def measure(size: int) -> Result:

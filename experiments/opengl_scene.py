@@ -105,8 +105,11 @@ def scene_to_opengl(scene: Scene, *, nearest: bool = False) -> Parameters:
     """
     if len(scene.lights) > MAX_LIGHTS:
         raise ValueError(f"lights: {len(scene.lights)} came, OpenGL has {MAX_LIGHTS}")
-    if scene.specular != BlinnPhong():
-        lost(f"specular: {FORMAT} has {BlinnPhong()}, {scene.specular} came", nearest)
+    if scene.specular_model != BlinnPhong():
+        lost(
+            f"specular_model: {FORMAT} has {BlinnPhong()}, {scene.specular_model} came",
+            nearest,
+        )
     if scene.shadows:
         lost(f"shadows: {FORMAT} throws none", nearest)
     local = scene.local_viewer

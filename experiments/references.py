@@ -153,7 +153,7 @@ def _raytraced(name: str, said: dict[str, Any], arrays: Arrays) -> Reference:
         ),
         [pf.PointLight(one["position"], one["intensity"]) for one in said["lights"]],
         said["ambient_light"],
-        specular=models[model],
+        specular_model=models[model],
         shadows=True,
         background=said["background"],
     )

@@ -104,14 +104,14 @@ def mistakes(size: int) -> list[Mistake]:
         Mistake(
             "Phong for Blinn",
             right,
-            ball(size, specular=pf.Phong()),
+            ball(size, specular_model=pf.Phong()),
             excuse="under one lamp near the viewer, Phong's model with about a quarter "
             "of the exponent makes nearly the same image",
         ),
         Mistake(
             "the same, lamps far apart",
             ball(size, lights=apart),
-            ball(size, lights=apart, specular=pf.Phong()),
+            ball(size, lights=apart, specular_model=pf.Phong()),
         ),
         Mistake(
             "Gouraud for Phong",

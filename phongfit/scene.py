@@ -24,7 +24,7 @@ class Scene(eqx.Module):
     lights: tuple[AbstractLight, ...]
     ambient: Rgb
     background: Rgb
-    specular: AbstractSpecular
+    specular_model: AbstractSpecular
     shading: AbstractShading
     shadows: bool = eqx.field(static=True)
     fog: Fog | None
@@ -37,7 +37,7 @@ class Scene(eqx.Module):
         lights: Iterable[AbstractLight] | AbstractLight = (),
         ambient: Any = 0.0,
         *,
-        specular: AbstractSpecular | None = None,
+        specular_model: AbstractSpecular | None = None,
         shading: AbstractShading | None = None,
         fog: Fog | None = None,
         shadows: bool = False,
@@ -50,7 +50,7 @@ class Scene(eqx.Module):
         - `camera`: from where; default an [`OrthographicCamera`][] of 256 × 256 pixels.
         - `lights`: any number, of any kinds.
         - `ambient`: the ambient light I_a, RGB or one number.
-        - `specular`: model of the highlight, default [`BlinnPhong`][].
+        - `specular_model`: of the highlight, default [`BlinnPhong`][].
         - `shading`: where light is computed, default [`PhongShading`][]: per pixel.
         - `fog`: default none.
         - `shadows`: whether surfaces throw hard shadows.
@@ -67,12 +67,12 @@ class Scene(eqx.Module):
         if not isinstance(lights, Iterable):
             raise ValueError(f"lights: expected a list of lights, got {lights!r}")
         lights = tuple(lights)
-        specular = BlinnPhong() if specular is None else specular
+        specular_model = BlinnPhong() if specular_model is None else specular_model
         shading = PhongShading() if shading is None else shading
         for name, value, kind in (
             ("surface", surface, AbstractSurface),
             ("camera", camera, AbstractCamera),
-            ("specular", specular, AbstractSpecular),
+            ("specular_model", specular_model, AbstractSpecular),
             ("shading", shading, AbstractShading),
             ("fog", fog, Fog | None),
             ("shadows", shadows, bool),
@@ -98,7 +98,7 @@ class Scene(eqx.Module):
         self.camera = camera
         self.lights = lights
         self.ambient = as_light("ambient", ambient)
-        self.specular = specular
+        self.specular_model = specular_model
         self.shading = shading
         self.fog = fog
         self.background = as_light("background", background)

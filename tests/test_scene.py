@@ -15,7 +15,7 @@ def test_defaults():
     assert (scene.camera.width, scene.camera.height) == (256, 256)
     assert isinstance(scene.camera, pf.OrthographicCamera)
     assert scene.lights == ()
-    assert isinstance(scene.specular, pf.BlinnPhong)
+    assert isinstance(scene.specular_model, pf.BlinnPhong)
     near(scene.ambient, [0, 0, 0])
     near(scene.background, [0, 0, 0])
 
@@ -53,8 +53,8 @@ def test_a_scene_is_a_pytree():
         (dict(lights=[SUN, "lamp"]), "lights"),
         (dict(lights="lamp"), "lights"),
         (dict(lights=[pf.Sphere()]), "lights"),
-        (dict(specular="blinn"), "specular"),
-        (dict(specular=pf.BlinnPhong), "specular"),
+        (dict(specular_model="blinn"), "specular_model"),
+        (dict(specular_model=pf.BlinnPhong), "specular_model"),
         (dict(ambient=-0.1), "ambient"),
         (dict(ambient=(0.1, 0.2)), "ambient"),
         (dict(ambient=float("nan")), "ambient"),

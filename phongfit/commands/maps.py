@@ -133,7 +133,7 @@ def _finish(
             found,
             data=read,
             settings=_settings(given),
-            model=scenes[0].specular,
+            model=scenes[0].specular_model,
             normals=seen_normals(scenes[0]),
         )
         if options.pictures:

@@ -252,7 +252,7 @@ def write_fit_record(
         "version": FIT_VERSION,
         "data": data.model_dump(),
         "settings": FitSettings.of(fit.specification, noise).model_dump(),
-        "model": describe(scene.specular),
+        "model": describe(scene.specular_model),
         **numbers,
         "made_with": made_with(),
     }

@@ -164,7 +164,7 @@ class ImageRecord(AbstractRecord):
     mask: FileName | None = None
 
 
-@arguments_of(Scene)
+@arguments_of(Scene, {"specular_model": "specular"})
 class SceneRecord(Arguments):
     """`scene.json`: a scene and, for a data set, the images that were taken of it."""
 

@@ -50,7 +50,7 @@ def make_scene(settings: Settings, surface: AbstractSurface, frame: Frame) -> Sc
         make_camera(settings, frame),
         make_lights(settings),
         settings.ambient_light,
-        specular=Phong() if settings.specular_model == "phong" else BlinnPhong(),
+        specular_model=Phong() if settings.specular_model == "phong" else BlinnPhong(),
         shading=make_shading(settings),
     )
 

@@ -78,7 +78,7 @@ def check_scenes(scenes: Any) -> tuple[Scene, ...]:
                 f"scenes[{k}]: expected PhongShading, which lights every pixel on its "
                 f"own, got {type(scene.shading).__name__}"
             )
-        for what in ("surface", "camera", "specular", "local_viewer"):
+        for what in ("surface", "camera", "specular_model", "local_viewer"):
             if not _same(getattr(scene, what), getattr(first, what)):
                 raise ValueError(
                     f"scenes[{k}]: its {what} is not that of scenes[0]; scenes of one "
@@ -101,12 +101,12 @@ def _check_power(scene: Scene) -> None:
     """The search rests on lobes that are powers of a cosine, whatever their height."""
     dtype = jnp.result_type(float)
     cosine, exponent = jnp.array([0.3, 0.9], dtype), jnp.array([1.7, 23.0], dtype)
-    lobe = scene.specular.lobe(cosine, exponent)
-    top = scene.specular.lobe(jnp.ones_like(cosine), exponent)
+    lobe = scene.specular_model.lobe(cosine, exponent)
+    top = scene.specular_model.lobe(jnp.ones_like(cosine), exponent)
     if not np.allclose(lobe, top * cosine**exponent, rtol=1e-3, atol=0):
         raise ValueError(
-            f"scenes: the lobe of {type(scene.specular).__name__} is no power of the "
-            "cosine, as that of Phong and BlinnPhong is"
+            f"scenes: the lobe of {type(scene.specular_model).__name__} is no power of "
+            "the cosine, as that of Phong and BlinnPhong is"
         )
 
 
@@ -207,7 +207,7 @@ def make_settings(
         names=names,
         bounds=tuple(_bound(name, bounds) for name in MAP_PARAMETERS),
         shared="shininess" not in per_channel,
-        model=scenes[0].specular,
+        model=scenes[0].specular_model,
         loss=as_loss(loss),
         scanned=start is None,
         min_cosine=float(min_cosine),

@@ -147,7 +147,7 @@ def terms(scene: Scene, gbuffer: GBuffer) -> ShadingTerms:
         return point_terms(
             scene.lights,
             scene.ambient,
-            scene.specular,
+            scene.specular_model,
             position,
             normal,
             _to_viewer(scene, position, to_viewer),
@@ -163,7 +163,7 @@ def terms(scene: Scene, gbuffer: GBuffer) -> ShadingTerms:
         computed.diffuse,
         computed.cosine,
         computed.strength,
-        scene.specular,
+        scene.specular_model,
         points.material_index,
         scene.surface.materials,
     )

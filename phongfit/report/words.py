@@ -126,7 +126,7 @@ def assumptions(fit: Fit) -> dict[str, str]:
     """What the numbers rest on, as name and value."""
     scene = fit.scene[0] if isinstance(fit.scene, tuple) else fit.scene
     unknowns = fit.solution.problem.unknowns
-    model = f"{fit.model} ({settings(scene.specular)})"
+    model = f"{fit.model} ({settings(scene.specular_model)})"
     noise = f"{fit.noise:.3g} of white, {'given' if fit.noise_given else 'estimated'}"
     kinds = sorted({type(light).__name__ for light in scene.lights})
     lights = f"{len(scene.lights)} an image ({', '.join(kinds) or 'none'})"

@@ -154,7 +154,7 @@ def test_conversions():
     camera, light = pf.OrthographicCamera(9, 9), pf.DirectionalLight((1, 1, 2))
     one, other = (
         pf.render(
-            pf.Scene(pf.Sphere(), camera, light, specular=m),
+            pf.Scene(pf.Sphere(), camera, light, specular_model=m),
             material,
             film=pf.Film(clamp=False),
         )

@@ -106,7 +106,7 @@ def test_options_arrive(tmp_path):
     assert truth is not None and truth.shininess == 20
     np.testing.assert_allclose(truth.diffuse, [0.1, 0.2, 0.3], rtol=1e-6)
     assert np.array_equal(truth.specular, gold.specular)
-    assert isinstance(scene.specular, pf.Phong)
+    assert isinstance(scene.specular_model, pf.Phong)
     assert [type(light) for light in scene.lights] == [pf.PointLight] * 3
     np.testing.assert_allclose(scene.ambient, [0.1, 0.2, 0.3], rtol=1e-6)
     assert isinstance(scene.camera, pf.PerspectiveCamera)

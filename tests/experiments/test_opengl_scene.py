@@ -111,8 +111,8 @@ def test_a_scene():
 @pytest.mark.parametrize(
     "named, keywords",
     [
-        ("specular", dict(specular=pf.Phong())),
-        ("specular", dict(specular=pf.BlinnPhong(normalized=True))),
+        ("specular_model", dict(specular_model=pf.Phong())),
+        ("specular_model", dict(specular_model=pf.BlinnPhong(normalized=True))),
         ("shadows", dict(shadows=True)),
         ("shading", dict(shading=pf.PhongShading())),
         ("background", dict(background=2)),

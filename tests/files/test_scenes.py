@@ -30,7 +30,9 @@ LIGHTS = (
 )
 def test_round_trip_is_exact(tmp_path, camera: AbstractCamera, specular):
     sphere = pf.Sphere((0.1, -0.7, 1 / 3), 1.3)
-    scene = pf.Scene(sphere, camera, LIGHTS, 0.3, specular=specular, background=0.1)
+    scene = pf.Scene(
+        sphere, camera, LIGHTS, 0.3, specular_model=specular, background=0.1
+    )
     save_scene(tmp_path, scene)
     assert eqx.tree_equal(load_scene(tmp_path), scene)
     assert eqx.tree_equal(load_scene(tmp_path / "scene.json"), scene)
@@ -179,7 +181,9 @@ WRONG = [
 @pytest.mark.parametrize("change, message", WRONG, ids=[row[1] for row in WRONG])
 def test_wrong_values(tmp_path, change, message):
     camera = pf.PerspectiveCamera(5, 4)
-    save_scene(tmp_path, pf.Scene(pf.Sphere(), camera, LIGHTS, specular=pf.Phong()))
+    save_scene(
+        tmp_path, pf.Scene(pf.Sphere(), camera, LIGHTS, specular_model=pf.Phong())
+    )
     data = json.loads((tmp_path / "scene.json").read_text())
     change(data)
     _check_error(tmp_path, json.dumps(data), message)

@@ -44,7 +44,7 @@ def as_it_was():
 def test_a_kind_of_ones_own(tmp_path):
     glow = _glow()
     pf.register(glow, "glow")
-    scene = pf.Scene(pf.Sphere(), specular=glow(0.25))
+    scene = pf.Scene(pf.Sphere(), specular_model=glow(0.25))
     pf.save_scene(tmp_path, scene)
     assert eqx.tree_equal(pf.load_scene(tmp_path), scene)
     path = tmp_path / "scene.json"
@@ -61,7 +61,7 @@ def test_again_is_no_mistake(tmp_path):
     text = path.read_text()
     start, end = text.index('"specular"'), text.index('"shading"')
     path.write_text(text[:start] + '"specular": {"kind": "glow"}, ' + text[end:])
-    specular = pf.load_scene(path).specular
+    specular = pf.load_scene(path).specular_model
     assert specular.share == 0.75  # pyright: ignore[reportAttributeAccessIssue]
 
 

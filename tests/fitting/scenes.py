@@ -35,14 +35,18 @@ def two_lights(kind: str) -> tuple[pf.AbstractLight, pf.AbstractLight]:
 
 def ball(
     kind: str = "directional",
-    specular: pf.AbstractSpecular | None = None,
+    specular_model: pf.AbstractSpecular | None = None,
     ambient: float = 0.3,
     size: int = SIZE,
 ) -> pf.Scene:
     """A sphere under two lights."""
     camera = pf.OrthographicCamera(size, size)
     return pf.Scene(
-        pf.Sphere(), camera, two_lights(kind), ambient=ambient, specular=specular
+        pf.Sphere(),
+        camera,
+        two_lights(kind),
+        ambient=ambient,
+        specular_model=specular_model,
     )
 
 
@@ -117,7 +121,7 @@ def random_case(seed: int) -> Case:
             pf.OrthographicCamera(SIZE, SIZE),
             [light(exposure) for light in lights],
             ambient=exposure * ambient,
-            specular=model,
+            specular_model=model,
         )
 
     light = np.asarray(

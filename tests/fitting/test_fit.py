@@ -269,7 +269,7 @@ def test_the_wrong_model_is_told():
     """Blinn's highlight for Phong's, under a light from the side."""
     lights = (pf.DirectionalLight((4, 1, 1), 0.5), SCENE.lights[1])
     scenes = [
-        pf.Scene(SCENE.surface, SCENE.camera, lights, 0.3, specular=model)
+        pf.Scene(SCENE.surface, SCENE.camera, lights, 0.3, specular_model=model)
         for model in (pf.Phong(), pf.BlinnPhong())
     ]
     fit = pf.fit(scenes[1], photograph(scenes[0], TRUTH, noise=0.002))

@@ -63,7 +63,7 @@ def test_noise_free(model, kind, shininess):
 
 @pytest.mark.parametrize("shininess", EXPONENTS)
 def test_noise_free_normalized(shininess):
-    scene = ball(specular=pf.BlinnPhong(normalized=True))
+    scene = ball(specular_model=pf.BlinnPhong(normalized=True))
     check_exact(scene, with_exponent(shininess, 2 * np.pi / (shininess + 2)))
 
 
@@ -71,7 +71,9 @@ def test_noise_free_normalized(shininess):
 def test_noise_free_without_a_gate(shininess):
     lights = (pf.DirectionalLight((1, 1, -0.3), 0.4), two_lights("point")[1])
     model = pf.Phong(gate=False)
-    scene = pf.Scene(pf.Sphere(), ball().camera, lights, ambient=0.3, specular=model)
+    scene = pf.Scene(
+        pf.Sphere(), ball().camera, lights, ambient=0.3, specular_model=model
+    )
     gated = pf.Scene(pf.Sphere(), ball().camera, lights, ambient=0.3)
     truth = with_exponent(shininess)
     assert np.any(pf.render(scene, truth) != pf.render(gated, truth))

@@ -53,7 +53,7 @@ def make_stack(
             camera,
             pf.DirectionalLight(direction, (1.0, 0.9, 0.8)),
             ambient=ambient,
-            specular=model,
+            specular_model=model,
         )
         for direction in spread_directions(lights)
     )

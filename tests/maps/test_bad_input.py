@@ -85,7 +85,7 @@ def test_too_few_images_say_what_they_can_tell():
 @pytest.mark.parametrize(
     "change, words",
     [
-        ({"specular": pf.Phong()}, r"scenes\[1\]: its specular"),
+        ({"specular_model": pf.Phong()}, r"scenes\[1\]: its specular"),
         ({"camera": pf.OrthographicCamera(6, 5)}, "its camera"),
         ({"surface": pf.NormalMap(np.ones((4, 6, 3)))}, "its surface"),
     ],
@@ -111,6 +111,6 @@ class Wobbly(pf.AbstractSpecular):
 
 
 def test_lobes_must_be_powers():
-    scenes = [dataclasses.replace(s, specular=Wobbly()) for s in STACK.scenes]
+    scenes = [dataclasses.replace(s, specular_model=Wobbly()) for s in STACK.scenes]
     with pytest.raises(ValueError, match="lobe of Wobbly"):
         fit(scenes)

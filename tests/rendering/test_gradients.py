@@ -62,7 +62,7 @@ def test_every_leaf(camera, specular, lights):
         camera,
         lights,
         (0.1, 0.2, 0.3),
-        specular=specular,
+        specular_model=specular,
         background=0.1,
     )
     image, mask = rendered((scene, MATERIAL)), pf.trace(BALL, camera).mask
@@ -79,7 +79,9 @@ def test_every_leaf_of_a_normal_map():
     camera = pf.PerspectiveCamera(2, 2)
     specular = pf.BlinnPhong(normalized=True)
     # A black background would lie on the clamp's lower kink.
-    scene = pf.Scene(surface, camera, BULB, 0.2, specular=specular, background=0.1)
+    scene = pf.Scene(
+        surface, camera, BULB, 0.2, specular_model=specular, background=0.1
+    )
     check_gradients(rendered, (scene, MATERIAL))
 
 

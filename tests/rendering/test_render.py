@@ -20,11 +20,11 @@ LOOSE = 2e-4 if floats(0).dtype == np.float32 else 1e-10
 RAW = pf.Film(clamp=False)
 
 
-def one_pixel(normal, view, lights, *, ambient=0.0, specular=None):
+def one_pixel(normal, view, lights, *, ambient=0.0, specular_model=None):
     """A pixel at the origin with a given normal, seen from the direction `view`."""
     surface = pf.NormalMap([[normal]], positions=[[(0, 0, 0)]])
     camera = pf.OrthographicCamera.look_at(view, width=1, height=1)
-    return pf.Scene(surface, camera, lights, ambient, specular=specular)
+    return pf.Scene(surface, camera, lights, ambient, specular_model=specular_model)
 
 
 @pytest.mark.parametrize("case", CASES["cases"])
@@ -36,7 +36,7 @@ def test_point_cases(case):
         case["eye"],
         pf.PointLight(case["light_position"]),
         ambient=numbers["color"],
-        specular=pf.Phong(),
+        specular_model=pf.Phong(),
     )
     names = ("ambient", "diffuse", "specular", "shininess")
     material = pf.Material(**{name: numbers[name] for name in names})
@@ -105,7 +105,7 @@ def full_scene(specular):
         camera,
         lights,
         (0.1, 0.2, 0.3),
-        specular=specular,
+        specular_model=specular,
         background=background,
     )
 

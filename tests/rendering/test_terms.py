@@ -56,7 +56,7 @@ def world(offset=(0, 0, 0), rotation=None, specular=None, lights=None):
         4, 3, fov_y=12, position=rotation @ np.array([0, 0, 5.0]), rotation=rotation
     )
     lights = lights_around(offset, rotation) if lights is None else lights
-    return pf.Scene(pf.Sphere(), camera, lights, ambient=0.2, specular=specular)
+    return pf.Scene(pf.Sphere(), camera, lights, ambient=0.2, specular_model=specular)
 
 
 @eqx.filter_jit

@@ -31,7 +31,9 @@ def situations() -> list[Situation]:
     spot = pf.SpotLight((2, 2, 3), (-2, -2, -3), 0.9, cutoff=40, exponent=2)
     subjects: dict[str, Subject | Draw] = {
         "one lamp": usual(),
-        "Phong's highlight": usual(changed(shininess=6.0), two(specular=pf.Phong())),
+        "Phong's highlight": usual(
+            changed(shininess=6.0), two(specular_model=pf.Phong())
+        ),
         "two lamps": usual(MATERIAL, two()),
         "point light": usual(MATERIAL, ball(pf.PointLight((2, 2, 3), 0.6))),
         "spot light": usual(MATERIAL, ball(spot)),

@@ -66,7 +66,7 @@ def lamp_left_out(share: float, size: int, noise: float) -> Callable[[Draws], An
 def apart(specular: pf.AbstractSpecular | None = None) -> Subject:
     """Two lamps far apart: the models turn their highlights differently."""
     lamps = lamp(), lamp((-1.0, -0.4, -0.2))
-    return usual(MATERIAL, ball(*lamps, specular=specular))
+    return usual(MATERIAL, ball(*lamps, specular_model=specular))
 
 
 def turned(degrees: float) -> tuple[float, float, float]:

@@ -69,7 +69,7 @@ def as_photographs(
 def _check_alike(scenes: Sequence[Scene]) -> None:
     """Images of one fit may differ in light and view, not in how light is computed."""
     for what, of in (
-        ("specular model", lambda s: s.specular),
+        ("specular model", lambda s: s.specular_model),
         ("shading", lambda s: s.shading),
         ("number of materials", lambda s: s.surface.materials),
         ("use of fog", lambda s: s.fog is not None),

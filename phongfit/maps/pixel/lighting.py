@@ -160,7 +160,7 @@ def make_lighting(scenes: tuple[Scene, ...]) -> Lighting:
     order = tuple(k for indices in members.values() for k in indices)
     foggy = any(scene.fog is not None for scene in scenes)
     camera = scenes[0].camera if foggy else None
-    return Lighting(tuple(kinds), scenes[0].specular, camera, order)
+    return Lighting(tuple(kinds), scenes[0].specular_model, camera, order)
 
 
 def _stack(*leaves: Array) -> Array:

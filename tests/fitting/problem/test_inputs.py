@@ -17,7 +17,7 @@ THREE[16, 15:18] = 1  # nine samples
 BROKEN = GREY.copy()
 BROKEN[7, 8, 2] = np.nan
 BROKEN[9, 8, 1] = np.inf
-OTHER_MODEL = ball(specular=pf.Phong())
+OTHER_MODEL = ball(specular_model=pf.Phong())
 CENTRE = np.hypot(*(np.indices((SIZE, SIZE)) + 0.5 - SIZE / 2)) < 10
 
 

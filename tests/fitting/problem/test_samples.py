@@ -113,7 +113,7 @@ def other_light(scene: pf.Scene) -> pf.Scene:
         scene.camera,
         lights,
         ambient=0.7,
-        specular=scene.specular,
+        specular_model=scene.specular_model,
         shading=scene.shading,
         fog=fog,
     )
