@@ -153,7 +153,7 @@ def make(options: Options) -> Dataset:
         lights=_lights(options, intensity),
         images=options.images,
         ambient=scene.ambient,
-        specular=scene.specular_model,
+        specular_model=scene.specular_model,
         noise=options.noise,
         bits=options.bits,
         encoding=options.encoding,

@@ -36,7 +36,7 @@ def make_dataset(
     lights: Iterable[AbstractLight] | None = None,
     images: int | None = None,
     ambient: Any = 0.2,
-    specular: AbstractSpecular | None = None,
+    specular_model: AbstractSpecular | None = None,
     noise: float = 0.0,
     bits: Literal[8, 16] | None = 8,
     encoding: Encoding = "srgb",
@@ -53,7 +53,7 @@ def make_dataset(
     - `images`: how many; the lights are dealt out to them in turn. 1 has all lights in
         one image; the default is an image for each light.
     - `ambient`: the ambient light I_a, RGB or one number.
-    - `specular`: model of the highlight, default Blinn-Phong.
+    - `specular_model`: model of the highlight, default Blinn-Phong.
     - `noise`: standard deviation of Gaussian noise in linear light, where white is 1;
         added before anything is cut off or rounded.
     - `bits`, `encoding`: of the images' numbers; without `bits` they are not rounded.
@@ -71,7 +71,7 @@ def make_dataset(
     surface = Sphere() if surface is None else surface
     camera = OrthographicCamera() if camera is None else camera
 
-    whole = Scene(surface, camera, (), ambient, specular_model=specular)
+    whole = Scene(surface, camera, (), ambient, specular_model=specular_model)
     if lights is None:
         lit = deal(whole, make_lights(), images)
         lights = make_lights(intensity=exposure(lit, material))

@@ -77,7 +77,7 @@ def target(case: Case, resolution: int, seed: int) -> Dataset:
         lights=case.lights,
         images=case.images,
         ambient=0.4,
-        specular=case.specular,
+        specular_model=case.specular,
         noise=case.noise,
         bits=8,
         encoding="linear",
