@@ -55,7 +55,7 @@ def shading_from_opengl(shade_model: str, clamp: bool = True) -> AbstractShading
         return FlatShading("last_vertex", clamp)
     if shade_model == "GL_SMOOTH":
         return GouraudShading(clamp)
-    raise ValueError(f"shade_model: {shade_model!r} came, GL_FLAT or GL_SMOOTH wanted")
+    raise ValueError(f"shade_model: expected GL_FLAT or GL_SMOOTH, got {shade_model!r}")
 
 
 def camera_to_opengl(
@@ -104,10 +104,13 @@ def scene_to_opengl(scene: Scene, *, nearest: bool = False) -> Parameters:
     always.
     """
     if len(scene.lights) > MAX_LIGHTS:
-        raise ValueError(f"lights: {len(scene.lights)} came, OpenGL has {MAX_LIGHTS}")
+        raise ValueError(
+            f"lights: expected at most {MAX_LIGHTS}, as OpenGL has, got "
+            f"{len(scene.lights)}"
+        )
     if scene.specular_model != BlinnPhong():
         lost(
-            f"specular_model: {FORMAT} has {BlinnPhong()}, {scene.specular_model} came",
+            f"specular_model: {FORMAT} has {BlinnPhong()}, got {scene.specular_model}",
             nearest,
         )
     if scene.shadows:

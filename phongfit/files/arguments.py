@@ -189,7 +189,7 @@ def _suffix(hint: Any) -> str | None:
 
 def _beside(name: str, info: ValidationInfo) -> str:
     if not isinstance(info.context, Path):
-        raise ValueError(f"{name!r} came, but the text is in no folder")
+        raise ValueError(f"expected a text in a folder, which {name!r} lies in")
     return str(inside(info.context, name))
 
 
@@ -223,12 +223,12 @@ def one_of(base: type) -> Callable[[Any, ValidationInfo], AbstractPart]:
 
     def read(data: Any, info: ValidationInfo) -> AbstractPart:
         if not isinstance(data, dict):
-            raise complain(f"{shorten(data)} came, an object {{…}} is wanted")
+            raise complain(f"expected an object {{…}}, got {shorten(data)}")
         kind, kinds = data.get("kind"), kinds_of(base)
         if isinstance(kind, str) and kind in kinds:
             return kinds[kind].model_validate(data, context=info.context)
         wanted = ", ".join(repr(name) for name in kinds)
-        wrong = complain(f"{shorten(kind)} came, one of {wanted} is wanted")
+        wrong = complain(f"expected one of {wanted}, got {shorten(kind)}")
         error = "missing" if "kind" not in data else wrong
         raise ValidationError.from_exception_data(
             "kind", [{"type": error, "loc": ("kind",), "input": data}]

@@ -16,7 +16,7 @@ def read_array(path: Path, key: str) -> np.ndarray:
     holds Python objects.
     """
     if path.suffix.lower() not in (".npy", ".npz"):
-        raise ValueError(f"{path}: suffix {path.suffix!r} came, .npy or .npz wanted")
+        raise ValueError(f"{path}: expected suffix .npy or .npz, got {path.suffix!r}")
     read_bytes(path)
     try:
         if path.suffix.lower() == ".npy":
@@ -33,10 +33,10 @@ def _from_archive(path: Path, key: str) -> np.ndarray:
     with zipfile.ZipFile(path) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
     if size > MAX_BYTES:
-        raise ValueError(f"{size} bytes unpacked, at most {MAX_BYTES} wanted")
+        raise ValueError(f"expected at most {MAX_BYTES} bytes unpacked, got {size}")
     with np.load(path, allow_pickle=False) as arrays:
         if key not in arrays:
-            raise ValueError(f"{list(arrays)} came, an array {key!r} is wanted")
+            raise ValueError(f"expected an array {key!r}, got {list(arrays)}")
         return arrays[key]
 
 

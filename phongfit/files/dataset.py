@@ -44,8 +44,8 @@ class Dataset:
         counts = [len(self.scenes), len(self.images), len(self.masks), len(self.names)]
         if len(set(counts)) != 1 or not self.images:
             raise ValueError(
-                f"scenes, images, masks, names: {counts} of them came, as many of each "
-                "are wanted, and at least one"
+                f"scenes, images, masks, names: expected as many of each, and "
+                f"at least one, got {counts} of them"
             )
         for scene, image, mask, name in zip(
             self.scenes, self.images, self.masks, self.names, strict=True
@@ -57,8 +57,9 @@ class Dataset:
             ):
                 if array.shape not in wanted:
                     raise ValueError(
-                        f"{name}: {what} of shape {array.shape} came, the camera's "
-                        f"{' or '.join(str(shape) for shape in wanted)} is wanted"
+                        f"{name}: expected {what} of the camera's shape "
+                        f"{' or '.join(str(shape) for shape in wanted)}, got "
+                        f"{array.shape}"
                     )
 
 

@@ -86,8 +86,8 @@ def _read_rows(folder: Path, name: str, count: int) -> Float[np.ndarray, "count 
     table = read_table(path, 3)
     if len(table) != count or count == 0:
         raise ValueError(
-            f"{path}: {len(table)} lines came, one for each of the {count} photographs "
-            "in filenames.txt is wanted"
+            f"{path}: expected {count} lines, one for each photograph in "
+            f"filenames.txt, got {len(table)}"
         )
     return table
 
@@ -101,7 +101,7 @@ def _check_lights(
     ):
         if not fine.all():
             line = int(np.argmin(fine))
-            raise ValueError(f"{folder / name}: light {line + 1}: {wanted} wanted")
+            raise ValueError(f"{folder / name}: light {line + 1}: expected {wanted}")
 
 
 def _read_surface(folder: Path, mask: Bool[np.ndarray, "height width"]) -> NormalMap:
@@ -117,7 +117,7 @@ def _read_surface(folder: Path, mask: Bool[np.ndarray, "height width"]) -> Norma
         shape = shapes.get("Normal_gt")
         if shape != wanted:
             raise ValueError(
-                f"Normal_gt of shape {shape} came, mask.png wants {wanted}"
+                f"Normal_gt: expected shape {wanted}, as mask.png has, got {shape}"
             )
         normals = scipy.io.loadmat(path, variable_names=["Normal_gt"])["Normal_gt"]
         return NormalMap(normals, mask)
@@ -134,6 +134,6 @@ def _read_photograph(
     image = read_image(path, "linear")
     if image.shape[:2] != size:
         raise ValueError(
-            f"{path}: {image.shape[:2]} pixels came, mask.png wants {size}"
+            f"{path}: expected {size} pixels, as mask.png has, got {image.shape[:2]}"
         )
     return image

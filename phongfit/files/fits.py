@@ -262,8 +262,8 @@ def write_fit_record(
 def read_fit_record(path: str | os.PathLike[str]) -> FitRecord:
     """The record of a fit from its file.
 
-    **Raises:** `ValueError` that names the file, the field, what came and what is
-    wanted.
+    **Raises:** `ValueError` that names the file, the field, what was expected and
+    what was got.
     """
     path = Path(path)
     record = read_record(path, FitRecord)

@@ -33,8 +33,8 @@ class Refused(Exception):
 def _check_size(width: int, height: int, most: int) -> None:
     if width * height > most:
         raise Refused(
-            f"{width} × {height} pixels came, at most {most} are wanted; a smaller "
-            "copy will do"
+            f"expected at most {most} pixels, got {width} × {height}; a smaller copy "
+            "will do"
         )
 
 
@@ -59,7 +59,7 @@ def _read_jpeg(data: bytes, path: Path, most: int) -> np.ndarray:
         _check_size(width, height, most)
         numbers = iio.imread(data, plugin="pillow", extension=".jpg")
     if numbers.ndim == 3 and numbers.shape[-1] != 3:
-        raise Refused("CMYK came, RGB or grey is wanted")
+        raise Refused("expected RGB or grey, got CMYK")
     return numbers
 
 
@@ -74,7 +74,7 @@ def jpeg_compression(data: bytes) -> JpegCompression:
         rgb = image.info["adobe_transform"] == 0 if "adobe" in image.info else rgb
         rgb = rgb and "jfif" not in image.info
     if len(layers) not in (1, 3):
-        raise Refused("CMYK came, RGB or grey is wanted")
+        raise Refused("expected RGB or grey, got CMYK")
     return JpegCompression(
         tuple(np.reshape(steps[table], (8, 8)) for *_, table in layers),
         # Of one component alone its number of samples means nothing.
@@ -90,7 +90,7 @@ def _read_tiff(data: bytes, path: Path, most: int) -> np.ndarray:
     # 1 and 2 are grey, where 0 is black, and RGB; there are inverted ones, palettes …
     photometric = tags.get(262)
     if photometric not in (1, 2):
-        raise Refused(f"photometric interpretation {photometric} came, 1 or 2 wanted")
+        raise Refused(f"expected photometric interpretation 1 or 2, got {photometric}")
     numbers = imagecodecs.tiff_decode(data)
     # Planar configuration 2: one plane a channel.
     return np.moveaxis(numbers, 0, -1) if tags.get(284) == 2 else numbers
@@ -147,7 +147,7 @@ def _read_exr(data: bytes, path: Path, most: int) -> np.ndarray:
     for names in ("RGB", "RGBA", "Y", "YA"):
         if set(channels) == set(names):
             return np.stack([channels[name] for name in names], axis=-1)
-    raise Refused(f"channels {', '.join(channels)} came, R, G, B or Y are wanted")
+    raise Refused(f"expected channels R, G, B or Y, got {', '.join(channels)}")
 
 
 @contextlib.contextmanager

@@ -122,7 +122,7 @@ def write_gltf(
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in (".glb", ".gltf"):
-        raise ValueError(f"{path}: suffix {suffix!r} came, .glb or .gltf is wanted")
+        raise ValueError(f"{path}: expected suffix .glb or .gltf, got {suffix!r}")
     file = _File()
     for part, material in parts:
         file.add(part, material)

@@ -52,7 +52,8 @@ def read_image(
     if numbers.dtype.kind == "f":
         if encoding != "linear":
             raise ValueError(
-                f"{path}: encoding {encoding!r} came, floating-point images are linear"
+                f"{path}: expected encoding 'linear', as floating-point images have, "
+                f"got {encoding!r}"
             )
         image = numbers.astype(_float_type())
         if not np.isfinite(image).all():
@@ -161,10 +162,11 @@ def check_image(path: Path, encoding: Encoding, bits: Bits | None = None) -> int
     depth = min(writers) if bits is None else bits
     if depth not in writers:
         depths = " or ".join(str(known) for known in writers)
-        raise ValueError(f"{path}: bits: {depth!r} came, {depths} is wanted")
+        raise ValueError(f"{path}: bits: expected {depths}, got {depth!r}")
     if as_encoding(encoding) != "linear" and depth == 32:
         raise ValueError(
-            f"{path}: encoding {encoding!r} came, floating-point images are linear"
+            f"{path}: expected encoding 'linear', as floating-point images have, "
+            f"got {encoding!r}"
         )
     return depth
 
@@ -198,7 +200,7 @@ def _float_type() -> np.dtype:
 
 def _wanted_suffix(path: Path, known: Any) -> str:
     came = f"suffix {path.suffix!r}" if path.suffix else "no suffix"
-    return f"{came} came, one of {' '.join(known)} is wanted"
+    return f"expected one of {' '.join(known)}, got {came}"
 
 
 def _as_image(path: Path, image: Any) -> np.ndarray:
@@ -207,7 +209,7 @@ def _as_image(path: Path, image: Any) -> np.ndarray:
         light = np.stack([light] * 3, axis=-1)
     if light.ndim != 3 or light.shape[-1] != 3 or 0 in light.shape:
         raise ValueError(
-            f"{path}: an image of shape {light.shape} came, (height, width, 3) wanted"
+            f"{path}: expected an image (height, width, 3), got shape {light.shape}"
         )
     light = light.astype(np.float64)
     if not np.isfinite(light).all():
@@ -223,11 +225,10 @@ def _read_numbers(path: Path, max_pixels: int) -> np.ndarray:
     numbers = _decoded(path, lambda data: reader(data, path, max_pixels))
     numbers = numbers[..., None] if numbers.ndim == 2 else numbers
     if numbers.ndim != 3 or 0 in numbers.shape:
-        raise ValueError(f"{path}: shape {numbers.shape} came, one image is wanted")
+        raise ValueError(f"{path}: expected one image, got shape {numbers.shape}")
     if numbers.dtype not in (np.uint8, np.uint16) and numbers.dtype.kind != "f":
         raise ValueError(
-            f"{path}: samples of type {numbers.dtype} came, uint8, uint16 or floats "
-            "are wanted"
+            f"{path}: expected samples of uint8, uint16 or floats, got {numbers.dtype}"
         )
     return numbers
 
@@ -251,13 +252,15 @@ def _opaque(path: Path, numbers: np.ndarray) -> np.ndarray:
     """Without its alpha channel, which must not matter."""
     channels = numbers.shape[-1]
     if channels not in (1, 2, 3, 4):
-        raise ValueError(f"{path}: {channels} channels came, 1, 3 or those + alpha")
+        raise ValueError(
+            f"{path}: expected 1 or 3 channels, or these and alpha, got {channels}"
+        )
     if channels in (1, 3):
         return numbers
     highest = 1 if numbers.dtype.kind == "f" else np.iinfo(numbers.dtype).max
     if not (numbers[..., -1] == highest).all():
         raise ValueError(
-            f"{path}: is partly transparent, an opaque image is wanted (what lies "
-            "behind it is unknown; leave pixels out with a mask)"
+            f"{path}: expected an opaque image, got a partly transparent one: what "
+            "lies behind is unknown; leave pixels out with a mask"
         )
     return numbers[..., :-1]

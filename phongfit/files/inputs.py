@@ -39,7 +39,7 @@ def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
             raise ValueError(f"{path}: is not a file")
         size = path.stat().st_size
         if size > limit:
-            raise ValueError(f"{path}: {size} bytes came, at most {limit} wanted")
+            raise ValueError(f"{path}: expected at most {limit} bytes, got {size}")
         data = path.read_bytes()
     except OSError as error:
         raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
@@ -69,7 +69,7 @@ def read_table(path: Path, columns: int) -> Float[np.ndarray, "rows columns"]:
         with naming(f"{path}: line {number}"):
             row = [float(word) for word in line.split()]
             if len(row) != columns or not np.isfinite(row).all():
-                raise ValueError(f"{line!r} came, {columns} finite numbers wanted")
+                raise ValueError(f"expected {columns} finite numbers, got {line!r}")
             rows.append(row)
     return np.array(rows).reshape(-1, columns)
 
@@ -86,7 +86,7 @@ def inside(folder: Path, name: str) -> Path:
     # A name that Windows would take elsewhere is no use on other systems either.
     anchored = PurePosixPath(name).anchor or PureWindowsPath(name).anchor
     if not parts or anchored or ".." in parts or "\\" in name or "\0" in name:
-        raise ValueError(f"{name!r} came, the name of a file in this folder is wanted")
+        raise ValueError(f"expected the name of a file in this folder, got {name!r}")
     path = folder / name
     try:
         resolved = path.resolve()

@@ -33,7 +33,7 @@ def limited(
     array = np.asarray(value, float)
     if array.max(initial=0) <= highest:
         return array
-    lost(f"{name}: {array.max():g} came, {format} holds at most {highest:g}", nearest)
+    lost(f"{name}: {format} holds at most {highest:g}, got {array.max():g}", nearest)
     return np.minimum(array, highest)
 
 
@@ -48,9 +48,7 @@ def colour(name: str, leaf: Float[Array, "..."]) -> Float[np.ndarray, "3"]:
     """A leaf of one material as RGB; `ValueError` for a map or several materials."""
     values = np.asarray(leaf, float)
     if values.size not in (1, 3) or values.shape[:-1] not in ((), (1,)):
-        raise ValueError(
-            f"{name}: shape {leaf.shape} came, that of one material wanted"
-        )
+        raise ValueError(f"{name}: expected one material, got shape {leaf.shape}")
     return np.broadcast_to(values.ravel(), (3,)).copy()
 
 
@@ -62,7 +60,7 @@ def exponent(material: Material, highest: float, format: str, nearest: bool) -> 
     channels = colour("shininess", material.shininess)
     if np.ptp(channels) > 0:
         came = ", ".join(f"{channel:g}" for channel in channels)
-        lost(f"shininess: {came} came, {format} holds one for all channels", nearest)
+        lost(f"shininess: {format} holds one for all channels, got {came}", nearest)
         # The mean of logarithms: it is ratios of exponents that are seen.
         channels = np.exp(np.log(np.maximum(channels, 1e-6)).mean(keepdims=True))
     return float(limited("shininess", channels[0], highest, format, nearest))
@@ -88,7 +86,7 @@ def as_blinn(material: Material, model: AbstractSpecular) -> Material:
             )
         case BlinnPhong():
             return material
-    raise ValueError(f"model: {type(model).__name__} came, Phong or BlinnPhong wanted")
+    raise ValueError(f"model: expected Phong or BlinnPhong, got {type(model).__name__}")
 
 
 def _same_rank(*leaves: Float[Array, "..."]) -> list[Float[Array, "..."]]:

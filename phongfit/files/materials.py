@@ -70,7 +70,7 @@ def read_material(source: str) -> NamedMaterial:
         case ".json":
             return _from_record(Path(source))
     raise ValueError(
-        f"material: {source!r} came, preset:NAME, an .mtl or a .json file is wanted"
+        f"material: expected preset:NAME, an .mtl or a .json file, got {source!r}"
     )
 
 
@@ -79,9 +79,9 @@ def _from_library(path: Path, name: str | None) -> NamedMaterial:
     if name is None and len(materials) == 1:
         (name,) = materials
     if name not in materials:
-        came = "none came" if name is None else f"{name!r} came"
+        came = "none" if name is None else repr(name)
         known = ", ".join(f"{path}:{known}" for known in materials) or "it has none"
-        raise ValueError(f"{path}: {came}, one of its materials is wanted: {known}")
+        raise ValueError(f"{path}: expected one of its materials ({known}), got {came}")
     return NamedMaterial(name, materials[name], BlinnPhong())
 
 

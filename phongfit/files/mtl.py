@@ -43,7 +43,7 @@ def read_mtl(path: str | os.PathLike[str]) -> dict[str, Material]:
         with naming(f"{path}: line {number}"):
             if key == "newmtl":
                 if not words:
-                    raise ValueError("newmtl: a name is wanted")
+                    raise ValueError("newmtl: expected a name")
                 if name is not None:
                     materials[name] = _material(fields)
                 name, fields = " ".join(words), {}
@@ -66,7 +66,7 @@ def _numbers(key: str, words: list[str]) -> Any:
         numbers = []
     if len(numbers) not in wanted or not np.isfinite(numbers).all() or min(numbers) < 0:
         count = "1 or 3 numbers" if key in COLOURS else "1 number"
-        raise ValueError(f"{key}: {' '.join(words)!r} came, {count} ≥ 0 wanted")
+        raise ValueError(f"{key}: expected {count} ≥ 0, got {' '.join(words)!r}")
     return numbers[0] if len(numbers) == 1 else numbers
 
 
@@ -118,7 +118,7 @@ def write_mtl(
 
 def _block(name: str, material: Material, nearest: bool) -> str:
     if not name or name != " ".join(name.split()) or "#" in name:
-        raise ValueError(f"materials: {name!r} came, a name on one line is wanted")
+        raise ValueError(f"materials: expected a name on one line, got {name!r}")
     lines = [f"newmtl {name}"]
     with naming(name):
         for key, leaf in COLOURS.items():

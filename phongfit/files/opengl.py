@@ -164,7 +164,7 @@ def light_from_opengl(parameters: Mapping[str, Any]) -> AbstractLight:
     own = {"specular": values["GL_SPECULAR"][:3], "ambient": values["GL_AMBIENT"][:3]}
     place = np.asarray(values["GL_POSITION"], float)
     if place.shape != (4,):
-        raise ValueError(f"GL_POSITION: shape {place.shape} came, (4,) is wanted")
+        raise ValueError(f"GL_POSITION: expected shape (4,), got {place.shape}")
     spot = values["GL_SPOT_CUTOFF"] != 180
     if place[3] == 0:
         if spot:
@@ -226,7 +226,7 @@ def fog_from_opengl(parameters: Mapping[str, Any] | None) -> Fog | None:
     mode = values["GL_FOG_MODE"]
     if mode not in modes:
         raise ValueError(
-            f"GL_FOG_MODE: {values['GL_FOG_MODE']!r} came, {list(modes)} wanted"
+            f"GL_FOG_MODE: expected {list(modes)}, got {values['GL_FOG_MODE']!r}"
         )
     return Fog(
         values["GL_FOG_COLOR"][:3],

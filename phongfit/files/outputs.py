@@ -98,7 +98,7 @@ def check_file(path: Path) -> None:
     """
     _check_parent(path)
     if path.is_dir():
-        raise OSError(f"{path}: is a folder, a file name is wanted")
+        raise OSError(f"{path}: is a folder, expected the name of a file")
 
 
 def check_folder(path: Path, may_replace: Callable[[str], bool] | None) -> None:
@@ -119,7 +119,7 @@ def _check_replaceable(path: Path, may_replace: Callable[[str], bool] | None) ->
     if not path.exists():
         return
     if not path.is_dir():
-        raise OSError(f"{path}: is a file, a folder is wanted")
+        raise OSError(f"{path}: is a file, expected a folder")
     names = sorted(entry.name for entry in path.iterdir())
     if names and may_replace is None:
         raise OSError(f"{path}: the folder is not empty")

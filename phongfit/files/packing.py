@@ -56,7 +56,9 @@ def read_packed(path: Path, header: dict[str, Any], remedies: dict[str, str]) ->
             with zipfile.ZipFile(io.BytesIO(data)) as archive:
                 size = sum(entry.file_size for entry in archive.infolist())
             if size > MAX_BYTES:
-                raise ValueError(f"{size} bytes unpacked, at most {MAX_BYTES} wanted")
+                raise ValueError(
+                    f"expected at most {MAX_BYTES} bytes unpacked, got {size}"
+                )
             with np.load(io.BytesIO(data), allow_pickle=False) as file:
                 arrays = dict(file)
             structure = json.loads(arrays[_STRUCTURE].tobytes())

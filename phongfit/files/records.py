@@ -45,20 +45,20 @@ class AbstractRecord(BaseModel):
 
 
 def complain(text: str) -> PydanticCustomError:
-    """What a validator raises to say what came and what is wanted in its own words."""
+    """What a validator raises to say what was expected, in its own words."""
     # The text is not the template itself, since it may hold braces.
     return PydanticCustomError("phongfit", "{text}", {"text": text})
 
 
 def _as_three(value: Any) -> Any:
     if not isinstance(value, list | tuple) or len(value) != 3:
-        raise complain(f"{shorten(value)} came, three numbers are wanted")
+        raise complain(f"expected three numbers, got {shorten(value)}")
     return tuple(value)
 
 
 def _as_rows(value: Any) -> Any:
     if not isinstance(value, list | tuple) or len(value) != 3:
-        raise complain(f"{shorten(value)} came, three rows are wanted")
+        raise complain(f"expected three rows, got {shorten(value)}")
     return tuple(value)
 
 
@@ -76,7 +76,7 @@ def _as_leaf(value: Any) -> Any:
         return (value,)
     if isinstance(value, list | tuple) and len(value) in (1, 3):
         return tuple(value)
-    raise complain(f"{shorten(value)} came, one number or three are wanted")
+    raise complain(f"expected one number or three, got {shorten(value)}")
 
 
 Vector = Annotated[tuple[float, float, float], BeforeValidator(_as_three)]
@@ -101,7 +101,7 @@ def read_record(path: Path, kind: type[Record]) -> Record:
     """The record that a JSON file holds.
 
     **Raises:** `ValueError` that names the file and, for the first thing that is wrong,
-    the field, what came and what is wanted.
+    the field, what was expected and what was got.
     """
     text = read_text(path)
     with naming(str(path)):
@@ -132,7 +132,7 @@ def read_one_of(
         format = data.get("format") if isinstance(data, dict) else None
         if not isinstance(format, str) or format not in kinds:
             wanted = " or ".join(repr(name) for name in kinds)
-            raise ValueError(f"format: {shorten(format)} came, {wanted} is wanted")
+            raise ValueError(f"format: expected {wanted}, got {shorten(format)}")
     return read_record(path, kinds[format])
 
 
@@ -152,12 +152,14 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(record) != len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"the key {shorten(twice)} came twice in one object")
+        raise ValueError(
+            f"expected each key once in an object, got {shorten(twice)} twice"
+        )
     return record
 
 
 def _refuse_constant(name: str) -> Any:
-    raise ValueError(f"{name} came, finite numbers are wanted")
+    raise ValueError(f"expected finite numbers, got {name}")
 
 
 def shorten(value: Any) -> str:
@@ -167,7 +169,7 @@ def shorten(value: Any) -> str:
 
 
 def _explain(error: ErrorDetails, data: Any) -> str:
-    """`lights[1].direction: what came, what is wanted`."""
+    """`lights[1].direction: expected what, got what`."""
     place = _locate(error["loc"], data, absent=error["type"] == "missing")
     came = error["input"]
     message = error["msg"]
@@ -175,13 +177,13 @@ def _explain(error: ErrorDetails, data: Any) -> str:
         case "missing":
             return f"{place}: is missing"
         case "model_type" | "model_attributes_type":
-            return f"{place}: {shorten(came)} came, an object {{…}} is wanted"
+            return f"{place}: expected an object {{…}}, got {shorten(came)}"
         case "phongfit":
             return f"{place}: {message}"
         case "value_error":
             return f"{place}: {error.get('ctx', {}).get('error', message)}"
     wanted = message.removeprefix("Input should be ")
-    return f"{place}: {shorten(came)} came, {wanted} is wanted"
+    return f"{place}: expected {wanted}, got {shorten(came)}"
 
 
 def _locate(location: tuple[int | str, ...], data: Any, absent: bool) -> str:

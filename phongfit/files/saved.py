@@ -40,7 +40,7 @@ def load_fit(path: str | os.PathLike[str]) -> Fit:
     Classes of one's own, such as a light, must have been imported. The file holds no
     code.
 
-    **Raises:** `ValueError` that names the file, and what came and what is expected:
+    **Raises:** `ValueError` that names the file, what was expected and what was got:
     another version of the format, or the other floating-point precision.
     """
     found = read_packed(Path(path), _header(), _REMEDIES)

@@ -37,8 +37,8 @@ TRUTH_FILE = "truth.json"
 def load_scene(path: str | os.PathLike[str]) -> Scene:
     """A scene from its file, or from the folder of a data set, with all lights on.
 
-    **Raises:** `ValueError` that names the file, the field, what came and what is
-    wanted.
+    **Raises:** `ValueError` that names the file, the field, what was expected and
+    what was got.
     """
     path = _scene_file(path)
     return build_scene(path, read_record(path, SceneRecord))
@@ -131,8 +131,8 @@ def save_truth(
 def open_scene_dataset(folder: str | os.PathLike[str]) -> Photographs:
     """A data set whose `scene.json` lists its images.
 
-    **Raises:** `ValueError` that names the file, the field, what came and what is
-    wanted.
+    **Raises:** `ValueError` that names the file, the field, what was expected and
+    what was got.
     """
     folder = Path(folder)
     with naming(str(folder)):
@@ -180,22 +180,22 @@ def _check_size(scene: Scene) -> None:
     width, height = scene.camera.width, scene.camera.height
     if width * height > MAX_PIXELS:
         raise ValueError(
-            f"camera.width: {width} × {height} pixels came, at most {MAX_PIXELS} are "
-            "wanted"
+            f"camera.width: expected at most {MAX_PIXELS} pixels, got {width} × "
+            f"{height}"
         )
     surface = scene.surface
     if isinstance(surface, NormalMap) and surface.mask.shape != (height, width):
         raise ValueError(
-            f"surface: a normal map of {surface.mask.shape} pixels came, the camera "
-            f"wants {(height, width)}"
+            f"surface: expected a normal map of {(height, width)} pixels, as the "
+            f"camera has, got {surface.mask.shape}"
         )
 
 
 def _check_images(record: SceneRecord) -> None:
     if not record.images:
-        raise ValueError("images: is missing, a data set lists at least one")
+        raise ValueError("images: is missing, expected at least one in a data set")
     if record.encoding is None:
-        raise ValueError("encoding: is missing, 'linear' or 'srgb' is wanted")
+        raise ValueError("encoding: is missing, expected 'linear' or 'srgb'")
 
 
 def _read_entry(
@@ -211,8 +211,8 @@ def _read_entry(
     for source, shape in ((file, image.shape[:2]), (mask_file, mask.shape)):
         if shape != size:
             raise ValueError(
-                f"{source}: {shape[1]} × {shape[0]} pixels came, the camera in "
-                f"{path.name} wants {size[1]} × {size[0]}"
+                f"{source}: expected {size[1]} × {size[0]} pixels, as the camera in "
+                f"{path.name} has, got {shape[1]} × {shape[0]}"
             )
     return Photograph(image, mask)
 
@@ -227,8 +227,7 @@ def with_lights(scene: Scene, on: Sequence[int] | None) -> Scene:
     count = len(scene.lights)
     if len(set(on)) != len(on) or not set(on) <= set(range(count)):
         raise ValueError(
-            f"lights: {list(on)} came, different numbers from 0 to {count - 1} are "
-            "wanted"
+            f"lights: expected different numbers from 0 to {count - 1}, got {list(on)}"
         )
     return dataclasses.replace(scene, lights=[scene.lights[index] for index in on])
 

@@ -57,9 +57,7 @@ class CameraArguments(Arguments):
         if self.target is None and self.up is None:
             return given
         if given["rotation"] is not None:
-            raise ValueError(
-                "rotation: came beside target or up, one of the two is wanted"
-            )
+            raise ValueError("rotation: expected it or target and up, got both")
         target, up = self.target or (0.0, 0.0, 0.0), self.up or (0.0, 1.0, 0.0)
         return given | {"rotation": look_at(given["position"], target, up)}
 
@@ -116,7 +114,7 @@ def register(made: type, kind: str, /, **keys: str) -> None:
     families = [base for base in FAMILIES if base in getattr(made, "__mro__", ())]
     if not families or inspect.isabstract(made):
         wanted = ", ".join(base.__name__ for base in FAMILIES)
-        raise ValueError(f"made: {made!r} came, wanted is a final class of: {wanted}")
+        raise ValueError(f"made: expected a final class of {wanted}, got {made!r}")
     for name, record in kinds_of(families[0]).items():
         same = _full_name(record.makes) == _full_name(made)
         if name == kind and not same:
@@ -204,7 +202,7 @@ def describe_material(material: Material) -> dict[str, Any]:
     for name in described:
         shape = getattr(material, name).shape
         if shape not in ((), (3,)):
-            raise ValueError(f"{name}: shape {shape} came, () or (3,) is wanted")
+            raise ValueError(f"{name}: expected shape () or (3,), got {shape}")
     return described
 
 

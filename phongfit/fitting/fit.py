@@ -13,7 +13,7 @@ from phongfit.fitting.problem.inputs import (
     is_number,
 )
 from phongfit.fitting.problem.losses import AbstractLoss
-from phongfit.fitting.problem.posing import Setting, set_up
+from phongfit.fitting.problem.posing import FitData, set_up
 from phongfit.fitting.problem.samples import gather, seen_pixels
 from phongfit.fitting.problem.specification import (
     DEFAULT_PER_CHANNEL,
@@ -205,7 +205,7 @@ def fit(
 
 
 def _fitted_image(
-    setting: Setting,
+    setting: FitData,
     which: int,
     scene: Scene,
     entries: Array,

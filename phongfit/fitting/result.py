@@ -16,7 +16,7 @@ from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.solve.search import SearchResult
-from phongfit.fitting.uncertainty.descent import descend
+from phongfit.fitting.uncertainty.convergence import trace_convergence
 from phongfit.fitting.uncertainty.diagnostics import (
     MOST_PROFILES,
     MOST_SAMPLES,
@@ -166,10 +166,10 @@ class Fit:
         free = self.problem.unknowns.y_labels
         chosen = choose_profiles([self.labels[k] for k in identified], free)
         few = MOST_PROFILES * MOST_SAMPLES // self.n_samples if self.converged else 0
-        descent = None
+        convergence = None
         if self.n_samples <= MOST_PROFILES * MOST_SAMPLES:
-            descent = descend(self.solution)
-        return Diagnostics(chosen, tuple(map(self.profile, chosen[:few])), descent)
+            convergence = trace_convergence(self.solution)
+        return Diagnostics(chosen, tuple(map(self.profile, chosen[:few])), convergence)
 
     def plot(self, names: Sequence[str] = ()) -> "Figure":
         """Photograph, fit and residual as a matplotlib figure, of some of the images.

@@ -16,7 +16,7 @@ from phongfit.geometry.tracing import trace
 from phongfit.maps.layers import Masks, Noise
 from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.pixel import Known
-from phongfit.maps.pixel.settings import MAP_PARAMETERS, Settings
+from phongfit.maps.pixel.settings import MAP_PARAMETERS, MapSettings
 from phongfit.maps.pixel.tile import Outside, Tile
 from phongfit.material import Material
 from phongfit.rendering.film import Film
@@ -110,7 +110,7 @@ def _check_power(scene: Scene) -> None:
         )
 
 
-def resolve(scenes: tuple[Scene, ...], lighting: Lighting) -> Geometry:
+def resolve_geometry(scenes: tuple[Scene, ...], lighting: Lighting) -> Geometry:
     """What every pixel sees, from the first scene; shadows from each."""
     first = scenes[0]
     gbuffer = trace(first.surface, first.camera)
@@ -163,7 +163,7 @@ def make_settings(
     start: Any,
     noise: Noise,
     min_cosine: float,
-) -> Settings:
+) -> MapSettings:
     """Settings of a pixel's fit, checked.
 
     **Raises:** `ValueError` that names the argument.
@@ -203,7 +203,7 @@ def make_settings(
     cutoff, exactly = (1.0, True) if film is None else (1.0, False)
     if film is not None and not film.clamp:
         cutoff = float("inf")
-    return Settings(
+    return MapSettings(
         names=names,
         bounds=tuple(_bound(name, bounds) for name in MAP_PARAMETERS),
         shared="shininess" not in per_channel,
@@ -242,7 +242,7 @@ def _has_ambient(scenes: tuple[Scene, ...]) -> bool:
     )
 
 
-def check_enough(settings: Settings, images: int) -> None:
+def check_enough(settings: MapSettings, images: int) -> None:
     """Enough images for the unknowns of a pixel.
 
     **Raises:** `ValueError` that says what fewer could identify.
@@ -268,7 +268,7 @@ def check_enough(settings: Settings, images: int) -> None:
 
 
 def make_outside(
-    lighting: Lighting, settings: Settings, known: Any, start: Any, noise: Noise
+    lighting: Lighting, settings: MapSettings, known: Any, start: Any, noise: Noise
 ) -> Outside:
     """What all tiles share.
 
@@ -310,7 +310,7 @@ def _three(name: str, leaf: Any) -> np.ndarray:
 
 
 def identify(
-    settings: Settings,
+    settings: MapSettings,
     outside: Outside,
     geometry: Geometry,
     masks: Masks,

@@ -22,7 +22,7 @@ from phongfit.maps.job import (
     identify,
     make_outside,
     make_settings,
-    resolve,
+    resolve_geometry,
 )
 from phongfit.maps.layers import Masks, Noise
 from phongfit.maps.pixel.flags import Flag
@@ -136,7 +136,7 @@ def fit_maps(
     lighting = make_lighting(scenes)
     outside = make_outside(lighting, settings, known, start, levels)
     masks = Masks(mask, stack.shape)
-    geometry = resolve(scenes, lighting)
+    geometry = resolve_geometry(scenes, lighting)
     seen = geometry.mask & masks.anywhere()
     pixels = np.flatnonzero(seen)
     if not len(pixels):

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from phongfit.fitting.result import Fit
-from phongfit.fitting.uncertainty.descent import Descent
+from phongfit.fitting.uncertainty.convergence import Convergence
 from phongfit.fitting.uncertainty.diagnostics import Diagnostics
 from phongfit.report.html import source
 from phongfit.report.pictures import displayed, draw_residual
@@ -173,24 +173,24 @@ def convergence(fit: Fit, found: Diagnostics | None) -> tuple[Panel | None, str]
     end = f"The fit took {fit.steps} steps: {fit.reason}."
     if found is None:
         return None, end
-    if found.descent is None:
+    if found.convergence is None:
         return None, f"{end} Its course is not drawn: of so many samples it takes long."
-    descent = found.descent
-    if not np.isfinite(descent.costs).all():
+    course = found.convergence
+    if not np.isfinite(course.costs).all():
         return None, f"{end} Costs are not finite."
-    steps = len(descent.costs) - 1
+    steps = len(course.costs) - 1
     words = (
         f"{end} Below, one way down on all samples, from the best of a scan over the "
         "exponent; the fit itself begins with a few samples."
     )
-    if _misses(descent):
+    if _misses(course):
         words += (
             " It ends higher than the fit, which tries several ways where the scene "
             "is unknown."
         )
     alt = f"Cost above the least, step by step: {steps} steps."
-    return _drawn(lambda axes: draw_convergence(axes, descent), alt), words
+    return _drawn(lambda axes: draw_convergence(axes, course), alt), words
 
 
-def _misses(descent: Descent) -> bool:
-    return float(descent.costs[-1]) > descent.least + 1
+def _misses(convergence: Convergence) -> bool:
+    return float(convergence.costs[-1]) > convergence.least + 1

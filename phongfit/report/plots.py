@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from phongfit.fitting.result import Fit
-from phongfit.fitting.uncertainty.descent import Descent
+from phongfit.fitting.uncertainty.convergence import Convergence
 from phongfit.report.pictures import Row, comparison, draw_residual
 from phongfit.report.residuals import draw_against_level, draw_blocks, draw_histogram
 from phongfit.report.style import ACCENT, INK, SIGNED, picture, quiet, styled
@@ -155,10 +155,10 @@ def plot_correlations(fit: Fit) -> Figure:
     return figure
 
 
-def draw_convergence(axes: Axes, descent: Descent) -> None:
+def draw_convergence(axes: Axes, convergence: Convergence) -> None:
     """How far above the least cost each step stands."""
-    least = min(descent.least, float(np.nanmin(descent.costs)))
-    above = np.maximum(descent.costs - least, 1e-3)
+    least = min(convergence.least, float(np.nanmin(convergence.costs)))
+    above = np.maximum(convergence.costs - least, 1e-3)
     axes.semilogy(range(len(above)), above, "o-", color=ACCENT, markersize=4)
     axes.axhline(1, color=INK, linewidth=0.8, linestyle="--")
     axes.text(

@@ -194,7 +194,7 @@ def test_pictures_and_report(brass, tmp_path, capsys):
             "ties: expected a label, or FACTOR*LABEL, for a, got '2*'",
         ),
         (["--ties", "a=b", "a=c"], "ties: expected ... got 'a=c'"),
-        (["--known", "gold"], "known: material: 'gold' came, preset:NAME"),
+        (["--known", "gold"], "known: material: expected preset:NAME ... got 'gold'"),
         (["--noise", "0"], "noise: expected a number > 0"),
         (["--noise", "nan"], "noise: expected ... got nan"),
         (["--max-steps", "0"], "max_steps: expected ... got 0"),
@@ -217,14 +217,14 @@ def test_bad_options(brass, tmp_path, capsys, args, words):
     [
         (
             {"format": "phongfit truth"},
-            "format: \"phongfit truth\" came, 'phongfit fit'",
+            "format: expected 'phongfit fit' ... got \"phongfit truth\"",
         ),
-        ({"version": 3}, "version: 3 came"),
+        ({"version": 3}, "version: expected ... got 3"),
         ({"values": [0.5]}, "values: expected 10, one a label, got 1"),
         ({"covariance": [[1.0]]}, "covariance: expected 10 rows of 10 numbers"),
-        ({"settings__loss": "l2"}, 'settings.loss: "l2" came'),
+        ({"settings__loss": "l2"}, 'settings.loss: expected ... got "l2"'),
         ({"settings__lost": 1}, "\"lost\" is no key of it; did you mean 'loss'?"),
-        ({"settings__noise": -1}, "settings.noise: -1 came"),
+        ({"settings__noise": -1}, "settings.noise: expected ... got -1"),
         ({"settings__bounds": {"diffuse": [1]}}, "settings.bounds.diffuse"),
         ({"data__inputs": {"a.png": "zz"}}, "data.inputs"),
         ({"material__diffuse": [[0.1], [0.1, 0.2]]}, "rows of one length"),
@@ -232,7 +232,7 @@ def test_bad_options(brass, tmp_path, capsys, args, words):
             {"material__diffuse": -1.0},
             "material: diffuse: expected finite numbers ≥ 0, got -1",
         ),
-        ({"labels": []}, "labels: [] came"),
+        ({"labels": []}, "labels: expected ... got []"),
     ],
 )
 def test_a_wrong_record_names_the_field(fitted, tmp_path, changes, words):
@@ -241,7 +241,7 @@ def test_a_wrong_record_names_the_field(fitted, tmp_path, changes, words):
     _change(path, **changes)
     with pytest.raises(ValueError) as caught:
         read_fit_record(path)
-    assert str(caught.value).startswith(f"{path}: ") and words in str(caught.value)
+    assert str(caught.value).startswith(f"{path}: ") and said(words, str(caught.value))
 
 
 def test_like_and_other_settings_do_not_mix(brass, fitted, tmp_path, capsys):

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from phongfit.cli import main
+from tests.helpers import said
 
 COMMANDS: dict[str, Callable[[Path, Path], list[str]]] = {
     "fit": lambda data, out: ["fit", f"{data}", "--report", "none", "-o", f"{out}"],
@@ -86,31 +87,31 @@ DAMAGED_SCENES: dict[str, tuple[Damage, str]] = {
     ),
     "huge": (
         lambda d: (d / "scene.json").write_text(" " * (2**24 + 1)),
-        "scene.json: 16777217 bytes came",
+        "scene.json: expected ... bytes, got 16777217",
     ),
     "huge camera": (
         lambda d: _edit(d, camera={"kind": "orthographic", "width": 10**6,
                                    "height": 10**6}),
-        "scene.json: camera.width: 1000000 × 1000000 pixels came",
+        "scene.json: camera.width: expected ... got 1000000 × 1000000 pixels",
     ),
     "an unknown key": (lambda d: _edit(d, shadow=1), "did you mean 'shadows'?"),
     "outside": (
         lambda d: _edit(d, surface={"kind": "normal_map", "normals": "../n.npy"}),
-        "scene.json: surface.normals: '../n.npy' came",
+        "scene.json: surface.normals: expected ... got '../n.npy'",
     ),
     "absolute": (
         lambda d: _edit(d, surface={"kind": "mesh_file", "file": "/etc/passwd"}),
-        "scene.json: surface.file: '/etc/passwd' came",
+        "scene.json: surface.file: expected ... got '/etc/passwd'",
     ),
 }  # fmt: skip
 LEADING_OUT: dict[str, tuple[Damage, str]] = {
     "a name": (
         lambda d: _edit(d, images=[{"file": "../secret.png"}]),
-        "images[0]: '../secret.png' came, the name of a file in this folder",
+        "images[0]: expected the name of a file in this folder ... got '../secret.png'",
     ),
     "a mask": (
         lambda d: _edit(d, images=[{"file": "001.png", "mask": "/secret.png"}]),
-        "images[0]: '/secret.png' came",
+        "images[0]: expected ... got '/secret.png'",
     ),
     "a link": (lambda d: _link(d, "002.png"), "'002.png': is a link that leads out"),
     "a linked scene": (lambda d: _link(d, "scene.json"), "'scene.json': is a link"),
@@ -130,7 +131,7 @@ def _check(folder: Path, args: list[str], words: str, capsys) -> None:
     capsys.readouterr()
     assert main(args) == 2
     output = capsys.readouterr()
-    assert output.err.startswith("error: ") and words in output.err, output.err
+    assert output.err.startswith("error: ") and said(words, output.err), output.err
     assert output.err.count("\n") == 1 and output.out == "", output
     assert _tree(folder) == before
 
@@ -167,14 +168,16 @@ def test_an_output_that_is_in_the_way(brass, tmp_path, capsys, command):
     out = Path(args[-1])
     if command in ("fit", "one", "maps"):
         out.write_text("a file")
-        _check(tmp_path, args, f"{out}: is a file, a folder is wanted", capsys)
+        _check(tmp_path, args, f"{out}: is a file, expected a folder", capsys)
         out.unlink()
         out.mkdir()
         (out / "notes.txt").write_text("mine")
         _check(tmp_path, args, f"{out}: ", capsys)
     else:
         out.mkdir()
-        _check(tmp_path, args, f"{out}: is a folder, a file name is wanted", capsys)
+        _check(
+            tmp_path, args, f"{out}: is a folder, expected the name of a file", capsys
+        )
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -156,7 +156,9 @@ def test_costs_are_of_what_they_say():
 
 
 def test_nothing_to_time():
-    with pytest.raises(ValueError, match="resolution, runs: whole numbers ≥ 1"):
+    with pytest.raises(
+        ValueError, match="resolution, runs: expected whole numbers ≥ 1"
+    ):
         main(runs=0)
 
 

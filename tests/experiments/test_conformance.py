@@ -98,9 +98,9 @@ def test_a_scene_that_falls_short(folder, capsys, changes):
             dict(
                 projection=dict(kind="orthographic", left=-1, right=2, bottom=-1, top=1)
             ),
-            "projection: one off the axis",
+            "projection: expected a centred one, got one off the axis",
         ),
-        (dict(width=128), "its image has shape"),
+        (dict(width=128), "expected shape (256, 128, 3), got"),
     ],
 )
 def test_a_scene_that_cannot_be_read(folder, capsys, changes, said):

@@ -35,8 +35,12 @@ def close(number: str, other: str) -> bool:
 
 
 def environment(**changes: str) -> dict[str, str]:
-    """As a user has it: single precision, and no photographs unless they are named."""
-    plain = {k: v for k, v in os.environ.items() if k != "PHONGFIT_PHOTOS"}
+    """As a user has it: single precision, and no photographs unless they are named.
+
+    A kernel that is stopped while it keeps a program leaves half of it.
+    """
+    without = ("PHONGFIT_PHOTOS", "JAX_COMPILATION_CACHE_DIR")
+    plain = {name: v for name, v in os.environ.items() if name not in without}
     return plain | {"JAX_ENABLE_X64": "0"} | changes
 
 

@@ -129,5 +129,7 @@ def test_a_scene_out_of_range(named, keywords):
 def test_at_most_eight_lights():
     light = pf.PointLight((1, 2, 3))
     many = pf.Scene(BOX, lights=[light] * 9, shading=pf.GouraudShading())
-    with pytest.raises(ValueError, match="^lights: 9 came, OpenGL has 8"):
+    with pytest.raises(
+        ValueError, match="^lights: expected at most 8, as OpenGL has, got 9"
+    ):
         scene_to_opengl(many, nearest=True)

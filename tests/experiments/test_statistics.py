@@ -43,5 +43,5 @@ def test_random_problems_are_of_all_kinds():
 
 
 def test_draws_below_one():
-    with pytest.raises(ValueError, match="draws, starts: whole numbers ≥ 1"):
+    with pytest.raises(ValueError, match="draws, starts: expected whole numbers ≥ 1"):
         main(draws=0)

@@ -19,6 +19,7 @@ from phongfit.files.images import (
     to_levels,
     write_image,
 )
+from tests.helpers import said
 
 FORMATS = [
     (".png", 8, 0.5 / 255),
@@ -106,7 +107,7 @@ def test_alpha(tmp_path):
     assert read_image(path, "linear").shape == (2, 2, 3)
     rgba[0, 0, 3] = 254
     path.write_bytes(imagecodecs.png_encode(rgba))
-    with pytest.raises(ValueError, match=r"a\.png: is partly transparent"):
+    with pytest.raises(ValueError, match=r"a\.png: expected an opaque image"):
         read_image(path, "linear")
 
 
@@ -129,7 +130,7 @@ def test_exr_with_separate_and_half_channels(tmp_path):
     assert np.array_equal(read_image(path, "linear"), numbers)
     with OpenEXR.File({"type": OpenEXR.scanlineimage}, {"Z": channels["R"]}) as file:
         file.write(str(path))
-    with pytest.raises(ValueError, match=r"a\.exr: channels Z came"):
+    with pytest.raises(ValueError, match=r"a\.exr: expected.*got Z"):
         read_image(path, "linear")
 
 
@@ -182,11 +183,11 @@ BROKEN = {
     "text.tif": (b"hello", "does not start as a TIFF"),
     "text.hdr": (b"hello", "does not start as a Radiance"),
     "text.exr": (b"hello", "is broken or no .exr image"),
-    "text.gif": (b"GIF89a", "suffix '.gif' came, one of .png"),
+    "text.gif": (b"GIF89a", "expected one of .png ... got suffix '.gif'"),
     "nothing": (b"", "no suffix came"),
-    "bomb.png": (_png_header(60000, 60000), "60000 × 60000 pixels came"),
-    "bomb.hdr": (HUGE_HDR, "99999 × 99999 pixels came"),
-    "bomb.tif": (HUGE_TIFF, "99999 × 99999 pixels came"),
+    "bomb.png": (_png_header(60000, 60000), "pixels, got 60000 × 60000"),
+    "bomb.hdr": (HUGE_HDR, "pixels, got 99999 × 99999"),
+    "bomb.tif": (HUGE_TIFF, "pixels, got 99999 × 99999"),
 }
 
 
@@ -214,7 +215,7 @@ def test_more_pixels_than_are_allowed(tmp_path, picture, suffix, bits, error):
     path = tmp_path / f"a{suffix}"
     write_image(path, picture, "linear", bits)
     assert read_image(path, "linear", max_pixels=24 * 32).shape == (24, 32, 3)
-    words = "32 × 24 pixels came, at most 767 are"
+    words = "expected at most 767 pixels, got 32 × 24"
     with pytest.raises(ValueError, match=words):
         read_image(path, "linear", max_pixels=24 * 32 - 1)
     with pytest.raises(ValueError, match=words):
@@ -232,7 +233,7 @@ def _check_one_line(path, message, capfd) -> None:
     with pytest.raises(ValueError) as caught:
         read_image(path, "linear")
     text = str(caught.value)
-    assert text.startswith(str(path)) and message in text and "\n" not in text
+    assert text.startswith(str(path)) and said(message, text) and "\n" not in text
     # Libraries must not talk to the user past us.
     assert capfd.readouterr() == ("", "")
 
@@ -256,7 +257,7 @@ def test_cmyk_and_inverted_grey_are_refused(tmp_path):
         read_image(path, "linear")
     path = tmp_path / "a.jpg"
     iio.imwrite(path, np.zeros((8, 8, 4), np.uint8), plugin="pillow", mode="CMYK")
-    with pytest.raises(ValueError, match=r"a\.jpg: CMYK came"):
+    with pytest.raises(ValueError, match=r"a\.jpg: expected.*got CMYK"):
         read_image(path, "linear")
 
 
@@ -282,14 +283,32 @@ def test_encoding_is_never_guessed(tmp_path, picture):
 @pytest.mark.parametrize(
     "name, image, encoding, bits, message",
     [
-        ("a.png", np.zeros((2, 3, 4)), "linear", 8, r"shape \(2, 3, 4\) came"),
-        ("a.png", np.zeros((0, 3, 3)), "linear", 8, r"shape \(0, 3, 3\) came"),
+        (
+            "a.png",
+            np.zeros((2, 3, 4)),
+            "linear",
+            8,
+            r"expected an image.*got shape \(2, 3, 4\)",
+        ),
+        (
+            "a.png",
+            np.zeros((0, 3, 3)),
+            "linear",
+            8,
+            r"expected an image.*got shape \(0, 3, 3\)",
+        ),
         ("a.png", np.full((2, 3, 3), np.nan), "linear", 8, "NaN"),
         ("a.png", np.full((2, 3, 3), np.inf), "linear", 8, "infinite"),
-        ("a.png", np.zeros((2, 3, 3)), "linear", 32, "bits: 32 came, 8 or 16"),
-        ("a.jpg", np.zeros((2, 3, 3)), "linear", 16, "bits: 16 came, 8"),
+        (
+            "a.png",
+            np.zeros((2, 3, 3)),
+            "linear",
+            32,
+            "bits: expected 8 or 16.*got 32",
+        ),
+        ("a.jpg", np.zeros((2, 3, 3)), "linear", 16, "bits: expected 8.*got 16"),
         ("a.exr", np.zeros((2, 3, 3)), "srgb", 32, "floating-point images are lin"),
-        ("a.bmp", np.zeros((2, 3, 3)), "linear", 8, "suffix '.bmp' came"),
+        ("a.bmp", np.zeros((2, 3, 3)), "linear", 8, "expected.*got suffix '.bmp'"),
         (
             "a.png",
             np.zeros((2, 3, 3)),

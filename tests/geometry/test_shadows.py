@@ -156,7 +156,7 @@ def test_a_scene_with_shadows_wants_a_buffer_with_its_shadows():
         pf.trace(FLOOR, VIEW, [light, light], shadows=True),
         pf.trace(FLOOR, VIEW, [light], shadows=True, shading=pf.GouraudShading()),
     ):
-        with pytest.raises(ValueError, match="^gbuffer: its visibility"):
+        with pytest.raises(ValueError, match="^gbuffer: expected visibility of shape"):
             pf.render(scene, pf.Material(), gbuffer=gbuffer)
 
 

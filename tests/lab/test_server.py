@@ -7,6 +7,7 @@ import pytest
 
 from phongfit.lab.server import ASSETS
 from phongfit.lab.uploads import MAX_BYTES
+from tests.helpers import said
 
 pytestmark = pytest.mark.float64
 
@@ -51,7 +52,11 @@ def test_a_picture(port):
     [
         ("/api/picture", "", "is no JSON"),
         ("/api/picture", b"\xff", "is no JSON"),
-        ("/api/picture", '{"settings": {"turn": 900}}', "settings.turn: 900 came"),
+        (
+            "/api/picture",
+            '{"settings": {"turn": 900}}',
+            "settings.turn: expected ... got 900",
+        ),
         ("/api/picture", '{"settings": {"surface": "x"}}', "mesh: is no longer held"),
         ("/api/fit", '{"settings": {}, "target": "x"}', "target: is no longer held"),
         ("/api/mesh?name=a.obj", "v 1 2\nf 1 2 3", "a.obj: cannot be read"),
@@ -63,7 +68,7 @@ def test_a_picture(port):
     ],
 )
 def test_what_is_wrong_is_told_in_one_line(port, path, body, words):
-    assert words in _complaint(port, path, body)
+    assert said(words, _complaint(port, path, body))
 
 
 def test_requests_from_elsewhere(port):

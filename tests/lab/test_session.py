@@ -148,7 +148,7 @@ def test_no_light_has_no_place(session):
         target=made["target"],
         options=FitOptions(light_too=True),
     )
-    with pytest.raises(ValueError, match="light: there is none"):
+    with pytest.raises(ValueError, match="light: there is no light"):
         session.fit(asked)
 
 

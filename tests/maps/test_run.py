@@ -109,7 +109,7 @@ def test_no_highlight_and_no_light_are_told(stack):
 def test_some_leaves_may_be_known(stack):
     known = stack.truth
     flat = pf.Material(0.0, 0.3, 15.0, 0.4)
-    with pytest.raises(ValueError, match="known: a parameter of shape"):
+    with pytest.raises(ValueError, match="known: expected parameters of shape"):
         pf.fit_maps(stack.scenes, stack.images, unknowns=("diffuse",), known=known)
     clean = [np.asarray(pf.render(s, flat, film=FREE)) for s in stack.scenes]
     matte = pf.Material(known.diffuse, 0.0, 15.0, 0.0)

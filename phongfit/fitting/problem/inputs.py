@@ -11,7 +11,7 @@ from phongfit.scene import Scene
 
 
 @dataclasses.dataclass(frozen=True)
-class Photograph:
+class Observation:
     """One image, its scene, and how much each of its samples counts.
 
     The weight is (1, 1, 1) where that is the same for all: most images come like this,
@@ -45,7 +45,7 @@ def as_scenes(scene: Scene | Sequence[Scene]) -> tuple[Scene, ...]:
 
 def as_photographs(
     scene: Scene | Sequence[Scene], image: Any, mask: Any, weights: Any, noise: Any
-) -> list[Photograph]:
+) -> list[Observation]:
     """Arguments of [`fit`][] as a list of photographs.
 
     **Raises:** `ValueError` that names the argument, and which of several it is.
@@ -99,7 +99,7 @@ def _sequence(name: str, given: Any, count: int) -> list[Any]:
 
 def _photograph(
     which: str, scene: Scene, image: Any, mask: Any, weights: Any, noise: Any
-) -> Photograph:
+) -> Observation:
     shape = (scene.camera.height, scene.camera.width, 3)
     pixels = np.asarray(image)
     if pixels.dtype.kind != "f":
@@ -131,7 +131,7 @@ def _photograph(
     weight = weight.astype(pixels.dtype, copy=False)
     finite = np.isfinite(pixels)
     if finite.all():
-        return Photograph(f"image{which}", scene, pixels, weight)
+        return Observation(f"image{which}", scene, pixels, weight)
     wrong = ~finite & (weight > 0)
     if wrong.any():
         y, x, c = np.argwhere(wrong)[0]
@@ -139,7 +139,7 @@ def _photograph(
             f"image{which}: {np.count_nonzero(wrong)} samples are NaN or infinite, the "
             f"first in row {y}, column {x}, channel {c}; mask them out"
         )
-    return Photograph(f"image{which}", scene, np.where(finite, pixels, 0), weight)
+    return Observation(f"image{which}", scene, np.where(finite, pixels, 0), weight)
 
 
 def _per_sample(name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from phongfit.checks import untraced
-from phongfit.fitting.problem.inputs import Photograph, as_photographs, as_scenes
+from phongfit.fitting.problem.inputs import Observation, as_photographs, as_scenes
 from phongfit.fitting.problem.layout import make_unknowns
 from phongfit.fitting.problem.noise import find_film, rounding_steps
 from phongfit.fitting.problem.problem import Problem
@@ -75,7 +75,7 @@ def make_problem(
 
 
 @dataclasses.dataclass(frozen=True)
-class Setting:
+class FitData:
     """What is asked, checked: unknowns, images with their geometry, and their films."""
 
     unknowns: Unknowns
@@ -91,7 +91,7 @@ def set_up(
     mask: Any = None,
     weights: Any = None,
     noise: Any = None,
-) -> Setting:
+) -> FitData:
     """What is asked next to the data, checked and in one form.
 
     **Raises:** `ValueError` that names the argument.
@@ -116,7 +116,7 @@ def set_up(
     ]
     _check_samples(sources, layout)
     _check_constants(layout, sources)
-    return Setting(layout, sources, films)
+    return FitData(layout, sources, films)
 
 
 @functools.cache
@@ -141,7 +141,7 @@ def _geometry(scene: Scene, keep: bool) -> _Geometry:
 
 
 def as_source(
-    photograph: Photograph, seen: _Geometry, film: Film, rounded: bool
+    photograph: Observation, seen: _Geometry, film: Film, rounded: bool
 ) -> Source:
     """A photograph and what it shows; pixels that see nothing have no weight.
 
@@ -165,7 +165,7 @@ def _as_shown(image: np.ndarray, film: Film) -> np.ndarray:
 
 
 def _checked_films(
-    film: Film | Sequence[Film] | None, photographs: list[Photograph]
+    film: Film | Sequence[Film] | None, photographs: list[Observation]
 ) -> tuple[Film, ...]:
     """A film for each photograph.
 

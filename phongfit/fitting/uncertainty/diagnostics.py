@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
-from phongfit.fitting.uncertainty.descent import Descent
+from phongfit.fitting.uncertainty.convergence import Convergence
 from phongfit.fitting.uncertainty.profile import Profile
 
 MOST_PROFILES = 3
@@ -21,12 +21,12 @@ class Diagnostics:
 
     - `chosen`: labels of the unknowns that are worth a profile, the exponent first.
     - `profiles`: of as many of these as samples allow in seconds.
-    - `descent`: the cost step by step; `None` of too many samples.
+    - `convergence`: the cost step by step; `None` of too many samples.
     """
 
     chosen: tuple[str, ...]
     profiles: tuple[Profile, ...]
-    descent: Descent | None
+    convergence: Convergence | None
 
 
 def choose_profiles(labels: Sequence[str], free: Sequence[str]) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from phongfit.maps.pixel.search import (
     survey,
     where_wanted,
 )
-from phongfit.maps.pixel.settings import Settings
+from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import (
     Numbers,
     Triangle,
@@ -68,7 +68,7 @@ def standard_errors(
     log_cosine: Lights,
     box: Box,
     thorough: Bool[Array, ""],
-    settings: Settings,
+    settings: MapSettings,
 ) -> Errors:
     r"""Errors from $\sigma^2 (J^\top J)^{-1}$, with no unknown held by its bound.
 

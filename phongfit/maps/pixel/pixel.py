@@ -25,11 +25,11 @@ from phongfit.maps.pixel.search import (
     SHORTEST,
     Descent,
     candidates,
-    descend,
-    scan,
+    refine_exponents,
+    scan_exponents,
     where_wanted,
 )
-from phongfit.maps.pixel.settings import Settings
+from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import dot, optimization_barrier, over_channels
 
 # Steps on the sum of the channels, which are a third of the price, then on all; and of
@@ -117,7 +117,7 @@ def fit_pixel(
     known: Known,
     noise: Float[Array, ""],
     thorough: Bool[Array, ""],
-    settings: Settings,
+    settings: MapSettings,
 ) -> tuple[PixelFit, Bool[Array, ""]]:
     """The material of one pixel, from its samples alone.
 
@@ -271,7 +271,7 @@ def _split(samples: PixelSamples, known: Known) -> tuple[PixelSamples, Known]:
     return samples, jax.tree.map(apart, known)
 
 
-def _box(settings: Settings, dtype: jnp.dtype) -> Box:
+def _box(settings: MapSettings, dtype: jnp.dtype) -> Box:
     names = (*settings.columns, "specular")
     edges = [settings.bound(name) for name in names]
     low, high = (
@@ -287,7 +287,7 @@ def _solve(
     noise: Array,
     unlike: Array,
     thorough: Array,
-    settings: Settings,
+    settings: MapSettings,
 ) -> _Found:
     """One group of channels: the exponent, then everything else."""
     dtype = samples.target.dtype
@@ -318,7 +318,7 @@ def _search(
     unlike: Array,
     thorough: Array,
     box: Box,
-    settings: Settings,
+    settings: MapSettings,
 ) -> tuple[Array, Array]:
     """The exponent of a group of channels, and whether the search was cut short.
 
@@ -334,9 +334,9 @@ def _search(
     else:
         summed = columns
     if settings.scanned:
-        t, low, high = scan(summed, model, cosine, box, count)
+        t, low, high = scan_exponents(summed, model, cosine, box, count)
     t, low, high = optimization_barrier((jnp.clip(t, low, high), low, high))
-    start = descend(summed, model, cosine, t, low, high, box, SUMMED_STEPS)
+    start = refine_exponents(summed, model, cosine, t, low, high, box, SUMMED_STEPS)
 
     def variance(value: Array) -> Array:
         return _variance(columns, samples.weight, value, noise, settings)
@@ -355,7 +355,7 @@ def _search(
         wanted = wanted & (thorough | most)
         found = where_wanted(
             wanted,
-            lambda columns: scan(columns, model, cosine, box, count).t,
+            lambda columns: scan_exponents(columns, model, cosine, box, count).t,
             columns,
             found,
         )
@@ -363,12 +363,14 @@ def _search(
     t, bend = optimization_barrier((found, bend))
     steps = STEPS if channels > 1 else 0
     most = jnp.where(thorough, MOST_STEPS, STEPS)
-    end = descend(columns, model, cosine, t, *edges, box, steps, bend, most, variance)
+    end = refine_exponents(
+        columns, model, cosine, t, *edges, box, steps, bend, most, variance
+    )
     return end.t, unsettled | ~end.ended
 
 
 def _variance(
-    columns: Columns, weight: Array, value: Array, noise: Array, settings: Settings
+    columns: Columns, weight: Array, value: Array, noise: Array, settings: MapSettings
 ) -> Array:
     """Of a sample: as it was given, or from the squares that a value of φ leaves."""
     if settings.noise_given:
@@ -385,7 +387,7 @@ def _is_vague(found: Descent, variance: Array, box: Box) -> Array:
     return ~steep | (found.t <= box.lowest) | (found.t >= box.highest)
 
 
-def _less_known(samples: PixelSamples, known: Known, settings: Settings) -> Array:
+def _less_known(samples: PixelSamples, known: Known, settings: MapSettings) -> Array:
     """The target without the light of parameters that are known."""
     target = samples.target
     if "ambient" not in settings.names:
@@ -405,14 +407,14 @@ def _shine(samples: PixelSamples, lobe: Lights) -> Array:
 
 
 def _columns(
-    samples: PixelSamples, target: Array, weight: Array, settings: Settings
+    samples: PixelSamples, target: Array, weight: Array, settings: MapSettings
 ) -> Columns:
     """Columns of all channels."""
     fixed = tuple(getattr(samples, name) for name in settings.columns)
     return over_channels(make_columns, fixed, target, weight, samples.strength)
 
 
-def _summed(samples: PixelSamples, target: Array, settings: Settings) -> Columns:
+def _summed(samples: PixelSamples, target: Array, settings: MapSettings) -> Columns:
     """Columns of the channels' sum, as if ρ were grey: enough to start from."""
     together = PixelSamples(
         target=_total(target),
@@ -440,7 +442,7 @@ def _sum(values: Float[Array, "channels images"]) -> Float[Array, ""]:
 
 
 def _evaluate(
-    columns: Columns, cosine: Lights, t: Array, box: Box, settings: Settings
+    columns: Columns, cosine: Lights, t: Array, box: Box, settings: MapSettings
 ) -> At:
     """The solution at t. A highlight that is known, or none, is held at 0 strength."""
     if not settings.shiny:
@@ -450,7 +452,7 @@ def _evaluate(
 
 
 def _residual(
-    samples: PixelSamples, target: Array, at: At, t: Array, settings: Settings
+    samples: PixelSamples, target: Array, at: At, t: Array, settings: MapSettings
 ) -> Array:
     """(model − measured) in linear light, of used samples and others."""
     light = jnp.zeros_like(target)
@@ -470,7 +472,7 @@ def _reweighted(
     noise: Array,
     thorough: Array,
     box: Box,
-    settings: Settings,
+    settings: MapSettings,
 ) -> _Found:
     r"""Iteratively reweighted least squares from a plain solution.
 
@@ -507,7 +509,7 @@ def _reweighted(
         t, bend = state.t, state.bend
         if settings.searched:
             edges = box.lowest, box.highest
-            found = descend(
+            found = refine_exponents(
                 columns, model, cosine, t, *edges, box, REWEIGHTED_STEPS, bend
             )
             t, bend = found.t, found.bend
@@ -527,7 +529,7 @@ def _reweighted(
         begun = t
         if settings.scanned:
             count = candidates(*settings.log_bounds)
-            begun = scan(columns, model, cosine, box, count).t
+            begun = scan_exponents(columns, model, cosine, box, count).t
         return _evaluate(columns, cosine, begun, box, settings), begun
 
     def attempt(state: _Attempts) -> _Attempts:
@@ -575,7 +577,7 @@ def _reweighted(
 
 
 def _is_doubtful(
-    samples: PixelSamples, weight: Array, t: Array, settings: Settings
+    samples: PixelSamples, weight: Array, t: Array, settings: MapSettings
 ) -> Array:
     """Whether a loss rejects much of what shows a channel's highlight."""
     lobe, _ = lobes(settings.model, samples.log_cosine, t)
@@ -591,7 +593,7 @@ def _group(samples: PixelSamples) -> Array:
 
 
 def _is_better(
-    residual: Array, other: Array, used: Array, noise: Array, settings: Settings
+    residual: Array, other: Array, used: Array, noise: Array, settings: MapSettings
 ) -> Array:
     """Whether a loss finds less left over, at the smaller of both scales."""
     scale = noise
@@ -628,7 +630,7 @@ class _Attempts(NamedTuple):
     done: Array
 
 
-def _values(found: _Found, known: Known, settings: Settings) -> tuple[Array, ...]:
+def _values(found: _Found, known: Known, settings: MapSettings) -> tuple[Array, ...]:
     """The four parameters of the solution."""
     point = [number.reshape(3) for number in found.at.point]
     leaves = []
@@ -644,7 +646,7 @@ def _values(found: _Found, known: Known, settings: Settings) -> tuple[Array, ...
 
 
 def _leaves(
-    errors: Errors, identified: Array, dtype: jnp.dtype, settings: Settings
+    errors: Errors, identified: Array, dtype: jnp.dtype, settings: MapSettings
 ) -> tuple[Array, Array, Array, Array]:
     """Errors in the order of the parameters: infinite where nothing is identified."""
     reflectances = errors.reflectances.reshape(3, -1)

@@ -69,7 +69,7 @@ class Profile(NamedTuple):
     variance: Numbers
 
 
-def scan(
+def scan_exponents(
     columns: Columns,
     model: AbstractSpecular,
     log_cosine: Lights,
@@ -229,7 +229,7 @@ class _Search(NamedTuple):
     done: Array
 
 
-def descend(
+def refine_exponents(
     columns: Columns,
     model: AbstractSpecular,
     log_cosine: Lights,

@@ -13,7 +13,7 @@ MAP_PARAMETERS = (*COLUMNS, "specular", "shininess")
 
 
 @dataclasses.dataclass(frozen=True)
-class Settings:
+class MapSettings:
     """How one pixel is fitted.
 
     - `names`: the unknowns, a subset of `MAP_PARAMETERS`.

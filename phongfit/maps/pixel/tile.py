@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int, Shaped
 from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.pixel import BESIDE, Known, PixelFit, fit_pixel
 from phongfit.maps.pixel.samples import PixelSamples
-from phongfit.maps.pixel.settings import Settings
+from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import optimization_barrier
 
 BLOCK = 512
@@ -85,7 +85,7 @@ class Outside(NamedTuple):
     noise: Float[Array, ""]
 
 
-def fit_tile(tile: Tile, outside: Outside, settings: Settings) -> PixelFit:
+def fit_tile(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
     """The material of every pixel of a tile.
 
     Block by block in short; the few pixels for which that is not enough are gathered to
@@ -167,7 +167,7 @@ class _Work(NamedTuple):
 
 
 def _fit_block(
-    tile: Tile, outside: Outside, thorough: Array, settings: Settings
+    tile: Tile, outside: Outside, thorough: Array, settings: MapSettings
 ) -> tuple[PixelFit, Array]:
     """All pixels of a tile side by side, and which of them are not settled."""
 
@@ -240,7 +240,7 @@ _SETTLED = {"xla_disable_hlo_passes": "cse_barrier_expander"}
 
 
 @functools.lru_cache(maxsize=16)
-def compiled(settings: Settings, mesh: Mesh):
+def compiled(settings: MapSettings, mesh: Mesh):
     """[`fit_tile`][] with its pixels spread over the devices of a mesh."""
     axis = mesh.axis_names[0]
     along = PartitionSpec(axis)

@@ -89,7 +89,7 @@ def test_select(situations):
 
 
 def test_draws_below_one():
-    with pytest.raises(ValueError, match="draws: a whole number ≥ 1"):
+    with pytest.raises(ValueError, match="draws: expected a whole number ≥ 1"):
         main(draws=0)
 
 

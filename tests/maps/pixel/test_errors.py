@@ -8,7 +8,7 @@ import pytest
 from phongfit.maps.pixel.columns import make_columns
 from phongfit.maps.pixel.errors import standard_errors
 from phongfit.maps.pixel.exponent import Box, evaluate
-from phongfit.maps.pixel.settings import Settings
+from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import over_channels
 from tests.helpers import floats
 
@@ -27,7 +27,7 @@ def errors_at(t, moved):
     target = DIFFUSE * diffuse + SPECULAR * lobe
     weight = floats(np.ones((1, IMAGES)))
     columns = over_channels(make_columns, (diffuse,), target, weight, strength)
-    settings = Settings(names=("diffuse", "specular", "shininess"))
+    settings = MapSettings(names=("diffuse", "specular", "shininess"))
     low, high = settings.log_bounds
     edges = (floats(0.0), floats(0.0)), (floats(1.0), floats(1.0))
     box = Box(*edges, floats(low), floats(high))

@@ -19,7 +19,7 @@ MOST_STEPS = 60
 
 
 @dataclasses.dataclass(frozen=True)
-class Descent:
+class Convergence:
     """Costs along the way from the scan's start to where the solver ends.
 
     **Arguments:**
@@ -33,7 +33,7 @@ class Descent:
     least: float
 
 
-def descend(found: SearchResult) -> Descent:
+def trace_convergence(found: SearchResult) -> Convergence:
     """The cost step by step, on all samples, with the noise level of the fit.
 
     The search of a fit goes several ways, on few samples first, and keeps no record:
@@ -42,7 +42,7 @@ def descend(found: SearchResult) -> Descent:
     start = scan(found.problem, found.problem.unknowns.start)
     points, count = _walk(found.problem, start)
     costs = [total_cost(found.problem, y) for y in points[: int(count)]]
-    return Descent(np.array(costs), total_cost(found.problem, found.y))
+    return Convergence(np.array(costs), total_cost(found.problem, found.y))
 
 
 @eqx.filter_jit
