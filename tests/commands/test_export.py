@@ -246,7 +246,7 @@ def test_what_a_format_cannot_hold(tmp_path, capsys, to, words):
     [
         (
             ["preset:gold", "--to", "gltf", "-o", "a.obj"],
-            "expected .glb ... got '.obj'",
+            "expected suffix .glb ... got '.obj'",
         ),
         (
             ["nothing", "--to", "mtl", "-o", "a.mtl"],

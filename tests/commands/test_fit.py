@@ -77,7 +77,9 @@ def test_a_file_of_version_1(tmp_path):
     assert read_material(str(OLD)).material.shininess == record.values[1]
     path = tmp_path / "fit.json"
     path.write_text(OLD.read_text().replace("[true, false, false]", "[true, false, 1]"))
-    with pytest.raises(ValueError, match=r"unidentified\[2\]: 1"):
+    with pytest.raises(
+        ValueError, match=r"unidentified\[2\]: expected a valid boolean, got 1"
+    ):
         read_fit_record(path)
 
 

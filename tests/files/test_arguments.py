@@ -130,7 +130,7 @@ def test_the_constructor_speaks_in_the_files_names(tmp_path):
 def test_arrays_need_a_folder():
     with pytest.raises(ValueError, match="only a scene file can have an array"):
         describe(Thing([1]))
-    with pytest.raises(ValueError, match="the text is in no folder"):
+    with pytest.raises(ValueError, match="expected a text in a folder"):
         parse_record('{"index": "i.npy"}', ThingRecord)
 
 

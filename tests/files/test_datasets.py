@@ -109,15 +109,27 @@ def test_unclamped_images(ours):
         ),
         ({"images": [{"file": "out.png"}]}, ["images[0]: 'out.png': is a link"]),
         ({"images": [{}]}, ["images[0].file: is missing"]),
-        ({"images": [{"file": "001.png", "lights": [3]}]}, ["images[0].lights: [3]"]),
-        ({"images": [{"file": "001.png", "lights": [-1]}]}, ["images[0].lights: [-1]"]),
+        (
+            {"images": [{"file": "001.png", "lights": [3]}]},
+            ["images[0].lights: expected ... got [3]"],
+        ),
+        (
+            {"images": [{"file": "001.png", "lights": [-1]}]},
+            ["images[0].lights: expected ... got [-1]"],
+        ),
         (
             {"images": [{"file": "001.png", "lights": [0, 0]}]},
-            ["images[0].lights: [0,"],
+            ["images[0].lights: expected ... got [0, 0]"],
         ),
         ({"images": [{"file": "001.png", "mask": "no.png"}]}, ["no.png: cannot be"]),
-        ({"images": [{"file": "small.png"}]}, ["small.png: 3 × 2 pixels", "12 × 12"]),
-        ({"images": [{"file": "001.png", "mask": "small.png"}]}, ["small.png: 3 × 2"]),
+        (
+            {"images": [{"file": "small.png"}]},
+            ["small.png: expected 12 × 12 pixels ... got 3 × 2"],
+        ),
+        (
+            {"images": [{"file": "001.png", "mask": "small.png"}]},
+            ["small.png: expected 12 × 12 pixels ... got 3 × 2"],
+        ),
         ({"images": [{"file": "scene.json"}]}, ["expected ... got suffix '.json'"]),
     ],
 )
@@ -149,8 +161,14 @@ def test_datasets_are_checked():
     made = _make()
     wrong: list[tuple[dict[str, Any], str]] = [
         ({"images": made.images[:2]}, r"expected as many .*got \[3, 2, 3, 3\] of them"),
-        ({"images": (np.zeros((3, 3, 3)),) * 3}, r"001.png: image of shape"),
-        ({"masks": (np.ones((3, 3), bool),) * 3}, r"001.png: mask of shape"),
+        (
+            {"images": (np.zeros((3, 3, 3)),) * 3},
+            r"001.png: expected image of .*got \(3, 3, 3\)",
+        ),
+        (
+            {"masks": (np.ones((3, 3), bool),) * 3},
+            r"001.png: expected mask of .*got \(3, 3\)",
+        ),
     ]
     for changes, words in wrong:
         with pytest.raises(ValueError, match=words):
@@ -232,7 +250,7 @@ def test_photographs_are_read_when_they_are_wanted(layout, request):
         (
             "light_directions.txt",
             "0 0 1\n",
-            ["light_directions.txt: 1 lines", "2 phot"],
+            ["light_directions.txt: expected 2 lines ... got 1"],
         ),
         ("light_directions.txt", "0 0 1\n0 0 0\n", ["light_directions.txt: light 2"]),
         ("light_directions.txt", "0 0 1\n0 0\n", ["light_directions.txt: line 2"]),
@@ -243,7 +261,7 @@ def test_photographs_are_read_when_they_are_wanted(layout, request):
             "001.png\n../a.png\n",
             ["filenames.txt: expected ... got '../a.png'"],
         ),
-        ("filenames.txt", "", ["0 photographs"]),
+        ("filenames.txt", "", ["expected 0 lines, one for each photograph"]),
         ("Normal_gt.mat", "junk", ["Normal_gt.mat: "]),
         ("Normal_gt.mat", None, ["Normal_gt.mat: cannot be read"]),
         ("mask.png", None, ["mask.png: cannot be read"]),

@@ -79,7 +79,7 @@ def test_what_opengl_takes_for_granted():
         ),
         (
             pf.Material(shininess=(16, 32, 64)),
-            "shininess: OpenGL holds one, got 16, 32, 64",
+            "shininess: OpenGL holds one .*got 16, 32, 64",
             "GL_SHININESS",
             32,
         ),
@@ -94,7 +94,7 @@ def test_a_material_out_of_range(material, said, leaf, taken):
 
 @pytest.mark.parametrize("shape", [(2, 3), (4, 5, 3)])
 def test_one_material_at_a_time(shape):
-    with pytest.raises(ValueError, match="^diffuse: shape .* that of one material"):
+    with pytest.raises(ValueError, match="^diffuse: expected one material, got shape"):
         material_to_opengl(pf.Material(diffuse=np.zeros(shape)), nearest=True)
 
 
@@ -146,7 +146,7 @@ def test_a_sharp_spot_is_out_of_range():
         ValueError, match="^exponent: OpenGL holds at most 128, got 200"
     ):
         light_to_opengl(light)
-    with pytest.warns(UserWarning, match="exponent: expected.*got 200"):
+    with pytest.warns(UserWarning, match="exponent: OpenGL holds at most 128, got 200"):
         assert light_to_opengl(light, nearest=True)["GL_SPOT_EXPONENT"] == 128
 
 
@@ -168,7 +168,10 @@ def test_fog(mode):
             "material: it has no GL_POS",
         ),
         (lambda: light_from_opengl({"GL_SHININESS": 1}), "light: it has no GL_SHIN"),
-        (lambda: light_from_opengl({"GL_POSITION": (1, 2, 3)}), "GL_POSITION: shape"),
+        (
+            lambda: light_from_opengl({"GL_POSITION": (1, 2, 3)}),
+            "GL_POSITION: expected shape",
+        ),
         (lambda: light_from_opengl({"GL_SPOT_CUTOFF": 30}), "GL_SPOT_CUTOFF: "),
         (lambda: light_from_opengl({"GL_DIFFUSE": (-1, 0, 0)}), "intensity: "),
         (
@@ -176,7 +179,7 @@ def test_fog(mode):
             "GL_FOG_MODE: expected.*got 'exp'",
         ),
         (lambda: fog_from_opengl({"start": 1}), "fog: it has no start"),
-        (lambda: fog_to_opengl(pf.Fog(2)), "color: expected.*got 2"),
+        (lambda: fog_to_opengl(pf.Fog(2)), "color: OpenGL holds at most 1, got 2"),
         (lambda: light_to_opengl(Glow()), "light: OpenGL has no Glow"),
     ],
 )

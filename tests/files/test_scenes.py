@@ -182,7 +182,10 @@ WRONG = [
     ),
     (_change("surface", "kind", "cube"), 'surface.kind: expected ... got "cube"'),
     (_change("surface", MAP), "surface.normals: "),
-    (_change("surface", MAP | {"normals": "../n.npy"}), "surface.normals: '../n.npy'"),
+    (
+        _change("surface", MAP | {"normals": "../n.npy"}),
+        "surface.normals: expected ... got '../n.npy'",
+    ),
     (_change("surface", MAP | {"mask": "/m.png"}), "surface."),
     (
         _change("specular", "gate", 1),

@@ -98,7 +98,10 @@ def test_wrong_shapes(scene, image, words):
         pf.refit(fit, scene, image)
 
 
-REFIT = r"expected known numbers, got a traced array .*differentiate refit\(fit, scene, image\)"
+REFIT = (
+    "expected known numbers, got a traced array "
+    r".*differentiate refit\(fit, scene, image\)"
+)
 TRACED = [
     ("image", floats(IMAGE), lambda x: pf.fit(SCENE, x)),
     ("image", floats(np.stack([IMAGE, OTHER])), lambda x: pf.fit([SCENE, SCENE], x)),
