@@ -2,8 +2,10 @@
 
 import zipfile
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
 
 from phongfit.files.inputs import MAX_BYTES, read_bytes
 from phongfit.files.outputs import replacing
@@ -30,14 +32,25 @@ def read_array(path: Path, key: str) -> np.ndarray:
 
 
 def _from_archive(path: Path, key: str) -> np.ndarray:
-    with zipfile.ZipFile(path) as archive:
-        size = sum(entry.file_size for entry in archive.infolist())
-    if size > MAX_BYTES:
-        raise ValueError(f"expected at most {MAX_BYTES} bytes unpacked, got {size}")
-    with np.load(path, allow_pickle=False) as arrays:
+    with open_archive(path) as arrays:
         if key not in arrays:
             raise ValueError(f"expected an array {key!r}, got {list(arrays)}")
         return arrays[key]
+
+
+def open_archive(file: Path | BinaryIO) -> NpzFile:
+    """The arrays of an `.npz` file, none of them Python objects.
+
+    **Raises:** `ValueError` if they are more than a file may hold; whatever NumPy's
+    reader raises for a broken one.
+    """
+    with zipfile.ZipFile(file) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    if size > MAX_BYTES:
+        raise ValueError(f"expected at most {MAX_BYTES} bytes unpacked, got {size}")
+    if not isinstance(file, Path):
+        file.seek(0)
+    return np.load(file, allow_pickle=False)
 
 
 def write_array(path: Path, array: np.ndarray) -> None:

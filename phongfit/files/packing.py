@@ -16,7 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from phongfit.files.inputs import MAX_BYTES, naming, read_bytes
+from phongfit.files.arrays import open_archive
+from phongfit.files.inputs import naming, read_bytes
 from phongfit.files.outputs import replacing
 
 _STRUCTURE = "structure"
@@ -53,13 +54,7 @@ def read_packed(path: Path, header: dict[str, Any], remedies: dict[str, str]) ->
     data = read_bytes(path)
     with naming(str(path)):
         try:
-            with zipfile.ZipFile(io.BytesIO(data)) as archive:
-                size = sum(entry.file_size for entry in archive.infolist())
-            if size > MAX_BYTES:
-                raise ValueError(
-                    f"expected at most {MAX_BYTES} bytes unpacked, got {size}"
-                )
-            with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            with open_archive(io.BytesIO(data)) as file:
                 arrays = dict(file)
             structure = json.loads(arrays[_STRUCTURE].tobytes())
             found = {name: structure[name] for name in header}

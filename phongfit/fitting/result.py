@@ -165,11 +165,10 @@ class Fit:
         identified = np.flatnonzero(self.identified)
         free = self.problem.unknowns.y_labels
         chosen = choose_profiles([self.labels[k] for k in identified], free)
-        few = MOST_PROFILES * MOST_SAMPLES // self.n_samples if self.converged else 0
-        convergence = None
-        if self.n_samples <= MOST_PROFILES * MOST_SAMPLES:
-            convergence = trace_convergence(self.solution)
-        return Diagnostics(chosen, tuple(map(self.profile, chosen[:few])), convergence)
+        few = MOST_PROFILES * MOST_SAMPLES // self.n_samples
+        convergence = trace_convergence(self.solution) if few else None
+        chosen_few = chosen[:few] if self.converged else ()
+        return Diagnostics(chosen, tuple(map(self.profile, chosen_few)), convergence)
 
     def plot(self, names: Sequence[str] = ()) -> "Figure":
         """Photograph, fit and residual as a matplotlib figure, of some of the images.
