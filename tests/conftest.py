@@ -70,7 +70,7 @@ def browser():
 
 # Of files and words, or as commands and experiments are run, or of the precision that
 # maps are made in: float32 alone. The arithmetic of a map's pixel runs in both.
-SINGLE = {"commands", "data_synth", "experiments", "files", "maps"}
+SINGLE = {"campaign", "commands", "data_synth", "experiments", "files", "maps"}
 # Whole fits and pictures, which take long to compile: about a third of them in float32,
 # where all of `SINGLE` runs, the others in float64. The parts of a fit run in both.
 ALTERNATE = {

@@ -7,6 +7,7 @@ import base64
 import contextlib
 import errno
 import io
+import logging
 import os
 import re
 import struct
@@ -21,6 +22,9 @@ import OpenEXR
 from PIL import Image
 
 from phongfit.rendering.jpeg import JpegCompression
+
+# What a decoder minds and bears is for whoever asks for logs, not for the terminal.
+logging.getLogger("imagecodecs").addHandler(logging.NullHandler())
 
 MAX_PIXELS = 2**27
 """Images with more pixels are refused: they would fill the memory."""

@@ -1,0 +1,1 @@
+"""Kinds of cases: every module here that holds a `KIND` is one."""

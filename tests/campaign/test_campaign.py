@@ -1,0 +1,59 @@
+"""Some of the campaign, others each day; and the judge sees what it must."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+CASES = 2000
+FAULTS = {
+    "taken": None,
+    "refused": None,
+    "refused by a command": None,
+    "written": None,
+    "no words": "no words",
+    "traceback": "traceback: AttributeError in planted.py",
+    "wrong": "wrong: other pixels",
+    "memory": "memory: ",
+    "memory of the machine": "memory: MemoryError",
+    "time": "time: ",
+    "noise": "noise: b'a library complains'",
+    "left": "traces: left: outside/case/.out-1234",
+    "changed": "traces: changed: outside/case/file.txt",
+    "lost": "traces: lost: outside/case/file.txt",
+    "outside": "traces: changed: outside/canary.txt",
+    "killed": "the process died of SIGSEGV",
+    "after a death": None,
+}
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+
+
+def run(*words: str) -> subprocess.CompletedProcess[str]:
+    """A module of the campaign, as from a terminal."""
+    return subprocess.run(
+        [sys.executable, "-m", *words],
+        env=os.environ | {"JAX_ENABLE_X64": "0"},
+        capture_output=True,
+        text=True,
+    )
+
+
+@linux
+def test_the_judge_sees_faults():
+    seen = json.loads(run("tests.campaign.planted").stdout)
+    assert seen.keys() == FAULTS.keys()
+    for name, (taken, fault) in seen.items():
+        wanted = FAULTS[name]
+        assert (fault is None) == (wanted is None), (name, fault)
+        assert wanted is None or fault.startswith(wanted), (name, fault)
+        if wanted is None:
+            assert taken == (not name.startswith("refused"))
+
+
+@linux
+def test_cases_of_today():
+    done = run("tests.campaign", "--cases", str(CASES))
+    assert done.returncode == 0, done.stdout + done.stderr
