@@ -12,6 +12,7 @@ import inspect
 import io
 import os
 import re
+import signal
 import sys
 import threading
 import typing
@@ -40,16 +41,15 @@ For example:
   phongfit export out/fit --to gltf -o out/brass.glb
   phongfit fit --help
 
-Errors are reported in one line, with exit status 2; an interrupt with 130. What was
-compiled is kept in $XDG_CACHE_HOME/phongfit (else ~/.cache/phongfit), which may be
-deleted at any time; PHONGFIT_CACHE=FOLDER puts it elsewhere, PHONGFIT_CACHE=off
-nowhere. JAX_ENABLE_X64=1 computes in double precision.
+Errors are reported in one line, with exit status 2; an interrupt with 130, SIGTERM
+with 143. What was compiled is kept in $XDG_CACHE_HOME/phongfit (else
+~/.cache/phongfit), which may be deleted at any time; PHONGFIT_CACHE=FOLDER puts it
+elsewhere, PHONGFIT_CACHE=off nowhere. JAX_ENABLE_X64=1 computes in double precision.
 """
 
 Result = TypeVar("Result")
 
 BAD_INPUT = 2
-INTERRUPTED = 130
 PIPE_CLOSED = 141
 
 
@@ -61,7 +61,13 @@ def main(args: Sequence[str] | None = None) -> int:
     **Returns:** the exit status, as of [`run`][].
     """
     args = list(sys.argv[1:] if args is None else args)
-    with _patient_collector(), _heeded_interrupts(), warnings.catch_warnings():
+    _speak_any_language()
+    with (
+        _patient_collector(),
+        _heeded_interrupts(),
+        _orderly_ends(),
+        warnings.catch_warnings(),
+    ):
         warnings.showwarning = _show_warning
         if args and args[0] in COMMANDS:
             prog = f"phongfit {args[0]}"
@@ -109,6 +115,46 @@ def _heeded_interrupts() -> Iterator[None]:
         yield
     finally:
         sys.unraisablehook = before
+
+
+class _Ended(KeyboardInterrupt):
+    """The process was told to end, by a signal other than Ctrl-C."""
+
+    def __init__(self, number: int):
+        super().__init__()
+        self.number = number
+
+
+@contextlib.contextmanager
+def _orderly_ends() -> Iterator[None]:
+    """Clean up as after Ctrl-C where the process is told to end, or its terminal goes.
+
+    A signal that was ignored before, as `nohup` does it, still is.
+    """
+
+    def end(number: int, frame: Any) -> None:
+        del frame
+        raise _Ended(number)
+
+    names = ("SIGTERM", "SIGHUP")
+    ends = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    if threading.current_thread() is not threading.main_thread():
+        ends = []
+    ends = [number for number in ends if signal.getsignal(number) is signal.SIG_DFL]
+    for number in ends:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in ends:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _speak_any_language() -> None:
+    """What the terminal cannot show is written as its code, and stops nothing."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _load(name: str) -> Callable[..., int | None]:
@@ -190,7 +236,10 @@ def _guard(call: Callable[[], int | None]) -> int:
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except KeyboardInterrupt as stop:
-        return _stop("; ".join(["interrupted", *map(str, stop.args)]), INTERRUPTED)
+        ended = isinstance(stop, _Ended)
+        number = stop.number if ended else signal.SIGINT
+        word = f"ended by {signal.Signals(number).name}" if ended else "interrupted"
+        return _stop("; ".join([word, *map(str, stop.args)]), 128 + number)
     except BrokenPipeError:
         # Whoever read the output, such as `head`, has seen enough.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -32,6 +32,11 @@ def plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} has no place in JSON")
 
 
+def readable(name: str) -> str:
+    """The name of a file as text; bytes that are no UTF-8 become their codes."""
+    return name.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
 def _plain_array(array: np.ndarray) -> Any:
     if array.ndim > 0:
         return [_plain_array(item) for item in array]

@@ -21,6 +21,7 @@ from phongfit.files.scenes import SCENE_FILE, TRUTH_FILE, build_scene, with_ligh
 from phongfit.files.schema import SceneRecord
 from phongfit.fitting.problem.noise import find_film
 from phongfit.maps.stacks import DatasetStack
+from phongfit.plain import readable
 from phongfit.rendering.film import Encoding, Film
 from phongfit.scene import Scene
 
@@ -88,7 +89,7 @@ def _recorded(
     home = options.dataset.resolve()
     home = home if home.is_dir() else home.parent
     inputs = {
-        (str(p.relative_to(home)) if p.is_relative_to(home) else p.name): digest
+        readable(str(p.relative_to(home)) if p.is_relative_to(home) else p.name): digest
         for p, digest in sorted(files.items())
         # What the images were made of is no input of a fit.
         if p.name != TRUTH_FILE
@@ -99,7 +100,8 @@ def _recorded(
         min_facing=options.min_facing,
         room_light=options.room_light,
     )
-    return made, DataRecord(name=photographs.name, reading=reading, inputs=inputs)
+    name = readable(photographs.name)
+    return made, DataRecord(name=name, reading=reading, inputs=inputs)
 
 
 def _open_folder(options: DataOptions) -> Photographs:

@@ -12,6 +12,7 @@ from phongfit.commands.cache import keep_compiled
 from phongfit.commands.fit import FIT_FILE
 from phongfit.commands.options import optional
 from phongfit.files.gltf import Part, pbr_material, write_gltf
+from phongfit.files.inputs import sparing
 from phongfit.files.limits import as_blinn
 from phongfit.files.materials import NamedMaterial, read_material, write_material
 from phongfit.files.mtl import write_mtl
@@ -76,7 +77,8 @@ def main(options: Options) -> int:
             f"scene: expected none, since {options.to} holds no shape; gltf does"
         )
     try:
-        written = _export(options)
+        with sparing(options.out):
+            written = _export(options)
     except ValueError as error:
         # The library speaks of its argument, a user here knows an option.
         words = str(error).replace("nearest=True", "--nearest")

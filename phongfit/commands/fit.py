@@ -11,6 +11,7 @@ from tyro.conf import OmitArgPrefixes
 
 from phongfit.commands.cache import keep_compiled
 from phongfit.commands.data import DataOptions, read_data
+from phongfit.commands.keeping import keeping
 from phongfit.commands.options import (
     FitOptions,
     OutFolder,
@@ -27,7 +28,7 @@ from phongfit.files.fits import (
     read_fit_record,
     write_fit_record,
 )
-from phongfit.files.outputs import check_folder, replacing_folder
+from phongfit.files.outputs import replacing, replacing_folder
 from phongfit.fitting.fit import fit
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.result import Fit
@@ -84,20 +85,19 @@ def main(options: Options) -> int:
     """
     keep_compiled()
     may_replace = OURS.__contains__ if options.overwrite else None
-    check_folder(options.out.resolve(), may_replace)
-    record = None if options.like is None else read_fit_record(options.like)
-    asked, noise, reading = _asked(options, record)
-    data, read = read_data(reading)
     with replacing_folder(options.out, may_replace) as folder:
+        record = None if options.like is None else read_fit_record(options.like)
+        asked, noise, reading = _asked(options, record)
+        data, read = read_data(reading)
         with stage("fitting"):
             found = _fit(data, asked, noise)
-        print(found, flush=True)
         write_fit_record(folder / FIT_FILE, found, data=read, noise=noise)
-        if options.report != "none":
-            with stage("drawing"):
-                _draw(folder, found, data, options)
-    written = OURS[:1] if options.report == "none" else OURS
-    print(f"\n{options.out}: {', '.join(written)}")
+        with keeping(options.out, folder) as kept:
+            print(found, flush=True)
+            if options.report != "none":
+                with stage("drawing"):
+                    _draw(folder, found, data, options)
+    kept.tell()
     agrees = record is None or _compare(record, found, read)
     return 0 if found.converged and agrees else 1
 
@@ -160,7 +160,8 @@ def _draw(folder: Path, found: Fit, data: Dataset, options: Options) -> None:
     from phongfit.report.page import write_page
 
     films = data.films
-    found.plot(data.names).savefig(folder / PICTURE_FILE, dpi=150)
+    with replacing(folder / PICTURE_FILE) as picture:
+        found.plot(data.names).savefig(picture, dpi=150)
     write_page(
         folder / REPORT_FILE,
         found,

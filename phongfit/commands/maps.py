@@ -9,6 +9,7 @@ from tyro.conf import OmitArgPrefixes
 
 from phongfit.commands.cache import keep_compiled
 from phongfit.commands.data import DataOptions, stack_data
+from phongfit.commands.keeping import keeping
 from phongfit.commands.options import (
     Names,
     OutFolder,
@@ -21,7 +22,7 @@ from phongfit.files.dataset import Photographs
 from phongfit.files.fits import DataRecord, LossName
 from phongfit.files.inputs import naming
 from phongfit.files.materials import read_material
-from phongfit.files.outputs import check_folder, replacing_folder
+from phongfit.files.outputs import replacing, replacing_folder
 from phongfit.files.schema import describe_material
 from phongfit.fitting.fit import fit
 from phongfit.maps.folder import (
@@ -98,27 +99,32 @@ def main(options: Options) -> int:
       phongfit maps ballPNG -o out/ball --highlight shared --bounds shininess=1:5000
     """
     keep_compiled()
-    check_folder(options.out.resolve(), _replaceable(options))
-    given = _given(options)
-    stack, read = stack_data(options.data)
-    if options.highlight == "shared":
-        known = _shared(stack.photographs, given)
-        given |= {"known": known, "unknowns": SHARED}
-    try:
-        _finish(options, stack, read, given)
-    except KeyboardInterrupt:
-        stay = f"finished tiles stay in {options.out}, the same command goes on there"
-        raise KeyboardInterrupt(stay) from None
+    with replacing_folder(options.out, _replaceable(options)) as folder:
+        given = _given(options)
+        stack, read = stack_data(options.data)
+        if options.highlight == "shared":
+            known = _shared(stack.photographs, given)
+            given |= {"known": known, "unknowns": SHARED}
+        try:
+            found = _fit_tiles(options, stack, given)
+            _save(folder, found, stack, read, given)
+        except KeyboardInterrupt as stop:
+            stay = "finished tiles stay in {}, the same command goes on there"
+            stop.args = (stay.format(options.out),)
+            raise
+        with keeping(options.out, folder) as kept:
+            print(found, flush=True)
+            if options.pictures:
+                with stage("drawing"):
+                    _draw(folder, found)
+    kept.tell()
     return 0
 
 
-def _finish(
-    options: Options, stack: DatasetStack, read: DataRecord, given: dict[str, Any]
-) -> None:
-    """Fit what is not yet fitted; then all of OUT at once, in place of the tiles."""
-    scenes = stack.photographs.scenes
-    found = fit_maps(
-        scenes,
+def _fit_tiles(options: Options, stack: DatasetStack, given: dict[str, Any]) -> Maps:
+    """All pixels; what was fitted before stays as it was."""
+    return fit_maps(
+        stack.photographs.scenes,
         stack,
         mask=stack.mask,
         film=stack.photographs.films(),
@@ -126,21 +132,25 @@ def _finish(
         output=options.out / TILES,
         **given,
     )
-    print(found, flush=True)
-    with replacing_folder(options.out, _replaceable(options)) as folder:
-        save_folder(
-            folder,
-            found,
-            data=read,
-            settings=_settings(given),
-            model=scenes[0].specular_model,
-            normals=seen_normals(scenes[0]),
-        )
-        if options.pictures:
-            with stage("drawing"):
-                _draw(folder, found)
-        names = sorted(path.name for path in folder.iterdir())
-    print(f"\n{options.out}: {', '.join(names)}")
+
+
+def _save(
+    folder: Path,
+    found: Maps,
+    stack: DatasetStack,
+    read: DataRecord,
+    given: dict[str, Any],
+) -> None:
+    """All but the pictures."""
+    scene = stack.photographs.scenes[0]
+    save_folder(
+        folder,
+        found,
+        data=read,
+        settings=_settings(given),
+        model=scene.specular_model,
+        normals=seen_normals(scene),
+    )
 
 
 def _replaceable(options: Options) -> Callable[[str], bool]:
@@ -189,5 +199,7 @@ def _draw(folder: Path, found: Maps) -> None:
     from phongfit.report.maps import draw_flags, draw_parameter
 
     for name in found.unknowns:
-        draw_parameter(found, name).savefig(folder / f"{name}.png", dpi=130)
-    draw_flags(found).savefig(folder / FLAGS_FILE, dpi=130)
+        with replacing(folder / f"{name}.png") as picture:
+            draw_parameter(found, name).savefig(picture, dpi=130)
+    with replacing(folder / FLAGS_FILE) as picture:
+        draw_flags(found).savefig(picture, dpi=130)

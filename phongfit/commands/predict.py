@@ -9,6 +9,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from phongfit.commands.cache import keep_compiled
 from phongfit.commands.options import JsonFile, MaterialName, UnknownOptions
 from phongfit.commands.progress import stage
+from phongfit.files.inputs import sparing
 from phongfit.files.materials import read_material
 from phongfit.files.outputs import check_file, write_json
 from phongfit.files.scenes import load_views
@@ -49,18 +50,21 @@ def main(options: Options) -> int:
 --unknowns diffuse specular shininess scene.lights[0].direction
     """
     keep_compiled()
-    if options.json is not None:
-        check_file(options.json)
-    material = read_material(options.material).material
-    scenes, film = load_views(options.scene)
+    out = options.json
+    if out is not None:
+        check_file(out)
+    with sparing(out):
+        material = read_material(options.material).material
+        scenes, film = load_views(options.scene)
     one = scenes[0] if len(scenes) == 1 else scenes
     given = options.unknown.given()
     with stage("predicting"):
         prediction = predict_errors(one, material, options.noise, film=film, **given)
+    if out is not None:
+        write_json(out, _numbers(prediction, options.noise))
     print(prediction)
-    if options.json is not None:
-        write_json(options.json, _numbers(prediction, options.noise))
-        print(f"\n{options.json}")
+    if out is not None:
+        print(f"\n{out}")
     return 0
 
 

@@ -11,6 +11,7 @@ from phongfit.commands.cache import keep_compiled
 from phongfit.commands.options import optional
 from phongfit.commands.progress import stage
 from phongfit.files.images import Bits, check_image, write_image
+from phongfit.files.inputs import sparing
 from phongfit.files.materials import read_material
 from phongfit.files.scenes import TRUTH_FILE, load_scene, load_truth, with_lights
 from phongfit.material import Material
@@ -57,8 +58,9 @@ def main(options: Options) -> int:
     floats = options.bits == 32 or options.out.suffix.lower() in FLOATS
     encoding = options.encoding or ("linear" if floats else "srgb")
     check_image(options.out, encoding, options.bits)
-    scene = with_lights(load_scene(options.scene), options.lights)
-    material = _material(options)
+    with sparing(options.out):
+        scene = with_lights(load_scene(options.scene), options.lights)
+        material = _material(options)
     with stage("rendering"):
         light = np.asarray(render(scene, material, film=Film(clamp=not floats)))
     write_image(options.out, light, encoding, options.bits)

@@ -27,12 +27,39 @@ def recording() -> Iterator[dict[Path, str]]:
         _checksums.reset(token)
 
 
+_spared: contextvars.ContextVar[Path | None]
+_spared = contextvars.ContextVar("spared", default=None)
+
+
+@contextlib.contextmanager
+def sparing(out: Path | None) -> Iterator[None]:
+    """Refuse a file, to be written in the end, that is an input of the block.
+
+    An input is what the block reads, or reads of in a record.
+
+    **Raises:** `OSError` that names `out`, where it would be read.
+    """
+    token = _spared.set(out)
+    try:
+        yield
+    finally:
+        _spared.reset(token)
+
+
+def check_spared(path: Path) -> None:
+    """An input is no output, as [`sparing`][] says."""
+    out = _spared.get()
+    if out is not None and out.exists() and path.exists() and path.samefile(out):
+        raise OSError(f"{out}: is an input, expected another file to write to")
+
+
 def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
     """The whole of a file.
 
     **Raises:** `ValueError` that names the file: it is missing, no plain file, may not
     be read, or has more than `limit` bytes.
     """
+    check_spared(path)
     try:
         # A device or a pipe might never end.
         if path.exists() and not path.is_file():

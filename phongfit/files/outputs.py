@@ -1,42 +1,60 @@
-"""Outputs appear whole or not at all: written under another name, then moved."""
+"""Outputs appear whole or not at all: made in a folder of their own, then moved.
+
+That folder is hidden and beside the file, or within the folder, that is made. Only one
+run at a time has it, and what a run that was killed left in it the next one clears.
+"""
 
 import contextlib
+import errno
 import json
 import os
-import secrets
 import shutil
+import stat
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock, Timeout
 
 from phongfit.plain import plain
 
 LINE_WIDTH = 88
 
+WORK = ".unfinished"
+"""The name, or its end, of the folder in which an output is made."""
+
+PATIENCE = 10.0
+"""How long a file waits for another run that writes it just now, seconds."""
+
 
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A name in the same folder to write to; moved to `path` if all goes well.
+    """A name to write to; what is there becomes `path` if all goes well.
 
     Whatever ends the block early, an interrupt too, removes what was written, and a
-    file that stood at `path` before stays as it was.
+    file that stood at `path` before stays as it was. A link is followed. A pipe or a
+    character device, such as `/dev/stdout`, is written to.
 
     **Arguments:** `path`: the file to make or to replace.
 
-    **Returns:** a context manager that gives the name; its suffix is that of `path`,
-    since many writers choose the format by it.
+    **Returns:** a context manager that gives the name; its last part is that of `path`,
+    since many writers choose the format by the suffix.
 
     **Raises:** `OSError` that names `path`.
     """
     path = Path(path)
     check_file(path)
-    temporary = _sibling(path)
-    try:
+    with contextlib.ExitStack() as place:
+        if _is_stream(path):
+            work = Path(place.enter_context(tempfile.TemporaryDirectory()))
+        else:
+            target = Path(os.path.realpath(path))
+            work = place.enter_context(_workplace(_beside(target), path, PATIENCE))
+        temporary = work / path.name
         with _blaming(path, temporary):
             yield temporary
-            os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+            _put(temporary, path)
 
 
 @contextlib.contextmanager
@@ -44,29 +62,46 @@ def replacing_folder(
     path: str | os.PathLike[str],
     may_replace: Callable[[str], bool] | None = None,
 ) -> Iterator[Path]:
-    """An empty folder to fill, which becomes `path` if all goes well.
+    """An empty folder to fill; what is in it goes into `path` if all goes well.
+
+    Whatever ends the block early leaves `path` as it was. Files that came into `path`
+    while the block ran stay there.
 
     **Arguments:**
 
     - `path`: the folder to make. One that is there must be empty.
     - `may_replace`: tells of a name in a folder that is there whether it may be lost;
-        if all of them may, the whole folder is replaced.
+        if all of them may, they are.
 
     **Returns:** a context manager that gives the folder to fill.
 
-    **Raises:** `OSError` that names `path`, and what is in the way.
+    **Raises:** `OSError` that names `path`, and what is in the way: other files,
+    another run that writes there.
     """
     # A link is followed, and "." gets its name.
     path = Path(path).resolve()
-    check_folder(path, may_replace)
-    temporary = _sibling(path)
-    try:
-        with _blaming(path, temporary):
-            temporary.mkdir()
-            yield temporary
-            _swap(temporary, path)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    _check_folder(path)
+    if path.is_dir() and not (path / WORK).exists():
+        # A look that leaves no trace; the one below is sure.
+        _check_replaceable(path, may_replace)
+    with _made(path), _workplace(path / WORK, path) as work:
+        new, ready, old = work / "new", work / "ready", work / "old"
+        with _blaming(path, new):
+            old.mkdir()
+            if ready.is_dir():
+                # A run was killed while it moved what it had made.
+                _place(ready, path, old)
+                ready.rmdir()
+            _check_replaceable(path, may_replace)
+            new.mkdir()
+            yield new
+            _check_untaken(path, new, may_replace)
+            os.replace(new, ready)
+            for name in _names(path):
+                if may_replace is not None and may_replace(name):
+                    if not (ready / name).exists():
+                        os.replace(path / name, old / name)
+            _place(ready, path, old)
 
 
 @contextlib.contextmanager
@@ -80,15 +115,27 @@ def replacing_files(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     path = Path(path)
     check_file(path)
-    temporary = _sibling(path)
-    try:
-        with _blaming(path, temporary):
-            temporary.mkdir()
-            yield temporary
-            for file in sorted(temporary.iterdir()):
-                os.replace(file, path.parent / file.name)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    if _is_stream(path):
+        raise OSError(f"{path}: expected a file, since others go beside it")
+    with _workplace(_beside(path), path, PATIENCE) as work:
+        new = work / "new"
+        with _blaming(path, new):
+            new.mkdir()
+            yield new
+            for file in sorted(new.iterdir()):
+                check_file(path.parent / file.name)
+            for file in sorted(new.iterdir()):
+                _put(file, path.parent / file.name)
+
+
+@contextlib.contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Keep other runs that write into `folder` out, while the block runs.
+
+    **Raises:** `OSError` that names it, if there is another one.
+    """
+    with _workplace(folder / WORK, folder):
+        yield
 
 
 def check_file(path: Path) -> None:
@@ -96,31 +143,37 @@ def check_file(path: Path) -> None:
 
     **Raises:** `OSError` that names `path`, and says why not.
     """
-    _check_parent(path)
     if path.is_dir():
         raise OSError(f"{path}: is a folder, expected the name of a file")
+    if path.exists():
+        if not path.is_file() and not _is_stream(path):
+            raise OSError(f"{path}: is a device or a socket, expected a file")
+        if not os.access(path, os.W_OK):
+            raise OSError(f"{path}: may not be written to")
+    if not _is_stream(path):
+        _check_parent(Path(os.path.realpath(path)), path)
 
 
-def check_folder(path: Path, may_replace: Callable[[str], bool] | None) -> None:
-    """The same of a folder; arguments are those of [`replacing_folder`][]."""
-    _check_parent(path)
-    _check_replaceable(path, may_replace)
+def _check_folder(path: Path) -> None:
+    if path.is_dir():
+        if not os.access(path, os.W_OK | os.X_OK):
+            raise OSError(f"{path}: the folder may not be written to")
+    elif path.exists():
+        raise OSError(f"{path}: is a file, expected a folder")
+    else:
+        _check_parent(path, path)
 
 
-def _check_parent(path: Path) -> None:
-    folder = path.parent
+def _check_parent(target: Path, shown: Path) -> None:
+    folder = target.parent
     if not folder.is_dir():
-        raise OSError(f"{path}: there is no folder {folder} to write it to")
+        raise OSError(f"{shown}: there is no folder {folder} to write it to")
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise OSError(f"{path}: the folder {folder} may not be written to")
+        raise OSError(f"{shown}: the folder {folder} may not be written to")
 
 
 def _check_replaceable(path: Path, may_replace: Callable[[str], bool] | None) -> None:
-    if not path.exists():
-        return
-    if not path.is_dir():
-        raise OSError(f"{path}: is a file, expected a folder")
-    names = sorted(entry.name for entry in path.iterdir())
+    names = _names(path)
     if names and may_replace is None:
         raise OSError(f"{path}: the folder is not empty")
     for name in names:
@@ -128,23 +181,149 @@ def _check_replaceable(path: Path, may_replace: Callable[[str], bool] | None) ->
             raise OSError(f"{path}: is not replaced, since it holds {name}")
 
 
-def _sibling(path: Path) -> Path:
-    # Not `tempfile`, whose files only their owner may read.
-    return path.with_name(f".{path.stem}-{secrets.token_hex(6)}{path.suffix}")
+def _check_untaken(
+    path: Path, new: Path, may_replace: Callable[[str], bool] | None
+) -> None:
+    """Nothing that came into `path` meanwhile is replaced, and nothing made is lost."""
+    for name in _names(new):
+        if not (path / name).exists() or (
+            may_replace is not None and may_replace(name)
+        ):
+            continue
+        kept = next(
+            place
+            for place in (path / f"{path.name}-{k}" for k in range(2, 10_000))
+            if not place.exists()
+        )
+        os.replace(new, kept)
+        raise OSError(
+            f"{path}: {name} appeared there meanwhile and stays; what was made is in "
+            f"{kept}"
+        )
 
 
-def _swap(new: Path, path: Path) -> None:
-    if not path.exists():
-        os.replace(new, path)
-        return
-    old = _sibling(path)
-    os.replace(path, old)
+def _names(path: Path) -> list[str]:
+    return sorted(entry.name for entry in path.iterdir() if entry.name != WORK)
+
+
+def _is_stream(path: Path) -> bool:
+    """Whether what is at `path` is to be written to, since it is no file."""
     try:
-        os.replace(new, path)
-    except BaseException:
-        os.replace(old, path)
-        raise
-    shutil.rmtree(old)
+        mode = path.stat().st_mode
+    except OSError:
+        return False
+    return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode)
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(f".{path.name}{WORK}")
+
+
+@contextlib.contextmanager
+def _made(path: Path) -> Iterator[None]:
+    """A folder; removed again if nothing was put into it."""
+    try:
+        path.mkdir()
+    except FileExistsError:
+        yield
+        return
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            path.rmdir()
+
+
+@contextlib.contextmanager
+def _workplace(work: Path, path: Path, patience: float = 0.0) -> Iterator[Path]:
+    """The folder `work`, empty, to be used by this run alone; removed afterwards.
+
+    All but `ready`, which holds what is still to be moved.
+
+    **Raises:** `OSError` that names `path`, if another run has it.
+    """
+    lock = FileLock(work / "lock", timeout=patience, poll_interval=0.02)
+    while True:
+        _make_own(work, path)
+        try:
+            lock.acquire()
+            break
+        except FileNotFoundError:
+            # Whoever had it has just removed it.
+            continue
+        except Timeout:
+            raise OSError(f"{path}: another run is writing there") from None
+    try:
+        _clear(work)
+        yield work
+    finally:
+        _clear(work)
+        with contextlib.suppress(OSError):
+            (work / "ready").rmdir()
+        if not (work / "ready").exists():
+            # Last, since whoever finds no lock makes another one.
+            with contextlib.suppress(OSError):
+                (work / "lock").unlink()
+                work.rmdir()
+        lock.release()
+
+
+def _make_own(work: Path, path: Path) -> None:
+    """The folder `work`; one that is there may be cleared only if a run left it."""
+    with _blaming(path, work), contextlib.suppress(FileExistsError):
+        work.mkdir()
+        return
+    with contextlib.suppress(FileNotFoundError):
+        found = work.lstat()
+        user = getattr(os, "geteuid", lambda: found.st_uid)()
+        if not stat.S_ISDIR(found.st_mode) or found.st_uid != user:
+            raise OSError(f"{path}: {work} is in the way; remove it")
+
+
+def _clear(work: Path) -> None:
+    for entry in list(work.iterdir()):
+        if entry.is_dir() and not entry.is_symlink():
+            if entry.name != "ready":
+                shutil.rmtree(entry, ignore_errors=True)
+        elif entry.name != "lock":
+            entry.unlink(missing_ok=True)
+
+
+def _place(ready: Path, path: Path, old: Path) -> None:
+    """Move all that is `ready` into `path`."""
+    # Records come last: who finds one finds what it speaks of.
+    for new in sorted(ready.iterdir(), key=lambda p: (p.suffix == ".json", p.name)):
+        place = path / new.name
+        if place.is_dir() and not place.is_symlink():
+            os.replace(place, old / new.name)
+        os.replace(new, place)
+
+
+def _put(temporary: Path, path: Path) -> None:
+    """What was written becomes `path`."""
+    if _is_stream(path):
+        _copy_into(temporary, path)
+        return
+    target = Path(os.path.realpath(path))
+    if target.exists():
+        shutil.copymode(target, temporary)
+    try:
+        os.replace(temporary, target)
+    except OSError as error:
+        # A file that is mounted by itself cannot be replaced.
+        if error.errno not in (errno.EBUSY, errno.EXDEV):
+            raise
+        _copy_into(temporary, target)
+
+
+def _copy_into(source: Path, path: Path) -> None:
+    # Without waiting for a reader who may never come.
+    descriptor = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
+    with open(source, "rb") as read, open(descriptor, "wb") as written:
+        os.set_blocking(descriptor, True)
+        if stat.S_ISREG(os.fstat(descriptor).st_mode):
+            written.truncate(0)
+        shutil.copyfileobj(read, written)
 
 
 @contextlib.contextmanager
@@ -155,7 +334,8 @@ def _blaming(path: Path, temporary: Path) -> Iterator[None]:
     except OSError as error:
         # Some errors of a full disk carry no name at all.
         named = "" if error.filename is None else os.fspath(error.filename)
-        if error.errno is not None and (not named or str(temporary) in str(named)):
+        ours = not named or str(temporary) in str(named) or str(path) == str(named)
+        if error.errno is not None and ours:
             raise OSError(f"{path}: cannot be written: {error.strerror}") from error
         if str(temporary) in str(error):
             # Of a file within a folder that is being filled.
@@ -176,7 +356,7 @@ def write_json(path: str | os.PathLike[str], data: Any) -> None:
     """
     text = _layout(plain(data), 0) + "\n"
     with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def _layout(value: Any, indent: int) -> str:

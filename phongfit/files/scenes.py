@@ -13,7 +13,7 @@ from phongfit.files.arrays import write_array
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.formats import MAX_PIXELS
 from phongfit.files.images import read_image, read_mask, with_jpeg, write_image
-from phongfit.files.inputs import inside, naming, naming_field
+from phongfit.files.inputs import check_spared, inside, naming, naming_field
 from phongfit.files.outputs import write_json
 from phongfit.files.records import read_record
 from phongfit.files.schema import (
@@ -173,6 +173,10 @@ def build_scene(path: Path, record: SceneRecord) -> Scene:
     with naming(str(path)):
         scene = record.build()
         _check_size(scene)
+    for entry in record.images:
+        for name in (entry.file, entry.mask):
+            if name is not None:
+                check_spared(path.parent / name)
     return scene
 
 

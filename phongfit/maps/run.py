@@ -1,6 +1,7 @@
 """`fit_maps`: stacks of images under many lights in, maps of materials out."""
 
 import concurrent.futures
+import contextlib
 import hashlib
 import importlib.metadata
 import os
@@ -32,7 +33,7 @@ from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.pixel.tile import BLOCK, Tile, compiled
 from phongfit.maps.result import Maps, ParameterMaps
 from phongfit.maps.stacks import as_stack
-from phongfit.maps.store import TileStore
+from phongfit.maps.store import tile_store
 from phongfit.material import Material
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
@@ -114,6 +115,7 @@ def fit_maps(
 
     **Raises:** `ValueError` that names the argument: wrong shapes, too few images for
     the unknowns, a file of a stack that is missing or broken (finished tiles stay).
+    `OSError` if `output` cannot be written, or another run writes there.
     """
     instead = "fit_maps is no function that JAX can trace"
     untraced(instead, scenes=scenes, images=images, known=known, mask=mask, noise=noise)
@@ -144,45 +146,46 @@ def fit_maps(
     mesh = Mesh(np.array(devices or jax.local_devices()), ("pixels",))
     size, part = _tile_size(len(pixels), len(scenes), tile_pixels, mesh)
     tiles = [pixels[k : k + size] for k in range(0, len(pixels), size)]
-    store = None
-    if output is not None:
-        job = identify(settings, outside, geometry, masks, levels)
-        checksum = hashlib.blake2b(digest_size=16)
-        stack.identify(checksum.update)
-        job |= {
-            "images": checksum.hexdigest(),
-            "tile": f"{size} pixels on {mesh.size} devices",
-            "versions": _versions(),
-        }
-        store = TileStore(output, job)
+    with contextlib.ExitStack() as place:
+        store = None
+        if output is not None:
+            job = identify(settings, outside, geometry, masks, levels)
+            checksum = hashlib.blake2b(digest_size=16)
+            stack.identify(checksum.update)
+            job |= {
+                "images": checksum.hexdigest(),
+                "tile": f"{size} pixels on {mesh.size} devices",
+                "versions": _versions(),
+            }
+            store = place.enter_context(tile_store(output, job))
 
-    def read(tile: int) -> Tile | None:
-        if store is not None and store.load(tile) is not None:
-            return None
-        target = stack.take(tiles[tile], lighting.order)
-        used = masks.take(tiles[tile], lighting.order) & ~np.ma.getmask(target)
-        used = levels.weigh(used, tiles[tile], lighting.order)
-        return geometry.tile(tiles[tile], np.ma.getdata(target), used, size)
+        def read(tile: int) -> Tile | None:
+            if store is not None and store.load(tile) is not None:
+                return None
+            target = stack.take(tiles[tile], lighting.order)
+            used = masks.take(tiles[tile], lighting.order) & ~np.ma.getmask(target)
+            used = levels.weigh(used, tiles[tile], lighting.order)
+            return geometry.tile(tiles[tile], np.ma.getdata(target), used, size)
 
-    run = compiled(settings, mesh)
+        run = compiled(settings, mesh)
 
-    def work(part: Tile) -> list[np.ndarray]:
-        return [np.asarray(leaf) for leaf in jax.tree.leaves(run(part, outside))]
+        def work(part: Tile) -> list[np.ndarray]:
+            return [np.asarray(leaf) for leaf in jax.tree.leaves(run(part, outside))]
 
-    maps = _Canvas(seen.shape, 1 if settings.shared else 3, outside.noise.dtype)
-    with concurrent.futures.ThreadPoolExecutor(_workers(mesh)) as workers:
-        for k, tile in _bar(_ahead(read, len(tiles)), len(tiles), progress):
-            if tile is None:
-                assert store is not None
-                arrays = store.load(k)
-                assert arrays is not None
-            else:
-                # XLA works on so little with one core.
-                leaves = zip(*workers.map(work, tile.parts(part)), strict=True)
-                arrays = [np.concatenate(leaf)[: len(tiles[k])] for leaf in leaves]
-                if store is not None:
-                    store.save(k, arrays)
-            maps.paint(tiles[k], arrays)
+        maps = _Canvas(seen.shape, 1 if settings.shared else 3, outside.noise.dtype)
+        with concurrent.futures.ThreadPoolExecutor(_workers(mesh)) as workers:
+            for k, tile in _bar(_ahead(read, len(tiles)), len(tiles), progress):
+                if tile is None:
+                    assert store is not None
+                    arrays = store.load(k)
+                    assert arrays is not None
+                else:
+                    # XLA works on so little with one core.
+                    leaves = zip(*workers.map(work, tile.parts(part)), strict=True)
+                    arrays = [np.concatenate(leaf)[: len(tiles[k])] for leaf in leaves]
+                    if store is not None:
+                        store.save(k, arrays)
+                maps.paint(tiles[k], arrays)
     # No ambient light: nothing is identified, and nothing was looked for.
     hidden = tuple(name for name in unknowns if name not in settings.names)
     return maps.finished(

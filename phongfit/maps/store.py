@@ -1,15 +1,17 @@
 """Finished tiles on disk: whole or not at all, and of one job only."""
 
+import contextlib
 import io
 import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from phongfit.files.inputs import read_bytes, read_text
-from phongfit.files.outputs import replacing, write_json
+from phongfit.files.outputs import alone_in, replacing, write_json
 
 MANIFEST = "maps.json"
 
@@ -20,14 +22,13 @@ class TileStore:
     def __init__(self, folder: str | os.PathLike[str], job: dict[str, Any]):
         """**Arguments:**
 
-        - `folder`: made if it is not there.
+        - `folder`: one that is there.
         - `job`: what identifies the job; plain numbers and text.
 
         **Raises:** `ValueError` if the folder holds tiles of another job, or other
         files; `OSError` that names it.
         """
         self._folder = Path(folder)
-        self._folder.mkdir(parents=True, exist_ok=True)
         manifest = self._folder / MANIFEST
         if manifest.exists():
             _check(manifest, job)
@@ -58,6 +59,19 @@ class TileStore:
         named = {f"a{k:02d}": array for k, array in enumerate(arrays)}
         with replacing(self._path(tile)) as temporary:
             np.savez(temporary, allow_pickle=False, **named)
+
+
+@contextlib.contextmanager
+def tile_store(
+    folder: str | os.PathLike[str], job: dict[str, Any]
+) -> Iterator[TileStore]:
+    """A [`TileStore`][] for this run alone; its folder is made if it is not there.
+
+    **Raises:** as [`TileStore`][] does; `OSError` if another run writes there.
+    """
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    with alone_in(Path(folder)):
+        yield TileStore(folder, job)
 
 
 def _check(manifest: Path, job: dict[str, Any]) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from phongfit.files.outputs import replacing
 from phongfit.fitting.result import Fit
 from phongfit.fitting.uncertainty.diagnostics import Diagnostics
+from phongfit.plain import readable
 from phongfit.report.html import fill, parameters
 from phongfit.report.panels import (
     about_pictures,
@@ -59,7 +60,7 @@ def write_page(
         diagnostics=diagnostics,
     )
     with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(readable(text), encoding="utf-8")
 
 
 def page(

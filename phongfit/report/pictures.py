@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from phongfit.plain import readable
 from phongfit.rendering.film import encode
 from phongfit.report.style import SIGNED, picture, quiet, styled
 
@@ -119,7 +120,8 @@ def comparison(
             line[0].imshow(displayed(brighten * np.asarray(row.target)))
             line[1].imshow(displayed(brighten * np.asarray(row.fitted)))
             draw_residual(line[2], row.residual)
-            line[0].set_title(row.title, fontsize=9)
+            # The name of a file is no formula, and may hold what no font shows.
+            line[0].set_title(readable(row.title), fontsize=9, parse_math=False)
             for axis in line:
                 quiet(axis)
         columns = (*names, f"{names[0]} − {names[1]} (linear light)")

@@ -1,0 +1,185 @@
+"""Nothing of the user's is lost: what was computed stays, and inputs are no outputs."""
+
+import io
+import json
+import os
+import re
+import shutil
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from phongfit.cli import main
+from phongfit.files.fits import read_fit_record
+from phongfit.files.outputs import WORK, replacing_folder
+
+FIT = ["fit", "{data}", "-o", "{out}", "--report", "quick"]
+MAPS = ["maps", "{data}", "-o", "{out}", "--unknowns", "diffuse"]
+
+
+def _fill(args, data, out) -> list[str]:
+    return [word.format(data=data, out=out) for word in args]
+
+
+def _fail(*args, **kwargs):
+    raise ValueError("no such font")
+
+
+def _interrupt(*args, **kwargs):
+    raise KeyboardInterrupt
+
+
+def _close(*args, **kwargs):
+    raise BrokenPipeError
+
+
+@pytest.mark.parametrize(
+    "failing, status", [(_fail, 2), (_interrupt, 130), (_close, 141)]
+)
+@pytest.mark.parametrize(
+    "args, place, kept",
+    [
+        (FIT, "phongfit.commands.fit._draw", "fit.json"),
+        (MAPS, "phongfit.commands.maps._draw", "maps.npz"),
+    ],
+)
+def test_a_result_outlives_its_pictures(
+    brass, tmp_path, monkeypatch, capfd, args, place, kept, failing, status
+):
+    monkeypatch.setattr(place, failing)
+    out = tmp_path / "out"
+    # The test's own output stays where it is.
+    monkeypatch.setattr(os, "dup2", lambda *args: None)
+    assert main(_fill(args, brass, out)) == status
+    assert kept in os.listdir(out) and WORK not in os.listdir(out)
+    assert "tiles" not in os.listdir(out)
+    assert f"\n{out}: " in capfd.readouterr().out
+
+
+def test_no_half_picture_is_kept(brass, tmp_path, monkeypatch):
+    def half(figure, path, **options):
+        Path(path).write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", half)
+    assert main(_fill(FIT, brass, tmp_path / "out")) == 130
+    assert os.listdir(tmp_path / "out") == ["fit.json"]
+
+
+def test_two_runs_into_one_folder(brass, tmp_path, capsys):
+    out = tmp_path / "out"
+    with replacing_folder(out) as folder:
+        (folder / "mine.txt").write_text("mine")
+        for args in (FIT, MAPS):
+            assert main(_fill(args, brass, out)) == 2
+            err = capsys.readouterr().err
+            assert err == f"error: {out}: another run is writing there\n"
+    assert os.listdir(out) == ["mine.txt"]
+
+
+def test_files_put_there_while_it_runs(brass, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    fit = __import__("phongfit.commands.fit", fromlist=["fit"]).fit
+
+    def meanwhile(*args, **kwargs):
+        (out / "notes.txt").write_text("mine")
+        return fit(*args, **kwargs)
+
+    monkeypatch.setattr("phongfit.commands.fit.fit", meanwhile)
+    args = [*_fill(FIT[:-2], brass, out), "--report", "none"]
+    assert main(args) == 0
+    assert sorted(os.listdir(out)) == ["fit.json", "notes.txt"]
+    assert (out / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "args, lost",
+    [
+        ("render {data} -o {data}/001.png", "001.png"),
+        ("render {data} -o {data}/001_mask.png", "001_mask.png"),
+        ("render {data}/scene.json -o {data}/link.png", "002.png"),
+        (
+            "predict {data} --material preset:gold --noise 0.01 "
+            "--json {data}/scene.json",
+            "scene.json",
+        ),
+        (
+            "predict {data} --material {data}/truth.json --noise 0.1 "
+            "--json {data}/truth.json",
+            "truth.json",
+        ),
+        ("export {fit}/fit.json --to json -o {fit}/fit.json", "fit.json"),
+        ("export {fit} --to json -o {fit}/fit.json", "fit.json"),
+        ("export preset:gold --to gltf --scene {data}/scene.json -o {hard}.glb", ""),
+    ],
+)
+def test_an_input_is_no_output(copy, fitted, tmp_path, capsys, args, lost):
+    fit = shutil.copytree(fitted, tmp_path / "fit")
+    scene = json.loads((copy / "scene.json").read_text())
+    shutil.copy(copy / "001.png", copy / "001_mask.png")
+    scene["images"][0]["mask"] = "001_mask.png"
+    (copy / "scene.json").write_text(json.dumps(scene))
+    (copy / "link.png").symlink_to(copy / "002.png")
+    os.link(copy / "scene.json", tmp_path / "hard.glb")
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    words = args.format(data=copy, fit=fit, hard=tmp_path / "hard").split()
+    assert main(words) == 2
+    err = capsys.readouterr().err
+    assert re.match(r"error: \S+: is an input, expected another file", err), err
+    assert lost in err.replace("link.png", "002.png") and err.count("\n") == 1
+    assert before == {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+
+
+def test_names_of_all_kinds(brass, tmp_path, monkeypatch):
+    """Formulas of matplotlib, bytes that are no UTF-8, a terminal of ASCII."""
+    data = Path(os.fsdecode(os.fsencode(tmp_path) + b"/$x_$ caf\xe9"))
+    shutil.copytree(brass, data)
+    photograph = Path(os.fsdecode(os.fsencode(data) + b"/$a_$ \xe9.png"))
+    os.rename(data / "001.png", photograph)
+    little = io.TextIOWrapper(io.BytesIO(), encoding="ascii", errors="strict")
+    monkeypatch.setattr(sys, "stdout", little)
+    args = ["fit", str(photograph), "--scene", str(data / "scene.json")]
+    assert main([*args, *_fill(FIT[2:], "", tmp_path / "out")]) == 0
+    made = {"fit.json", "comparison.png", "report.html"}
+    assert set(os.listdir(tmp_path / "out")) == made
+    little.flush()
+    assert b"diffuse" in little.buffer.getvalue()
+    record = read_fit_record(tmp_path / "out" / "fit.json")
+    assert record.data.name == r"$a_$ \udce9"
+    assert r"$a_$ \udce9.png" in record.data.inputs
+
+
+def test_a_terminal_that_knows_little(monkeypatch):
+    little = io.TextIOWrapper(io.BytesIO(), encoding="ascii", errors="strict")
+    monkeypatch.setattr(sys, "stderr", little)
+    assert main(["fit", "ρ.png", "-o", "out"]) == 2
+    little.flush()
+    assert b"\\u03c1.png: there is no such file" in little.buffer.getvalue()
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_told_to_end(brass, tmp_path, monkeypatch, capsys, name):
+    number = getattr(signal, name)
+    monkeypatch.setattr(
+        "phongfit.commands.fit.fit", lambda *args, **kwargs: signal.raise_signal(number)
+    )
+    before = signal.getsignal(number)
+    assert main(_fill(FIT, brass, tmp_path / "out")) == 128 + number
+    assert capsys.readouterr().err == f"error: ended by {name}\n"
+    assert not os.listdir(tmp_path) and signal.getsignal(number) == before
+
+
+def test_a_signal_that_is_ignored_stays_so(brass, tmp_path, monkeypatch, capsys):
+    def hang_up(*args, **kwargs):
+        signal.raise_signal(signal.SIGHUP)
+        raise ValueError("went on")
+
+    monkeypatch.setattr("phongfit.commands.fit.fit", hang_up)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert main(_fill(FIT, brass, tmp_path / "out")) == 2
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert capsys.readouterr().err == "error: went on\n"
