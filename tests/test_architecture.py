@@ -185,3 +185,70 @@ def test_a_wrong_import_is_seen(path, source):
 )
 def test_a_right_import_is_fine(path, source):
     assert violations(Path(path), source) == []
+
+
+def unheld(
+    modules: set[str], tests: set[str], table: dict[str, list[str]]
+) -> list[str]:
+    """What is wrong with who tests what, in words.
+
+    A module is held by the test file of its name, or by the one line of the table that
+    names it.
+
+    **Arguments:**
+
+    - `modules`, `tests`: files without their suffix, such as `geometry/cameras` and
+        `geometry/test_cameras`.
+    - `table`: test file → the modules that it holds beside that of its own name.
+    """
+    named = [module for held in table.values() for module in held]
+    own = {module for module in modules if _own_test(module) in tests}
+    return [
+        *(f"{test}: there is no such test file" for test in sorted(set(table) - tests)),
+        *(f"{name}: there is no such module" for name in sorted({*named} - modules)),
+        *(
+            f"{name}: no test file holds it"
+            for name in sorted(modules - own - {*named})
+        ),
+        *(f"{name}: named, and has its own test" for name in sorted(own & {*named})),
+        *(f"{name}: named twice" for name in sorted({*named}) if named.count(name) > 1),
+    ]
+
+
+def _own_test(module: str) -> str:
+    folder, _, name = module.rpartition("/")
+    return f"{folder}/test_{name}".lstrip("/")
+
+
+def test_a_test_holds_every_module():
+    modules, tests = (
+        {path.relative_to(ROOT / top).with_suffix("").as_posix() for path in paths}
+        for top, paths in (
+            ("phongfit", (ROOT / "phongfit").rglob("*.py")),
+            ("tests", (ROOT / "tests").rglob("test_*.py")),
+        )
+    )
+    rows = re.findall(
+        r"^\| `([\w/]*test_\w+)` \| (.+) \|$",
+        (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
+    table = {test: re.findall(r"`([^`]+)`", held) for test, held in rows}
+    assert len(table) == len(rows) > 10
+    modules = {name for name in modules if not name.endswith("__init__")}
+    assert unheld(modules, tests, table) == []
+
+
+@pytest.mark.parametrize(
+    "modules, table, words",
+    [
+        ({"a/b", "c"}, {"a/test_b": ["c"]}, []),
+        ({"a/b", "c"}, {}, ["c: no test file holds it"]),
+        ({"a/b"}, {"a/test_b": ["c"]}, ["c: there is no such module"]),
+        ({"a/b", "c"}, {"test_d": ["c"]}, ["test_d: there is no such test file"]),
+        ({"a/b"}, {"test_e": ["a/b"]}, ["a/b: named, and has its own test"]),
+        ({"c"}, {"a/test_b": ["c"], "test_e": ["c"]}, ["c: named twice"]),
+    ],
+)
+def test_what_no_test_holds_is_seen(modules, table, words):
+    assert unheld(modules, {"a/test_b", "test_e"}, table) == words

@@ -23,7 +23,7 @@ from phongfit.geometry.normals import (
 )
 from phongfit.geometry.raytracing import blocked, first_faces
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer
-from phongfit.vectors import Vec3, dot, norm, normalize
+from phongfit.vectors import Vec3, dot, norm, normalize, normalize_all
 
 # A shadow ray starts this far off its face, as a share of the mesh's size: past the
 # rounding of Embree's float32, and well below anything that casts a shadow.
@@ -120,7 +120,7 @@ class Mesh(AbstractSurface):
                     f"normals: expected shape {vertices.shape}, got {normals.shape}"
                 )
             require("normals", normals, np.isfinite, jnp.isfinite, "finite numbers")
-            normals = jax.vmap(normalize)(normals)
+            normals = normalize_all(normals)
         if crease_angle is not None:
             if normals is not None:
                 raise ValueError("crease_angle: only for normals that are computed")
@@ -176,14 +176,25 @@ class Mesh(AbstractSurface):
         to_light: Float[Array, "*batch 3"],
         distance: Float[Array, "*batch"],
     ) -> Bool[Array, "*batch"]:
-        # Off the face on the side of the light: a face is never in its own shadow.
-        precision = float(jnp.finfo(position.dtype).eps)
-        furthest = jnp.max(jnp.abs(self.vertices[self.faces.ravel()]))
-        lift = LIFT * _size(self) + ROUNDINGS * precision * furthest
-        side = jnp.sum(normal * to_light, axis=-1, keepdims=True)
-        origin = position + jnp.where(side < 0, -lift, lift) * normal
-        rays = Ray(origin, to_light)
-        return ~blocked(self.vertices, self.faces, rays, distance - lift)
+        rays, distance = _off_the_face(self, position, normal, to_light, distance)
+        return ~blocked(self.vertices, self.faces, rays, distance)
+
+
+@jax.jit
+def _off_the_face(
+    mesh: Mesh,
+    position: Float[Array, "*batch 3"],
+    normal: Float[Array, "*batch 3"],
+    to_light: Float[Array, "*batch 3"],
+    distance: Float[Array, "*batch"],
+) -> tuple[Ray, Float[Array, "*batch"]]:
+    """Rays that start on the side of the light: a face is never in its own shadow."""
+    precision = float(jnp.finfo(position.dtype).eps)
+    furthest = jnp.max(jnp.abs(mesh.vertices[mesh.faces.ravel()]))
+    lift = LIFT * _size(mesh) + ROUNDINGS * precision * furthest
+    side = jnp.sum(normal * to_light, axis=-1, keepdims=True)
+    origin = position + jnp.where(side < 0, -lift, lift) * normal
+    return Ray(origin, to_light), distance - lift
 
 
 def _size(mesh: Mesh) -> Float[Array, ""]:

@@ -4,6 +4,7 @@ Faces are wound counter-clockwise seen from outside, so that normals point outwa
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Literal, get_args
 
 import jax
@@ -26,6 +27,7 @@ def face_normal(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
     return jnp.cross(b - a, c - a)
 
 
+@jax.jit
 def face_normals(
     vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"]
 ) -> Float[Array, "faces 3"]:
@@ -42,6 +44,7 @@ def _angle(corner: Vec3, following: Vec3, preceding: Vec3) -> Scalar:
     return jnp.arctan2(sine, jnp.where(degenerate, 1, cosine))
 
 
+@partial(jax.jit, static_argnames="weighting")
 def vertex_normals(
     vertices: Float[Array, "vertices 3"],
     faces: Int[Array, "faces 3"],

@@ -1,8 +1,10 @@
 """Surfaces given as a function (u, v) → p, cut into triangles."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -36,10 +38,32 @@ def tessellate(
 
     **Raises:** `ValueError` that names the argument.
     """
-    us, vs = _steps("u", u, "columns", columns), _steps("v", v, "rows", rows)
-    point = jax.eval_shape(function, us[0], vs[0])
+    ends = _ends("u", u, "columns", columns), _ends("v", v, "rows", rows)
+    point = jax.eval_shape(
+        function, *(jax.ShapeDtypeStruct((), end.dtype) for end in ends)
+    )
     if point.shape != (3,):
         raise ValueError(f"function: expected points of shape (3,), got {point.shape}")
+    if all(eqx.is_array(leaf) for leaf in jax.tree.leaves(function)):
+        # One program for each shape and size.
+        vertices, normals = _kept_grid(function, *ends, columns, rows)
+    else:
+        # It may read what changes from one call to the next: nothing is kept.
+        grid = jax.jit(functools.partial(_grid, function), static_argnums=(2, 3))
+        vertices, normals = grid(*ends, columns, rows)
+    return Mesh(vertices, _cells(columns, rows), normals, two_sided=two_sided)
+
+
+def _grid(
+    function: Callable[[Scalar, Scalar], Vec3],
+    u: Float[Array, "2"],
+    v: Float[Array, "2"],
+    columns: int,
+    rows: int,
+) -> tuple[Float[Array, "vertices 3"], Float[Array, "vertices 3"]]:
+    """Points of the surface, row by row, and unit normals there."""
+    us = jnp.linspace(u[0], u[1], columns + 1)
+    vs = jnp.linspace(v[0], v[1], rows + 1)
     middle = (us[0] + us[-1]) / 2, (vs[0] + vs[-1]) / 2
 
     def at(u: Scalar, v: Scalar) -> tuple[Vec3, Vec3]:
@@ -54,23 +78,21 @@ def tessellate(
         return function(u, v), parametric_normal(function, inner_u, inner_v)
 
     grid = jax.vmap(jax.vmap(at, in_axes=(0, None)), in_axes=(None, 0))
-    vertices, normals = grid(us, vs)
-    return Mesh(
-        vertices.reshape(-1, 3),
-        _cells(columns, rows),
-        normals.reshape(-1, 3),
-        two_sided=two_sided,
-    )
+    points, normals = grid(us, vs)
+    return points.reshape(-1, 3), normals.reshape(-1, 3)
 
 
-def _steps(name: str, ends: Any, count_name: str, count: Any) -> Float[Array, " steps"]:
+_kept_grid = eqx.filter_jit(_grid)
+
+
+def _ends(name: str, ends: Any, count_name: str, count: Any) -> Float[Array, "2"]:
     ends = as_floats(name, ends)
     if ends.shape != (2,):
         raise ValueError(f"{name}: expected shape (first, last), got {ends.shape}")
     require(name, ends, np.isfinite, jnp.isfinite, "finite numbers")
     if isinstance(count, bool) or not isinstance(count, int) or count < 1:
         raise ValueError(f"{count_name}: expected a whole number ≥ 1, got {count!r}")
-    return jnp.linspace(ends[0], ends[1], count + 1)
+    return ends
 
 
 def _cells(columns: int, rows: int) -> np.ndarray:

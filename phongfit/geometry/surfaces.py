@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.checks import as_floats, as_indices, as_scalar, as_vector, require
 from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera, Ray
-from phongfit.vectors import Vec3, dot, normalize
+from phongfit.vectors import Vec3, dot, normalize, normalize_all
 
 
 class GBuffer(eqx.Module):
@@ -228,7 +228,7 @@ class NormalMap(AbstractSurface):
             wanted = "finite numbers inside the mask"
             return require(name, array, finite, finite, wanted)
 
-        normals = jax.vmap(jax.vmap(normalize))(known("normals", normals))
+        normals = normalize_all(known("normals", normals))
         self.mask = mask & jnp.any(normals != 0, axis=-1)
         inside = self.mask[..., None]
         placeholder = jnp.broadcast_to(jnp.array([0, 0, 1], normals.dtype), (*size, 3))

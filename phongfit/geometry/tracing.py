@@ -56,13 +56,20 @@ def visibility(
     *batch, _ = points.position.shape
     seen = []
     for light in lights:
-        flat = points.position.reshape(-1, 3)
-        arriving = jax.vmap(light.illuminate)(flat)
-        to_light = arriving.to_light.reshape(*batch, 3)
-        distance = arriving.distance.reshape(*batch)
+        to_light, distance = _towards(light, points.position)
         seen.append(
             surface.reached(points.position, points.surface_normal, to_light, distance)
         )
     if not seen:
         return jnp.zeros((*batch, 0), points.position.dtype)
     return jnp.stack(seen, axis=-1).astype(points.position.dtype)
+
+
+@eqx.filter_jit
+def _towards(
+    light: AbstractLight, position: Float[Array, "*points 3"]
+) -> tuple[Float[Array, "*points 3"], Float[Array, "*points"]]:
+    """Unit vectors to a light, and its distance in world units."""
+    arriving = jax.vmap(light.illuminate)(position.reshape(-1, 3))
+    to_light = arriving.to_light.reshape(position.shape)
+    return to_light, arriving.distance.reshape(position.shape[:-1])

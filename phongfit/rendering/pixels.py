@@ -1,7 +1,7 @@
 """From light at the points that were lit to light in the pixels."""
 
 import math
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -16,6 +16,8 @@ from phongfit.material import Material
 from phongfit.programs import program
 from phongfit.rendering.terms import ShadingTerms, combine, terms
 from phongfit.scene import Scene
+
+T = TypeVar("T")
 
 
 class Haze(eqx.Module):
@@ -96,24 +98,17 @@ class PixelTerms(eqx.Module):
 
         **Arguments:** `pixels`: flat indices, row by row: y · width + x.
         """
-        haze = self.haze
-        if haze is not None:
-            haze = Haze(
-                haze.transmittance.reshape(-1, 1)[pixels],
-                haze.color.reshape(-1, 3)[pixels],
-            )
-        if self.interpolation is None:
-            chosen, interpolation = _gather(self.terms, pixels), None
-        else:
-            corners = self.interpolation.index.shape[-1]
-            index = self.interpolation.index.reshape(-1, corners)[pixels]
-            weight = self.interpolation.weight.reshape(-1, corners)[pixels]
+        interpolation, haze = _rows((self.interpolation, self.haze), pixels)
+        if interpolation is None:
+            chosen = _gather(self.terms, pixels)
+        elif isinstance(interpolation.index, Tracer):
             chosen = self.terms
-            if not isinstance(index, Tracer):
-                used, position = np.unique(np.asarray(index), return_inverse=True)
-                index = jnp.asarray(position.reshape(index.shape).astype(np.int32))
-                chosen = _gather(chosen, jnp.asarray(np.resize(used, _size(used))))
-            interpolation = Interpolation(index, weight)
+        else:
+            corners = np.asarray(interpolation.index)
+            used, position = np.unique(corners, return_inverse=True)
+            index = jnp.asarray(position.reshape(corners.shape).astype(np.int32))
+            interpolation = Interpolation(index, interpolation.weight)
+            chosen = _gather(self.terms, jnp.asarray(np.resize(used, _size(used))))
         return PixelTerms(chosen, interpolation, haze, self.clamp)
 
 
@@ -129,6 +124,12 @@ PixelTerms.__init__.__doc__ = """**Arguments:**
 def _size(used: np.ndarray) -> int:
     """At least as many points as are used, out of few sizes: each is a compilation."""
     return 2 ** int(max(len(used) - 1, 63)).bit_length()
+
+
+@jax.jit
+def _rows(arrays: T, pixels: Int[Array, " n"]) -> T:
+    """Some pixels of arrays of all of them, counted row by row."""
+    return jax.tree.map(lambda a: a.reshape(-1, a.shape[-1])[pixels], arrays)
 
 
 @eqx.filter_jit

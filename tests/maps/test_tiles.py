@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -118,54 +117,64 @@ def test_saved_and_loaded(maps, tmp_path):
 
 
 PROGRAM = """
+import os
+import signal
 import sys
+from pathlib import Path
+
 import phongfit as pf
-from tests.maps.test_tiles import QUICK, SIZE, STACK
-import time
-class Slow(pf.AbstractStack):
-    def __init__(self, inner): self.inner = inner
-    @property
-    def shape(self): return self.inner.shape
-    def identify(self, update): self.inner.identify(update)
-    def take(self, pixels, order):
-        time.sleep(float(sys.argv[3]))
-        return self.inner.take(pixels, order)
 from phongfit.maps.stacks import ArrayStack
-out = None if sys.argv[1] == "-" else sys.argv[1]
-maps = pf.fit_maps(
-    STACK.scenes, Slow(ArrayStack(STACK.images)), tile_pixels=SIZE, output=out, **QUICK
-)
-maps.save(sys.argv[2])
+from tests.maps.test_tiles import QUICK, SIZE, STACK
+
+out, file, last = sys.argv[1:]
+
+
+class Killed(pf.AbstractStack):
+    def __init__(self, inner):
+        self.inner = inner
+
+    @property
+    def shape(self):
+        return self.inner.shape
+
+    def identify(self, update):
+        self.inner.identify(update)
+
+    def take(self, pixels, order):
+        if out and len(list(Path(out).glob("tile_*.npz"))) == int(last):
+            os.kill(os.getpid(), signal.SIGKILL)
+        return self.inner.take(pixels, order)
+
+
+stack = Killed(ArrayStack(STACK.images))
+maps = pf.fit_maps(STACK.scenes, stack, tile_pixels=SIZE, output=out or None, **QUICK)
+maps.save(file)
 """
 
 
-def start(*arguments: str, **environment: str) -> subprocess.Popen:
-    return subprocess.Popen(
+def run(*arguments: str, **environment: str) -> int:
+    """Status of the program above: given a folder, a file, and when it is killed."""
+    return subprocess.run(
         [sys.executable, "-c", PROGRAM, *arguments],
         cwd=Path(__file__).parents[2],
         env=os.environ | environment,
-    )
+    ).returncode
 
 
 def test_killed_and_run_again(maps, tmp_path):
     """kill -9 in the middle: the second run ends with the bits of a quiet one."""
     out, file = tmp_path / "out", tmp_path / "maps.npz"
-    first = start(str(out), str(file), "0.7")
-    deadline = time.monotonic() + 120
-    while len(list(out.glob("tile_*.npz"))) < 2 and time.monotonic() < deadline:
-        time.sleep(0.02)
-    first.send_signal(signal.SIGKILL)
-    first.wait()
+    assert run(str(out), str(file), "2") == -signal.SIGKILL
     assert not file.exists()
     assert 2 <= len(list(out.glob("tile_*.npz"))) < 6
-    assert start(str(out), str(file), "0").wait() == 0
+    assert run(str(out), str(file), "-1") == 0
     same(pf.load_maps(file), maps)
 
 
 def test_four_devices_give_what_one_gives(maps, tmp_path):
     file = tmp_path / "maps.npz"
     flags = "--xla_force_host_platform_device_count=4"
-    assert start("-", str(file), "0", XLA_FLAGS=flags).wait() == 0
+    assert run("", str(file), "-1", XLA_FLAGS=flags) == 0
     found = pf.load_maps(file)
     for name in ("diffuse", "noise"):
         np.testing.assert_allclose(
