@@ -22,6 +22,8 @@ from typing import Any, TypeVar
 
 import tyro
 
+from phongfit.files import budget
+
 COMMANDS = {
     "synth": "Make a data set with known truth: photographs of a ball, to be fitted.",
     "render": "Render a scene with a material, as an image.",
@@ -45,6 +47,9 @@ Errors are reported in one line, with exit status 2; an interrupt with 130, SIGT
 with 143. What was compiled is kept in $XDG_CACHE_HOME/phongfit (else
 ~/.cache/phongfit), which may be deleted at any time; PHONGFIT_CACHE=FOLDER puts it
 elsewhere, PHONGFIT_CACHE=off nowhere. JAX_ENABLE_X64=1 computes in double precision.
+
+No file may take more than 1 GB of memory when it is read, whatever it says that it
+holds; --max-memory 4G, of any command, or PHONGFIT_MAX_MEMORY=4G allows more.
 """
 
 Result = TypeVar("Result")
@@ -69,13 +74,39 @@ def main(args: Sequence[str] | None = None) -> int:
         warnings.catch_warnings(),
     ):
         warnings.showwarning = _show_warning
+        return _guard(lambda: _run(args))
+
+
+def _run(args: list[str]) -> int | None:
+    """The command that is asked for, with options that all commands have."""
+    with _memory(args):
         if args and args[0] in COMMANDS:
-            prog = f"phongfit {args[0]}"
-            return _guard(lambda: _parse(_load(args[0]), args[1:], prog)())
+            return _parse(_load(args[0]), args[1:], f"phongfit {args[0]}")()
         if args == ["--version"]:
             print(f"phongfit {importlib.metadata.version('phongfit')}")
             return 0
-        return _guard(lambda: _overview(args))
+        return _overview(args)
+
+
+@contextlib.contextmanager
+def _memory(args: list[str]) -> Iterator[None]:
+    """Take the limit of memory out of the options, and hold to it in the block."""
+    before = os.environ.get(budget.SWITCH)
+    for at, word in enumerate(args):
+        name, equals, size = word.partition("=")
+        if name == budget.OPTION:
+            size = size if equals else "".join(args[at + 1 : at + 2])
+            budget.parse_size(budget.OPTION.removeprefix("--"), size)
+            os.environ[budget.SWITCH] = size
+            del args[at : at + (1 if equals else 2)]
+            break
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(budget.SWITCH, None)
+        else:
+            os.environ[budget.SWITCH] = before
 
 
 @contextlib.contextmanager
@@ -202,7 +233,7 @@ def _overview(args: Sequence[str]) -> None:
 
 def _show_warning(message: Warning | str, *where: Any) -> None:
     del where
-    print(f"warning: {' '.join(str(message).split())}", file=sys.stderr, flush=True)
+    print(f"warning: {_on_one_line(str(message))}", file=sys.stderr, flush=True)
 
 
 def run(
@@ -253,8 +284,16 @@ def _guard(call: Callable[[], int | None]) -> int:
 
 
 def _stop(message: str, status: int) -> int:
-    print(f"error: {' '.join(message.split())}", file=sys.stderr, flush=True)
+    print(f"error: {_on_one_line(message)}", file=sys.stderr, flush=True)
     return status
+
+
+def _on_one_line(message: str) -> str:
+    """Without line breaks, nor what steers a terminal: names of files may hold it."""
+    return "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode()
+        for letter in " ".join(message.split())
+    )
 
 
 def _explain(error: OSError) -> str:

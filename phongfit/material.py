@@ -7,6 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.checks import as_reflectance, is_traced
@@ -94,17 +95,20 @@ def stack_materials(materials: Iterable[Material]) -> Material:
     if not materials:
         raise ValueError("materials: expected at least one, got none")
 
+    # By NumPy where it can be: nothing is compiled, however many there are.
+    xp: Any = jnp if is_traced(materials) else np
+
     def rows(material: Material) -> list[Array]:
-        leaves = [jnp.atleast_2d(leaf) for leaf in jax.tree.leaves(material)]
+        leaves = [xp.atleast_2d(leaf) for leaf in jax.tree.leaves(material)]
         if any(leaf.ndim > 2 for leaf in leaves):
             raise ValueError("materials: expected single materials, got a map")
         count = max(len(leaf) for leaf in leaves)
-        return [jnp.broadcast_to(leaf, (count, leaf.shape[1])) for leaf in leaves]
+        return [xp.broadcast_to(leaf, (count, leaf.shape[1])) for leaf in leaves]
 
     def stack(*leaves: Array) -> Array:
         channels = max(leaf.shape[1] for leaf in leaves)
-        spread = [jnp.broadcast_to(leaf, (len(leaf), channels)) for leaf in leaves]
-        return jnp.concatenate(spread)
+        spread = [xp.broadcast_to(leaf, (len(leaf), channels)) for leaf in leaves]
+        return jnp.asarray(xp.concatenate(spread))
 
     stacked = [stack(*leaves) for leaves in zip(*map(rows, materials), strict=True)]
     return jax.tree.unflatten(jax.tree.structure(materials[0]), stacked)

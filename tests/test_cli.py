@@ -1,10 +1,13 @@
 """The shell around all commands."""
 
+import warnings
 from dataclasses import dataclass
 
 import pytest
 
-from phongfit.cli import run
+from phongfit import cli
+from phongfit.cli import _show_warning, run
+from phongfit.files.budget import SWITCH, most
 
 
 @dataclass(frozen=True)
@@ -84,3 +87,34 @@ def _check_error(capsys, words) -> None:
     assert output.out == ""
     assert output.err.startswith("error: ") and words in output.err
     assert output.err.endswith("\n") and output.err.count("\n") == 1
+
+
+def test_what_steers_a_terminal_is_shown_as_text(capsys):
+    def colourful() -> None:
+        warnings.warn("a\x1b[31m.png", stacklevel=1)
+        raise ValueError("b\x1b]0;title\x07\n.png: is missing")
+
+    with warnings.catch_warnings():
+        warnings.showwarning = _show_warning
+        warnings.simplefilter("always")
+        assert run(colourful, []) == 2
+    told = capsys.readouterr().err
+    assert told == (
+        "warning: a\\x1b[31m.png\nerror: b\\x1b]0;title\\x07 .png: is missing\n"
+    )
+
+
+@pytest.mark.parametrize("words", [["--max-memory", "2G"], ["--max-memory=2G"]])
+def test_the_limit_of_memory_is_an_option_of_all_commands(words, monkeypatch):
+    seen = []
+    monkeypatch.setattr(cli, "_overview", lambda args: seen.append((args, most())))
+    monkeypatch.setenv(SWITCH, "5M")
+    assert cli.main([*words, "--help"]) == 0
+    assert seen == [(["--help"], 2**31)]
+    assert most() == 5 * 2**20
+
+
+@pytest.mark.parametrize("wrong", ["", "-1G", "much", "0"])
+def test_a_limit_of_memory_that_is_none(wrong, capsys):
+    assert cli.main(["--max-memory", wrong]) == 2
+    _check_error(capsys, "max-memory: expected a size such as 4G")

@@ -44,11 +44,12 @@ from phongfit.files.records import (
     Colour,
     FileName,
     Leaf,
+    Many,
     Matrix,
     Vector,
     complain,
-    shorten,
 )
+from phongfit.files.strict_json import shorten
 from phongfit.plain import plain
 
 
@@ -160,7 +161,7 @@ def _stored(name: str, hint: Any) -> Any:
         options = (_stored(name, option) for option in get_args(hint))
         return functools.reduce(operator.or_, options)
     if get_origin(hint) is tuple:
-        return list[_stored(name, get_args(hint)[0])]
+        return Many[_stored(name, get_args(hint)[0])]
     if get_origin(hint) is Literal or hint in (bool, int, float, str, NoneType):
         return hint
     if _is_a(hint, AbstractArray):

@@ -1,13 +1,15 @@
 """NumPy's own files, read without trusting them."""
 
+import io
+import math
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
-from numpy.lib.npyio import NpzFile
 
-from phongfit.files.inputs import MAX_BYTES, read_bytes
+from phongfit.files.budget import afford
+from phongfit.files.inputs import read_bytes
 from phongfit.files.outputs import replacing
 
 
@@ -19,38 +21,76 @@ def read_array(path: Path, key: str) -> np.ndarray:
     """
     if path.suffix.lower() not in (".npy", ".npz"):
         raise ValueError(f"{path}: expected suffix .npy or .npz, got {path.suffix!r}")
-    read_bytes(path)
+    data = read_bytes(path)
     try:
         if path.suffix.lower() == ".npy":
-            # Mapped first: a header may promise more numbers than the file has.
-            return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
-        return _from_archive(path, key)
+            return _array(data)
+        arrays = unpack(data)
+        if key not in arrays:
+            raise ValueError(f"expected an array {key!r}, got {list(arrays)}")
+        return arrays[key]
+    except MemoryError:
+        raise
     except Exception as error:
         # A broken file makes this reader raise nearly anything.
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(f"{path}: cannot be read: {reason}") from error
 
 
-def _from_archive(path: Path, key: str) -> np.ndarray:
-    with open_archive(path) as arrays:
-        if key not in arrays:
-            raise ValueError(f"expected an array {key!r}, got {list(arrays)}")
-        return arrays[key]
+def unpack(data: bytes) -> dict[str, np.ndarray]:
+    """The arrays of an `.npz` file, by their names.
 
-
-def open_archive(file: Path | BinaryIO) -> NpzFile:
-    """The arrays of an `.npz` file, none of them Python objects.
-
-    **Raises:** `ValueError` if they are more than a file may hold; whatever NumPy's
-    reader raises for a broken one.
+    **Raises:** `ValueError` if they are more than a file may hold, or Python objects;
+    `zipfile.BadZipFile` and others for what is broken.
     """
-    with zipfile.ZipFile(file) as archive:
-        size = sum(entry.file_size for entry in archive.infolist())
-    if size > MAX_BYTES:
-        raise ValueError(f"expected at most {MAX_BYTES} bytes unpacked, got {size}")
-    if not isinstance(file, Path):
-        file.seek(0)
-    return np.load(file, allow_pickle=False)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        entries = archive.infolist()
+        names = [entry.filename.removesuffix(".npy") for entry in entries]
+        if len(set(names)) != len(names):
+            raise ValueError("expected each array once")
+        sizes = [entry.file_size for entry in entries]
+        # Each is there twice for a moment: as bytes, then as an array.
+        afford(len(data) + sum(sizes) + max(sizes, default=0), "arrays")
+        contents = _contents(archive, entries)
+        return {name: _array(one) for name, one in zip(names, contents, strict=True)}
+
+
+def _contents(
+    archive: zipfile.ZipFile, entries: list[zipfile.ZipInfo]
+) -> Iterator[bytes]:
+    for entry in entries:
+        # What NumPy writes; others take memory of their own.
+        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError(f"{entry.filename}: is packed in a way of its own")
+        with archive.open(entry) as file:
+            # No more than it says; one byte more shows that it holds more.
+            content = file.read(entry.file_size + 1)
+        if len(content) != entry.file_size:
+            raise ValueError(f"{entry.filename}: is truncated")
+        yield content
+
+
+def _array(data: bytes) -> np.ndarray:
+    """The array of an `.npy` file's bytes."""
+    file = io.BytesIO(data)
+    version = np.lib.format.read_magic(file)
+    if version == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+    elif version == (2, 0):
+        shape, _, dtype = np.lib.format.read_array_header_2_0(file)
+    else:
+        raise ValueError(f"expected version 1.0 or 2.0 of .npy, got {version}")
+    if dtype.hasobject:
+        raise ValueError("expected numbers, got Python objects")
+    # A header may promise more numbers than the file has.
+    size = math.prod(shape) * dtype.itemsize
+    if size > len(data) - file.tell():
+        raise ValueError(
+            f"expected {size} bytes for shape {shape}, got {len(data) - file.tell()}"
+        )
+    afford(len(data) + size, f"an array of shape {shape}")
+    file.seek(0)
+    return np.lib.format.read_array(file, allow_pickle=False)
 
 
 def write_array(path: Path, array: np.ndarray) -> None:

@@ -5,12 +5,15 @@
     non-Lambertian and uncalibrated photometric stereo*, TPAMI 41(2), 2019.
 """
 
+import io
+import math
 import os
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from phongfit.files.budget import afford
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import read_image, read_mask
 from phongfit.files.inputs import inside, naming, read_bytes, read_table, read_text
@@ -19,6 +22,9 @@ from phongfit.geometry.surfaces import NormalMap
 from phongfit.lights import DirectionalLight
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
+
+NORMALS = "Normal_gt"
+NUMBERS = ("double", "single", *(f"{u}int{n}" for n in (8, 16, 32) for u in ("", "u")))
 
 
 def is_diligent(folder: Path) -> bool:
@@ -97,11 +103,16 @@ def _check_lights(
 ) -> None:
     for name, fine, wanted in (
         ("light_directions.txt", np.any(directions != 0, axis=1), "a vector but zero"),
-        ("light_intensities.txt", np.all(intensities > 0, axis=1), "numbers > 0"),
+        ("light_intensities.txt", _sound(intensities).all(axis=1), "numbers > 0"),
     ):
         if not fine.all():
             line = int(np.argmin(fine))
             raise ValueError(f"{folder / name}: light {line + 1}: expected {wanted}")
+
+
+def _sound(intensities: np.ndarray) -> np.ndarray:
+    """Whether light can be divided by them, and squared, in single precision."""
+    return (intensities > 1e-12) & (intensities < 1e12)
 
 
 def _read_surface(folder: Path, mask: Bool[np.ndarray, "height width"]) -> NormalMap:
@@ -109,21 +120,28 @@ def _read_surface(folder: Path, mask: Bool[np.ndarray, "height width"]) -> Norma
     import scipy.io
 
     path = inside(folder, "Normal_gt.mat")
-    read_bytes(path)
-    wanted = (*mask.shape, 3)
+    data, wanted = read_bytes(path), (*mask.shape, 3)
     try:
         # Asked first: a small file can hold very many equal numbers.
-        shapes = {name: shape for name, shape, _ in scipy.io.whosmat(path)}
-        shape = shapes.get("Normal_gt")
-        if shape != wanted:
-            raise ValueError(
-                f"Normal_gt: expected shape {wanted}, as mask.png has, got {shape}"
+        found = [one for one in scipy.io.whosmat(io.BytesIO(data)) if one[0] == NORMALS]
+        if len(found) != 1 or found[0][1] != wanted or found[0][2] not in NUMBERS:
+            got = " and ".join(
+                f"{shape}" if kind in NUMBERS else f"a {kind}"
+                for _, shape, kind in found
             )
-        normals = scipy.io.loadmat(path, variable_names=["Normal_gt"])["Normal_gt"]
-        return NormalMap(normals, mask)
+            raise ValueError(
+                f"{NORMALS}: expected numbers of shape {wanted}, as mask.png has, got "
+                f"{got or None}"
+            )
+        afford(len(data) + 2 * 8 * math.prod(wanted), "normals")
+        held = scipy.io.loadmat(io.BytesIO(data), variable_names=[NORMALS])
+        return NormalMap(held[NORMALS], mask)
+    except MemoryError:
+        raise
     except Exception as error:
         # A broken file makes this reader raise nearly anything.
-        raise ValueError(f"{path}: {error or type(error).__name__}") from error
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ValueError(f"{path}: {reason}") from error
 
 
 def _read_photograph(

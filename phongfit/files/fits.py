@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from phongfit.files.arguments import describe
 from phongfit.files.inputs import naming
 from phongfit.files.outputs import write_json
-from phongfit.files.records import AbstractRecord, read_record
+from phongfit.files.records import AbstractRecord, Many, read_record
 from phongfit.files.schema import MaterialRecord, SpecularRecord, describe_material
 from phongfit.fitting.problem.losses import LOSSES
 from phongfit.fitting.problem.specification import (
@@ -41,7 +41,7 @@ def _as_tuple(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
-Numbers = list[float | None]
+Numbers = Many[float | None]
 """Numbers, where null stands for what is not finite."""
 
 Edges = Annotated[tuple[float | None, float | None], BeforeValidator(_as_tuple)]
@@ -53,7 +53,7 @@ Pair = Annotated[tuple[float, float], BeforeValidator(_as_tuple)]
 Follows = Annotated[tuple[float, str], BeforeValidator(_as_tuple)]
 """(factor, label)."""
 
-Nested = float | None | Numbers | list[Numbers]
+Nested = float | None | Numbers | Many[Numbers]
 """A parameter: one number, RGB, or a row for each of several materials."""
 
 Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
@@ -63,9 +63,9 @@ Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 class FitSettings(AbstractRecord):
     """What a fit was asked for: see [`fit`][]."""
 
-    unknowns: list[str] = list(DEFAULT_UNKNOWNS)
-    per_channel: list[str] = list(DEFAULT_PER_CHANNEL)
-    per_image: list[str] = []
+    unknowns: Many[str] = list(DEFAULT_UNKNOWNS)
+    per_channel: Many[str] = list(DEFAULT_PER_CHANNEL)
+    per_image: Many[str] = []
     known: MaterialRecord | None = None
     bounds: dict[str, Edges] = {}
     fixed: dict[str, float] = {}
@@ -155,17 +155,17 @@ class FitRecord(AbstractRecord):
     model: SpecularRecord
     material: ParametersRecord
     stderr: ParametersRecord
-    labels: Annotated[list[str], Field(min_length=1)]
-    values: list[float]
+    labels: Annotated[Many[str], Field(min_length=1)]
+    values: Many[float]
     errors: Numbers
-    at_bound: list[bool]
-    unidentified: list[bool]
-    tied: list[bool]
-    bounds: list[Edges]
-    covariance: list[Numbers]
+    at_bound: Many[bool]
+    unidentified: Many[bool]
+    tied: Many[bool]
+    bounds: Many[Edges]
+    covariance: Many[Numbers]
     # Of 95 %; files that are older have none.
-    intervals: list[Edges] | None = None
-    exposure: list[float]
+    intervals: Many[Edges] | None = None
+    exposure: Many[float]
     noise: float
     noise_given: bool
     n_samples: int
@@ -180,7 +180,7 @@ class FitRecord(AbstractRecord):
     converged: bool
     steps: int
     reason: str
-    warnings: list[str]
+    warnings: Many[str]
     made_with: dict[str, str]
 
     @model_validator(mode="before")

@@ -11,9 +11,11 @@ import logging
 import os
 import re
 import struct
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import imagecodecs
 import imageio.v3 as iio
@@ -26,50 +28,70 @@ from phongfit.rendering.jpeg import JpegCompression
 # What a decoder minds and bears is for whoever asks for logs, not for the terminal.
 logging.getLogger("imagecodecs").addHandler(logging.NullHandler())
 
-MAX_PIXELS = 2**27
-"""Images with more pixels are refused: they would fill the memory."""
-
 
 class Refused(Exception):
     """The file is whole, but not what is wanted."""
 
 
-def _check_size(width: int, height: int, most: int) -> None:
-    if width * height > most:
-        raise Refused(
-            f"expected at most {most} pixels, got {width} × {height}; a smaller copy "
-            "will do"
-        )
+Room = Callable[[int, int, float], None]
+"""Asked before pixels are decoded: is there room for so many columns and rows, which
+take so many bytes a pixel while they are? [`Refused`][] if not."""
 
 
-def _read_png(data: bytes, path: Path, most: int) -> np.ndarray:
+def _read_png(data: bytes, path: Path, room: Room) -> np.ndarray:
     del path
     if data[:8] != b"\x89PNG\r\n\x1a\n":
         raise ValueError("it does not start as a PNG does")
-    width, height = struct.unpack(">II", data[16:24])
-    _check_size(width, height, most)
-    # Decoders are content without the end, where a copy may have been cut off.
-    if b"IEND\xaeB`\x82" not in data[-4096:]:
-        raise ValueError("it is truncated")
-    return imagecodecs.png_decode(data)
+    width, height, depth, colour = struct.unpack(">IIBB", data[16:26])
+    # Of a palette's colours a decoder makes up to four channels.
+    channels = {0: 1, 2: 3, 3: 4, 4: 2, 6: 4}.get(colour, 4)
+    room(width, height, channels * (2 if depth == 16 else 1))
+    return imagecodecs.png_decode(b"".join(_png_chunks(data)))
 
 
-def _read_jpeg(data: bytes, path: Path, most: int) -> np.ndarray:
-    del path
+# What tells of pixels; texts and profiles may unpack to any size.
+_PIXELS = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
+
+
+def _png_chunks(data: bytes) -> Iterator[bytes]:
+    """The signature and the chunks that pixels are made of."""
+    yield data[:8]
+    at = 8
+    while at + 8 <= len(data):
+        (length,) = struct.unpack_from(">I", data, at)
+        kind, end = data[at + 4 : at + 8], at + 12 + length
+        if kind in _PIXELS:
+            yield data[at:end]
+        # Decoders are content without the end, where a copy may have been cut off.
+        if kind == b"IEND" and end <= len(data):
+            return
+        at = end
+    raise ValueError("it is truncated")
+
+
+@contextlib.contextmanager
+def _opened_jpeg(data: bytes) -> Iterator[Image.Image]:
+    """A JPEG file, opened as nothing else: Pillow knows formats that run programs."""
     with warnings.catch_warnings():
-        # Pillow only warns of a picture that would fill the memory.
-        warnings.filterwarnings("error", "Image size", RuntimeWarning)
-        height, width = iio.improps(data, plugin="pillow", extension=".jpg").shape[:2]
-        _check_size(width, height, most)
-        numbers = iio.imread(data, plugin="pillow", extension=".jpg")
-    if numbers.ndim == 3 and numbers.shape[-1] != 3:
-        raise Refused("expected RGB or grey, got CMYK")
-    return numbers
+        # Of sizes, which are asked for here.
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        with Image.open(io.BytesIO(data), formats=["JPEG"]) as image:
+            yield image
+
+
+def _read_jpeg(data: bytes, path: Path, room: Room) -> np.ndarray:
+    del path
+    with _opened_jpeg(data) as image:
+        if image.mode not in ("L", "RGB"):
+            raise Refused(f"expected RGB or grey, got {image.mode}")
+        # Pillow holds four bytes of colour, and gives a copy of them.
+        room(*image.size, {"L": 3, "RGB": 10}[image.mode])
+        return np.asarray(image)
 
 
 def jpeg_compression(data: bytes) -> JpegCompression:
     """What the head of a JPEG file says that it rounds."""
-    with Image.open(io.BytesIO(data), formats=["JPEG"]) as image:
+    with _opened_jpeg(data) as image:
         steps: dict = getattr(image, "quantization", {})
         # Of each component its number, samples across and down, and its table's number.
         layers: list[tuple[int, int, int, int]] = getattr(image, "layer", [])
@@ -87,21 +109,37 @@ def jpeg_compression(data: bytes) -> JpegCompression:
     )
 
 
-def _read_tiff(data: bytes, path: Path, most: int) -> np.ndarray:
+def _read_tiff(data: bytes, path: Path, room: Room) -> np.ndarray:
     del path
     tags = _tiff_tags(data)
-    _check_size(tags.get(256, 0), tags.get(257, 0), most)
+    width, height = tags.get(_WIDTH, 0), tags.get(_HEIGHT, 0)
+    if tags.get(_IMAGE_DEPTH, 1) != 1:
+        raise Refused("expected a flat picture, got one of several layers")
+    bits = tags.get(_BITS, 1)
+    channels, planes = tags.get(_CHANNELS, 1), tags.get(_PLANES, 1)
+    pixel = channels * -(-bits // 8)
+    # One that is cut into tiles is read tile by tile, and a tile may be the larger.
+    tile = tags.get(_TILE_WIDTH, 0) * tags.get(_TILE_HEIGHT, 0)
+    room(width, height, pixel * (1 + tile / max(width * height, 1)))
     # 1 and 2 are grey, where 0 is black, and RGB; there are inverted ones, palettes …
-    photometric = tags.get(262)
+    photometric = tags.get(_PHOTOMETRIC)
     if photometric not in (1, 2):
         raise Refused(f"expected photometric interpretation 1 or 2, got {photometric}")
+    if channels > 4:
+        raise Refused(f"expected at most 4 channels, got {channels}")
     numbers = imagecodecs.tiff_decode(data)
     # Planar configuration 2: one plane a channel.
-    return np.moveaxis(numbers, 0, -1) if tags.get(284) == 2 else numbers
+    return np.moveaxis(numbers, 0, -1) if planes == 2 else numbers
+
+
+_WIDTH, _HEIGHT, _BITS, _PHOTOMETRIC, _CHANNELS, _PLANES = 256, 257, 258, 262, 277, 284
+_TILE_WIDTH, _TILE_HEIGHT, _IMAGE_DEPTH = 322, 323, 32997
+# Types of whole numbers, as struct spells them.
+_WHOLE = {1: "B", 3: "H", 4: "I", 6: "b", 8: "h", 9: "i", 16: "Q", 17: "q"}
 
 
 def _tiff_tags(data: bytes) -> dict[int, int]:
-    """The whole numbers among the tags of a TIFF's first picture.
+    """The whole numbers among the tags of a TIFF's first picture; of several the most.
 
     ??? cite "Source"
         *TIFF, revision 6.0*, Adobe, 1992, section 2; BigTIFF, Aware Systems, 2008.
@@ -110,66 +148,101 @@ def _tiff_tags(data: bytes) -> dict[int, int]:
         raise ValueError("it does not start as a TIFF does")
     order = "<" if data[:2] == b"II" else ">"
     (version,) = struct.unpack_from(order + "H", data, 2)
-    offset, count, entry = {42: "IHI", 43: "QQQ"}[version]
+    offset, count, number = {42: "IHI", 43: "QQQ"}[version]
     (start,) = struct.unpack_from(order + offset, data, 4 if version == 42 else 8)
     (tags,) = struct.unpack_from(order + count, data, start)
     start += struct.calcsize(order + count)
-    size = struct.calcsize("<HH" + 2 * entry)
-    values = {}
-    for at in range(start, start + tags * size, size):
-        tag, kind = struct.unpack_from(order + "HH", data, at)
-        # Types 3 and 4 are whole numbers of 16 and 32 bits, stored in the entry.
-        if kind in (3, 4):
-            number = order + ("H" if kind == 3 else "I")
-            (values[tag],) = struct.unpack_from(
-                number, data, at + 4 + struct.calcsize("<" + entry)
-            )
+    entry, field = order + "HH" + number, struct.calcsize(order + offset)
+    size = struct.calcsize(entry) + field
+    values: dict[int, int] = {}
+    for at in range(start, min(start + tags * size, len(data)), size):
+        tag, kind, length = struct.unpack_from(entry, data, at)
+        if tag in values:
+            # Readers differ in which of them they believe.
+            raise ValueError(f"it has tag {tag} twice")
+        if kind not in _WHOLE or length == 0:
+            continue
+        # As many as a pixel may have channels: others are of no interest here.
+        several = f"{order}{min(length, 4)}{_WHOLE[kind]}"
+        where = at + size - field
+        if length * struct.calcsize(order + _WHOLE[kind]) > field:
+            (where,) = struct.unpack_from(order + offset, data, where)
+        values[tag] = max(struct.unpack_from(several, data, where))
     return values
 
 
-def _read_hdr(data: bytes, path: Path, most: int) -> np.ndarray:
+def _read_hdr(data: bytes, path: Path, room: Room) -> np.ndarray:
     del path
     header, _, _ = data.partition(b"\n\n")
-    size = re.match(rb"\s*[-+]Y (\d+) [-+]X (\d+)\n", data[len(header) :])
+    size = re.match(rb"\s*-Y (\d{1,9}) \+X (\d{1,9})\n", data[len(header) :])
     if not data.startswith(b"#?") or size is None:
         raise ValueError("it does not start as a Radiance picture does")
-    _check_size(int(size[2]), int(size[1]), most)
+    height, width = int(size[1]), int(size[2])
+    room(width, height, 12)
     # A pixel is radiance times all exposures that were ever applied to it.
     exposures = re.findall(rb"^EXPOSURE\s*=\s*(\S+)", header, re.MULTILINE)
     exposure = np.prod([float(value) for value in exposures], initial=1.0)
-    return imagecodecs.rgbe_decode(data) / np.float32(exposure)
+    if not 1e-30 < exposure < 1e30:
+        raise Refused(f"expected an EXPOSURE > 0, got {exposure:g}")
+    numbers = np.empty((height, width, 3), np.float32)
+    imagecodecs.rgbe_decode(data, out=numbers)
+    numbers /= np.float32(exposure)
+    return numbers
 
 
-def _read_exr(data: bytes, path: Path, most: int) -> np.ndarray:
-    del data
+def _read_exr(data: bytes, path: Path, room: Room) -> np.ndarray:
     with _silent_library():
         with OpenEXR.File(os.fspath(path), header_only=True) as file:
-            (left, top), (right, bottom) = file.header()["dataWindow"]
-        _check_size(int(right - left + 1), int(bottom - top + 1), most)
+            headers = [part.header for part in file.parts]
+            width, height = _exr_window(headers[0])
+            size = sum(map(_exr_bytes, headers))
+            found = {channel.name for channel in headers[0]["channels"]}
+        # All parts are read, whatever is wanted of them, and the first is copied.
+        room(width, height, 2 * size / max(width * height, 1))
+        orders = [names for names in ("RGB", "RGBA", "Y", "YA") if set(names) == found]
+        if not orders:
+            got = ", ".join(sorted(found)[:8])
+            raise Refused(f"expected channels R, G, B or Y, got {got}")
         with OpenEXR.File(os.fspath(path), separate_channels=True) as file:
             channels = {k: v.pixels for k, v in file.channels().items()}
-    for names in ("RGB", "RGBA", "Y", "YA"):
-        if set(channels) == set(names):
-            return np.stack([channels[name] for name in names], axis=-1)
-    raise Refused(f"expected channels R, G, B or Y, got {', '.join(channels)}")
+    # The library opens files by their names only.
+    if path.read_bytes() != data:
+        raise Refused("changed while it was read")
+    return np.stack([channels[name] for name in orders[0]], axis=-1)
+
+
+def _exr_window(header: dict[str, Any]) -> tuple[int, int]:
+    (left, top), (right, bottom) = (map(int, ends) for ends in header["dataWindow"])
+    return right - left + 1, bottom - top + 1
+
+
+def _exr_bytes(header: dict[str, Any]) -> int:
+    """Of all channels of a part, four to a number."""
+    width, height = _exr_window(header)
+    return 4 * width * height * len(header["channels"])
+
+
+# One at a time, since the error output is the whole process's.
+_silence = threading.Lock()
 
 
 @contextlib.contextmanager
 def _silent_library() -> Iterator[None]:
     """OpenEXR prints its complaints itself; they come as exceptions as well."""
-    saved = os.dup(2)
-    try:
-        with open(os.devnull, "w") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
-        with contextlib.redirect_stdout(None):
-            yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
+    with _silence:
+        saved = os.dup(2)
+        try:
+            with open(os.devnull, "w") as nowhere:
+                os.dup2(nowhere.fileno(), 2)
+            with contextlib.redirect_stdout(None):
+                yield
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)
 
 
-Reader = Callable[[bytes, Path, int], np.ndarray]
-"""Takes the file's bytes, its path, and how many pixels it may have at most."""
+Reader = Callable[[bytes, Path, Room], np.ndarray]
+"""Takes the file's bytes, its path, and whom to ask for room."""
 
 READERS: dict[str, Reader] = {
     ".png": _read_png,

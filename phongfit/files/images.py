@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, UInt
 
+from phongfit.files.budget import afford
 from phongfit.files.formats import (
-    MAX_PIXELS,
     READERS,
     WRITERS,
     Refused,
+    Room,
     jpeg_compression,
 )
 from phongfit.files.inputs import read_bytes
@@ -28,7 +29,10 @@ Bits = Literal[8, 16, 32]
 
 
 def read_image(
-    path: str | os.PathLike[str], encoding: Encoding, *, max_pixels: int = MAX_PIXELS
+    path: str | os.PathLike[str],
+    encoding: Encoding,
+    *,
+    max_pixels: int | None = None,
 ) -> Float[np.ndarray, "height width 3"]:
     """An image as linear light, where 1 is the largest number of an integer format.
 
@@ -41,7 +45,8 @@ def read_image(
     - `encoding`: `"linear"` or `"srgb"`: what the numbers in the file are. A fit in the
         wrong one is wrong, so it is never guessed. Floating-point formats are linear.
     - `max_pixels`: images with more are refused before they are decoded: a small file
-        can hold an image that fills the memory.
+        can hold an image that fills the memory. Default: what one file may take of it
+        (1 GB, or `PHONGFIT_MAX_MEMORY`), which is some 50 million pixels.
 
     **Raises:** `ValueError` that names the file: it is missing, broken, of an unknown
     format, too large, partly transparent, or holds NaN or infinity.
@@ -55,12 +60,14 @@ def read_image(
                 f"{path}: expected encoding 'linear', as floating-point images have, "
                 f"got {encoding!r}"
             )
-        image = numbers.astype(_float_type())
+        image = numbers.astype(_float_type(), copy=False)
         if not np.isfinite(image).all():
             raise ValueError(f"{path}: has NaN or infinite pixels")
     else:
         image = from_levels(numbers, encoding)
-    return np.repeat(image, 3 // image.shape[-1], axis=-1)
+    if image.shape[-1] == 1:
+        return np.repeat(image, 3, axis=-1)
+    return np.ascontiguousarray(image)
 
 
 def read_film(path: str | os.PathLike[str], encoding: Encoding) -> Film:
@@ -81,7 +88,7 @@ def read_film(path: str | os.PathLike[str], encoding: Encoding) -> Film:
     film = Film(encoding=as_encoding(encoding))
     if path.suffix.lower() in JPEG:
         return with_jpeg(film, path)
-    numbers = _read_numbers(path, MAX_PIXELS)
+    numbers = _read_numbers(path)
     if numbers.dtype.kind == "f":
         return Film(clamp=False)
     return Film(encoding=film.encoding, bits=8 * numbers.dtype.itemsize)
@@ -101,7 +108,7 @@ def with_jpeg(film: Film, path: Path) -> Film:
 
 
 def read_mask(
-    path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS
+    path: str | os.PathLike[str], *, max_pixels: int | None = None
 ) -> Bool[np.ndarray, "height width"]:
     """A mask from an image: true where it is nearer to its brightest grey than to 0.
 
@@ -191,7 +198,13 @@ def from_levels(
     with jax.enable_x64(True):
         encoded = jnp.asarray(np.arange(highest + 1) / highest)
         table = np.asarray(decode(encoded, as_encoding(encoding)))
-    return table.astype(_float_type())[levels]
+    table = table.astype(_float_type())
+    light = np.empty(levels.shape, table.dtype)
+    # Piece by piece, since NumPy looks up in a copy of eight bytes a number.
+    rows = max(2**20 // max(levels[:1].size, 1), 1)
+    for start in range(0, len(levels), rows):
+        light[start : start + rows] = table[levels[start : start + rows]]
+    return light
 
 
 def _float_type() -> np.dtype:
@@ -217,12 +230,12 @@ def _as_image(path: Path, image: Any) -> np.ndarray:
     return light
 
 
-def _read_numbers(path: Path, max_pixels: int) -> np.ndarray:
+def _read_numbers(path: Path, max_pixels: int | None = None) -> np.ndarray:
     """What stands in the file: (H, W, channels), whole numbers or floats."""
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: {_wanted_suffix(path, READERS)}")
-    numbers = _decoded(path, lambda data: reader(data, path, max_pixels))
+    numbers = _decoded(path, lambda data: reader(data, path, _room(data, max_pixels)))
     numbers = numbers[..., None] if numbers.ndim == 2 else numbers
     if numbers.ndim != 3 or 0 in numbers.shape:
         raise ValueError(f"{path}: expected one image, got shape {numbers.shape}")
@@ -233,6 +246,28 @@ def _read_numbers(path: Path, max_pixels: int) -> np.ndarray:
     return numbers
 
 
+def _room(data: bytes, max_pixels: int | None) -> Room:
+    """Asks for room beside the bytes of a file, which are there already."""
+
+    def ask(width: int, height: int, pixel: float) -> None:
+        pixels = width * height
+        if max_pixels is not None and pixels > max_pixels:
+            raise Refused(
+                f"expected at most {max_pixels} pixels, got {width} × {height}; a "
+                "smaller copy will do"
+            )
+        # First file and numbers are there, then numbers and light.
+        light = 3 * pixels * _float_type().itemsize
+        size = int(pixels * pixel) + max(len(data), light)
+        try:
+            if max_pixels is None:
+                afford(size, f"{width} × {height} pixels")
+        except ValueError as error:
+            raise Refused(str(error)) from None
+
+    return ask
+
+
 def _decoded(path: Path, decode: Callable[[bytes], T]) -> T:
     """What is made of a file's bytes; what goes wrong names the file."""
     data = read_bytes(path)
@@ -240,6 +275,8 @@ def _decoded(path: Path, decode: Callable[[bytes], T]) -> T:
         return decode(data)
     except Refused as error:
         raise ValueError(f"{path}: {error}") from None
+    except MemoryError:
+        raise
     except Exception as error:
         # Decoders raise whatever they like for what is broken, SyntaxError included.
         reason = " ".join(str(error).split()) or type(error).__name__

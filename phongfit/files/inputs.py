@@ -9,22 +9,41 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import numpy as np
 from jaxtyping import Float
 
-MAX_BYTES = 2**31
-"""Files with more bytes are refused; no image that is read here needs them."""
+from phongfit.files.budget import afford
 
 _checksums: contextvars.ContextVar[dict[Path, str] | None]
 _checksums = contextvars.ContextVar("checksums", default=None)
 
 
 @contextlib.contextmanager
-def recording() -> Iterator[dict[Path, str]]:
-    """SHA-256 of every file that the block reads, by its path, as it is filled."""
-    found: dict[Path, str] = {}
+def recording(known: dict[Path, str] | None = None) -> Iterator[dict[Path, str]]:
+    """SHA-256 of every file that the block reads, by its path, as it is filled.
+
+    A file that is read again must still be what it was: an answer would rest on other
+    numbers than its record says.
+
+    **Arguments:** `known`: of an earlier block, to be filled further.
+
+    **Raises:** `ValueError` that names a file that has changed.
+    """
+    found: dict[Path, str] = {} if known is None else known
+    outer = _checksums.get()
     token = _checksums.set(found)
     try:
         yield found
     finally:
         _checksums.reset(token)
+        if outer is not None:
+            outer.update(found)
+
+
+def _record(path: Path, data: bytes) -> None:
+    checksums = _checksums.get()
+    if checksums is None:
+        return
+    digest = hashlib.sha256(data).hexdigest()
+    if checksums.setdefault(path, digest) != digest:
+        raise ValueError(f"{path}: has changed since it was read before")
 
 
 _spared: contextvars.ContextVar[Path | None]
@@ -53,11 +72,12 @@ def check_spared(path: Path) -> None:
         raise OSError(f"{out}: is an input, expected another file to write to")
 
 
-def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
+def read_bytes(path: Path, limit: int | None = None) -> bytes:
     """The whole of a file.
 
     **Raises:** `ValueError` that names the file: it is missing, no plain file, may not
-    be read, or has more than `limit` bytes.
+    be read, or has more than `limit` bytes; by default than may be read at all: see
+    [`phongfit.files.budget`][].
     """
     check_spared(path)
     try:
@@ -65,18 +85,18 @@ def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
         if path.exists() and not path.is_file():
             raise ValueError(f"{path}: is not a file")
         size = path.stat().st_size
-        if size > limit:
+        if limit is not None and size > limit:
             raise ValueError(f"{path}: expected at most {limit} bytes, got {size}")
+        with naming(str(path)):
+            afford(size, "a file")
         data = path.read_bytes()
     except OSError as error:
         raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
-    checksums = _checksums.get()
-    if checksums is not None:
-        checksums[path] = hashlib.sha256(data).hexdigest()
+    _record(path, data)
     return data
 
 
-def read_text(path: Path, limit: int = 2**24) -> str:
+def read_text(path: Path, limit: int | None = 2**24) -> str:
     """The whole of a text file, in UTF-8; raises as [`read_bytes`][] does."""
     try:
         return read_bytes(path, limit).decode("utf-8")

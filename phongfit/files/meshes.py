@@ -2,6 +2,8 @@
 
 import io
 import os
+import re
+import struct
 import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,13 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 
+from phongfit.files.budget import afford
+from phongfit.files.gltf_reading import GltfPart, Shade, read_gltf
 from phongfit.files.inputs import inside, naming, read_bytes, read_text
-from phongfit.files.mtl import read_mtl
+from phongfit.files.mtl import FEW, MOST, read_mtl
 from phongfit.geometry.meshes import Mesh
 from phongfit.material import Material, stack_materials
 
 FORMATS = (".obj", ".ply", ".stl", ".gltf", ".glb", ".off")
-MAX_BYTES = 2**31
 UNNAMED = "default"
 
 
@@ -57,32 +60,80 @@ def load_mesh(path: str | os.PathLike[str], **options: Any) -> LoadedMesh:
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise ValueError(f"{path}: its suffix is none of {', '.join(FORMATS)}")
-    library: dict[str, Material] = {}
+    order: list[str] = []
     if suffix == ".obj":
-        text = read_text(path, MAX_BYTES)
-        library = _library(path, text)
-        # trimesh gets a library that has nothing but names: textures stay closed.
-        names = "".join(f"newmtl {name}\nKd 1 1 1\n" for name in library)
-        scene = _parse(
-            path, f"mtllib names\n{text}".encode(), {"names": names.encode()}
-        )
+        parts, order = _read_obj(path)
+    elif suffix in (".gltf", ".glb"):
+        with naming(str(path)):
+            parts = _named(*read_gltf(path))
     else:
-        scene = _parse(path, read_bytes(path, MAX_BYTES), _Folder(path.parent))
+        parts = _parts(_parse(path, _whole(path, read_bytes(path))), Material())
     with naming(str(path)):
-        return _join(_parts(scene), library, suffix in (".stl", ".obj"), options)
+        return _join(parts, order, suffix in (".stl", ".obj"), options)
 
 
-class _Folder:
-    """Files that a glTF file names, from its own folder only."""
+def _read_obj(path: Path) -> tuple[list["_Part"], list[str]]:
+    """Its parts, and names of materials in the order in which it uses them."""
+    text = read_text(path, None)
+    with naming(str(path)):
+        # As trimesh takes them apart.
+        afford(16 * len(text), "text")
+    library = _library(path, text)
+    # trimesh gets a library that has nothing but names: textures stay closed.
+    names = "".join(f"newmtl {name}\nKd 1 1 1\n" for name in library)
+    content = f"mtllib names\n{text}".encode()
+    scene = _parse(path, content, {"names": names.encode()})
+    default = Material()
+    parts = [
+        part._replace(material=library.get(part.name, default))
+        for part in _parts(scene, default)
+    ]
+    return parts, list(library)
 
-    def __init__(self, folder: Path):
-        self.folder = folder
 
-    def __getitem__(self, name: str) -> bytes:
-        return read_bytes(inside(self.folder, name), MAX_BYTES)
+def _whole(path: Path, content: bytes) -> bytes:
+    """A PLY, STL or OFF file's bytes, if they are as many as they say, or text."""
+    suffix = path.suffix.lower()
+    if suffix == ".ply":
+        head, end, body = content.partition(b"end_header")
+        if not end:
+            raise ValueError(f"{path}: cannot be read: its header has no end")
+        with naming(str(path)):
+            _check_counts(head, len(body))
+        # Pictures stay closed.
+        return re.sub(rb"(?m)^comment.*$", b"comment", head) + end + body
+    if suffix == ".stl" and len(content) >= 84:
+        (faces,) = struct.unpack_from("<I", content, 80)
+        if len(content) == 84 + 50 * faces:
+            return content
+    try:
+        text = content.decode("utf-8")
+    except UnicodeDecodeError:
+        wanted = "a binary or text file of its length" if suffix == ".stl" else "text"
+        raise ValueError(
+            f"{path}: is broken or truncated: expected {wanted} in UTF-8"
+        ) from None
+    if suffix == ".off":
+        numbers = re.search(r"OFF\s+(?:#.*\s+)*(\d+)\s+(\d+)", text)
+        if numbers and int(numbers[1]) + int(numbers[2]) > len(text):
+            raise ValueError(f"{path}: is truncated: it says that it holds more")
+    return content
 
 
-def _parse(path: Path, content: bytes, resolver: Any) -> trimesh.Scene:
+def _check_counts(head: bytes, length: int) -> None:
+    """Does a PLY file have as many elements as its header says?"""
+    for name, count in re.findall(rb"(?m)^element\s+(\S+)\s+(\d+)", head):
+        # Each takes a byte at the least.
+        if int(count) > length:
+            raise ValueError(
+                f"element {name.decode('ascii', 'replace')}: expected {int(count)}, "
+                f"got {length} bytes: it is truncated"
+            )
+
+
+def _parse(
+    path: Path, content: bytes, files: dict[str, bytes] | None = None
+) -> trimesh.Scene:
     try:
         with warnings.catch_warnings():
             # How trimesh parses is not for its callers to hear.
@@ -90,19 +141,22 @@ def _parse(path: Path, content: bytes, resolver: Any) -> trimesh.Scene:
             return trimesh.load_scene(
                 io.BytesIO(content),
                 file_type=path.suffix.lower()[1:],
-                resolver=resolver,
+                resolver={} if files is None else files,
                 process=False,
             )
+    except MemoryError:
+        raise
     except Exception as error:
         # Each of trimesh's readers fails in ways of its own.
-        raise ValueError(f"{path}: cannot be read: {error}") from error
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ValueError(f"{path}: cannot be read: {reason}") from error
 
 
 def _library(path: Path, text: str) -> dict[str, Material]:
     """The materials that an OBJ file uses, in the order in which it does."""
     found: dict[str, Material] = {}
     used: dict[str, None] = {}
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(io.StringIO(text), start=1):
         key, _, rest = line.partition(" ")
         if key == "usemtl":
             used.setdefault(" ".join(rest.split()))
@@ -113,10 +167,15 @@ def _library(path: Path, text: str) -> dict[str, Material]:
                 found |= read_mtl(file)
             else:
                 _warn(f"{path}: line {number}: {rest.strip()} is missing")
-    for name in used:
-        if name not in found:
-            _warn(f"{path}: no .mtl has its material {name!r}, a default one is taken")
-    return {name: found.get(name, Material()) for name in used}
+    if len(used) > MOST:
+        raise ValueError(f"{path}: expected at most {MOST} materials, got {len(used)}")
+    missing = [name for name in used if name not in found]
+    for name in missing[:FEW]:
+        _warn(f"{path}: no .mtl has its material {name!r}, a default one is taken")
+    if missing[FEW:]:
+        _warn(f"{path}: nor {len(missing) - FEW} others of its materials")
+    default = Material()
+    return {name: found.get(name, default) for name in used}
 
 
 def _warn(message: str) -> None:
@@ -124,69 +183,91 @@ def _warn(message: str) -> None:
 
 
 class _Part(NamedTuple):
-    """One object of a file, in world coordinates."""
+    """One object of a file, in world coordinates, of one material by its name."""
 
     vertices: np.ndarray
     faces: np.ndarray
     normals: np.ndarray | None
-    material: Any
+    name: str
+    material: Material
 
 
-def _parts(scene: trimesh.Scene) -> list[_Part]:
+def _parts(scene: trimesh.Scene, material: Material) -> list[_Part]:
+    """All objects, of one material until others are known."""
     parts = []
     for node in scene.graph.nodes_geometry:
-        transform, name = scene.graph[node]
+        _, name = scene.graph[node]
         mesh = scene.geometry[name]
         # Files may hold points and curves as well.
         if len(getattr(mesh, "faces", ())) > 0:
-            parts.append(_part(mesh, np.asarray(transform)))
+            parts.append(_part(mesh, material))
     return parts
 
 
-def _part(mesh: Any, transform: np.ndarray) -> _Part:
-    linear, shift = transform[:3, :3], transform[:3, 3]
-    vertices = np.asarray(mesh.vertices) @ linear.T + shift
-    faces, normals = np.asarray(mesh.faces), None
-    if np.linalg.det(linear) < 0:
-        # A mirror turns the order of the corners.
-        faces = faces[:, ::-1]
+def _part(mesh: Any, material: Material) -> _Part:
+    normals = None
     # There is no other way to tell normals of the file from computed ones.
     if "vertex_normals" in mesh._cache:
-        normals = np.asarray(mesh.vertex_normals) @ np.linalg.inv(linear)
-    return _Part(vertices, faces, normals, getattr(mesh.visual, "material", None))
+        normals = np.asarray(mesh.vertex_normals)
+    name = getattr(getattr(mesh.visual, "material", None), "name", None)
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    return _Part(vertices, faces, normals, name or UNNAMED, material)
+
+
+def _named(parts: list[GltfPart], shades: list[Shade]) -> list[_Part]:
+    """Parts of a glTF file with a name of its own for each of its materials."""
+    names: dict[int | None, str] = {None: UNNAMED}
+    taken = {UNNAMED} if any(part.material is None for part in parts) else set()
+    times: dict[str, int] = {}
+    for number in dict.fromkeys(part.material for part in parts):
+        if number is None:
+            continue
+        name = given = shades[number].name or UNNAMED
+        while name in taken:
+            times[given] = times.get(given, 1) + 1
+            name = f"{given}-{times[given]}"
+        names[number] = name
+        taken.add(name)
+    made = {
+        number: _from_gltf(shades[number]) for number in names if number is not None
+    }
+    return [
+        _Part(
+            part.vertices,
+            part.faces,
+            part.normals,
+            names[part.material],
+            Material() if part.material is None else made[part.material],
+        )
+        for part in parts
+        if len(part.faces)
+    ]
 
 
 def _join(
-    parts: list[_Part],
-    library: dict[str, Material],
-    repeats: bool,
-    options: dict[str, Any],
+    parts: list[_Part], order: list[str], repeats: bool, options: dict[str, Any]
 ) -> LoadedMesh:
     """All parts as one mesh; where the format `repeats` vertices, each comes once."""
     if not parts:
         raise ValueError("it holds no triangles")
-    # Objects share a material where trimesh gives them the same one, or the same name.
-    names = _names([part.material for part in parts])
-    order = [name for name in library if name in names]
-    order += [name for name in dict.fromkeys(names) if name not in library]
-    first = {name: parts[names.index(name)].material for name in order}
-    materials = [
-        library[name] if name in library else _from_gltf(first[name]) for name in order
-    ]
+    found = {part.name: part.material for part in parts}
+    names = dict.fromkeys([*(name for name in order if name in found), *found])
+    place = {name: k for k, name in enumerate(names)}
+    materials = [found[name] for name in place]
     starts = np.cumsum([0] + [len(part.vertices) for part in parts])
     faces = np.concatenate(
         [part.faces + start for part, start in zip(parts, starts[:-1], strict=True)]
     )
     vertices = np.concatenate([part.vertices for part in parts])
     index = None
-    if len(order) > 1:
+    if len(place) > 1:
         counts = [len(part.faces) for part in parts]
-        index = np.repeat([order.index(name) for name in names], counts)
+        index = np.repeat([place[part.name] for part in parts], counts)
     normals = [part.normals for part in parts if part.normals is not None]
     given = len(normals) == len(parts) and options.get("crease_angle") is None
     if repeats and not given:
-        vertices, place = np.unique(vertices, axis=0, return_inverse=True)
-        faces = place.ravel()[faces]
+        vertices, same = np.unique(vertices, axis=0, return_inverse=True)
+        faces = same.ravel()[faces]
     mesh = Mesh(
         vertices,
         faces,
@@ -194,34 +275,15 @@ def _join(
         index,
         **options,
     )
-    material = stack_materials(materials) if len(order) > 1 else materials[0]
-    return LoadedMesh(mesh, material, tuple(order))
+    material = stack_materials(materials) if len(place) > 1 else materials[0]
+    return LoadedMesh(mesh, material, tuple(place))
 
 
-def _names(materials: list[Any]) -> list[str]:
-    """A name for each, the same for the same material only."""
-    names: dict[int, str] = {}
-    for material in materials:
-        name = getattr(material, "name", None) or UNNAMED
-        taken = names.values()
-        if id(material) not in names and name in taken and material is not None:
-            name = next(n for i in range(2, 10**6) if (n := f"{name}-{i}") not in taken)
-        names.setdefault(id(material), name)
-    return [names[id(material)] for material in materials]
-
-
-def _from_gltf(material: Any) -> Material:
+def _from_gltf(shade: Shade) -> Material:
     """A material with glTF's base colour and emission, if it has any."""
-    base = getattr(material, "baseColorFactor", None)
-    glow = getattr(material, "emissiveFactor", None)
     leaves = {}
-    if base is not None:
-        leaves |= {"diffuse": _rgb(base), "ambient": _rgb(base)}
-    if glow is not None:
-        leaves |= {"emission": _rgb(glow)}
+    if shade.base is not None:
+        leaves |= {"diffuse": shade.base[:3], "ambient": shade.base[:3]}
+    if shade.emission is not None:
+        leaves |= {"emission": shade.emission}
     return Material(**leaves)
-
-
-def _rgb(color: Any) -> np.ndarray:
-    array = np.asarray(color)
-    return array[:3] / 255 if array.dtype.kind in "ui" else array[:3]

@@ -5,6 +5,7 @@
     B1 of the Advanced Visualizer manual, 1992.
 """
 
+import io
 import os
 import warnings
 from collections.abc import Mapping
@@ -13,13 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from phongfit.files.inputs import naming, read_text
+from phongfit.files.inputs import inside, naming, read_text
 from phongfit.files.limits import colour, exponent, limited
 from phongfit.files.outputs import replacing
 from phongfit.material import Material
 
 MAX_NS = 1000.0
 FORMAT = ".mtl"
+MOST = 10_000
+"""Materials in a file."""
+
+FEW = 5
+"""Warnings of one sort: more say no more."""
 
 COLOURS = {"Ka": "ambient", "Kd": "diffuse", "Ks": "specular", "Ke": "emission"}
 TEXTURES = ("map_", "bump", "disp", "decal", "refl", "norm")
@@ -36,25 +42,35 @@ def read_mtl(path: str | os.PathLike[str]) -> dict[str, Material]:
     **Raises:** `ValueError` that names the file and the line.
     """
     path = Path(path)
-    materials: dict[str, Material] = {}
-    name, fields = None, {}
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
+    found: dict[str, dict[str, Any]] = {}
+    textures: list[tuple[int, str | None, list[str]]] = []
+    name = None
+    for number, line in enumerate(io.StringIO(read_text(path)), start=1):
         key, *words = line.split("#", 1)[0].split() or [""]
         with naming(f"{path}: line {number}"):
             if key == "newmtl":
                 if not words:
                     raise ValueError("newmtl: expected a name")
-                if name is not None:
-                    materials[name] = _material(fields)
-                name, fields = " ".join(words), {}
+                name = " ".join(words)
+                found[name] = {}
+                if len(found) > MOST:
+                    raise ValueError(f"expected at most {MOST} materials, got more")
             elif key in COLOURS or key in ("Ns", "illum"):
                 if name is None:
                     raise ValueError(f"{key}: came before the first newmtl")
-                fields[key] = _numbers(key, words)
+                found[name][key] = _numbers(key, words)
             elif key.lower().startswith(TEXTURES):
-                _warn_texture(path, number, name, words)
-    if name is not None:
-        materials[name] = _material(fields)
+                textures.append((number, name, words))
+    materials = {}
+    for name, fields in found.items():
+        with naming(f"{path}: material {name!r}"):
+            materials[name] = _material(fields)
+    for number, name, words in textures[:FEW]:
+        told = f"line {number}: {_of_texture(path, name, words)}"
+        warnings.warn(f"{path}: {told}: the material has one colour", stacklevel=2)
+    if textures[FEW:]:
+        told = f"{len(textures) - FEW} other textures are not read either"
+        warnings.warn(f"{path}: {told}", stacklevel=2)
     return materials
 
 
@@ -66,7 +82,7 @@ def _numbers(key: str, words: list[str]) -> Any:
         numbers = []
     if len(numbers) not in wanted or not np.isfinite(numbers).all() or min(numbers) < 0:
         count = "1 or 3 numbers" if key in COLOURS else "1 number"
-        raise ValueError(f"{key}: expected {count} ≥ 0, got {' '.join(words)!r}")
+        raise ValueError(f"{key}: expected {count} ≥ 0, got {' '.join(words)[:60]!r}")
     return numbers[0] if len(numbers) == 1 else numbers
 
 
@@ -82,14 +98,17 @@ def _material(fields: dict[str, Any]) -> Material:
     return Material(**leaves)
 
 
-def _warn_texture(path: Path, number: int, name: str | None, words: list[str]) -> None:
+def _of_texture(path: Path, name: str | None, words: list[str]) -> str:
     # Options such as `-s 1 1 1` come before the file's name.
     file = words[-1] if words else ""
-    here = (path.parent / file).is_file()
-    warnings.warn(
-        f"{path}: line {number}: texture {file!r} of material {name!r} "
-        f"{'is not read' if here else 'is missing'}: the material has one colour",
-        stacklevel=3,
+    try:
+        here = inside(path.parent, file).is_file()
+    except (ValueError, OSError):
+        # No name of a file here, such as one that is too long.
+        here = False
+    return (
+        f"texture {file[:60]!r} of material {name if name is None else name[:60]!r} "
+        f"{'is not read' if here else 'is missing'}"
     )
 
 

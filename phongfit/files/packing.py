@@ -5,7 +5,6 @@ none is run: a class is named, and must be there when the file is read.
 """
 
 import dataclasses
-import io
 import json
 import sys
 import zipfile
@@ -16,9 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from phongfit.files.arrays import open_archive
+from phongfit.files.arrays import unpack
 from phongfit.files.inputs import naming, read_bytes
 from phongfit.files.outputs import replacing
+from phongfit.files.strict_json import parse_json
 
 _STRUCTURE = "structure"
 
@@ -54,11 +54,10 @@ def read_packed(path: Path, header: dict[str, Any], remedies: dict[str, str]) ->
     data = read_bytes(path)
     with naming(str(path)):
         try:
-            with open_archive(io.BytesIO(data)) as file:
-                arrays = dict(file)
-            structure = json.loads(arrays[_STRUCTURE].tobytes())
+            arrays = unpack(data)
+            structure = parse_json(arrays[_STRUCTURE].tobytes())
             found = {name: structure[name] for name in header}
-        except (zipfile.BadZipFile, KeyError, EOFError, json.JSONDecodeError) as error:
+        except (zipfile.BadZipFile, KeyError, EOFError) as error:
             raise ValueError("is no file that Fit.save has written") from error
         for name, wanted in header.items():
             if found[name] != wanted:

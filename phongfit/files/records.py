@@ -1,7 +1,6 @@
 """JSON files as records: read strictly, with errors that a person can act on."""
 
 import difflib
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -10,6 +9,7 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Field,
     StringConstraints,
     ValidationError,
     model_validator,
@@ -17,6 +17,10 @@ from pydantic import (
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from phongfit.files.inputs import naming, read_text
+from phongfit.files.strict_json import parse_json, shorten
+
+MOST = 10_000
+"""Lights, images, numbers, … in one list."""
 
 
 class AbstractRecord(BaseModel):
@@ -94,7 +98,13 @@ Leaf = Annotated[tuple[float, ...], BeforeValidator(_as_leaf)]
 FileName = Annotated[str, StringConstraints(min_length=1, max_length=255)]
 """A file in the folder of the file that names it."""
 
+Item = TypeVar("Item")
+
+Many = Annotated[list[Item], Field(fail_fast=True, max_length=MOST)]
+"""As many as files of ours have; of wrong ones the first is told, and no other kept."""
+
 Record = TypeVar("Record", bound=AbstractRecord)
+Model = TypeVar("Model", bound=BaseModel)
 
 
 def read_record(path: Path, kind: type[Record]) -> Record:
@@ -113,7 +123,14 @@ def parse_record(text: str, kind: type[Record], folder: Path | None = None) -> R
 
     **Arguments:** `folder`: where the files lie that the text names.
     """
-    data = _parse_json(text)
+    return validated(parse_json(text), kind, folder)
+
+
+def validated(data: Any, kind: type[Model], folder: Path | None = None) -> Model:
+    """The record that parsed JSON holds.
+
+    **Raises:** `ValueError` for the first thing that is wrong, as [`read_record`][].
+    """
     try:
         return kind.model_validate(data, context=folder)
     except ValidationError as error:
@@ -128,44 +145,12 @@ def read_one_of(
     **Raises:** `ValueError` as [`read_record`][] does, and for another `format`.
     """
     with naming(str(path)):
-        data = _parse_json(read_text(path))
+        data = parse_json(read_text(path))
         format = data.get("format") if isinstance(data, dict) else None
         if not isinstance(format, str) or format not in kinds:
             wanted = " or ".join(repr(name) for name in kinds)
             raise ValueError(f"format: expected {wanted}, got {shorten(format)}")
-    return read_record(path, kinds[format])
-
-
-def _parse_json(text: str) -> Any:
-    try:
-        return json.loads(
-            text, object_pairs_hook=_unique_keys, parse_constant=_refuse_constant
-        )
-    except RecursionError:
-        raise ValueError("is nested too deeply") from None
-    except json.JSONDecodeError as error:
-        raise ValueError(f"is no JSON: {error}") from None
-
-
-def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    record = dict(pairs)
-    if len(record) != len(pairs):
-        keys = [key for key, _ in pairs]
-        twice = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(
-            f"expected each key once in an object, got {shorten(twice)} twice"
-        )
-    return record
-
-
-def _refuse_constant(name: str) -> Any:
-    raise ValueError(f"expected finite numbers, got {name}")
-
-
-def shorten(value: Any) -> str:
-    """`value` as JSON, cut to what fits into one line of a message."""
-    text = json.dumps(value, ensure_ascii=False, default=repr)
-    return text if len(text) <= 60 else text[:57] + "…"
+        return validated(data, kinds[format], path.parent)
 
 
 def _explain(error: ErrorDetails, data: Any) -> str:
@@ -190,12 +175,10 @@ def _locate(location: tuple[int | str, ...], data: Any, absent: bool) -> str:
     """A place in a JSON file in the usual notation; its end may be `absent` there."""
     place = ""
     for step in location[:-1] if absent else location:
-        if isinstance(step, int):
-            place += f"[{step}]"
+        # Some steps are of the record alone: one number may stand for three.
+        if isinstance(data, list) and isinstance(step, int) and step < len(data):
+            place, data = f"{place}[{step}]", data[step]
         elif isinstance(data, dict) and step in data:
-            place += f".{step}"
-        else:
-            continue
-        data = data[step]
+            place, data = f"{place}.{step}", data[step]
     place += f".{location[-1]}" if absent else ""
     return place.removeprefix(".") or "the file"

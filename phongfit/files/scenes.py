@@ -10,8 +10,8 @@ import numpy as np
 
 from phongfit.files.arguments import describe
 from phongfit.files.arrays import write_array
+from phongfit.files.budget import afford
 from phongfit.files.dataset import Photograph, Photographs
-from phongfit.files.formats import MAX_PIXELS
 from phongfit.files.images import read_image, read_mask, with_jpeg, write_image
 from phongfit.files.inputs import check_spared, inside, naming, naming_field
 from phongfit.files.outputs import write_json
@@ -24,6 +24,7 @@ from phongfit.files.schema import (
     TruthRecord,
     describe_material,
 )
+from phongfit.files.strict_json import shorten
 from phongfit.geometry.cameras import AbstractCamera
 from phongfit.geometry.surfaces import NormalMap
 from phongfit.material import Material
@@ -32,6 +33,9 @@ from phongfit.scene import Scene
 
 SCENE_FILE = "scene.json"
 TRUTH_FILE = "truth.json"
+
+PIXEL, LIGHT = 16, 48
+"""Bytes that a render takes for each pixel of a scene: in all, and for each light."""
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
@@ -58,7 +62,7 @@ def load_views(path: str | os.PathLike[str]) -> tuple[tuple[Scene, ...], Film]:
     for at, entry in enumerate(record.images):
         with naming_field(f"{path}: images[{at}]"):
             views.append(with_lights(scene, entry.lights))
-    return tuple(views) or (scene,), record.film()
+    return tuple(views) or (with_lights(scene, None),), record.film()
 
 
 def save_scene(
@@ -182,11 +186,8 @@ def build_scene(path: Path, record: SceneRecord) -> Scene:
 
 def _check_size(scene: Scene) -> None:
     width, height = scene.camera.width, scene.camera.height
-    if width * height > MAX_PIXELS:
-        raise ValueError(
-            f"camera.width: expected at most {MAX_PIXELS} pixels, got {width} × "
-            f"{height}"
-        )
+    with naming("camera.width"):
+        afford(width * height * (PIXEL + LIGHT), f"{width} × {height} pixels")
     surface = scene.surface
     if isinstance(surface, NormalMap) and surface.mask.shape != (height, width):
         raise ValueError(
@@ -224,15 +225,24 @@ def _read_entry(
 def with_lights(scene: Scene, on: Sequence[int] | None) -> Scene:
     """The scene with some of its lights, in this order; `None` leaves all on.
 
-    **Raises:** `ValueError` for numbers that its lights do not have.
+    **Raises:** `ValueError` for numbers that its lights do not have, and for more at
+    once than there is room for.
     """
+    count = len(scene.lights)
+    if on is not None and (len(set(on)) != len(on) or not set(on) <= set(range(count))):
+        raise ValueError(
+            f"lights: expected different numbers from 0 to {count - 1}, got "
+            f"{shorten(list(on))}"
+        )
+    width, height = scene.camera.width, scene.camera.height
+    shining = count if on is None else len(on)
+    with naming("lights"):
+        afford(
+            width * height * (PIXEL + LIGHT * shining),
+            f"{width} × {height} pixels under {shining} lights at once",
+        )
     if on is None:
         return scene
-    count = len(scene.lights)
-    if len(set(on)) != len(on) or not set(on) <= set(range(count)):
-        raise ValueError(
-            f"lights: expected different numbers from 0 to {count - 1}, got {list(on)}"
-        )
     return dataclasses.replace(scene, lights=[scene.lights[index] for index in on])
 
 

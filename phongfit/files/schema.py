@@ -18,7 +18,7 @@ from phongfit.files.arguments import (
     kinds_of,
     one_of,
 )
-from phongfit.files.records import AbstractRecord, FileName, Vector
+from phongfit.files.records import AbstractRecord, FileName, Many, Vector
 from phongfit.geometry.cameras import (
     AbstractCamera,
     OrthographicCamera,
@@ -158,7 +158,7 @@ class ImageRecord(AbstractRecord):
     """One photograph; `lights` counts from 0 and defaults to all."""
 
     file: FileName
-    lights: list[int] | None = None
+    lights: Many[int] | None = None
     mask: FileName | None = None
 
 
@@ -171,7 +171,7 @@ class SceneRecord(Arguments):
     encoding: Encoding | None = None
     bits: Annotated[int, Field(ge=1, le=16)] | None = None
     clamped: bool = True
-    images: list[ImageRecord] = []
+    images: Many[ImageRecord] = []
 
     def film(self) -> Film:
         """How light became the images' numbers."""

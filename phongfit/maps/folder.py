@@ -13,7 +13,7 @@ from phongfit.files.fits import DataRecord, Edges, LossName, made_with
 from phongfit.files.formats import WRITERS
 from phongfit.files.inputs import inside, naming
 from phongfit.files.outputs import replacing, write_json
-from phongfit.files.records import AbstractRecord, read_record
+from phongfit.files.records import AbstractRecord, Many, read_record
 from phongfit.files.schema import MaterialRecord, SpecularRecord
 from phongfit.geometry.tracing import trace
 from phongfit.maps.result import MAP_PARAMETERS, Maps, load_maps
@@ -29,8 +29,8 @@ NORMALS_FILE = "normals.npy"
 class MapSettings(AbstractRecord):
     """What maps were asked for: see [`fit_maps`][]."""
 
-    unknowns: list[str] = list(MAP_PARAMETERS)
-    per_channel: list[str] = ["ambient", "diffuse", "specular"]
+    unknowns: Many[str] = list(MAP_PARAMETERS)
+    per_channel: Many[str] = ["ambient", "diffuse", "specular"]
     known: MaterialRecord | None = None
     bounds: dict[str, Edges] = {}
     noise: Annotated[float, Field(gt=0)] | None = None

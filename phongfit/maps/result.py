@@ -1,7 +1,6 @@
 """What a fit of every pixel gives back."""
 
 import dataclasses
-import io
 import os
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from phongfit.files.arrays import unpack
 from phongfit.files.inputs import read_bytes
 from phongfit.files.outputs import replacing
 from phongfit.maps.pixel.flags import Flag
@@ -141,23 +141,68 @@ def load_maps(path: str | os.PathLike[str]) -> Maps:
     **Raises:** `ValueError` that names the file: it is missing, broken, or of another
     kind.
     """
+    data = read_bytes(Path(path))
     try:
-        with np.load(io.BytesIO(read_bytes(Path(path))), allow_pickle=False) as arrays:
-            given: Any = arrays["noise_given"]
-            if given.ndim == 0:
-                given = None if np.isnan(given) else float(given)
-            maps: Any = {name: arrays[name] for name in MAP_PARAMETERS}
-            stderr: Any = {name: arrays[f"stderr_{name}"] for name in MAP_PARAMETERS}
-            return Maps(
-                **maps,
-                stderr=ParameterMaps(**stderr),
-                noise=arrays["noise"],
-                samples=arrays["samples"],
-                flags=arrays["flags"],
-                unknowns=tuple(str(name) for name in arrays["unknowns"]),
-                noise_given=given,
-            )
+        return _checked(unpack(data))
+    except MemoryError:
+        raise
     except Exception as error:
         # A broken file makes this reader raise nearly anything.
         reason = " ".join(str(error).split()) or type(error).__name__
+        if isinstance(error, KeyError):
+            reason = f"has no array {reason}"
         raise ValueError(f"{os.fspath(path)}: cannot be read: {reason}") from error
+
+
+def _checked(arrays: dict[str, np.ndarray]) -> Maps:
+    """The maps of a file's arrays, which have the shapes and types of maps.
+
+    **Raises:** `KeyError` for one that is missing, `ValueError` for a wrong one.
+    """
+    unknowns = arrays["unknowns"]
+    if unknowns.ndim != 1 or not set(unknowns.tolist()) <= set(MAP_PARAMETERS):
+        wanted = ", ".join(MAP_PARAMETERS)
+        raise ValueError(f"unknowns: expected names of {wanted}, got {unknowns}")
+    size = arrays["flags"].shape
+    if len(size) != 2 or 0 in size:
+        raise ValueError(f"flags: expected shape (height, width), got {size}")
+    exponents = arrays["shininess"].shape[-1:]
+    if exponents not in ((1,), (3,)):
+        raise ValueError(f"shininess: expected 1 or 3 channels, got {exponents}")
+    channels = dict.fromkeys(MAP_PARAMETERS, (3,)) | {"shininess": exponents}
+    wanted = {"noise": (size, "f"), "samples": (size, "iu"), "flags": (size, "iu")}
+    for name, last in channels.items():
+        wanted |= {name: ((*size, *last), "f"), f"stderr_{name}": ((*size, *last), "f")}
+    for name, (shape, kinds) in wanted.items():
+        array = arrays[name]
+        if array.shape != shape or array.dtype.kind not in kinds:
+            kind = "floats" if kinds == "f" else "whole numbers"
+            raise ValueError(
+                f"{name}: expected {kind} of shape {shape}, got {array.dtype} of shape "
+                f"{array.shape}"
+            )
+    for name in MAP_PARAMETERS:
+        if not np.all(np.isfinite(arrays[name]) & (arrays[name] >= 0)):
+            raise ValueError(f"{name}: expected finite numbers ≥ 0")
+        # Not below 0, and no NaN.
+        if not np.all(arrays[f"stderr_{name}"] >= 0):
+            raise ValueError(f"stderr_{name}: expected numbers ≥ 0")
+    given: Any = arrays["noise_given"]
+    if given.shape not in ((), size) or given.dtype.kind != "f":
+        raise ValueError(
+            f"noise_given: expected floats of shape () or {size}, got {given.dtype} of "
+            f"shape {given.shape}"
+        )
+    if given.ndim == 0:
+        given = None if np.isnan(given) else float(given)
+    maps: Any = {name: arrays[name] for name in MAP_PARAMETERS}
+    stderr: Any = {name: arrays[f"stderr_{name}"] for name in MAP_PARAMETERS}
+    return Maps(
+        **maps,
+        stderr=ParameterMaps(**stderr),
+        noise=arrays["noise"],
+        samples=arrays["samples"],
+        flags=arrays["flags"],
+        unknowns=tuple(unknowns.tolist()),
+        noise_given=given,
+    )

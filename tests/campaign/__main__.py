@@ -33,7 +33,7 @@ def load_kinds() -> dict[str, Kind]:
 
 
 def chunks(
-    chosen: dict[str, Kind], cases: int, case: int | None
+    chosen: dict[str, Kind], cases: int, case: int | None, workers: int
 ) -> Iterator[tuple[str, range]]:
     """Numbers of the cases of each kind, in portions."""
     whole = sum(kind.share for kind in chosen.values())
@@ -42,8 +42,9 @@ def chunks(
             yield name, range(case, case + 1)
             continue
         count = max(round(cases * kind.share / whole), 1)
-        for start in range(0, count, CHUNK):
-            yield name, range(start, min(start + CHUNK, count))
+        chunk = max(min(CHUNK, -(-count // workers)), 1)
+        for start in range(0, count, chunk):
+            yield name, range(start, min(start + chunk, count))
 
 
 def run(
@@ -62,7 +63,7 @@ def run(
         with concurrent.futures.ProcessPoolExecutor(workers, context) as pool:
             portions = {
                 pool.submit(_portion, name, chosen[name], seed, numbers, stock): name
-                for name, numbers in chunks(chosen, cases, case)
+                for name, numbers in chunks(chosen, cases, case, workers)
             }
             for portion in concurrent.futures.as_completed(portions):
                 found[portions[portion]] += portion.result()

@@ -11,7 +11,6 @@ import resource
 import select
 import shutil
 import signal
-import sys
 import tempfile
 import time
 import traceback
@@ -189,7 +188,7 @@ def _work(
                 words.write(json.dumps(dataclasses.asdict(verdict)) + "\n")
         os._exit(0)
     except BaseException:
-        traceback.print_exc(file=sys.__stderr__)
+        os.write(2, traceback.format_exc().encode())
         os._exit(70)
 
 

@@ -72,7 +72,7 @@ DAMAGED_IMAGES: dict[str, tuple[Damage, str]] = {
     "junk": (lambda d: (d / "001.png").write_bytes(b"junk" * 99), "001.png: is broken"),
     "a bomb": (
         lambda d: (d / "001.png").write_bytes(_bomb()),
-        "pixels, got 100000 × 100000",
+        "got 100000 × 100000 pixels",
     ),
     "missing": (lambda d: (d / "001.png").unlink(), "001.png"),
     "a pipe": (
@@ -95,7 +95,7 @@ DAMAGED_SCENES: dict[str, tuple[Damage, str]] = {
     "huge camera": (
         lambda d: _edit(d, camera={"kind": "orthographic", "width": 10**6,
                                    "height": 10**6}),
-        "scene.json: camera.width: expected ... pixels, got 1000000 × 1000000",
+        "scene.json: camera.width: expected ... got 1000000 × 1000000 pixels",
     ),
     "an unknown key": (lambda d: _edit(d, shadow=1), "did you mean 'shadows'?"),
     "outside": (

@@ -185,9 +185,9 @@ BROKEN = {
     "text.exr": (b"hello", "is broken or no .exr image"),
     "text.gif": (b"GIF89a", "expected one of .png ... got suffix '.gif'"),
     "nothing": (b"", "expected one of .png ... got no suffix"),
-    "bomb.png": (_png_header(60000, 60000), "pixels, got 60000 × 60000"),
-    "bomb.hdr": (HUGE_HDR, "pixels, got 99999 × 99999"),
-    "bomb.tif": (HUGE_TIFF, "pixels, got 99999 × 99999"),
+    "bomb.png": (_png_header(60000, 60000), "got 60000 × 60000 pixels"),
+    "bomb.hdr": (HUGE_HDR, "got 99999 × 99999 pixels"),
+    "bomb.tif": (HUGE_TIFF, "got 99999 × 99999 pixels"),
 }
 
 

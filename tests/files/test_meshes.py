@@ -71,7 +71,7 @@ def test_gltf_reads_nothing_outside_its_folder(tmp_path):
     buffer = next(inner.glob("*.bin"))
     buffer.rename(tmp_path / buffer.name)
     model.write_text(model.read_text().replace(buffer.name, f"../{buffer.name}"))
-    with pytest.raises(ValueError, match="model.gltf: cannot be read"):
+    with pytest.raises(ValueError, match="model.gltf: .*name of a file in this folder"):
         pf.load_mesh(model)
 
 
@@ -170,8 +170,8 @@ def test_a_texture_that_is_missing_is_named(tmp_path):
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 nan\nf 1 2 3\n", "vertices: .*nan"),
         ("a.obj", "mtllib ../a.mtl\nv 0 0 0\n", "line 1: expected.*got '../a.mtl'"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nf 1 2 9\n", ""),
-        ("a.ply", "ply", "cannot be read"),
-        ("a.glb", "glTF", "cannot be read"),
+        ("a.ply", "ply", "cannot be read: its header has no end"),
+        ("a.glb", "glTF", "does not start as a GLB file does"),
         ("a.stl", "", ""),
         ("a.3ds", "", "suffix is none of .obj"),
         ("a", "", "suffix is none of .obj"),
@@ -186,3 +186,36 @@ def test_broken_files(tmp_path, name, content, said):
 def test_a_missing_file(tmp_path):
     with pytest.raises(ValueError, match="none.ply: cannot be read"):
         pf.load_mesh(tmp_path / "none.ply")
+
+
+def test_pictures_that_a_mesh_names_stay_closed(tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setattr("PIL.Image.open", lambda *given, **_: opened.append(given))
+    text = BOX.export(file_type="ply", encoding="ascii")
+    assert isinstance(text, bytes)
+    (tmp_path / "a.png").write_bytes(b"%!PS")
+    path = tmp_path / "a.ply"
+    path.write_bytes(
+        text.replace(b"\nelement", b"\ncomment TextureFile a.png\nelement", 1)
+    )
+    assert pf.load_mesh(path).mesh.faces.shape == (12, 3)
+    assert not opened
+
+
+@pytest.mark.parametrize("suffix", ["stl", "ply", "off", "glb"])
+def test_a_mesh_that_is_cut_off(tmp_path, suffix):
+    path = tmp_path / f"a.{suffix}"
+    whole = _bytes(BOX.export(file_type=suffix))
+    path.write_bytes(whole[: len(whole) // 2] + b"\xff\xfe")
+    with pytest.raises(ValueError, match=rf"a\.{suffix}: (?!.*module)"):
+        pf.load_mesh(path)
+
+
+def test_many_materials_that_are_missing_are_few_warnings(tmp_path):
+    lines = ["v 0 0 0", "v 1 0 0", "v 0 1 0"]
+    lines += [f"usemtl m{k % 90}\nf 1 2 3" for k in range(200)]
+    (tmp_path / "a.obj").write_text("\n".join(lines))
+    with pytest.warns(UserWarning) as said:
+        mesh, _, names = pf.load_mesh(tmp_path / "a.obj")
+    assert len(said) == 6 and "nor 85 others" in str(said[-1].message)
+    assert names[:2] == ("m0", "m1") and mesh.materials == 90

@@ -1,0 +1,100 @@
+"""JSON from outside: parsed in linear time, without what no file of ours holds."""
+
+import json
+import math
+from typing import Any
+
+from phongfit.files.budget import afford
+
+MAX_DEPTH = 100
+"""Objects and arrays in one another; ours have some ten."""
+
+MAX_DIGITS = 400
+"""Of a whole number: more than any that floating point knows."""
+
+MAX_KEYS = 100_000
+"""In one object."""
+
+
+def parse_json(text: str | bytes) -> Any:
+    """What a JSON text holds.
+
+    **Raises:** `ValueError` that says what is wrong: no JSON, NaN or infinity by name,
+    whole numbers too large for floating point, a key twice, nesting too deep.
+    """
+    afford(_memory(text), "JSON")
+    try:
+        data = json.loads(
+            text,
+            object_pairs_hook=_unique_keys,
+            parse_constant=_refuse_constant,
+            parse_int=_integer,
+        )
+    except RecursionError:
+        raise _too_deep() from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"is no JSON: {error}") from None
+    _check_depth(data)
+    return data
+
+
+def _memory(text: str | bytes) -> int:
+    """Bytes that a text takes when it is parsed, and checked: a generous estimate.
+
+    An object takes a thousand times what `{}` does in the text.
+    """
+    count = text.count if isinstance(text, str) else lambda c: text.count(c.encode())
+    return 2 * len(text) + 1000 * count("{") + 100 * (count("[") + count(","))
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    record = dict(pairs)
+    if len(pairs) > MAX_KEYS:
+        raise ValueError(f"expected at most {MAX_KEYS} keys, got {len(pairs)}")
+    if len(record) != len(pairs):
+        seen: set[str] = set()
+        for key, _ in pairs:
+            if key in seen:
+                raise ValueError(
+                    f"expected each key once in an object, got {shorten(key)} twice"
+                )
+            seen.add(key)
+    return record
+
+
+def _refuse_constant(name: str) -> Any:
+    raise ValueError(f"expected finite numbers, got {name}")
+
+
+def _integer(digits: str) -> int:
+    if len(digits) > MAX_DIGITS or not math.isfinite(float(digits)):
+        raise ValueError(f"expected finite numbers, got {_cut(digits)}")
+    return int(digits)
+
+
+def _too_deep() -> ValueError:
+    return ValueError(f"is nested too deeply, expected at most {MAX_DEPTH} levels")
+
+
+def _check_depth(data: Any) -> None:
+    level = [data]
+    for _ in range(MAX_DEPTH):
+        level = [
+            item
+            for holder in level
+            if isinstance(holder, list | dict)
+            for item in (holder.values() if isinstance(holder, dict) else holder)
+            if isinstance(item, list | dict)
+        ]
+        if not level:
+            return
+    raise _too_deep()
+
+
+def shorten(value: Any) -> str:
+    """`value` as JSON, cut to what fits into one line of a message."""
+    return _cut(json.dumps(value, ensure_ascii=False, default=repr))
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= 60 else text[:57] + "…"
