@@ -14,10 +14,28 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+MOST_MATERIALS = 2**16
+"""A surface has no more: each has numbers of its own."""
+
+NOISE = 1e-12, 1e12
+"""Standard deviations whose squares, and their inverse, single precision holds."""
+
+
+def unmasked(name: str, value: Any) -> None:
+    """`ValueError` that names `name` if a mask comes with it, which would be lost."""
+    if isinstance(value, np.ma.MaskedArray):
+        raise ValueError(f"{name}: expected an array without a mask, got a masked one")
+
+
+def is_noise(values: Any) -> Any:
+    """Where numbers are standard deviations that can be divided by."""
+    return (values >= NOISE[0]) & (values <= NOISE[1])
+
 
 def as_floats(name: str, value: Any) -> Float[Array, "..."]:
     """`value` as an array of the default float type; `ValueError` names `name`."""
     wanted = jnp.result_type(float)
+    unmasked(name, value)
     try:
         # By way of NumPy where it can be: that compiles nothing. It cannot where a
         # tracer hides in a list.
@@ -77,9 +95,11 @@ def as_integers(name: str, value: Any, lowest: int, below: float) -> np.ndarray:
     """
     if isinstance(value, Tracer):
         raise ValueError(f"{name}: expected known numbers, got a traced array")
+    unmasked(name, value)
     array = np.asarray(value)
     if array.dtype.kind not in "iu":
         raise ValueError(f"{name}: expected whole numbers, got {array.dtype}")
+    below = min(below, 2**31)
     wrong = (array < lowest) | (array >= below)
     if wrong.any():
         where = tuple(int(i) for i in np.argwhere(wrong)[0])
@@ -99,7 +119,7 @@ def as_indices(
     """
     if value is None:
         return None, 1
-    array = as_integers(name, value, 0, np.inf)
+    array = as_integers(name, value, 0, MOST_MATERIALS)
     if array.shape != shape:
         raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
     return jnp.asarray(array), int(array.max(initial=0)) + 1

@@ -44,7 +44,7 @@ def at(array, place, value):
 REFUSED = [
     (pf.Material, "diffuse", [-0.1, NAN, INF, (0.1, 0.2), (), "red", None, 1j]),
     (pf.Material, "specular", [-0.1, (0.1, NAN, 0.1), np.ones((3, 4)), [[1, 2], [3]]]),
-    (pf.Material, "shininess", [-1, INF, [1, 2], {}]),
+    (pf.Material, "shininess", [-1, INF, [1, 2], {}, np.ma.masked_equal(3.0, 3)]),
     (pf.Material, "ambient", [-1e-6, NAN, object()]),
     (pf.Material, "emission", [-1, INF]),
     (sun, "direction", [(0, 0, 0), (0, 1), (NAN, 0, 1), 1, "up", np.ones((1, 3))]),

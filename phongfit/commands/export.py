@@ -1,5 +1,6 @@
 """`phongfit export`: a material for other programs."""
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -197,8 +198,12 @@ def surface_parts(surface: AbstractSurface) -> list[Part]:
     index = np.zeros(len(faces), int)
     if mesh.material_index is not None:
         index = np.asarray(mesh.material_index)
+    # Sorted once, however many materials there are.
+    order = np.argsort(index, kind="stable")
+    ends = np.searchsorted(index[order], np.arange(mesh.materials + 1))
     return [
-        _used(positions, faces[index == at], normals) for at in range(mesh.materials)
+        _used(positions, faces[order[start:end]], normals)
+        for start, end in itertools.pairwise(ends)
     ]
 
 

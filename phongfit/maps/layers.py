@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from phongfit.checks import NOISE, is_noise, unmasked
 from phongfit.fitting.problem.inputs import is_number
 from phongfit.maps.stacks import Update, gather
 
@@ -26,6 +27,8 @@ class Layers:
         **Raises:** `ValueError` that names the argument, and which of several it is.
         """
         count, *size = shape
+        for one in given if isinstance(given, list | tuple) else [given]:
+            unmasked(name, one)
         fine = (tuple(size), (*size, 3))
         if not isinstance(given, list | tuple):
             given = np.asarray(given)
@@ -47,6 +50,8 @@ class Layers:
                     f"{which}: expected numbers of shape {fine[0]} or {fine[1]}, got "
                     f"{layer.dtype} of shape {layer.shape}"
                 )
+            if np.dtype(dtype).kind == "b" and not np.isfinite(layer).all():
+                raise ValueError(f"{name}: expected true or false, got NaN or inf")
         self._layers = layers
         self._size = tuple(size)
         self._dtype = np.dtype(dtype)
@@ -134,17 +139,25 @@ class Noise:
             self._layers = Layers("noise", noise, shape, dtype)
             for k in range(len(self._layers)):
                 layer = self._layers[k]
-                if not np.all(np.isfinite(layer) & (layer > 0)):
+                if not np.all(is_noise(layer)):
                     which = f"[{k}]" if len(self._layers) > 1 else ""
-                    raise ValueError(f"noise{which}: expected finite numbers > 0")
+                    low, high = NOISE
+                    raise ValueError(
+                        f"noise{which}: expected finite numbers > 0, from {low:g} to "
+                        f"{high:g}"
+                    )
         elif self.known:
             try:
                 number: Any = noise
                 self.level = float(number)
             except (TypeError, ValueError):
                 self.level = np.nan
-            if not 0 < self.level < np.inf:
-                raise ValueError(f"noise: expected a number > 0, got {noise!r}")
+            if not is_noise(self.level):
+                low, high = NOISE
+                raise ValueError(
+                    f"noise: expected a number > 0, from {low:g} to {high:g}, got "
+                    f"{noise!r}"
+                )
 
     def weigh(
         self,

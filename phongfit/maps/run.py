@@ -159,9 +159,10 @@ def fit_maps(
             }
             store = place.enter_context(tile_store(output, job))
 
-        def read(tile: int) -> Tile | None:
-            if store is not None and store.load(tile) is not None:
-                return None
+        def read(tile: int) -> Tile | list[np.ndarray]:
+            done = None if store is None else store.load(tile)
+            if done is not None:
+                return done
             target = stack.take(tiles[tile], lighting.order)
             used = masks.take(tiles[tile], lighting.order) & ~np.ma.getmask(target)
             used = levels.weigh(used, tiles[tile], lighting.order)
@@ -175,10 +176,8 @@ def fit_maps(
         maps = _Canvas(seen.shape, 1 if settings.shared else 3, outside.noise.dtype)
         with concurrent.futures.ThreadPoolExecutor(_workers(mesh)) as workers:
             for k, tile in _bar(_ahead(read, len(tiles)), len(tiles), progress):
-                if tile is None:
-                    assert store is not None
-                    arrays = store.load(k)
-                    assert arrays is not None
+                if isinstance(tile, list):
+                    arrays = tile
                 else:
                     # XLA works on so little with one core.
                     leaves = zip(*workers.map(work, tile.parts(part)), strict=True)

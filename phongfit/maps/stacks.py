@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from phongfit.files.dataset import Photographs
+from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import read_image
-from phongfit.files.inputs import read_bytes
+from phongfit.files.inputs import read_bytes, recording
 from phongfit.rendering.film import Encoding, as_encoding
 
 Update = Callable[[bytes | memoryview], None]
@@ -93,6 +93,8 @@ class ArrayStack(AbstractStack):
         self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
     ) -> Float[np.ndarray, "images n 3"]:
         taken = np.empty((len(order), len(pixels), 3), _float_type())
+        if any(map(np.ma.is_masked, self._arrays)):
+            taken = np.ma.MaskedArray(taken, np.zeros(taken.shape, bool))
         for row, k in enumerate(order):
             taken[row] = gather(self._arrays[k], pixels)
         for array in self._arrays:
@@ -102,7 +104,9 @@ class ArrayStack(AbstractStack):
     def identify(self, update: Update) -> None:
         for array in self._arrays:
             update(f"{array.dtype.str} {array.shape}".encode())
-            for row in array:
+            if np.ma.is_masked(array):
+                update(np.packbits(np.ma.getmaskarray(array)).tobytes())
+            for row in np.ma.getdata(array):
                 update(np.ascontiguousarray(row).data.cast("B"))
             _let_go(array)
 
@@ -118,11 +122,12 @@ class PhotographStack(AbstractStack):
 
         **Raises:** `ValueError` that names the file, if the first cannot be read.
         """
+        self._checksums: dict[Path, str] = {}
         self._paths = tuple(Path(path) for path in paths)
         self._encoding: Encoding = as_encoding(encoding)
         if not self._paths:
             raise ValueError("paths: expected at least one, got none")
-        self._size = read_image(self._paths[0], self._encoding).shape[:2]
+        self._size = self._image(0).shape[:2]
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -133,7 +138,7 @@ class PhotographStack(AbstractStack):
     ) -> Float[np.ndarray, "images n 3"]:
         taken = np.empty((len(order), len(pixels), 3), _float_type())
         for row, k in enumerate(order):
-            image = read_image(self._paths[k], self._encoding)
+            image = self._image(k)
             if image.shape[:2] != self._size:
                 raise ValueError(
                     f"{self._paths[k]}: expected {self._size} pixels, as "
@@ -144,8 +149,14 @@ class PhotographStack(AbstractStack):
 
     def identify(self, update: Update) -> None:
         update(self._encoding.encode())
-        for path in self._paths:
-            update(read_bytes(path))
+        with recording(self._checksums):
+            for path in self._paths:
+                update(read_bytes(path))
+
+    def _image(self, number: int) -> Float[np.ndarray, "height width 3"]:
+        # Read many times: it must not change meanwhile.
+        with recording(self._checksums):
+            return read_image(self._paths[number], self._encoding)
 
 
 class DatasetStack(AbstractStack):
@@ -168,10 +179,11 @@ class DatasetStack(AbstractStack):
         """
         camera = photographs.scenes[0].camera
         self.photographs = photographs
+        self._files: dict[Path, str] = {}
         self.mask = np.zeros((camera.height, camera.width), bool)
         checksum = hashlib.blake2b(digest_size=16)
         for number in range(len(photographs.names)):
-            image, mask = photographs.read(number)
+            image, mask = self._photograph(number)
             self.mask |= mask.reshape(*self.mask.shape, -1).any(axis=-1)
             for array in (image, mask):
                 checksum.update(f"{array.dtype.str} {array.shape}".encode())
@@ -188,13 +200,18 @@ class DatasetStack(AbstractStack):
         light = np.empty((len(order), len(pixels), 3), _float_type())
         used = np.empty(light.shape, bool)
         for row, k in enumerate(order):
-            image, mask = self.photographs.read(k)
+            image, mask = self._photograph(k)
             light[row] = gather(image, pixels)
             used[row] = gather(mask.reshape(*mask.shape[:2], -1), pixels)
         return np.ma.MaskedArray(light, ~used)
 
     def identify(self, update: Update) -> None:
         update(self._checksum)
+
+    def _photograph(self, number: int) -> Photograph:
+        # Read many times: it must not change meanwhile.
+        with recording(self._files):
+            return self.photographs.read(number)
 
 
 def as_stack(images: Any) -> AbstractStack:

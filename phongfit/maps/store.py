@@ -1,7 +1,7 @@
 """Finished tiles on disk: whole or not at all, and of one job only."""
 
 import contextlib
-import io
+import hashlib
 import json
 import os
 from collections.abc import Iterator
@@ -10,10 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from phongfit.files.inputs import read_bytes, read_text
+from phongfit.files.arrays import unpack
+from phongfit.files.inputs import naming, read_bytes, read_text
 from phongfit.files.outputs import alone_in, replacing, write_json
+from phongfit.files.strict_json import parse_json
 
 MANIFEST = "maps.json"
+CHECK = "check"
 
 
 class TileStore:
@@ -29,6 +32,7 @@ class TileStore:
         files; `OSError` that names it.
         """
         self._folder = Path(folder)
+        self._job = json.dumps(job, sort_keys=True)
         manifest = self._folder / MANIFEST
         if manifest.exists():
             _check(manifest, job)
@@ -46,10 +50,10 @@ class TileStore:
     def load(self, tile: int) -> list[np.ndarray] | None:
         """The arrays of a tile, or `None` if it is not done, or not readable."""
         try:
-            with np.load(
-                io.BytesIO(read_bytes(self._path(tile))), allow_pickle=False
-            ) as arrays:
-                return [arrays[name] for name in sorted(arrays.files)]
+            arrays = unpack(read_bytes(self._path(tile)))
+            check = arrays.pop(CHECK).tobytes()
+            found = [arrays[name] for name in sorted(arrays)]
+            return found if check == self._checksum(tile, found) else None
         except Exception:
             # Missing, or broken by something else than an interrupt: done again.
             return None
@@ -57,8 +61,17 @@ class TileStore:
     def save(self, tile: int, arrays: list[np.ndarray]) -> None:
         """Keep the arrays of a finished tile."""
         named = {f"a{k:02d}": array for k, array in enumerate(arrays)}
+        named[CHECK] = np.frombuffer(self._checksum(tile, arrays), np.uint8)
         with replacing(self._path(tile)) as temporary:
             np.savez(temporary, allow_pickle=False, **named)
+
+    def _checksum(self, tile: int, arrays: list[np.ndarray]) -> bytes:
+        """Of the job, the tile's number and its arrays: no other tile will do."""
+        found = hashlib.blake2b(f"{self._job} {tile}".encode(), digest_size=16)
+        for array in arrays:
+            found.update(f"{array.dtype.str} {array.shape}".encode())
+            found.update(np.ascontiguousarray(array).tobytes())
+        return found.digest()
 
 
 @contextlib.contextmanager
@@ -75,12 +88,11 @@ def tile_store(
 
 
 def _check(manifest: Path, job: dict[str, Any]) -> None:
-    try:
-        found = json.loads(read_text(manifest))
-    except json.JSONDecodeError as error:
-        raise ValueError(f"output: {manifest} is broken: {error}") from error
+    with naming(f"output: {manifest}"):
+        found = parse_json(read_text(manifest))
     if found != json.loads(json.dumps(job)):
-        differing = [key for key in job if found.get(key) != job[key]]
+        held = found if isinstance(found, dict) else {}
+        differing = [key for key in job if held.get(key) != job[key]]
         raise ValueError(
             f"output: {manifest.parent} holds tiles of another job (its "
             f"{', '.join(differing) or 'manifest'} differs); give another folder"

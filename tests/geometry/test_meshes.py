@@ -217,6 +217,8 @@ def test_joined_objects_keep_their_materials():
         ("normals", dict(normals=TRIANGLE * np.nan)),
         ("material_index", dict(material_index=[0, 1])),
         ("material_index", dict(material_index=[-1])),
+        ("material_index", dict(material_index=[2**40])),
+        ("material_index", dict(material_index=[2**31 - 1])),
         ("material_index", dict(material_index=[0.5])),
         ("weighting", dict(weighting="length")),
         ("crease_angle", dict(crease_angle=np.nan)),

@@ -90,6 +90,57 @@ def test_a_broken_tile_is_done_again(maps, tmp_path):
     same(pf.fit_maps(STACK.scenes, STACK.images, **options), maps)
 
 
+def test_a_tile_that_is_another_or_blank_is_done_again(maps, tmp_path):
+    out = tmp_path / "out"
+    options = QUICK | {"tile_pixels": SIZE, "output": out}
+    pf.fit_maps(STACK.scenes, STACK.images, **options)
+    tiles = [out / f"tile_{k:06d}.npz" for k in range(3)]
+    tiles[0].write_bytes(tiles[1].read_bytes())
+    with np.load(tiles[2]) as arrays:
+        blank = {name: np.zeros_like(arrays[name]) for name in arrays}
+    np.savez(tiles[2], allow_pickle=False, **blank)
+    same(pf.fit_maps(STACK.scenes, STACK.images, **options), maps)
+
+
+@pytest.mark.parametrize("text", ["[]", "7", "{", '{"a": 1, "a": 1}'])
+def test_a_broken_manifest(tmp_path, text):
+    (tmp_path / "maps.json").write_text(text)
+    options = QUICK | {"tile_pixels": SIZE, "output": tmp_path}
+    with pytest.raises(ValueError, match=r"^output: .*(another job|is no JSON|once)"):
+        pf.fit_maps(STACK.scenes, STACK.images, **options)
+
+
+def test_photographs_that_change_meanwhile_are_named(tmp_path):
+    class Swapped(pf.PhotographStack):
+        """One of its files becomes another after the first tile."""
+
+        def take(self, pixels, order):
+            taken = super().take(pixels, order)
+            write_image(tmp_path / "1.png", STACK.images[2], "linear", 16)
+            return taken
+
+    paths = [tmp_path / f"{k}.png" for k in range(4)]
+    for path, image in zip(paths, STACK.images, strict=True):
+        write_image(path, image, "linear", 16)
+    stack = Swapped(paths, "linear")
+    with pytest.raises(ValueError, match=r"1\.png: has changed since it was read"):
+        pf.fit_maps(STACK.scenes, stack, tile_pixels=SIZE, **QUICK)
+
+
+def test_masked_arrays_keep_their_masks(maps):
+    hidden = np.zeros(STACK.images.shape, bool)
+    hidden[0, :, ::2] = True
+    spoilt = np.where(hidden, 0.9, STACK.images)
+    found, wanted = (
+        pf.fit_maps(STACK.scenes, images, tile_pixels=SIZE, mask=mask, **QUICK)
+        for images, mask in (
+            (np.ma.MaskedArray(spoilt, hidden), None),
+            (spoilt, list(~hidden)),
+        )
+    )
+    same(found, wanted)
+
+
 def test_another_job_is_refused(tmp_path):
     options = QUICK | {"tile_pixels": SIZE, "output": tmp_path / "out"}
     pf.fit_maps(STACK.scenes, STACK.images, **options)
@@ -114,6 +165,32 @@ def test_saved_and_loaded(maps, tmp_path):
     (tmp_path / "broken.npz").write_bytes(b"PK")
     with pytest.raises(ValueError, match=r"broken\.npz: cannot be read"):
         pf.load_maps(tmp_path / "broken.npz")
+
+
+@pytest.mark.parametrize(
+    "name, wrong, told",
+    [
+        ("flags", np.zeros(5, np.uint16), r"flags: expected shape \(height, width\)"),
+        ("flags", np.zeros((48, 64)), "flags: expected whole numbers"),
+        ("diffuse", np.zeros((48, 64, 1), np.float32), "diffuse: expected floats of"),
+        ("specular", np.full((48, 64, 3), np.nan), "specular: expected finite"),
+        ("stderr_ambient", np.full((48, 64, 3), -1.0), "stderr_ambient: expected"),
+        ("shininess", np.float32(3), "shininess: expected 1 or 3 channels"),
+        ("unknowns", np.array(["gloss"]), "unknowns: expected names of"),
+        ("noise_given", np.zeros(3), "noise_given: expected floats of"),
+        ("noise", None, "has no array 'noise'"),
+    ],
+)
+def test_maps_of_wrong_arrays(maps, tmp_path, name, wrong, told):
+    path = tmp_path / "maps.npz"
+    maps.save(path)
+    with np.load(path) as arrays:
+        changed = dict(arrays) | {name: wrong}
+    if wrong is None:
+        del changed[name]
+    np.savez(path, **changed)
+    with pytest.raises(ValueError, match=rf"maps\.npz: cannot be read: {told}"):
+        pf.load_maps(path)
 
 
 PROGRAM = """
@@ -141,7 +218,8 @@ class Killed(pf.AbstractStack):
         self.inner.identify(update)
 
     def take(self, pixels, order):
-        if out and len(list(Path(out).glob("tile_*.npz"))) == int(last):
+        done = len(list(Path(out).glob("tile_*.npz"))) if out else 0
+        if done >= int(last) >= 0:
             os.kill(os.getpid(), signal.SIGKILL)
         return self.inner.take(pixels, order)
 

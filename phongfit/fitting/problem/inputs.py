@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from phongfit.checks import NOISE, is_noise, unmasked
 from phongfit.scene import Scene
 
 
@@ -114,8 +115,16 @@ def _photograph(
         )
     pixels = pixels.astype(jnp.result_type(float), copy=False)
     weight = np.ones((1, 1, 1), pixels.dtype)
+    if np.ma.is_masked(image):
+        # NumPy's masks are true where a sample is left out.
+        weight = weight * ~np.ma.getmaskarray(image)
     if mask is not None:
-        weight = weight * _per_sample(f"mask{which}", mask, shape).astype(bool)
+        values = _per_sample(f"mask{which}", mask, shape)
+        if not np.isfinite(values).all():
+            raise ValueError(
+                f"mask{which}: expected true or false, got NaN or infinity"
+            )
+        weight = weight * values.astype(bool)
     if weights is not None:
         values = _per_sample(f"weights{which}", weights, shape)
         if not np.all(np.isfinite(values) & (values >= 0)):
@@ -123,8 +132,11 @@ def _photograph(
         weight = weight * values
     if noise is not None:
         values = _per_sample(f"noise{which}", noise, shape)
-        if not np.all(np.isfinite(values) & (values > 0)):
-            raise ValueError(f"noise{which}: expected finite numbers > 0")
+        if not np.all(is_noise(values)):
+            low, high = NOISE
+            raise ValueError(
+                f"noise{which}: expected finite numbers > 0, from {low:g} to {high:g}"
+            )
         weight = weight / values**2
     if not weight.any():
         raise ValueError(f"mask{which}: mask and weights leave no pixel")
@@ -144,6 +156,7 @@ def _photograph(
 
 def _per_sample(name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
     """A number, (H, W) or (H, W, 3) as (H, W, 3)."""
+    unmasked(name, given)
     values = np.asarray(given)
     if values.dtype.kind not in "bfiu":
         raise ValueError(f"{name}: expected numbers, got {values.dtype} values")

@@ -59,6 +59,11 @@ class Specification:
 
         **Raises:** `ValueError` that names the argument.
         """
+        if not isinstance(max_steps, int) or not 0 < max_steps < 2**31:
+            raise ValueError(
+                f"max_steps: expected a whole number from 1 to {2**31 - 1}, got "
+                f"{max_steps!r}"
+            )
         ties = {} if ties is None else ties
         whole = {k: (1.0, v) if isinstance(v, str) else v for k, v in ties.items()}
         fields = {

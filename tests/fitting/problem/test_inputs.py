@@ -102,6 +102,11 @@ CENTRE = np.hypot(*(np.indices((SIZE, SIZE)) + 0.5 - SIZE / 2)) < 10
         ("noise: expected finite numbers > 0", SCENE, GREY, {"noise": -0.01}),
         ("noise: expected finite numbers > 0", SCENE, GREY, {"noise": 0.0}),
         ("noise: expected finite numbers > 0", SCENE, GREY, {"noise": np.inf}),
+        ("noise: expected finite numbers > 0", SCENE, GREY, {"noise": 1e-320}),
+        ("mask: expected true or false", SCENE, GREY, {"mask": np.nan}),
+        ("mask: .* without a mask", SCENE, GREY, {"mask": np.ma.ones((5, 5))}),
+        ("max_steps: expected .* whole", SCENE, GREY, {"max_steps": 2**32}),
+        ("max_steps: expected .* whole", SCENE, GREY, {"max_steps": 0}),
         ("noise: expected .*, got <U3 values", SCENE, GREY, {"noise": "low"}),
         (r"noise: expected .*, got \(5, 5\)", SCENE, GREY, {"noise": np.ones((5, 5))}),
         (
@@ -234,3 +239,15 @@ def test_arguments_stay_as_they_are():
     as_photographs(SCENE, image, mask, weights, 0.1)
     assert np.array_equal(image, BROKEN, equal_nan=True)
     assert np.all(weights == 1)
+
+
+def test_a_masked_array_leaves_its_samples_out():
+    masked = np.ma.MaskedArray(np.where(CENTRE[..., None], GREY, np.nan))
+    masked[~CENTRE] = np.ma.masked
+    ((one,), (wanted,)) = (
+        as_photographs(SCENE, image, mask, None, 0.5)
+        for image, mask in ((masked, None), (masked.data, CENTRE))
+    )
+    np.testing.assert_array_equal(one.weight, np.broadcast_to(wanted.weight, SHAPE))
+    np.testing.assert_array_equal(one.image, wanted.image)
+    assert not np.ma.isMaskedArray(one.image)
