@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from phongfit.files.budget import afford
-from phongfit.files.inputs import read_bytes
+from phongfit.files.inputs import read_bytes, reason
 from phongfit.files.outputs import replacing
 
 
@@ -33,8 +33,7 @@ def read_array(path: Path, key: str) -> np.ndarray:
         raise
     except Exception as error:
         # A broken file makes this reader raise nearly anything.
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(f"{path}: cannot be read: {reason}") from error
+        raise ValueError(f"{path}: cannot be read: {reason(error)}") from error
 
 
 def unpack(data: bytes) -> dict[str, np.ndarray]:

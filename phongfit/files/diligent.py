@@ -16,7 +16,14 @@ from jaxtyping import Bool, Float
 from phongfit.files.budget import afford
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import read_image, read_mask
-from phongfit.files.inputs import inside, naming, read_bytes, read_table, read_text
+from phongfit.files.inputs import (
+    inside,
+    naming,
+    read_bytes,
+    read_table,
+    read_text,
+    reason,
+)
 from phongfit.geometry.cameras import OrthographicCamera
 from phongfit.geometry.surfaces import NormalMap
 from phongfit.lights import DirectionalLight
@@ -140,8 +147,7 @@ def _read_surface(folder: Path, mask: Bool[np.ndarray, "height width"]) -> Norma
         raise
     except Exception as error:
         # A broken file makes this reader raise nearly anything.
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(f"{path}: {reason}") from error
+        raise ValueError(f"{path}: {reason(error)}") from error
 
 
 def _read_photograph(

@@ -18,7 +18,7 @@ from phongfit.files.formats import (
     Room,
     jpeg_compression,
 )
-from phongfit.files.inputs import read_bytes
+from phongfit.files.inputs import read_bytes, reason
 from phongfit.files.outputs import check_file, replacing
 from phongfit.rendering.film import Encoding, Film, as_encoding, decode, encode
 
@@ -279,9 +279,8 @@ def _decoded(path: Path, decode: Callable[[bytes], T]) -> T:
         raise
     except Exception as error:
         # Decoders raise whatever they like for what is broken, SyntaxError included.
-        reason = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(
-            f"{path}: is broken or no {path.suffix} image: {reason}"
+            f"{path}: is broken or no {path.suffix} image: {reason(error)}"
         ) from error
 
 

@@ -153,6 +153,16 @@ def naming(prefix: str) -> Iterator[None]:
         raise ValueError(f"{prefix}: {error}") from error
 
 
+def reason(error: Exception) -> str:
+    """What a library says of a broken file, on one line that can be read."""
+    return shortened(" ".join(str(error).split())) or type(error).__name__
+
+
+def shortened(text: str) -> str:
+    """A text, or the start of a very long one."""
+    return text if len(text) <= 300 else text[:299] + "…"
+
+
 @contextlib.contextmanager
 def naming_field(record: str) -> Iterator[None]:
     """The same for errors that begin with the name of a field of `record`."""

@@ -1,6 +1,7 @@
 """Meshes on disk, through trimesh, with the materials that their files name."""
 
 import io
+import logging
 import os
 import re
 import struct
@@ -13,10 +14,13 @@ import trimesh
 
 from phongfit.files.budget import afford
 from phongfit.files.gltf_reading import GltfPart, Shade, read_gltf
-from phongfit.files.inputs import inside, naming, read_bytes, read_text
+from phongfit.files.inputs import inside, naming, read_bytes, read_text, reason
 from phongfit.files.mtl import FEW, MOST, read_mtl
 from phongfit.geometry.meshes import Mesh
 from phongfit.material import Material, stack_materials
+
+# What trimesh minds and bears is for whoever asks for logs, not for the terminal.
+logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 FORMATS = (".obj", ".ply", ".stl", ".gltf", ".glb", ".off")
 UNNAMED = "default"
@@ -148,8 +152,7 @@ def _parse(
         raise
     except Exception as error:
         # Each of trimesh's readers fails in ways of its own.
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise ValueError(f"{path}: cannot be read: {reason}") from error
+        raise ValueError(f"{path}: cannot be read: {reason(error)}") from error
 
 
 def _library(path: Path, text: str) -> dict[str, Material]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from phongfit.files.arrays import unpack
-from phongfit.files.inputs import read_bytes
+from phongfit.files.inputs import read_bytes, reason
 from phongfit.files.outputs import replacing
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
@@ -148,10 +148,10 @@ def load_maps(path: str | os.PathLike[str]) -> Maps:
         raise
     except Exception as error:
         # A broken file makes this reader raise nearly anything.
-        reason = " ".join(str(error).split()) or type(error).__name__
-        if isinstance(error, KeyError):
-            reason = f"has no array {reason}"
-        raise ValueError(f"{os.fspath(path)}: cannot be read: {reason}") from error
+        what = "has no array " if isinstance(error, KeyError) else ""
+        raise ValueError(
+            f"{os.fspath(path)}: cannot be read: {what}{reason(error)}"
+        ) from error
 
 
 def _checked(arrays: dict[str, np.ndarray]) -> Maps:

@@ -94,7 +94,9 @@ def _watched(
             if told is not None:
                 yield Verdict(**told)
                 continue
-            os.kill(worker, signal.SIGKILL)
+            if fault is not None:
+                os.kill(worker, signal.SIGKILL)
+            # It has closed its end: it is gone, or about to be.
             _, status = os.waitpid(worker, 0)
             worker = 0
             fault = fault or f"the process died of {_death(status)}"

@@ -1,7 +1,9 @@
 """Images: every bit in, every bit out, and one clear line for what is broken."""
 
+import os
 import struct
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 
 import imagecodecs
 import imageio.v3 as iio
@@ -9,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import OpenEXR
 import pytest
+from PIL import Image
 
 from phongfit import Film, JpegCompression
 from phongfit.files.images import (
@@ -363,3 +366,87 @@ def test_a_broken_jpeg_has_no_film(tmp_path):
     (tmp_path / "broken.jpg").write_bytes(b"no picture")
     with pytest.raises(ValueError, match=r"broken\.jpg: is broken"):
         read_film(tmp_path / "broken.jpg", "srgb")
+
+
+@pytest.mark.parametrize("format", ["GIF", "BMP", "TGA", "PPM", "WEBP", "PNG", "EPS"])
+def test_other_formats_are_no_jpeg(tmp_path, format, monkeypatch):
+    path = tmp_path / "a.jpg"
+    Image.new("RGB", (16, 16)).save(path, format)
+    # An EPS file is a program, which Pillow gives to Ghostscript.
+    monkeypatch.setattr("PIL.EpsImagePlugin.Ghostscript", None)
+    for read in (read_image, read_film):
+        with pytest.raises(ValueError, match=r"a\.jpg: is broken or no \.jpg image"):
+            read(path, "srgb")
+
+
+def _tiff(*tags: tuple[int, int], kind: int = 4, big: bool = False) -> bytes:
+    """A TIFF of these tags alone, little end first, and no pixels."""
+    head = struct.pack("<2sHHHQ", b"II", 43, 8, 0, 16) if big else b"II*\0\x08\0\0\0"
+    count, entry = ("<Q", "<HHQQ") if big else ("<H", "<HHII")
+    parts = [struct.pack(entry, tag, kind, 1, value) for tag, value in tags]
+    return head + struct.pack(count, len(tags)) + b"".join(parts) + bytes(8)
+
+
+BOMBS = {
+    "long8.tif": (_tiff((256, 10**6), (257, 10**6), kind=16, big=True), "1000000 × "),
+    "tiles.tif": (
+        _tiff((256, 4), (257, 4), (258, 8), (277, 3), (322, 10**6), (323, 10**6)),
+        "at most 1 GB of memory",
+    ),
+    "twice.tif": (_tiff((256, 4), (257, 4), (257, 10**6)), "has tag 257 twice"),
+    "layers.tif": (_tiff((256, 4), (257, 4), (32997, 10**6)), "of several layers"),
+    "channels.tif": (
+        _tiff((256, 4), (257, 4), (258, 8), (262, 2), (277, 60)),
+        "at most 4 channels, got 60",
+    ),
+    "dark.hdr": (
+        b"#?RADIANCE\nEXPOSURE=-2\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 1\nabcd",
+        "an EXPOSURE > 0, got -2",
+    ),
+    "huge.hdr": (
+        b"#?RADIANCE\nEXPOSURE=nan\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 1\nabcd",
+        "an EXPOSURE > 0, got nan",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_headers_that_are_not_believed(tmp_path, name, capfd):
+    data, message = BOMBS[name]
+    (tmp_path / name).write_bytes(data)
+    _check_one_line(tmp_path / name, message, capfd)
+
+
+def test_exr_of_many_channels_or_a_large_second_part(tmp_path, monkeypatch, capfd):
+    path, plane = tmp_path / "a.exr", np.zeros((64, 64), np.float16)
+    many = {f"c{k}": plane for k in range(60)}
+    with OpenEXR.File({"type": OpenEXR.scanlineimage}, many) as file:
+        file.write(str(path))
+    _check_one_line(path, "expected channels R, G, B or Y, got c0", capfd)
+    small = {name: plane[:4, :4].copy() for name in "RGB"}
+    rows = ("one", small), ("two", {name: plane for name in "RGB"})
+    window = {"displayWindow": ((0, 0), (3, 3))}
+    parts = [OpenEXR.Part(dict(window), channels, name) for name, channels in rows]
+    OpenEXR.File(parts).write(str(path))
+    assert read_image(path, "linear").shape == (4, 4, 3)
+    monkeypatch.setenv("PHONGFIT_MAX_MEMORY", "64K")
+    _check_one_line(path, "at most 64 KB of memory, got 4 × 4 pixels", capfd)
+
+
+def test_texts_of_a_png_are_not_unpacked(tmp_path, picture):
+    path = tmp_path / "a.png"
+    write_image(path, picture, "linear", 8)
+    text = b"zTXtkey\0\0not packed at all"
+    chunk = struct.pack(">I", len(text) - 4) + text + bytes(4)
+    data, light = path.read_bytes(), read_image(path, "linear")
+    path.write_bytes(data[:33] + chunk + data[33:])
+    np.testing.assert_array_equal(read_image(path, "linear"), light)
+
+
+def test_parallel_readers_leave_the_error_output_alone(tmp_path, picture, capfd):
+    path = tmp_path / "a.exr"
+    write_image(path, picture, "linear")
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda _: read_image(path, "linear"), range(40)))
+    os.write(2, b"still heard")
+    assert capfd.readouterr().err == "still heard"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from phongfit.files.inputs import inside, read_bytes, read_table
+from phongfit.files.inputs import inside, read_bytes, read_table, reason, recording
 
 
 @pytest.mark.parametrize(
@@ -58,3 +58,23 @@ def test_tables(tmp_path, text, message):
         read_table(path, 3)
     path.write_text("1 2 3\n\n4 5 6e-1\n")
     assert read_table(path, 3).tolist() == [[1, 2, 3], [4, 5, 0.6]]
+
+
+def test_a_file_that_changes_is_named(tmp_path):
+    (tmp_path / "a").write_bytes(b"one")
+    with recording() as outer:
+        with recording() as inner:
+            read_bytes(tmp_path / "a")
+        assert outer == inner and len(inner) == 1
+        (tmp_path / "a").write_bytes(b"two")
+        with pytest.raises(ValueError, match="a: has changed since it was read"):
+            read_bytes(tmp_path / "a")
+        with recording(inner), pytest.raises(ValueError, match="has changed"):
+            read_bytes(tmp_path / "a")
+    assert read_bytes(tmp_path / "a") == b"two"
+
+
+def test_reasons_are_one_line_of_some_length():
+    assert reason(ValueError("a\n  b")) == "a b"
+    assert reason(KeyError()) == "KeyError"
+    assert len(reason(ValueError("x" * 5000))) == 300

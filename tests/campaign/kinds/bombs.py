@@ -107,7 +107,10 @@ def _jpeg(random: Random) -> bytes:
     return bytes(data)
 
 
-_PACKED = {"compression": OpenEXR.ZIP_COMPRESSION}
+_PACKED = {
+    "compression": OpenEXR.ZIP_COMPRESSION,
+    "displayWindow": ((0, 0), (3, 3)),
+}
 
 
 def _exr(random: Random, stock: Path) -> bytes:

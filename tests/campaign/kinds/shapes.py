@@ -1,0 +1,87 @@
+"""Meshes and materials that were damaged, of every format."""
+
+import functools
+import json
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from phongfit.files.meshes import load_mesh
+from phongfit.files.mtl import read_mtl
+from tests.campaign.cases import Case, Kind, Wrong, blaming, put
+from tests.campaign.damage import damaged
+
+LIBRARY = b"""newmtl red clay
+Kd 0.7 0.1 0.1
+Ks 0.5 0.5 0.5
+Ns 200
+illum 2
+map_Kd wood.png
+newmtl blue
+Kd 0 0 0.5
+Ke 0.1
+"""
+OBJECTS = b"""mtllib a.mtl
+v 0 0 0
+v 1 0 0
+v 1 1 1
+v 0 1 1
+vn 0 0 1
+usemtl red clay
+f 1//1 2//1 3//1
+usemtl blue
+f -4 -2 -1
+"""
+
+
+@functools.cache
+def whole() -> dict[str, bytes]:
+    """A box in every format, by name."""
+    box = trimesh.creation.box()
+    found = {"a.obj": OBJECTS, "a.mtl": LIBRARY}
+    for name, kind in (
+        ("a.stl", "stl"),
+        ("b.stl", "stl_ascii"),
+        ("a.ply", "ply"),
+        ("a.off", "off"),
+        ("a.glb", "glb"),
+    ):
+        content = box.export(file_type=kind)
+        found[name] = content.encode() if isinstance(content, str) else bytes(content)
+    found["b.ply"] = bytes(box.export(file_type="ply", encoding="ascii"))
+    data = found["a.glb"]
+    length = int.from_bytes(data[12:16], "little")
+    text = json.loads(data[20 : 20 + length])
+    text["buffers"][0]["uri"] = "buffer.bin"
+    found["a.gltf"] = json.dumps(text).encode()
+    found["buffer.bin"] = data[28 + length :]
+    return found
+
+
+def make(random: np.random.Generator, stock: Path) -> Case:
+    del stock
+    sources = whole()
+    hit = str(random.choice(sorted(sources)))
+    what, data = damaged(random, sources[hit])
+    # What is read where a part of it was damaged.
+    read = {"a.mtl": "a.obj", "buffer.bin": "a.gltf"}.get(hit, hit)
+    if hit == "a.mtl" and random.random() < 0.5:
+        read = hit
+
+    def act(folder: Path) -> None:
+        if read == "a.mtl":
+            with blaming(read):
+                read_mtl(folder / read)
+            return
+        with blaming(read if read == hit else "a."):
+            mesh, material, names = load_mesh(folder / read)
+        if not np.isfinite(mesh.vertices).all() or len(names) != mesh.materials:
+            raise Wrong("a mesh that is none")
+        if not all(np.isfinite(leaf).all() for leaf in (material.diffuse,)):
+            raise Wrong("a material that is none")
+
+    return Case(f"{hit}: {what}", put(sources | {hit: data}), act)
+
+
+KIND = Kind(make)
