@@ -3,6 +3,7 @@
 import functools
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -47,14 +48,15 @@ def whole() -> dict[str, bytes]:
         ("a.off", "off"),
         ("a.glb", "glb"),
     ):
-        content = box.export(file_type=kind)
-        found[name] = content.encode() if isinstance(content, str) else bytes(content)
-    found["b.ply"] = bytes(box.export(file_type="ply", encoding="ascii"))
+        content: Any = box.export(file_type=kind)
+        found[name] = content.encode() if isinstance(content, str) else content
+    text: Any = box.export(file_type="ply", encoding="ascii")
+    found["b.ply"] = text
     data = found["a.glb"]
     length = int.from_bytes(data[12:16], "little")
-    text = json.loads(data[20 : 20 + length])
-    text["buffers"][0]["uri"] = "buffer.bin"
-    found["a.gltf"] = json.dumps(text).encode()
+    scene = json.loads(data[20 : 20 + length])
+    scene["buffers"][0]["uri"] = "buffer.bin"
+    found["a.gltf"] = json.dumps(scene).encode()
     found["buffer.bin"] = data[28 + length :]
     return found
 
