@@ -1,0 +1,494 @@
+"""`calibrate`: from photographs with spheres in them to lamps, with errors."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from phongfit.calibration.highlights import Highlight, find_highlights
+from phongfit.calibration.lamps import (
+    Chrome,
+    LampEstimate,
+    Lamps,
+    angles,
+    choose,
+    solve_lamps,
+)
+from phongfit.calibration.matte import (
+    DARK,
+    Matte,
+    Place,
+    Strengths,
+    find_strengths,
+    room_light,
+    shaded_directions,
+)
+from phongfit.calibration.outlines import View, across, sphere_behind
+from phongfit.calibration.result import CalibratedSphere, Calibration, Lamp
+from phongfit.calibration.spheres import (
+    SEEN,
+    Crop,
+    Kind,
+    Outline,
+    Photographs,
+    cut_out,
+    find_spheres,
+    place_sphere,
+)
+
+DISAGREEING = 5.0
+"""A highlight this many standard deviations from its lamp's place is another's."""
+
+EVEN = 0.002
+"""No strength is stated to be better, as a share of it."""
+
+BEST = np.radians(0.03)
+"""No direction is stated to be better: lenses distort, no sphere is quite round."""
+
+
+def calibrate(
+    photographs: Photographs,
+    *,
+    chrome: Sequence[Sequence[float]] | None = None,
+    matte: Sequence[float] | None = None,
+    sphere_radius: float = 1.0,
+    fov: float | None = None,
+    lamps: Lamps = "distant",
+    names: Sequence[str] | None = None,
+) -> Calibration:
+    """Find the lamps of photographs of a standing camera, one lamp each.
+
+    A chrome sphere shows where each lamp is, a matte one where and how strong. All
+    highlights and all shading are explained together, by least squares; errors follow
+    from how well the spheres agree.
+
+        found = pf.calibrate(images, chrome=[(179, 565, 88), (781, 565, 88)],
+                             matte=(179, 155, 81), fov=14)
+        scenes = [pf.Scene(surface, found.camera, lamp.light) for lamp in found.lamps]
+
+    **Arguments:**
+
+    - `photographs`: linear light, (height, width, 3), all of one size. Any sequence:
+        one that reads each file when it is asked for needs little memory.
+    - `chrome`: circles (x, y, radius) of the outlines of chrome spheres of one size, in
+        pixels from the upper left corner. Where an outline is seen they are moved onto
+        it. Default: spheres are looked for, matte ones too.
+    - `matte`: the same of a matte, grey or white sphere.
+    - `sphere_radius`: of the chrome spheres, or of the matte one where there is no
+        other; the unit of all lengths.
+    - `fov`: the camera's angle from the photographs' lower to their upper edge,
+        degrees; default parallel rays (a long lens, far away).
+    - `lamps`: `"distant"` or `"near"`; near ones need two chrome spheres, or a chrome
+        and a matte one.
+    - `names`: of the photographs, for messages.
+
+    **Returns:** a [`Calibration`][].
+
+    **Raises:** `ValueError` that names the argument, or what is not seen.
+    """
+    names = _names(photographs, names)
+    height, width = _size(photographs[0], names[0])
+    if lamps not in ("distant", "near"):
+        raise ValueError(f"lamps: expected 'distant' or 'near', got {lamps!r}")
+    view = View(width, height, _number("fov", fov, 180) if fov is not None else None)
+    radius = _number("sphere_radius", sphere_radius)
+    warnings: list[str] = []
+    outlines = _outlines(photographs, names, chrome, matte, view, warnings)
+    crops = cut_out(
+        photographs, names, [outline for _, outline in outlines], (height, width)
+    )
+    spheres = _placed(outlines, crops, view, warnings)
+    return _Session(names, view, radius, lamps, spheres, crops, warnings).run()
+
+
+def _names(photographs: Photographs, names: Sequence[str] | None) -> tuple[str, ...]:
+    count = len(photographs)
+    if count == 0:
+        raise ValueError("photographs: expected at least one, got none")
+    if names is None:
+        return tuple(f"photograph {number}" for number in range(1, count + 1))
+    if len(names) != count:
+        raise ValueError(f"names: expected {count}, one a photograph, got {len(names)}")
+    return tuple(names)
+
+
+def _size(image: Any, name: str) -> tuple[int, int]:
+    shape = np.shape(image)
+    if len(shape) != 3 or shape[2] != 3 or 0 in shape:
+        raise ValueError(f"{name}: expected (height, width, 3), got {shape}")
+    return shape[0], shape[1]
+
+
+def _number(name: str, value: Any, below: float = np.inf) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: expected a number, got {value!r}") from None
+    if not 0 < number < below:
+        limit = f" and < {below:g}" if np.isfinite(below) else ""
+        raise ValueError(f"{name}: expected a number > 0{limit}, got {value!r}")
+    return number
+
+
+def _outlines(
+    photographs: Photographs,
+    names: Sequence[str],
+    chrome: Sequence[Sequence[float]] | None,
+    matte: Sequence[float] | None,
+    view: View,
+    warnings: list[str],
+) -> list[tuple[Kind, Outline]]:
+    if chrome is None and matte is None:
+        found = find_spheres(photographs, names)
+        if not found:
+            raise ValueError(
+                "chrome: no sphere is seen in the photographs; give its circle, x, y "
+                "and radius in pixels"
+            )
+        mattes = [outline for kind, outline in found if kind == "matte"]
+        if len(mattes) > 1:
+            warnings.append(
+                f"{len(mattes)} matte spheres are seen, and the clearest one is used"
+            )
+        shown = [one for one in found if one[0] == "chrome"]
+        return shown + [("matte", outline) for outline in mattes[:1]]
+    given: list[tuple[Kind, Outline]] = [
+        ("chrome", _circle(f"chrome[{n}]", circle, view))
+        for n, circle in enumerate(chrome or ())
+    ]
+    if matte is not None:
+        given.append(("matte", _circle("matte", matte, view)))
+    return given
+
+
+def _circle(name: str, value: Any, view: View) -> Outline:
+    try:
+        circle = np.array(value, float)
+    except (TypeError, ValueError):
+        circle = np.zeros(0)
+    if circle.shape != (3,) or not np.isfinite(circle).all() or circle[2] < 5:
+        raise ValueError(
+            f"{name}: expected x, y and radius in pixels, the radius at least 5, got "
+            f"{value!r}"
+        )
+    x, y, radius = circle
+    slack = 2.0
+    if not (
+        radius - slack <= x <= view.width - radius + slack
+        and radius - slack <= y <= view.height - radius + slack
+    ):
+        raise ValueError(
+            f"{name}: expected a sphere that lies wholly in the photographs, which are "
+            f"{view.width} × {view.height} pixels, got x {x:g}, y {y:g}, radius "
+            f"{radius:g}"
+        )
+    return circle
+
+
+def _placed(
+    outlines: Sequence[tuple[Kind, Outline]],
+    crops: Sequence[Crop],
+    view: View,
+    warnings: list[str],
+) -> list[CalibratedSphere]:
+    spheres = []
+    for (kind, outline), crop in zip(outlines, crops, strict=True):
+        placed = place_sphere(crop, outline, kind, view)
+        x, y, radius = outline
+        if placed.coverage < SEEN:
+            warnings.append(
+                f"{kind} sphere at {x:.0f}, {y:.0f}: its outline is hardly seen "
+                f"(on {placed.coverage:.0%} of the circle), so it is taken as given, "
+                "± 0.5 pixels"
+            )
+        spheres.append(CalibratedSphere(kind, placed.outline, placed.covariance))
+    return spheres
+
+
+class _Session:
+    """One calibration, from placed spheres on."""
+
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        view: View,
+        radius: float,
+        lamps: Lamps,
+        spheres: Sequence[CalibratedSphere],
+        crops: Sequence[Crop],
+        warnings: list[str],
+    ):
+        self.names, self.view, self.radius = names, view, radius
+        self.lamps: Lamps = lamps
+        self.spheres, self.warnings = spheres, warnings
+        both = list(zip(spheres, crops, strict=True))
+        chrome = [(s, crop) for s, crop in both if s.kind == "chrome"]
+        self.chrome = Chrome(
+            np.array([s.outline for s, _ in chrome]).reshape(-1, 3),
+            np.array([s.covariance for s, _ in chrome]).reshape(-1, 3, 3),
+            radius,
+        )
+        self.chrome_crops = [crop for _, crop in chrome]
+        mattes = [(s, crop) for s, crop in both if s.kind == "matte"]
+        if lamps == "near" and len(both) < 2:
+            raise ValueError(
+                "lamps: expected two spheres to see how far near lamps are, got one"
+            )
+        centres = sphere_behind(
+            np.array([s.outline for s, _ in (chrome or mattes)]), view, radius
+        )
+        # On the optical axis, as deep as the spheres are.
+        self.reference = np.array([0, 0, centres[:, 2].mean()])
+        self.matte = self._matte(*mattes[0]) if mattes else None
+
+    def _matte(self, sphere: CalibratedSphere, crop: Crop) -> Matte:
+        """The matte sphere, as deep as the others to begin with."""
+        near, other = self.lamps == "near", len(self.chrome.outlines) > 0
+        radius = self.radius
+        if other:
+            depth = sphere_behind(sphere.outline, self.view, 1.0)[2]
+            if self.view.focal is not None:
+                radius = self.reference[2] / depth
+            else:
+                radius *= sphere.outline[2] / self.chrome.outlines[:, 2].mean()
+        covariance = np.zeros((5, 5))
+        covariance[:3, :3] = sphere.covariance
+        covariance[3, 3] = (0.3 if near and other else 0.05 if other else 1e-6) ** 2
+        covariance[4, 4] = (0.7 if near else 1e-6) ** 2
+        place = Place(sphere.outline, float(radius), 1.0 if near else 0.0)
+        return Matte(
+            crop.light, crop.corner, place, covariance, self.view, self.reference
+        )
+
+    def run(self) -> Calibration:
+        shaded = None
+        if self.matte is not None:
+            shaded = shaded_directions(self.matte)
+            self.matte = self.matte._replace(ambient=room_light(self.matte, shaded))
+        stills = [crop.grey.min(axis=0) for crop in self.chrome_crops]
+        several = len(self.names) >= 4
+        glints = np.array(
+            [crop.grey.max(axis=(1, 2)) for crop in self.chrome_crops]
+        ).reshape(-1, len(self.names))
+        lit = glints > DARK * np.median(glints, axis=1, keepdims=True)
+        candidates = [
+            [
+                _shifted(
+                    find_highlights(
+                        crop.grey[number],
+                        crop.within(outline),
+                        still if several else None,
+                    ),
+                    crop.corner,
+                )
+                if lit[sphere, number]
+                else []
+                for sphere, (crop, outline, still) in enumerate(
+                    zip(self.chrome_crops, self.chrome.outlines, stills, strict=True)
+                )
+            ]
+            for number in range(len(self.names))
+        ]
+        chosen = choose(candidates, self.chrome, self.view, self.lamps, shaded)
+        left_out: dict[int, str] = {}
+        self._leave_out_unseen(chosen, shaded, left_out)
+        estimate, kept = self._solve(chosen, left_out)
+        return self._result(estimate, kept, left_out, shaded, chosen)
+
+    def _leave_out_unseen(
+        self,
+        chosen: list[list[Highlight | None]],
+        shaded: np.ndarray | None,
+        left_out: dict[int, str],
+    ) -> None:
+        """Photographs in which no lamp is seen, or only half of what places one."""
+        for number, row in enumerate(chosen):
+            shows = sum(one is not None for one in row)
+            shows += int(shaded is not None and shaded[number].any())
+            if shows == 0:
+                left_out[number] = "no highlight is seen on a sphere, and no shading"
+            elif self.lamps == "near" and shows < 2:
+                left_out[number] = (
+                    "one sphere alone shows its lamp, which near lamps need two for"
+                )
+        if len(left_out) == len(chosen):
+            raise ValueError(
+                "photographs: in none of them a lamp is seen on the spheres; are the "
+                "circles right?"
+            )
+
+    def _solve(
+        self, chosen: list[list[Highlight | None]], left_out: dict[int, str]
+    ) -> tuple[LampEstimate, list[int]]:
+        """The lamps, without photographs that disagree with all the others."""
+        while True:
+            kept = [n for n in range(len(chosen)) if n not in left_out]
+            matte = self.matte
+            if matte is not None:
+                matte = matte._replace(light=matte.light[kept])
+            estimate = solve_lamps(
+                [chosen[n] for n in kept],
+                self.chrome,
+                self.view,
+                self.lamps,
+                self.reference,
+                matte,
+            )
+            if not len(self.chrome.outlines):
+                return estimate, kept
+            worst = np.nanmax(
+                np.where(np.isfinite(estimate.residuals), estimate.residuals, 0), axis=1
+            )
+            wrong = [n for n, far in zip(kept, worst, strict=True) if far > DISAGREEING]
+            if not wrong or len(kept) - len(wrong) < 2:
+                return estimate, kept
+            for n in wrong:
+                left_out[n] = "its spheres disagree on where the lamp is"
+
+    def _result(
+        self,
+        estimate: LampEstimate,
+        kept: list[int],
+        left_out: dict[int, str],
+        shaded: np.ndarray | None,
+        chosen: list[list[Highlight | None]],
+    ) -> Calibration:
+        strengths = self._strengths(estimate, kept)
+        lamps = []
+        for place, number in enumerate(kept):
+            direction = estimate.directions[place]
+            covariance = estimate.covariances[place].copy()
+            covariance[:2, :2] += BEST**2 / 2 * np.eye(2)
+            tangent = across(direction)
+            # Of the direction, or of the place: d(u / w) = du / w − u dw / w².
+            columns = np.concatenate([tangent.T, np.zeros((3, 1))], axis=1)
+            position = None
+            if self.lamps == "near":
+                inverse = estimate.inverse_distances[place]
+                if inverse <= 0:
+                    left_out[number] = "its lamp is not near: the rays do not meet"
+                    continue
+                position = self.reference + direction / inverse
+                columns = np.concatenate(
+                    [tangent.T / inverse, -direction[:, None] / inverse**2], axis=1
+                )
+            lamps.append(
+                Lamp(
+                    self.names[number],
+                    direction,
+                    position,
+                    columns @ covariance @ columns.T,
+                    float(np.degrees(np.sqrt(np.trace(covariance[:2, :2])))),
+                    strengths.intensity[place],
+                    strengths.error[place],
+                    _pixels(chosen[number]),
+                )
+            )
+        falloff = 1.0 if estimate.place is None else estimate.place.falloff
+        self._judge(estimate, kept, left_out, shaded, falloff)
+        chrome = iter(estimate.outlines)
+        spheres = [
+            s._replace(
+                outline=next(chrome) if s.kind == "chrome" else estimate.place.outline  # type: ignore[union-attr]
+            )
+            for s in self.spheres
+        ]
+        return Calibration(
+            self.view,
+            tuple(lamps),
+            tuple(spheres),
+            self.radius,
+            self.reference,
+            falloff if self.lamps == "near" else 0.0,
+            strengths.ambient,
+            {self.names[n]: why for n, why in sorted(left_out.items())},
+            tuple(self.warnings),
+            self._view_height(spheres),
+        )
+
+    def _view_height(self, spheres: Sequence[CalibratedSphere]) -> float | None:
+        """Of parallel rays: a pixel has the size that the spheres' radius gives it."""
+        if self.view.fov_y is not None:
+            return None
+        sizes = [s.outline[2] for s in spheres if s.kind == "chrome"]
+        sizes = sizes or [s.outline[2] for s in spheres]
+        return float(self.view.height * self.radius / np.mean(sizes))
+
+    def _strengths(self, estimate: LampEstimate, kept: list[int]) -> Strengths:
+        if self.matte is None or estimate.place is None:
+            nothing = np.full((len(kept), 3), np.nan)
+            self.warnings.append(
+                "no matte sphere: how strong the lamps are is not known, so let a fit "
+                "find it (lights.0.intensity per image), or photograph a matte sphere"
+            )
+            return Strengths(nothing, nothing, np.zeros(3))
+        matte = self.matte._replace(light=self.matte.light[kept], place=estimate.place)
+        found = find_strengths(
+            matte, estimate.directions, estimate.inverse_distances, estimate.covariances
+        )
+        # Times the sphere's reflectance, which nothing tells: 1 on average instead.
+        unit = np.nanmean(found.intensity)
+        if not unit > 0:
+            return found
+        # Nor is any sphere painted more evenly than this.
+        error = np.hypot(found.error, EVEN * found.intensity)
+        return Strengths(found.intensity / unit, error / unit, found.ambient / unit)
+
+    def _judge(
+        self,
+        estimate: LampEstimate,
+        kept: list[int],
+        left_out: dict[int, str],
+        shaded: np.ndarray | None,
+        falloff: float,
+    ) -> None:
+        """What a person should know before the numbers are trusted."""
+        for number, why in sorted(left_out.items()):
+            self.warnings.append(f"{self.names[number]} is left out: {why}")
+        if len(self.chrome.outlines) == 1 and self.matte is None:
+            self.warnings.append(
+                "one sphere alone: nothing checks its highlights; look at the picture, "
+                "or photograph a second sphere"
+            )
+        shown = np.isfinite(estimate.residuals).mean(axis=0)
+        for sphere, share in zip(self.chrome.outlines, shown, strict=True):
+            if share < 0.7:
+                self.warnings.append(
+                    f"the highlights of the chrome sphere at {sphere[0]:.0f}, "
+                    f"{sphere[1]:.0f} agree with the others in {share:.0%} of the "
+                    "photographs only: are its circle, the camera's angle of view and "
+                    "the kind of lamps (distant, near) right?"
+                )
+        if estimate.scatter > 2:
+            self.warnings.append(
+                f"the spheres' highlights disagree {estimate.scatter:.1f} times as "
+                "much as they are sharp: are the circles right, and are the lamps "
+                f"{'near' if self.lamps == 'distant' else 'distant'}?"
+            )
+        if shaded is not None and len(self.chrome.outlines) and self.lamps == "distant":
+            apart = np.degrees(angles(shaded[kept], estimate.directions))
+            apart = apart[shaded[kept].any(axis=1)]
+            if len(apart) and np.median(apart) > 3:
+                self.warnings.append(
+                    f"the matte sphere's shading is {np.median(apart):.1f}° from the "
+                    "chrome spheres' highlights: is it matte, is the encoding right?"
+                )
+        if self.lamps == "near" and self.matte is not None and falloff < 0.8:
+            self.warnings.append(
+                "the lamps' light falls off more slowly than with the square of the "
+                f"distance (share {falloff:.2f} of 1), as through a lens or reflector; "
+                "the lights here say so"
+            )
+
+
+def _pixels(row: Sequence[Highlight | None]) -> Float[np.ndarray, "chrome 2"]:
+    nowhere = np.full(2, np.nan)
+    found = [nowhere if one is None else one.pixel for one in row]
+    return np.array(found).reshape(-1, 2)
+
+
+def _shifted(
+    found: Sequence[Highlight], corner: Float[np.ndarray, "2"]
+) -> list[Highlight]:
+    return [one._replace(pixel=one.pixel + corner) for one in found]

@@ -1,0 +1,238 @@
+"""Outlines of spheres in an edge map: found, and placed to a fraction of a pixel."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from phongfit.calibration.edges import CLEAR, Edges, find_edges, gradient
+
+FOUND = 0.85
+"""Share of a circle's arc on which there must be an edge."""
+
+SECTORS = 48
+"""An arc is looked at in so many pieces."""
+
+CLEARLY = 0.1
+"""An edge is seen on a piece if it passes there on this share of its radii, in the mean
+of the photographs."""
+
+MARKED = 0.25
+"""An edge that is seen in this share of the photographs, at its half weight or more."""
+
+
+FINE = 0.7
+"""Standard deviation of the smoothing where an outline is placed, pixels."""
+
+
+OUTWARD = 0.75
+"""Weight of a mirror's edges that lie farther out against those farther in.
+
+Next to its rim a mirror shows what lies right beside it, so that an edge is seen where
+the two differ: at the rim or, mostly, a little within.
+"""
+
+
+class Placed(NamedTuple):
+    """A circle on an edge map.
+
+    - `outline`: x, y and radius in pixels from the upper left corner.
+    - `covariance`: of these three, pixels².
+    - `coverage`: share of the arc on which there is an edge.
+    """
+
+    outline: Float[np.ndarray, "3"]
+    covariance: Float[np.ndarray, "3 3"]
+    coverage: float
+
+
+def place(
+    photographs: Float[np.ndarray, "count height width"],
+    outline: Float[np.ndarray, "3"],
+    stretch: Float[np.ndarray, "2"] | None = None,
+    reach: float = 4.0,
+    mirrors: bool = False,
+) -> Placed:
+    """Move a circle onto the edge that most photographs show all along it.
+
+    Along each radius of each photograph the gradient's local maxima are possible places
+    of the outline. The circle is put where most of them agree: what a chrome sphere
+    mirrors moves with the lamp, or crosses few radii. It is the maximum of a kernel
+    density, whose kernel is narrowed step by step.
+
+    **Arguments:**
+
+    - `photographs`: grey linear light.
+    - `outline`: where it is to within `reach` pixels.
+    - `stretch`: of an ellipse's longer axis: see `stretch` of `outlines`.
+    - `mirrors`: whether it is a chrome sphere.
+    """
+    outline = np.asarray(outline, float)
+    stretch = np.zeros(2) if stretch is None else np.asarray(stretch)
+    reach = min(reach, outline[2] / 3)
+    angles, offsets, weights = _edge_points(photographs, outline, stretch, reach)
+    away = np.stack([np.cos(angles), np.sin(angles), np.ones_like(angles)], 1)
+    best, highest = np.zeros(3), -np.inf
+    for start in np.arange(-reach, reach + 0.1, 0.5):
+        step = np.array([0, 0, start])
+        for width in (1.5, 0.8, 0.4, 0.25, 0.25, 0.25):
+            near = weights * np.exp(-0.5 * ((offsets - away @ step) / width) ** 2)
+            normal = away.T @ (near[:, None] * away) + 1e-9 * np.eye(3)
+            step = np.linalg.solve(normal, away.T @ (near * offsets))
+        density = near.sum()
+        if density > highest and np.abs(step).max() < 2 * reach:
+            best, highest = step, density
+    if mirrors:
+        for _ in range(30):
+            rest = offsets - away @ best
+            near = weights * np.exp(-0.5 * (rest / 0.6) ** 2)
+            near *= np.where(rest > 0, OUTWARD, 1 - OUTWARD)
+            normal = away.T @ (near[:, None] * away) + 1e-9 * np.eye(3)
+            best = np.linalg.solve(normal, away.T @ (near * offsets))
+    rest = offsets - away @ best
+    near = weights * np.exp(-0.5 * (rest / 0.25) ** 2)
+    # Neighbours within the smoothing, and photographs of one edge, are one point.
+    count = max(2 * np.pi * outline[2] / 3, 8)
+    spread = np.sum(near * rest**2) / max(np.sum(near), 1e-9)
+    normal = away.T @ (near[:, None] * away) / max(np.sum(near), 1e-9) * count
+    covariance = max(spread, 0.05**2) * np.linalg.pinv(normal + 1e-9 * np.eye(3))
+    sector = np.floor(angles * SECTORS / (2 * np.pi)).astype(int)
+    close = weights * (np.abs(rest) < 0.75)
+    shown = np.bincount(sector, close, SECTORS) / (len(photographs) * _count(outline))
+    coverage = np.mean(shown * SECTORS > CLEARLY)
+    return Placed(outline + best, covariance, float(coverage))
+
+
+def _count(outline: np.ndarray) -> int:
+    """How many radii are looked at."""
+    return int(np.clip(2 * np.pi * outline[2], 48, 1000))
+
+
+def _edge_points(
+    photographs: np.ndarray, outline: np.ndarray, stretch: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Possible places of the outline: angle, distance from it in pixels, weight."""
+    from scipy import ndimage
+
+    count = _count(outline)
+    angles = np.arange(count) * (2 * np.pi / count)
+    away = np.stack([np.cos(angles), np.sin(angles)], 1)
+    # To first order an ellipse of the same area: longer by half the stretch along it.
+    size = np.hypot(*stretch)
+    along = (away @ (stretch / size)) ** 2 if size > 0 else np.full(count, 0.5)
+    radius = outline[2] * (1 + size * (along - 0.5))
+    offsets = np.arange(-reach, reach + 0.26, 0.25)
+    at = outline[:2] + (radius[:, None] + offsets)[..., None] * away[:, None]
+    # Pixel centres are at half integers.
+    where = np.moveaxis(at[..., ::-1], -1, 0) - 0.5
+    found = []
+    for light in photographs:
+        image = np.sqrt(np.maximum(light, 0))
+        across, down = gradient(image, FINE)
+        noise = max(np.median(across**2 + down**2) / 1.18**2, 1e-8)
+        # Across the outline: an edge that runs along a radius is not its own.
+        towards = np.stack(
+            [ndimage.map_coordinates(part, where, order=1) for part in (across, down)],
+            axis=-1,
+        )
+        radial = np.einsum("aoc,ac->ao", towards, away)
+        height = radial**2 / (radial**2 + CLEAR**2 * noise)
+        left, middle, right = height[:, :-2], height[:, 1:-1], height[:, 2:]
+        row, column = np.nonzero(
+            (middle >= left) & (middle > right) & (middle > MARKED)
+        )
+        a, b, c = (part[row, column] for part in (left, middle, right))
+        shift = 0.5 * (a - c) / np.minimum(a - 2 * b + c, -1e-12)
+        place = offsets[column + 1] + 0.25 * np.clip(shift, -1, 1)
+        found.append((angles[row], place, b))
+    angle, offset, weight = (
+        np.concatenate(parts) for parts in zip(*found, strict=True)
+    )
+    return angle, offset, weight
+
+
+def find_circles(
+    photographs: Float[np.ndarray, "count height width"],
+) -> list[Placed]:
+    """Outlines of round things, the clearest first.
+
+    Every edge votes for the centres that lie across it (Hough's transform with the
+    gradient's direction), over all radii. Of circles within one another the outermost
+    is kept: a chrome sphere mirrors its surroundings as circles.
+
+    ??? cite "Source"
+        Kimme, Ballard and Sklansky, *Finding circles by an array of accumulators*,
+        CACM 18(2), 1975.
+    """
+    edges = find_edges(photographs)
+    height, width = edges.strength.shape
+    shrink = max(1, round(max(height, width) / 480))
+    found: list[Placed] = []
+    for outline in _vote(edges, shrink):
+        x, y, radius = outline
+        inside = radius < x < width - radius and radius < y < height - radius
+        placed = place(photographs, outline, reach=2.0 * shrink + 2)
+        if inside and placed.coverage >= FOUND:
+            found.append(placed)
+    found.sort(key=lambda placed: -placed.outline[2])
+    outermost: list[Placed] = []
+    for placed in found:
+        x, y, radius = placed.outline
+        # Nor do outlines of two spheres cross.
+        if all(
+            np.hypot(x - other.outline[0], y - other.outline[1]) > other.outline[2]
+            for other in outermost
+        ):
+            outermost.append(placed)
+    return sorted(outermost, key=lambda placed: -placed.coverage)
+
+
+def _vote(edges: Edges, shrink: int) -> list[np.ndarray]:
+    """Circles that many edges vote for: (x, y, radius) in pixels."""
+    from scipy import ndimage
+
+    height, width = (n // shrink for n in edges.strength.shape)
+    strength = edges.strength[: height * shrink, : width * shrink]
+    peaks = ndimage.maximum_filter(strength, 3)
+    # Ridges alone, lest broad edges vote many times.
+    ridge = (strength == peaks) | _is_ridge(edges)[: height * shrink, : width * shrink]
+    rows, columns = np.nonzero(ridge & (strength > MARKED))
+    across = edges.direction[rows, columns]
+    weight = 1.0 / shrink
+    x, y = (columns + 0.5) / shrink, (rows + 0.5) / shrink
+    radii = np.arange(max(6.0, 0.02 * min(height, width)), 0.5 * min(height, width))
+    votes = np.zeros((len(radii), height, width), np.float32)
+    for number, radius in enumerate(radii):
+        for sign in (-1, 1):
+            column = np.floor(x + sign * radius * across[:, 0]).astype(int)
+            row = np.floor(y + sign * radius * across[:, 1]).astype(int)
+            fits = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+            place = row[fits] * width + column[fits]
+            counts = np.bincount(place, minlength=height * width) * weight
+            votes[number] += counts.reshape(height, width)
+        votes[number] /= 2 * np.pi * radius
+    # Votes scatter with the gradient's direction.
+    votes = ndimage.gaussian_filter(votes, (0.7, 1.5, 1.5), truncate=3)
+    votes *= 2 * np.pi * 1.5**2
+    best = (votes == ndimage.maximum_filter(votes, 5)) & (votes > 0.3)
+    number, row, column = np.nonzero(best)
+    order = np.argsort(-votes[number, row, column])[:60]
+    circles = np.stack([column + 0.5, row + 0.5, radii[number]], 1)[order]
+    return list(circles * shrink)
+
+
+def _is_ridge(edges: Edges) -> np.ndarray:
+    """Where the edge map is highest across the edge."""
+    from scipy import ndimage
+
+    height, width = edges.strength.shape
+    row, column = np.mgrid[:height, :width].astype(float)
+    higher = np.ones((height, width), bool)
+    for sign in (-1, 1):
+        where = [
+            row + sign * edges.direction[..., 1],
+            column + sign * edges.direction[..., 0],
+        ]
+        beside = ndimage.map_coordinates(edges.strength, where, order=1)
+        higher &= edges.strength >= beside
+    return higher

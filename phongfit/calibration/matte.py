@@ -1,0 +1,315 @@
+"""A matte sphere: by its shading, where each lamp is, and how strong.
+
+Its light is Lambert's, and that of the room beside: at a point P with normal n,
+
+$$I = E \\, \\frac{\\max(n \\cdot l, 0)}{1 - κ + κ (d / d_0)^2} + a,$$
+
+where l and d lead from P to the lamp and $d_0$ to the lamp from the reference point, so
+that E is the lamp's strength there. The fall-off κ is 1 for a bulb, less for a lamp
+with a reflector or a lens, and 0 for distant lamps.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from phongfit.calibration.outlines import View, across, seen, unit
+
+LIT = 0.1
+"""Smallest n·l of the pixels that are used: nearer to its edge, shade is uncertain."""
+
+WITHIN = 0.94
+"""Share of the outline's radius within which pixels are used."""
+
+WHITE = 0.98
+"""Brighter samples may have been cut off."""
+
+ENOUGH = 60
+"""Fewer pixels than this tell nothing."""
+
+DARK = 0.03
+"""A sphere this bright, of what it is in other photographs, is lit by no lamp."""
+
+MOST = 4000
+"""Pixels that are looked at: more of them err alike."""
+
+TUKEY = 4.7
+"""Residuals of so many standard deviations count no more (Tukey's biweight)."""
+
+BLOCK = 8
+"""Neighbours up to this many pixels apart, and JPEG's blocks, err together."""
+
+
+class Place(NamedTuple):
+    """How the matte sphere lies, and how light falls off on the way there.
+
+    - `outline`: x, y and radius in pixels.
+    - `radius`: of the sphere, in the unit of the reference, which tells its depth.
+    - `falloff`: κ above, of all lamps.
+    """
+
+    outline: Float[np.ndarray, "3"]
+    radius: float
+    falloff: float
+
+    def moved(self, step: Float[np.ndarray, "5"]) -> "Place":
+        """With its outline, the logarithm of its radius and κ moved."""
+        return Place(
+            self.outline + step[:3],
+            float(self.radius * np.exp(step[3])),
+            float(np.clip(self.falloff + step[4], 0, 1.5)),
+        )
+
+
+class Matte(NamedTuple):
+    """A matte sphere in the photographs.
+
+    - `light`: its surroundings in each photograph, linear.
+    - `corner`: x and y of that part's upper left corner, pixels.
+    - `place`: as far as it is known.
+    - `covariance`: of what moves the place.
+    - `view`: the camera.
+    - `reference`: the point that lamps' directions are counted from.
+    - `ambient`: light of the room on it.
+    """
+
+    light: Float[np.ndarray, "count height width 3"]
+    corner: Float[np.ndarray, "2"]
+    place: Place
+    covariance: Float[np.ndarray, "5 5"]
+    view: View
+    reference: Float[np.ndarray, "3"]
+    ambient: Float[np.ndarray, "3"] = np.zeros(3)
+
+
+class Shading(NamedTuple):
+    """What shading says of the lamps, to first order about an estimate.
+
+    Of each lamp's direction along two tangents, its inverse distance, and what moves
+    the sphere's place; these last are the same for all lamps.
+
+    - `directions`, `inverse_distances`, `place`: about which it is said.
+    - `information`: inverse covariances; zeros where a photograph tells nothing.
+    - `pull`: information times the step to the best place.
+    """
+
+    directions: Float[np.ndarray, "lamps 3"]
+    inverse_distances: Float[np.ndarray, " lamps"]
+    place: Place
+    information: Float[np.ndarray, "lamps 8 8"]
+    pull: Float[np.ndarray, "lamps 8"]
+
+
+class _Points(NamedTuple):
+    """Which pixels are looked at, and the block that each lies in."""
+
+    pixel: Float[np.ndarray, "points 2"]
+    block: np.ndarray
+    light: Float[np.ndarray, "count points 3"]
+
+
+def _points(matte: Matte) -> _Points:
+    height, width = matte.light.shape[1:3]
+    rows, columns = np.mgrid[:height, :width]
+    pixels = np.stack([columns, rows], axis=-1) + 0.5 + matte.corner
+    outline = matte.place.outline
+    inside = np.linalg.norm(pixels - outline[:2], axis=-1) < WITHIN * outline[2]
+    stride = max(1, round(np.sqrt(inside.sum() / MOST)))
+    inside &= (rows % stride == 0) & (columns % stride == 0)
+    block = (rows // BLOCK) * (width // BLOCK + 1) + columns // BLOCK
+    light = matte.light[:, inside] - matte.ambient
+    return _Points(pixels[inside], block[inside], light)
+
+
+def shaded_directions(matte: Matte) -> Float[np.ndarray, "count 3"]:
+    """The lamp's direction in each photograph, as if it were far: no start is needed.
+
+    Least squares of the light by the normal, over what is clearly lit. Zeros where
+    nothing is, as in a photograph without a lamp.
+    """
+    points, found = _points(matte), []
+    normals = seen(points.pixel, matte.place.outline, matte.view, 1.0).normal
+    grey = points.light.mean(axis=-1)
+    brightness = np.percentile(grey, 98, axis=1)
+    for light, bright in zip(grey, brightness, strict=True):
+        lit, direction = light > 0.3 * bright, np.zeros(3)
+        for _ in range(5):
+            if lit.sum() < 30 or bright <= DARK * np.median(brightness):
+                direction = np.zeros(3)
+                break
+            vector = np.linalg.lstsq(normals[lit], light[lit], rcond=None)[0]
+            direction = unit(vector)
+            lit = (normals @ direction > 0.2) & (light > 0.1 * bright)
+        found.append(direction)
+    return np.array(found)
+
+
+def _model(
+    matte: Matte,
+    pixels: np.ndarray,
+    place: Place,
+    direction: np.ndarray,
+    inverse: float,
+) -> Float[np.ndarray, " points"]:
+    """Light of a lamp of strength 1 in the pixels, ambient light apart."""
+    at = seen(pixels, place.outline, matte.view, place.radius)
+    offset = inverse * (matte.reference - at.position) + direction
+    # Distances are in units of the lamp's own from the reference point.
+    squared = np.sum(offset**2, axis=-1)
+    cosine = np.sum(at.normal * offset, axis=-1) / np.sqrt(squared)
+    return np.maximum(cosine, 0) / (1 - place.falloff + place.falloff * squared)
+
+
+class _Line(NamedTuple):
+    """A robust linear fit: numbers, their covariance by blocks, and weights."""
+
+    numbers: np.ndarray
+    covariance: np.ndarray
+    weights: np.ndarray
+    inflation: float
+
+
+def _line(light: np.ndarray, columns: np.ndarray, block: np.ndarray) -> _Line:
+    weights, found = np.ones(len(light)), np.zeros(columns.shape[1])
+    rest = light
+    for _ in range(10):
+        normal = columns.T @ (weights[:, None] * columns)
+        found = np.linalg.lstsq(normal, columns.T @ (weights * light), rcond=None)[0]
+        rest = light - columns @ found
+        scale = max(1.4826 * np.median(np.abs(rest)), 1e-9)
+        weights = np.clip(1 - (rest / (TUKEY * scale)) ** 2, 0, None) ** 2
+    bread = np.linalg.pinv(columns.T @ (weights[:, None] * columns))
+    _, group = np.unique(block, return_inverse=True)
+    scores = np.zeros((group.max() + 1, columns.shape[1]))
+    np.add.at(scores, group, (weights * rest)[:, None] * columns)
+    covariance = bread @ scores.T @ scores @ bread
+    # How much larger than the covariance of independent samples of variance 1.
+    inflation = float(np.mean(np.diag(covariance) / np.maximum(np.diag(bread), 1e-300)))
+    return _Line(found, covariance, weights, max(inflation, 1e-12))
+
+
+def shade(
+    matte: Matte,
+    directions: Float[np.ndarray, "lamps 3"],
+    inverse_distances: Float[np.ndarray, " lamps"],
+) -> Shading:
+    """What shading says of lamps, about an estimate of them and the sphere's place."""
+    points = _points(matte)
+    information = np.zeros((len(directions), 8, 8))
+    pull = np.zeros((len(directions), 8))
+    steps = np.diag([1e-4, 1e-4, 1e-5, 1e-2, 1e-2, 1e-2, 1e-3, 1e-3])
+    for number, light in enumerate(points.light.mean(axis=-1)):
+        direction, tangent = directions[number], across(directions[number])
+        inverse = inverse_distances[number]
+
+        def at(
+            step: np.ndarray,
+            direction: np.ndarray = direction,
+            tangent: np.ndarray = tangent,
+            inverse: float = inverse,
+        ) -> np.ndarray:
+            turned = unit(direction + step[:2] @ tangent)
+            place = matte.place.moved(step[3:])
+            return _model(matte, points.pixel, place, turned, inverse + step[2])
+
+        here = at(np.zeros(8))
+        lit = (here > LIT) & (light < WHITE)
+        if lit.sum() < ENOUGH:
+            continue
+        slopes = [(at(s) - at(-s)) / (2 * s.sum()) for s in steps]
+        plain = here[lit, None]
+        first = _line(light[lit], plain, points.block[lit])
+        columns = np.stack(
+            [here[lit], *(first.numbers[0] * np.array(slopes)[:, lit])], 1
+        )
+        # What the lamp's own numbers leave over tells how samples err.
+        own = _line(light[lit], columns[:, :4], points.block[lit])
+        weighted = own.weights[:, None] * columns
+        normal = weighted.T @ columns / own.inflation
+        right = weighted.T @ (light[lit] - plain @ first.numbers) / own.inflation
+        # The strength is free: the rest is what it leaves.
+        taken = normal[1:, 0] / normal[0, 0]
+        information[number] = normal[1:, 1:] - np.outer(taken, normal[0, 1:])
+        pull[number] = right[1:] - taken * right[0]
+    return Shading(directions, inverse_distances, matte.place, information, pull)
+
+
+class Strengths(NamedTuple):
+    """How strong lamps are at the reference point, and the light of the room.
+
+    Of linear light times the sphere's reflectance, which nothing tells.
+
+    - `intensity`, `error`: by lamp and channel; `nan` where a photograph tells nothing.
+    - `ambient`: by channel.
+    """
+
+    intensity: Float[np.ndarray, "lamps 3"]
+    error: Float[np.ndarray, "lamps 3"]
+    ambient: Float[np.ndarray, "3"]
+
+
+def find_strengths(
+    matte: Matte,
+    directions: Float[np.ndarray, "lamps 3"],
+    inverse_distances: Float[np.ndarray, " lamps"],
+    covariances: Float[np.ndarray, "lamps 3 3"],
+) -> Strengths:
+    """Strengths of lamps whose places are known, with errors that these add to.
+
+    **Arguments:** as of [`LampEstimate`][].
+    """
+    points = _points(matte)
+    shape = (len(directions), 3)
+    intensity, error = np.full(shape, np.nan), np.full(shape, np.nan)
+    for number, direction in enumerate(directions):
+        tangent, inverse = across(direction), inverse_distances[number]
+
+        def at(
+            step: np.ndarray,
+            direction: np.ndarray = direction,
+            tangent: np.ndarray = tangent,
+            inverse: float = inverse,
+        ) -> np.ndarray:
+            turned = unit(direction + step[:2] @ tangent)
+            return _model(matte, points.pixel, matte.place, turned, inverse + step[2])
+
+        here = at(np.zeros(3))
+        for channel in range(3):
+            light = points.light[number, :, channel]
+            lit = (here > LIT) & (light < WHITE)
+            if lit.sum() < ENOUGH:
+                continue
+            line = _line(light[lit], here[lit, None], points.block[lit])
+            # How the strength moves with the lamp's direction and distance.
+            slope = [
+                (_strength(at(s)[lit], light[lit]) - _strength(at(-s)[lit], light[lit]))
+                / 2e-4
+                for s in 1e-4 * np.eye(3)
+            ]
+            spread = slope @ covariances[number] @ slope
+            intensity[number, channel] = line.numbers[0]
+            error[number, channel] = np.sqrt(line.covariance[0, 0] + spread)
+    return Strengths(intensity, error, matte.ambient)
+
+
+def _strength(model: np.ndarray, light: np.ndarray) -> float:
+    return float(model @ light / (model @ model))
+
+
+def room_light(
+    matte: Matte, directions: Float[np.ndarray, "lamps 3"]
+) -> Float[np.ndarray, "3"]:
+    """Light of the room on the matte sphere: what is there on its side in shadow.
+
+    The median of the photographs; 0 where none shows enough of that side. (As one more
+    number of a fit it could not be told from a sphere that is not quite Lambert's.)
+    """
+    points = _points(matte._replace(ambient=np.zeros(3)))
+    normals = seen(points.pixel, matte.place.outline, matte.view, 1.0).normal
+    found = []
+    for light, direction in zip(points.light, directions, strict=True):
+        dark = normals @ direction < -0.1
+        if direction.any() and dark.sum() >= ENOUGH:
+            found.append(np.median(light[dark], axis=0))
+    return np.maximum(np.median(found, axis=0), 0) if found else np.zeros(3)

@@ -1,0 +1,189 @@
+"""What a calibration found."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from phongfit.calibration.outlines import View, sphere_behind
+from phongfit.geometry.cameras import (
+    AbstractCamera,
+    OrthographicCamera,
+    PerspectiveCamera,
+)
+from phongfit.lights import AbstractLight, DirectionalLight, PointLight
+from phongfit.plain import plain
+
+
+class CalibratedSphere(NamedTuple):
+    """A sphere in the photographs.
+
+    - `kind`: `"chrome"` or `"matte"`.
+    - `outline`: x, y and radius in pixels from the upper left corner.
+    - `covariance`: of these three.
+    """
+
+    kind: str
+    outline: Float[np.ndarray, "3"]
+    covariance: Float[np.ndarray, "3 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Lamp:
+    """The lamp of one photograph.
+
+    - `photograph`: its name.
+    - `direction`: unit vector to it, from the calibration's reference point.
+    - `position`: of a near lamp, in the camera's axes and the spheres' unit.
+    - `covariance`: of the position, or else of the direction.
+    - `direction_error`: root mean square angle of the direction's error, degrees.
+    - `intensity`, `intensity_error`: its strength at the reference point, RGB, relative
+        to the mean of all lamps and channels; `nan` where nothing tells it.
+    - `highlights`: in pixels, on each chrome sphere; `nan` where it shows none.
+    """
+
+    photograph: str
+    direction: Float[np.ndarray, "3"]
+    position: Float[np.ndarray, "3"] | None
+    covariance: Float[np.ndarray, "3 3"]
+    direction_error: float
+    intensity: Float[np.ndarray, "3"]
+    intensity_error: Float[np.ndarray, "3"]
+    highlights: Float[np.ndarray, "chrome 2"]
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Lamps and camera of a capture: see [`calibrate`][].
+
+    Axes are the camera's: x right, y up, z back to the viewer. A pinhole camera stands
+    at the origin; with parallel rays the spheres' centres lie in the plane z = 0.
+
+    - `view`: the camera by its size and angle.
+    - `lamps`: one for each photograph that is not left out.
+    - `spheres`: their outlines, as all photographs together have them.
+    - `sphere_radius`: of the chrome spheres, the unit of all lengths.
+    - `reference`: the point that directions are counted from, and strengths hold at.
+    - `falloff`: κ of near lamps' light, 1 / (1 − κ + κ (d / d₀)²), where d₀ is the
+        lamp's distance from the reference point; 1 for a bulb.
+    - `ambient`: light that is there without a lamp, RGB, in the unit of intensities.
+    - `left_out`: photographs that are not used, and why.
+    - `warnings`: what to know before this is trusted.
+    - `view_height`: with parallel rays, height of what is seen, in spheres' unit.
+    """
+
+    view: View
+    lamps: tuple[Lamp, ...]
+    spheres: tuple[CalibratedSphere, ...]
+    sphere_radius: float
+    reference: Float[np.ndarray, "3"]
+    falloff: float
+    ambient: Float[np.ndarray, "3"]
+    left_out: Mapping[str, str]
+    warnings: tuple[str, ...]
+    view_height: float | None = None
+
+    @property
+    def camera(self) -> AbstractCamera:
+        """The camera, for a [`Scene`][]."""
+        width, height, fov = self.view.width, self.view.height, self.view.fov_y
+        if fov is not None:
+            return PerspectiveCamera(width, height, fov_y=fov, position=(0, 0, 0))
+        return OrthographicCamera(
+            width,
+            height,
+            view_height=self.view_height,
+            position=(0, 0, 100 * self.sphere_radius),
+        )
+
+    @property
+    def lights(self) -> tuple[AbstractLight, ...]:
+        """One for each lamp, of strength 1 where none is known."""
+        return tuple(self._light(lamp) for lamp in self.lamps)
+
+    def _light(self, lamp: Lamp) -> AbstractLight:
+        intensity = np.where(np.isfinite(lamp.intensity), lamp.intensity, 1.0)
+        if lamp.position is None:
+            return DirectionalLight(lamp.direction, intensity)
+        distance = float(np.linalg.norm(lamp.position - self.reference))
+        share = min(self.falloff, 1.0)
+        return PointLight(
+            lamp.position, intensity, attenuation=(1 - share, 0, share / distance**2)
+        )
+
+    def centre(self, sphere: CalibratedSphere) -> Float[np.ndarray, "3"]:
+        """Of a chrome sphere, in the camera's axes."""
+        return sphere_behind(sphere.outline, self.view, self.sphere_radius)
+
+    def __str__(self) -> str:
+        lines = [
+            f"{'photograph':<24} {'x':>8} {'y':>8} {'z':>8}  {'±':>6}  strength",
+        ]
+        for lamp in self.lamps:
+            where = lamp.direction if lamp.position is None else lamp.position
+            numbers = " ".join(f"{value:8.4f}" for value in where)
+            mean, error = lamp.intensity.mean(), lamp.intensity_error.mean()
+            strength = f"{mean:.3f} ± {error:.3f}" if np.isfinite(mean) else "not known"
+            lines.append(
+                f"{lamp.photograph:<24.24} {numbers}  {lamp.direction_error:5.2f}°  "
+                f"{strength}"
+            )
+        spheres = ", ".join(
+            f"{s.kind} at {s.outline[0]:.1f}, {s.outline[1]:.1f}, radius "
+            f"{s.outline[2]:.1f}"
+            for s in self.spheres
+        )
+        lines += ["", f"spheres (pixels): {spheres}"]
+        lines += [f"warning: {warning}" for warning in self.warnings]
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        near = any(lamp.position is not None for lamp in self.lamps)
+        kind = "near" if near else "distant"
+        return (
+            f"Calibration({len(self.lamps)} {kind} lamps, {len(self.spheres)} spheres)"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """All numbers, as `json.dumps` takes them; what is not known is left out."""
+        lamps = []
+        for lamp, light in zip(self.lamps, self.lights, strict=True):
+            known = bool(np.isfinite(lamp.intensity).all())
+            entry: dict[str, Any] = {"photograph": lamp.photograph}
+            if lamp.position is None:
+                entry["direction"] = lamp.direction
+            else:
+                assert isinstance(light, PointLight)
+                entry["position"] = lamp.position
+                entry["attenuation"] = np.asarray(light.attenuation, float)
+            entry |= {"intensity": lamp.intensity if known else np.ones(3)}
+            if known:
+                entry["intensity_error"] = lamp.intensity_error
+            entry["direction_error_degrees"] = lamp.direction_error
+            entry["covariance"] = lamp.covariance
+            entry["highlights"] = [
+                pixel if np.isfinite(pixel).all() else None for pixel in lamp.highlights
+            ]
+            lamps.append(entry)
+        found = {
+            "camera": {
+                "width": self.view.width,
+                "height": self.view.height,
+                "fov_y_degrees": self.view.fov_y,
+                "view_height": self.view_height,
+            },
+            "reference": self.reference,
+            "lights": lamps,
+            "spheres": [
+                {"kind": s.kind, "outline": s.outline, "covariance": s.covariance}
+                for s in self.spheres
+            ],
+            "sphere_radius": self.sphere_radius,
+            "falloff": self.falloff,
+            "ambient": self.ambient,
+            "left_out": dict(self.left_out),
+            "warnings": list(self.warnings),
+        }
+        return plain(found)

@@ -1,0 +1,197 @@
+"""Spheres in photographs: looked for, told apart, cut out with their surroundings."""
+
+from collections.abc import Iterator, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from phongfit.calibration.circles import Placed, find_circles, place
+from phongfit.calibration.highlights import find_highlights
+from phongfit.calibration.matte import Matte, Place, shaded_directions
+from phongfit.calibration.outlines import View, seen, stretch
+
+Kind = Literal["chrome", "matte"]
+Outline = Float[np.ndarray, "3"]
+Photographs = Sequence[Float[np.ndarray, "height width 3"]]
+
+SEARCHED = 1000
+"""Photographs are shrunk to this many pixels, of their longer side, to look at."""
+
+SEEN = 0.85
+"""Share of the arc that must be seen for a circle to be moved onto it."""
+
+NOT_SEEN = 0.5
+"""Error of a circle that is taken as given, pixels."""
+
+NOT_ROUND = (0.06, 0.06, 0.08)
+"""Error that no sphere's circle is better than, pixels: x, y and radius."""
+
+
+class Crop(NamedTuple):
+    """A sphere with its surroundings.
+
+    - `light`: in each photograph, linear.
+    - `corner`: x and y of its upper left corner, pixels.
+    """
+
+    light: Float[np.ndarray, "count height width 3"]
+    corner: Float[np.ndarray, "2"]
+
+    @property
+    def grey(self) -> Float[np.ndarray, "count height width"]:
+        """The channels' mean."""
+        return self.light.mean(axis=-1)
+
+    def within(self, outline: Outline) -> Outline:
+        """An outline as the crop has it."""
+        return outline - np.append(self.corner, 0)
+
+
+def looked_at(
+    photographs: Photographs, names: Sequence[str]
+) -> Iterator[Float[np.ndarray, "height width 3"]]:
+    """The photographs one by one.
+
+    **Raises:** `ValueError` that names one of another size than the first.
+    """
+    first: tuple[int, ...] = ()
+    for image, name in zip(photographs, names, strict=True):
+        shape = np.shape(image)
+        if len(shape) != 3 or shape[2] != 3 or 0 in shape:
+            raise ValueError(f"{name}: expected (height, width, 3), got {shape}")
+        first = first or shape
+        if shape != first:
+            raise ValueError(
+                f"{name}: expected {first[1]} × {first[0]} pixels, as {names[0]} has, "
+                f"got {shape[1]} × {shape[0]}: the camera must stand still"
+            )
+        yield np.asarray(image)
+
+
+def cut_out(
+    photographs: Photographs,
+    names: Sequence[str],
+    outlines: Sequence[Outline],
+    size: tuple[int, int],
+) -> list[Crop]:
+    """Spheres with their surroundings; each photograph is looked at once.
+
+    **Arguments:** `size`: height and width of the photographs.
+    """
+    height, width = size
+    boxes = []
+    for x, y, radius in outlines:
+        margin = 1.2 * radius + 12
+        left, top = max(int(x - margin), 0), max(int(y - margin), 0)
+        right = min(int(x + margin) + 1, width)
+        bottom = min(int(y + margin) + 1, height)
+        boxes.append((left, top, right, bottom))
+    crops: list[list[np.ndarray]] = [[] for _ in boxes]
+    for image in looked_at(photographs, names):
+        for crop, (left, top, right, bottom) in zip(crops, boxes, strict=True):
+            crop.append(np.asarray(image[top:bottom, left:right], np.float32))
+    return [
+        Crop(np.stack(crop).astype(float), np.array(box[:2], float))
+        for crop, box in zip(crops, boxes, strict=True)
+    ]
+
+
+def place_sphere(crop: Crop, outline: Outline, kind: Kind, view: View) -> Placed:
+    """A sphere's outline moved onto what is seen of it; as given where little is."""
+    placed = place(
+        crop.grey,
+        crop.within(outline),
+        stretch(outline, view),
+        mirrors=kind == "chrome",
+    )
+    if placed.coverage < SEEN:
+        return Placed(outline, NOT_SEEN**2 * np.eye(3), placed.coverage)
+    moved = placed.outline + np.append(crop.corner, 0)
+    spread = placed.covariance + np.diag(NOT_ROUND) ** 2
+    return Placed(moved, spread, placed.coverage)
+
+
+def find_spheres(
+    photographs: Photographs, names: Sequence[str]
+) -> list[tuple[Kind, Outline]]:
+    """Spheres that nobody pointed out: round outlines with what spheres show inside.
+
+    Matte is what Lambert's law explains, chrome what shows one compact highlight in
+    nearly every photograph, where another lamp puts it elsewhere.
+    """
+    images = looked_at(photographs, names)
+    small = np.stack([_shrunk(image) for image in images])
+    shrink = _shrinking(np.shape(photographs[0]))
+    found = []
+    for placed in find_circles(small):
+        x, y, radius = placed.outline
+        margin = int(radius) + 3
+        left, top = max(int(x) - margin, 0), max(int(y) - margin, 0)
+        part = small[:, top : int(y) + margin, left : int(x) + margin]
+        inside = placed.outline - (left, top, 0)
+        kind = _kind(part, inside)
+        if kind is not None:
+            found.append((kind, placed.outline * shrink))
+    return found
+
+
+def _shrinking(shape: tuple[int, ...]) -> int:
+    """How many pixels each way become one."""
+    return max(1, -(-max(shape[:2]) // SEARCHED))
+
+
+def _shrunk(image: np.ndarray) -> np.ndarray:
+    """Grey, and small enough to search."""
+    shrink = _shrinking(image.shape)
+    height, width = (n // shrink for n in image.shape[:2])
+    grey = image.mean(axis=-1)[: height * shrink, : width * shrink]
+    return grey.reshape(height, shrink, width, shrink).mean(axis=(1, 3))
+
+
+def _kind(
+    light: Float[np.ndarray, "count height width"], outline: Outline
+) -> Kind | None:
+    if _lambertian(light, outline) > 0.9:
+        return "matte"
+    still = light.min(axis=0)
+    best = [
+        max(find_highlights(one, outline, still), key=lambda h: h.score, default=None)
+        for one in light
+    ]
+    clear = [h for h in best if h is not None]
+    # Small against the sphere, much brighter than most of it, and not always in place.
+    small = [h for h in clear if h.size < 0.15 * outline[2]]
+    if len(small) < 0.7 * len(light):
+        return None
+    spread = np.std([h.pixel for h in small], axis=0).max()
+    return "chrome" if spread > 0.05 * outline[2] or len(light) < 3 else None
+
+
+def _lambertian(
+    light: Float[np.ndarray, "count height width"], outline: Outline
+) -> float:
+    """Share of the light's variance on a disk that one lamp a photograph explains."""
+    rows, columns = np.mgrid[: light.shape[1], : light.shape[2]]
+    pixels = np.stack([columns, rows], -1) + 0.5
+    inside = np.hypot(*(pixels - outline[:2]).T).T < 0.9 * outline[2]
+    normals = seen(
+        pixels[inside], outline, View(light.shape[2], light.shape[1]), 1.0
+    ).normal
+    place = Place(outline, 1.0, 0.0)
+    matte = Matte(
+        np.repeat(light[..., None], 3, -1),
+        np.zeros(2),
+        place,
+        np.eye(5),
+        View(light.shape[2], light.shape[1]),
+        np.zeros(3),
+    )
+    explained, total = 0.0, 1e-12
+    for one, direction in zip(light[:, inside], shaded_directions(matte), strict=True):
+        model = np.maximum(normals @ direction, 0)
+        columns = np.stack([model, np.ones_like(model)], 1)
+        rest = one - columns @ np.linalg.lstsq(columns, one, rcond=None)[0]
+        total += np.sum((one - one.mean()) ** 2)
+        explained += np.sum((one - one.mean()) ** 2) - np.sum(rest**2)
+    return explained / total

@@ -1,0 +1,126 @@
+"""Captures of known truth: chrome and matte spheres before a wall, drawn by hand.
+
+Nothing of the package draws them: each pixel's ray is followed here, with formulas of
+its own, on a finer grid whose means are the pixels.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+FINER = 3
+LAMP_SIZE = 0.03  # radians from a lamp's centre to its edge, as a mirror shows it
+
+
+@dataclass(frozen=True)
+class Ball:
+    kind: str
+    centre: tuple[float, float, float]
+    radius: float
+
+
+@dataclass(frozen=True)
+class Studio:
+    """A camera at the origin that looks along −z; `fov` None for parallel rays."""
+
+    width: int = 240
+    height: int = 180
+    fov: float | None = 20.0
+    balls: tuple[Ball, ...] = (
+        Ball("chrome", (-1.1, -0.5, -10.0), 0.5),
+        Ball("chrome", (1.1, -0.6, -10.0), 0.5),
+        Ball("matte", (-0.1, 0.8, -10.0), 0.5),
+    )
+
+    def pixel(self, ball: Ball) -> tuple[float, float, float]:
+        """Centre and radius as a user would type them, in pixels."""
+        x, y, z = ball.centre
+        scale = self._scale(-z)
+        return (
+            self.width / 2 + x * scale,
+            self.height / 2 - y * scale,
+            ball.radius * scale,
+        )
+
+    def _scale(self, depth: float) -> float:
+        """Pixels of a length 1 at a depth."""
+        if self.fov is None:
+            return self.height / 3.6
+        return self.height / 2 / np.tan(np.radians(self.fov / 2)) / depth
+
+    def circles(self, kind: str) -> list[tuple[float, float, float]]:
+        return [self.pixel(ball) for ball in self.balls if ball.kind == kind]
+
+    def photograph(
+        self, lamp, strength=1.0, *, near=False, ambient=0.0, noise=0.003, seed=0
+    ) -> np.ndarray:
+        """Linear light, (height, width, 3), under one lamp: a direction, or a place."""
+        image = np.zeros((self.height, self.width))
+        lamp = np.asarray(lamp, float)
+        steps = (np.arange(FINER) + 0.5) / FINER
+        for down in steps:
+            for right in steps:
+                image += self._ray_traced(right, down, lamp, near, ambient)
+        image = image / FINER**2 * np.where(image > 0, 1, 1)
+        light = np.clip(strength * image, 0, 1)[..., None] * np.array([1, 0.9, 0.8])
+        random = np.random.default_rng(seed)
+        return np.clip(light + random.normal(0, noise, light.shape), 0, 1)
+
+    def _ray_traced(self, right, down, lamp, near, ambient) -> np.ndarray:
+        x = np.arange(self.width) + right - self.width / 2
+        y = self.height / 2 - np.arange(self.height) - down
+        x, y = np.broadcast_arrays(x[None, :], y[:, None])
+        if self.fov is None:
+            scale = self._scale(1.0)
+            origin = np.stack([x / scale, y / scale, 0 * x], -1)
+            ray = np.broadcast_to([0.0, 0.0, -1.0], origin.shape)
+        else:
+            focal = self._scale(1.0)
+            ray = np.stack([x / focal, y / focal, -np.ones_like(x)], -1)
+            ray = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+            origin = np.zeros_like(ray)
+        # A wall, a little aslant, behind everything.
+        light = 0.25 + 0.1 * ray[..., 0] - 0.1 * ray[..., 1] + 0.2 * lamp[0] * 0.1
+        nearest = np.full(x.shape, np.inf)
+        for ball in self.balls:
+            offset = origin - np.array(ball.centre)
+            along = np.sum(offset * ray, -1)
+            root = along**2 - np.sum(offset**2, -1) + ball.radius**2
+            distance = -along - np.sqrt(np.maximum(root, 0))
+            hit = (root > 0) & (distance < nearest)
+            point = origin + distance[..., None] * ray
+            normal = (point - np.array(ball.centre)) / ball.radius
+            to_lamp = lamp - point if near else np.broadcast_to(lamp, point.shape)
+            far = np.linalg.norm(to_lamp, axis=-1)
+            to_lamp = to_lamp / far[..., None]
+            if ball.kind == "matte":
+                fall = (self._reference(lamp) / far) ** 2 if near else 1.0
+                shade = 0.6 * np.maximum(np.sum(normal * to_lamp, -1), 0) * fall
+                shade = shade + ambient
+            else:
+                back = ray - 2 * np.sum(ray * normal, -1)[..., None] * normal
+                angle = np.arccos(np.clip(np.sum(back * to_lamp, -1), -1, 1))
+                # Darkness in front, the wall at the rim.
+                shade = np.where(back[..., 2] > -0.2, 0.02, 0.3)
+                shade = np.where(angle < LAMP_SIZE, 5.0, shade)
+            light = np.where(hit, shade, light)
+            nearest = np.where(hit, distance, nearest)
+        return np.minimum(light, 1.3)
+
+    def _reference(self, lamp) -> float:
+        return float(np.linalg.norm(lamp - np.array([0, 0, -10.0])))
+
+
+def directions(count: int) -> np.ndarray:
+    """Unit vectors spread over what a camera's side of things shows."""
+    number = np.arange(count)
+    tilt = np.radians(20 + 35 * ((number * 0.618) % 1))
+    turn = 2.4 * number
+    return np.stack(
+        [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)], -1
+    )
+
+
+def degrees(a, b) -> np.ndarray:
+    """Between unit vectors."""
+    return np.degrees(2 * np.arcsin(np.linalg.norm(np.subtract(a, b), axis=-1) / 2))

@@ -1,0 +1,201 @@
+"""Lamps found by spheres, against captures of known truth."""
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from tests.calibration.studio import Ball, Studio, degrees, directions
+
+LAMPS = directions(8)
+STRENGTHS = 0.8 + 0.4 * ((np.arange(8) * 0.37) % 1)
+
+
+@pytest.fixture(scope="module")
+def distant():
+    studio = Studio()
+    images = [
+        studio.photograph(lamp, strength, seed=number)
+        for number, (lamp, strength) in enumerate(zip(LAMPS, STRENGTHS, strict=True))
+    ]
+    return studio, images
+
+
+def calibrated(studio, images, **options):
+    options = {
+        "chrome": studio.circles("chrome"),
+        "matte": studio.circles("matte")[0],
+        "sphere_radius": 0.5,
+        "fov": studio.fov,
+    } | options
+    return pf.calibrate(images, **options)
+
+
+def test_distant_lamps_are_where_they_are(distant):
+    studio, images = distant
+    found = calibrated(studio, images)
+    apart = degrees([lamp.direction for lamp in found.lamps], LAMPS)
+    stated = np.array([lamp.direction_error for lamp in found.lamps])
+    assert apart.max() < 0.5
+    assert np.median(apart) < 0.25
+    assert np.sqrt(np.mean((apart / stated) ** 2)) < 2
+    assert found.warnings == ()
+    assert found.left_out == {}
+
+
+def test_strengths_and_their_colour(distant):
+    studio, images = distant
+    found = calibrated(studio, images)
+    intensity = np.array([lamp.intensity for lamp in found.lamps])
+    truth = STRENGTHS[:, None] * [1, 0.9, 0.8]
+    ratio = intensity / truth
+    assert np.abs(ratio / ratio.mean() - 1).max() < 0.015
+    assert intensity.mean() == pytest.approx(1)
+
+
+def test_spheres_are_found_where_nobody_says_where(distant):
+    studio, images = distant
+    found = pf.calibrate(images, fov=studio.fov, sphere_radius=0.5)
+    for kind in ("chrome", "matte"):
+        seen = sorted(tuple(s.outline) for s in found.spheres if s.kind == kind)
+        assert len(seen) == len(studio.circles(kind))
+        for outline, circle in zip(seen, sorted(studio.circles(kind)), strict=True):
+            assert np.abs(np.subtract(outline, circle)).max() < 1
+
+
+def test_chrome_alone_and_matte_alone_agree(distant):
+    studio, images = distant
+    chrome = calibrated(studio, images, matte=None)
+    matte = calibrated(studio, images, chrome=None)
+    apart = degrees(
+        [lamp.direction for lamp in chrome.lamps],
+        [lamp.direction for lamp in matte.lamps],
+    )
+    assert apart.mean() < 0.7
+    assert np.isnan([lamp.intensity for lamp in chrome.lamps]).all()
+    assert any("no matte sphere" in warning for warning in chrome.warnings)
+
+
+def test_near_lamps_have_a_place():
+    studio = Studio()
+    places = np.array([0, 0, -10.0]) + 6 * LAMPS
+    images = [studio.photograph(p, near=True, seed=n) for n, p in enumerate(places)]
+    found = calibrated(studio, images, lamps="near")
+    positions = np.array([lamp.position for lamp in found.lamps])
+    apart = np.linalg.norm(positions - places, axis=1)
+    assert apart.max() < 0.02 * 10
+    squares = [
+        (p - q) @ np.linalg.solve(lamp.covariance, p - q) / 3
+        for p, q, lamp in zip(positions, places, found.lamps, strict=True)
+    ]
+    assert np.sqrt(np.mean(squares)) < 2
+    assert found.falloff == pytest.approx(1, abs=0.15)
+    intensity = np.array([lamp.intensity.mean() for lamp in found.lamps])
+    assert np.abs(intensity / intensity.mean() - 1).max() < 0.03
+    assert isinstance(found.lights[0], pf.PointLight)
+
+
+def test_parallel_rays():
+    studio = Studio(fov=None)
+    images = [studio.photograph(lamp, seed=n) for n, lamp in enumerate(LAMPS)]
+    found = calibrated(studio, images)
+    apart = degrees([lamp.direction for lamp in found.lamps], LAMPS)
+    assert apart.max() < 0.5
+    assert isinstance(found.camera, pf.OrthographicCamera)
+    assert found.camera.view_height == pytest.approx(3.6, rel=0.01)
+
+
+def test_light_of_the_room_is_told_from_the_lamps():
+    studio = Studio()
+    images = [
+        studio.photograph(lamp, ambient=0.05, seed=n) for n, lamp in enumerate(LAMPS)
+    ]
+    found = calibrated(studio, images)
+    intensity = np.mean([lamp.intensity for lamp in found.lamps], axis=0)
+    assert found.ambient / intensity == pytest.approx(0.05 / 0.6, rel=0.1)
+
+
+def test_another_bright_thing_is_no_lamp(distant):
+    studio, images = distant
+    images = [image.copy() for image in images]
+    x, y, radius = studio.circles("chrome")[0]
+    rows, columns = np.mgrid[: studio.height, : studio.width] + 0.5
+    window = np.hypot(columns - x - 0.3 * radius, rows - y - 0.3 * radius) < radius / 3
+    images[3][window] = 1.0
+    found = calibrated(studio, images)
+    apart = degrees([lamp.direction for lamp in found.lamps], LAMPS)
+    assert apart.max() < 0.5
+
+
+def test_a_photograph_without_a_lamp_is_left_out_by_name(distant):
+    studio, images = distant
+    images = [*images, np.full_like(images[0], 0.001)]
+    names = [f"{number}.jpg" for number in range(9)]
+    found = calibrated(studio, images, names=names)
+    assert list(found.left_out) == ["8.jpg"]
+    assert any("8.jpg is left out" in warning for warning in found.warnings)
+    assert [lamp.photograph for lamp in found.lamps] == names[:8]
+
+
+def test_a_wrong_camera_is_minded(distant):
+    studio, images = distant
+    found = calibrated(studio, images, fov=None, matte=None)
+    assert any("angle of view" in warning for warning in found.warnings)
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        (
+            {"chrome": [(5, 90, 20)]},
+            "chrome\\[0\\]: expected a sphere that lies wholly",
+        ),
+        ({"chrome": [(60, 90)]}, "chrome\\[0\\]: expected x, y and radius"),
+        ({"chrome": [(60, 90, "x")]}, "chrome\\[0\\]: expected x, y and radius"),
+        ({"fov": 200}, "fov: expected a number > 0 and < 180, got 200"),
+        ({"sphere_radius": -1}, "sphere_radius: expected a number > 0"),
+        ({"lamps": "far"}, "lamps: expected 'distant' or 'near', got 'far'"),
+        ({"names": ["a"]}, "names: expected 8, one a photograph, got 1"),
+        (
+            {"lamps": "near", "matte": None, "chrome": [(64, 99, 25)]},
+            "lamps: expected two spheres",
+        ),
+    ],
+)
+def test_what_cannot_be_is_said_by_its_name(distant, options, message):
+    studio, images = distant
+    with pytest.raises(ValueError, match=message):
+        calibrated(studio, images, **options)
+
+
+def test_no_sphere_in_view():
+    random = np.random.default_rng(0)
+    images = [random.uniform(0.2, 0.3, (60, 80, 3)) for _ in range(4)]
+    with pytest.raises(ValueError, match="chrome: no sphere is seen"):
+        pf.calibrate(images)
+
+
+def test_photographs_of_unequal_size_are_named(distant):
+    studio, images = distant
+    images = [*images[:7], images[7][:-10]]
+    with pytest.raises(ValueError, match="photograph 8: expected 240 × 180 pixels"):
+        calibrated(studio, images)
+
+
+def test_a_sphere_that_the_stand_hides_is_taken_as_given():
+    studio = Studio(balls=(Ball("chrome", (0, 0, -10.0), 0.8),))
+    images = [studio.photograph(lamp, seed=n) for n, lamp in enumerate(LAMPS)]
+    for image in images:
+        image[90:] = 0.0  # cloth
+    circle = studio.circles("chrome")[0]
+    found = pf.calibrate(images, chrome=[circle], fov=studio.fov)
+    assert tuple(found.spheres[0].outline) == pytest.approx(circle)
+    assert any("is taken as given" in warning for warning in found.warnings)
+
+
+def test_it_prints_as_a_table(distant):
+    studio, images = distant
+    found = calibrated(studio, images)
+    assert repr(found) == "Calibration(8 distant lamps, 3 spheres)"
+    text = str(found)
+    assert text.startswith("photograph")
+    assert "strength" in text and "spheres (pixels): chrome at" in text

@@ -1,0 +1,87 @@
+"""Real spheres, where the photographs are."""
+
+import json
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.files.images import read_mask
+from tests.calibration.studio import degrees
+from tests.helpers import photographs
+
+
+def test_two_chrome_spheres_agree():
+    """Lamps of one capture by either sphere, which stand apart in the room."""
+    folder = photographs("psbox")
+    found = []
+    for probe in ("LightProbe-1", "LightProbe-2"):
+        capture = pf.open_capture(folder / probe)
+        x, up, radius = np.loadtxt(folder / probe / "circle_data.txt")
+        # Counted from the lower left corner.
+        circle = (x, capture[0].shape[0] - up, radius)
+        lamps = pf.calibrate(capture, chrome=[circle]).lamps
+        found.append([lamp.direction for lamp in lamps])
+    apart = degrees(*found)
+    assert len(apart) == 12
+    assert apart.mean() < 1.0
+
+
+def test_a_chrome_and_a_matte_sphere_agree():
+    folder = photographs("uw_spheres")
+    found = []
+    for name in ("chrome", "gray"):
+        capture = pf.open_capture(folder / name, "linear")
+        mask = read_mask(folder / name / f"{name}.mask.png")
+        rows, columns = np.nonzero(mask)
+        radius = float((mask.sum() / np.pi) ** 0.5)
+        circle = (float(columns.mean()) + 0.5, float(rows.mean()) + 0.5, radius)
+        if name == "chrome":
+            lamps = pf.calibrate(capture, chrome=[circle]).lamps
+        else:
+            lamps = pf.calibrate(capture, matte=circle).lamps
+        found.append([lamp.direction for lamp in lamps])
+    assert degrees(*found).mean() < 2.2
+
+
+@pytest.mark.parametrize(
+    "name, lamps, given",
+    [
+        ("capture00", "distant", True),
+        ("capture01", "near", True),
+        ("capture01", "near", False),
+    ],
+)
+def test_captures_rendered_by_another_program(name, lamps, given):
+    """Twelve lamps, two chrome spheres and a matte one; sRGB in JPEG of quality 95."""
+    folder = photographs(f"../reference/capture/{name}")
+    truth = json.loads((folder / "truth.json").read_text())
+    circles = [
+        (kind["pixels"]["x"], kind["pixels"]["y"], kind["pixels"]["radius"])
+        for kind in truth["spheres"]
+    ]
+    options = {"chrome": circles[:2], "matte": circles[2]} if given else {}
+    capture = pf.open_capture(folder)
+    found = pf.calibrate(capture, fov=14, sphere_radius=0.6, lamps=lamps, **options)
+    apart = degrees(
+        [lamp.direction for lamp in found.lamps],
+        [lamp["direction"] for lamp in truth["lamps"]],
+    )
+    stated = np.array([lamp.direction_error for lamp in found.lamps])
+    assert apart.max() < 0.5 and np.median(apart) < 0.25
+    assert np.sqrt(np.mean((apart / stated) ** 2)) < 1.3
+    ratio = np.array([lamp.intensity.mean() for lamp in found.lamps]) / [
+        lamp["intensity"] for lamp in truth["lamps"]
+    ]
+    assert np.abs(ratio / ratio.mean() - 1).max() < 0.015
+    if lamps == "near":
+        # The camera stands at (0, 0, 20) of the truth's axes.
+        places = np.array([lamp["position"] for lamp in truth["lamps"]])
+        seen = np.array([lamp.position for lamp in found.lamps]) + [0, 0, 20]
+        far = np.linalg.norm(places, axis=1)
+        assert (np.linalg.norm(seen - places, axis=1) / far).max() < 0.02
+        # Its light falls off as 2 / (1 + d²), not as 1 / d².
+        assert found.falloff == pytest.approx(0.5, abs=0.05)
+    for sphere in found.spheres:
+        nearest = min(np.abs(np.subtract(sphere.outline, one)).max() for one in circles)
+        assert nearest < 1
