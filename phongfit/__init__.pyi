@@ -1,7 +1,14 @@
 """Every public name, once: [`phongfit`][] imports each when it is first asked for."""
 
 from . import testing as testing
+from .calibration.calibrate import calibrate as calibrate
+from .calibration.result import Calibration as Calibration
 from .environment import Fog as Fog
+from .files.calibrations import (
+    load_calibration as load_calibration,
+    save_calibration as save_calibration,
+)
+from .files.captures import Capture as Capture, open_capture as open_capture
 from .files.datasets import (
     Dataset as Dataset,
     open_dataset as open_dataset,
@@ -12,6 +19,7 @@ from .files.images import (
     read_image as read_image,
     write_image as write_image,
 )
+from .files.lp import read_lp as read_lp, write_lp as write_lp
 from .files.meshes import load_mesh as load_mesh
 from .files.mtl import read_mtl as read_mtl, write_mtl as write_mtl
 from .files.saved import load_fit as load_fit, save_fit as save_fit

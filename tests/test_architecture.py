@@ -18,6 +18,7 @@ ORDER = [
     {"scene"},
     {"rendering"},
     {"fitting"},
+    {"calibration"},
     {"files"},
     {"maps"},
     {"report"},

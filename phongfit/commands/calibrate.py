@@ -1,0 +1,143 @@
+"""`phongfit calibrate`: photographs with spheres in; lights, with errors, out."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from tyro.conf import Positional, UseAppendAction, arg
+
+from phongfit.calibration.calibrate import calibrate
+from phongfit.calibration.result import Calibration
+from phongfit.commands.keeping import keeping
+from phongfit.commands.options import OutFolder, optional
+from phongfit.commands.progress import stage
+from phongfit.files.calibrations import LIGHTS_FILE, save_calibration
+from phongfit.files.captures import Capture, open_capture
+from phongfit.files.lp import write_lp
+from phongfit.files.outputs import replacing_folder
+from phongfit.rendering.film import Encoding
+
+LIST_FILE = "lights.lp"
+PICTURE_FILE = "calibration.png"
+OURS = (LIGHTS_FILE, LIST_FILE, PICTURE_FILE)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `phongfit calibrate`.
+
+    Args:
+        photographs: A folder of photographs of a standing camera, one lamp each, with
+            chrome spheres in view, a matte one, or both.
+        out: Folder to make: lights.json (lamps, camera, errors), lights.lp (directions
+            alone, for other programs), calibration.png.
+        sphere: A chrome sphere: x and y of its centre and its radius in pixels, from
+            the upper left corner. Once for each sphere. Default: spheres are looked
+            for, matte ones too, and calibration.png shows what was found.
+        matte: A matte grey or white sphere, likewise: it tells how strong lamps are.
+        sphere_radius: Of the chrome spheres, in the unit that lengths will have.
+        fov: The camera's angle of view, from the lower to the upper edge.
+        orthographic: Parallel rays: a long lens, far away. The default without --fov.
+        lamps: distant: parallel light, a direction each. near: a position each; needs
+            two spheres.
+        encoding: What the photographs' numbers are. Default: srgb for JPEG.
+        ambient: A photograph without a lamp, which is taken from all.
+        flat: A photograph of a white card, by which all are divided.
+        overwrite: Replace an older calibration in OUT.
+    """
+
+    photographs: Annotated[Positional[Path], arg(metavar="PHOTOS")]
+
+    out: OutFolder
+
+    sphere: Annotated[
+        UseAppendAction[tuple[tuple[float, ...], ...]], arg(metavar="X Y R")
+    ] = ()
+
+    matte: Annotated[tuple[float, float, float] | None, arg(metavar="X Y R")] = None
+
+    sphere_radius: Annotated[float, arg(metavar="LENGTH")] = 1.0
+
+    fov: Annotated[float | None, optional("DEGREES")] = None
+
+    orthographic: bool = False
+
+    lamps: Literal["distant", "near"] = "distant"
+
+    encoding: Annotated[Encoding | None, optional("linear|srgb")] = None
+
+    ambient: Annotated[Path | None, optional("PHOTO")] = None
+
+    flat: Annotated[Path | None, optional("PHOTO")] = None
+
+    overwrite: bool = False
+
+
+def main(options: Options) -> int:
+    """Find the lamps of a capture by spheres in its photographs.
+
+    A chrome sphere mirrors each lamp, a matte one is shaded by it. Directions are the
+    camera's: x right, y up, z towards it. Look at calibration.png before the numbers
+    are trusted.
+
+    For example:
+      phongfit calibrate photos -o out/lights --sphere 179 565 88 --sphere 781 565 88
+      phongfit calibrate photos -o out/lights --fov 14 --matte 179 155 81
+      phongfit calibrate photos -o out/lights --lamps near --sphere-radius 30 --fov 14
+    """
+    may_replace = OURS.__contains__ if options.overwrite else None
+    if options.orthographic and options.fov is not None:
+        raise ValueError("fov: expected it or --orthographic, got both")
+    with replacing_folder(options.out, may_replace) as folder:
+        capture = open_capture(
+            options.photographs,
+            options.encoding,
+            ambient=options.ambient,
+            flat=options.flat,
+        )
+        with stage("looking at the photographs"):
+            found = _calibrate(capture, options)
+        save_calibration(folder / LIGHTS_FILE, found)
+        vectors = np.array([lamp.direction for lamp in found.lamps])
+        names = [lamp.photograph for lamp in found.lamps]
+        write_lp(folder / LIST_FILE, names, vectors)
+        with keeping(options.out, folder) as kept:
+            print(found, flush=True)
+            with stage("drawing"):
+                _draw(folder / PICTURE_FILE, found, capture)
+    kept.tell()
+    return 0
+
+
+def _calibrate(capture: Capture, options: Options) -> Calibration:
+    circles = _threes(options.sphere)
+    return calibrate(
+        capture,
+        chrome=circles if circles or options.matte is not None else None,
+        matte=options.matte,
+        sphere_radius=options.sphere_radius,
+        fov=options.fov,
+        lamps=options.lamps,
+        names=capture.names,
+    )
+
+
+def _threes(given: tuple[tuple[float, ...], ...]) -> list[tuple[float, ...]]:
+    """Circles, whether each has an option of its own or several share one."""
+    found = []
+    for numbers in given:
+        if len(numbers) % 3 or not numbers:
+            raise ValueError(
+                f"sphere: expected x, y and radius, got {len(numbers)} numbers"
+            )
+        found += [numbers[at : at + 3] for at in range(0, len(numbers), 3)]
+    return found
+
+
+def _draw(path: Path, found: Calibration, capture: Capture) -> None:
+    # Here, since matplotlib takes long to import.
+    from phongfit.report.calibration import brightest, calibration_figure
+    from phongfit.report.style import png
+
+    path.write_bytes(png(calibration_figure(found, brightest(capture)), 140))

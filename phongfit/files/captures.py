@@ -1,0 +1,200 @@
+"""A capture: a folder of photographs of a standing camera, one lamp each."""
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import overload
+
+import numpy as np
+from jaxtyping import Float
+
+from phongfit.files.formats import READERS
+from phongfit.files.images import read_image
+from phongfit.files.lp import LightList, base_name, read_lp
+from phongfit.rendering.film import Encoding
+
+NO_LAMP = {"mask", "ambient", "dark", "flat", "ref", "reference", "normals", "normal"}
+"""Words in the names of images that are no photographs of the object under a lamp."""
+
+
+@dataclass(frozen=True)
+class Capture(Sequence[np.ndarray]):
+    """Photographs of one object, read when they are asked for.
+
+    A sequence of images, linear light (height, width, 3), as [`calibrate`][] takes it.
+
+    - `folder`: that holds them.
+    - `names`: of their files.
+    - `encoding`: what their numbers are.
+    - `ambient`: light that is there without a lamp, taken from each; or None.
+    - `flat`: what each is divided by, so that vignetting and the lamp's fall-off over
+        the field are gone: a photograph of a white card, over its median; or None.
+    - `lights`: the list that names the photographs, if there is one.
+    - `others`: images in the folder that are not among them.
+    """
+
+    folder: Path
+    names: tuple[str, ...]
+    encoding: Encoding
+    ambient: Float[np.ndarray, "height width 3"] | None = None
+    flat: Float[np.ndarray, "height width 3"] | None = None
+    lights: LightList | None = None
+    others: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @overload
+    def __getitem__(self, index: int) -> np.ndarray: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[np.ndarray]: ...
+    def __getitem__(self, index: int | slice) -> np.ndarray | Sequence[np.ndarray]:
+        if isinstance(index, slice):
+            return [self.read(number) for number in range(*index.indices(len(self)))]
+        return self.read(range(len(self))[index])
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        return (self.read(number) for number in range(len(self)))
+
+    def read(self, number: int) -> Float[np.ndarray, "height width 3"]:
+        """The photograph of a number, from 0 on.
+
+        **Raises:** `ValueError` that names the file.
+        """
+        path = self.folder / self.names[number]
+        image = read_image(path, self.encoding)
+        for name, other in (("ambient", self.ambient), ("flat", self.flat)):
+            if other is not None and other.shape != image.shape:
+                raise ValueError(
+                    f"{name}: expected {image.shape[1]} × {image.shape[0]} pixels, as "
+                    f"{path} has, got {other.shape[1]} × {other.shape[0]}"
+                )
+        if self.ambient is not None:
+            image = np.maximum(image - self.ambient, 0)
+        return image if self.flat is None else image / self.flat
+
+
+def open_capture(
+    folder: str | os.PathLike[str],
+    encoding: Encoding | None = None,
+    *,
+    lights: str | os.PathLike[str] | None = None,
+    ambient: str | os.PathLike[str] | None = None,
+    flat: str | os.PathLike[str] | None = None,
+) -> Capture:
+    """A folder of photographs.
+
+    They are those that an `.lp` file in it lists, in its order; else all images in
+    order of their numbers, but for what is named mask, ambient, dark, flat, ref or
+    normals.
+
+    **Arguments:**
+
+    - `encoding`: what the numbers are. Default: sRGB for JPEG files, as cameras write
+        them, and linear for floating-point formats; it is needed for all others.
+    - `lights`: the `.lp` file; default the one in the folder.
+    - `ambient`: a photograph without a lamp, taken from each.
+    - `flat`: one of a white card in the object's place, divided out.
+
+    **Raises:** `ValueError` that names the folder, the file or the argument.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ValueError(f"{folder}: there is no such folder")
+    beside = {Path(p).resolve() for p in (ambient, flat) if p is not None}
+    images = [
+        path.name
+        for path in folder.iterdir()
+        if path.suffix.lower() in READERS
+        and path.is_file()
+        and not path.name.startswith(".")
+        and path.resolve() not in beside
+    ]
+    images.sort(key=_by_number)
+    listed = _list_in(folder, lights)
+    if listed is None:
+        names = [name for name in images if not _is_no_photograph(name)]
+    else:
+        names = _matched(folder, images, listed)
+    if len(names) < 2:
+        raise ValueError(
+            f"{folder}: expected several photographs, each under its own lamp, got "
+            + (f"one, {names[0]}" if names else "none")
+        )
+    encoding = _encoding_of(folder, names, encoding)
+    whole = Capture(
+        folder,
+        tuple(names),
+        encoding,
+        None if ambient is None else read_image(ambient, encoding),
+        None if flat is None else _flat(Path(flat), encoding),
+        listed,
+        tuple(name for name in images if name not in names),
+    )
+    return whole
+
+
+def _by_number(name: str) -> list[tuple[int, int, str]]:
+    """Names in the order of the numbers in them: 2 before 10."""
+    parts = re.split(r"(\d+)", name.lower())
+    return [(1, int(p), "") if p.isdecimal() else (0, 0, p) for p in parts]
+
+
+def _is_no_photograph(name: str) -> bool:
+    words = re.split(r"[^a-z]+", Path(name).stem.lower())
+    return bool(NO_LAMP & set(words))
+
+
+def _list_in(folder: Path, lights: str | os.PathLike[str] | None) -> LightList | None:
+    if lights is not None:
+        return read_lp(lights)
+    lists = sorted(folder.glob("*.lp"))
+    if len(lists) > 1:
+        found = ", ".join(path.name for path in lists)
+        raise ValueError(f"{folder}: expected one list of lights, got {found}")
+    return read_lp(lists[0]) if lists else None
+
+
+def _matched(folder: Path, images: Sequence[str], listed: LightList) -> list[str]:
+    """The photographs that a list names, by their base names."""
+    exact = {base_name(name): name for name in images}
+    lower = {name.lower(): name for name in images}
+    found, missing = [], []
+    for name in listed.base_names:
+        match = exact.get(name, lower.get(name.lower()))
+        (missing if match is None else found).append(name if match is None else match)
+    if missing:
+        there = ", ".join(images[:3]) + (" …" if len(images) > 3 else "")
+        raise ValueError(
+            f"{folder}: {len(missing)} of the {len(listed.names)} photographs in the "
+            f"list of lights are not there, {missing[0]} first; there are {there}"
+        )
+    return found
+
+
+def _encoding_of(
+    folder: Path, names: Sequence[str], encoding: Encoding | None
+) -> Encoding:
+    if encoding is not None:
+        return encoding
+    suffixes = {Path(name).suffix.lower() for name in names}
+    if suffixes <= {".jpg", ".jpeg"}:
+        return "srgb"
+    if suffixes <= {".exr", ".hdr"}:
+        return "linear"
+    raise ValueError(
+        f"encoding: expected linear or srgb, since {folder / names[0]} does not say "
+        "what its numbers are"
+    )
+
+
+def _flat(path: Path, encoding: Encoding) -> Float[np.ndarray, "height width 3"]:
+    image = read_image(path, encoding)
+    middle = np.median(image, axis=(0, 1))
+    if not (image > 0.02 * middle).all() or not (middle > 0).all():
+        raise ValueError(
+            f"{path}: expected light everywhere on a flat, got black pixels"
+        )
+    return image / middle

@@ -1,0 +1,109 @@
+"""Lists of lights as reflectance-transformation imaging has them: `.lp`.
+
+The first line is a count, each other one a photograph's name and a vector to its lamp:
+x right, y up, z to the camera. RTIBuilder and the controllers of domes write it.
+
+??? cite "Source"
+    Cultural Heritage Imaging, *RTI glossary* and RTIBuilder's documentation.
+"""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from phongfit.files.inputs import naming, read_text
+from phongfit.files.outputs import replacing
+
+
+class LightList(NamedTuple):
+    """Photographs and the lamp of each.
+
+    - `names`: as the file has them.
+    - `vectors`: towards the lamps, of any length but 0.
+    """
+
+    names: tuple[str, ...]
+    vectors: Float[np.ndarray, "lights 3"]
+
+    @property
+    def base_names(self) -> tuple[str, ...]:
+        """Names without folders, which are often another machine's."""
+        return tuple(base_name(name) for name in self.names)
+
+
+def base_name(name: str) -> str:
+    """A file's name without its folder, of whatever system."""
+    return PureWindowsPath(PurePosixPath(name).name).name
+
+
+def read_lp(path: str | os.PathLike[str]) -> LightList:
+    """A list of lights.
+
+    Names may hold spaces; decimal commas are read as points.
+
+    **Raises:** `ValueError` that names the file and the line: no count, another number
+    of lines than it says, a vector that is none or zero, a name that comes twice.
+    """
+    path = Path(path)
+    lines = [
+        (number, line.strip())
+        for number, line in enumerate(read_text(path).lstrip("\ufeff").splitlines(), 1)
+        if line.strip()
+    ]
+    if not lines:
+        raise ValueError(f"{path}: expected a count and as many lights, got nothing")
+    with naming(f"{path}: line {lines[0][0]}"):
+        count = _count(lines[0][1])
+    names, vectors = [], []
+    for number, line in lines[1:]:
+        with naming(f"{path}: line {number}"):
+            name, vector = _light(line)
+            if base_name(name) in map(base_name, names):
+                raise ValueError(f"{name} comes twice")
+        names.append(name)
+        vectors.append(vector)
+    if len(names) != count:
+        raise ValueError(
+            f"{path}: expected {count} lights, as its first line says, got {len(names)}"
+        )
+    return LightList(tuple(names), np.array(vectors).reshape(-1, 3))
+
+
+def _count(line: str) -> int:
+    words = line.split()
+    if len(words) != 1 or not words[0].isdecimal() or int(words[0]) < 1:
+        raise ValueError(f"expected the number of lights, got {line[:60]!r}")
+    return int(words[0])
+
+
+def _light(line: str) -> tuple[str, Float[np.ndarray, "3"]]:
+    words = line.rsplit(maxsplit=3)
+    try:
+        vector = np.array([float(word.replace(",", ".")) for word in words[1:]])
+    except ValueError:
+        vector = np.zeros(0)
+    if len(words) != 4 or vector.shape != (3,) or not np.isfinite(vector).all():
+        raise ValueError(f"expected a name and three numbers, got {line[:60]!r}")
+    if not vector.any():
+        raise ValueError(f"{words[0]}: expected a vector to the lamp, got zeros")
+    return words[0], vector
+
+
+def write_lp(
+    path: str | os.PathLike[str],
+    names: Sequence[str],
+    vectors: Float[np.ndarray, "lights 3"],
+) -> None:
+    """Write a list of lights, in one piece.
+
+    **Raises:** `OSError` that names `path`.
+    """
+    lines = [f"{len(names)}"]
+    for name, vector in zip(names, np.asarray(vectors, float), strict=True):
+        lines.append(f"{name} " + " ".join(f"{number:.7f}" for number in vector))
+    with replacing(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")

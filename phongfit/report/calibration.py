@@ -1,0 +1,132 @@
+"""The picture of a calibration: what was found in the photographs, and the lamps."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle
+
+from phongfit.calibration.result import Calibration
+from phongfit.report.pictures import displayed
+from phongfit.report.style import (
+    ACCENT,
+    GREEN,
+    INK,
+    ORANGE,
+    PALE,
+    VERMILION,
+    Picture,
+    picture,
+    quiet,
+    styled,
+)
+
+WIDEST = 1200
+"""Pixels of the longer side of what is shown, at most."""
+
+
+def brightest(
+    photographs: Iterable[Float[np.ndarray, "height width 3"]],
+) -> Float[np.ndarray, "height width 3"]:
+    """Of each pixel its greatest light in any photograph, small enough to be shown."""
+    most = None
+    for image in photographs:
+        step = max(1, -(-max(image.shape[:2]) // WIDEST))
+        small = np.asarray(image)[::step, ::step]
+        most = small if most is None else np.maximum(most, small)
+    if most is None:
+        raise ValueError("photographs: expected at least one, got none")
+    return most
+
+
+def calibration_figure(
+    calibration: Calibration, image: Float[np.ndarray, "height width 3"]
+) -> Picture:
+    """Spheres and highlights on the photographs, and the lamps about the object.
+
+    **Arguments:** `image`: linear light, as of [`brightest`][].
+    """
+    with styled():
+        figure = picture(11, 4.7)
+        left, right = figure.subplots(1, 2, width_ratios=(1.5, 1))
+        _draw_spheres(left, calibration, image)
+        _draw_lamps(right, calibration)
+    return figure
+
+
+def _draw_spheres(axes: Axes, calibration: Calibration, image: np.ndarray) -> None:
+    width, height = calibration.view.width, calibration.view.height
+    # Edges of pixels are at whole numbers.
+    axes.imshow(displayed(image), extent=(0, width, height, 0))
+    quiet(axes)
+    chrome = 0
+    for sphere in calibration.spheres:
+        x, y, radius = sphere.outline
+        colour = ORANGE if sphere.kind == "chrome" else GREEN
+        axes.add_patch(Circle((x, y), radius, fill=False, ec=colour, lw=1.2))
+        above = y - radius > 0.06 * height
+        axes.annotate(
+            sphere.kind,
+            (x, y - radius if above else y + radius),
+            (0, 3 if above else -3),
+            textcoords="offset points",
+            ha="center",
+            va="bottom" if above else "top",
+            color=colour,
+            fontsize=8,
+        )
+        if sphere.kind == "chrome":
+            spots = np.array([lamp.highlights[chrome] for lamp in calibration.lamps])
+            axes.plot(*spots.T, "+", color=VERMILION, ms=5, mew=0.8)
+            chrome += 1
+    axes.set_title("brightest of the photographs, with spheres and highlights")
+
+
+def _draw_lamps(axes: Axes, calibration: Calibration) -> None:
+    """Directions as the camera sees them: it is in the middle, its sides at the rim."""
+    for angle in (30, 60, 90):
+        radius = np.sin(np.radians(angle))
+        axes.add_patch(Circle((0, 0), radius, fill=False, ec=PALE, lw=0.6))
+        axes.annotate(
+            f"{angle}°",
+            (0, -radius),
+            (0, 1),
+            textcoords="offset points",
+            ha="center",
+            va="bottom",
+            fontsize=7,
+            color=PALE,
+        )
+    strengths = np.array([lamp.intensity.mean() for lamp in calibration.lamps])
+    sizes = np.where(np.isfinite(strengths), strengths, 1.0)
+    for number, (lamp, size) in enumerate(
+        zip(calibration.lamps, sizes, strict=True), 1
+    ):
+        x, y, z = lamp.direction
+        behind = z < 0
+        axes.plot(
+            x,
+            y,
+            "o",
+            ms=4 + 4 * np.clip(size, 0.1, 3) ** 0.5,
+            mfc="none" if behind else ACCENT,
+            mec=ACCENT,
+            mew=0.8,
+        )
+        axes.annotate(
+            str(number),
+            (x, y),
+            (6, 3),
+            textcoords="offset points",
+            fontsize=7,
+            color=INK,
+        )
+    quiet(axes)
+    axes.set_aspect("equal")
+    axes.set_xlim(-1.12, 1.12)
+    axes.set_ylim(-1.12, 1.12)
+    errors = [lamp.direction_error for lamp in calibration.lamps]
+    axes.set_title(
+        f"lamps as the camera sees them, numbered in order, ± {np.median(errors):.2f}°"
+    )
