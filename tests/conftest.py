@@ -2,7 +2,8 @@
 
 Some tests run in one of the two, unless `--both` is asked for: those with the mark
 `float64`; those of the folders in `SINGLE`, in float32; and those in `ALTERNATE`, where
-a checksum of a test's name and parameters chooses, whatever stands before it.
+a checksum of a test's name chooses, whatever stands before it. Its parameters have no
+part in that: they share what is compiled.
 """
 
 import gc
@@ -125,7 +126,7 @@ def pytest_collection_modifyitems(config, items):
         elif config.getoption("--both"):
             continue
         else:
-            home = _home(item.path, item.name)
+            home = _home(item.path, getattr(item, "originalname", item.name))
         if home not in (None, double):
             item.add_marker(once)
 

@@ -25,9 +25,12 @@ def layout(*names: str, **options) -> Unknowns:
     )
 
 
+_entries = jax.jit(Unknowns.entries)
+
+
 def entries(unknowns: Unknowns, *y: float) -> dict[str, float]:
     """Every entry by its label, at a y."""
-    found = np.asarray(unknowns.entries(floats(y)), float)
+    found = np.asarray(_entries(unknowns, floats(y)), float)
     return dict(zip(unknowns.entry_labels, found.tolist(), strict=True))
 
 
@@ -220,15 +223,18 @@ def test_a_rotation_is_three_angles_and_stays_a_rotation():
     near(unknowns.bounds, [(-180, 180)] * 3)
     near(unknowns.start, [0, 0, 0])
 
+    @jax.jit
+    def turned(y):
+        return unknowns.scenes(unknowns.entries(y), (scene,))[0].camera.rotation
+
     def rotation(y):
-        (turned,) = unknowns.scenes(unknowns.entries(floats(y)), (scene,))
-        return np.asarray(turned.camera.rotation, float)
+        return np.asarray(turned(floats(y)), float)
 
     near(rotation((0, 0, 0)), start, 1e-4)
     for y in ((0, 0, 0), (1, 0, 0), (0.3, -2, 1), (1e-4, 0, 0)):
         near(rotation(y).T @ rotation(y), np.eye(3))
         near(np.linalg.det(rotation(y)), 1)
-        near(unknowns.entries(floats(y)), np.rad2deg(y))
+        near(_entries(unknowns, floats(y)), np.rad2deg(y))
     # A tilt of 90° looks where up was; the other two turn right towards them.
     right, up, back = rotation((0, 0, 0)).T
     near(rotation((np.pi / 2, 0, 0)).T, [right, back, -up])

@@ -27,6 +27,16 @@ def gathered(
     return gather(sources, seen_pixels(sources))
 
 
+@eqx.filter_jit
+def light_of(channels):
+    return channels.light(TRUTH)
+
+
+@eqx.filter_jit
+def light_anew(samples, *scenes):
+    return samples.lit(scenes).light(TRUTH)
+
+
 def arrays(seed: int) -> list[np.ndarray]:
     """Image, weight and step, all different everywhere."""
     rng = np.random.default_rng(seed)
@@ -46,7 +56,7 @@ def test_samples_are_the_pixels_with_weight():
     assert np.array_equal(samples.step[:, :count], step[used].T)
     light = np.asarray(pf.render(SCENE, TRUTH, film=pf.Film(clamp=False)))
     seen = np.asarray(SCENE.trace().mask)[used]
-    near(samples.channels.light(TRUTH).T[:count][seen], light[used][seen])
+    near(np.asarray(light_of(samples.channels)).T[:count][seen], light[used][seen])
 
 
 @pytest.mark.parametrize("count", [1, 255, 256, 257, 300, 513, 900, 1023])
@@ -57,9 +67,9 @@ def test_padding_has_no_weight(count):
     size = samples.target.shape[1]
     # Not much more than needed, and few different sizes.
     assert count <= size <= max(256, 1.25 * count + 1) and size % 64 == 0
-    assert np.all(samples.weight[:, :count] > 0)
-    assert not np.any(samples.weight[:, count:])
-    assert np.all(np.isfinite(samples.channels.light(TRUTH)))
+    found = np.asarray(samples.weight)
+    assert np.all(found[:, :count] > 0) and not np.any(found[:, count:])
+    assert np.all(np.isfinite(light_of(samples.channels)))
 
 
 def test_sizes_are_few():
@@ -91,7 +101,7 @@ def test_images_one_after_another():
     # The light that is missing in the second is dark, not absent.
     light = np.asarray(pf.render(one_light, TRUTH, film=pf.Film(clamp=False)))
     seen = np.asarray(one_light.trace().mask).ravel()[:300]
-    found = np.asarray(samples.channels.light(TRUTH)).T[size : size + 300]
+    found = np.asarray(light_of(samples.channels)).T[size : size + 300]
     near(found[seen], light.reshape(-1, 3)[:300][seen])
 
 
@@ -137,8 +147,8 @@ def test_relighting_is_lighting_anew(surface, shading, fog):
         fog=fog,
     )
     other = other_light(scene)
-    found = every_light(scene).lit((other,)).light(TRUTH)
-    near(found, every_light(other).channels.light(TRUTH), 1e-5)
+    found = light_anew(every_light(scene), other)
+    near(found, light_of(every_light(other).channels), 1e-5)
 
 
 def test_images_of_one_kind_are_relit_together():
@@ -153,5 +163,5 @@ def test_images_of_one_kind_are_relit_together():
             )
             for scene in scenes
         )
-        expected = every_light(*brighter).channels.light(TRUTH)
-        near(samples.lit(brighter).light(TRUTH), expected, 1e-5)
+        expected = light_of(every_light(*brighter).channels)
+        near(light_anew(samples, *brighter), expected, 1e-5)
