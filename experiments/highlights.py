@@ -87,7 +87,7 @@ def measure(size: int) -> Result:
             )
             ratio.append(float(fit.material.shininess) / exponent)
             residual.append(
-                np.linalg.norm(fit.residuals.astype(float)) / np.linalg.norm(image)
+                np.linalg.norm(np.asarray(fit.residuals, float)) / np.linalg.norm(image)
             )
     shape = len(EXPONENTS), len(ANGLES)
     return Result(np.reshape(ratio, shape), np.reshape(residual, shape))

@@ -190,7 +190,7 @@ def outcome(mistake: Mistake, draws: int, seed: int) -> Outcome:
         float(np.mean([fit.neighbour_correlation for fit in fits])),
         tuple(np.array(DIAGNOSTICS)[raised.mean(axis=0) > 0.5].tolist()),
         mistake.excuse,
-        fits[0].residuals.mean(axis=-1) / NOISE,
+        np.mean(fits[0].residuals, axis=-1) / NOISE,
     )
 
 

@@ -8,7 +8,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from phongfit.checks import as_light, as_scalar, at_least
-from phongfit.vectors import Rgb, Scalar
+from phongfit.vectors import Rgb
 
 FogMode = Literal["linear", "exp", "exp2"]
 FOG_MODES: tuple[FogMode, ...] = get_args(FogMode)
@@ -63,7 +63,7 @@ class Fog(eqx.Module):
         if mode == "linear" and known and self.start == self.end:
             raise ValueError(f"end: expected a depth other than start, got {end}")
 
-    def transmittance(self, depth: Scalar) -> Scalar:
+    def transmittance(self, depth: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """Share in [0, 1] of the surface's light that comes through.
 
         **Arguments:** `depth` along the viewing axis, world units.

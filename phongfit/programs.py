@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar, dataclass_transform
+from typing import ParamSpec, TypeVar, dataclass_transform, no_type_check
 
 import equinox as eqx
 import jax
@@ -21,9 +21,10 @@ def record(cls: type[T]) -> type[T]:
     a fit makes and hands over a dozen. Fields of `metadata={"static": True}` are
     compiled in.
     """
-    return jax.tree_util.register_dataclass(
-        dataclasses.dataclass(frozen=True, eq=False)(cls)
-    )
+    made = dataclasses.dataclass(frozen=True, eq=False)(cls)
+    # JAX makes it of what stands for arrays, too.
+    no_type_check(made.__init__)
+    return jax.tree_util.register_dataclass(made)
 
 
 def program(*static: str) -> Callable[[Callable[P, R]], Callable[P, R]]:

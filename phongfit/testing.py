@@ -178,7 +178,7 @@ def _compare(
     wrong = excess > 0
     if not wrong.any():
         return
-    worst = np.unravel_index(np.argmax(excess), excess.shape)
+    worst = tuple(map(int, np.unravel_index(np.argmax(excess), excess.shape)))
     numbers = ", ".join(f"{way} {value[worst]:.9g}" for way, value in found.items())
     raise AssertionError(
         f"{what} at {name(*worst)}: {numbers}; allowed difference {allowed[worst]:.1g}"

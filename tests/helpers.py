@@ -39,6 +39,12 @@ def floats(array) -> jax.Array:
     return jnp.asarray(array, jnp.result_type(float))
 
 
+def only(value: T | tuple[T, ...]) -> T:
+    """What a fit of one image has, where fits of several have a tuple."""
+    assert not isinstance(value, tuple)
+    return value
+
+
 def known(value: T | None) -> T:
     """What is there in this case, though elsewhere it may be None."""
     assert value is not None

@@ -5,7 +5,7 @@ import math
 import os
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -32,9 +32,14 @@ from phongfit.material import Material
 from phongfit.plain import plain
 from phongfit.programs import program
 from phongfit.rendering.film import Film
+from phongfit.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+# (H, W, 3) each: one, or one a scene where several were given.
+Images: TypeAlias = np.ndarray | tuple[np.ndarray, ...]
 
 
 class Estimate(NamedTuple):
@@ -59,7 +64,7 @@ class Fit:
     films: tuple[Film, ...]
     material: Material
     stderr: Material
-    scene: Any
+    scene: Scene | tuple[Scene, ...]
     exposure: np.ndarray
     labels: tuple[str, ...]
     values: np.ndarray
@@ -69,9 +74,9 @@ class Fit:
     unidentified: np.ndarray
     bounds: np.ndarray
     tied: np.ndarray
-    photographs: Any
-    fitted: Any
-    residuals: Any
+    photographs: Images
+    fitted: Images
+    residuals: Images
     noise: float
     noise_given: bool
     arrays: tuple[str, ...]

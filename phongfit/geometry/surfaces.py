@@ -21,14 +21,14 @@ class GBuffer(eqx.Module):
     Outside `mask` the entries are harmless placeholders.
     """
 
-    position: Float[Array, "height width 3"]
-    normal: Float[Array, "height width 3"]
-    to_viewer: Float[Array, "height width 3"]
-    mask: Bool[Array, "height width"]
-    material_index: Int[Array, "height width"] | None = None
-    surface_normal: Float[Array, "height width 3"] | None = None
-    face: Int[Array, "height width"] | None = None
-    barycentrics: Float[Array, "height width 3"] | None = None
+    position: Float[Array, "*pixels 3"]
+    normal: Float[Array, "*pixels 3"]
+    to_viewer: Float[Array, "*pixels 3"]
+    mask: Bool[Array, "*pixels"]
+    material_index: Int[Array, "*pixels"] | None = None
+    surface_normal: Float[Array, "*pixels 3"] | None = None
+    face: Int[Array, "*pixels"] | None = None
+    barycentrics: Float[Array, "*pixels 3"] | None = None
     visibility: Float[Array, "*points lights"] | None = None
 
     def select(self, pixels: Int[Array, " n"]) -> "GBuffer":

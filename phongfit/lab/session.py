@@ -149,7 +149,7 @@ class Session:
                 loss=options.loss,
             )
             seconds = time.perf_counter() - start
-        residual, scale = residual_png(found.residuals, used)
+        residual, scale = residual_png(np.asarray(found.residuals), used)
         truth = target.truth
         return fit_response(found, truth) | {
             "seconds": seconds,

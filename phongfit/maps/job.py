@@ -3,7 +3,7 @@
 import dataclasses
 import hashlib
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
 
+@runtime_checkable
 class Fitted(Protocol):
     """What has a material: the [`Fit`][] of a whole image."""
 

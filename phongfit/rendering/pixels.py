@@ -26,7 +26,7 @@ class Haze(eqx.Module):
     transmittance: Float[Array, "*batch 1"]
     color: Float[Array, "*batch 3"]
 
-    def __call__(self, light: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    def __call__(self, light: Float[Array, "*batch rgb"]) -> Float[Array, "*batch rgb"]:
         return self.transmittance * light + (1 - self.transmittance) * self.color
 
 
@@ -43,7 +43,7 @@ class PixelTerms(eqx.Module):
     haze: Haze | None
     clamp: bool = eqx.field(static=True)
 
-    def radiance(self, material: Material) -> Float[Array, "*batch 3"]:
+    def radiance(self, material: Material) -> Float[Array, "*batch rgb"]:
         """Linear RGB of every pixel, before the film's clamp.
 
         **Raises:** `ValueError` if the material's parameters do not fit: see
@@ -56,7 +56,7 @@ class PixelTerms(eqx.Module):
             light = self.interpolation(light)
         return light if self.haze is None else self.haze(light)
 
-    def basis(self, shininess: Float[Array, "..."]) -> Float[Array, "*batch 3 4"]:
+    def basis(self, shininess: Float[Array, "..."]) -> Float[Array, "*batch rgb 4"]:
         """Radiance for each reflectance of 1: ambient, diffuse, specular, emission.
 
         With [`PixelTerms.fog_light`][] this is the whole image, save for a clamp at the
@@ -72,7 +72,7 @@ class PixelTerms(eqx.Module):
         )
         return jnp.stack([self._spread(values) for values in at_points], axis=-1)
 
-    def fog_light(self) -> Float[Array, "*batch 3"]:
+    def fog_light(self) -> Float[Array, "*batch rgb"]:
         """What fog alone adds to each pixel."""
         dark = jnp.zeros_like(self._spread(self.terms.diffuse))
         return dark if self.haze is None else self.haze(dark)
@@ -85,7 +85,9 @@ class PixelTerms(eqx.Module):
         # All points that a pixel interpolates are of the pixel's face, and material.
         return index[self.interpolation.index[..., 0]]
 
-    def _spread(self, values: Float[Array, "*points 3"]) -> Float[Array, "*batch 3"]:
+    def _spread(
+        self, values: Float[Array, "*points rgb"]
+    ) -> Float[Array, "*batch rgb"]:
         if self.interpolation is not None:
             values = self.interpolation(values)
         return values if self.haze is None else self.haze.transmittance * values

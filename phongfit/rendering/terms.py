@@ -34,7 +34,7 @@ class ShadingTerms(eqx.Module):
     material_index: Int[Array, "*batch"] | None = None
     materials: int = eqx.field(static=True, default=1)
 
-    def specular(self, shininess: Float[Array, "..."]) -> Float[Array, "*batch 3"]:
+    def specular(self, shininess: Float[Array, "..."]) -> Float[Array, "*batch rgb"]:
         """Basis image S(f), for an exponent as a parameter of a [`Material`][]."""
         shininess = self.leaf("shininess", shininess)
         *batch, _ = self.cosine.shape
@@ -192,7 +192,7 @@ def _visibility(
     return gbuffer.visibility
 
 
-def combine(terms: ShadingTerms, material: Material) -> Float[Array, "*batch 3"]:
+def combine(terms: ShadingTerms, material: Material) -> Float[Array, "*batch rgb"]:
     r"""$\text{emission} + \rho_a A + \rho_d D + \rho_s S(f)$, before any clamp.
 
     **Arguments:** `terms` of any batch shape; `material` whose parameters broadcast to
@@ -204,7 +204,7 @@ def combine(terms: ShadingTerms, material: Material) -> Float[Array, "*batch 3"]
     """
     shape = terms.diffuse.shape
 
-    def at_points(name: str, leaf: Float[Array, "..."]) -> Float[Array, "*batch 3"]:
+    def at_points(name: str, leaf: Float[Array, "..."]) -> Array:
         return _spread(name, terms.leaf(name, leaf), shape)
 
     return (

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from phongfit.fitting.problem.parameters import REFLECTANCES
-from phongfit.fitting.result import Fit
+from phongfit.fitting.result import Fit, Images
 from phongfit.fitting.uncertainty.numbers import number_with_error
 
 _MATERIAL = ("ambient", "diffuse", "specular", "shininess")
@@ -45,7 +45,7 @@ def unit(label: str) -> str:
     return _UNITS.get(last, _LENGTH)
 
 
-def as_tuple(images: Any) -> tuple[np.ndarray, ...]:
+def as_tuple(images: Images) -> tuple[np.ndarray, ...]:
     """Images of a fit, as a tuple even where one was given."""
     return images if isinstance(images, tuple) else (images,)
 

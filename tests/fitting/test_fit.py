@@ -7,7 +7,7 @@ import pytest
 import phongfit as pf
 from phongfit.files.outputs import write_json
 from tests.fitting.scenes import SIZE, TRUTH, as_vector, ball, photograph
-from tests.helpers import EPS, near
+from tests.helpers import EPS, near, only
 
 SCENE = ball()
 NOISE = 0.01
@@ -48,21 +48,23 @@ def test_what_comes_back():
 
 def test_images_that_come_back():
     fit = pf.fit(SCENE, NOISY)
-    assert fit.fitted.shape == fit.residuals.shape == (SIZE, SIZE, 3)
-    near(fit.fitted[MASK], np.asarray(pf.render(SCENE, fit.material))[MASK], 1e-5)
-    near(fit.residuals[MASK], (NOISY - fit.fitted)[MASK], 1e-5)
-    assert np.all(fit.residuals[~MASK] == 0)
-    chi_squared = np.sum((fit.residuals / fit.noise) ** 2)
+    fitted, residuals = only(fit.fitted), only(fit.residuals)
+    assert fitted.shape == residuals.shape == (SIZE, SIZE, 3)
+    near(fitted[MASK], np.asarray(pf.render(SCENE, fit.material))[MASK], 1e-5)
+    near(residuals[MASK], (NOISY - fitted)[MASK], 1e-5)
+    assert np.all(residuals[~MASK] == 0)
+    chi_squared = np.sum((residuals / fit.noise) ** 2)
     assert fit.chi_squared == pytest.approx(chi_squared, rel=1e-3)
 
 
 def test_photographs_come_back_as_they_were_given():
     image = np.where(MASK[..., None], NOISY, np.nan)
     fit = pf.fit(SCENE, image, mask=MASK)
-    near(fit.photographs[MASK], NOISY[MASK])
-    assert np.isnan(fit.photographs[~MASK]).all()
+    photographs = only(fit.photographs)
+    near(photographs[MASK], NOISY[MASK])
+    assert np.isnan(photographs[~MASK]).all()
     image[MASK] = 0
-    assert fit.photographs[MASK].any(), "a copy"
+    assert photographs[MASK].any(), "a copy"
     several = pf.fit([SCENE] * 2, (photograph for photograph in (NOISY, NOISY)))
     assert isinstance(several.photographs, tuple) and len(several.photographs) == 2
 
@@ -73,7 +75,7 @@ def test_the_background_is_shown_and_not_fitted():
     )
     image = np.where(MASK[..., None], NOISY, np.random.default_rng(0).random(3))
     fit = pf.fit(grey, image)
-    near(fit.fitted[0, 0], [0.1, 0.2, 0.3])
+    near(only(fit.fitted)[0, 0], [0.1, 0.2, 0.3])
     near(fit.values, pf.fit(SCENE, NOISY).values, 1e-5)
 
 
@@ -259,7 +261,7 @@ def test_a_film_that_was_never_clamped():
     above = pf.fit(bright, np.minimum(image, 1))
     assert above.film == clipped.film == "clamped, not rounded"
     near(above.values, clipped.values, 1e-6)
-    assert above.photographs.min() < 0
+    assert only(above.photographs).min() < 0
     check_near_truth(clipped)
     assert np.all(clipped.errors > found.errors)
     assert np.all(clipped.errors[6:] > 3 * found.errors[6:])

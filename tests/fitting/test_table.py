@@ -33,7 +33,7 @@ REGION = Region(
     np.array([0.5, 0.25, 0.125, 40.0]),
     np.eye(4),
     np.zeros(4, bool),
-    np.array([[0, 1], [0, 1], [0, 1], [1, 1000]]),
+    np.array([[0, 1], [0, 1], [0, 1], [1, 1000.0]]),
     np.array([False, False, False, True]),
     lambda: (Part(np.arange(4), (ABOUT,)),),
 )
@@ -55,7 +55,7 @@ def result(**changes) -> pf.Fit:
             covariance=COVARIANCE,
             at_bound=np.zeros(4, bool),
             unidentified=np.array([False, False, False, True]),
-            bounds=np.array([[0, 1], [0, 1], [0, 1], [1, 1000]]),
+            bounds=np.array([[0, 1], [0, 1], [0, 1], [1, 1000.0]]),
             tied=np.zeros(4, bool),
             photographs=np.zeros((2, 2, 3)),
             fitted=np.zeros((2, 2, 3)),

@@ -233,7 +233,7 @@ def median_deviation(
     low = high - 14 if least is None else jnp.minimum(jnp.log(least / 1.4826), high)
     half = jnp.sum(used).astype(size.dtype) / 2
 
-    def halve(_: int, edges: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halve(_: Array, edges: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = edges
         middle = (low + high) / 2
         below = jnp.sum(used & (size <= jnp.exp(middle))).astype(half.dtype)

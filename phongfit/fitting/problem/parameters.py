@@ -162,7 +162,7 @@ def _jumps(scenes: Sequence[Scene]) -> set[str]:
     }
 
 
-def is_known(name: str, scenes: Sequence[Scene]) -> bool:
+def is_known(name: Any, scenes: Sequence[Scene]) -> bool:
     """Whether all scenes have an array of this name."""
     return all(name in scene_arrays(scene) for scene in scenes)
 

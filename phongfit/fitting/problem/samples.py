@@ -83,8 +83,8 @@ class Channels:
         return jax.tree.map(lambda mark: 0 if mark else None, marks)
 
 
-def _colours(pixels: PixelTerms) -> list[Array]:
-    """The arrays whose last axis is colour."""
+def _colours(pixels: PixelTerms) -> list[Any]:
+    """The arrays whose last axis is colour, or what stands for them in a tree."""
     terms = [pixels.terms.ambient, pixels.terms.diffuse, pixels.terms.strength]
     return terms if pixels.haze is None else [*terms, pixels.haze.color]
 

@@ -145,7 +145,7 @@ class Specification:
         return {name: v for name, v in given if v != getattr(_USUAL, name)}
 
 
-def _names(argument: str, given: Sequence[str]) -> tuple[str, ...]:
+def _names(argument: str, given: Sequence[Any] | None) -> tuple[Any, ...]:
     if isinstance(given, str):
         raise ValueError(f"{argument}: expected a list of names, got {given!r}")
     return () if given is None else tuple(given)

@@ -24,7 +24,7 @@ class _State(eqx.Module):
 
     y: PyTree[Array]
     before: PyTree[Array]
-    triangle: Float[Array, "k n+1"]
+    triangle: Float[Array, "rows columns"]
     scale: Float[Array, " n"]
 
 

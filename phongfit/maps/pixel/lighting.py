@@ -24,7 +24,7 @@ class _Alike(eqx.Module):
     """Lights and fog of scenes of one kind, stacked along a first axis."""
 
     lights: tuple[AbstractLight, ...]
-    ambient: Float[Array, "scenes 3"]
+    ambient: Float[Array, "*scenes 3"]
     fog: Fog | None
 
 

@@ -6,7 +6,7 @@ fails costs no more than one that does not, and disturbs none.
 
 import dataclasses
 import functools
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -168,9 +168,13 @@ def fit_pixel(
     if settings.shared:
         found = optimization_barrier(solved(samples, known))
     else:
-        found = optimization_barrier(
-            jax.vmap(solved, in_axes=_EACH)(*_split(samples, known))
-        )
+
+        def alone(channel: PixelSamples, known: Known) -> _Found:
+            # Channels on their own share nothing but the cosines.
+            cosines = samples.log_cosine
+            return solved(dataclasses.replace(channel, log_cosine=cosines), known)
+
+        found = optimization_barrier(jax.vmap(alone)(*_split(samples, known)))
     total = _sum(weight)
     count = total.astype(jnp.int32)
     unknowns = settings.unknowns()
@@ -255,20 +259,14 @@ def _coloured(strength: Lights) -> Array:
     return coloured
 
 
-# Channels on their own share nothing but the cosines.
-_EACH = (PixelSamples(*cast(Any, (0, 0, 0, 0, 0, None))), 0)
-
-
 def _split(samples: PixelSamples, known: Known) -> tuple[PixelSamples, Known]:
-    """Samples of channels, each with its own exponent, along a new first axis."""
+    """Samples of channels, but for the cosines, along a new first axis."""
 
     def apart(leaf: Array) -> Array:
         return leaf[:, None]
 
-    cosines = samples.log_cosine
-    samples = jax.tree.map(apart, samples)
-    samples = dataclasses.replace(samples, log_cosine=cosines)
-    return samples, jax.tree.map(apart, known)
+    samples = dataclasses.replace(samples, log_cosine=())
+    return jax.tree.map(apart, samples), jax.tree.map(apart, known)
 
 
 def _box(settings: MapSettings, dtype: jnp.dtype) -> Box:

@@ -23,7 +23,9 @@ def test_every_direction_but_one_is_reached():
     cosine = targets @ BASE
     assert cosine.min() < -0.95
     y = 2 * (targets @ across.T) / (1 + cosine[:, None])
-    found = jax.vmap(on_sphere, in_axes=(None, None, 0))(BASE, floats(across), y)
+    found = jax.vmap(on_sphere, in_axes=(None, None, 0))(
+        floats(BASE), floats(across), y
+    )
     near(found, targets, 1e-4 if found.dtype == np.float32 else 1e-12)
 
 
