@@ -31,4 +31,6 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     return function if before else _typed(function)
 
 
-jaxtyping.install_import_hook("phongfit", "tests.annotations.checked")
+def pytest_configure() -> None:
+    """Before any test imports phongfit."""
+    jaxtyping.install_import_hook("phongfit", "tests.annotations.checked")

@@ -6,7 +6,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Int
 
 from phongfit.checks import untraced
 from phongfit.fitting.problem.inputs import (
@@ -240,7 +240,7 @@ def _expose(
     view: PixelTerms,
     unknowns: Unknowns,
     entries: Array,
-    which: np.int32,
+    which: np.int32 | Int[Array, ""],
     background: Array,
     loss: AbstractLoss,
     clamp: bool,

@@ -31,12 +31,12 @@ class _Alike(eqx.Module):
 class Basis(eqx.Module):
     """What the samples of one pixel are made of; see [`PixelSamples`][]."""
 
-    ambient: Float[Array, "3 images"]
-    diffuse: Float[Array, "3 images"]
-    strength: tuple[Float[Array, "3 images"], ...]
-    log_cosine: tuple[Float[Array, " images"], ...]
-    lit: Float[Array, " images"]
-    veil: Float[Array, "3 images"] | None
+    ambient: Float[Array, "3 *images"]
+    diffuse: Float[Array, "3 *images"]
+    strength: tuple[Float[Array, "3 *images"], ...]
+    log_cosine: tuple[Float[Array, "*images"], ...]
+    lit: Float[Array, "*images"]
+    veil: Float[Array, "3 *images"] | None
 
 
 class Lighting(eqx.Module):
