@@ -30,25 +30,60 @@ QUICK = (
 # Bytes of compiled programs, above which all are compiled anew: a run leaves a quarter
 # of it, and what changes in the code adds to it.
 MOST = 2**29
+# Tests during which annotations are checked, too: of what lies below a fit.
+CHECKED = (
+    "test_annotations.py",
+    "test_environment.py",
+    "test_lights.py",
+    "test_material.py",
+    "test_reflectance.py",
+    "test_scene.py",
+    "test_testing.py",
+    "test_vectors.py",
+    "geometry/test_cameras.py",
+    "geometry/test_shapes.py",
+    "geometry/test_surfaces.py",
+    "rendering/test_film.py",
+    "rendering/test_pixels.py",
+    "fitting/problem/test_charts.py",
+    "fitting/problem/test_layout.py",
+    "fitting/problem/test_losses.py",
+    "fitting/problem/test_noise.py",
+    "fitting/problem/test_samples.py",
+    "fitting/problem/test_unknowns.py",
+    "maps/pixel",
+)
 
 
 def main() -> int:
     """Both runs, the second one's output after the first's; 1 if one of them fails."""
-    command = [sys.executable, "-m", "pytest", "-q", *sys.argv[1:]]
+    asked = sys.argv[1:]
+    command = [sys.executable, "-m", "pytest", "-q"]
     environment = {"XLA_FLAGS": quick_flags()} | os.environ
     with tempfile.TemporaryFile("w+") as later:
         double = subprocess.Popen(
-            [*command, "-p", "no:cacheprovider"],
+            [*command, *asked, "-p", "no:cacheprovider"],
             env=environment | precision(64),
             stdout=later,
             stderr=subprocess.STDOUT,
         )
         print("float32", flush=True)
-        single = subprocess.run(command, env=environment | precision(32))
+        parts = [asked] if asked else in_parts()
+        single = [
+            subprocess.run([*command, *part], env=environment | precision(32))
+            for part in parts
+        ]
         status = double.wait()
         later.seek(0)
         print(f"\nfloat64\n{later.read()}", flush=True)
-    return int(bool(single.returncode or status))
+    return int(bool(status or any(part.returncode for part in single)))
+
+
+def in_parts() -> list[list[str]]:
+    """All tests, with the annotations of what some of them call checked as well."""
+    checked = [f"tests/{name}" for name in CHECKED]
+    others = [f"--ignore={path}" for path in checked]
+    return [others, ["-p", "tests.annotations", *checked]]
 
 
 def precision(bits: int) -> dict[str, str]:

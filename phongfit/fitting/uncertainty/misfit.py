@@ -222,7 +222,7 @@ def _rounds_alone(blocks: _Blocks) -> bool:
     common = blocks.sums[3].sum()
     if blocks.rounding is not None:
         common += blocks.rounding.deviation.sum()
-    return common < COARSE * blocks.sums[2].sum()
+    return bool(common < COARSE * blocks.sums[2].sum())
 
 
 def _compare_neighbours(images: Sequence[Tiles]) -> tuple[float, float]:
