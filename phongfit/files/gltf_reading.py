@@ -245,7 +245,7 @@ class _Reader:
         if primitive.material is not None:
             _at(self._file.materials, primitive.material, "material")
         # A mesh may be in many places: all of them take memory, and more when joined.
-        self._made += 3 * (faces.nbytes + 2 * local.nbytes)
+        self._made += 6 * (faces.nbytes + 2 * local.nbytes)
         afford(self._made, "triangles")
         linear, shift = matrix[:3, :3], matrix[:3, 3]
         if np.linalg.det(linear) < 0:

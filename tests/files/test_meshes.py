@@ -219,3 +219,14 @@ def test_many_materials_that_are_missing_are_few_warnings(tmp_path):
         mesh, _, names = pf.load_mesh(tmp_path / "a.obj")
     assert len(said) == 6 and "nor 85 others" in str(said[-1].message)
     assert names[:2] == ("m0", "m1") and mesh.materials == 90
+
+
+def test_a_mesh_that_takes_too_much_memory(tmp_path, monkeypatch):
+    for suffix in ("stl", "ply", "off", "obj", "glb"):
+        path = tmp_path / f"a.{suffix}"
+        path.write_bytes(_bytes(BOX.export(file_type=suffix)))
+        monkeypatch.setenv("PHONGFIT_MAX_MEMORY", "3K")
+        with pytest.raises(ValueError, match=rf"a\.{suffix}: .*at most 3 KB of memory"):
+            pf.load_mesh(path)
+        monkeypatch.delenv("PHONGFIT_MAX_MEMORY")
+        assert pf.load_mesh(path).mesh.materials == 1
