@@ -14,6 +14,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from phongfit.edge import shown
+
 MOST_MATERIALS = 2**16
 """A surface has no more: each has numbers of its own."""
 
@@ -43,13 +45,23 @@ def as_floats(name: str, value: Any) -> Float[Array, "..."]:
         array = value if given else (jnp if is_traced(value) else np).asarray(value)
         if array.dtype.kind not in "bfiucV":
             array = jnp.asarray(value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: {value!r} is not an array of numbers") from error
+    except Exception as error:
+        # An object that is asked for its numbers may fail in any way.
+        got = shown(value)
+        raise ValueError(f"{name}: {got} is not an array of numbers") from error
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
         raise ValueError(f"{name}: expected real numbers, got complex numbers")
     # Too large for the precision is infinite, which is refused in its own words.
     with np.errstate(over="ignore"):
         return jnp.asarray(array if array.dtype == wanted else array.astype(wanted))
+
+
+def as_array(name: str, value: Any) -> np.ndarray:
+    """`value` as a NumPy array of whatever is in it; `ValueError` names `name`."""
+    try:
+        return np.asarray(value)
+    except Exception as error:
+        raise ValueError(f"{name}: {shown(value)} is not an array") from error
 
 
 def as_vector(name: str, value: Any) -> Float[Array, "3"]:
@@ -96,7 +108,7 @@ def as_integers(name: str, value: Any, lowest: int, below: float) -> np.ndarray:
     if isinstance(value, Tracer):
         raise ValueError(f"{name}: expected known numbers, got a traced array")
     unmasked(name, value)
-    array = np.asarray(value)
+    array = as_array(name, value)
     if array.dtype.kind not in "iu":
         raise ValueError(f"{name}: expected whole numbers, got {array.dtype}")
     below = min(below, 2**31)

@@ -8,6 +8,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from phongfit.checks import as_light, as_scalar, at_least
+from phongfit.edge import checked
 from phongfit.vectors import Rgb
 
 FogMode = Literal["linear", "exp", "exp2"]
@@ -32,6 +33,7 @@ class Fog(eqx.Module):
     start: Float[Array, ""]
     end: Float[Array, ""]
 
+    @checked
     def __init__(
         self,
         color: Any = 0.5,

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.checks import as_reflectance, is_traced
+from phongfit.edge import checked
 from phongfit.presets import OPENGL_MATERIALS
 
 
@@ -81,6 +82,7 @@ def _written(value: Any) -> str:
     return f"({', '.join(numbers)})" if jnp.ndim(value) else numbers[0]
 
 
+@checked
 def stack_materials(materials: Iterable[Material]) -> Material:
     """Several materials as one `Material` of parameters (M, 3), for `material_index`.
 
@@ -114,6 +116,7 @@ def stack_materials(materials: Iterable[Material]) -> Material:
     return jax.tree.unflatten(jax.tree.structure(materials[0]), stacked)
 
 
+@checked
 def unstack_materials(material: Material, count: int | None = None) -> list[Material]:
     """The inverse of [`stack_materials`][]: one `Material` for each row.
 
@@ -142,6 +145,7 @@ def unstack_materials(material: Material, count: int | None = None) -> list[Mate
 PRESETS = tuple(OPENGL_MATERIALS)
 
 
+@checked
 def preset(name: str) -> Material:
     """One of the 24 classic OpenGL materials, for the Blinn-Phong model.
 

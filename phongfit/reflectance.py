@@ -11,6 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from phongfit.edge import check_fields, checked
 from phongfit.vectors import Scalar, Vec3, dot, normalize, power
 
 
@@ -85,6 +86,9 @@ class Phong(AbstractSpecular):
 
     gate: bool = eqx.field(static=True, default=True)
 
+    def __check_init__(self) -> None:
+        check_fields(self)
+
     def cosine(self, normal: Vec3, to_light: Vec3, to_viewer: Vec3) -> Scalar:
         cosine = dot(mirror(normal, to_light), to_viewer)
         return _gated(cosine, normal, to_light, self.gate)
@@ -116,6 +120,9 @@ class BlinnPhong(AbstractSpecular):
     gate: bool = eqx.field(static=True, default=True)
     normalized: bool = eqx.field(static=True, default=False)
 
+    def __check_init__(self) -> None:
+        check_fields(self)
+
     def cosine(self, normal: Vec3, to_light: Vec3, to_viewer: Vec3) -> Scalar:
         cosine = dot(halfway(to_light, to_viewer), normal)
         return _gated(cosine, normal, to_light, self.gate)
@@ -137,6 +144,7 @@ BlinnPhong.__init__.__doc__ = r"""**Arguments:**
 """
 
 
+@checked
 def blinn_from_phong(shininess: Float[Array, "..."]) -> Float[Array, "..."]:
     r"""Blinn exponent with about the highlight that Phong's `shininess` gives: $4 f$.
 
@@ -152,6 +160,7 @@ def blinn_from_phong(shininess: Float[Array, "..."]) -> Float[Array, "..."]:
     return 4 * shininess
 
 
+@checked
 def phong_from_blinn(shininess: Float[Array, "..."]) -> Float[Array, "..."]:
     """Phong exponent for a Blinn exponent: the inverse of [`blinn_from_phong`][]."""
     return shininess / 4

@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 
 from phongfit.checks import as_light
+from phongfit.edge import checked
 from phongfit.environment import Fog
 from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera
 from phongfit.geometry.shading import AbstractShading, PhongShading
@@ -30,6 +31,7 @@ class Scene(eqx.Module):
     fog: Fog | None
     local_viewer: bool | None = eqx.field(static=True)
 
+    @checked
     def __init__(
         self,
         surface: AbstractSurface,

@@ -9,9 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
+from phongfit.edge import checked
 from phongfit.vectors import Scalar
 
 
+@checked
 def check_gradients(
     function: Callable[[Any], Float[Array, "..."]],
     point: PyTree,

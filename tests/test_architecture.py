@@ -11,7 +11,8 @@ ROOT = Path(__file__).parents[1]
 # From left to right; each may import those to its left. A name of several parts that
 # share a place may import one another.
 ORDER = [
-    {"checks", "plain", "programs", "vectors"},
+    {"edge", "plain", "programs"},
+    {"checks", "vectors"},
     {"presets"},
     {"material", "reflectance", "lights", "environment", "testing"},
     {"geometry"},

@@ -62,7 +62,11 @@ def test_a_preset_by_another_spelling(name):
 
 @pytest.mark.parametrize(
     "name, hint",
-    [("bras", "did you mean 'brass'"), ("quux", "emerald, jade"), (3, "no preset 3")],
+    [
+        ("bras", "did you mean 'brass'"),
+        ("quux", "emerald, jade"),
+        (3, "expected text, got 3"),
+    ],
 )
 def test_no_such_preset(name, hint):
     with pytest.raises(ValueError, match=f"^name: .*{hint}"):

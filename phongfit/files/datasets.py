@@ -3,11 +3,13 @@
 import os
 from pathlib import Path
 
+from phongfit.edge import checked
 from phongfit.files.dataset import Dataset as Dataset, Photographs
 from phongfit.files.diligent import is_diligent, open_diligent
 from phongfit.files.scenes import SCENE_FILE, open_scene_dataset
 
 
+@checked
 def open_dataset(
     folder: str | os.PathLike[str],
     *,
@@ -34,6 +36,7 @@ def open_dataset(
     )
 
 
+@checked
 def read_dataset(
     folder: str | os.PathLike[str],
     *,

@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, UInt
 
+from phongfit.checks import as_array
+from phongfit.edge import checked
 from phongfit.files.budget import afford
 from phongfit.files.formats import (
     READERS,
@@ -28,6 +30,7 @@ Bits = Literal[8, 16, 32]
 """A channel's size in a file; 32 is a floating-point number."""
 
 
+@checked
 def read_image(
     path: str | os.PathLike[str],
     encoding: Encoding,
@@ -70,6 +73,7 @@ def read_image(
     return np.ascontiguousarray(image)
 
 
+@checked
 def read_film(path: str | os.PathLike[str], encoding: Encoding) -> Film:
     """How light became the numbers of an image file, for [`fit`][].
 
@@ -122,6 +126,7 @@ def read_mask(
     return grey > grey.max() / 2
 
 
+@checked
 def write_image(
     path: str | os.PathLike[str],
     image: Any,
@@ -217,7 +222,9 @@ def _wanted_suffix(path: Path, known: Any) -> str:
 
 
 def _as_image(path: Path, image: Any) -> np.ndarray:
-    light = np.asarray(image)
+    light = as_array("image", image)
+    if light.dtype.kind not in "bfiu":
+        raise ValueError(f"{path}: expected an image of numbers, got {light.dtype}")
     if light.ndim == 2:
         light = np.stack([light] * 3, axis=-1)
     if light.ndim != 3 or light.shape[-1] != 3 or 0 in light.shape:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 
+from phongfit.edge import checked
 from phongfit.files.budget import afford
 from phongfit.files.gltf_reading import GltfPart, Shade, read_gltf
 from phongfit.files.inputs import inside, naming, read_bytes, read_text, reason
@@ -40,6 +41,7 @@ class LoadedMesh(NamedTuple):
     names: tuple[str, ...]
 
 
+@checked
 def load_mesh(path: str | os.PathLike[str], **options: Any) -> LoadedMesh:
     """A triangle mesh from OBJ (with .mtl), PLY, STL, glTF, GLB or OFF.
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from phongfit.edge import checked
 from phongfit.files.inputs import inside, naming, read_text
 from phongfit.files.limits import colour, exponent, limited
 from phongfit.files.outputs import replacing
@@ -31,6 +32,7 @@ COLOURS = {"Ka": "ambient", "Kd": "diffuse", "Ks": "specular", "Ke": "emission"}
 TEXTURES = ("map_", "bump", "disp", "decal", "refl", "norm")
 
 
+@checked
 def read_mtl(path: str | os.PathLike[str]) -> dict[str, Material]:
     """The materials of a `.mtl` file by their names, in the file's order.
 
@@ -112,6 +114,7 @@ def _of_texture(path: Path, name: str | None, words: list[str]) -> str:
     )
 
 
+@checked
 def write_mtl(
     path: str | os.PathLike[str],
     materials: Mapping[str, Material],

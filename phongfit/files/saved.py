@@ -7,6 +7,7 @@ from pathlib import Path
 
 import jax.numpy as jnp
 
+from phongfit.edge import checked
 from phongfit.files import scenes as scenes  # all kinds that scenes are made of
 from phongfit.files.packing import read_packed, write_packed
 from phongfit.fitting.result import Fit
@@ -19,6 +20,7 @@ _REMEDIES = {
 }
 
 
+@checked
 def save_fit(path: str | os.PathLike[str], fit: Fit) -> None:
     """Write a fit with its images, geometry and statistics: see [`load_fit`][].
 
@@ -34,6 +36,7 @@ def save_fit(path: str | os.PathLike[str], fit: Fit) -> None:
     write_packed(Path(path), {**_header(), "made_with": made_with}, whole)
 
 
+@checked
 def load_fit(path: str | os.PathLike[str]) -> Fit:
     """The fit that [`save_fit`][] wrote: it prints, draws and predicts as it did then.
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from phongfit.edge import checked
 from phongfit.files.arguments import describe
 from phongfit.files.arrays import write_array
 from phongfit.files.budget import afford
@@ -38,6 +39,7 @@ PIXEL, LIGHT = 16, 48
 """Bytes that a render takes for each pixel of a scene: in all, and for each light."""
 
 
+@checked
 def load_scene(path: str | os.PathLike[str]) -> Scene:
     """A scene from its file, or from the folder of a data set, with all lights on.
 
@@ -65,6 +67,7 @@ def load_views(path: str | os.PathLike[str]) -> tuple[tuple[Scene, ...], Film]:
     return tuple(views) or (with_lights(scene, None),), record.film()
 
 
+@checked
 def save_scene(
     path: str | os.PathLike[str],
     scene: Scene,

@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, PlainValidator
 
+from phongfit.edge import checked
 from phongfit.files.arguments import (
     RECORDS,
     AbstractPart,
@@ -88,6 +89,7 @@ FAMILIES = (
 )
 
 
+@checked
 def register(made: type, kind: str, /, **keys: str) -> None:
     """Let scene files know a class: [`load_scene`][] and [`save_scene`][] take it then.
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Int
 
 from phongfit.checks import untraced
+from phongfit.edge import checked
 from phongfit.fitting.problem.inputs import (
     is_number,
 )
@@ -42,14 +43,15 @@ from phongfit.rendering.pixels import PixelTerms, resolve_terms
 from phongfit.scene import Scene
 
 
+@checked
 def fit(
     scene: Scene | Sequence[Scene],
     image: Any,
     *,
-    unknowns: Sequence[str] = DEFAULT_UNKNOWNS,
-    per_channel: Sequence[str] = DEFAULT_PER_CHANNEL,
+    unknowns: Sequence[str] | None = DEFAULT_UNKNOWNS,
+    per_channel: Sequence[str] | None = DEFAULT_PER_CHANNEL,
     known: Material | None = None,
-    per_image: Sequence[str] = (),
+    per_image: Sequence[str] | None = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
     fixed: Mapping[str, Any] | None = None,
     ties: Mapping[str, Tie] | None = None,

@@ -10,6 +10,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from phongfit.edge import checked
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.samples import by_channel, join_pixels
 from phongfit.fitting.result import Fit
@@ -21,6 +22,7 @@ from phongfit.scene import Scene
 MAX_STEPS = 100
 
 
+@checked
 def refit(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Material:
     r"""The material for other images or scenes, from where a fit ended.
 

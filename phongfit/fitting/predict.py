@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from phongfit.checks import untraced
+from phongfit.edge import checked
 from phongfit.fitting.problem.layout import first_values
 from phongfit.fitting.problem.losses import Linear
 from phongfit.fitting.problem.posing import set_up
@@ -65,6 +66,7 @@ class Prediction:
         return str(self)
 
 
+@checked
 def predict_errors(
     scene: Scene | Sequence[Scene],
     material: Material,

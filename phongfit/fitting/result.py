@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from phongfit.edge import checked
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.problem.unknowns import Unknowns
@@ -93,6 +94,7 @@ class Fit:
     region: Region
     solution: SearchResult
 
+    @checked
     def __getitem__(self, name: str) -> Estimate:
         """A parameter by its name, or one number by its label.
 
@@ -113,6 +115,7 @@ class Fit:
             self.unidentified[chosen],
         )
 
+    @checked
     def intervals(self, level: float = 0.95) -> np.ndarray:
         """Intervals that hold the truth with a chance of `level`, by Student's t.
 
@@ -140,6 +143,7 @@ class Fit:
         """How far down and up the intervals of one standard error reach, (n, 2)."""
         return np.abs(self.region.ends(1.0) - self.values[:, None])
 
+    @checked
     def profile(
         self, name: str, other: str | None = None, *, levels: Sequence[float] = LEVELS
     ) -> Any:
@@ -175,7 +179,10 @@ class Fit:
         chosen_few = chosen[:few] if self.converged else ()
         return Diagnostics(chosen, tuple(map(self.profile, chosen_few)), convergence)
 
-    def plot(self, names: Sequence[str] = ()) -> "Figure":
+    @checked
+    def plot(
+        self, names: Sequence[str | int | float | os.PathLike[str]] = ()
+    ) -> "Figure":
         """Photograph, fit and residual as a matplotlib figure, of some of the images.
 
         **Arguments:** `names`: of the images; default their numbers.
@@ -196,6 +203,7 @@ class Fit:
 
         return plot_correlations(self)
 
+    @checked
     def plot_profile(self, name: str, other: str | None = None) -> "Figure":
         """The profile of one unknown with its intervals, or the regions of a pair.
 
@@ -284,6 +292,7 @@ class Fit:
         }
         return plain(numbers)
 
+    @checked
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write all of it to one file, for [`load_fit`][]: see [`save_fit`][]."""
         from phongfit.files.saved import save_fit

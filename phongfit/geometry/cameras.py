@@ -16,6 +16,7 @@ from equinox import AbstractVar
 from jaxtyping import Array, Float
 
 from phongfit.checks import as_floats, as_scalar, as_vector, nonzero, require
+from phongfit.edge import checked
 from phongfit.vectors import Scalar, Vec3, normalize
 
 
@@ -89,6 +90,7 @@ def _positive(name: str, value: Any, below: float = np.inf) -> Scalar:
     return require(name, as_scalar(name, value), inside, inside, wanted)
 
 
+@checked
 def look_at(position: Any, target: Any, up: Any = (0, 1, 0)) -> Float[Array, "3 3"]:
     """Rotation of a camera at `position` that sees `target` in its centre.
 
@@ -124,6 +126,7 @@ class OrthographicCamera(AbstractCamera):
     position: Float[Array, "3"]
     rotation: Float[Array, "3 3"]
 
+    @checked
     def __init__(
         self,
         width: int = 256,
@@ -190,6 +193,7 @@ class PerspectiveCamera(AbstractCamera):
     position: Float[Array, "3"]
     rotation: Float[Array, "3 3"]
 
+    @checked
     def __init__(
         self,
         width: int = 256,

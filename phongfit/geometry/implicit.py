@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from phongfit.checks import as_vector, require
+from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, Ray
 from phongfit.geometry.normals import implicit_normal
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer, trace_rays
@@ -24,6 +25,7 @@ class ImplicitSurface(AbstractSurface):
     upper: Float[Array, "3"]
     steps: int = eqx.field(static=True)
 
+    @checked
     def __init__(
         self,
         function: Callable[[Vec3], Scalar],
@@ -57,6 +59,7 @@ class ImplicitSurface(AbstractSurface):
         require("upper", size, positive, positive, "a corner above lower on each axis")
         self.steps = steps
 
+    @checked
     @eqx.filter_jit
     def trace(self, camera: AbstractCamera) -> GBuffer:
         return trace_rays(self.intersect, camera)

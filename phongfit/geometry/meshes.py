@@ -11,7 +11,15 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from phongfit.checks import as_floats, as_indices, as_integers, as_scalar, require
+from phongfit.checks import (
+    as_array,
+    as_floats,
+    as_indices,
+    as_integers,
+    as_scalar,
+    require,
+)
+from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, Ray
 from phongfit.geometry.normals import (
     WEIGHTINGS,
@@ -73,6 +81,7 @@ class Mesh(AbstractSurface):
     two_sided: bool = eqx.field(static=True)
     _materials: int = eqx.field(static=True)
 
+    @checked
     def __init__(
         self,
         vertices: Any,
@@ -104,7 +113,7 @@ class Mesh(AbstractSurface):
         vertices = as_floats("vertices", vertices)
         if vertices.ndim != 2 or vertices.shape[1] != 3:
             raise ValueError(f"vertices: expected shape (V, 3), got {vertices.shape}")
-        if np.size(faces) == 0:
+        if not isinstance(faces, Tracer) and as_array("faces", faces).size == 0:
             raise ValueError("faces: expected a mesh of at least one, got none")
         faces = as_integers("faces", faces, 0, len(vertices))
         if faces.ndim != 2 or faces.shape[1] != 3:
@@ -153,6 +162,7 @@ class Mesh(AbstractSurface):
         """Unit normals of the faces; zero for degenerate ones."""
         return face_normals(self.vertices, self.faces)
 
+    @checked
     def trace(self, camera: AbstractCamera) -> GBuffer:
         rays, seen, inside = _aim(self, camera)
         inside = jax.lax.stop_gradient(inside)
@@ -288,6 +298,7 @@ def _interpolate(
     )
 
 
+@checked
 def join(meshes: Iterable[Mesh]) -> Mesh:
     """Several objects as one mesh, each with materials of its own.
 

@@ -11,11 +11,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.checks import as_floats, require
+from phongfit.edge import checked
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.normals import parametric_normal
 from phongfit.vectors import Scalar, Vec3, norm
 
 
+@checked
 def tessellate(
     function: Callable[[Scalar, Scalar], Vec3],
     u: Any = (0.0, 1.0),
@@ -42,8 +44,9 @@ def tessellate(
     point = jax.eval_shape(
         function, *(jax.ShapeDtypeStruct((), end.dtype) for end in ends)
     )
-    if point.shape != (3,):
-        raise ValueError(f"function: expected points of shape (3,), got {point.shape}")
+    shape = getattr(point, "shape", None)
+    if shape != (3,):
+        raise ValueError(f"function: expected points of shape (3,), got {shape}")
     if all(eqx.is_array(leaf) for leaf in jax.tree.leaves(function)):
         # One program for each shape and size.
         vertices, normals = _kept_grid(function, *ends, columns, rows)

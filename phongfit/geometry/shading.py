@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from equinox import AbstractVar
 from jaxtyping import Array, Float, Int
 
+from phongfit.edge import check_fields, checked
 from phongfit.geometry.cameras import AbstractCamera
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer
@@ -125,6 +126,9 @@ class GouraudShading(AbstractShading):
 
     clamp: bool = eqx.field(static=True, default=False)
 
+    def __check_init__(self) -> None:
+        check_fields(self)
+
     def check(self, surface: AbstractSurface) -> None:
         _as_mesh(surface)
 
@@ -166,6 +170,7 @@ class FlatShading(AbstractShading):
     at: Place = eqx.field(static=True)
     clamp: bool = eqx.field(static=True)
 
+    @checked
     def __init__(self, at: Place = "centroid", clamp: bool = False):
         """**Arguments:**
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.checks import as_scalar, require
+from phongfit.edge import checked
 from phongfit.geometry.implicit import ImplicitSurface
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.parametric import tessellate
@@ -31,11 +32,13 @@ class AbstractShape(eqx.Module):
     def corner(self) -> Float[Array, "3"]:
         """Corner of a box that the shape fills, or that bounds it if it is open."""
 
+    @checked
     def surface(self, *, steps: int = 128) -> ImplicitSurface:
         """The shape to be traced as it is: see [`ImplicitSurface`][]."""
         corner = self.corner()
         return ImplicitSurface(self.implicit, -corner, corner, steps=steps)
 
+    @checked
     def mesh(
         self, columns: int = 64, rows: int = 32, *, two_sided: bool = False
     ) -> Mesh:
@@ -140,6 +143,7 @@ class HeightField(AbstractShape):
     height: Float[Array, ""]
     relief: Float[Array, ""]
 
+    @checked
     def __init__(
         self,
         function: Callable[[Scalar, Scalar], Scalar],
@@ -179,6 +183,7 @@ def _level(x: Scalar, y: Scalar) -> Scalar:
     return jnp.zeros_like(x)
 
 
+@checked
 def plane(width: Any = 2.0, height: Any = 2.0) -> HeightField:
     """A rectangle that faces +z.
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.checks import as_floats, as_indices, as_scalar, as_vector, require
+from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera, Ray
 from phongfit.vectors import Vec3, dot, normalize, normalize_all
 
@@ -160,6 +161,7 @@ class Sphere(AbstractSurface):
         position = jnp.where(hit, self.center + self.radius * normal, self.center)
         return position, normal, hit
 
+    @checked
     @eqx.filter_jit
     def trace(self, camera: AbstractCamera) -> GBuffer:
         return trace_rays(self.intersect, camera)
@@ -186,6 +188,7 @@ class NormalMap(AbstractSurface):
     material_index: Int[Array, "height width"] | None
     _materials: int = eqx.field(static=True)
 
+    @checked
     def __init__(
         self,
         normals: Any,
@@ -240,6 +243,7 @@ class NormalMap(AbstractSurface):
             "material_index", material_index, size
         )
 
+    @checked
     @eqx.filter_jit
     def trace(self, camera: AbstractCamera) -> GBuffer:
         if self.mask.shape != (camera.height, camera.width):

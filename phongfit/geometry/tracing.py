@@ -7,12 +7,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera
 from phongfit.geometry.shading import AbstractShading, LightingPoints, PhongShading
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer
 from phongfit.lights import AbstractLight
 
 
+@checked
 def trace(
     surface: AbstractSurface,
     camera: AbstractCamera,

@@ -222,7 +222,7 @@ def make_settings(
 def _bound(name: str, bounds: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
     try:
         low, high = (float(edge) for edge in bounds.get(name, DEFAULT_BOUNDS[name]))
-    except (TypeError, ValueError) as error:
+    except Exception as error:
         raise ValueError(f"bounds: {name}: expected (low, high)") from error
     if not low < high or not (low > 0 if name == "shininess" else low >= 0):
         raise ValueError(

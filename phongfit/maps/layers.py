@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from phongfit.checks import NOISE, is_noise, unmasked
+from phongfit.checks import NOISE, as_array, is_noise, unmasked
+from phongfit.edge import shown
 from phongfit.fitting.problem.inputs import is_number
 from phongfit.maps.stacks import Update, gather
 
@@ -31,14 +32,14 @@ class Layers:
             unmasked(name, one)
         fine = (tuple(size), (*size, 3))
         if not isinstance(given, list | tuple):
-            given = np.asarray(given)
+            given = as_array(name, given)
             if given.shape in fine:
                 given = [given]
             elif given.ndim in (0, 2):
                 raise ValueError(
                     f"{name}: expected shape {fine[0]} or {fine[1]}, got {given.shape}"
                 )
-        layers = [np.asarray(layer) for layer in given]
+        layers = [as_array(name, layer) for layer in given]
         if len(layers) not in (1, count):
             raise ValueError(
                 f"{name}: expected {count}, one an image, got {len(layers)}"
@@ -150,13 +151,13 @@ class Noise:
             try:
                 number: Any = noise
                 self.level = float(number)
-            except (TypeError, ValueError):
+            except Exception:
                 self.level = np.nan
             if not is_noise(self.level):
                 low, high = NOISE
                 raise ValueError(
                     f"noise: expected a number > 0, from {low:g} to {high:g}, got "
-                    f"{noise!r}"
+                    f"{shown(noise)}"
                 )
 
     def weigh(

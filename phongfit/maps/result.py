@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from phongfit.edge import checked
 from phongfit.files.arrays import unpack
 from phongfit.files.inputs import read_bytes, reason
 from phongfit.files.outputs import replacing
@@ -72,10 +73,12 @@ class Maps:
         with np.errstate(divide="ignore", invalid="ignore"):
             return (self.noise / np.asarray(level, self.noise.dtype)) ** 2
 
+    @checked
     def flagged(self, flag: Flag) -> Bool[np.ndarray, "height width"]:
         """Pixels with any of the given flags."""
         return (self.flags & int(flag)) != 0
 
+    @checked
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write all maps to an `.npz` file, in one piece; [`load_maps`][] reads it.
 
@@ -135,6 +138,7 @@ Maps.__init__.__doc__ = """**Arguments:**
 """
 
 
+@checked
 def load_maps(path: str | os.PathLike[str]) -> Maps:
     """Maps from a file of [`Maps.save`][].
 

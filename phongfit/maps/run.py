@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from phongfit.checks import untraced
+from phongfit.edge import checked, shown
 from phongfit.fitting.problem.losses import AbstractLoss
 from phongfit.maps.job import (
     Fitted,
@@ -46,6 +47,7 @@ PART_BYTES = 2**24
 and enough that a last block of a few unsettled pixels does not show."""
 
 
+@checked
 def fit_maps(
     scenes: Sequence[Scene],
     images: Any,
@@ -143,7 +145,7 @@ def fit_maps(
     pixels = np.flatnonzero(seen)
     if not len(pixels):
         raise ValueError("mask: it leaves no pixel that sees the surface")
-    mesh = Mesh(np.array(devices or jax.local_devices()), ("pixels",))
+    mesh = _as_mesh(devices)
     size, part = _tile_size(len(pixels), len(scenes), tile_pixels, mesh)
     tiles = [pixels[k : k + size] for k in range(0, len(pixels), size)]
     with contextlib.ExitStack() as place:
@@ -208,6 +210,13 @@ def _as_one(film: Film | Sequence[Film] | None, noise: Any) -> Film | None:
     if len({one is None or one.clamp for one in films}) != 1:
         raise ValueError("film: expected one clamp for all images, got both or none")
     return films[0]
+
+
+def _as_mesh(devices: Sequence[Any] | None) -> Mesh:
+    devices = list(devices or jax.local_devices())
+    if not all(isinstance(device, jax.Device) for device in devices):
+        raise ValueError(f"devices: expected devices of JAX, got {shown(devices)}")
+    return Mesh(np.array(devices), ("pixels",))
 
 
 def _check_sizes(scenes: tuple[Scene, ...], shape: tuple[int, int, int]) -> None:

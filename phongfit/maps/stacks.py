@@ -12,6 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from phongfit.checks import as_array
+from phongfit.edge import checked
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import read_image
 from phongfit.files.inputs import read_bytes, recording
@@ -57,13 +59,15 @@ class ArrayStack(AbstractStack):
 
         **Raises:** `ValueError` that names the image: not floats, or another shape.
         """
-        if not isinstance(images, np.ndarray):
+        if not isinstance(images, np.ndarray) or not images.ndim:
             try:
                 images = list(images)
-            except TypeError as error:
+            except Exception as error:
                 raise ValueError("images: expected a sequence of images") from error
-        arrays = [image if isinstance(image, np.ndarray) else np.asarray(image)
-                  for image in images]  # fmt: skip
+        arrays = [
+            image if isinstance(image, np.ndarray) else as_array(f"images[{k}]", image)
+            for k, image in enumerate(images)
+        ]
         if not arrays:
             raise ValueError("images: expected at least one, got none")
         first = arrays[0].shape
@@ -114,6 +118,7 @@ class ArrayStack(AbstractStack):
 class PhotographStack(AbstractStack):
     """Image files, decoded anew for every tile: one of them is in memory at a time."""
 
+    @checked
     def __init__(self, paths: Sequence[str | os.PathLike[str]], encoding: Encoding):
         """**Arguments:**
 
@@ -170,6 +175,7 @@ class DatasetStack(AbstractStack):
         maps = pf.fit_maps(data.scenes, stack, mask=stack.mask, film=data.film)
     """
 
+    @checked
     def __init__(self, photographs: Photographs):
         """Reads every photograph once, to know that all are sound.
 

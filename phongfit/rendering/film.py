@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from phongfit.edge import checked
 from phongfit.rendering.jpeg import JpegCompression, compressed, namespace
 
 Encoding = Literal["linear", "srgb"]
@@ -49,6 +50,7 @@ class Film(eqx.Module):
     bits: int | None = eqx.field(static=True)
     jpeg: JpegCompression | None = eqx.field(static=True)
 
+    @checked
     def __init__(
         self,
         clamp: bool = True,
@@ -77,7 +79,10 @@ class Film(eqx.Module):
         if jpeg is not None and self.bits != 8:
             raise ValueError(f"bits: expected 8 beside jpeg, got {self.bits}")
 
-    def expose(self, light: Any) -> Float[Array, "..."]:
+    @checked
+    def expose(
+        self, light: Float[Array, "..."] | Float[np.ndarray, "..."]
+    ) -> Float[Array, "..."]:
         """Linear light as what is stored, in [0, 1] if clamped.
 
         Of any shape; (height, width, 3) for a JPEG.

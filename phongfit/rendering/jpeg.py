@@ -18,6 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from phongfit.checks import as_array, as_integers
+from phongfit.edge import check_fields, checked
+
 Table = tuple[tuple[int, ...], ...]
 SAMPLINGS = {
     "4:4:4": ((1, 1), (1, 1), (1, 1)),
@@ -49,18 +52,16 @@ class JpegCompression:
     ycbcr: bool = True
 
     def __post_init__(self) -> None:
-        tables = tuple(_as_table(table) for table in self.tables)
-        if len(tables) not in (1, 3):
-            raise ValueError(f"tables: expected 1 or 3 of 8 × 8, got {len(tables)}")
-        sampling = self.sampling or ((1, 1),) * len(tables)
-        sampling = tuple((int(across), int(down)) for across, down in sampling)
+        check_fields(self)
+        tables = _as_tables(self.tables)
+        sampling = _as_pairs(self.sampling) or ((1, 1),) * len(tables)
         if len(sampling) != len(tables):
             raise ValueError(
                 f"sampling: expected {len(tables)} pairs, one a table, got "
                 f"{len(sampling)}"
             )
         most = np.max(sampling, axis=0)
-        if np.min(sampling) < 1 or np.any(most % np.array(sampling)):
+        if np.any(most % np.array(sampling)):
             raise ValueError(
                 "sampling: expected whole numbers that divide the largest, got "
                 f"{sampling}"
@@ -69,6 +70,7 @@ class JpegCompression:
         object.__setattr__(self, "sampling", sampling)
 
     @classmethod
+    @checked
     def at_quality(cls, quality: int, subsampling: str = "4:2:0") -> "JpegCompression":
         """What most programs mean by a quality of 1 … 100.
 
@@ -130,13 +132,22 @@ class JpegCompression:
 _FROM_YCBCR = np.array([[1, 0, 1.402], [1, -0.344136, -0.714136], [1, 1.772, 0]])
 
 
-def _as_table(given: Any) -> Table:
-    steps = np.asarray(given)
-    if steps.shape != (8, 8) or not np.all(steps >= 1):
+def _as_tables(given: Any) -> tuple[Table, ...]:
+    steps = as_integers("tables", given, 1, 2**16)
+    if steps.ndim != 3 or len(steps) not in (1, 3) or steps.shape[1:] != (8, 8):
         raise ValueError(
-            f"tables: expected steps ≥ 1 of shape (8, 8), got shape {steps.shape}"
+            f"tables: expected shape (1, 8, 8) or (3, 8, 8), got {steps.shape}"
         )
-    return tuple(tuple(int(step) for step in row) for row in steps)
+    return tuple(tuple(map(tuple, table)) for table in steps.tolist())
+
+
+def _as_pairs(given: Any) -> tuple[tuple[int, int], ...]:
+    if as_array("sampling", given).size == 0:
+        return ()
+    pairs = as_integers("sampling", given, 1, 256)
+    if pairs.shape[1:] != (2,):
+        raise ValueError(f"sampling: expected pairs, got shape {pairs.shape}")
+    return tuple(map(tuple, pairs.tolist()))
 
 
 def compressed(

@@ -10,6 +10,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from phongfit.edge import checked
 from phongfit.geometry.shading import Interpolation
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
@@ -148,6 +149,7 @@ def _gather(terms: ShadingTerms, index: Int[Array, " n"]) -> ShadingTerms:
     return eqx.tree_at(lambda t: t.model, jax.tree.map(at, terms), terms.model)
 
 
+@checked
 @eqx.filter_jit
 def pixel_terms(scene: Scene, gbuffer: GBuffer) -> PixelTerms:
     """What the image of a scene is made of, save for the material.

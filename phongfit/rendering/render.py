@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from phongfit.edge import checked
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
 from phongfit.rendering.film import Film
@@ -11,6 +12,7 @@ from phongfit.rendering.pixels import pixel_terms
 from phongfit.scene import Scene
 
 
+@checked
 def render(
     scene: Scene,
     material: Material,

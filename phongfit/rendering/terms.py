@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from phongfit.edge import checked
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.lights import AbstractLight
 from phongfit.material import Material
@@ -129,6 +130,7 @@ def point_terms(
     )
 
 
+@checked
 @eqx.filter_jit
 def terms(scene: Scene, gbuffer: GBuffer) -> ShadingTerms:
     """The terms of a scene, at every point that its shading method lights.
@@ -192,6 +194,7 @@ def _visibility(
     return gbuffer.visibility
 
 
+@checked
 def combine(terms: ShadingTerms, material: Material) -> Float[Array, "*batch rgb"]:
     r"""$\text{emission} + \rho_a A + \rho_d D + \rho_s S(f)$, before any clamp.
 

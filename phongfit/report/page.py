@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 
+from phongfit.edge import checked
 from phongfit.files.outputs import replacing
 from phongfit.fitting.result import Fit
 from phongfit.fitting.uncertainty.diagnostics import Diagnostics
@@ -16,18 +17,20 @@ from phongfit.report.panels import (
     residuals,
     trio,
 )
+from phongfit.report.pictures import Title
 from phongfit.report.plots import chosen, names_of
 from phongfit.report.repeat import call, names as names_in_call
 from phongfit.report.style import styled
 from phongfit.report.words import assumptions as assumed, listed, summary
 
 
+@checked
 def write_page(
     path: str | os.PathLike[str],
     fit: Fit,
     *,
-    title: str,
-    names: Sequence[str] = (),
+    title: Title,
+    names: Sequence[Title] = (),
     assumptions: Mapping[str, str] | None = None,
     command: str = "",
     loading: str = "",
@@ -66,8 +69,8 @@ def write_page(
 def page(
     fit: Fit,
     *,
-    title: str,
-    names: Sequence[str] = (),
+    title: Title,
+    names: Sequence[Title] = (),
     assumptions: Mapping[str, str] | None = None,
     command: str = "",
     loading: str = "",
@@ -84,7 +87,7 @@ def page(
         left_over = residuals(fit)
     return fill(
         "page.html",
-        title=title,
+        title=str(title),
         converged=fit.converged,
         sections=_sections(bool(fit.warnings)),
         sentences=summary(fit),

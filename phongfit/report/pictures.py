@@ -1,6 +1,7 @@
 """Pictures: an image, and photograph, fit and residual side by side."""
 
 import dataclasses
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,10 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from phongfit.checks import as_array
+from phongfit.edge import checked
 from phongfit.plain import readable
 from phongfit.rendering.film import encode
 from phongfit.report.style import SIGNED, picture, quiet, styled
 
+Title = str | int | float | os.PathLike[str]
 INCHES = 2.1
 
 
@@ -35,7 +39,8 @@ def displayed(image: Any) -> np.ndarray:
     return np.asarray(encode(np.clip(known, 0, 1), "srgb"))
 
 
-def show(image: Any, *, title: str = "", brighten: float = 1.0) -> Figure:
+@checked
+def show(image: Any, *, title: Title = "", brighten: float = 1.0) -> Figure:
     """An image in linear light, as a screen shows it, as a matplotlib figure.
 
     **Arguments:**
@@ -47,7 +52,7 @@ def show(image: Any, *, title: str = "", brighten: float = 1.0) -> Figure:
 
     **Raises:** `ValueError` that names the argument.
     """
-    pixels = np.asarray(image)
+    pixels = as_array("image", image)
     if pixels.dtype.kind not in "bfiu" or not (
         pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] == 3)
     ):
@@ -65,7 +70,7 @@ def show(image: Any, *, title: str = "", brighten: float = 1.0) -> Figure:
         else:
             shown = axes.imshow(brighten * pixels.astype(float), cmap="viridis")
             figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.03)
-        axes.set_title(title)
+        axes.set_title(str(title))
         quiet(axes)
     return figure
 

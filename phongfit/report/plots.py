@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from phongfit.fitting.result import Fit
 from phongfit.fitting.uncertainty.convergence import Convergence
-from phongfit.report.pictures import Row, comparison, draw_residual
+from phongfit.report.pictures import Row, Title, comparison, draw_residual
 from phongfit.report.residuals import draw_against_level, draw_blocks, draw_histogram
 from phongfit.report.style import ACCENT, INK, SIGNED, picture, quiet, styled
 from phongfit.report.words import as_tuple
@@ -31,11 +31,12 @@ def brightening(fit: Fit, images: Sequence[int]) -> float:
     return 1.0 if brightest > 0.5 else min(1 / max(brightest, 1e-3), 1e3)
 
 
-def names_of(fit: Fit, names: Sequence[str]) -> list[str]:
+def names_of(fit: Fit, names: Sequence[Title]) -> list[str]:
     """A name for each image: those given, or a number.
 
     **Raises:** `ValueError` if there are names, but not one for each image.
     """
+    names = list(names)
     if names and len(names) != fit.n_images:
         raise ValueError(
             f"names: expected {fit.n_images}, one an image, got {len(names)}"
@@ -45,7 +46,7 @@ def names_of(fit: Fit, names: Sequence[str]) -> list[str]:
     return [""] if fit.n_images == 1 else [f"image {k}" for k in range(fit.n_images)]
 
 
-def plot(fit: Fit, names: Sequence[str] = (), most: int = MOST_IMAGES) -> Figure:
+def plot(fit: Fit, names: Sequence[Title] = (), most: int = MOST_IMAGES) -> Figure:
     """Photograph, fit and residual of some images, the residual with its scale.
 
     **Arguments:**

@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from phongfit.checks import NOISE, is_noise, unmasked
+from phongfit.checks import NOISE, as_array, is_noise, unmasked
 from phongfit.scene import Scene
 
 
@@ -82,7 +82,7 @@ def _check_alike(scenes: Sequence[Scene]) -> None:
 def is_number(given: Any) -> bool:
     """Whether one number came for all samples."""
     # NumPy would make an array of a list first, which fails for images of two sizes.
-    return not isinstance(given, list | tuple) and np.ndim(given) == 0
+    return not isinstance(given, list | tuple) and not as_array("noise", given).ndim
 
 
 def _sequence(name: str, given: Any, count: int) -> list[Any]:
@@ -102,7 +102,7 @@ def _photograph(
     which: str, scene: Scene, image: Any, mask: Any, weights: Any, noise: Any
 ) -> Observation:
     shape = (scene.camera.height, scene.camera.width, 3)
-    pixels = np.asarray(image)
+    pixels = as_array(f"image{which}", image)
     if pixels.dtype.kind != "f":
         raise ValueError(
             f"image{which}: expected linear light as floats, where white is 1 (see "
@@ -157,7 +157,7 @@ def _photograph(
 def _per_sample(name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
     """A number, (H, W) or (H, W, 3) as (H, W, 3)."""
     unmasked(name, given)
-    values = np.asarray(given)
+    values = as_array(name, given)
     if values.dtype.kind not in "bfiu":
         raise ValueError(f"{name}: expected numbers, got {values.dtype} values")
     if values.shape == shape[:2]:

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from phongfit.edge import shown
 from phongfit.fitting.problem.charts import nearest_rotation, tangents
 from phongfit.fitting.problem.parameters import (
     DEFAULT_BOUNDS,
@@ -137,12 +138,13 @@ class _Names:
         entries = self.entries(argument, name)
         try:
             values = np.broadcast_to(np.asarray(given, float).ravel(), entries.shape)
-        except (TypeError, ValueError) as error:
+        except Exception as error:
+            wanted = f"expected {len(entries)} numbers"
             raise ValueError(
-                f"{argument}: {name}: expected {len(entries)} numbers, got {given!r}"
+                f"{argument}: {name}: {wanted}, got {shown(given)}"
             ) from error
         if not np.all(np.isfinite(values)):
-            raise ValueError(f"{argument}: {name}: {given!r} is not finite")
+            raise ValueError(f"{argument}: {name}: {shown(given)} is not finite")
         return values
 
 
@@ -264,11 +266,11 @@ def _share_and_name(name: str, given: Tie) -> tuple[float, str]:
     try:
         share, other = given
         factor = float(share)
-    except (TypeError, ValueError):
+    except Exception:
         factor, other = np.nan, None
     if not np.isfinite(factor) or not isinstance(other, str):
         raise ValueError(
-            f"ties: {name}: expected a name or (factor, name), got {given!r}"
+            f"ties: {name}: expected a name or (factor, name), got {shown(given)}"
         )
     return factor, other
 
@@ -381,9 +383,9 @@ def _check_fixed(
 def _box(name: str, box: tuple[float, float], form: str) -> tuple[float, float]:
     try:
         low, high = (float(edge) for edge in box)
-    except (TypeError, ValueError) as error:
+    except Exception as error:
         raise ValueError(
-            f"bounds: {name}: expected (low, high), got {box!r}"
+            f"bounds: {name}: expected (low, high), got {shown(box)}"
         ) from error
     if not low < high:
         raise ValueError(f"bounds: {name}: {low:g} < {high:g} does not hold")
@@ -403,9 +405,10 @@ def _priors(
     for name, given in priors.items():
         try:
             center, width = given
-        except (TypeError, ValueError) as error:
+        except Exception as error:
             raise ValueError(
-                f"priors: {name}: expected (mean, standard deviation), got {given!r}"
+                f"priors: {name}: expected (mean, standard deviation), got "
+                f"{shown(given)}"
             ) from error
         entries = names.entries("priors", name)
         mean[entries] = names.numbers("priors", name, center)

@@ -9,12 +9,14 @@ constants give 95 % efficiency on Gaussian noise.
 """
 
 import abc
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+from phongfit.edge import is_number, shown
 
 Values = Float[Array, "..."]
 
@@ -59,6 +61,21 @@ class AbstractLoss(eqx.Module):
         return jnp.where(zero, 1, score / jnp.where(zero, 1, residual))
 
 
+def _tuning(default: float) -> Any:
+    """Where a loss bends, in standard deviations; a `ValueError` names it."""
+    return eqx.field(static=True, default=default, converter=_as_tuning)
+
+
+def _as_tuning(value: Any) -> float:
+    # Its square is to be neither lost nor infinite in single precision.
+    low, high = 1e-6, 1e6
+    if not is_number(value) or not low <= value <= high:
+        raise ValueError(
+            f"k: expected a number from {low:g} to {high:g}, got {shown(value)}"
+        )
+    return float(value)
+
+
 class Linear(AbstractLoss):
     r"""Least squares: $\rho(z) = z$."""
 
@@ -75,7 +92,7 @@ class Huber(AbstractLoss):
     r"""$z$ up to $k^2$, then $2 k \sqrt z - k^2$: outliers pull, but no harder."""
 
     robust: ClassVar[bool] = True
-    k: float = eqx.field(static=True, default=1.345)
+    k: float = _tuning(1.345)
 
     def ratio(self, z: Values) -> Values:
         outer = jnp.maximum(z, self.k**2)
@@ -86,7 +103,7 @@ class SoftL1(AbstractLoss):
     r"""$2 k^2 (\sqrt{1 + z/k^2} - 1)$: Huber's loss without the corner."""
 
     robust: ClassVar[bool] = True
-    k: float = eqx.field(static=True, default=1.345)
+    k: float = _tuning(1.345)
 
     def ratio(self, z: Values) -> Values:
         # (√(1+x) − 1) / x, in the form that does not cancel for small x.
@@ -97,7 +114,7 @@ class Cauchy(AbstractLoss):
     r"""$k^2 \ln(1 + z/k^2)$: outliers pull ever less."""
 
     robust: ClassVar[bool] = True
-    k: float = eqx.field(static=True, default=2.385)
+    k: float = _tuning(2.385)
 
     def ratio(self, z: Values) -> Values:
         x = z / self.k**2
@@ -111,7 +128,7 @@ class Tukey(AbstractLoss):
     """
 
     robust: ClassVar[bool] = True
-    k: float = eqx.field(static=True, default=4.685)
+    k: float = _tuning(4.685)
 
     def ratio(self, z: Values) -> Values:
         inside = jnp.minimum(z / self.k**2, 1)
@@ -132,6 +149,7 @@ def as_loss(value: str | AbstractLoss) -> AbstractLoss:
     """A loss from its name, or the loss itself; `ValueError` for anything else."""
     if isinstance(value, AbstractLoss):
         return value
-    if value not in LOSSES:
-        raise ValueError(f"loss: expected one of {', '.join(LOSSES)}, got {value!r}")
+    if not isinstance(value, str) or value not in LOSSES:
+        names = ", ".join(LOSSES)
+        raise ValueError(f"loss: expected one of {names}, got {shown(value)}")
     return LOSSES[value]

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from phongfit.checks import untraced
+from phongfit.edge import checked
 from phongfit.fitting.problem.inputs import Observation, as_photographs, as_scenes
 from phongfit.fitting.problem.layout import make_unknowns
 from phongfit.fitting.problem.noise import find_film, rounding_steps
@@ -23,6 +24,7 @@ from phongfit.rendering.pixels import PixelTerms, resolve, resolve_terms
 from phongfit.scene import Scene
 
 
+@checked
 def make_problem(
     scene: Scene | Sequence[Scene],
     image: Any,

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from phongfit.edge import checked
 from phongfit.fitting.problem.losses import AbstractLoss, as_loss
 from phongfit.fitting.problem.parameters import MATERIAL_PARAMETERS, is_of_scene
 from phongfit.material import Material
@@ -39,12 +40,13 @@ class Specification:
     loss: AbstractLoss
     max_steps: int
 
+    @checked
     def __init__(
         self,
         *,
-        unknowns: Sequence[str] = DEFAULT_UNKNOWNS,
-        per_channel: Sequence[str] = DEFAULT_PER_CHANNEL,
-        per_image: Sequence[str] = (),
+        unknowns: Sequence[str] | None = DEFAULT_UNKNOWNS,
+        per_channel: Sequence[str] | None = DEFAULT_PER_CHANNEL,
+        per_image: Sequence[str] | None = (),
         known: Material | None = None,
         bounds: Mapping[str, tuple[float, float]] | None = None,
         fixed: Mapping[str, Any] | None = None,

@@ -1,7 +1,7 @@
 """Profile likelihood: what holding an unknown costs, all others fitted again."""
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -136,7 +136,9 @@ def profile_pair(
     return ProfilePair((labels[0], labels[1]), (first, second), rise, thresholds)
 
 
-def _check_levels(levels: Iterable[float]) -> None:
+def _check_levels(levels: Sequence[float]) -> None:
+    if not len(levels):
+        raise ValueError("levels: expected at least one, got none")
     for level in levels:
         if not 0 < level < 1:
             raise ValueError(f"levels: expected numbers in (0, 1), got {level!r}")
@@ -162,7 +164,8 @@ class _Held:
     def __init__(self, found: SearchResult, labels: Iterable[str], inflation: float):
         self.problem, self.best = found.problem, found.y
         unknowns = found.problem.unknowns
-        self.indices = [_index(unknowns, label) for label in labels]
+        given = zip(("name", "other"), labels, strict=False)
+        self.indices = [_index(unknowns, *pair) for pair in given]
         self.lower = np.asarray(unknowns.lower)
         self.upper = np.asarray(unknowns.upper)
         at_best = statistics(found.problem, found.y, inflation)
@@ -248,11 +251,12 @@ class _Held:
         return tuple(unknowns.bounds[row].tolist())
 
 
-def _index(unknowns: Unknowns, label: str) -> int:
+def _index(unknowns: Unknowns, argument: str, label: str) -> int:
     labels = list(unknowns.y_labels)
     free = [one for one in labels if labels.count(one) == 1]
     if label not in free:
-        raise ValueError(f"name: expected one of {', '.join(free)}, got {label!r}")
+        there = ", ".join(free)
+        raise ValueError(f"{argument}: expected one of {there}, got {label!r}")
     return labels.index(label)
 
 

@@ -60,7 +60,10 @@ def test_it_stays_as_it_is():
 @pytest.mark.parametrize(
     "options, words",
     [
-        ({"unknowns": "diffuse"}, "unknowns: expected a list of names, got 'diffuse'"),
+        (
+            {"unknowns": "diffuse"},
+            "unknowns: expected a list of names or None, got 'diffuse'",
+        ),
         ({"unknowns": ()}, "unknowns: expected .*, got none"),
         (
             {"unknowns": ("diffuse", "diffuse")},

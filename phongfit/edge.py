@@ -1,0 +1,259 @@
+"""The public edge: arguments of a wrong kind are refused by name, before any work.
+
+What an argument may be is read off its annotation. Arrays that JAX traces pass, and
+nothing is converted: `jit`, `vmap` and `grad` see the function as it is. What an
+argument annotated with `Any` may be, the function says itself: see
+[`phongfit.checks`][].
+"""
+
+import dataclasses
+import functools
+import inspect
+import os
+import types
+import typing
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, Literal, NamedTuple, ParamSpec, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import AbstractArray
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+SHOWN = 60
+"""How many characters of a value stand in a message."""
+
+
+class Kind(NamedTuple):
+    """What an argument may be, in words and as a test."""
+
+    words: str
+    holds: Callable[[Any], bool]
+
+
+def checked(function: Callable[P, R]) -> Callable[P, R]:
+    """The same function, which refuses arguments that its annotations do not allow.
+
+    Takes a few microseconds a call. Too many arguments, and names that the function
+    does not have, are `TypeError`s, as always. An iterator in place of a list becomes a
+    tuple, to be gone through twice.
+
+    **Raises:** `ValueError` that names the argument, what was expected and what came.
+    """
+    names = [
+        name
+        for name, parameter in inspect.signature(function).parameters.items()
+        if parameter.kind is not inspect.Parameter.KEYWORD_ONLY
+    ]
+    kinds = _Kinds(function)
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        named = [kinds.taken(*pair) for pair in zip(names, args, strict=False)]
+        options = {name: kinds.taken(name, value) for name, value in kwargs.items()}
+        # What is too much is the function's to refuse.
+        return function(*named, *args[len(named) :], **options)  # pyright: ignore
+
+    return call
+
+
+def check_fields(record: Any) -> None:
+    """The same for a dataclass, after its fields are set.
+
+    **Raises:** `ValueError` that names the field.
+    """
+    kinds = _of_class(type(record))
+    for field in dataclasses.fields(record):
+        kinds.taken(field.name, getattr(record, field.name))
+
+
+@functools.cache
+def _of_class(record: type) -> "_Kinds":
+    return _Kinds(record)
+
+
+class _Kinds:
+    """The kinds of a function's arguments; made out when they are first asked for."""
+
+    def __init__(self, of: Any):
+        self._of = of
+        self._kinds: dict[str, Kind | None] | None = None
+
+    def taken(self, name: str, value: Any) -> Any:
+        """The value as the function gets it."""
+        if self._kinds is None:
+            hints = inspect.get_annotations(inspect.unwrap(self._of))
+            self._kinds = {key: kind_of(hint) for key, hint in hints.items()}
+        kind = self._kinds.get(name)
+        if kind is None:
+            return value
+        if isinstance(value, Iterator) and not kind.holds(value):
+            value = tuple(value)
+        if not kind.holds(value):
+            raise ValueError(f"{name}: expected {kind.words}, got {shown(value)}")
+        return value
+
+
+def shown(value: Any) -> str:
+    """A value in a few words of one line, whatever it is."""
+    if isinstance(value, jax.Array | np.ndarray) and np.ndim(value):
+        return f"an array of shape {value.shape}, {value.dtype}"
+    plain = value is None or isinstance(
+        value, str | bytes | int | float | complex | np.generic | list | tuple | dict
+    )
+    try:
+        text = repr(value) if plain else type(value).__name__
+    except Exception:
+        # Integers of thousands of digits, and objects that do not know themselves.
+        text = type(value).__name__
+    if isinstance(value, type):
+        text = f"the class {value.__name__}"
+    text = " ".join(text.split())
+    return text if len(text) <= SHOWN else f"{text[: SHOWN - 1]}…"
+
+
+def kind_of(hint: Any) -> Kind | None:
+    """What an annotation allows; `None` where that is all, or not for us to say."""
+    origin, parts = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return _any_of(parts)
+    if origin is Literal:
+        return Kind(_either([repr(part) for part in parts]), _among(parts))
+    if origin is tuple and len(parts) == 2 and parts[1] is Ellipsis:
+        return _several(parts[0])
+    if isinstance(origin, type):
+        if issubclass(origin, Mapping):
+            return _mapping(parts[1])
+        if origin is not tuple and issubclass(origin, Iterable):
+            return _several(parts[0])
+        if origin is os.PathLike:
+            return Kind("a path", _is_path)
+        return Kind("a function", callable) if origin is _CALLABLE else None
+    if hint is None or hint is types.NoneType:
+        return Kind("None", lambda value: value is None)
+    if not isinstance(hint, type) or getattr(hint, "_is_protocol", False):
+        return None
+    if hint is Any or hint is object:
+        return None
+    if hint in _PLAIN:
+        return _PLAIN[hint]
+    if issubclass(hint, AbstractArray):  # pyright: ignore
+        return Kind("an array of real numbers", _is_array)
+    article = "an" if hint.__name__[0] in "AEIOU" else "a"
+    return Kind(f"{article} {hint.__name__}", lambda value: isinstance(value, hint))
+
+
+def _any_of(parts: tuple[Any, ...]) -> Kind | None:
+    # Text that may be a path is one.
+    paths = [part for part in parts if typing.get_origin(part) is os.PathLike]
+    kinds = [kind_of(part) for part in parts if not (paths and part is str)]
+    known = [kind for kind in kinds if kind is not None]
+    if len(known) < len(kinds):
+        return None
+    words = _either([kind.words for kind in known])
+    return Kind(words, lambda value: any(kind.holds(value) for kind in known))
+
+
+def _either(words: list[str]) -> str:
+    *most, last = words
+    return f"{', '.join(most)} or {last}" if most else last
+
+
+def _among(choices: tuple[Any, ...]) -> Callable[[Any], bool]:
+    def holds(value: Any) -> bool:
+        # Arrays, and what is not hashable, are not even compared.
+        return isinstance(value, str | int | np.integer) and value in choices
+
+    return holds
+
+
+def _several(part: Any) -> Kind:
+    one = kind_of(part)
+    words = "a list" if one is None else f"a list, each entry {one.words}"
+    words = "a list of names" if part is str else words
+
+    def holds(values: Any) -> bool:
+        if isinstance(values, str | bytes | Mapping | Iterator | Tracer):
+            return False
+        if isinstance(values, np.ndarray | jax.Array):
+            known = isinstance(values, np.ndarray) or _is_real(values)
+            values = values.tolist() if known else None
+        return isinstance(values, Iterable) and (
+            one is None or all(one.holds(value) for value in values)
+        )
+
+    return Kind(words, holds)
+
+
+def _mapping(part: Any) -> Kind:
+    one = kind_of(part)
+    words = "a mapping of names" + ("" if one is None else f", each to {one.words}")
+
+    def holds(values: Any) -> bool:
+        return isinstance(values, Mapping) and all(
+            isinstance(name, str) and (one is None or one.holds(value))
+            for name, value in values.items()
+        )
+
+    return Kind(words, holds)
+
+
+def _is_path(value: Any) -> bool:
+    return isinstance(value, str | os.PathLike) and "\0" not in str(value)
+
+
+def _is_real(value: Any) -> bool:
+    """Of arrays and of NumPy's numbers: are they real, or bools?"""
+    if not isinstance(value, jax.Array | np.ndarray | np.generic):
+        return False
+    kinds = jnp.floating, jnp.integer, jnp.bool_
+    return any(jnp.issubdtype(value.dtype, kind) for kind in kinds)
+
+
+def _is_array(value: Any) -> bool:
+    if isinstance(value, int):
+        # JAX makes 32 bits of it.
+        return -(2**31) <= value < 2**31
+    return _is_real(value) or is_number(value)
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is one real number, but not NaN; what is traced may be."""
+    if isinstance(value, int):
+        return _fits(value)
+    if isinstance(value, float):
+        return value == value
+    if not _is_real(value) or np.ndim(value):
+        return False
+    return isinstance(value, Tracer) or bool(value == value)
+
+
+def _is_whole(value: Any) -> bool:
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    return whole and _fits(int(value))
+
+
+def _fits(number: int) -> bool:
+    return -(2**63) <= number < 2**63
+
+
+def _is_flag(value: Any) -> bool:
+    if isinstance(value, int):
+        return value in (0, 1)
+    if not _is_real(value) or np.ndim(value) or isinstance(value, Tracer):
+        return False
+    return value.dtype.kind == "b"
+
+
+_CALLABLE = typing.get_origin(Callable[[], None])
+_PLAIN: dict[Any, Kind] = {
+    str: Kind("text", lambda value: isinstance(value, str)),
+    bool: Kind("True or False", _is_flag),
+    int: Kind("a whole number of at most 64 bits", _is_whole),
+    float: Kind("a number", is_number),
+    type: Kind("a class", lambda value: isinstance(value, type)),
+}

@@ -1,0 +1,427 @@
+"""Calls of the library with one wrong argument: it works, or the argument is named."""
+
+import contextlib
+import decimal
+import fractions
+import functools
+import io
+import os
+import pathlib
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phongfit.cli import main
+from tests.campaign.cases import Case, Kind, Wrong
+
+Call = tuple[Callable[..., Any], dict[str, Any]]
+
+
+class _Hostile:
+    """Whatever it is asked for, it fails in a way of its own."""
+
+    def __array__(self, *args: Any, **kwargs: Any) -> Any:
+        raise RuntimeError("no array today")
+
+    def __repr__(self) -> str:
+        raise RuntimeError("no words today")
+
+    def __bool__(self) -> bool:
+        raise RuntimeError("neither")
+
+    def __eq__(self, other: object) -> bool:
+        raise RuntimeError("incomparable")
+
+    __hash__ = None  # pyright: ignore
+
+
+@functools.cache
+def _parts() -> dict[str, Any]:
+    """Good arguments, of which each call gets some: made once a process."""
+    import phongfit as pf
+
+    camera = pf.OrthographicCamera(8, 8)
+    light = pf.DirectionalLight((1, 1, 2))
+    scene = pf.Scene(pf.Sphere(), camera, light, 0.3)
+    material = pf.Material((0.6, 0.3, 0.2), 0.3, 20.0, 0.5)
+    image = np.asarray(pf.render(scene, material), np.float32)
+    gbuffer = scene.trace()
+    mesh = pf.shapes.Ball().mesh(6, 4)
+    return {
+        "camera": camera,
+        "light": light,
+        "scene": scene,
+        "material": material,
+        "image": image,
+        "gbuffer": gbuffer,
+        "mesh": mesh,
+        "terms": pf.terms(scene, gbuffer),
+        "fit": pf.fit(scene, image),
+        "film": pf.Film(),
+    }
+
+
+@functools.cache
+def _calls() -> dict[str, Call]:
+    """Every public function and class that a user calls, with good arguments."""
+    import phongfit as pf
+
+    p = _parts()
+    scene, image, material = p["scene"], p["image"], p["material"]
+    fit, mesh, camera, light = p["fit"], p["mesh"], p["camera"], p["light"]
+    place = {"position": (0, 0, 3)}
+    colours = {"intensity": 1.0, "specular": 1.0, "ambient": 0.1}
+    fallen = {"attenuation": (1, 0, 0)}
+    flat = np.broadcast_to([0.0, 0.0, 1.0], (8, 8, 3))
+    asked = {
+        "unknowns": ("ambient", "diffuse", "specular", "shininess"),
+        "per_channel": ("ambient", "diffuse", "specular"),
+        "per_image": (),
+        "bounds": {"shininess": (1, 500)},
+        "fixed": {"ambient": 0.5},
+        "ties": {},
+        "priors": {},
+    }
+    data = {"scene": scene, "image": image}
+    more = {"known": material, "film": p["film"], "loss": "linear", "max_steps": 50}
+    weighed = {"mask": np.ones((8, 8), bool), "weights": 1.0, "noise": 0.01}
+    stack = {"scenes": [scene] * 6, "images": [image] * 6}
+    maps = {
+        "unknowns": ("diffuse",),
+        "per_channel": ("ambient", "diffuse", "specular"),
+        "known": material,
+        "bounds": {"diffuse": (0, 1)},
+        "mask": np.ones((8, 8), bool),
+        "noise": 0.01,
+        "film": p["film"],
+        "loss": "linear",
+        "start": material,
+        "min_cosine": 0.0,
+        "tile_pixels": 512,
+        "devices": None,
+        "output": None,
+        "progress": False,
+    }
+    size = {"width": 8, "height": 8}
+    seen = {"position": (0, 0, 5), "rotation": np.eye(3)}
+    looks = {"position": (0, 0, 5), "target": (0, 0, 0), "up": (0, 1, 0)}
+    calls: dict[str, Call] = {
+        "Material": (
+            pf.Material,
+            dict(diffuse=0.5, specular=0.1, shininess=10, ambient=0.1, emission=0),
+        ),
+        "DirectionalLight": (pf.DirectionalLight, dict(direction=(0, 0, 1)) | colours),
+        "PointLight": (pf.PointLight, place | colours | fallen),
+        "SpotLight": (
+            pf.SpotLight,
+            place
+            | colours
+            | fallen
+            | dict(axis=(0, 0, -1), cutoff=30.0, exponent=1.0),
+        ),
+        "Fog": (
+            pf.Fog, dict(color=0.5, mode="exp", density=1.0, start=0.0, end=1.0)
+        ),
+        "Sphere": (pf.Sphere, dict(center=(0, 0, 0), radius=1.0)),
+        "Mesh": (
+            pf.Mesh,
+            dict(
+                vertices=[[0, 0, 0], [1, 0, 0], [0, 1, 0]],
+                faces=[[0, 1, 2]],
+                normals=None,
+                material_index=[0],
+                weighting="area",
+                crease_angle=None,
+                two_sided=False,
+            ),
+        ),
+        "NormalMap": (
+            pf.NormalMap,
+            dict(normals=flat, mask=None, positions=None, material_index=None),
+        ),
+        "ImplicitSurface": (
+            pf.ImplicitSurface,
+            dict(
+                function=lambda p: (p**2).sum() - 1,
+                lower=(-1, -1, -1),
+                upper=(1, 1, 1),
+                steps=16,
+            ),
+        ),
+        "tessellate": (
+            pf.tessellate,
+            dict(
+                function=lambda u, v: __import__("jax").numpy.stack([u, v, u * v]),
+                u=(0, 1),
+                v=(0, 1),
+                columns=2,
+                rows=2,
+                two_sided=False,
+            ),
+        ),
+        "Ball": (pf.shapes.Ball, dict(radius=1.0)),
+        "Ball.mesh": (pf.shapes.Ball().mesh, dict(columns=6, rows=4, two_sided=False)),
+        "Ball.surface": (pf.shapes.Ball().surface, dict(steps=16)),
+        "Torus": (pf.shapes.Torus, dict(major=1.0, minor=0.2)),
+        "Cylinder": (pf.shapes.Cylinder, dict(radius=1.0, height=2.0)),
+        "HeightField": (
+            pf.shapes.HeightField,
+            dict(function=lambda x, y: x, width=1.0, height=1.0, relief=2.0),
+        ),
+        "plane": (pf.shapes.plane, dict(width=1.0, height=1.0)),
+        "OrthographicCamera": (
+            pf.OrthographicCamera, size | seen | dict(view_height=2.2)
+        ),
+        "PerspectiveCamera": (pf.PerspectiveCamera, size | seen | dict(fov_y=30.0)),
+        "OrthographicCamera.look_at": (
+            pf.OrthographicCamera.look_at, size | looks | dict(view_height=2.2)
+        ),
+        "PerspectiveCamera.look_at": (
+            pf.PerspectiveCamera.look_at, size | looks | dict(fov_y=30.0)
+        ),
+        "look_at": (pf.look_at, looks),
+        "Scene": (
+            pf.Scene,
+            dict(
+                surface=pf.Sphere(),
+                camera=camera,
+                lights=(light,),
+                ambient=0.3,
+                specular_model=pf.BlinnPhong(),
+                shading=pf.PhongShading(),
+                fog=None,
+                shadows=False,
+                background=0.0,
+                local_viewer=None,
+            ),
+        ),
+        "Film": (pf.Film, dict(clamp=True, encoding="srgb", bits=8, jpeg=None)),
+        "Film.expose": (pf.Film().expose, dict(light=image)),
+        "JpegCompression": (
+            pf.JpegCompression,
+            dict(
+                tables=np.ones((3, 8, 8), int), sampling=((1, 1),) * 3, ycbcr=True
+            ),
+        ),
+        "JpegCompression.at_quality": (
+            pf.JpegCompression.at_quality, dict(quality=90, subsampling="4:2:0")
+        ),
+        "BlinnPhong": (pf.BlinnPhong, dict(gate=True, normalized=False)),
+        "Phong": (pf.Phong, dict(gate=True)),
+        "FlatShading": (pf.FlatShading, dict(at="centroid", clamp=False)),
+        "GouraudShading": (pf.GouraudShading, dict(clamp=False)),
+        "Huber": (pf.Huber, dict(k=1.0)),
+        "SoftL1": (pf.SoftL1, dict(k=1.0)),
+        "Cauchy": (pf.Cauchy, dict(k=1.0)),
+        "Tukey": (pf.Tukey, dict(k=1.0)),
+        "blinn_from_phong": (pf.blinn_from_phong, dict(shininess=np.float32(3.0))),
+        "phong_from_blinn": (pf.phong_from_blinn, dict(shininess=np.ones(3))),
+        "preset": (pf.preset, dict(name="brass")),
+        "stack_materials": (pf.stack_materials, dict(materials=[material, material])),
+        "unstack_materials": (
+            pf.unstack_materials, dict(material=material, count=None)
+        ),
+        "join": (pf.join, dict(meshes=[mesh, mesh])),
+        "trace": (
+            pf.trace,
+            dict(
+                surface=pf.Sphere(),
+                camera=camera,
+                lights=(light,),
+                shadows=False,
+                shading=None,
+            ),
+        ),
+        "Sphere.trace": (pf.Sphere().trace, dict(camera=camera)),
+        "Mesh.trace": (mesh.trace, dict(camera=camera)),
+        "terms": (pf.terms, dict(scene=scene, gbuffer=p["gbuffer"])),
+        "pixel_terms": (pf.pixel_terms, dict(scene=scene, gbuffer=p["gbuffer"])),
+        "combine": (pf.combine, dict(terms=p["terms"], material=material)),
+        "render": (
+            pf.render,
+            dict(scene=scene, material=material, film=p["film"], gbuffer=p["gbuffer"]),
+        ),
+        "fit": (pf.fit, data | asked | more | weighed),
+        "Specification": (pf.Specification, asked | more),
+        "make_problem": (pf.make_problem, data | asked | weighed),
+        "predict_errors": (
+            pf.predict_errors,
+            asked
+            | dict(scene=scene, material=material, noise=0.01, film=p["film"])
+            | dict(mask=weighed["mask"], weights=1.0),
+        ),
+        "refit": (pf.refit, dict(fit=fit, scene=scene, image=image)),
+        "fit_maps": (pf.fit_maps, stack | maps),
+        "Fit.intervals": (fit.intervals, dict(level=0.95)),
+        "Fit.profile": (
+            fit.profile, dict(name="shininess", other=None, levels=(0.9,))
+        ),
+        "Fit.plot": (fit.plot, dict(names=("one",))),
+        "Fit.plot_profile": (fit.plot_profile, dict(name="shininess", other=None)),
+        "show": (pf.show, dict(image=image, title="title", brighten=1.0)),
+        "write_image": (
+            pf.write_image,
+            dict(path="out.png", image=image, encoding="srgb", bits=8),
+        ),
+        "read_image": (
+            pf.read_image, dict(path="in.png", encoding="srgb", max_pixels=None)
+        ),
+        "read_film": (pf.read_film, dict(path="in.png", encoding="srgb")),
+        "read_mtl": (pf.read_mtl, dict(path="in.mtl")),
+        "write_mtl": (
+            pf.write_mtl,
+            dict(path="out.mtl", materials={"one": material}, nearest=False),
+        ),
+        "save_scene": (
+            pf.save_scene,
+            dict(path="out.json", scene=scene, film=p["film"], images=()),
+        ),
+        "load_scene": (pf.load_scene, dict(path="in.json")),
+        "load_mesh": (pf.load_mesh, dict(path="in.obj")),
+        "save_fit": (pf.save_fit, dict(path="out.fit", fit=fit)),
+        "Fit.save": (fit.save, dict(path="out.fit")),
+        "load_fit": (pf.load_fit, dict(path="in.fit")),
+        "load_maps": (pf.load_maps, dict(path="in.npz")),
+        "open_dataset": (
+            pf.open_dataset, dict(folder="in", min_cosine=0.1, min_facing=0.1)
+        ),
+        "read_dataset": (
+            pf.read_dataset, dict(folder="in", min_cosine=0.1, min_facing=0.1)
+        ),
+        "PhotographStack": (
+            pf.PhotographStack, dict(paths=["in.png"], encoding="srgb")
+        ),
+        "write_page": (
+            pf.write_page,
+            dict(
+                path="out.html",
+                fit=fit,
+                title="title",
+                names=("one",),
+                assumptions={"a": "b"},
+                command="",
+                loading="",
+                diagnostics=None,
+            ),
+        ),
+        "check_gradients": (
+            functools.partial(
+                pf.testing.check_gradients, lambda x: x**2, np.ones(2)
+            ),
+            dict(order=1, finite_differences=True),
+        ),
+    }  # fmt: skip
+    return calls
+
+
+def _junk(random: np.random.Generator) -> Any:
+    """A value that hardly any argument is."""
+    import jax
+    import jax.numpy as jnp
+
+    dates = np.array(["2020-01-01"], "datetime64[D]")
+    ragged = [[1.0, 2.0], [3.0]]
+    deep: Any = 1.0
+    for _ in range(100):
+        deep = [deep]
+    plain = [
+        *(None, True, False, 0, 1, -1, 2, 3, 10**6, 2**31, 2**63, 2**64, -(2**63)),
+        *(10**400, -(10**400), 10**5000, 0.5, -0.5, 1e-320, 1e308, 1e39, -0.0),
+        *(float("nan"), float("inf"), -float("inf"), 1j, "", "x", "0.5", "linear"),
+        *("diffuse", "\0", "é" * 10_000, "\x1b[31m", b"", b"x", (), [], {}, set()),
+        *((1, 2), [1, 2, 3], (1, 2, 3, 4), {"a": 1}, {1: 2}, {"diffuse": "x"}),
+        *({"diffuse": (1, 0)}, {"diffuse": None}, {"diffuse": (0, 10**400)}),
+        *({"shininess": {}}, {"diffuse": 10**400}, {None: (0, 1)}, [None], ["x", 1]),
+        *(("diffuse",), ("shininess", "shininess"), [[]], ragged, deep, [10**400]),
+        *(object(), object, int, len, print, lambda: None, lambda x: x, Ellipsis),
+        *(NotImplemented, range(3), iter([1]), (x for x in (1, 2)), slice(1), os),
+        *(pathlib.Path("in.png"), pathlib.Path("/"), "/", ".", "/dev/null/x"),
+        *(decimal.Decimal("0.5"), fractions.Fraction(1, 2), io.BytesIO(), _Hostile()),
+        *(_Hostile, [_Hostile()], {"diffuse": _Hostile()}, bytearray(3)),
+        *(memoryview(b"abc"), frozenset({1}), Exception("x"), Wrong, re.compile("x")),
+    ]
+    arrays = [
+        *(np.array(1.0), np.array(3), np.array(True), np.float32(0.5), np.int64(5)),
+        *(np.str_("srgb"), np.datetime64("2020-01-01"), np.float16(1), np.uint8(200)),
+        *(np.zeros(0), np.zeros((0, 3)), np.zeros((8, 8)), np.ones((8, 8, 3))),
+        *(np.full((8, 8, 3), np.nan), np.full((8, 8, 3), np.inf), np.ones((8, 8, 4))),
+        *(-np.ones((8, 8, 3)), np.ones((1,) * 20), np.array(["a", "b"]), dates),
+        *(np.array([None, 1], object), np.array([1j, 2]), np.ones((3, 3), np.int8)),
+        *(np.zeros(3, [("a", "f4")]), np.ma.masked_less([1.0, 2], 2)),
+        *(np.ma.masked_all((8, 8, 3)), np.eye(3), np.ones(3), np.zeros(3), jnp.ones(3)),
+        *(jnp.ones((8, 8, 3)), jnp.zeros(()), jnp.array(3), jnp.array([1j])),
+        *(jax.random.key(0), jax.ShapeDtypeStruct((3,), np.float32), np.float64),
+        np.ones((8, 8, 3), np.uint8),
+    ]
+    parts = list(_parts().values())
+    pool = [plain, arrays, parts, [[part] for part in parts]]
+    kinds = pool[int(random.choice(len(pool), p=[0.5, 0.3, 0.1, 0.1]))]
+    return kinds[int(random.integers(len(kinds)))]
+
+
+def _told(value: Any) -> str:
+    try:
+        return f"{type(value).__name__} {value!r}"[:80]
+    except Exception as error:
+        return f"{type(value).__name__} ({type(error).__name__})"
+
+
+def _named(argument: str, junk: Any, words: str) -> bool:
+    """Whether an error speaks of the argument, or of the file that it names."""
+    if re.search(rf"(?<!\w){argument}(?!\w)", words):
+        return True
+    # A path is told by its own name, which may be shown in another way.
+    return argument == "paths" or (
+        argument in PATHS and isinstance(junk, str | os.PathLike)
+    )
+
+
+def make(random: np.random.Generator, stock: Path) -> Case:
+    calls = _calls()
+    name = str(random.choice(list(calls)))
+    function, arguments = calls[name]
+    argument = str(random.choice(list(arguments)))
+    junk = _junk(random)
+
+    def act(folder: Path) -> None:
+        with contextlib.chdir(folder / WORK), contextlib.redirect_stdout(io.StringIO()):
+            try:
+                function(**arguments | {argument: junk})
+            except (ValueError, OSError) as error:
+                if not _named(argument, junk, str(error)):
+                    raise Wrong(f"{argument} is not named: {error!r}") from error
+                raise
+
+    def arrange(folder: Path) -> None:
+        shutil.copytree(stock / "calls", folder / WORK)
+
+    return Case(f"{name}({argument}={_told(junk)})", arrange, act, (WORK,))
+
+
+WORK = "work"
+PATHS = ("path", "folder", "output", "paths")
+
+
+def prepare(stock: Path) -> None:
+    """Good files of all kinds that are read."""
+    import phongfit as pf
+
+    folder, p = stock / "calls", _parts()
+    folder.mkdir()
+    pf.write_image(folder / "in.png", p["image"], "srgb")
+    pf.write_mtl(folder / "in.mtl", {"one": p["material"]})
+    pf.save_scene(folder / "in.json", p["scene"])
+    pf.save_fit(folder / "in.fit", p["fit"])
+    triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    (folder / "in.obj").write_text(triangle)
+    stack = [p["scene"]] * 6, [p["image"]] * 6
+    maps = pf.fit_maps(*stack, unknowns=("diffuse",), known=p["material"])
+    maps.save(folder / "in.npz")
+    main(["synth", str(folder / "in"), "--resolution", "16", "--lights", "2"])
+
+
+KIND = Kind(make, prepare, seconds=60.0, megabytes=2500.0, share=2.0)
