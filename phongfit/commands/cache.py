@@ -20,6 +20,13 @@ def cache_folder() -> Path | None:
     return (Path(home) if home else Path("~/.cache").expanduser()) / "phongfit"
 
 
+def _is_private(folder: Path) -> bool:
+    """Whether nobody but this user, or the system's, may put files there."""
+    found = folder.stat()
+    users = {getattr(os, "geteuid", lambda: found.st_uid)(), 0}
+    return found.st_uid in users and not found.st_mode & 0o022
+
+
 def keep_compiled() -> None:
     """Let JAX keep what it compiles, if there is a folder for it to write to.
 
@@ -35,6 +42,13 @@ def keep_compiled() -> None:
     except OSError:
         return
     if not os.access(folder, os.R_OK | os.W_OK | os.X_OK):
+        return
+    if not _is_private(folder):
+        warnings.warn(
+            f"{folder}: is not used, since others may write programs into it that "
+            f"would be run (chmod go-w, or {SWITCH}=off)",
+            stacklevel=2,
+        )
         return
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation")
     jax.config.update("jax_compilation_cache_dir", str(folder))

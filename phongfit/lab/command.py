@@ -3,17 +3,25 @@
 import contextlib
 import dataclasses
 import importlib.util
+import math
+import os
 import socket
 import sys
 import threading
+import time
 import webbrowser
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    import uvicorn
+
     from phongfit.lab.session import Session
 
 MAX_RESOLUTION = 1024
+
+PATIENCE = 3.0
+"""How long work that goes on is waited for in the end, seconds."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,6 +60,19 @@ def lab(options: Options) -> None:
     _check_installed()
     with listening(options.host, options.port) as listener:
         _serve(listener, options)
+
+
+def leave_work_behind() -> None:
+    """End the process at once if a thread still works: nobody waits for its answer."""
+    others = [one for one in threading.enumerate() if not one.daemon]
+    others.remove(threading.main_thread())
+    end = time.monotonic() + PATIENCE
+    for thread in others:
+        thread.join(max(end - time.monotonic(), 0))
+    if any(thread.is_alive() for thread in others):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
 
 
 def _check_installed() -> None:
@@ -93,27 +114,40 @@ def _serve(listener: socket.socket, options: Options) -> None:
     import uvicorn
 
     from phongfit.lab.guard import is_loopback
-    from phongfit.lab.server import make_app
     from phongfit.lab.session import Session
     from phongfit.lab.settings import PictureRequest, Settings
 
     session = Session(options.resolution)
     # The first picture is there when the page is.
     session.picture(PictureRequest(settings=Settings()))
-    config = uvicorn.Config(
-        make_app(session, options.host),
-        log_level="warning",
-        access_log=False,
-        timeout_graceful_shutdown=3,
-    )
     url = _url(listener, options.host)
     try:
         with _warming_up(session):
             _announce(url, is_loopback(options.host), options.browser)
-            uvicorn.Server(config).run(sockets=[listener])
+            server = uvicorn.Server(configuration(session, options.host))
+            server.run(sockets=[listener])
     except KeyboardInterrupt:
         # The usual way to end it, and no error.
         print("stopped", flush=True)
+
+
+def configuration(session: "Session", host: str) -> "uvicorn.Config":
+    """How the page is served."""
+    import uvicorn
+
+    from phongfit.lab.intake import MAX_CONNECTIONS, Hurried
+    from phongfit.lab.server import make_app
+
+    return uvicorn.Config(
+        make_app(session, host),
+        http=Hurried,
+        ws="none",
+        lifespan="off",
+        limit_concurrency=MAX_CONNECTIONS,
+        log_level="warning",
+        access_log=False,
+        timeout_graceful_shutdown=math.ceil(PATIENCE),
+    )
 
 
 def _announce(url: str, only_here: bool, browser: bool) -> None:
@@ -135,7 +169,8 @@ def _warming_up(session: "Session") -> Iterator[None]:
         yield
     finally:
         stop.set()
-        thread.join()
+        # A program that is just compiled takes seconds more.
+        thread.join(PATIENCE)
 
 
 def _url(listener: socket.socket, host: str) -> str:

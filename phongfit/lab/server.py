@@ -6,14 +6,14 @@ from importlib.resources import files
 from typing import Any, TypeVar
 
 from starlette.applications import Starlette
-from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from phongfit.files.records import AbstractRecord, parse_record
 from phongfit.lab.guard import Guard
+from phongfit.lab.intake import Intake, TooLarge
 from phongfit.lab.session import Session
 from phongfit.lab.settings import (
     FitRequest,
@@ -43,6 +43,7 @@ def make_app(session: Session, host: str = "127.0.0.1") -> Starlette:
 
     **Arguments:** `host`: what the server listens at.
     """
+    intake = Intake()
     about = describe_settings() | {"max_bytes": MAX_BYTES}
 
     def describe(request: Request) -> Response:
@@ -64,12 +65,12 @@ def make_app(session: Session, host: str = "127.0.0.1") -> Starlette:
         return session.add_mask(token, name, content)
 
     posts = {
-        "/api/picture": _asked(PictureRequest, picture),
-        "/api/target": _asked(TargetRequest, session.make_target),
-        "/api/fit": _asked(FitRequest, session.fit),
-        "/api/mesh": _uploaded(mesh),
-        "/api/photograph": _uploaded(photograph),
-        "/api/mask": _uploaded(mask),
+        "/api/picture": _asked(intake, PictureRequest, picture),
+        "/api/target": _asked(intake, TargetRequest, session.make_target),
+        "/api/fit": _asked(intake, FitRequest, session.fit, heavy=True),
+        "/api/mesh": _uploaded(intake, mesh),
+        "/api/photograph": _uploaded(intake, photograph),
+        "/api/mask": _uploaded(intake, mask),
     }
     return Starlette(
         routes=[
@@ -78,8 +79,12 @@ def make_app(session: Session, host: str = "127.0.0.1") -> Starlette:
             *(Route(path, end, methods=["POST"]) for path, end in posts.items()),
         ],
         middleware=[Middleware(Guard, host=host)],
-        exception_handlers={ValueError: _tell, Exception: _fault},
-        max_body_size=MAX_BYTES,
+        exception_handlers={
+            TooLarge: functools.partial(_tell, status=413),
+            ValueError: _tell,
+            ClientDisconnect: _left,
+            Exception: _fault,
+        },
     )
 
 
@@ -93,23 +98,29 @@ def _asset(name: str, media_type: str) -> Callable[[Request], Response]:
     return answer
 
 
-def _asked(kind: type[Record], work: Callable[[Record], Any]) -> Endpoint:
-    """What `work` answers to a record in JSON, away from the event loop."""
+def _asked(
+    intake: Intake,
+    kind: type[Record],
+    work: Callable[[Record], Any],
+    *,
+    heavy: bool = False,
+) -> Endpoint:
+    """What `work` answers to a record in JSON."""
 
     async def answer(request: Request) -> Response:
-        text = (await request.body()).decode(errors="replace")
-        return await run_in_threadpool(lambda: _sent(work(parse_record(text, kind))))
+        text = await intake.words(request)
+        call = functools.partial(parse_record, text, kind)
+        return await intake.do(lambda: _sent(work(call())), heavy=heavy)
 
     return answer
 
 
-def _uploaded(work: Callable[[Request, bytes], Any]) -> Endpoint:
-    """What `work` answers to a file, away from the event loop."""
+def _uploaded(intake: Intake, work: Callable[[Request, bytes], Any]) -> Endpoint:
+    """What `work` answers to a file."""
 
     async def answer(request: Request) -> Response:
-        content = await request.body()
-        call = functools.partial(work, request, content)
-        return await run_in_threadpool(lambda: _sent(call()))
+        call = functools.partial(work, request)
+        return await intake.file(request, MAX_BYTES, lambda c: _sent(call(c)))
 
     return answer
 
@@ -125,10 +136,16 @@ def _query(request: Request, name: str) -> str:
     return value
 
 
-def _tell(request: Request, error: Exception) -> Response:
+def _tell(request: Request, error: Exception, status: int = 400) -> Response:
     """The user's input is at fault."""
     del request
-    return JSONResponse({"error": " ".join(str(error).split())}, status_code=400)
+    return JSONResponse({"error": " ".join(str(error).split())}, status_code=status)
+
+
+def _left(request: Request, error: Exception) -> Response:
+    """Who asked has gone: nobody hears the answer."""
+    del request, error
+    return Response(status_code=400)
 
 
 def _fault(request: Request, error: Exception) -> Response:

@@ -55,6 +55,18 @@ def test_it_is_told_to_jax_unless_it_has_one(tmp_path, monkeypatch, setting):
     assert (tmp_path / "cache").stat().st_mode & 0o077 == 0
 
 
+def test_one_that_others_may_write_to_is_not_used(tmp_path, monkeypatch, setting):
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    folder.chmod(0o777)
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+    monkeypatch.setenv("PHONGFIT_CACHE", str(folder))
+    before = setting()
+    with pytest.warns(UserWarning, match="cache: is not used, since others may write"):
+        keep_compiled()
+    assert setting() == before
+
+
 def test_one_that_cannot_be_written_is_no_error(tmp_path, monkeypatch, setting):
     before = setting()
     (tmp_path / "file").write_text("in the way")

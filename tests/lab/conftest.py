@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import pytest
 import uvicorn
 
-from phongfit.lab.command import listening
-from phongfit.lab.server import make_app
+from phongfit.lab.command import configuration, listening
 from phongfit.lab.session import Session
 
 SIZE = 64
@@ -23,8 +22,7 @@ def session() -> Session:
 def serving(session: Session) -> Iterator[int]:
     """A server as the command starts it; gives the port that it listens at."""
     with listening("127.0.0.1", 0) as listener:
-        config = uvicorn.Config(make_app(session), log_level="warning", lifespan="off")
-        server = uvicorn.Server(config)
+        server = uvicorn.Server(configuration(session, "127.0.0.1"))
         thread = threading.Thread(target=server.run, args=([listener],))
         thread.start()
         try:

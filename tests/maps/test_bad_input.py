@@ -66,7 +66,7 @@ def fit(scenes=STACK.scenes, images=STACK.images, **options):
         ({"bounds": {"diffuse": (1, 0)}}, "bounds: diffuse"),
         ({"bounds": {"shininess": (0, 10)}}, "bounds: shininess"),
         ({"start": 30.0}, "start: expected .*, got float"),
-        ({"known": 30.0}, "known: expected .*, got float"),
+        ({"known": 30.0}, "known: expected a Material or None, got 30.0"),
         ({"tile_pixels": 0}, "tile_pixels: expected .*, got 0"),
         ({"loss": "hubert"}, "loss: expected .*, got 'hubert'"),
     ],
