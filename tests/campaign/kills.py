@@ -1,0 +1,181 @@
+"""Commands that are stopped at any moment: nothing is lost, and the next run is right.
+
+`python -m tests.campaign.kills --cases 200 --seed 1`
+"""
+
+import argparse
+import collections
+import hashlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from phongfit.cli import main
+from phongfit.files.outputs import WORK
+from tests.campaign.cases import Wrong
+
+SIGNALS = ("KILL", "TERM", "INT", "HUP", "STOP")
+SMALL = ["--unknowns", "diffuse", "--noise", "0.01"]
+
+COMMANDS: dict[str, Callable[[str], list[str]]] = {
+    "fit": lambda out: ["fit", "in", *SMALL, "--report", "none", "-o", out],
+    "drawn": lambda out: ["fit", "in", *SMALL, "--report", "quick", "-o", out],
+    "maps": lambda out: [
+        "maps", "in", *SMALL, "--known", "in/truth.mtl", "--tile-pixels", "64",
+        "-o", out,
+    ],
+    "export": lambda out: [
+        "export", "preset:gold", "--to", "gltf", "--nearest", "-o", f"{out}.glb",
+    ],
+}  # fmt: skip
+"""Commands that write to `out`, or to a file of its name."""
+
+# What is written of when and how it ran differs from run to run: of these, that they
+# are there.
+VARYING = (".html", ".png")
+
+
+def _start(words: list[str], folder: Path) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "phongfit", *words],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
+
+
+def _tree(folder: Path) -> dict[str, str]:
+    """Every file below a folder and its contents, as far as they are always the same."""
+    return {
+        str(path.relative_to(folder)): ""
+        if path.suffix in VARYING
+        else hashlib.blake2b(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def prepare(stock: Path) -> None:
+    """The data, what each command makes undisturbed, and how long it takes."""
+    folder = stock / "kills"
+    folder.mkdir()
+    options = ["--material", "preset:brass", "--resolution", "16", "--lights", "4"]
+    main(["synth", str(folder / "in"), *options, "--noise", "0.01"])
+    truth = str(folder / "in" / "truth.json")
+    main(["export", truth, "--to", "mtl", "-o", str(folder / "in" / "truth.mtl")])
+    for name, words in COMMANDS.items():
+        whole = stock / f"kills-{name}"
+        shutil.copytree(folder, whole)
+        # Once to compile, once to see how long it takes.
+        for _ in range(2):
+            shutil.rmtree(whole)
+            shutil.copytree(folder, whole)
+            begin = time.perf_counter()
+            process = _start(words("out"), whole)
+            _, complaint = process.communicate()
+            if process.returncode:
+                raise Wrong(f"{name}: {complaint.decode()}")
+        seconds = time.perf_counter() - begin
+        (stock / f"kills-{name}.txt").write_text(str(seconds))
+
+
+def disturb(random: np.random.Generator, stock: Path, folder: Path) -> str:
+    """One case in an empty folder.
+
+    **Returns:** what it was, in words. **Raises:** `Wrong` that says what was lost.
+    """
+    name = str(random.choice(list(COMMANDS)))
+    words = COMMANDS[name]("out")
+    sent = str(random.choice(SIGNALS))
+    lasting = float((stock / f"kills-{name}.txt").read_text())
+    # More often late, where it writes.
+    moment = lasting * float(random.uniform(0.3 if random.random() < 0.8 else 0, 1.05))
+    old = bool(random.random() < 0.5) and name != "export"
+    whole, work = stock / f"kills-{name}", folder / "work"
+    shutil.copytree(whole if old else stock / "kills", work)
+    before = _tree(work)
+    title = f"{name}, {sent} after {moment:.2f} s{', over an old one' * old}"
+    first = words + (["--overwrite"] if old else [])
+    process = _start(first, work)
+    time.sleep(moment)
+    process.send_signal(getattr(signal, f"SIG{sent}"))
+    if sent == "STOP":
+        # Another one meanwhile does not disturb it, nor is it disturbed.
+        _start(first, work).communicate(timeout=120)
+        process.send_signal(signal.SIGCONT)
+    process.communicate(timeout=120)
+    (work / "out").mkdir(exist_ok=True)
+    (work / "out" / "notes.txt").write_text("mine")
+    _check_kept(before, _tree(work), _tree(whole), title)
+    (work / "out" / "notes.txt").unlink()
+    _finish(words, name, work, title)
+    if name == "export":
+        (work / "out").rmdir()
+    left = [path.name for path in work.rglob("*") if path.name.endswith(WORK)]
+    after, wanted = _tree(work), _tree(whole)
+    if left or after != wanted:
+        other = sorted(after.items() ^ wanted.items())
+        raise Wrong(f"{title}: after the next run: {left} {other}")
+    return title
+
+
+def _check_kept(
+    before: dict[str, str], after: dict[str, str], whole: dict[str, str], title: str
+) -> None:
+    """What was there is there, or what the run makes in its place."""
+    for name, content in before.items():
+        if after.get(name) not in (content, whole.get(name)):
+            what = "changed" if name in after else "lost"
+            raise Wrong(f"{title}: {name} was {what}")
+
+
+def _finish(words: list[str], name: str, work: Path, title: str) -> None:
+    """The next run: over what is there, if that is a whole result."""
+    overwrite = [] if name == "export" else ["--overwrite"]
+    process = _start([*words, *overwrite], work)
+    _, complaint = process.communicate(timeout=120)
+    if process.returncode:
+        raise Wrong(f"{title}: the next run: {complaint.decode()}")
+
+
+def run(cases: int, seed: int) -> int:
+    """Print every fault; how many there are."""
+    faults: list[str] = []
+    counts: collections.Counter[str] = collections.Counter()
+    with tempfile.TemporaryDirectory(prefix="kills-") as root:
+        os.environ["PHONGFIT_CACHE"] = str(Path(root, "compiled"))
+        prepare(Path(root))
+        for number in range(cases):
+            random = np.random.default_rng([seed, number])
+            with tempfile.TemporaryDirectory(prefix="kill-") as folder:
+                try:
+                    counts[
+                        disturb(random, Path(root), Path(folder)).split(" a")[0]
+                    ] += 1
+                except (Wrong, subprocess.TimeoutExpired) as fault:
+                    faults.append(f"{number}: {fault}")
+                    print(faults[-1], flush=True)
+    told = ", ".join(f"{name} {count}" for name, count in sorted(counts.items()))
+    print(f"seed {seed}: {cases} runs stopped, {len(faults)} faults ({told})")
+    return len(faults)
+
+
+def main_of_kills() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.campaign.kills")
+    parser.add_argument("--cases", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    return int(run(options.cases, options.seed) > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main_of_kills())
