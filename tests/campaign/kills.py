@@ -54,7 +54,7 @@ def _start(words: list[str], folder: Path) -> subprocess.Popen[bytes]:
 
 
 def _tree(folder: Path) -> dict[str, str]:
-    """Every file below a folder and its contents, as far as they are always the same."""
+    """Every file below a folder, and its contents where they are always the same."""
     return {
         str(path.relative_to(folder)): ""
         if path.suffix in VARYING
@@ -73,7 +73,7 @@ def prepare(stock: Path) -> None:
     truth = str(folder / "in" / "truth.json")
     main(["export", truth, "--to", "mtl", "-o", str(folder / "in" / "truth.mtl")])
     for name, words in COMMANDS.items():
-        whole = stock / f"kills-{name}"
+        whole, begin = stock / f"kills-{name}", 0.0
         shutil.copytree(folder, whole)
         # Once to compile, once to see how long it takes.
         for _ in range(2):

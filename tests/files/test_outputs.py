@@ -144,17 +144,17 @@ def test_one_run_at_a_time(tmp_path):
 
 
 def test_a_file_waits_for_its_turn(tmp_path, monkeypatch):
-    path = tmp_path / "out.txt"
+    path, begun = tmp_path / "out.txt", threading.Event()
 
     def write(text, pause):
         with replacing(path) as temporary:
             temporary.write_text(text)
+            begun.set()
             time.sleep(pause)
 
     first = threading.Thread(target=write, args=("first", 0.3))
     first.start()
-    while not os.listdir(tmp_path):
-        time.sleep(0.01)
+    assert begun.wait(10)
     write("second", 0)
     first.join()
     assert path.read_text() == "second" and os.listdir(tmp_path) == ["out.txt"]
