@@ -22,6 +22,11 @@ from .files.images import (
 from .files.lp import read_lp as read_lp, write_lp as write_lp
 from .files.meshes import load_mesh as load_mesh
 from .files.mtl import read_mtl as read_mtl, write_mtl as write_mtl
+from .files.photographs import (
+    list_photographs as list_photographs,
+    open_photographs as open_photographs,
+    read_photograph as read_photograph,
+)
 from .files.saved import load_fit as load_fit, save_fit as save_fit
 from .files.scenes import load_scene as load_scene, save_scene as save_scene
 from .files.schema import register as register

@@ -40,6 +40,7 @@ KEPT = {
     "trimesh": "files",
     "embreex": "geometry",
     "starlette": "lab",
+    "rawpy": "files",
     "uvicorn": "lab",
 }
 # The exceptions, inside a function: what shows or saves itself asks `report` or `files`

@@ -14,7 +14,7 @@ from phongfit.files.dataset import Dataset, Photograph, Photographs
 from phongfit.files.datasets import open_dataset
 from phongfit.files.diligent import is_diligent
 from phongfit.files.fits import DataRecord, DataSettings
-from phongfit.files.images import read_image, read_mask, with_jpeg
+from phongfit.files.images import read_light, read_mask, with_jpeg
 from phongfit.files.inputs import recording
 from phongfit.files.records import read_record
 from phongfit.files.scenes import SCENE_FILE, TRUTH_FILE, build_scene, with_lights
@@ -143,7 +143,7 @@ def _read_single(options: DataOptions) -> Photographs:
             f"encoding: expected --encoding linear or srgb, since {options.scene} does "
             "not say it"
         )
-    image = read_image(path, encoding)
+    image, usable = read_light(path, encoding)
     mask = np.ones(image.shape[:2], bool)
     if options.mask is not None:
         mask = read_mask(options.mask)
@@ -158,7 +158,7 @@ def _read_single(options: DataOptions) -> Photographs:
     if film.clamp:
         film = with_jpeg(Film(encoding=encoding), path)
         film = find_film([image]) if film.jpeg is None else film
-    photograph = Photograph(image, mask)
+    photograph = Photograph(image, mask & usable)
     return Photographs(path.stem, (scene,), (path.name,), film, lambda _: photograph)
 
 

@@ -23,6 +23,7 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
+from phongfit.files.tags import first_directory
 from phongfit.rendering.jpeg import JpegCompression
 
 # What a decoder minds and bears is for whoever asks for logs, not for the terminal.
@@ -38,30 +39,32 @@ Room = Callable[[int, int, float], None]
 take so many bytes a pixel while they are? [`Refused`][] if not."""
 
 
+PNG_START = b"\x89PNG\r\n\x1a\n"
+
+
 def _read_png(data: bytes, path: Path, room: Room) -> np.ndarray:
     del path
-    if data[:8] != b"\x89PNG\r\n\x1a\n":
+    if data[:8] != PNG_START:
         raise ValueError("it does not start as a PNG does")
     width, height, depth, colour = struct.unpack(">IIBB", data[16:26])
     # Of a palette's colours a decoder makes up to four channels.
     channels = {0: 1, 2: 3, 3: 4, 4: 2, 6: 4}.get(colour, 4)
     room(width, height, channels * (2 if depth == 16 else 1))
-    return imagecodecs.png_decode(b"".join(_png_chunks(data)))
+    chunks = [chunk for kind, chunk in png_chunks(data) if kind in _PIXELS]
+    return imagecodecs.png_decode(b"".join([data[:8], *chunks]))
 
 
 # What tells of pixels; texts and profiles may unpack to any size.
 _PIXELS = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
 
 
-def _png_chunks(data: bytes) -> Iterator[bytes]:
-    """The signature and the chunks that pixels are made of."""
-    yield data[:8]
+def png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Each chunk's kind, and the whole of it: length, kind, content, checksum."""
     at = 8
     while at + 8 <= len(data):
         (length,) = struct.unpack_from(">I", data, at)
         kind, end = data[at + 4 : at + 8], at + 12 + length
-        if kind in _PIXELS:
-            yield data[at:end]
+        yield kind, data[at:end]
         # Decoders are content without the end, where a copy may have been cut off.
         if kind == b"IEND" and end <= len(data):
             return
@@ -70,18 +73,18 @@ def _png_chunks(data: bytes) -> Iterator[bytes]:
 
 
 @contextlib.contextmanager
-def _opened_jpeg(data: bytes) -> Iterator[Image.Image]:
+def opened_jpeg(data: bytes) -> Iterator[Image.Image]:
     """A JPEG file, opened as nothing else: Pillow knows formats that run programs."""
     with warnings.catch_warnings():
-        # Of sizes, which are asked for here.
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        # Of sizes, which are asked for here, and of EXIF data, which is read elsewhere.
+        warnings.simplefilter("ignore")
         with Image.open(io.BytesIO(data), formats=["JPEG"]) as image:
             yield image
 
 
 def _read_jpeg(data: bytes, path: Path, room: Room) -> np.ndarray:
     del path
-    with _opened_jpeg(data) as image:
+    with opened_jpeg(data) as image:
         if image.mode not in ("L", "RGB"):
             raise Refused(f"expected RGB or grey, got {image.mode}")
         # Pillow holds four bytes of colour, and gives a copy of them.
@@ -91,7 +94,7 @@ def _read_jpeg(data: bytes, path: Path, room: Room) -> np.ndarray:
 
 def jpeg_compression(data: bytes) -> JpegCompression:
     """What the head of a JPEG file says that it rounds."""
-    with _opened_jpeg(data) as image:
+    with opened_jpeg(data) as image:
         steps: dict = getattr(image, "quantization", {})
         # Of each component its number, samples across and down, and its table's number.
         layers: list[tuple[int, int, int, int]] = getattr(image, "layer", [])
@@ -111,18 +114,18 @@ def jpeg_compression(data: bytes) -> JpegCompression:
 
 def _read_tiff(data: bytes, path: Path, room: Room) -> np.ndarray:
     del path
-    tags = _tiff_tags(data)
-    width, height = tags.get(_WIDTH, 0), tags.get(_HEIGHT, 0)
-    if tags.get(_IMAGE_DEPTH, 1) != 1:
+    tags = first_directory(data)
+    width, height = tags.whole(_WIDTH), tags.whole(_HEIGHT)
+    if tags.whole(_IMAGE_DEPTH, 1) != 1:
         raise Refused("expected a flat picture, got one of several layers")
-    bits = tags.get(_BITS, 1)
-    channels, planes = tags.get(_CHANNELS, 1), tags.get(_PLANES, 1)
+    bits = tags.whole(_BITS, 1)
+    channels, planes = tags.whole(_CHANNELS, 1), tags.whole(_PLANES, 1)
     pixel = channels * -(-bits // 8)
     # One that is cut into tiles is read tile by tile, and a tile may be the larger.
-    tile = tags.get(_TILE_WIDTH, 0) * tags.get(_TILE_HEIGHT, 0)
+    tile = tags.whole(_TILE_WIDTH) * tags.whole(_TILE_HEIGHT)
     room(width, height, pixel * (1 + tile / max(width * height, 1)))
     # 1 and 2 are grey, where 0 is black, and RGB; there are inverted ones, palettes …
-    photometric = tags.get(_PHOTOMETRIC)
+    photometric = tags.whole(_PHOTOMETRIC, -1)
     if photometric not in (1, 2):
         raise Refused(f"expected photometric interpretation 1 or 2, got {photometric}")
     if channels > 4:
@@ -134,41 +137,6 @@ def _read_tiff(data: bytes, path: Path, room: Room) -> np.ndarray:
 
 _WIDTH, _HEIGHT, _BITS, _PHOTOMETRIC, _CHANNELS, _PLANES = 256, 257, 258, 262, 277, 284
 _TILE_WIDTH, _TILE_HEIGHT, _IMAGE_DEPTH = 322, 323, 32997
-# Types of whole numbers, as struct spells them.
-_WHOLE = {1: "B", 3: "H", 4: "I", 6: "b", 8: "h", 9: "i", 16: "Q", 17: "q"}
-
-
-def _tiff_tags(data: bytes) -> dict[int, int]:
-    """The whole numbers among the tags of a TIFF's first picture; of several the most.
-
-    ??? cite "Source"
-        *TIFF, revision 6.0*, Adobe, 1992, section 2; BigTIFF, Aware Systems, 2008.
-    """
-    if data[:4] not in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-        raise ValueError("it does not start as a TIFF does")
-    order = "<" if data[:2] == b"II" else ">"
-    (version,) = struct.unpack_from(order + "H", data, 2)
-    offset, count, number = {42: "IHI", 43: "QQQ"}[version]
-    (start,) = struct.unpack_from(order + offset, data, 4 if version == 42 else 8)
-    (tags,) = struct.unpack_from(order + count, data, start)
-    start += struct.calcsize(order + count)
-    entry, field = order + "HH" + number, struct.calcsize(order + offset)
-    size = struct.calcsize(entry) + field
-    values: dict[int, int] = {}
-    for at in range(start, min(start + tags * size, len(data)), size):
-        tag, kind, length = struct.unpack_from(entry, data, at)
-        if tag in values:
-            # Readers differ in which of them they believe.
-            raise ValueError(f"it has tag {tag} twice")
-        if kind not in _WHOLE or length == 0:
-            continue
-        # As many as a pixel may have channels: others are of no interest here.
-        several = f"{order}{min(length, 4)}{_WHOLE[kind]}"
-        where = at + size - field
-        if length * struct.calcsize(order + _WHOLE[kind]) > field:
-            (where,) = struct.unpack_from(order + offset, data, where)
-        values[tag] = max(struct.unpack_from(several, data, where))
-    return values
 
 
 def _read_hdr(data: bytes, path: Path, room: Room) -> np.ndarray:
@@ -191,7 +159,7 @@ def _read_hdr(data: bytes, path: Path, room: Room) -> np.ndarray:
 
 
 def _read_exr(data: bytes, path: Path, room: Room) -> np.ndarray:
-    with _silent_library():
+    with silent_library():
         with OpenEXR.File(os.fspath(path), header_only=True) as file:
             headers = [part.header for part in file.parts]
             width, height = _exr_window(headers[0])
@@ -227,8 +195,8 @@ _silence = threading.Lock()
 
 
 @contextlib.contextmanager
-def _silent_library() -> Iterator[None]:
-    """OpenEXR prints its complaints itself; they come as exceptions as well."""
+def silent_library() -> Iterator[None]:
+    """Libraries that print their complaints; they come as exceptions as well."""
     with _silence:
         saved = os.dup(2)
         try:

@@ -1,9 +1,11 @@
 """Images on disk: read as linear light, written in a stated encoding."""
 
+import contextlib
 import os
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -19,12 +21,20 @@ from phongfit.files.formats import (
     Refused,
     Room,
     jpeg_compression,
+    opened_jpeg,
 )
-from phongfit.files.inputs import read_bytes, reason
+from phongfit.files.inputs import naming, read_bytes, reason
+from phongfit.files.metadata import TURNS, Exposure, Metadata, read_metadata
 from phongfit.files.outputs import check_file, replacing
+from phongfit.files.profiles import Profile, find_profile, saturated
+from phongfit.files.raw import RAW, read_raw, read_raw_head
 from phongfit.rendering.film import Encoding, Film, as_encoding, decode, encode
+from phongfit.rendering.jpeg import JpegCompression
 
 T = TypeVar("T")
+
+SUFFIXES = (*READERS, *RAW)
+"""Of the files that images are read from."""
 
 Bits = Literal[8, 16, 32]
 """A channel's size in a file; 32 is a floating-point number."""
@@ -39,38 +49,90 @@ def read_image(
 ) -> Float[np.ndarray, "height width 3"]:
     """An image as linear light, where 1 is the largest number of an integer format.
 
-    PNG and TIFF of 8 and 16 bits, JPEG, floating-point TIFF, Radiance HDR and EXR.
-    Grey becomes three equal channels. An EXIF rotation is not applied.
+    PNG and TIFF of 8 and 16 bits, JPEG, floating-point TIFF, Radiance HDR and EXR; RAW
+    photographs with `phongfit[raw]`. Grey becomes three equal channels. The image is
+    upright, as its EXIF orientation says.
+
+    Colours are those of sRGB: an ICC profile that is another one's, such as Display P3
+    or Adobe RGB, is converted. A profile that contradicts `encoding` is refused, and so
+    is a PNG whose gAMA chunk says that it is linear where `encoding` is `"srgb"`. The
+    other way round `encoding` is believed: many programs write sRGB's gAMA into every
+    PNG. A PNG of other primaries without a profile (cHRM, cICP) is refused.
 
     **Arguments:**
 
     - `path`: the suffix tells the format.
     - `encoding`: `"linear"` or `"srgb"`: what the numbers in the file are. A fit in the
-        wrong one is wrong, so it is never guessed. Floating-point formats are linear.
+        wrong one is wrong, so it is never guessed. Floating-point formats and RAW are
+        linear. With a profile `"srgb"` stands for any curve that the profile tells.
     - `max_pixels`: images with more are refused before they are decoded: a small file
         can hold an image that fills the memory. Default: what one file may take of it
         (1 GB, or `PHONGFIT_MAX_MEMORY`), which is some 50 million pixels.
 
     **Raises:** `ValueError` that names the file: it is missing, broken, of an unknown
-    format, too large, partly transparent, or holds NaN or infinity.
+    format, too large, partly transparent, of colours that are not understood, or holds
+    NaN or infinity.
+
+    **Warns:** where EXIF data is broken; and where a channel is saturated in a file
+    whose profile mixes channels, so that the others are wrong: [`read_photograph`][]
+    has a mask of such pixels.
+    """
+    image, usable = read_light(path, encoding, max_pixels=max_pixels)
+    lost = np.count_nonzero(~usable)
+    if lost:
+        warnings.warn(
+            f"{path}: {lost} pixels are saturated, which changes all channels when its "
+            "colours become those of sRGB: leave them out, with read_photograph's mask",
+            stacklevel=2,
+        )
+    return image
+
+
+class Light(NamedTuple):
+    """Linear light of an image, and where all of its channels can be believed."""
+
+    image: Float[np.ndarray, "height width 3"]
+    usable: Bool[np.ndarray, "height width"]
+
+
+def read_light(
+    path: str | os.PathLike[str],
+    encoding: Encoding,
+    *,
+    max_pixels: int | None = None,
+) -> Light:
+    """As [`read_image`][], with a mask instead of a warning.
+
+    The mask is false where a saturated channel was mixed into others.
     """
     path = Path(path)
     encoding = as_encoding(encoding)
-    numbers = _opaque(path, _read_numbers(path, max_pixels))
-    if numbers.dtype.kind == "f":
-        if encoding != "linear":
-            raise ValueError(
-                f"{path}: expected encoding 'linear', as floating-point images have, "
-                f"got {encoding!r}"
-            )
-        image = numbers.astype(_float_type(), copy=False)
-        if not np.isfinite(image).all():
-            raise ValueError(f"{path}: has NaN or infinite pixels")
-    else:
-        image = from_levels(numbers, encoding)
+    read = _read_numbers(path, max_pixels)
+    values = _opaque(path, read.values)
+    if read.linear and encoding != "linear":
+        raise ValueError(
+            f"{path}: expected encoding 'linear', as {read.linear} have, got "
+            f"{encoding!r}"
+        )
+    with naming(str(path)), refusing():
+        profile = find_profile(read.metadata.profile, encoding)
+        image = _light(values, encoding, profile)
+    if values.dtype.kind == "f" and not np.isfinite(image).all():
+        raise ValueError(f"{path}: has NaN or infinite pixels")
+    usable = np.ascontiguousarray(read.usable)
+    if profile is not None and profile.mixes and values.shape[-1] == 3:
+        usable &= ~saturated(values)
     if image.shape[-1] == 1:
-        return np.repeat(image, 3, axis=-1)
-    return np.ascontiguousarray(image)
+        return Light(np.repeat(image, 3, axis=-1), usable)
+    return Light(np.ascontiguousarray(image), usable)
+
+
+def _light(values: np.ndarray, encoding: Encoding, profile: Profile | None) -> Any:
+    if profile is not None:
+        return profile.light(values, _float_type())
+    if values.dtype.kind == "f":
+        return values.astype(_float_type(), copy=False)
+    return from_levels(values, encoding)
 
 
 @checked
@@ -80,22 +142,31 @@ def read_film(path: str | os.PathLike[str], encoding: Encoding) -> Film:
         image = pf.read_image("ball.jpg", "srgb")
         fit = pf.fit(scene, image, film=pf.read_film("ball.jpg", "srgb"))
 
-    A JPEG file says what it rounds. For the photograph as it lies in the file alone:
-    one that was cropped, rotated or shrunk has other blocks. Leave pixels out by a
-    mask, and fit all of the camera's.
+    A JPEG file says what it rounds; turned by its EXIF orientation it is turned with
+    it. For the photograph as it lies in the file alone: one that was cropped, rotated
+    or shrunk has other blocks. Leave pixels out by a mask, and fit all of the camera's.
+    In colours other than those of sRGB its roundings are taken as if they were these;
+    of other formats they are left out, since nothing in the image is a whole level.
 
     **Arguments:** as of [`read_image`][].
 
     **Raises:** `ValueError` that names the file, as [`read_image`][] does.
+
+    **Warns:** where a JPEG was turned, and its blocks begin outside of the image: they
+    are left out.
     """
     path = Path(path)
     film = Film(encoding=as_encoding(encoding))
     if path.suffix.lower() in JPEG:
         return with_jpeg(film, path)
-    numbers = _read_numbers(path)
-    if numbers.dtype.kind == "f":
+    read = _read_numbers(path)
+    if read.values.dtype.kind == "f":
         return Film(clamp=False)
-    return Film(encoding=film.encoding, bits=8 * numbers.dtype.itemsize)
+    with naming(str(path)), refusing():
+        converted = find_profile(read.metadata.profile, film.encoding) is not None
+    if converted or read.linear:
+        return film
+    return Film(encoding=film.encoding, bits=8 * read.values.dtype.itemsize)
 
 
 JPEG = (".jpg", ".jpeg")
@@ -108,7 +179,39 @@ def with_jpeg(film: Film, path: Path) -> Film:
     """
     if path.suffix.lower() not in JPEG or not film.clamp:
         return film
-    return Film(encoding=film.encoding, jpeg=_decoded(path, jpeg_compression))
+    jpeg, size, metadata = _decoded(path, _jpeg_head)
+    turned = _turned(jpeg, size, metadata.orientation)
+    if turned is None:
+        warnings.warn(
+            f"{path}: its orientation (EXIF) turns blocks of {jpeg.block[1]} × "
+            f"{jpeg.block[0]} pixels, which do not fill {size[0]} × {size[1]}: what "
+            "JPEG lost is left out, and errors may be too small; turn it without loss "
+            "first (jpegtran -trim)",
+            stacklevel=3,
+        )
+        return Film(encoding=film.encoding, bits=8)
+    return Film(encoding=film.encoding, jpeg=turned)
+
+
+def _jpeg_head(data: bytes) -> tuple[JpegCompression, tuple[int, int], Metadata]:
+    with opened_jpeg(data) as image:
+        size = image.size
+    return jpeg_compression(data), size, read_metadata(data)
+
+
+def _turned(
+    jpeg: JpegCompression, size: tuple[int, int], orientation: int
+) -> JpegCompression | None:
+    """What the upright image of a file was rounded by; `None` if that is no JPEG.
+
+    Cosines are even or odd about a block's middle, so that a mirrored block is rounded
+    as it was; but blocks must begin where the image does.
+    """
+    down, across, exchanged = TURNS[orientation]
+    (width, height), (rows, columns) = size, jpeg.block
+    if (down and height % rows) or (across and width % columns):
+        return None
+    return jpeg.transposed if exchanged else jpeg
 
 
 def read_mask(
@@ -116,13 +219,15 @@ def read_mask(
 ) -> Bool[np.ndarray, "height width"]:
     """A mask from an image: true where it is nearer to its brightest grey than to 0.
 
+    Upright, as [`read_image`][] gives what it is a mask of.
+
     **Arguments:** `max_pixels`: as of [`read_image`][].
 
     **Raises:** `ValueError` that names the file, as in [`read_image`][].
     """
     # Relative to the brightest, since masks of 0 and 1 are as common as 0 and 255.
     path = Path(path)
-    grey = _opaque(path, _read_numbers(path, max_pixels)).max(axis=-1)
+    grey = _opaque(path, _read_numbers(path, max_pixels).values).max(axis=-1)
     return grey > grey.max() / 2
 
 
@@ -237,20 +342,110 @@ def _as_image(path: Path, image: Any) -> np.ndarray:
     return light
 
 
-def _read_numbers(path: Path, max_pixels: int | None = None) -> np.ndarray:
-    """What stands in the file: (H, W, channels), whole numbers or floats."""
-    reader = READERS.get(path.suffix.lower())
-    if reader is None:
-        raise ValueError(f"{path}: {_wanted_suffix(path, READERS)}")
-    numbers = _decoded(path, lambda data: reader(data, path, _room(data, max_pixels)))
-    numbers = numbers[..., None] if numbers.ndim == 2 else numbers
-    if numbers.ndim != 3 or 0 in numbers.shape:
-        raise ValueError(f"{path}: expected one image, got shape {numbers.shape}")
-    if numbers.dtype not in (np.uint8, np.uint16) and numbers.dtype.kind != "f":
+class Head(NamedTuple):
+    """What a file says of its photograph before any pixel is decoded.
+
+    - `size`: (width, height), upright.
+    - `exposure`: as the camera says.
+    - `white_balance`: what a RAW file's red and blue are multiplied by.
+    """
+
+    size: tuple[int, int]
+    exposure: Exposure
+    white_balance: tuple[float, float] | None
+
+
+def read_head(path: Path) -> Head:
+    """What a photograph's file says of it.
+
+    **Raises:** `ValueError` that names the file.
+    """
+    suffix = _known_suffix(path)
+
+    def head(data: bytes) -> Head:
+        if suffix in RAW:
+            return Head(*read_raw_head(data, path))
+        metadata = read_metadata(data)
+        width, height = _size(data, path)
+        if TURNS[metadata.orientation][2]:
+            width, height = height, width
+        return Head((width, height), metadata.exposure, None)
+
+    return _decoded(path, head)
+
+
+class _Sized(Exception):
+    """Width and height are known."""
+
+
+def _size(data: bytes, path: Path) -> tuple[int, int]:
+    """Width and height in the file: every reader asks for room before it decodes."""
+
+    def room(width: int, height: int, pixel: float) -> None:
+        del pixel
+        raise _Sized(width, height)
+
+    try:
+        READERS[path.suffix.lower()](data, path, room)
+    except _Sized as found:
+        return found.args
+    raise ValueError("it has no size")
+
+
+class _Numbers(NamedTuple):
+    """What stands in a file, upright.
+
+    - `values`: (H, W, channels), whole numbers or floats.
+    - `usable`: (H, W).
+    - `linear`: which images these are, if they are linear by their format.
+    """
+
+    values: np.ndarray
+    usable: np.ndarray
+    metadata: Metadata
+    linear: str
+
+
+def _read_numbers(path: Path, max_pixels: int | None = None) -> _Numbers:
+    suffix = _known_suffix(path)
+
+    def decode(data: bytes) -> _Numbers:
+        room = _room(data, max_pixels)
+        if suffix in RAW:
+            raw = read_raw(data, path, room)
+            return _Numbers(raw.numbers, raw.usable, Metadata(), "RAW photographs")
+        values = READERS[suffix](data, path, room)
+        values = values[..., None] if values.ndim == 2 else values
+        usable = np.ones(values.shape[:2], bool)
+        return _Numbers(values, usable, read_metadata(data), "")
+
+    read = _decoded(path, decode)
+    values, metadata = read.values, read.metadata
+    if values.ndim != 3 or 0 in values.shape:
+        raise ValueError(f"{path}: expected one image, got shape {values.shape}")
+    if values.dtype not in (np.uint8, np.uint16) and values.dtype.kind != "f":
         raise ValueError(
-            f"{path}: expected samples of uint8, uint16 or floats, got {numbers.dtype}"
+            f"{path}: expected samples of uint8, uint16 or floats, got {values.dtype}"
         )
-    return numbers
+    if metadata.broken:
+        warnings.warn(
+            f"{path}: its EXIF data is broken ({metadata.broken}): it is taken as "
+            "upright, and its exposure as unknown; save it anew if it lies on its side",
+            stacklevel=4,
+        )
+    if values.dtype.kind == "f":
+        read = read._replace(linear="floating-point images")
+    elif metadata.gamma is not None and abs(metadata.gamma - 1) < 0.01:
+        read = read._replace(linear="PNGs whose gAMA chunk is 1")
+    return read._replace(
+        values=metadata.upright(values), usable=metadata.upright(read.usable)
+    )
+
+
+def _known_suffix(path: Path) -> str:
+    if path.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"{path}: {_wanted_suffix(path, SUFFIXES)}")
+    return path.suffix.lower()
 
 
 def _room(data: bytes, max_pixels: int | None) -> Room:
@@ -289,6 +484,15 @@ def _decoded(path: Path, decode: Callable[[bytes], T]) -> T:
         raise ValueError(
             f"{path}: is broken or no {path.suffix} image: {reason(error)}"
         ) from error
+
+
+@contextlib.contextmanager
+def refusing() -> Iterator[None]:
+    """What is refused is a `ValueError`."""
+    try:
+        yield
+    except Refused as error:
+        raise ValueError(str(error)) from None
 
 
 def _opaque(path: Path, numbers: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from phongfit.checks import as_array
 from phongfit.edge import checked
 from phongfit.files.dataset import Photograph, Photographs
-from phongfit.files.images import read_image
+from phongfit.files.images import Light, read_light
 from phongfit.files.inputs import read_bytes, recording
 from phongfit.rendering.film import Encoding, as_encoding
 
@@ -132,7 +132,7 @@ class PhotographStack(AbstractStack):
         self._encoding: Encoding = as_encoding(encoding)
         if not self._paths:
             raise ValueError("paths: expected at least one, got none")
-        self._size = self._image(0).shape[:2]
+        self._size = self._read(0).usable.shape
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -142,15 +142,18 @@ class PhotographStack(AbstractStack):
         self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
     ) -> Float[np.ndarray, "images n 3"]:
         taken = np.empty((len(order), len(pixels), 3), _float_type())
+        used = np.empty((len(order), len(pixels), 1), bool)
         for row, k in enumerate(order):
-            image = self._image(k)
-            if image.shape[:2] != self._size:
+            image, usable = self._read(k)
+            if usable.shape != self._size:
                 raise ValueError(
                     f"{self._paths[k]}: expected {self._size} pixels, as "
-                    f"{self._paths[0].name} has, got {image.shape[:2]}"
+                    f"{self._paths[0].name} has, got {usable.shape}"
                 )
-            taken[row] = gather(image, pixels)
-        return taken
+            taken[row], used[row] = gather(image, pixels), gather(usable, pixels)
+        if used.all():
+            return taken
+        return np.ma.MaskedArray(taken, np.broadcast_to(~used, taken.shape))
 
     def identify(self, update: Update) -> None:
         update(self._encoding.encode())
@@ -158,10 +161,10 @@ class PhotographStack(AbstractStack):
             for path in self._paths:
                 update(read_bytes(path))
 
-    def _image(self, number: int) -> Float[np.ndarray, "height width 3"]:
+    def _read(self, number: int) -> Light:
         # Read many times: it must not change meanwhile.
         with recording(self._checksums):
-            return read_image(self._paths[number], self._encoding)
+            return read_light(self._paths[number], self._encoding)
 
 
 class DatasetStack(AbstractStack):

@@ -94,6 +94,13 @@ class JpegCompression:
         return cls((luma, chroma, chroma), SAMPLINGS[subsampling])
 
     @property
+    def transposed(self) -> "JpegCompression":
+        """What is rounded of an image whose rows have become columns."""
+        tables = tuple(np.transpose(table) for table in self.tables)
+        sampling = tuple((down, across) for across, down in self.sampling)
+        return JpegCompression(tables, sampling, self.ycbcr)
+
+    @property
     def subsampling(self) -> str:
         """`"4:2:0"` and the like; `"grey"` for one component."""
         if len(self.tables) == 1:

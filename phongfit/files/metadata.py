@@ -1,0 +1,183 @@
+"""What a photograph's file says beside its pixels: how it lies, its colours, exposure.
+
+??? cite "Source"
+    CIPA DC-008, *Exif 2.32*, 2019; ISO 15076-1 (ICC.1), annex B; *PNG, third edition*,
+    W3C, 2025, sections 4.3 and 11.3.
+"""
+
+import struct
+import zlib
+from collections.abc import Collection
+from typing import NamedTuple
+
+import numpy as np
+
+from phongfit.files.formats import PNG_START, Refused, opened_jpeg, png_chunks
+from phongfit.files.tags import Directory, first_directory
+
+MAX_PROFILE = 2**23
+"""Bytes of a colour profile: those of cameras and screens have some thousands."""
+
+_ORIENTATION, _EXIF, _PROFILE = 274, 34665, 34675
+_TIME, _F_NUMBER, _ISO = 33434, 33437, 34855
+# ISO where 16 bits do not hold it: recommended exposure index, ISO speed.
+_MORE_ISO, _FULL = (34866, 34867), 65535
+
+
+class Exposure(NamedTuple):
+    """How much light a camera let in, as it says itself; `None` where it does not.
+
+    - `time`: of exposure, in seconds.
+    - `f_number`: focal length over the aperture's diameter.
+    - `iso`: sensitivity.
+    """
+
+    time: float | None = None
+    f_number: float | None = None
+    iso: float | None = None
+
+    def only(self, fields: Collection[str]) -> "Exposure":
+        """Some of these alone."""
+        kept = {name: getattr(self, name) for name in fields}
+        return Exposure(**kept)
+
+    def __str__(self) -> str:
+        words = [_seconds(self.time)] if self.time else []
+        words += [f"f/{self.f_number:g}"] if self.f_number else []
+        return ", ".join(words + ([f"ISO {self.iso:g}"] if self.iso else []))
+
+
+class Metadata(NamedTuple):
+    """What a file says beside its pixels.
+
+    - `orientation`: 1 … 8 as in EXIF; 1 is upright.
+    - `exposure`: time, aperture, sensitivity.
+    - `profile`: an ICC profile.
+    - `gamma`: of the numbers in a PNG without a profile; 1 is linear.
+    - `broken`: why EXIF data cannot be read, where it cannot.
+    """
+
+    orientation: int = 1
+    exposure: Exposure = Exposure()
+    profile: bytes | None = None
+    gamma: float | None = None
+    broken: str | None = None
+
+    def upright(self, numbers: np.ndarray) -> np.ndarray:
+        """Pixels as they are to be seen, (H, W, …), of those that lie in the file."""
+        down, across, exchanged = TURNS[self.orientation]
+        turned = numbers[:: -1 if down else 1, :: -1 if across else 1]
+        return turned.swapaxes(0, 1) if exchanged else turned
+
+
+TURNS = {
+    1: (False, False, False),
+    2: (False, True, False),
+    3: (True, True, False),
+    4: (True, False, False),
+    5: (False, False, True),
+    6: (True, False, True),
+    7: (True, True, True),
+    8: (False, True, True),
+}
+"""Of each orientation: whether rows are to be taken from the last on, whether columns
+are, and whether rows then become columns."""
+
+
+def read_metadata(data: bytes) -> Metadata:
+    """What a PNG, JPEG or TIFF file says beside its pixels; nothing of others.
+
+    **Raises:** `Refused` for colours that are not understood.
+    """
+    if data[:8] == PNG_START:
+        return _of_png(data)
+    if data[:2] == b"\xff\xd8":
+        with opened_jpeg(data) as image:
+            exif, profile = image.info.get("exif"), image.info.get("icc_profile")
+        exif = exif.removeprefix(b"Exif\0\0") if exif else None
+        return _of_exif(exif)._replace(profile=_as_profile(profile))
+    if data[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+        profile = _as_profile(first_directory(data).content(_PROFILE))
+        return _of_exif(data)._replace(profile=profile)
+    return Metadata()
+
+
+def _of_exif(exif: bytes | None) -> Metadata:
+    """Orientation and exposure. 0, which some programs write, is no orientation."""
+    if not exif:
+        return Metadata()
+    try:
+        directory = first_directory(exif)
+        orientation = directory.whole(_ORIENTATION, 1)
+        exposure = _exposure(directory.below(_EXIF))
+    except (ValueError, struct.error) as error:
+        return Metadata(broken=str(error))
+    return Metadata(orientation if orientation in TURNS else 1, exposure)
+
+
+def _exposure(exif: Directory | None) -> Exposure:
+    if exif is None:
+        return Exposure()
+    iso = exif.whole(_ISO)
+    if iso == _FULL:
+        iso = max(exif.whole(tag) for tag in _MORE_ISO) or iso
+    values = (exif.ratio(_TIME), exif.ratio(_F_NUMBER), float(iso))
+    # Lenses without contacts have an aperture of 0.
+    return Exposure(*(value if value and value > 0 else None for value in values))
+
+
+def _of_png(data: bytes) -> Metadata:
+    found = {kind: chunk[8:-4] for kind, chunk in png_chunks(data) if kind in _TOLD}
+    metadata = _of_exif(found.get(b"eXIf"))
+    # In this order, as the standard has it.
+    if b"cICP" in found and found[b"cICP"] != _SRGB_CODES:
+        raise Refused(
+            "expected sRGB or an ICC profile, got other code points for its colours "
+            "(cICP): convert it to sRGB"
+        )
+    if b"iCCP" in found and b"cICP" not in found:
+        return metadata._replace(profile=_unpacked(found[b"iCCP"]))
+    if b"cICP" in found or b"sRGB" in found:
+        return metadata
+    if len(found.get(b"cHRM", b"")) == 32:
+        points = np.array(struct.unpack(">8I", found[b"cHRM"])) / 100000
+        if np.abs(points - _SRGB_POINTS).max() > 0.01:
+            raise Refused(
+                "expected the primaries of sRGB, got others (cHRM) without an ICC "
+                "profile: convert it to sRGB"
+            )
+    if len(found.get(b"gAMA", b"")) == 4:
+        (gamma,) = struct.unpack(">I", found[b"gAMA"])
+        metadata = metadata._replace(gamma=gamma / 100000)
+    return metadata
+
+
+_TOLD = (b"eXIf", b"cICP", b"iCCP", b"sRGB", b"cHRM", b"gAMA")
+# Primaries, transfer function and matrix by their numbers in ITU-T H.273; full range.
+_SRGB_CODES = bytes([1, 13, 0, 1])
+# White, red, green, blue; x and y.
+_SRGB_POINTS = (0.3127, 0.329, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06)
+
+
+def _unpacked(chunk: bytes) -> bytes | None:
+    """A profile from its chunk: name, zero, method, and packed bytes."""
+    _, _, packed = chunk.partition(b"\0")
+    try:
+        # No further than what is accepted: zeros pack to a thousandth.
+        profile = zlib.decompressobj().decompress(packed[1:], MAX_PROFILE + 1)
+    except zlib.error as error:
+        raise Refused(f"its colour profile (ICC) is broken: {error}") from None
+    return _as_profile(profile)
+
+
+def _as_profile(profile: bytes | None) -> bytes | None:
+    if profile is not None and len(profile) > MAX_PROFILE:
+        raise Refused(
+            f"expected a colour profile (ICC) of at most {MAX_PROFILE} bytes, got more"
+        )
+    return profile
+
+
+def _seconds(time: float) -> str:
+    """As cameras show it."""
+    return f"1/{1 / time:.4g} s" if time < 0.3 else f"{time:.3g} s"

@@ -1,0 +1,134 @@
+"""RAW photographs, as linear light: with rawpy, which `phongfit[raw]` brings.
+
+??? cite "Source"
+    LibRaw's documentation of its processing, https://www.libraw.org/docs
+"""
+
+import contextlib
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, UInt16
+
+from phongfit.files.formats import Refused, Room, silent_library
+from phongfit.files.metadata import Exposure
+
+RAW = (
+    *(".dng", ".cr2", ".cr3", ".nef", ".nrw", ".arw", ".raf", ".orf"),
+    *(".rw2", ".pef", ".srw", ".x3f", ".iiq", ".3fr"),
+)
+"""Suffixes of RAW photographs."""
+
+# Bytes a pixel: the sensor's value, four colours while they are interpolated with what
+# that takes, and two pictures.
+_PIXEL = 48
+
+
+class Raw(NamedTuple):
+    """A RAW photograph.
+
+    - `numbers`: linear light with the primaries of sRGB; 65535 is white.
+    - `usable`: false where a channel of the sensor was saturated, which makes all three
+        wrong.
+    """
+
+    numbers: UInt16[np.ndarray, "height width 3"]
+    usable: Bool[np.ndarray, "height width"]
+
+
+def read_raw(data: bytes, path: Path, room: Room) -> Raw:
+    """A RAW photograph: linear, upright, in the white balance that the camera states.
+
+    Each channel's black level is taken off, and white is the sensor's largest value,
+    whatever the picture shows; nothing is brightened, sharpened or made less noisy.
+
+    **Raises:** `Refused` where rawpy is missing, or the camera states no white balance;
+    `ValueError` for what is broken.
+    """
+    with _opened(data, path) as raw:
+        room(raw.sizes.raw_width, raw.sizes.raw_height, _PIXEL)
+        if raw.num_colors != 3:
+            raise Refused(f"expected a sensor of 3 colours, got {raw.num_colors}")
+        _white_balance(raw)
+        # What the sensor saw, which alone tells where it was saturated; then sRGB's
+        # colours, which mix its channels.
+        cut_off = _developed(raw, "raw") == 65535
+        numbers = _developed(raw, "sRGB")
+        # But for the rounding of the colours' mixture.
+        numbers[cut_off.all(axis=-1)] = 65535
+        return Raw(numbers, ~_near(cut_off.any(axis=-1)))
+
+
+def read_raw_head(
+    data: bytes, path: Path
+) -> tuple[tuple[int, int], Exposure, tuple[float, float]]:
+    """Width and height, exposure, and what red and blue are multiplied by.
+
+    The latter relative to green, as the camera states it.
+
+    **Raises:** as [`read_raw`][].
+    """
+    with _opened(data, path) as raw:
+        sizes, other = raw.sizes, raw.other
+        # As LibRaw has it, a bit of 4 exchanges rows and columns.
+        size = (sizes.height, sizes.width) if sizes.flip & 4 else (
+            sizes.width, sizes.height
+        )  # fmt: skip
+        balance = _white_balance(raw)
+    stated = (other.shutter_speed, other.aperture, other.iso_speed)
+    exposure = Exposure(*(float(value) if value > 0 else None for value in stated))
+    return size, exposure, balance
+
+
+@contextlib.contextmanager
+def _opened(data: bytes, path: Path) -> Iterator[Any]:
+    try:
+        import rawpy
+    except ImportError as error:
+        raise Refused(
+            f"expected rawpy, which reads {path.suffix}, to be installed: "
+            "pip install 'phongfit[raw]'"
+        ) from error
+    try:
+        with silent_library(), rawpy.imread(io.BytesIO(data)) as raw:
+            yield raw
+    except rawpy.LibRawError as error:
+        # Its messages are bytes.
+        words = (arg.decode() if isinstance(arg, bytes) else arg for arg in error.args)
+        raise ValueError(" ".join(map(str, words))) from error
+
+
+def _white_balance(raw: Any) -> tuple[float, float]:
+    red, green, blue = raw.camera_whitebalance[:3]
+    if not all(0 < value < np.inf for value in (red, green, blue)):
+        raise Refused(
+            "expected a white balance that the camera states, got none: develop it to "
+            "a linear TIFF with one of your choice"
+        )
+    return red / green, blue / green
+
+
+def _developed(raw: Any, colours: str) -> UInt16[np.ndarray, "height width 3"]:
+    import rawpy
+
+    return raw.postprocess(
+        gamma=(1, 1),
+        no_auto_bright=True,
+        # Else white depends on the brightest pixel.
+        adjust_maximum_thr=0,
+        output_bps=16,
+        use_camera_wb=True,
+        output_color=rawpy.ColorSpace[colours],
+        highlight_mode=rawpy.HighlightMode.Clip,
+    )
+
+
+def _near(white: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """These pixels and those nearby, whose missing colours come from them."""
+    # Here, since SciPy takes long to import.
+    import scipy.ndimage
+
+    return scipy.ndimage.binary_dilation(white, np.ones((5, 5)))
