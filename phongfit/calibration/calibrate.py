@@ -420,7 +420,7 @@ class _Session:
             nothing = np.full((len(kept), 3), np.nan)
             self.warnings.append(
                 "no matte sphere: how strong the lamps are is not known, so let a fit "
-                "find it (lights.0.intensity per image), or photograph a matte sphere"
+                "find it (the unknown exposure), or photograph a matte sphere"
             )
             return Strengths(nothing, nothing, np.zeros(3))
         matte = self.matte._replace(light=self.matte.light[kept], place=estimate.place)

@@ -10,6 +10,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from phongfit.commands.options import optional
+from phongfit.files.capture_data import open_captured
 from phongfit.files.dataset import Dataset, Photograph, Photographs
 from phongfit.files.datasets import open_dataset
 from phongfit.files.diligent import is_diligent
@@ -34,22 +35,35 @@ class DataOptions:
 
     Args:
         dataset: A data set's folder, as `phongfit synth` makes it or in DiLiGenT's
-            layout; or one image, with --scene.
+            layout; one image, with --scene; or photographs, one or a folder of them,
+            with --sphere or --normals.
         scene: With one image: its scene.json.
-        mask: With one image: white where a pixel may be used.
-        encoding: With one image: what its numbers are, if its scene file does not
-            say.
-        min_cosine: DiLiGenT: samples with n·l up to this are left out, where light
-            that bounced counts for more.
-        min_facing: DiLiGenT: pixels with n_z up to this are left out: a rim's pixel
+        sphere: The photographs show a ball: x and y of its centre and its radius in
+            pixels, from the upper left corner.
+        normals: The photographs show a surface with these normals: an .npz with
+            normals, and positions and mask if there are, or an .npy.
+        lights: With photographs: their lights, as `phongfit calibrate` writes them, or
+            an .lp. Default: those in the folder; else the fit finds them.
+        mask: With an image or photographs: white where a pixel may be used.
+        encoding: With an image or photographs: what their numbers are. Default: what
+            the scene file says, and srgb for JPEG.
+        min_cosine: Not of our own data sets: samples with n·l up to this are left out,
+            where light that bounced counts for more.
+        min_facing: Likewise: pixels with n·v up to this are left out: a rim's pixel
             averages over many normals.
-        room_light: DiLiGenT: ambient light, which stands for all that came by way
-            of the room; 0 for none.
+        room_light: Likewise: ambient light, which stands for all that came by way of
+            the room; 0 for none.
     """
 
     dataset: Annotated[Positional[Path], arg(metavar="DATASET")]
 
     scene: Annotated[Path | None, optional("FILE")] = None
+
+    sphere: Annotated[tuple[float, float, float] | None, arg(metavar="X Y R")] = None
+
+    normals: Annotated[Path | None, optional("FILE")] = None
+
+    lights: Annotated[Path | None, optional("FILE")] = None
 
     mask: Annotated[Path | None, optional("FILE")] = None
 
@@ -80,7 +94,9 @@ def _recorded(
 ) -> tuple[T, DataRecord]:
     """What is made of the photographs, which reads them all, and a record of them."""
     with recording() as checksums:
-        if options.dataset.is_dir():
+        if options.sphere is not None or options.normals is not None:
+            photographs = _open_captured(options)
+        elif options.dataset.is_dir():
             photographs = _open_folder(options)
         else:
             photographs = _read_single(options)
@@ -99,22 +115,53 @@ def _recorded(
         min_cosine=options.min_cosine,
         min_facing=options.min_facing,
         room_light=options.room_light,
+        sphere=options.sphere,
+        normals=None if options.normals is None else str(options.normals),
+        lights=None if options.lights is None else str(options.lights),
     )
     name = readable(photographs.name)
     return made, DataRecord(name=name, reading=reading, inputs=inputs)
 
 
+def _open_captured(options: DataOptions) -> Photographs:
+    if options.scene is not None:
+        given = "sphere" if options.sphere is not None else "normals"
+        raise ValueError(f"scene: expected it or {given}, got both")
+    if not options.dataset.exists():
+        raise ValueError(f"{options.dataset}: there is no such file or folder")
+    return open_captured(
+        options.dataset,
+        options.encoding,
+        sphere=options.sphere,
+        normals=options.normals,
+        lights=options.lights,
+        mask=options.mask,
+        min_cosine=options.min_cosine,
+        min_facing=options.min_facing,
+        room_light=options.room_light,
+    )
+
+
 def _open_folder(options: DataOptions) -> Photographs:
     folder = options.dataset
+    if options.lights is not None or not _is_dataset(folder):
+        raise ValueError(
+            f"{folder}: expected --sphere or --normals, the shape that its photographs "
+            "show, since it is no data set with a scene.json or a filenames.txt"
+        )
     for name in ("scene", "mask", "encoding"):
         if getattr(options, name) is not None:
             raise ValueError(f"{name}: {folder} is a folder, which says this itself")
     photographs = open_dataset(
         folder, min_cosine=options.min_cosine, min_facing=options.min_facing
     )
-    if (folder / SCENE_FILE).exists() or not is_diligent(folder):
+    if (folder / SCENE_FILE).exists():
         return photographs
     return in_a_room(photographs, options.room_light)
+
+
+def _is_dataset(folder: Path) -> bool:
+    return (folder / SCENE_FILE).exists() or is_diligent(folder)
 
 
 def in_a_room(data: Photographs, light: float) -> Photographs:
@@ -134,7 +181,10 @@ def _read_single(options: DataOptions) -> Photographs:
     if not path.exists():
         raise ValueError(f"{path}: there is no such file or folder")
     if options.scene is None:
-        raise ValueError(f"scene: is missing, {path} is one image and needs --scene")
+        raise ValueError(
+            f"scene: is missing, {path} is one image and needs --scene, or --sphere or "
+            "--normals for its shape"
+        )
     record = read_record(options.scene, SceneRecord)
     scene = _scene_of(path, options.scene, record)
     encoding = options.encoding or record.encoding

@@ -89,6 +89,7 @@ def main(options: Options) -> int:
         record = None if options.like is None else read_fit_record(options.like)
         asked, noise, reading = _asked(options, record)
         data, read = read_data(reading)
+        asked = _with_unknown(asked, data)
         with stage("fitting"):
             found = _fit(data, asked, noise)
         write_fit_record(folder / FIT_FILE, found, data=read, noise=noise)
@@ -117,8 +118,29 @@ def _asked(
                     "both"
                 )
     settings, reading = record.settings, record.data.reading.model_dump()
+    for name in ("normals", "lights"):
+        reading[name] = None if reading[name] is None else Path(reading[name])
     data = dataclasses.replace(options.data, **reading)
     return settings.specification(), settings.noise, data
+
+
+def _with_unknown(asked: Specification, data: Dataset) -> Specification:
+    """With what the photographs' maker does not know: lights, strengths.
+
+    Strengths are those of the first lamp's unless one is held elsewhere: brighter lamps
+    and darker materials look the same.
+    """
+    fixed = dict(asked.fixed)
+    if "exposure" in data.unknown and not any("exposure" in name for name in fixed):
+        fixed["exposure[0]"] = 1.0
+    several = len(data.images) > 1
+    own = tuple(name for name in data.unknown if name.startswith("scene."))
+    return dataclasses.replace(
+        asked,
+        unknowns=tuple(dict.fromkeys((*asked.unknowns, *data.unknown))),
+        per_image=tuple(dict.fromkeys((*asked.per_image, *(own if several else ())))),
+        fixed=fixed,
+    )
 
 
 def _fit(data: Dataset, asked: Specification, noise: float | None) -> Fit:

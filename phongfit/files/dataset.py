@@ -24,6 +24,8 @@ class Dataset:
     - `film`: how light became the images' numbers; a tuple, one for each image, where
         JPEG files rounded them differently.
     - `truth`: the material, where it is known.
+    - `unknown`: parameters of the scenes, and the exposure, that the photographs' maker
+        does not know either, and a fit should find.
     """
 
     name: str
@@ -33,6 +35,7 @@ class Dataset:
     names: tuple[str, ...]
     film: Film | tuple[Film, ...]
     truth: Material | None = None
+    unknown: tuple[str, ...] = ()
 
     @property
     def films(self) -> tuple[Film, ...]:
@@ -76,7 +79,7 @@ class Photographs:
 
     - `read`: the photograph of a number, from 0 on; it raises `ValueError` that names
         the file that is missing or wrong.
-    - `name`, `scenes`, `names`, `truth`: as in [`Dataset`][].
+    - `name`, `scenes`, `names`, `truth`, `unknown`: as in [`Dataset`][].
     - `film`: of all of them, as far as is known without their files.
     - `film_of`: that of the photograph of a number, as its file tells.
     """
@@ -88,6 +91,7 @@ class Photographs:
     read: Callable[[int], Photograph]
     truth: Material | None = None
     film_of: Callable[[int], Film] | None = None
+    unknown: tuple[str, ...] = ()
 
     def films(self) -> tuple[Film, ...]:
         """Of each photograph, as its file tells."""
@@ -107,4 +111,5 @@ class Photographs:
             self.names,
             film,
             self.truth,
+            self.unknown,
         )

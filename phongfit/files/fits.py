@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from phongfit.files.arguments import describe
 from phongfit.files.inputs import naming
 from phongfit.files.outputs import write_json
-from phongfit.files.records import AbstractRecord, Many, read_record
+from phongfit.files.records import AbstractRecord, Many, Vector, read_record
 from phongfit.files.schema import MaterialRecord, SpecularRecord, describe_material
 from phongfit.fitting.problem.losses import LOSSES
 from phongfit.fitting.problem.specification import (
@@ -125,6 +125,9 @@ class DataSettings(AbstractRecord):
     min_cosine: float = 0.05
     min_facing: float = 0.15
     room_light: Annotated[float, Field(ge=0)] = 1.0
+    sphere: Vector | None = None
+    normals: str | None = None
+    lights: str | None = None
 
 
 class DataRecord(AbstractRecord):
