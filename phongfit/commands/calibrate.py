@@ -52,10 +52,10 @@ class Options:
     out: OutFolder
 
     sphere: Annotated[
-        UseAppendAction[tuple[tuple[float, ...], ...]], arg(metavar="X Y R")
+        UseAppendAction[tuple[tuple[float, ...], ...]], optional("X Y R")
     ] = ()
 
-    matte: Annotated[tuple[float, float, float] | None, arg(metavar="X Y R")] = None
+    matte: Annotated[tuple[float, float, float] | None, optional("X Y R")] = None
 
     sphere_radius: Annotated[float, arg(metavar="LENGTH")] = 1.0
 

@@ -59,7 +59,7 @@ class DataOptions:
 
     scene: Annotated[Path | None, optional("FILE")] = None
 
-    sphere: Annotated[tuple[float, float, float] | None, arg(metavar="X Y R")] = None
+    sphere: Annotated[tuple[float, float, float] | None, optional("X Y R")] = None
 
     normals: Annotated[Path | None, optional("FILE")] = None
 

@@ -178,8 +178,8 @@ def _circle(given: Sequence[float], height: int, width: int) -> np.ndarray:
         -circle[2] < circle[1] < height + circle[2]
     ):
         raise ValueError(
-            f"sphere: expected a circle in the photograph of {width} × {height} pixels, "
-            f"got {list(given)}"
+            f"sphere: expected a circle in the {width} × {height} pixels of the "
+            f"photograph, got {list(given)}"
         )
     return circle
 
@@ -222,7 +222,7 @@ def _lamps(
         missing = [name for name in capture.names if name not in by_name]
         if missing:
             raise ValueError(
-                f"lights: expected a lamp for each photograph, got none for {missing[0]}"
+                f"lights: expected one for each photograph, got none for {missing[0]}"
                 + (f" and {len(missing) - 1} others" if len(missing) > 1 else "")
             )
         found = [by_name[name] for name in capture.names]
@@ -262,7 +262,7 @@ def _masked(path: Path, shape: tuple[int, ...]) -> Bool[np.ndarray, "height widt
     mask = read_mask(path)
     if mask.shape != shape:
         raise ValueError(
-            f"{path}: expected {shape[1]} × {shape[0]} pixels, as the photographs have, "
-            f"got {mask.shape[1]} × {mask.shape[0]}"
+            f"{path}: expected {shape[1]} × {shape[0]} pixels, as the photographs "
+            f"have, got {mask.shape[1]} × {mask.shape[0]}"
         )
     return mask

@@ -267,3 +267,21 @@ def test_jpeg_files_say_what_they_round(copy, tmp_path):
     assert read_fit_record(out / "fit.json").film.endswith("JPEG 4:4:4")
     again = ["fit", str(copy), "-o", str(tmp_path / "again"), "--report", "none"]
     assert main([*again, "--like", str(out / "fit.json")]) == 0
+
+
+def test_a_photograph_of_a_ball_with_nothing_else(tmp_path, capsys):
+    camera = pf.OrthographicCamera(48, 36, view_height=3.0)
+    light = pf.DirectionalLight((0.5, 0.3, 0.8))
+    scene = pf.Scene(pf.Sphere(), camera, light, ambient=1.0)
+    truth = pf.Material((0.5, 0.3, 0.2), 0.3, 20.0, 0.1)
+    pf.write_image(tmp_path / "photo.jpg", pf.render(scene, truth), "srgb")
+    call = ["fit", str(tmp_path / "photo.jpg"), "--report", "none"]
+    out = tmp_path / "out"
+    assert main([*call, "--sphere", "24", "18", "12", "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "scene.lights[0].direction.x" in said and "shininess" in said
+    assert (
+        main([*call, "--like", str(out / "fit.json"), "-o", str(tmp_path / "b")]) == 0
+    )
+    assert main([*call, "-o", str(tmp_path / "c")]) == 2
+    assert "--sphere or --normals" in capsys.readouterr().err

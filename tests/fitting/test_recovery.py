@@ -154,7 +154,7 @@ def test_random_scenes_without_noise(count):
         fits.append(fit)
         levels = [
             np.round(np.asarray(case.film.expose(light)) * 255)
-            for light in (image, fit.fitted)
+            for light in (image, np.asarray(fit.fitted))
         ]
         assert np.abs(levels[0] - levels[1]).max() <= 1
     # Rounding errors are shared: in a scene that is off, several parameters are. So few

@@ -1,0 +1,147 @@
+"""Photographs of known shape as a data set, with lights known or not."""
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.files.capture_data import open_captured
+from phongfit.files.captures import open_capture
+from phongfit.fitting.fit import fit
+from tests.calibration.studio import Studio, directions
+
+HEIGHT, WIDTH = 36, 48
+CIRCLE = (27.0, 16.0, 12.0)
+LAMPS = directions(3)
+TRUTH = pf.Material((0.5, 0.3, 0.2), 0.3, 20.0, 0.1)
+
+
+def ball(lamp):
+    """The same ball as the circle shows, in units of its own."""
+    x, y, radius = CIRCLE
+    centre = (2 * (x - WIDTH / 2) / radius, 2 * (HEIGHT / 2 - y) / radius, 0)
+    camera = pf.OrthographicCamera(WIDTH, HEIGHT, view_height=2 * HEIGHT / radius)
+    light = pf.DirectionalLight(lamp)
+    return pf.Scene(pf.Sphere(centre, 2.0), camera, light, ambient=1.0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ball")
+    for number, lamp in enumerate(LAMPS, 1):
+        pf.write_image(folder / f"{number}.png", pf.render(ball(lamp), TRUTH), "srgb")
+    return folder
+
+
+def test_one_photograph_and_its_circle_are_enough(folder):
+    data = open_captured(folder / "1.png", "srgb", sphere=CIRCLE).load()
+    assert data.unknown == ("scene.lights[0].direction",)
+    assert data.film == pf.Film(encoding="srgb", bits=8)
+    unknowns = ("ambient", "diffuse", "specular", "shininess", *data.unknown)
+    found = fit(
+        data.scenes[0],
+        data.images[0],
+        mask=data.masks[0],
+        film=data.film,
+        unknowns=unknowns,
+    )
+    assert np.asarray(found.material.diffuse) == pytest.approx(
+        [0.5, 0.3, 0.2], abs=0.02
+    )
+    assert float(np.mean(np.asarray(found.material.shininess))) == pytest.approx(
+        20, rel=0.1
+    )
+
+
+def test_a_folder_without_lights_says_what_is_unknown(folder):
+    data = open_captured(folder, "srgb", sphere=CIRCLE)
+    assert data.names == ("1.png", "2.png", "3.png")
+    assert data.unknown == ("scene.lights[0].direction", "exposure")
+
+
+def test_a_list_of_lights_in_the_order_of_the_list(folder, tmp_path):
+    names = ["3.png", "1.png", "2.png"]
+    pf.write_lp(tmp_path / "a.lp", names, LAMPS[[2, 0, 1]])
+    data = open_captured(folder, "srgb", sphere=CIRCLE, lights=tmp_path / "a.lp")
+    assert data.names == tuple(names)
+    assert data.unknown == ("exposure",)
+    lights = [np.asarray(scene.lights[0].direction) for scene in data.scenes]  # type: ignore[attr-defined]
+    assert np.stack(lights) == pytest.approx(LAMPS[[2, 0, 1]], abs=1e-6)
+
+
+def test_rims_and_shades_are_left_out(folder, tmp_path):
+    pf.write_lp(tmp_path / "a.lp", ["1.png", "2.png", "3.png"], LAMPS)
+    _, mask = open_captured(
+        folder, "srgb", sphere=CIRCLE, lights=tmp_path / "a.lp", min_facing=0.5
+    ).read(0)
+    rows, columns = np.nonzero(mask)
+    away = np.hypot(columns + 0.5 - CIRCLE[0], rows + 0.5 - CIRCLE[1])
+    # n·v is the cosine of the angle, at whose sine the pixel lies.
+    assert 0.75 < away.max() / CIRCLE[2] < np.sqrt(1 - 0.5**2) + 1e-3
+    whole = open_captured(folder, "srgb", sphere=CIRCLE, min_facing=0.5).read(0)
+    assert whole.mask.sum() > mask.sum()
+
+
+def test_a_calibration_gives_camera_lights_and_strengths(tmp_path):
+    studio = Studio()
+    for number, lamp in enumerate(LAMPS, 1):
+        image = studio.photograph(lamp, seed=number)
+        pf.write_image(tmp_path / f"{number}.jpg", image, "srgb")
+    capture = open_capture(tmp_path)
+    circle = studio.circles("matte")[0]
+    found = pf.calibrate(
+        capture,
+        chrome=studio.circles("chrome"),
+        matte=circle,
+        sphere_radius=0.5,
+        fov=20,
+        names=capture.names,
+    )
+    pf.save_calibration(tmp_path / "lights.json", found)
+    # In the folder of the photographs it is found by itself.
+    data = open_captured(tmp_path, sphere=circle)
+    assert data.unknown == ()
+    scene = data.scenes[0]
+    assert isinstance(scene.camera, pf.PerspectiveCamera)
+    assert isinstance(scene.surface, pf.Sphere)
+    assert np.asarray(scene.surface.center) == pytest.approx([-0.1, 0.8, -10], abs=0.05)
+    assert float(scene.surface.radius) == pytest.approx(0.5, rel=0.01)
+    (tmp_path / "4.jpg").write_bytes((tmp_path / "3.jpg").read_bytes())
+    with pytest.raises(ValueError, match="got none for 4.jpg"):
+        open_captured(tmp_path, sphere=circle)
+
+
+def test_normals_from_a_file(folder, tmp_path):
+    seen = ball(LAMPS[0]).trace()
+    normals = np.where(seen.mask[..., None], seen.normal, 0)
+    np.savez(tmp_path / "n.npz", normals=normals)
+    np.save(tmp_path / "n.npy", normals)
+    pf.write_lp(tmp_path / "a.lp", ["1.png", "2.png", "3.png"], LAMPS)
+    read = [
+        open_captured(folder, "srgb", normals=tmp_path / name, lights=tmp_path / "a.lp")
+        for name in ("n.npz", "n.npy")
+    ]
+    for data in read:
+        assert isinstance(data.scenes[0].surface, pf.NormalMap)
+        assert (data.read(0).mask == read[0].read(0).mask).all()
+    np.savez(tmp_path / "other.npz", normals=normals[:-1])
+    with pytest.raises(ValueError, match="other.npz: expected 48 × 36 normals"):
+        open_captured(folder, "srgb", normals=tmp_path / "other.npz")
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        ({}, "sphere: expected the shape .* got neither"),
+        ({"sphere": (1, 2)}, "sphere: expected x, y and radius"),
+        ({"sphere": (1000, 2, 5)}, "sphere: expected a circle in the 48 × 36 pixels"),
+        ({"sphere": CIRCLE, "lights": "nowhere"}, "nowhere: cannot be read"),
+    ],
+)
+def test_what_is_wrong_is_said(folder, options, message):
+    with pytest.raises(ValueError, match=message):
+        open_captured(folder, "srgb", **options)
+
+
+def test_the_encoding_is_not_guessed(folder):
+    with pytest.raises(ValueError, match="encoding: expected linear or srgb"):
+        open_captured(folder / "1.png", sphere=CIRCLE)
