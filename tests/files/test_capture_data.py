@@ -77,8 +77,9 @@ def test_rims_and_shades_are_left_out(folder, tmp_path):
     away = np.hypot(columns + 0.5 - CIRCLE[0], rows + 0.5 - CIRCLE[1])
     # n·v is the cosine of the angle, at whose sine the pixel lies.
     assert 0.75 < away.max() / CIRCLE[2] < np.sqrt(1 - 0.5**2) + 1e-3
-    whole = open_captured(folder, "srgb", sphere=CIRCLE, min_facing=0.5).read(0)
-    assert whole.mask.sum() > mask.sum()
+    lit = open_captured(folder, "srgb", sphere=CIRCLE, lights=tmp_path / "a.lp")
+    whole = open_captured(folder, "srgb", sphere=CIRCLE)
+    assert whole.read(1).mask.sum() > lit.read(1).mask.sum() > 0
 
 
 def test_a_calibration_gives_camera_lights_and_strengths(tmp_path):

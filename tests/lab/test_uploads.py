@@ -26,7 +26,7 @@ def _png(*shape: int) -> bytes:
         ("a.obj", b"\xff\xfe\0", "a.obj: is no text in UTF-8"),
         ("a.stl", b"solid", "a.stl: "),
         ("a.ply", b"ply\nformat", "a.ply: cannot be read"),
-        ("a.glb", b"glTF", "a.glb: cannot be read"),
+        ("a.glb", b"glTF", "a.glb: does not start as a GLB file does"),
         ("a.blend", TRIANGLE, "a.blend: its suffix is none of"),
         ("", TRIANGLE, "its suffix is none of"),
         ("../../a.obj", b"f 1 2 3", "a.obj: "),
