@@ -1,6 +1,7 @@
 """Surfaces given as a function (u, v) → p, cut into triangles."""
 
 import functools
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -41,6 +42,7 @@ def tessellate(
     **Raises:** `ValueError` that names the argument.
     """
     ends = _ends("u", u, "columns", columns), _ends("v", v, "rows", rows)
+    _check_takes_two(function)
     point = jax.eval_shape(
         function, *(jax.ShapeDtypeStruct((), end.dtype) for end in ends)
     )
@@ -86,6 +88,20 @@ def _grid(
 
 
 _kept_grid = eqx.filter_jit(_grid)
+
+
+def _check_takes_two(function: Callable[..., Any]) -> None:
+    try:
+        signature = inspect.signature(function)
+    except ValueError:
+        # Some that are written in C do not tell.
+        return
+    try:
+        signature.bind(None, None)
+    except TypeError as error:
+        raise ValueError(
+            f"function: expected one of (u, v), got {function!r}: {error}"
+        ) from None
 
 
 def _ends(name: str, ends: Any, count_name: str, count: Any) -> Float[Array, "2"]:

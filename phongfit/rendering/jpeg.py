@@ -140,7 +140,7 @@ _FROM_YCBCR = np.array([[1, 0, 1.402], [1, -0.344136, -0.714136], [1, 1.772, 0]]
 
 
 def _as_tables(given: Any) -> tuple[Table, ...]:
-    steps = as_integers("tables", given, 1, 2**16)
+    steps = as_integers("tables", _whole("tables", given), 1, 2**16)
     if steps.ndim != 3 or len(steps) not in (1, 3) or steps.shape[1:] != (8, 8):
         raise ValueError(
             f"tables: expected shape (1, 8, 8) or (3, 8, 8), got {steps.shape}"
@@ -148,10 +148,18 @@ def _as_tables(given: Any) -> tuple[Table, ...]:
     return tuple(tuple(map(tuple, table)) for table in steps.tolist())
 
 
+def _whole(name: str, given: Any) -> np.ndarray:
+    """Floating-point numbers that are whole as integers; all others as they are."""
+    array = as_array(name, given)
+    if array.dtype.kind == "f" and (array == np.round(array)).all():
+        return array.astype(np.int64)
+    return array
+
+
 def _as_pairs(given: Any) -> tuple[tuple[int, int], ...]:
     if as_array("sampling", given).size == 0:
         return ()
-    pairs = as_integers("sampling", given, 1, 256)
+    pairs = as_integers("sampling", _whole("sampling", given), 1, 256)
     if pairs.shape[1:] != (2,):
         raise ValueError(f"sampling: expected pairs, got shape {pairs.shape}")
     return tuple(map(tuple, pairs.tolist()))

@@ -151,7 +151,8 @@ def test_names_of_all_kinds(brass, tmp_path, monkeypatch):
     assert "$a_$.png" in record.data.inputs
 
 
-def test_a_terminal_that_knows_little(monkeypatch):
+def test_a_terminal_that_knows_little(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
     little = io.TextIOWrapper(io.BytesIO(), encoding="ascii", errors="strict")
     monkeypatch.setattr(sys, "stderr", little)
     assert main(["fit", "ρ.png", "-o", "out"]) == 2

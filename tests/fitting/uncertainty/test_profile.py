@@ -205,7 +205,7 @@ def test_wrong_arguments():
         ValueError, match="name: expected one of ambient.red.*got 'gloss'"
     ):
         fit.profile("gloss")
-    with pytest.raises(ValueError, match="name: expected .*, got 'diffuse'"):
+    with pytest.raises(ValueError, match="other: expected .*, got 'diffuse'"):
         fit.profile("shininess", "diffuse")
     with pytest.raises(
         ValueError, match="other: expected two unknowns, got 'shininess' twice"
