@@ -126,6 +126,8 @@ def unstack_materials(material: Material, count: int | None = None) -> list[Mate
     """
     held = [len(leaf) for leaf in jax.tree.leaves(material) if leaf.ndim == 2]
     count = max(held, default=1) if count is None else count
+    if not 1 <= count <= 2**16:
+        raise ValueError(f"count: expected a number from 1 to {2**16}, got {count}")
 
     def row(leaf: Array, i: int) -> Array:
         if leaf.ndim < 2:

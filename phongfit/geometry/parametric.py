@@ -17,6 +17,9 @@ from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.normals import parametric_normal
 from phongfit.vectors import Scalar, Vec3, norm
 
+MOST = 2**16
+"""Steps along a parameter, at most."""
+
 
 @checked
 def tessellate(
@@ -109,8 +112,10 @@ def _ends(name: str, ends: Any, count_name: str, count: Any) -> Float[Array, "2"
     if ends.shape != (2,):
         raise ValueError(f"{name}: expected shape (first, last), got {ends.shape}")
     require(name, ends, np.isfinite, jnp.isfinite, "finite numbers")
-    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-        raise ValueError(f"{count_name}: expected a whole number ≥ 1, got {count!r}")
+    if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST:
+        raise ValueError(
+            f"{count_name}: expected a whole number from 1 to {MOST}, got {count!r}"
+        )
     return ends
 
 

@@ -213,8 +213,8 @@ def _as_one(film: Film | Sequence[Film] | None, noise: Any) -> Film | None:
 
 
 def _as_mesh(devices: Sequence[Any] | None) -> Mesh:
-    devices = list(devices or jax.local_devices())
-    if not all(isinstance(device, jax.Device) for device in devices):
+    devices = jax.local_devices() if devices is None else list(devices)
+    if not devices or not all(isinstance(one, jax.Device) for one in devices):
         raise ValueError(f"devices: expected devices of JAX, got {shown(devices)}")
     return Mesh(np.array(devices), ("pixels",))
 
