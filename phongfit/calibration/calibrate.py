@@ -29,11 +29,12 @@ from phongfit.calibration.result import CalibratedSphere, Calibration, Lamp
 from phongfit.calibration.spheres import (
     SEEN,
     Crop,
+    Images,
     Kind,
     Outline,
-    Photographs,
     cut_out,
     find_spheres,
+    looked_at,
     place_sphere,
 )
 
@@ -48,7 +49,7 @@ BEST = np.radians(0.03)
 
 
 def calibrate(
-    photographs: Photographs,
+    photographs: Images,
     *,
     chrome: Sequence[Sequence[float]] | None = None,
     matte: Sequence[float] | None = None,
@@ -65,7 +66,7 @@ def calibrate(
 
         found = pf.calibrate(images, chrome=[(179, 565, 88), (781, 565, 88)],
                              matte=(179, 155, 81), fov=14)
-        scenes = [pf.Scene(surface, found.camera, lamp.light) for lamp in found.lamps]
+        scenes = [pf.Scene(surface, found.camera, light) for light in found.lights]
 
     **Arguments:**
 
@@ -88,7 +89,7 @@ def calibrate(
     **Raises:** `ValueError` that names the argument, or what is not seen.
     """
     names = _names(photographs, names)
-    height, width = _size(photographs[0], names[0])
+    height, width = next(looked_at(photographs, names)).shape[:2]
     if lamps not in ("distant", "near"):
         raise ValueError(f"lamps: expected 'distant' or 'near', got {lamps!r}")
     view = View(width, height, _number("fov", fov, 180) if fov is not None else None)
@@ -102,7 +103,7 @@ def calibrate(
     return _Session(names, view, radius, lamps, spheres, crops, warnings).run()
 
 
-def _names(photographs: Photographs, names: Sequence[str] | None) -> tuple[str, ...]:
+def _names(photographs: Images, names: Sequence[str] | None) -> tuple[str, ...]:
     count = len(photographs)
     if count == 0:
         raise ValueError("photographs: expected at least one, got none")
@@ -111,13 +112,6 @@ def _names(photographs: Photographs, names: Sequence[str] | None) -> tuple[str, 
     if len(names) != count:
         raise ValueError(f"names: expected {count}, one a photograph, got {len(names)}")
     return tuple(names)
-
-
-def _size(image: Any, name: str) -> tuple[int, int]:
-    shape = np.shape(image)
-    if len(shape) != 3 or shape[2] != 3 or 0 in shape:
-        raise ValueError(f"{name}: expected (height, width, 3), got {shape}")
-    return shape[0], shape[1]
 
 
 def _number(name: str, value: Any, below: float = np.inf) -> float:
@@ -132,7 +126,7 @@ def _number(name: str, value: Any, below: float = np.inf) -> float:
 
 
 def _outlines(
-    photographs: Photographs,
+    photographs: Images,
     names: Sequence[str],
     chrome: Sequence[Sequence[float]] | None,
     matte: Sequence[float] | None,
@@ -140,7 +134,7 @@ def _outlines(
     warnings: list[str],
 ) -> list[tuple[Kind, Outline]]:
     if chrome is None and matte is None:
-        found = find_spheres(photographs, names)
+        found = find_spheres(photographs, names, (view.height, view.width))
         if not found:
             raise ValueError(
                 "chrome: no sphere is seen in the photographs; give its circle, x, y "
@@ -266,35 +260,33 @@ class _Session:
         if self.matte is not None:
             shaded = shaded_directions(self.matte)
             self.matte = self.matte._replace(ambient=room_light(self.matte, shaded))
-        stills = [crop.grey.min(axis=0) for crop in self.chrome_crops]
-        several = len(self.names) >= 4
-        glints = np.array(
-            [crop.grey.max(axis=(1, 2)) for crop in self.chrome_crops]
-        ).reshape(-1, len(self.names))
-        lit = glints > DARK * np.median(glints, axis=1, keepdims=True)
+        on_spheres = [
+            self._candidates(crop, outline)
+            for crop, outline in zip(
+                self.chrome_crops, self.chrome.outlines, strict=True
+            )
+        ]
         candidates = [
-            [
-                _shifted(
-                    find_highlights(
-                        crop.grey[number],
-                        crop.within(outline),
-                        still if several else None,
-                    ),
-                    crop.corner,
-                )
-                if lit[sphere, number]
-                else []
-                for sphere, (crop, outline, still) in enumerate(
-                    zip(self.chrome_crops, self.chrome.outlines, stills, strict=True)
-                )
-            ]
-            for number in range(len(self.names))
+            [found[number] for found in on_spheres] for number in range(len(self.names))
         ]
         chosen = choose(candidates, self.chrome, self.view, self.lamps, shaded)
         left_out: dict[int, str] = {}
         self._leave_out_unseen(chosen, shaded, left_out)
         estimate, kept = self._solve(chosen, left_out)
         return self._result(estimate, kept, left_out, shaded, chosen)
+
+    def _candidates(self, crop: Crop, outline: Outline) -> list[list[Highlight]]:
+        """What may be the lamp on one sphere, by photograph; none where it is dark."""
+        grey = crop.grey
+        still = grey.min(axis=0) if len(grey) >= 4 else None
+        glints = grey.max(axis=(1, 2))
+        dark = DARK * np.median(glints)
+        return [
+            _shifted(find_highlights(image, crop.within(outline), still), crop.corner)
+            if glint > dark
+            else []
+            for image, glint in zip(grey, glints, strict=True)
+        ]
 
     def _leave_out_unseen(
         self,
@@ -387,12 +379,12 @@ class _Session:
             )
         falloff = 1.0 if estimate.place is None else estimate.place.falloff
         self._judge(estimate, kept, left_out, shaded, falloff)
-        chrome = iter(estimate.outlines)
+        # Chrome spheres come first, and a matte one may follow.
+        outlines = list(estimate.outlines)
+        outlines += [] if estimate.place is None else [estimate.place.outline]
         spheres = [
-            s._replace(
-                outline=next(chrome) if s.kind == "chrome" else estimate.place.outline  # type: ignore[union-attr]
-            )
-            for s in self.spheres
+            sphere._replace(outline=outline)
+            for sphere, outline in zip(self.spheres, outlines, strict=True)
         ]
         return Calibration(
             self.view,

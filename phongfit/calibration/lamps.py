@@ -16,7 +16,6 @@ Lamps = Literal["distant", "near"]
 MISSED = 12.0
 """What it costs, in squared standard deviations, that a sphere shows no highlight."""
 
-
 ROUNDS = 8
 """How often shading is looked at anew about the last estimate, at most."""
 
@@ -47,11 +46,9 @@ class LampEstimate(NamedTuple):
     - `residuals`: distance of each highlight from where its lamp would show it, in
         standard deviations; `nan` where a sphere shows none.
     - `scatter`: how far highlights lie from there, over what their centroids' errors
-        say, root mean square; `nan` where nothing is left to tell it.
+        say, root mean square; 1 where nothing is left to tell it.
     - `outlines`: of the spheres, as all highlights together would have them.
     - `place`: of the matte sphere, likewise.
-    - `doubt`: how far shading is from that, over what its own noise says; 1 where it
-        is no farther, `nan` without a matte sphere.
     """
 
     directions: Float[np.ndarray, "lamps 3"]
@@ -61,7 +58,6 @@ class LampEstimate(NamedTuple):
     scatter: float
     outlines: Float[np.ndarray, "spheres 3"]
     place: Place | None
-    doubt: float
 
 
 class _Rays(NamedTuple):
@@ -477,7 +473,6 @@ class _Linearised:
             float(scales[0]),
             system.chrome.outlines + moves,
             None if shaded is None else shaded.matte.place.moved(place),
-            np.nan if shaded is None else float(scales[1]),
         )
 
 

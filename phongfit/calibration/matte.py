@@ -9,6 +9,7 @@ that E is the lamp's strength there. The fall-off κ is 1 for a bulb, less for a
 with a reflector or a lens, and 0 for distant lamps.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -189,6 +190,24 @@ def _line(light: np.ndarray, columns: np.ndarray, block: np.ndarray) -> _Line:
     return _Line(found, covariance, weights, max(inflation, 1e-12))
 
 
+def _about(
+    matte: Matte, points: _Points, direction: np.ndarray, inverse: float
+) -> Callable[[np.ndarray], np.ndarray]:
+    """A lamp's [`_model`][] by a step from here.
+
+    The step has two turns along `across(direction)`, a change of the inverse distance,
+    and, where it is longer, what moves the sphere's place.
+    """
+    tangent = across(direction)
+
+    def model(step: np.ndarray) -> np.ndarray:
+        place = matte.place.moved(step[3:]) if len(step) > 3 else matte.place
+        turned = unit(direction + step[:2] @ tangent)
+        return _model(matte, points.pixel, place, turned, inverse + step[2])
+
+    return model
+
+
 def shade(
     matte: Matte,
     directions: Float[np.ndarray, "lamps 3"],
@@ -200,19 +219,7 @@ def shade(
     pull = np.zeros((len(directions), 8))
     steps = np.diag([1e-4, 1e-4, 1e-5, 1e-2, 1e-2, 1e-2, 1e-3, 1e-3])
     for number, light in enumerate(points.light.mean(axis=-1)):
-        direction, tangent = directions[number], across(directions[number])
-        inverse = inverse_distances[number]
-
-        def at(
-            step: np.ndarray,
-            direction: np.ndarray = direction,
-            tangent: np.ndarray = tangent,
-            inverse: float = inverse,
-        ) -> np.ndarray:
-            turned = unit(direction + step[:2] @ tangent)
-            place = matte.place.moved(step[3:])
-            return _model(matte, points.pixel, place, turned, inverse + step[2])
-
+        at = _about(matte, points, directions[number], inverse_distances[number])
         here = at(np.zeros(8))
         lit = (here > LIT) & (light < WHITE)
         if lit.sum() < ENOUGH:
@@ -262,19 +269,12 @@ def find_strengths(
     points = _points(matte)
     shape = (len(directions), 3)
     intensity, error = np.full(shape, np.nan), np.full(shape, np.nan)
+    small = 1e-4 * np.eye(3)
     for number, direction in enumerate(directions):
-        tangent, inverse = across(direction), inverse_distances[number]
-
-        def at(
-            step: np.ndarray,
-            direction: np.ndarray = direction,
-            tangent: np.ndarray = tangent,
-            inverse: float = inverse,
-        ) -> np.ndarray:
-            turned = unit(direction + step[:2] @ tangent)
-            return _model(matte, points.pixel, matte.place, turned, inverse + step[2])
-
+        at = _about(matte, points, direction, inverse_distances[number])
         here = at(np.zeros(3))
+        # The same for all channels.
+        beside = [(at(step), at(-step)) for step in small]
         for channel in range(3):
             light = points.light[number, :, channel]
             lit = (here > LIT) & (light < WHITE)
@@ -283,9 +283,9 @@ def find_strengths(
             line = _line(light[lit], here[lit, None], points.block[lit])
             # How the strength moves with the lamp's direction and distance.
             slope = [
-                (_strength(at(s)[lit], light[lit]) - _strength(at(-s)[lit], light[lit]))
+                (_strength(one[lit], light[lit]) - _strength(other[lit], light[lit]))
                 / 2e-4
-                for s in 1e-4 * np.eye(3)
+                for one, other in beside
             ]
             spread = slope @ covariances[number] @ slope
             intensity[number, channel] = line.numbers[0]

@@ -13,7 +13,7 @@ from phongfit.calibration.outlines import View, seen, stretch
 
 Kind = Literal["chrome", "matte"]
 Outline = Float[np.ndarray, "3"]
-Photographs = Sequence[Float[np.ndarray, "height width 3"]]
+Images = Sequence[Float[np.ndarray, "height width 3"]]
 
 SEARCHED = 1000
 """Photographs are shrunk to this many pixels, of their longer side, to look at."""
@@ -49,7 +49,7 @@ class Crop(NamedTuple):
 
 
 def looked_at(
-    photographs: Photographs, names: Sequence[str]
+    photographs: Images, names: Sequence[str]
 ) -> Iterator[Float[np.ndarray, "height width 3"]]:
     """The photographs one by one.
 
@@ -70,7 +70,7 @@ def looked_at(
 
 
 def cut_out(
-    photographs: Photographs,
+    photographs: Images,
     names: Sequence[str],
     outlines: Sequence[Outline],
     size: tuple[int, int],
@@ -113,16 +113,18 @@ def place_sphere(crop: Crop, outline: Outline, kind: Kind, view: View) -> Placed
 
 
 def find_spheres(
-    photographs: Photographs, names: Sequence[str]
+    photographs: Images, names: Sequence[str], size: tuple[int, int]
 ) -> list[tuple[Kind, Outline]]:
     """Spheres that nobody pointed out: round outlines with what spheres show inside.
 
     Matte is what Lambert's law explains, chrome what shows one compact highlight in
     nearly every photograph, where another lamp puts it elsewhere.
+
+    **Arguments:** `size`: as of [`cut_out`][].
     """
+    shrink = max(1, -(-max(size) // SEARCHED))
     images = looked_at(photographs, names)
-    small = np.stack([_shrunk(image) for image in images])
-    shrink = _shrinking(np.shape(photographs[0]))
+    small = np.stack([_shrunk(image, shrink) for image in images])
     found = []
     for placed in find_circles(small):
         x, y, radius = placed.outline
@@ -136,14 +138,8 @@ def find_spheres(
     return found
 
 
-def _shrinking(shape: tuple[int, ...]) -> int:
-    """How many pixels each way become one."""
-    return max(1, -(-max(shape[:2]) // SEARCHED))
-
-
-def _shrunk(image: np.ndarray) -> np.ndarray:
-    """Grey, and small enough to search."""
-    shrink = _shrinking(image.shape)
+def _shrunk(image: np.ndarray, shrink: int) -> np.ndarray:
+    """Grey, and of so many pixels each way one."""
     height, width = (n // shrink for n in image.shape[:2])
     grey = image.mean(axis=-1)[: height * shrink, : width * shrink]
     return grey.reshape(height, shrink, width, shrink).mean(axis=(1, 3))
@@ -155,13 +151,9 @@ def _kind(
     if _lambertian(light, outline) > 0.9:
         return "matte"
     still = light.min(axis=0)
-    best = [
-        max(find_highlights(one, outline, still), key=lambda h: h.score, default=None)
-        for one in light
-    ]
-    clear = [h for h in best if h is not None]
-    # Small against the sphere, much brighter than most of it, and not always in place.
-    small = [h for h in clear if h.size < 0.15 * outline[2]]
+    # The likeliest of each; small against the sphere, and not always in place.
+    best = [find_highlights(one, outline, still)[:1] for one in light]
+    small = [h for found in best for h in found if h.size < 0.15 * outline[2]]
     if len(small) < 0.7 * len(light):
         return None
     spread = np.std([h.pixel for h in small], axis=0).max()

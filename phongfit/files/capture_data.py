@@ -12,9 +12,9 @@ from phongfit.calibration.outlines import View, sphere_behind
 from phongfit.calibration.result import Calibration
 from phongfit.files.arrays import read_array, unpack
 from phongfit.files.calibrations import LIGHTS_FILE, load_calibration
-from phongfit.files.captures import Capture, open_capture
+from phongfit.files.captures import Capture, encoding_of, open_capture
 from phongfit.files.dataset import Photograph, Photographs
-from phongfit.files.images import read_film, read_image, read_mask
+from phongfit.files.images import read_film, read_head, read_mask
 from phongfit.files.inputs import naming, read_bytes
 from phongfit.files.lp import base_name
 from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera
@@ -74,7 +74,7 @@ def open_captured(
             "(sphere) or by its normals, "
             + ("got neither" if sphere is None else "got both")
         )
-    height, width = capture[0].shape[:2]
+    width, height = read_head(capture.folder / capture.names[0]).size
     camera, surface = _seen(height, width, source, sphere, normals)
     lamps, unknown = _lamps(capture, source)
     scenes = tuple(Scene(surface, camera, light, ambient=room_light) for light in lamps)
@@ -106,13 +106,7 @@ def open_captured(
 
 def _one(path: Path, encoding: Encoding | None) -> Capture:
     """A single photograph as a capture of one."""
-    if encoding is None and path.suffix.lower() not in (".jpg", ".jpeg"):
-        raise ValueError(
-            f"encoding: expected linear or srgb, since {path} does not say what its "
-            "numbers are"
-        )
-    encoding = encoding or "srgb"
-    read_image(path, encoding)
+    encoding = encoding_of(path.parent, [path.name], encoding)
     return Capture(path.parent, (path.name,), encoding)
 
 

@@ -10,9 +10,9 @@ from typing import overload
 import numpy as np
 from jaxtyping import Float
 
-from phongfit.files.formats import READERS
 from phongfit.files.images import read_image
 from phongfit.files.lp import LightList, base_name, read_lp
+from phongfit.files.photographs import images_in
 from phongfit.rendering.film import Encoding
 
 NO_LAMP = {"mask", "ambient", "dark", "flat", "ref", "reference", "normals", "normal"}
@@ -101,17 +101,8 @@ def open_capture(
     **Raises:** `ValueError` that names the folder, the file or the argument.
     """
     folder = Path(folder)
-    if not folder.is_dir():
-        raise ValueError(f"{folder}: there is no such folder")
     beside = {Path(p).resolve() for p in (ambient, flat) if p is not None}
-    images = [
-        path.name
-        for path in folder.iterdir()
-        if path.suffix.lower() in READERS
-        and path.is_file()
-        and not path.name.startswith(".")
-        and path.resolve() not in beside
-    ]
+    images = [path.name for path in images_in(folder) if path.resolve() not in beside]
     images.sort(key=_by_number)
     listed = _list_in(folder, lights)
     if listed is None:
@@ -123,8 +114,8 @@ def open_capture(
             f"{folder}: expected several photographs, each under its own lamp, got "
             + (f"one, {names[0]}" if names else "none")
         )
-    encoding = _encoding_of(folder, names, encoding)
-    whole = Capture(
+    encoding = encoding_of(folder, names, encoding)
+    return Capture(
         folder,
         tuple(names),
         encoding,
@@ -133,7 +124,6 @@ def open_capture(
         listed,
         tuple(name for name in images if name not in names),
     )
-    return whole
 
 
 def _by_number(name: str) -> list[tuple[int, int, str]]:
@@ -174,9 +164,13 @@ def _matched(folder: Path, images: Sequence[str], listed: LightList) -> list[str
     return found
 
 
-def _encoding_of(
+def encoding_of(
     folder: Path, names: Sequence[str], encoding: Encoding | None
 ) -> Encoding:
+    """What photographs' numbers are, where their formats leave no doubt.
+
+    **Raises:** `ValueError` that names the encoding, where they do.
+    """
     if encoding is not None:
         return encoding
     suffixes = {Path(name).suffix.lower() for name in names}

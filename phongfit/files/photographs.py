@@ -154,15 +154,10 @@ def list_photographs(
     than `at_least` in it.
     """
     folder = Path(folder)
-    if not folder.is_dir():
-        raise ValueError(f"{folder}: there is no such folder")
     found = sorted(
         path
-        for path in folder.iterdir()
-        if path.suffix.lower() in SUFFIXES
-        and path.is_file()
-        and not path.name.startswith(".")
-        and path.stem.lower().rpartition(".")[2] != "mask"
+        for path in images_in(folder)
+        if path.stem.lower().rpartition(".")[2] != "mask"
     )
     if len(found) < at_least:
         names = ", ".join(path.name for path in found) or "none"
@@ -170,6 +165,22 @@ def list_photographs(
             f"{folder}: expected at least {at_least} photographs, got {names}"
         )
     return tuple(found)
+
+
+def images_in(folder: Path) -> list[Path]:
+    """The images in a folder that are not hidden, in no order.
+
+    **Raises:** `ValueError` that names the folder, if there is none.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"{folder}: there is no such folder")
+    return [
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in SUFFIXES
+        and path.is_file()
+        and not path.name.startswith(".")
+    ]
 
 
 def relative_exposures(

@@ -64,7 +64,11 @@ def test_a_list_of_lights_in_the_order_of_the_list(folder, tmp_path):
     data = open_captured(folder, "srgb", sphere=CIRCLE, lights=tmp_path / "a.lp")
     assert data.names == tuple(names)
     assert data.unknown == ("exposure",)
-    lights = [np.asarray(scene.lights[0].direction) for scene in data.scenes]  # type: ignore[attr-defined]
+    lights = []
+    for scene in data.scenes:
+        light = scene.lights[0]
+        assert isinstance(light, pf.DirectionalLight)
+        lights.append(np.asarray(light.direction))
     assert np.stack(lights) == pytest.approx(LAMPS[[2, 0, 1]], abs=1e-6)
 
 
