@@ -285,3 +285,22 @@ def test_a_photograph_of_a_ball_with_nothing_else(tmp_path, capsys):
     )
     assert main([*call, "-o", str(tmp_path / "c")]) == 2
     assert "--sphere or --normals" in capsys.readouterr().err
+
+
+def test_lamps_of_unknown_strength_are_next_to_the_first(tmp_path):
+    folder, out = tmp_path / "ball", tmp_path / "out"
+    folder.mkdir()
+    lamps, truth = [(0.5, 0.3, 0.8), (-0.4, 0.2, 0.9)], pf.Material(0.4, 0.2, 20.0, 0.1)
+    camera = pf.OrthographicCamera(48, 36, view_height=3.0)
+    for name, lamp, strength in zip("ab", lamps, (1.0, 0.7), strict=True):
+        light = pf.DirectionalLight(lamp)
+        scene = pf.Scene(pf.Sphere(), camera, light, ambient=1.0)
+        image = strength * np.asarray(pf.render(scene, truth))
+        pf.write_image(folder / f"{name}.png", image, "linear", 16)
+    pf.write_lp(folder / "lamps.lp", ["a.png", "b.png"], np.array(lamps))
+    call = ["fit", str(folder), "--sphere", "24", "18", "12", "--encoding", "linear"]
+    assert main([*call, "-o", str(out), "--report", "none"]) == 0
+    found = json.loads((out / "fit.json").read_text())
+    values = dict(zip(found["labels"], found["values"], strict=True))
+    assert values["exposure[1]"] == pytest.approx(0.7, rel=0.01)
+    assert values["diffuse.red"] == pytest.approx(0.4, rel=0.01)
