@@ -31,7 +31,6 @@ from phongfit.maps.folder import (
     RECORD_FILE,
     MapSettings,
     save_folder,
-    seen_normals,
 )
 from phongfit.maps.result import MAP_PARAMETERS, Maps
 from phongfit.maps.run import fit_maps
@@ -149,7 +148,7 @@ def _save(
         data=read,
         settings=_settings(given),
         model=scene.specular_model,
-        normals=seen_normals(scene),
+        encoding=stack.photographs.film.encoding,
     )
 
 

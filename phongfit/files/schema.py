@@ -153,6 +153,7 @@ register(PhongShading, "phong")
 
 # Whole files.
 
+CameraRecord = Annotated[AbstractPart, PlainValidator(one_of(AbstractCamera))]
 SpecularRecord = Annotated[AbstractPart, PlainValidator(one_of(AbstractSpecular))]
 
 

@@ -1,10 +1,10 @@
 """Maps as a folder: `maps.npz` for programs, floating-point TIFF for other tools."""
 
+import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from jaxtyping import Float
 from pydantic import Field
 
 from phongfit.files.arguments import describe
@@ -15,10 +15,9 @@ from phongfit.files.inputs import inside, naming
 from phongfit.files.outputs import replacing, write_json
 from phongfit.files.records import AbstractRecord, Many, read_record
 from phongfit.files.schema import MaterialRecord, SpecularRecord
-from phongfit.geometry.tracing import trace
 from phongfit.maps.result import MAP_PARAMETERS, Maps, load_maps
 from phongfit.reflectance import AbstractSpecular
-from phongfit.scene import Scene
+from phongfit.rendering.film import Encoding
 
 MAPS_FORMAT = "phongfit maps"
 RECORD_FILE = "maps.json"
@@ -38,21 +37,18 @@ class MapSettings(AbstractRecord):
 
 
 class MapsRecord(AbstractRecord):
-    """`maps.json`: what the arrays beside it are, and how they were made."""
+    """`maps.json`: what the arrays beside it are, and how they were made.
+
+    `encoding` is the photographs'; version 1 does not have it.
+    """
 
     format: Literal["phongfit maps"]
-    version: Literal[1]
+    version: Literal[1, 2]
     data: DataRecord
     settings: MapSettings
     model: SpecularRecord
+    encoding: Encoding | None = None
     made_with: dict[str, str]
-
-
-def seen_normals(scene: Scene) -> Float[np.ndarray, "height width 3"]:
-    """Normals in the camera's axes (right, up, towards it); 0 where none is seen."""
-    gbuffer = trace(scene.surface, scene.camera)
-    normals = np.asarray(gbuffer.normal) @ np.asarray(scene.camera.rotation)
-    return np.where(np.asarray(gbuffer.mask)[..., None], normals, 0)
 
 
 def save_folder(
@@ -62,25 +58,28 @@ def save_folder(
     data: DataRecord,
     settings: MapSettings,
     model: AbstractSpecular,
-    normals: Float[np.ndarray, "height width 3"],
+    encoding: Encoding,
 ) -> None:
     """Write maps into a folder that is there.
 
     A TIFF for each map and one for its errors, infinite where a pixel is unidentified.
 
+    **Arguments:** `encoding`: that of the photographs.
+
     **Raises:** `OSError` that names the file.
     """
     maps.save(folder / ARRAYS_FILE)
-    write_array(folder / NORMALS_FILE, normals)
+    write_array(folder / NORMALS_FILE, maps.normals)
     for name in maps.unknowns:
         _write_tiff(folder / f"{name}.tif", getattr(maps, name))
         _write_tiff(folder / f"stderr_{name}.tif", getattr(maps.stderr, name))
     content = {
         "format": MAPS_FORMAT,
-        "version": 1,
+        "version": 2,
         "data": data.model_dump(),
         "settings": settings.model_dump(),
         "model": describe(model),
+        "encoding": encoding,
         "made_with": made_with(),
     }
     write_json(folder / RECORD_FILE, content)
@@ -102,8 +101,18 @@ def load_folder(folder: Path) -> tuple[Maps, MapsRecord, np.ndarray]:
         record, arrays, normals = (
             inside(folder, name) for name in (RECORD_FILE, ARRAYS_FILE, NORMALS_FILE)
         )
-    maps = load_maps(arrays)
-    return maps, read_record(record, MapsRecord), _normals(normals, maps)
+    maps, read = load_maps(arrays), read_record(record, MapsRecord)
+    seen = _normals(normals, maps)
+    if maps.specular_model is None:
+        # Of an older version, which wrote these two beside the maps only.
+        given = np.where(seen.any(axis=-1), 0, np.inf)
+        maps = dataclasses.replace(
+            maps,
+            normals=seen,
+            normals_stderr=given,
+            specular_model=read.model.build(),
+        )
+    return maps, read, seen
 
 
 def _normals(path: Path, maps: Maps) -> np.ndarray:

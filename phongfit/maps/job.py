@@ -12,6 +12,7 @@ import numpy as np
 from phongfit.fitting.problem.losses import as_loss
 from phongfit.fitting.problem.parameters import DEFAULT_BOUNDS
 from phongfit.geometry.shading import PhongShading
+from phongfit.geometry.surfaces import NormalMap
 from phongfit.geometry.tracing import trace
 from phongfit.maps.layers import Masks, Noise
 from phongfit.maps.pixel.lighting import Lighting
@@ -42,6 +43,22 @@ class Geometry:
     to_viewer: np.ndarray
     visibility: np.ndarray | None
     mask: np.ndarray
+
+    def seen(self, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+        """Normals in the camera's axes and depth along its axis, of every pixel.
+
+        0 and NaN where no surface is seen; NaN where no depth is known.
+        """
+        camera, inside = scene.camera, self.mask
+        normals = self.normal.reshape(*inside.shape, 3) @ np.asarray(camera.rotation)
+        depth = np.full(inside.shape, np.nan, normals.dtype)
+        if not (
+            isinstance(scene.surface, NormalMap) and scene.surface.positions is None
+        ):
+            offset = np.asarray(camera.position) - self.position
+            along = offset @ np.asarray(camera.rotation)[:, 2]
+            depth[inside] = np.broadcast_to(along, inside.size)[inside.ravel()]
+        return np.where(inside[..., None], normals, 0), depth
 
     def tile(
         self, pixels: np.ndarray, target: np.ndarray, used: np.ndarray, size: int

@@ -1,7 +1,9 @@
 """What a fit of every pixel gives back."""
 
 import dataclasses
+import json
 import os
+import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,12 +11,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from phongfit.edge import checked
+from phongfit.files.arguments import describe
 from phongfit.files.arrays import unpack
-from phongfit.files.inputs import read_bytes, reason
+from phongfit.files.inputs import naming, read_bytes, reason
 from phongfit.files.outputs import replacing
+from phongfit.files.records import AbstractRecord, parse_record
+from phongfit.files.schema import CameraRecord, SpecularRecord
+from phongfit.geometry.cameras import AbstractCamera
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.material import Material
+from phongfit.reflectance import AbstractSpecular
 
 
 class ParameterMaps(NamedTuple):
@@ -40,6 +47,11 @@ class Maps:
     flags: Int[np.ndarray, "height width"]
     unknowns: tuple[str, ...]
     noise_given: float | Float[np.ndarray, "height width"] | None
+    normals: Float[np.ndarray, "height width 3"]
+    normals_stderr: Float[np.ndarray, "height width"]
+    depth: Float[np.ndarray, "height width"]
+    camera: AbstractCamera | None = None
+    specular_model: AbstractSpecular | None = None
 
     @property
     def material(self) -> Material:
@@ -82,6 +94,9 @@ class Maps:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write all maps to an `.npz` file, in one piece; [`load_maps`][] reads it.
 
+        A camera or model of one's own that is not registered is left out, with a
+        warning.
+
         **Raises:** `ValueError` for another suffix, `OSError` that names `path`.
         """
         if not os.fspath(path).endswith(".npz"):
@@ -90,7 +105,7 @@ class Maps:
         arrays |= {
             f"stderr_{name}": getattr(self.stderr, name) for name in MAP_PARAMETERS
         }
-        arrays |= {name: getattr(self, name) for name in ("noise", "samples", "flags")}
+        arrays |= {name: getattr(self, name) for name in PLAIN}
         given = np.nan if self.noise_given is None else self.noise_given
         with replacing(path) as temporary:
             np.savez(
@@ -98,8 +113,21 @@ class Maps:
                 allow_pickle=False,
                 unknowns=np.array(self.unknowns),
                 noise_given=np.array(given),
+                view=np.array(json.dumps(self._view())),
                 **arrays,
             )
+
+    def _view(self) -> dict[str, Any]:
+        """Camera and specular model as files have them."""
+        view: dict[str, Any] = {}
+        for name in ("camera", "specular_model"):
+            part = getattr(self, name)
+            try:
+                view[name] = None if part is None else describe(part)
+            except ValueError as error:
+                # Hours of fitting are not lost for it.
+                warnings.warn(f"{name}: is left out: {error}", stacklevel=3)
+        return view
 
     def __str__(self) -> str:
         height, width = self.flags.shape
@@ -135,7 +163,23 @@ Maps.__init__.__doc__ = """**Arguments:**
 - `noise_given`: standard deviation of a sample that errors rest on (where there is no
     `MISFIT`), or `None` if it was estimated from each pixel's residuals. (H, W) if it
     varies: the root mean square of a pixel's.
+- `normals`: (H, W, 3), unit normals in the camera's axes: x right, y up, z towards the
+    camera; 0 where no surface is seen.
+- `normals_stderr`: (H, W), their standard errors in degrees, root mean square over all
+    ways to turn a normal; 0 where they were given, inf where not identified.
+- `depth`: (H, W), where the scenes' geometry knows it: distance along the camera's
+    axis, world units; NaN elsewhere.
+- `camera`, `specular_model`: those of the scenes; `None` in files of older versions.
 """
+
+PLAIN = ("noise", "samples", "flags", "normals", "normals_stderr", "depth")
+
+
+class ViewRecord(AbstractRecord):
+    """From where maps were seen, and by which model."""
+
+    camera: CameraRecord | None = None
+    specular_model: SpecularRecord | None = None
 
 
 @checked
@@ -199,6 +243,7 @@ def _checked(arrays: dict[str, np.ndarray]) -> Maps:
         )
     if given.ndim == 0:
         given = None if np.isnan(given) else float(given)
+    shape = _checked_shape(arrays, size)
     maps: Any = {name: arrays[name] for name in MAP_PARAMETERS}
     stderr: Any = {name: arrays[f"stderr_{name}"] for name in MAP_PARAMETERS}
     return Maps(
@@ -209,4 +254,49 @@ def _checked(arrays: dict[str, np.ndarray]) -> Maps:
         flags=arrays["flags"],
         unknowns=tuple(unknowns.tolist()),
         noise_given=given,
+        **shape,
     )
+
+
+def _checked_shape(
+    arrays: dict[str, np.ndarray], size: tuple[int, ...]
+) -> dict[str, Any]:
+    """Normals, depth and the view; files of older versions hold none of them.
+
+    **Raises:** as [`_checked`][] does.
+    """
+    if "normals" not in arrays:
+        return {
+            "normals": np.zeros((*size, 3)),
+            "normals_stderr": np.full(size, np.inf),
+            "depth": np.full(size, np.nan),
+        }
+    shape: dict[str, Any] = {}
+    for name, wanted in (
+        ("normals", (*size, 3)),
+        ("normals_stderr", size),
+        ("depth", size),
+    ):
+        array = shape[name] = arrays[name]
+        if array.shape != wanted or array.dtype.kind != "f":
+            raise ValueError(
+                f"{name}: expected floats of shape {wanted}, got {array.dtype} of "
+                f"shape {array.shape}"
+            )
+    length = np.linalg.norm(shape["normals"], axis=-1)
+    if not np.all((length == 0) | (abs(length - 1) < 1e-3)):
+        raise ValueError("normals: expected unit vectors, and 0 outside")
+    if not np.all(shape["normals_stderr"] >= 0):
+        raise ValueError("normals_stderr: expected numbers ≥ 0")
+    with naming("view"):
+        view = parse_record(str(arrays["view"]), ViewRecord)
+    for name in ("camera", "specular_model"):
+        record = getattr(view, name)
+        shape[name] = None if record is None else record.build()
+    camera = shape["camera"]
+    if camera is not None and (camera.height, camera.width) != size:
+        raise ValueError(
+            f"camera: expected {size} pixels, as the maps have, got "
+            f"{(camera.height, camera.width)}"
+        )
+    return shape

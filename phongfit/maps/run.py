@@ -19,6 +19,7 @@ from phongfit.edge import checked, shown
 from phongfit.fitting.problem.losses import AbstractLoss
 from phongfit.maps.job import (
     Fitted,
+    Geometry,
     check_enough,
     check_scenes,
     identify,
@@ -193,6 +194,8 @@ def fit_maps(
         tuple(name for name in MAP_PARAMETERS if name in unknowns),
         hidden,
         levels,
+        scenes[0],
+        geometry,
     )
 
 
@@ -318,7 +321,12 @@ class _Canvas:
         self._flags[pixels] = tile.flags
 
     def finished(
-        self, unknowns: tuple[str, ...], hidden: tuple[str, ...], noise: Noise
+        self,
+        unknowns: tuple[str, ...],
+        hidden: tuple[str, ...],
+        noise: Noise,
+        scene: Scene,
+        geometry: Geometry,
     ) -> Maps:
         for name in hidden:
             self._errors[MAP_PARAMETERS.index(name)][:] = np.inf
@@ -337,6 +345,7 @@ class _Canvas:
         if noise.varies:
             # Each sample was measured by its own noise.
             left = left * given
+        normals, depth = geometry.seen(scene)
         return Maps(
             **values,
             stderr=ParameterMaps(**errors),
@@ -345,4 +354,9 @@ class _Canvas:
             flags=self._flags.reshape(shape),
             unknowns=tuple(name for name in unknowns if name not in hidden),
             noise_given=given,
+            normals=normals,
+            normals_stderr=np.where(geometry.mask, 0, np.inf).astype(normals.dtype),
+            depth=depth,
+            camera=scene.camera,
+            specular_model=scene.specular_model,
         )

@@ -40,6 +40,9 @@ def made() -> Maps:
         flags=FLAGS,
         unknowns=MAP_PARAMETERS,
         noise_given=None,
+        normals=np.tile([0.0, 0, 1], (*SIZE, 1)),
+        normals_stderr=np.zeros(SIZE),
+        depth=np.full(SIZE, np.nan),
     )
 
 

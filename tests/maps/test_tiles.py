@@ -1,11 +1,14 @@
 """Tiles: the same bits however they are cut, read, interrupted or spread."""
 
+import dataclasses
 import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import equinox as eqx
 import numpy as np
 import pytest
 
@@ -158,7 +161,14 @@ def test_another_job_is_refused(tmp_path):
 
 def test_saved_and_loaded(maps, tmp_path):
     maps.save(tmp_path / "maps.npz")
-    same(pf.load_maps(tmp_path / "maps.npz"), maps)
+    read = pf.load_maps(tmp_path / "maps.npz")
+    same(read, maps)
+    assert eqx.tree_equal(read.camera, STACK.scenes[0].camera)
+    assert eqx.tree_equal(read.specular_model, pf.BlinnPhong())
+    normals = np.asarray(STACK.scenes[0].trace().normal)
+    np.testing.assert_allclose(read.normals, normals, atol=1e-6)
+    # Normals that were given are known; a normal map does not know how far it is.
+    assert not read.normals_stderr.any() and np.isnan(read.depth).all()
     assert str(maps).startswith("phongfit: maps of 48 × 64 pixels, 3,072 fitted")
     with pytest.raises(ValueError, match="ends in .npz"):
         maps.save(tmp_path / "maps.png")
@@ -179,6 +189,15 @@ def test_saved_and_loaded(maps, tmp_path):
         ("unknowns", np.array(["gloss"]), "unknowns: expected names of"),
         ("noise_given", np.zeros(3), "noise_given: expected floats of"),
         ("noise", None, "has no array 'noise'"),
+        ("normals", np.full((48, 64, 3), 0.9), "normals: expected unit vectors"),
+        ("normals_stderr", np.full((48, 64), -1.0), "normals_stderr: expected numbers"),
+        ("depth", np.zeros((48, 64), int), "depth: expected floats"),
+        ("view", np.array('{"camera": {"kind": "x"}}'), "view: camera.kind: expected"),
+        (
+            "view",
+            np.array('{"camera": {"kind": "orthographic", "height": 3}}'),
+            r"camera: expected \(48, 64\) pixels",
+        ),
     ],
 )
 def test_maps_of_wrong_arrays(maps, tmp_path, name, wrong, told):
@@ -191,6 +210,55 @@ def test_maps_of_wrong_arrays(maps, tmp_path, name, wrong, told):
     np.savez(path, **changed)
     with pytest.raises(ValueError, match=rf"maps\.npz: cannot be read: {told}"):
         pf.load_maps(path)
+
+
+def test_files_of_before_normals_were_kept(maps, tmp_path):
+    path = tmp_path / "maps.npz"
+    maps.save(path)
+    with np.load(path) as arrays:
+        new = ("normals", "normals_stderr", "depth", "view")
+        old = {name: array for name, array in arrays.items() if name not in new}
+    np.savez(path, **old)
+    read = pf.load_maps(path)
+    np.testing.assert_array_equal(read.diffuse, maps.diffuse)
+    assert read.camera is None and read.specular_model is None
+    assert not read.normals.any() and np.isinf(read.normals_stderr).all()
+
+
+def test_a_camera_that_files_do_not_know(maps, tmp_path):
+    class Pinhole(pf.AbstractCamera):
+        width: int = 64
+        height: int = 48
+        position: Any = None
+        rotation: Any = None
+
+        def ray(self, x, y):
+            raise NotImplementedError
+
+        def to_viewer(self, position):
+            raise NotImplementedError
+
+    own = dataclasses.replace(maps, camera=Pinhole())
+    with pytest.warns(UserWarning, match="camera: is left out: Pinhole"):
+        own.save(tmp_path / "maps.npz")
+    read = pf.load_maps(tmp_path / "maps.npz")
+    assert read.camera is None and read.specular_model is not None
+
+
+def test_shape_in_the_axes_of_the_camera():
+    """A sphere before a turned camera: normals and depth as the camera has them."""
+    camera = pf.PerspectiveCamera.look_at((4, 0, 3), width=64, height=48, fov_y=30.0)
+    scenes = [pf.Scene(pf.Sphere(), camera, s.lights) for s in STACK.scenes]
+    maps = pf.fit_maps(scenes, STACK.images, **QUICK)
+    seen = maps.normals.any(axis=-1)
+    np.testing.assert_array_equal(seen, ~maps.flagged(pf.Flag.OUTSIDE))
+    np.testing.assert_array_equal(np.isfinite(maps.depth), seen)
+    np.testing.assert_array_equal(maps.normals_stderr, np.where(seen, 0, np.inf))
+    middle = maps.normals[23:25, 31:33].mean(axis=(0, 1))
+    np.testing.assert_allclose(middle, [0, 0, 1], atol=0.01)
+    assert maps.depth[24, 32] == pytest.approx(4, abs=0.01)
+    y, x = np.argwhere(seen)[0]
+    assert maps.normals[y, x, 1] > 0.9 and maps.depth[y, x] > 4.5
 
 
 PROGRAM = """

@@ -2,6 +2,7 @@
 
 import functools
 import io
+import json
 import zipfile
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from tests.campaign.cases import Case, Kind, Wrong, blaming, put
 from tests.campaign.damage import damaged
 
 SIZE = (5, 6)
+CAMERA = {"kind": "orthographic", "width": SIZE[1], "height": SIZE[0]}
+MODEL = {"kind": "blinn-phong"}
 JOB = {"settings": "as they are", "images": "0123"}
 
 
@@ -34,6 +37,10 @@ def maps() -> dict[str, np.ndarray]:
         "flags": np.zeros(SIZE, np.uint16),
         "unknowns": np.array(MAP_PARAMETERS),
         "noise_given": np.array(np.nan),
+        "normals": np.tile(np.array([0, 0, 1], "f4"), (*SIZE, 1)),
+        "normals_stderr": np.zeros(SIZE, "f4"),
+        "depth": np.full(SIZE, np.nan, "f4"),
+        "view": np.array(json.dumps({"camera": CAMERA, "specular_model": MODEL})),
     }
 
 
