@@ -8,17 +8,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from phongfit.calibration.outlines import View, sphere_behind
 from phongfit.calibration.result import Calibration
-from phongfit.files.arrays import read_array, unpack
 from phongfit.files.calibrations import LIGHTS_FILE, load_calibration
 from phongfit.files.captures import Capture, encoding_of, open_capture
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import read_film, read_head, read_mask
-from phongfit.files.inputs import naming, read_bytes
 from phongfit.files.lp import base_name
-from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera
-from phongfit.geometry.surfaces import AbstractSurface, NormalMap, Sphere
+from phongfit.files.seen import seen_in
 from phongfit.lights import AbstractLight, DirectionalLight, PointLight
 from phongfit.rendering.film import Encoding, Film
 from phongfit.scene import Scene
@@ -64,10 +60,10 @@ def open_captured(
     """
     path = Path(photographs)
     if path.is_dir():
-        capture = open_capture(path, encoding, lights=_list_of(lights))
+        capture = open_capture(path, encoding, lights=list_of(lights))
     else:
         capture = _one(path, encoding)
-    source = _calibration(path, lights)
+    source = calibration_of(path, lights)
     if (sphere is None) == (normals is None):
         raise ValueError(
             "sphere: expected the shape of what is photographed, by its circle "
@@ -75,8 +71,8 @@ def open_captured(
             + ("got neither" if sphere is None else "got both")
         )
     width, height = read_head(capture.folder / capture.names[0]).size
-    camera, surface = _seen(height, width, source, sphere, normals)
-    lamps, unknown = _lamps(capture, source)
+    camera, surface = seen_in(height, width, source, sphere, normals)
+    lamps, unknown = find_lamps(capture, source)
     scenes = tuple(Scene(surface, camera, light, ambient=room_light) for light in lamps)
     used = _facing(scenes[0], min_facing)
     if mask is not None:
@@ -110,102 +106,32 @@ def _one(path: Path, encoding: Encoding | None) -> Capture:
     return Capture(path.parent, (path.name,), encoding)
 
 
-def _list_of(lights: str | os.PathLike[str] | None) -> Path | None:
+def list_of(lights: str | os.PathLike[str] | None) -> Path | None:
+    """The path of lights, if that is an .lp."""
     is_list = lights is not None and Path(lights).suffix.lower() == ".lp"
     return Path(lights) if is_list and lights is not None else None
 
 
-def _calibration(
+def calibration_of(
     path: Path, lights: str | os.PathLike[str] | None
 ) -> Calibration | None:
+    """The calibration that is named, or lies in the folder, if there is one.
+
+    **Raises:** `ValueError` that names the file.
+    """
     if lights is not None:
-        return None if _list_of(lights) else load_calibration(lights)
+        return None if list_of(lights) else load_calibration(lights)
     inside = path / LIGHTS_FILE
     return load_calibration(inside) if inside.exists() else None
 
 
-def _seen(
-    height: int,
-    width: int,
-    calibration: Calibration | None,
-    sphere: Sequence[float] | None,
-    normals: str | os.PathLike[str] | None,
-) -> tuple[AbstractCamera, AbstractSurface]:
-    camera: AbstractCamera | None = None
-    if calibration is not None:
-        view = calibration.view
-        if (view.height, view.width) != (height, width):
-            raise ValueError(
-                f"lights: expected a calibration of {width} × {height} pixels, as the "
-                f"photographs have, got {view.width} × {view.height}"
-            )
-        camera = calibration.camera
-    if normals is not None:
-        surface = _read_normals(Path(normals))
-        if tuple(surface.mask.shape) != (height, width):
-            raise ValueError(
-                f"{normals}: expected {width} × {height} normals, as the photographs "
-                f"have pixels, got {surface.mask.shape[1]} × {surface.mask.shape[0]}"
-            )
-        if surface.positions is None or camera is None:
-            # Of a long lens: without positions no other is known.
-            camera = OrthographicCamera(width, height)
-        return camera, surface
-    assert sphere is not None
-    circle = _circle(sphere, height, width)
-    if calibration is None or camera is None:
-        # The ball's radius is the unit.
-        x, y, radius = circle
-        centre = ((x - width / 2) / radius, (height / 2 - y) / radius, 0.0)
-        camera = OrthographicCamera(width, height, view_height=height / radius)
-        return camera, Sphere(centre, 1.0)
-    return camera, _ball(calibration, circle)
-
-
-def _circle(given: Sequence[float], height: int, width: int) -> np.ndarray:
-    circle = np.array(given, float)
-    if circle.shape != (3,) or not np.isfinite(circle).all() or not circle[2] > 0:
-        raise ValueError(
-            f"sphere: expected x, y and radius in pixels, got {list(given)}"
-        )
-    if not (-circle[2] < circle[0] < width + circle[2]) or not (
-        -circle[2] < circle[1] < height + circle[2]
-    ):
-        raise ValueError(
-            f"sphere: expected a circle in the {width} × {height} pixels of the "
-            f"photograph, got {list(given)}"
-        )
-    return circle
-
-
-def _ball(calibration: Calibration, circle: Float[np.ndarray, "3"]) -> Sphere:
-    """The ball behind a circle, as deep as the calibration's spheres."""
-    view: View = calibration.view
-    if view.focal is None:
-        assert calibration.view_height is not None
-        radius = circle[2] * calibration.view_height / view.height
-        return Sphere(sphere_behind(circle, view, radius), radius)
-    centre = sphere_behind(circle, view, 1.0)
-    radius = calibration.reference[2] / centre[2]
-    return Sphere(centre * radius, radius)
-
-
-def _read_normals(path: Path) -> NormalMap:
-    normals = read_array(path, "normals")
-    others = {} if path.suffix.lower() == ".npy" else unpack(read_bytes(path))
-    with naming(str(path)):
-        if normals.ndim != 3 or normals.shape[-1] != 3:
-            raise ValueError(
-                f"normals: expected (height, width, 3), got {normals.shape}"
-            )
-        there = np.any(normals != 0, axis=-1)
-        return NormalMap(normals, others.get("mask", there), others.get("positions"))
-
-
-def _lamps(
+def find_lamps(
     capture: Capture, calibration: Calibration | None
 ) -> tuple[list[AbstractLight], tuple[str, ...]]:
-    """A light for each photograph, and what of them is not known."""
+    """A light for each photograph, and what of them is not known.
+
+    **Raises:** `ValueError` for a photograph that the calibration does not name.
+    """
     several = len(capture.names) > 1
     strength = ("exposure",) if several else ()
     if calibration is not None:

@@ -1,0 +1,115 @@
+"""What a camera sees: a ball by its circle in the image, a surface by its normals."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from phongfit.calibration.outlines import View, sphere_behind
+from phongfit.calibration.result import Calibration
+from phongfit.files.arrays import read_array, unpack
+from phongfit.files.inputs import naming, read_bytes
+from phongfit.geometry.cameras import (
+    AbstractCamera,
+    OrthographicCamera,
+    PerspectiveCamera,
+)
+from phongfit.geometry.surfaces import AbstractSurface, NormalMap, Sphere
+
+
+def seen_in(
+    height: int,
+    width: int,
+    calibration: Calibration | None,
+    sphere: Sequence[float] | None,
+    normals: str | os.PathLike[str] | None,
+    fov: float | None = None,
+) -> tuple[AbstractCamera, AbstractSurface]:
+    """The camera of photographs, and the surface before it, in the camera's axes.
+
+    Without a calibration a ball's radius is the unit of length. Then the camera has
+    parallel rays and a ball's centre lies in the plane z = 0, or else the camera is a
+    pinhole at the origin, with `fov` degrees from the lower to the upper edge.
+
+    **Arguments:** one of `sphere` and `normals`, as of [`open_captured`][].
+
+    **Raises:** `ValueError` that names the file or the argument.
+    """
+    camera: AbstractCamera | None = None
+    view = View(width, height, fov)
+    if fov is not None:
+        camera = PerspectiveCamera(width, height, fov_y=fov, position=(0, 0, 0))
+    if calibration is not None:
+        view = calibration.view
+        if (view.height, view.width) != (height, width):
+            raise ValueError(
+                f"lights: expected a calibration of {width} × {height} pixels, as the "
+                f"photographs have, got {view.width} × {view.height}"
+            )
+        camera = calibration.camera
+    if normals is not None:
+        surface = read_normals(Path(normals))
+        if tuple(surface.mask.shape) != (height, width):
+            raise ValueError(
+                f"{normals}: expected {width} × {height} normals, as the photographs "
+                f"have pixels, got {surface.mask.shape[1]} × {surface.mask.shape[0]}"
+            )
+        if surface.positions is None or camera is None:
+            # Of a long lens: without positions no other is known.
+            camera = OrthographicCamera(width, height)
+        return camera, surface
+    assert sphere is not None
+    circle = _circle(sphere, height, width)
+    if calibration is not None:
+        return calibration.camera, _ball(calibration, circle)
+    if camera is None:
+        camera = OrthographicCamera(width, height, view_height=height / circle[2])
+    return camera, Sphere(sphere_behind(circle, view, 1.0), 1.0)
+
+
+def _circle(
+    given: Sequence[float], height: int, width: int
+) -> Float[np.ndarray, "3"]:
+    circle = np.array(given, float)
+    if circle.shape != (3,) or not np.isfinite(circle).all() or not circle[2] > 0:
+        raise ValueError(
+            f"sphere: expected x, y and radius in pixels, got {list(given)}"
+        )
+    if not (-circle[2] < circle[0] < width + circle[2]) or not (
+        -circle[2] < circle[1] < height + circle[2]
+    ):
+        raise ValueError(
+            f"sphere: expected a circle in the {width} × {height} pixels of the "
+            f"photograph, got {list(given)}"
+        )
+    return circle
+
+
+def _ball(calibration: Calibration, circle: Float[np.ndarray, "3"]) -> Sphere:
+    """The ball behind a circle, as deep as the calibration's spheres."""
+    view: View = calibration.view
+    if view.focal is None:
+        assert calibration.view_height is not None
+        radius = circle[2] * calibration.view_height / view.height
+        return Sphere(sphere_behind(circle, view, radius), radius)
+    centre = sphere_behind(circle, view, 1.0)
+    radius = calibration.reference[2] / centre[2]
+    return Sphere(centre * radius, radius)
+
+
+def read_normals(path: Path) -> NormalMap:
+    """A surface by its normals, and its positions and mask where the file has them.
+
+    **Raises:** `ValueError` that names the file.
+    """
+    normals = read_array(path, "normals")
+    others = {} if path.suffix.lower() == ".npy" else unpack(read_bytes(path))
+    with naming(str(path)):
+        if normals.ndim != 3 or normals.shape[-1] != 3:
+            raise ValueError(
+                f"normals: expected (height, width, 3), got {normals.shape}"
+            )
+        there = np.any(normals != 0, axis=-1)
+        return NormalMap(normals, others.get("mask", there), others.get("positions"))
