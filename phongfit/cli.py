@@ -30,6 +30,7 @@ COMMANDS = {
     "fit": "Fit a material to photographs: values, errors, pictures, a report.",
     "maps": "Fit a material per pixel to photographs under many lights.",
     "calibrate": "Find the lamps of a capture by spheres in its photographs.",
+    "scene": "Write a scene file: surface, camera and lights, to render and to fit.",
     "predict": "How well could a material be known, before any photograph is taken?",
     "export": "Write a material for other programs: .mtl, glTF, OpenGL, JSON.",
     "lab": "Move the model's sliders in a browser, and fit a target with one press.",
@@ -202,6 +203,8 @@ def _load(name: str) -> Callable[..., int | None]:
             from phongfit.commands import maps as command
         case "calibrate":
             from phongfit.commands import calibrate as command
+        case "scene":
+            from phongfit.commands import scene as command
         case "predict":
             from phongfit.commands import predict as command
         case "export":

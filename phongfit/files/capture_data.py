@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from phongfit.calibration.result import Calibration
 from phongfit.files.calibrations import LIGHTS_FILE, load_calibration

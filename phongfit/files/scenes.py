@@ -179,7 +179,7 @@ def build_scene(path: Path, record: SceneRecord) -> Scene:
     """
     with naming(str(path)):
         scene = record.build()
-        _check_size(scene)
+        check_size(scene)
     for entry in record.images:
         for name in (entry.file, entry.mask):
             if name is not None:
@@ -187,7 +187,11 @@ def build_scene(path: Path, record: SceneRecord) -> Scene:
     return scene
 
 
-def _check_size(scene: Scene) -> None:
+def check_size(scene: Scene) -> None:
+    """Is there room for a scene's image, and is its normal map as large?
+
+    **Raises:** `ValueError` that names the field.
+    """
     width, height = scene.camera.width, scene.camera.height
     with naming("camera.width"):
         afford(width * height * (PIXEL + LIGHT), f"{width} × {height} pixels")

@@ -66,12 +66,11 @@ def seen_in(
         return calibration.camera, _ball(calibration, circle)
     if camera is None:
         camera = OrthographicCamera(width, height, view_height=height / circle[2])
-    return camera, Sphere(sphere_behind(circle, view, 1.0), 1.0)
+    # Plus 0, since −0 in a scene file would puzzle whoever reads it.
+    return camera, Sphere(sphere_behind(circle, view, 1.0) + 0.0, 1.0)
 
 
-def _circle(
-    given: Sequence[float], height: int, width: int
-) -> Float[np.ndarray, "3"]:
+def _circle(given: Sequence[float], height: int, width: int) -> Float[np.ndarray, "3"]:
     circle = np.array(given, float)
     if circle.shape != (3,) or not np.isfinite(circle).all() or not circle[2] > 0:
         raise ValueError(

@@ -1,0 +1,367 @@
+"""`phongfit scene`: a surface, a camera and lights in; a scene file out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from tyro.conf import Positional, UseAppendAction, arg
+
+from phongfit.calibration.result import Calibration
+from phongfit.commands.options import optional
+from phongfit.files.calibrations import load_calibration
+from phongfit.files.capture_data import START, calibration_of, find_lamps, list_of
+from phongfit.files.captures import Capture, encoding_of, open_capture
+from phongfit.files.images import read_head
+from phongfit.files.inputs import sparing
+from phongfit.files.lp import read_lp
+from phongfit.files.outputs import check_file
+from phongfit.files.scenes import SCENE_FILE, check_size, save_scene
+from phongfit.files.schema import ImageRecord
+from phongfit.files.seen import seen_in
+from phongfit.geometry.cameras import (
+    AbstractCamera,
+    OrthographicCamera,
+    PerspectiveCamera,
+)
+from phongfit.geometry.meshes import Mesh
+from phongfit.geometry.surfaces import AbstractSurface
+from phongfit.lights import AbstractLight, DirectionalLight, PointLight
+from phongfit.rendering.film import Encoding, Film
+from phongfit.scene import Scene
+
+Triple = tuple[float, float, float]
+Triples = UseAppendAction[tuple[Triple, ...]]
+
+FOV = 30.0
+"""Angle of view that a mesh is looked at with, where none is given, degrees."""
+
+ROOM = 1.1
+"""A mesh is looked at with so much room around the ball that it fits into."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `phongfit scene`.
+
+    Args:
+        photograph: One photograph, which the scene is to explain; or a folder of them,
+            one lamp each, which becomes a data set. Default: none, with --size.
+        out: The scene file to write. Default, with a folder: scene.json in it.
+        size: Width and height in pixels, where there is no photograph.
+        sphere: The surface is a ball: x and y of its centre and its radius in pixels,
+            from the upper left corner. The radius is then the unit of length, and the
+            origin the middle of the picture, as deep as the ball is.
+        mesh: The surface is a mesh: OBJ, PLY, STL, glTF or OFF, which the camera looks
+            at from the front, from +z, until --position says otherwise.
+        normals: The surface has these normals, one a pixel: an .npz with normals, and
+            positions and mask if there are, or an .npy.
+        camera: orthographic: parallel rays, as of a long lens far away. perspective: a
+            pinhole; with --sphere and --normals it stands at the origin. Default:
+            perspective with --fov, else orthographic.
+        fov: A pinhole's angle of view, from the lower to the upper edge. Default: 30,
+            with --mesh.
+        position: With --mesh: where the camera stands.
+        target: With --mesh: what is in the middle of the picture. Default: the mesh.
+        light: Towards a distant light, x right, y up, z to the camera. Once for each.
+        point_light: Where a bulb is, likewise; its light does not fall off until the
+            file gives it an attenuation.
+        lights: Lights from a file instead: lights.json, as `phongfit calibrate` writes
+            it, with its camera, or an .lp.
+        intensity: Of each light of --light and --point-light: a number, or three.
+        ambient: The ambient light: a number, or three.
+        encoding: With a photograph: what its numbers are. Default: srgb for JPEG.
+        mask: With a folder: an image in it, white where pixels may be used.
+        overwrite: Replace an older scene file.
+    """
+
+    photograph: Annotated[Positional[Path | None], optional("PHOTO|FOLDER")] = None
+
+    out: Annotated[Path | None, optional("FILE"), arg(aliases=["-o"])] = None
+
+    size: Annotated[tuple[int, int] | None, optional("W H")] = None
+
+    sphere: Annotated[Triple | None, optional("X Y R")] = None
+
+    mesh: Annotated[Path | None, optional("FILE")] = None
+
+    normals: Annotated[Path | None, optional("FILE")] = None
+
+    camera: Annotated[
+        Literal["orthographic", "perspective"] | None,
+        optional("orthographic|perspective"),
+    ] = None
+
+    fov: Annotated[float | None, optional("DEGREES")] = None
+
+    position: Annotated[Triple | None, optional("X Y Z")] = None
+
+    target: Annotated[Triple | None, optional("X Y Z")] = None
+
+    light: Annotated[Triples, optional("X Y Z")] = ()
+
+    point_light: Annotated[Triples, optional("X Y Z")] = ()
+
+    lights: Annotated[Path | None, optional("FILE")] = None
+
+    intensity: Annotated[tuple[float, ...], arg(metavar="I")] = (1.0,)
+
+    ambient: Annotated[tuple[float, ...], arg(metavar="I")] = (1.0,)
+
+    encoding: Annotated[Encoding | None, optional("linear|srgb")] = None
+
+    mask: Annotated[Path | None, optional("FILE")] = None
+
+    overwrite: bool = False
+
+
+def main(options: Options) -> int:
+    """Write a scene file: what is seen, from where, under which light.
+
+    `phongfit fit`, `render` and `predict` take it as it is, and it is a text to be
+    edited. A folder of photographs becomes a data set, with a light for each.
+
+    For example:
+      phongfit scene ball.jpg --sphere 179 155 81 --light 1 1 2 -o ball.json
+      phongfit scene --size 96 96 --mesh cup.obj --point-light 2 3 4 -o cup.json
+      phongfit scene photos --sphere 179 155 81 --lights out/lights/lights.json
+    """
+    out = _out(options)
+    check_file(out)
+    if out.exists() and not options.overwrite:
+        raise ValueError(f"{out}: is there already; --overwrite replaces it")
+    with sparing(out):
+        made = _make(options)
+        check_size(made.scene)
+        save_scene(out, made.scene, film=made.film, images=made.images)
+    print(f"{out}: {_words(made)}")
+    for note in made.notes:
+        print(note)
+    return 0
+
+
+class _Made(NamedTuple):
+    scene: Scene
+    film: Film | None
+    images: list[ImageRecord]
+    notes: list[str]
+
+
+def _out(options: Options) -> Path:
+    folder = options.photograph
+    is_folder = folder is not None and folder.is_dir()
+    if options.out is None:
+        if folder is None or not is_folder:
+            raise ValueError("out: expected the name of the file to write, got none")
+        return folder / SCENE_FILE
+    if is_folder and folder is not None:
+        if options.out.resolve() != (folder / SCENE_FILE).resolve():
+            raise ValueError(
+                f"out: expected {folder / SCENE_FILE}, beside the photographs of the "
+                f"data set, got {options.out}"
+            )
+    elif options.out.suffix.lower() != ".json":
+        raise ValueError(f"out: expected a .json file, got {options.out}")
+    return options.out
+
+
+def _make(options: Options) -> _Made:
+    capture = _capture(options)
+    width, height = _size(options, capture)
+    camera, surface = _seen(options, height, width)
+    if capture is None or len(capture.names) == 1:
+        lights, notes = _given_lights(options)
+        images, film = [], None if capture is None else Film(encoding=capture.encoding)
+    else:
+        lights, notes = _lights_of(options, capture)
+        images, film = _images(options, capture), Film(encoding=capture.encoding)
+    scene = Scene(surface, camera, lights, ambient=_colour("ambient", options.ambient))
+    return _Made(scene, film, images, notes)
+
+
+def _capture(options: Options) -> Capture | None:
+    path = options.photograph
+    if path is None:
+        for name in ("encoding", "mask"):
+            if getattr(options, name) is not None:
+                raise ValueError(f"{name}: is of photographs, and none is given")
+        return None
+    if not path.exists():
+        raise ValueError(f"{path}: there is no such file or folder")
+    if path.is_dir():
+        return open_capture(path, options.encoding, lights=list_of(options.lights))
+    if options.mask is not None:
+        raise ValueError("mask: is of a folder; give it to `phongfit fit` instead")
+    encoding = encoding_of(path.parent, [path.name], options.encoding)
+    return Capture(path.parent, (path.name,), encoding)
+
+
+def _size(options: Options, capture: Capture | None) -> tuple[int, int]:
+    if capture is None:
+        if options.size is None:
+            raise ValueError("size: expected it, or a photograph to take it from")
+        return options.size
+    if options.size is not None:
+        raise ValueError("size: expected it or a photograph, which has one, got both")
+    return read_head(capture.folder / capture.names[0]).size
+
+
+def _seen(
+    options: Options, height: int, width: int
+) -> tuple[AbstractCamera, AbstractSurface]:
+    """Camera and surface, by the one option that gives a surface."""
+    names = ("sphere", "mesh", "normals")
+    given = [name for name in names if getattr(options, name) is not None]
+    if len(given) != 1:
+        raise ValueError(
+            "sphere: expected one of --sphere, --mesh and --normals, got "
+            + (" and ".join(given) if given else "none")
+        )
+    if options.camera == "orthographic" and options.fov is not None:
+        raise ValueError("fov: an orthographic camera has none")
+    if options.mesh is not None:
+        return _towards(options, _read_mesh(options.mesh), height, width)
+    for name in ("position", "target"):
+        if getattr(options, name) is not None:
+            raise ValueError(f"{name}: is for --mesh; {given[0]} is in the picture")
+    if options.camera == "perspective" and options.fov is None:
+        raise ValueError("fov: expected the angle of view of a perspective camera")
+    found = _calibrated(options)
+    if found is not None and (options.camera or options.fov is not None):
+        raise ValueError(f"fov: {options.lights} tells the camera, expected no other")
+    return seen_in(height, width, found, options.sphere, options.normals, options.fov)
+
+
+def _calibrated(options: Options) -> Calibration | None:
+    """The calibration that tells the lights, and then the camera too."""
+    if options.lights is not None:
+        return None if list_of(options.lights) else load_calibration(options.lights)
+    path = options.photograph
+    return None if path is None or not path.is_dir() else calibration_of(path, None)
+
+
+def _read_mesh(path: Path) -> Mesh:
+    # Here, since trimesh takes long to import.
+    from phongfit.files.meshes import load_mesh
+
+    return load_mesh(path).mesh
+
+
+def _towards(
+    options: Options, mesh: Mesh, height: int, width: int
+) -> tuple[AbstractCamera, AbstractSurface]:
+    """A camera that looks at a mesh, from where all of it is seen."""
+    vertices = np.asarray(mesh.vertices)
+    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    radius = float(np.linalg.norm(vertices - middle, axis=-1).max())
+    target = middle if options.target is None else np.array(options.target)
+    # Of the narrower side, whichever it is.
+    aspect = min(width / height, 1)
+    size = {"width": width, "height": height}
+    if options.camera == "perspective" or options.fov is not None:
+        fov = FOV if options.fov is None else options.fov
+        half = np.arctan(aspect * np.tan(np.radians(min(max(fov, 1e-3), 179.9)) / 2))
+        back = (0, 0, ROOM * radius / np.sin(half))
+        place = target + back if options.position is None else options.position
+        return PerspectiveCamera.look_at(place, target, fov_y=fov, **size), mesh
+    back = (0, 0, 3 * radius)
+    place = target + back if options.position is None else options.position
+    view_height = 2 * ROOM * radius / aspect
+    camera = OrthographicCamera.look_at(place, target, view_height=view_height, **size)
+    return camera, mesh
+
+
+def _given_lights(options: Options) -> tuple[list[AbstractLight], list[str]]:
+    """The lights of a scene that lists no photographs, all of them on."""
+    intensity = _colour("intensity", options.intensity)
+    made: list[AbstractLight] = []
+    with_name = (("light", DirectionalLight), ("point_light", PointLight))
+    for name, kind in with_name:
+        for vector in getattr(options, name):
+            try:
+                made.append(kind(vector, intensity))
+            except ValueError as error:
+                raise ValueError(f"{name}: {str(error).partition(': ')[2]}") from error
+    if options.lights is not None:
+        if made:
+            raise ValueError("lights: expected it or --light and --point-light")
+        found, photograph = _calibrated(options), options.photograph
+        if found is not None:
+            named = [lamp.photograph for lamp in found.lamps]
+            lights: list[AbstractLight] = list(found.lights)
+        else:
+            listed = read_lp(options.lights)
+            named = list(listed.base_names)
+            lights = [DirectionalLight(vector) for vector in listed.vectors]
+        if photograph is not None:
+            if photograph.name not in named:
+                raise ValueError(
+                    f"lights: expected one of {photograph.name}, got none in "
+                    f"{options.lights}"
+                )
+            return [lights[named.index(photograph.name)]], []
+        return lights, [f"all {len(lights)} lights are on"] if len(lights) > 1 else []
+    if made:
+        return made, []
+    return [DirectionalLight(START, intensity)], [
+        "no light is given: it is taken as from above the camera; a fit finds it with "
+        "--unknowns ambient diffuse specular shininess scene.lights[0].direction"
+    ]
+
+
+def _lights_of(
+    options: Options, capture: Capture
+) -> tuple[list[AbstractLight], list[str]]:
+    """One for each photograph of a folder."""
+    if options.light or options.point_light:
+        raise ValueError(
+            "light: expected --lights for a folder, a file that gives each photograph "
+            "its own"
+        )
+    lights, unknown = find_lamps(capture, _calibrated(options))
+    if "scene.lights[0].direction" in unknown:
+        raise ValueError(
+            f"lights: expected lights.json or an .lp for the {len(capture.names)} "
+            "photographs (`phongfit calibrate` makes both), got none; without lights "
+            "fit the folder itself, with --sphere or --normals"
+        )
+    if not unknown:
+        return lights, []
+    return lights, [
+        "how strong the lamps are is not known: a fit finds it with --unknowns ambient "
+        "diffuse specular shininess exposure --fixed exposure[0]=1"
+    ]
+
+
+def _images(options: Options, capture: Capture) -> list[ImageRecord]:
+    mask = None
+    if options.mask is not None:
+        if options.mask.resolve().parent != capture.folder.resolve():
+            raise ValueError(
+                f"mask: expected an image in {capture.folder}, got {options.mask}"
+            )
+        mask = options.mask.name
+    return [
+        ImageRecord(file=name, lights=[number], mask=mask)
+        for number, name in enumerate(capture.names)
+    ]
+
+
+def _colour(name: str, given: Sequence[float]) -> float | tuple[float, ...]:
+    if len(given) not in (1, 3):
+        raise ValueError(f"{name}: expected one number or three, got {len(given)}")
+    return given[0] if len(given) == 1 else tuple(given)
+
+
+def _words(made: _Made) -> str:
+    scene, camera = made.scene, made.scene.camera
+    lights = len(scene.lights)
+    kind = type(camera).__name__.removesuffix("Camera").lower()
+    what = {"Sphere": "a ball", "NormalMap": "a surface with normals"}
+    surface = what.get(type(scene.surface).__name__, "a mesh")
+    words = (
+        f"{surface}, {camera.width} × {camera.height} pixels of a camera that is "
+        f"{kind}, {lights} light{'s' if lights > 1 else ''}"
+    )
+    return words + (f", {len(made.images)} photographs" if made.images else "")
