@@ -44,7 +44,6 @@ def write_dataset(
     **Raises:** `OSError` if the folder cannot be written, `ValueError` for a data set
     that the files cannot hold.
     """
-    Path(out_dir).parent.mkdir(parents=True, exist_ok=True)
     with replacing_folder(out_dir, _is_ours if overwrite else None) as folder:
         entries = _write_images(folder, dataset)
         scene = _whole_scene(dataset.scenes)

@@ -151,7 +151,6 @@ def save_animation(
     path: Path, frames: Float[np.ndarray, "frames height width 3"]
 ) -> None:
     """Linear light as a GIF that repeats for ever."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     write = functools.partial(iio.imwrite, plugin="pillow", duration=FRAME, loop=0)
     with replacing(path) as temporary:
         write(temporary, to_levels(frames, "srgb", 8))

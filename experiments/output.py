@@ -1,6 +1,5 @@
 """What all experiments share: where their numbers and pictures go."""
 
-import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,7 +20,7 @@ def check_outputs(picture: Path | None, json: Path | None) -> None:
     """
     for path in (picture, json):
         if path is not None:
-            _check(path)
+            check_file(path)
     known = FigureCanvasBase.get_supported_filetypes()
     if picture is not None and picture.suffix.removeprefix(".").lower() not in known:
         raise ValueError(
@@ -30,26 +29,14 @@ def check_outputs(picture: Path | None, json: Path | None) -> None:
         )
 
 
-def _check(path: Path) -> None:
-    if path.exists() or path.parent.exists():
-        check_file(path)
-        return
-    # Folders are made where there are none: the first that is there must allow it.
-    there = next(folder for folder in path.absolute().parents if folder.exists())
-    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
-        raise OSError(f"{path}: no folder can be made in {there}")
-
-
 def save_numbers(path: Path | None, numbers: Any) -> None:
     """Write what was printed as JSON, if a file was asked for."""
     if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
         write_json(path, numbers)
 
 
 def save_picture(path: Path, figure: Figure) -> None:
     """Write a figure, and say where it is."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=150)
     print(f"picture: {path}")

@@ -11,7 +11,6 @@ import importlib.metadata
 import inspect
 import io
 import os
-import re
 import signal
 import sys
 import threading
@@ -42,8 +41,11 @@ ABOUT = """Fit the Phong illumination model to images, with honest error bars.
 For example:
   phongfit synth out/brass --material preset:brass --noise 0.01
   phongfit fit out/brass -o out/fit
-  phongfit export out/fit --to gltf -o out/brass.glb
+  phongfit export out/fit -o out/brass.glb
   phongfit fit --help
+
+phongfit --version prints the version. phongfit --completion bash (or zsh) prints what
+makes a shell complete commands and options: eval "$(phongfit --completion bash)".
 
 Errors are reported in one line, with exit status 2; an interrupt with 130, SIGTERM
 with 143. What was compiled is kept in $XDG_CACHE_HOME/phongfit (else
@@ -53,6 +55,9 @@ elsewhere, PHONGFIT_CACHE=off nowhere. JAX_ENABLE_X64=1 computes in double preci
 No file may take more than 1 GB of memory when it is read, whatever it says that it
 holds; --max-memory 4G, of any command, or PHONGFIT_MAX_MEMORY=4G allows more.
 """
+
+COMPLETION = "--completion"
+SHELLS = ("bash", "zsh")
 
 Result = TypeVar("Result")
 
@@ -218,6 +223,8 @@ def _load(name: str) -> Callable[..., int | None]:
 
 def _overview(args: Sequence[str]) -> None:
     """Help on all commands, or what is wrong with a name that is none of them."""
+    if args and args[0] == COMPLETION:
+        return _complete(args[1:])
     if args and not args[0].startswith("-"):
         near = difflib.get_close_matches(args[0], COMMANDS, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"one of {', '.join(COMMANDS)}"
@@ -230,11 +237,26 @@ def _overview(args: Sequence[str]) -> None:
         return command
 
     commands = {name: named(summary) for name, summary in COMMANDS.items()}
-    _quietly(
-        lambda: tyro.extras.subcommand_cli_from_dict(
-            commands, prog="phongfit", description=ABOUT, args=args
-        )
+    _quietly(functools.partial(_subcommands, commands), args)
+
+
+def _subcommands(
+    commands: dict[str, Callable[..., Any]], args: Sequence[str] | None
+) -> Any:
+    return tyro.extras.subcommand_cli_from_dict(
+        commands, prog="phongfit", description=ABOUT, args=args
     )
+
+
+def _complete(args: Sequence[str]) -> None:
+    """Print what makes a shell complete commands, options and names of files."""
+    if len(args) != 1 or args[0] not in SHELLS:
+        got = " ".join(args) or "none"
+        raise ValueError(
+            f"{COMPLETION}: expected one of {', '.join(SHELLS)}, got {got}"
+        )
+    commands = {name: _load(name) for name in COMMANDS}
+    _subcommands(commands, ["--tyro-print-completion", args[0]])
 
 
 def _show_warning(message: Warning | str, *where: Any) -> None:
@@ -312,20 +334,31 @@ def _parse(
     function: Callable[..., int | None], args: Sequence[str] | None, prog: str | None
 ) -> Callable[[], int | None]:
     """The call that the options ask for, not yet made."""
-    parse = functools.partial(tyro.cli, args=args, prog=prog)
-    return _quietly(lambda: _call(function, parse))
+
+    def parse(args: Sequence[str] | None) -> Callable[[], int | None]:
+        return _call(function, functools.partial(tyro.cli, args=args, prog=prog))
+
+    return _quietly(parse, args)
 
 
-def _quietly(parse: Callable[[], Result]) -> Result:
+def _quietly(
+    parse: Callable[[Sequence[str] | None], Result], args: Sequence[str] | None
+) -> Result:
     """What the parser gives; its complaints as a `ValueError`."""
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            return parse()
+            return parse(args)
     except SystemExit as stop:
         if stop.code in (0, None):
             raise
-        raise ValueError(f"{_first_words(complaint.getvalue())} (see --help)") from None
+        from phongfit.commands.complaints import OPTION, in_one_line
+
+        text = io.StringIO()
+        with contextlib.suppress(SystemExit), contextlib.redirect_stdout(text):
+            parse(["--help"])
+        words = in_one_line(complaint.getvalue(), set(OPTION.findall(text.getvalue())))
+        raise ValueError(f"{words} (see --help)") from None
 
 
 def _call(
@@ -344,16 +377,3 @@ def _call(
         return functools.partial(function, *args, **kwargs)
 
     return parse(later, description=about)
-
-
-def _first_words(box: str) -> str:
-    """What a message of the parser says before its first rule, without its frame."""
-    words = []
-    for line in re.sub(r"\x1b\[[0-9;]*m", "", box).splitlines():
-        text = line.strip().strip("│").strip()
-        if text.startswith("╭") or text.startswith("╰"):
-            continue
-        if words and (not text or set(text) == {"─"}):
-            break
-        words.append(text)
-    return " ".join(words).removesuffix(".")

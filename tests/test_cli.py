@@ -1,5 +1,7 @@
 """The shell around all commands."""
 
+import io
+import sys
 import warnings
 from dataclasses import dataclass
 
@@ -46,14 +48,40 @@ def test_help(capsys):
 @pytest.mark.parametrize(
     "args, words",
     [
-        (["--count", "many"], "many"),
-        (["--cuont", "1"], "--cuont"),
-        ([], "--count"),
-        (["--count"], "--count"),
+        (["--count", "many"], "--count: expected a whole number, got many"),
+        (["--cuont", "1"], "there is no option --cuont; did you mean --count?"),
+        (["--count", "1", "--zz"], "there is no option --zz (see"),
+        (["--count", "1", "2"], "expected no more words, got 2"),
+        ([], "expected --count INT, got none (see --help)"),
+        (["--count"], "--count: expected a value, got none"),
     ],
 )
 def test_bad_options(args, words, capsys):
     assert run(command, args) == 2
+    _check_error(capsys, words)
+
+
+@pytest.mark.parametrize(
+    "line, words",
+    [
+        ("fit x --nose 0.01", "there is no option --nose; did you mean --noise?"),
+        ("fit", "expected DATASET and -o OUT, got none"),
+        ("fit x -o y --sphere 1 2", "--sphere: expected X Y R, got 1 2"),
+        ("fit x -o y --noise a", "--noise: expected a number, got a"),
+        ("fit x -o y --loss tuky", "tukey, got 'tuky'; did you mean tukey?"),
+        ("export a -o b --to x", "--to: expected one of"),
+        ("ft", "there is no command 'ft'; did you mean 'fit'?"),
+        ("--vrsion", "there is no option --vrsion; did you mean --version?"),
+        ("--completion fish", "--completion: expected one of bash, zsh, got fish"),
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_one_short_line_for_bad_options(line, words, encoding, capsys, monkeypatch):
+    # The parser draws its frames with what the terminal has.
+    output = io.TextIOWrapper(io.BytesIO(), encoding)
+    monkeypatch.setattr(sys, "stdout", output)
+    assert cli.main(line.split()) == 2
+    monkeypatch.undo()
     _check_error(capsys, words)
 
 

@@ -30,6 +30,15 @@ from phongfit.reflectance import AbstractSpecular, BlinnPhong
 
 Target = Literal["mtl", "gltf", "json", "opengl"]
 
+BY_SUFFIX: dict[str, Target] = {
+    ".mtl": "mtl",
+    ".glb": "gltf",
+    ".gltf": "gltf",
+    ".json": "json",
+    ".h": "opengl",
+    ".c": "opengl",
+}
+
 
 @dataclass(frozen=True)
 class Options:
@@ -38,9 +47,10 @@ class Options:
     Args:
         fit: A fit.json or the folder that holds it, preset:NAME, an .mtl, another .json
             of a material, or the folder that `phongfit maps` made.
-        to: mtl: Wavefront's .mtl. gltf: glTF 2.0, on the scene's mesh. json: what
-            phongfit reads again. opengl: C lines of glMaterialfv.
         out: The file to write; for gltf .glb, or .gltf, which is text.
+        to: mtl: Wavefront's .mtl. gltf: glTF 2.0, on the scene's mesh. json: what
+            phongfit reads again. opengl: C lines of glMaterialfv. Default: what the
+            file's suffix says (.mtl; .glb, .gltf; .json; .h, .c).
         scene: For gltf: a scene file whose mesh, or sphere, gets the material.
             Default: a sphere.
         nearest: Where the format cannot hold the material (colours above 1, an exponent
@@ -49,8 +59,8 @@ class Options:
     """
 
     fit: Annotated[Positional[str], arg(metavar="FIT")]
-    to: Target
     out: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
+    to: Annotated[Target | None, optional("mtl|gltf|json|opengl")] = None
     scene: Annotated[Path | None, optional("FILE")] = None
     nearest: bool = False
 
@@ -66,20 +76,19 @@ def main(options: Options) -> int:
     does not identify is the median of those that can.
 
     For example:
-      phongfit export out/fit --to gltf -o out/brass.glb
-      phongfit export out/fit/fit.json --to opengl -o out/brass.h --nearest
-      phongfit export preset:gold --to mtl -o out/gold.mtl
-      phongfit export out/maps --to gltf -o out/maps.glb
+      phongfit export out/fit -o out/brass.glb
+      phongfit export out/fit/fit.json -o out/brass.h --nearest
+      phongfit export preset:gold -o out/gold.mtl
+      phongfit export out/maps -o out/maps.glb
     """
     keep_compiled()
     check_file(options.out)
-    if options.scene is not None and options.to != "gltf":
-        raise ValueError(
-            f"scene: expected none, since {options.to} holds no shape; gltf does"
-        )
+    to = _target(options)
+    if options.scene is not None and to != "gltf":
+        raise ValueError(f"scene: expected none, since {to} holds no shape; gltf does")
     try:
         with sparing(options.out):
-            written = _export(options)
+            written = _export(options, to)
     except ValueError as error:
         # The library speaks of its argument, a user here knows an option.
         words = str(error).replace("nearest=True", "--nearest")
@@ -88,19 +97,30 @@ def main(options: Options) -> int:
     return 0
 
 
-def _export(options: Options) -> str:
+def _target(options: Options) -> Target:
+    """The format that is asked for, or that the file's name speaks of."""
+    to = options.to or BY_SUFFIX.get(options.out.suffix.lower())
+    if to is None:
+        raise ValueError(
+            f"out: expected a name that ends in {', '.join(BY_SUFFIX)}, or --to, got "
+            f"{options.out.name}"
+        )
+    return to
+
+
+def _export(options: Options, to: Target) -> str:
     """Write the file; what was written, in words."""
     folder = Path(options.fit)
     if not (folder / RECORD_FILE).is_file():
-        return _export_material(options)
-    _check_maps(folder, options)
-    return export_maps(folder, options.out, options.to, nearest=options.nearest)
+        return _export_material(options, to)
+    _check_maps(folder, options, to)
+    return export_maps(folder, options.out, to, nearest=options.nearest)
 
 
-def _check_maps(folder: Path, options: Options) -> None:
-    if options.to not in ("mtl", "gltf"):
+def _check_maps(folder: Path, options: Options, to: Target) -> None:
+    if to not in ("mtl", "gltf"):
         raise ValueError(
-            f"to: {options.to} holds one material, {folder} holds maps; mtl and gltf "
+            f"to: {to} holds one material, {folder} holds maps; mtl and gltf "
             "know textures"
         )
     if options.scene is not None:
@@ -114,25 +134,28 @@ class Job(NamedTuple):
     given: list[Material]
     blinn: list[Material]
     model: AbstractSpecular
+    to: Target
     options: Options
 
 
-def _export_material(options: Options) -> str:
+def _export_material(options: Options, to: Target) -> str:
     source = Path(options.fit)
     is_fit = (source / FIT_FILE).is_file()
     if source.is_dir() and not is_fit:
         raise ValueError(f"{source}: holds neither a {FIT_FILE} nor a {RECORD_FILE}")
     read = read_material(str(source / FIT_FILE) if is_fit else options.fit)
-    _WRITERS[options.to](_job(read, options))
+    _WRITERS[to](_job(read, options, to))
     return read.name
 
 
-def _job(read: NamedMaterial, options: Options) -> Job:
+def _job(read: NamedMaterial, options: Options, to: Target) -> Job:
     given = unstack_materials(read.material)
     model = read.model or BlinnPhong()
     name = " ".join(read.name.replace("#", " ").split()) or "material"
     names = [name] if len(given) == 1 else [f"{name}-{k}" for k in range(len(given))]
-    return Job(names, given, [as_blinn(one, model) for one in given], model, options)
+    return Job(
+        names, given, [as_blinn(one, model) for one in given], model, to, options
+    )
 
 
 def _write_mtl(job: Job) -> None:
@@ -144,7 +167,7 @@ def _single(job: Job) -> str:
     """The name of the only material, for formats that hold no more."""
     if len(job.given) != 1:
         raise ValueError(
-            f"to: expected one material for {job.options.to}, got {len(job.given)}; "
+            f"to: expected one material for {job.to}, got {len(job.given)}; "
             "mtl and gltf hold several"
         )
     return job.names[0]

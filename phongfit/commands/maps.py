@@ -22,7 +22,7 @@ from phongfit.files.dataset import Photographs
 from phongfit.files.fits import DataRecord, LossName
 from phongfit.files.inputs import naming
 from phongfit.files.materials import read_material
-from phongfit.files.outputs import replacing, replacing_folder
+from phongfit.files.outputs import OVERWRITE, replacing, replacing_folder
 from phongfit.files.schema import describe_material
 from phongfit.fitting.fit import fit
 from phongfit.maps.folder import (
@@ -93,11 +93,13 @@ def main(options: Options) -> int:
     """Fit a material per pixel to photographs under many lights, the normals known.
 
     For example:
-      phongfit synth out/metal --shininess 40 --lights 24 --resolution 64
-      phongfit maps out/metal -o out/maps
+      phongfit synth out/dome --shininess 40 --lights 24 --resolution 64
+      phongfit maps out/dome -o out/maps
       phongfit maps ballPNG -o out/ball --highlight shared --bounds shininess=1:5000
     """
     keep_compiled()
+    if not options.overwrite and (options.out / RECORD_FILE).exists():
+        raise OSError(f"{options.out}: there are maps in it; {OVERWRITE}")
     with replacing_folder(options.out, _replaceable(options)) as folder:
         given = _given(options)
         stack, read = stack_data(options.data)

@@ -47,7 +47,8 @@ def main(options: Options) -> int:
     For example:
       phongfit predict out/brass --material preset:brass --noise 0.01
       phongfit predict out/brass --material preset:brass --noise 0.01 \
---unknowns diffuse specular shininess scene.lights[0].direction
+--unknowns diffuse specular shininess scene.lights[0].direction \
+--per-image scene.lights[0].direction
     """
     keep_compiled()
     out = options.json

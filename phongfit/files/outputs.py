@@ -2,6 +2,7 @@
 
 That folder is hidden and beside the file, or within the folder, that is made. Only one
 run at a time has it, and what a run that was killed left in it the next one clears.
+Folders on the way to an output are made, and go again if nothing comes of it.
 """
 
 import contextlib
@@ -23,6 +24,9 @@ LINE_WIDTH = 88
 
 WORK = ".unfinished"
 """The name, or its end, of the folder in which an output is made."""
+
+OVERWRITE = "expected a new one, or overwrite (--overwrite), which replaces a result"
+"""What helps where an older result is in the way."""
 
 PATIENCE = 10.0
 """How long a file waits for another run that writes it just now, seconds."""
@@ -50,6 +54,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
             work = Path(place.enter_context(tempfile.TemporaryDirectory()))
         else:
             target = Path(os.path.realpath(path))
+            place.enter_context(_made(target.parent, path))
             work = place.enter_context(_workplace(_beside(target), path, PATIENCE))
         temporary = work / path.name
         with _blaming(path, temporary):
@@ -84,7 +89,7 @@ def replacing_folder(
     if path.is_dir() and not (path / WORK).exists():
         # A look that leaves no trace; the one below is sure.
         _check_replaceable(path, may_replace)
-    with _made(path), _workplace(path / WORK, path) as work:
+    with _made(path, path), _workplace(path / WORK, path) as work:
         new, ready, old = work / "new", work / "ready", work / "old"
         with _blaming(path, new):
             old.mkdir()
@@ -117,7 +122,10 @@ def replacing_files(path: str | os.PathLike[str]) -> Iterator[Path]:
     check_file(path)
     if _is_stream(path):
         raise OSError(f"{path}: expected a file, since others go beside it")
-    with _workplace(_beside(path), path, PATIENCE) as work:
+    with (
+        _made(path.parent, path),
+        _workplace(_beside(path), path, PATIENCE) as work,
+    ):
         new = work / "new"
         with _blaming(path, new):
             new.mkdir()
@@ -165,9 +173,9 @@ def _check_folder(path: Path) -> None:
 
 
 def _check_parent(target: Path, shown: Path) -> None:
-    folder = target.parent
+    folder = next(above for above in target.parents if above.exists())
     if not folder.is_dir():
-        raise OSError(f"{shown}: there is no folder {folder} to write it to")
+        raise OSError(f"{shown}: {folder} is a file, expected a folder")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise OSError(f"{shown}: the folder {folder} may not be written to")
 
@@ -175,7 +183,7 @@ def _check_parent(target: Path, shown: Path) -> None:
 def _check_replaceable(path: Path, may_replace: Callable[[str], bool] | None) -> None:
     names = _names(path)
     if names and may_replace is None:
-        raise OSError(f"{path}: the folder is not empty")
+        raise OSError(f"{path}: the folder is not empty; {OVERWRITE}")
     for name in names:
         if may_replace is not None and not may_replace(name):
             raise OSError(f"{path}: is not replaced, since it holds {name}")
@@ -220,18 +228,17 @@ def _beside(path: Path) -> Path:
 
 
 @contextlib.contextmanager
-def _made(path: Path) -> Iterator[None]:
-    """A folder; removed again if nothing was put into it."""
-    try:
-        path.mkdir()
-    except FileExistsError:
-        yield
-        return
+def _made(folder: Path, path: Path) -> Iterator[None]:
+    """A folder, and those above it; removed again if nothing was put into them."""
+    missing = [place for place in (folder, *folder.parents) if not place.exists()]
+    with _blaming(path, folder):
+        folder.mkdir(parents=True, exist_ok=True)
     try:
         yield
     finally:
         with contextlib.suppress(OSError):
-            path.rmdir()
+            for place in missing:
+                place.rmdir()
 
 
 @contextlib.contextmanager

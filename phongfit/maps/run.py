@@ -5,6 +5,8 @@ import contextlib
 import hashlib
 import importlib.metadata
 import os
+import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -111,7 +113,7 @@ def fit_maps(
     - `devices`: on which tiles are spread; default all local ones.
     - `output`: a folder that keeps finished tiles. A run that was interrupted goes on
         from there, to the same bits. It must be empty, or of the same job.
-    - `progress`: show a bar, if the output is a terminal.
+    - `progress`: show a bar on a terminal, elsewhere a line now and then.
 
     **Returns:** [`Maps`][]. A pixel that does not identify an unknown has infinite
     errors and flags.
@@ -279,14 +281,31 @@ def _ahead(read: Any, count: int) -> Iterator[tuple[int, Any]]:
 def _bar(
     items: Iterator[tuple[int, Any]], total: int, wanted: bool
 ) -> Iterator[tuple[int, Any]]:
-    """The same, with a progress bar where there is a terminal to show it."""
+    """The same, with a progress bar; in a log, a line now and then."""
     console = Console(stderr=True)
-    if not wanted or not console.is_terminal:
+    if not wanted:
         yield from items
+        return
+    if not console.is_terminal:
+        yield from _lines(items, total)
         return
     columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress("tiles", *columns, console=console, transient=True) as bar:
         yield from bar.track(items, total=total)
+
+
+def _lines(
+    items: Iterator[tuple[int, Any]], total: int, every: float = 30.0
+) -> Iterator[tuple[int, Any]]:
+    """The same; every so many seconds a line says how far they are."""
+    start = shown = time.monotonic()
+    for k, item in items:
+        now = time.monotonic()
+        if k and now - shown >= every:
+            shown, left = now, (now - start) * (total - k) / k
+            words = f"{k} of {total} tiles, {left / 60:.1f} minutes left"
+            print(f"maps: {words}", file=sys.stderr, flush=True)
+        yield k, item
 
 
 _LEAF: Any = 0

@@ -256,10 +256,7 @@ def test_what_a_format_cannot_hold(tmp_path, capsys, to, words):
             [".", "--to", "mtl", "-o", "a.mtl"],
             "holds neither a fit.json nor a maps.json",
         ),
-        (
-            ["preset:gold", "--to", "mtl", "-o", "no/a.mtl"],
-            "no/a.mtl: there is no folder",
-        ),
+        (["preset:gold", "-o", "a.xyz"], "out: expected a name that ends in ... a.xyz"),
         (
             ["preset:gold", "--to", "mtl", "-o", "a", "--scene", "s"],
             "mtl holds no shape",

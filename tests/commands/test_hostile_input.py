@@ -185,8 +185,8 @@ def test_an_output_that_is_in_the_way(brass, tmp_path, capsys, command):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_no_folder_and_no_rights(brass, tmp_path, capsys, monkeypatch, command):
-    args = COMMANDS[command](brass, tmp_path / "no" / "out")
-    _check(tmp_path, args, "there is no folder", capsys)
+    args = COMMANDS[command](brass, brass / "scene.json" / "out")
+    _check(tmp_path, args, "is a file, expected a folder", capsys)
     # Who is root may write anywhere, so that rights are denied by hand.
     monkeypatch.setattr(os, "access", lambda *args, **kwargs: False)
     args = COMMANDS[command](brass, tmp_path / "out")

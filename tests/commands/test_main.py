@@ -155,7 +155,6 @@ def test_render(brass, tmp_path, capsys):
     "options, words",
     [
         (["-o", "{}/a.bmp"], "expected ... got suffix '.bmp'"),
-        (["-o", "{}/no/a.png"], "there is no folder"),
         (["-o", "{}/a.png", "--bits", "32"], "bits: expected 8 or 16, got 32"),
         (["-o", "{}/a.exr", "--encoding", "srgb"], "expected encoding 'linear', as"),
     ],

@@ -92,7 +92,10 @@ def test_a_stopped_run_goes_on_where_it_was(brass, tmp_path, monkeypatch, capsys
     # Finished maps stay, unless told otherwise.
     capsys.readouterr()
     assert main(args) == 2
-    assert "is not replaced, since it holds ambient.tif" in capsys.readouterr().err
+    assert (
+        "there are maps in it; expected a new one, or overwrite"
+        in capsys.readouterr().err
+    )
     assert main([*args, "--overwrite", "--no-pictures"]) == 0
 
 

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from phongfit.commands import progress
 from phongfit.commands.progress import stage
 
 
@@ -26,3 +27,14 @@ def test_a_word_where_both_are_a_terminal(monkeypatch, out, err):
         pass
     assert ("Tracing …" in written(sys.stderr)) == (out and err)
     assert written(sys.stdout) == ""
+
+
+def test_a_log_gets_a_line_now_and_then(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    with stage("Tracing"):
+        pass
+    assert written(sys.stderr) == ""
+    monkeypatch.setattr(progress, "EVERY", 1e-3)
+    with stage("Tracing"):
+        while "Tracing: 0 s so far\n" not in written(sys.stderr):
+            pass

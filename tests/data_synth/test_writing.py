@@ -43,7 +43,10 @@ def test_the_command(tmp_path):
     assert {path.name for path in (tmp_path / "new" / "set").iterdir()} == FILES
     refused = call(out, "--bits", "7")
     assert refused.returncode == 2 and refused.stdout == ""
-    assert refused.stderr.startswith("error: ") and "'--bits'" in refused.stderr
+    assert (
+        refused.stderr.startswith("error: ")
+        and "--bits: expected one of 8, 16" in refused.stderr
+    )
     assert refused.stderr.count("\n") == 1
 
 
@@ -119,7 +122,7 @@ def test_options_arrive(tmp_path):
 @pytest.mark.parametrize(
     "args, message",
     [
-        (["--bits", "7"], "'7' for argument '--bits'"),
+        (["--bits", "7"], "--bits: expected one of 8, 16, got '7'"),
         (["--bitz", "8"], "--bitz"),
         (["--diffuse", "a"], "--diffuse"),
         (["--diffuse", "1", "2"], "diffuse: expected 1 or 3"),

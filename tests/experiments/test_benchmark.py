@@ -167,5 +167,5 @@ def test_where_the_result_goes_is_looked_at_first(tmp_path, monkeypatch, option)
     monkeypatch.setattr(single, "rows", None)
     (tmp_path / "file").touch()
     place: dict[str, Any] = {option: tmp_path / "file" / "a.png"}
-    with pytest.raises(OSError, match="there is no folder"):
+    with pytest.raises(OSError, match="is a file, expected a folder"):
         main(**place)

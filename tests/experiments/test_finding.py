@@ -73,11 +73,11 @@ def test_an_animation_beside_the_picture(tmp_path):
 @pytest.mark.parametrize(
     "option, name, words",
     [
-        ("--picture", "file/a.png", "there is no folder"),
-        ("--picture", "file/new/a.png", "no folder can be made in"),
+        ("--picture", "file/a.png", "is a file, expected a folder"),
+        ("--picture", "file/new/a.png", "is a file, expected a folder"),
         ("--picture", "a.xyz", "got '.xyz'"),
         ("--picture", ".", "is a folder"),
-        ("--json", "file/a.json", "there is no folder"),
+        ("--json", "file/a.json", "is a file, expected a folder"),
         ("--json", "../" * 40, "is a folder"),
     ],
 )

@@ -49,9 +49,23 @@ def test_an_interrupt_leaves_the_old_file_and_nothing_else(tmp_path, stop):
     assert os.listdir(tmp_path) == ["out.txt"]
 
 
-def test_absent_folder_is_named(tmp_path):
-    with pytest.raises(OSError, match=r"there is no folder .*absent"):
-        with replacing(tmp_path / "absent" / "out.txt"):
+@pytest.mark.parametrize("make", [replacing, replacing_files, replacing_folder])
+def test_folders_above_are_made_and_go_if_nothing_comes_of_it(tmp_path, make):
+    path = tmp_path / "new" / "newer" / "out"
+    with pytest.raises(ZeroDivisionError), make(path):
+        raise ZeroDivisionError
+    assert not list(tmp_path.iterdir())
+    with make(path) as place:
+        (place if make is replacing else place / "out").write_text("made")
+    assert path.exists() and len(list(tmp_path.rglob("*"))) == 3 + path.is_dir()
+
+
+@pytest.mark.parametrize("make", [replacing, replacing_files, replacing_folder])
+def test_file_in_place_of_a_folder_above_is_named(tmp_path, make):
+    (tmp_path / "file").touch()
+    words = f"{tmp_path / 'file'} is a file, expected a folder"
+    with pytest.raises(OSError, match=words):
+        with make(tmp_path / "file" / "new" / "out"):
             pytest.fail("the block must not be entered")
 
 

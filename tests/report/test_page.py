@@ -132,8 +132,8 @@ def test_written_whole_or_not_at_all(one, tmp_path, monkeypatch):
     assert before.startswith("<!doctype html>") and before.rstrip().endswith("</html>")
     with pytest.raises(ValueError, match="names: expected 1, one an image, got 2"):
         write_page(path, one, title="second", names=["a", "b"])
-    with pytest.raises(OSError, match="there is no folder"):
-        write_page(tmp_path / "no" / "report.html", one, title="t")
+    with pytest.raises(OSError, match="is a file, expected a folder"):
+        write_page(path / "report.html", one, title="t")
     assert path.read_text(encoding="utf-8") == before
     assert [file.name for file in tmp_path.iterdir()] == ["report.html"]
 
