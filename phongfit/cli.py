@@ -223,9 +223,13 @@ def _load(name: str) -> Callable[..., int | None]:
 
 def _overview(args: Sequence[str]) -> None:
     """Help on all commands, or what is wrong with a name that is none of them."""
-    if args and args[0] == COMPLETION:
+    if not args:
+        raise ValueError(
+            f"expected one of {', '.join(COMMANDS)}, got none (see --help)"
+        )
+    if args[0] == COMPLETION:
         return _complete(args[1:])
-    if args and not args[0].startswith("-"):
+    if not args[0].startswith("-"):
         near = difflib.get_close_matches(args[0], COMMANDS, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"one of {', '.join(COMMANDS)}"
         raise ValueError(f"there is no command {args[0]!r}; {hint} (see --help)")
