@@ -1,6 +1,6 @@
 """`calibrate`: from photographs with spheres in them to lamps, with errors."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from phongfit.calibration.matte import (
     room_light,
     shaded_directions,
 )
-from phongfit.calibration.outlines import View, across, sphere_behind
+from phongfit.calibration.outlines import View, across, as_circle, sphere_behind
 from phongfit.calibration.result import CalibratedSphere, Calibration, Lamp
 from phongfit.calibration.spheres import (
     SEEN,
@@ -37,6 +37,7 @@ from phongfit.calibration.spheres import (
     looked_at,
     place_sphere,
 )
+from phongfit.edge import checked, shown
 
 DISAGREEING = 5.0
 """A highlight this many standard deviations from its lamp's place is another's."""
@@ -48,8 +49,9 @@ BEST = np.radians(0.03)
 """No direction is stated to be better: lenses distort, no sphere is quite round."""
 
 
+@checked
 def calibrate(
-    photographs: Images,
+    photographs: Any,
     *,
     chrome: Sequence[Sequence[float]] | None = None,
     matte: Sequence[float] | None = None,
@@ -88,12 +90,11 @@ def calibrate(
 
     **Raises:** `ValueError` that names the argument, or what is not seen.
     """
+    photographs = _several(photographs)
     names = _names(photographs, names)
     height, width = next(looked_at(photographs, names)).shape[:2]
-    if lamps not in ("distant", "near"):
-        raise ValueError(f"lamps: expected 'distant' or 'near', got {lamps!r}")
-    view = View(width, height, _number("fov", fov, 180) if fov is not None else None)
-    radius = _number("sphere_radius", sphere_radius)
+    view = View(width, height, _positive("fov", fov, 180) if fov is not None else None)
+    radius = _positive("sphere_radius", sphere_radius)
     warnings: list[str] = []
     outlines = _outlines(photographs, names, chrome, matte, view, warnings)
     crops = cut_out(
@@ -101,6 +102,17 @@ def calibrate(
     )
     spheres = _placed(outlines, crops, view, warnings)
     return _Session(names, view, radius, lamps, spheres, crops, warnings).run()
+
+
+def _several(photographs: Any) -> Images:
+    """A sequence, of which nothing is asked for yet."""
+    if isinstance(photographs, Iterator | np.ndarray):
+        photographs = list(photographs)
+    if isinstance(photographs, Sequence) and not isinstance(photographs, str | bytes):
+        return photographs
+    raise ValueError(
+        f"photographs: expected a list of images, got {shown(photographs)}"
+    )
 
 
 def _names(photographs: Images, names: Sequence[str] | None) -> tuple[str, ...]:
@@ -114,11 +126,8 @@ def _names(photographs: Images, names: Sequence[str] | None) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _number(name: str, value: Any, below: float = np.inf) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name}: expected a number, got {value!r}") from None
+def _positive(name: str, value: float, below: float = np.inf) -> float:
+    number = float(value)
     if not 0 < number < below:
         limit = f" and < {below:g}" if np.isfinite(below) else ""
         raise ValueError(f"{name}: expected a number > 0{limit}, got {value!r}")
@@ -148,36 +157,12 @@ def _outlines(
         shown = [one for one in found if one[0] == "chrome"]
         return shown + [("matte", outline) for outline in mattes[:1]]
     given: list[tuple[Kind, Outline]] = [
-        ("chrome", _circle(f"chrome[{n}]", circle, view))
+        ("chrome", as_circle(f"chrome[{n}]", circle, view, whole=True))
         for n, circle in enumerate(chrome or ())
     ]
     if matte is not None:
-        given.append(("matte", _circle("matte", matte, view)))
+        given.append(("matte", as_circle("matte", matte, view, whole=True)))
     return given
-
-
-def _circle(name: str, value: Any, view: View) -> Outline:
-    try:
-        circle = np.array(value, float)
-    except (TypeError, ValueError):
-        circle = np.zeros(0)
-    if circle.shape != (3,) or not np.isfinite(circle).all() or circle[2] < 5:
-        raise ValueError(
-            f"{name}: expected x, y and radius in pixels, the radius at least 5, got "
-            f"{value!r}"
-        )
-    x, y, radius = circle
-    slack = 2.0
-    if not (
-        radius - slack <= x <= view.width - radius + slack
-        and radius - slack <= y <= view.height - radius + slack
-    ):
-        raise ValueError(
-            f"{name}: expected a sphere that lies wholly in the photographs, which are "
-            f"{view.width} × {view.height} pixels, got x {x:g}, y {y:g}, radius "
-            f"{radius:g}"
-        )
-    return circle
 
 
 def _placed(

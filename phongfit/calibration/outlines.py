@@ -10,10 +10,18 @@ has few numbers, and compiling would take longer than all of it.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+
+from phongfit.edge import shown
+
+SMALLEST = 5.0
+"""Of the radii of spheres that can be looked at, pixels."""
+
+SLACK = 2.0
+"""A sphere that touches the edge may reach so far beyond it, as circles are given."""
 
 Vectors = Float[np.ndarray, "*batch 3"]
 Pixels = Float[np.ndarray, "*batch 2"]
@@ -106,6 +114,41 @@ def stretch(outline: Float[np.ndarray, "3"], view: View) -> Float[np.ndarray, "2
     length = np.hypot(*away)
     ratio = np.sqrt((1 - sin2) / (cos2 - sin2))
     return (ratio - 1) * away / length if length > 0 else np.zeros(2)
+
+
+def as_circle(
+    name: str, value: Any, view: View, *, whole: bool = False
+) -> Float[np.ndarray, "3"]:
+    """A circle that was given: x, y and radius in pixels.
+
+    **Arguments:** `whole`: all of the sphere is to lie in the photograph, and to be
+    large enough to be looked at; else some of it may be.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    try:
+        circle = np.array(value, float)
+    except (TypeError, ValueError):
+        circle = np.zeros(0)
+    least = SMALLEST if whole else 0.0
+    if circle.shape != (3,) or not np.isfinite(circle).all() or circle[2] <= 0:
+        raise ValueError(
+            f"{name}: expected x, y and radius in pixels, got {shown(value)}"
+        )
+    x, y, radius = circle
+    if radius < least:
+        raise ValueError(
+            f"{name}: expected a radius of at least {least:g} pixels, got {radius:g}"
+        )
+    reach = radius - SLACK if whole else -radius
+    if not (reach < x < view.width - reach and reach < y < view.height - reach):
+        lies = "a sphere that lies wholly" if whole else "a circle"
+        raise ValueError(
+            f"{name}: expected {lies} in the photographs, which are "
+            f"{view.width} × {view.height} pixels, got x {x:g}, y {y:g}, radius "
+            f"{radius:g}"
+        )
+    return circle
 
 
 class Seen(NamedTuple):

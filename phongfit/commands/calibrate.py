@@ -9,6 +9,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from phongfit.calibration.calibrate import calibrate
 from phongfit.calibration.result import Calibration
+from phongfit.commands.data import tell
 from phongfit.commands.keeping import keeping
 from phongfit.commands.options import OutFolder, optional
 from phongfit.commands.progress import stage
@@ -96,6 +97,7 @@ def main(options: Options) -> int:
             ambient=options.ambient,
             flat=options.flat,
         )
+        tell(capture.notes)
         with stage("looking at the photographs"):
             found = _calibrate(capture, options)
         save_calibration(folder / LIGHTS_FILE, found)

@@ -1,7 +1,7 @@
 """Photographs from a data set's folder, or one image with its scene file."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -123,6 +123,12 @@ def _recorded(
     return made, DataRecord(name=name, reading=reading, inputs=inputs)
 
 
+def tell(notes: Sequence[str]) -> None:
+    """Say what was assumed of photographs."""
+    for note in notes:
+        print(f"assumed: {note}", flush=True)
+
+
 def _open_captured(options: DataOptions) -> Photographs:
     if options.scene is not None:
         given = "sphere" if options.sphere is not None else "normals"
@@ -193,7 +199,7 @@ def _read_single(options: DataOptions) -> Photographs:
             f"encoding: expected --encoding linear or srgb, since {options.scene} does "
             "not say it"
         )
-    image, usable = read_light(path, encoding)
+    image, usable, _ = read_light(path, encoding)
     mask = np.ones(image.shape[:2], bool)
     if options.mask is not None:
         mask = read_mask(options.mask)

@@ -10,7 +10,7 @@ import numpy as np
 from tyro.conf import OmitArgPrefixes
 
 from phongfit.commands.cache import keep_compiled
-from phongfit.commands.data import DataOptions, read_data
+from phongfit.commands.data import DataOptions, read_data, tell
 from phongfit.commands.keeping import keeping
 from phongfit.commands.options import (
     FitOptions,
@@ -90,6 +90,7 @@ def main(options: Options) -> int:
         asked, noise, reading = _asked(options, record)
         data, read = read_data(reading)
         asked = _with_unknown(asked, data)
+        tell(data.notes)
         with stage("fitting"):
             found = _fit(data, asked, noise)
         write_fit_record(folder / FIT_FILE, found, data=read, noise=noise)
@@ -189,6 +190,7 @@ def _draw(folder: Path, found: Fit, data: Dataset, options: Options) -> None:
         found,
         title=data.name,
         names=data.names,
+        assumptions={"exposures": "; ".join(data.notes)} if data.notes else None,
         command=_again(options),
         loading=_loading(options.data, len(data.images), any(f.jpeg for f in films)),
         diagnostics=found.diagnose() if options.report == "full" else None,

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from tyro.conf import OmitArgPrefixes
 
 from phongfit.commands.cache import keep_compiled
-from phongfit.commands.data import DataOptions, stack_data
+from phongfit.commands.data import DataOptions, stack_data, tell
 from phongfit.commands.keeping import keeping
 from phongfit.commands.options import (
     Names,
@@ -103,6 +103,7 @@ def main(options: Options) -> int:
     with replacing_folder(options.out, _replaceable(options)) as folder:
         given = _given(options)
         stack, read = stack_data(options.data)
+        tell(stack.photographs.notes)
         if options.highlight == "shared":
             known = _shared(stack.photographs, given)
             given |= {"known": known, "unknowns": SHARED}

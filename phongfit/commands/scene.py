@@ -11,9 +11,14 @@ from tyro.conf import Positional, UseAppendAction, arg
 from phongfit.calibration.result import Calibration
 from phongfit.commands.options import optional
 from phongfit.files.calibrations import load_calibration
-from phongfit.files.capture_data import START, calibration_of, find_lamps, list_of
-from phongfit.files.captures import Capture, encoding_of, open_capture
-from phongfit.files.images import read_head
+from phongfit.files.capture_data import (
+    START,
+    calibration_of,
+    find_lamps,
+    list_of,
+    one_photograph,
+)
+from phongfit.files.captures import Capture, open_capture
 from phongfit.files.inputs import sparing
 from phongfit.files.lp import read_lp
 from phongfit.files.outputs import check_file
@@ -175,6 +180,8 @@ def _make(options: Options) -> _Made:
         images, film = [], None if capture is None else Film(encoding=capture.encoding)
     else:
         lights, notes = _lights_of(options, capture)
+        if np.ptp(capture.series.relative_exposures):
+            notes = [*capture.notes, "the ambient light is that of the first", *notes]
         images, film = _images(options, capture), Film(encoding=capture.encoding)
     scene = Scene(surface, camera, lights, ambient=_colour("ambient", options.ambient))
     return _Made(scene, film, images, notes)
@@ -193,8 +200,7 @@ def _capture(options: Options) -> Capture | None:
         return open_capture(path, options.encoding, lights=list_of(options.lights))
     if options.mask is not None:
         raise ValueError("mask: is of a folder; give it to `phongfit fit` instead")
-    encoding = encoding_of(path.parent, [path.name], options.encoding)
-    return Capture(path.parent, (path.name,), encoding)
+    return one_photograph(path, options.encoding)
 
 
 def _size(options: Options, capture: Capture | None) -> tuple[int, int]:
@@ -204,7 +210,8 @@ def _size(options: Options, capture: Capture | None) -> tuple[int, int]:
         return options.size
     if options.size is not None:
         raise ValueError("size: expected it or a photograph, which has one, got both")
-    return read_head(capture.folder / capture.names[0]).size
+    height, width = capture.series.size
+    return width, height
 
 
 def _seen(

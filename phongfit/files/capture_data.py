@@ -5,15 +5,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Bool
 
 from phongfit.calibration.result import Calibration
+from phongfit.edge import checked
 from phongfit.files.calibrations import LIGHTS_FILE, load_calibration
 from phongfit.files.captures import Capture, encoding_of, open_capture
 from phongfit.files.dataset import Photograph, Photographs
-from phongfit.files.images import read_film, read_head, read_mask
+from phongfit.files.images import read_film, read_mask
 from phongfit.files.lp import base_name
+from phongfit.files.photographs import open_photographs
 from phongfit.files.seen import seen_in
 from phongfit.lights import AbstractLight, DirectionalLight, PointLight
 from phongfit.rendering.film import Encoding, Film
@@ -25,6 +28,7 @@ START = (0.2, 0.3, 1.0)
 """Where a lamp is looked for first, of which nothing is known: above the camera."""
 
 
+@checked
 def open_captured(
     photographs: str | os.PathLike[str],
     encoding: Encoding | None = None,
@@ -56,13 +60,16 @@ def open_captured(
         many normals.
     - `room_light`: ambient light that stands for all that came by way of the room.
 
+    Where exposures differ, photographs stay as they are, and the lights of their scenes
+    are as much stronger or weaker.
+
     **Raises:** `ValueError` that names the file or the argument.
     """
     path = Path(photographs)
     if path.is_dir():
         capture = open_capture(path, encoding, lights=list_of(lights))
     else:
-        capture = _one(path, encoding)
+        capture = one_photograph(path, encoding)
     source = calibration_of(path, lights)
     if (sphere is None) == (normals is None):
         raise ValueError(
@@ -70,22 +77,26 @@ def open_captured(
             "(sphere) or by its normals, "
             + ("got neither" if sphere is None else "got both")
         )
-    width, height = read_head(capture.folder / capture.names[0]).size
+    series = capture.series
+    height, width = series.size
     camera, surface = seen_in(height, width, source, sphere, normals)
     lamps, unknown = find_lamps(capture, source)
-    scenes = tuple(Scene(surface, camera, light, ambient=room_light) for light in lamps)
+    scenes = tuple(
+        Scene(surface, camera, light, ambient=room_light * float(exposure))
+        for light, exposure in zip(lamps, series.relative_exposures, strict=True)
+    )
     used = _facing(scenes[0], min_facing)
     if mask is not None:
         used &= _masked(Path(mask), used.shape)
     known = "scene.lights[0].direction" not in unknown
 
     def read(number: int) -> Photograph:
-        image = capture.read(number)
+        photo = series.read(number)
         lit = _lit(scenes[number], min_cosine) if known else True
-        return Photograph(image, used & lit)
+        return Photograph(photo.image, used & photo.usable & lit)
 
     def film_of(number: int) -> Film:
-        return read_film(capture.folder / capture.names[number], capture.encoding)
+        return read_film(series.paths[number], series.encoding)
 
     film = film_of(0)
     film = film if film.jpeg is None else Film(encoding=capture.encoding)
@@ -97,13 +108,14 @@ def open_captured(
         read,
         film_of=film_of,
         unknown=unknown,
+        notes=series.notes,
     )
 
 
-def _one(path: Path, encoding: Encoding | None) -> Capture:
+def one_photograph(path: Path, encoding: Encoding | None) -> Capture:
     """A single photograph as a capture of one."""
     encoding = encoding_of(path.parent, [path.name], encoding)
-    return Capture(path.parent, (path.name,), encoding)
+    return Capture(open_photographs([path], encoding))
 
 
 def list_of(lights: str | os.PathLike[str] | None) -> Path | None:
@@ -130,8 +142,28 @@ def find_lamps(
 ) -> tuple[list[AbstractLight], tuple[str, ...]]:
     """A light for each photograph, and what of them is not known.
 
+    Where exposures differ lights are as much stronger or weaker, in place of the
+    photographs: these stay as their files have them, cut off at white and rounded.
+
     **Raises:** `ValueError` for a photograph that the calibration does not name.
     """
+    lights, unknown = _lamps(capture, calibration)
+    exposures = capture.series.relative_exposures
+    found = [_times(light, e) for light, e in zip(lights, exposures, strict=True)]
+    return found, unknown
+
+
+def _times(light: AbstractLight, exposure: float) -> AbstractLight:
+    def strengths(light: Any) -> list[Any]:
+        own = [] if light.specular is None else [light.specular]
+        return [light.intensity, light.ambient, *own]
+
+    return eqx.tree_at(strengths, light, [exposure * s for s in strengths(light)])
+
+
+def _lamps(
+    capture: Capture, calibration: Calibration | None
+) -> tuple[Sequence[AbstractLight], tuple[str, ...]]:
     several = len(capture.names) > 1
     strength = ("exposure",) if several else ()
     if calibration is not None:

@@ -8,26 +8,34 @@ from pathlib import Path
 from typing import overload
 
 import numpy as np
-from jaxtyping import Float
 
-from phongfit.files.images import read_image
+from phongfit.edge import checked
+from phongfit.files.dataset import Photograph
 from phongfit.files.lp import LightList, base_name, read_lp
-from phongfit.files.photographs import images_in
+from phongfit.files.photographs import (
+    PhotoSeries,
+    images_in,
+    open_photographs,
+    read_photograph,
+)
 from phongfit.rendering.film import Encoding
 
 NO_LAMP = {"mask", "ambient", "dark", "flat", "ref", "reference", "normals", "normal"}
 """Words in the names of images that are no photographs of the object under a lamp."""
+
+LEAST_OF_FLAT = 0.9
+"""Share of a flat's samples that must not be saturated."""
 
 
 @dataclass(frozen=True)
 class Capture(Sequence[np.ndarray]):
     """Photographs of one object, read when they are asked for.
 
-    A sequence of images, linear light (height, width, 3), as [`calibrate`][] takes it.
+    A sequence of images, linear light (height, width, 3), as [`calibrate`][] takes it:
+    in the light that the shortest exposure let in, so that no sample reaches 1 but
+    those that were cut off at white, which are 1.
 
-    - `folder`: that holds them.
-    - `names`: of their files.
-    - `encoding`: what their numbers are.
+    - `series`: the photographs as their files have them.
     - `ambient`: light that is there without a lamp, taken from each; or None.
     - `flat`: what each is divided by, so that vignetting and the lamp's fall-off over
         the field are gone: a photograph of a white card, over its median; or None.
@@ -35,16 +43,34 @@ class Capture(Sequence[np.ndarray]):
     - `others`: images in the folder that are not among them.
     """
 
-    folder: Path
-    names: tuple[str, ...]
-    encoding: Encoding
-    ambient: Float[np.ndarray, "height width 3"] | None = None
-    flat: Float[np.ndarray, "height width 3"] | None = None
+    series: PhotoSeries
+    ambient: Photograph | None = None
+    flat: Photograph | None = None
     lights: LightList | None = None
     others: tuple[str, ...] = ()
 
+    @property
+    def folder(self) -> Path:
+        """That holds the photographs."""
+        return self.series.paths[0].parent
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of their files."""
+        return tuple(path.name for path in self.series.paths)
+
+    @property
+    def encoding(self) -> Encoding:
+        """What their numbers are."""
+        return self.series.encoding
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was assumed of exposures, in sentences."""
+        return self.series.notes
+
     def __len__(self) -> int:
-        return len(self.names)
+        return len(self.series)
 
     @overload
     def __getitem__(self, index: int) -> np.ndarray: ...
@@ -52,30 +78,38 @@ class Capture(Sequence[np.ndarray]):
     def __getitem__(self, index: slice) -> Sequence[np.ndarray]: ...
     def __getitem__(self, index: int | slice) -> np.ndarray | Sequence[np.ndarray]:
         if isinstance(index, slice):
-            return [self.read(number) for number in range(*index.indices(len(self)))]
-        return self.read(range(len(self))[index])
+            return [self[number] for number in range(*index.indices(len(self)))]
+        image, known = self.read(range(len(self))[index])
+        return np.where(known, image, np.maximum(image, 1))
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        return (self.read(number) for number in range(len(self)))
+        return (self[number] for number in range(len(self)))
 
-    def read(self, number: int) -> Float[np.ndarray, "height width 3"]:
-        """The photograph of a number, from 0 on.
+    def read(self, number: int) -> Photograph:
+        """The photograph of a number, from 0 on, and which samples of it are known.
+
+        Samples that were cut off at white are not, in it or in `ambient` or `flat`.
 
         **Raises:** `ValueError` that names the file.
         """
-        path = self.folder / self.names[number]
-        image = read_image(path, self.encoding)
-        for name, other in (("ambient", self.ambient), ("flat", self.flat)):
-            if other is not None and other.shape != image.shape:
-                raise ValueError(
-                    f"{name}: expected {image.shape[1]} × {image.shape[0]} pixels, as "
-                    f"{path} has, got {other.shape[1]} × {other.shape[0]}"
-                )
+        image, known = _in_light_of(self.series, number, self.series)
         if self.ambient is not None:
-            image = np.maximum(image - self.ambient, 0)
-        return image if self.flat is None else image / self.flat
+            image = np.maximum(image - self.ambient.image, 0)
+            known &= self.ambient.mask
+        if self.flat is not None:
+            image = image / self.flat.image
+            known &= self.flat.mask
+        return Photograph(image, known)
 
 
+def _in_light_of(series: PhotoSeries, number: int, capture: PhotoSeries) -> Photograph:
+    """A photograph in the light that a capture's shortest exposure let in."""
+    photo = series.read(number)
+    known, least = photo.unsaturated, capture.relative_exposures.min()
+    return Photograph(photo.common_light * photo.image.dtype.type(least), known)
+
+
+@checked
 def open_capture(
     folder: str | os.PathLike[str],
     encoding: Encoding | None = None,
@@ -88,7 +122,8 @@ def open_capture(
 
     They are those that an `.lp` file in it lists, in its order; else all images in
     order of their numbers, but for what is named mask, ambient, dark, flat, ref or
-    normals.
+    normals. Where exposures differ they are brought to common light, `ambient` too: see
+    [`open_photographs`][]; `notes` of the capture says so.
 
     **Arguments:**
 
@@ -115,12 +150,16 @@ def open_capture(
             + (f"one, {names[0]}" if names else "none")
         )
     encoding = encoding_of(folder, names, encoding)
+    paths = [folder / name for name in names]
+    # Together, so that its exposure counts next to theirs.
+    every = open_photographs(
+        [*paths, *([] if ambient is None else [ambient])], encoding
+    )
+    series = every.first(len(paths))
     return Capture(
-        folder,
-        tuple(names),
-        encoding,
-        None if ambient is None else read_image(ambient, encoding),
-        None if flat is None else _flat(Path(flat), encoding),
+        series,
+        None if ambient is None else _in_light_of(every, len(paths), series),
+        None if flat is None else _flat(Path(flat), series),
         listed,
         tuple(name for name in images if name not in names),
     )
@@ -184,11 +223,22 @@ def encoding_of(
     )
 
 
-def _flat(path: Path, encoding: Encoding) -> Float[np.ndarray, "height width 3"]:
-    image = read_image(path, encoding)
+def _flat(path: Path, series: PhotoSeries) -> Photograph:
+    photo = read_photograph(path, series.encoding)
+    image, known = photo.image, photo.unsaturated
+    if image.shape[:2] != series.size:
+        raise ValueError(
+            f"{path}: expected {series.size[1]} × {series.size[0]} pixels, as "
+            f"{series.paths[0].name} has, got {image.shape[1]} × {image.shape[0]}"
+        )
+    if known.mean() < LEAST_OF_FLAT:
+        raise ValueError(
+            f"{path}: expected a flat below white, got {1 - known.mean():.0%} of its "
+            "samples saturated: expose it for less time"
+        )
     middle = np.median(image, axis=(0, 1))
     if not (image > 0.02 * middle).all() or not (middle > 0).all():
         raise ValueError(
             f"{path}: expected light everywhere on a flat, got black pixels"
         )
-    return image / middle
+    return Photograph(image / middle, known)

@@ -26,6 +26,7 @@ class Dataset:
     - `truth`: the material, where it is known.
     - `unknown`: parameters of the scenes, and the exposure, that the photographs' maker
         does not know either, and a fit should find.
+    - `notes`: what was assumed of the photographs, in sentences.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Dataset:
     film: Film | tuple[Film, ...]
     truth: Material | None = None
     unknown: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def films(self) -> tuple[Film, ...]:
@@ -82,6 +84,7 @@ class Photographs:
     - `name`, `scenes`, `names`, `truth`, `unknown`: as in [`Dataset`][].
     - `film`: of all of them, as far as is known without their files.
     - `film_of`: that of the photograph of a number, as its file tells.
+    - `notes`: what was assumed of the photographs, in sentences.
     """
 
     name: str
@@ -92,6 +95,7 @@ class Photographs:
     truth: Material | None = None
     film_of: Callable[[int], Film] | None = None
     unknown: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def films(self) -> tuple[Film, ...]:
         """Of each photograph, as its file tells."""
@@ -112,4 +116,5 @@ class Photographs:
             film,
             self.truth,
             self.unknown,
+            self.notes,
         )

@@ -77,7 +77,7 @@ def read_image(
     whose profile mixes channels, so that the others are wrong: [`read_photograph`][]
     has a mask of such pixels.
     """
-    image, usable = read_light(path, encoding, max_pixels=max_pixels)
+    image, usable, _ = read_light(path, encoding, max_pixels=max_pixels)
     lost = np.count_nonzero(~usable)
     if lost:
         warnings.warn(
@@ -89,10 +89,12 @@ def read_image(
 
 
 class Light(NamedTuple):
-    """Linear light of an image, and where all of its channels can be believed."""
+    """Linear light of an image, where all of its channels can be believed, and whether
+    the file's format ends at white."""
 
     image: Float[np.ndarray, "height width 3"]
     usable: Bool[np.ndarray, "height width"]
+    clamped: bool
 
 
 def read_light(
@@ -122,9 +124,10 @@ def read_light(
     usable = np.ascontiguousarray(read.usable)
     if profile is not None and profile.mixes and values.shape[-1] == 3:
         usable &= ~saturated(values)
+    clamped = values.dtype.kind != "f"
     if image.shape[-1] == 1:
-        return Light(np.repeat(image, 3, axis=-1), usable)
-    return Light(np.ascontiguousarray(image), usable)
+        return Light(np.repeat(image, 3, axis=-1), usable, clamped)
+    return Light(np.ascontiguousarray(image), usable, clamped)
 
 
 def _light(values: np.ndarray, encoding: Encoding, profile: Profile | None) -> Any:

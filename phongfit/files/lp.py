@@ -10,11 +10,13 @@ x right, y up, z to the camera. RTIBuilder and the controllers of domes write it
 import os
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from phongfit.checks import as_array
+from phongfit.edge import checked, shown
 from phongfit.files.inputs import naming, read_text
 from phongfit.files.outputs import replacing
 
@@ -40,6 +42,7 @@ def base_name(name: str) -> str:
     return PureWindowsPath(PurePosixPath(name).name).name
 
 
+@checked
 def read_lp(path: str | os.PathLike[str]) -> LightList:
     """A list of lights.
 
@@ -58,13 +61,14 @@ def read_lp(path: str | os.PathLike[str]) -> LightList:
         raise ValueError(f"{path}: expected a count and as many lights, got nothing")
     with naming(f"{path}: line {lines[0][0]}"):
         count = _count(lines[0][1])
-    names, vectors = [], []
+    names, vectors, there = [], [], set()
     for number, line in lines[1:]:
         with naming(f"{path}: line {number}"):
             name, vector = _light(line)
-            if base_name(name) in map(base_name, names):
+            if base_name(name) in there:
                 raise ValueError(f"{name} comes twice")
         names.append(name)
+        there.add(base_name(name))
         vectors.append(vector)
     if len(names) != count:
         raise ValueError(
@@ -93,17 +97,34 @@ def _light(line: str) -> tuple[str, Float[np.ndarray, "3"]]:
     return words[0], vector
 
 
+@checked
 def write_lp(
     path: str | os.PathLike[str],
     names: Sequence[str],
-    vectors: Float[np.ndarray, "lights 3"],
+    vectors: Any,
 ) -> None:
     """Write a list of lights, in one piece.
 
-    **Raises:** `OSError` that names `path`.
+    **Arguments:** `vectors`: to the lamps, (lights, 3), of any length but 0.
+
+    **Raises:** `OSError` that names `path`; `ValueError` that names the argument: not
+    a finite vector other than zero for each name, or a name of several lines.
     """
+    rows, wanted = as_array("vectors", vectors), (len(names), 3)
+    numbers = rows.dtype.kind in "iuf" and np.isfinite(rows).all()
+    if rows.shape != wanted or not numbers:
+        raise ValueError(
+            f"vectors: expected finite numbers of shape {wanted}, got {shown(vectors)}"
+        )
+    for name, vector in zip(names, rows, strict=True):
+        if not name.strip() or name != " ".join(name.splitlines()):
+            raise ValueError(f"names: expected one line each, got {name!r}")
+        if not vector.any():
+            raise ValueError(
+                f"vectors: expected one to each lamp, got zeros for {name}"
+            )
     lines = [f"{len(names)}"]
-    for name, vector in zip(names, np.asarray(vectors, float), strict=True):
+    for name, vector in zip(names, rows, strict=True):
         lines.append(f"{name} " + " ".join(f"{number:.7f}" for number in vector))
     with replacing(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")

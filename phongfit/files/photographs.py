@@ -1,5 +1,6 @@
 """Photographs as cameras write them: light, film and exposure, one at a time."""
 
+import dataclasses
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,28 +23,40 @@ ALIKE = 1e-3
 class Photo:
     """A photograph: upright linear light with the primaries of sRGB.
 
-    - `name`: of its file.
+    - `path`: its file.
+    - `encoding`: of its numbers.
     - `image`: 1 is white; what is saturated is 1.
     - `usable`: false where a saturated channel was mixed into others, when colours
         became those of sRGB.
-    - `film`: how light became the file's numbers: see [`read_film`][].
+    - `clamped`: whether it ends at white; floating-point images do not.
     - `exposure`: as the camera says.
     - `relative_exposure`: how much light the camera let in, next to the first of its
         series; 1 for one alone.
     """
 
-    name: str
+    path: Path
+    encoding: Encoding
     image: Float[np.ndarray, "height width 3"]
     usable: Bool[np.ndarray, "height width"]
-    film: Film
+    clamped: bool
     exposure: Exposure
     relative_exposure: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """Of its file."""
+        return self.path.name
+
+    @property
+    def film(self) -> Film:
+        """How light became the file's numbers: see [`read_film`][]."""
+        return read_film(self.path, self.encoding)
 
     @property
     def unsaturated(self) -> Bool[np.ndarray, "height width 3"]:
         """Samples that are known: not cut off at white, nor mixed with what is."""
         usable = np.broadcast_to(self.usable[..., None], self.image.shape)
-        return usable & (self.image < 1) if self.film.clamp else usable.copy()
+        return usable & (self.image < 1) if self.clamped else usable.copy()
 
     @property
     def common_light(self) -> Float[np.ndarray, "height width 3"]:
@@ -69,9 +82,8 @@ def read_photograph(path: str | os.PathLike[str], encoding: Encoding) -> Photo:
 
 
 def _read(path: Path, encoding: Encoding, exposure: Exposure, relative: float) -> Photo:
-    image, usable = read_light(path, encoding)
-    film = read_film(path, encoding)
-    return Photo(path.name, image, usable, film, exposure, relative)
+    light = read_light(path, encoding)
+    return Photo(path, encoding, *light, exposure, relative)
 
 
 @dataclass(frozen=True)
@@ -96,6 +108,15 @@ class PhotoSeries:
 
     def __len__(self) -> int:
         return len(self.paths)
+
+    def first(self, count: int) -> "PhotoSeries":
+        """So many of them; the notes stay those of all."""
+        return dataclasses.replace(
+            self,
+            paths=self.paths[:count],
+            exposures=self.exposures[:count],
+            relative_exposures=self.relative_exposures[:count],
+        )
 
     def read(self, number: int) -> Photo:
         """The photograph of a number, from 0 on.

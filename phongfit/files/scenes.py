@@ -218,7 +218,7 @@ def _read_entry(
     with naming(f"{path}: images[{at}]"):
         file = inside(path.parent, entry.file)
         mask_file = None if entry.mask is None else inside(path.parent, entry.mask)
-    image, usable = read_light(file, record.encoding or "linear")
+    image, usable, _ = read_light(file, record.encoding or "linear")
     mask = np.ones(size, bool) if mask_file is None else read_mask(mask_file)
     for source, shape in ((file, image.shape[:2]), (mask_file, mask.shape)):
         if shape != size:

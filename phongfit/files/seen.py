@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from phongfit.calibration.outlines import View, sphere_behind
+from phongfit.calibration.outlines import View, as_circle, sphere_behind
 from phongfit.calibration.result import Calibration
 from phongfit.files.arrays import read_array, unpack
 from phongfit.files.inputs import naming, read_bytes
@@ -61,29 +61,13 @@ def seen_in(
             camera = OrthographicCamera(width, height)
         return camera, surface
     assert sphere is not None
-    circle = _circle(sphere, height, width)
+    circle = as_circle("sphere", sphere, view)
     if calibration is not None:
         return calibration.camera, _ball(calibration, circle)
     if camera is None:
         camera = OrthographicCamera(width, height, view_height=height / circle[2])
     # Plus 0, since −0 in a scene file would puzzle whoever reads it.
     return camera, Sphere(sphere_behind(circle, view, 1.0) + 0.0, 1.0)
-
-
-def _circle(given: Sequence[float], height: int, width: int) -> Float[np.ndarray, "3"]:
-    circle = np.array(given, float)
-    if circle.shape != (3,) or not np.isfinite(circle).all() or not circle[2] > 0:
-        raise ValueError(
-            f"sphere: expected x, y and radius in pixels, got {list(given)}"
-        )
-    if not (-circle[2] < circle[0] < width + circle[2]) or not (
-        -circle[2] < circle[1] < height + circle[2]
-    ):
-        raise ValueError(
-            f"sphere: expected a circle in the {width} × {height} pixels of the "
-            f"photograph, got {list(given)}"
-        )
-    return circle
 
 
 def _ball(calibration: Calibration, circle: Float[np.ndarray, "3"]) -> Sphere:

@@ -144,7 +144,7 @@ class PhotographStack(AbstractStack):
         taken = np.empty((len(order), len(pixels), 3), _float_type())
         used = np.empty((len(order), len(pixels), 1), bool)
         for row, k in enumerate(order):
-            image, usable = self._read(k)
+            image, usable, _ = self._read(k)
             if usable.shape != self._size:
                 raise ValueError(
                     f"{self._paths[k]}: expected {self._size} pixels, as "

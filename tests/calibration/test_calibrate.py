@@ -27,7 +27,7 @@ def calibrated(studio, images, **options):
         "sphere_radius": 0.5,
         "fov": studio.fov,
     } | options
-    return pf.calibrate(images, **options)
+    return pf.calibrate(options.pop("photographs", images), **options)
 
 
 def test_distant_lamps_are_where_they_are(distant):
@@ -150,7 +150,9 @@ def test_a_wrong_camera_is_minded(distant):
             "chrome\\[0\\]: expected a sphere that lies wholly",
         ),
         ({"chrome": [(60, 90)]}, "chrome\\[0\\]: expected x, y and radius"),
-        ({"chrome": [(60, 90, "x")]}, "chrome\\[0\\]: expected x, y and radius"),
+        ({"chrome": [(60, 90, "x")]}, "chrome: expected a list, each entry a list"),
+        ({"chrome": [(60, 90, 3)]}, "chrome\\[0\\]: expected a radius of at least 5"),
+        ({"photographs": 5}, "photographs: expected a list of images, got 5"),
         ({"fov": 200}, "fov: expected a number > 0 and < 180, got 200"),
         ({"sphere_radius": -1}, "sphere_radius: expected a number > 0"),
         ({"lamps": "far"}, "lamps: expected 'distant' or 'near', got 'far'"),

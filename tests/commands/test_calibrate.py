@@ -40,6 +40,7 @@ def test_lights_with_errors_and_a_picture(photographs, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "calibration.png, lights.json, lights.lp" in said
     assert "warning" not in said
+    assert "assumed: no exposure times are stated" in said
     data = json.loads((out / "lights.json").read_text())
     found = [light["direction"] for light in data["lights"]]
     assert degrees(found, LAMPS).max() < 0.5

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import phongfit as pf
 from phongfit.files.capture_data import open_captured
 from phongfit.files.captures import open_capture
 from phongfit.fitting.fit import fit
 from tests.calibration.studio import Studio, directions
+from tests.files.test_photographs import exif
 
 HEIGHT, WIDTH = 36, 48
 CIRCLE = (27.0, 16.0, 12.0)
@@ -70,6 +72,24 @@ def test_a_list_of_lights_in_the_order_of_the_list(folder, tmp_path):
         assert isinstance(light, pf.DirectionalLight)
         lights.append(np.asarray(light.direction))
     assert np.stack(lights) == pytest.approx(LAMPS[[2, 0, 1]], abs=1e-6)
+
+
+def test_exposures_that_differ_are_lights_that_do(tmp_path):
+    for name, time in (("1.png", 0.25), ("2.png", 1.0)):
+        image = np.round(255 * time * np.asarray(pf.render(ball(LAMPS[0]), TRUTH)))
+        shown = Image.fromarray(image.astype(np.uint8))
+        shown.save(tmp_path / name, exif=exif(time=time))
+    pf.write_lp(tmp_path / "a.lp", ["1.png", "2.png"], LAMPS[[0, 0]])
+    data = open_captured(tmp_path, "linear", sphere=CIRCLE)
+    assert data.notes == ("1.png 1/4 s, 2.png 1 s: brought to common light",)
+    bright = data.scenes[1]
+    assert float(bright.ambient[0]) == 4
+    # In the light of the first.
+    quarter = pf.Material((0.125, 0.075, 0.05), 0.075, 20.0, 0.025)
+    for number, scene in enumerate(data.scenes):
+        image, mask = data.read(number)
+        shown = np.asarray(pf.render(scene, quarter))
+        assert mask.sum() > 50 and np.abs(shown - image)[mask].max() < 0.003
 
 
 def test_rims_and_shades_are_left_out(folder, tmp_path):
@@ -138,7 +158,8 @@ def test_normals_from_a_file(folder, tmp_path):
     [
         ({}, "sphere: expected the shape .* got neither"),
         ({"sphere": (1, 2)}, "sphere: expected x, y and radius"),
-        ({"sphere": (1000, 2, 5)}, "sphere: expected a circle in the 48 × 36 pixels"),
+        ({"sphere": (1000, 2, 5)}, "sphere: expected a circle in the photographs"),
+        ({"sphere": 5}, "sphere: expected a list, each entry a number"),
         ({"sphere": CIRCLE, "lights": "nowhere"}, "nowhere: cannot be read"),
     ],
 )

@@ -20,6 +20,23 @@ def test_round_trip(tmp_path):
     assert found.vectors == pytest.approx(vectors)
 
 
+@pytest.mark.parametrize(
+    "names, vectors, message",
+    [
+        ("ab", [[0, 0, 1], [0, 0, 1]], "names: expected a list of names, got 'ab'"),
+        (["a"], [[0, 0, 1], [0, 0, 1]], r"vectors: expected .* of shape \(1, 3\)"),
+        (["a"], [[0, np.nan, 1]], "vectors: expected finite numbers"),
+        (["a"], [["x", 0, 1]], "vectors: expected finite numbers"),
+        (["a"], [[0, 0, 0]], "vectors: expected one to each lamp, got zeros for a"),
+        (["a\nb"], [[0, 0, 1]], "names: expected one line each"),
+    ],
+)
+def test_no_list_is_written_that_cannot_be_read(tmp_path, names, vectors, message):
+    with pytest.raises(ValueError, match=message):
+        pf.write_lp(tmp_path / "a.lp", names, vectors)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_as_people_send_them(tmp_path):
     text = (
         "\ufeff3\r\nC:\\rti\\IMG 01.JPG 0,5 0,25 0,8\r\n\r\n"
