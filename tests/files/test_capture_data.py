@@ -158,7 +158,7 @@ def test_normals_from_a_file(folder, tmp_path):
     [
         ({}, "sphere: expected the shape .* got neither"),
         ({"sphere": (1, 2)}, "sphere: expected x, y and radius"),
-        ({"sphere": (1000, 2, 5)}, "sphere: expected a circle in the photographs"),
+        ({"sphere": (1000, 2, 5)}, "sphere: expected a circle in the 48 × 36 pixels"),
         ({"sphere": 5}, "sphere: expected a list, each entry a number"),
         ({"sphere": CIRCLE, "lights": "nowhere"}, "nowhere: cannot be read"),
     ],
