@@ -144,8 +144,8 @@ def as_circle(
     if not (reach < x < view.width - reach and reach < y < view.height - reach):
         lies = "a sphere that lies wholly" if whole else "a circle"
         raise ValueError(
-            f"{name}: expected {lies} in the {view.width} × {view.height} pixels of the "
-            f"photographs, got x {x:g}, y {y:g}, radius {radius:g}"
+            f"{name}: expected {lies} in the {view.width} × {view.height} pixels of "
+            f"the photographs, got x {x:g}, y {y:g}, radius {radius:g}"
         )
     return circle
 
