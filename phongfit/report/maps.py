@@ -1,16 +1,31 @@
 """Pictures of maps: each with its scale, and beside it that of its errors."""
 
+import itertools
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
+from matplotlib.axis import Axis
+from matplotlib.colors import LogNorm, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.result import Maps
 from phongfit.report.pictures import displayed
-from phongfit.report.style import picture, quiet, styled
+from phongfit.report.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    ORANGE,
+    PALE,
+    SKY,
+    VERMILION,
+    picture,
+    quiet,
+    styled,
+)
 
 TITLES = {
     "ambient": "ambient ρ_a",
@@ -20,6 +35,8 @@ TITLES = {
 }
 UNIDENTIFIED = "0.85"
 """Grey where there is nothing to be shown."""
+
+PALETTE = (ORANGE, SKY, GREEN, VERMILION, BLUE, "#cc79a7", "#f0e442", BLACK)
 
 
 def draw_parameter(maps: Maps, name: str) -> Figure:
@@ -42,8 +59,10 @@ def draw_parameter(maps: Maps, name: str) -> Figure:
         figure = picture(columns * (side + 0.6), 3.5)
         axes = figure.subplots(1, columns, squeeze=False)[0]
         if coloured:
-            _draw_colours(axes[0], values, identified)
-        _draw_scale(axes[-2], values.mean(axis=-1), identified, _numbers_title(name))
+            _draw_colours(axes[0], values, errors, identified)
+        exponents = name == "shininess"
+        title = "exponent, logarithmic scale" if exponents else "mean of the channels"
+        _draw_scale(axes[-2], values.mean(axis=-1), identified, title, exponents)
         unidentified = int(np.sum(inside & ~identified))
         title = "standard error" + (
             f", {unidentified:,} pixels not identified" if unidentified else ""
@@ -53,15 +72,15 @@ def draw_parameter(maps: Maps, name: str) -> Figure:
     return figure
 
 
-def _numbers_title(name: str) -> str:
-    return "exponent" if name == "shininess" else "mean of the channels"
-
-
-def _draw_colours(axes: Axes, values: np.ndarray, identified: np.ndarray) -> None:
-    brightest = (
-        float(np.quantile(values[identified], 0.995)) if identified.any() else 1.0
-    )
-    factor = 1 / max(brightest, 1e-6) if brightest < 0.5 else 1.0
+def _draw_colours(
+    axes: Axes, values: np.ndarray, errors: np.ndarray, identified: np.ndarray
+) -> None:
+    factor = 1.0
+    # What is 0 but for noise is black, and stays so.
+    seen = identified & (values > 3 * errors).any(axis=-1)
+    if seen.sum() > 0.02 * identified.sum():
+        brightest = float(np.quantile(values[seen], 0.995))
+        factor = 1 / brightest if brightest < 0.5 else 1.0
     shown = displayed(factor * values)
     axes.imshow(np.where(identified[..., None], shown, float(UNIDENTIFIED)))
     axes.set_title("colour" + (f", {factor:.2g} × brighter" if factor > 1 else ""))
@@ -69,7 +88,11 @@ def _draw_colours(axes: Axes, values: np.ndarray, identified: np.ndarray) -> Non
 
 
 def _draw_scale(
-    axes: Axes, numbers: np.ndarray, identified: np.ndarray, title: str
+    axes: Axes,
+    numbers: np.ndarray,
+    identified: np.ndarray,
+    title: str,
+    logarithmic: bool = False,
 ) -> None:
     quiet(axes)
     axes.set_title(title)
@@ -81,37 +104,62 @@ def _draw_scale(
         return
     low, high = np.nanquantile(shown, [0.005, 0.995])
     options: dict[str, Any] = {"vmin": low, "vmax": max(high, low + 1e-12)}
-    if low > 0 and high > 20 * low:
-        options = {"norm": LogNorm(low, high)}
+    if low > 0 and (logarithmic or high > 20 * low):
+        options = {"norm": LogNorm(low, max(high, 1.01 * low))}
     axes.set_facecolor(UNIDENTIFIED)
     drawn = axes.imshow(shown, cmap="viridis", interpolation="nearest", **options)
     figure = axes.get_figure(root=True)
     assert figure is not None
     bar = figure.colorbar(drawn, ax=axes, fraction=0.046, pad=0.03)
-    bar.ax.tick_params(labelsize=7)
+    bar.ax.tick_params(which="both", labelsize=7)
     bar.ax.grid(False)
+    if "norm" in options:
+        _plain_ticks(bar.ax.yaxis, few=high < 100 * low)
+
+
+def _plain_ticks(axis: Axis, few: bool) -> None:
+    """20 rather than 2 × 10¹, in the letters of all other numbers."""
+    between = LogLocator(subs=(2, 5)) if few else NullLocator()
+    axis.set_minor_locator(between)
+    axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
+    axis.set_minor_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
 
 
 def draw_flags(maps: Maps) -> Figure:
-    """Pixels not identified, or only with care, and why: a map for each reason."""
-    raised = [f for f in Flag if f != Flag.OUTSIDE and maps.flagged(f).any()]
-    height, width = maps.flags.shape
+    """Which pixels are not identified, or only with care: a colour for each reason.
+
+    Where there are several, that which fewest pixels have.
+    """
+    inside = ~maps.flagged(Flag.OUTSIDE)
+    raised = {f: maps.flagged(f) & inside for f in Flag if f != Flag.OUTSIDE}
+    raised = {flag: marked for flag, marked in raised.items() if marked.any()}
+    shown = np.where(inside, 1.0, float(UNIDENTIFIED))[..., None] * np.ones(3)
+    colours = dict(zip(raised, itertools.cycle(PALETTE), strict=False))
+    for flag in sorted(raised, key=lambda flag: -int(raised[flag].sum())):
+        shown[raised[flag]] = to_rgb(colours[flag])
+    height, width = inside.shape
     with styled():
-        side = float(np.clip(2.6 * width / height, 2.0, 5))
-        count = max(len(raised), 1)
-        figure = picture(side * min(count, 4) + 0.3, 3.1 * -(-count // 4))
-        axes = figure.subplots(-(-count // 4), min(count, 4), squeeze=False).ravel()
-        for axis in axes[len(raised) :]:
-            axis.set_axis_off()
-        if not raised:
-            words = "no pixel has a flag:\nall are identified"
-            axes[0].text(0.5, 0.5, words, ha="center", va="center")
-        inside = ~maps.flagged(Flag.OUTSIDE)
-        for axis, flag in zip(axes, raised, strict=False):
-            shown = np.where(inside, 1.0, float(UNIDENTIFIED))
-            marked = maps.flagged(flag)
-            axis.imshow(np.where(marked, 0.0, shown), cmap="gray", vmin=0, vmax=1)
-            name = str(flag.name).lower().replace("_", " ")
-            axis.set_title(f"{name}: {int(marked.sum()):,} pixels")
-            quiet(axis)
+        side = float(np.clip(3.2 * width / height, 2.4, 6))
+        figure = picture(side + 2.6, 3.5)
+        axes = figure.subplots()
+        axes.imshow(shown, interpolation="nearest")
+        quiet(axes)
+        axes.set_title("what to know of the pixels")
+        free = int((inside & (maps.flags == 0)).sum())
+        entries = [("white", f"identified, no flag: {free:,}")]
+        entries += [
+            (colours[flag], f"{_words(flag)}: {int(marked.sum()):,}")
+            for flag, marked in raised.items()
+        ]
+        if not inside.all():
+            entries.append((UNIDENTIFIED, f"outside: {int((~inside).sum()):,}"))
+        patches = [
+            Patch(facecolor=colour, edgecolor=PALE, linewidth=0.5, label=label)
+            for colour, label in entries
+        ]
+        axes.legend(handles=patches, loc="center left", bbox_to_anchor=(1.02, 0.5))
     return figure
+
+
+def _words(flag: Flag) -> str:
+    return str(flag.name).lower().replace("_", " ")

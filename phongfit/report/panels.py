@@ -114,7 +114,9 @@ def profiles(fit: Fit, found: Diagnostics | None) -> tuple[list[Panel], str]:
         shown.append(_drawn(lambda axes, p=one: draw_profile(axes, fit, p), alt))
     free = fit.problem.unknowns.y_labels
     left = sum(free.count(label) == 1 for label in free) - len(labels)
-    draws = f'In Python, fit.plot_profile("{wanted[len(shown) % len(wanted)]}") draws'
+    others = [label for label in free if label not in labels]
+    other = next((label for label in wanted if label in others), *others[:1] or wanted)
+    draws = f'In Python, fit.plot_profile("{other}") draws'
     if len(labels) < len(wanted):
         counts = {0: "none is", 1: "one alone is", 2: "two alone are"}
         return shown, (

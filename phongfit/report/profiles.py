@@ -36,7 +36,8 @@ def draw_profile(axes: Axes, fit: Fit, found: Profile) -> None:
     axes.set_xlim(found.values[0], found.values[-1])
     axes.set_xlabel(f"{found.label}  ({unit(found.label)})")
     axes.set_ylabel("Δχ²: how much worse the fit is")
-    axes.legend(loc="upper center")
+    # Above, where neither curve nor chances are.
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, borderaxespad=0.2)
 
 
 def _draw_pair(axes: Axes, found: ProfilePair) -> None:

@@ -82,7 +82,10 @@ def draw_against_level(axes: Axes, fit: Fit) -> None:
     axes.set_xlabel("light of the fit (linear, white = 1)")
     axes.set_ylabel("(photograph − fit) / σ")
     axes.set_title("mean (solid), ± spread (dotted)")
-    axes.legend(loc="best")
+    # Room above the spread, which is near 1 where all is well.
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.2 * (high - low))
+    axes.legend(loc="upper center", ncols=3)
 
 
 def draw_blocks(axes: Axes, fit: Fit, image: int) -> None:
