@@ -1,6 +1,7 @@
 """Templates, and what they all share: pictures inside the page, rows of numbers."""
 
 import functools
+import math
 from typing import Any
 
 import jinja2
@@ -53,7 +54,9 @@ def _row(fit: Fit, k: int, words: str) -> dict[str, Any]:
     }
     if fit.unidentified[k] or not np.isfinite(error):
         return row | {"error": "∞", "percent": "", "note": "not identifiable"}
-    percent = f"{100 * error / abs(value):.2g} %" if value else "–"
+    percent = 100 * error / abs(value) if value else math.inf
+    # Above 100 the error says that nothing is known, and 3.1e+02 would say it badly.
+    shown = f"{percent:.2g} %" if percent < 99.5 else "> 99 %" if value else "–"
     notes = [
         *(["at its bound"] if fit.at_bound[k] else []),
         *(["tied"] if fit.tied[k] else []),
@@ -61,6 +64,6 @@ def _row(fit: Fit, k: int, words: str) -> dict[str, Any]:
     ]
     return row | {
         "error": f"{error:.2g}",
-        "percent": percent,
+        "percent": shown,
         "note": ", ".join(notes),
     }
