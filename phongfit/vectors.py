@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from phongfit.programs import program
+
 Vec3: TypeAlias = Float[Array, "3"]
 Rgb: TypeAlias = Float[Array, "rgb=3"]
 Scalar: TypeAlias = Float[Array, ""]
@@ -34,7 +36,7 @@ def normalize(vector: Vec3) -> Vec3:
     return vector / jnp.where(length > 0, length, jnp.inf)
 
 
-@jax.jit
+@program()
 def normalize_all(vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
     """Each vector normalized, in one program, where nothing else is compiled."""
     units = jax.vmap(normalize)(vectors.reshape(-1, 3))

@@ -6,9 +6,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from jaxtyping import Array
 
-from phongfit.programs import program
+from phongfit.programs import HURRY, compiler_options, program
 
 
 class Shape(eqx.Module):
@@ -53,3 +54,47 @@ def test_it_is_compiled_once_and_differentiable():
     assert len(traced) == 1
     assert jax.grad(square)(two) == 4
     np.testing.assert_array_equal(jax.vmap(square)(jnp.arange(3.0)), [0, 1, 4])
+
+
+@pytest.fixture
+def in_a_hurry(monkeypatch):
+    """As users run it: the tests' own `XLA_FLAGS` are not asked."""
+    if jax.default_backend() != "cpu":
+        pytest.skip("programs are compiled in a hurry on a CPU alone")
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    compiler_options.cache_clear()
+    yield
+    compiler_options.cache_clear()
+
+
+def test_what_is_compiled_in_a_hurry_can_be_part_of_other_programs(in_a_hurry):
+    assert compiler_options() == HURRY
+
+    @program()
+    def square(x: Array) -> Array:
+        return x**2
+
+    @program()
+    def fourth(x: Array) -> Array:
+        return square(square(x))
+
+    three = jnp.asarray(3.0)
+    assert square(three) == 9 and fourth(three) == 81
+    assert jax.jit(lambda x: 1 + square(x))(three) == 10
+    assert jax.grad(fourth)(three) == 108
+    assert jax.jit(jax.grad(jax.grad(square)))(three) == 2
+    np.testing.assert_array_equal(jax.vmap(fourth)(jnp.arange(3.0)), [0, 1, 16])
+    # First asked for in a trace, it is later compiled whole.
+    cube = program()(lambda x: x**3)
+    assert jax.jit(cube)(three) == 27 and cube(three) == 27
+
+
+def test_what_the_user_asks_of_xla_stays(in_a_hurry, monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=2")
+    assert compiler_options() == {"xla_cpu_use_fusion_emitters": False}
+
+
+def test_options_that_xla_does_not_know_are_left_out(in_a_hurry, monkeypatch):
+    monkeypatch.setitem(HURRY, "xla_no_such_option", True)
+    assert compiler_options() is None
+    assert program()(lambda x: x + 1)(jnp.asarray(1.0)) == 2

@@ -14,6 +14,7 @@ from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, Ray
 from phongfit.geometry.normals import implicit_normal
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer, trace_rays
+from phongfit.programs import program
 from phongfit.vectors import Scalar, Vec3, dot
 
 
@@ -60,7 +61,7 @@ class ImplicitSurface(AbstractSurface):
         self.steps = steps
 
     @checked
-    @eqx.filter_jit
+    @program()
     def trace(self, camera: AbstractCamera) -> GBuffer:
         return trace_rays(self.intersect, camera)
 
@@ -77,7 +78,7 @@ class ImplicitSurface(AbstractSurface):
         normal = implicit_normal(self.function, position)
         return position, jnp.where(hit, normal, -ray.direction), hit
 
-    @eqx.filter_jit
+    @program()
     def reached(
         self,
         position: Float[Array, "*batch 3"],

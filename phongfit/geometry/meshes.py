@@ -31,6 +31,7 @@ from phongfit.geometry.normals import (
 )
 from phongfit.geometry.raytracing import blocked, first_faces
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer
+from phongfit.programs import program
 from phongfit.vectors import Vec3, dot, norm, normalize, normalize_all
 
 # A shadow ray starts this far off its face, as a share of the mesh's size: past the
@@ -190,7 +191,7 @@ class Mesh(AbstractSurface):
         return ~blocked(self.vertices, self.faces, rays, distance)
 
 
-@jax.jit
+@program()
 def _off_the_face(
     mesh: Mesh,
     position: Float[Array, "*batch 3"],
@@ -223,7 +224,7 @@ def _in_face(point: Vec3, a: Vec3, b: Vec3, c: Vec3, slack: Array) -> Bool[Array
     return in_plane & jnp.all(jnp.stack(inward)) & jnp.any(normal != 0)
 
 
-@eqx.filter_jit
+@program()
 def _aim(
     mesh: Mesh, camera: AbstractCamera
 ) -> tuple[Ray, Bool[Array, " faces"], Bool[Array, ""]]:
@@ -261,7 +262,7 @@ def barycentrics(ray: Ray, a: Vec3, b: Vec3, c: Vec3) -> Vec3:
     return jnp.where(parallel, jnp.eye(3, dtype=weights.dtype)[0], weights)
 
 
-@eqx.filter_jit
+@program()
 def _interpolate(
     mesh: Mesh, camera: AbstractCamera, rays: Ray, face: Int[Array, "height width"]
 ) -> GBuffer:

@@ -4,7 +4,6 @@ Faces are wound counter-clockwise seen from outside, so that normals point outwa
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Literal, get_args
 
 import jax
@@ -12,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from phongfit.programs import program
 from phongfit.vectors import Scalar, Vec3, dot, norm, normalize
 
 Weighting = Literal["area", "angle"]
@@ -27,7 +27,7 @@ def face_normal(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
     return jnp.cross(b - a, c - a)
 
 
-@jax.jit
+@program()
 def face_normals(
     vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"]
 ) -> Float[Array, "faces 3"]:
@@ -44,7 +44,7 @@ def _angle(corner: Vec3, following: Vec3, preceding: Vec3) -> Scalar:
     return jnp.arctan2(sine, jnp.where(degenerate, 1, cosine))
 
 
-@partial(jax.jit, static_argnames="weighting")
+@program("weighting")
 def vertex_normals(
     vertices: Float[Array, "vertices 3"],
     faces: Int[Array, "faces 3"],

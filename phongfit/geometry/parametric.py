@@ -15,6 +15,7 @@ from phongfit.checks import as_floats, require
 from phongfit.edge import checked
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.normals import parametric_normal
+from phongfit.programs import program
 from phongfit.vectors import Scalar, Vec3, norm
 
 MOST = 2**16
@@ -90,7 +91,7 @@ def _grid(
     return points.reshape(-1, 3), normals.reshape(-1, 3)
 
 
-_kept_grid = eqx.filter_jit(_grid)
+_kept_grid = program("columns", "rows")(_grid)
 
 
 def _check_takes_two(function: Callable[..., Any]) -> None:

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from phongfit.checks import as_floats, as_indices, as_scalar, as_vector, require
 from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera, Ray
+from phongfit.programs import program
 from phongfit.vectors import Vec3, dot, normalize, normalize_all
 
 
@@ -162,7 +163,7 @@ class Sphere(AbstractSurface):
         return position, normal, hit
 
     @checked
-    @eqx.filter_jit
+    @program()
     def trace(self, camera: AbstractCamera) -> GBuffer:
         return trace_rays(self.intersect, camera)
 
@@ -244,7 +245,7 @@ class NormalMap(AbstractSurface):
         )
 
     @checked
-    @eqx.filter_jit
+    @program()
     def trace(self, camera: AbstractCamera) -> GBuffer:
         if self.mask.shape != (camera.height, camera.width):
             raise ValueError(

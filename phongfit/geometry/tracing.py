@@ -12,6 +12,7 @@ from phongfit.geometry.cameras import AbstractCamera
 from phongfit.geometry.shading import AbstractShading, LightingPoints, PhongShading
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer
 from phongfit.lights import AbstractLight
+from phongfit.programs import program
 
 
 @checked
@@ -67,7 +68,7 @@ def visibility(
     return jnp.stack(seen, axis=-1).astype(points.position.dtype)
 
 
-@eqx.filter_jit
+@program()
 def _towards(
     light: AbstractLight, position: Float[Array, "*points 3"]
 ) -> tuple[Float[Array, "*points 3"], Float[Array, "*points"]]:

@@ -129,13 +129,13 @@ def _size(used: np.ndarray) -> int:
     return 2 ** int(max(len(used) - 1, 63)).bit_length()
 
 
-@jax.jit
+@program()
 def _rows(arrays: T, pixels: Int[Array, " n"]) -> T:
     """Some pixels of arrays of all of them, counted row by row."""
     return jax.tree.map(lambda a: a.reshape(-1, a.shape[-1])[pixels], arrays)
 
 
-@eqx.filter_jit
+@program()
 def _gather(terms: ShadingTerms, index: Int[Array, " n"]) -> ShadingTerms:
     """The terms at some points, counted row by row."""
     *batch, _ = terms.diffuse.shape
@@ -150,7 +150,7 @@ def _gather(terms: ShadingTerms, index: Int[Array, " n"]) -> ShadingTerms:
 
 
 @checked
-@eqx.filter_jit
+@program()
 def pixel_terms(scene: Scene, gbuffer: GBuffer) -> PixelTerms:
     """What the image of a scene is made of, save for the material.
 

@@ -1,12 +1,12 @@
 """A renderer is trace, terms, radiance and film; nothing more."""
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from phongfit.edge import checked
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
+from phongfit.programs import program
 from phongfit.rendering.film import Film
 from phongfit.rendering.pixels import pixel_terms
 from phongfit.scene import Scene
@@ -36,7 +36,7 @@ def render(
     return _shade(scene, material, Film() if film is None else film, gbuffer)
 
 
-@eqx.filter_jit
+@program()
 def _shade(
     scene: Scene, material: Material, film: Film, gbuffer: GBuffer
 ) -> Float[Array, "height width 3"]:

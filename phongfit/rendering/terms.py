@@ -12,6 +12,7 @@ from phongfit.edge import checked
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.lights import AbstractLight
 from phongfit.material import Material
+from phongfit.programs import program
 from phongfit.reflectance import AbstractSpecular, lambert
 from phongfit.scene import Scene
 from phongfit.vectors import Vec3, normalize
@@ -131,7 +132,7 @@ def point_terms(
 
 
 @checked
-@eqx.filter_jit
+@program()
 def terms(scene: Scene, gbuffer: GBuffer) -> ShadingTerms:
     """The terms of a scene, at every point that its shading method lights.
 

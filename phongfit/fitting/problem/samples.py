@@ -278,7 +278,7 @@ def _apart(parts: list[PixelTerms]) -> list[PixelTerms]:
     return counted
 
 
-@jax.jit
+@program()
 def _concatenated(parts: list[PixelTerms]) -> PixelTerms:
     joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
     # The model's own arrays, if it has any, are of no sample.

@@ -10,7 +10,6 @@ import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,7 @@ from jaxtyping import Array, Bool
 from phongfit.fitting.problem.samples import Source, gather
 from phongfit.fitting.problem.unknowns import Unknowns, in_units
 from phongfit.fitting.solve.search import SearchResult, search_on
+from phongfit.programs import program
 from phongfit.scene import Scene
 
 # Pixels to either side of an edge that are left out, and of these the nearest, which
@@ -147,7 +147,7 @@ def _moving_cones(unknowns: Unknowns, scene: Scene) -> tuple[int, ...]:
     )
 
 
-@eqx.filter_jit
+@program("cones")
 def _sides(
     scene: Scene, cones: tuple[int, ...]
 ) -> tuple[Bool[Array, "height width"], Bool[Array, "height width edges"]]:

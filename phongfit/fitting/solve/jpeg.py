@@ -30,6 +30,7 @@ from phongfit.fitting.problem.samples import Source
 from phongfit.fitting.solve.search import SearchResult
 from phongfit.fitting.solve.solution import solve
 from phongfit.fitting.solve.sums import Linearization, linearize
+from phongfit.programs import program
 from phongfit.rendering.film import Film, decode, encode
 from phongfit.rendering.jpeg import JpegCompression, compressed
 
@@ -418,7 +419,7 @@ def _all_over(
     return blocks.repeat(down, axis=0).repeat(across, axis=1)
 
 
-@eqx.filter_jit
+@program()
 def _look(problem: Problem, y: Float[Array, " n"]) -> tuple[Array, Linearization]:
     return problem.light(y), linearize(problem, y)
 

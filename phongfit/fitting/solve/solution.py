@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.solve.solver import BoundedLevenbergMarquardt
 from phongfit.fitting.solve.sums import ResidualSums, sums
+from phongfit.programs import program
 
 
 @eqx.filter_custom_jvp
@@ -128,7 +129,7 @@ class Solution(eqx.Module):
     pace: Float[Array, "2"]
 
 
-@eqx.filter_jit
+@program("max_steps")
 def solve(
     problem: Problem,
     start: Float[Array, " n"],

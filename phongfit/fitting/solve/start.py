@@ -15,6 +15,7 @@ from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.samples import Channels, Source
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.solve.box import minimize_in_box
+from phongfit.programs import program
 from phongfit.rendering.pixels import PixelTerms
 
 CANDIDATES = 24
@@ -75,13 +76,13 @@ def _nearness(view: PixelTerms) -> np.ndarray:
     return nearest[index.reshape(-1, index.shape[-1])].max(axis=-1)
 
 
-@jax.jit
+@program()
 def _nearest(cosine: Array, strength: Array) -> Array:
     lit = jnp.any(strength != 0, axis=-1)
     return jnp.max(jnp.where(lit, cosine, 0), axis=-1, initial=0)
 
 
-@eqx.filter_jit
+@program()
 def scan(problem: Problem, y: Float[Array, " n"]) -> Float[Array, " n"]:
     """`y` with the best material for its scenes, over a grid of exponents.
 
@@ -90,7 +91,7 @@ def scan(problem: Problem, y: Float[Array, " n"]) -> Float[Array, " n"]:
     return choose(problem.unknowns, y, *_candidates(problem, y))
 
 
-@eqx.filter_jit
+@program()
 def scan_bands(problem: Problem, y: Float[Array, " n"]) -> Float[Array, "bands n"]:
     """The same, with the best of each of several bands of exponents."""
     vectors, costs = _candidates(problem, y)

@@ -14,6 +14,7 @@ from phongfit.fitting.solve.search import SearchResult
 from phongfit.fitting.solve.solution import few_residuals, make_solver
 from phongfit.fitting.solve.start import scan
 from phongfit.fitting.uncertainty.profile import total_cost
+from phongfit.programs import program
 
 MOST_STEPS = 60
 
@@ -45,7 +46,7 @@ def trace_convergence(found: SearchResult) -> Convergence:
     return Convergence(np.array(costs), total_cost(found.problem, found.y))
 
 
-@eqx.filter_jit
+@program()
 def _walk(
     problem: Problem, start: Float[Array, " n"]
 ) -> tuple[Float[Array, "steps n"], Array]:

@@ -16,6 +16,7 @@ from phongfit.fitting.solve.sums import linearize
 from phongfit.fitting.uncertainty.numbers import number_with_error
 from phongfit.fitting.uncertainty.quantiles import fisher_quantile, student_reach
 from phongfit.fitting.uncertainty.statistics import quadratic_about, statistics
+from phongfit.programs import program
 
 # One, two and three standard deviations of a normal distribution.
 LEVELS = (0.6827, 0.9545, 0.9973)
@@ -266,14 +267,14 @@ def total_cost(problem: Problem, y: Float[Array, " n"]) -> float:
     return float(np.sum(np.asarray(samples, float)) + np.sum(np.asarray(priors, float)))
 
 
-@eqx.filter_jit
+@program()
 def _curvature(problem: Problem, y: Float[Array, " n"]) -> Float[Array, "n n"]:
     found = linearize(problem, y)
     known = found.jacobian.priors.T @ found.jacobian.priors
     return found.jacobian.gram(problem.loss.score(found.at.residual)[1]) + known
 
 
-@eqx.filter_jit
+@program()
 def _costs(problem: Problem, y: Float[Array, " n"]) -> tuple[Array, Array]:
     samples = problem.loss.root(problem.residual(y)) ** 2
     return samples, problem.unknowns.prior_residual(y) ** 2

@@ -21,6 +21,7 @@ from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.samples import Source, gather, seen_pixels
 from phongfit.fitting.solve.solution import solve
 from phongfit.fitting.solve.start import choose_few, scan
+from phongfit.programs import program
 
 # A standard deviation of so many draws is known to 4 %, save where few stray far.
 DRAWS = 400
@@ -65,7 +66,7 @@ def _stands_for(source: Source, seen: np.ndarray, few: np.ndarray) -> Source:
     return dataclasses.replace(source, weight=weight)
 
 
-@eqx.filter_jit
+@program()
 def _ends(
     problem: Problem,
     weight: Float[Array, "3 samples"],

@@ -13,7 +13,6 @@ a pixel share their noise, and where noise differs between channels or with ligh
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -171,5 +170,5 @@ def shared_rounding(problem: Problem, y: Float[Array, " n"]) -> np.ndarray:
     return np.array(sums) @ np.array(sums).T
 
 
-linearized = eqx.filter_jit(linearize)
+linearized = program()(linearize)
 """[`linearize`][], compiled alone."""

@@ -192,7 +192,7 @@ def sandwich_sums(problem: Problem, y: Float[Array, " n"]) -> SandwichSums:
     return _sandwich_sums(problem, linearize(problem, y))
 
 
-@eqx.filter_jit
+@program()
 def _sandwich_sums(problem: Problem, found: Linearization) -> SandwichSums:
     at, priors, jacobian = found.at, found.priors, found.jacobian
     samples = at.residual
