@@ -26,7 +26,7 @@ from phongfit import (
 )
 from phongfit.cli import run
 from phongfit.files.dataset import Dataset
-from phongfit.rendering.film import Encoding
+from phongfit.rendering.film import NamedEncoding
 
 Numbers = tuple[float, ...]
 
@@ -115,7 +115,7 @@ class Options:
 
     bits: Literal[8, 16] = 8
 
-    encoding: Encoding = "srgb"
+    encoding: NamedEncoding = "srgb"
 
     seed: int = 0
 

@@ -133,7 +133,7 @@ def _settings(dataset: Dataset, noise: float | None, seed: int | None) -> str:
     depth = "float" if film.bits is None else f"{film.bits}-bit"
     parts = [
         f"{len(dataset.images)} × {width} × {height} pixels",
-        f"{depth} {LABELS[film.encoding]}",
+        f"{depth} {LABELS.get(str(film.encoding), film.encoding)}",
         type(dataset.scenes[0].specular_model).__name__,
     ]
     parts += [] if noise is None else [f"noise {noise:g}"]

@@ -2,6 +2,10 @@
 
 from . import testing as testing
 from .calibration.calibrate import calibrate as calibrate
+from .calibration.response import (
+    Response as Response,
+    fit_response as fit_response,
+)
 from .calibration.result import Calibration as Calibration
 from .environment import Fog as Fog
 from .files.calibrations import (
@@ -102,6 +106,7 @@ from .rendering.film import Film as Film
 from .rendering.jpeg import JpegCompression as JpegCompression
 from .rendering.pixels import PixelTerms as PixelTerms, pixel_terms as pixel_terms
 from .rendering.render import render as render
+from .rendering.response import ResponseCurve as ResponseCurve
 from .rendering.terms import (
     ShadingTerms as ShadingTerms,
     combine as combine,

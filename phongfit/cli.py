@@ -29,6 +29,7 @@ COMMANDS = {
     "fit": "Fit a material to photographs: values, errors, pictures, a report.",
     "maps": "Fit a material per pixel to photographs under many lights.",
     "calibrate": "Find the lamps of a capture by spheres in its photographs.",
+    "response": "Check a camera's response, and fit it where it is not sRGB.",
     "scene": "Write a scene file: surface, camera and lights, to render and to fit.",
     "predict": "How well could a material be known, before any photograph is taken?",
     "export": "Write a material for other programs: .mtl, glTF, OpenGL, JSON.",
@@ -208,6 +209,8 @@ def _load(name: str) -> Callable[..., int | None]:
             from phongfit.commands import maps as command
         case "calibrate":
             from phongfit.commands import calibrate as command
+        case "response":
+            from phongfit.commands import response as command
         case "scene":
             from phongfit.commands import scene as command
         case "predict":

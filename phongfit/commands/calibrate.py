@@ -11,13 +11,13 @@ from phongfit.calibration.calibrate import calibrate
 from phongfit.calibration.result import Calibration
 from phongfit.commands.data import tell
 from phongfit.commands.keeping import keeping
-from phongfit.commands.options import OutFolder, optional
+from phongfit.commands.options import EncodingName, OutFolder, optional
 from phongfit.commands.progress import stage
 from phongfit.files.calibrations import LIGHTS_FILE, save_calibration
 from phongfit.files.captures import Capture, open_capture
+from phongfit.files.encodings import parse_encoding
 from phongfit.files.lp import write_lp
 from phongfit.files.outputs import replacing_folder
-from phongfit.rendering.film import Encoding
 
 LIST_FILE = "lights.lp"
 PICTURE_FILE = "calibration.png"
@@ -42,7 +42,8 @@ class Options:
         orthographic: Parallel rays: a long lens, far away. The default without --fov.
         lamps: distant: parallel light, a direction each. near: a position each; needs
             two spheres.
-        encoding: What the photographs' numbers are. Default: srgb for JPEG.
+        encoding: What the photographs' numbers are, or the file of a response curve, as
+            `phongfit response` writes it. Default: srgb for JPEG.
         ambient: A photograph without a lamp, which is taken from all.
         flat: A photograph of a white card, by which all are divided.
         overwrite: Replace an older calibration in OUT.
@@ -66,7 +67,7 @@ class Options:
 
     lamps: Literal["distant", "near"] = "distant"
 
-    encoding: Annotated[Encoding | None, optional("linear|srgb")] = None
+    encoding: EncodingName = None
 
     ambient: Annotated[Path | None, optional("PHOTO")] = None
 
@@ -93,7 +94,7 @@ def main(options: Options) -> int:
     with replacing_folder(options.out, may_replace) as folder:
         capture = open_capture(
             options.photographs,
-            options.encoding,
+            parse_encoding(options.encoding),
             ambient=options.ambient,
             flat=options.flat,
         )

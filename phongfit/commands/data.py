@@ -9,13 +9,14 @@ from typing import Annotated, TypeVar
 import numpy as np
 from tyro.conf import Positional, arg
 
-from phongfit.commands.options import optional
+from phongfit.commands.options import EncodingName, optional
 from phongfit.files.capture_data import open_captured
 from phongfit.files.dataset import Dataset, Photograph, Photographs
 from phongfit.files.datasets import open_dataset
 from phongfit.files.diligent import is_diligent
+from phongfit.files.encodings import parse_encoding
 from phongfit.files.fits import DataRecord, DataSettings
-from phongfit.files.images import read_light, read_mask, with_jpeg
+from phongfit.files.images import read_film, read_light, read_mask, with_jpeg
 from phongfit.files.inputs import recording
 from phongfit.files.records import read_record
 from phongfit.files.scenes import SCENE_FILE, TRUTH_FILE, build_scene, with_lights
@@ -23,7 +24,8 @@ from phongfit.files.schema import SceneRecord
 from phongfit.fitting.problem.noise import find_film
 from phongfit.maps.stacks import DatasetStack
 from phongfit.plain import readable
-from phongfit.rendering.film import Encoding, Film
+from phongfit.rendering.film import Film
+from phongfit.rendering.response import ResponseCurve
 from phongfit.scene import Scene
 
 T = TypeVar("T")
@@ -45,8 +47,9 @@ class DataOptions:
         lights: With photographs: their lights, as `phongfit calibrate` writes them, or
             an .lp. Default: those in the folder; else the fit finds them.
         mask: With an image or photographs: white where a pixel may be used.
-        encoding: With an image or photographs: what their numbers are. Default: what
-            the scene file says, and srgb for JPEG.
+        encoding: With an image or photographs: what their numbers are, or the file of
+            a response curve, as `phongfit response` writes it. Default: what the scene
+            file says, and srgb for JPEG.
         min_cosine: Not of our own data sets: samples with n·l up to this are left out,
             where light that bounced counts for more.
         min_facing: Likewise: pixels with n·v up to this are left out: a rim's pixel
@@ -67,7 +70,7 @@ class DataOptions:
 
     mask: Annotated[Path | None, optional("FILE")] = None
 
-    encoding: Annotated[Encoding | None, optional("linear|srgb")] = None
+    encoding: EncodingName = None
 
     min_cosine: Annotated[float, arg(metavar="X")] = 0.05
 
@@ -137,7 +140,7 @@ def _open_captured(options: DataOptions) -> Photographs:
         raise ValueError(f"{options.dataset}: there is no such file or folder")
     return open_captured(
         options.dataset,
-        options.encoding,
+        parse_encoding(options.encoding),
         sphere=options.sphere,
         normals=options.normals,
         lights=options.lights,
@@ -193,7 +196,7 @@ def _read_single(options: DataOptions) -> Photographs:
         )
     record = read_record(options.scene, SceneRecord)
     scene = _scene_of(path, options.scene, record)
-    encoding = options.encoding or record.encoding
+    encoding = parse_encoding(options.encoding) or record.encoding
     if encoding is None:
         raise ValueError(
             f"encoding: expected --encoding linear or srgb, since {options.scene} does "
@@ -213,7 +216,10 @@ def _read_single(options: DataOptions) -> Photographs:
     film = record.film()
     if film.clamp:
         film = with_jpeg(Film(encoding=encoding), path)
-        film = find_film([image]) if film.jpeg is None else film
+        if film.jpeg is None:
+            # No one else's numbers tell that a curve has rounded them.
+            curved = isinstance(encoding, ResponseCurve)
+            film = read_film(path, encoding) if curved else find_film([image])
     photograph = Photograph(image, mask & usable)
     return Photographs(path.stem, (scene,), (path.name,), film, lambda _: photograph)
 

@@ -8,14 +8,15 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from phongfit.commands.cache import keep_compiled
-from phongfit.commands.options import optional
+from phongfit.commands.options import EncodingName, optional
 from phongfit.commands.progress import stage
+from phongfit.files.encodings import parse_encoding
 from phongfit.files.images import Bits, check_image, write_image
 from phongfit.files.inputs import sparing
 from phongfit.files.materials import read_material
 from phongfit.files.scenes import TRUTH_FILE, load_scene, load_truth, with_lights
 from phongfit.material import Material
-from phongfit.rendering.film import Encoding, Film
+from phongfit.rendering.film import Film
 from phongfit.rendering.render import render
 
 FLOATS = (".hdr", ".exr")
@@ -33,7 +34,8 @@ class Options:
             fit.json, truth.json, or one that `phongfit export` wrote. Default: the
             truth.json beside the scene, else a matte grey.
         lights: Numbers of the lights that are on, from 0. Default: all.
-        encoding: Of the image's numbers. Default: srgb; linear for .hdr, .exr, 32 bits.
+        encoding: Of the image's numbers, or the file of a response curve. Default:
+            srgb; linear for .hdr, .exr, 32 bits.
         bits: Per channel; 32 are floating-point numbers, which nothing cuts off.
             Default: the fewest that the format has.
     """
@@ -42,7 +44,7 @@ class Options:
     out: Annotated[Path, arg(aliases=["-o"], metavar="IMAGE")]
     material: Annotated[str | None, optional("preset:NAME|FILE")] = None
     lights: Annotated[tuple[int, ...] | None, optional("N ...")] = None
-    encoding: Annotated[Encoding | None, optional("linear|srgb")] = None
+    encoding: EncodingName = None
     bits: Annotated[Bits | None, optional("8|16|32")] = None
 
 
@@ -56,7 +58,7 @@ def main(options: Options) -> int:
     """
     keep_compiled()
     floats = options.bits == 32 or options.out.suffix.lower() in FLOATS
-    encoding = options.encoding or ("linear" if floats else "srgb")
+    encoding = parse_encoding(options.encoding) or ("linear" if floats else "srgb")
     check_image(options.out, encoding, options.bits)
     with sparing(options.out):
         scene = with_lights(load_scene(options.scene), options.lights)

@@ -9,7 +9,7 @@ import numpy as np
 from tyro.conf import Positional, UseAppendAction, arg
 
 from phongfit.calibration.result import Calibration
-from phongfit.commands.options import optional
+from phongfit.commands.options import EncodingName, optional
 from phongfit.files.calibrations import load_calibration
 from phongfit.files.capture_data import (
     START,
@@ -19,6 +19,8 @@ from phongfit.files.capture_data import (
     one_photograph,
 )
 from phongfit.files.captures import Capture, open_capture
+from phongfit.files.encodings import parse_encoding
+from phongfit.files.images import read_film
 from phongfit.files.inputs import sparing
 from phongfit.files.lp import read_lp
 from phongfit.files.outputs import check_file
@@ -33,7 +35,7 @@ from phongfit.geometry.cameras import (
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.surfaces import AbstractSurface
 from phongfit.lights import AbstractLight, DirectionalLight, PointLight
-from phongfit.rendering.film import Encoding, Film
+from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
 Triple = tuple[float, float, float]
@@ -76,7 +78,8 @@ class Options:
             it, with its camera, or an .lp.
         intensity: Of each light of --light and --point-light: a number, or three.
         ambient: The ambient light: a number, or three.
-        encoding: With a photograph: what its numbers are. Default: srgb for JPEG.
+        encoding: With a photograph: what its numbers are, or the file of a response
+            curve. Default: srgb for JPEG.
         mask: With a folder: an image in it, white where pixels may be used.
         overwrite: Replace an older scene file.
     """
@@ -114,7 +117,7 @@ class Options:
 
     ambient: Annotated[tuple[float, ...], arg(metavar="I")] = (1.0,)
 
-    encoding: Annotated[Encoding | None, optional("linear|srgb")] = None
+    encoding: EncodingName = None
 
     mask: Annotated[Path | None, optional("FILE")] = None
 
@@ -177,14 +180,21 @@ def _make(options: Options) -> _Made:
     camera, surface = _seen(options, height, width)
     if capture is None or len(capture.names) == 1:
         lights, notes = _given_lights(options)
-        images, film = [], None if capture is None else Film(encoding=capture.encoding)
+        images: list[ImageRecord] = []
     else:
         lights, notes = _lights_of(options, capture)
         if np.ptp(capture.series.relative_exposures):
             notes = [*capture.notes, "the ambient light is that of the first", *notes]
-        images, film = _images(options, capture), Film(encoding=capture.encoding)
+        images = _images(options, capture)
+    film = None if capture is None else _film(capture)
     scene = Scene(surface, camera, lights, ambient=_colour("ambient", options.ambient))
     return _Made(scene, film, images, notes)
+
+
+def _film(capture: Capture) -> Film:
+    """How light became the photographs' numbers; what JPEG lost, each says itself."""
+    film = read_film(capture.folder / capture.names[0], capture.encoding)
+    return Film(film.clamp, film.encoding, film.bits)
 
 
 def _capture(options: Options) -> Capture | None:
@@ -196,11 +206,12 @@ def _capture(options: Options) -> Capture | None:
         return None
     if not path.exists():
         raise ValueError(f"{path}: there is no such file or folder")
+    encoding = parse_encoding(options.encoding)
     if path.is_dir():
-        return open_capture(path, options.encoding, lights=list_of(options.lights))
+        return open_capture(path, encoding, lights=list_of(options.lights))
     if options.mask is not None:
         raise ValueError("mask: is of a folder; give it to `phongfit fit` instead")
-    return one_photograph(path, options.encoding)
+    return one_photograph(path, encoding)
 
 
 def _size(options: Options, capture: Capture | None) -> tuple[int, int]:

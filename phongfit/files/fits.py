@@ -27,7 +27,6 @@ from phongfit.fitting.result import Fit
 from phongfit.material import Material
 from phongfit.plain import plain
 from phongfit.reflectance import AbstractSpecular
-from phongfit.rendering.film import Encoding
 from phongfit.scene import Scene
 
 FIT_FORMAT = "phongfit fit"
@@ -121,7 +120,7 @@ class FitSettings(AbstractRecord):
 class DataSettings(AbstractRecord):
     """How photographs were read: see `phongfit fit --help`."""
 
-    encoding: Encoding | None = None
+    encoding: str | None = None
     min_cosine: float = 0.05
     min_facing: float = 0.15
     room_light: Annotated[float, Field(ge=0)] = 1.0

@@ -62,9 +62,10 @@ def read_image(
     **Arguments:**
 
     - `path`: the suffix tells the format.
-    - `encoding`: `"linear"` or `"srgb"`: what the numbers in the file are. A fit in the
-        wrong one is wrong, so it is never guessed. Floating-point formats and RAW are
-        linear. With a profile `"srgb"` stands for any curve that the profile tells.
+    - `encoding`: `"linear"`, `"srgb"` or a [`ResponseCurve`][]: what the numbers in the
+        file are. A fit in the wrong one is wrong, so it is never guessed.
+        Floating-point formats and RAW are linear. With a profile `"srgb"` stands for
+        any curve that the profile tells.
     - `max_pixels`: images with more are refused before they are decoded: a small file
         can hold an image that fills the memory. Default: what one file may take of it
         (1 GB, or `PHONGFIT_MAX_MEMORY`), which is some 50 million pixels.
@@ -248,7 +249,8 @@ def write_image(
     - `path`: the suffix tells the format: `.png` (8, 16 bits), `.jpg` (8), `.tif` (8,
         16, 32), `.hdr` (32), `.exr` (32).
     - `image`: (H, W, 3), or (H, W) for grey, linear.
-    - `encoding`: `"linear"` or `"srgb"`; it must be told again when the file is read.
+    - `encoding`: `"linear"`, `"srgb"` or a [`ResponseCurve`][]; it must be told again
+        when the file is read.
     - `bits`: per channel; default the fewest that the format has. 8 and 16 cut off
         what is below 0 or above 1; 32 is floating-point, linear and not cut off.
 

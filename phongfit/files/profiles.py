@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, UInt
 
 from phongfit.files.formats import Refused
 from phongfit.rendering.film import Encoding, encode
+from phongfit.rendering.response import ResponseCurve
 
 # A profile is sRGB, or linear, where it is off by no more than a level of 8 bits; its
 # channels are mixed where one makes more of another than this.
@@ -74,6 +75,14 @@ def find_profile(profile: bytes | None, encoding: Encoding) -> Profile | None:
             "it to sRGB"
         )
     found = _judged(profile, space == "GRAY")
+    if isinstance(encoding, ResponseCurve):
+        # The curve is the camera's, whatever the profile's is; colours are not.
+        if found is not None and found.mixes:
+            raise Refused(
+                "expected the colours of sRGB, since its encoding is a response curve, "
+                "got a colour profile (ICC) of others: convert it to sRGB"
+            )
+        return None
     told = "srgb" if found is None else found.encoding
     if told != encoding:
         kind = "encoded" if told == "srgb" else "linear"

@@ -13,6 +13,7 @@ from phongfit.files.arguments import describe
 from phongfit.files.arrays import write_array
 from phongfit.files.budget import afford
 from phongfit.files.dataset import Photograph, Photographs
+from phongfit.files.encodings import describe_encoding
 from phongfit.files.images import read_light, read_mask, with_jpeg, write_image
 from phongfit.files.inputs import check_spared, inside, naming, naming_field
 from phongfit.files.outputs import write_json
@@ -93,7 +94,7 @@ def save_scene(
     data: dict[str, Any] = {"format": SCENE_FORMAT, "version": 1}
     data |= describe(scene, path.stem, arrays)
     if film is not None:
-        data["encoding"] = film.encoding
+        data["encoding"] = describe_encoding(film.encoding)
         data["clamped"] = film.clamp
         data |= {} if film.bits is None else {"bits": film.bits}
     if images:

@@ -19,6 +19,7 @@ from phongfit.files.arguments import (
     kinds_of,
     one_of,
 )
+from phongfit.files.encodings import EncodingField
 from phongfit.files.records import AbstractRecord, FileName, Many, Vector
 from phongfit.geometry.cameras import (
     AbstractCamera,
@@ -37,7 +38,7 @@ from phongfit.geometry.surfaces import AbstractSurface, NormalMap, Sphere
 from phongfit.lights import AbstractLight, DirectionalLight, PointLight, SpotLight
 from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular, BlinnPhong, Phong
-from phongfit.rendering.film import Encoding, Film
+from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
 SCENE_FORMAT = "phongfit scene"
@@ -171,7 +172,7 @@ class SceneRecord(Arguments):
 
     format: Literal["phongfit scene"]
     version: Literal[1]
-    encoding: Encoding | None = None
+    encoding: EncodingField | None = None
     bits: Annotated[int, Field(ge=1, le=16)] | None = None
     clamped: bool = True
     images: Many[ImageRecord] = []

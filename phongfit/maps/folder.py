@@ -9,6 +9,7 @@ from pydantic import Field
 
 from phongfit.files.arguments import describe
 from phongfit.files.arrays import read_array, write_array
+from phongfit.files.encodings import EncodingField, describe_encoding
 from phongfit.files.fits import DataRecord, Edges, LossName, made_with
 from phongfit.files.formats import WRITERS
 from phongfit.files.inputs import inside, naming
@@ -47,7 +48,7 @@ class MapsRecord(AbstractRecord):
     data: DataRecord
     settings: MapSettings
     model: SpecularRecord
-    encoding: Encoding | None = None
+    encoding: EncodingField | None = None
     made_with: dict[str, str]
 
 
@@ -79,7 +80,7 @@ def save_folder(
         "data": data.model_dump(),
         "settings": settings.model_dump(),
         "model": describe(model),
-        "encoding": encoding,
+        "encoding": describe_encoding(encoding),
         "made_with": made_with(),
     }
     write_json(folder / RECORD_FILE, content)

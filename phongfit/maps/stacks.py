@@ -2,6 +2,7 @@
 
 import abc
 import hashlib
+import json
 import mmap
 import os
 from collections.abc import Callable, Sequence
@@ -123,7 +124,7 @@ class PhotographStack(AbstractStack):
         """**Arguments:**
 
         - `paths`: one file for each image.
-        - `encoding`: `"linear"` or `"srgb"`: see [`read_image`][].
+        - `encoding`: see [`read_image`][].
 
         **Raises:** `ValueError` that names the file, if the first cannot be read.
         """
@@ -156,7 +157,9 @@ class PhotographStack(AbstractStack):
         return np.ma.MaskedArray(taken, np.broadcast_to(~used, taken.shape))
 
     def identify(self, update: Update) -> None:
-        update(self._encoding.encode())
+        encoding = self._encoding
+        name = encoding if isinstance(encoding, str) else json.dumps(encoding.light)
+        update(name.encode())
         with recording(self._checksums):
             for path in self._paths:
                 update(read_bytes(path))

@@ -10,9 +10,14 @@ from jaxtyping import Array, Float
 
 from phongfit.edge import checked
 from phongfit.rendering.jpeg import JpegCompression, compressed, namespace
+from phongfit.rendering.response import ResponseCurve
 
-Encoding = Literal["linear", "srgb"]
-ENCODINGS: tuple[Encoding, ...] = ("linear", "srgb")
+NamedEncoding = Literal["linear", "srgb"]
+Encoding = NamedEncoding | ResponseCurve
+"""What the numbers in a file are."""
+
+ENCODINGS: tuple[NamedEncoding, ...] = ("linear", "srgb")
+"""Those that have a name."""
 
 
 def encode(linear: Any, encoding: Encoding) -> Any:
@@ -25,6 +30,8 @@ def encode(linear: Any, encoding: Encoding) -> Any:
     """
     if encoding == "linear":
         return linear
+    if isinstance(encoding, ResponseCurve):
+        return encoding.encode(linear)
     xp = namespace(linear)
     # Double where: the power has an infinite slope at 0, where it is not used.
     curved = linear > 0.0031308
@@ -36,6 +43,8 @@ def decode(encoded: Any, encoding: Encoding) -> Any:
     """The inverse of [`encode`][]."""
     if encoding == "linear":
         return encoded
+    if isinstance(encoding, ResponseCurve):
+        return encoding.decode(encoded)
     xp = namespace(encoded)
     curved = encoded > 0.04045
     root = ((xp.where(curved, encoded, 1) + 0.055) / 1.055) ** 2.4
@@ -62,7 +71,7 @@ class Film(eqx.Module):
 
         - `clamp`: show min(I, 1), and nothing below 0. `False` is for floating-point
             images that were never cut off.
-        - `encoding`: `"linear"` or `"srgb"`.
+        - `encoding`: `"linear"`, `"srgb"` or a [`ResponseCurve`][].
         - `bits`: round to 2^bits levels; default not at all. Rounding has no useful
             derivative: leave it off where gradients are wanted.
         - `jpeg`: what a JPEG file rounded besides, of images of 8 bits: see
@@ -111,11 +120,11 @@ def as_films(
 
 
 def as_encoding(value: Any) -> Encoding:
-    """`value` if it names an encoding, else a `ValueError`."""
-    if value not in ENCODINGS:
-        wanted = " or ".join(repr(name) for name in ENCODINGS)
-        raise ValueError(f"encoding: expected {wanted}, got {value!r}")
-    return value
+    """`value` if it is an encoding, else a `ValueError`."""
+    if isinstance(value, ResponseCurve) or value in ENCODINGS:
+        return value
+    names = ", ".join(repr(name) for name in ENCODINGS)
+    raise ValueError(f"encoding: expected {names} or a ResponseCurve, got {value!r}")
 
 
 def as_bits(value: Any) -> int | None:

@@ -1,0 +1,155 @@
+"""`phongfit response`: photographs in; what their numbers are out."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, overload
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+from phongfit.calibration.response import Response, fit_response
+from phongfit.commands.cache import keep_compiled
+from phongfit.commands.options import optional
+from phongfit.commands.progress import stage
+from phongfit.files.capture_data import open_captured
+from phongfit.files.encodings import RESPONSE_FORMAT
+from phongfit.files.images import read_light, read_mask
+from phongfit.files.inputs import sparing
+from phongfit.files.outputs import check_file, write_json
+from phongfit.files.photographs import list_photographs, open_photographs
+from phongfit.rendering.response import AS_STORED
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `phongfit response`.
+
+    Args:
+        photographs: A folder of photographs of a standing camera: of a matte sphere
+            under known lamps, with --matte; or of one view, exposed differently.
+        out: The .json file to write; give it wherever there is an --encoding.
+        matte: The matte sphere: x and y of its centre and its radius in pixels, from
+            the upper left corner.
+        lights: With --matte: its lamps, as `phongfit calibrate` writes them from
+            chrome spheres, or an .lp. Default: those in the folder.
+        exposures: Without --matte: how much light each photograph got, in the order of
+            their names, next to the others. Default: what their EXIF data say.
+        mask: White where pixels may be used.
+    """
+
+    photographs: Annotated[Positional[Path], arg(metavar="PHOTOS")]
+    out: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
+    matte: Annotated[tuple[float, float, float] | None, optional("X Y R")] = None
+    lights: Annotated[Path | None, optional("FILE")] = None
+    exposures: Annotated[tuple[float, ...], optional("E ...")] = ()
+    mask: Annotated[Path | None, optional("FILE")] = None
+
+
+def main(options: Options) -> int:
+    """Check a camera's response, and fit it where it is neither linear nor sRGB.
+
+    Says of both whether they explain the photographs, and by how many standard
+    deviations they do not. The curve is smooth and rises; one for all channels.
+
+    For example:
+      phongfit response brackets -o response.json --exposures 1 2 4 8
+      phongfit response photos -o response.json --matte 179 155 81 --lights out/lights
+      phongfit calibrate photos -o out/again --encoding response.json
+    """
+    keep_compiled()
+    check_file(options.out)
+    if options.out.suffix.lower() != ".json":
+        raise ValueError(f"out: expected a .json file, got {options.out}")
+    with sparing(options.out):
+        found = _of_matte(options) if options.matte else _of_brackets(options)
+    write_json(options.out, _record(found))
+    print(found)
+    use = found.encoding if isinstance(found.encoding, str) else options.out
+    print(f"\n{options.out}: the curve; use --encoding {use}")
+    return 0
+
+
+class _Stored(Sequence[np.ndarray]):
+    """Numbers of photographs as they stand in their files, one in memory at a time."""
+
+    def __init__(self, paths: Sequence[Path]):
+        self.paths = paths
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    @overload
+    def __getitem__(self, index: int) -> np.ndarray: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[np.ndarray]: ...
+    def __getitem__(self, index: int | slice) -> np.ndarray | Sequence[np.ndarray]:
+        if isinstance(index, slice):
+            return _Stored(self.paths[index])
+        return read_light(self.paths[index], AS_STORED).image
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        return (self[number] for number in range(len(self)))
+
+
+def _of_matte(options: Options) -> Response:
+    if options.exposures:
+        raise ValueError("exposures: expected them or --matte, got both")
+    data = open_captured(
+        options.photographs, AS_STORED, sphere=options.matte, lights=options.lights
+    )
+    if "scene.lights[0].direction" in data.unknown:
+        raise ValueError(
+            "lights: expected lights.json or an .lp, the lamps that shine on the matte "
+            "sphere, got none; `phongfit calibrate` finds them by chrome spheres"
+        )
+    folder = options.photographs
+    folder = folder if folder.is_dir() else folder.parent
+    with stage("fitting the response"):
+        return fit_response(
+            _Stored([folder / name for name in data.names]),
+            scenes=data.scenes,
+            mask=None if options.mask is None else read_mask(options.mask),
+            names=data.names,
+        )
+
+
+def _of_brackets(options: Options) -> Response:
+    if options.lights is not None:
+        raise ValueError("lights: expected --matte with them, the sphere they shine on")
+    paths = list_photographs(options.photographs)
+    series = open_photographs(paths, AS_STORED)
+    exposures = options.exposures or tuple(series.relative_exposures.tolist())
+    names = [path.name for path in paths]
+    if options.exposures and len(exposures) != len(paths):
+        raise ValueError(
+            f"exposures: expected {len(paths)}, one for each of {', '.join(names)}, "
+            f"got {len(exposures)}"
+        )
+    if not options.exposures:
+        if np.ptp(exposures) == 0:
+            raise ValueError(
+                "exposures: expected --exposures, how much light each photograph got, "
+                "since their EXIF data do not say that they differ; or --matte"
+            )
+        for note in series.notes:
+            print(note)
+    with stage("fitting the response"):
+        return fit_response(
+            _Stored(paths),
+            exposures=exposures,
+            mask=None if options.mask is None else read_mask(options.mask),
+            names=names,
+        )
+
+
+def _record(found: Response) -> dict:
+    return {
+        "format": RESPONSE_FORMAT,
+        "version": 1,
+        "light": list(found.curve.light),
+        "light_error": found.error.tolist(),
+        "numbers_seen": list(found.seen),
+        "checks": {name: check._asdict() for name, check in found.checks.items()},
+        "warnings": list(found.warnings),
+    }

@@ -1,0 +1,73 @@
+"""A camera's response: which number it writes for how much light."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from phongfit.edge import checked
+from phongfit.rendering.jpeg import namespace
+
+MOST = 65_536
+"""Samples of a curve: a file has no more levels."""
+
+
+@dataclass(frozen=True, init=False, repr=False)
+class ResponseCurve:
+    """An encoding that is neither linear nor sRGB's: a rising curve, by its samples.
+
+    Light at numbers that are equally spaced from 0 to 1, the first and the last of
+    them 0 and 1; straight lines lie between them, so that the inverse is exact. The
+    same for all channels. Wherever an encoding is asked for, a curve may stand.
+
+        gamma = pf.ResponseCurve([(k / 256) ** 1.8 for k in range(257)])
+        image = pf.read_image("ball.png", gamma)
+    """
+
+    light: tuple[float, ...]
+
+    @checked
+    def __init__(self, light: Sequence[float]):
+        """**Arguments:** `light`: at least two numbers, rising from 0 to 1.
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        samples = np.asarray(light, float)
+        wanted = f"2 … {MOST} numbers that rise from 0 to 1"
+        if samples.ndim != 1 or not 2 <= len(samples) <= MOST:
+            raise ValueError(f"light: expected {wanted}, got shape {samples.shape}")
+        if samples[0] != 0 or samples[-1] != 1:
+            ends = f"{samples[0]:g} … {samples[-1]:g}"
+            raise ValueError(f"light: expected {wanted}, got {ends}")
+        if not (np.diff(samples) > 0).all():
+            at = int(np.argmin(np.diff(samples)))
+            step = f"{samples[at]:g} and then {samples[at + 1]:g}"
+            raise ValueError(f"light: expected {wanted}, got {step}")
+        object.__setattr__(self, "light", tuple(samples.tolist()))
+
+    def encode(self, light: Any) -> Any:
+        """Light in [0, 1] as numbers in [0, 1]: arrays of JAX or NumPy, any shape."""
+        xp = namespace(light)
+        numbers, curve = self._samples(xp, light.dtype)
+        return xp.interp(light, curve, numbers).astype(light.dtype)
+
+    def decode(self, numbers: Any) -> Any:
+        """The inverse of [`encode`][]."""
+        xp = namespace(numbers)
+        at, curve = self._samples(xp, numbers.dtype)
+        return xp.interp(numbers, at, curve).astype(numbers.dtype)
+
+    def _samples(self, xp: Any, dtype: Any) -> tuple[Any, Any]:
+        numbers = np.linspace(0, 1, len(self.light))
+        return xp.asarray(numbers, dtype), xp.asarray(np.array(self.light), dtype)
+
+    def __repr__(self) -> str:
+        return f"ResponseCurve({len(self.light)} samples)"
+
+    def __str__(self) -> str:
+        return "response curve"
+
+
+AS_STORED = ResponseCurve((0.0, 1.0))
+"""Numbers as they stand in a file, whatever they mean."""

@@ -1,0 +1,154 @@
+"""`phongfit response`, and its curve wherever an encoding is asked for."""
+
+import json
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.cli import main
+from phongfit.files.dataset import Photographs
+from phongfit.files.scenes import open_scene_dataset
+from tests.calibration.studio import directions
+from tests.calibration.test_response import EXPOSURES, patches
+
+NUMBERS = np.linspace(0, 1, 257)
+CAMERA = pf.ResponseCurve(NUMBERS**1.6)
+LAMPS = directions(4)
+CIRCLE = ("24", "18", "15")
+
+
+@pytest.fixture(scope="module")
+def bracket(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bracket")
+    for number, exposure in enumerate(EXPOSURES, 1):
+        pf.write_image(folder / f"{number}.png", exposure * patches(), CAMERA)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def curve(bracket, tmp_path_factory):
+    """The file of the camera's curve, as the command makes it."""
+    path = tmp_path_factory.mktemp("curve") / "response.json"
+    words = ["response", f"{bracket}", "-o", f"{path}", "--exposures"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PHONGFIT_CACHE", "off")
+        assert main([*words, *map(str, EXPOSURES)]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    """A ball under lamps that a list names, by the same camera."""
+    folder = tmp_path_factory.mktemp("ball")
+    camera = pf.OrthographicCamera(48, 36, view_height=36 / 15)
+    truth = pf.Material((0.8, 0.7, 0.6), 0.0, 1.0, 0.02)
+    for number, lamp in enumerate(LAMPS, 1):
+        scene = pf.Scene(pf.Sphere(), camera, pf.DirectionalLight(lamp), ambient=1.0)
+        pf.write_image(folder / f"{number}.png", pf.render(scene, truth), CAMERA)
+    pf.write_lp(folder / "lamps.lp", [f"{n}.png" for n in range(1, 5)], LAMPS)
+    return folder
+
+
+def test_a_bracket_gives_the_curve(curve):
+    written = json.loads(curve.read_text())
+    assert np.array(written["light"]) == pytest.approx(NUMBERS**1.6, abs=0.01)
+    assert written["checks"]["linear"]["sigmas"] > 10
+    assert written["checks"]["srgb"]["sigmas"] > 10
+
+
+def test_a_matte_sphere_gives_it_too(photographs, tmp_path, capsys):
+    out = tmp_path / "r.json"
+    words = ["response", f"{photographs}", "-o", f"{out}", "--matte", *CIRCLE]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert said.count("does not fit") == 2 and f"use --encoding {out}" in said
+    light = np.array(json.loads(out.read_text())["light"])
+    scale = light[200] / NUMBERS[200] ** 1.6
+    assert light[80:200] == pytest.approx(scale * NUMBERS[80:200] ** 1.6, abs=0.01)
+
+
+def test_an_sRGB_camera_is_said_to_be_one(tmp_path, capsys):
+    for number, exposure in enumerate(EXPOSURES, 1):
+        pf.write_image(tmp_path / f"{number}.png", exposure * patches(), "srgb")
+    out = tmp_path / "r.json"
+    words = ["response", f"{tmp_path}", "-o", f"{out}", "--exposures"]
+    assert main([*words, *map(str, EXPOSURES)]) == 0
+    assert "use --encoding srgb" in capsys.readouterr().out
+
+
+def test_a_fit_takes_the_curve(photographs, curve, tmp_path):
+    out = tmp_path / "fit"
+    words = ["fit", f"{photographs}", "--sphere", *CIRCLE, "--encoding", f"{curve}"]
+    assert main([*words, "-o", f"{out}", "--report", "none"]) == 0
+    written = json.loads((out / "fit.json").read_text())
+    assert written["film"] == "clamped, 8-bit response curve"
+    assert written["data"]["reading"]["encoding"] == str(curve)
+    assert curve.name in written["data"]["inputs"]
+    assert written["material"]["diffuse"] == pytest.approx([0.8, 0.7, 0.6], abs=0.02)
+    again = ["fit", f"{photographs}", "--like", f"{out / 'fit.json'}"]
+    assert main([*again, "-o", f"{tmp_path / 'b'}", "--report", "none"]) == 0
+
+
+def test_a_data_set_keeps_the_curve(photographs, curve, tmp_path, capsys):
+    scene = photographs / "scene.json"
+    words = ["scene", f"{photographs}", "--sphere", *CIRCLE, "--overwrite"]
+    assert main([*words, "--encoding", f"{curve}"]) == 0
+    capsys.readouterr()
+    written = json.loads(scene.read_text())["encoding"]
+    assert written["kind"] == "response_curve" and len(written["light"]) == 257
+    data: Photographs = open_scene_dataset(photographs)
+    assert data.film.encoding == pf.ResponseCurve(written["light"])
+    with_curve = data.read(0).image
+    assert with_curve == pytest.approx(
+        pf.read_image(photographs / "1.png", CAMERA), abs=0.01
+    )
+    maps = ["maps", f"{photographs}", "--no-pictures", "-o", f"{tmp_path / 'm'}"]
+    assert main(maps) == 0
+    kept = json.loads((tmp_path / "m" / "maps.json").read_text())["encoding"]
+    assert kept == written
+    scene.unlink()
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"kind": "response_curve", "light": [0, 2, 1]}, "light: expected"),
+        ({"kind": "response_curve"}, "encoding.light: is missing"),
+        ("gamma", "encoding: expected 'linear' or 'srgb', or a response curve"),
+    ],
+)
+def test_a_wrong_curve_in_a_scene_is_named(photographs, tmp_path, change, words):
+    path = tmp_path / "scene.json"
+    pf.save_scene(path, pf.Scene(pf.Sphere()))
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"encoding": change}))
+    with pytest.raises(ValueError) as caught:
+        pf.load_scene(path)
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ([], "exposures: expected --exposures"),
+        (["--exposures", "1", "2"], "exposures: expected 4, one for each of 1.png"),
+        (["--matte", *CIRCLE], "lights: expected lights.json or an .lp"),
+        (["--matte", *CIRCLE, "--exposures", "1"], "exposures: expected them or"),
+        (["--lights", "a.lp"], "lights: expected --matte with them"),
+    ],
+)
+def test_what_is_missing_is_one_line(bracket, tmp_path, capsys, options, words):
+    out = tmp_path / "r.json"
+    assert main(["response", f"{bracket}", "-o", f"{out}", *options]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"error: {words}") and err.count("\n") == 1
+    assert not out.exists()
+
+
+def test_an_encoding_that_is_none(photographs, tmp_path, capsys):
+    words = ["fit", f"{photographs}", "--sphere", *CIRCLE, "-o", f"{tmp_path / 'a'}"]
+    assert main([*words, "--encoding", "gamma"]) == 2
+    assert "encoding: expected linear, srgb or the file of" in capsys.readouterr().err
+    (tmp_path / "b.json").write_text('{"format": "phongfit response", "version": 1}')
+    assert main([*words, "--encoding", f"{tmp_path / 'b.json'}"]) == 2
+    assert "b.json: light: is missing" in capsys.readouterr().err
