@@ -30,6 +30,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -277,7 +278,7 @@ def _of_surface(
     cosines = np.zeros(numbers.shape[:2])
     shares = np.zeros(numbers.shape)
     for number, scene in enumerate(scenes):
-        light = jax.vmap(scene.lights[0].illuminate)(points)
+        light = jax.vmap(scene.lights[0].illuminate)(jnp.asarray(points))
         cosines[number] = np.sum(normals * np.asarray(light.to_light), axis=-1)
         strength = np.asarray(light.intensity)
         shares[number] = np.maximum(cosines[number], 0)[:, None] * strength

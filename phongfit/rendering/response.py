@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from phongfit.edge import checked
 from phongfit.rendering.jpeg import namespace
@@ -28,7 +29,7 @@ class ResponseCurve:
     light: tuple[float, ...]
 
     @checked
-    def __init__(self, light: Sequence[float]):
+    def __init__(self, light: Sequence[float] | Float[np.ndarray, " samples"]):
         """**Arguments:** `light`: at least two numbers, rising from 0 to 1.
 
         **Raises:** `ValueError` that names the argument.

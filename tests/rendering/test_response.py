@@ -16,11 +16,12 @@ GAMMA = pf.ResponseCurve(NUMBERS**1.8)
 
 
 def test_light_of_numbers_and_back():
-    near(decode(jnp.array([0.0, 0.25, 0.5, 1.0]), GAMMA), [0, 0.25**1.8, 0.5**1.8, 1])
+    light = [0, 0.25**1.8, 0.5**1.8, 1]
+    near(decode(jnp.array([0.0, 0.25, 0.5, 1.0]), GAMMA), light)
     greys = jnp.linspace(0, 1, 37)
     near(encode(decode(greys, GAMMA), GAMMA), greys, 1e-5)
     # Of NumPy's arrays it gives NumPy's, in their precision.
-    found = decode(np.float32([0.5]), GAMMA)
+    found = decode(np.array([0.5], np.float32), GAMMA)
     assert isinstance(found, np.ndarray) and found.dtype == np.float32
 
 
