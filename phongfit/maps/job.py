@@ -3,7 +3,7 @@
 import dataclasses
 import hashlib
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -44,13 +44,18 @@ class Geometry:
     visibility: np.ndarray | None
     mask: np.ndarray
 
-    def seen(self, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    def seen(
+        self, scene: Scene, found: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Normals in the camera's axes and depth along its axis, of every pixel.
 
         0 and NaN where no surface is seen; NaN where no depth is known.
+
+        **Arguments:** `found`: (pixels, 3), normals in place of the surface's own.
         """
         camera, inside = scene.camera, self.mask
-        normals = self.normal.reshape(*inside.shape, 3) @ np.asarray(camera.rotation)
+        world = self.normal if found is None else found
+        normals = world.reshape(*inside.shape, 3) @ np.asarray(camera.rotation)
         depth = np.full(inside.shape, np.nan, normals.dtype)
         if not (
             isinstance(scene.surface, NormalMap) and scene.surface.positions is None
@@ -181,6 +186,7 @@ def make_settings(
     start: Any,
     noise: Noise,
     min_cosine: float,
+    normals: Literal["given", "fit"] = "given",
 ) -> MapSettings:
     """Settings of a pixel's fit, checked.
 
@@ -202,7 +208,11 @@ def make_settings(
         for name in ("ambient", "diffuse", "specular")
         if name in unknowns and name not in per_channel
     ]
-    if lacking:
+    sought = normals == "fit"
+    one_specular = sought and "specular" in lacking
+    if one_specular:
+        lacking.remove("specular")
+    if lacking and not (sought and lacking == ["ambient"] and not _has_ambient(scenes)):
         raise ValueError(
             "per_channel: expected every reflectance that is unknown, got none of "
             f"{', '.join(lacking)}: a map has one for each channel, and only shininess "
@@ -218,6 +228,8 @@ def make_settings(
         raise ValueError("unknowns: expected at least one that light falls on")
     if "shininess" in names and "specular" not in names:
         raise ValueError("unknowns: expected specular with shininess, which shapes it")
+    if sought:
+        _check_sought(names, per_channel, min_cosine)
     cutoff, exactly = (1.0, True) if film is None else (1.0, False)
     if film is not None and not film.clamp:
         cutoff = float("inf")
@@ -226,14 +238,40 @@ def make_settings(
         bounds=tuple(_bound(name, bounds) for name in MAP_PARAMETERS),
         shared="shininess" not in per_channel,
         model=scenes[0].specular_model,
-        loss=as_loss(loss),
+        loss=as_loss(("cauchy" if sought else "linear") if loss is None else loss),
         scanned=start is None,
         min_cosine=float(min_cosine),
         noise_given=noise.known,
         weighted=noise.varies,
+        normals=normals,
+        one_specular=one_specular,
         cutoff=cutoff,
         exactly=exactly,
     )
+
+
+def _check_sought(
+    names: Sequence[str], per_channel: Sequence[str], min_cosine: float
+) -> None:
+    """What a normal can be sought with.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    if "diffuse" not in names:
+        raise ValueError(
+            "unknowns: expected diffuse among them where normals are sought, since "
+            "matte light is what shows them"
+        )
+    if "shininess" in per_channel:
+        raise ValueError(
+            "per_channel: expected no shininess where normals are sought: the channels "
+            "of a pixel share one exponent"
+        )
+    if min_cosine:
+        raise ValueError(
+            "min_cosine: expected 0 where normals are sought, since no light's cosine "
+            f"is known yet, got {min_cosine:g}"
+        )
 
 
 def _bound(name: str, bounds: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
@@ -266,6 +304,8 @@ def check_enough(settings: MapSettings, images: int) -> None:
     **Raises:** `ValueError` that says what fewer could identify.
     """
     unknowns = settings.unknowns()
+    if settings.normals == "fit":
+        _check_enough_for_normals(settings, images)
     if 3 * images > unknowns:
         return
     needed = unknowns // 3 + 1
@@ -282,6 +322,22 @@ def check_enough(settings: MapSettings, images: int) -> None:
     raise ValueError(
         f"images: expected at least {needed} for the {unknowns} unknowns of a pixel, "
         f"got {images}, which is {3 * images} samples ({hint})"
+    )
+
+
+def _check_enough_for_normals(settings: MapSettings, images: int) -> None:
+    """Channels differ in colour, and tell no more of a normal than one does."""
+    needed = len(settings.columns) + settings.shiny + 2 + settings.searched
+    if images >= needed:
+        return
+    hint = (
+        f"with {images}, unknowns=('diffuse',) is identifiable: a matte surface"
+        if images >= 3
+        else "a matte surface needs 3"
+    )
+    raise ValueError(
+        f"images: expected at least {needed} to find normals with "
+        f"{', '.join(settings.names)}, got {images} ({hint})"
     )
 
 

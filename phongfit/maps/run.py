@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -30,11 +30,12 @@ from phongfit.maps.job import (
     resolve_geometry,
 )
 from phongfit.maps.layers import Masks, Noise
+from phongfit.maps.normals.block import NormalFit, fit_normals
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.lighting import make_lighting
 from phongfit.maps.pixel.pixel import PixelFit
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
-from phongfit.maps.pixel.tile import BLOCK, Tile, compiled
+from phongfit.maps.pixel.tile import BLOCK, Tile, compiled, fit_tile
 from phongfit.maps.result import Maps, ParameterMaps
 from phongfit.maps.stacks import as_stack
 from phongfit.maps.store import tile_store
@@ -62,7 +63,8 @@ def fit_maps(
     mask: Any = None,
     noise: Any = None,
     film: Film | Sequence[Film] | None = None,
-    loss: str | AbstractLoss = "linear",
+    loss: str | AbstractLoss | None = None,
+    normals: Literal["given", "fit"] = "given",
     start: Material | Fitted | None = None,
     min_cosine: float = 0.0,
     tile_pixels: int | None = None,
@@ -72,9 +74,10 @@ def fit_maps(
 ) -> Maps:
     r"""A material for every pixel of images under many lights, with standard errors.
 
-    Photometric stereo's data, with the normals known. Every pixel is fitted from its
-    own samples: the best reflectances for given f are a small problem in a box, and
-    $\log f$ is found by a scan and Newton's steps, so that no starting guess is needed.
+    Photometric stereo's data, with the normals known, or sought with the material.
+    Every pixel is fitted from its own samples: the best reflectances for given f are a
+    small problem in a box, and $\log f$ is found by a scan and Newton's steps; with
+    unknown normals several starts are gone through. So no starting guess is needed.
     Tiles of pixels pass through memory one after another.
 
     **Arguments:**
@@ -104,7 +107,14 @@ def fit_maps(
         matters. What JPEG files round counts as noise, as each pixel's residuals show
         it: give no `noise` with them. What they take from all images alike, as at the
         rim of a highlight, is not given back as [`fit`][] does.
-    - `loss`: as in [`fit`][]; a robust one wants images with outliers.
+    - `loss`: as in [`fit`][]; a robust one wants images with outliers. Default:
+        `"linear"`, and `"cauchy"` where normals are sought, since shadows and light
+        that bounced are outliers.
+    - `normals`: `"given"` by the scenes' surface. `"fit"`: sought for each pixel, with
+        errors in degrees; the surface then only tells where pixels are, for near lamps
+        and a perspective camera, and which see it. At least 3 images for a matte
+        surface, 5 for one with a highlight. `ambient` asks for ambient light in the
+        scenes; if `specular` is not in `per_channel`, the channels share one ρ_s.
     - `start`: a fit of one material, or a material, whose exponent each pixel starts
         from, instead of the scan.
     - `min_cosine`: samples that no light reaches at a cosine above this are left out,
@@ -138,6 +148,7 @@ def fit_maps(
         start,
         levels,
         min_cosine,
+        normals,
     )
     check_enough(settings, len(scenes))
     lighting = make_lighting(scenes)
@@ -173,12 +184,14 @@ def fit_maps(
             used = levels.weigh(used, tiles[tile], lighting.order)
             return geometry.tile(tiles[tile], np.ma.getdata(target), used, size)
 
-        run = compiled(settings, mesh)
+        sought = normals == "fit"
+        run = compiled(settings, mesh, fit_normals if sought else fit_tile)
 
         def work(part: Tile) -> list[np.ndarray]:
             return [np.asarray(leaf) for leaf in jax.tree.leaves(run(part, outside))]
 
-        maps = _Canvas(seen.shape, 1 if settings.shared else 3, outside.noise.dtype)
+        exponents = 1 if settings.shared else 3
+        maps = _Canvas(seen.shape, exponents, outside.noise.dtype, sought)
         with concurrent.futures.ThreadPoolExecutor(_workers(mesh)) as workers:
             for k, tile in _bar(_ahead(read, len(tiles)), len(tiles), progress):
                 if isinstance(tile, list):
@@ -309,15 +322,15 @@ def _lines(
 
 
 _LEAF: Any = 0
-_SHAPE = jax.tree.structure(
-    PixelFit(_LEAF, _LEAF, _LEAF, _LEAF, (_LEAF,) * 4, _LEAF, _LEAF, _LEAF)
-)
+_MATERIAL = PixelFit(_LEAF, _LEAF, _LEAF, _LEAF, (_LEAF,) * 4, _LEAF, _LEAF, _LEAF)
+_GIVEN = jax.tree.structure(_MATERIAL)
+_SOUGHT = jax.tree.structure(NormalFit(_MATERIAL, _LEAF, _LEAF))
 
 
 class _Canvas:
     """The maps while they are painted, tile by tile."""
 
-    def __init__(self, size: tuple[int, int], exponents: int, dtype: Any):
+    def __init__(self, size: tuple[int, int], exponents: int, dtype: Any, sought: bool):
         pixels = size[0] * size[1]
         self._size = size
         channels = (3, 3, 3, exponents)
@@ -326,10 +339,20 @@ class _Canvas:
         self._noise = np.full(pixels, np.nan, dtype)
         self._samples = np.zeros(pixels, np.int32)
         self._flags = np.full(pixels, int(Flag.OUTSIDE), np.uint16)
+        self._normals = np.zeros((pixels, 3), dtype) if sought else None
+        self._turned = np.full(pixels, np.inf, dtype)
 
     def paint(self, pixels: np.ndarray, arrays: list[np.ndarray]) -> None:
-        """Put a tile where it belongs; `arrays` are the leaves of a [`PixelFit`][]."""
-        tile: PixelFit = jax.tree.unflatten(_SHAPE, arrays)
+        """Put a tile where it belongs.
+
+        `arrays` are the leaves of a [`PixelFit`][], or of a [`NormalFit`][].
+        """
+        if self._normals is None:
+            tile: PixelFit = jax.tree.unflatten(_GIVEN, arrays)
+        else:
+            found: NormalFit = jax.tree.unflatten(_SOUGHT, arrays)
+            tile = found.material
+            self._normals[pixels], self._turned[pixels] = found.normal, found.error
         leaves = (tile.ambient, tile.diffuse, tile.specular, tile.shininess)
         for canvas, values in zip(self._values, leaves, strict=True):
             canvas[pixels] = values
@@ -364,7 +387,10 @@ class _Canvas:
         if noise.varies:
             # Each sample was measured by its own noise.
             left = left * given
-        normals, depth = geometry.seen(scene)
+        normals, depth = geometry.seen(scene, self._normals)
+        turned = np.where(geometry.mask, 0, np.inf).astype(normals.dtype)
+        if self._normals is not None:
+            turned = self._turned.reshape(shape)
         return Maps(
             **values,
             stderr=ParameterMaps(**errors),
@@ -374,7 +400,7 @@ class _Canvas:
             unknowns=tuple(name for name in unknowns if name not in hidden),
             noise_given=given,
             normals=normals,
-            normals_stderr=np.where(geometry.mask, 0, np.inf).astype(normals.dtype),
+            normals_stderr=turned,
             depth=depth,
             camera=scene.camera,
             specular_model=scene.specular_model,

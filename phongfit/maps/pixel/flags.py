@@ -20,6 +20,10 @@ class Flag(IntFlag):
         of a normal distribution): the model does not describe the pixel, or the noise
         is larger. Its errors are widened by the root of χ² a degree of freedom. A
         robust loss goes by the median of the residuals in place of χ².
+    - `IN_A_PLANE`: all lamps that light it lie in one plane with it, or they are fewer
+        than three: a normal that was sought is not identified, for its mirror image in
+        that plane, and a steeper one of a brighter material, look the same.
+    - `AMBIGUOUS`: another normal, more than 5° away, explains it as well.
     """
 
     OUTSIDE = 1
@@ -31,3 +35,5 @@ class Flag(IntFlag):
     AT_BOUND = 64
     NOT_CONVERGED = 128
     MISFIT = 256
+    IN_A_PLANE = 512
+    AMBIGUOUS = 1024

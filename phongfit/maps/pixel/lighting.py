@@ -96,6 +96,31 @@ class Lighting(eqx.Module):
             None if joined.veil is None else _channels_first(joined.veil),
         )
 
+    def arriving(
+        self, kind: _Alike, position: Vec3
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """What arrives at one point in one image, whatever the normal there.
+
+        **Arguments:** `kind`: one of `kinds`, but without the axis along scenes.
+
+        **Returns:** (lobes, 3) each: unit vectors to the lights, and their intensity
+        for the diffuse and the specular term; (3,) each: ambient light, and what fog
+        adds. Lights that the image lacks are zeros.
+        """
+        ambient, none = kind.ambient, jnp.zeros_like(kind.ambient)
+        lights = [light.illuminate(position) for light in kind.lights]
+        for light in lights:
+            ambient = ambient + light.ambient
+        missing = [none] * (self.lobes - len(lights))
+        to_light = jnp.stack([*(light.to_light for light in lights), *missing])
+        diffuse = jnp.stack([*(light.intensity for light in lights), *missing])
+        specular = jnp.stack([*(light.specular for light in lights), *missing])
+        if kind.fog is None or self.camera is None:
+            return to_light, diffuse, specular, ambient, none
+        through = kind.fog.transmittance(self.camera.depth(position))
+        veil = (1 - through) * kind.fog.color
+        return to_light, through * diffuse, through * specular, through * ambient, veil
+
     def _image(
         self,
         kind: _Alike,

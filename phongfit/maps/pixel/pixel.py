@@ -194,7 +194,7 @@ def fit_pixel(
     if settings.noise_given:
         # Of a normal distribution a median knows no more than a third of the samples.
         heard = freedom * (MEDIAN if settings.loss.robust else 1)
-        misfit = identified & enough & ((level / noise) ** 2 > _most_by_chance(heard))
+        misfit = identified & enough & ((level / noise) ** 2 > most_by_chance(heard))
 
     def errors_of(found: _Found) -> Errors:
         sigma = found.scale if settings.loss.robust else level
@@ -237,7 +237,7 @@ def fit_pixel(
     return fit, identified & unsettled & ~thorough
 
 
-def _most_by_chance(freedom: Array) -> Array:
+def most_by_chance(freedom: Array) -> Array:
     """What χ² a degree of freedom hardly ever exceeds if there is noise alone.
 
     ??? cite "Source"

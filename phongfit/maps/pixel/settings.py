@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Literal
 
 from phongfit.fitting.problem.losses import AbstractLoss, Linear
 from phongfit.reflectance import AbstractSpecular, BlinnPhong
@@ -27,6 +28,8 @@ class MapSettings:
     - `noise_given`: whether the noise is known, or estimated from each pixel's
         residuals.
     - `weighted`: whether each sample's weight is the inverse of its own noise.
+    - `normals`: whether normals are given, or sought with the material.
+    - `one_specular`: whether the channels share ρ_s; only where normals are sought.
     - `cutoff`: values from this one on are saturated; `exactly`: only this one is.
     """
 
@@ -39,6 +42,8 @@ class MapSettings:
     min_cosine: float = 0.0
     noise_given: bool = False
     weighted: bool = False
+    normals: Literal["given", "fit"] = "given"
+    one_specular: bool = False
     cutoff: float = 1.0
     exactly: bool = True
 
@@ -70,5 +75,6 @@ class MapSettings:
     def unknowns(self, channels: int = 3) -> int:
         """How many numbers are unknown in a pixel of so many channels."""
         exponents = 1 if self.shared else channels
-        reflectances = len(self.columns) + self.shiny
-        return channels * reflectances + self.searched * exponents
+        own = len(self.columns) + (self.shiny and not self.one_specular)
+        shared = (self.shiny and self.one_specular) + 2 * (self.normals == "fit")
+        return channels * own + shared + self.searched * exponents

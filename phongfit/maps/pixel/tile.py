@@ -4,6 +4,7 @@ It holds no state and knows no disk: a cluster can run it as it is.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -240,8 +241,8 @@ _SETTLED = {"xla_disable_hlo_passes": "cse_barrier_expander"}
 
 
 @functools.lru_cache(maxsize=16)
-def compiled(settings: MapSettings, mesh: Mesh):
-    """[`fit_tile`][] with its pixels spread over the devices of a mesh."""
+def compiled(settings: MapSettings, mesh: Mesh, fit: Callable[..., Any] = fit_tile):
+    """[`fit_tile`][], or its like, with its pixels spread over a mesh's devices."""
     axis = mesh.axis_names[0]
     along = PartitionSpec(axis)
 
@@ -259,9 +260,9 @@ def compiled(settings: MapSettings, mesh: Mesh):
         )
 
     @functools.partial(jax.jit, compiler_options=_SETTLED)
-    def run(tile: Tile, outside: Outside) -> PixelFit:
+    def run(tile: Tile, outside: Outside) -> Any:
         spread = jax.shard_map(
-            lambda tile, outside: fit_tile(tile, outside, settings),
+            lambda tile, outside: fit(tile, outside, settings),
             mesh=mesh,
             in_specs=(shares(tile), PartitionSpec()),
             out_specs=along,

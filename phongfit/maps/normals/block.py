@@ -1,0 +1,186 @@
+"""A tile of pixels whose normals are sought: arrays in, arrays out, no state."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from phongfit.maps.normals.errors import Profile, standard_errors
+from phongfit.maps.normals.lamps import make_lamps
+from phongfit.maps.normals.scale import weighed_scale
+from phongfit.maps.normals.search import Found, follow_exponent, search
+from phongfit.maps.normals.step import edges_of
+from phongfit.maps.normals.sums import Samples, residuals
+from phongfit.maps.normals.unknowns import Unknowns, unknowns_of
+from phongfit.maps.pixel.flags import Flag
+from phongfit.maps.pixel.pixel import MEDIAN, PixelFit, most_by_chance
+from phongfit.maps.pixel.robust import widening
+from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.tile import BLOCK, Outside, Tile
+
+
+class NormalFit(NamedTuple):
+    """Materials and normals of pixels, which are the first axis.
+
+    - `normal`: (pixels, 3), unit vectors in the world's axes.
+    - `error`: (pixels,), degrees; infinite where it is not identified.
+    """
+
+    material: PixelFit
+    normal: Float[Array, "pixels 3"]
+    error: Float[Array, " pixels"]
+
+
+def fit_normals(tile: Tile, outside: Outside, settings: MapSettings) -> NormalFit:
+    """The normal and the material of every pixel of a tile, block by block.
+
+    **Arguments:** as of [`fit_tile`][]; the tile's normals are not read.
+    """
+    pixels = tile.normal.shape[0]
+    along = jnp.arange(BLOCK)
+
+    def block(number: Array) -> NormalFit:
+        return fit_block(tile.rows(number * BLOCK + along), outside, settings)
+
+    found = jax.lax.map(block, jnp.arange(pixels // BLOCK))
+    return jax.tree.map(lambda leaf: leaf.reshape(pixels, *leaf.shape[2:]), found)
+
+
+def fit_block(tile: Tile, outside: Outside, settings: MapSettings) -> NormalFit:
+    """The same for pixels that are worked on side by side."""
+    which = unknowns_of(settings)
+    target = _pixels_last(tile.target)
+    finite = jnp.isfinite(target)
+    if settings.exactly:
+        sound = finite & (target != settings.cutoff)
+    else:
+        sound = finite & (target < settings.cutoff)
+    given = jnp.broadcast_to(
+        _pixels_last(tile.used.astype(tile.target.dtype)), target.shape
+    )
+    share = jnp.where(sound, given, 0)
+    lamps = make_lamps(outside.lighting, tile.position, tile.to_viewer, tile.visibility)
+    light = jnp.where(share > 0, target - lamps.veil, 0)
+    samples = Samples(light, share, lamps)
+    found = search(samples, outside.known, outside.noise, settings, which)
+    return _judged(found, samples, ~finite & (given > 0), outside, settings, which)
+
+
+def _judged(
+    found: Found,
+    samples: Samples,
+    lost: Array,
+    outside: Outside,
+    settings: MapSettings,
+    which: Unknowns,
+) -> NormalFit:
+    """Errors and flags of what was found."""
+    point = found.point
+    level, unit, misfit = _noise_left(found, samples, outside, settings, which)
+    edges = edges_of(settings, which)
+    rival = found.rival / unit**2
+
+    def follow(log_exponents: Array) -> Profile:
+        return follow_exponent(found, samples, log_exponents, settings, which)
+
+    errors = standard_errors(
+        point, found.sums, unit, samples, rival, which, edges, follow
+    )
+    count = jnp.sum(samples.share > 0, axis=(0, 1))
+    unknowns = settings.unknowns()
+    enough = (count > unknowns) | (settings.noise_given & (count >= unknowns))
+    black = ~jnp.any(samples.target > 0, axis=(0, 1))
+    sound = enough & ~black
+    flags = jnp.where(black, Flag.BLACK, 0)
+    for flag, where in (
+        (Flag.NOT_FINITE, jnp.any(lost, axis=(0, 1))),
+        (Flag.TOO_FEW, ~enough),
+        (Flag.NOT_CONVERGED, sound & ~found.settled),
+        (Flag.NO_HIGHLIGHT, sound & errors.dim),
+        (Flag.DEGENERATE, sound & errors.degenerate),
+        (Flag.AT_BOUND, sound & errors.at_bound),
+        (Flag.IN_A_PLANE, sound & errors.in_a_plane),
+        (Flag.AMBIGUOUS, sound & errors.ambiguous),
+        (Flag.MISFIT, sound & misfit),
+    ):
+        flags = flags | jnp.where(where, flag, 0)
+    identified = sound & found.settled
+
+    def error_of(name: str) -> Array:
+        if name in which.own:
+            error = errors.own[which.own.index(name)]
+        elif name == "specular" and which.one_specular:
+            error = errors.specular[None]
+        else:
+            return jnp.zeros((level.shape[0], 3), level.dtype)
+        error = jnp.where(identified[None], error, jnp.inf)
+        return jnp.broadcast_to(error, (3, level.shape[0])).T
+
+    exponent = jnp.where(identified, errors.exponent, jnp.inf)
+    specular = jnp.broadcast_to(point.specular, point.diffuse.shape)
+    material = PixelFit(
+        point.ambient.T,
+        point.diffuse.T,
+        specular.T,
+        jnp.clip(jnp.exp(point.log_exponent), *settings.bound("shininess"))[:, None]
+        if which.exponent
+        else jnp.exp(point.log_exponent)[:, None],
+        (
+            error_of("ambient"),
+            error_of("diffuse"),
+            error_of("specular"),
+            (exponent if which.exponent else jnp.zeros_like(exponent))[:, None],
+        ),
+        level,
+        count.astype(jnp.int32),
+        flags,
+    )
+    return NormalFit(
+        material, point.normal.T, jnp.where(identified, errors.normal, jnp.inf)
+    )
+
+
+def _noise_left(
+    found: Found,
+    samples: Samples,
+    outside: Outside,
+    settings: MapSettings,
+    which: Unknowns,
+) -> tuple[Array, Array, Array]:
+    """The residuals' size, what errors are multiples of, and where noise is too small.
+
+    The second is in units of the scale that the search measured residuals in.
+    """
+    unknowns, noise = settings.unknowns(), outside.noise
+    left = residuals(found.point, samples, settings.model, which)
+    used = samples.share > 0
+    count = jnp.sum(used.astype(left.dtype), axis=(0, 1))
+    freedom = jnp.maximum(count - unknowns, 1)
+    level = jnp.sqrt(jnp.sum(left**2, axis=(0, 1)) / freedom)
+    unit = jnp.ones_like(level) if settings.noise_given else level
+    heard = freedom
+    if settings.loss.robust:
+        level = weighed_scale(left, samples.share, found.scale, settings.loss, unknowns)
+        heard = freedom * MEDIAN
+        relative = left / found.scale[None, None]
+
+        def widened(relative: Array, used: Array) -> Array:
+            return widening(settings.loss, relative, used, unknowns)
+
+        unit = jax.vmap(widened, in_axes=-1)(relative, used)
+        weight = jnp.where(used, settings.loss.weight(relative), 0)
+        kept = jnp.sum(weight, axis=(0, 1)) / jnp.maximum(count, 1)
+        # The sums' weights stand for less than all samples.
+        unit = (jnp.maximum(unit, 1) if settings.noise_given else unit) * jnp.sqrt(kept)
+    if not settings.noise_given:
+        unit = unit * level / found.scale if settings.loss.robust else unit
+        return level, unit, jnp.zeros(level.shape, bool)
+    misfit = (level / noise) ** 2 > most_by_chance(heard)
+    return level, jnp.where(misfit, unit * level / noise, unit), misfit
+
+
+def _pixels_last(values: Float[Array, "images pixels channels"]) -> Array:
+    """(images, channels, pixels), in that order in memory."""
+    channels = [values[..., k] for k in range(values.shape[-1])]
+    return jnp.stack(channels, axis=1)

@@ -1,0 +1,308 @@
+"""From sums at the solution to standard errors, and to what they cannot say."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from phongfit.fitting.uncertainty.identifiability import SEEN
+from phongfit.maps.normals.lamps import facing
+from phongfit.maps.normals.step import Edges, Free, reduce_sums
+from phongfit.maps.normals.sums import Samples, Sums
+from phongfit.maps.normals.unknowns import Point, Unknowns
+from phongfit.maps.pixel.small import (
+    Numbers,
+    Triangle,
+    curvatures,
+    dot,
+    factorize,
+    solve,
+)
+
+# A normal whose error is larger, in degrees, is not identified: its model bends.
+WIDEST = 20.0
+# A standard error of log f from which on the model bends within it, and one beyond
+# which f is not identified.
+VAGUE = 0.08
+LOST = 1.0
+# Standard errors at which the model is looked at again where it bends.
+FAR = 2.0
+# Share of the lamps' light across a plane, squared, below which they lie in it.
+FLAT = 3e-4
+# Another normal explains a pixel as well if its cost is higher by less: two standard
+# errors.
+AS_GOOD = 4.0
+
+
+class Errors(NamedTuple):
+    """Standard errors, infinite for what is not identified.
+
+    - `normal`: root mean square angle, in degrees.
+    - `own`: of the reflectances that each channel has, (channels, pixels) each.
+    - `specular`: of a shared ρ_s, and `exponent`, of f.
+    - `dim`, `degenerate`, `in_a_plane`, `ambiguous`, `at_bound`: see [`Flag`][].
+    """
+
+    normal: Float[Array, " pixels"]
+    own: Numbers
+    specular: Float[Array, " pixels"]
+    exponent: Float[Array, " pixels"]
+    dim: Bool[Array, " pixels"]
+    degenerate: Bool[Array, " pixels"]
+    in_a_plane: Bool[Array, " pixels"]
+    ambiguous: Bool[Array, " pixels"]
+    at_bound: Bool[Array, " pixels"]
+
+
+class Profile(NamedTuple):
+    """The best of all else at two other exponents, one lower and one higher.
+
+    - `points`: with a new first axis; `rises`: (2, pixels), by how much they cost more.
+    """
+
+    points: Point
+    rises: Float[Array, "2 pixels"]
+
+
+class Spread(NamedTuple):
+    """Standard errors in units of the noise: of own and of shared unknowns."""
+
+    own: Numbers
+    shared: Numbers
+
+
+def standard_errors(
+    point: Point,
+    sums: Sums,
+    sigma: Float[Array, " pixels"],
+    samples: Samples,
+    rival: Float[Array, " pixels"],
+    which: Unknowns,
+    edges: Edges,
+    follow: Callable[[Array], Profile],
+) -> Errors:
+    r"""Errors from $\sigma^2 (J^\top W J)^{-1}$, with no unknown held by its bound.
+
+    Where the exponent is vague, the model bends within its error: there errors reach at
+    least as far as the profile, which holds the exponent and has all else adapt.
+
+    **Arguments:**
+
+    - `point`, `sums`: the solution.
+    - `sigma`: what the sums' unit of noise is to be multiplied by.
+    - `rival`: by how much another normal is worse.
+    - `follow`: the profile at log exponents, (2, pixels).
+    """
+    exponent = 2
+    everything = _all(sums)
+    spread = _spread(sums, everything)
+    dim = jnp.zeros(sigma.shape, bool)
+    if which.exponent:
+        # Without a highlight the exponent may be anything.
+        shared = list(everything.shared)
+        shared[exponent] = jnp.zeros_like(shared[exponent])
+        apart = _spread(sums, everything._replace(shared=tuple(shared)))
+        least, other = (_specular_error(each, sigma, which) for each in (spread, apart))
+        seen = point.specular >= SEEN * jnp.minimum(least, other)
+        dim = ~jnp.any(seen, axis=0)
+        spread = jax.tree.map(
+            lambda without, whole: jnp.where(dim, without, whole), apart, spread
+        )
+    turn = jnp.sqrt(spread.shared[0] ** 2 + spread.shared[1] ** 2) * sigma
+    normal = jnp.rad2deg(turn)
+    own = tuple(sigma[None] * error for error in spread.own)
+    specular = reach = log_error = jnp.zeros_like(sigma)
+    open_ended = jnp.zeros_like(dim)
+    if which.one_specular:
+        specular = sigma * spread.shared[-1]
+    widths = _Widths(normal, own, specular, reach, open_ended)
+    t = point.log_exponent
+    if which.exponent:
+        log_error = sigma * spread.shared[exponent]
+        reach = jnp.exp(t) * log_error
+        vague = ~dim & ~(log_error < VAGUE)
+        widths = widths._replace(exponent=reach)
+        far = FAR * jnp.clip(jnp.where(vague, log_error, VAGUE), 0, LOST)
+        both = jnp.clip(jnp.stack([t - far, t + far]), *edges.log_exponent)
+        widths = jax.lax.cond(
+            jnp.any(vague),
+            lambda: _where(
+                vague,
+                _widened(point, follow(both), widths, sigma, which, edges),
+                widths,
+            ),
+            lambda: widths,
+        )
+        normal, specular, reach = widths.normal, widths.specular, widths.exponent
+        open_ended = widths.open_ended
+    in_a_plane = _in_a_plane(point, samples)
+    ambiguous = rival < AS_GOOD
+    unknown = ~(normal <= WIDEST) | in_a_plane | ambiguous
+    normal = jnp.where(unknown, jnp.inf, normal)
+
+    def told(error: Array, edge: tuple[float, float]) -> Array:
+        # Reflectances are seen through the normal.
+        low, high = edge
+        where = unknown.reshape((1,) * (error.ndim - 1) + unknown.shape)
+        return jnp.where(where | ~(error <= high - low), jnp.inf, error)
+
+    own = tuple(map(told, widths.own, edges.own))
+    specular = told(specular, edges.specular)
+    at_bound = jnp.zeros_like(dim)
+    if which.exponent:
+        low, high = edges.log_exponent
+        at_bound = ~dim & ((t <= low) | (t >= high))
+        lost = dim | at_bound | open_ended | unknown | ~(log_error <= LOST)
+        reach = jnp.where(lost, jnp.inf, reach)
+    blurred = jnp.any(~jnp.isfinite(jnp.stack(own)), axis=(0, 1))
+    degenerate = unknown | blurred | ~jnp.isfinite(specular)
+    degenerate |= ~jnp.isfinite(reach) & ~dim & ~at_bound
+    for name, (low, high) in zip(which.own, edges.own, strict=True):
+        value = getattr(point, name)
+        at_bound |= jnp.any((value <= low) | (value >= high), axis=0)
+    return Errors(
+        normal,
+        own,
+        specular,
+        reach,
+        dim,
+        degenerate,
+        in_a_plane,
+        ambiguous & ~in_a_plane,
+        at_bound,
+    )
+
+
+class _Widths(NamedTuple):
+    """Errors of the normal in degrees, of ρ and of f, and whether f has no end."""
+
+    normal: Array
+    own: Numbers
+    specular: Array
+    exponent: Array
+    open_ended: Array
+
+
+def _widened(
+    point: Point,
+    profile: Profile,
+    widths: _Widths,
+    sigma: Array,
+    which: Unknowns,
+    edges: Edges,
+) -> _Widths:
+    """Errors that reach as far as a profile: its way over the root of its rise."""
+    rises = jnp.maximum(profile.rises, 0) / sigma[None] ** 2
+    for side, rise in enumerate(rises):
+        there = Point(*(leaf[side] for leaf in profile.points))
+        # No less than at a tenth of the rise expected: beyond it is open.
+        share = 1 / jnp.sqrt(jnp.maximum(rise, FAR**2 / 10))
+        turned = point.normal - there.normal
+        turn = jnp.rad2deg(jnp.sqrt(jnp.sum(turned**2, axis=0)))
+        own = tuple(
+            jnp.maximum(error, share[None] * abs(getattr(there, name) - here))
+            for name, error, here in zip(
+                which.own,
+                widths.own,
+                [getattr(point, name) for name in which.own],
+                strict=True,
+            )
+        )
+        off = jnp.exp(there.log_exponent) - jnp.exp(point.log_exponent)
+        low, high = edges.log_exponent
+        at_end = (there.log_exponent <= low) | (there.log_exponent >= high)
+        widths = _Widths(
+            jnp.maximum(widths.normal, turn * share),
+            own,
+            jnp.maximum(
+                widths.specular,
+                jnp.abs(there.specular[0] - point.specular[0]) * share,
+            )
+            if which.one_specular
+            else widths.specular,
+            jnp.maximum(widths.exponent, jnp.abs(off) * share),
+            widths.open_ended | (at_end & (rise < FAR**2)) | (rise < FAR**2 / 10),
+        )
+    return widths
+
+
+def _where(where: Array, yes: _Widths, no: _Widths) -> _Widths:
+    def choose(a: Array, b: Array) -> Array:
+        return jnp.where(where.reshape((1,) * (a.ndim - 1) + where.shape), a, b)
+
+    return jax.tree.map(choose, yes, no)
+
+
+def _all(sums: Sums) -> Free:
+    def free(pulls: Numbers) -> Numbers:
+        return tuple(jnp.ones(pull.shape, bool) for pull in pulls)
+
+    return Free(free(sums.pull_own), free(sums.pull_shared))
+
+
+def _spread(sums: Sums, free: Free) -> Spread:
+    """Roots of the diagonal of the inverse, of what is free; infinite where hidden."""
+    still = jnp.zeros(sums.cost.shape, sums.cost.dtype)
+    reduced = reduce_sums(sums, still, free)
+    shared = tuple(
+        jnp.where(mine, _root_inverse(curvature), jnp.inf)
+        for curvature, mine in zip(curvatures(reduced.shared), free.shared, strict=True)
+    )
+    alone = curvatures(sums.own)
+    through = _through(reduced.shared, reduced.adapted)
+    own = tuple(
+        jnp.sqrt(_root_inverse(curvature) ** 2 + more)
+        for curvature, more in zip(alone, through, strict=True)
+    )
+    return Spread(own, shared)
+
+
+def _through(matrix: Triangle, adapted: tuple[Numbers, ...]) -> Numbers:
+    """Variances that reflectances have from the unknowns that channels share."""
+    factors = factorize(matrix)
+    flat = jax.tree.map(lambda f: f[None], factors)
+    found = []
+    for k in range(len(adapted[0])):
+        column = tuple(row[k] for row in adapted)
+        found.append(dot(column, solve(flat, column)))
+    return tuple(jnp.maximum(variance, 0) for variance in found)
+
+
+def _specular_error(spread: Spread, sigma: Array, which: Unknowns) -> Array:
+    if which.one_specular:
+        return (sigma * spread.shared[-1])[None]
+    return sigma[None] * spread.own[which.own.index("specular")]
+
+
+def _root_inverse(curvature: Array) -> Array:
+    positive = curvature > 0
+    root = jax.lax.rsqrt(jnp.where(positive, curvature, 1))
+    return jnp.where(positive, root, jnp.inf)
+
+
+def _in_a_plane(point: Point, samples: Samples) -> Bool[Array, " pixels"]:
+    """Whether the lamps that light a pixel lie in one plane with it.
+
+    Its matte light then only tells the part of the normal in that plane, and the mirror
+    image of the pixel in it looks the same.
+    """
+    lights = facing(samples.lamps)
+    row = [lights[:, k] for k in range(3)]
+    shown = sum(
+        (row[k] * point.normal[k][None] for k in range(1, 3)),
+        row[0] * point.normal[0][None],
+    )
+    lit = (shown > 0) & jnp.any(samples.share > 0, axis=1)
+    length = jnp.sqrt(jnp.sum(lights**2, axis=1))
+    weight = jnp.where(lit, 1 / jnp.where(length > 0, length, 1) ** 2, 0)
+    xx, yy, zz, xy, xz, yz = (
+        jnp.sum(weight * row[i] * row[j], axis=0)
+        for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    )
+    trace = xx + yy + zz
+    pairs = xx * yy + xx * zz + yy * zz - xy**2 - xz**2 - yz**2
+    det = xx * (yy * zz - yz**2) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    # The least of three eigenvalues, where it is far below the others.
+    return ~(det > FLAT * trace * pairs)

@@ -1,0 +1,75 @@
+"""What arrives at pixels from all lamps, whatever their normals are."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from phongfit.maps.pixel.lighting import Lighting
+
+
+class Lamps(NamedTuple):
+    """Light at pixels. The last axis is the pixels, or 1 where all get the same.
+
+    - `to_light`: (images, lights, 3, pixels) unit vectors; zeros where an image has
+        fewer lights than another.
+    - `diffuse`, `specular`: (images, lights, channels, pixels): what a surface that
+        faces the light sends back for ρ_d = 1, and a highlight's centre for ρ_s = 1.
+    - `ambient`, `veil`: (images, channels, pixels): ambient light for ρ_a = 1, and what
+        fog adds.
+    - `to_viewer`: (3, pixels) unit vectors.
+    """
+
+    to_light: Float[Array, "images lights 3 pixels"]
+    diffuse: Float[Array, "images lights channels pixels"]
+    specular: Float[Array, "images lights channels pixels"]
+    ambient: Float[Array, "images channels pixels"]
+    veil: Float[Array, "images channels pixels"]
+    to_viewer: Float[Array, "3 pixels"]
+
+
+def make_lamps(
+    lighting: Lighting,
+    position: Float[Array, "some_pixels 3"],
+    to_viewer: Float[Array, "some_pixels 3"],
+    visibility: Float[Array, "images lobes pixels"] | None = None,
+) -> Lamps:
+    """The lamps of all images, in the order of the lighting's rows.
+
+    **Arguments:**
+
+    - `position`: world units, (pixels, 3), or (1, 3) if it is the same for all.
+    - `to_viewer`: unit vectors, likewise.
+    - `visibility`: how much of each light arrives, in [0, 1]; `None` for all of it.
+    """
+    over_pixels = jax.vmap(lighting.arriving, in_axes=(None, 0), out_axes=-1)
+    parts = [
+        jax.vmap(over_pixels, in_axes=(0, None))(kind, position)
+        for kind in lighting.kinds
+    ]
+    leaves = zip(*parts, strict=True)
+    light, diffuse, specular, ambient, veil = map(jnp.concatenate, leaves)
+    if visibility is not None:
+        seen = visibility[:, :, None]
+        diffuse, specular = diffuse * seen, specular * seen
+    return Lamps(light, diffuse, specular, ambient, veil, to_viewer.T)
+
+
+def grey(lamps: Lamps) -> Lamps:
+    """The mean over the channels, as one channel."""
+    return lamps._replace(
+        diffuse=jnp.mean(lamps.diffuse, axis=2, keepdims=True),
+        specular=jnp.mean(lamps.specular, axis=2, keepdims=True),
+        ambient=jnp.mean(lamps.ambient, axis=1, keepdims=True),
+        veil=jnp.mean(lamps.veil, axis=1, keepdims=True),
+    )
+
+
+def facing(lamps: Lamps) -> Float[Array, "images 3 pixels"]:
+    r"""$\sum_j e_j s_j$ of each image, grey: a matte surface shows $\rho\, n \cdot$ it.
+
+    While none of its lights is behind the surface.
+    """
+    strength = jnp.mean(lamps.diffuse, axis=2, keepdims=True)
+    return jnp.sum(lamps.to_light * strength, axis=1)

@@ -1,0 +1,77 @@
+"""How large residuals are, which outliers do not reach."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from phongfit.fitting.problem.losses import AbstractLoss
+from phongfit.maps.pixel.robust import loss_weights
+
+# A normal distribution's standard deviation over its median absolute value.
+NORMAL = 1.4826
+# Halvings in the search for a median: as many digits as a scale needs.
+HALVINGS = 12
+
+
+def median_scale(
+    residual: Float[Array, "images channels pixels"],
+    share: Float[Array, "images channels pixels"],
+    unknowns: int,
+) -> Float[Array, " pixels"]:
+    """Standard deviations of pixels from the medians of their absolute residuals.
+
+    Pixels stand side by side, so that halving an interval is faster than sorting.
+
+    **Arguments:**
+
+    - `residual`: 0 where `share` is 0, which does not count.
+    - `unknowns`: of a pixel, which took as many degrees of freedom.
+    """
+    size = jnp.abs(residual)
+    used = share > 0
+    # As numbers: sums of flags are slow.
+    dtype = residual.dtype
+    count = jnp.sum(used.astype(dtype), axis=(0, 1))
+
+    def halve(_: Array, between: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = between
+        middle = (low + high) / 2
+        below = used & (size <= middle[None, None])
+        enough = jnp.sum(below.astype(dtype), axis=(0, 1)) >= count / 2
+        return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
+
+    highest = jnp.max(size, axis=(0, 1))
+    between = (jnp.zeros_like(highest), highest)
+    low, high = jax.lax.fori_loop(0, HALVINGS, halve, between)
+    freedom = jnp.maximum(count - unknowns, 1)
+    return NORMAL * (low + high) / 2 * jnp.sqrt(count / freedom)
+
+
+def weighed_scale(
+    residual: Float[Array, "images channels pixels"],
+    share: Float[Array, "images channels pixels"],
+    scale: Float[Array, " pixels"],
+    loss: AbstractLoss,
+    unknowns: int,
+) -> Float[Array, " pixels"]:
+    r"""Standard deviations by the loss's own weights, which waste less than a median.
+
+    $\hat\sigma^2 = \frac{1}{c} \frac{n}{n - p} \sum w r^2 / \sum w$ with the weights at
+    `scale`, and $c$ such that normal residuals give their variance.
+
+    **Arguments:** `scale`: from [`median_scale`][]; the others as there.
+    """
+    used = share > 0
+    weight = jnp.where(used, loss_weights(loss, residual / scale[None, None]), 0)
+    count = jnp.sum(used.astype(residual.dtype), axis=(0, 1))
+    total = jnp.sum(weight, axis=(0, 1))
+    square = jnp.sum(weight * residual**2, axis=(0, 1))
+    square = square / jnp.where(total > 0, total, 1) / _of_normal(loss)
+    return jnp.sqrt(square * count / jnp.maximum(count - unknowns, 1))
+
+
+def _of_normal(loss: AbstractLoss) -> Float[Array, ""]:
+    """Mean of w r² over that of w, for normal residuals."""
+    r = jnp.linspace(-8, 8, 401)
+    weight = loss_weights(loss, r) * jnp.exp(-(r**2) / 2)
+    return jnp.sum(weight * r**2) / jnp.sum(weight)

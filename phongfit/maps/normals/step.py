@@ -1,0 +1,189 @@
+"""One damped step of Gauss and Newton, in the box of the reflectances.
+
+The channels meet only in what they share: the unknowns of each channel are solved for
+first, and a matrix of the two to four shared ones is left.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from phongfit.maps.normals.sums import Sums, over_channels
+from phongfit.maps.normals.unknowns import Point, Unknowns, tangents, turned_to
+from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.small import (
+    Factors,
+    Numbers,
+    Triangle,
+    dot,
+    factorize,
+    only,
+    solve,
+)
+
+# No step is longer: in radians, and in log f.
+FARTHEST = 0.3
+LONGEST = 0.7
+
+
+class Move(NamedTuple):
+    """A step: of each channel's own unknowns, of the shared, and what it promises.
+
+    - `decrement`: by how much it lowers the cost if all is as linear as it looks, times
+        two: the square of the step in standard errors.
+    """
+
+    own: Numbers
+    shared: Numbers
+    decrement: Float[Array, " pixels"]
+
+
+class Free(NamedTuple):
+    """Which unknowns are free to move."""
+
+    own: Numbers
+    shared: Numbers
+
+
+class Reduced(NamedTuple):
+    """The shared unknowns' matrix once the channels' own have adapted.
+
+    - `shared`: that matrix; `pull`: its right side.
+    - `factors`: of the channels' own; `adapted`: their inverse times `cross`.
+    - `cross`: without unknowns that are held.
+    """
+
+    shared: Triangle
+    pull: Numbers
+    factors: Factors
+    adapted: tuple[Numbers, ...]
+    cross: tuple[Numbers, ...]
+
+
+def reduce_sums(sums: Sums, damping: Float[Array, " pixels"], free: Free) -> Reduced:
+    """Eliminate what each channel has of its own."""
+    more = 1 + damping
+    own = only(_damped(sums.own, more[None]), free.own)
+    factors = factorize(own)
+    cross = tuple(
+        tuple(
+            jnp.where(mine & both[None], number, 0)
+            for number, mine in zip(row, free.own, strict=True)
+        )
+        for row, both in zip(sums.cross, free.shared, strict=True)
+    )
+    pulled = tuple(
+        jnp.where(mine, number, 0)
+        for number, mine in zip(sums.pull_own, free.own, strict=True)
+    )
+    adapted = tuple(solve(factors, row) for row in cross)
+    shared = tuple(
+        tuple(
+            number - over_channels(dot(cross[i], adapted[j]))
+            for j, number in enumerate(row)
+        )
+        for i, row in enumerate(_damped(sums.shared, more))
+    )
+    pull = tuple(
+        jnp.where(mine, number - over_channels(dot(pulled, row)), 0)
+        for number, row, mine in zip(
+            sums.pull_shared, adapted, free.shared, strict=True
+        )
+    )
+    return Reduced(only(shared, free.shared), pull, factors, adapted, cross)
+
+
+def make_move(sums: Sums, damping: Float[Array, " pixels"], free: Free) -> Move:
+    """The damped step of all that is free."""
+    reduced = reduce_sums(sums, damping, free)
+    shared = solve(factorize(reduced.shared), reduced.pull)
+    left = tuple(
+        jnp.where(mine, number, 0)
+        for number, mine in zip(sums.pull_own, free.own, strict=True)
+    )
+    for x, row in zip(shared, reduced.cross, strict=True):
+        left = tuple(b - x[None] * c for b, c in zip(left, row, strict=True))
+    own = solve(reduced.factors, left)
+    promised = over_channels(dot(own, sums.pull_own)) + dot(shared, sums.pull_shared)
+    return Move(own, shared, promised)
+
+
+def _damped(matrix: Triangle, more: Array) -> Triangle:
+    """The diagonal made larger, as Marquardt does it."""
+    return tuple(
+        (*row[:-1], row[-1] * more + jnp.finfo(more.dtype).tiny) for row in matrix
+    )
+
+
+class Edges(NamedTuple):
+    """The box: a low and a high for each own unknown, for ρ_s, and for log f."""
+
+    own: tuple[tuple[float, float], ...]
+    specular: tuple[float, float]
+    log_exponent: tuple[float, float]
+
+
+def edges_of(settings: MapSettings, which: Unknowns, channels: int = 1) -> Edges:
+    """The box of settings; of the sum of so many channels."""
+
+    def wide(name: str) -> tuple[float, float]:
+        low, high = settings.bound(name)
+        return channels * low, channels * high
+
+    own = tuple(wide(name) for name in which.own)
+    return Edges(own, wide("specular"), settings.log_bounds)
+
+
+def free_to_move(point: Point, sums: Sums, which: Unknowns, edges: Edges) -> Free:
+    """All but what lies at an edge and is pulled outwards."""
+
+    def inward(value: Array, pull: Array, edge: tuple[float, float]) -> Array:
+        low, high = edge
+        return ((value > low) | (pull > 0)) & ((value < high) | (pull < 0))
+
+    own = tuple(
+        inward(getattr(point, name), pull, edge)
+        for name, pull, edge in zip(which.own, sums.pull_own, edges.own, strict=True)
+    )
+    always = jnp.ones(point.log_exponent.shape, bool)
+    shared = [always, always]
+    if which.exponent:
+        pull = sums.pull_shared[2]
+        shared.append(inward(point.log_exponent, pull, edges.log_exponent))
+    if which.one_specular:
+        pull = sums.pull_shared[-1]
+        shared.append(inward(point.specular[0], pull, edges.specular))
+    return Free(own, tuple(shared))
+
+
+def moved(
+    point: Point,
+    move: Move,
+    to_viewer: Float[Array, "3 some_pixels"],
+    which: Unknowns,
+    edges: Edges,
+) -> Point:
+    """The point after a step, in its box and turned to the viewer."""
+    first, second = tangents(point.normal)
+    a, b = move.shared[:2]
+    far = jnp.sqrt(a**2 + b**2)
+    shorter = jnp.minimum(1, FARTHEST / jnp.where(far > 0, far, 1))
+    normal = point.normal + (shorter * a)[None] * first + (shorter * b)[None] * second
+    found = point._replace(normal=turned_to(normal, to_viewer))
+    for name, step, (low, high) in zip(which.own, move.own, edges.own, strict=True):
+        value = jnp.clip(getattr(point, name) + step, low, high)
+        found = found._replace(**{name: value})
+    if which.exponent:
+        step = jnp.clip(move.shared[2], -LONGEST, LONGEST)
+        t = jnp.clip(point.log_exponent + step, *edges.log_exponent)
+        found = found._replace(log_exponent=t)
+    if which.one_specular:
+        specular = jnp.clip(point.specular + move.shared[-1][None], *edges.specular)
+        found = found._replace(specular=specular)
+    return found
+
+
+def held(free: Free, shared: Array | bool) -> Free:
+    """The same with all that the channels share held, if so."""
+    return Free(free.own, tuple(one & ~jnp.asarray(shared) for one in free.shared))

@@ -1,0 +1,246 @@
+r"""One pass over all lamps: residuals, and all that a step needs to know of them.
+
+Pixels are the last axis, so that each sum is a sum of long rows, and lamps are gone
+through one by one: what a compiler would compute anew for every sum is computed once.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from phongfit.fitting.problem.losses import AbstractLoss
+from phongfit.maps.normals.lamps import Lamps
+from phongfit.maps.normals.unknowns import Point, Unknowns, tangents
+from phongfit.maps.pixel.robust import loss_weights
+from phongfit.maps.pixel.small import Numbers, Triangle, optimization_barrier
+from phongfit.reflectance import AbstractSpecular, lambert
+from phongfit.vectors import Scalar, Vec3
+
+
+class Samples(NamedTuple):
+    """What pixels measure.
+
+    - `target`: (images, channels, pixels), linear light, without fog and 0 where it may
+        not be used.
+    - `share`: the inverse of each sample's noise, or 1; 0 where it may not be used.
+    - `lamps`: what arrives.
+    """
+
+    target: Float[Array, "images channels pixels"]
+    share: Float[Array, "images channels pixels"]
+    lamps: Lamps
+
+
+class Sums(NamedTuple):
+    r"""Sums over all samples, weighted as the loss weighs them, in squared noise.
+
+    With the derivatives $J$ of the model in the unknowns, and the residuals r:
+
+    - `own`: $J^\top W J$ of the reflectances of a channel, (channels, pixels) each.
+    - `cross`: for each shared unknown, its products with those.
+    - `shared`: of the shared unknowns, (pixels,) each.
+    - `pull_own`, `pull_shared`: $J^\top W r$.
+    - `cost`: what the loss makes of the residuals.
+    """
+
+    own: Triangle
+    cross: tuple[Numbers, ...]
+    shared: Triangle
+    pull_own: Numbers
+    pull_shared: Numbers
+    cost: Array
+
+
+class Shade(NamedTuple):
+    """One light on pixels: Lambert's D and the lobe S, and their derivatives.
+
+    In the two tangents of the normal, and of S in log f. (pixels,) each.
+    """
+
+    d: Array
+    d1: Array
+    d2: Array
+    s: Array
+    s1: Array
+    s2: Array
+    st: Array
+
+
+def shade(
+    model: AbstractSpecular,
+    normal: Float[Array, "3 pixels"],
+    log_exponent: Float[Array, " pixels"],
+    to_light: Float[Array, "3 some_pixels"],
+    to_viewer: Float[Array, "3 some_pixels"],
+) -> Shade:
+    """Of any specular model, by its derivatives along the tangents."""
+
+    def pixel(
+        normal: Vec3, first: Vec3, second: Vec3, t: Scalar, light: Vec3, viewer: Vec3
+    ) -> Shade:
+        def at(a: Scalar, b: Scalar, t: Scalar) -> tuple[Scalar, Scalar]:
+            # Not renormalised: to first order a step along a tangent keeps the length.
+            turned = normal + a * first + b * second
+            cosine = model.cosine(turned, light, viewer)
+            return lambert(turned, light), model.lobe(cosine, jnp.exp(t))
+
+        none, one = jnp.zeros_like(t), jnp.ones_like(t)
+        (d, s), (d1, s1) = jax.jvp(at, (none, none, t), (one, none, none))
+        _, (d2, s2) = jax.jvp(at, (none, none, t), (none, one, none))
+        _, (_, st) = jax.jvp(at, (none, none, t), (none, none, one))
+        scale = model.diffuse_scale()
+        return Shade(scale * d, scale * d1, scale * d2, s, s1, s2, st)
+
+    light, light_axis = _same_for_all(to_light)
+    viewer, viewer_axis = _same_for_all(to_viewer)
+    axes = (1, 1, 1, 0, light_axis, viewer_axis)
+    shades = jax.vmap(pixel, in_axes=axes)(
+        normal, *tangents(normal), log_exponent, light, viewer
+    )
+    return optimization_barrier(shades)
+
+
+def _same_for_all(vectors: Float[Array, "3 some_pixels"]) -> tuple[Array, int | None]:
+    """Vectors, and along which axis to batch them."""
+    return (vectors[:, 0], None) if vectors.shape[1] == 1 else (vectors, 1)
+
+
+class Image(NamedTuple):
+    """The model of one image, (channels, pixels) each: its basis and derivatives."""
+
+    light: Array
+    own: Numbers
+    shared: Numbers
+
+
+def model_image(
+    point: Point, lamps: Lamps, image: Array, model: AbstractSpecular, which: Unknowns
+) -> Image:
+    """Light of one image at a point, and its derivatives in all unknowns."""
+    nothing = jnp.zeros_like(point.diffuse)
+    total = Shade(*[nothing] * 7)
+    diffuse, specular = lamps.diffuse[image], lamps.specular[image]
+    lights = lamps.to_light[image]
+    for j in range(lights.shape[0]):
+        one = shade(model, point.normal, point.log_exponent, lights[j], lamps.to_viewer)
+        e, h = diffuse[j], specular[j]
+        strength = Shade(e, e, e, h, h, h, h)
+        total = Shade(
+            *(
+                sum_ + each * shape[None]
+                for sum_, each, shape in zip(total, strength, one, strict=True)
+            )
+        )
+    ambient = lamps.ambient[image] + nothing
+    light = point.ambient * ambient + point.diffuse * total.d + point.specular * total.s
+    basis = {"ambient": ambient, "diffuse": total.d, "specular": total.s}
+    shared = [
+        point.diffuse * total.d1 + point.specular * total.s1,
+        point.diffuse * total.d2 + point.specular * total.s2,
+    ]
+    if which.exponent:
+        shared.append(point.specular * total.st)
+    if which.one_specular:
+        shared.append(total.s)
+    own = tuple(basis[name] for name in which.own)
+    return Image(light, own, tuple(shared))
+
+
+def gather(
+    point: Point,
+    samples: Samples,
+    scale: Float[Array, " pixels"],
+    loss: AbstractLoss,
+    model: AbstractSpecular,
+    which: Unknowns,
+) -> Sums:
+    """All sums at a point, residuals being measured in `scale`."""
+    first = _nothing(samples, which)
+
+    def add(image: Array, sums: Sums) -> Sums:
+        made = model_image(point, samples.lamps, image, model, which)
+        share = samples.share[image] / scale[None]
+        residual = share * (samples.target[image] - made.light)
+        weight = loss_weights(loss, residual) * share
+        own, shared, residual, weight, share = optimization_barrier(
+            (made.own, made.shared, residual, weight, share)
+        )
+        whole = weight * share
+        pull = weight * residual
+        weighed_own = tuple(whole * column for column in own)
+        weighed = tuple(whole * column for column in shared)
+        return Sums(
+            _plus(sums.own, weighed_own, own),
+            tuple(
+                tuple(s + w * c for s, c in zip(row, own, strict=True))
+                for row, w in zip(sums.cross, weighed, strict=True)
+            ),
+            _plus(sums.shared, weighed, shared),
+            tuple(s + pull * c for s, c in zip(sums.pull_own, own, strict=True)),
+            tuple(s + pull * c for s, c in zip(sums.pull_shared, shared, strict=True)),
+            sums.cost + loss.root(residual) ** 2,
+        )
+
+    images = samples.target.shape[0]
+    return _joined(jax.lax.fori_loop(0, images, add, first))
+
+
+def no_sums(samples: Samples, which: Unknowns) -> Sums:
+    """Sums over no samples."""
+    return _joined(_nothing(samples, which))
+
+
+def _nothing(samples: Samples, which: Unknowns) -> Sums:
+    """The same, of each channel apart."""
+    nothing = jnp.zeros_like(samples.target[0])
+    n_own, n_shared = len(which.own), which.n_shared
+
+    def triangle(size: int) -> Triangle:
+        return tuple(tuple(nothing for _ in range(i + 1)) for i in range(size))
+
+    return Sums(
+        triangle(n_own),
+        tuple(tuple(nothing for _ in range(n_own)) for _ in range(n_shared)),
+        triangle(n_shared),
+        tuple(nothing for _ in range(n_own)),
+        tuple(nothing for _ in range(n_shared)),
+        nothing,
+    )
+
+
+def _joined(sums: Sums) -> Sums:
+    """What the channels share, summed over them."""
+    return sums._replace(
+        shared=jax.tree.map(over_channels, sums.shared),
+        pull_shared=jax.tree.map(over_channels, sums.pull_shared),
+        cost=over_channels(sums.cost),
+    )
+
+
+def _plus(sums: Triangle, left: Numbers, right: Numbers) -> Triangle:
+    return tuple(
+        tuple(s + left[i] * right[j] for j, s in enumerate(row))
+        for i, row in enumerate(sums)
+    )
+
+
+def over_channels(values: Float[Array, "channels pixels"]) -> Float[Array, " pixels"]:
+    """The sum over the channels, row by row."""
+    total, *others = values
+    for other in others:
+        total = total + other
+    return total
+
+
+def residuals(
+    point: Point, samples: Samples, model: AbstractSpecular, which: Unknowns
+) -> Float[Array, "images channels pixels"]:
+    """(measured − model) · share: 0 where a sample may not be used."""
+
+    def image(_: None, number: Array) -> tuple[None, Array]:
+        made = model_image(point, samples.lamps, number, model, which)
+        return None, samples.share[number] * (samples.target[number] - made.light)
+
+    return jax.lax.scan(image, None, jnp.arange(samples.target.shape[0]))[1]

@@ -1,0 +1,90 @@
+"""The unknowns of a pixel whose normal is sought, and where they stand."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from phongfit.maps.pixel.settings import MapSettings
+
+
+class Point(NamedTuple):
+    """Normals and materials of pixels.
+
+    - `normal`: (3, pixels) unit vectors.
+    - `log_exponent`: (pixels,), log f.
+    - `ambient`, `diffuse`, `specular`: (channels, pixels), and (1, pixels) of a ρ_s
+        that the channels share.
+    """
+
+    normal: Float[Array, "3 pixels"]
+    log_exponent: Float[Array, " pixels"]
+    ambient: Float[Array, "channels pixels"]
+    diffuse: Float[Array, "channels pixels"]
+    specular: Float[Array, "some_channels pixels"]
+
+
+class Unknowns(NamedTuple):
+    """What of a [`Point`][] is sought besides its normal.
+
+    - `own`: reflectances that each channel has of its own.
+    - `exponent`: whether f is.
+    - `one_specular`: whether ρ_s is, one for all channels.
+    """
+
+    own: tuple[str, ...]
+    exponent: bool
+    one_specular: bool
+
+    @property
+    def n_shared(self) -> int:
+        """Unknowns that the channels share: two of the normal, f, ρ_s."""
+        return 2 + self.exponent + self.one_specular
+
+
+def unknowns_of(settings: MapSettings) -> Unknowns:
+    """The unknowns that settings ask for."""
+    shared = settings.one_specular and settings.shiny
+    own = tuple(
+        name
+        for name in ("ambient", "diffuse", "specular")
+        if name in settings.names and not (name == "specular" and shared)
+    )
+    return Unknowns(own, settings.searched, shared)
+
+
+def tangents(
+    normal: Float[Array, "3 pixels"],
+) -> tuple[Float[Array, "3 pixels"], Float[Array, "3 pixels"]]:
+    """Two unit vectors square to the normal and to each other.
+
+    ??? cite "Source"
+        Duff et al., *Building an orthonormal basis, revisited*, J. Comput. Graph.
+        Tech. 6(1), 2017.
+    """
+    x, y, z = normal
+    sign = jnp.where(z >= 0, 1.0, -1.0).astype(z.dtype)
+    a = -1 / (sign + z)
+    b = x * y * a
+    first = jnp.stack([1 + sign * x * x * a, sign * b, -sign * x])
+    second = jnp.stack([b, sign + y * y * a, -y])
+    return first, second
+
+
+def unit(vector: Float[Array, "3 pixels"]) -> Float[Array, "3 pixels"]:
+    """Of length 1; a zero vector stays zero."""
+    squared = jnp.sum(vector**2, axis=0)
+    return vector / jnp.sqrt(jnp.where(squared > 0, squared, 1))[None]
+
+
+FACING = 0.02
+"""A normal's least cosine to the viewer: what is seen is turned to who sees it."""
+
+
+def turned_to(
+    vector: Float[Array, "3 pixels"], to_viewer: Float[Array, "3 some_pixels"]
+) -> Float[Array, "3 pixels"]:
+    """Unit vectors, moved to the viewer's side where they are not on it."""
+    normal = unit(vector)
+    cosine = jnp.sum(normal * to_viewer, axis=0)
+    return unit(normal + jnp.maximum(FACING - cosine, 0)[None] * to_viewer)

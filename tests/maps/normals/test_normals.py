@@ -1,0 +1,151 @@
+"""Normals with the material: the truth within the errors, and no error that is none."""
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from tests.maps.normals.scenes import FREE, NOISE, Hidden, hide
+from tests.maps.synthetic import pulls
+
+
+@pytest.fixture(scope="module")
+def hidden() -> Hidden:
+    return hide()
+
+
+@pytest.fixture(scope="module")
+def maps(hidden: Hidden) -> pf.Maps:
+    return found(hidden)
+
+
+def found(hidden: Hidden, images: np.ndarray | None = None, **options) -> pf.Maps:
+    images = hidden.images if images is None else images
+    return pf.fit_maps(hidden.scenes, images, film=FREE, normals="fit", **options)
+
+
+def check_truth(hidden: Hidden, maps: pf.Maps, least: float = 0.95) -> None:
+    """Errors that hold: of normals and of the material."""
+    assert maps.identified.mean() > least
+    pull = np.sort(hidden.pulls(maps) ** 2)
+    # One in two hundred may be another basin's.
+    assert 0.85 < np.sqrt(pull[: int(0.995 * pull.size)].mean()) < 1.12
+    for name in ("diffuse", "specular", "shininess"):
+        spread = np.diff(np.quantile(pulls(maps, hidden.truth, name), [0.1587, 0.8413]))
+        assert 0.7 < spread[0] / 2 < 1.15, name
+    level = maps.noise[maps.identified] / NOISE
+    assert np.median(level**2) == pytest.approx(1, abs=0.1)
+
+
+def test_truth_lies_within_the_errors(hidden, maps):
+    check_truth(hidden, maps)
+    assert hidden.angles(maps).mean() < 1
+    np.testing.assert_allclose(np.linalg.norm(maps.normals, axis=-1), 1, rtol=1e-5)
+
+
+def test_shadows_and_bad_samples_disturb_little(hidden, maps):
+    """Cast shadows, light that bounced, NaN, what no lamp reaches, what is masked."""
+    images = hidden.images.copy()
+    rng = np.random.default_rng(5)
+    images[:4, 4:8] *= 0.1
+    images[7, 8:10] += 0.3
+    images[3, 0, 0, 1] = np.nan
+    images[:, 2, 3] = 0
+    images[:, 2, 5] = NOISE * rng.normal(size=(24, 3))
+    mask = np.ones((16, 24), bool)
+    mask[12:14] = mask[:, 20] = False
+    seen = found(hidden, images, mask=mask)
+    assert seen.flagged(pf.Flag.NOT_FINITE)[0, 0] and seen.samples[0, 0] == 71
+    assert seen.flagged(pf.Flag.BLACK)[2, 3]
+    for y, x in ((2, 3), (2, 5)):
+        assert np.isinf(seen.normals_stderr[y, x]) and not seen.identified[y, x]
+        assert np.isinf(seen.stderr.diffuse[y, x]).all()
+    assert (seen.flags[~mask] == pf.Flag.OUTSIDE).all()
+    assert not seen.normals[~mask].any() and np.isinf(seen.normals_stderr[~mask]).all()
+    shadowed = np.zeros_like(mask)
+    shadowed[4:10] = mask[4:10]
+    assert np.median(hidden.angles(seen)[shadowed]) < 1
+    calm = mask & ~shadowed
+    calm[[0, 2, 2], [0, 3, 5]] = False
+    # Pixels disturb none beside them.
+    assert np.median(np.abs(seen.diffuse - maps.diffuse)[calm]) < 1e-4
+    assert hidden.angles(seen)[calm].mean() < 1
+
+
+def test_lamps_in_one_plane_tell_no_normal(hidden):
+    angle = np.linspace(-1.2, 1.2, 24)
+    plane = np.stack([np.sin(angle), 0.3 * np.cos(angle), np.cos(angle)], axis=-1)
+    row = hide(directions=plane / np.linalg.norm(plane, axis=-1, keepdims=True))
+    seen = found(row)
+    assert seen.flagged(pf.Flag.IN_A_PLANE).all()
+    assert np.isinf(seen.normals_stderr).all() and not seen.identified.any()
+    assert np.isinf(seen.stderr.diffuse).all() and np.isinf(seen.stderr.shininess).all()
+    assert "in a plane" in str(seen)
+
+
+def test_interrupted_runs_go_on(hidden, maps, tmp_path):
+    folder = tmp_path / "tiles"
+    first = found(hidden, output=folder)
+    again = found(hidden, output=folder)
+    for name in ("normals", "normals_stderr", "diffuse", "flags"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(maps, name))
+        np.testing.assert_array_equal(getattr(again, name), getattr(maps, name))
+    with pytest.raises(ValueError, match="tiles of another job"):
+        pf.fit_maps(hidden.scenes, hidden.images, film=FREE, output=folder)
+
+
+def test_maps_with_normals_are_kept(maps, tmp_path):
+    maps.save(tmp_path / "maps.npz")
+    again = pf.load_maps(tmp_path / "maps.npz")
+    np.testing.assert_array_equal(again.normals_stderr, maps.normals_stderr)
+    np.testing.assert_array_equal(again.normals, maps.normals)
+
+
+@pytest.mark.parametrize(
+    "count, options, words",
+    [
+        (4, {}, "images: expected at least 5 .*unknowns=\\('diffuse',\\)"),
+        (2, {"unknowns": ("diffuse",)}, "images: expected at least 3 .*got 2"),
+        (24, {"unknowns": ("specular",)}, "unknowns: expected diffuse"),
+        (24, {"per_channel": ("diffuse", "shininess")}, "no shininess"),
+        (24, {"min_cosine": 0.1}, "min_cosine: expected 0"),
+        (24, {"normals": "found"}, "normals: expected"),
+    ],
+)
+def test_wrong_arguments_are_named(hidden, count, options, words):
+    given = {"normals": "fit", **options}
+    with pytest.raises(ValueError, match=words):
+        pf.fit_maps(hidden.scenes[:count], hidden.images[:count], **given)
+
+
+def test_a_matte_surface_needs_three_lamps():
+    """Lambert's photometric stereo, from the fewest lamps there can be."""
+    hidden = hide((16, 24), 3)
+    matte = pf.Material(hidden.truth.diffuse, 0.0, 1.0, 0.0)
+    surface = pf.NormalMap(hidden.normals)
+    camera = pf.OrthographicCamera(24, 16)
+    scenes = [pf.Scene(surface, camera, s.lights) for s in hidden.scenes]
+    images = [np.asarray(pf.render(s, matte, film=FREE)) for s in scenes]
+    seen = pf.fit_maps(scenes, images, film=FREE, normals="fit", unknowns=["diffuse"])
+    lit = np.min(images, axis=(0, 3)) > 0
+    assert hidden.angles(seen)[lit].max() < 0.1
+    np.testing.assert_allclose(
+        seen.diffuse[lit], np.asarray(hidden.truth.diffuse)[lit], rtol=1e-3
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lights", [12, 96])
+@pytest.mark.parametrize("near", [False, True])
+@pytest.mark.parametrize("model", [pf.Phong(), pf.BlinnPhong()], ids=["phong", "blinn"])
+def test_errors_hold_for_all_kinds(lights, near, model):
+    exponents = (6, 12) if isinstance(model, pf.Phong) else (8, 30)
+    hidden = hide(
+        (24, 24),
+        lights,
+        near=near,
+        perspective=near,
+        model=model,
+        exponents=exponents,
+        seed=lights,
+    )
+    check_truth(hidden, found(hidden), least=0.9)
