@@ -56,10 +56,11 @@ def hide(
     normals[..., :2] = (
         rng.uniform(-0.4, 0.4, (*size, 2)) if surface == "random" else 0.5 * grid
     )
+    low, high = np.log(exponents)
     truth = pf.Material(
         diffuse=rng.uniform(0.15, 0.4, (*size, 3)),
         specular=rng.uniform(0.2, 0.4, (*size, 3)),
-        shininess=np.exp(rng.uniform(*np.log(exponents), (*size, 1))),
+        shininess=np.exp(rng.uniform(low, high, (*size, 1))),
         ambient=0.0,
     )
     camera: pf.AbstractCamera = pf.OrthographicCamera(width, height, view_height=2.0)

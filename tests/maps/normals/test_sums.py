@@ -56,7 +56,7 @@ def test_pulls_are_half_of_the_cost_s_slope(one_specular):
     slope = jax.jit(jax.jacfwd(cost))((none, none, *point[1:]))
     here = sums(point)
     shared = [slope[0], slope[1], slope[2], *([slope[5][0]] if one_specular else [])]
-    own = dict(zip(("ambient", "diffuse", "specular"), slope[3:], strict=True))
+    own = {"ambient": slope[3], "diffuse": slope[4], "specular": slope[5]}
     for pull, expected in zip(here.pull_shared, shared, strict=True):
         np.testing.assert_allclose(-2 * pull, expected, rtol=2e-4, atol=2e-4)
     for pull, name in zip(here.pull_own, which.own, strict=True):
