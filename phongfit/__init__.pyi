@@ -58,7 +58,12 @@ from .geometry.cameras import (
     PerspectiveCamera as PerspectiveCamera,
     look_at as look_at,
 )
+from .geometry.height import (
+    HeightField as HeightField,
+    cast_shadows as cast_shadows,
+)
 from .geometry.implicit import ImplicitSurface as ImplicitSurface
+from .geometry.integration import integrate_normals as integrate_normals
 from .geometry.meshes import Mesh as Mesh, join as join
 from .geometry.parametric import tessellate as tessellate
 from .geometry.shading import (

@@ -59,7 +59,7 @@ def visibility(
     *batch, _ = points.position.shape
     seen = []
     for light in lights:
-        to_light, distance = _towards(light, points.position)
+        to_light, distance = towards(light, points.position)
         seen.append(
             surface.reached(points.position, points.surface_normal, to_light, distance)
         )
@@ -69,7 +69,7 @@ def visibility(
 
 
 @program()
-def _towards(
+def towards(
     light: AbstractLight, position: Float[Array, "*points 3"]
 ) -> tuple[Float[Array, "*points 3"], Float[Array, "*points"]]:
     """Unit vectors to a light, and its distance in world units."""

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,13 +16,17 @@ from phongfit.files.arguments import describe
 from phongfit.files.arrays import unpack
 from phongfit.files.inputs import naming, read_bytes, reason
 from phongfit.files.outputs import replacing
-from phongfit.files.records import AbstractRecord, parse_record
+from phongfit.files.records import AbstractRecord, Colour, parse_record
 from phongfit.files.schema import CameraRecord, SpecularRecord
 from phongfit.geometry.cameras import AbstractCamera
+from phongfit.geometry.height import HeightField
+from phongfit.geometry.integration import integrate_normals, label_pieces
+from phongfit.lights import AbstractLight
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular
+from phongfit.rendering.film import Film
 
 
 class ParameterMaps(NamedTuple):
@@ -52,6 +57,7 @@ class Maps:
     depth: Float[np.ndarray, "height width"]
     camera: AbstractCamera | None = None
     specular_model: AbstractSpecular | None = None
+    ambient_light: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def material(self) -> Material:
@@ -84,6 +90,84 @@ class Maps:
             level = float(np.median(self.noise[fitted])) if fitted.any() else np.nan
         with np.errstate(divide="ignore", invalid="ignore"):
             return (self.noise / np.asarray(level, self.noise.dtype)) ** 2
+
+    @checked
+    def height(self, *, distance: float | None = None) -> HeightField:
+        """The surface as a height for every pixel, from its normals.
+
+        That of the scenes' geometry, where it was given; else integrated, and each
+        piece moved to where the geometry knows it to be: see [`integrate_normals`][].
+
+        **Arguments:** `distance`: from the camera, world units, of what is known of by
+            nothing else; default that of the world's origin.
+
+        **Raises:** `ValueError` that names what is missing.
+        """
+        camera = self._camera()
+        inside = ~self.flagged(Flag.OUTSIDE)
+        given = np.isfinite(self.depth) & (self.normals_stderr == 0)
+        if not given[inside].all():
+            return integrate_normals(
+                self.normals,
+                camera,
+                inside,
+                stderr=self.normals_stderr,
+                depth=np.where(inside, self.depth, np.nan),
+                distance=distance,
+            )
+        along = np.dot(camera.position, camera.rotation[:, 2]) - self.depth
+        height = np.where(inside, np.asarray(along, float), np.nan)
+        return HeightField(height, label_pieces(inside), camera)
+
+    def _camera(self) -> AbstractCamera:
+        if self.camera is None:
+            raise ValueError(
+                "camera: files of older versions hold none; fit the maps again, or "
+                "give it by dataclasses.replace(maps, camera=...)"
+            )
+        return self.camera
+
+    @checked
+    def relight(
+        self,
+        lights: Iterable[AbstractLight],
+        *,
+        ambient: Any = None,
+        shadows: bool = True,
+        surface: HeightField | None = None,
+        film: Film | None = None,
+    ) -> Float[np.ndarray, "lights height width 3"]:
+        """The object under other lights, one at a time.
+
+        Diffuse light and highlight, dark where a surface is turned away, and shadows
+        that it throws on itself by its height, antialiased. What a pixel does not
+        identify is filled in as in exported textures.
+
+        **Arguments:**
+
+        - `lights`: distant or near, in the world's axes.
+        - `ambient`: the ambient light, RGB or one number; default that of the first
+            scene.
+        - `shadows`: whether surfaces throw them.
+        - `surface`: the height, if it is known; default [`height`][Maps.height]`()`.
+        - `film`: default none: linear light without an end.
+
+        **Returns:** a picture for each light; 0 outside.
+
+        **Raises:** `ValueError` that names the argument, or what is missing.
+        """
+        from phongfit.maps.relighting import relit
+
+        lights = tuple(lights)
+        pictures = relit(
+            self,
+            lights,
+            self.height() if surface is None else surface,
+            ambient=self.ambient_light if ambient is None else ambient,
+            shadows=shadows,
+            film=Film(clamp=False) if film is None else film,
+        )
+        return np.stack([*pictures]) if lights else np.zeros((0, *self.diffuse.shape))
 
     @checked
     def flagged(self, flag: Flag) -> Bool[np.ndarray, "height width"]:
@@ -119,7 +203,7 @@ class Maps:
 
     def _view(self) -> dict[str, Any]:
         """Camera and specular model as files have them."""
-        view: dict[str, Any] = {}
+        view: dict[str, Any] = {"ambient_light": list(self.ambient_light)}
         for name in ("camera", "specular_model"):
             part = getattr(self, name)
             try:
@@ -170,6 +254,7 @@ Maps.__init__.__doc__ = """**Arguments:**
 - `depth`: (H, W), where the scenes' geometry knows it: distance along the camera's
     axis, world units; NaN elsewhere.
 - `camera`, `specular_model`: those of the scenes; `None` in files of older versions.
+- `ambient_light`: I_a of the first scene, RGB.
 """
 
 PLAIN = ("noise", "samples", "flags", "normals", "normals_stderr", "depth")
@@ -180,6 +265,7 @@ class ViewRecord(AbstractRecord):
 
     camera: CameraRecord | None = None
     specular_model: SpecularRecord | None = None
+    ambient_light: Colour = (0.0, 0.0, 0.0)
 
 
 @checked
@@ -293,6 +379,7 @@ def _checked_shape(
     for name in ("camera", "specular_model"):
         record = getattr(view, name)
         shape[name] = None if record is None else record.build()
+    shape["ambient_light"] = view.ambient_light
     camera = shape["camera"]
     if camera is not None and (camera.height, camera.width) != size:
         raise ValueError(

@@ -404,4 +404,5 @@ class _Canvas:
             depth=depth,
             camera=scene.camera,
             specular_model=scene.specular_model,
+            ambient_light=tuple(np.asarray(scene.ambient).tolist()),
         )

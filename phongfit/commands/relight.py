@@ -1,0 +1,131 @@
+"""`phongfit relight`: maps and a list of lights in, a picture for each light out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+from phongfit.commands.cache import keep_compiled
+from phongfit.commands.options import OutFolder, optional
+from phongfit.commands.progress import stage
+from phongfit.files.calibrations import load_calibration
+from phongfit.files.formats import WRITERS
+from phongfit.files.images import write_image
+from phongfit.files.lp import base_name, read_lp
+from phongfit.files.outputs import replacing_folder
+from phongfit.lights import AbstractLight, DirectionalLight
+from phongfit.maps.folder import load_folder
+from phongfit.maps.relighting import relit
+from phongfit.maps.result import Maps
+from phongfit.rendering.film import Encoding, Film
+
+OTHER = ".png"
+"""What a picture is written as whose name tells no format that we write."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `phongfit relight`.
+
+    Args:
+        maps: The folder that `phongfit maps` made.
+        lights: An .lp, or the lights.json that `phongfit calibrate` writes.
+        out: Folder to make: a picture for each light, named as in the list.
+        shadows: Surfaces throw shadows, as their height, which is found from the
+            normals, has it.
+        ambient: Ambient light. Default: that of the photographs.
+        distance: How far from a pinhole camera the surface is, where no geometry was
+            given that knows it.
+        encoding: Of the pictures' numbers. Default: that of the photographs.
+        overwrite: Replace older pictures in OUT.
+    """
+
+    maps: Annotated[Positional[Path], arg(metavar="MAPS")]
+    lights: Annotated[Path, arg(metavar="FILE")]
+    out: OutFolder
+    shadows: bool = True
+    ambient: Annotated[float | None, optional("X")] = None
+    distance: Annotated[float | None, optional("LENGTH")] = None
+    encoding: Annotated[Encoding | None, optional("linear|srgb")] = None
+    overwrite: bool = False
+
+
+def main(options: Options) -> int:
+    """Show an object under other lights: diffuse light, highlights, shadows.
+
+    For example:
+      phongfit relight out/maps --lights dome.lp -o out/relit
+      phongfit relight out/maps --lights out/lights/lights.json -o out/relit
+    """
+    keep_compiled()
+    maps, record, _ = load_folder(options.maps)
+    encoding = options.encoding or record.encoding
+    if encoding is None:
+        raise ValueError(
+            "encoding: expected --encoding linear or srgb, since "
+            f"{options.maps}, of an older version, does not say it"
+        )
+    listed, lights = read_lights(options.lights, maps)
+    names = picture_names(listed)
+    ambient = options.ambient
+    if ambient is not None and not ambient >= 0:
+        raise ValueError(f"ambient: expected a number ≥ 0, got {ambient:g}")
+
+    def may_replace(name: str) -> bool:
+        return options.overwrite and name in names
+
+    with replacing_folder(options.out, may_replace) as folder:
+        with stage("integrating the normals"):
+            surface = maps.height(distance=options.distance)
+        pictures = relit(
+            maps,
+            lights,
+            surface,
+            ambient=maps.ambient_light if ambient is None else ambient,
+            shadows=options.shadows,
+            film=Film(clamp=False),
+        )
+        with stage("relighting"):
+            for name, picture in zip(names, pictures, strict=True):
+                write_image(folder / name, picture, encoding)
+    print(surface)
+    others = sum(a != b for a, b in zip(names, map(base_name, listed), strict=True))
+    print(
+        f"{options.out}: {len(names)} pictures, {encoding}"
+        + (f"; {others} of them as {OTHER}" if others else "")
+    )
+    return 0
+
+
+def read_lights(path: Path, maps: Maps) -> tuple[list[str], list[AbstractLight]]:
+    """Names and lights of a list. Those of an .lp are in the camera's axes.
+
+    **Raises:** `ValueError` that names the file, or what is missing.
+    """
+    if path.suffix.lower() != ".lp":
+        calibration = load_calibration(path)
+        return [lamp.photograph for lamp in calibration.lamps], list(calibration.lights)
+    if maps.camera is None:
+        raise ValueError("camera: maps of an older version do not have it")
+    read = read_lp(path)
+    world = read.vectors @ np.asarray(maps.camera.rotation, float).T
+    return list(read.names), [DirectionalLight(vector) for vector in world]
+
+
+def picture_names(listed: Sequence[str]) -> list[str]:
+    """Base names, with another suffix where ours cannot be written.
+
+    **Raises:** `ValueError` if two would have the same.
+    """
+    names = []
+    for name in map(base_name, listed):
+        own = Path(name)
+        depths = WRITERS.get(own.suffix.lower(), {32: None})
+        name = name if min(depths) == 8 else f"{name}{OTHER}"
+        if name in names:
+            raise ValueError(f"lights: expected different names, got {name} twice")
+        names.append(name)
+    return names

@@ -1,0 +1,221 @@
+"""A height for every pixel: points, triangles, and the shadows that they throw."""
+
+import dataclasses
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from phongfit.checks import as_array
+from phongfit.edge import checked
+from phongfit.geometry.cameras import AbstractCamera, Ray
+from phongfit.geometry.meshes import Mesh
+from phongfit.geometry.raytracing import blocked
+from phongfit.geometry.tracing import towards
+from phongfit.lights import AbstractLight
+
+LIFT = 0.5
+"""How far from its pixel a shadow's ray starts, in pixels: past its own triangles."""
+
+CENTRES = ((0, 0),)
+CORNERS = ((-1, -1), (1, -1), (-1, 1), (1, 1))
+"""Where in a pixel shadows are looked for, in quarters of it: right and down."""
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class HeightField:
+    """A surface as a height for every pixel of a camera. Arrays are NumPy's."""
+
+    height: Float[np.ndarray, "height width"]
+    pieces: Int[np.ndarray, "height width"]
+    camera: AbstractCamera
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def mask(self) -> Bool[np.ndarray, "height width"]:
+        """Pixels that have a height."""
+        return np.isfinite(self.height)
+
+    def positions(self) -> Float[np.ndarray, "height width 3"]:
+        """Points of the surface, world units; 0 outside."""
+        return positions_at(self.height, self.camera)
+
+    def mesh(self) -> Mesh:
+        """Two triangles between every four neighbours, seen from the camera's side.
+
+        **Raises:** `ValueError` if no three neighbours have heights.
+        """
+        vertices, faces = triangles(self.positions(), self.mask)
+        if not len(faces):
+            raise ValueError("height: expected neighbouring pixels, got none")
+        used, place = np.unique(faces, return_inverse=True)
+        return Mesh(vertices[used], place.reshape(-1, 3))
+
+    def __str__(self) -> str:
+        height, width = self.height.shape
+        known = self.height[self.mask]
+        count = int(self.pieces.max(initial=0))
+        lines = [
+            f"phongfit: heights of {height} × {width} pixels, {known.size:,} in "
+            f"{count} piece{'' if count == 1 else 's'}"
+        ]
+        if known.size:
+            lines.append(f"  from {known.min():.4g} to {known.max():.4g} world units")
+        return "\n".join([*lines, *(f"  warning: {words}" for words in self.warnings)])
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
+HeightField.__init__.__doc__ = """**Arguments:**
+
+- `height`: (H, W), the coordinate of the surface along the camera's z axis, which
+    points to the viewer: world units, from the world's origin on; NaN outside.
+- `pieces`: (H, W), from 1 on the number of the piece of the mask; 0 outside.
+- `camera`: from where pixels look.
+- `warnings`: what is not known, and what to do about it.
+"""
+
+
+def positions_at(
+    height: Float[np.ndarray, "height width"], camera: AbstractCamera
+) -> Float[np.ndarray, "height width 3"]:
+    """Points that pixels see at given heights, world units; 0 where there is none."""
+    rays, axis = camera.rays(), np.asarray(camera.rotation, float)[:, 2]
+    origin, direction = (np.asarray(a, float) for a in (rays.origin, rays.direction))
+    along = (height - origin @ axis) / (direction @ axis)
+    points = origin + along[..., None] * direction
+    return np.where(np.isfinite(height)[..., None], points, 0)
+
+
+def triangles(
+    positions: Float[np.ndarray, "height width 3"], mask: Bool[np.ndarray, "h w"]
+) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
+    """A vertex for each pixel, and two triangles between every four inside the mask.
+
+    Their common side runs from the upper left to the lower right.
+    """
+    height, width = mask.shape
+    at = np.arange(height * width).reshape(height, width)
+    a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
+    faces = np.concatenate(
+        [np.stack(corners, -1).reshape(-1, 3) for corners in ((a, b, c), (a, c, d))]
+    )
+    return positions.reshape(-1, 3), faces[mask.ravel()[faces].all(axis=1)]
+
+
+@checked
+def cast_shadows(
+    height: Float[np.ndarray, "height width"],
+    camera: AbstractCamera,
+    lights: Iterable[AbstractLight],
+) -> Bool[np.ndarray, "lights height width"]:
+    """Which pixels lie in a shadow that the surface throws on itself.
+
+    Where it is turned away from a light it is dark besides: that is n·l ≤ 0, and not
+    asked for here.
+
+    **Arguments:**
+
+    - `height`: (H, W), as [`HeightField`][] has it: NaN outside, where nothing is in
+        the way.
+    - `camera`: from where pixels look.
+    - `lights`: distant or near.
+
+    **Returns:** for each light, true in its shadow; false outside.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    height = as_height(height, camera)
+    shares = shadow_shares(height, camera, lights, CENTRES)
+    found = [share > 0.5 for share in shares]
+    return np.stack(found) if found else np.zeros((0, *height.shape), bool)
+
+
+def shadow_shares(
+    height: Float[np.ndarray, "height width"],
+    camera: AbstractCamera,
+    lights: Iterable[AbstractLight],
+    places: tuple[tuple[int, int], ...] = CORNERS,
+) -> Iterator[Float[np.ndarray, "height width"]]:
+    """For one light after the other, how much of each pixel lies in its shadow.
+
+    **Arguments:** as of [`cast_shadows`][]; `places`: where in a pixel is looked.
+
+    **Returns:** numbers in [0, 1]; 0 outside.
+    """
+    mask, points = np.isfinite(height), positions_at(height, camera)
+    vertices, faces = triangles(points, mask)
+    apart = pixel_size(points, mask)
+    starts = np.stack([_within(points, mask, place)[mask] for place in places])
+    for light in lights:
+        share = np.zeros(height.shape)
+        if len(faces):
+            to_light, distance = (
+                np.asarray(a, float) for a in towards(light, jnp.asarray(starts))
+            )
+            rays = Ray(starts + LIFT * apart * to_light, to_light)  # pyright: ignore
+            hit = blocked(vertices, faces, rays, distance - LIFT * apart)  # pyright: ignore
+            share[mask] = np.asarray(hit).mean(axis=0)
+        yield share
+
+
+def as_height(height: Any, camera: AbstractCamera) -> np.ndarray:
+    """`height` as numbers of the camera's size, NaN outside.
+
+    **Raises:** `ValueError` that names it.
+    """
+    array = as_array("height", height)
+    wanted = (camera.height, camera.width)
+    if array.shape != wanted or array.dtype.kind not in "fiu":
+        raise ValueError(
+            f"height: expected numbers of shape {wanted}, as the camera has pixels, "
+            f"got {array.dtype} of shape {array.shape}"
+        )
+    return array.astype(float)
+
+
+def pixel_size(
+    points: Float[np.ndarray, "height width 3"], mask: Bool[np.ndarray, "height width"]
+) -> float:
+    """About how far apart neighbours are, as the camera sees them; world units."""
+    height, width = mask.shape
+    known = points[mask]
+    if not len(known):
+        return 1.0
+    rows, columns = np.nonzero(mask)
+    across = np.ptp(known, axis=0)
+    spans = np.array([np.ptp(rows), np.ptp(columns)], float)
+    return float(np.linalg.norm(across) / max(np.linalg.norm(spans), 1.0))
+
+
+def _within(
+    points: Float[np.ndarray, "height width 3"],
+    mask: Bool[np.ndarray, "height width"],
+    place: tuple[int, int],
+) -> Float[np.ndarray, "height width 3"]:
+    """Points on the triangles, quarters of a pixel right and down of pixels' own.
+
+    Where a neighbour that they lie towards is missing, the pixel's own.
+    """
+    right, down = place
+    if not right and not down:
+        return points
+    x, y = _neighbour(points, mask, right, 0), _neighbour(points, mask, 0, down)
+    if right == down:
+        # On the side that the two triangles share.
+        return points + 0.25 * (_neighbour(points, mask, right, down) - points)
+    return points + 0.25 * (x - points) + 0.25 * (y - points)
+
+
+def _neighbour(
+    points: np.ndarray, mask: np.ndarray, right: int, down: int
+) -> np.ndarray:
+    """The point of each pixel's neighbour; its own where there is none."""
+    padded = np.pad(points, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    there = np.pad(mask, 1)
+    height, width = mask.shape
+    at = np.s_[1 + down : 1 + down + height, 1 + right : 1 + right + width]
+    return np.where(there[at][..., None], padded[at], points)

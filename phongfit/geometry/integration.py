@@ -1,0 +1,348 @@
+r"""From normals to heights: robust integration, for parallel rays and for a pinhole.
+
+Two neighbours lie on a chord of the surface, which is perpendicular to the sum s of
+their normals: exactly so on planes and on spheres. For parallel rays the chord is
+$(\Delta x, \Delta y, \Delta h)$, so that
+
+    $\Delta h = -(s_x \Delta x + s_y \Delta y) / s_z$
+
+and for a pinhole, where a point is depth d times a ray r, the ratio of the depths is
+
+    $\log d_2 - \log d_1 = \log (s \cdot r_1 / s \cdot r_2)$.
+
+Both are differences that a height u of each pixel should have; least squares over all
+neighbours is a sparse system, a Laplacian with weights. Where a surface jumps, no u has
+them: weights that fall with the residual let go of those pairs, from all of them at
+first to the few that are left at last.
+
+??? cite "Source"
+    Durou, Aujol and Courteille, *Integrating the normal field of a surface in the
+    presence of discontinuities*, EMMCVPR 2009 (robust weights); Cao et al., *Bilateral
+    normal integration*, ECCV 2022 (one form for both cameras); Geman and McClure,
+    1987, and Blake and Zisserman, *Visual reconstruction*, 1987 (weights, and that
+    they sharpen step by step).
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from phongfit.checks import as_array
+from phongfit.edge import checked
+from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera
+from phongfit.geometry.height import HeightField
+
+STEEPEST = 0.02
+"""Of the cosine between normal and ray: flatter ones tell no slope."""
+
+FLOOR = 1.0
+"""Degrees: normals with smaller errors count alike, since pixels are not points."""
+
+VAGUE = 1e-4
+"""Weight of a pixel whose normal is not identified: it follows its neighbours."""
+
+WIDEST, SHARPEST, ROUNDS = 2.0, 0.1, 20
+"""Gaps across a pair, in pixels, that count half: at first and at last."""
+
+
+class _Pairs(NamedTuple):
+    """Neighbours: their numbers, the step wanted, the cosine, and the step's unit."""
+
+    first: Int[np.ndarray, " pairs"]
+    second: Int[np.ndarray, " pairs"]
+    step: Float[np.ndarray, " pairs"]
+    cosine: Float[np.ndarray, " pairs"]
+    pixel: Float[np.ndarray, " pairs"]
+
+
+@checked
+def integrate_normals(
+    normals: Any,
+    camera: AbstractCamera | None = None,
+    mask: Any = None,
+    *,
+    stderr: Any = None,
+    depth: Any = None,
+    distance: float | None = None,
+) -> HeightField:
+    """Heights of a surface of which the normals are known.
+
+    Discontinuities are kept, where the normals around show them. Normals do not tell
+    how far away a surface is, nor the pieces of a mask from each other.
+
+    **Arguments:**
+
+    - `normals`: (H, W, 3) in the camera's axes (x right, y up, z to the camera), of any
+        length; 0 is outside.
+    - `camera`: default an orthographic one, whose view is as wide as its pixels are
+        many: heights are in pixels.
+    - `mask`: (H, W), true inside; default where there are normals.
+    - `stderr`: (H, W), standard errors of the normals in degrees; pairs of neighbours
+        count by them. Where it is infinite, the surface follows its neighbours.
+    - `depth`: (H, W), known distances along the camera's axis, world units, NaN where
+        they are not: each piece is moved to their median.
+    - `distance`: the median of a piece without any; default that of the world's
+        origin.
+
+    **Returns:** a [`HeightField`][], whose `warnings` tell of pieces.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    field = _as_normals(normals)
+    size = field.shape[:2]
+    if camera is None:
+        camera = OrthographicCamera(size[1], size[0], view_height=float(size[0]))
+    if size != (camera.height, camera.width):
+        raise ValueError(
+            f"normals: expected shape {(camera.height, camera.width, 3)}, as the "
+            f"camera has pixels, got {field.shape}"
+        )
+    length = np.linalg.norm(field, axis=-1)
+    inside = length > 0
+    if mask is not None:
+        inside = _of_size("mask", mask, size).astype(bool)
+    if not inside.any():
+        raise ValueError("mask: expected at least one pixel with a normal, got none")
+    weight = np.ones(size)
+    if stderr is not None:
+        errors = _of_size("stderr", stderr, size).astype(float)
+        if not np.all(errors[inside] >= 0):
+            raise ValueError("stderr: expected degrees ≥ 0")
+        weight = FLOOR**2 / (FLOOR**2 + np.minimum(errors, 1e6) ** 2)
+    away = _far(distance, camera)
+    rays = _rays(camera)
+    facing = -np.sum(field * rays.direction, axis=-1) > STEEPEST * length
+    sound = inside & facing & (weight > VAGUE)
+    field = _filled(field / np.maximum(length, 1e-30)[..., None], sound)
+    weight = np.where(sound, weight, VAGUE)
+    pieces = label_pieces(inside)
+    steps = _solve(_pairs(field, inside, rays), weight[inside], int(inside.sum()))
+    u = np.full(size, np.nan)
+    u[inside] = steps
+    known = None if depth is None else _of_size("depth", depth, size).astype(float)
+    along = _placed(u, pieces, rays.parallel, known, away)
+    height = float(np.dot(camera.position, camera.rotation[:, 2])) - along
+    return HeightField(height, pieces, camera, _words(inside, sound, pieces, known))
+
+
+class _Rays(NamedTuple):
+    """In the camera's axes: where they start, and where they go, 1 along its axis."""
+
+    origin: Float[np.ndarray, "height width 3"]
+    direction: Float[np.ndarray, "height width 3"]
+    parallel: bool
+
+
+def _rays(camera: AbstractCamera) -> _Rays:
+    rays, axes = camera.rays(), np.asarray(camera.rotation, float)
+    origin = (np.asarray(rays.origin, float) - np.asarray(camera.position)) @ axes
+    direction = np.asarray(rays.direction, float) @ axes
+    direction = direction / -direction[..., 2:]
+    parallel = bool(np.ptp(direction, axis=(0, 1)).max() < 1e-9)
+    return _Rays(origin, direction, parallel)
+
+
+def _pairs(
+    normals: Float[np.ndarray, "height width 3"],
+    inside: Bool[np.ndarray, "height width"],
+    rays: _Rays,
+) -> _Pairs:
+    """Neighbours in rows, then in columns."""
+    number = np.cumsum(inside).reshape(inside.shape) - 1
+    parts = []
+    for one, other in (
+        (np.s_[:, :-1], np.s_[:, 1:]),
+        (np.s_[:-1], np.s_[1:]),
+    ):
+        both = inside[one] & inside[other]
+        mean = (normals[one][both] + normals[other][both]) / 2
+        start, end = (
+            rays.origin[at][both] if rays.parallel else rays.direction[at][both]
+            for at in (one, other)
+        )
+        if rays.parallel:
+            cosine = np.maximum(mean[:, 2], STEEPEST)
+            step = -np.sum(mean * (end - start), axis=1) / cosine
+        else:
+            near, far = (
+                np.maximum(-np.sum(mean * ray, axis=1), STEEPEST)
+                for ray in (start, end)
+            )
+            step, cosine = np.log(near / far), (near + far) / 2
+        pixel = np.linalg.norm(end - start, axis=1)
+        parts.append(
+            _Pairs(number[one][both], number[other][both], step, cosine, pixel)
+        )
+    return _Pairs(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def _solve(
+    pairs: _Pairs, weight: Float[np.ndarray, " pixels"], count: int
+) -> Float[np.ndarray, " pixels"]:
+    """The heights that differ as they should, but for the few pairs that cannot."""
+    ends = weight[pairs.first], weight[pairs.second]
+    base = pairs.cosine**2 * 2 / (1 / ends[0] + 1 / ends[1]) / pairs.pixel**2
+    heights = _least_squares(pairs, base, np.zeros(count))
+    width = WIDEST
+    for _ in range(ROUNDS):
+        off = heights[pairs.second] - heights[pairs.first] - pairs.step
+        gap = np.abs(pairs.cosine * off / pairs.pixel)
+        if gap.max(initial=0) < SHARPEST:
+            break
+        heights = _least_squares(pairs, base / (1 + (gap / width) ** 2) ** 2, heights)
+        width = max(0.7 * width, SHARPEST)
+    return heights
+
+
+def _least_squares(
+    pairs: _Pairs,
+    weight: Float[np.ndarray, " pairs"],
+    start: Float[np.ndarray, " pixels"],
+) -> Float[np.ndarray, " pixels"]:
+    """Conjugate gradients, with algebraic multigrid: linear in the number of pixels."""
+    # Here, since they take long to import.
+    import pyamg
+    from scipy.sparse import coo_array, csr_array
+    from scipy.sparse.linalg import cg
+
+    if not len(weight):
+        return start
+    weight = weight / weight.max()
+    numbers, ends = np.arange(len(weight)), (pairs.first, pairs.second)
+    difference = csr_array(
+        coo_array(
+            (
+                np.concatenate([-np.ones(len(weight)), np.ones(len(weight))]),
+                (np.concatenate([numbers, numbers]), np.concatenate(ends)),
+            ),
+            shape=(len(weight), len(start)),
+        )
+    )
+    system = csr_array(difference.T @ (difference * weight[:, None]))
+    # A piece may float: hardly held where it is.
+    held = 1e-10 * system.diagonal().max()
+    system = csr_array(system + held * _identity(len(start)))
+    right = difference.T @ (weight * pairs.step) + held * start
+    levels = pyamg.ruge_stuben_solver(system, coarse_solver="splu")
+    found, _ = cg(
+        system, right, start, rtol=1e-8, maxiter=200, M=levels.aspreconditioner()
+    )
+    return found
+
+
+def _identity(size: int) -> Any:
+    from scipy.sparse import eye_array
+
+    return eye_array(size, format="csr")
+
+
+def label_pieces(
+    inside: Bool[np.ndarray, "height width"],
+) -> Int[np.ndarray, "height width"]:
+    """From 1 on the number of the piece, whose pixels touch by a side; 0 outside."""
+    from scipy.ndimage import label
+
+    pieces, _ = label(inside)  # pyright: ignore
+    return pieces
+
+
+def _filled(
+    normals: Float[np.ndarray, "height width 3"], sound: Bool[np.ndarray, "h w"]
+) -> Float[np.ndarray, "height width 3"]:
+    """Normals that are not identified become those of the nearest that are."""
+    from scipy.ndimage import distance_transform_edt
+
+    if sound.all():
+        return normals
+    if not sound.any():
+        return np.broadcast_to([0.0, 0.0, 1.0], normals.shape)
+    nearest = distance_transform_edt(
+        ~sound, return_distances=False, return_indices=True
+    )
+    return normals[tuple(nearest)]  # pyright: ignore
+
+
+def _placed(
+    u: Float[np.ndarray, "height width"],
+    pieces: Int[np.ndarray, "height width"],
+    parallel: bool,
+    known: Float[np.ndarray, "height width"] | None,
+    away: float,
+) -> Float[np.ndarray, "height width"]:
+    """Depths: every piece is moved, or scaled, to where it is known to be."""
+    from scipy.ndimage import median
+
+    index = np.arange(1, int(pieces.max()) + 1)
+    middle = np.full(len(index), away)
+    wanted = np.full(u.shape, np.nan) if known is None else known
+    there = np.isfinite(wanted) & (pieces > 0)
+    own = np.asarray(median(u, pieces, index))
+    if there.any():
+        marked = np.where(there, pieces, 0)
+        some = np.isin(index, marked)
+        middle[some] = np.asarray(median(wanted, marked, index[some]))
+        own[some] = np.asarray(median(u, marked, index[some]))
+    if not parallel and not np.all(middle > 0):
+        raise ValueError(
+            "distance: expected how far the surface is from the camera, in world "
+            f"units, since it has a pinhole, got {middle.min():g}"
+        )
+    at = np.maximum(pieces - 1, 0)
+    if parallel:
+        return middle[at] - (u - own[at])
+    return middle[at] * np.exp(u - own[at])
+
+
+def _far(distance: float | None, camera: AbstractCamera) -> float:
+    if distance is None:
+        return float(np.dot(camera.position, camera.rotation[:, 2]))
+    if not np.isfinite(distance) or not distance > 0:
+        raise ValueError(f"distance: expected a number > 0, got {distance!r}")
+    return float(distance)
+
+
+def _words(
+    inside: np.ndarray,
+    sound: np.ndarray,
+    pieces: np.ndarray,
+    known: np.ndarray | None,
+) -> tuple[str, ...]:
+    words = []
+    count = int(pieces.max())
+    placed = set() if known is None else {*pieces[np.isfinite(known)].tolist()} - {0}
+    if count > 1 and len(placed) < count:
+        words.append(
+            f"mask: it falls into {count} pieces, and normals do not tell how far one "
+            f"lies before another: {count - len(placed)} of them are put at the same "
+            "depth (depth: where it is known moves them)"
+        )
+    vague = int((inside & ~sound).sum())
+    if vague:
+        words.append(
+            f"normals: {vague:,} of {int(inside.sum()):,} pixels do not identify "
+            "theirs, or it looks away from the camera: there the surface follows its "
+            "neighbours"
+        )
+    return tuple(words)
+
+
+def _as_normals(normals: Any) -> Float[np.ndarray, "height width 3"]:
+    field = as_array("normals", normals)
+    if field.ndim != 3 or field.shape[-1] != 3 or 0 in field.shape:
+        raise ValueError(
+            f"normals: expected shape (height, width, 3), got {field.shape}"
+        )
+    if field.dtype.kind not in "fiu" or not np.isfinite(field).all():
+        raise ValueError("normals: expected finite numbers")
+    return field.astype(float)
+
+
+def _of_size(name: str, value: Any, size: tuple[int, ...]) -> np.ndarray:
+    array = as_array(name, value)
+    if array.shape != size or array.dtype.kind not in "bfiu":
+        raise ValueError(
+            f"{name}: expected numbers of shape {size}, as the normals have, got "
+            f"{array.dtype} of shape {array.shape}"
+        )
+    return array

@@ -1,0 +1,100 @@
+"""`phongfit relight`: pictures named as in the list, as the photographs are encoded."""
+
+import json
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.cli import main
+from phongfit.maps.folder import load_folder
+from tests.maps.hills import write_hills
+
+
+@pytest.fixture(scope="module")
+def hills(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("hills") / "maps"
+    folder.mkdir()
+    write_hills(folder)
+    return folder
+
+
+def test_a_picture_for_each_lamp(hills, tmp_path, capsys):
+    names = ["C:\\dome\\a 1.png", "two.tif", "three.CR2"]
+    vectors = np.array([[1.0, 0.2, 0.8], [0, 0, 1], [-1, 1, 1]])
+    pf.write_lp(tmp_path / "dome.lp", names, vectors)
+    out = tmp_path / "relit"
+    args = ["relight", str(hills), "--lights", f"{tmp_path}/dome.lp", "-o", str(out)]
+    assert main(args) == 0
+    told = capsys.readouterr().out
+    assert "3 pictures, srgb; 1 of them as .png" in told and "in 1 piece" in told
+    written = sorted(path.name for path in out.iterdir())
+    assert written == ["a 1.png", "three.CR2.png", "two.tif"]
+    maps, _, _ = load_folder(hills)
+    expected = maps.relight([pf.DirectionalLight(vector) for vector in vectors])
+    for name, light in zip(
+        ["a 1.png", "two.tif", "three.CR2.png"], expected, strict=True
+    ):
+        shown = np.clip(light, 0, 1)
+        np.testing.assert_allclose(pf.read_image(out / name, "srgb"), shown, atol=0.005)
+    # Older pictures stay, unless told otherwise; without shadows it is brighter.
+    before = pf.read_image(out / "a 1.png", "srgb").mean()
+    assert main(args) == 2
+    assert "is not replaced, since it holds" in capsys.readouterr().err
+    assert main([*args, "--overwrite", "--no-shadows", "--ambient", "0.5"]) == 0
+    assert pf.read_image(out / "a 1.png", "srgb").mean() > before + 0.02
+
+
+def test_near_lamps_of_a_calibration(hills, tmp_path):
+    record = {
+        "format": "phongfit lights",
+        "version": 1,
+        "camera": {"width": 40, "height": 32, "view_height": 3.2},
+        "reference": [0, 0, 0],
+        "falloff": 1.0,
+        "lights": [
+            {
+                "photograph": "p.tiff",
+                "position": [-1.5, 1.0, 2.0],
+                "intensity": [0.8, 0.8, 0.8],
+                "intensity_error": [0, 0, 0],
+                "direction_error_degrees": 0.1,
+                "covariance": [[0, 0, 0]] * 3,
+            }
+        ],
+    }
+    (tmp_path / "lights.json").write_text(json.dumps(record))
+    args = ["relight", str(hills), "--lights", f"{tmp_path}/lights.json"]
+    assert main([*args, "-o", f"{tmp_path}/out", "--encoding", "linear"]) == 0
+    maps, _, _ = load_folder(hills)
+    (light,) = pf.load_calibration(tmp_path / "lights.json").lights
+    (expected,) = maps.relight([light])
+    shown = pf.read_image(tmp_path / "out" / "p.tiff", "linear")
+    np.testing.assert_allclose(shown, np.clip(expected, 0, 1), atol=0.0021)
+
+
+@pytest.mark.parametrize(
+    "lines, options, words",
+    [
+        ("1\na.png 0 0 0\n", [], "expected a vector to the lamp"),
+        ("2\na.jpg 0 0 1\nb.png 0 0 1\n", ["--ambient", "-1"], "ambient: expected"),
+    ],
+)
+def test_bad_input(hills, tmp_path, capsys, lines, options, words):
+    (tmp_path / "a.lp").write_text(lines)
+    args = ["relight", str(hills), "--lights", f"{tmp_path}/a.lp", *options]
+    assert main([*args, "-o", f"{tmp_path}/out"]) == 2
+    told = capsys.readouterr().err
+    assert words in told and told.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_maps_of_before_want_an_encoding(hills, tmp_path, capsys):
+    record = json.loads((hills / "maps.json").read_text()) | {"encoding": None}
+    for path in hills.glob("*.np*"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "maps.json").write_text(json.dumps(record))
+    pf.write_lp(tmp_path / "a.lp", ["a.png"], np.array([[0, 0, 1.0]]))
+    args = ["relight", str(tmp_path), "--lights", f"{tmp_path}/a.lp"]
+    assert main([*args, "-o", f"{tmp_path}/out"]) == 2
+    assert "expected --encoding linear or srgb" in capsys.readouterr().err
