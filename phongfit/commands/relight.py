@@ -9,9 +9,10 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from phongfit.commands.cache import keep_compiled
-from phongfit.commands.options import OutFolder, optional
+from phongfit.commands.options import EncodingName, OutFolder, optional
 from phongfit.commands.progress import stage
 from phongfit.files.calibrations import load_calibration
+from phongfit.files.encodings import parse_encoding
 from phongfit.files.formats import WRITERS
 from phongfit.files.images import write_image
 from phongfit.files.lp import base_name, read_lp
@@ -20,7 +21,7 @@ from phongfit.lights import AbstractLight, DirectionalLight
 from phongfit.maps.folder import load_folder
 from phongfit.maps.relighting import relit
 from phongfit.maps.result import Maps
-from phongfit.rendering.film import Encoding, Film
+from phongfit.rendering.film import Film
 
 OTHER = ".png"
 """What a picture is written as whose name tells no format that we write."""
@@ -49,7 +50,7 @@ class Options:
     shadows: bool = True
     ambient: Annotated[float | None, optional("X")] = None
     distance: Annotated[float | None, optional("LENGTH")] = None
-    encoding: Annotated[Encoding | None, optional("linear|srgb")] = None
+    encoding: EncodingName = None
     overwrite: bool = False
 
 
@@ -62,7 +63,7 @@ def main(options: Options) -> int:
     """
     keep_compiled()
     maps, record, _ = load_folder(options.maps)
-    encoding = options.encoding or record.encoding
+    encoding = parse_encoding(options.encoding) or record.encoding
     if encoding is None:
         raise ValueError(
             "encoding: expected --encoding linear or srgb, since "
