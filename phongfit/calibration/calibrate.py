@@ -13,6 +13,7 @@ from phongfit.calibration.lamps import (
     Lamps,
     angles,
     choose,
+    show_two_lamps,
     solve_lamps,
 )
 from phongfit.calibration.matte import (
@@ -257,6 +258,7 @@ class _Session:
         chosen = choose(candidates, self.chrome, self.view, self.lamps, shaded)
         left_out: dict[int, str] = {}
         self._leave_out_unseen(chosen, shaded, left_out)
+        self._leave_out_double(candidates, chosen, left_out)
         estimate, kept = self._solve(chosen, left_out)
         return self._result(estimate, kept, left_out, shaded, chosen)
 
@@ -293,6 +295,31 @@ class _Session:
             raise ValueError(
                 "photographs: in none of them a lamp is seen on the spheres; are the "
                 "circles right?"
+            )
+
+    def _leave_out_double(
+        self,
+        candidates: list[list[list[Highlight]]],
+        chosen: list[list[Highlight | None]],
+        left_out: dict[int, str],
+    ) -> None:
+        """Photographs under two lamps; one sphere alone is not enough to say so."""
+        twice = show_two_lamps(candidates, chosen, self.chrome, self.view, self.lamps)
+        double = np.flatnonzero(twice).tolist()
+        if len(self.chrome.outlines) < 2:
+            if double:
+                names = ", ".join(self.names[number] for number in double[:3])
+                self.warnings.append(
+                    f"{names}{' …' if len(double) > 3 else ''}: the sphere shows two "
+                    "highlights that are alike: two lamps, or something that it "
+                    "mirrors; look at the picture"
+                )
+            return
+        left_out |= {number: "it shows two lamps" for number in double}
+        if len(left_out) == len(chosen):
+            raise ValueError(
+                "photographs: expected one lamp in each, got two in "
+                f"{self.names[double[0]]} and none that can be used"
             )
 
     def _solve(

@@ -16,6 +16,16 @@ Lamps = Literal["distant", "near"]
 MISSED = 12.0
 """What it costs, in squared standard deviations, that a sphere shows no highlight."""
 
+COMPARABLE, ALIKE = 0.6, 0.8
+"""A second lamp stands out at least this much, of what the first does: where spheres
+agree on it, and where one sphere alone shows it."""
+
+APART = np.radians(5.0)
+"""What is nearer to a lamp than this is the lamp: its frame, or its glare."""
+
+AGREE = 2.5
+"""Spheres agree on a lamp to so many standard deviations."""
+
 ROUNDS = 8
 """How often shading is looked at anew about the last estimate, at most."""
 
@@ -141,6 +151,55 @@ def choose(
     return chosen
 
 
+def show_two_lamps(
+    candidates: Sequence[Sequence[Sequence[Highlight]]],
+    chosen: Sequence[Sequence[Highlight | None]],
+    chrome: Chrome,
+    view: View,
+    lamps: Lamps,
+) -> list[bool]:
+    """In which photographs the spheres agree on a second lamp, too.
+
+    One about as bright as the first, and elsewhere. One sphere has nobody to agree
+    with: what it shows must be brighter, and may yet be something that it mirrors.
+
+    **Arguments:** as of [`choose`][], and what that chose.
+    """
+    return [
+        _second(per_sphere, row, chrome, view, lamps)
+        for per_sphere, row in zip(candidates, chosen, strict=True)
+    ]
+
+
+def _second(
+    per_sphere: Sequence[Sequence[Highlight]],
+    chosen: Sequence[Highlight | None],
+    chrome: Chrome,
+    view: View,
+    lamps: Lamps,
+) -> bool:
+    if not chosen or any(one is None for one in chosen):
+        return False
+    least = COMPARABLE if len(chosen) > 1 else ALIKE
+    first = [
+        _follow([one], np.array([sphere]), chrome, view).direction[0]
+        for sphere, one in enumerate(chosen)
+        if one is not None
+    ]
+    others, rays = [], []
+    for sphere, (found, one) in enumerate(zip(per_sphere, chosen, strict=True)):
+        assert one is not None
+        like = [h for h in found if h is not one and h.score > least * one.score]
+        ray = _follow(like, np.full(len(like), sphere), chrome, view)
+        apart = angles(ray.direction, np.broadcast_to(first[sphere], (len(like), 3)))
+        others.append([h for h, far in zip(like, apart, strict=True) if far > APART])
+        rays.append(_follow(others[-1], np.full(len(others[-1]), sphere), chrome, view))
+    return any(
+        _scatter(picks, rays, lamps) < AGREE**2 * len(picks)
+        for picks in itertools.product(*[range(len(found)) for found in others])
+    )
+
+
 def _disagreement(
     picks: Sequence[int | None],
     found: Sequence[Sequence[Highlight]],
@@ -154,19 +213,34 @@ def _disagreement(
     if not shown:
         return cost
     cost -= 4 * sum(float(np.log(found[s][pick].score)) for s, pick in shown)
+    cost += _scatter(picks, rays, lamps)
+    if hint is not None and hint.any():
+        # Near lamps shade a sphere as if they stood elsewhere.
+        error = 0.1 if lamps == "distant" else 0.6
+        origins, directions = _picked(shown, rays)
+        towards = _towards(origins, directions, lamps)
+        cost += float((angles(hint, unit(towards.mean(axis=0))) / error) ** 2)
+    return cost
+
+
+def _picked(
+    shown: Sequence[tuple[int, int]], rays: Sequence[_Rays]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and directions of the rays of some blobs."""
     origins = np.array([rays[s].position[pick] for s, pick in shown])
-    directions = np.array([rays[s].direction[pick] for s, pick in shown])
+    return origins, np.array([rays[s].direction[pick] for s, pick in shown])
+
+
+def _scatter(picks: Sequence[int | None], rays: Sequence[_Rays], lamps: Lamps) -> float:
+    """How far the rays of some blobs are from one lamp: squares of deviations."""
+    shown = [(s, pick) for s, pick in enumerate(picks) if pick is not None]
+    origins, directions = _picked(shown, rays)
     # Half a degree is what spheres and their surroundings are never better than.
     variances = np.radians(0.5) ** 2 + np.array(
         [np.trace(rays[s].covariance[pick]) / 2 for s, pick in shown]
     )
     towards = _towards(origins, directions, lamps)
-    cost += float(np.sum(angles(directions, towards) ** 2 / variances))
-    if hint is not None and hint.any():
-        # Near lamps shade a sphere as if they stood elsewhere.
-        error = 0.1 if lamps == "distant" else 0.6
-        cost += float((angles(hint, unit(towards.mean(axis=0))) / error) ** 2)
-    return cost
+    return float(np.sum(angles(directions, towards) ** 2 / variances))
 
 
 def _towards(origins: np.ndarray, directions: np.ndarray, lamps: Lamps) -> np.ndarray:

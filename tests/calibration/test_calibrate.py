@@ -126,6 +126,43 @@ def test_another_bright_thing_is_no_lamp(distant):
     assert apart.max() < 0.5
 
 
+def doubled(images, *numbers):
+    """The same with a second lamp in some, which leaves the wall as it is."""
+    return [
+        np.maximum(image, images[(number + 3) % len(images)])
+        if number in numbers
+        else image
+        for number, image in enumerate(images)
+    ]
+
+
+def test_two_lamps_in_one_photograph_are_named(distant):
+    studio, images = distant
+    found = calibrated(studio, doubled(images, 2))
+    assert found.left_out == {"photograph 3": "it shows two lamps"}
+    apart = degrees([lamp.direction for lamp in found.lamps], np.delete(LAMPS, 2, 0))
+    assert apart.max() < 0.5
+
+
+def test_one_sphere_alone_warns_of_two_lamps(distant):
+    studio, images = distant
+    one = {"chrome": studio.circles("chrome")[1:], "matte": None}
+    found = calibrated(studio, doubled(images, 2), **one)
+    (said,) = (warning for warning in found.warnings if "two lamps" in warning)
+    assert said.startswith("photograph 3: the sphere shows two highlights")
+    assert not any("two" in w for w in calibrated(studio, images, **one).warnings)
+
+
+def test_two_lamps_everywhere(distant, monkeypatch):
+    studio, images = distant
+    monkeypatch.setattr(
+        "phongfit.calibration.calibrate.show_two_lamps",
+        lambda candidates, *others: [True] * len(candidates),
+    )
+    with pytest.raises(ValueError, match="expected one lamp in each, got two in phot"):
+        calibrated(studio, images)
+
+
 def test_a_photograph_without_a_lamp_is_left_out_by_name(distant):
     studio, images = distant
     images = [*images, np.full_like(images[0], 0.001)]

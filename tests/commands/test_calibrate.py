@@ -2,11 +2,17 @@
 
 import json
 
+import numpy as np
 import pytest
+from PIL import Image
 
 import phongfit as pf
 from phongfit.cli import main
+from phongfit.files.images import to_levels
+from phongfit.rendering.film import decode
 from tests.calibration.studio import Studio, degrees, directions
+from tests.files.test_profiles import FROM_P3, P3, rgb_profile
+from tests.files.test_raw import BLACK, WHITE, dng
 
 LAMPS = directions(5)
 
@@ -59,6 +65,97 @@ def test_several_circles_may_share_an_option(photographs, tmp_path, capsys):
     call = ["calibrate", str(folder), "-o", str(tmp_path / "a"), "--fov", "20"]
     assert main([*call, "--sphere", *numbers]) == 0
     assert "no matte sphere" in capsys.readouterr().out
+
+
+def save_sideways(path, levels):
+    """As a camera does that was held upright: lying, with a note to turn it."""
+    note = Image.Exif()
+    note[0x0112] = 6
+    lying = Image.fromarray(levels).transpose(Image.Transpose.ROTATE_90)
+    lying.save(path, exif=note)
+
+
+def save_in_display_p3(path, levels):
+    light = np.clip(decode(levels / 255.0, "srgb") @ np.linalg.inv(FROM_P3).T, 0, 1)
+    numbers = np.round(light ** (1 / 2.2) * 255).astype(np.uint8)
+    Image.fromarray(numbers).save(path, icc_profile=rgb_profile(P3, 2.2))
+
+
+@pytest.mark.parametrize("save", [save_sideways, save_in_display_p3])
+def test_one_photograph_that_is_kept_otherwise(tmp_path, save):
+    studio, folder = Studio(), tmp_path / "photos"
+    folder.mkdir()
+    for number, lamp in enumerate(LAMPS, 1):
+        levels = to_levels(studio.photograph(lamp, seed=number), "srgb", 8)
+        path = folder / f"{number}.png"
+        save(path, levels) if number == 2 else Image.fromarray(levels).save(path)
+    words = ["calibrate", f"{folder}", "--encoding", "srgb", "--fov", "20"]
+    assert main([*words, "-o", f"{tmp_path / 'out'}", *circles(studio)]) == 0
+    found = pf.load_calibration(tmp_path / "out")
+    assert degrees([lamp.direction for lamp in found.lamps], LAMPS).max() < 0.5
+    strength = found.lamps[1].intensity
+    assert strength / strength[0] == pytest.approx([1, 0.9, 0.8], rel=0.03)
+
+
+def test_a_folder_of_raw_photographs(tmp_path):
+    pytest.importorskip("rawpy", reason="rawpy is not installed here")
+    studio, folder = Studio(), tmp_path / "photos"
+    folder.mkdir()
+    for number, lamp in enumerate(LAMPS, 1):
+        light = studio.photograph(lamp, seed=number)
+        sensor = BLACK + light * (0.5, 1, 0.8) * (WHITE - BLACK)
+        mosaic = sensor[..., 1].copy()
+        mosaic[::2, ::2] = sensor[::2, ::2, 0]
+        mosaic[1::2, 1::2] = sensor[1::2, 1::2, 2]
+        (folder / f"{number}.dng").write_bytes(dng(np.round(mosaic)))
+    words = ["calibrate", f"{folder}", "--encoding", "linear", "--fov", "20"]
+    assert main([*words, "-o", f"{tmp_path / 'out'}", *circles(studio)]) == 0
+    found = pf.load_calibration(tmp_path / "out")
+    assert degrees([lamp.direction for lamp in found.lamps], LAMPS).max() < 0.5
+    strength = found.lamps[1].intensity
+    assert strength / strength[0] == pytest.approx([1, 0.9, 0.8], rel=0.03)
+
+
+def bad_folder(folder, kind):
+    """A folder with something wrong, and what is to be said of it."""
+    studio = Studio()
+    images = [studio.photograph(lamp, seed=n) for n, lamp in enumerate(LAMPS)]
+    names = [f"{number}.png" for number in range(1, 6)]
+    match kind:
+        case "one photograph":
+            images = images[:1]
+            words = "expected several photographs, each under its own lamp, got one"
+        case "no sphere":
+            images = [np.full_like(image, 0.3) for image in images]
+            words = "no sphere is seen in the photographs; give its circle"
+        case "unequal sizes":
+            images[3] = images[3][:100]
+            words = "4.png: expected 240 × 180 pixels, as 1.png has, got 240 × 100"
+        case "a list of others":
+            pf.write_lp(folder / "a.lp", ["7.png", *names[1:]], LAMPS)
+            words = "1 of the 5 photographs in the list of lights are not there, 7.png"
+        case "a lamp of zeros":
+            lines = [f"{name} 0 0 0" for name in names]
+            (folder / "a.lp").write_text("\n".join(["5", *lines]))
+            words = "a.lp: line 2: 1.png: expected a vector to the lamp, got zeros"
+    for name, image in zip(names, images, strict=False):
+        pf.write_image(folder / name, image, "srgb")
+    return words
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["one photograph", "no sphere", "unequal sizes", "a list of others"]
+    + ["a lamp of zeros"],
+)
+def test_folders_that_are_no_capture(tmp_path, capsys, kind):
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    words = bad_folder(folder, kind)
+    out = tmp_path / "out"
+    assert main(["calibrate", f"{folder}", "--encoding", "srgb", "-o", f"{out}"]) == 2
+    said = capsys.readouterr().err
+    assert words in said and said.count("error: ") == 1 and not out.exists()
 
 
 @pytest.mark.parametrize(
