@@ -1,4 +1,4 @@
-"""Compiled programs: in a hurry, and nobody waits until a result is looked at."""
+"""Compiled programs: in a hurry, kept, and not waited for."""
 
 import dataclasses
 import functools
@@ -10,6 +10,8 @@ from typing import Any, ParamSpec, TypeVar, dataclass_transform, no_type_check
 import equinox as eqx
 import jax
 from jax.extend.core import get_opaque_trace_state
+
+from phongfit.cache import keep_compiled
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -48,6 +50,7 @@ def program(*static: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
         @functools.cache
         def whole() -> Callable[..., R]:
+            _keep_compiled_once()
             options = compiler_options()
             return jax.jit(function, static_argnames=static, compiler_options=options)
 
@@ -64,6 +67,9 @@ def program(*static: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return run
 
     return decorate
+
+
+_keep_compiled_once = functools.cache(keep_compiled)
 
 
 @functools.cache

@@ -9,7 +9,6 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from tyro.conf import Positional, arg
 
-from phongfit.commands.cache import keep_compiled
 from phongfit.commands.fit import FIT_FILE
 from phongfit.commands.options import optional
 from phongfit.files.gltf import Part, pbr_material, write_gltf
@@ -81,7 +80,6 @@ def main(options: Options) -> int:
       phongfit export preset:gold -o out/gold.mtl
       phongfit export out/maps -o out/maps.glb
     """
-    keep_compiled()
     check_file(options.out)
     to = _target(options)
     if options.scene is not None and to != "gltf":

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from tyro.conf import OmitArgPrefixes
 
-from phongfit.commands.cache import keep_compiled
 from phongfit.commands.data import DataOptions, read_data, tell
 from phongfit.commands.keeping import keeping
 from phongfit.commands.options import (
@@ -83,7 +82,6 @@ def main(options: Options) -> int:
     Exit status 1 if the solver does not converge, or if, with --like, the answers
     differ by more than a standard error.
     """
-    keep_compiled()
     may_replace = OURS.__contains__ if options.overwrite else None
     with replacing_folder(options.out, may_replace) as folder:
         record = None if options.like is None else read_fit_record(options.like)

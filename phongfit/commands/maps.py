@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import OmitArgPrefixes
 
-from phongfit.commands.cache import keep_compiled
 from phongfit.commands.data import DataOptions, stack_data, tell
 from phongfit.commands.keeping import keeping
 from phongfit.commands.options import (
@@ -97,7 +96,6 @@ def main(options: Options) -> int:
       phongfit maps out/dome -o out/maps
       phongfit maps ballPNG -o out/ball --highlight shared --bounds shininess=1:5000
     """
-    keep_compiled()
     if not options.overwrite and (options.out / RECORD_FILE).exists():
         raise OSError(f"{options.out}: there are maps in it; {OVERWRITE}")
     with replacing_folder(options.out, _replaceable(options)) as folder:

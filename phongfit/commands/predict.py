@@ -6,7 +6,6 @@ from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from phongfit.commands.cache import keep_compiled
 from phongfit.commands.options import JsonFile, MaterialName, UnknownOptions
 from phongfit.commands.progress import stage
 from phongfit.files.inputs import sparing
@@ -50,7 +49,6 @@ def main(options: Options) -> int:
 --unknowns diffuse specular shininess scene.lights[0].direction \
 --per-image scene.lights[0].direction
     """
-    keep_compiled()
     out = options.json
     if out is not None:
         check_file(out)

@@ -7,7 +7,6 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
-from phongfit.commands.cache import keep_compiled
 from phongfit.commands.options import EncodingName, optional
 from phongfit.commands.progress import stage
 from phongfit.files.encodings import parse_encoding
@@ -56,7 +55,6 @@ def main(options: Options) -> int:
       phongfit render out/brass --material preset:gold --lights 0 -o gold.png
       phongfit render out/brass --material out/fit/fit.json -o fitted.exr
     """
-    keep_compiled()
     floats = options.bits == 32 or options.out.suffix.lower() in FLOATS
     encoding = parse_encoding(options.encoding) or ("linear" if floats else "srgb")
     check_image(options.out, encoding, options.bits)

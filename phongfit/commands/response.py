@@ -9,7 +9,6 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from phongfit.calibration.response import Response, fit_response
-from phongfit.commands.cache import keep_compiled
 from phongfit.commands.options import optional
 from phongfit.commands.progress import stage
 from phongfit.files.capture_data import open_captured
@@ -57,7 +56,6 @@ def main(options: Options) -> int:
       phongfit response photos -o response.json --matte 179 155 81 --lights out/lights
       phongfit calibrate photos -o out/again --encoding response.json
     """
-    keep_compiled()
     check_file(options.out)
     if options.out.suffix.lower() != ".json":
         raise ValueError(f"out: expected a .json file, got {options.out}")

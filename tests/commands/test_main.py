@@ -1,6 +1,7 @@
 """`phongfit`: its commands, their help, and how they end."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -13,6 +14,7 @@ import pytest
 import phongfit as pf
 from phongfit.cli import COMMANDS, main
 from phongfit.commands import synth
+from phongfit.files.fits import read_fit_record
 from tests.helpers import said
 
 
@@ -189,3 +191,21 @@ def test_predict(brass, tmp_path, capsys):
     np.testing.assert_allclose(numbers["errors"], expected.errors, rtol=1e-6)
     assert main([*args[:-1], "-1"]) == 2
     assert "noise" in capsys.readouterr().err
+
+
+def test_a_fit_in_a_process_of_its_own(brass, tmp_path):
+    """As a user starts it, its output not a terminal: no bar, no colour, no traces."""
+    cache, out = tmp_path / "cache", tmp_path / "out"
+    command = [sys.executable, "-m", "phongfit", "fit", str(brass), "-o", str(out)]
+    environment = {k: v for k, v in os.environ.items() if "COMPILATION_CACHE" not in k}
+    done = subprocess.run(
+        [*command, "--report", "none"],
+        env=environment | {"JAX_PLATFORMS": "cpu", "PHONGFIT_CACHE": str(cache)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == "" and "\x1b" not in done.stdout and "\r" not in done.stdout
+    assert "diffuse.red" in done.stdout and str(out) in done.stdout
+    assert read_fit_record(out / "fit.json").converged
+    assert sum(path.name.startswith("jit_") for path in cache.iterdir()) > 10

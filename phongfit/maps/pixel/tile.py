@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Float, Int, Shaped
 
+from phongfit.cache import keep_compiled
 from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.pixel import BESIDE, Known, PixelFit, fit_pixel
 from phongfit.maps.pixel.samples import PixelSamples
@@ -243,6 +244,7 @@ _SETTLED = {"xla_disable_hlo_passes": "cse_barrier_expander"}
 @functools.lru_cache(maxsize=16)
 def compiled(settings: MapSettings, mesh: Mesh, fit: Callable[..., Any] = fit_tile):
     """[`fit_tile`][], or its like, with its pixels spread over a mesh's devices."""
+    keep_compiled()
     axis = mesh.axis_names[0]
     along = PartitionSpec(axis)
 
