@@ -1,4 +1,7 @@
-"""README and CONTRIBUTING: their code runs, and what they point to is there."""
+"""README and CONTRIBUTING: their code runs, and what they point to is there.
+
+The rest of the documentation is held by `test_documentation`.
+"""
 
 import contextlib
 import importlib.util
@@ -17,7 +20,8 @@ as_users_run_it = pytest.mark.skipif(
     jnp.result_type(float) == jnp.float64, reason="runs in float32 alone"
 )
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = {name: ROOT / name for name in ("README.md", "CONTRIBUTING.md")}
+EXTENDING = "docs/how-to/extending.md"
+DOCUMENTS = {name: ROOT / name for name in ("README.md", "CONTRIBUTING.md", EXTENDING)}
 
 
 def blocks(name: str, language: str) -> list[str]:
@@ -35,9 +39,9 @@ def run(name: str) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def contributing(tmp_path_factory) -> dict[str, Any]:
-    with contextlib.chdir(tmp_path_factory.mktemp("contributing")):
-        return run("CONTRIBUTING.md")
+def extending(tmp_path_factory) -> dict[str, Any]:
+    with contextlib.chdir(tmp_path_factory.mktemp("extending")):
+        return run(EXTENDING)
 
 
 @as_users_run_it
@@ -53,35 +57,35 @@ def test_the_first_fit(capsys):
 
 
 @as_users_run_it
-def test_a_light(contributing):
-    check_light(contributing["Candle"]((1.0, 2.0, 3.0), (1.0, 0.5, 0.2), 2.0))
-    image = np.asarray(pf.render(contributing["scene"], pf.Material()))
+def test_a_light(extending):
+    check_light(extending["Candle"]((1.0, 2.0, 3.0), (1.0, 0.5, 0.2), 2.0))
+    image = np.asarray(pf.render(extending["scene"], pf.Material()))
     assert image.max() > 2 * np.median(image[image > 0])
     with pytest.raises(ValueError, match="position"):
-        contributing["Candle"](1.0)
+        extending["Candle"](1.0)
 
 
 @as_users_run_it
-def test_a_surface(contributing):
-    camera = contributing["above"]
+def test_a_surface(extending):
+    camera = extending["above"]
     small = pf.PerspectiveCamera(
         4, 3, position=camera.position, rotation=camera.rotation
     )
-    check_surface(contributing["Floor"](), small)
-    image = np.asarray(pf.render(contributing["floor"], pf.Material()))
+    check_surface(extending["Floor"](), small)
+    image = np.asarray(pf.render(extending["floor"], pf.Material()))
     # Lightest under the candle, which is in the middle.
     middle = image[8, 12].mean()
     assert middle > 2 * image[0].mean() and middle > 2 * image[-1].mean()
 
 
 @as_users_run_it
-def test_a_specular_model(contributing):
-    check_specular(contributing["SphericalGaussian"]())
+def test_a_specular_model(extending):
+    check_specular(extending["SphericalGaussian"]())
 
 
 @as_users_run_it
-def test_a_loss(contributing):
-    fit, truth = contributing["fit"], contributing["truth"]
+def test_a_loss(extending):
+    fit, truth = extending["fit"], extending["truth"]
     assert fit.converged and fit.loss == "Geman"
     # Least squares would be 0.01 off.
     np.testing.assert_allclose(fit.material.diffuse, truth.diffuse, atol=0.002)

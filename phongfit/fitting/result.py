@@ -258,7 +258,7 @@ class Fit:
             return self.covariance / np.outer(deviation, deviation)
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything but the images, as what `json.dumps` takes: see [`plain`][]."""
+        """Everything but the images, as what `json.dumps` takes."""
         names = ("ambient", "diffuse", "specular", "shininess", "emission")
         numbers = {
             "material": {k: np.asarray(getattr(self.material, k)) for k in names},

@@ -1,0 +1,86 @@
+"""The documentation: its code runs as it stands, and names all that is public."""
+
+import contextlib
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import pytest
+
+import phongfit as pf
+from phongfit import cli
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted((ROOT / "docs").rglob("*.md"))
+BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+as_users_run_it = pytest.mark.skipif(
+    jnp.result_type(float) == jnp.float64, reason="runs in float32 alone"
+)
+
+
+def name_of(page: Path) -> str:
+    return page.relative_to(ROOT / "docs").as_posix()
+
+
+def blocks(page: Path) -> list[tuple[str, str]]:
+    """Language and code of what a reader types, from top to bottom."""
+    return BLOCK.findall(page.read_text(encoding="utf-8"))
+
+
+def lines(code: str) -> list[list[str]]:
+    """The words of each line of a shell."""
+    found = [shlex.split(line, comments=True) for line in code.splitlines()]
+    return [words for words in found if words]
+
+
+TYPED = [page for page in PAGES if blocks(page)]
+
+
+@pytest.mark.parametrize("page", TYPED, ids=name_of)
+def test_what_is_typed_is_there(page):
+    """Python compiles, and commands have the options that they are given."""
+    for language, code in blocks(page):
+        if language == "python":
+            compile(code, name_of(page), "exec")
+            continue
+        for program, *words in lines(code):
+            if program == "phongfit":
+                cli._parse(cli._load(words[0]), words[1:], f"phongfit {words[0]}")
+
+
+@as_users_run_it
+@pytest.mark.slow
+@pytest.mark.parametrize("page", TYPED, ids=name_of)
+def test_pages_run_as_they_stand(page, tmp_path, capsys):
+    """In an empty folder; what installs something is left to whoever installs."""
+    names: dict[str, Any] = {}
+    with contextlib.chdir(tmp_path):
+        for language, code in blocks(page):
+            if language == "python":
+                exec(compile(code, name_of(page), "exec"), names)
+                continue
+            for program, *words in lines(code):
+                if program == "phongfit":
+                    assert cli.main(words) == 0, (words, capsys.readouterr().err)
+
+
+def test_every_public_name_has_its_place():
+    text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+    documented = set(re.findall(r"^::: phongfit\.(\w+)$", text, re.MULTILINE))
+    assert documented == set(pf.__all__) - {"__version__"}
+
+
+def test_every_command_has_its_place():
+    text = (ROOT / "docs/reference/commands.md").read_text(encoding="utf-8")
+    assert re.findall(r"\{\{ help (\w+) \}\}", text) == list(cli.COMMANDS)
+    assert re.findall(r"^## phongfit (\w+)$", text, re.MULTILINE) == list(cli.COMMANDS)
+
+
+def test_every_page_is_in_the_table_of_contents():
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"\S+\.md$", text, re.MULTILINE)) == sorted(
+        name_of(page) for page in PAGES
+    )
