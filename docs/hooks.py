@@ -1,4 +1,4 @@
-"""What the pages get when they are built: formulas, help texts, schemas, short names."""
+"""What the pages get when they are built: formulas, helps, schemas, short names."""
 
 import contextlib
 import html
@@ -17,7 +17,8 @@ from phongfit.files.schema import SceneRecord
 from phongfit.maps.folder import MapsRecord
 
 FORMULA = re.compile(
-    r'<(?P<tag>span|div) class="arithmatex">\\(?P<kind>[(\[])(?P<tex>.*?)\\[)\]]</(?P=tag)>',
+    r'<(?P<tag>span|div) class="arithmatex">'
+    r"\\(?P<kind>[(\[])(?P<tex>.*?)\\[)\]]</(?P=tag)>",
     re.DOTALL,
 )
 
@@ -33,8 +34,9 @@ SCHEMAS = {
 
 
 def on_page_markdown(markdown, **_):
-    """`{{ help fit }}` is what the command says, `{{ schema fit }}` a file's schema."""
-    markdown = re.sub(r"\{\{ help( \w+)? \}\}", _help, markdown)
+    """`{{ help }}` is what all commands say, `{{ schema fit }}` a file's schema."""
+    if "{{ help }}" in markdown:
+        markdown = markdown.replace("{{ help }}", _help())
     return re.sub(r"\{\{ schema (\w+) \}\}", _schema, markdown)
 
 
@@ -61,11 +63,17 @@ def on_env(env, config, **_):
     return env
 
 
-def _help(found):
-    command = (found[1] or "").strip()
+def _help():
+    parts = [_said("--help")]
+    for command in cli.COMMANDS:
+        parts.append(f"## phongfit {command}\n\n{_said(command, '--help')}")
+    return "\n\n".join(parts)
+
+
+def _said(*words):
     text = io.StringIO()
     with contextlib.redirect_stdout(text):
-        cli.main([command, "--help"] if command else ["--help"])
+        cli.main(words)
     plain = re.sub(r"\x1b\[[0-9;]*m", "", text.getvalue())
     return f"```text\n{plain.strip()}\n```"
 

@@ -46,7 +46,7 @@ def write_page(
     - `assumptions`: name and value of what else was assumed, such as the encoding of
         the files; shown before what the fit itself knows.
     - `command`: the command line that repeats the fit, if there was one.
-    - `loading`: lines of Python that make what the call of `fit` takes: scene, image, mask.
+    - `loading`: lines of Python that make what `fit` takes: scene, image, mask.
     - `diagnostics`: what [`Fit`][]`.diagnose` found: profiles, and the course of the
         convergence; without it the page has none.
 
