@@ -8,7 +8,6 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
-from phongfit.commands.cache import keep_compiled
 from phongfit.commands.options import EncodingName, OutFolder, optional
 from phongfit.commands.progress import stage
 from phongfit.files.calibrations import load_calibration
@@ -61,7 +60,6 @@ def main(options: Options) -> int:
       phongfit relight out/maps --lights dome.lp -o out/relit
       phongfit relight out/maps --lights out/lights/lights.json -o out/relit
     """
-    keep_compiled()
     maps, record, _ = load_folder(options.maps)
     encoding = parse_encoding(options.encoding) or record.encoding
     if encoding is None:
