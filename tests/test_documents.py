@@ -114,3 +114,10 @@ def test_two_commands():
     assert len(commands) == 2
     assert commands[0].endswith(".venv/bin/python -m experiments.recover_material")
     assert commands[1].endswith(".venv/bin/python -m tests")
+
+
+def test_one_version_everywhere():
+    cited = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {pf.__version__}\n" in cited
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"\n## {pf.__version__}\n" in changes
