@@ -147,6 +147,44 @@ def test_a_fit_with_one_press(page):
     assert page.locator("#result").is_hidden() and page.locator("#fit").is_disabled()
 
 
+def test_a_fit_of_another_target_is_not_shown(page):
+    """The answer to a fit comes late: after another target was made, or a cancel."""
+    waiting = []
+    page.route("**/api/fit", lambda route: waiting.append(route))
+    try:
+        page.click("#make")
+        page.locator("#target-figure").wait_for()
+        page.click("#fit")
+        page.locator("#cancel").wait_for()
+        page.click("#make")
+        page.locator("#cancel").wait_for(state="hidden")
+        assert page.is_enabled("#fit") and page.inner_text("#state") == ""
+        page.click("#fit")
+        page.click("#cancel")
+        assert page.is_enabled("#fit") and page.inner_text("#state") == "Cancelled."
+        assert page.is_hidden("#problem") and page.is_hidden("#result")
+    finally:
+        page.unroute("**/api/fit")
+        page.click("#drop")
+    assert len(waiting) == 2
+
+
+def test_the_focus_is_never_behind_the_pictures(page):
+    try:
+        for width, height in ((1440, 500), (390, 700)):
+            page.set_viewport_size({"width": width, "height": height})
+            _settle(page)
+            names = page.locator("input[type=range]:visible")
+            names.last.focus()
+            names.first.focus()
+            box = names.first.bounding_box()
+            view = page.locator("#view").bounding_box()
+            beside = box["x"] + box["width"] < view["x"]
+            assert beside or box["y"] >= view["y"] + view["height"] - 1
+    finally:
+        page.set_viewport_size({"width": 1440, "height": 900})
+
+
 def test_a_mesh_is_loaded(page, tmp_path):
     before = _mean(page)
     path = tmp_path / "ring.obj"

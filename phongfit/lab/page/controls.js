@@ -147,7 +147,7 @@ function colour(name, field, moved) {
     sliders.forEach((one, k) => one.show(values[k]));
   }
 
-  const tie = make("label", { className: "tie" }, together, "together");
+  const tie = make("label", { className: "tie" }, together, "move all three");
   const head = make("div", { className: "row" }, caption(field), tie);
   const rows = sliders.map((one, k) => make(
     "div", { className: `slider ${CHANNELS[k]}` },

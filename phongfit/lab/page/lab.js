@@ -11,13 +11,14 @@ let found = null;
 
 // Asking the server. What is wrong comes as an Error with one line.
 
-async function ask(path, body, type = "application/json") {
+async function ask(path, body, type = "application/json", signal = null) {
   let response;
   try {
     response = await fetch(path, body === undefined ? {} : {
-      method: "POST", body, headers: { "content-type": type },
+      method: "POST", body, headers: { "content-type": type }, signal,
     });
-  } catch {
+  } catch (error) {
+    if (signal?.aborted) throw error;
     throw new Error("The server does not answer. Is it still running?");
   }
   if (response.ok) return response;
@@ -27,7 +28,8 @@ async function ask(path, body, type = "application/json") {
   throw new Error(words);
 }
 
-const post = async (path, record) => ask(path, JSON.stringify(record));
+const post = async (path, record, signal) =>
+  ask(path, JSON.stringify(record), "application/json", signal);
 const json = async (response) => (await response).json();
 
 async function upload(path, file, more = {}) {
@@ -177,14 +179,26 @@ async function loadMesh(file) {
 
 // Fits.
 
+let running = null;
+
+/** Whoever waits for a fit waits no more; what the server finds is not looked at. */
+function cancelFit() {
+  running?.abort();
+  running = null;
+  $("#cancel").hidden = true;
+  $("#fit").disabled = target === null;
+}
+
 function forgetFit() {
+  cancelFit();
   found = null;
   for (const id of ["#result", "#fitted-figure", "#residual-figure"]) $(id).hidden = true;
 }
 
 async function fit() {
-  const button = $("#fit");
-  button.disabled = true;
+  const { signal } = running = new AbortController();
+  $("#fit").disabled = true;
+  $("#cancel").hidden = false;
   const start = performance.now();
   const waiting = () => {
     const seconds = Math.floor((performance.now() - start) / 1000);
@@ -194,16 +208,19 @@ async function fit() {
   waiting();
   try {
     const request = { settings: settings.values, target: target.target, options: options.values };
-    found = await json(post("/api/fit", request));
+    const answer = await json(post("/api/fit", request, signal));
+    if (signal.aborted) return;
+    found = answer;
     await showFit();
-    clearInterval(clock);
     $("#state").textContent = `Fitted in ${found.seconds.toFixed(2)} s.`;
+    cancelFit();
   } catch (error) {
-    clearInterval(clock);
+    if (signal.aborted) return;
     $("#state").textContent = "";
+    cancelFit();
     throw error;
   } finally {
-    button.disabled = false;
+    clearInterval(clock);
   }
 }
 
@@ -267,6 +284,15 @@ async function start() {
   $("#drop").addEventListener("click", handler(() => setTarget(null)));
   $("#sphere").addEventListener("click", handler(() => setSurface("sphere", null)));
   $("#fit").addEventListener("click", handler(fit));
+  $("#cancel").addEventListener("click", () => {
+    cancelFit();
+    $("#state").textContent = "Cancelled.";
+  });
+  // What has the focus is never behind the pictures that stay at the top.
+  new ResizeObserver(([{ target: view }]) => {
+    const stays = getComputedStyle(view).position === "sticky";
+    document.documentElement.style.scrollPaddingTop = stays ? `${view.offsetHeight}px` : "";
+  }).observe($("#view"));
   $("#take").addEventListener("click", handler(async () => {
     settings.set(found.settings);
     $("#preset").value = "";
