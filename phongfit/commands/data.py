@@ -21,6 +21,7 @@ from phongfit.files.inputs import recording
 from phongfit.files.records import read_record
 from phongfit.files.scenes import SCENE_FILE, TRUTH_FILE, build_scene, with_lights
 from phongfit.files.schema import SceneRecord
+from phongfit.files.seen import SOUGHT
 from phongfit.fitting.problem.noise import find_film
 from phongfit.maps.stacks import DatasetStack
 from phongfit.plain import readable
@@ -43,7 +44,8 @@ class DataOptions:
         sphere: The photographs show a ball: x and y of its centre and its radius in
             pixels, from the upper left corner.
         normals: The photographs show a surface with these normals: an .npz with
-            normals, and positions and mask if there are, or an .npy.
+            normals, and positions and mask if there are, or an .npy. fit: they are
+            sought, by `phongfit maps`, under known lights.
         lights: With photographs: their lights, as `phongfit calibrate` writes them, or
             an .lp. Default: those in the folder; else the fit finds them.
         mask: With an image or photographs: white where a pixel may be used.
@@ -64,7 +66,7 @@ class DataOptions:
 
     sphere: Annotated[tuple[float, float, float] | None, optional("X Y R")] = None
 
-    normals: Annotated[Path | None, optional("FILE")] = None
+    normals: Annotated[Path | None, optional("FILE|fit")] = None
 
     lights: Annotated[Path | None, optional("FILE")] = None
 
@@ -78,12 +80,21 @@ class DataOptions:
 
     room_light: Annotated[float, arg(metavar="X")] = 1.0
 
+    @property
+    def sought(self) -> bool:
+        """Whether normals are sought."""
+        return self.normals is not None and str(self.normals) == SOUGHT
+
 
 def read_data(options: DataOptions) -> tuple[Dataset, DataRecord]:
     """The photographs, and a record of what was read, and how.
 
     **Raises:** `ValueError` that names the file or the option.
     """
+    if options.sought:
+        raise ValueError(
+            "normals: expected a file, got fit: only `phongfit maps` seeks normals"
+        )
     return _recorded(options, Photographs.load)
 
 
@@ -97,7 +108,9 @@ def _recorded(
 ) -> tuple[T, DataRecord]:
     """What is made of the photographs, which reads them all, and a record of them."""
     with recording() as checksums:
-        if options.sphere is not None or options.normals is not None:
+        if options.sought and _is_dataset(options.dataset):
+            photographs = _open_sought(options)
+        elif options.sphere is not None or options.normals is not None:
             photographs = _open_captured(options)
         elif options.dataset.is_dir():
             photographs = _open_folder(options)
@@ -142,13 +155,23 @@ def _open_captured(options: DataOptions) -> Photographs:
         options.dataset,
         parse_encoding(options.encoding),
         sphere=options.sphere,
-        normals=options.normals,
+        normals=SOUGHT if options.sought else options.normals,
         lights=options.lights,
         mask=options.mask,
         min_cosine=options.min_cosine,
         min_facing=options.min_facing,
         room_light=options.room_light,
     )
+
+
+def _open_sought(options: DataOptions) -> Photographs:
+    """A data set whose normals are left aside: none says what is lit or aslant."""
+    for name in ("scene", "sphere", "lights", "mask", "encoding"):
+        if getattr(options, name) is not None:
+            raise ValueError(
+                f"{name}: {options.dataset} is a data set, which says this itself"
+            )
+    return open_dataset(options.dataset)
 
 
 def _open_folder(options: DataOptions) -> Photographs:

@@ -61,14 +61,17 @@ class Options:
             material finds first, with all photographs in memory; for few lights or
             sharp highlights, of which a pixel sees one at most.
         unknowns: Parameters to be found, of ambient diffuse specular shininess.
+            Default: all of them; with --normals fit all but ambient.
         per_channel: Which of them differ between red, green and blue; with shininess,
-            each channel has its own exponent.
+            each channel has its own exponent. With --normals fit, without specular, the
+            channels share one.
         known: A material for the parameters that are not unknown.
         bounds: Other bounds than 0:1 (reflectances) and 1:1000 (shininess).
         noise: Standard deviation of the sensor's noise in linear light, where white
             is 1. Default: what each pixel's residuals show.
         loss: How much a residual counts; all but linear bear outliers, such as shadows
-            of which the scene does not know.
+            of which the scene does not know. Default: linear; cauchy with --normals
+            fit.
         tile_pixels: Pixels that are in memory at a time. Default: what 64 MB hold.
         pictures: Draw the pictures.
         overwrite: Replace older maps in OUT.
@@ -77,24 +80,27 @@ class Options:
     data: OmitArgPrefixes[DataOptions]
     out: OutFolder
     highlight: Literal["own", "shared"] = "own"
-    unknowns: Names = MAP_PARAMETERS
+    unknowns: Annotated[tuple[str, ...] | None, optional("NAME ...")] = None
     per_channel: Names = ("ambient", "diffuse", "specular")
     known: Annotated[str | None, optional("preset:NAME|FILE")] = None
     bounds: Annotated[Words, optional("NAME=LOW:HIGH ...")] = ()
     noise: Annotated[float | None, optional("SD")] = None
-    loss: LossName = "linear"
+    loss: Annotated[LossName | None, optional("NAME")] = None
     tile_pixels: Annotated[int | None, optional("N")] = None
     pictures: bool = True
     overwrite: bool = False
 
 
 def main(options: Options) -> int:
-    """Fit a material per pixel to photographs under many lights, the normals known.
+    """Fit a material per pixel to photographs under many lights.
+
+    The normals are known, or sought with the material (--normals fit).
 
     For example:
       phongfit synth out/dome --shininess 40 --lights 24 --resolution 64
       phongfit maps out/dome -o out/maps
       phongfit maps ballPNG -o out/ball --highlight shared --bounds shininess=1:5000
+      phongfit maps coin --normals fit --encoding srgb -o out/coin
     """
     if not options.overwrite and (options.out / RECORD_FILE).exists():
         raise OSError(f"{options.out}: there are maps in it; {OVERWRITE}")
@@ -168,13 +174,18 @@ def _given(options: Options) -> dict[str, Any]:
     if options.known is not None:
         with naming("known"):
             known = read_material(options.known).material
+    sought = options.data.sought
+    if sought and options.highlight == "shared":
+        raise ValueError("highlight: expected own where normals are sought, got shared")
+    unknowns = MAP_PARAMETERS[1:] if sought else MAP_PARAMETERS
     return {
-        "unknowns": options.unknowns,
+        "unknowns": unknowns if options.unknowns is None else options.unknowns,
         "per_channel": options.per_channel,
         "bounds": parse_bounds(options.bounds),
         "known": known,
         "noise": options.noise,
-        "loss": options.loss,
+        "loss": options.loss or ("cauchy" if sought else "linear"),
+        "normals": "fit" if sought else "given",
     }
 
 
@@ -183,6 +194,7 @@ def _shared(photographs: Photographs, given: dict[str, Any]) -> Material:
     with stage("fitting one material"):
         data = photographs.load()
         options = given | {"mask": data.masks, "film": data.film}
+        options.pop("normals")
         one = fit(data.scenes, data.images, **options)
     print(one, "\n", flush=True)
     return one.material

@@ -17,7 +17,7 @@ from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import read_film, read_mask
 from phongfit.files.lp import base_name
 from phongfit.files.photographs import open_photographs
-from phongfit.files.seen import seen_in
+from phongfit.files.seen import SOUGHT, seen_in
 from phongfit.lights import AbstractLight, DirectionalLight, PointLight
 from phongfit.rendering.film import Encoding, Film
 from phongfit.scene import Scene
@@ -51,7 +51,9 @@ def open_captured(
     - `sphere`: the object is a ball, with this outline: x, y and radius in pixels from
         the upper left corner.
     - `normals`: or it has these: an .npz with `normals` (height, width, 3), and perhaps
-        `positions` and `mask`, in the camera's axes: x right, y up, z back.
+        `positions` and `mask`, in the camera's axes: x right, y up, z back. `"fit"`:
+        they are sought, by [`fit_maps`][]; the surface is then a plane, the lights must
+        be known, and no pixel is left out for its normal.
     - `lights`: a calibration's lights.json, or its folder, or an .lp. Default: the .lp
         or lights.json in the folder, else the lights are unknown.
     - `mask`: an image, white where pixels may be used.
@@ -85,14 +87,22 @@ def open_captured(
         Scene(surface, camera, light, ambient=room_light * float(exposure))
         for light, exposure in zip(lamps, series.relative_exposures, strict=True)
     )
-    used = _facing(scenes[0], min_facing)
+    sought = normals == SOUGHT
+    if sought and "scene.lights[0].direction" in unknown:
+        raise ValueError(
+            f"lights: expected them where normals are sought: an .lp or {LIGHTS_FILE} "
+            f"in {path}, or given"
+        )
+    used = np.ones((height, width), bool)
+    if not sought:
+        used = _facing(scenes[0], min_facing)
     if mask is not None:
         used &= _masked(Path(mask), used.shape)
     known = "scene.lights[0].direction" not in unknown
 
     def read(number: int) -> Photograph:
         photo = series.read(number)
-        lit = _lit(scenes[number], min_cosine) if known else True
+        lit = _lit(scenes[number], min_cosine) if known and not sought else True
         return Photograph(photo.image, used & photo.usable & lit)
 
     def film_of(number: int) -> Film:

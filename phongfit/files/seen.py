@@ -1,4 +1,7 @@
-"""What a camera sees: a ball by its circle in the image, a surface by its normals."""
+"""What a camera sees: a ball by its circle in the image, a surface by its normals.
+
+Or a plane, where the normals are what is sought.
+"""
 
 import os
 from collections.abc import Sequence
@@ -18,6 +21,9 @@ from phongfit.geometry.cameras import (
 )
 from phongfit.geometry.surfaces import AbstractSurface, NormalMap, Sphere
 
+SOUGHT = "fit"
+"""In place of a file of normals: they are sought."""
+
 
 def seen_in(
     height: int,
@@ -32,6 +38,9 @@ def seen_in(
     Without a calibration a ball's radius is the unit of length. Then the camera has
     parallel rays and a ball's centre lies in the plane z = 0, or else the camera is a
     pinhole at the origin, with `fov` degrees from the lower to the upper edge.
+
+    Where normals are sought, the surface is a plane square to the camera's axis:
+    through the calibration's reference point, or where the camera looks from 1 away.
 
     **Arguments:** one of `sphere` and `normals`, as of [`open_captured`][].
 
@@ -49,6 +58,9 @@ def seen_in(
                 f"photographs have, got {view.width} × {view.height}"
             )
         camera = calibration.camera
+    if normals == SOUGHT:
+        camera = camera or OrthographicCamera(width, height)
+        return camera, plane_before(camera, calibration)
     if normals is not None:
         surface = read_normals(Path(normals))
         if tuple(surface.mask.shape) != (height, width):
@@ -68,6 +80,22 @@ def seen_in(
         camera = OrthographicCamera(width, height, view_height=height / circle[2])
     # Plus 0, since −0 in a scene file would puzzle whoever reads it.
     return camera, Sphere(sphere_behind(circle, view, 1.0) + 0.0, 1.0)
+
+
+def plane_before(camera: AbstractCamera, calibration: Calibration | None) -> NormalMap:
+    """A plane as deep as a calibration's reference point, every pixel on it."""
+    rays = camera.rays()
+    axis = np.asarray(camera.rotation)[:, 2]
+    origin, direction = np.asarray(rays.origin), np.asarray(rays.direction)
+    if calibration is not None:
+        through = np.asarray(calibration.reference)
+    elif isinstance(camera, OrthographicCamera):
+        through = np.zeros(3)
+    else:
+        through = np.asarray(camera.position) - axis
+    along = ((through - origin) @ axis) / (direction @ axis)
+    places = origin + along[..., None] * direction
+    return NormalMap(np.broadcast_to(axis, places.shape), positions=places)
 
 
 def _ball(calibration: Calibration, circle: Float[np.ndarray, "3"]) -> Sphere:

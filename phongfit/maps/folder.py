@@ -35,6 +35,7 @@ class MapSettings(AbstractRecord):
     bounds: dict[str, Edges] = {}
     noise: Annotated[float, Field(gt=0)] | None = None
     loss: LossName = "linear"
+    normals: Literal["given", "fit"] = "given"
 
 
 class MapsRecord(AbstractRecord):

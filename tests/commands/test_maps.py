@@ -12,8 +12,11 @@ import phongfit as pf
 from phongfit.cli import main
 from phongfit.commands import maps as command
 from phongfit.files.dataset import Photographs
+from phongfit.files.images import write_image
+from phongfit.files.lp import write_lp
 from phongfit.maps.folder import load_folder
 from phongfit.rendering.film import decode
+from tests.maps.normals.scenes import hide
 
 FEW = ["--unknowns", "ambient", "diffuse", "--known", "preset:brass"]
 
@@ -203,3 +206,46 @@ def test_record_is_whole(mapped):
     record = json.loads((mapped / "maps.json").read_text())
     assert record["model"]["kind"] == "blinn-phong"
     assert record["made_with"]["jax"]
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    """Photographs of something, and their list of lights; what it is, too."""
+    folder = tmp_path_factory.mktemp("capture")
+    hidden = hide(surface="dome")
+    names = [f"{k:02d}.png" for k in range(24)]
+    directions = []
+    for name, image, scene in zip(names, hidden.images, hidden.scenes, strict=True):
+        # As bright as the strongest channel of the lamps: a list knows no strengths.
+        write_image(folder / name, image / [1.0, 0.9, 0.8], "linear", 16)
+        (lamp,) = scene.lights
+        assert isinstance(lamp, pf.DirectionalLight)
+        directions.append(np.asarray(lamp.direction))
+    write_lp(folder / "dome.lp", names, np.array(directions))
+    return folder, hidden
+
+
+def test_normals_are_sought(capture, tmp_path, capsys):
+    folder, hidden = capture
+    out = tmp_path / "maps"
+    args = ["maps", str(folder), "--normals", "fit", "--encoding", "linear"]
+    assert main([*args, "-o", str(out), "--no-pictures"]) == 0
+    maps, record, normals = load_folder(out)
+    assert record.settings.normals == "fit" and record.settings.loss == "cauchy"
+    assert maps.unknowns == ("diffuse", "specular", "shininess")
+    np.testing.assert_array_equal(normals, np.load(out / "normals.npy"))
+    np.testing.assert_allclose(normals, maps.normals, atol=1e-6)
+    assert np.median(hidden.angles(maps)) < 1
+    assert maps.identified.mean() > 0.9 and np.isfinite(maps.normals_stderr).any()
+    capsys.readouterr()
+    for more, words in (
+        (["--highlight", "shared"], "highlight: expected own"),
+        (["--sphere", "8", "8", "4"], "got both"),
+    ):
+        assert main([*args, "-o", str(tmp_path / "more"), *more]) == 2
+        assert words in capsys.readouterr().err
+    assert main(["fit", *args[1:], "-o", str(tmp_path / "more")]) == 2
+    assert "only `phongfit maps` seeks normals" in capsys.readouterr().err
+    (folder / "dome.lp").rename(folder / "dome.txt")
+    assert main([*args, "-o", str(tmp_path / "more")]) == 2
+    assert "lights: expected them where normals are sought" in capsys.readouterr().err
