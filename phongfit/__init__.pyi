@@ -119,6 +119,7 @@ from .rendering.terms import (
 )
 from .report.page import write_page as write_page
 from .report.pictures import show as show
+from .report.viewer import write_view as write_view
 from .scene import Scene as Scene
 
 __version__: str

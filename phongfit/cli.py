@@ -29,6 +29,7 @@ COMMANDS = {
     "fit": "Fit a material to photographs: values, errors, pictures, a report.",
     "maps": "Fit a material per pixel to photographs under many lights.",
     "relight": "Show what was mapped under other lights, one picture a light.",
+    "view": "Write a page on which the pointer moves a lamp over what was mapped.",
     "calibrate": "Find the lamps of a capture by spheres in its photographs.",
     "response": "Check a camera's response, and fit it where it is not sRGB.",
     "scene": "Write a scene file: surface, camera and lights, to render and to fit.",
@@ -210,6 +211,8 @@ def _load(name: str) -> Callable[..., int | None]:
             from phongfit.commands import maps as command
         case "relight":
             from phongfit.commands import relight as command
+        case "view":
+            from phongfit.commands import view as command
         case "calibrate":
             from phongfit.commands import calibrate as command
         case "response":

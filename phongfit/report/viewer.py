@@ -1,0 +1,182 @@
+"""One page that shows maps under a lamp that the pointer moves: WebGL 2, no network.
+
+Maps travel as lossless WebP pictures: 8 bits for each of diffuse, specular and ambient
+with a range of its own, as sRGB spaces them; exponents by their logarithm; normals in
+octahedral coordinates of 12 bits; heights of 16. A height for parallel rays, and the
+inverse of the depth for a pinhole, are both linear along what is a line in the
+picture, so that one march of a shadow's ray serves for both.
+
+??? cite "Source"
+    Cigolle et al., *A survey of efficient representations for independent unit
+    vectors*, Journal of Computer Graphics Techniques 3(2), 2014.
+"""
+
+import base64
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import imagecodecs
+import numpy as np
+from jaxtyping import Float, UInt
+
+from phongfit.edge import checked
+from phongfit.files.outputs import replacing
+from phongfit.geometry.height import HeightField
+from phongfit.maps.pixel.flags import Flag
+from phongfit.maps.result import Maps
+from phongfit.maps.textures import filled_in
+from phongfit.reflectance import AbstractSpecular, BlinnPhong, Phong
+from phongfit.rendering.film import encode
+from phongfit.report.html import fill
+
+NORMAL_LEVELS = 2**12 - 1
+HEIGHT_LEVELS = 2**16 - 1
+EXTREMES = (1e-3, 1e6)
+"""Exponents that are told apart; those beyond are as good as these."""
+
+
+@checked
+def write_view(
+    path: str | os.PathLike[str],
+    maps: Maps,
+    *,
+    surface: HeightField | None = None,
+    title: str = "maps",
+) -> None:
+    """Write a page on which the pointer moves a lamp over the object.
+
+    It is one file that needs no other and no network. What it draws is what
+    [`Maps`][]`.relight` gives for a distant light of strength 1, sRGB-encoded.
+
+    **Arguments:**
+
+    - `path`: the file, `.html` by custom.
+    - `surface`: the height, if it is known; default that of `maps`.
+    - `title`: the page's.
+
+    **Raises:** `ValueError` that names what is missing, or a specular model that the
+    page does not know; `OSError` that names `path`.
+    """
+    surface = maps.height() if surface is None else surface
+    model, content = _model(maps.specular_model), _packed(maps, surface)
+    data = {"model": model, "title": title, **content}
+    text = fill(
+        "view.html",
+        title=title,
+        warnings=surface.warnings,
+        # Within a script, where only this would end it.
+        data=json.dumps(data).replace("</", "<\\/"),
+    )
+    with replacing(path) as temporary:
+        Path(temporary).write_text(text, encoding="utf-8")
+
+
+def _model(model: AbstractSpecular | None) -> dict[str, Any]:
+    match model:
+        case Phong(gate=gate):
+            return {"mirror": True, "gate": gate, "normalized": False}
+        case BlinnPhong(gate=gate, normalized=normalized):
+            return {"mirror": False, "gate": gate, "normalized": normalized}
+    raise ValueError(
+        "specular_model: expected Phong or BlinnPhong, which the page knows, got "
+        f"{type(model).__name__}"
+    )
+
+
+def _packed(maps: Maps, surface: HeightField) -> dict[str, Any]:
+    """Textures as data URIs, their ranges, and the camera."""
+    material, _ = filled_in(maps)
+    inside = surface.mask & ~maps.flagged(Flag.OUTSIDE)
+    height, width = inside.shape
+    textures: dict[str, str] = {}
+    ranges: dict[str, list[float]] = {}
+    for name in ("diffuse", "specular", "ambient"):
+        colours = np.where(inside[..., None], getattr(material, name), 0)
+        top = max(float(colours.max()), 1e-6)
+        levels = np.asarray(encode(colours / top, "srgb")) * 255
+        textures[name], ranges[name] = _picture(levels), [0.0, top]
+    exponents = np.clip(np.asarray(material.shininess, float), *EXTREMES)
+    logarithms = np.log(np.broadcast_to(exponents, (height, width, 3)))
+    low, high = (
+        (float(edge(logarithms[inside])) if inside.any() else 0.0)
+        for edge in (np.min, np.max)
+    )
+    spread = max(high - low, 1e-6)
+    shares = np.where(inside[..., None], (logarithms - low) / spread, 0)
+    textures["shininess"] = _picture(255 * shares)
+    ranges["shininess"] = [low, low + spread]
+    textures["normals"] = _picture(octahedral(maps.normals))
+    relief, ranges["relief"], view = _relief(surface, inside)
+    textures["relief"] = _picture(relief)
+    ambient = np.asarray(maps.ambient_light, float).tolist()
+    return {
+        "size": [width, height],
+        "textures": textures,
+        "ranges": ranges,
+        "ambient": ambient,
+        "heights": [float(edge(surface.height)) for edge in (np.nanmin, np.nanmax)],
+        **view,
+    }
+
+
+def _relief(
+    surface: HeightField, inside: np.ndarray
+) -> tuple[np.ndarray, list[float], dict[str, Any]]:
+    """What shadows are marched in, in pixels: two bytes and the mask; range; camera."""
+    camera = surface.camera
+    rays, axes = camera.rays(), np.asarray(camera.rotation, float)
+    direction = np.asarray(rays.direction, float) @ axes
+    direction = direction / -direction[..., 2:]
+    origin = (np.asarray(rays.origin, float) - np.asarray(camera.position)) @ axes
+    parallel = bool(np.ptp(direction, axis=(0, 1)).max() < 1e-9)
+    plane = origin if parallel else direction
+    first, last = plane[0, 0, :2], plane[-1, -1, :2]
+    steps = max(inside.shape[1] - 1, inside.shape[0] - 1, 1)
+    pixel = float(np.abs(last - first).max() / steps) or 1.0
+    if parallel:
+        values = surface.height / pixel
+    else:
+        depth = float(np.dot(camera.position, axes[:, 2])) - surface.height
+        values = 1 / depth
+        values = values / np.nanmax(values)
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    spread = max(high - low, 1e-9)
+    # Outside of what is shown surfaces throw shadows all the same.
+    shares = np.where(surface.mask, (values - low) / spread, 0)
+    levels = np.round(shares * HEIGHT_LEVELS).astype(int)
+    mask = 255 * inside + 128 * (surface.mask & ~inside)
+    relief = np.stack([levels // 256, levels % 256, mask], axis=-1)
+    # Of texel (x, y): on the plane of the picture, or 1 before a pinhole.
+    unit = pixel if parallel else 1.0
+    view = {
+        "parallel": parallel,
+        "corner": (first / unit).tolist(),
+        "step": pixel / unit,
+    }
+    return relief, [low, low + spread], view
+
+
+def octahedral(
+    normals: Float[np.ndarray, "height width 3"],
+) -> UInt[np.ndarray, "height width 3"]:
+    """Unit vectors as two numbers of 12 bits, in three bytes.
+
+    High bytes of both, then their low halves; a zero vector is the camera's axis.
+    """
+    size = np.abs(normals).sum(axis=-1, keepdims=True)
+    unit = np.where(size > 0, normals, [0, 0, 1]) / np.where(size > 0, size, 1)
+    flat, below = unit[..., :2], unit[..., 2:] < 0
+    folded = (1 - np.abs(flat[..., ::-1])) * np.where(flat < 0, -1, 1)
+    share = (np.where(below, folded, flat) + 1) / 2
+    levels = np.round(share * NORMAL_LEVELS).astype(np.uint32)
+    low = (levels[..., 0] & 15) * 16 + (levels[..., 1] & 15)
+    return np.stack([levels[..., 0] >> 4, levels[..., 1] >> 4, low], axis=-1)
+
+
+def _picture(levels: Any) -> str:
+    """A lossless picture of bytes, as a data URI."""
+    pixels = np.ascontiguousarray(np.round(levels), np.uint8)
+    coded = imagecodecs.webp_encode(pixels, lossless=True, level=75)
+    return "data:image/webp;base64," + base64.b64encode(coded).decode()

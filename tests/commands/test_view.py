@@ -1,0 +1,24 @@
+"""`phongfit view`: one page, and nothing beside it."""
+
+from phongfit.cli import main
+from tests.maps.hills import write_hills
+
+
+def test_a_page(tmp_path, capsys):
+    folder, page = tmp_path / "maps", tmp_path / "out" / "hills.html"
+    folder.mkdir()
+    page.parent.mkdir()
+    write_hills(folder)
+    assert main(["view", str(folder), "-o", str(page), "--title", "a <b> & c"]) == 0
+    assert "hills.html: 0.0 MB" in capsys.readouterr().out
+    text = page.read_text()
+    assert "<h1>a &lt;b&gt; &amp; c</h1>" in text
+    assert "http://" not in text and "https://" not in text
+    assert list(page.parent.iterdir()) == [page]
+
+
+def test_no_maps(tmp_path, capsys):
+    assert main(["view", str(tmp_path), "-o", f"{tmp_path}/a.html"]) == 2
+    told = capsys.readouterr().err
+    assert "maps.json" in told and told.count("\n") == 1
+    assert not (tmp_path / "a.html").exists()
