@@ -6,7 +6,6 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from phongfit.commands.cache import keep_compiled
 from phongfit.commands.options import optional
 from phongfit.commands.progress import stage
 from phongfit.files.inputs import sparing
@@ -41,7 +40,6 @@ def main(options: Options) -> int:
     For example:
       phongfit view out/maps -o coin.html
     """
-    keep_compiled()
     check_file(options.out)
     with sparing(options.out):
         maps, record, _ = load_folder(options.maps)

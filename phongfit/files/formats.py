@@ -231,9 +231,15 @@ def encode_png(numbers: np.ndarray) -> bytes:
     return bytes(imagecodecs.png_encode(np.ascontiguousarray(numbers)))
 
 
-def data_uri(png: bytes) -> str:
-    """A PNG file as an address that holds it."""
-    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
+def encode_webp(numbers: np.ndarray) -> bytes:
+    """A lossless WebP file of (H, W, 3) whole numbers of 8 bits: smaller than a PNG."""
+    pixels = np.ascontiguousarray(numbers, np.uint8)
+    return bytes(imagecodecs.webp_encode(pixels, lossless=True, level=75))
+
+
+def data_uri(picture: bytes, kind: str = "png") -> str:
+    """A picture's file as an address that holds it."""
+    return f"data:image/{kind};base64,{base64.b64encode(picture).decode('ascii')}"
 
 
 def _write_png(path: Path, numbers: np.ndarray) -> None:

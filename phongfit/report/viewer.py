@@ -11,17 +11,16 @@ picture, so that one march of a shadow's ray serves for both.
     vectors*, Journal of Computer Graphics Techniques 3(2), 2014.
 """
 
-import base64
 import json
 import os
 from pathlib import Path
 from typing import Any
 
-import imagecodecs
 import numpy as np
 from jaxtyping import Float, UInt
 
 from phongfit.edge import checked
+from phongfit.files.formats import data_uri, encode_webp
 from phongfit.files.outputs import replacing
 from phongfit.geometry.height import HeightField
 from phongfit.maps.pixel.flags import Flag
@@ -177,6 +176,4 @@ def octahedral(
 
 def _picture(levels: Any) -> str:
     """A lossless picture of bytes, as a data URI."""
-    pixels = np.ascontiguousarray(np.round(levels), np.uint8)
-    coded = imagecodecs.webp_encode(pixels, lossless=True, level=75)
-    return "data:image/webp;base64," + base64.b64encode(coded).decode()
+    return data_uri(encode_webp(np.round(levels)), "webp")
