@@ -20,5 +20,5 @@ def test_a_page(tmp_path, capsys):
 def test_no_maps(tmp_path, capsys):
     assert main(["view", str(tmp_path), "-o", f"{tmp_path}/a.html"]) == 2
     told = capsys.readouterr().err
-    assert "maps.json" in told and told.count("\n") == 1
+    assert "maps.npz" in told and told.count("\n") == 1
     assert not (tmp_path / "a.html").exists()
