@@ -3,6 +3,7 @@
 import contextlib
 import re
 import shlex
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,8 @@ def test_pages_run_as_they_stand(page, tmp_path, capsys):
                 exec(compile(code, name_of(page), "exec"), names)
                 continue
             for program, *words in lines(code):
+                if program == "cp":
+                    shutil.copytree(ROOT / words[1], words[2])
                 if program == "phongfit":
                     assert cli.main(words) == 0, (words, capsys.readouterr().err)
 

@@ -1,0 +1,99 @@
+"""Question: what does a capture of a real object give, from photographs to a fit?
+
+Runs `docs/how-to/capture.md` as it stands, on photographs of Ying Xiong's PSBox, and
+draws its pictures: some of the photographs, the lamps that were found, and a photograph
+next to its fit. Prints how strong the lamps are.
+"""
+
+import contextlib
+import re
+import shlex
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from experiments.output import save_picture
+from phongfit import cli
+from phongfit.report.pictures import Row, comparison
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "how-to" / "capture.md"
+BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+SHOWN = (2, 5, 8, 11)
+"""Photographs of which the page shows some, from 1 on."""
+
+COMPARED = (5, 10)
+"""Photographs next to their fits."""
+
+
+def run_page(folder: Path) -> dict[str, Any]:
+    """What the page's Python defines; its commands write into a folder."""
+    names: dict[str, Any] = {}
+    with contextlib.chdir(folder):
+        for language, code in BLOCK.findall(PAGE.read_text(encoding="utf-8")):
+            if language == "python":
+                exec(compile(code, PAGE.name, "exec"), names)
+                continue
+            for program, *words in map(shlex.split, code.splitlines()):
+                if program == "cp":
+                    shutil.copytree(ROOT / words[1], words[2])
+                elif cli.main(words) != 0:
+                    raise ValueError(f"failed: {shlex.join(words)}")
+    return names
+
+
+def photographs(folder: Path) -> Image.Image:
+    """Some of the photographs, the ball above the cat, as bright as they are seen."""
+    rows = []
+    for name, gamma in (("chrome", 1.0), ("cat", 2.2)):
+        files = [folder / name / f"{number:02d}.png" for number in SHOWN]
+        shown = [np.asarray(Image.open(file)) / 255 for file in files]
+        bright = np.concatenate(shown, axis=1)
+        bright = (bright / np.quantile(bright, 0.999)).clip(0, 1) ** (1 / gamma)
+        picture = Image.fromarray(np.round(255 * bright).astype(np.uint8))
+        height = round(picture.height * 920 / picture.width)
+        rows.append(picture.resize((920, height), Image.Resampling.LANCZOS))
+    whole = Image.new("L", (920, sum(row.height for row in rows)))
+    top = 0
+    for row in rows:
+        whole.paste(row, (0, top))
+        top += row.height
+    return whole
+
+
+def main(pictures: Path = Path("out/capture")) -> int:
+    """What does a capture of a real object give, from photographs to a fit?
+
+    Runs docs/how-to/capture.md, prints the lamps' strengths, and draws its pictures.
+
+    Args:
+        pictures: The folder for them.
+    """
+    pictures.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        names = run_page(folder)
+        photographs(folder / "psbox").save(pictures / "psbox.jpg", quality=88)
+        shutil.copy(folder / "out/lights/calibration.png", pictures / "psbox_lamps.png")
+    fit, images, mask = names["fit"], names["images"], names["mask"]
+    at = [number - 1 for number in COMPARED]
+    rows = []
+    for number in at:
+        left = np.where(mask[..., None], np.asarray(fit.residuals[number]), 0)
+        shown = np.where(mask[..., None], np.asarray(fit.fitted[number]), 0)
+        title = f"lamp {number + 1}"
+        rows.append(Row(images[number], shown, left, title))
+    figure = comparison(rows, ("photograph", "fit"), brighten=1.5, blocks=len(rows))
+    save_picture(pictures / "photograph_and_fit.jpg", figure)
+    strengths = np.array(fit.exposure)
+    print("lamps' strengths:", (strengths / strengths.mean()).round(3).tolist())
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(cli.run(main, prog="python -m experiments.capture"))
