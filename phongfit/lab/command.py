@@ -11,7 +11,10 @@ import threading
 import time
 import webbrowser
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import Positional, arg
 
 if TYPE_CHECKING:
     import uvicorn
@@ -22,6 +25,11 @@ MAX_RESOLUTION = 1024
 
 PATIENCE = 3.0
 """How long work that goes on is waited for in the end, seconds."""
+
+
+def _optional(metavar: str) -> Any:
+    """An option whose help says itself what its default is."""
+    return arg(metavar=metavar, help_behavior_hint="")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,6 +48,21 @@ class Options:
     browser: bool = True
     """Open the page in a browser."""
 
+    photographs: Annotated[Positional[Path | None], _optional("PHOTOS")] = None
+    """Photographs of a ball to begin with: one, or a folder of them, with --sphere; or
+    a data set of a ball. The page has a menu of them."""
+
+    sphere: Annotated[tuple[float, float, float] | None, _optional("X Y R")] = None
+    """The ball in the photographs: x and y of its centre and its radius in pixels,
+    from the upper left corner."""
+
+    lights: Annotated[Path | None, _optional("FILE")] = None
+    """Their lamps, as `phongfit calibrate` writes them, or an .lp. Default: those in
+    the folder."""
+
+    encoding: Annotated[str | None, _optional("linear|srgb|FILE")] = None
+    """What their numbers are. Default: srgb for JPEG."""
+
 
 def lab(options: Options) -> None:
     """Move the model's sliders in a browser, and fit a target with one press.
@@ -50,6 +73,7 @@ def lab(options: Options) -> None:
     For example:
       phongfit lab
       phongfit lab --port 0 --no-browser
+      phongfit lab photos --sphere 179 155 81 --encoding srgb
     """
     if not 0 <= options.port < 2**16:
         raise ValueError(f"port: expected 0 … {2**16 - 1}, got {options.port}")
@@ -58,6 +82,9 @@ def lab(options: Options) -> None:
             f"resolution: expected 16 … {MAX_RESOLUTION}, got {options.resolution}"
         )
     _check_installed()
+    for name in ("sphere", "lights", "encoding"):
+        if options.photographs is None and getattr(options, name) is not None:
+            raise ValueError(f"{name}: is of photographs, and none are given")
     with listening(options.host, options.port) as listener:
         _serve(listener, options)
 
@@ -113,11 +140,16 @@ def _serve(listener: socket.socket, options: Options) -> None:
     # Put off, since they take long to import and may not be there.
     import uvicorn
 
+    from phongfit.lab.given import open_given
     from phongfit.lab.guard import is_loopback
     from phongfit.lab.session import Session
     from phongfit.lab.settings import PictureRequest, Settings
 
-    session = Session(options.resolution)
+    given = None
+    if options.photographs is not None:
+        path = options.photographs
+        given = open_given(path, options.sphere, options.lights, options.encoding)
+    session = Session(options.resolution, given)
     # The first picture is there when the page is.
     session.picture(PictureRequest(settings=Settings()))
     url = _url(listener, options.host)

@@ -16,6 +16,7 @@ from phongfit.lab.guard import Guard
 from phongfit.lab.intake import Intake, TooLarge
 from phongfit.lab.session import Session
 from phongfit.lab.settings import (
+    ChosenRequest,
     FitRequest,
     PictureRequest,
     TargetRequest,
@@ -44,7 +45,8 @@ def make_app(session: Session, host: str = "127.0.0.1") -> Starlette:
     **Arguments:** `host`: what the server listens at.
     """
     intake = Intake()
-    about = describe_settings() | {"max_bytes": MAX_BYTES}
+    given = () if session.given is None else session.given.names
+    about = describe_settings() | {"max_bytes": MAX_BYTES, "photographs": given}
 
     def describe(request: Request) -> Response:
         del request
@@ -68,6 +70,7 @@ def make_app(session: Session, host: str = "127.0.0.1") -> Starlette:
         "/api/picture": _asked(intake, PictureRequest, picture),
         "/api/target": _asked(intake, TargetRequest, session.make_target),
         "/api/fit": _asked(intake, FitRequest, session.fit, heavy=True),
+        "/api/chosen": _asked(intake, ChosenRequest, session.choose),
         "/api/mesh": _uploaded(intake, mesh),
         "/api/photograph": _uploaded(intake, photograph),
         "/api/mask": _uploaded(intake, mask),

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from phongfit.files.dataset import Photographs
 from phongfit.files.formats import data_uri
 from phongfit.fitting.fit import fit
 from phongfit.fitting.problem.specification import DEFAULT_UNKNOWNS
@@ -17,18 +18,25 @@ from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.shapes import Ball
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer, Sphere
 from phongfit.lab.cache import Cache
+from phongfit.lab.given import settings_of
 from phongfit.lab.pictures import brightening, png, residual_png
 from phongfit.lab.responses import differences, fit_response
 from phongfit.lab.scene import Frame, make_lights, make_material, make_scene
 from phongfit.lab.settings import (
     SPHERE,
+    ChosenRequest,
     FitOptions,
     FitRequest,
     PictureRequest,
     Settings,
     TargetRequest,
 )
-from phongfit.lab.uploads import read_mesh, read_photograph, read_photograph_mask
+from phongfit.lab.uploads import (
+    read_mesh,
+    read_photograph,
+    read_photograph_mask,
+    shrunk,
+)
 from phongfit.rendering.film import Encoding, Film
 from phongfit.rendering.render import render
 
@@ -66,8 +74,13 @@ class Session:
     evaluation of what is compiled already.
     """
 
-    def __init__(self, resolution: int = 256):
-        """**Arguments:** `resolution`: width and height of pictures, pixels."""
+    def __init__(self, resolution: int = 256, given: Photographs | None = None):
+        """**Arguments:**
+
+        - `resolution`: width and height of pictures, pixels.
+        - `given`: photographs of a ball that the page has a menu of.
+        """
+        self.given = given
         self.frame = Frame(resolution, resolution)
         self._meshes: Cache[Mesh] = Cache("mesh")
         self._targets: Cache[Target] = Cache("target")
@@ -98,6 +111,23 @@ class Session:
         mask = np.ones(image.shape[:2], bool)
         target = Target(image, mask, None, shrunk, brightening(image))
         return self._keep(target)
+
+    def choose(self, request: ChosenRequest) -> dict[str, Any]:
+        """One of the given photographs as the target, and the settings of its scene.
+
+        **Raises:** `ValueError` if there is none of this number, or its file has gone.
+        """
+        given = self.given
+        count = 0 if given is None else len(given.names)
+        if given is None or request.number >= count:
+            raise ValueError(f"number: expected one below {count}")
+        photograph = given.read(request.number)
+        image, times = shrunk(photograph.image)
+        known = photograph.mask.reshape(*photograph.mask.shape[:2], -1).all(axis=-1)
+        mask = shrunk(known[..., None].astype(float))[0][..., 0] >= 1
+        target = Target(image, mask, None, times, brightening(image))
+        settings = settings_of(given.scenes[request.number])
+        return self._keep(target) | {"settings": settings}
 
     def add_mask(self, token: str, name: str, content: bytes) -> dict[str, Any]:
         """The pixels of a photograph that show the surface.

@@ -181,6 +181,12 @@ class TargetRequest(AbstractRecord):
     seed: int = Field(default=0, ge=0, lt=2**32)
 
 
+class ChosenRequest(AbstractRecord):
+    """Asks for one of the photographs that the command was given, as the target."""
+
+    number: int = Field(ge=0)
+
+
 class FitRequest(AbstractRecord):
     """Asks for a fit of a target under the light and model of the settings."""
 

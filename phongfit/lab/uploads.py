@@ -70,8 +70,7 @@ def read_photograph(
         content,
         lambda path: read_image(path, encoding, max_pixels=MAX_PIXELS),
     )
-    times = math.ceil(max(image.shape) / MAX_SIDE)
-    return _shrink(image, times), times
+    return shrunk(image)
 
 
 def read_photograph_mask(
@@ -88,6 +87,14 @@ def read_photograph_mask(
         came, wanted = mask.shape, tuple(times * side for side in shape)
         raise ValueError(f"{_plain(name)}: expected {wanted} pixels, got {came}")
     return whole
+
+
+def shrunk(
+    image: Float[np.ndarray, "height width channels"],
+) -> tuple[Float[np.ndarray, "h w channels"], int]:
+    """An image with its longer side at most `MAX_SIDE`, and how many times that is."""
+    times = math.ceil(max(image.shape) / MAX_SIDE)
+    return _shrink(image, times), times
 
 
 def _shrink(image: np.ndarray, times: int) -> np.ndarray:

@@ -147,6 +147,15 @@ async function loadPhotograph(file) {
   await setTarget(loaded, wordsOf(loaded));
 }
 
+/** One of the photographs that the command was given, with its lamp and its ball. */
+async function choosePhotograph(number) {
+  const chosen = await json(post("/api/chosen", { number }));
+  mesh = null;
+  settings.set(chosen.settings);
+  nameSurface();
+  await setTarget(chosen, `${about.photographs[number]}, ${wordsOf(chosen)}`);
+}
+
 async function loadMask(file) {
   const masked = await upload("/api/mask", file, { target: target.target });
   const { centre_x, centre_y, radius } = masked;
@@ -298,11 +307,22 @@ async function start() {
     $("#preset").value = "";
     await draw();
   }));
+  $("#given").hidden = about.photographs.length === 0;
+  about.photographs.forEach((name, number) =>
+    $("#photographs").append(make("option", { value: number }, name)));
+  $("#photographs").addEventListener("change", handler(async ({ target: menu }) => {
+    if (menu.value !== "") await choosePhotograph(Number(menu.value));
+  }));
   onFile("#mesh", loadMesh);
   onFile("#photograph", loadPhotograph);
   onFile("#mask", loadMask);
   $("#controls").addEventListener("submit", (event) => event.preventDefault());
-  await draw();
+  if (about.photographs.length > 0) {
+    $("#photographs").value = "0";
+    await choosePhotograph(0);
+  } else {
+    await draw();
+  }
 }
 
 handler(start)();

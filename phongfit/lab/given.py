@@ -1,0 +1,106 @@
+"""Photographs that the command was given, as targets: a capture or a data set."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phongfit.files.capture_data import open_captured
+from phongfit.files.dataset import Photographs
+from phongfit.files.datasets import open_dataset
+from phongfit.files.encodings import parse_encoding
+from phongfit.files.inputs import naming
+from phongfit.files.scenes import SCENE_FILE
+from phongfit.geometry.cameras import (
+    AbstractCamera,
+    OrthographicCamera,
+    PerspectiveCamera,
+)
+from phongfit.geometry.surfaces import Sphere
+from phongfit.lab.scene import angles
+from phongfit.lab.settings import Settings
+from phongfit.scene import Scene
+
+
+def open_given(
+    photographs: Path,
+    sphere: tuple[float, float, float] | None,
+    lights: Path | None,
+    encoding: str | None,
+) -> Photographs:
+    """A ball's photographs, one or a folder of them, or a data set of a ball.
+
+    **Raises:** `ValueError` that names the file or the option.
+    """
+    is_dataset = photographs.is_dir() and (photographs / SCENE_FILE).exists()
+    if sphere is not None:
+        found = open_captured(
+            photographs, parse_encoding(encoding), sphere=sphere, lights=lights
+        )
+    elif is_dataset and lights is None and encoding is None:
+        found = open_dataset(photographs)
+    else:
+        raise ValueError(
+            f"sphere: expected the circle of the ball in {photographs}, x, y and "
+            "radius in pixels, since it is no data set with a scene.json"
+        )
+    for scene, name in zip(found.scenes, found.names, strict=True):
+        with naming(name):
+            settings_of(scene)
+    return found
+
+
+def settings_of(scene: Scene) -> dict[str, Any]:
+    """Where the sliders stand for a scene: its ball, its lamp, its ambient light.
+
+    Rays are taken as parallel, and the lamp as far away: the light is the one that the
+    ball's centre sees.
+
+    **Raises:** `ValueError` that says what the sliders cannot show.
+    """
+    surface, camera = scene.surface, scene.camera
+    if not isinstance(surface, Sphere):
+        raise ValueError(
+            "surface: expected a ball, which the lab can lay over a photograph, got "
+            f"{type(surface).__name__}; `phongfit fit` takes it"
+        )
+    if len(scene.lights) != 1:
+        raise ValueError(f"lights: expected one lamp, got {len(scene.lights)}")
+    x, y, radius = _outline(surface, camera)
+    light = scene.lights[0].illuminate(surface.center)
+    azimuth, elevation, _ = angles(
+        np.asarray(camera.rotation).T @ np.asarray(light.to_light)
+    )
+    found = {
+        "surface": "sphere",
+        "shading": "phong",
+        "light": "directional",
+        "azimuth": azimuth,
+        "elevation": elevation,
+        "intensity": np.clip(np.asarray(light.intensity, float), 0, 10).tolist(),
+        "ambient_light": float(np.clip(np.mean(np.asarray(scene.ambient)), 0, 1)),
+        "centre_x": 100 * x / camera.width,
+        "centre_y": 100 * y / camera.height,
+        "radius": 100 * radius / camera.height,
+    }
+    # The page gives back what it was given: let it fail here.
+    Settings.model_validate(found)
+    return found
+
+
+def _outline(ball: Sphere, camera: AbstractCamera) -> tuple[float, float, float]:
+    """Centre and radius in pixels, from the upper left corner."""
+    right, up, back = np.asarray(camera.rotation).T @ (
+        np.asarray(ball.center) - np.asarray(camera.position)
+    )
+    radius = float(np.asarray(ball.radius))
+    if isinstance(camera, OrthographicCamera):
+        scale = camera.height / float(np.asarray(camera.view_height))
+        size = radius * scale
+    elif isinstance(camera, PerspectiveCamera) and -back > radius:
+        focal = camera.height / 2 / np.tan(np.radians(float(camera.fov_y)) / 2)
+        scale, size = focal / -back, focal * radius / np.sqrt(back**2 - radius**2)
+    else:
+        raise ValueError("camera: expected one in front of the ball")
+    x, y = camera.width / 2 + scale * right, camera.height / 2 - scale * up
+    return float(x), float(y), float(size)
