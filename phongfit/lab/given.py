@@ -15,6 +15,7 @@ from phongfit.geometry.cameras import (
     AbstractCamera,
     OrthographicCamera,
     PerspectiveCamera,
+    look_at,
 )
 from phongfit.geometry.surfaces import Sphere
 from phongfit.lab.scene import angles
@@ -68,9 +69,11 @@ def settings_of(scene: Scene) -> dict[str, Any]:
         raise ValueError(f"lights: expected one lamp, got {len(scene.lights)}")
     x, y, radius = _outline(surface, camera)
     light = scene.lights[0].illuminate(surface.center)
-    azimuth, elevation, _ = angles(
-        np.asarray(camera.rotation).T @ np.asarray(light.to_light)
-    )
+    axes = camera.rotation
+    if isinstance(camera, PerspectiveCamera):
+        # A ball beside the axis is seen from the side: these rays are the parallel ones.
+        axes = look_at(camera.position, surface.center, camera.rotation[:, 1])
+    azimuth, elevation, _ = angles(np.asarray(axes).T @ np.asarray(light.to_light))
     found = {
         "surface": "sphere",
         "shading": "phong",

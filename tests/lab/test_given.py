@@ -1,0 +1,111 @@
+"""Photographs that the command was given: a ball's capture, or a data set of one."""
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.cli import run
+from phongfit.lab.command import lab
+from phongfit.lab.given import open_given, settings_of
+from phongfit.lab.session import Session
+from phongfit.lab.settings import ChosenRequest, FitOptions, FitRequest, Settings
+from tests.calibration.studio import directions
+from tests.lab.conftest import serving
+
+LAMPS = directions(3)
+CIRCLE = (27.0, 20.0, 15.0)
+TRUTH = pf.Material((0.6, 0.3, 0.2), 0.3, 20.0, 0.1)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ball")
+    camera = pf.OrthographicCamera(48, 40, view_height=40 / 15)
+    ball = pf.Sphere(((27 - 24) / 15, 0, 0), 1.0)
+    for number, lamp in enumerate(LAMPS, 1):
+        scene = pf.Scene(ball, camera, pf.DirectionalLight(lamp), ambient=1.0)
+        pf.write_image(folder / f"{number}.png", pf.render(scene, TRUTH), "srgb")
+    pf.write_lp(folder / "a.lp", [f"{n}.png" for n in (1, 2, 3)], LAMPS)
+    return folder
+
+
+def test_sliders_stand_where_the_capture_says(folder):
+    given = open_given(folder, CIRCLE, None, "srgb")
+    session = Session(32, given)
+    chosen = session.choose(ChosenRequest(number=1))
+    assert (chosen["width"], chosen["height"]) == (48, 40)
+    settings = Settings.model_validate(chosen["settings"])
+    assert settings.centre_x == pytest.approx(100 * 27 / 48)
+    assert (settings.centre_y, settings.radius) == pytest.approx((50, 37.5))
+    x, y, z = LAMPS[1]
+    assert settings.azimuth == pytest.approx(np.degrees(np.arctan2(x, z)), abs=0.01)
+    # A fit from there gives the material, since the ball and its lamp are right.
+    asked = FitRequest(
+        settings=settings, target=chosen["target"], options=FitOptions(rim=0.2)
+    )
+    rows = {row["label"]: row for row in session.fit(asked)["rows"]}
+    assert float(rows["diffuse.red"]["value"]) == pytest.approx(0.6, abs=0.02)
+    with pytest.raises(ValueError, match="number: expected one below 3"):
+        session.choose(ChosenRequest(number=3))
+
+
+def test_a_data_set_and_a_camera_that_stands_elsewhere(folder, tmp_path):
+    camera = pf.PerspectiveCamera.look_at((4, 0, 3), (0, 0, 0), width=48, height=40)
+    # The lamp is in the camera's back: straight from the front.
+    scene = pf.Scene(pf.Sphere(), camera, pf.PointLight((8, 0, 6), 2.0), ambient=0.5)
+    found = settings_of(scene)
+    assert found["azimuth"] == pytest.approx(0, abs=0.01)
+    assert found["intensity"] == pytest.approx([2, 2, 2])
+    assert (found["centre_x"], found["centre_y"]) == pytest.approx((50, 50))
+    rows = np.count_nonzero(np.asarray(scene.trace().mask).any(axis=1))
+    assert found["radius"] / 100 * 40 == pytest.approx(rows / 2, abs=1)
+
+
+def test_a_ball_beside_the_axis_of_a_pinhole():
+    camera = pf.PerspectiveCamera(48, 40, fov_y=40.0, position=(0, 0, 0))
+    place = np.array([1.5, 1.0, -6.0])
+    # A lamp beside the camera lights the ball straight from where it is seen.
+    scene = pf.Scene(pf.Sphere(place, 0.5), camera, pf.DirectionalLight(-place))
+    found = settings_of(scene)
+    assert (found["azimuth"], found["elevation"]) == pytest.approx((0, 0), abs=0.01)
+    assert found["centre_x"] > 60 and found["centre_y"] < 40
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        (["{folder}"], "sphere: expected the circle of the ball in"),
+        (["--sphere", "1", "2", "3"], "sphere: is of photographs, and none are given"),
+        (["nowhere", "--sphere", "1", "2", "3"], "nowhere"),
+        (["{folder}", "--sphere", "27", "20", "15"], "encoding: expected"),
+    ],
+)
+def test_bad_options(folder, capsys, options, words):
+    words_given = [option.format(folder=folder) for option in options]
+    assert run(lab, ["--no-browser", "--port", "0", *words_given]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("error: ") and words in err and err.count("\n") == 1
+
+
+def test_a_mesh_is_no_ball(tmp_path):
+    scene = pf.Scene(pf.shapes.Ball().mesh(8, 4), lights=pf.DirectionalLight((0, 0, 1)))
+    with pytest.raises(ValueError, match="surface: expected a ball"):
+        settings_of(scene)
+
+
+@pytest.mark.float64
+def test_the_page_begins_with_the_first_and_has_a_menu(folder, browser):
+    with serving(Session(64, open_given(folder, CIRCLE, None, "srgb"))) as port:
+        page = browser.new_page()
+        page.goto(f"http://127.0.0.1:{port}/")
+        caption = page.locator("#target-figure figcaption")
+        caption.get_by_text("1.png").wait_for(timeout=60_000)
+        menu = page.locator("#photographs")
+        names = menu.locator("option").all_inner_texts()
+        assert names == ["–", "1.png", "2.png", "3.png"]
+        menu.select_option("2")
+        caption.get_by_text("3.png").wait_for(timeout=60_000)
+        azimuth = page.locator("input[type=range][name=azimuth]").input_value()
+        x, _, z = LAMPS[2]
+        assert float(azimuth) == pytest.approx(np.degrees(np.arctan2(x, z)), abs=1)
+        page.close()
