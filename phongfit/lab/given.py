@@ -71,7 +71,7 @@ def settings_of(scene: Scene) -> dict[str, Any]:
     light = scene.lights[0].illuminate(surface.center)
     axes = camera.rotation
     if isinstance(camera, PerspectiveCamera):
-        # A ball beside the axis is seen from the side: these rays are the parallel ones.
+        # A ball beside the axis is seen from the side, by nearly parallel rays.
         axes = look_at(camera.position, surface.center, camera.rotation[:, 1])
     azimuth, elevation, _ = angles(np.asarray(axes).T @ np.asarray(light.to_light))
     found = {

@@ -123,8 +123,8 @@ class Session:
             raise ValueError(f"number: expected one below {count}")
         photograph = given.read(request.number)
         image, times = shrunk(photograph.image)
-        known = photograph.mask.reshape(*photograph.mask.shape[:2], -1).all(axis=-1)
-        mask = shrunk(known[..., None].astype(float))[0][..., 0] >= 1
+        known = np.atleast_3d(photograph.mask).astype(float).min(axis=-1, keepdims=True)
+        mask = shrunk(known)[0][..., 0] >= 1
         target = Target(image, mask, None, times, brightening(image))
         settings = settings_of(given.scenes[request.number])
         return self._keep(target) | {"settings": settings}

@@ -134,7 +134,7 @@ def bad_folder(folder, kind):
         case "a list of others":
             pf.write_lp(folder / "a.lp", ["7.png", *names[1:]], LAMPS)
             words = "1 of the 5 photographs in the list of lights are not there, 7.png"
-        case "a lamp of zeros":
+        case _:
             lines = [f"{name} 0 0 0" for name in names]
             (folder / "a.lp").write_text("\n".join(["5", *lines]))
             words = "a.lp: line 2: 1.png: expected a vector to the lamp, got zeros"

@@ -46,7 +46,7 @@ def test_help_reads_like_a_manual(command, capsys):
 @pytest.mark.parametrize(
     "args, words",
     [
-        ([], "expected one of synth, render, fit, maps, calibrate, ... lab, got none"),
+        ([], "expected one of synth, render, fit, maps, ... lab, got none"),
         (["fti"], "there is no command 'fti'; did you mean 'fit'? (see --help)"),
         (["zzz"], "there is no command 'zzz'; one of synth, render"),
         (["--quick"], "--quick"),
