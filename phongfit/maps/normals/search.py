@@ -45,6 +45,8 @@ DAMPING = 1e-2
 FALL, RISE = 0.3, 5.0
 STUCK = 1e5
 LEAST = 1e-6
+# An end that costs so much more is no rival: its residuals are large at any scale.
+FAR_OFF = 30.0
 # What rounding may add to a cost.
 ROUNDED = 20
 
@@ -98,6 +100,7 @@ def descend(
     which: Unknowns,
     channels: int = 1,
     only_own: Array | bool = False,
+    skipped: Array | bool = False,
 ) -> Descent:
     """Downhill from a point, at a given scale of the residuals.
 
@@ -106,6 +109,7 @@ def descend(
     - `most`: points to be looked at; `enough`: see [`FINE`][].
     - `channels`: whose sum each channel of the samples is.
     - `only_own`: whether to move each channel's reflectances alone.
+    - `skipped`: pixels that need not move.
     """
     edges = edges_of(settings, which, channels)
     viewer = samples.lamps.to_viewer
@@ -136,7 +140,7 @@ def descend(
         point,
         endless,
         jnp.full_like(scale, DAMPING),
-        jnp.zeros(scale.shape, bool),
+        jnp.broadcast_to(jnp.asarray(skipped), scale.shape),
     )
     return jax.lax.while_loop(unfinished, step, (jnp.zeros((), int), first))[1]
 
@@ -173,35 +177,68 @@ def search(
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *begins)
     points, costs = jax.lax.map(try_start, stacked)
     best = jnp.argmin(costs, axis=0)
-    point = _coloured(_pick(points, best), channels, known, which)
+    gaps, other = _rival(points, costs, best)
     unknowns = settings.unknowns(channels)
 
-    def measured(point: Point) -> Array:
+    def measured(left: Array) -> Array:
         if settings.noise_given:
             return jnp.broadcast_to(noise, wide.shape)
         if not settings.loss.robust:
             return jnp.ones_like(wide)
-        left = residuals(point, samples, settings.model, which)
         return _positive(median_scale(left, samples.share, unknowns), samples)
+
+    def left_by(point: Point) -> Array:
+        return residuals(point, samples, settings.model, which)
 
     remeasured = settings.loss.robust and not settings.noise_given
     steps = (COLOURED, *((STEPS, STEPS) if remeasured else ()), LAST_STEPS)
     last = len(steps) - 1
 
-    def again(number: Array, found: tuple[Descent, Array]) -> tuple[Descent, Array]:
-        point, first = found[0].point, number == 0
-        # The reflectances of each channel follow at once: they are linear.
-        scale = jnp.where(first, wide, measured(point))
-        most = jnp.array(steps)[number]
-        enough = jnp.where(number == last, FINE, ROUGH)
-        end = descend(
-            point, samples, scale, most, enough, settings, which, only_own=first
-        )
-        return end, scale
+    def finish(start: tuple[Point, Array]) -> tuple[Descent, Array, Array]:
+        begin, skipped = start
 
-    begin = descend(point, samples, wide, 0, ROUGH, settings, which)
-    end, scale = jax.lax.fori_loop(0, len(steps), again, (begin, wide))
-    rival = _rival(points, costs, best) * (wide / scale) ** 2
+        def again(number: Array, found: tuple[Descent, Array]) -> tuple[Descent, Array]:
+            point, first = found[0].point, number == 0
+            # The reflectances of each channel follow at once: they are linear.
+            scale = jnp.where(first, wide, measured(left_by(point)))
+            most = jnp.array(steps)[number]
+            enough = jnp.where(number == last, FINE, ROUGH)
+            end = descend(
+                point,
+                samples,
+                scale,
+                most,
+                enough,
+                settings,
+                which,
+                only_own=first,
+                skipped=skipped,
+            )
+            return end, scale
+
+        nothing = descend(begin, samples, wide, 0, ROUGH, settings, which)
+        end, scale = jax.lax.fori_loop(0, len(steps), again, (nothing, wide))
+        return end, scale, left_by(end.point)
+
+    both = [
+        _coloured(_pick(points, chosen), channels, known, which)
+        for chosen in (best, other)
+    ]
+    begins = jax.tree.map(lambda *leaves: jnp.stack(leaves), *both)
+    skipped = jnp.stack([jnp.zeros_like(gaps, bool), gaps > FAR_OFF])
+    ends, scales, left = jax.lax.map(finish, (begins, skipped))
+    # Which loss is less is asked at one scale: the smaller of both.
+    scale = jnp.where(skipped[1], scales[0], jnp.minimum(scales[0], scales[1]))
+    relative = left / scale[None, None, None]
+    final = jnp.sum(settings.loss.root(relative) ** 2, axis=(1, 2))
+    second = ~skipped[1] & (final[1] < final[0])
+    first = jax.tree.map(lambda leaf: leaf[0], ends)
+    other_end = jax.tree.map(lambda leaf: leaf[1], ends)
+    end = where_pixels(second, other_end, first)
+    cosine = jnp.sum(first.point.normal * other_end.point.normal, axis=0)
+    apart = ~skipped[1] & (cosine < APART)
+    rival = jnp.where(apart, jnp.abs(final[1] - final[0]), jnp.inf)
+    scale = jnp.where(second, scales[1], scales[0])
     return Found(end.point, end.sums, scale, end.settled, rival)
 
 
@@ -300,9 +337,9 @@ APART = 0.9962
 
 def _rival(
     points: Point, costs: Float[Array, "starts pixels"], best: Array
-) -> Float[Array, " pixels"]:
-    """By how much the next best end costs more whose normal is another."""
+) -> tuple[Float[Array, " pixels"], Array]:
+    """By how much the next best end costs more whose normal is another; which it is."""
     normal = _pick(points, best).normal
     cosine = jnp.sum(points.normal * normal[None], axis=1)
     others = jnp.where(cosine < APART, costs, jnp.inf)
-    return jnp.min(others, axis=0) - jnp.min(costs, axis=0)
+    return jnp.min(others, axis=0) - jnp.min(costs, axis=0), jnp.argmin(others, axis=0)

@@ -1,0 +1,245 @@
+"""Question: how good are normals that are found with the material?
+
+Photographs under known lamps, of something whose normals are known: DiLiGenT's layout,
+or an RTI folder with an `.lp` and a `normals.png`. phongfit's normals are held against
+the truth, beside those of least squares on a matte surface from the same pixels.
+
+??? cite "Source"
+    Woodham, *Photometric method for determining surface orientation from multiple
+    images*, Optical Engineering 19(1), 1980; Shi et al., *A benchmark dataset and
+    evaluation for non-Lambertian and uncalibrated photometric stereo*, TPAMI 41(2),
+    2019: least squares as it is published.
+"""
+
+import dataclasses
+import re
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from jaxtyping import Bool, Float
+from matplotlib.figure import Figure
+
+import phongfit as pf
+from experiments.output import (
+    JsonFile,
+    PictureFile,
+    check_outputs,
+    save_numbers,
+    save_picture,
+)
+from experiments.style import page, styled
+from phongfit.cli import run
+from phongfit.commands.options import EncodingName
+from phongfit.files.capture_data import open_captured
+from phongfit.files.dataset import Photographs
+from phongfit.files.diligent import is_diligent, open_diligent
+from phongfit.files.encodings import parse_encoding
+from phongfit.rendering.film import Encoding, encode
+
+# Luma of BT.601, as the published recipe has it.
+LUMA = np.array([0.299, 0.587, 0.114])
+# Polished metal and paint: as in the other experiments on photographs.
+BOUNDS = {"diffuse": (0.0, 2.0), "specular": (0.0, 8.0), "shininess": (1.0, 1000.0)}
+TRUTH = "normals.png"
+
+
+@dataclasses.dataclass(frozen=True)
+class Photos:
+    """Photographs and the truth.
+
+    - `photographs`: with the scenes that hold their lamps.
+    - `truth`: (H, W, 3), unit normals in the camera's axes.
+    - `mask`: (H, W), where it is known.
+    - `stored`: whether least squares is tried on values as stored, too.
+    """
+
+    photographs: Photographs
+    truth: Float[np.ndarray, "height width 3"]
+    mask: Bool[np.ndarray, "height width"]
+    stored: bool
+
+
+def read(folder: Path, encoding: Encoding | None) -> Photos:
+    """A folder in one of the two layouts.
+
+    **Raises:** `ValueError` that names what is missing.
+    """
+    if is_diligent(folder):
+        data = open_diligent(folder)
+        seen = pf.trace(data.scenes[0].surface, data.scenes[0].camera)
+        normals, mask = np.asarray(seen.normal, float), np.asarray(seen.mask)
+        return Photos(data, normals, mask, False)
+    source = folder / "Dome" if (folder / "Dome").is_dir() else folder
+    truth = next((p / TRUTH for p in (source, folder) if (p / TRUTH).exists()), None)
+    if truth is None:
+        raise ValueError(
+            f"{folder}: expected true normals: Normal_gt.mat in DiLiGenT's layout, or "
+            f"{TRUTH} beside the photographs"
+        )
+    data = open_captured(source, encoding, normals="fit")
+    normals = 2 * np.asarray(pf.read_image(truth, "linear"), float) - 1
+    length = np.linalg.norm(normals, axis=-1)
+    mask = abs(length - 1) < 0.1
+    normals = normals / np.where(mask, length, 1)[..., None]
+    return Photos(data, normals, mask, True)
+
+
+def some(photos: Photos, every: int) -> Photos:
+    """Every so-manieth photograph, from the first on."""
+    data, pick = photos.photographs, slice(None, None, every)
+    chosen = range(len(data.names))[pick]
+
+    def read_one(number: int):
+        return data.read(chosen[number])
+
+    part = dataclasses.replace(
+        data, scenes=data.scenes[pick], names=data.names[pick], read=read_one
+    )
+    if data.film_of is not None:
+        film_of = data.film_of
+        part = dataclasses.replace(part, film_of=lambda n: film_of(chosen[n]))
+    return dataclasses.replace(photos, photographs=part)
+
+
+def least_squares(
+    images: Float[np.ndarray, "images height width 3"],
+    directions: Float[np.ndarray, "images 3"],
+) -> Float[np.ndarray, "height width 3"]:
+    """Normals of a matte surface: as published, of the luma clipped at 1."""
+    grey = np.minimum(images @ LUMA, 1)
+    found = np.einsum("dk,khw->hwd", np.linalg.pinv(directions), grey)
+    length = np.linalg.norm(found, axis=-1, keepdims=True)
+    return found / np.where(length > 0, length, 1)
+
+
+def angles(
+    found: Float[np.ndarray, "height width 3"], photos: Photos
+) -> Float[np.ndarray, " pixels"]:
+    """Degrees from the truth, of all pixels where it is known."""
+    cosine = np.sum(found * photos.truth, axis=-1)[photos.mask]
+    return np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def compare(photos: Photos) -> tuple[dict[str, Any], pf.Maps]:
+    """Mean angular errors of both ways, in degrees, and phongfit's maps."""
+    data = photos.photographs
+    directions = np.array([_direction(scene) for scene in data.scenes])
+    loaded = data.load()
+    images = np.stack(loaded.images)
+
+    def matte(values: np.ndarray) -> float:
+        return float(angles(least_squares(values, directions), photos).mean())
+
+    numbers: dict[str, Any] = {
+        "photographs": len(images),
+        "pixels": int(photos.mask.sum()),
+        "least_squares": matte(images),
+    }
+    if photos.stored:
+        stored = np.asarray(encode(images, "srgb"))
+        numbers["least_squares_of_stored_values"] = matte(stored)
+    inside, shape = photos.mask[..., None], images[0].shape
+    masks = [
+        np.broadcast_to((mask if mask.ndim == 3 else mask[..., None]) & inside, shape)
+        for mask in loaded.masks
+    ]
+    maps = pf.fit_maps(
+        data.scenes,
+        images,
+        mask=masks,
+        film=loaded.films,
+        normals="fit",
+        unknowns=("diffuse", "specular", "shininess"),
+        # A highlight has the lamp's colour: one ρ_s, which few lamps can tell.
+        per_channel=("diffuse",),
+        bounds=BOUNDS,
+    )
+    off = angles(maps.normals, photos)
+    errors = maps.normals_stderr[photos.mask]
+    told = np.isfinite(errors)
+    numbers |= {
+        "mean_angular_error": float(off.mean()),
+        "median_angular_error": float(np.median(off)),
+        "identified": float(told.mean()),
+        "mean_angular_error_where_identified": float(off[told].mean())
+        if told.any()
+        else None,
+        "least_standard_error": float(errors.min()),
+        "lamps_in_a_plane": float(maps.flagged(pf.Flag.IN_A_PLANE)[photos.mask].mean()),
+    }
+    return numbers, maps
+
+
+def _direction(scene: pf.Scene) -> np.ndarray:
+    (light,) = scene.lights
+    assert isinstance(light, pf.DirectionalLight)
+    direction = np.asarray(light.direction, float)
+    strength = np.asarray(light.intensity, float).mean()
+    return strength * direction / np.linalg.norm(direction)
+
+
+@styled
+def figure(photos: Photos, maps: pf.Maps) -> Figure:
+    """True normals, found ones, how far off they are, and the errors they state."""
+    drawing = page(2.6)
+    panels = drawing.subplots(1, 4)
+    for axes, normals, title in (
+        (panels[0], photos.truth, "true normals"),
+        (panels[1], maps.normals, "found"),
+    ):
+        axes.imshow(np.where(photos.mask[..., None], (normals + 1) / 2, 1))
+        axes.set_title(title)
+    cosine = np.clip(np.sum(maps.normals * photos.truth, axis=-1), -1, 1)
+    for axes, degrees, title in (
+        (panels[2], np.rad2deg(np.arccos(cosine)), "degrees off"),
+        (panels[3], maps.normals_stderr, "standard error, degrees"),
+    ):
+        shown = np.where(photos.mask & np.isfinite(degrees), degrees, np.nan)
+        drawn = axes.imshow(shown, vmin=0, vmax=6, cmap="viridis")
+        drawing.colorbar(drawn, ax=axes, fraction=0.046)
+        axes.set_title(title)
+    for axes in panels:
+        axes.set(xticks=[], yticks=[])
+        axes.grid(False)
+    return drawing
+
+
+def main(
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER")],
+    every: int = 1,
+    encoding: EncodingName = None,
+    picture: PictureFile = Path("out/photometric_stereo.png"),
+    json: JsonFile = None,
+) -> int:
+    """How good are normals that are found with the material?
+
+    Prints the mean angular error of phongfit's normals, and of least squares on the
+    same pixels; draws the normals and their errors.
+
+    Args:
+        folder: DiLiGenT's layout, or photographs with an .lp and a normals.png.
+        every: Use every so-manieth photograph only, from the first on.
+        encoding: What the photographs' numbers are, if their format does not tell.
+        picture: Where the picture goes.
+        json: Where the numbers go: mean_angular_error, least_squares, and more.
+    """
+    if not folder.is_dir():
+        print(f"skipped: there is no folder {folder}")
+        return 0
+    check_outputs(picture, json)
+    photos = some(read(folder, parse_encoding(encoding)), every)
+    numbers, maps = compare(photos)
+    for name, number in numbers.items():
+        words = re.sub("_", " ", name)
+        shown = f"{number:.4g}" if isinstance(number, float) else number
+        print(f"{words:<40} {shown}")
+    print(maps)
+    save_picture(picture, figure(photos, maps))
+    save_numbers(json, numbers)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(main, prog="python -m experiments.photometric_stereo"))
