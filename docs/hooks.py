@@ -11,6 +11,7 @@ from mkdocs.utils import get_relative_url
 
 from phongfit import cli
 from phongfit.files.calibrations import LightsRecord
+from phongfit.files.encodings import ResponseRecord
 from phongfit.files.fits import FitRecord
 from phongfit.files.materials import MaterialFile
 from phongfit.files.schema import SceneRecord
@@ -29,6 +30,7 @@ SCHEMAS = {
     "material": MaterialFile,
     "fit": FitRecord,
     "lights": LightsRecord,
+    "response": ResponseRecord,
     "maps": MapsRecord,
 }
 

@@ -8,7 +8,7 @@ from pydantic import Field, PlainValidator, ValidationInfo
 from phongfit.files.inputs import naming
 from phongfit.files.records import AbstractRecord, complain, read_record
 from phongfit.files.strict_json import shorten
-from phongfit.rendering.film import ENCODINGS, Encoding
+from phongfit.rendering.film import ENCODINGS, Encoding, NamedEncoding
 from phongfit.rendering.response import MOST, ResponseCurve
 
 RESPONSE_FORMAT = "phongfit response"
@@ -34,7 +34,10 @@ def _as_encoding(data: Any, info: ValidationInfo) -> Encoding:
     )
 
 
-EncodingField = Annotated[Any, PlainValidator(_as_encoding)]
+EncodingField = Annotated[
+    Any,
+    PlainValidator(_as_encoding, json_schema_input_type=NamedEncoding | CurveRecord),
+]
 """An encoding in a JSON file of ours."""
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from phongfit.files.encodings import read_response
 from phongfit.files.fits import read_fit_record
 from phongfit.files.images import write_image
 from phongfit.files.materials import read_material
@@ -51,6 +52,15 @@ TRUTH = {
     },
     "noise": 0.01,
     "seed": 3,
+}
+RESPONSE = {
+    "format": "phongfit response",
+    "version": 1,
+    "light": [0, 0.2, 0.6, 1],
+    "light_error": [0, 0.01, 0.01, 0],
+    "numbers_seen": [0.1, 0.9],
+    "checks": {"srgb": {"sigmas": 12.5, "off": 0.1}},
+    "warnings": ["a word"],
 }
 
 # As text, since some of them are no values of Python's.
@@ -112,7 +122,8 @@ def fits() -> dict[str, Any]:
 
 def make(random: np.random.Generator, stock: Path) -> Case:
     picture = (stock / "001.png").read_bytes()
-    sources = {"scene.json": SCENE, "truth.json": TRUTH} | fits()
+    ours = {"scene.json": SCENE, "truth.json": TRUTH, "response.json": RESPONSE}
+    sources = ours | fits()
     name = str(random.choice(["scene.json", "scene.json", *sources]))
     if random.random() < 0.2:
         what, data = damaged(random, json.dumps(sources[name]).encode())
@@ -132,6 +143,10 @@ def make(random: np.random.Generator, stock: Path) -> Case:
                 if not np.isfinite(material.diffuse).all():
                     raise Wrong("a material that is not finite")
                 read_material(str(path))
+            elif name == "response.json":
+                light = read_response(path).decode(np.linspace(0, 1, 9))
+                if not np.isfinite(light).all():
+                    raise Wrong("a curve that is not finite")
             else:
                 read_fit_record(path)
                 read_material(str(path))
