@@ -87,3 +87,16 @@ def test_a_fit_knows_the_curve(tmp_path):
     assert np.abs(pull).max() < 4
     found.save(tmp_path / "fit.npz")
     assert pf.load_fit(tmp_path / "fit.npz").specification.film == film
+
+
+def test_what_jpeg_loses_of_a_curve(tmp_path):
+    path, rows = tmp_path / "a.jpg", np.linspace(0.1, 0.9, 16)
+    light = np.stack([np.outer(rows, rows[::-1])] * 3, axis=-1)
+    pf.write_image(path, light, GAMMA)
+    film = pf.read_film(path, GAMMA)
+    assert film.encoding == GAMMA and film.jpeg is not None
+    stored = np.asarray(encode(pf.read_image(path, GAMMA), GAMMA)) * 255
+    shown = np.asarray(film.expose(jnp.asarray(light))) * 255
+    # But for what lies in the middle of two levels.
+    assert np.abs(shown - stored).max() < 1.1
+    assert np.mean(np.abs(shown - stored) > 0.5) < 0.2
