@@ -181,7 +181,7 @@ def gather(sources: list[Source], used: list[np.ndarray]) -> Samples:
 
     **Arguments:** `used`: of each image the pixels wanted, counted row by row.
     """
-    size = _padded(max(len(index) for index in used))
+    size = _padded(max(len(index) for index in used), len(sources))
     index = np.arange(len(sources), dtype=np.int32)[:, None]
     image = np.broadcast_to(index, (len(sources), size)).ravel()
     places = [_repeated(index, size) for index in used]
@@ -285,14 +285,15 @@ def _concatenated(parts: list[PixelTerms]) -> PixelTerms:
     return eqx.tree_at(lambda p: p.terms.model, joined, parts[0].terms.model)
 
 
-def _padded(count: int) -> int:
-    """The least number ≥ `count` with three significant bits, and at least 256.
+def _padded(count: int, images: int) -> int:
+    """The least number ≥ `count` with three significant bits.
 
-    With four where there are many: then padding costs more than compilation.
+    At least 256, of several images together. With four bits where there are many: then
+    padding costs more than compilation.
     """
     digits = 3 if count < MANY else 4
-    unit = max(2 ** (max(count, 1).bit_length() - digits), 64)
-    return max(-(-count // unit) * unit, 256)
+    unit = max(2 ** (max(count, 1).bit_length() - digits), 64 if images == 1 else 16)
+    return max(-(-count // unit) * unit, 256 // images // unit * unit)
 
 
 def _with_lobes(view: PixelTerms, lobes: int) -> PixelTerms:

@@ -102,8 +102,8 @@ def search(
         state = _begin(problem, y, noise_given)
     if few is not None:
         samples = gather()
-        if not loss.robust:
-            # One pass comes near enough.
+        if not (loss.robust or unknowns.of_scene or unknowns.exposed):
+            # One pass comes near enough; several starts have come as near.
             state = _settle(problem, state, max_steps, noise_given, True)
         problem = Problem(samples, unknowns, sigma, loss, clamp)
     return _end(problem, state, max_steps, noise_given, few is not None)

@@ -79,11 +79,12 @@ class Jacobian(eqx.Module):
     local: Float[Array, "3 colours samples"]
     priors: Float[Array, "priors n"]
     select: Float[Array, "groups 3 colours n"]
-    member: Float[Array, "groups samples"] | None
+    member: Float[Array, "materials samples"] | None
+    images: int = eqx.field(static=True)
 
     def gram(self, weight: Float[Array, "3 samples"] | None = None) -> Array:
         r"""$J^\top W J$ of the samples, (n, n)."""
-        if self.member is not None:
+        if self._grouped:
             return self.grams(weight)[0]
         left = self.local if weight is None else self.local * weight[:, None]
         products = jnp.einsum("ckn,cln->ckl", left, self.local, precision=EXACT)
@@ -97,21 +98,34 @@ class Jacobian(eqx.Module):
 
     def pull(self, residual: Float[Array, "3 samples"]) -> Float[Array, " n"]:
         r"""$J^\top r$ of the samples."""
-        if self.member is None:
-            sums = jnp.einsum("ckn,cn->ck", self.local, residual, precision=EXACT)[None]
-        else:
+        if self._grouped:
             one = jnp.ones_like(residual[:, None])
             sums = self._products(one, residual[:, None])[:, :, 0, :, 0]
+        else:
+            sums = jnp.einsum("ckn,cn->ck", self.local, residual, precision=EXACT)[None]
         return jnp.einsum("gcki,gck->i", self.select, sums, precision=EXACT)
 
     def change(self, step: Float[Array, " n"]) -> Float[Array, "3 samples"]:
         """$J p$ of the samples, for a step p."""
         shares = jnp.einsum("gcki,i->gck", self.select, step, precision=EXACT)
-        if self.member is None:
+        if not self._grouped:
             return jnp.einsum("ckn,ck->cn", self.local, shares[0], precision=EXACT)
         return jnp.einsum(
-            "ckn,gck,gn->cn", self.local, shares, self.member, precision=EXACT
+            "ckn,gck,gn->cn", self.local, shares, self.members(), precision=EXACT
         )
+
+    def members(self) -> Float[Array, "groups samples"]:
+        """One where a sample is of a group: a material's, and there an image's."""
+        count, kind = self.local.shape[-1], self.local.dtype
+        material = jnp.ones((1, count), kind) if self.member is None else self.member
+        own = np.repeat(np.eye(self.images), count // self.images, axis=1)
+        each = material[:, None] * jnp.asarray(own, kind)[None]
+        return each.reshape(-1, count)
+
+    @property
+    def _grouped(self) -> bool:
+        """Whether there is more than one group."""
+        return self.member is not None or self.images > 1
 
     def _spread(
         self, products: Float[Array, "groups 3 weights colours colours"]
@@ -127,12 +141,13 @@ class Jacobian(eqx.Module):
     ) -> Float[Array, "groups 3 weights colours rows"]:
         """Sums over each group's samples of colours times weights times others.
 
-        Block by block: so what is weighted stays in a processor's cache.
+        Image by image, since each has its own samples, and block by block: so what is
+        weighted stays in a processor's cache.
         """
         _, colours, count = self.local.shape
-        groups = 1 if self.member is None else len(self.member)
-        rows = groups * weights.shape[1] * colours
-        block = _block(count, rows)
+        materials = 1 if self.member is None else len(self.member)
+        rows, size = materials * weights.shape[1] * colours, count // self.images
+        block = _block(size, rows)
 
         def add(total: Array, begin: Array) -> tuple[Array, None]:
             def part(whole: Array) -> Array:
@@ -147,17 +162,21 @@ class Jacobian(eqx.Module):
             more = jnp.einsum("ckn,cln->ckl", left, part(others), precision=EXACT)
             return total + more, None
 
-        none = jnp.zeros((3, rows, others.shape[1]), self.local.dtype)
-        total, _ = jax.lax.scan(add, none, jnp.arange(0, count, block))
-        total = total.reshape(3, groups, weights.shape[1], colours, -1)
-        return jnp.moveaxis(total, 1, 0)
+        def of_image(begin: Array) -> Array:
+            none = jnp.zeros((3, rows, others.shape[1]), self.local.dtype)
+            return jax.lax.scan(add, none, begin + jnp.arange(0, size, block))[0]
+
+        total = jax.lax.map(of_image, jnp.arange(0, count, size))
+        groups = (materials, weights.shape[1], colours, others.shape[1])
+        total = jnp.moveaxis(total.reshape(self.images, 3, *groups), 2, 0)
+        return total.reshape(-1, *total.shape[2:])
 
     def columns(self) -> np.ndarray:
         """The whole matrix, (n, 3, samples), in double precision."""
         local, select = np.asarray(self.local, float), np.asarray(self.select, float)
-        if self.member is None:
+        if not self._grouped:
             return np.einsum("cki,ckn->icn", select[0], local)
-        group = np.argmax(np.asarray(self.member), axis=0)
+        group = np.argmax(np.asarray(self.members()), axis=0)
         return np.einsum("ncki,ckn->icn", select[group], local)
 
 
@@ -191,12 +210,13 @@ def linearize(problem: Problem, y: Float[Array, " n"]) -> Linearization:
     local = moved * at.slope[:, None]
     priors = problem.unknowns.prior_residual(y)
     slopes = jax.jacfwd(problem.unknowns.prior_residual)(y)
-    groups, member = select.shape[0], None
-    if groups > 1:
-        index = problem.group()
-        each = jnp.arange(groups, dtype=index.dtype)
+    unknowns, member = problem.unknowns, None
+    if unknowns.materials > 1:
+        index = problem.samples.material_index()
+        each = jnp.arange(unknowns.materials, dtype=index.dtype)
         member = (index[None] == each[:, None]).astype(kind)
-    jacobian = Jacobian(local, slopes, jnp.asarray(select, kind), member)
+    images = unknowns.images if unknowns.differs_between_images else 1
+    jacobian = Jacobian(local, slopes, jnp.asarray(select, kind), member, images)
     return Linearization(at, priors, jacobian)
 
 

@@ -88,9 +88,7 @@ def _scores(
         steepness = jax.vmap(_along_light)(light, used * slope / mean, used)
     share = jacobian.local * jnp.sqrt(own)[:, None]
     alike = jnp.where(jnp.eye(3, dtype=bool), 1, correlation)
-    member = jacobian.member
-    if member is None:
-        member = jnp.ones_like(share[:1, 0])
+    member = jacobian.members()
     products = jnp.einsum(
         "ckn,dln,gn->gcdkl", share, share, member, precision=EXACT, optimize="optimal"
     )
