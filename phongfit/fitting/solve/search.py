@@ -170,7 +170,8 @@ def _best_end(problem: Problem, starts: Starts, steps: int) -> Starts:
         here = dataclasses.replace(problem, unknowns=unknowns)
         return solve(here, scan(here, start.y), steps)
 
-    ends = eqx.filter_vmap(end)(starts)
+    # One after another: each takes its own number of steps, and compiles like one.
+    ends = jax.lax.map(end, starts)
     best = jnp.argmin(jnp.where(jnp.isfinite(ends.cost), ends.cost, jnp.inf))
     return Starts(ends.y[best], starts.base[best], starts.across[best])
 

@@ -47,6 +47,8 @@ def _derivative(
     )
 
 
+# A program of its own: optimistix asks for it three times, and it is traced once.
+@program()
 def _residuals_and_root(
     y: Float[Array, " n"], problem: Problem
 ) -> tuple[Float[Array, " n+1"], Float[Array, "n n"], ResidualSums]:
