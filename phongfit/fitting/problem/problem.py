@@ -13,7 +13,14 @@ from phongfit.fitting.problem.noise import (
     clipped_moments,
     unclipped_moments,
 )
-from phongfit.fitting.problem.samples import Channels, Samples
+from phongfit.fitting.problem.samples import (
+    Channels,
+    Samples,
+    View,
+    by_channel,
+    end_to_end,
+    join_pixels,
+)
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.material import Material
 from phongfit.programs import program, record
@@ -50,8 +57,14 @@ class Problem:
         """What the samples see in the scenes that the entries make."""
         if not self.unknowns.of_scene:
             return self.samples.channels
-        scenes = tuple(view.scene for view in self.samples.views)
-        return self.samples.lit(self.unknowns.scenes(entries, scenes))
+        views, stacked = self.samples.views, self.samples.stacked_views()
+        if stacked is not None:
+            scenes = self.unknowns.stacked_scenes(entries, stacked.scene, len(views))
+            lit = eqx.filter_vmap(View.lit)(stacked, scenes)
+            return by_channel(end_to_end(lit))
+        scenes = self.unknowns.scenes(entries, tuple(view.scene for view in views))
+        lit = [view.lit(scene) for view, scene in zip(views, scenes, strict=True)]
+        return by_channel(join_pixels(lit))
 
     def exposure(
         self, entries: Float[Array, " entries"]

@@ -113,24 +113,16 @@ class Samples:
     image: Int[Array, " n"]
     views: tuple[View, ...]
 
-    def lit(self, scenes: tuple[Scene, ...]) -> Channels:
-        """What the samples see, if the scenes were others."""
-        pairs = list(zip(self.views, scenes, strict=True))
-        structures = {jax.tree.structure(pair) for pair in pairs}
-        shapes = {tuple(map(jnp.shape, jax.tree.leaves(pair))) for pair in pairs}
-        if len(structures) > 1 or len(shapes) > 1 or len(pairs) == 1:
-            return by_channel(join_pixels([view.lit(scene) for view, scene in pairs]))
-        # Scenes of one kind are lit in one go: many images compile like one.
-        views, scenes = jax.tree.map(lambda *leaves: jnp.stack(leaves), *pairs)
-        stacked = eqx.filter_vmap(View.lit)(views, scenes)
-        return by_channel(
-            join_pixels(
-                [
-                    jax.tree.map(lambda leaf, k=k: leaf[k], stacked)
-                    for k in range(len(pairs))
-                ]
-            )
-        )
+    def stacked_views(self) -> View | None:
+        """The views as one, whose arrays have the images first; `None` if they differ.
+
+        What is mapped over it compiles like one image.
+        """
+        structures = {jax.tree.structure(view) for view in self.views}
+        shapes = {tuple(map(jnp.shape, jax.tree.leaves(view))) for view in self.views}
+        if len(self.views) == 1 or len(structures) > 1 or len(shapes) > 1:
+            return None
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *self.views)
 
     def material_index(self) -> Int[Array, " n"]:
         """Which of several materials each sample shows."""
@@ -263,6 +255,28 @@ def join_pixels(parts: list[PixelTerms]) -> PixelTerms:
         return parts[0]
     lobes = max(part.terms.cosine.shape[-1] for part in parts)
     return _concatenated(_apart([_with_lobes(part, lobes) for part in parts]))
+
+
+def end_to_end(stacked: PixelTerms) -> PixelTerms:
+    """The same of images that are alike, stacked as the first axis of every array."""
+    interpolation, model = stacked.interpolation, stacked.terms.model
+    images, points = stacked.terms.diffuse.shape[:2]
+    if interpolation is not None:
+        before = points * jnp.arange(images, dtype=interpolation.index.dtype)
+        moved = interpolation.index + before[:, None, None]
+        interpolation = Interpolation(moved, interpolation.weight)
+        stacked = dataclasses.replace(stacked, interpolation=interpolation)
+    flat = jax.tree.map(
+        lambda leaf: leaf.reshape(images * leaf.shape[1], *leaf.shape[2:]),
+        eqx.tree_at(lambda p: p.terms.model, stacked, None),
+    )
+    # The model's own arrays, if it has any, are of no sample.
+    first = jax.tree.map(lambda leaf: leaf[0], model)
+    return eqx.tree_at(lambda p: p.terms.model, flat, first, is_leaf=_is_none)
+
+
+def _is_none(leaf: Any) -> bool:
+    return leaf is None
 
 
 def _apart(parts: list[PixelTerms]) -> list[PixelTerms]:

@@ -239,15 +239,19 @@ class Unknowns:
         # What is no logarithm could overflow.
         powers = jnp.exp(jnp.where(logarithm, numbers, 0))
         own = jnp.where(logarithm, powers, self.scale * numbers)
-        for k, entry in enumerate(self._directions()):
-            index = self.y_index[entry]
-            there = on_sphere(self.base[k], self.across[k], y[index : index + 2])
-            own = own.at[entry : entry + 3].set(there)
+        first = self._directions
+        if first.size:
+            index = np.array(self.y_index)[first]
+            there = jax.vmap(on_sphere)(
+                self.base, self.across, y[index[:, None] + np.arange(2)]
+            )
+            own = own.at[first[:, None] + np.arange(3)].set(there)
         return self.offset + self.factor * own[np.array(self.source)]
 
-    def _directions(self) -> list[int]:
+    @functools.cached_property
+    def _directions(self) -> np.ndarray:
         """The first entries of all directions."""
-        return np.flatnonzero(self.forms == "direction")[::3].tolist()
+        return np.flatnonzero(self.forms == "direction")[::3]
 
     def aimed(
         self,
@@ -304,6 +308,23 @@ class Unknowns:
         """The scenes with what is unknown of them from the entries."""
         if not self.of_scene:
             return scenes
+        parts = self._scene_parts(entries)
+
+        def of(k: int) -> dict[str, Array]:
+            return {n: part[min(k, len(part) - 1)] for n, part in parts.items()}
+
+        return tuple(with_arrays(scene, of(k)) for k, scene in enumerate(scenes))
+
+    def stacked_scenes(self, entries: Any, scenes: Scene, images: int) -> Scene:
+        """The same for scenes that are stacked as the first axis of their arrays."""
+        parts = {
+            name: jnp.broadcast_to(part, (images, *part.shape[1:]))
+            for name, part in self._scene_parts(entries).items()
+        }
+        return eqx.filter_vmap(with_arrays)(scenes, parts)
+
+    def _scene_parts(self, entries: Any) -> dict[str, Array]:
+        """What is unknown of the scenes, a row for each of them or for all."""
         parts = {n: p for n, p in self.parts(entries).items() if is_of_scene(n)}
         done = 0
         for parameter in self.parameters:
@@ -311,11 +332,7 @@ class Unknowns:
                 start = self.turn[done : done + len(parameter.rows)]
                 parts[parameter.name] = jax.vmap(turned)(start, parts[parameter.name])
                 done += len(parameter.rows)
-
-        def of(k: int) -> dict[str, Array]:
-            return {n: part[min(k, len(part) - 1)] for n, part in parts.items()}
-
-        return tuple(with_arrays(scene, of(k)) for k, scene in enumerate(scenes))
+        return parts
 
     def exposures(self, entries: Any) -> Float[Array, " images"]:
         """What the light of each image is multiplied by."""

@@ -4,6 +4,7 @@ import dataclasses
 
 import equinox as eqx
 import jax
+import jax.extend.core
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -37,6 +38,7 @@ KINDS = {
     "one material": (SCENE, {}),
     "two materials": (TWO, {}),
     "images apart": ([SCENE, SCENE], dict(unknowns=("diffuse", "exposure"))),
+    "materials and images": ([TWO, TWO], dict(unknowns=("diffuse", "exposure"))),
     "scenes": (
         SCENE,
         dict(unknowns=("diffuse", INTENSITY, "scene.lights[1].direction")),
@@ -56,7 +58,7 @@ def problem_of(kind: str) -> tuple[Problem, jax.Array]:
     """A problem with noise and some white pixels, and a point off its optimum."""
     scene, options = KINDS[kind]
     scenes = scene if isinstance(scene, list) else [scene]
-    material = pf.stack_materials([TRUTH] * 2) if scene is TWO else TRUTH
+    material = pf.stack_materials([TRUTH] * 2) if scenes[0] is TWO else TRUTH
     images = [
         photograph(one, material, noise=NOISE, seed=k) for k, one in enumerate(scenes)
     ]
@@ -199,3 +201,31 @@ def test_a_rounded_image_without_noise_is_no_reason_to_stop():
     near, far = (solve(problem, start * share, 50) for share in (1.0, 1.02))
     assert near.converged and far.converged
     assert float(far.cost) == pytest.approx(float(near.cost), rel=1e-3)
+
+
+def equations(jaxpr: jax.extend.core.Jaxpr) -> int:
+    """How many there are, those of programs within included; copies do not count."""
+    count = 0
+    for equation in jaxpr.eqns:
+        inner = [part for part in equation.params.values() if hasattr(part, "jaxpr")]
+        count += sum(equations(part.jaxpr) for part in inner)
+        count += not inner and equation.primitive.name != "broadcast_in_dim"
+    return count
+
+
+@pytest.mark.parametrize("name", ["exposure", INTENSITY, "scene.lights[0].direction"])
+def test_many_images_compile_like_few(name):
+    def size(images: int) -> int:
+        scenes, image = [SCENE] * images, np.full((16, 16, 3), 0.5)
+        per_image = () if name == "exposure" else (name,)
+        problem = pf.make_problem(
+            scenes,
+            [image] * images,
+            0.1,
+            unknowns=("diffuse", name),
+            per_image=per_image,
+        )
+        y = problem.unknowns.start
+        return equations(jax.make_jaxpr(sums)(problem, y).jaxpr)
+
+    assert size(9) == size(3)
