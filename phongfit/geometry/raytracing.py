@@ -14,11 +14,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from phongfit.geometry.boxes import FaceTree
 from phongfit.geometry.cameras import Ray
 
 
@@ -103,6 +102,19 @@ def _remembered(size: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]
     return decorate
 
 
+def _scene(vertices: np.ndarray, faces: np.ndarray) -> Any:
+    """Embree's, or where there is no Embree one of our own, which is slower."""
+    try:
+        # Here, since only those who trace faces need it.
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+    except ImportError:
+        return FaceTree(vertices, faces)
+    scene = EmbreeScene(robust=True)
+    TriangleMesh(scene, vertices, faces)
+    return scene
+
+
 class _Tree:
     """A bounding volume hierarchy. Embree computes in float32: it gets the mesh moved
     to the origin and of size 1, and rays that start near it."""
@@ -112,9 +124,8 @@ class _Tree:
         lowest, highest = corners.min(axis=0), corners.max(axis=0)
         self.center = (lowest + highest) / 2
         self.size = np.linalg.norm(highest - lowest) / 2 or 1.0
-        self.scene = EmbreeScene(robust=True)
         unit = ((vertices - self.center) / self.size).astype(np.float32)
-        TriangleMesh(self.scene, unit, np.ascontiguousarray(faces, np.int32))
+        self.scene = _scene(unit, np.ascontiguousarray(faces, np.int32))
 
     def run(
         self,
