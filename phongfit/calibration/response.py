@@ -109,7 +109,8 @@ class Response:
     """What [`fit_response`][] found.
 
     - `curve`: to be given wherever an encoding is asked for.
-    - `error`: standard errors of its samples.
+    - `error`: standard errors of its samples, next to the light of the largest number
+        that was seen: how bright all light is does not matter.
     - `seen`: smallest and largest number that the photographs show; beyond them the
         curve only goes on smoothly.
     - `checks`: of the encodings that have a name.
@@ -412,15 +413,21 @@ class _Solver:
         # What lies flat to the last digit still rises.
         samples = np.interp(numbers, self.grid, light) + 1e-9 * numbers
         samples = samples / samples[-1]
-        moved = [
-            np.interp(numbers, self.grid, self.curve(theta + step)[0] - light)
-            for step in 1e-4 * np.eye(SPLINES)
-        ]
-        slopes = np.array(moved).T / 1e-4
-        error = np.sqrt(np.einsum("ni,ij,nj->n", slopes, covariance, slopes))
         lit = (self.used > 0) & (self.samples.share > 0)
         low, high = np.percentile(self.samples.number[lit], (0.5, 99.5))
         seen = (float(low), float(high))
+
+        def shape(at: np.ndarray) -> np.ndarray:
+            """Of a curve, since how bright all light is does not matter."""
+            other = self.curve(at)[0]
+            scale = np.interp(high, self.grid, light) / np.interp(
+                high, self.grid, other
+            )
+            return scale * np.interp(numbers, self.grid, other)
+
+        moved = [shape(theta + step) - shape(theta) for step in 1e-4 * np.eye(SPLINES)]
+        slopes = np.array(moved).T / 1e-4
+        error = np.sqrt(np.einsum("ni,ij,nj->n", slopes, covariance, slopes))
         best = float(np.sum(self.used * self.errors(light) ** 2))
         checks = {
             name: self._check(name, best, variance, max(freedom, 1.0), light, seen)
