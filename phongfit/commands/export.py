@@ -27,7 +27,7 @@ from phongfit.maps.folder import RECORD_FILE
 from phongfit.material import Material, unstack_materials
 from phongfit.reflectance import AbstractSpecular, BlinnPhong
 
-Target = Literal["mtl", "gltf", "json", "opengl"]
+Target = Literal["mtl", "gltf", "json", "opengl", "obj", "ply"]
 
 BY_SUFFIX: dict[str, Target] = {
     ".mtl": "mtl",
@@ -36,6 +36,8 @@ BY_SUFFIX: dict[str, Target] = {
     ".json": "json",
     ".h": "opengl",
     ".c": "opengl",
+    ".obj": "obj",
+    ".ply": "ply",
 }
 
 
@@ -48,20 +50,27 @@ class Options:
             of a material, or the folder that `phongfit maps` made.
         out: The file to write; for gltf .glb, or .gltf, which is text.
         to: mtl: Wavefront's .mtl. gltf: glTF 2.0, on the scene's mesh. json: what
-            phongfit reads again. opengl: C lines of glMaterialfv. Default: what the
-            file's suffix says (.mtl; .glb, .gltf; .json; .h, .c).
+            phongfit reads again. opengl: C lines of glMaterialfv. Of maps also obj: the
+            mesh of their height, with an .mtl and textures beside it, and ply: the mesh
+            with colours. Default: what the file's suffix says (.mtl; .glb, .gltf;
+            .json; .h, .c; .obj; .ply).
         scene: For gltf: a scene file whose mesh, or sphere, gets the material.
             Default: a sphere.
         nearest: Where the format cannot hold the material (colours above 1, an exponent
             above 1000 in .mtl or 128 in OpenGL, an exponent for each channel), write
             the nearest that it holds, with a warning; else that is an error.
+        surface: Of maps, for gltf: the mesh of their height, in place of a rectangle.
+        distance: Of maps: how far from a pinhole camera the surface is, where no
+            geometry was given that knows it.
     """
 
     fit: Annotated[Positional[str], arg(metavar="FIT")]
     out: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
-    to: Annotated[Target | None, optional("mtl|gltf|json|opengl")] = None
+    to: Annotated[Target | None, optional("mtl|gltf|json|opengl|obj|ply")] = None
     scene: Annotated[Path | None, optional("FILE")] = None
     nearest: bool = False
+    surface: bool = False
+    distance: Annotated[float | None, optional("LENGTH")] = None
 
 
 def main(options: Options) -> int:
@@ -71,14 +80,16 @@ def main(options: Options) -> int:
     glTF knows another one: roughness = (2 / (f + 2))^(1/4), F0 = 8 rho_s / (f + 2) by
     KHR_materials_specular, metallic 0; the exact numbers stand in its extras. Maps
     become texture images: beside an .mtl; inside a glTF file, on a rectangle with their
-    normals. A highlight that is 0 within its error is 0 there, and what a pixel
-    does not identify is the median of those that can.
+    normals, or on the mesh of their height (--surface; .obj and .ply always). A
+    highlight that is 0 within its error is 0 there, and what a pixel does not identify
+    is the median of those that can.
 
     For example:
       phongfit export out/fit -o out/brass.glb
       phongfit export out/fit/fit.json -o out/brass.h --nearest
       phongfit export preset:gold -o out/gold.mtl
       phongfit export out/maps -o out/maps.glb
+      phongfit export out/maps -o out/coin.obj
     """
     check_file(options.out)
     to = _target(options)
@@ -110,13 +121,25 @@ def _export(options: Options, to: Target) -> str:
     """Write the file; what was written, in words."""
     folder = Path(options.fit)
     if not (folder / RECORD_FILE).is_file():
+        if to in ("obj", "ply") or options.surface:
+            raise ValueError(
+                f"{options.fit}: expected the folder of `phongfit maps` for a surface: "
+                "a material has none"
+            )
         return _export_material(options, to)
     _check_maps(folder, options, to)
-    return export_maps(folder, options.out, to, nearest=options.nearest)
+    return export_maps(
+        folder,
+        options.out,
+        to,
+        nearest=options.nearest,
+        surface=options.surface,
+        distance=options.distance,
+    )
 
 
 def _check_maps(folder: Path, options: Options, to: Target) -> None:
-    if to not in ("mtl", "gltf"):
+    if to in ("json", "opengl"):
         raise ValueError(
             f"to: {to} holds one material, {folder} holds maps; mtl and gltf "
             "know textures"

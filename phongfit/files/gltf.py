@@ -57,12 +57,15 @@ class Part(NamedTuple):
 
 
 class Textures(NamedTuple):
-    """PNG files as bytes, in place of a material's numbers, and the colour's factor."""
+    """PNG files as bytes, in place of a material's numbers, and the colour's factor.
+
+    Without `normal` the vertices' own normals are all there is.
+    """
 
     base_colour: bytes
     roughness: bytes
     specular: bytes
-    normal: bytes
+    normal: bytes | None
     specular_factor: Float[np.ndarray, "3"]
 
 
@@ -197,7 +200,7 @@ class _File:
         return len(self.json["bufferViews"]) - 1
 
     def texture(self, textures: Textures) -> None:
-        images = textures[:4]
+        images = [image for image in textures[:4] if image is not None]
         self.json["images"] = [
             {"bufferView": self._view(image), "mimeType": "image/png"}
             for image in images
@@ -211,7 +214,8 @@ class _File:
         ]
         material = self.json["materials"][0]
         material["alphaMode"] = "MASK"
-        material["normalTexture"] = {"index": 3}
+        if textures.normal is not None:
+            material["normalTexture"] = {"index": 3}
         material["pbrMetallicRoughness"] = {
             "baseColorTexture": {"index": 0},
             "metallicRoughnessTexture": {"index": 1},

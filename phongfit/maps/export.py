@@ -3,10 +3,14 @@
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
-from phongfit.files.gltf import pbr_material, write_gltf
+from phongfit.files.gltf import Part, pbr_material, write_gltf
+from phongfit.files.images import to_levels
+from phongfit.files.mesh_writing import obj_text, write_ply
 from phongfit.files.mtl import MAX_NS
 from phongfit.files.outputs import replacing_files
+from phongfit.geometry.height import HeightField, triangles
 from phongfit.maps.folder import load_folder
 from phongfit.maps.textures import (
     TextureMaps,
@@ -18,7 +22,15 @@ from phongfit.maps.textures import (
 from phongfit.material import Material
 
 
-def export_maps(folder: Path, path: Path, to: str, *, nearest: bool) -> str:
+def export_maps(
+    folder: Path,
+    path: Path,
+    to: str,
+    *,
+    nearest: bool,
+    surface: bool = False,
+    distance: float | None = None,
+) -> str:
     """Write the maps of a folder as a material with textures, all or nothing.
 
     What a pixel does not identify is filled in: see [`phongfit.maps.textures`][].
@@ -26,8 +38,10 @@ def export_maps(folder: Path, path: Path, to: str, *, nearest: bool) -> str:
     **Arguments:**
 
     - `path`: the file to write; the textures of an `.mtl` go beside it.
-    - `to`: `"mtl"` or `"gltf"`.
+    - `to`: `"mtl"`, `"gltf"`, or `"obj"` and `"ply"`, which hold a mesh.
     - `nearest`: where the format cannot hold an exponent, write the nearest it holds.
+    - `surface`: for glTF the mesh of the maps' height, in place of a rectangle.
+    - `distance`: as of [`Maps`][]`.height`.
 
     **Returns:** what was written, in words.
 
@@ -42,11 +56,49 @@ def export_maps(folder: Path, path: Path, to: str, *, nearest: bool) -> str:
     if to == "mtl":
         return _write_mtl(path, name, textured, nearest) + words
     height, width = maps.flags.shape
+    if to in ("obj", "ply") or surface:
+        field = maps.height(distance=distance)
+        part = relief(field, maps.normals)
+        warned = "".join(f"; {warning}" for warning in field.warnings)
+        words = f"; {len(part.faces):,} triangles" + warned + words
+    if to == "obj":
+        return _write_mtl(path, name, textured, nearest, part) + words
+    if to == "ply":
+        write_ply(path, part, to_levels(textured.diffuse, "srgb", 8)[field.mask])
+        return name + words
     material = pbr_material(name, typical(textured), nearest=True)
     material["extras"]["of"] = "the median of the maps; each texel has its own"
-    parts = [(rectangle(height, width), material)]
-    write_gltf(path, parts, gltf_textures(textured, normals))
+    textures = gltf_textures(textured, normals)
+    if surface:
+        # Each texel is a vertex, with a normal of its own.
+        textures = textures._replace(normal=None)
+    else:
+        part = rectangle(height, width)
+    write_gltf(path, [(part, material)], textures)
     return f"{name}, {width} × {height} texels" + words
+
+
+def relief(field: HeightField, normals: Float[np.ndarray, "height width 3"]) -> Part:
+    """A height field as triangles: a vertex for each pixel, with its own normal.
+
+    **Raises:** `ValueError` if no three neighbours have heights.
+    """
+    height, width = field.mask.shape
+    vertices, faces = triangles(field.positions(), field.mask)
+    if not len(faces):
+        raise ValueError("mask: expected neighbouring pixels, got none")
+    number = np.cumsum(field.mask.ravel()) - 1
+    inside = field.mask.ravel()
+    y, x = np.mgrid[:height, :width] + 0.5
+    axes = np.asarray(field.camera.rotation, float)
+    # Where a normal is not identified it is 0: that of the camera's axis will do.
+    own = np.where(normals.any(axis=-1, keepdims=True), normals, [0, 0, 1])
+    return Part(
+        vertices[inside],
+        number[faces],
+        (own @ axes.T).reshape(-1, 3)[inside],
+        np.stack([x / width, y / height], axis=-1).reshape(-1, 2)[inside],
+    )
 
 
 def _filled_words(textured: TextureMaps) -> str:
@@ -71,7 +123,14 @@ def typical(textured: TextureMaps) -> Material:
     )
 
 
-def _write_mtl(path: Path, name: str, textured: TextureMaps, nearest: bool) -> str:
+def _write_mtl(
+    path: Path,
+    name: str,
+    textured: TextureMaps,
+    nearest: bool,
+    part: Part | None = None,
+) -> str:
+    """An `.mtl` with its textures; with a part an `.obj` that names it, too."""
     if any(blank in path.stem for blank in " \t#"):
         raise ValueError(f"{path}: expected a name without blanks, for the textures")
     highest = float(textured.shininess.max())
@@ -93,5 +152,9 @@ def _write_mtl(path: Path, name: str, textured: TextureMaps, nearest: bool) -> s
     with replacing_files(path) as folder:
         for key, (image, _) in textures.items():
             (folder / f"{path.stem}_{key}.png").write_bytes(image)
-        (folder / path.name).write_text(text, encoding="utf-8")
+        library = f"{path.stem}.mtl" if part is not None else path.name
+        (folder / library).write_text(text, encoding="utf-8")
+        if part is not None:
+            mesh = obj_text(part, library, "_".join(name.split()))
+            (folder / path.name).write_text(mesh, encoding="utf-8")
     return f"{name}, with {', '.join(f'{path.stem}_{key}.png' for key in textures)}"

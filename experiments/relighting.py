@@ -1,0 +1,273 @@
+"""Question: how well are photographs under lamps that were left out predicted?
+
+Reads folders of photographs with an .lp file, as reflectance-transformation imaging
+makes them: with `Dome` and `Test` folders the first are fitted and the second
+predicted, else every sixth photograph, from the fourth on, is left out. Each is
+predicted by polynomial texture maps (6 coefficients), by hemispherical harmonics of
+orders 2 and 3 (9 and 16), which are least squares on the values as stored, and by maps:
+normals and materials per pixel, fitted to light, the height that the normals have, and
+the shadows that it throws, which a second fit leaves out. Printed is the mean over the
+photographs of the peak signal-to-noise ratio, in dB. Without folders a synthetic stand-
+in is made: a bumpy shiny plate that throws shadows on itself.
+"""
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import tyro
+from jaxtyping import Float
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
+from scipy.special import lpmv
+
+import phongfit as pf
+from data_synth.lights import spread_directions
+from experiments.output import (
+    JsonFile,
+    PictureFile,
+    check_outputs,
+    save_numbers,
+    save_picture,
+)
+from phongfit.cli import run
+from phongfit.files.lp import base_name
+from phongfit.rendering.film import decode, encode
+
+SIZE, SMALL = 96, 32
+LAMPS, LEFT_OUT = 49, 12
+
+Folders = Annotated[
+    tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER ...")
+]
+
+
+class Lamps(NamedTuple):
+    """Photographs, each under one lamp: unit vectors, and values as stored."""
+
+    directions: Float[np.ndarray, "lamps 3"]
+    images: Float[np.ndarray, "lamps height width 3"]
+
+
+class Photographed(NamedTuple):
+    """What is fitted, what is predicted, and how both are encoded."""
+
+    name: str
+    fitted: Lamps
+    left_out: Lamps
+    encoding: str
+
+
+def polynomials(directions: Float[np.ndarray, "lamps 3"]) -> np.ndarray:
+    """Basis of a polynomial texture map: x², y², xy, x, y, 1.
+
+    ??? cite "Source"
+        Malzbender, Gelb and Wolters, *Polynomial texture maps*, SIGGRAPH 2001.
+    """
+    x, y, _ = directions.T
+    return np.stack([x * x, y * y, x * y, x, y, np.ones_like(x)], axis=-1)
+
+
+def harmonics(directions: Float[np.ndarray, "lamps 3"], order: int) -> np.ndarray:
+    """Basis of hemispherical harmonics up to an order: (order + 1)² of them.
+
+    ??? cite "Source"
+        Gautron et al., *A novel hemispherical basis for accurate and efficient
+        rendering*, EGSR 2004.
+    """
+    x, y, z = directions.T
+    turn, up = np.arctan2(y, x), 2 * np.clip(z, 0, 1) - 1
+    columns = []
+    for band in range(order + 1):
+        for m in range(-band, band + 1):
+            k = abs(m)
+            scale = (2 * band + 1) * math.factorial(band - k) / math.factorial(band + k)
+            legendre = math.sqrt(scale / (2 * math.pi)) * lpmv(k, band, up)
+            wave = np.cos(k * turn) if m >= 0 else np.sin(k * turn)
+            columns.append(legendre * wave * (math.sqrt(2) if m else 1))
+    return np.stack(columns, axis=-1)
+
+
+def regress(basis: Any, data: Photographed) -> Float[np.ndarray, "lamps h w 3"]:
+    """The left-out photographs by least squares, per pixel and channel."""
+    known, asked = basis(data.fitted.directions), basis(data.left_out.directions)
+    images = data.fitted.images
+    weights, *_ = np.linalg.lstsq(known, images.reshape(len(images), -1), rcond=None)
+    return (asked @ weights).reshape(-1, *images.shape[1:])
+
+
+def mapped(data: Photographed, rounds: int = 2) -> Float[np.ndarray, "lamps h w 3"]:
+    """The left-out photographs by maps that are relit."""
+    height, width = data.fitted.images.shape[1:3]
+    camera = pf.OrthographicCamera(width, height, view_height=float(height))
+    ahead = pf.NormalMap(np.tile([0.0, 0.0, 1.0], (height, width, 1)))
+    lights = [pf.DirectionalLight(vector) for vector in data.fitted.directions]
+    scenes = [pf.Scene(ahead, camera, light) for light in lights]
+    light = np.asarray(decode(data.fitted.images, data.encoding), np.float32)
+    mask, surface = None, None
+    for _ in range(rounds):
+        maps = pf.fit_maps(
+            scenes,
+            light,
+            normals="fit",
+            unknowns=("diffuse", "specular", "shininess"),
+            film=pf.Film(),
+            mask=mask,
+        )
+        surface = maps.height()
+        shadows = pf.cast_shadows(surface.height, camera, lights)
+        mask = list(_enough(~shadows))
+    lamps = [pf.DirectionalLight(vector) for vector in data.left_out.directions]
+    relit = maps.relight(lamps, surface=surface)
+    return np.asarray(encode(np.clip(relit, 0, 1), data.encoding))
+
+
+def _enough(lit: np.ndarray) -> np.ndarray:
+    """Where a pixel would keep too few lamps, it keeps all: the height may be wrong."""
+    return lit | (lit.sum(axis=0) < max(8, len(lit) // 3))
+
+
+METHODS = {
+    "PTM": lambda data: regress(polynomials, data),
+    "HSH 2": lambda data: regress(lambda d: harmonics(d, 2), data),
+    "HSH 3": lambda data: regress(lambda d: harmonics(d, 3), data),
+    "maps": mapped,
+}
+
+
+def ratio(shown: np.ndarray, wanted: np.ndarray) -> float:
+    """Peak signal-to-noise ratio of values in [0, 1], dB."""
+    off = float(np.mean((np.clip(shown, 0, 1) - wanted) ** 2))
+    return 10 * math.log10(1 / max(off, 1e-12))
+
+
+def read_lamps(folder: Path) -> Lamps:
+    """A folder's photographs, in the order of its list.
+
+    Lists of real folders may count wrongly, or name photographs that are not there:
+    these are left out.
+
+    **Raises:** `ValueError` that names the folder.
+    """
+    lists = sorted(folder.glob("*.lp"))
+    if not lists:
+        raise ValueError(f"{folder}: expected an .lp file, got none")
+    names, vectors = [], []
+    for line in lists[0].read_text().splitlines()[1:]:
+        words = line.rsplit(maxsplit=3)
+        if len(words) == 4:
+            names.append(base_name(words[0]))
+            vectors.append([float(word) for word in words[1:]])
+    there = [at for at, name in enumerate(names) if (folder / name).is_file()]
+    if not there:
+        raise ValueError(f"{folder}: expected photographs that {lists[0].name} names")
+    paths = [folder / names[at] for at in there]
+    directions = np.array(vectors)[there]
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    # Values as stored: linear leaves them as they are.
+    images = [np.asarray(pf.read_image(path, "linear")) for path in paths]
+    return Lamps(directions, np.stack(images))
+
+
+def read(folder: Path) -> Photographed:
+    """What is fitted in a folder, and what is left out."""
+    if (folder / "Dome").is_dir() and (folder / "Test").is_dir():
+        parts = read_lamps(folder / "Dome"), read_lamps(folder / "Test")
+        return Photographed(folder.name, *parts, "srgb")
+    every = read_lamps(folder)
+    left = np.zeros(len(every.directions), bool)
+    left[3::6] = True
+    parts = (Lamps(*(array[chosen] for array in every)) for chosen in (~left, left))
+    return Photographed(folder.name, *parts, "srgb")
+
+
+def stand_in(size: int) -> Photographed:
+    """A bumpy, shiny plate with its own shadows, rendered as sRGB of 8 bits."""
+    y, x = (np.mgrid[:size, :size] + 0.5) / size
+    height = 0.05 * size * np.sin(9 * x) * np.sin(11 * y)
+    height += 0.06 * size * np.exp(-80 * ((x - 0.5) ** 2 + (y - 0.4) ** 2))
+    down, right = np.gradient(height)
+    normals = np.stack([-right, down, np.ones_like(x)], axis=-1)
+    camera = pf.OrthographicCamera(size, size, view_height=float(size))
+    surface = pf.HeightField(height, np.ones((size, size), int), camera)
+    checks = (np.floor(8 * x) + np.floor(8 * y)) % 2
+    diffuse = np.where(checks[..., None] > 0, [0.5, 0.3, 0.2], [0.25, 0.35, 0.5])
+    material = pf.Material(diffuse, 0.35, 30.0 + 30 * x[..., None], 0.0)
+    shape = pf.NormalMap(normals, positions=surface.positions())
+    directions = np.asarray(spread_directions(LAMPS + LEFT_OUT), float)
+    directions[:, 2] = np.abs(directions[:, 2])
+    order = np.random.default_rng(0).permutation(len(directions))
+    film = pf.Film(encoding="srgb", bits=8)
+    images = []
+    for direction in directions[order]:
+        light = pf.DirectionalLight(direction)
+        (shadow,) = pf.cast_shadows(height, camera, [light])
+        lit = pf.render(pf.Scene(shape, camera, light), material, film=film)
+        images.append(np.where(shadow[..., None], 0, np.asarray(lit)))
+    whole = Lamps(directions[order], np.stack(images))
+    parts = (
+        Lamps(*(array[part] for array in whole))
+        for part in (slice(LAMPS), slice(LAMPS, None))
+    )
+    return Photographed("stand-in", *parts, "srgb")
+
+
+def draw(data: Photographed, shown: dict[str, np.ndarray]) -> Figure:
+    """The left-out photograph with the lowest lamp, and what each method predicts."""
+    lowest = int(np.argmin(data.left_out.directions[:, 2]))
+    pictures = {"photograph": data.left_out.images} | shown
+    figure = Figure(figsize=(3 * len(pictures), 3.4), layout="constrained")
+    for axes, (name, images) in zip(
+        figure.subplots(1, len(pictures)), pictures.items(), strict=True
+    ):
+        axes.imshow(np.clip(images[lowest], 0, 1))
+        axes.set_axis_off()
+        of = "" if name == "photograph" else f", {_mean(images, data):.1f} dB"
+        axes.set_title(f"{name}{of}")
+    figure.suptitle(f"{data.name}: the lowest of the lamps that were left out")
+    return figure
+
+
+def _mean(images: np.ndarray, data: Photographed) -> float:
+    pairs = zip(images, data.left_out.images, strict=True)
+    return float(np.mean([ratio(a, b) for a, b in pairs]))
+
+
+def main(
+    folders: Folders = (),
+    small: bool = False,
+    picture: PictureFile = Path("out/relighting.png"),
+    json: JsonFile = None,
+) -> int:
+    """Compare maps with texture maps and harmonics, on lamps that were left out.
+
+    Args:
+        folders: Of photographs with an .lp, or with Dome and Test folders of them.
+        small: A small stand-in, where no folder is given.
+        picture: The figure to write; of several folders the first one's.
+        json: The table as JSON.
+    """
+    check_outputs(picture, json)
+    sets = [read(folder) for folder in folders] or [stand_in(SMALL if small else SIZE)]
+    console, table = Console(), Table(title="Mean PSNR of left-out lamps, dB")
+    for column in ("set", *METHODS):
+        table.add_column(column, justify="left" if column == "set" else "right")
+    numbers: dict[str, dict[str, float]] = {}
+    for at, data in enumerate(sets):
+        shown = {}
+        for name, method in METHODS.items():
+            with console.status(f"{data.name}: {name}"):
+                shown[name] = method(data)
+        numbers[data.name] = {name: _mean(shown[name], data) for name in METHODS}
+        table.add_row(data.name, *(f"{v:.2f}" for v in numbers[data.name].values()))
+        if at == 0:
+            save_picture(picture, draw(data, shown))
+    console.print(table)
+    save_numbers(json, numbers)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(main, prog="python -m experiments.relighting"))

@@ -1,0 +1,59 @@
+"""Triangles as files: OBJ, beside an .mtl, and PLY with a colour for each vertex."""
+
+import os
+
+import numpy as np
+from jaxtyping import UInt
+
+from phongfit.files.gltf import Part
+from phongfit.files.outputs import replacing
+
+
+def obj_text(part: Part, library: str, material: str) -> str:
+    """Wavefront's .obj of a part with normals and uv.
+
+    **Arguments:** `library`: the .mtl beside it; `material`: the one in it.
+    """
+    assert part.normals is not None and part.uv is not None
+    # Its v runs up.
+    uv = part.uv * [1, -1] + [0, 1]
+    numbers = part.faces + 1
+    corners = np.repeat(numbers.reshape(-1, 3), 3, axis=1)
+    return "\n".join(
+        [
+            f"mtllib {library}",
+            *_lines("v %.7g %.7g %.7g", part.positions),
+            *_lines("vt %.7g %.7g", uv),
+            *_lines("vn %.5f %.5f %.5f", part.normals),
+            f"usemtl {material}",
+            *_lines("f %d/%d/%d %d/%d/%d %d/%d/%d", corners),
+            "",
+        ]
+    )
+
+
+def _lines(form: str, rows: np.ndarray) -> list[str]:
+    return [form % tuple(row) for row in rows.tolist()]
+
+
+def write_ply(
+    path: str | os.PathLike[str], part: Part, colours: UInt[np.ndarray, "vertices 3"]
+) -> None:
+    """A binary .ply of a part, with 8-bit colours of its vertices, in one piece.
+
+    **Raises:** `OSError` that names `path`.
+    """
+    # Here, since trimesh takes long to import.
+    import trimesh
+
+    mesh = trimesh.Trimesh(
+        part.positions,
+        part.faces,
+        vertex_normals=part.normals,
+        vertex_colors=colours,
+        process=False,
+    )
+    content = mesh.export(file_type="ply", vertex_normal=True)
+    assert isinstance(content, bytes)
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
