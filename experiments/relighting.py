@@ -34,7 +34,7 @@ from experiments.output import (
 )
 from phongfit.cli import run
 from phongfit.files.lp import base_name
-from phongfit.rendering.film import decode, encode
+from phongfit.rendering.film import Encoding, decode, encode
 
 SIZE, SMALL = 96, 32
 LAMPS, LEFT_OUT = 49, 12
@@ -57,7 +57,7 @@ class Photographed(NamedTuple):
     name: str
     fitted: Lamps
     left_out: Lamps
-    encoding: str
+    encoding: Encoding
 
 
 def polynomials(directions: Float[np.ndarray, "lamps 3"]) -> np.ndarray:
@@ -98,30 +98,30 @@ def regress(basis: Any, data: Photographed) -> Float[np.ndarray, "lamps h w 3"]:
     return (asked @ weights).reshape(-1, *images.shape[1:])
 
 
-def mapped(data: Photographed, rounds: int = 2) -> Float[np.ndarray, "lamps h w 3"]:
+def mapped(data: Photographed) -> Float[np.ndarray, "lamps h w 3"]:
     """The left-out photographs by maps that are relit."""
     height, width = data.fitted.images.shape[1:3]
     camera = pf.OrthographicCamera(width, height, view_height=float(height))
     ahead = pf.NormalMap(np.tile([0.0, 0.0, 1.0], (height, width, 1)))
     lights = [pf.DirectionalLight(vector) for vector in data.fitted.directions]
-    scenes = [pf.Scene(ahead, camera, light) for light in lights]
+    # Ambient light stands for what comes by way of the surroundings.
+    scenes = [pf.Scene(ahead, camera, light, ambient=1.0) for light in lights]
     light = np.asarray(decode(data.fitted.images, data.encoding), np.float32)
-    mask, surface = None, None
-    for _ in range(rounds):
-        maps = pf.fit_maps(
-            scenes,
-            light,
-            normals="fit",
-            unknowns=("diffuse", "specular", "shininess"),
-            film=pf.Film(),
-            mask=mask,
-        )
-        surface = maps.height()
-        shadows = pf.cast_shadows(surface.height, camera, lights)
-        mask = list(_enough(~shadows))
+    maps, surface = _fitted(scenes, light, None)
+    shadows = pf.cast_shadows(surface.height, camera, lights)
+    if shadows.any():
+        maps, surface = _fitted(scenes, light, list(_enough(~shadows)))
     lamps = [pf.DirectionalLight(vector) for vector in data.left_out.directions]
     relit = maps.relight(lamps, surface=surface)
     return np.asarray(encode(np.clip(relit, 0, 1), data.encoding))
+
+
+def _fitted(
+    scenes: list[pf.Scene], light: np.ndarray, mask: Any
+) -> tuple[pf.Maps, pf.HeightField]:
+    """Maps of samples that are not masked, and the height of their normals."""
+    maps = pf.fit_maps(scenes, light, normals="fit", film=pf.Film(), mask=mask)
+    return maps, maps.height()
 
 
 def _enough(lit: np.ndarray) -> np.ndarray:
@@ -179,8 +179,11 @@ def read(folder: Path) -> Photographed:
     every = read_lamps(folder)
     left = np.zeros(len(every.directions), bool)
     left[3::6] = True
-    parts = (Lamps(*(array[chosen] for array in every)) for chosen in (~left, left))
-    return Photographed(folder.name, *parts, "srgb")
+    return Photographed(folder.name, _some(every, ~left), _some(every, left), "srgb")
+
+
+def _some(lamps: Lamps, which: Any) -> Lamps:
+    return Lamps(lamps.directions[which], lamps.images[which])
 
 
 def stand_in(size: int) -> Photographed:
@@ -207,10 +210,7 @@ def stand_in(size: int) -> Photographed:
         lit = pf.render(pf.Scene(shape, camera, light), material, film=film)
         images.append(np.where(shadow[..., None], 0, np.asarray(lit)))
     whole = Lamps(directions[order], np.stack(images))
-    parts = (
-        Lamps(*(array[part] for array in whole))
-        for part in (slice(LAMPS), slice(LAMPS, None))
-    )
+    parts = _some(whole, slice(LAMPS)), _some(whole, slice(LAMPS, None))
     return Photographed("stand-in", *parts, "srgb")
 
 

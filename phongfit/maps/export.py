@@ -55,26 +55,25 @@ def export_maps(
     words = _filled_words(textured)
     if to == "mtl":
         return _write_mtl(path, name, textured, nearest) + words
-    height, width = maps.flags.shape
     if to in ("obj", "ply") or surface:
         field = maps.height(distance=distance)
         part = relief(field, maps.normals)
         warned = "".join(f"; {warning}" for warning in field.warnings)
         words = f"; {len(part.faces):,} triangles" + warned + words
-    if to == "obj":
-        return _write_mtl(path, name, textured, nearest, part) + words
-    if to == "ply":
-        write_ply(path, part, to_levels(textured.diffuse, "srgb", 8)[field.mask])
-        return name + words
+        if to == "obj":
+            return _write_mtl(path, name, textured, nearest, part) + words
+        if to == "ply":
+            write_ply(path, part, to_levels(textured.diffuse, "srgb", 8)[field.mask])
+            return name + words
+        # Each texel is a vertex, with a normal of its own.
+        textures = gltf_textures(textured, normals)._replace(normal=None)
+    else:
+        part = rectangle(*maps.flags.shape)
+        textures = gltf_textures(textured, normals)
     material = pbr_material(name, typical(textured), nearest=True)
     material["extras"]["of"] = "the median of the maps; each texel has its own"
-    textures = gltf_textures(textured, normals)
-    if surface:
-        # Each texel is a vertex, with a normal of its own.
-        textures = textures._replace(normal=None)
-    else:
-        part = rectangle(height, width)
     write_gltf(path, [(part, material)], textures)
+    height, width = maps.flags.shape
     return f"{name}, {width} × {height} texels" + words
 
 

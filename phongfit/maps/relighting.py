@@ -14,7 +14,6 @@ from phongfit.geometry.tracing import trace
 from phongfit.lights import AbstractLight
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.result import Maps
-from phongfit.maps.textures import filled_in
 from phongfit.rendering.film import Film
 from phongfit.rendering.render import render
 from phongfit.scene import Scene
@@ -39,7 +38,6 @@ def relit(
     normals = maps.normals @ np.asarray(camera.rotation).T
     positions = jnp.asarray(surface.positions(), jnp.result_type(float))
     shape = NormalMap(np.where(inside[..., None], normals, 0), inside, positions)
-    material, _ = filled_in(maps)
     black = ~inside | maps.flagged(Flag.OUTSIDE)
     shares: Iterable[np.ndarray] = (np.zeros(inside.shape) for _ in lights)
     if shadows:
@@ -58,5 +56,5 @@ def relit(
         shaded = eqx.tree_at(
             lambda g: g.visibility, seen, lit, is_leaf=lambda leaf: leaf is None
         )
-        picture = render(scene, material, film=film, gbuffer=shaded)
+        picture = render(scene, maps.material, film=film, gbuffer=shaded)
         yield np.where(black[..., None], 0, np.asarray(picture))

@@ -140,8 +140,9 @@ class Maps:
         """The object under other lights, one at a time.
 
         Diffuse light and highlight, dark where a surface is turned away, and shadows
-        that it throws on itself by its height, antialiased. What a pixel does not
-        identify is filled in as in exported textures.
+        that it throws on itself by its height, antialiased. Numbers that a pixel does
+        not identify are those that describe its photographs best: where no lamp showed
+        a highlight, other lamps than those may show a wrong one.
 
         **Arguments:**
 

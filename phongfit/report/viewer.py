@@ -25,7 +25,6 @@ from phongfit.files.outputs import replacing
 from phongfit.geometry.height import HeightField
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.result import Maps
-from phongfit.maps.textures import filled_in
 from phongfit.reflectance import AbstractSpecular, BlinnPhong, Phong
 from phongfit.rendering.film import encode
 from phongfit.report.html import fill
@@ -86,7 +85,7 @@ def _model(model: AbstractSpecular | None) -> dict[str, Any]:
 
 def _packed(maps: Maps, surface: HeightField) -> dict[str, Any]:
     """Textures as data URIs, their ranges, and the camera."""
-    material, _ = filled_in(maps)
+    material = maps.material
     inside = surface.mask & ~maps.flagged(Flag.OUTSIDE)
     height, width = inside.shape
     textures: dict[str, str] = {}
