@@ -22,6 +22,7 @@ from phongfit.geometry.cameras import AbstractCamera
 from phongfit.geometry.height import HeightField
 from phongfit.geometry.integration import integrate_normals, label_pieces
 from phongfit.lights import AbstractLight
+from phongfit.maps.normals.handedness import is_mirrored
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.material import Material
@@ -170,6 +171,18 @@ class Maps:
         )
         return np.stack([*pictures]) if lights else np.zeros((0, *self.diffuse.shape))
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with all of the maps rather than with a pixel."""
+        sought = np.isfinite(self.normals_stderr) & (self.normals_stderr > 0)
+        if not is_mirrored(self.normals, sought):
+            return ()
+        return (
+            "the normals bulge the wrong way: their slopes belong to no surface, and "
+            "with y turned round they do; try the lights with y (or x) of the opposite "
+            "sign",
+        )
+
     @checked
     def flagged(self, flag: Flag) -> Bool[np.ndarray, "height width"]:
         """Pixels with any of the given flags."""
@@ -227,6 +240,7 @@ class Maps:
                 lines.append(
                     f"  {str(flag.name).lower().replace('_', ' '):<14}{count:>12,}"
                 )
+        lines += [f"warning: {warning}" for warning in self.warnings]
         return "\n".join(lines)
 
     def __repr__(self) -> str:

@@ -33,13 +33,13 @@ from phongfit.maps.pixel.settings import MapSettings
 # Exponents to begin from: broad and sharp highlights.
 BROAD, SHARP = 8.0, 50.0
 # Steps from each start, and then at each scale of the residuals.
-FEW_STEPS = 8
-STEPS = 8
+FEW_STEPS = 7
+STEPS = 6
 COLOURED = 2
-LAST_STEPS = 40
+LAST_STEPS = 25
 # Square of the step, in standard errors, from which on it does not matter.
 ROUGH = 0.1
-FINE = 1e-3
+FINE = 1e-2
 # Damping: at first, how it falls and rises, where it says that nothing leads downhill.
 DAMPING = 1e-2
 FALL, RISE = 0.3, 5.0

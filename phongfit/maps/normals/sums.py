@@ -15,8 +15,8 @@ from phongfit.maps.normals.lamps import Lamps
 from phongfit.maps.normals.unknowns import Point, Unknowns, tangents
 from phongfit.maps.pixel.robust import loss_weights
 from phongfit.maps.pixel.small import Numbers, Triangle, optimization_barrier
-from phongfit.reflectance import AbstractSpecular, lambert
-from phongfit.vectors import Scalar, Vec3
+from phongfit.reflectance import AbstractSpecular
+from phongfit.vectors import Scalar, Vec3, dot
 
 
 class Samples(NamedTuple):
@@ -68,38 +68,65 @@ class Shade(NamedTuple):
     st: Array
 
 
+class Peak(NamedTuple):
+    """A lobe's height at its centre, and how its logarithm goes on with log f."""
+
+    height: Float[Array, " pixels"]
+    slope: Float[Array, " pixels"]
+
+
+def peak_of(model: AbstractSpecular, log_exponent: Float[Array, " pixels"]) -> Peak:
+    """The peaks of pixels' lobes: all else of a lobe is a power of the cosine."""
+    one = jnp.ones_like(log_exponent)
+
+    def height(t: Array) -> Array:
+        return model.lobe(one, jnp.exp(t))
+
+    top, slope = jax.jvp(height, (log_exponent,), (one,))
+    return optimization_barrier(Peak(top, slope / top))
+
+
 def shade(
     model: AbstractSpecular,
     normal: Float[Array, "3 pixels"],
     log_exponent: Float[Array, " pixels"],
+    peak: Peak,
     to_light: Float[Array, "3 some_pixels"],
     to_viewer: Float[Array, "3 some_pixels"],
 ) -> Shade:
-    """Of any specular model, by its derivatives along the tangents."""
+    """Of any specular model whose lobe is a power of the cosine.
+
+    The cosine's derivatives along the tangents are JAX's. Those of the power are
+    written out, since a compiler makes three powers of them.
+    """
 
     def pixel(
-        normal: Vec3, first: Vec3, second: Vec3, t: Scalar, light: Vec3, viewer: Vec3
-    ) -> Shade:
-        def at(a: Scalar, b: Scalar, t: Scalar) -> tuple[Scalar, Scalar]:
-            # Not renormalised: to first order a step along a tangent keeps the length.
-            turned = normal + a * first + b * second
-            cosine = model.cosine(turned, light, viewer)
-            return lambert(turned, light), model.lobe(cosine, jnp.exp(t))
+        normal: Vec3, first: Vec3, second: Vec3, light: Vec3, viewer: Vec3
+    ) -> tuple[Scalar, ...]:
+        # Not renormalised: to first order a step along a tangent keeps the length.
+        def cosine(turned: Vec3) -> Scalar:
+            return model.cosine(turned, light, viewer)
 
-        none, one = jnp.zeros_like(t), jnp.ones_like(t)
-        (d, s), (d1, s1) = jax.jvp(at, (none, none, t), (one, none, none))
-        _, (d2, s2) = jax.jvp(at, (none, none, t), (none, one, none))
-        _, (_, st) = jax.jvp(at, (none, none, t), (none, none, one))
-        scale = model.diffuse_scale()
-        return Shade(scale * d, scale * d1, scale * d2, s, s1, s2, st)
+        c, c1 = jax.jvp(cosine, (normal,), (first,))
+        _, c2 = jax.jvp(cosine, (normal,), (second,))
+        return c, c1, c2, dot(normal, light), dot(first, light), dot(second, light)
 
     light, light_axis = _same_for_all(to_light)
     viewer, viewer_axis = _same_for_all(to_viewer)
-    axes = (1, 1, 1, 0, light_axis, viewer_axis)
-    shades = jax.vmap(pixel, in_axes=axes)(
-        normal, *tangents(normal), log_exponent, light, viewer
+    axes = (1, 1, 1, light_axis, viewer_axis)
+    c, c1, c2, d, d1, d2 = jax.vmap(pixel, in_axes=axes)(
+        normal, *tangents(normal), light, viewer
     )
-    return optimization_barrier(shades)
+    lit, shiny = d > 0, c > 0
+    scale = jnp.where(lit, model.diffuse_scale(), 0)
+    base = jnp.where(shiny, c, 1)
+    exponent, logarithm = jnp.exp(log_exponent), jnp.log(base)
+    s = jnp.where(shiny, peak.height * jnp.exp(exponent * logarithm), 0)
+    steep = exponent * s / base
+    st = (exponent * logarithm + peak.slope) * s
+    return optimization_barrier(
+        Shade(scale * d, scale * d1, scale * d2, s, steep * c1, steep * c2, st)
+    )
 
 
 def _same_for_all(vectors: Float[Array, "3 some_pixels"]) -> tuple[Array, int | None]:
@@ -116,7 +143,12 @@ class Image(NamedTuple):
 
 
 def model_image(
-    point: Point, lamps: Lamps, image: Array, model: AbstractSpecular, which: Unknowns
+    point: Point,
+    peak: Peak,
+    lamps: Lamps,
+    image: Array,
+    model: AbstractSpecular,
+    which: Unknowns,
 ) -> Image:
     """Light of one image at a point, and its derivatives in all unknowns."""
     nothing = jnp.zeros_like(point.diffuse)
@@ -124,7 +156,9 @@ def model_image(
     diffuse, specular = lamps.diffuse[image], lamps.specular[image]
     lights = lamps.to_light[image]
     for j in range(lights.shape[0]):
-        one = shade(model, point.normal, point.log_exponent, lights[j], lamps.to_viewer)
+        one = shade(
+            model, point.normal, point.log_exponent, peak, lights[j], lamps.to_viewer
+        )
         e, h = diffuse[j], specular[j]
         strength = Shade(e, e, e, h, h, h, h)
         total = Shade(
@@ -157,10 +191,10 @@ def gather(
     which: Unknowns,
 ) -> Sums:
     """All sums at a point, residuals being measured in `scale`."""
-    first = _nothing(samples, which)
+    first, peak = _nothing(samples, which), peak_of(model, point.log_exponent)
 
     def add(image: Array, sums: Sums) -> Sums:
-        made = model_image(point, samples.lamps, image, model, which)
+        made = model_image(point, peak, samples.lamps, image, model, which)
         share = samples.share[image] / scale[None]
         residual = share * (samples.target[image] - made.light)
         weight = loss_weights(loss, residual) * share
@@ -239,8 +273,10 @@ def residuals(
 ) -> Float[Array, "images channels pixels"]:
     """(measured − model) · share: 0 where a sample may not be used."""
 
+    peak = peak_of(model, point.log_exponent)
+
     def image(_: None, number: Array) -> tuple[None, Array]:
-        made = model_image(point, samples.lamps, number, model, which)
+        made = model_image(point, peak, samples.lamps, number, model, which)
         return None, samples.share[number] * (samples.target[number] - made.light)
 
     return jax.lax.scan(image, None, jnp.arange(samples.target.shape[0]))[1]

@@ -54,7 +54,9 @@ def hide(
     grid = np.stack(np.meshgrid(x, np.linspace(1, -1, height)), axis=-1)
     normals = np.ones((*size, 3))
     normals[..., :2] = (
-        rng.uniform(-0.4, 0.4, (*size, 2)) if surface == "random" else 0.5 * grid
+        rng.uniform(-0.4, 0.4, (*size, 2))
+        if surface == "random"
+        else grid @ [[0.4, 0.25], [0.25, 0.4]]
     )
     low, high = np.log(exponents)
     truth = pf.Material(

@@ -1,5 +1,7 @@
 """Normals with the material: the truth within the errors, and no error that is none."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -149,3 +151,18 @@ def test_errors_hold_for_all_kinds(lights, near, model):
         seed=lights,
     )
     check_truth(hidden, found(hidden), least=0.9)
+
+
+def test_lights_mirrored_in_y_are_hinted_at():
+    """A dome, and its list of lights with y of the wrong sign."""
+    dome = hide(surface="dome")
+    assert not found(dome).warnings
+    mirrored = []
+    for scene in dome.scenes:
+        (lamp,) = scene.lights
+        assert isinstance(lamp, pf.DirectionalLight)
+        x, y, z = np.asarray(lamp.direction)
+        light = pf.DirectionalLight((x, -y, z), lamp.intensity)
+        mirrored.append(dataclasses.replace(scene, lights=(light,)))
+    seen = found(dome._replace(scenes=mirrored))
+    assert "bulge the wrong way" in str(seen)

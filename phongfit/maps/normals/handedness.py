@@ -1,0 +1,54 @@
+r"""Whether normals that were found belong to a surface, or to its mirror image.
+
+Slopes $p = -n_x / n_z$ and $q = -n_y / n_z$ of a surface satisfy $p_y = q_x$. Where
+the lights' y is turned round, so is the normals', and $p_y = -q_x$ instead: light alone
+cannot tell, since the mirrored object looks the same.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+# Blocks across the shorter side, over which normals are averaged first.
+ACROSS = 24
+# Slopes fit the mirror image if they fit it better by this factor, in so many places.
+PLAINLY = 0.5
+PLACES = 50
+STEEPEST = 0.2
+
+
+def is_mirrored(
+    normals: Float[np.ndarray, "height width 3"],
+    known: Bool[np.ndarray, "height width"],
+) -> bool:
+    """Whether the slopes fit together only once y, or x, is turned round.
+
+    **Arguments:**
+
+    - `normals`: in the camera's axes: x right, y up, z towards it.
+    - `known`: where they are to be trusted.
+    """
+    size = max(min(known.shape) // ACROSS, 1)
+    mean, inside = _averaged(normals, known, size)
+    inside &= mean[..., 2] > STEEPEST
+    z = np.where(inside, mean[..., 2], 1)
+    p, q = -mean[..., 0] / z, -mean[..., 1] / z
+    # Rows run down, y up.
+    rise = (p[:-1] - p[1:])[:, :-1]
+    run = (q[:, 1:] - q[:, :-1])[:-1]
+    whole = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:]
+    if whole.sum() < PLACES:
+        return False
+    as_it_is, turned = (np.mean(np.abs(rise + sign * run)[whole]) for sign in (-1, 1))
+    return bool(turned < PLAINLY * as_it_is)
+
+
+def _averaged(
+    normals: np.ndarray, known: np.ndarray, size: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means over blocks of so many pixels a side, and where half of one is known."""
+    height, width = (length // size * size for length in known.shape)
+    shape = (height // size, size, width // size, size)
+    share = known[:height, :width].reshape(shape).mean(axis=(1, 3))
+    used = np.where(known[..., None], normals, 0)[:height, :width]
+    total = used.reshape(*shape, 3).mean(axis=(1, 3))
+    return total / np.where(share > 0, share, 1)[..., None], share > 0.5
