@@ -49,6 +49,8 @@ class Options:
         report: full: the picture, and the report with profiles, for which the fit is
             solved some fifty times more. quick: the same without profiles. none:
             fit.json alone.
+        refine_lights: Find the lights of a calibration anew, with what it knows of them
+            as a prior. Else they are held, and their errors are in the material's.
         overwrite: Replace an older fit in OUT.
     """
 
@@ -62,6 +64,8 @@ class Options:
     like: Annotated[Path | None, optional("FIT.json")] = None
 
     report: Literal["full", "quick", "none"] = "full"
+
+    refine_lights: bool = False
 
     overwrite: bool = False
 
@@ -87,7 +91,7 @@ def main(options: Options) -> int:
         record = None if options.like is None else read_fit_record(options.like)
         asked, noise, reading = _asked(options, record)
         data, read = read_data(reading)
-        asked = _with_unknown(asked, data)
+        asked = _with_unknown(asked, data, options.refine_lights)
         tell(data.notes)
         with stage("fitting"):
             found = _fit(data, asked, noise)
@@ -123,8 +127,8 @@ def _asked(
     return settings.specification(), settings.noise, data
 
 
-def _with_unknown(asked: Specification, data: Dataset) -> Specification:
-    """With what the photographs' maker does not know: lights, strengths.
+def _with_unknown(asked: Specification, data: Dataset, refine: bool) -> Specification:
+    """With what the photographs' maker does not know, or not well: lights, strengths.
 
     Strengths are those of the first lamp's unless one is held elsewhere: brighter lamps
     and darker materials look the same.
@@ -132,13 +136,21 @@ def _with_unknown(asked: Specification, data: Dataset) -> Specification:
     fixed = dict(asked.fixed)
     if "exposure" in data.unknown and not any("exposure" in name for name in fixed):
         fixed["exposure[0]"] = 1.0
+    if refine and not data.uncertain:
+        raise ValueError(
+            "refine_lights: expected lights of a calibration, whose errors are known"
+        )
     several = len(data.images) > 1
-    own = tuple(name for name in data.unknown if name.startswith("scene."))
+    refined = tuple(data.uncertain) if refine else ()
+    names = (*data.unknown, *refined)
+    own = tuple(name for name in names if name.startswith("scene."))
     return dataclasses.replace(
         asked,
-        unknowns=tuple(dict.fromkeys((*asked.unknowns, *data.unknown))),
+        unknowns=tuple(dict.fromkeys((*asked.unknowns, *names))),
+        per_channel=tuple(dict.fromkeys((*asked.per_channel, *refined))),
         per_image=tuple(dict.fromkeys((*asked.per_image, *(own if several else ())))),
         fixed=fixed,
+        uncertain=data.uncertain,
     )
 
 
@@ -190,12 +202,17 @@ def _draw(folder: Path, found: Fit, data: Dataset, options: Options) -> None:
         names=data.names,
         assumptions={"exposures": "; ".join(data.notes)} if data.notes else None,
         command=_again(options),
-        loading=_loading(options.data, len(data.images), any(f.jpeg for f in films)),
+        loading=_loading(
+            options.data,
+            len(data.images),
+            any(f.jpeg for f in films),
+            bool(data.uncertain),
+        ),
         diagnostics=found.diagnose() if options.report == "full" else None,
     )
 
 
-def _loading(data: DataOptions, images: int, jpeg: bool) -> str:
+def _loading(data: DataOptions, images: int, jpeg: bool, uncertain: bool) -> str:
     """Lines of Python that read what was fitted, by the names of the report's call."""
     given = {
         field.name: getattr(data, field.name)
@@ -215,6 +232,7 @@ def _loading(data: DataOptions, images: int, jpeg: bool) -> str:
             f"data, _ = read_data(DataOptions({', '.join(words)}))",
             f"{names} = data.scenes, data.images, data.masks",
             *(["film = data.film"] if jpeg else []),
+            *(["uncertain = data.uncertain"] if uncertain else []),
         ]
     )
 

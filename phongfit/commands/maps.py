@@ -195,6 +195,7 @@ def _shared(photographs: Photographs, given: dict[str, Any]) -> Material:
         data = photographs.load()
         options = given | {"mask": data.masks, "film": data.film}
         options.pop("normals")
+        options |= {"uncertain": data.uncertain}
         one = fit(data.scenes, data.images, **options)
     print(one, "\n", flush=True)
     return one.material

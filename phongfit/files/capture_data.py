@@ -119,6 +119,7 @@ def open_captured(
         film_of=film_of,
         unknown=unknown,
         notes=series.notes,
+        uncertain=_uncertain(capture, source),
     )
 
 
@@ -161,6 +162,26 @@ def find_lamps(
     exposures = capture.series.relative_exposures
     found = [_times(light, e) for light, e in zip(lights, exposures, strict=True)]
     return found, unknown
+
+
+def _uncertain(
+    capture: Capture, calibration: Calibration | None
+) -> dict[str, np.ndarray]:
+    """How well a calibration knows its lamps, in the order of the photographs."""
+    if calibration is None:
+        return {}
+    lamps = {base_name(lamp.photograph): lamp for lamp in calibration.lamps}
+    found = [lamps[name] for name in capture.names]
+    place = np.zeros((3 * len(found), 3 * len(found)))
+    for k, lamp in enumerate(found):
+        place[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = lamp.covariance
+    where = "direction" if found[0].position is None else "position"
+    uncertain: dict[str, np.ndarray] = {f"scene.lights[0].{where}": place}
+    errors = np.array([lamp.intensity_error for lamp in found])
+    if np.isfinite(errors).all():
+        exposures = capture.series.relative_exposures[:, None]
+        uncertain["scene.lights[0].intensity"] = (exposures * errors).ravel()
+    return uncertain
 
 
 def _times(light: AbstractLight, exposure: float) -> AbstractLight:

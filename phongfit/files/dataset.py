@@ -1,6 +1,7 @@
 """A data set: photographs, the scene of each, and which samples may be used."""
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -27,6 +28,8 @@ class Dataset:
     - `unknown`: parameters of the scenes, and the exposure, that the photographs' maker
         does not know either, and a fit should find.
     - `notes`: what was assumed of the photographs, in sentences.
+    - `uncertain`: arrays of the scenes that were measured, and their covariances or
+        standard deviations, as [`fit`][] takes them.
     """
 
     name: str
@@ -38,6 +41,7 @@ class Dataset:
     truth: Material | None = None
     unknown: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    uncertain: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
     @property
     def films(self) -> tuple[Film, ...]:
@@ -85,6 +89,7 @@ class Photographs:
     - `film`: of all of them, as far as is known without their files.
     - `film_of`: that of the photograph of a number, as its file tells.
     - `notes`: what was assumed of the photographs, in sentences.
+    - `uncertain`: as in [`Dataset`][].
     """
 
     name: str
@@ -96,6 +101,7 @@ class Photographs:
     film_of: Callable[[int], Film] | None = None
     unknown: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    uncertain: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
     def films(self) -> tuple[Film, ...]:
         """Of each photograph, as its file tells."""
@@ -117,4 +123,5 @@ class Photographs:
             self.truth,
             self.unknown,
             self.notes,
+            self.uncertain,
         )

@@ -76,11 +76,14 @@ class FitSettings(AbstractRecord):
 
     @classmethod
     def of(cls, specification: Specification, noise: float | None) -> "FitSettings":
-        """What stands in the file of a specification; its film is the data's.
+        """What stands in the file of a specification.
+
+        Its film, and what is uncertain, are the data's.
 
         **Raises:** `ValueError` for a loss that has no name.
         """
-        given = {k: v for k, v in specification.options.items() if k != "film"}
+        given = dict(specification.options)
+        del given["film"], given["uncertain"]
         known, loss = specification.known, specification.loss
         names = [name for name, one in LOSSES.items() if one == loss]
         if not names:

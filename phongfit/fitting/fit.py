@@ -29,6 +29,7 @@ from phongfit.fitting.solve.jpeg import restore
 from phongfit.fitting.solve.search import SearchResult, search
 from phongfit.fitting.solve.start import ROBUST_NEAR, choose_few
 from phongfit.fitting.summary import FittedImage, summarize
+from phongfit.fitting.uncertainty.inherited import with_inherited
 from phongfit.fitting.uncertainty.statistics import sandwich_sums
 from phongfit.fitting.uncertainty.tiles import (
     Measured,
@@ -56,6 +57,7 @@ def fit(
     fixed: Mapping[str, Any] | None = None,
     ties: Mapping[str, Tie] | None = None,
     priors: Mapping[str, tuple[Any, float]] | None = None,
+    uncertain: Mapping[str, Any] | None = None,
     mask: Any = None,
     weights: Any = None,
     noise: Any = None,
@@ -97,6 +99,11 @@ def fit(
         stay within their bounds.
     - `priors`: name or label → (mean, standard deviation), in the user's units: what is
         known beforehand, as one more measurement.
+    - `uncertain`: array of the scenes, such as `"scene.lights[0].direction"` → how well
+        the scenes know it: its covariance over all images and components, image by
+        image (colours have three), or a standard deviation for all or one each. It is
+        held at what the scenes have, and its error goes into the errors of what is
+        found; or, if it is one of the `unknowns`, this is a prior about what they have.
     - `mask`: (height, width) or (height, width, 3), true where a sample is used; with
         several scenes a sequence. Pixels that see no surface are never used.
     - `weights`: relative inverse variances, shaped as `mask`; 0 leaves a sample out.
@@ -133,6 +140,7 @@ def fit(
         fixed=fixed,
         ties=ties,
         priors=priors,
+        uncertain=uncertain,
         mask=mask,
         weights=weights,
         noise=noise,
@@ -146,6 +154,7 @@ def fit(
         fixed=fixed,
         ties=ties,
         priors=priors,
+        uncertain=uncertain,
         film=film,
         loss=loss,
         max_steps=max_steps,
@@ -173,6 +182,9 @@ def fit(
         restored = restore(found, sources, films, noise is not None, max_steps, side)
         found = restored.solution
         sources = restored.sources
+    if setting.nuisance is not None:
+        problem = with_inherited(found.problem, found.y, setting.nuisance)
+        found = dataclasses.replace(found, problem=problem)
     setting = dataclasses.replace(setting, sources=sources)
     given = {"mask": mask, "weights": weights, "noise": noise}
     # Directions are now relative to where the best of several starts began.

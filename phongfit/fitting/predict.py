@@ -21,6 +21,7 @@ from phongfit.fitting.result import as_materials
 from phongfit.fitting.solve.edges import off_edges
 from phongfit.fitting.solve.jpeg import foresee
 from phongfit.fitting.uncertainty.estimate import Estimates, estimates
+from phongfit.fitting.uncertainty.inherited import with_inherited
 from phongfit.fitting.uncertainty.numbers import parameter_rows
 from phongfit.fitting.uncertainty.scatter import scatter
 from phongfit.material import Material
@@ -96,7 +97,7 @@ def predict_errors(
     - `film`: how light will become numbers, one or one a scene; default a clamp alone.
         What a JPEG file will round is drawn, as [`fit`][] does.
     - `options`: of [`fit`][]: `unknowns`, `per_channel`, `per_image`, `bounds`,
-        `fixed`, `ties`, `priors`, `mask`, `weights`.
+        `fixed`, `ties`, `priors`, `uncertain`, `mask`, `weights`.
 
     **Returns:** a [`Prediction`][].
 
@@ -138,7 +139,10 @@ def predict_errors(
     rounded = any(one.jpeg is not None for one in films)
     if rounded:
         problem = foresee(problem, y, sources, films)
-    estimated = estimates(_expected(problem, y), y)
+    expected = _expected(problem, y)
+    if setting.nuisance is not None:
+        expected = with_inherited(expected, y, setting.nuisance)
+    estimated = estimates(expected, y)
     is_exponent = unknowns.entry_parameter[unknowns.reported] == "shininess"
     if (
         estimated.unidentified[is_exponent].any()

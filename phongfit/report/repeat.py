@@ -31,6 +31,8 @@ def _arrays(fit: Fit) -> dict[str, str]:
         arrays.append("noise")
     if _is_jpeg(fit):
         arrays.append("film")
+    if fit.specification.uncertain:
+        arrays.append("uncertain")
     shown = {"mask": f"mask{_plural(fit)}"}
     return {name: shown.get(name, name) for name in arrays}
 

@@ -177,6 +177,7 @@ def known_words(fit: Fit) -> str:
         ("held", labels, unknowns.fixed),
         ("tied", fit.labels, fit.tied),
         ("with a prior", labels, unknowns.has_prior),
+        ("with an error of its own", *_uncertain(fit)),
     )
     words = [
         f"{what}: {listed(chosen)}"
@@ -184,6 +185,13 @@ def known_words(fit: Fit) -> str:
         if (chosen := [n for n, flag in zip(names, flags, strict=True) if flag])
     ]
     return "; ".join(words) or "nothing"
+
+
+def _uncertain(fit: Fit) -> tuple[list[str], list[bool]]:
+    """What the scenes say with an error, and no unknown is."""
+    asked = fit.specification
+    names = [name for name in asked.uncertain if name not in asked.unknowns]
+    return names, [True] * len(names)
 
 
 def versions() -> str:

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.calibration.outlines import View
+from phongfit.calibration.result import Lamp
 from phongfit.cli import main
 from phongfit.files.fits import read_fit_record
 from phongfit.files.images import read_image, write_image
@@ -304,3 +306,43 @@ def test_lamps_of_unknown_strength_are_next_to_the_first(tmp_path):
     values = dict(zip(found["labels"], found["values"], strict=True))
     assert values["exposure[1]"] == pytest.approx(0.7, rel=0.01)
     assert values["diffuse.red"] == pytest.approx(0.4, rel=0.01)
+
+
+def test_lights_of_a_calibration_are_held_with_their_errors_or_refined(tmp_path):
+    folder, lamps = tmp_path / "ball", np.array([(0.5, 0.3, 0.8), (-0.4, 0.2, 0.9)])
+    folder.mkdir()
+    lamps /= np.linalg.norm(lamps, axis=1, keepdims=True)
+    camera = pf.OrthographicCamera(48, 36, view_height=3.0)
+    for name, lamp in zip("ab", lamps, strict=True):
+        scene = pf.Scene(pf.Sphere(), camera, pf.DirectionalLight(lamp), ambient=1.0)
+        image = pf.render(scene, pf.Material(0.4, 0.2, 20.0, 0.1))
+        pf.write_image(folder / f"{name}.png", image, "linear", 16)
+    found = [
+        Lamp(
+            f"{name}.png",
+            lamp,
+            None,
+            1e-4 * (np.eye(3) - np.outer(lamp, lamp)),
+            0.8,
+            np.ones(3),
+            np.full(3, 0.02),
+            np.zeros((0, 2)),
+        )
+        for name, lamp in zip("ab", lamps, strict=True)
+    ]
+    calibration = pf.Calibration(
+        View(48, 36), tuple(found), (), 1.0, np.zeros(3), 0.0, np.zeros(3), {}, (), 3.0
+    )
+    pf.save_calibration(folder / "lights.json", calibration)
+    call = ["fit", str(folder), "--sphere", "24", "18", "12", "--encoding", "linear"]
+    call += ["--report", "none", "-o"]
+    errors = {}
+    for name, options in {"held": [], "refined": ["--refine-lights"]}.items():
+        assert main([*call, str(tmp_path / name), *options]) == 0
+        fit = json.loads((tmp_path / name / "fit.json").read_text())
+        errors[name] = dict(zip(fit["labels"], fit["errors"], strict=True))
+    # Each strength is off by 2 %: both together by less, and directions add to it.
+    assert 0.005 < errors["held"]["diffuse.red"] < 0.02
+    assert errors["refined"]["scenes[1].lights[0].direction.x"] < 0.003
+    (folder / "lights.json").unlink()
+    assert main([*call, str(tmp_path / "c"), "--refine-lights"]) == 2

@@ -1,11 +1,12 @@
 """From what a user names to [`Unknowns`][]: bounds, fixed values, ties, priors."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from phongfit.edge import shown
 from phongfit.fitting.problem.charts import nearest_rotation, tangents
@@ -30,8 +31,8 @@ def make_unknowns(
 
     **Raises:** `ValueError` that names the argument and the entry that is wrong.
     """
-    bounds, fixed, ties, priors = (
-        getattr(specification, name) for name in ("bounds", "fixed", "ties", "priors")
+    bounds, fixed, ties = (
+        getattr(specification, name) for name in ("bounds", "fixed", "ties")
     )
     # Where nothing is known, no light comes back.
     known = specification.known
@@ -67,7 +68,7 @@ def make_unknowns(
         count = 2 if direction[entry] else 1
         own_entries += [entry] * count
         taken += count
-    mean, deviation, has_prior = _priors(names, priors, is_fixed)
+    known_before = _priors(names, specification, first, is_fixed)
     base = first[direction].reshape(-1, 3)
     base = base / np.maximum(np.linalg.norm(base, axis=1, keepdims=True), 1e-30)
     kind = jnp.result_type(float)
@@ -82,8 +83,9 @@ def make_unknowns(
                 base=base,
                 across=tangents(base),
                 turn=_rotations(parameters, scenes),
-                prior_mean=mean,
-                prior_deviation=deviation,
+                prior_mean=known_before.mean,
+                prior_deviation=known_before.deviation,
+                prior_root=known_before.root,
                 start=np.clip(start, low, high)[own_entries],
                 lower=low[own_entries],
                 upper=high[own_entries],
@@ -98,7 +100,7 @@ def make_unknowns(
         source=tuple(source.tolist()),
         y_index=tuple(y_index.tolist()),
         fixed=tuple(is_fixed.tolist()),
-        has_prior=tuple(has_prior.tolist()),
+        has_prior=tuple(known_before.has.tolist()),
         known=known,
         **arrays,
     )
@@ -397,12 +399,46 @@ def _box(name: str, box: tuple[float, float], form: str) -> tuple[float, float]:
     return low, high
 
 
+def covariance_of(name: str, given: Any, size: int) -> Float[np.ndarray, "n n"]:
+    """A covariance from itself, or from one standard deviation or one for each.
+
+    **Raises:** `ValueError` that names the entry.
+    """
+    wanted = f"({size}, {size}), or {size} standard deviations"
+    try:
+        array = np.asarray(given, float)
+        if array.ndim < 2:
+            array = np.diag(np.broadcast_to(array, size) ** 2)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.shape != (size, size) or not np.isfinite(array).all():
+        raise ValueError(
+            f"uncertain: {name}: expected a covariance {wanted}, got {shown(given)}"
+        )
+    if not np.allclose(array, array.T, atol=1e-6 * np.abs(array).max()):
+        raise ValueError(f"uncertain: {name}: expected a symmetric covariance")
+    return (array + array.T) / 2
+
+
+class _Priors(NamedTuple):
+    """What is known beforehand of each entry, and of those that are known jointly."""
+
+    mean: np.ndarray
+    deviation: np.ndarray
+    has: np.ndarray
+    root: np.ndarray
+
+
 def _priors(
-    names: _Names, priors: Mapping[str, tuple[Any, float]], is_fixed: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    names: _Names,
+    asked: Specification,
+    first: np.ndarray,
+    is_fixed: np.ndarray,
+) -> _Priors:
     size = len(names.labels)
-    mean, deviation, has = np.zeros(size), np.ones(size), np.zeros(size, bool)
-    for name, given in priors.items():
+    mean, has = np.zeros(size), np.zeros(size, bool)
+    covariance = np.eye(size)
+    for name, given in asked.priors.items():
         try:
             center, width = given
         except Exception as error:
@@ -412,10 +448,34 @@ def _priors(
             ) from error
         entries = names.entries("priors", name)
         mean[entries] = names.numbers("priors", name, center)
-        deviation[entries] = names.numbers("priors", name, width)
-        if np.any(deviation[entries] <= 0):
+        deviation = names.numbers("priors", name, width)
+        if np.any(deviation <= 0):
             raise ValueError(f"priors: {name}: expected a standard deviation > 0")
-        if is_fixed[entries].any():
-            raise ValueError(f"priors: {name} is fixed")
+        covariance[entries, entries] = deviation**2
         has[entries] = True
-    return mean, deviation, has
+    unknown = {one.name for one in names.parameter}
+    for name in unknown.intersection(asked.uncertain):
+        entries = names.entries("uncertain", name)
+        if has[entries].any():
+            raise ValueError(f"priors: {name}: expected it or uncertain, got both")
+        block = covariance_of(name, asked.uncertain[name], len(entries))
+        mean[entries], has[entries] = first[entries], True
+        covariance[np.ix_(entries, entries)] = block
+    for entry in np.flatnonzero(has & is_fixed):
+        raise ValueError(f"priors: {names.labels[entry]} is fixed")
+    deviation = np.sqrt(np.diag(covariance))
+    return _Priors(mean, deviation, has, _whitening(covariance[np.ix_(has, has)]))
+
+
+def _whitening(covariance: np.ndarray) -> np.ndarray:
+    """What makes independent numbers of variance 1 of those of a covariance.
+
+    Nothing of a combination whose variance is 0: so a direction's length is no
+    measurement.
+    """
+    scale = np.sqrt(np.diag(covariance))
+    scale = np.where(scale > 0, scale, 1)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    known = values > 1e-6
+    root = np.where(known, 1 / np.sqrt(np.where(known, values, 1)), 0)
+    return (vectors * root) @ vectors.T / scale

@@ -17,6 +17,7 @@ from phongfit.fitting.problem.noise import find_film, rounding_steps
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.samples import Source, gather, seen_pixels
 from phongfit.fitting.problem.specification import Specification
+from phongfit.fitting.problem.uncertain import Nuisance, make_nuisance
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.rendering.film import Film, as_films
@@ -78,11 +79,15 @@ def make_problem(
 
 @dataclasses.dataclass(frozen=True)
 class FitData:
-    """What is asked, checked: unknowns, images with their geometry, and their films."""
+    """What is asked, checked: unknowns, images with their geometry, and their films.
+
+    `nuisance` is what else is not known exactly.
+    """
 
     unknowns: Unknowns
     sources: list[Source]
     films: tuple[Film, ...]
+    nuisance: Nuisance | None = None
 
 
 def set_up(
@@ -104,11 +109,13 @@ def set_up(
         layout = _default_unknowns(dtype, materials)
     else:
         layout = make_unknowns(specification, materials, scenes)
+    nuisance = make_nuisance(specification, materials, scenes)
+    of_scene = layout.of_scene or nuisance is not None
     # Shadows move with the lights that throw them.
     shadows = any(scene.shadows for scene in scenes)
     moving = layout.moves_geometry or (shadows and layout.moves_lights)
     # Begun here: JAX goes on with it while the images are looked at.
-    seen = [_geometry(one, layout.of_scene and not moving) for one in scenes]
+    seen = [_geometry(one, of_scene and not moving) for one in scenes]
     scene = scene if isinstance(scene, Scene) else scenes
     photographs = as_photographs(scene, image, mask, weights, noise)
     films = _checked_films(specification.film, photographs)
@@ -118,7 +125,7 @@ def set_up(
     ]
     _check_samples(sources, layout)
     _check_constants(layout, sources)
-    return FitData(layout, sources, films)
+    return FitData(layout, sources, films, nuisance)
 
 
 @functools.cache

@@ -31,7 +31,8 @@ class Problem:
     """Samples, unknowns, and how much each sample's residual counts.
 
     `scatter` is the covariance of the scores, over the roots of the diagonal of JᵀJ,
-    where it is known otherwise than from independent samples.
+    where it is known otherwise than from independent samples. `inherited` is what the
+    errors of the scenes themselves add to that covariance, in its own units.
     """
 
     samples: Samples
@@ -40,6 +41,7 @@ class Problem:
     loss: AbstractLoss
     clamp: bool = dataclasses.field(metadata={"static": True})
     scatter: Float[Array, "n n"] | None = None
+    inherited: Float[Array, "n n"] | None = None
 
     def noise(self) -> Float[Array, "3 n"]:
         """Standard deviation of each sample before rounding, also of those left out."""

@@ -36,6 +36,7 @@ class Specification:
     fixed: Mapping[str, Any]
     ties: Mapping[str, tuple[float, str]]
     priors: Mapping[str, tuple[Any, float]]
+    uncertain: Mapping[str, Any]
     film: Film | tuple[Film, ...] | None
     loss: AbstractLoss
     max_steps: int
@@ -52,6 +53,7 @@ class Specification:
         fixed: Mapping[str, Any] | None = None,
         ties: Mapping[str, Tie] | None = None,
         priors: Mapping[str, tuple[Any, float]] | None = None,
+        uncertain: Mapping[str, Any] | None = None,
         film: Film | Sequence[Film] | None = None,
         loss: str | AbstractLoss = "linear",
         max_steps: int = 200,
@@ -77,6 +79,7 @@ class Specification:
             "fixed": _comparable(fixed or {}),
             "ties": _comparable(whole),
             "priors": _comparable(priors or {}),
+            "uncertain": _comparable(uncertain or {}),
             "film": film if isinstance(film, Film) or film is None else tuple(film),
             "loss": as_loss(loss),
             "max_steps": max_steps,

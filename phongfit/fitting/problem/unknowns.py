@@ -62,6 +62,8 @@ class Unknowns:
     turn: Float[Array, "rotations 3 3"]
     prior_mean: Float[Array, " entries"]
     prior_deviation: Float[Array, " entries"]
+    # Makes what they are off by of those that have one independent, of variance 1.
+    prior_root: Float[Array, "priors priors"]
     # What the scenes say of y; of a material nothing is known beforehand.
     start: Float[Array, " n"]
     lower: Float[Array, " n"]
@@ -345,7 +347,7 @@ class Unknowns:
         """How far the entries with a prior are from it, in standard deviations."""
         wanted = np.flatnonzero(np.array(self.has_prior))
         off = self.entries(y)[wanted] - self.prior_mean[wanted]
-        return off / self.prior_deviation[wanted]
+        return jnp.matmul(self.prior_root, off, precision="highest")
 
 
 @program()

@@ -92,8 +92,9 @@ def _ends(
         own = jax.random.normal(own, light.shape, light.dtype)
         others = jax.random.normal(others, light.shape, light.dtype)
         # A prior is a measurement too: its mean scatters about the truth.
-        known = jax.random.normal(of_priors, truth.shape, truth.dtype)
-        known = truth + unknowns.prior_deviation * known
+        wanted = np.flatnonzero(np.array(unknowns.has_prior))
+        drawn = jax.random.normal(of_priors, truth.shape, truth.dtype)[wanted]
+        known = truth.at[wanted].add(jnp.linalg.pinv(unknowns.prior_root) @ drawn)
         few = photographed(own, problem.samples.weight, known)
         # The mean over a pixel and all that it stands for.
         mean = (own + jnp.sqrt(count - 1) * others) / count

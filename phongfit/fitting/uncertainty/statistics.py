@@ -129,7 +129,10 @@ def sandwich_at(
     meat = found.meat
     if found.shared > 1e-6:
         meat = meat + found.loss_variance * shared_rounding(problem, y)
-    return Sandwich(found.bread, inflation * meat, found.pull, found.inside, resolution)
+    meat = inflation * meat
+    if problem.inherited is not None:
+        meat = meat + np.asarray(problem.inherited, float)
+    return Sandwich(found.bread, meat, found.pull, found.inside, resolution)
 
 
 def quadratic_about(

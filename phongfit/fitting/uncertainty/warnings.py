@@ -122,7 +122,7 @@ def prior_words(
 ) -> Iterator[str]:
     """Priors that the images contradict."""
     for k, entry in enumerate(unknowns.reported):
-        if not unknowns.has_prior[entry]:
+        if not unknowns.has_prior[entry] or unknowns.forms[entry] == "direction":
             continue
         mean, deviation = (
             float(each[entry])

@@ -1,0 +1,77 @@
+"""What scenes say with an error, and a fit does not look for: nuisance parameters."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from phongfit.fitting.problem.layout import covariance_of, make_unknowns
+from phongfit.fitting.problem.problem import Problem
+from phongfit.fitting.problem.specification import Specification
+from phongfit.fitting.problem.unknowns import Unknowns, in_units
+from phongfit.scene import Scene
+
+
+class Nuisance(NamedTuple):
+    """Parameters that scenes say with an error.
+
+    - `unknowns`: of the fit, and these behind.
+    - `covariance`: of these, in the user's units.
+    """
+
+    unknowns: Unknowns
+    covariance: Float[np.ndarray, "m m"]
+
+    def beside(self, problem: Problem, y: Float[Array, " n"]) -> tuple[Problem, Array]:
+        """A fit's problem and solution, with these unknown, too."""
+        own, with_own = problem.unknowns, self.unknowns
+        count = len(own.base)
+        with_own = with_own.aimed(
+            jnp.concatenate([own.base, with_own.base[count:]]),
+            jnp.concatenate([own.across, with_own.across[count:]]),
+        )
+        wider = dataclasses.replace(problem, unknowns=with_own, scatter=None)
+        return wider, jnp.concatenate([y, with_own.start[len(y) :]])
+
+    def solver_covariance(
+        self, y: Float[Array, " n"], size: int
+    ) -> Float[np.ndarray, "k k"]:
+        """Their covariance in the solver's units.
+
+        **Arguments:** `y`: of all; `size`: how many of it are the fit's own.
+        """
+        slope = np.asarray(in_units(self.unknowns, y)[1], float)
+        back = np.linalg.pinv(slope[-len(self.covariance) :, size:])
+        return back @ self.covariance @ back.T
+
+
+def make_nuisance(
+    asked: Specification, materials: int, scenes: Sequence[Scene]
+) -> Nuisance | None:
+    """What is uncertain and not unknown; `None` if nothing is.
+
+    **Raises:** `ValueError` that names the entry that is wrong.
+    """
+    names = tuple(name for name in asked.uncertain if name not in asked.unknowns)
+    if not names:
+        return None
+    wider = dataclasses.replace(
+        asked,
+        unknowns=(*asked.unknowns, *names),
+        per_channel=(*asked.per_channel, *names),
+        per_image=(*asked.per_image, *names),
+        uncertain={},
+    )
+    unknowns = make_unknowns(wider, materials, scenes)
+    blocks = [
+        covariance_of(one.name, asked.uncertain[one.name], one.size)
+        for one in unknowns.parameters[-len(names) :]
+    ]
+    ends = np.cumsum([len(block) for block in blocks])
+    covariance = np.zeros((ends[-1], ends[-1]))
+    for block, end in zip(blocks, ends, strict=True):
+        covariance[end - len(block) : end, end - len(block) : end] = block
+    return Nuisance(unknowns, covariance)

@@ -1,0 +1,108 @@
+"""What scenes know with an error: held, with its effect on results, or refined."""
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+
+CAMERA = pf.OrthographicCamera(24, 24)
+TRUTH = pf.Material((0.6, 0.3, 0.2), 0.3, 20.0, 0.0)
+AIM = np.array([[0.5, 0.4, 0.77], [-0.4, 0.1, 0.91]])
+DIRECTION, INTENSITY = "scene.lights[0].direction", "scene.lights[0].intensity"
+UNKNOWNS = ("diffuse", "specular", "shininess")
+
+
+def scenes(aim=AIM, strength=(1.0, 1.0)):
+    lamps = [pf.DirectionalLight(a, s) for a, s in zip(aim, strength, strict=True)]
+    return [pf.Scene(pf.Sphere(), CAMERA, lamp) for lamp in lamps]
+
+
+def photographs(noise=0.002):
+    random = np.random.default_rng(3)
+    light = [np.asarray(pf.render(scene, TRUTH)) for scene in scenes()]
+    return [image + noise * random.normal(size=image.shape) for image in light]
+
+
+IMAGES = photographs()
+
+
+def fitted(aim=AIM, strength=(1.0, 1.0), **options):
+    options = {"unknowns": UNKNOWNS, "noise": 0.002} | options
+    return pf.fit(scenes(aim, strength), IMAGES, film=pf.Film(clamp=False), **options)
+
+
+def turned(k, angle):
+    """The directions with one of them turned by so many radians about y."""
+    c, s = np.cos(angle), np.sin(angle)
+    aim = AIM.copy()
+    aim[k] = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ aim[k]
+    return aim / np.linalg.norm(aim, axis=1, keepdims=True)
+
+
+def lamps(found):
+    """Their directions in the scenes of a fit."""
+    return np.array([np.asarray(s.lights[0].direction) for s in tuple(found.scene)])
+
+
+def test_what_a_wrong_lamp_would_change_is_in_the_errors():
+    plain = fitted(turned(0, 0))
+    angle, share = 0.004, 0.01
+    to_side = (turned(0, angle) - turned(0, -angle))[0] / (2 * angle)
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = np.outer(to_side, to_side) * angle**2
+    found = fitted(
+        turned(0, 0),
+        uncertain={DIRECTION: covariance, INTENSITY: [0, 0, 0, share, 0, 0]},
+    )
+    assert found.values == pytest.approx(plain.values, rel=1e-5)
+    # As far as the answer moves with the lamps themselves.
+    moved = (fitted(turned(0, angle)).values - fitted(turned(0, -angle)).values) / 2
+    dim = np.array([[1.0, 1.0, 1.0], [1 + share, 1, 1]])
+    bright = np.array([[1.0, 1.0, 1.0], [1 - share, 1, 1]])
+    stronger = (
+        fitted(turned(0, 0), dim).values - fitted(turned(0, 0), bright).values
+    ) / 2
+    expected = plain.covariance + np.outer(moved, moved) + np.outer(stronger, stronger)
+    assert found.errors == pytest.approx(np.sqrt(np.diag(expected)), rel=0.05)
+    assert (found.errors > 1.5 * plain.errors).any()
+
+
+def test_what_is_unknown_too_has_a_prior_about_what_the_scenes_have():
+    aim = turned(0, 0.01)
+    across = np.eye(6) * 0.02**2
+    across[:3, :3] -= 0.02**2 * np.outer(aim[0], aim[0])
+    across[3:, 3:] -= 0.02**2 * np.outer(aim[1], aim[1])
+    options = {"unknowns": (*UNKNOWNS, DIRECTION), "per_image": (DIRECTION,)}
+    free = fitted(aim, **options)
+    loose = fitted(aim, **options, uncertain={DIRECTION: across})
+    assert loose.values == pytest.approx(free.values, abs=1e-3)
+    # A lamp that is known better than the images could tell stays where it is.
+    tight = fitted(aim, **options, uncertain={DIRECTION: 1e-7 * across})
+    assert np.abs(lamps(tight) - aim).max() < 5e-4
+    assert np.abs(lamps(loose) - turned(0, 0)).max() < 2e-3
+    # Two measurements: neither is worse than the better one alone.
+    assert (tight.errors <= 1.001 * free.errors).all()
+
+
+def test_errors_that_are_predicted_know_it_too():
+    scale = {INTENSITY: np.full((6, 6), 0.05**2)}
+    options = {"unknowns": UNKNOWNS, "noise": 0.002, "film": pf.Film(clamp=False)}
+    found = pf.predict_errors(scenes(), TRUTH, **options, uncertain=scale)
+    # All lamps 5 % stronger are a material 5 % darker.
+    errors = dict(zip(found.labels, found.errors, strict=True))
+    assert errors["diffuse.red"] == pytest.approx(0.05 * 0.6, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "uncertain, message",
+    [
+        ({"scene.lights[0].colour": 1.0}, "unknowns: expected one of"),
+        ({DIRECTION: np.eye(5)}, r"uncertain: .*direction: expected a covariance \(6"),
+        ({DIRECTION: "x"}, "uncertain: .*direction: expected a covariance"),
+        ({DIRECTION: np.triu(np.ones((6, 6)))}, "uncertain: .* symmetric"),
+        ([1], "uncertain: expected a mapping of names"),
+    ],
+)
+def test_what_is_wrong_is_said(uncertain, message):
+    with pytest.raises(ValueError, match=message):
+        fitted(uncertain=uncertain)
