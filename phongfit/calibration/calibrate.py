@@ -359,11 +359,13 @@ class _Session:
         chosen: list[list[Highlight | None]],
     ) -> Calibration:
         strengths = self._strengths(estimate, kept)
-        lamps = []
+        lamps, rows = [], []
+        floor = np.diag([BEST**2 / 2, BEST**2 / 2, 0])
+        joint = estimate.covariance + np.kron(np.eye(len(kept)), floor)
         for place, number in enumerate(kept):
             direction = estimate.directions[place]
-            covariance = estimate.covariances[place].copy()
-            covariance[:2, :2] += BEST**2 / 2 * np.eye(2)
+            mine = slice(3 * place, 3 * place + 3)
+            covariance = joint[mine, mine]
             tangent = across(direction)
             # Of the direction, or of the place: d(u / w) = du / w − u dw / w².
             columns = np.concatenate([tangent.T, np.zeros((3, 1))], axis=1)
@@ -377,6 +379,9 @@ class _Session:
                 columns = np.concatenate(
                     [tangent.T / inverse, -direction[:, None] / inverse**2], axis=1
                 )
+            row = np.zeros((3, len(joint)))
+            row[:, mine] = columns
+            rows.append(row)
             lamps.append(
                 Lamp(
                     self.names[number],
@@ -398,6 +403,7 @@ class _Session:
             sphere._replace(outline=outline)
             for sphere, outline in zip(self.spheres, outlines, strict=True)
         ]
+        spread = np.array(rows).reshape(-1, len(joint))
         return Calibration(
             self.view,
             tuple(lamps),
@@ -409,6 +415,8 @@ class _Session:
             {self.names[n]: why for n, why in sorted(left_out.items())},
             tuple(self.warnings),
             self._view_height(spheres),
+            spread @ joint @ spread.T,
+            estimate.falloff_error if self.lamps == "near" else 0.0,
         )
 
     def _view_height(self, spheres: Sequence[CalibratedSphere]) -> float | None:

@@ -51,23 +51,33 @@ class LampEstimate(NamedTuple):
 
     - `directions`: unit vectors from the reference point to each lamp.
     - `inverse_distances`: 1 / distance from there; 0 for parallel rays.
-    - `covariances`: of two coordinates of the direction across it (see `across` of
-        `outlines`), in radians, and of the inverse distance.
+    - `covariance`: of two coordinates of each direction across it (see `across` of
+        `outlines`), in radians, and of its inverse distance, lamp by lamp: what is
+        wrong with a sphere is wrong for all lamps.
     - `residuals`: distance of each highlight from where its lamp would show it, in
         standard deviations; `nan` where a sphere shows none.
     - `scatter`: how far highlights lie from there, over what their centroids' errors
         say, root mean square; 1 where nothing is left to tell it.
     - `outlines`: of the spheres, as all highlights together would have them.
     - `place`: of the matte sphere, likewise.
+    - `falloff_error`: standard deviation of its κ.
     """
 
     directions: Float[np.ndarray, "lamps 3"]
     inverse_distances: Float[np.ndarray, " lamps"]
-    covariances: Float[np.ndarray, "lamps 3 3"]
+    covariance: Float[np.ndarray, "lamps*3 lamps*3"]
     residuals: Float[np.ndarray, "lamps spheres"]
     scatter: float
     outlines: Float[np.ndarray, "spheres 3"]
     place: Place | None
+    falloff_error: float = 0.0
+
+    @property
+    def covariances(self) -> Float[np.ndarray, "lamps 3 3"]:
+        """Of each lamp alone."""
+        count = len(self.directions)
+        each = self.covariance.reshape(count, 3, count, 3)
+        return np.moveaxis(np.diagonal(each, axis1=0, axis2=2), -1, 0)
 
 
 class _Rays(NamedTuple):
@@ -534,7 +544,9 @@ class _Linearised:
             each = 2 * count + np.arange(count)
         turns = np.arange(2 * count).reshape(-1, 2)
         where = np.concatenate([turns, each[:, None]], axis=1)
-        covariances = joint[where[:, :, None], where[:, None, :]]
+        flat_where = where.ravel()
+        turn = _turns(self.tangents, across(directions))
+        covariance = turn @ joint[np.ix_(flat_where, flat_where)] @ turn.T
         apart = self.residuals(flat)[: 2 * len(system.lamp)].reshape(-1, 2)
         distance = np.full((count, system.spheres), np.nan)
         distance[system.lamp, system.sphere] = np.hypot(*apart.T) / scales[0]
@@ -542,11 +554,12 @@ class _Linearised:
         return LampEstimate(
             directions,
             inverse,
-            _turned(covariances, self.tangents, across(directions)),
+            covariance,
             distance,
             float(scales[0]),
             system.chrome.outlines + moves,
             None if shaded is None else shaded.matte.place.moved(place),
+            0.0 if shaded is None else float(np.sqrt(max(joint[-1, -1], 0))),
         )
 
 
@@ -559,9 +572,11 @@ def _steps(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> np.n
     )
 
 
-def _turned(covariances: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Covariances by the tangents that the answer has, not by those of the start."""
-    turn = np.zeros_like(covariances)
-    turn[:, :2, :2] = np.einsum("lij,lkj->lik", new, old)
-    turn[:, 2, 2] = 1
-    return turn @ covariances @ turn.swapaxes(1, 2)
+def _turns(old: np.ndarray, new: np.ndarray) -> Float[np.ndarray, "n n"]:
+    """From coordinates by the start's tangents to those by the answer's."""
+    count = len(old)
+    turn = np.zeros((count, 3, count, 3))
+    each = np.arange(count)
+    turn[each, :2, each, :2] = np.einsum("lij,lkj->lik", new, old)
+    turn[each, 2, each, 2] = 1
+    return turn.reshape(3 * count, 3 * count)

@@ -72,6 +72,9 @@ class Calibration:
     - `left_out`: photographs that are not used, and why.
     - `warnings`: what to know before this is trusted.
     - `view_height`: with parallel rays, height of what is seen, in spheres' unit.
+    - `covariance`: of all lamps' positions or directions, lamp by lamp; `None` where
+        only that of each is known.
+    - `falloff_error`: standard deviation of `falloff`.
     """
 
     view: View
@@ -84,6 +87,8 @@ class Calibration:
     left_out: Mapping[str, str]
     warnings: tuple[str, ...]
     view_height: float | None = None
+    covariance: Float[np.ndarray, "lamps*3 lamps*3"] | None = None
+    falloff_error: float = 0.0
 
     @property
     def camera(self) -> AbstractCamera:
@@ -182,6 +187,8 @@ class Calibration:
             ],
             "sphere_radius": self.sphere_radius,
             "falloff": self.falloff,
+            "falloff_error": self.falloff_error,
+            "covariance": self.covariance,
             "ambient": self.ambient,
             "left_out": dict(self.left_out),
             "warnings": list(self.warnings),

@@ -141,7 +141,8 @@ def _with_unknown(asked: Specification, data: Dataset, refine: bool) -> Specific
             "refine_lights: expected lights of a calibration, whose errors are known"
         )
     several = len(data.images) > 1
-    refined = tuple(data.uncertain) if refine else ()
+    # How light falls off is one number of all lamps, and stays.
+    refined = tuple(n for n in data.uncertain if refine and "attenuation" not in n)
     names = (*data.unknown, *refined)
     own = tuple(name for name in names if name.startswith("scene."))
     return dataclasses.replace(

@@ -62,12 +62,22 @@ class LightsRecord(AbstractRecord):
     spheres: list[SphereRecord] = []
     sphere_radius: Positive = 1.0
     falloff: Fraction = 0.0
+    falloff_error: Annotated[float, Field(ge=0)] = 0.0
+    covariance: list[list[float]] | None = None
     ambient: Colour = (0.0, 0.0, 0.0)
     left_out: dict[str, str] = {}
     warnings: list[str] = []
 
     def build(self) -> Calibration:
-        view = self.camera
+        view, covariance = self.camera, None
+        if self.covariance is not None:
+            size = 3 * len(self.lights)
+            rows = {len(row) for row in self.covariance}
+            if len(self.covariance) != size or rows != {size}:
+                raise ValueError(
+                    f"covariance: expected {size} rows of as many, three for a light"
+                )
+            covariance = np.array(self.covariance)
         return Calibration(
             View(view.width, view.height, view.fov_y_degrees),
             tuple(self._lamp(at, lamp) for at, lamp in enumerate(self.lights)),
@@ -82,6 +92,8 @@ class LightsRecord(AbstractRecord):
             self.left_out,
             tuple(self.warnings),
             view.view_height,
+            covariance,
+            self.falloff_error,
         )
 
     def _lamp(self, at: int, lamp: LampRecord) -> Lamp:

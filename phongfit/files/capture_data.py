@@ -168,15 +168,26 @@ def _uncertain(
     capture: Capture, calibration: Calibration | None
 ) -> dict[str, np.ndarray]:
     """How well a calibration knows its lamps, in the order of the photographs."""
+    from scipy.linalg import block_diag
+
     if calibration is None:
         return {}
     lamps = {base_name(lamp.photograph): lamp for lamp in calibration.lamps}
     found = [lamps[name] for name in capture.names]
-    place = np.zeros((3 * len(found), 3 * len(found)))
-    for k, lamp in enumerate(found):
-        place[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = lamp.covariance
+    if calibration.covariance is None:
+        place = block_diag(*[lamp.covariance for lamp in found])
+    else:
+        order = [calibration.lamps.index(lamp) for lamp in found]
+        rows = (3 * np.array(order)[:, None] + np.arange(3)).ravel()
+        place = calibration.covariance[np.ix_(rows, rows)]
     where = "direction" if found[0].position is None else "position"
     uncertain: dict[str, np.ndarray] = {f"scene.lights[0].{where}": place}
+    if found[0].position is not None and calibration.falloff_error:
+        # Attenuation is (1 − κ, 0, κ / d²), with one κ for all.
+        away = [np.linalg.norm(x.position - calibration.reference) for x in found]
+        slope = np.array([[-1, 0, 1 / d**2] for d in away]).ravel()
+        spread = calibration.falloff_error**2 * np.outer(slope, slope)
+        uncertain["scene.lights[0].attenuation"] = spread
     errors = np.array([lamp.intensity_error for lamp in found])
     if np.isfinite(errors).all():
         exposures = capture.series.relative_exposures[:, None]

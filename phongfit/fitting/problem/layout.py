@@ -23,6 +23,9 @@ from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.material import Material
 from phongfit.scene import Scene
 
+SINGULAR = 1e-6
+"""Share of the mean variance below which a combination has none."""
+
 
 def make_unknowns(
     specification: Specification, materials: int = 1, scenes: Sequence[Scene] = ()
@@ -459,6 +462,11 @@ def _priors(
         if has[entries].any():
             raise ValueError(f"priors: {name}: expected it or uncertain, got both")
         block = covariance_of(name, asked.uncertain[name], len(entries))
+        if names.form[entries[0]] != "direction" and _is_singular(block):
+            raise ValueError(
+                f"uncertain: {name}: expected a covariance of full rank, since it is "
+                "unknown: of what is known exactly nothing is to be found"
+            )
         mean[entries], has[entries] = first[entries], True
         covariance[np.ix_(entries, entries)] = block
     for entry in np.flatnonzero(has & is_fixed):
@@ -467,15 +475,24 @@ def _priors(
     return _Priors(mean, deviation, has, _whitening(covariance[np.ix_(has, has)]))
 
 
+def _scaled_eigen(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    scale = np.sqrt(np.diag(covariance))
+    scale = np.where(scale > 0, scale, 1)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return values, vectors, scale
+
+
+def _is_singular(covariance: np.ndarray) -> bool:
+    return bool(_scaled_eigen(covariance)[0].min() <= SINGULAR)
+
+
 def _whitening(covariance: np.ndarray) -> np.ndarray:
     """What makes independent numbers of variance 1 of those of a covariance.
 
     Nothing of a combination whose variance is 0: so a direction's length is no
     measurement.
     """
-    scale = np.sqrt(np.diag(covariance))
-    scale = np.where(scale > 0, scale, 1)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    known = values > 1e-6
+    values, vectors, scale = _scaled_eigen(covariance)
+    known = values > SINGULAR
     root = np.where(known, 1 / np.sqrt(np.where(known, values, 1)), 0)
     return (vectors * root) @ vectors.T / scale
