@@ -40,6 +40,12 @@ def test_distant_lamps_are_where_they_are(distant):
     assert np.sqrt(np.mean((apart / stated) ** 2)) < 2
     assert found.warnings == ()
     assert found.left_out == {}
+    # What is wrong with a sphere is wrong for all lamps.
+    joint = found.covariance
+    assert joint is not None and joint.shape == (24, 24)
+    assert joint[3:6, 3:6] == pytest.approx(found.lamps[1].covariance)
+    root = np.sqrt(np.diag(joint))
+    assert np.abs(joint / np.outer(root, root))[:3, 3:].max() > 0.3
 
 
 def test_strengths_and_their_colour(distant):

@@ -41,6 +41,8 @@ def calibration(near=False, fov=20.0):
         {"3.jpg": "no highlight"},
         ("look at the picture",),
         None if fov else 2.5,
+        1e-4 * np.eye(6) if fov else None,
+        0.1 if near else 0.0,
     )
 
 
@@ -56,6 +58,13 @@ def test_round_trip(tmp_path, near, fov):
         assert repr(found.camera) == repr(made.camera)
         for a, b in zip(found.lights, made.lights, strict=True):
             assert repr(a) == repr(b)
+
+
+def test_a_joint_covariance_of_another_number_of_lamps(tmp_path):
+    made = dataclasses.replace(calibration(), covariance=np.eye(5))
+    pf.save_calibration(tmp_path / "lights.json", made)
+    with pytest.raises(ValueError, match="lights.json: covariance: expected 6 rows"):
+        pf.load_calibration(tmp_path)
 
 
 def test_lights_are_of_strength_one_where_none_is_known():

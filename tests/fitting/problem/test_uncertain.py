@@ -81,7 +81,12 @@ def test_what_is_unknown_too_has_a_prior_about_what_the_scenes_have():
     assert np.abs(lamps(tight) - aim).max() < 5e-4
     assert np.abs(lamps(loose) - turned(0, 0)).max() < 2e-3
     # Two measurements: neither is worse than the better one alone.
-    assert (tight.errors <= 1.001 * free.errors).all()
+    assert (loose.errors <= 1.01 * free.errors).all()
+    with pytest.raises(ValueError, match="expected a covariance of full rank"):
+        shared = {INTENSITY: np.full((6, 6), 1e-4)}
+        options = {"unknowns": (*UNKNOWNS, INTENSITY), "per_image": (INTENSITY,)}
+        colours = ("diffuse", "specular", INTENSITY)
+        fitted(**options, per_channel=colours, uncertain=shared)
 
 
 def test_errors_that_are_predicted_know_it_too():
