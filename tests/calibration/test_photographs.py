@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.files.capture_data import open_captured
 from phongfit.files.images import read_mask
 from tests.calibration.studio import degrees
 from tests.helpers import photographs
@@ -27,15 +28,55 @@ def test_two_chrome_spheres_agree():
     assert apart.mean() < 1.0
 
 
+def outline(folder, name):
+    """A sphere's circle, by its mask."""
+    mask = read_mask(folder / name / f"{name}.mask.png")
+    rows, columns = np.nonzero(mask)
+    radius = float((mask.sum() / np.pi) ** 0.5)
+    return float(columns.mean()) + 0.5, float(rows.mean()) + 0.5, radius
+
+
+def test_a_matte_sphere_has_no_highlight_under_the_lamps_of_a_chrome_one(tmp_path):
+    folder = photographs("uw_spheres")
+    capture = pf.open_capture(folder / "chrome", "linear")
+    found = pf.calibrate(
+        capture,
+        chrome=[outline(folder, "chrome")],
+        names=[name.replace("chrome", "gray") for name in capture.names],
+    )
+    pf.save_calibration(tmp_path / "lights.json", found)
+    data = open_captured(
+        folder / "gray",
+        "linear",
+        sphere=outline(folder, "gray"),
+        lights=tmp_path,
+        room_light=0.0,
+    ).load()
+    some = np.zeros(data.images[0].shape[:2], bool)
+    some[::12, ::12] = True
+    fit = pf.fit(
+        data.scenes,
+        data.images,
+        mask=[mask & some for mask in data.masks],
+        film=data.film,
+        unknowns=("diffuse", "specular", "shininess", "exposure"),
+        per_channel=("diffuse",),
+        fixed={"exposure[0]": 1.0},
+        uncertain=data.uncertain,
+    )
+    value, error = (
+        dict(zip(fit.labels, numbers, strict=True))["specular"]
+        for numbers in (fit.values, fit.errors)
+    )
+    assert value < 1.5 * error and error < 0.5
+
+
 def test_a_chrome_and_a_matte_sphere_agree():
     folder = photographs("uw_spheres")
     found = []
     for name in ("chrome", "gray"):
         capture = pf.open_capture(folder / name, "linear")
-        mask = read_mask(folder / name / f"{name}.mask.png")
-        rows, columns = np.nonzero(mask)
-        radius = float((mask.sum() / np.pi) ** 0.5)
-        circle = (float(columns.mean()) + 0.5, float(rows.mean()) + 0.5, radius)
+        circle = outline(folder, name)
         if name == "chrome":
             lamps = pf.calibrate(capture, chrome=[circle]).lamps
         else:
