@@ -175,7 +175,7 @@ def _uncertain(
     lamps = {base_name(lamp.photograph): lamp for lamp in calibration.lamps}
     found = [lamps[name] for name in capture.names]
     if calibration.covariance is None:
-        place = block_diag(*[lamp.covariance for lamp in found])
+        place = np.asarray(block_diag(*[lamp.covariance for lamp in found]))
     else:
         order = [calibration.lamps.index(lamp) for lamp in found]
         rows = (3 * np.array(order)[:, None] + np.arange(3)).ravel()
