@@ -12,6 +12,7 @@ in is made: a bumpy shiny plate that throws shadows on itself.
 """
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -33,6 +34,7 @@ from experiments.output import (
     save_picture,
 )
 from phongfit.cli import run
+from phongfit.files.fits import LossName
 from phongfit.files.lp import base_name
 from phongfit.rendering.film import Encoding, decode, encode
 
@@ -98,7 +100,9 @@ def regress(basis: Any, data: Photographed) -> Float[np.ndarray, "lamps h w 3"]:
     return (asked @ weights).reshape(-1, *images.shape[1:])
 
 
-def mapped(data: Photographed) -> Float[np.ndarray, "lamps h w 3"]:
+def mapped(
+    data: Photographed, loss: LossName = "cauchy"
+) -> Float[np.ndarray, "lamps h w 3"]:
     """The left-out photographs by maps that are relit."""
     height, width = data.fitted.images.shape[1:3]
     camera = pf.OrthographicCamera(width, height, view_height=float(height))
@@ -107,20 +111,22 @@ def mapped(data: Photographed) -> Float[np.ndarray, "lamps h w 3"]:
     # Ambient light stands for what comes by way of the surroundings.
     scenes = [pf.Scene(ahead, camera, light, ambient=1.0) for light in lights]
     light = np.asarray(decode(data.fitted.images, data.encoding), np.float32)
-    maps, surface = _fitted(scenes, light, None)
+    maps, surface = _fitted(scenes, light, None, loss)
     shadows = pf.cast_shadows(surface.height, camera, lights)
     if shadows.any():
-        maps, surface = _fitted(scenes, light, list(_enough(~shadows)))
+        maps, surface = _fitted(scenes, light, list(_enough(~shadows)), loss)
     lamps = [pf.DirectionalLight(vector) for vector in data.left_out.directions]
     relit = maps.relight(lamps, surface=surface)
     return np.asarray(encode(np.clip(relit, 0, 1), data.encoding))
 
 
 def _fitted(
-    scenes: list[pf.Scene], light: np.ndarray, mask: Any
+    scenes: list[pf.Scene], light: np.ndarray, mask: Any, loss: LossName
 ) -> tuple[pf.Maps, pf.HeightField]:
     """Maps of samples that are not masked, and the height of their normals."""
-    maps = pf.fit_maps(scenes, light, normals="fit", film=pf.Film(), mask=mask)
+    maps = pf.fit_maps(
+        scenes, light, normals="fit", film=pf.Film(), mask=mask, loss=loss
+    )
     return maps, maps.height()
 
 
@@ -129,7 +135,7 @@ def _enough(lit: np.ndarray) -> np.ndarray:
     return lit | (lit.sum(axis=0) < max(8, len(lit) // 3))
 
 
-METHODS = {
+METHODS: dict[str, Callable[..., np.ndarray]] = {
     "PTM": lambda data: regress(polynomials, data),
     "HSH 2": lambda data: regress(lambda d: harmonics(d, 2), data),
     "HSH 3": lambda data: regress(lambda d: harmonics(d, 3), data),
@@ -237,6 +243,7 @@ def _mean(images: np.ndarray, data: Photographed) -> float:
 
 def main(
     folders: Folders = (),
+    loss: LossName = "cauchy",
     small: bool = False,
     picture: PictureFile = Path("out/relighting.png"),
     json: JsonFile = None,
@@ -245,6 +252,9 @@ def main(
 
     Args:
         folders: Of photographs with an .lp, or with Dome and Test folders of them.
+        loss: Of the maps' fit. The shorter its tails, the more of what the model does
+            not have (light that bounced, the wide foot of a highlight) counts as an
+            outlier: tukey is better on a smooth glossy panel, cauchy on a statue.
         small: A small stand-in, where no folder is given.
         picture: The figure to write; of several folders the first one's.
         json: The table as JSON.
@@ -259,7 +269,8 @@ def main(
         shown = {}
         for name, method in METHODS.items():
             with console.status(f"{data.name}: {name}"):
-                shown[name] = method(data)
+                options = {"loss": loss} if method is mapped else {}
+                shown[name] = method(data, **options)
         numbers[data.name] = {name: _mean(shown[name], data) for name in METHODS}
         table.add_row(data.name, *(f"{v:.2f}" for v in numbers[data.name].values()))
         if at == 0:
