@@ -13,14 +13,7 @@ from phongfit.fitting.problem.noise import (
     clipped_moments,
     unclipped_moments,
 )
-from phongfit.fitting.problem.samples import (
-    Channels,
-    Samples,
-    View,
-    by_channel,
-    end_to_end,
-    join_pixels,
-)
+from phongfit.fitting.problem.samples import Channels, Samples, stacked_lit
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.material import Material
 from phongfit.programs import program, record
@@ -62,11 +55,9 @@ class Problem:
         views, stacked = self.samples.views, self.samples.stacked_views()
         if stacked is not None:
             scenes = self.unknowns.stacked_scenes(entries, stacked.scene, len(views))
-            lit = eqx.filter_vmap(View.lit)(stacked, scenes)
-            return by_channel(end_to_end(lit))
+            return stacked_lit(stacked, scenes)
         scenes = self.unknowns.scenes(entries, tuple(view.scene for view in views))
-        lit = [view.lit(scene) for view, scene in zip(views, scenes, strict=True)]
-        return by_channel(join_pixels(lit))
+        return self.samples.lit(scenes)
 
     def exposure(
         self, entries: Float[Array, " entries"]

@@ -113,6 +113,11 @@ class Samples:
     image: Int[Array, " n"]
     views: tuple[View, ...]
 
+    def lit(self, scenes: tuple[Scene, ...]) -> Channels:
+        """What the samples see, if the scenes were others."""
+        pairs = zip(self.views, scenes, strict=True)
+        return by_channel(join_pixels([view.lit(scene) for view, scene in pairs]))
+
     def stacked_views(self) -> View | None:
         """The views as one, whose arrays have the images first; `None` if they differ.
 
@@ -163,6 +168,11 @@ class Source:
         """How many samples have any weight."""
         used = np.count_nonzero(np.asarray(self.weight) > 0)
         return int(used) * (3 // self.weight.shape[-1])
+
+
+def stacked_lit(views: View, scenes: Scene) -> Channels:
+    """The same of scenes that are stacked as [`Samples.stacked_views`][] has views."""
+    return by_channel(end_to_end(eqx.filter_vmap(View.lit)(views, scenes)))
 
 
 def gather(sources: list[Source], used: list[np.ndarray]) -> Samples:

@@ -1,10 +1,17 @@
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.problem.samples import Samples, Source, gather, seen_pixels
+from phongfit.fitting.problem.samples import (
+    Samples,
+    Source,
+    gather,
+    seen_pixels,
+    stacked_lit,
+)
 from phongfit.rendering.pixels import resolve
 from tests.fitting.scenes import SIZE, TRUTH, ball
 from tests.helpers import floats, near
@@ -35,6 +42,12 @@ def light_of(channels):
 @eqx.filter_jit
 def light_anew(samples, *scenes):
     return samples.lit(scenes).light(TRUTH)
+
+
+@eqx.filter_jit
+def light_stacked(views, *scenes):
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *scenes)
+    return stacked_lit(views, stacked).light(TRUTH)
 
 
 def arrays(seed: int) -> list[np.ndarray]:
@@ -165,3 +178,7 @@ def test_images_of_one_kind_are_relit_together():
         )
         expected = light_of(every_light(*brighter).channels)
         near(light_anew(samples, *brighter), expected, 1e-5)
+        views = samples.stacked_views()
+        assert (views is not None) == (scenes[0] is scenes[-1])
+        if views is not None:
+            near(light_stacked(views, *brighter), expected, 1e-5)
