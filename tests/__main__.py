@@ -1,8 +1,8 @@
 """`python -m tests [pytest's arguments]`: the suite in float32 and in float64.
 
 What takes long and gains little runs in one of them only (see `conftest.py`), unless
-`--both` is among the arguments. Two processes side by side, since the precision is
-fixed when JAX starts.
+`--both` is among the arguments. Parts are processes of their own, two of them side by
+side, since the precision is fixed when JAX starts.
 
 Most of their time is compilation of what runs once, so XLA compiles in a hurry, unless
 `XLA_FLAGS` says otherwise, and what it has compiled is kept for the next run: below
@@ -11,10 +11,11 @@ at any time. Commands and experiments run as users run them.
 """
 
 import os
+import re
 import shutil
 import subprocess
 import sys
-import tempfile
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from importlib.metadata import version
 from pathlib import Path
 
@@ -53,46 +54,64 @@ CHECKED = (
     "fitting/problem/test_unknowns.py",
     "maps/pixel",
 )
+# Folders that make the second part in float32.
+LATE = ("lab", "maps", "rendering", "report")
 
 
 def main() -> int:
-    """Both runs, the second one's output after the first's; 1 if one of them fails."""
+    """All parts, each one's output when it is through; 1 if one of them fails."""
     asked = sys.argv[1:]
-    command = [sys.executable, "-m", "pytest", "-q"]
+    parts = in_parts() if not asked else [("float64", asked), ("float32", asked)]
     environment = {"XLA_FLAGS": quick_flags()} | os.environ
-    with tempfile.TemporaryFile("w+") as later:
-        double = subprocess.Popen(
-            [*command, *asked, "-p", "no:cacheprovider"],
-            env=environment | precision(64),
-            stdout=later,
-            stderr=subprocess.STDOUT,
-        )
-        print("float32", flush=True)
-        parts = [asked] if asked else in_parts()
-        single = [
-            subprocess.run([*command, *part], env=environment | precision(32))
-            for part in parts
-        ]
-        status = double.wait()
-        later.seek(0)
-        print(f"\nfloat64\n{later.read()}", flush=True)
-    return int(bool(status or any(part.returncode for part in single)))
+    with ThreadPoolExecutor(2) as pool:
+        running = [pool.submit(run, *part, environment) for part in parts]
+        for done in as_completed(running):
+            print(done.result().stdout, flush=True)
+    return int(any(done.result().returncode for done in running))
 
 
-def in_parts() -> list[list[str]]:
-    """All tests, with the annotations of what some of them call checked as well."""
+def run(
+    name: str, part: list[str], environment: dict[str, str]
+) -> subprocess.CompletedProcess[str]:
+    """One part, and all that it says."""
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *part]
+    print(f"{name} begins", flush=True)
+    done = subprocess.run(
+        command,
+        env=environment | precision(name),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    done.stdout = f"\n{name}\n{done.stdout}"
+    return done
+
+
+def in_parts() -> list[tuple[str, list[str]]]:
+    """All tests, with the annotations of what some of them call checked as well.
+
+    The longest come first.
+    """
     checked = [f"tests/{name}" for name in CHECKED]
+    late = [f"tests/{name}" for name in LATE]
     others = [f"--ignore={path}" for path in checked]
-    return [others, ["-p", "tests.annotations", *checked]]
+    return [
+        ("float64", []),
+        ("float32", [*others, *(f"--ignore={path}" for path in late)]),
+        ("float32, second part", [*others, *late]),
+        ("float32, annotations", ["-p", "tests.annotations", *checked]),
+    ]
 
 
-def precision(bits: int) -> dict[str, str]:
-    """Environment of a run, whose compiled programs no other run writes meanwhile."""
+def precision(name: str) -> dict[str, str]:
+    """Environment of a part, whose compiled programs no other one writes meanwhile."""
     chosen = os.environ.get("JAX_COMPILATION_CACHE_DIR")
     folder = Path(chosen) if chosen else Path.home() / ".cache" / "phongfit" / "tests"
     return {
-        "JAX_ENABLE_X64": "1" if bits == 64 else "0",
-        "JAX_COMPILATION_CACHE_DIR": str(compiled(folder / f"float{bits}")),
+        "JAX_ENABLE_X64": "1" if name.startswith("float64") else "0",
+        "JAX_COMPILATION_CACHE_DIR": str(
+            compiled(folder / "-".join(re.findall(r"\w+", name)))
+        ),
         # Small ones too: there are thousands of them.
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",

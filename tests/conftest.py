@@ -75,6 +75,8 @@ SINGLE = {"campaign", "commands", "data_synth", "experiments", "files", "maps"}
 # Whole fits and pictures, which take long to compile: about a third of them in float32,
 # where all of `SINGLE` runs, the others in float64. The parts of a fit run in both.
 ALTERNATE = {
+    # Computed by NumPy, in double precision.
+    "calibration",
     "geometry",
     "lab",
     "rendering",

@@ -25,6 +25,7 @@ def test_too_many_go(tmp_path, monkeypatch):
 def test_runs_side_by_side_write_apart(tmp_path, monkeypatch):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
     single, double = (
-        runner.precision(bits)["JAX_COMPILATION_CACHE_DIR"] for bits in (32, 64)
+        runner.precision(name)["JAX_COMPILATION_CACHE_DIR"]
+        for name in ("float32", "float64")
     )
     assert single != double and single.startswith(str(tmp_path))
