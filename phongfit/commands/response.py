@@ -1,9 +1,9 @@
 """`phongfit response`: photographs in; what their numbers are out."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, overload
+from typing import Annotated
 
 import numpy as np
 from tyro.conf import Positional, arg
@@ -11,12 +11,16 @@ from tyro.conf import Positional, arg
 from phongfit.calibration.response import Response, fit_response
 from phongfit.commands.options import optional
 from phongfit.commands.progress import stage
-from phongfit.files.capture_data import open_captured
+from phongfit.files.capture_data import DIRECTION, open_captured
 from phongfit.files.encodings import RESPONSE_FORMAT
 from phongfit.files.images import read_light, read_mask
 from phongfit.files.inputs import sparing
 from phongfit.files.outputs import check_file, write_json
-from phongfit.files.photographs import list_photographs, open_photographs
+from phongfit.files.photographs import (
+    AbstractImages,
+    list_photographs,
+    open_photographs,
+)
 from phongfit.rendering.response import AS_STORED
 
 
@@ -68,7 +72,7 @@ def main(options: Options) -> int:
     return 0
 
 
-class _Stored(Sequence[np.ndarray]):
+class _Stored(AbstractImages):
     """Numbers of photographs as they stand in their files, one in memory at a time."""
 
     def __init__(self, paths: Sequence[Path]):
@@ -77,17 +81,8 @@ class _Stored(Sequence[np.ndarray]):
     def __len__(self) -> int:
         return len(self.paths)
 
-    @overload
-    def __getitem__(self, index: int) -> np.ndarray: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[np.ndarray]: ...
-    def __getitem__(self, index: int | slice) -> np.ndarray | Sequence[np.ndarray]:
-        if isinstance(index, slice):
-            return _Stored(self.paths[index])
-        return read_light(self.paths[index], AS_STORED).image
-
-    def __iter__(self) -> Iterator[np.ndarray]:
-        return (self[number] for number in range(len(self)))
+    def image(self, number: int) -> np.ndarray:
+        return read_light(self.paths[number], AS_STORED).image
 
 
 def _of_matte(options: Options) -> Response:
@@ -96,7 +91,7 @@ def _of_matte(options: Options) -> Response:
     data = open_captured(
         options.photographs, AS_STORED, sphere=options.matte, lights=options.lights
     )
-    if "scene.lights[0].direction" in data.unknown:
+    if DIRECTION in data.unknown:
         raise ValueError(
             "lights: expected lights.json or an .lp, the lamps that shine on the matte "
             "sphere, got none; `phongfit calibrate` finds them by chrome spheres"

@@ -12,6 +12,7 @@ from phongfit.calibration.result import Calibration
 from phongfit.commands.options import EncodingName, optional
 from phongfit.files.calibrations import load_calibration
 from phongfit.files.capture_data import (
+    DIRECTION,
     START,
     calibration_of,
     find_lamps,
@@ -338,7 +339,7 @@ def _lights_of(
             "its own"
         )
     lights, unknown = find_lamps(capture, _calibrated(options))
-    if "scene.lights[0].direction" in unknown:
+    if DIRECTION in unknown:
         raise ValueError(
             f"lights: expected lights.json or an .lp for the {len(capture.names)} "
             "photographs (`phongfit calibrate` makes both), got none; without lights "

@@ -24,6 +24,9 @@ from phongfit.scene import Scene
 
 Circle = tuple[float, float, float]
 
+DIRECTION = "scene.lights[0].direction"
+"""What is unknown of lamps of which nothing is known, besides their strength."""
+
 START = (0.2, 0.3, 1.0)
 """Where a lamp is looked for first, of which nothing is known: above the camera."""
 
@@ -87,8 +90,8 @@ def open_captured(
         Scene(surface, camera, light, ambient=room_light * float(exposure))
         for light, exposure in zip(lamps, series.relative_exposures, strict=True)
     )
-    sought = normals == SOUGHT
-    if sought and "scene.lights[0].direction" in unknown:
+    sought, known = normals == SOUGHT, DIRECTION not in unknown
+    if sought and not known:
         raise ValueError(
             f"lights: expected them where normals are sought: an .lp or {LIGHTS_FILE} "
             f"in {path}, or given"
@@ -98,7 +101,6 @@ def open_captured(
         used = _facing(scenes[0], min_facing)
     if mask is not None:
         used &= _masked(Path(mask), used.shape)
-    known = "scene.lights[0].direction" not in unknown
 
     def read(number: int) -> Photograph:
         photo = series.read(number)
@@ -172,12 +174,11 @@ def _uncertain(
 
     if calibration is None:
         return {}
-    lamps = {base_name(lamp.photograph): lamp for lamp in calibration.lamps}
-    found = [lamps[name] for name in capture.names]
+    order = _order(capture, calibration)
+    found = [calibration.lamps[k] for k in order]
     if calibration.covariance is None:
         place = np.asarray(block_diag(*[lamp.covariance for lamp in found]))
     else:
-        order = [calibration.lamps.index(lamp) for lamp in found]
         rows = (3 * np.array(order)[:, None] + np.arange(3)).ravel()
         place = calibration.covariance[np.ix_(rows, rows)]
     where = "direction" if found[0].position is None else "position"
@@ -209,19 +210,9 @@ def _lamps(
     several = len(capture.names) > 1
     strength = ("exposure",) if several else ()
     if calibration is not None:
-        by_name: dict[str, Any] = {
-            base_name(lamp.photograph): (lamp, light)
-            for lamp, light in zip(calibration.lamps, calibration.lights, strict=True)
-        }
-        missing = [name for name in capture.names if name not in by_name]
-        if missing:
-            raise ValueError(
-                f"lights: expected one for each photograph, got none for {missing[0]}"
-                + (f" and {len(missing) - 1} others" if len(missing) > 1 else "")
-            )
-        found = [by_name[name] for name in capture.names]
-        known = all(np.isfinite(lamp.intensity).all() for lamp, _ in found)
-        return [light for _, light in found], () if known else strength
+        order = _order(capture, calibration)
+        known = np.isfinite([calibration.lamps[k].intensity for k in order]).all()
+        return [calibration.lights[k] for k in order], () if known else strength
     if capture.lights is not None:
         # In the photographs' own order, which is the list's.
         vectors = capture.lights.vectors
@@ -229,7 +220,19 @@ def _lamps(
             DirectionalLight(vector / np.linalg.norm(vector)) for vector in vectors
         ], strength
     lamps: list[AbstractLight] = [DirectionalLight(START) for _ in capture.names]
-    return lamps, ("scene.lights[0].direction", *strength)
+    return lamps, (DIRECTION, *strength)
+
+
+def _order(capture: Capture, calibration: Calibration) -> list[int]:
+    """Which of a calibration's lamps each photograph was taken under."""
+    lamps = {base_name(x.photograph): k for k, x in enumerate(calibration.lamps)}
+    missing = [name for name in capture.names if name not in lamps]
+    if missing:
+        raise ValueError(
+            f"lights: expected one for each photograph, got none for {missing[0]}"
+            + (f" and {len(missing) - 1} others" if len(missing) > 1 else "")
+        )
+    return [lamps[name] for name in capture.names]
 
 
 def _facing(scene: Scene, least: float) -> Bool[np.ndarray, "height width"]:

@@ -2,17 +2,18 @@
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import overload
 
 import numpy as np
+from jaxtyping import Float
 
 from phongfit.edge import checked
 from phongfit.files.dataset import Photograph
 from phongfit.files.lp import LightList, base_name, read_lp
 from phongfit.files.photographs import (
+    AbstractImages,
     PhotoSeries,
     images_in,
     open_photographs,
@@ -28,7 +29,7 @@ LEAST_OF_FLAT = 0.9
 
 
 @dataclass(frozen=True)
-class Capture(Sequence[np.ndarray]):
+class Capture(AbstractImages):
     """Photographs of one object, read when they are asked for.
 
     A sequence of images, linear light (height, width, 3), as [`calibrate`][] takes it:
@@ -72,18 +73,10 @@ class Capture(Sequence[np.ndarray]):
     def __len__(self) -> int:
         return len(self.series)
 
-    @overload
-    def __getitem__(self, index: int) -> np.ndarray: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[np.ndarray]: ...
-    def __getitem__(self, index: int | slice) -> np.ndarray | Sequence[np.ndarray]:
-        if isinstance(index, slice):
-            return [self[number] for number in range(*index.indices(len(self)))]
-        image, known = self.read(range(len(self))[index])
+    def image(self, number: int) -> Float[np.ndarray, "height width 3"]:
+        """The photograph of a number; samples that were cut off at white are 1."""
+        image, known = self.read(number)
         return np.where(known, image, np.maximum(image, 1))
-
-    def __iter__(self) -> Iterator[np.ndarray]:
-        return (self[number] for number in range(len(self)))
 
     def read(self, number: int) -> Photograph:
         """The photograph of a number, from 0 on, and which samples of it are known.

@@ -1,10 +1,12 @@
 """Photographs as cameras write them: light, film and exposure, one at a time."""
 
+import abc
 import dataclasses
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import overload
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -164,6 +166,24 @@ def open_photographs(
     relative, notes = relative_exposures([path.name for path in files], exposures)
     size = first.size[1], first.size[0]
     return PhotoSeries(files, encoding, size, exposures, relative, notes)
+
+
+class AbstractImages(Sequence[np.ndarray]):
+    """Images that are read when they are asked for, one in memory at a time."""
+
+    @abc.abstractmethod
+    def image(self, number: int) -> np.ndarray:
+        """That of a number, from 0 on."""
+
+    @overload
+    def __getitem__(self, index: int) -> np.ndarray: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[np.ndarray]: ...
+    def __getitem__(self, index: int | slice) -> np.ndarray | Sequence[np.ndarray]:
+        numbers = range(len(self))[index]
+        if isinstance(numbers, range):
+            return [self.image(number) for number in numbers]
+        return self.image(numbers)
 
 
 def list_photographs(

@@ -81,6 +81,15 @@ def save_in_display_p3(path, levels):
     Image.fromarray(numbers).save(path, icc_profile=rgb_profile(P3, 2.2))
 
 
+def check_lamps(words, out):
+    """The command finds the studio's lamps: where they are, and their colour."""
+    assert main([*words, "-o", f"{out}"]) == 0
+    found = pf.load_calibration(out)
+    assert degrees([lamp.direction for lamp in found.lamps], LAMPS).max() < 0.5
+    strength = found.lamps[1].intensity
+    assert strength / strength[0] == pytest.approx([1, 0.9, 0.8], rel=0.03)
+
+
 @pytest.mark.parametrize("save", [save_sideways, save_in_display_p3])
 def test_one_photograph_that_is_kept_otherwise(tmp_path, save):
     studio, folder = Studio(), tmp_path / "photos"
@@ -90,11 +99,7 @@ def test_one_photograph_that_is_kept_otherwise(tmp_path, save):
         path = folder / f"{number}.png"
         save(path, levels) if number == 2 else Image.fromarray(levels).save(path)
     words = ["calibrate", f"{folder}", "--encoding", "srgb", "--fov", "20"]
-    assert main([*words, "-o", f"{tmp_path / 'out'}", *circles(studio)]) == 0
-    found = pf.load_calibration(tmp_path / "out")
-    assert degrees([lamp.direction for lamp in found.lamps], LAMPS).max() < 0.5
-    strength = found.lamps[1].intensity
-    assert strength / strength[0] == pytest.approx([1, 0.9, 0.8], rel=0.03)
+    check_lamps([*words, *circles(studio)], tmp_path / "out")
 
 
 def test_a_folder_of_raw_photographs(tmp_path):
@@ -109,11 +114,7 @@ def test_a_folder_of_raw_photographs(tmp_path):
         mosaic[1::2, 1::2] = sensor[1::2, 1::2, 2]
         (folder / f"{number}.dng").write_bytes(dng(np.round(mosaic)))
     words = ["calibrate", f"{folder}", "--encoding", "linear", "--fov", "20"]
-    assert main([*words, "-o", f"{tmp_path / 'out'}", *circles(studio)]) == 0
-    found = pf.load_calibration(tmp_path / "out")
-    assert degrees([lamp.direction for lamp in found.lamps], LAMPS).max() < 0.5
-    strength = found.lamps[1].intensity
-    assert strength / strength[0] == pytest.approx([1, 0.9, 0.8], rel=0.03)
+    check_lamps([*words, *circles(studio)], tmp_path / "out")
 
 
 def bad_folder(folder, kind):
