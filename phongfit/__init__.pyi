@@ -12,6 +12,7 @@ from .files.calibrations import (
     load_calibration as load_calibration,
     save_calibration as save_calibration,
 )
+from .files.cameras import load_cameras as load_cameras
 from .files.captures import Capture as Capture, open_capture as open_capture
 from .files.datasets import (
     Dataset as Dataset,
@@ -56,7 +57,20 @@ from .geometry.cameras import (
     AbstractCamera as AbstractCamera,
     OrthographicCamera as OrthographicCamera,
     PerspectiveCamera as PerspectiveCamera,
+    PinholeCamera as PinholeCamera,
     look_at as look_at,
+)
+from .geometry.conventions import (
+    AXES as AXES,
+    camera_from_matrix as camera_from_matrix,
+    camera_from_opencv as camera_from_opencv,
+    camera_pose as camera_pose,
+    camera_to_world as camera_to_world,
+)
+from .geometry.distortion import (
+    AbstractDistortion as AbstractDistortion,
+    BrownDistortion as BrownDistortion,
+    FisheyeDistortion as FisheyeDistortion,
 )
 from .geometry.height import (
     HeightField as HeightField,
@@ -79,6 +93,7 @@ from .geometry.surfaces import (
     Sphere as Sphere,
 )
 from .geometry.tracing import trace as trace
+from .geometry.undistortion import Undistorted as Undistorted, undistort as undistort
 from .lights import (
     AbstractLight as AbstractLight,
     DirectionalLight as DirectionalLight,

@@ -197,9 +197,11 @@ def check_camera(camera: AbstractCamera) -> None:
     assert np.all(np.diff(points @ up, axis=0) < 0), "row 0 is at the top"
     assert np.all(np.asarray(rays.direction) @ back < 0), "looks along its own −z"
 
-    # The middle of the image lies between the pixels of an even grid.
+    # The middle of the image lies between the pixels of an even grid, and is what the
+    # camera looks at unless it was calibrated to look elsewhere.
     ray = jax.jit(lambda x, y: camera.ray(x, y))
-    middle = ray(floats(width / 2), floats(height / 2))
+    centre = getattr(camera, "cx", width / 2), getattr(camera, "cy", height / 2)
+    middle = ray(*map(floats, centre))
     near(middle.direction, -back)
     near(middle.origin, camera.position)
     centre = ray(floats(1.5), floats(0.5))
@@ -207,11 +209,13 @@ def check_camera(camera: AbstractCamera) -> None:
     near(centre.origin, np.asarray(rays.origin)[0, 1])
 
     # Back along the ray is towards the viewer, and depth is measured along the axis.
-    at_points = jax.jit(
-        jax.vmap(jax.vmap(lambda at: (camera.to_viewer(at), camera.depth(at))))
-    )
-    to_viewer, depth = at_points(floats(points))
+    def at_point(at):
+        return camera.to_viewer(at), camera.depth(at), camera.project(at)
+
+    at_points = jax.jit(jax.vmap(jax.vmap(at_point)))
+    to_viewer, depth, place = at_points(floats(points))
     near(to_viewer, -np.asarray(rays.direction))
+    near(place, np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1) + 0.5)
     near(depth, (np.asarray(camera.position) - points) @ back)
     assert np.all(depth > 0)
 

@@ -25,7 +25,13 @@ from phongfit.geometry.cameras import (
     AbstractCamera,
     OrthographicCamera,
     PerspectiveCamera,
+    PinholeCamera,
     look_at,
+)
+from phongfit.geometry.distortion import (
+    AbstractDistortion,
+    BrownDistortion,
+    FisheyeDistortion,
 )
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.shading import (
@@ -87,6 +93,7 @@ FAMILIES = (
     AbstractLight,
     AbstractSpecular,
     AbstractShading,
+    AbstractDistortion,
 )
 
 
@@ -106,8 +113,8 @@ def register(made: type, kind: str, /, **keys: str) -> None:
 
     **Arguments:**
 
-    - `made`: a light, surface, camera, specular model or shading method. It may be
-        registered again, as happens in a notebook.
+    - `made`: a light, surface, camera, distortion, specular model or shading method. It
+        may be registered again, as happens in a notebook.
     - `kind`: what files call it.
     - `keys`: what files call an argument, where that is not its name.
 
@@ -142,6 +149,9 @@ register(NormalMap, "normal_map")
 register(Mesh, "mesh")
 register(OrthographicCamera, "orthographic")
 register(PerspectiveCamera, "perspective", fov_y="fov_y_degrees")
+register(PinholeCamera, "pinhole")
+register(BrownDistortion, "brown")
+register(FisheyeDistortion, "fisheye")
 register(DirectionalLight, "directional")
 register(PointLight, "point")
 register(SpotLight, "spot", cutoff="cutoff_degrees")

@@ -1,7 +1,7 @@
-"""Cameras: from a pixel to the ray through it.
+"""Cameras: from a pixel to the ray through it, and from a point to its image.
 
 A camera looks along its own −z, with x to the right and y up. Pixel (0, 0) is at the
-top left; centres are at half integers.
+top left; centres are at half integers: that of the first pixel is at (0.5, 0.5).
 """
 
 import abc
@@ -13,10 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from equinox import AbstractVar
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from phongfit.checks import as_floats, as_scalar, as_vector, nonzero, require
 from phongfit.edge import checked
+from phongfit.geometry.distortion import AbstractDistortion, Place, flat
+from phongfit.programs import program
 from phongfit.vectors import Scalar, Vec3, normalize
 
 
@@ -44,20 +46,44 @@ class AbstractCamera(eqx.Module):
         """Ray through image point (x, y), in pixels from the top left corner."""
 
     @abc.abstractmethod
+    def project(self, position: Vec3) -> Place:
+        """Image of a point of the scene, (x, y) in pixels from the top left corner.
+
+        The inverse of `ray`. A point behind a pinhole has no image: NaN.
+        """
+
+    @abc.abstractmethod
     def to_viewer(self, position: Vec3) -> Vec3:
         """Unit vector from a point of the scene towards the viewer."""
 
+    def covered(self) -> Bool[Array, "height width"] | None:
+        """Which pixels have a ray; `None` where all have one, as nearly always."""
+        return None
+
     def rays(self) -> Ray:
         """Rays through all pixel centres, of shape (height, width, 3)."""
-        dtype = self.position.dtype
-        x = jnp.arange(self.width, dtype=dtype) + 0.5
-        y = jnp.arange(self.height, dtype=dtype) + 0.5
-        along_row = jax.vmap(self.ray, in_axes=(0, None))
-        return jax.vmap(along_row, in_axes=(None, 0))(x, y)
+        return over_pixels(self.ray, self)
 
     def depth(self, position: Vec3) -> Scalar:
         """Distance of a point along the camera's viewing axis, in world units."""
         return jnp.sum((self.position - position) * self.rotation[:, 2])
+
+    def _seen_from(self, position: Vec3) -> Vec3:
+        """A point in the camera's own axes: right, up and back from where it stands."""
+        # A GPU would otherwise multiply in reduced precision.
+        offset = position - self.position
+        return jnp.matmul(offset, self.rotation, precision="highest")
+
+
+def over_pixels(
+    function: Callable[[Scalar, Scalar], Any], camera: AbstractCamera
+) -> Any:
+    """What a function of an image point gives for all of a camera's pixel centres."""
+    dtype = camera.position.dtype
+    x = jnp.arange(camera.width, dtype=dtype) + 0.5
+    y = jnp.arange(camera.height, dtype=dtype) + 0.5
+    along_row = jax.vmap(function, in_axes=(0, None))
+    return jax.vmap(along_row, in_axes=(None, 0))(x, y)
 
 
 def _as_size(name: str, value: Any) -> int:
@@ -179,13 +205,23 @@ class OrthographicCamera(AbstractCamera):
         offset = self.rotation @ jnp.stack([right, up, jnp.zeros_like(right)])
         return Ray(self.position + offset, -self.rotation[:, 2])
 
+    def project(self, position: Vec3) -> Place:
+        right, up, _ = self._seen_from(position)
+        pixels = self.height / self.view_height
+        return jnp.stack(
+            [self.width / 2 + right * pixels, self.height / 2 - up * pixels]
+        )
+
     def to_viewer(self, position: Vec3) -> Vec3:
         del position
         return self.rotation[:, 2]
 
 
 class PerspectiveCamera(AbstractCamera):
-    """A pinhole camera."""
+    """A pinhole camera that looks through the middle of its image.
+
+    One that was calibrated has more numbers: see [`PinholeCamera`][].
+    """
 
     fov_y: Float[Array, ""]
     width: int = eqx.field(static=True)
@@ -246,5 +282,123 @@ class PerspectiveCamera(AbstractCamera):
         direction = self.rotation @ jnp.stack([right, up, -jnp.ones_like(right)])
         return Ray(self.position, normalize(direction))
 
+    def project(self, position: Vec3) -> Place:
+        right, up, back = self._seen_from(position)
+        pixels = self.height / (2 * jnp.tan(jnp.deg2rad(self.fov_y) / 2))
+        x, y = pixels * flat(jnp.stack([right, -up, -back]))
+        return jnp.stack([self.width / 2 + x, self.height / 2 + y])
+
     def to_viewer(self, position: Vec3) -> Vec3:
         return normalize(self.position - position)
+
+
+class PinholeCamera(AbstractCamera):
+    r"""A pinhole camera as others calibrate it: focal lengths, principal point, lens.
+
+    A point at $(X, Y, Z)$ from the pinhole, $X$ right, $Y$ down and $Z$ forward, is
+    seen at
+
+    $$u = f_x\,x' + s\,y' + c_x \qquad v = f_y\,y' + c_y$$
+
+    pixels from the top left corner, where $(x', y')$ is $(X/Z, Y/Z)$ or what the lens
+    makes of it: see [`BrownDistortion`][] and [`FisheyeDistortion`][]. Rays are those
+    that the lens lets in: photographs stay as they are, pixel by pixel.
+
+    ??? cite "Source"
+        Hartley and Zisserman, *Multiple view geometry in computer vision*, 2nd edition,
+        2004, section 6.1.
+    """
+
+    fx: Float[Array, ""]
+    fy: Float[Array, ""]
+    cx: Float[Array, ""]
+    cy: Float[Array, ""]
+    skew: Float[Array, ""]
+    distortion: AbstractDistortion | None
+    width: int = eqx.field(static=True)
+    height: int = eqx.field(static=True)
+    position: Float[Array, "3"]
+    rotation: Float[Array, "3 3"]
+
+    @checked
+    def __init__(
+        self,
+        width: int,
+        height: int,
+        *,
+        fx: Any,
+        fy: Any = None,
+        cx: Any = None,
+        cy: Any = None,
+        skew: Any = 0.0,
+        distortion: AbstractDistortion | None = None,
+        position: Any = (0.0, 0.0, 0.0),
+        rotation: Any = None,
+    ):
+        """**Arguments:**
+
+        - `width`, `height`: pixels.
+        - `fx`, `fy`: focal lengths > 0, in pixels; default of `fy`: `fx`.
+        - `cx`, `cy`: the principal point, in pixels from the top left corner of the
+            image, where the first pixel has its centre at 0.5 (as for COLMAP; OpenCV
+            has it at 0, see [`camera_from_opencv`][]); default the middle.
+        - `skew`: $s$, in pixels; 0 where rows and columns are at right angles.
+        - `distortion`: of the lens; default none.
+        - `position`: the pinhole, world units.
+        - `rotation`: as in [`OrthographicCamera`][]; how others have it, see
+            [`camera_pose`][].
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        self.width = _as_size("width", width)
+        self.height = _as_size("height", height)
+        self.fx = _positive("fx", fx)
+        self.fy = self.fx if fy is None else _positive("fy", fy)
+        self.cx = as_scalar("cx", width / 2 if cx is None else cx)
+        self.cy = as_scalar("cy", height / 2 if cy is None else cy)
+        self.skew = as_scalar("skew", skew)
+        self.distortion = distortion
+        self.position = as_vector("position", position)
+        self.rotation = _as_rotation(np.eye(3) if rotation is None else rotation)
+
+    def ray(self, x: Scalar, y: Scalar) -> Ray:
+        (right, down, ahead), _ = self._direction(x, y)
+        # Their axes are ours, with y and z turned about.
+        direction = self.rotation @ jnp.stack([right, -down, -ahead])
+        return Ray(self.position, normalize(direction))
+
+    def _direction(self, x: Scalar, y: Scalar) -> tuple[Vec3, Bool[Array, ""]]:
+        place = self.place_of(x, y)
+        if self.distortion is None:
+            return jnp.append(place, jnp.ones_like(x)), jnp.array(True)
+        return self.distortion.direction(place)
+
+    def place_of(self, x: Scalar, y: Scalar) -> Place:
+        """An image point on the image plane at distance 1, x right and y down."""
+        down = (y - self.cy) / self.fy
+        return jnp.stack([(x - self.cx - self.skew * down) / self.fx, down])
+
+    def pixel_of(self, place: Place) -> Place:
+        """The inverse of `place_of`: (x, y) in pixels from the top left corner."""
+        x, y = place
+        return jnp.stack([self.fx * x + self.skew * y + self.cx, self.fy * y + self.cy])
+
+    def project(self, position: Vec3) -> Place:
+        right, up, back = self._seen_from(position)
+        direction = jnp.stack([right, -up, -back])
+        lens = self.distortion
+        return self.pixel_of(flat(direction) if lens is None else lens.place(direction))
+
+    def to_viewer(self, position: Vec3) -> Vec3:
+        return normalize(self.position - position)
+
+    def covered(self) -> Bool[Array, "height width"] | None:
+        return None if self.distortion is None else _covered(self)
+
+
+@program()
+def _covered(camera: PinholeCamera) -> Bool[Array, "height width"]:
+    def found(x: Scalar, y: Scalar) -> Bool[Array, ""]:
+        return camera._direction(x, y)[1]
+
+    return over_pixels(found, camera)

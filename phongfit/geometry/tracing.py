@@ -40,6 +40,9 @@ def trace(
     its shadows.
     """
     gbuffer = surface.trace(camera)
+    covered = camera.covered()
+    if covered is not None:
+        gbuffer = eqx.tree_at(lambda g: g.mask, gbuffer, gbuffer.mask & covered)
     if not shadows:
         return gbuffer
     shading = PhongShading() if shading is None else shading

@@ -15,6 +15,7 @@ from phongfit.geometry.cameras import (
     AbstractCamera,
     OrthographicCamera,
     PerspectiveCamera,
+    PinholeCamera,
     look_at,
 )
 from phongfit.geometry.surfaces import Sphere
@@ -70,7 +71,7 @@ def settings_of(scene: Scene) -> dict[str, Any]:
     x, y, radius = _outline(surface, camera)
     light = scene.lights[0].illuminate(surface.center)
     axes = camera.rotation
-    if isinstance(camera, PerspectiveCamera):
+    if isinstance(camera, PerspectiveCamera | PinholeCamera):
         # A ball beside the axis is seen from the side, by nearly parallel rays.
         axes = look_at(camera.position, surface.center, camera.rotation[:, 1])
     azimuth, elevation, _ = angles(np.asarray(axes).T @ np.asarray(light.to_light))
@@ -93,17 +94,20 @@ def settings_of(scene: Scene) -> dict[str, Any]:
 
 def _outline(ball: Sphere, camera: AbstractCamera) -> tuple[float, float, float]:
     """Centre and radius in pixels, from the upper left corner."""
-    right, up, back = np.asarray(camera.rotation).T @ (
-        np.asarray(ball.center) - np.asarray(camera.position)
-    )
-    radius = float(np.asarray(ball.radius))
+    depth, radius = float(camera.depth(ball.center)), float(np.asarray(ball.radius))
     if isinstance(camera, OrthographicCamera):
-        scale = camera.height / float(np.asarray(camera.view_height))
-        size = radius * scale
-    elif isinstance(camera, PerspectiveCamera) and -back > radius:
-        focal = camera.height / 2 / np.tan(np.radians(float(camera.fov_y)) / 2)
-        scale, size = focal / -back, focal * radius / np.sqrt(back**2 - radius**2)
+        size = radius * camera.height / float(np.asarray(camera.view_height))
+    elif isinstance(camera, PerspectiveCamera | PinholeCamera) and depth > radius:
+        size = _focal(camera) * radius / np.sqrt(depth**2 - radius**2)
     else:
         raise ValueError("camera: expected one in front of the ball")
-    x, y = camera.width / 2 + scale * right, camera.height / 2 - scale * up
+    x, y = np.asarray(camera.project(ball.center), float)
     return float(x), float(y), float(size)
+
+
+def _focal(camera: PerspectiveCamera | PinholeCamera) -> float:
+    """Pixels from the pinhole to the image."""
+    if isinstance(camera, PinholeCamera):
+        return float(np.asarray(camera.fy))
+    half = np.radians(float(np.asarray(camera.fov_y))) / 2
+    return camera.height / 2 / np.tan(half)

@@ -21,6 +21,11 @@ _UNITS = {
     "axis": "unit vector",
     "rotation": "degrees from where it was",
     "fov_y": "degrees",
+    "fx": "pixels",
+    "fy": "pixels",
+    "cx": "pixels",
+    "cy": "pixels",
+    "skew": "pixels",
     "intensity": "light, white = 1",
     "color": "light, white = 1",
     "cutoff": "degrees",
@@ -40,6 +45,8 @@ def unit(label: str) -> str:
     for channel in (".red", ".green", ".blue"):
         words = words.removesuffix(channel)
     last = words.rpartition(".")[2].partition("[")[0]
+    if ".distortion." in label:
+        return "coefficient of the lens"
     if last in ("ambient", "specular"):
         return "light, white = 1"
     return _UNITS.get(last, _LENGTH)

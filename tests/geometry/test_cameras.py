@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from tests.helpers import CLOSE, check_camera, floats, near, random_rotation
+from tests.helpers import CLOSE, check_camera, floats, known, near, random_rotation
 
 ROTATION = random_rotation(7)
 
@@ -19,6 +19,10 @@ ROTATION = random_rotation(7)
         pf.PerspectiveCamera(6, 4, fov_y=50),
         pf.PerspectiveCamera(3, 5, position=(1, 2, 3), rotation=ROTATION),
         pf.PerspectiveCamera.look_at((1, 2, 3), up=(0, 0, 1), width=4, height=2),
+        pf.PinholeCamera(6, 4, fx=5, position=(1, 2, 3), rotation=ROTATION),
+        pf.PinholeCamera(5, 4, fx=5, fy=6, cx=1.5, cy=3, skew=0.3),
+        pf.PinholeCamera(6, 4, fx=9, distortion=pf.BrownDistortion(-0.2, 0.1, 0.01)),
+        pf.PinholeCamera(6, 4, fx=3, cx=2, distortion=pf.FisheyeDistortion(0.05)),
     ],
 )
 def test_contract(camera):
@@ -55,6 +59,63 @@ def test_perspective_rays(row, column, through):
     rays = pf.PerspectiveCamera(8, 4, fov_y=90, position=(1, 2, 3)).rays()
     near(rays.origin[row, column], (1, 2, 3))
     near(rays.direction[row, column], np.array(through) / np.linalg.norm(through))
+
+
+# A pixel is a quarter of a unit wide and half a unit high at distance 1; the axis goes
+# through the corner of the first pixel.
+@pytest.mark.parametrize(
+    "x, y, through", [(0, 0, (0, 0, -1)), (4, 0, (1, 0, -1)), (4, 2, (0.5, -1, -1))]
+)
+def test_pinhole_rays(x, y, through):
+    camera = pf.PinholeCamera(8, 4, fx=4, fy=2, cx=0, cy=0, skew=2, position=(1, 2, 3))
+    ray = camera.ray(floats(x), floats(y))
+    near(ray.direction, np.array(through) / np.linalg.norm(through))
+    near(camera.project(ray.at(floats(7))), (x, y), 1e-5)
+
+
+def test_a_pinhole_that_looks_through_its_middle_is_a_perspective_camera():
+    rotation, focal = random_rotation(8), 2 / math.tan(math.radians(25))
+    calibrated = pf.PinholeCamera(6, 4, fx=focal, position=(1, 2, 3), rotation=rotation)
+    plain = pf.PerspectiveCamera(6, 4, fov_y=50, position=(1, 2, 3), rotation=rotation)
+    near(calibrated.rays().direction, plain.rays().direction)
+    assert calibrated.covered() is plain.covered() is None
+
+
+def test_nothing_is_seen_behind_a_pinhole():
+    behind = floats([0.1, 0.2, 5.0])
+    for camera in (
+        pf.PinholeCamera(6, 4, fx=5),
+        pf.PerspectiveCamera(position=(0, 0, 4)),
+    ):
+        assert np.isnan(camera.project(behind)).all()
+
+
+def test_pixels_past_the_fold_of_a_lens_see_nothing():
+    """With k1 = −1/3 a place is never further than 2/3 from the centre."""
+    lens = pf.BrownDistortion(-1 / 3)
+    camera = pf.PinholeCamera(16, 16, fx=8, distortion=lens, position=(0, 0, 5))
+    x, y = np.meshgrid(np.arange(16) - 7.5, np.arange(16) - 7.5)
+    inside = np.hypot(x, y) / 8 < 2 / 3
+    near(known(camera.covered()), inside)
+    wall = pf.Sphere((0, 0, -100), 99)
+    buffer = pf.trace(wall, camera)
+    near(buffer.mask, inside)
+    assert np.isfinite(buffer.normal).all() and np.isfinite(buffer.position).all()
+
+
+@pytest.mark.parametrize(
+    "wrong, words",
+    [
+        (dict(fx=0), "fx: expected a number > 0"),
+        (dict(fx=5, fy=-1), "fy: expected a number > 0"),
+        (dict(fx=5, cx=np.nan), "cx: expected a finite number"),
+        (dict(fx=5, distortion=[0.1]), "distortion: expected"),
+        (dict(fx=5, rotation=np.ones((3, 3))), "rotation: expected orthonormal"),
+    ],
+)
+def test_wrong_intrinsics_are_named(wrong, words):
+    with pytest.raises(ValueError, match=words):
+        pf.PinholeCamera(6, 4, **wrong)
 
 
 def test_field_of_view():

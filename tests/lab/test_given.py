@@ -57,6 +57,14 @@ def test_a_data_set_and_a_camera_that_stands_elsewhere(folder, tmp_path):
     assert found["azimuth"] == pytest.approx(0, abs=0.01)
     assert found["intensity"] == pytest.approx([2, 2, 2])
     assert (found["centre_x"], found["centre_y"]) == pytest.approx((50, 50))
+    # One that was calibrated is the same camera.
+    focal = 20 / np.tan(np.radians(15))
+    pose = {"position": camera.position, "rotation": camera.rotation}
+    same = pf.PinholeCamera(48, 40, fx=focal, **pose)
+    other = settings_of(pf.Scene(pf.Sphere(), same, scene.lights, ambient=0.5))
+    assert [other[key] for key in ("centre_x", "centre_y", "radius")] == pytest.approx(
+        [found[key] for key in ("centre_x", "centre_y", "radius")], rel=1e-5
+    )
     rows = np.count_nonzero(np.asarray(scene.trace().mask).any(axis=1))
     assert found["radius"] / 100 * 40 == pytest.approx(rows / 2, abs=1)
 

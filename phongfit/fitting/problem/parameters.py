@@ -25,7 +25,7 @@ _COLOURS = {"intensity", "specular", "ambient", "color", "background"}
 _DIRECTIONS = {"direction", "axis"}
 _ROTATION = "rotation"
 _NOT_NEGATIVE = {"attenuation", "exponent", "density"} | _COLOURS
-_NOT_NEGATIVE |= {"radius", "height", "view_height"}
+_NOT_NEGATIVE |= {"radius", "height", "view_height", "fx", "fy"}
 
 DEFAULT_BOUNDS = {
     "ambient": (0.0, 1.0),

@@ -1,0 +1,45 @@
+"""Cameras of photographs from the files of others, whatever the format."""
+
+import os
+from pathlib import Path
+
+from phongfit.edge import checked
+from phongfit.files.colmap import is_colmap, load_colmap
+from phongfit.files.transforms import load_transforms
+from phongfit.geometry.cameras import PinholeCamera
+
+TRANSFORMS = "transforms.json"
+
+
+@checked
+def load_cameras(path: str | os.PathLike[str]) -> dict[str, PinholeCamera]:
+    """Cameras of photographs, as COLMAP or a NeRF's tools found them.
+
+    ```python
+    cameras = phongfit.load_cameras("project")  # or "project/sparse/0"
+    camera = cameras["IMG_0001.jpg"]
+    ```
+
+    **Arguments:** `path`: the folder of a COLMAP model (text or binary), of a COLMAP
+    project with one in its `sparse/0`, or of a `transforms.json`; or that file. Camera
+    models are COLMAP's pinholes, `RADIAL`, `OPENCV` and fisheyes with their simpler
+    forms. Lengths are in the files' own unit, which for COLMAP is any.
+
+    **Returns:** a camera for each photograph, by the name that the files give it, with
+    the folders that stand before it there.
+
+    **Raises:** `ValueError` that names the file: missing, broken, or of a camera model
+    that is not known.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise ValueError(f"{path}: there is no such file or folder")
+    if path.is_file():
+        if path.suffix.lower() != ".json":
+            raise ValueError(
+                f"{path}: expected a transforms.json, or the folder of a COLMAP model"
+            )
+        return load_transforms(path)
+    if not is_colmap(path) and (path / TRANSFORMS).exists():
+        return load_transforms(path / TRANSFORMS)
+    return load_colmap(path)

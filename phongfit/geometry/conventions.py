@@ -1,0 +1,286 @@
+"""Cameras as others write them: their axes, their pixels, their matrices.
+
+All of these conventions are right-handed, and differ in which of a camera's axes go
+where: see [`AXES`][]. In the world's axes they are ours.
+"""
+
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from jaxtyping import Float
+
+from phongfit.checks import as_array
+from phongfit.edge import checked, shown
+from phongfit.geometry.cameras import AbstractCamera, PinholeCamera
+from phongfit.geometry.distortion import (
+    AbstractDistortion,
+    BrownDistortion,
+    FisheyeDistortion,
+)
+
+Axes = Literal[
+    "phongfit", "opengl", "nerf", "blender", "opencv", "colmap", "pytorch3d", "mitsuba"
+]
+
+AXES: dict[Axes, tuple[int, int, int]] = {
+    "phongfit": (1, 1, 1),
+    "opengl": (1, 1, 1),
+    "nerf": (1, 1, 1),
+    "blender": (1, 1, 1),
+    "opencv": (1, -1, -1),
+    "colmap": (1, -1, -1),
+    "pytorch3d": (-1, 1, -1),
+    "mitsuba": (-1, 1, -1),
+}
+"""For each convention, whether its camera's x, y and z axis are ours (right, up, back)
+or point the other way (left, down, forward)."""
+
+# How far axes in a file may be from orthonormal, which they were before rounding.
+ROUNDED = 1e-3
+# Of OpenCV's 4 to 14 coefficients, those of Brown's model; a thin prism's follow.
+BROWN = 8
+
+
+class Pose(NamedTuple):
+    """Where a camera stands and how it is turned, as our cameras take it.
+
+    - `position`: world units.
+    - `rotation`: x (right), y (up) and z (back) axis as columns.
+    """
+
+    position: Float[np.ndarray, "3"]
+    rotation: Float[np.ndarray, "3 3"]
+
+
+@checked
+def camera_pose(to_world: Any, axes: Axes) -> Pose:
+    """Position and rotation of a camera from its matrix in another convention.
+
+    ```python
+    position, rotation = phongfit.camera_pose(matrix_world, "blender")
+    ```
+
+    **Arguments:**
+
+    - `to_world`: (4, 4) or (3, 4): what takes a point, as a column, from the camera's
+        axes to the world's. Of one that goes the other way (OpenCV's and COLMAP's R and
+        t, PyTorch3D's Rᵀ and T) it is the inverse.
+    - `axes`: whose axes these are: see [`AXES`][].
+
+    **Raises:** `ValueError` that names the argument; axes must be orthonormal.
+    """
+    if axes not in AXES:
+        wanted = ", ".join(map(repr, get_args(Axes)))
+        raise ValueError(f"axes: expected one of {wanted}, got {axes!r}")
+    matrix = _numbers("to_world", to_world, (3, 4), (4, 4))
+    if len(matrix) == 4 and not np.allclose(matrix[3], (0, 0, 0, 1), atol=1e-6):
+        raise ValueError(
+            f"to_world: expected 0, 0, 0, 1 as its last row, got {matrix[3].tolist()}"
+        )
+    rotation = _as_rotation("to_world", matrix[:3, :3])
+    return Pose(matrix[:3, 3], rotation * np.array(AXES[axes]))
+
+
+@checked
+def camera_to_world(camera: AbstractCamera, axes: Axes) -> Float[np.ndarray, "4 4"]:
+    """The matrix of a camera in another convention: the inverse of [`camera_pose`][].
+
+    **Arguments:** `axes`: see [`AXES`][].
+
+    **Returns:** (4, 4): what takes a point from the camera's axes to the world's.
+
+    **Raises:** `ValueError` for another convention.
+    """
+    if axes not in AXES:
+        wanted = ", ".join(map(repr, get_args(Axes)))
+        raise ValueError(f"axes: expected one of {wanted}, got {axes!r}")
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.asarray(camera.rotation, float) * np.array(AXES[axes])
+    matrix[:3, 3] = np.asarray(camera.position, float)
+    return matrix
+
+
+@checked
+def camera_from_opencv(
+    matrix: Any,
+    rotation: Any = (0.0, 0.0, 0.0),
+    translation: Any = (0.0, 0.0, 0.0),
+    *,
+    width: int,
+    height: int,
+    distortion: Any = (),
+    fisheye: bool = False,
+) -> PinholeCamera:
+    """A camera as OpenCV's calibration gives it.
+
+    OpenCV counts pixels from the centre of the first one, we from its corner: its
+    principal point is half a pixel less than ours in x and in y.
+
+    **Arguments:**
+
+    - `matrix`: K, (3, 3), its `cameraMatrix`.
+    - `rotation`: from the world to the camera: `rvec`, or R of shape (3, 3).
+    - `translation`: likewise: `tvec`, world units. The camera stands at −Rᵀ t.
+    - `width`, `height`: pixels.
+    - `distortion`: its `distCoeffs`: none, or 4, 5 or 8 of k1, k2, p1, p2, k3, k4, k5,
+        k6. Of 12 or 14 the last, a thin prism's and a tilted sensor's, must be 0.
+    - `fisheye`: they are k1, k2, k3, k4 of its `fisheye` module.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    k = _numbers("matrix", matrix, (3, 3))
+    if np.abs(k[[1, 2, 2], [0, 0, 1]]).max() > 0 or k[2, 2] != 1:
+        raise ValueError(
+            "matrix: expected fx, s, cx; 0, fy, cy; 0, 0, 1 as its rows, got "
+            f"{k.tolist()}"
+        )
+    given = _numbers("rotation", rotation, (3,), (3, 1), (1, 3), (3, 3))
+    if given.size == 3:
+        turn = _from_rotation_vector(given.ravel())
+    else:
+        turn = _as_rotation("rotation", given)
+    shift = _numbers("translation", translation, (3,), (3, 1), (1, 3)).ravel()
+    return camera_in_view(
+        turn,
+        shift,
+        width=width,
+        height=height,
+        fx=k[0, 0],
+        fy=k[1, 1],
+        cx=k[0, 2] + 0.5,
+        cy=k[1, 2] + 0.5,
+        skew=k[0, 1],
+        distortion=_opencv_distortion(distortion, fisheye),
+    )
+
+
+@checked
+def camera_from_matrix(
+    matrix: Any, *, width: int, height: int, first_pixel: float = 0.0
+) -> PinholeCamera:
+    """A camera from its projection matrix P = K [R | t], by RQ decomposition.
+
+    P is known up to a factor only. Its sign is taken so that image rows go down, as
+    x, y and depth of a right-handed camera do.
+
+    **Arguments:**
+
+    - `matrix`: (3, 4): from a point of the world, (X, Y, Z, 1), to its pixel (u, v), as
+        w·u, w·v and w.
+    - `width`, `height`: pixels.
+    - `first_pixel`: where its (u, v) have the centre of the first pixel: 0, as OpenCV
+        has it, or 0.5, as COLMAP has it.
+
+    **Raises:** `ValueError` that names the argument; P must have a centre.
+
+    ??? cite "Source"
+        Hartley and Zisserman, *Multiple view geometry in computer vision*, 2nd edition,
+        2004, section 6.2.4.
+    """
+    if first_pixel not in (0, 0.5):
+        raise ValueError(f"first_pixel: expected 0 or 0.5, got {first_pixel!r}")
+    p = _numbers("matrix", matrix, (3, 4))
+    p = p / max(np.abs(p[2, :3]).max(), np.finfo(float).tiny)
+    # Rows of a matrix in pixels differ by some thousands: judged row by row.
+    scale = np.linalg.norm(p[:, :3], axis=1, keepdims=True)
+    if not scale.all() or abs(np.linalg.det(p[:, :3] / scale)) < 1e-9:
+        raise ValueError(
+            "matrix: expected the matrix of a pinhole, got one without a centre, as of "
+            "parallel rays or of one that is not a projection"
+        )
+    p = p * np.sign(np.linalg.det(p[:, :3]))
+    k, turn = _rq(p[:, :3])
+    shift = np.linalg.solve(k, p[:, 3])
+    k = k / k[2, 2]
+    half = 0.5 - first_pixel
+    return camera_in_view(
+        turn,
+        shift,
+        width=width,
+        height=height,
+        fx=k[0, 0],
+        fy=k[1, 1],
+        cx=k[0, 2] + half,
+        cy=k[1, 2] + half,
+        skew=k[0, 1],
+    )
+
+
+def camera_in_view(
+    turn: Float[np.ndarray, "3 3"],
+    shift: Float[np.ndarray, "3"],
+    **intrinsics: Any,
+) -> PinholeCamera:
+    """A camera from R and t of x = R X + t in OpenCV's and COLMAP's axes.
+
+    **Arguments:** `intrinsics`: of [`PinholeCamera`][], in our pixels.
+    """
+    to_world = np.column_stack([turn.T, -turn.T @ shift])
+    position, rotation = camera_pose(to_world, "opencv")
+    return PinholeCamera(**intrinsics, position=position, rotation=rotation)
+
+
+def _numbers(
+    name: str, value: Any, *shapes: tuple[int, ...]
+) -> Float[np.ndarray, "..."]:
+    """Finite numbers of one of some shapes, in double precision."""
+    array = as_array(name, value)
+    if array.dtype.kind not in "biuf" or array.shape not in shapes:
+        wanted = " or ".join(map(str, shapes))
+        raise ValueError(
+            f"{name}: expected numbers of shape {wanted}, got {shown(value)}"
+        )
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers, got {shown(value)}")
+    return array.astype(float)
+
+
+def _as_rotation(name: str, matrix: np.ndarray) -> Float[np.ndarray, "3 3"]:
+    """The rotation that a matrix was before its numbers were rounded."""
+    left, sizes, right = np.linalg.svd(matrix)
+    if np.abs(sizes - 1).max() > ROUNDED or np.linalg.det(matrix) < 0:
+        raise ValueError(
+            f"{name}: expected a rotation, got axes that are scaled, aslant or "
+            f"mirrored: lengths {np.linalg.norm(matrix, axis=0).round(4).tolist()}, "
+            f"determinant {np.linalg.det(matrix):.4g}"
+        )
+    return left @ right
+
+
+def _from_rotation_vector(vector: np.ndarray) -> Float[np.ndarray, "3 3"]:
+    """Rodrigues' formula."""
+    angle = np.linalg.norm(vector)
+    x, y, z = vector / angle if angle > 0 else vector
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def _rq(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """An upper triangle with a positive diagonal, and a rotation, whose product it is.
+
+    QR of the rows in the opposite order.
+    """
+    q, r = np.linalg.qr(matrix[::-1].T)
+    triangle, turn = r.T[::-1, ::-1], q.T[::-1]
+    signs = np.sign(np.diag(triangle))
+    return triangle * signs, signs[:, None] * turn
+
+
+def _opencv_distortion(given: Any, fisheye: bool) -> AbstractDistortion | None:
+    array = as_array("distortion", () if given is None else given)
+    if array.size == 0:
+        # Without coefficients a fisheye still is one.
+        return FisheyeDistortion() if fisheye else None
+    counts = (4,) if fisheye else (4, 5, 8, 12, 14)
+    if array.size not in counts or array.dtype.kind not in "biuf":
+        wanted = " or ".join(map(str, counts))
+        raise ValueError(f"distortion: expected {wanted} numbers, got {shown(given)}")
+    values = [float(value) for value in array.ravel()]
+    if fisheye:
+        return FisheyeDistortion(*values)
+    if any(values[BROWN:]):
+        raise ValueError(
+            "distortion: expected 0 as coefficients of a thin prism and a tilted "
+            f"sensor, which are not modelled, got {values[BROWN:]}"
+        )
+    return BrownDistortion(*values[:BROWN]) if any(values) else None

@@ -1,0 +1,211 @@
+r"""What a lens does to straight lines: from a direction to the place of its image.
+
+The axes here are those of the formulas' sources: x right, y down, z forward. A place is
+on the image plane at distance 1, before focal lengths make pixels of it.
+"""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from phongfit.checks import as_scalar
+from phongfit.vectors import Vec3, norm
+
+Place = Float[Array, "2"]
+
+# Steps of Newton's method: some follow the place from the centre outwards, so that what
+# is found is on the branch that starts there, the others double the digits each.
+OUTWARDS, ROUNDS = 12, 24
+
+
+class AbstractDistortion(eqx.Module):
+    """Where a lens puts the image of a direction, and which direction a place shows.
+
+    Both go by way of a place without distortion: `bend` gives where it is with it.
+    """
+
+    @abc.abstractmethod
+    def bend(self, place: Place) -> Place:
+        """Where a place without distortion is with it; (0, 0) stays where it is."""
+
+    @abc.abstractmethod
+    def ideal(self, direction: Vec3) -> Place:
+        """Image of a direction, of any length, without distortion."""
+
+    @abc.abstractmethod
+    def unproject(self, place: Place) -> Vec3:
+        """The direction, of any length, whose image without distortion this is."""
+
+    def place(self, direction: Vec3) -> Place:
+        """Image of a direction, of any length."""
+        return self.bend(self.ideal(direction))
+
+    def direction(self, place: Place) -> tuple[Vec3, Bool[Array, ""]]:
+        """The direction that a place shows, of any length, and whether there is one.
+
+        There is none past the edge where the formula folds the image back on itself: a
+        harmless placeholder stands there.
+        """
+        ideal, found = _straightened(self, place)
+        return self.unproject(ideal), found
+
+
+def _straightened(
+    distortion: AbstractDistortion, place: Place
+) -> tuple[Place, Bool[Array, ""]]:
+    """The inverse of `bend`, by Newton's method, and whether there is one."""
+    still, end = jax.lax.stop_gradient((distortion, place))
+
+    def step(number: Array, state: tuple[Place, Array]) -> tuple[Place, Array]:
+        at, sound = state
+        target = end * jnp.minimum((number + 1) / OUTWARDS, 1).astype(end.dtype)
+        move, unfolded = _newton(still, at, target)
+        sound = sound & unfolded
+        return jnp.where(sound, at + move, at), sound
+
+    start = jnp.zeros_like(end), jnp.array(True)
+    at, found = jax.lax.fori_loop(0, ROUNDS, step, start)
+    tolerance = 100 * float(jnp.finfo(end.dtype).eps) * (1 + norm(end))
+    found = found & (norm(still.bend(at) - end) < tolerance)
+    # Two more steps, from a known start, carry derivatives to second order.
+    for _ in range(2):
+        move, _ = _newton(distortion, at, place)
+        at = at + jnp.where(found, move, 0)
+    return at, found
+
+
+def _newton(
+    distortion: AbstractDistortion, at: Place, target: Place
+) -> tuple[Place, Bool[Array, ""]]:
+    """One step towards the place whose bent one is `target`, and whether the image is
+    not yet folded where it starts."""
+    (a, b), (c, d) = jax.jacfwd(distortion.bend)(at)
+    determinant = a * d - b * c
+    unfolded = determinant > 0
+    x, y = target - distortion.bend(at)
+    move = jnp.stack([d * x - b * y, a * y - c * x])
+    return jnp.where(unfolded, move / jnp.where(unfolded, determinant, 1), 0), unfolded
+
+
+class BrownDistortion(AbstractDistortion):
+    r"""Radial and tangential distortion, as OpenCV and COLMAP have it.
+
+    With $x = X/Z$, $y = Y/Z$ and $r^2 = x^2 + y^2$ the image is at
+
+    $$x' = c\,x + 2 p_1 x y + p_2 (r^2 + 2 x^2) \qquad
+    y' = c\,y + p_1 (r^2 + 2 y^2) + 2 p_2 x y$$
+
+    $$c = \frac{1 + k_1 r^2 + k_2 r^4 + k_3 r^6}{1 + k_4 r^2 + k_5 r^4 + k_6 r^6}$$
+
+    ??? cite "Source"
+        Brown, *Close-range camera calibration*, Photogrammetric Engineering 37(8),
+        1971; the denominator and the order of the names are those of OpenCV's calib3d,
+        and of COLMAP's `OPENCV` and `FULL_OPENCV`.
+    """
+
+    k1: Float[Array, ""]
+    k2: Float[Array, ""]
+    p1: Float[Array, ""]
+    p2: Float[Array, ""]
+    k3: Float[Array, ""]
+    k4: Float[Array, ""]
+    k5: Float[Array, ""]
+    k6: Float[Array, ""]
+
+    def __init__(
+        self,
+        k1: Any = 0.0,
+        k2: Any = 0.0,
+        p1: Any = 0.0,
+        p2: Any = 0.0,
+        k3: Any = 0.0,
+        k4: Any = 0.0,
+        k5: Any = 0.0,
+        k6: Any = 0.0,
+    ):
+        """**Arguments:** the coefficients, in OpenCV's order; no units.
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        self.k1, self.k2, self.k3 = map(as_scalar, ("k1", "k2", "k3"), (k1, k2, k3))
+        self.k4, self.k5, self.k6 = map(as_scalar, ("k4", "k5", "k6"), (k4, k5, k6))
+        self.p1, self.p2 = as_scalar("p1", p1), as_scalar("p2", p2)
+
+    def bend(self, place: Place) -> Place:
+        x, y = place
+        r2 = x * x + y * y
+        above = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        below = 1 + r2 * (self.k4 + r2 * (self.k5 + r2 * self.k6))
+        radial = above / below
+        return jnp.stack(
+            [
+                radial * x + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x * x),
+                radial * y + self.p1 * (r2 + 2 * y * y) + 2 * self.p2 * x * y,
+            ]
+        )
+
+    def ideal(self, direction: Vec3) -> Place:
+        return flat(direction)
+
+    def unproject(self, place: Place) -> Vec3:
+        return jnp.append(place, jnp.ones_like(place[0]))
+
+
+class FisheyeDistortion(AbstractDistortion):
+    r"""A fisheye lens: the image of a direction $\theta$ off the axis is $\theta_d$ off
+    the centre.
+
+    $$\theta_d = \theta (1 + k_1 \theta^2 + k_2 \theta^4 + k_3 \theta^6
+    + k_4 \theta^8)$$
+
+    Directions beside and behind the camera have an image as well.
+
+    ??? cite "Source"
+        Kannala and Brandt, *A generic camera model and calibration method for
+        conventional, wide-angle, and fish-eye lenses*, PAMI 28(8), 2006; the order of
+        the names is that of OpenCV's `fisheye` and of COLMAP's `OPENCV_FISHEYE`.
+    """
+
+    k1: Float[Array, ""]
+    k2: Float[Array, ""]
+    k3: Float[Array, ""]
+    k4: Float[Array, ""]
+
+    def __init__(self, k1: Any = 0.0, k2: Any = 0.0, k3: Any = 0.0, k4: Any = 0.0):
+        """**Arguments:** the coefficients; no units.
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        names = ("k1", "k2", "k3", "k4")
+        self.k1, self.k2, self.k3, self.k4 = map(as_scalar, names, (k1, k2, k3, k4))
+
+    def bend(self, place: Place) -> Place:
+        x, y = place
+        a2 = x * x + y * y
+        return place * (
+            1 + a2 * (self.k1 + a2 * (self.k2 + a2 * (self.k3 + a2 * self.k4)))
+        )
+
+    def ideal(self, direction: Vec3) -> Place:
+        across, depth = direction[:2], direction[2]
+        length = norm(across)
+        off = length > 0
+        # On the axis angle and sine go to 0 together.
+        share = jnp.arctan2(length, depth) / jnp.where(off, length, 1)
+        return jnp.where(off, share, 1 / jnp.where(depth > 0, depth, 1)) * across
+
+    def unproject(self, place: Place) -> Vec3:
+        angle = norm(place)
+        off = angle > 0
+        share = jnp.where(off, jnp.sin(angle) / jnp.where(off, angle, 1), 1)
+        return jnp.append(share * place, jnp.cos(angle))
+
+
+def flat(direction: Vec3) -> Place:
+    """Image of a direction through a pinhole; behind the camera there is none."""
+    ahead = direction[2] > 0
+    return direction[:2] / jnp.where(ahead, direction[2], jnp.nan)

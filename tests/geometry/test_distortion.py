@@ -1,0 +1,88 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.testing import check_gradients
+from tests.helpers import floats, near
+
+LENSES = [
+    pf.BrownDistortion(),
+    pf.BrownDistortion(-0.3, 0.1, 0.001, -0.002),
+    pf.BrownDistortion(0.4, 0.1, 0.01, -0.02, 0.02),
+    # Folds at a radius of 1.3: well beyond what is asked for.
+    pf.BrownDistortion(0.5, -0.2),
+    pf.BrownDistortion(0.3, 0.1, 0, 0, 0.02, 0.1, 0.05, 0.01),
+    pf.FisheyeDistortion(),
+    pf.FisheyeDistortion(0.05, -0.01, 0.002, 0.001),
+]
+
+
+def there_and_back(lens, directions):
+    @jax.jit
+    def both(direction):
+        return lens.direction(lens.place(direction))
+
+    return jax.vmap(both)(floats(directions))
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_place_shows_the_direction_whose_image_it_is(lens):
+    grid = np.linspace(-0.8, 0.8, 9)
+    x, y = (values.ravel() for values in np.meshgrid(grid, grid))
+    directions = np.stack([x, y, np.ones_like(x)], axis=-1)
+    found, some = there_and_back(lens, 3 * directions)
+    assert np.all(some)
+    length = np.linalg.norm(directions, axis=-1, keepdims=True)
+    near(found / np.linalg.norm(found, axis=-1, keepdims=True), directions / length)
+
+
+# By hand: x, y, z, then the place.
+@pytest.mark.parametrize(
+    "lens, direction, place",
+    [
+        (pf.BrownDistortion(), (1, 2, 4), (0.25, 0.5)),
+        (pf.BrownDistortion(0.1), (1, 0, 1), (1.1, 0)),
+        (pf.BrownDistortion(0, 0.1), (0, 2, 1), (0, 5.2)),
+        (pf.BrownDistortion(k3=0.1), (0, 2, 1), (0, 2 * 7.4)),
+        (pf.BrownDistortion(p1=0.1), (1, 1, 1), (1.2, 1.4)),
+        (pf.BrownDistortion(p2=0.1), (1, 1, 1), (1.4, 1.2)),
+        (pf.BrownDistortion(k4=1.0), (1, 0, 1), (0.5, 0)),
+        (pf.FisheyeDistortion(), (1, 0, 1), (np.pi / 4, 0)),
+        (pf.FisheyeDistortion(), (0, 3, 0), (0, np.pi / 2)),
+        (pf.FisheyeDistortion(), (0, -1, -1), (0, -3 * np.pi / 4)),
+        (pf.FisheyeDistortion(1.0), (1, 0, 0), (np.pi / 2 + np.pi**3 / 8, 0)),
+        (pf.FisheyeDistortion(1.0), (0, 0, 2), (0, 0)),
+    ],
+)
+def test_places(lens, direction, place):
+    near(lens.place(floats(direction)), place, 1e-6)
+
+
+def test_beside_and_behind_a_fisheye():
+    directions = np.array([(1, 0, 0), (0.3, 0.4, -1), (0, 0, 1)], float)
+    found, some = there_and_back(pf.FisheyeDistortion(0.05, 0.01), directions)
+    assert np.all(some)
+    near(found, directions / np.linalg.norm(directions, axis=1, keepdims=True), 1e-5)
+
+
+@pytest.mark.parametrize("lens", [LENSES[2], LENSES[6]])
+def test_derivatives(lens):
+    """Of the inverse, which Newton's method finds: to second order, and at 0."""
+
+    @jax.jit
+    def seen(both):
+        lens, places = both
+        return jax.vmap(lambda place: lens.direction(place)[0])(places)
+
+    places = floats([(0.3, -0.2), (0.05, 0.4)])
+    check_gradients(seen, (lens, places))
+    slope = jax.jacfwd(lambda place: lens.direction(place)[0])(jnp.zeros(2))
+    near(slope, np.eye(3)[:, :2])
+
+
+def test_past_the_fold_there_is_no_direction():
+    lens = pf.BrownDistortion(-1 / 3)
+    _, some = jax.vmap(lens.direction)(floats([(0.66, 0), (0.67, 0), (5, 5)]))
+    assert some.tolist() == [True, False, False]
