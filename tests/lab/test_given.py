@@ -60,7 +60,7 @@ def test_a_data_set_and_a_camera_that_stands_elsewhere(folder, tmp_path):
     # One that was calibrated is the same camera.
     focal = 20 / np.tan(np.radians(15))
     pose = {"position": camera.position, "rotation": camera.rotation}
-    same = pf.PinholeCamera(48, 40, fx=focal, **pose)
+    same = pf.PinholeCamera(48, 40, fx=focal, **pose)  # pyright: ignore
     other = settings_of(pf.Scene(pf.Sphere(), same, scene.lights, ambient=0.5))
     assert [other[key] for key in ("centre_x", "centre_y", "radius")] == pytest.approx(
         [found[key] for key in ("centre_x", "centre_y", "radius")], rel=1e-5
