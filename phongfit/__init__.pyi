@@ -136,5 +136,6 @@ from .report.page import write_page as write_page
 from .report.pictures import show as show
 from .report.viewer import write_view as write_view
 from .scene import Scene as Scene
+from .textures import Texture as Texture, Textures as Textures
 
 __version__: str

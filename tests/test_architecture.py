@@ -15,7 +15,7 @@ ORDER = [
     {"edge", "plain", "programs"},
     {"checks", "vectors"},
     {"presets"},
-    {"material", "reflectance", "lights", "environment", "testing"},
+    {"material", "reflectance", "lights", "environment", "testing", "textures"},
     {"geometry"},
     {"scene"},
     {"rendering"},

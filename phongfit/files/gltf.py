@@ -34,6 +34,8 @@ from phongfit.plain import plain
 
 FORMAT = "glTF"
 F0_OF_WHITE = 0.04
+MAX_EXPONENT = 1e4
+"""Of what is read: a mirror, whose roughness is 0, has no other."""
 FLOAT, UNSIGNED = 5126, 5125
 VERTICES, INDICES = 34962, 34963
 CONVERSION = (
@@ -72,6 +74,18 @@ class Textures(NamedTuple):
 def roughness(shininess: Any) -> Float[np.ndarray, "..."]:
     r"""glTF's roughness for a Blinn exponent: $(2 / (f + 2))^{1/4}$."""
     return (2 / (np.asarray(shininess, float) + 2)) ** 0.25
+
+
+def exponents(roughness: Any) -> Float[np.ndarray, "..."]:
+    r"""Blinn's exponent for glTF's roughness: $2 / r^4 - 2$, at most 1e4."""
+    fourth = np.maximum(np.asarray(roughness, float) ** 4, 2 / (MAX_EXPONENT + 2))
+    return np.maximum(2 / fourth - 2, 0)
+
+
+def specular_of(colour: Any, shininess: Any) -> Float[np.ndarray, "..."]:
+    r"""$\rho_s$ of glTF's specular colour, the inverse of [`specular_colour`][]."""
+    numbers = np.asarray(colour, float), np.asarray(shininess, float)
+    return F0_OF_WHITE * numbers[0] * (numbers[1] + 2) / 8
 
 
 def specular_colour(specular: Any, shininess: Any) -> Float[np.ndarray, "..."]:

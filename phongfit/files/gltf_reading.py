@@ -1,8 +1,8 @@
-"""glTF 2.0 read: triangles and base colours, every number checked before it is used.
+"""glTF 2.0 read: triangles and materials, every number checked before it is used.
 
 A file is JSON that points into bytes: buffers are cut into views, views hold accessors
 (arrays), and these are the attributes of primitives (triangles of one material), which
-nodes put into the world.
+nodes put into the world. What of all this has no place here is named in a note.
 
 ??? cite "Source"
     Khronos, *glTF 2.0*, 2021: sections 3.5 to 3.7, and 4.4 for GLB.
@@ -14,128 +14,36 @@ import math
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 import numpy as np
 from jaxtyping import Float, Int
-from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
 from phongfit.files.budget import afford
+from phongfit.files.gltf_materials import GltfShade, read_shade
+from phongfit.files.gltf_records import (
+    FAN,
+    STRIP,
+    TRIANGLES,
+    Accessor,
+    Buffer,
+    File,
+    Image,
+    Item,
+    Node,
+    Primitive,
+)
 from phongfit.files.inputs import inside, naming, read_bytes
+from phongfit.files.mtl_textures import Note
 from phongfit.files.records import validated
 from phongfit.files.strict_json import parse_json
 
-TRIANGLES, STRIP, FAN = 4, 5, 6
-
-# What extensions may be required: those that change colours alone, which are not read.
+# What extensions may be required: those that change colours alone.
 HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_punctual")
-
-Item = TypeVar("Item")
-Index = Annotated[int, Field(ge=0, lt=2**31)]
-Count = Annotated[int, Field(ge=0, lt=2**40)]
-Lots = Annotated[list[Item], Field(fail_fast=True, max_length=100_000)]
-Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
-Vector4 = Annotated[list[float], Field(min_length=4, max_length=4)]
-
-
-class _Record(BaseModel):
-    """An object of the JSON part; what is not needed here is passed over."""
-
-    model_config = ConfigDict(extra="ignore", allow_inf_nan=False, defer_build=True)
-
-
-class _Asset(_Record):
-    version: Annotated[str, Field(max_length=20)]
-
-
-class _Buffer(_Record):
-    byteLength: Count
-    uri: str | None = None
-
-
-class _View(_Record):
-    buffer: Index
-    byteOffset: Count = 0
-    byteLength: Count
-    byteStride: Annotated[int, Field(ge=4, le=252)] | None = None
-
-
-class _SparsePart(_Record):
-    bufferView: Index
-    byteOffset: Count = 0
-    componentType: int = 5126
-
-
-class _Sparse(_Record):
-    count: Count
-    indices: _SparsePart
-    values: _SparsePart
-
-
-class _Accessor(_Record):
-    bufferView: Index | None = None
-    byteOffset: Count = 0
-    componentType: Literal[5120, 5121, 5122, 5123, 5125, 5126]
-    count: Count
-    type: Literal["SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4"]
-    sparse: _Sparse | None = None
-
-
-class _Primitive(_Record):
-    attributes: dict[str, Index]
-    indices: Index | None = None
-    material: Index | None = None
-    mode: Annotated[int, Field(ge=0, le=6)] = TRIANGLES
-
-
-class _Mesh(_Record):
-    primitives: Lots[_Primitive]
-
-
-class _Node(_Record):
-    children: Lots[Index] = []
-    mesh: Index | None = None
-    matrix: Annotated[list[float], Field(min_length=16, max_length=16)] | None = None
-    translation: Vector3 = [0, 0, 0]
-    rotation: Vector4 = [0, 0, 0, 1]
-    scale: Vector3 = [1, 1, 1]
-
-
-class _Scene(_Record):
-    nodes: Lots[Index] = []
-
-
-class _Roughness(_Record):
-    baseColorFactor: Vector4 | None = None
-
-
-class _Material(_Record):
-    name: str | None = None
-    pbrMetallicRoughness: _Roughness = _Roughness()
-    emissiveFactor: Vector3 | None = None
-
-
-class _File(_Record):
-    asset: _Asset
-    scene: Index = 0
-    scenes: Lots[_Scene] = []
-    nodes: Lots[_Node] = []
-    meshes: Lots[_Mesh] = []
-    accessors: Lots[_Accessor] = []
-    bufferViews: Lots[_View] = []
-    buffers: Lots[_Buffer] = []
-    materials: Lots[_Material] = []
-    extensionsRequired: Lots[str] = []
-
-
-class Shade(NamedTuple):
-    """What is taken of a material: its name and its colours, if it has them."""
-
-    name: str | None
-    base: list[float] | None
-    emission: list[float] | None
+READ = ("KHR_materials_specular",)
+"""Extensions that are understood."""
 
 
 class GltfPart(NamedTuple):
@@ -145,27 +53,60 @@ class GltfPart(NamedTuple):
     faces: Int[np.ndarray, "faces 3"]
     normals: Float[np.ndarray, "vertices 3"] | None
     material: int | None
+    uv: Float[np.ndarray, "vertices 2"] | None = None
 
 
-def read_gltf(path: Path) -> tuple[list[GltfPart], list[Shade]]:
+def read_gltf(path: Path, note: Note) -> tuple[list[GltfPart], list[GltfShade]]:
     """The triangles of a glTF or GLB file, and its materials.
+
+    **Arguments:** `note`: is told what of the file is not used.
 
     **Raises:** `ValueError` that says what is wrong, and where in the file.
     """
     data = read_bytes(path)
     text, binary = _chunks(data) if path.suffix.lower() == ".glb" else (data, None)
-    file = validated(parse_json(text), _File)
+    content = parse_json(text)
+    file = validated(content, File)
     if not file.asset.version.startswith("2."):
         raise ValueError(f"expected glTF version 2, got {file.asset.version!r}")
     for name in file.extensionsRequired:
         if not name.startswith(HARMLESS):
             raise ValueError(f"requires the extension {name!r}, which is unknown here")
     reader = _Reader(file, path.parent, binary)
-    shades = [
-        Shade(m.name, m.pbrMetallicRoughness.baseColorFactor, m.emissiveFactor)
-        for m in file.materials
-    ]
-    return list(reader.parts()), shades
+    shades = []
+    for number, material in enumerate(file.materials):
+        with naming(f"materials[{number}]"):
+            shades.append(read_shade(material, file, reader.image, note))
+    parts = list(reader.parts([shade.uv_set for shade in shades]))
+    for words in unused(file, content):
+        note(f"{words} not used")
+    return parts, shades
+
+
+def unused(file: File, content: dict[str, Any]) -> list[str]:
+    """What of a file's JSON has no place here, in words that end with a verb."""
+    found: dict[str, None] = dict.fromkeys(
+        f"its extension {name!r} is" for name in file.extensionsUsed if name not in READ
+    )
+    for name in ("animations", "skins", "cameras"):
+        if content.get(name):
+            found[f"its {name} are"] = None
+    for mesh in content.get("meshes", []):
+        for primitive in mesh["primitives"]:
+            if primitive.get("targets"):
+                found["its morph targets are"] = None
+            if primitive.get("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN):
+                found["its points and lines are"] = None
+            number = primitive.get("material")
+            own = file.materials[number : number + 1] if number is not None else []
+            textured = any(material.normalTexture is not None for material in own)
+            for name in primitive["attributes"]:
+                # What is skinned or morphed says so above.
+                known = name.startswith(("JOINTS", "WEIGHTS", "TEXCOORD"))
+                known = known or name in ("POSITION", "NORMAL")
+                if not known and (name != "TANGENT" or textured):
+                    found[f"its vertices' {name} are"] = None
+    return list(found)
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
@@ -192,7 +133,7 @@ def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
 class _Reader:
     """Arrays and triangles of a file."""
 
-    def __init__(self, file: _File, folder: Path, binary: bytes | None):
+    def __init__(self, file: File, folder: Path, binary: bytes | None):
         self._file = file
         self._folder = folder
         self._binary = binary
@@ -200,8 +141,29 @@ class _Reader:
         self._read = 0
         self._made = 0
 
-    def parts(self) -> Iterator[GltfPart]:
-        """Triangles of every node of the scene."""
+    def image(self, number: int) -> tuple[bytes, Path]:
+        """The bytes of an image, and what to call it; none if its file is missing."""
+        image: Image = _at(self._file.images, number, "source")
+        name = self._folder / f"images[{number}]"
+        if image.bufferView is not None:
+            cut = _at(self._file.bufferViews, image.bufferView, "bufferView")
+            data = self._buffer(cut.buffer)
+            if cut.byteOffset + cut.byteLength > len(data):
+                raise ValueError(f"images[{number}]: it is truncated")
+            return data[cut.byteOffset : cut.byteOffset + cut.byteLength], name
+        with naming(f"images[{number}].uri"):
+            if image.uri is None:
+                raise ValueError("is missing")
+            if image.uri.startswith("data:"):
+                return _base64(image.uri), name
+            file = inside(self._folder, unquote(image.uri))
+            return (read_bytes(file) if file.is_file() else b""), file
+
+    def parts(self, uv_sets: list[int | None]) -> Iterator[GltfPart]:
+        """Triangles of every node of the scene.
+
+        **Arguments:** `uv_sets`: which of the sets of uv each material's textures use.
+        """
         file = self._file
         if not file.scenes:
             return
@@ -224,15 +186,17 @@ class _Reader:
                 for k, primitive in enumerate(mesh.primitives):
                     if primitive.mode in (TRIANGLES, STRIP, FAN):
                         with naming(f"meshes[{node.mesh}].primitives[{k}]"):
-                            yield self._part(primitive, matrix)
+                            yield self._part(primitive, matrix, uv_sets)
 
-    def _part(self, primitive: _Primitive, matrix: np.ndarray) -> GltfPart:
+    def _part(
+        self, primitive: Primitive, matrix: np.ndarray, uv_sets: list[int | None]
+    ) -> GltfPart:
         if "POSITION" not in primitive.attributes:
             raise ValueError("attributes.POSITION: is missing")
-        local = self._floats(primitive.attributes["POSITION"])
+        local = self._floats(primitive.attributes["POSITION"], "VEC3")
         normals = None
         if "NORMAL" in primitive.attributes:
-            normals = self._floats(primitive.attributes["NORMAL"])
+            normals = self._floats(primitive.attributes["NORMAL"], "VEC3")
             if len(normals) != len(local):
                 raise ValueError(
                     f"attributes.NORMAL: expected {len(local)}, got {len(normals)}"
@@ -244,6 +208,7 @@ class _Reader:
         faces = _triangles(corners, primitive.mode)
         if primitive.material is not None:
             _at(self._file.materials, primitive.material, "material")
+        uv = self._uv(primitive, uv_sets, len(local))
         # A mesh may be in many places: all of them take memory, and more when joined.
         self._made += 6 * (faces.nbytes + 2 * local.nbytes)
         afford(self._made, "triangles")
@@ -256,17 +221,37 @@ class _Reader:
                 normals = normals @ np.linalg.inv(linear)
             except np.linalg.LinAlgError:
                 normals = None
-        return GltfPart(local @ linear.T + shift, faces, normals, primitive.material)
+        place = local @ linear.T + shift
+        return GltfPart(place, faces, normals, primitive.material, uv)
 
-    def _floats(self, number: int) -> np.ndarray:
+    def _uv(
+        self, primitive: Primitive, uv_sets: list[int | None], vertices: int
+    ) -> np.ndarray | None:
+        """The uv of a part's textures, or else its first ones."""
+        wanted = None if primitive.material is None else uv_sets[primitive.material]
+        name = f"TEXCOORD_{wanted or 0}"
+        if name not in primitive.attributes:
+            if wanted is not None:
+                raise ValueError(f"attributes.{name}: is missing, for its textures")
+            return None
+        uv = self._floats(primitive.attributes[name], "VEC2")
+        if len(uv) != vertices:
+            raise ValueError(f"attributes.{name}: expected {vertices}, got {len(uv)}")
+        return uv
+
+    def _floats(self, number: int, kind: str) -> np.ndarray:
         with naming(f"accessors[{number}]"):
-            accessor = _at(self._file.accessors, number, "number")
-            if accessor.type != "VEC3" or accessor.componentType != 5126:
+            accessor: Accessor = _at(self._file.accessors, number, "number")
+            # Of uv whole numbers are shares of the highest.
+            whole = kind == "VEC2" and accessor.componentType in (5121, 5123)
+            if accessor.type != kind or not (whole or accessor.componentType == 5126):
                 raise ValueError(
-                    "expected VEC3 of floats (5126), got "
+                    f"expected {kind} of floats (5126), got "
                     f"{accessor.type} of {accessor.componentType}"
                 )
-            return self._array(accessor).astype(np.float64)
+            numbers = self._array(accessor)
+            highest = np.iinfo(numbers.dtype).max if whole else 1
+            return numbers.astype(np.float64) / highest
 
     def _indices(self, number: int, vertices: int) -> np.ndarray:
         with naming(f"accessors[{number}]"):
@@ -283,7 +268,7 @@ class _Reader:
                 )
             return corners
 
-    def _array(self, accessor: _Accessor) -> np.ndarray:
+    def _array(self, accessor: Accessor) -> np.ndarray:
         """The rows of an accessor."""
         dtype, columns = np.dtype(_TYPES[accessor.componentType]), _SIZES[accessor.type]
         if accessor.bufferView is None:
@@ -347,22 +332,26 @@ class _Reader:
             self._buffers[number] = content
         return self._buffers[number]
 
-    def _content(self, number: int, buffer: _Buffer) -> bytes:
+    def _content(self, number: int, buffer: Buffer) -> bytes:
         if buffer.uri is None:
             if number != 0 or self._binary is None:
                 raise ValueError(f"buffers[{number}].uri: is missing")
             return self._binary[: buffer.byteLength]
         with naming(f"buffers[{number}].uri"):
-            head, comma, coded = buffer.uri.partition(",")
-            if not head.startswith("data:"):
+            if not buffer.uri.startswith("data:"):
                 file = inside(self._folder, unquote(buffer.uri))
                 return read_bytes(file)[: buffer.byteLength]
-            if not comma or not head.endswith(";base64"):
-                raise ValueError("expected base64")
-            try:
-                return base64.b64decode(coded, validate=True)[: buffer.byteLength]
-            except binascii.Error as error:
-                raise ValueError(f"expected base64: {error}") from None
+            return _base64(buffer.uri)[: buffer.byteLength]
+
+
+def _base64(uri: str) -> bytes:
+    head, comma, coded = uri.partition(",")
+    if not comma or not head.endswith(";base64"):
+        raise ValueError("expected base64")
+    try:
+        return base64.b64decode(coded, validate=True)
+    except binascii.Error as error:
+        raise ValueError(f"expected base64: {error}") from None
 
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -379,7 +368,7 @@ def _at(items: list[Item], number: int, what: str) -> Item:
     return items[number]
 
 
-def _transform(node: _Node) -> np.ndarray:
+def _transform(node: Node) -> np.ndarray:
     """From a node's axes to its parent's: a matrix, or T R S."""
     if node.matrix is not None:
         return np.array(node.matrix).reshape(4, 4).T

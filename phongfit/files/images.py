@@ -16,6 +16,7 @@ from phongfit.checks import as_array
 from phongfit.edge import checked
 from phongfit.files.budget import afford
 from phongfit.files.formats import (
+    PNG_START,
     READERS,
     WRITERS,
     Refused,
@@ -28,7 +29,14 @@ from phongfit.files.metadata import TURNS, Exposure, Metadata, read_metadata
 from phongfit.files.outputs import check_file, replacing
 from phongfit.files.profiles import Profile, find_profile, saturated
 from phongfit.files.raw import RAW, read_raw, read_raw_head
-from phongfit.rendering.film import Encoding, Film, as_encoding, decode, encode
+from phongfit.rendering.film import (
+    Encoding,
+    Film,
+    NamedEncoding,
+    as_encoding,
+    decode,
+    encode,
+)
 from phongfit.rendering.jpeg import JpegCompression
 
 T = TypeVar("T")
@@ -347,6 +355,51 @@ def _as_image(path: Path, image: Any) -> np.ndarray:
     return light
 
 
+class Texels(NamedTuple):
+    """A texture's numbers, (H, W, 3 or 1), and whether it says that it is see-through
+    anywhere."""
+
+    values: Float[np.ndarray, "rows columns channels"]
+    transparent: bool
+
+
+def read_texels(data: bytes, path: Path, encoding: NamedEncoding) -> Texels:
+    """A texture from the bytes of an image file.
+
+    Whatever the file says of its colours is passed over, as renderers do: what the
+    numbers are is a matter of what the texture is for.
+
+    **Arguments:** `path`: where the bytes come from; its suffix tells the format of
+    what is neither PNG nor JPEG.
+
+    **Raises:** `ValueError` that names `path`.
+    """
+    suffix = path.suffix.lower()
+    for start, format in ((PNG_START, ".png"), (b"\xff\xd8", ".jpg")):
+        suffix = format if data.startswith(start) else suffix
+    if suffix not in READERS:
+        raise ValueError(f"{path}: {_wanted_suffix(path, READERS)}")
+
+    numbers = _decoding(
+        path, lambda data: READERS[suffix](data, path, _room(data, None)), data
+    )
+    numbers = numbers[..., None] if numbers.ndim == 2 else numbers
+    if numbers.ndim != 3 or 0 in numbers.shape or numbers.shape[-1] > 4:
+        raise ValueError(f"{path}: expected one image, got shape {numbers.shape}")
+    whole = numbers.dtype in (np.uint8, np.uint16)
+    if not whole and numbers.dtype.kind != "f":
+        raise ValueError(f"{path}: expected uint8, uint16 or floats")
+    transparent = False
+    if numbers.shape[-1] in (2, 4):
+        highest = np.iinfo(numbers.dtype).max if whole else 1
+        transparent = bool((numbers[..., -1] != highest).any())
+        numbers = numbers[..., :-1]
+    values = from_levels(numbers, encoding) if whole else numbers.astype(_float_type())
+    if not np.isfinite(values).all():
+        raise ValueError(f"{path}: has NaN or infinite pixels")
+    return Texels(values, transparent)
+
+
 class Head(NamedTuple):
     """What a file says of its photograph before any pixel is decoded.
 
@@ -477,7 +530,10 @@ def _room(data: bytes, max_pixels: int | None) -> Room:
 
 def _decoded(path: Path, decode: Callable[[bytes], T]) -> T:
     """What is made of a file's bytes; what goes wrong names the file."""
-    data = read_bytes(path)
+    return _decoding(path, decode, read_bytes(path))
+
+
+def _decoding(path: Path, decode: Callable[[bytes], T], data: bytes) -> T:
     try:
         return decode(data)
     except Refused as error:

@@ -1,4 +1,7 @@
-"""Meshes on disk, through trimesh, with the materials that their files name."""
+"""Meshes on disk, through trimesh, with the materials that their files name.
+
+OBJ and PLY count v upwards; here, and in glTF, it runs down.
+"""
 
 import io
 import logging
@@ -14,11 +17,15 @@ import trimesh
 
 from phongfit.edge import checked
 from phongfit.files.budget import afford
-from phongfit.files.gltf_reading import GltfPart, Shade, read_gltf
+from phongfit.files.gltf_materials import GltfShade
+from phongfit.files.gltf_reading import GltfPart, read_gltf
+from phongfit.files.images import read_texels
 from phongfit.files.inputs import inside, naming, read_bytes, read_text, reason
-from phongfit.files.mtl import FEW, MOST, read_mtl
+from phongfit.files.mtl import FEW, MOST
+from phongfit.files.mtl_textures import Note, Shaded, read_textured
 from phongfit.geometry.meshes import Mesh
 from phongfit.material import Material, stack_materials
+from phongfit.textures import Texture, Textures
 
 # What trimesh minds and bears is for whoever asks for logs, not for the terminal.
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
@@ -29,11 +36,21 @@ TAKEN_APART = {".obj": 12, ".ply": 18, ".stl": 12, ".off": 12}
 FORMATS = (".obj", ".ply", ".stl", ".gltf", ".glb", ".off")
 UNNAMED = "default"
 
+MOST_NOTES = 20
+"""Warnings of what a file holds and is not used."""
+
+OBJ_READ = ("", "v", "vt", "vn", "f", "o", "g", "s", "usemtl", "mtllib")
+PLY_READ = [
+    *(b"x", b"y", b"z", b"nx", b"ny", b"nz"),
+    *(b"texture_u", b"texture_v", b"u", b"v", b"s", b"t"),
+]
+
 
 class LoadedMesh(NamedTuple):
     """What a file holds: `mesh`, its M materials in one `material`, and their `names`.
 
-    Where M > 1, the mesh's `material_index` counts them in this order.
+    Where M > 1, the mesh's `material_index` counts them in this order. Textures are the
+    mesh's own, and multiply the numbers of the materials.
     """
 
     mesh: Mesh
@@ -49,10 +66,18 @@ def load_mesh(path: str | os.PathLike[str], **options: Any) -> LoadedMesh:
     are those of the file; where it has none, they are computed, and vertices that STL
     or OBJ hold several times are one.
 
-    Materials of an .mtl are read by [`read_mtl`][]; one that is missing is the default
-    [`Material`][], with a warning, and still a material of its own. Of glTF's, which
-    are of another model, base colour (as diffuse and ambient) and emission are taken,
-    and the highlight is left to the fit. Textures are not read.
+    Materials of an .mtl are read as by [`read_mtl`][]; one that is missing is the
+    default [`Material`][], with a warning, and still a material of its own. Of glTF's,
+    which are of another model, base colour (as diffuse and ambient) and emission are
+    taken, and roughness and KHR_materials_specular where the file gives them: see
+    [`phongfit.files.gltf_materials`][]. A material that phongfit wrote is what it was.
+
+    Textures of colours (map_Ka, map_Kd, map_Ks, map_Ke; glTF's base colour, specular
+    and emission; the TextureFile of a PLY), of the exponent (map_Ns, map_Pr; glTF's
+    roughness) and normal maps become the mesh's `textures`; `mesh.with_textures(None)`
+    is the mesh without. What a file has besides that is not used (more uv, skins,
+    vertices' colours, other maps, transparency, unknown extensions) is named in a
+    warning, each.
 
     **Arguments:**
 
@@ -66,37 +91,83 @@ def load_mesh(path: str | os.PathLike[str], **options: Any) -> LoadedMesh:
     format, or holds no triangles.
     """
     path = Path(path)
+    notes: dict[str, None] = {}
+    loaded = _load(path, options, notes.setdefault)
+    for words in list(notes)[:MOST_NOTES]:
+        warnings.warn(words, stacklevel=2)
+    if len(notes) > MOST_NOTES:
+        left = len(notes) - MOST_NOTES
+        warnings.warn(f"{path}: {left} other parts of it are not used", stacklevel=2)
+    return loaded
+
+
+def _load(path: Path, options: dict[str, Any], note: Note) -> LoadedMesh:
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise ValueError(f"{path}: its suffix is none of {', '.join(FORMATS)}")
     order: list[str] = []
     if suffix == ".obj":
-        parts, order = _read_obj(path)
+        parts, order = _read_obj(path, note)
     elif suffix in (".gltf", ".glb"):
         with naming(str(path)):
-            parts = _named(*read_gltf(path))
+            say = lambda words: note(f"{path}: {words}")  # noqa: E731
+            parts = _named(*read_gltf(path, say))
     else:
-        parts = _parts(_parse(path, _whole(path, read_bytes(path))), Material())
+        content = _whole(path, read_bytes(path))
+        parts = _parts(_parse(path, content), Shaded())
+        if suffix == ".ply":
+            parts = _with_picture(path, parts, note)
     with naming(str(path)):
         return _join(parts, order, suffix in (".stl", ".obj"), options)
 
 
-def _read_obj(path: Path) -> tuple[list["_Part"], list[str]]:
+def _read_obj(path: Path, note: Note) -> tuple[list["_Part"], list[str]]:
     """Its parts, and names of materials in the order in which it uses them."""
     text = read_text(path, None)
     with naming(str(path)):
         afford(TAKEN_APART[".obj"] * len(text), "triangles")
-    library = _library(path, text)
+    library = _library(path, text, note)
     # trimesh gets a library that has nothing but names: textures stay closed.
     names = "".join(f"newmtl {name}\nKd 1 1 1\n" for name in library)
     content = f"mtllib names\n{text}".encode()
     scene = _parse(path, content, {"names": names.encode()})
-    default = Material()
+    default = Shaded()
     parts = [
-        part._replace(material=library.get(part.name, default))
+        part._replace(shaded=library.get(part.name, default))
         for part in _parts(scene, default)
     ]
     return parts, list(library)
+
+
+def _with_picture(path: Path, parts: list["_Part"], note: Note) -> list["_Part"]:
+    """A PLY's parts with the picture that a comment of its head names."""
+    head, _, _ = read_bytes(path).partition(b"end_header")
+    vertex = re.search(rb"(?ms)^element\s+vertex.*?(?=^element|\Z)", head)
+    names = re.findall(rb"(?m)^property\s+\S+\s+(\S+)", vertex[0] if vertex else b"")
+    others = [name.decode("ascii", "replace") for name in names if name not in PLY_READ]
+    if others:
+        shown = ", ".join(others[:9])
+        note(f"{path}: its vertices' {shown} are not used")
+    named = re.findall(rb"(?mi)^comment\s+TextureFile\s+(.+?)\s*$", head)
+    if not named:
+        return parts
+    if all(part.uv is None for part in parts):
+        note(f"{path}: its TextureFile is not used, for it has no uv")
+        return parts
+    if len(named) > 1:
+        note(f"{path}: of its {len(named)} textures only the first is used")
+    with naming(str(path)):
+        file = inside(path.parent, named[0].decode("utf-8", "replace"))
+    if not file.is_file():
+        note(f"{path}: its texture {file.name} is missing")
+        return parts
+    values = read_texels(read_bytes(file), file, "srgb").values
+    white = Material(diffuse=1.0, ambient=1.0)
+    picture = Textures(diffuse=Texture(values), ambient=Texture(values))
+    return [
+        part if part.uv is None else part._replace(shaded=Shaded(white, picture))
+        for part in parts
+    ]
 
 
 def _whole(path: Path, content: bytes) -> bytes:
@@ -161,9 +232,9 @@ def _parse(
         raise ValueError(f"{path}: cannot be read: {reason(error)}") from error
 
 
-def _library(path: Path, text: str) -> dict[str, Material]:
+def _library(path: Path, text: str, note: Note) -> dict[str, Shaded]:
     """The materials that an OBJ file uses, in the order in which it does."""
-    found: dict[str, Material] = {}
+    found: dict[str, Shaded] = {}
     used: dict[str, None] = {}
     for number, line in enumerate(io.StringIO(text), start=1):
         key, _, rest = line.partition(" ")
@@ -173,22 +244,20 @@ def _library(path: Path, text: str) -> dict[str, Material]:
             with naming(f"{path}: line {number}"):
                 file = inside(path.parent, rest.strip())
             if file.is_file():
-                found |= read_mtl(file)
+                found |= read_textured(file, note)
             else:
-                _warn(f"{path}: line {number}: {rest.strip()} is missing")
+                note(f"{path}: line {number}: {rest.strip()} is missing")
+        elif key.strip() not in OBJ_READ and not key.startswith("#"):
+            note(f"{path}: its lines of {key.strip()[:20]!r} are not used")
     if len(used) > MOST:
         raise ValueError(f"{path}: expected at most {MOST} materials, got {len(used)}")
     missing = [name for name in used if name not in found]
     for name in missing[:FEW]:
-        _warn(f"{path}: no .mtl has its material {name!r}, a default one is taken")
+        note(f"{path}: no .mtl has its material {name!r}, a default one is taken")
     if missing[FEW:]:
-        _warn(f"{path}: nor {len(missing) - FEW} others of its materials")
-    default = Material()
+        note(f"{path}: nor {len(missing) - FEW} others of its materials")
+    default = Shaded()
     return {name: found.get(name, default) for name in used}
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, stacklevel=4)
 
 
 class _Part(NamedTuple):
@@ -198,10 +267,11 @@ class _Part(NamedTuple):
     faces: np.ndarray
     normals: np.ndarray | None
     name: str
-    material: Material
+    shaded: Shaded
+    uv: np.ndarray | None = None
 
 
-def _parts(scene: trimesh.Scene, material: Material) -> list[_Part]:
+def _parts(scene: trimesh.Scene, shaded: Shaded) -> list[_Part]:
     """All objects, of one material until others are known."""
     parts = []
     for node in scene.graph.nodes_geometry:
@@ -209,21 +279,25 @@ def _parts(scene: trimesh.Scene, material: Material) -> list[_Part]:
         mesh = scene.geometry[name]
         # Files may hold points and curves as well.
         if len(getattr(mesh, "faces", ())) > 0:
-            parts.append(_part(mesh, material))
+            parts.append(_part(mesh, shaded))
     return parts
 
 
-def _part(mesh: Any, material: Material) -> _Part:
+def _part(mesh: Any, shaded: Shaded) -> _Part:
     normals = None
     # There is no other way to tell normals of the file from computed ones.
     if "vertex_normals" in mesh._cache:
         normals = np.asarray(mesh.vertex_normals)
     name = getattr(getattr(mesh.visual, "material", None), "name", None)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    return _Part(vertices, faces, normals, name or UNNAMED, material)
+    uv = getattr(mesh.visual, "uv", None)
+    if uv is not None:
+        # Whatever stands in place of uv that are missing.
+        uv = np.where(np.isfinite(uv), uv, 0)[:, :2] * [1, -1] + [0, 1]
+    return _Part(vertices, faces, normals, name or UNNAMED, shaded, uv)
 
 
-def _named(parts: list[GltfPart], shades: list[Shade]) -> list[_Part]:
+def _named(parts: list[GltfPart], shades: list[GltfShade]) -> list[_Part]:
     """Parts of a glTF file with a name of its own for each of its materials."""
     names: dict[int | None, str] = {None: UNNAMED}
     taken = {UNNAMED} if any(part.material is None for part in parts) else set()
@@ -237,16 +311,14 @@ def _named(parts: list[GltfPart], shades: list[Shade]) -> list[_Part]:
             name = f"{given}-{times[given]}"
         names[number] = name
         taken.add(name)
-    made = {
-        number: _from_gltf(shades[number]) for number in names if number is not None
-    }
     return [
         _Part(
             part.vertices,
             part.faces,
             part.normals,
             names[part.material],
-            Material() if part.material is None else made[part.material],
+            Shaded() if part.material is None else shades[part.material].shaded,
+            part.uv,
         )
         for part in parts
         if len(part.faces)
@@ -259,10 +331,12 @@ def _join(
     """All parts as one mesh; where the format `repeats` vertices, each comes once."""
     if not parts:
         raise ValueError("it holds no triangles")
-    found = {part.name: part.material for part in parts}
+    found = {part.name: part.shaded for part in parts}
     names = dict.fromkeys([*(name for name in order if name in found), *found])
     place = {name: k for k, name in enumerate(names)}
-    materials = [found[name] for name in place]
+    materials = [found[name].material for name in place]
+    textures = [found[name].textures for name in place]
+    textured = any(vars(one)[k] is not None for one in textures for k in vars(one))
     starts = np.cumsum([0] + [len(part.vertices) for part in parts])
     faces = np.concatenate(
         [part.faces + start for part, start in zip(parts, starts[:-1], strict=True)]
@@ -274,6 +348,9 @@ def _join(
         index = np.repeat([place[part.name] for part in parts], counts)
     normals = [part.normals for part in parts if part.normals is not None]
     given = len(normals) == len(parts) and options.get("crease_angle") is None
+    uv = None
+    if any(part.uv is not None for part in parts):
+        uv = np.concatenate([_uv_of(part) for part in parts])
     if repeats and not given:
         vertices, same = np.unique(vertices, axis=0, return_inverse=True)
         faces = same.ravel()[faces]
@@ -282,17 +359,16 @@ def _join(
         faces,
         np.concatenate(normals) if given else None,
         index,
+        uv=uv,
+        textures=textures if textured and uv is not None else None,
         **options,
     )
     material = stack_materials(materials) if len(place) > 1 else materials[0]
     return LoadedMesh(mesh, material, tuple(place))
 
 
-def _from_gltf(shade: Shade) -> Material:
-    """A material with glTF's base colour and emission, if it has any."""
-    leaves = {}
-    if shade.base is not None:
-        leaves |= {"diffuse": shade.base[:3], "ambient": shade.base[:3]}
-    if shade.emission is not None:
-        leaves |= {"emission": shade.emission}
-    return Material(**leaves)
+def _uv_of(part: _Part) -> np.ndarray:
+    """Of each corner of its faces, (F, 3, 2); 0 where the part has none."""
+    if part.uv is None:
+        return np.zeros((*part.faces.shape, 2))
+    return part.uv[part.faces]

@@ -10,7 +10,7 @@ import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,15 @@ COLOURS = {"Ka": "ambient", "Kd": "diffuse", "Ks": "specular", "Ke": "emission"}
 TEXTURES = ("map_", "bump", "disp", "decal", "refl", "norm")
 
 
+class TextureLine(NamedTuple):
+    """A line of a `.mtl` that names a texture."""
+
+    number: int
+    material: str | None
+    key: str
+    words: list[str]
+
+
 @checked
 def read_mtl(path: str | os.PathLike[str]) -> dict[str, Material]:
     """The materials of a `.mtl` file by their names, in the file's order.
@@ -39,13 +48,33 @@ def read_mtl(path: str | os.PathLike[str]) -> dict[str, Material]:
     Ka, Kd, Ks, Ke and Ns are read; what a material leaves out is the default of
     [`Material`][]. With `illum 0` the colour Kd is shown as it is, and with `illum 1`
     there is no highlight. Transparency and refraction are no part of the model and are
-    passed over. So are textures, with a warning that says whether the file is there.
+    passed over. So are textures, with a warning that says whether the file is there:
+    [`load_mesh`][] reads them, with the mesh that they lie on.
 
     **Raises:** `ValueError` that names the file and the line.
     """
     path = Path(path)
+    found, textures = parse_mtl(path)
+    materials = {}
+    for name, fields in found.items():
+        with naming(f"{path}: material {name!r}"):
+            materials[name] = as_material(fields)
+    for line in textures[:FEW]:
+        told = f"line {line.number}: {_of_texture(path, line.material, line.words)}"
+        warnings.warn(f"{path}: {told}: the material has one colour", stacklevel=2)
+    if textures[FEW:]:
+        told = f"{len(textures) - FEW} other textures are not read either"
+        warnings.warn(f"{path}: {told}", stacklevel=2)
+    return materials
+
+
+def parse_mtl(path: Path) -> tuple[dict[str, dict[str, Any]], list[TextureLine]]:
+    """What a `.mtl` says: numbers of each material by their keys, and texture lines.
+
+    **Raises:** `ValueError` that names the file and the line.
+    """
     found: dict[str, dict[str, Any]] = {}
-    textures: list[tuple[int, str | None, list[str]]] = []
+    textures: list[TextureLine] = []
     name = None
     for number, line in enumerate(io.StringIO(read_text(path)), start=1):
         key, *words = line.split("#", 1)[0].split() or [""]
@@ -62,18 +91,8 @@ def read_mtl(path: str | os.PathLike[str]) -> dict[str, Material]:
                     raise ValueError(f"{key}: came before the first newmtl")
                 found[name][key] = _numbers(key, words)
             elif key.lower().startswith(TEXTURES):
-                textures.append((number, name, words))
-    materials = {}
-    for name, fields in found.items():
-        with naming(f"{path}: material {name!r}"):
-            materials[name] = _material(fields)
-    for number, name, words in textures[:FEW]:
-        told = f"line {number}: {_of_texture(path, name, words)}"
-        warnings.warn(f"{path}: {told}: the material has one colour", stacklevel=2)
-    if textures[FEW:]:
-        told = f"{len(textures) - FEW} other textures are not read either"
-        warnings.warn(f"{path}: {told}", stacklevel=2)
-    return materials
+                textures.append(TextureLine(number, name, key, words))
+    return found, textures
 
 
 def _numbers(key: str, words: list[str]) -> Any:
@@ -88,7 +107,8 @@ def _numbers(key: str, words: list[str]) -> Any:
     return numbers[0] if len(numbers) == 1 else numbers
 
 
-def _material(fields: dict[str, Any]) -> Material:
+def as_material(fields: dict[str, Any]) -> Material:
+    """The material of what stands in a `.mtl`, by its keys."""
     leaves = {leaf: fields[key] for key, leaf in COLOURS.items() if key in fields}
     if "Ns" in fields:
         leaves["shininess"] = fields["Ns"]

@@ -64,6 +64,10 @@ class AbstractCamera(eqx.Module):
         """Rays through all pixel centres, of shape (height, width, 3)."""
         return over_pixels(self.ray, self)
 
+    def finer(self, times: int) -> "AbstractCamera":
+        """The same view in `times` as many rows and columns."""
+        return self if times == 1 else FinerCamera(self, times)
+
     def depth(self, position: Vec3) -> Scalar:
         """Distance of a point along the camera's viewing axis, in world units."""
         return jnp.sum((self.position - position) * self.rotation[:, 2])
@@ -402,3 +406,38 @@ def _covered(camera: PinholeCamera) -> Bool[Array, "height width"]:
         return camera._direction(x, y)[1]
 
     return over_pixels(found, camera)
+
+
+class FinerCamera(AbstractCamera):
+    """What another camera sees, in smaller pixels."""
+
+    camera: AbstractCamera
+    times: int = eqx.field(static=True)
+    width: int = eqx.field(static=True)
+    height: int = eqx.field(static=True)
+    position: Float[Array, "3"]
+    rotation: Float[Array, "3 3"]
+
+    def __init__(self, camera: AbstractCamera, times: int):
+        """**Arguments:** `camera`; `times`: smaller pixels along one of its own."""
+        self.camera = camera
+        self.times = _as_size("times", times)
+        self.width = camera.width * self.times
+        self.height = camera.height * self.times
+        self.position = camera.position
+        self.rotation = camera.rotation
+
+    def ray(self, x: Scalar, y: Scalar) -> Ray:
+        return self.camera.ray(x / self.times, y / self.times)
+
+    def to_viewer(self, position: Vec3) -> Vec3:
+        return self.camera.to_viewer(position)
+
+    def covered(self) -> Bool[Array, "height width"] | None:
+        whole = self.camera.covered()
+        if whole is None:
+            return None
+        return jnp.repeat(jnp.repeat(whole, self.times, axis=0), self.times, axis=1)
+
+    def depth(self, position: Vec3) -> Scalar:
+        return self.camera.depth(position)

@@ -32,6 +32,7 @@ from phongfit.geometry.normals import (
 from phongfit.geometry.raytracing import blocked, first_faces
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer
 from phongfit.programs import program
+from phongfit.textures import Factors, Textures, factors, looked_up
 from phongfit.vectors import Vec3, dot, norm, normalize, normalize_all
 
 # A shadow ray starts this far off its face, as a share of the mesh's size: past the
@@ -77,6 +78,8 @@ class Mesh(AbstractSurface):
     faces: Int[Array, "faces 3"]
     normals: Float[Array, "vertices 3"] | None
     material_index: Int[Array, " faces"] | None
+    uv: Float[Array, "faces 3 2"] | None
+    textures: tuple[Textures, ...] | None
     corners: "Corners"
     weighting: Weighting = eqx.field(static=True)
     two_sided: bool = eqx.field(static=True)
@@ -90,6 +93,8 @@ class Mesh(AbstractSurface):
         normals: Any = None,
         material_index: Any = None,
         *,
+        uv: Any = None,
+        textures: Iterable[Textures] | Textures | None = None,
         weighting: Weighting = "area",
         crease_angle: float | None = None,
         two_sided: bool = False,
@@ -102,6 +107,10 @@ class Mesh(AbstractSurface):
         - `material_index`: (F,) whole numbers ≥ 0: which of several materials a face is
             made of. Each parameter of the `Material` then has shape (M, 3), (M, 1) or
             ().
+        - `uv`: (F, 3, 2): where in a texture each corner of a face lies; (0, 0) is the
+            texture's upper left corner, (1, 1) its lower right one.
+        - `textures`: what multiplies the parameters of the `Material`: one for all
+            materials, or one for each.
         - `weighting`: of the faces around a vertex, `"area"` or `"angle"`.
         - `crease_angle`: degrees; an edge between faces whose normals differ by more is
             sharp, and its vertices are doubled. Default: every edge is smooth.
@@ -146,12 +155,36 @@ class Mesh(AbstractSurface):
         )
         index = self.material_index
         self.corners = Corners(faces, None if index is None else np.asarray(index))
+        self.uv = _as_uv(uv, len(faces))
+        self.textures = _as_textures(textures, self.uv, self._materials)
         self.weighting = weighting
         self.two_sided = bool(two_sided)
 
     @property
     def materials(self) -> int:
         return self._materials
+
+    def with_textures(self, textures: Iterable[Textures] | Textures | None) -> "Mesh":
+        """The same mesh with other textures; `None` for none.
+
+        **Raises:** `ValueError` if it has no uv, or not as many materials.
+        """
+        chosen = _as_textures(textures, self.uv, self._materials)
+        return eqx.tree_at(
+            lambda mesh: mesh.textures, self, chosen, is_leaf=lambda leaf: leaf is None
+        )
+
+    def factors(self, gbuffer: GBuffer) -> Factors | None:
+        if self.textures is None or gbuffer.uv is None:
+            return None
+        return factors(self.textures, gbuffer.uv, gbuffer.material_index)
+
+    def exponents(self, gbuffer: GBuffer) -> Float[Array, "*pixels"] | None:
+        if self.textures is None or gbuffer.uv is None:
+            return None
+        place = gbuffer.uv, gbuffer.material_index
+        found = looked_up("shininess", self.textures, *place)
+        return None if found is None else found[..., 0]
 
     def vertex_normals(self) -> Float[Array, "vertices 3"]:
         """Unit normals of the vertices, as given or from the faces around them."""
@@ -189,6 +222,34 @@ class Mesh(AbstractSurface):
     ) -> Bool[Array, "*batch"]:
         rays, distance = _off_the_face(self, position, normal, to_light, distance)
         return ~blocked(self.vertices, self.faces, rays, distance)
+
+
+def _as_uv(value: Any, faces: int) -> Float[Array, "faces 3 2"] | None:
+    if value is None:
+        return None
+    uv = as_floats("uv", value)
+    if uv.shape != (faces, 3, 2):
+        raise ValueError(f"uv: expected shape ({faces}, 3, 2), got {uv.shape}")
+    return require("uv", uv, np.isfinite, jnp.isfinite, "finite numbers")
+
+
+def _as_textures(
+    value: Any, uv: Array | None, materials: int
+) -> tuple[Textures, ...] | None:
+    if value is None:
+        return None
+    textures = (value,) if isinstance(value, Textures) else tuple(value)
+    for one in textures:
+        if not isinstance(one, Textures):
+            raise ValueError(f"textures: expected Textures, got {one!r}")
+    if len(textures) not in (1, materials):
+        raise ValueError(
+            f"textures: expected one for all of the surface's {materials} materials, "
+            f"or one for each, got {len(textures)}"
+        )
+    if uv is None:
+        raise ValueError("textures: the mesh has no uv, which say where they lie")
+    return textures
 
 
 @program()
@@ -282,21 +343,78 @@ def _interpolate(
     # Renormalised, since interpolation shortens it.
     normal = jax.vmap(jax.vmap(normalize))(mean(mesh.vertex_normals()))
     surface_normal = mesh.face_normals()[face]
+    index = None if mesh.material_index is None else mesh.material_index[face]
+    uv = None
+    if mesh.uv is not None:
+        uv = jnp.sum(weights[..., None] * mesh.uv[face], axis=-2)
+        normal = _bumped(mesh, normal, face, uv, index)
     if mesh.two_sided:
         behind = jnp.sum(surface_normal * to_viewer, axis=-1, keepdims=True) < 0
         normal = jnp.where(behind, -normal, normal)
         surface_normal = jnp.where(behind, -surface_normal, surface_normal)
-    index = mesh.material_index
     return GBuffer(
         position=position,
         normal=normal,
         to_viewer=to_viewer,
         mask=mask,
-        material_index=None if index is None else index[face],
+        material_index=index,
         surface_normal=surface_normal,
         face=face,
         barycentrics=weights,
+        uv=uv,
     )
+
+
+def _bumped(
+    mesh: Mesh,
+    normal: Float[Array, "height width 3"],
+    face: Int[Array, "height width"],
+    uv: Float[Array, "height width 2"],
+    material_index: Int[Array, "height width"] | None,
+) -> Float[Array, "height width 3"]:
+    """Normals as a normal map turns them."""
+    textures = () if mesh.textures is None else mesh.textures
+    local = looked_up("normal", textures, uv, material_index)
+    if local is None or mesh.uv is None:
+        return normal
+    along_u, along_v = jax.vmap(tangents)(mesh.vertices[mesh.faces], mesh.uv)
+    turn = jax.vmap(jax.vmap(turned))
+    return turn(local, normal, along_u[face], along_v[face])
+
+
+def tangents(
+    corners: Float[Array, "3 3"], uv: Float[Array, "3 2"]
+) -> tuple[Vec3, Vec3]:
+    r"""$\partial p / \partial u$ and $\partial p / \partial v$ on a triangle.
+
+    **Returns:** two vectors of no special length; zero where the uv have no area.
+    """
+    one, other = corners[1] - corners[0], corners[2] - corners[0]
+    (a, b), (c, d) = uv[1] - uv[0], uv[2] - uv[0]
+    determinant = a * d - b * c
+    flat = determinant == 0
+    scale = jnp.where(flat, 0, 1 / jnp.where(flat, 1, determinant))
+    return scale * (d * one - b * other), scale * (a * other - c * one)
+
+
+def turned(local: Vec3, normal: Vec3, along_u: Vec3, along_v: Vec3) -> Vec3:
+    """The unit normal that a normal map's vector means.
+
+    **Arguments:** `local`: its parts along u, along −v and outwards; `normal`: the unit
+    normal; `along_u`, `along_v`: [`tangents`][]. Where these are zero the normal stays.
+
+    ??? cite "Source"
+        Khronos, *glTF 2.0*, 2021, section 3.9.3: the tangent is made perpendicular to
+        the normal, and the bitangent is their cross product.
+    """
+    tangent = normalize(along_u - dot(along_u, normal) * normal)
+    bitangent = jnp.cross(normal, tangent)
+    # A mirrored texture has its v on the other side. v runs down, the map's y up.
+    bitangent = jnp.where(dot(bitangent, along_v) > 0, -bitangent, bitangent)
+    bent = local[0] * tangent + local[1] * bitangent + local[2] * normal
+    bent = normalize(bent)
+    known = jnp.any(tangent != 0) & jnp.any(bent != 0)
+    return jnp.where(known, bent, normal)
 
 
 @checked
@@ -314,9 +432,13 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
     if len({mesh.two_sided for mesh in meshes}) > 1:
         raise ValueError("meshes: some are two-sided and some are not")
     faces, indices, vertices, materials = [], [], 0, 0
+    with_uv = any(mesh.uv is not None for mesh in meshes)
+    textures: list[Textures] = []
     for mesh in meshes:
         index = mesh.material_index
         own = np.zeros(len(mesh.faces), int) if index is None else np.asarray(index)
+        given = mesh.textures or (Textures(),)
+        textures += given * (mesh.materials // len(given))
         faces.append(np.asarray(mesh.faces) + vertices)
         indices.append(own + materials)
         vertices += len(mesh.vertices)
@@ -330,6 +452,14 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
         np.concatenate(faces),
         normals,
         np.concatenate(indices),
+        uv=jnp.concatenate([_uv_of(mesh) for mesh in meshes]) if with_uv else None,
+        textures=textures if any(mesh.textures for mesh in meshes) else None,
         weighting=meshes[0].weighting,
         two_sided=meshes[0].two_sided,
     )
+
+
+def _uv_of(mesh: Mesh) -> Float[Array, "faces 3 2"]:
+    """A mesh's uv; zero where it has none, and then no texture."""
+    none = jnp.zeros((len(mesh.faces), 3, 2), mesh.vertices.dtype)
+    return none if mesh.uv is None else mesh.uv

@@ -14,6 +14,7 @@ from phongfit.checks import as_floats, as_indices, as_scalar, as_vector, require
 from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera, Ray
 from phongfit.programs import program
+from phongfit.textures import Factors
 from phongfit.vectors import Vec3, dot, normalize, normalize_all
 
 
@@ -31,6 +32,7 @@ class GBuffer(eqx.Module):
     surface_normal: Float[Array, "*pixels 3"] | None = None
     face: Int[Array, "*pixels"] | None = None
     barycentrics: Float[Array, "*pixels 3"] | None = None
+    uv: Float[Array, "*pixels 2"] | None = None
     visibility: Float[Array, "*points lights"] | None = None
 
     def select(self, pixels: Int[Array, " n"]) -> "GBuffer":
@@ -64,6 +66,7 @@ GBuffer.__init__.__doc__ = """**Arguments:**
 - `surface_normal`: unit normal of the face itself where `normal` is interpolated;
     `None` where the two are the same.
 - `face`, `barycentrics`: of a mesh: which face, and the weights of its corners.
+- `uv`: where in its textures the pixel looks; `None` where the surface has no uv.
 - `visibility`: 1 where the light reaches the point and 0 in shadow, for each light at
     the points where the shading method lights the surface (pixels, faces, vertices);
     `None` without shadows.
@@ -106,6 +109,16 @@ class AbstractSurface(eqx.Module):
     def materials(self) -> int:
         """How many materials the surface tells apart."""
         return 1
+
+    def factors(self, gbuffer: GBuffer) -> Factors | None:
+        """What textures multiply the colours of its pixels by; `None` without."""
+        del gbuffer
+        return None
+
+    def exponents(self, gbuffer: GBuffer) -> Float[Array, "*pixels"] | None:
+        """What a texture multiplies the exponent by; `None` without."""
+        del gbuffer
+        return None
 
 
 def trace_rays(

@@ -15,8 +15,9 @@ from phongfit.geometry.shading import Interpolation
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
 from phongfit.programs import program
-from phongfit.rendering.terms import ShadingTerms, combine, terms
+from phongfit.rendering.terms import ShadingTerms, combine, parts, terms
 from phongfit.scene import Scene
+from phongfit.textures import COLOURED, Factors
 
 T = TypeVar("T")
 
@@ -43,6 +44,7 @@ class PixelTerms(eqx.Module):
     interpolation: Interpolation | None
     haze: Haze | None
     clamp: bool = eqx.field(static=True)
+    factors: Factors | None = None
 
     def radiance(self, material: Material) -> Float[Array, "*batch rgb"]:
         """Linear RGB of every pixel, before the film's clamp.
@@ -50,12 +52,26 @@ class PixelTerms(eqx.Module):
         **Raises:** `ValueError` if the material's parameters do not fit: see
         [`combine`][].
         """
-        light = combine(self.terms, material)
-        if self.clamp:
-            light = jnp.clip(light, 0, 1)
-        if self.interpolation is not None:
-            light = self.interpolation(light)
+        if self.factors is None:
+            light = combine(self.terms, material)
+            if self.clamp:
+                light = jnp.clip(light, 0, 1)
+            if self.interpolation is not None:
+                light = self.interpolation(light)
+        else:
+            light = self._textured(material, self.factors)
         return light if self.haze is None else self.haze(light)
+
+    def _textured(
+        self, material: Material, factors: Factors
+    ) -> Float[Array, "*batch rgb"]:
+        """Each part of the light times its texture, which is the pixels' own."""
+        light = jnp.zeros_like(factors.diffuse)
+        each = factors.emission, factors.ambient, factors.diffuse, factors.specular
+        for factor, part in zip(each, parts(self.terms, material), strict=True):
+            spread = self.interpolation
+            light += factor * (part if spread is None else spread(part))
+        return light
 
     def basis(self, shininess: Float[Array, "..."]) -> Float[Array, "*batch rgb 4"]:
         """Radiance for each reflectance of 1: ambient, diffuse, specular, emission.
@@ -71,7 +87,11 @@ class PixelTerms(eqx.Module):
             self.terms.specular(shininess),
             jnp.ones_like(self.terms.diffuse),
         )
-        return jnp.stack([self._spread(values) for values in at_points], axis=-1)
+        spread = [self._spread(values) for values in at_points]
+        if self.factors is not None:
+            each = [getattr(self.factors, name) for name in COLOURED]
+            spread = [one * by for one, by in zip(spread, each, strict=True)]
+        return jnp.stack(spread, axis=-1)
 
     def fog_light(self) -> Float[Array, "*batch rgb"]:
         """What fog alone adds to each pixel."""
@@ -101,7 +121,8 @@ class PixelTerms(eqx.Module):
 
         **Arguments:** `pixels`: flat indices, row by row: y · width + x.
         """
-        interpolation, haze = _rows((self.interpolation, self.haze), pixels)
+        whole = self.interpolation, self.haze, self.factors
+        interpolation, haze, factors = _rows(whole, pixels)
         if interpolation is None:
             chosen = _gather(self.terms, pixels)
         elif isinstance(interpolation.index, Tracer):
@@ -112,7 +133,7 @@ class PixelTerms(eqx.Module):
             index = jnp.asarray(position.reshape(corners.shape).astype(np.int32))
             interpolation = Interpolation(index, interpolation.weight)
             chosen = _gather(self.terms, jnp.asarray(np.resize(used, _size(used))))
-        return PixelTerms(chosen, interpolation, haze, self.clamp)
+        return PixelTerms(chosen, interpolation, haze, self.clamp, factors)
 
 
 PixelTerms.__init__.__doc__ = """**Arguments:**
@@ -121,6 +142,7 @@ PixelTerms.__init__.__doc__ = """**Arguments:**
 - `interpolation`: from the points to the pixels; `None` if the points are the pixels.
 - `haze`: fog per pixel; `None` without.
 - `clamp`: whether light is cut off at 1 at the points, before interpolation and fog.
+- `factors`: what textures multiply in each pixel; `None` without.
 """
 
 
@@ -172,7 +194,17 @@ def pixel_terms(scene: Scene, gbuffer: GBuffer) -> PixelTerms:
         scene.shading.interpolation(scene.surface, gbuffer),
         haze,
         scene.shading.clamp,
+        _factors(scene, gbuffer),
     )
+
+
+def _factors(scene: Scene, gbuffer: GBuffer) -> Factors | None:
+    found = scene.surface.factors(gbuffer)
+    if found is not None and scene.shading.clamp:
+        raise ValueError(
+            "shading: expected clamp=False with textures, which multiply the pixels"
+        )
+    return found
 
 
 def resolve(scene: Scene) -> tuple[GBuffer, PixelTerms]:

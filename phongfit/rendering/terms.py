@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from phongfit.edge import checked
+from phongfit.geometry.shading import PhongShading
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.lights import AbstractLight
 from phongfit.material import Material
@@ -34,6 +35,7 @@ class ShadingTerms(eqx.Module):
     strength: Float[Array, "*batch lights 3"]
     model: AbstractSpecular
     material_index: Int[Array, "*batch"] | None = None
+    exponents: Float[Array, "*batch"] | None = None
     materials: int = eqx.field(static=True, default=1)
 
     def specular(self, shininess: Float[Array, "..."]) -> Float[Array, "*batch rgb"]:
@@ -43,6 +45,8 @@ class ShadingTerms(eqx.Module):
         channels = 1 if shininess.ndim == 0 else shininess.shape[-1]
         # One lobe serves all channels where they share the exponent.
         exponent = _spread("shininess", shininess, (*batch, channels))
+        if self.exponents is not None:
+            exponent = self.exponents[..., None] * exponent
 
         def add(total: Array, light: tuple[Array, Array]) -> tuple[Array, None]:
             cosine, strength = light
@@ -76,6 +80,7 @@ ShadingTerms.__init__.__doc__ = """**Arguments:**
 - `model`: turns `cosine` into the height of the highlight.
 - `material_index`: which of `materials` each point is made of: a parameter of shape
     (M, 3) or (M, 1) is then M materials. `None` where there is one.
+- `exponents`: what a texture multiplies the exponent by; `None` without.
 """
 
 
@@ -168,8 +173,19 @@ def terms(scene: Scene, gbuffer: GBuffer) -> ShadingTerms:
         computed.strength,
         scene.specular_model,
         points.material_index,
+        _exponents(scene, gbuffer),
         scene.surface.materials,
     )
+
+
+def _exponents(scene: Scene, gbuffer: GBuffer) -> Float[Array, "*pixels"] | None:
+    found = scene.surface.exponents(gbuffer)
+    if found is not None and not isinstance(scene.shading, PhongShading):
+        raise ValueError(
+            "textures: one of the exponent needs Phong shading, got "
+            f"{type(scene.shading).__name__}"
+        )
+    return found
 
 
 def _to_viewer(scene: Scene, position: Vec3, to_viewer: Vec3) -> Vec3:
@@ -206,14 +222,22 @@ def combine(terms: ShadingTerms, material: Material) -> Float[Array, "*batch rgb
 
     **Raises:** `ValueError` that names the parameter which fits neither.
     """
+    emission, ambient, diffuse, specular = parts(terms, material)
+    return emission + ambient + diffuse + specular
+
+
+def parts(
+    terms: ShadingTerms, material: Material
+) -> tuple[Float[Array, "*batch rgb"], ...]:
+    """The four that [`combine`][] adds up: emission, ambient, diffuse, specular."""
     shape = terms.diffuse.shape
 
     def at_points(name: str, leaf: Float[Array, "..."]) -> Array:
         return _spread(name, terms.leaf(name, leaf), shape)
 
     return (
-        at_points("emission", material.emission)
-        + at_points("ambient", material.ambient) * terms.ambient
-        + at_points("diffuse", material.diffuse) * terms.diffuse
-        + at_points("specular", material.specular) * terms.specular(material.shininess)
+        at_points("emission", material.emission),
+        at_points("ambient", material.ambient) * terms.ambient,
+        at_points("diffuse", material.diffuse) * terms.diffuse,
+        at_points("specular", material.specular) * terms.specular(material.shininess),
     )

@@ -114,7 +114,8 @@ def test_gltf_strips_fans_and_nodes_within_nodes(tmp_path):
         ],
     )
     (tmp_path / "a.gltf").write_text(json.dumps(content))
-    mesh = pf.load_mesh(tmp_path / "a.gltf").mesh
+    with pytest.warns(UserWarning, match="a.gltf: its points and lines are not used"):
+        mesh = pf.load_mesh(tmp_path / "a.gltf").mesh
     turned = corners * [-2, -1, 1] + [0, 0, 5]
     near(mesh.vertices, np.concatenate([turned, turned]))
     wanted = [[0, 1, 2], [2, 1, 3], [4, 5, 6], [4, 6, 7]]

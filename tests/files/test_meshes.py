@@ -198,7 +198,8 @@ def test_pictures_that_a_mesh_names_stay_closed(tmp_path, monkeypatch):
     path.write_bytes(
         text.replace(b"\nelement", b"\ncomment TextureFile a.png\nelement", 1)
     )
-    assert pf.load_mesh(path).mesh.faces.shape == (12, 3)
+    with pytest.warns(UserWarning, match="TextureFile is not used, for it has no uv"):
+        assert pf.load_mesh(path).mesh.faces.shape == (12, 3)
     assert not opened
 
 

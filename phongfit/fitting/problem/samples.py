@@ -16,6 +16,7 @@ from phongfit.material import Material
 from phongfit.programs import program, record
 from phongfit.rendering.pixels import PixelTerms, pixel_terms, resolve
 from phongfit.scene import Scene
+from phongfit.textures import Factors
 
 # Samples from which on a quarter more of them would be felt.
 MANY = 2**14
@@ -86,7 +87,8 @@ class Channels:
 def _colours(pixels: PixelTerms) -> list[Any]:
     """The arrays whose last axis is colour, or what stands for them in a tree."""
     terms = [pixels.terms.ambient, pixels.terms.diffuse, pixels.terms.strength]
-    return terms if pixels.haze is None else [*terms, pixels.haze.color]
+    haze = [] if pixels.haze is None else [pixels.haze.color]
+    return [*terms, *haze, *jax.tree.leaves(pixels.factors)]
 
 
 def _axis(leaf: Array) -> int | None:
@@ -263,8 +265,20 @@ def join_pixels(parts: list[PixelTerms]) -> PixelTerms:
     """What several images' samples see, one image after another."""
     if len(parts) == 1:
         return parts[0]
+    if any(part.factors is not None for part in parts):
+        parts = [_with_factors(part) for part in parts]
     lobes = max(part.terms.cosine.shape[-1] for part in parts)
     return _concatenated(_apart([_with_lobes(part, lobes) for part in parts]))
+
+
+def _with_factors(part: PixelTerms) -> PixelTerms:
+    """A part that has no textures, with such that change nothing."""
+    if part.factors is not None:
+        return part
+    index = None if part.interpolation is None else part.interpolation.index
+    count = part.terms.diffuse.shape[0] if index is None else index.shape[0]
+    one = jnp.ones((count, 3), part.terms.diffuse.dtype)
+    return dataclasses.replace(part, factors=Factors(one, one, one, one))
 
 
 def end_to_end(stacked: PixelTerms) -> PixelTerms:

@@ -1,0 +1,216 @@
+r"""Textures: images on a surface, which multiply the parameters of its material.
+
+$u$ and $v$ are glTF's: (0, 0) is the upper left corner of an image and (1, 1) the lower
+right one, so that texel (row, column) has its centre at $u = (column + \frac12) / W$,
+$v = (row + \frac12) / H$.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Literal, get_args
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from phongfit.checks import as_floats, require
+from phongfit.edge import checked
+
+Filter = Literal["bilinear", "nearest"]
+Wrap = Literal["repeat", "clamp"]
+FILTERS: tuple[Filter, ...] = get_args(Filter)
+WRAPS: tuple[Wrap, ...] = get_args(Wrap)
+
+
+class Texture(eqx.Module):
+    """An image on a surface: numbers between the texels are interpolated, or not."""
+
+    values: Float[Array, "rows columns channels"]
+    filter: Filter = eqx.field(static=True)
+    wrap: Wrap = eqx.field(static=True)
+
+    @checked
+    def __init__(self, values: Any, filter: Filter = "bilinear", wrap: Wrap = "repeat"):
+        """**Arguments:**
+
+        - `values`: (H, W, 3), or (H, W, 1) for all channels; linear, never sRGB.
+        - `filter`: `"bilinear"` between the four texels around a point, as GL_LINEAR,
+            or the `"nearest"` one, as GL_NEAREST. There is no mip map: `samples` of
+            [`render`][] averages over a pixel.
+        - `wrap`: what lies outside of [0, 1]: `"repeat"`, as GL_REPEAT, or the
+            outermost texels (`"clamp"`), as GL_CLAMP_TO_EDGE.
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        values = as_floats("values", values)
+        if values.ndim != 3 or values.shape[-1] not in (1, 3) or 0 in values.shape:
+            raise ValueError(
+                f"values: expected shape (H, W, 3) or (H, W, 1), got {values.shape}"
+            )
+        if filter not in FILTERS:
+            raise ValueError(f"filter: expected one of {FILTERS}, got {filter!r}")
+        if wrap not in WRAPS:
+            raise ValueError(f"wrap: expected one of {WRAPS}, got {wrap!r}")
+        finite = "finite numbers"
+        self.values = require("values", values, np.isfinite, jnp.isfinite, finite)
+        self.filter = filter
+        self.wrap = wrap
+
+    def at(self, uv: Float[Array, "*batch 2"]) -> Float[Array, "*batch channels"]:
+        """The texture's numbers at points of the surface."""
+        rows, columns, channels = self.values.shape
+        index, weight = texels(uv, (rows, columns), self.filter, self.wrap)
+        flat = self.values.reshape(-1, channels)
+        total = jnp.zeros((*uv.shape[:-1], channels), self.values.dtype)
+        # One by one: an innermost loop over four texels is slow.
+        for k in range(index.shape[-1]):
+            total += weight[..., k, None] * flat[index[..., k]]
+        return total
+
+
+def texels(
+    uv: Float[Array, "*batch 2"], size: tuple[int, int], filter: Filter, wrap: Wrap
+) -> tuple[Int[Array, "*batch corners"], Float[Array, "*batch corners"]]:
+    """Which texels a point lies between, and their weights, which sum to 1.
+
+    **Arguments:** `size`: rows and columns of the texture.
+
+    **Returns:** numbers of the texels, row by row: four, or with `"nearest"` one.
+
+    ??? cite "Source"
+        Segal and Akeley, *The OpenGL Graphics System*, version 2.1, section 3.8.8.
+    """
+    rows, columns = size
+    u, v = uv[..., 0], uv[..., 1]
+    if wrap == "repeat":
+        # First, since a whole number of images away there is little precision left.
+        u, v = u - jnp.floor(u), v - jnp.floor(v)
+    x, y = u * columns, v * rows
+
+    def wrapped(at: Array, count: int) -> Array:
+        at = at.astype(jnp.int32)
+        return at % count if wrap == "repeat" else jnp.clip(at, 0, count - 1)
+
+    if filter == "nearest":
+        number = wrapped(jnp.floor(y), rows) * columns + wrapped(jnp.floor(x), columns)
+        return number[..., None], jnp.ones_like(x)[..., None]
+    left, top = jnp.floor(x - 0.5), jnp.floor(y - 0.5)
+    right, down = x - 0.5 - left, y - 0.5 - top
+    numbers, weights = [], []
+    for below in (0, 1):
+        for beside in (0, 1):
+            row, column = wrapped(top + below, rows), wrapped(left + beside, columns)
+            numbers.append(row * columns + column)
+            across = right if beside else 1 - right
+            weights.append(across * (down if below else 1 - down))
+    return jnp.stack(numbers, axis=-1), jnp.stack(weights, axis=-1)
+
+
+class Textures(eqx.Module):
+    """The textures of one material. Each multiplies the parameter of its name.
+
+    A surface has them: light stays linear in the reflectances, which are factors then.
+    """
+
+    diffuse: Texture | None = None
+    specular: Texture | None = None
+    shininess: Texture | None = None
+    ambient: Texture | None = None
+    emission: Texture | None = None
+    normal: Texture | None = None
+
+    def __check_init__(self) -> None:
+        for name, texture in vars(self).items():
+            if texture is None:
+                continue
+            if not isinstance(texture, Texture):
+                raise ValueError(f"{name}: expected a Texture, got {texture!r}")
+            wanted = {"shininess": 1, "normal": 3}.get(name)
+            if wanted not in (None, texture.values.shape[-1]):
+                raise ValueError(
+                    f"{name}: expected a texture (H, W, {wanted}), got "
+                    f"{texture.values.shape}"
+                )
+            if name != "normal":
+
+                def positive(a: Any) -> Any:
+                    return a >= 0
+
+                require(name, texture.values, positive, positive, "numbers ≥ 0")
+
+
+Textures.__init__.__doc__ = """**Arguments:**
+
+- `diffuse`, `specular`, `ambient`, `emission`: [`Texture`][]s of numbers ≥ 0, with
+    three channels or one.
+- `shininess`: of one channel.
+- `normal`: the normal's part along u, along −v (up in the image) and outwards, from −1
+    to 1; seen with Phong shading only.
+
+**Raises:** `ValueError` that names the argument.
+"""
+
+COLOURED = ("ambient", "diffuse", "specular", "emission")
+"""Parameters with a value for each channel, in the order of the basis images."""
+
+
+class Factors(eqx.Module):
+    """What textures multiply at each pixel: basis images, and the exponent."""
+
+    ambient: Float[Array, "*batch 3"]
+    diffuse: Float[Array, "*batch 3"]
+    specular: Float[Array, "*batch 3"]
+    emission: Float[Array, "*batch 3"]
+
+
+def looked_up(
+    name: str,
+    textures: Sequence[Textures],
+    uv: Float[Array, "*batch 2"],
+    material_index: Int[Array, "*batch"] | None,
+) -> Float[Array, "*batch channels"] | None:
+    """One parameter's factor at points of a surface; `None` if it has no texture.
+
+    **Arguments:**
+
+    - `textures`: of each material, or of all.
+    - `material_index`: of each point.
+    """
+    own = [getattr(one, name) for one in textures]
+    given = [one for one in own if one is not None]
+    if not given:
+        return None
+    channels = max(one.values.shape[-1] for one in given)
+    neutral = [0.0, 0.0, 1.0] if name == "normal" else [1.0] * channels
+
+    def at(texture: Texture | None) -> Array:
+        values = jnp.asarray(neutral, uv.dtype) if texture is None else texture.at(uv)
+        return jnp.broadcast_to(values, (*uv.shape[:-1], channels))
+
+    if len(own) == 1 or material_index is None:
+        return at(own[0])
+    total = at(None)
+    for number, texture in enumerate(own):
+        if texture is not None:
+            here = (material_index == number)[..., None]
+            total = jnp.where(here, at(texture), total)
+    return total
+
+
+def factors(
+    textures: Sequence[Textures],
+    uv: Float[Array, "*batch 2"],
+    material_index: Int[Array, "*batch"] | None,
+) -> Factors | None:
+    """What the colours' textures multiply; `None` if there is no texture of colour."""
+    found = {name: looked_up(name, textures, uv, material_index) for name in COLOURED}
+    if all(values is None for values in found.values()):
+        return None
+    shape = (*uv.shape[:-1], 3)
+    one = jnp.ones((), uv.dtype)
+    return Factors(
+        **{
+            name: jnp.broadcast_to(one if values is None else values, shape)
+            for name, values in found.items()
+        }
+    )

@@ -1,0 +1,290 @@
+"""Meshes with uv and textures: what files say is what is rendered, or is named."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
+
+import phongfit as pf
+from phongfit.files.formats import encode_png
+from phongfit.files.gltf import exponents, roughness, specular_colour, specular_of
+from phongfit.rendering.film import decode
+from tests.files.test_gltf_reading import _triangle
+from tests.helpers import known, near
+
+# A square whose uv has the image upright, as OBJ counts v.
+OBJ = """mtllib square.mtl
+v -1 -1 0
+v 1 -1 0
+v 1 1 0
+v -1 1 0
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0 1
+usemtl paper
+f 1/1 2/2 3/3
+f 1/1 3/3 4/4
+"""
+LEVELS = np.random.default_rng(0).integers(0, 256, (4, 4, 3), np.uint8)
+CAMERA = pf.OrthographicCamera(8, 8, view_height=2)
+SMALL = pf.OrthographicCamera(4, 4, view_height=2)
+WHITE = pf.DirectionalLight((0, 0, 1))
+
+
+def write(folder, library, **images):
+    (folder / "square.obj").write_text(OBJ)
+    (folder / "square.mtl").write_text(f"newmtl paper\n{library}\n")
+    for name, levels in images.items():
+        (folder / f"{name}.png").write_bytes(encode_png(levels))
+    return folder / "square.obj"
+
+
+def at_texels(texture, levels):
+    """Is the texture upright, as it is rendered?"""
+    near(np.asarray(known(texture).values), levels, 1e-4)
+
+
+def test_an_obj_with_all_its_maps(tmp_path):
+    grey = np.full((2, 2), 128, np.uint8)
+    bent = np.broadcast_to(np.array([204, 128, 230], np.uint8), (2, 2, 3))
+    path = write(
+        tmp_path,
+        "Ka 1 1 1\nKd 0.5 0.5 0.5\nNs 200\nmap_Ka a b.png\nmap_Kd -s 1 1 1 c.png\n"
+        "map_Ks c.png\nmap_Ns grey.png\nmap_Bump -bm 1.0 bent.png\nmap_d grey.png",
+        **{"a b": LEVELS, "c": LEVELS, "grey": grey, "bent": bent},
+    )
+    with pytest.warns(UserWarning) as said:
+        mesh, material, names = pf.load_mesh(path)
+    words = [str(one.message) for one in said]
+    # Each thing that is not used is named, once.
+    assert len(words) == 3
+    assert "square.mtl: line 6: texture 'c.png' of material 'paper'" in words[0]
+    assert "its option -s is not used" in words[0] and "option -bm" in words[1]
+    assert "line 10: map_d is not used" in words[2]
+    assert names == ("paper",) and mesh.vertices.shape == (4, 3)
+    (textures,) = known(mesh.textures)
+    light = decode(LEVELS / 255.0, "srgb")
+    for texture in (textures.ambient, textures.diffuse, textures.specular):
+        at_texels(texture, light)
+    near(known(textures.shininess).values, np.full((2, 2, 1), 128 / 255), 1e-4)
+    normal = np.asarray(known(textures.normal).values)[0, 0]
+    near(normal, 2 * np.array([204, 128, 230]) / 255 - 1, 1e-4)
+    # A number that the library leaves out is 1, which the texture multiplies.
+    near(material.specular, 1)
+    near(material.diffuse, 0.5)
+    flat = mesh.with_textures(pf.Textures(diffuse=textures.diffuse))
+    image = pf.render(pf.Scene(flat, SMALL, WHITE), pf.Material(0.5, ambient=0.0))
+    near(np.asarray(image), 0.5 * light, 1e-4)
+
+
+@pytest.mark.parametrize(
+    "line, words",
+    [
+        ("map_Kd none.png", "texture 'none.png' of material 'paper' is missing"),
+        ("map_Kd ../c.png", "texture '../c.png' .* is missing"),
+        ("map_Bump grey.png", "holds heights, which are not used"),
+        ("map_Ns c.png", "there is no Ns that it multiplies"),
+        ("refl c.png", "refl is not used"),
+    ],
+)
+def test_maps_that_are_not_used(tmp_path, line, words):
+    path = write(tmp_path, line, c=LEVELS, grey=np.full((2, 2), 99, np.uint8))
+    with pytest.warns(UserWarning, match=words):
+        assert pf.load_mesh(path).mesh.textures is None
+
+
+def test_a_broken_texture_is_named(tmp_path):
+    path = write(tmp_path, "map_Kd c.png")
+    (tmp_path / "c.png").write_bytes(b"\x89PNG\r\n\x1a\nbroken")
+    with pytest.raises(ValueError, match="c.png: is broken or no .png image"):
+        pf.load_mesh(path)
+
+
+def test_lines_of_an_obj_that_are_not_used(tmp_path):
+    path = write(tmp_path, "Kd 1 1 1")
+    path.write_text(OBJ + "l 1 2\n")
+    with pytest.warns(UserWarning, match="its lines of 'l' are not used"):
+        mesh = pf.load_mesh(path).mesh
+    assert mesh.uv is not None and mesh.textures is None
+
+
+def test_a_ply_with_uv_and_a_picture(tmp_path):
+    (tmp_path / "c.png").write_bytes(encode_png(LEVELS))
+    corners = ["-1 -1 0 0 0 9", "1 -1 0 1 0 9", "1 1 0 1 1 9", "-1 1 0 0 1 9"]
+    head = ["ply", "format ascii 1.0", "comment TextureFile c.png", "element vertex 4"]
+    head += [f"property float {name}" for name in ("x", "y", "z", "s", "t", "quality")]
+    head += ["element face 2", "property list uchar int vertex_indices", "end_header"]
+    faces = ["3 0 1 2", "3 0 2 3"]
+    (tmp_path / "a.ply").write_text("\n".join([*head, *corners, *faces, ""]))
+    with pytest.warns(UserWarning, match="its vertices' quality are not used"):
+        mesh, material, _ = pf.load_mesh(tmp_path / "a.ply")
+    scene = pf.Scene(mesh, SMALL, WHITE)
+    light = decode(LEVELS / 255.0, "srgb")
+    near(np.asarray(pf.render(scene, material)), light, 1e-4)
+
+
+def gltf(folder, material: dict[str, Any], images: dict[str, np.ndarray], **changes):
+    """A triangle with uv and one material, whose textures are files beside it."""
+    uv = np.array([[0, 0], [1, 0], [0, 1]], np.float32).tobytes()
+    (folder / "uv.bin").write_bytes(uv)
+    content = _triangle()
+    content["buffers"].append({"byteLength": 24, "uri": "uv.bin"})
+    content["bufferViews"].append({"buffer": 1, "byteLength": 24})
+    accessor = {"bufferView": 1, "componentType": 5126, "count": 3, "type": "VEC2"}
+    content["accessors"].append(accessor)
+    primitive = content["meshes"][0]["primitives"][0]
+    primitive["attributes"]["TEXCOORD_0"] = 1
+    primitive["material"] = 0
+    content |= {
+        "materials": [material],
+        "images": [{"uri": f"{name}.png"} for name in images],
+        "textures": [{"source": k, "sampler": 0} for k in range(len(images))],
+        "samplers": [{"magFilter": 9728, "wrapS": 33071, "wrapT": 33071}],
+    }
+    for name, levels in images.items():
+        (folder / f"{name}.png").write_bytes(encode_png(levels))
+    (folder / "a.gltf").write_text(json.dumps(content | changes))
+    return folder / "a.gltf"
+
+
+def test_gltf_textures(tmp_path):
+    rough = np.zeros((2, 2, 3), np.uint8)
+    rough[..., 1] = 128
+    up = np.broadcast_to(np.array([128, 204, 230], np.uint8), (2, 2, 3))
+    material = {
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [0.5, 0.5, 0.5, 1],
+            "baseColorTexture": {"index": 0},
+            "roughnessFactor": 0.8,
+            "metallicFactor": 0,
+            "metallicRoughnessTexture": {"index": 1},
+        },
+        "normalTexture": {"index": 2},
+        "emissiveFactor": [0.1, 0.1, 0.1],
+        "emissiveTexture": {"index": 0},
+        "extensions": {"KHR_materials_specular": {"specularColorFactor": [1, 1, 0.5]}},
+    }
+    path = gltf(
+        tmp_path,
+        material,
+        {"base": LEVELS, "rough": rough, "up": up},
+        extensionsUsed=["KHR_materials_specular"],
+    )
+    mesh, material, _ = pf.load_mesh(path)
+    (textures,) = known(mesh.textures)
+    light = decode(LEVELS / 255.0, "srgb")
+    for name in ("diffuse", "ambient", "emission"):
+        at_texels(getattr(textures, name), light)
+        assert getattr(textures, name).filter == "nearest"
+        assert getattr(textures, name).wrap == "clamp"
+    near(material.diffuse, 0.5)
+    near(material.emission, 0.1)
+    f = 2 / (0.8 * 128 / 255) ** 4 - 2
+    near(
+        material.shininess * known(textures.shininess).values,
+        np.full((2, 2, 1), f),
+        1e-4,
+    )
+    wanted = 0.04 * np.array([1, 1, 0.5]) * (f + 2) / 8
+    near(material.specular * known(textures.specular).values[0, 0], wanted, 1e-4)
+    near(
+        known(textures.normal).values[0, 0],
+        2 * np.array([128, 204, 230]) / 255 - 1,
+        1e-4,
+    )
+    near(mesh.uv, [[[0, 0], [1, 0], [0, 1]]])
+
+
+def test_what_of_a_gltf_is_not_used_is_named(tmp_path):
+    clear = np.full((2, 2, 4), 100, np.uint8)
+    material = {
+        "name": "glass",
+        "pbrMetallicRoughness": {
+            "baseColorTexture": {
+                "index": 0,
+                "extensions": {"KHR_texture_transform": {}},
+            },
+            "metallicFactor": 1.0,
+        },
+        "emissiveTexture": {"index": 0, "texCoord": 1},
+    }
+    path = gltf(
+        tmp_path,
+        material,
+        {"clear": clear},
+        extensionsUsed=["KHR_materials_clearcoat", "KHR_texture_transform"],
+        skins=[{"joints": [0]}],
+        samplers=[{"wrapS": 33648}],
+    )
+    content = json.loads(path.read_text())
+    content["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = 0
+    path.write_text(json.dumps(content))
+    with pytest.warns(UserWarning) as said:
+        pf.load_mesh(path)
+    words = [str(one.message).removeprefix(f"{path}: ") for one in said]
+    assert words == [
+        "material 'glass': that it is metallic is not used",
+        "material 'glass': its baseColorTexture is placed by 'KHR_texture_transform', "
+        "which is not used",
+        "material 'glass': its baseColorTexture is partly transparent, which is not "
+        "used",
+        "material 'glass': its baseColorTexture is mirrored or wrapped by axis: it "
+        "repeats instead",
+        "material 'glass': its emissiveTexture has another set of uv, and is not used",
+        "its extension 'KHR_materials_clearcoat' is not used",
+        "its extension 'KHR_texture_transform' is not used",
+        "its skins are not used",
+        "its vertices' COLOR_0 are not used",
+    ]
+
+
+def test_a_gltf_texture_that_is_not_there(tmp_path):
+    base = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    path = gltf(tmp_path, base, {"base": LEVELS})
+    (tmp_path / "base.png").unlink()
+    with pytest.warns(UserWarning, match="its baseColorTexture is missing: .*base.png"):
+        assert pf.load_mesh(path).mesh.textures is None
+    path = gltf(tmp_path, base, {"base": LEVELS}, textures=[])
+    with pytest.raises(ValueError, match="baseColorTexture.index: expected"):
+        pf.load_mesh(path)
+    path = gltf(tmp_path, base, {}, textures=[{"source": 0}])
+    with pytest.raises(ValueError, match="materials\\[0\\]: source: expected a number"):
+        pf.load_mesh(path)
+
+
+def test_a_glb_with_its_texture_inside(tmp_path):
+    box = trimesh.creation.box()
+    uv = np.random.default_rng(0).uniform(size=(8, 2))
+    look = PBRMaterial(baseColorTexture=Image.fromarray(LEVELS), metallicFactor=0.0)
+    box.visual = TextureVisuals(uv, material=look)
+    content = box.export(file_type="glb")
+    assert isinstance(content, bytes)
+    (tmp_path / "a.glb").write_bytes(content)
+    mesh = pf.load_mesh(tmp_path / "a.glb").mesh
+    (textures,) = known(mesh.textures)
+    at_texels(textures.diffuse, decode(LEVELS / 255.0, "srgb"))
+    # trimesh counts v upwards.
+    near(known(mesh.uv), (uv * [1, -1] + [0, 1])[np.asarray(mesh.faces)], 1e-5)
+
+
+def test_roughness_and_exponent_are_inverse():
+    f = np.array([1.0, 8.0, 60.0, 900.0])
+    near(exponents(roughness(f)), f, 1e-6)
+    near(specular_of(specular_colour(0.3, f), f), 0.3)
+    assert exponents(0.0) == 1e4 and exponents(1.0) == 0
+
+
+def test_a_scene_file_keeps_uv_and_textures(tmp_path):
+    mesh = pf.load_mesh(write(tmp_path, "map_Kd c.png", c=LEVELS)).mesh
+    scene = pf.Scene(mesh, CAMERA, WHITE)
+    pf.save_scene(tmp_path / "scene.json", scene)
+    again = pf.load_scene(tmp_path / "scene.json")
+    material = pf.Material(1.0)
+    near(pf.render(again, material), np.asarray(pf.render(scene, material)))
+    assert np.std(np.asarray(pf.render(again, material))) > 0.1

@@ -1,0 +1,214 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.textures import texels
+from tests.helpers import floats, near
+
+# Two rows of three texels.
+VALUES = np.arange(6.0).reshape(2, 3, 1)
+
+
+@pytest.mark.parametrize(
+    "filter, wrap, uv, expected",
+    [
+        # The centres of texels, counted from the upper left corner.
+        ("bilinear", "repeat", (1 / 6, 1 / 4), 0),
+        ("bilinear", "repeat", (1 / 2, 1 / 4), 1),
+        ("bilinear", "repeat", (1 / 6, 3 / 4), 3),
+        # Between two, and between four.
+        ("bilinear", "repeat", (1 / 3, 1 / 4), 0.5),
+        ("bilinear", "repeat", (1 / 3, 1 / 2), 2),
+        # The left edge lies between the first column and the last, or is the first.
+        ("bilinear", "repeat", (0, 1 / 4), 1),
+        ("bilinear", "clamp", (0, 1 / 4), 0),
+        ("bilinear", "clamp", (-7, 9), 3),
+        # Whole images away.
+        ("bilinear", "repeat", (1 / 2 - 4, 1 / 4 + 7), 1),
+        ("nearest", "repeat", (0.3, 0.1), 0),
+        ("nearest", "repeat", (0.34, 0.6), 4),
+        ("nearest", "repeat", (1.0, 0.0), 0),
+        ("nearest", "clamp", (1.0, 1.0), 5),
+    ],
+)
+def test_texels(filter, wrap, uv, expected):
+    texture = pf.Texture(VALUES, filter, wrap)
+    near(texture.at(floats(uv)), [expected])
+    near(texture.at(floats([[uv] * 2])), np.full((1, 2, 1), expected))
+
+
+@pytest.mark.parametrize("wrap", ["repeat", "clamp"])
+def test_weights_sum_to_one_and_texels_are_there(wrap):
+    uv = floats(np.random.default_rng(0).uniform(-2, 3, (500, 2)))
+    index, weight = texels(uv, (5, 7), "bilinear", wrap)
+    near(np.sum(weight, axis=-1), 1)
+    assert np.min(weight) >= 0 and np.min(index) >= 0 and np.max(index) < 35
+    near(pf.Texture(np.ones((5, 7, 3)), wrap=wrap).at(uv), 1)
+
+
+@pytest.mark.parametrize(
+    "values, words",
+    [
+        (np.ones((2, 2)), "values: expected shape"),
+        (np.ones((2, 2, 2)), "values: expected shape"),
+        (np.ones((0, 2, 3)), "values: expected shape"),
+        (np.full((1, 1, 3), np.nan), "values: expected finite"),
+    ],
+)
+def test_what_is_no_texture(values, words):
+    with pytest.raises(ValueError, match=words):
+        pf.Texture(values)
+
+
+def test_what_textures_do_not_take():
+    with pytest.raises(ValueError, match="filter: expected"):
+        pf.Texture(VALUES, "cubic")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="wrap: expected"):
+        pf.Texture(VALUES, wrap="mirror")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="diffuse: expected numbers ≥ 0"):
+        pf.Textures(diffuse=pf.Texture(-VALUES))
+    with pytest.raises(ValueError, match="shininess: expected a texture"):
+        pf.Textures(shininess=pf.Texture(np.ones((1, 1, 3))))
+    with pytest.raises(ValueError, match="normal: expected a texture"):
+        pf.Textures(normal=pf.Texture(VALUES))
+
+
+def plate(textures=None, **changes) -> pf.Mesh:
+    """A square from −1 to 1 that faces +z, covered by one texture, upright."""
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], float)[faces]
+    return pf.Mesh(corners, faces, uv=uv, textures=textures, **changes)
+
+
+CAMERA = pf.OrthographicCamera(8, 8, view_height=2)
+FRONT = pf.DirectionalLight((0, 0, 1))
+
+
+def seen(textures, material, shading=None, light=FRONT, ambient=0.0, **changes):
+    scene = pf.Scene(
+        plate(textures, **changes), CAMERA, light, ambient, shading=shading
+    )
+    return np.asarray(pf.render(scene, material))
+
+
+@pytest.mark.parametrize(
+    "shading", [pf.PhongShading(), pf.GouraudShading(), pf.FlatShading()]
+)
+def test_textures_multiply_what_they_are_named_after(shading):
+    values = np.random.default_rng(0).uniform(0.1, 0.9, (4, 4, 3))
+    # Nearest, and twice as many pixels along a side.
+    shown = np.repeat(np.repeat(values, 2, axis=0), 2, axis=1)
+    texture = pf.Texture(values, "nearest")
+    dark = dict(diffuse=0.0, specular=0.0, ambient=0.0)
+    for name in ("diffuse", "specular", "ambient", "emission"):
+        material = pf.Material(**(dark | {name: 0.5}))
+        image = seen(pf.Textures(**{name: texture}), material, shading, ambient=1.0)
+        near(image, 0.5 * shown)
+        # And no other.
+        other = "ambient" if name != "ambient" else "emission"
+        image = seen(pf.Textures(**{other: texture}), material, shading, ambient=1.0)
+        near(image, 0.5)
+
+
+def test_an_exponent_for_each_texel():
+    values = np.array([[[1.0], [0.5]]])
+    light = pf.DirectionalLight((0.6, 0, 0.8))
+    textures = pf.Textures(shininess=pf.Texture(values, "nearest"))
+    image = seen(textures, pf.Material(0.0, 1.0, 40.0, 0.0), light=light)
+    for half, f in ((image[:, :4], 40.0), (image[:, 4:], 20.0)):
+        near(half, seen(None, pf.Material(0.0, 1.0, f, 0.0), light=light)[:, :4])
+    with pytest.raises(ValueError, match="textures: .* needs Phong shading"):
+        seen(textures, pf.Material(), pf.GouraudShading())
+
+
+def test_a_normal_map_turns_normals():
+    # To the right, upwards in the image, and ahead.
+    for local, direction in (
+        ((0.6, 0, 0.8), (0.6, 0, 0.8)),
+        ((0, 0.6, 0.8), (0, 0.6, 0.8)),
+        ((0, 0, 1), (0, 0, 1)),
+    ):
+        textures = pf.Textures(normal=pf.Texture([[local]]))
+        buffer = pf.trace(plate(textures), CAMERA)
+        near(np.asarray(buffer.normal), np.broadcast_to(direction, (8, 8, 3)))
+    # A mirrored texture: its right is the plate's left.
+    mirrored = plate(pf.Textures(normal=pf.Texture([[(0.6, 0, 0.8)]])))
+    mirrored = pf.Mesh(
+        mirrored.vertices,
+        mirrored.faces,
+        uv=np.asarray(mirrored.uv) * [-1, 1],
+        textures=mirrored.textures,
+    )
+    buffer = pf.trace(mirrored, CAMERA)
+    near(np.asarray(buffer.normal), np.broadcast_to((-0.6, 0, 0.8), (8, 8, 3)))
+
+
+def test_materials_have_their_own_textures():
+    red, blue = ([[colour]] for colour in ((1.0, 0, 0), (0, 0, 1.0)))
+    textures = [pf.Textures(diffuse=pf.Texture(colour)) for colour in (red, blue)]
+    material = pf.Material(np.array([[1.0] * 3, [0.5] * 3]), 0.0, 1.0, 0.0)
+    image = seen(textures, material, material_index=[0, 1])
+    near(image[7, 6], (1, 0, 0))
+    near(image[1, 0], (0, 0, 0.5))
+    # A fit finds the factors.
+    scene = pf.Scene(plate(textures, material_index=[0, 1]), CAMERA, FRONT)
+    grey = pf.Material(ambient=0.0)
+    fit = pf.fit(scene, image, unknowns=("diffuse",), per_channel=(), known=grey)
+    near(np.asarray(fit.material.diffuse)[:, 0], (1, 0.5), 1e-4)
+    with pytest.raises(ValueError, match="textures: expected one for all .* got 3"):
+        plate([pf.Textures()] * 3, material_index=[0, 1])
+
+
+def test_a_mesh_with_textures_needs_uv():
+    mesh = plate()
+    with pytest.raises(ValueError, match="textures: the mesh has no uv"):
+        pf.Mesh(mesh.vertices, mesh.faces, textures=pf.Textures())
+    with pytest.raises(ValueError, match="uv: expected shape"):
+        pf.Mesh(mesh.vertices, mesh.faces, uv=np.zeros((4, 2)))
+    textured = mesh.with_textures(pf.Textures(diffuse=pf.Texture(VALUES)))
+    assert textured.textures is not None and mesh.textures is None
+    assert textured.with_textures(None).textures is None
+
+
+def test_joined_meshes_keep_their_textures():
+    red = pf.Textures(diffuse=pf.Texture([[(1.0, 0, 0)]]))
+    bare = pf.Mesh(np.asarray(plate().vertices) + [0, 0, -1], plate().faces)
+    both = pf.join([bare, plate(red)])
+    white = pf.Material(np.ones((2, 1)), 0.0, 1.0, 0.0)
+    scene = pf.Scene(both, CAMERA, FRONT)
+    near(np.asarray(pf.render(scene, white)), np.broadcast_to((1, 0, 0), (8, 8, 3)))
+
+
+def test_texels_have_gradients():
+    values = floats(np.random.default_rng(0).uniform(size=(4, 4, 3)))
+    buffer = pf.trace(plate(), CAMERA)
+
+    @jax.jit
+    def mean(values):
+        textured = plate().with_textures(pf.Textures(diffuse=pf.Texture(values)))
+        scene = pf.Scene(textured, CAMERA, FRONT)
+        return jnp.mean(pf.render(scene, pf.Material(1.0, ambient=0.0), gbuffer=buffer))
+
+    # Each is seen in as many pixels: a third of a channel's mean over 16 texels.
+    near(jax.grad(mean)(values), np.full((4, 4, 3), 1 / 48), 1e-5)
+
+
+def test_several_rays_make_smooth_outlines():
+    scene = pf.Scene(pf.Sphere(), pf.OrthographicCamera(16, 16), background=1.0)
+    black = pf.Material(0.0, 0.0, 1.0, 0.0)
+    once, smooth = (np.asarray(pf.render(scene, black, samples=n)) for n in (1, 16))
+    assert set(np.unique(once)) == {0, 1}
+    assert np.any((smooth > 0.2) & (smooth < 0.8))
+    covered = np.pi / 2.2**2
+    assert abs(1 - smooth.mean() - covered) < 0.5 * abs(1 - once.mean() - covered)
+    for samples in (0, 2, -1):
+        with pytest.raises(ValueError, match="samples: expected 1, 4, 9"):
+            pf.render(scene, black, samples=samples)
+    with pytest.raises(ValueError, match="samples: a gbuffer has one ray"):
+        pf.render(scene, black, samples=4, gbuffer=scene.trace())
+    normals = pf.NormalMap(np.ones((16, 16, 3)))
+    with pytest.raises(ValueError, match="samples: expected 1 of a normal map"):
+        pf.render(pf.Scene(normals, scene.camera), black, samples=4)
