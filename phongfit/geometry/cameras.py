@@ -430,6 +430,9 @@ class FinerCamera(AbstractCamera):
     def ray(self, x: Scalar, y: Scalar) -> Ray:
         return self.camera.ray(x / self.times, y / self.times)
 
+    def project(self, position: Vec3) -> Float[Array, "2"]:
+        return self.camera.project(position) * self.times
+
     def to_viewer(self, position: Vec3) -> Vec3:
         return self.camera.to_viewer(position)
 
