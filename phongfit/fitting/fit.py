@@ -27,7 +27,7 @@ from phongfit.fitting.result import Fit
 from phongfit.fitting.solve.edges import keep_off_edges
 from phongfit.fitting.solve.jpeg import restore
 from phongfit.fitting.solve.search import SearchResult, search
-from phongfit.fitting.solve.start import ROBUST_NEAR, choose_few
+from phongfit.fitting.solve.start import ROBUST_NEAR, ROBUST_SUBSET, choose_few
 from phongfit.fitting.summary import FittedImage, summarize
 from phongfit.fitting.uncertainty.inherited import with_inherited
 from phongfit.fitting.uncertainty.statistics import sandwich_sums
@@ -164,7 +164,8 @@ def fit(
     )
     layout, sources, films = setting.unknowns, setting.sources, setting.films
     seen, loss = seen_pixels(sources), specification.loss
-    few = choose_few(sources, seen, ROBUST_NEAR if loss.robust else 0.5)
+    asked = (ROBUST_NEAR, ROBUST_SUBSET) if loss.robust else ()
+    few = choose_few(sources, seen, *asked)
     found = search(
         None if few is None else gather(sources, few),
         lambda: gather(sources, seen),

@@ -18,18 +18,21 @@ from phongfit.fitting.solve.box import minimize_in_box
 from phongfit.programs import program
 from phongfit.rendering.pixels import PixelTerms
 
-CANDIDATES = 24
+CANDIDATES, ROBUST_CANDIDATES = 16, 24
 # Bands of exponents of which a robust fit tries the best.
 BANDS = 6
-SUBSET = 2048
+SUBSET, ROBUST_SUBSET = 1024, 2048
 # What a robust loss is to reject may lie just there: then it must be the smaller part.
 ROBUST_NEAR = 0.25
 
 
 def choose_few(
-    sources: list[Source], seen: list[np.ndarray], near: float = 0.5
+    sources: list[Source],
+    seen: list[np.ndarray],
+    near: float = 0.5,
+    most: int = SUBSET,
 ) -> list[np.ndarray] | None:
-    """A few thousand samples: evenly spread ones, and the nearest to highlights.
+    """A thousand samples or two: evenly spread ones, and the nearest to highlights.
 
     A narrow highlight covers few pixels, but only these know f.
 
@@ -37,12 +40,13 @@ def choose_few(
 
     - `seen`: of each image the pixels that may be taken.
     - `near`: share of those that are nearest to highlights.
+    - `most`: how many, in all.
 
     **Returns:** of each image those taken; `None` if that were all.
     """
-    if sum(map(len, seen)) <= SUBSET:
+    if sum(map(len, seen)) <= most:
         return None
-    share = max(SUBSET // len(sources), 32)
+    share = max(most // len(sources), 32)
     return [
         _few(source.pixels, pixels, share, int(near * share))
         for source, pixels in zip(sources, seen, strict=True)
@@ -112,7 +116,8 @@ def _candidates(
     if logarithm.any():
         first = int(np.argmax(logarithm))
         low, high = unknowns.lower[first], unknowns.upper[first]
-        grid = low + (high - low) * jnp.linspace(0, 1, CANDIDATES, dtype=low.dtype)
+        count = ROBUST_CANDIDATES if problem.loss.robust else CANDIDATES
+        grid = low + (high - low) * jnp.linspace(0, 1, count, dtype=low.dtype)
         exponents = jnp.exp(grid)
     else:
         grid = jnp.zeros((1,), y.dtype)

@@ -193,20 +193,27 @@ def _look(
     - `scale`: of each channel's variances.
     - `channels`: how the noise of a pixel's channels correlates.
     """
-    found: list[tuple[_Verdict, str]] = []
-    best, shown = _Verdict(-1.0, 1.0), (side, [np.zeros((4, 4, 1, 1))])
+    asked: list[tuple[_Cells, str, int]] = []
+    levels: dict[int, list[_Cells]] = {}
     for size, level in _pyramid(blocks, side):
-        cells = [_cells(one, scale, channels) for one in level]
+        levels[size] = [_cells(one, scale, channels) for one in level]
         if size == side:
-            found += _along_the_model(cells, level, groups)
+            asked += _along_the_model(levels[size], level, groups)
         if size >= LEAST_SIDE:
-            verdict = _judge(_joined(cells))
-            found.append((verdict, "blocks"))
-            if verdict.significance > best.significance:
-                best, shown = verdict, (size, cells)
-    worst, along = max(found, key=lambda one: one[0].significance)
-    significant = [v.inflation for v, _ in found if v.significance > SIGNIFICANT]
-    return _Seen(worst, along, max([1.0, *significant]), *shown)
+            asked.append((_joined(levels[size]), "blocks", size))
+    if not asked:
+        return _Seen(_Verdict(0.0, 1.0), "blocks", 1.0, side, levels[side])
+    verdicts = _judge(*(cells for cells, _, _ in asked))
+    found = [
+        (v, along, size) for v, (_, along, size) in zip(verdicts, asked, strict=True)
+    ]
+    worst, along, _ = max(found, key=lambda one: one[0].significance)
+    in_blocks = [one for one in found if one[1] == "blocks"]
+    shown = (
+        max(in_blocks, key=lambda one: one[0].significance)[2] if in_blocks else side
+    )
+    significant = [v.inflation for v, *_ in found if v.significance > SIGNIFICANT]
+    return _Seen(worst, along, max([1.0, *significant]), shown, levels[shown])
 
 
 def _as_blocks(tiles: Tiles, drawn: Drawn | None) -> _Blocks:
@@ -364,7 +371,7 @@ def _lit_alike(images: Sequence[Tiles]) -> dict[str, _Members]:
 
 def _along_the_model(
     cells: Sequence[_Cells], blocks: Sequence[_Blocks], groups: Mapping[str, _Members]
-) -> Iterator[tuple[_Verdict, str]]:
+) -> Iterator[tuple[_Cells, str, int]]:
     """Tiles that are lit alike, taken together."""
     joined = _joined(cells)
     drawn = [one.drawn for one in blocks if one.drawn is not None]
@@ -373,7 +380,7 @@ def _along_the_model(
         if drawn:
             shared = _beyond(_joined(drawn) @ member, together[2])
             together[3] = np.maximum(together[3], shared)
-        yield _judge(together), name
+        yield together, name, 0
 
 
 def _compare_noise(blocks: Sequence[_Blocks], groups: Mapping[str, _Members]) -> float:
@@ -423,20 +430,27 @@ def _equal_angle(light: np.ndarray) -> np.ndarray:
     return np.clip(-2 * np.log(share), 0, BINS - 1).astype(int)
 
 
-def _judge(cells: _Cells) -> _Verdict:
-    """Channel by channel, and all channels together."""
+def _judge(*parts: _Cells) -> list[_Verdict]:
+    """Of each kind of cells: channel by channel, and all channels together."""
+    cells = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
+    starts = np.cumsum([0, *(part.shape[-1] for part in parts[:-1])])
     total, squares, variance, common = cells
     judged = variance >= LEAST_SAMPLES
     variance = np.where(judged, variance, 1)
     square = np.where(judged, total**2 / (variance + common), 0)
     # Noise that is larger in some cells than in others makes T² vary more.
     local = np.where(judged, np.maximum(squares / variance, 1), 0)
-    highest = (square / np.maximum(local, 1)).max(axis=1)
-    parts = judged.sum(axis=1), square.sum(axis=1), (local**2).sum(axis=1), highest
-    rows = np.array(parts).T.tolist()
-    count, sums, freedoms, alone = zip(*rows[:3], strict=True)
+    # All at once: there are many kinds, most of them of few cells.
+    sums = np.add.reduceat(np.stack([judged, square, local**2]), starts, axis=-1)
+    highest = np.maximum.reduceat(square / np.maximum(local, 1), starts, axis=-1)
+    rows = np.concatenate([sums, highest[None]]).T.tolist()
+    return [_worst_of(channels) for channels in rows]
+
+
+def _worst_of(channels: list[list[float]]) -> _Verdict:
+    count, sums, freedoms, alone = zip(*channels[:3], strict=True)
     apart = _judge_sums(sum(count), sum(sums), sum(freedoms), max(alone))
-    return max(apart, _judge_sums(*rows[3]))
+    return max(apart, _judge_sums(*channels[3]))
 
 
 def _judge_sums(count: float, square: float, local: float, highest: float) -> _Verdict:

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.samples import Source, gather, seen_pixels
 from phongfit.fitting.solve.solution import solve
-from phongfit.fitting.solve.start import choose_few, scan
+from phongfit.fitting.solve.start import ROBUST_SUBSET, choose_few, scan
 from phongfit.programs import program
 
 # A standard deviation of so many draws is known to 4 %, save where few stray far.
@@ -41,7 +41,7 @@ def scatter(
     - `y`: the truth.
     """
     seen = seen_pixels(sources)
-    few = choose_few(sources, seen)
+    few = choose_few(sources, seen, most=ROBUST_SUBSET)
     used = seen if few is None else [np.unique(one) for one in few]
     alone = gather(sources, used)
     share = alone.weight
