@@ -7,6 +7,7 @@ from .calibration.response import (
     fit_response as fit_response,
 )
 from .calibration.result import Calibration as Calibration
+from .codes import warning_code as warning_code
 from .environment import Fog as Fog
 from .files.calibrations import (
     load_calibration as load_calibration,

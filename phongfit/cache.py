@@ -9,6 +9,8 @@ from pathlib import Path
 
 import jax
 
+from phongfit.codes import warn
+
 SWITCH = "PHONGFIT_CACHE"
 # Bytes of compiled programs, above which the oldest half goes.
 MOST = 2**30
@@ -45,9 +47,10 @@ def keep_compiled() -> None:
     if not os.access(folder, os.R_OK | os.W_OK | os.X_OK):
         return
     if not _is_private(folder):
-        warnings.warn(
+        warn(
+            "shared-cache",
             f"{folder}: is not used, since others may write programs into it that "
-            f"would be run (chmod go-w, or {SWITCH}=off)",
+            "would be run",
             stacklevel=2,
         )
         return

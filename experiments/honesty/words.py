@@ -1,12 +1,14 @@
-"""What a warning is about, found from its words: the one place that knows them."""
+"""What a warning is about, by its code: the one place that says so."""
 
 import collections
 import enum
-import functools
 import re
 from collections.abc import Sequence
 
+import phongfit as pf
 from experiments.honesty.answers import REFUSED
+
+FLAG = "flag: "
 
 
 class Subject(enum.Enum):
@@ -19,38 +21,43 @@ class Subject(enum.Enum):
     UNKNOWN = "nobody has said"
 
 
-# The first that is found in a sentence decides.
-_WORDS = (
-    (Subject.REFUSED, f"^{REFUSED}"),
+SUBJECTS = {
+    "not-converged": Subject.FIT,
+    "lack-of-fit": Subject.FIT,
+    "jpeg-blocks": Subject.FIT,
+    "noise-level": Subject.FIT,
+    "few-unclipped": Subject.FIT,
+    "outliers": Subject.FIT,
+    "prior-conflict": Subject.FIT,
+    "moving-edge": Subject.FIT,
+    "bound-decides": Subject.FIT,
     # A highlight thrown away is no gap in the data, but a doubt about the fit.
-    (Subject.FIT, r"highlight for outliers"),
-    (
-        Subject.OPEN,
-        r"not identif|nothing is identif|degenerate|(may|can|could) be any"
-        r"|^flag: (degenerate|no highlight|too few|black)",
-    ),
-    (Subject.FIT, r"\bbound\b.* decides"),
-    (Subject.BOUND, r"\bat (its|the|a)\b.*\bbound\b|^flag: at bound"),
-    (
-        Subject.FIT,
-        r"not converge|not noise|not describe|lack of fit|misfit"
-        r"|noise .*(wrong|too|larger|smaller)|errors are (too small|widened)"
-        r"|outlier|reject|jpeg|prior|saturat|clipped|white|^flag: not converged",
-    ),
-)
-_PATTERNS = [(subject, re.compile(words, re.IGNORECASE)) for subject, words in _WORDS]
+    "rejected-highlight": Subject.FIT,
+    "at-bound": Subject.BOUND,
+    "not-identifiable": Subject.OPEN,
+    "no-highlight": Subject.OPEN,
+    "degenerate": Subject.OPEN,
+    "all-white": Subject.OPEN,
+    "drawn-errors": Subject.OPEN,
+    # A pixel's.
+    f"{FLAG}misfit": Subject.FIT,
+    f"{FLAG}not converged": Subject.FIT,
+    f"{FLAG}at bound": Subject.BOUND,
+    f"{FLAG}degenerate": Subject.OPEN,
+    f"{FLAG}no highlight": Subject.OPEN,
+    f"{FLAG}too few": Subject.OPEN,
+    f"{FLAG}black": Subject.OPEN,
+}
 
 Warnings = Sequence[tuple[str, ...]]
 """The sentences of every draw."""
 
 
-@functools.lru_cache(2**16)
 def subject_of(warning: str) -> Subject:
-    """What one sentence of `fit.warnings` is about."""
-    for subject, pattern in _PATTERNS:
-        if pattern.search(warning):
-            return subject
-    return Subject.UNKNOWN
+    """What one sentence of `fit.warnings`, or one flag of a pixel, is about."""
+    if warning.startswith(REFUSED):
+        return Subject.REFUSED
+    return SUBJECTS.get(_key(warning), Subject.UNKNOWN)
 
 
 def is_doubtful(warning: str) -> bool:
@@ -59,20 +66,25 @@ def is_doubtful(warning: str) -> bool:
 
 
 def doubts(warnings: Warnings, most: int = 5) -> dict[str, int]:
-    """Sentences that doubt a draw, numbers left out, and how many draws had each."""
+    """Codes of warnings that doubt a draw, and how many draws had each."""
     count = collections.Counter(
-        words
+        key
         for said in warnings
-        for words in {_without_numbers(one) for one in said if is_doubtful(one)}
+        for key in {_key(one) for one in said if is_doubtful(one)}
     )
     return dict(count.most_common(most))
 
 
 def unknown_words(warnings: Warnings, most: int = 3) -> list[str]:
-    """Sentences that no pattern knows, each once."""
+    """Sentences whose code nobody knows, each once."""
     found = {one for said in set(warnings) for one in said}
     unknown = {one for one in found if subject_of(one) is Subject.UNKNOWN}
     return sorted({_without_numbers(one) for one in unknown})[:most]
+
+
+def _key(warning: str) -> str:
+    """A code; without one the sentence, which may differ in its numbers."""
+    return pf.warning_code(warning) or _without_numbers(warning)
 
 
 def _without_numbers(words: str) -> str:

@@ -38,6 +38,7 @@ from phongfit.calibration.spheres import (
     looked_at,
     place_sphere,
 )
+from phongfit.codes import coded
 from phongfit.edge import checked, shown
 
 DISAGREEING = 5.0
@@ -152,9 +153,10 @@ def _outlines(
             )
         mattes = [outline for kind, outline in found if kind == "matte"]
         if len(mattes) > 1:
-            warnings.append(
+            words = (
                 f"{len(mattes)} matte spheres are seen, and the clearest one is used"
             )
+            warnings.append(coded("several-matte", words))
         shown = [one for one in found if one[0] == "chrome"]
         return shown + [("matte", outline) for outline in mattes[:1]]
     given: list[tuple[Kind, Outline]] = [
@@ -177,11 +179,12 @@ def _placed(
         placed = place_sphere(crop, outline, kind, view)
         x, y, radius = outline
         if placed.coverage < SEEN:
-            warnings.append(
+            words = (
                 f"{kind} sphere at {x:.0f}, {y:.0f}: its outline is hardly seen "
                 f"(on {placed.coverage:.0%} of the circle), so it is taken as given, "
                 "± 0.5 pixels"
             )
+            warnings.append(coded("outline-unseen", words))
         spheres.append(CalibratedSphere(kind, placed.outline, placed.covariance))
     return spheres
 
@@ -309,10 +312,10 @@ class _Session:
         if len(self.chrome.outlines) < 2:
             if double:
                 names = ", ".join(self.names[number] for number in double[:3])
-                self.warnings.append(
+                self._warn(
+                    "two-highlights",
                     f"{names}{' …' if len(double) > 3 else ''}: the sphere shows two "
-                    "highlights that are alike: two lamps, or something that it "
-                    "mirrors; look at the picture"
+                    "highlights that are alike",
                 )
             return
         left_out |= {number: "it shows two lamps" for number in double}
@@ -430,9 +433,8 @@ class _Session:
     def _strengths(self, estimate: LampEstimate, kept: list[int]) -> Strengths:
         if self.matte is None or estimate.place is None:
             nothing = np.full((len(kept), 3), np.nan)
-            self.warnings.append(
-                "no matte sphere: how strong the lamps are is not known, so let a fit "
-                "find it (the unknown exposure), or photograph a matte sphere"
+            self._warn(
+                "no-matte", "no matte sphere: how strong the lamps are is not known"
             )
             return Strengths(nothing, nothing, np.zeros(3))
         matte = self.matte._replace(light=self.matte.light[kept], place=estimate.place)
@@ -457,41 +459,44 @@ class _Session:
     ) -> None:
         """What a person should know before the numbers are trusted."""
         for number, why in sorted(left_out.items()):
-            self.warnings.append(f"{self.names[number]} is left out: {why}")
+            self._warn("left-out", f"{self.names[number]} is left out: {why}")
         if len(self.chrome.outlines) == 1 and self.matte is None:
-            self.warnings.append(
-                "one sphere alone: nothing checks its highlights; look at the picture, "
-                "or photograph a second sphere"
-            )
+            self._warn("one-sphere", "one sphere alone: nothing checks its highlights")
         shown = np.isfinite(estimate.residuals).mean(axis=0)
         for sphere, share in zip(self.chrome.outlines, shown, strict=True):
             if share < 0.7:
-                self.warnings.append(
+                self._warn(
+                    "sphere-disagrees",
                     f"the highlights of the chrome sphere at {sphere[0]:.0f}, "
                     f"{sphere[1]:.0f} agree with the others in {share:.0%} of the "
-                    "photographs only: are its circle, the camera's angle of view and "
-                    "the kind of lamps (distant, near) right?"
+                    "photographs only",
                 )
         if estimate.scatter > 2:
-            self.warnings.append(
+            other = "near" if self.lamps == "distant" else "distant"
+            self._warn(
+                "spheres-disagree",
                 f"the spheres' highlights disagree {estimate.scatter:.1f} times as "
-                "much as they are sharp: are the circles right, and are the lamps "
-                f"{'near' if self.lamps == 'distant' else 'distant'}?"
+                "much as they are sharp",
+                f"Check the circles, and whether the lamps are {other}",
             )
         if shaded is not None and len(self.chrome.outlines) and self.lamps == "distant":
             apart = np.degrees(angles(shaded[kept], estimate.directions))
             apart = apart[shaded[kept].any(axis=1)]
             if len(apart) and np.median(apart) > 3:
-                self.warnings.append(
+                self._warn(
+                    "matte-disagrees",
                     f"the matte sphere's shading is {np.median(apart):.1f}° from the "
-                    "chrome spheres' highlights: is it matte, is the encoding right?"
+                    "chrome spheres' highlights",
                 )
         if self.lamps == "near" and self.matte is not None and falloff < 0.8:
-            self.warnings.append(
+            self._warn(
+                "slow-fall-off",
                 "the lamps' light falls off more slowly than with the square of the "
-                f"distance (share {falloff:.2f} of 1), as through a lens or reflector; "
-                "the lights here say so"
+                f"distance (share {falloff:.2f} of 1), as through a lens or reflector",
             )
+
+    def _warn(self, code: str, found: str, remedy: str | None = None) -> None:
+        self.warnings.append(coded(code, found, remedy))
 
 
 def _pixels(row: Sequence[Highlight | None]) -> Float[np.ndarray, "chrome 2"]:

@@ -35,6 +35,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from phongfit.calibration.spheres import Images, looked_at
+from phongfit.codes import coded
 from phongfit.edge import checked
 from phongfit.rendering.film import ENCODINGS, NamedEncoding, decode
 from phongfit.rendering.response import ResponseCurve
@@ -531,14 +532,12 @@ class _Solver:
     def _warnings(self, low: float, high: float) -> tuple[str, ...]:
         found = []
         if high < 0.7 or low > 0.4:
-            found.append(
+            words = (
                 f"numbers from {low:.2f} to {high:.2f} are seen alone: beyond them the "
-                "curve only goes on smoothly; photograph brighter and darker, too"
+                "curve only goes on smoothly"
             )
+            found.append(coded("range-unseen", words))
         if self.sigma > 0.02:
-            found.append(
-                f"numbers are {self.sigma:.3f} from the curve (standard deviation): is "
-                "the surface matte, does the camera stand still, are shape, lamps or "
-                "exposures right?"
-            )
+            words = f"numbers are {self.sigma:.3f} from the curve (standard deviation)"
+            found.append(coded("not-one-curve", words))
         return tuple(found)

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
@@ -13,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt
 
 from phongfit.checks import as_array
+from phongfit.codes import warn
 from phongfit.edge import checked
 from phongfit.files.budget import afford
 from phongfit.files.formats import (
@@ -89,9 +89,10 @@ def read_image(
     image, usable, _ = read_light(path, encoding, max_pixels=max_pixels)
     lost = np.count_nonzero(~usable)
     if lost:
-        warnings.warn(
+        warn(
+            "saturated",
             f"{path}: {lost} pixels are saturated, which changes all channels when its "
-            "colours become those of sRGB: leave them out, with read_photograph's mask",
+            "colours become those of sRGB",
             stacklevel=2,
         )
     return image
@@ -194,11 +195,11 @@ def with_jpeg(film: Film, path: Path) -> Film:
     jpeg, size, metadata = _decoded(path, _jpeg_head)
     turned = _turned(jpeg, size, metadata.orientation)
     if turned is None:
-        warnings.warn(
+        warn(
+            "jpeg-turned",
             f"{path}: its orientation (EXIF) turns blocks of {jpeg.block[1]} × "
             f"{jpeg.block[0]} pixels, which do not fill {size[0]} × {size[1]}: what "
-            "JPEG lost is left out, and errors may be too small; turn it without loss "
-            "first (jpegtran -trim)",
+            "JPEG lost is left out, and errors may be too small",
             stacklevel=3,
         )
         return Film(encoding=film.encoding, bits=8)
@@ -486,9 +487,10 @@ def _read_numbers(path: Path, max_pixels: int | None = None) -> _Numbers:
             f"{path}: expected samples of uint8, uint16 or floats, got {values.dtype}"
         )
     if metadata.broken:
-        warnings.warn(
+        warn(
+            "exif-broken",
             f"{path}: its EXIF data is broken ({metadata.broken}): it is taken as "
-            "upright, and its exposure as unknown; save it anew if it lies on its side",
+            "upright, and its exposure as unknown",
             stacklevel=4,
         )
     if values.dtype.kind == "f":

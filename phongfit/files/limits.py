@@ -2,13 +2,13 @@
 
 import dataclasses
 import math
-import warnings
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from phongfit.codes import warn
 from phongfit.material import Material
 from phongfit.reflectance import (
     AbstractSpecular,
@@ -41,7 +41,7 @@ def lost(message: str, nearest: bool) -> None:
     """Say what a format cannot hold: a warning if `nearest`, else a `ValueError`."""
     if not nearest:
         raise ValueError(f"{message} (nearest=True takes the nearest that it holds)")
-    warnings.warn(f"{message}; the nearest is taken", stacklevel=4)
+    warn("nearest-taken", f"{message}; the nearest is taken", stacklevel=4)
 
 
 def colour(name: str, leaf: Float[Array, "..."]) -> Float[np.ndarray, "3"]:

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 
+from phongfit.codes import warn
 from phongfit.edge import checked
 from phongfit.files.budget import afford
 from phongfit.files.gltf_materials import GltfShade
@@ -94,10 +95,10 @@ def load_mesh(path: str | os.PathLike[str], **options: Any) -> LoadedMesh:
     notes: dict[str, None] = {}
     loaded = _load(path, options, notes.setdefault)
     for words in list(notes)[:MOST_NOTES]:
-        warnings.warn(words, stacklevel=2)
+        warn("part-unused", words, stacklevel=2)
     if len(notes) > MOST_NOTES:
-        left = len(notes) - MOST_NOTES
-        warnings.warn(f"{path}: {left} other parts of it are not used", stacklevel=2)
+        left = f"{len(notes) - MOST_NOTES} other parts of it are not used"
+        warn("part-unused", f"{path}: {left}", stacklevel=2)
     return loaded
 
 

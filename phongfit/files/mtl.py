@@ -7,13 +7,13 @@
 
 import io
 import os
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from phongfit.codes import warn
 from phongfit.edge import checked
 from phongfit.files.inputs import inside, naming, read_text
 from phongfit.files.limits import colour, exponent, limited
@@ -61,10 +61,11 @@ def read_mtl(path: str | os.PathLike[str]) -> dict[str, Material]:
             materials[name] = as_material(fields)
     for line in textures[:FEW]:
         told = f"line {line.number}: {_of_texture(path, line.material, line.words)}"
-        warnings.warn(f"{path}: {told}: the material has one colour", stacklevel=2)
+        told = f"{path}: {told}: the material has one colour"
+        warn("texture-unread", told, stacklevel=2)
     if textures[FEW:]:
         told = f"{len(textures) - FEW} other textures are not read either"
-        warnings.warn(f"{path}: {told}", stacklevel=2)
+        warn("texture-unread", f"{path}: {told}", stacklevel=2)
     return materials
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from phongfit.checks import untraced
+from phongfit.codes import coded
 from phongfit.edge import checked
 from phongfit.fitting.problem.layout import first_values
 from phongfit.fitting.problem.losses import Linear
@@ -191,7 +192,7 @@ def _as_scattered(estimated: Estimates, off: np.ndarray, rounded: bool) -> Estim
     )
     if rounded:
         words += ", which know nothing of JPEG"
-    reasons = (*estimated.reasons, words)
+    reasons = (*estimated.reasons, coded("drawn-errors", words))
     return dataclasses.replace(
         estimated, errors=errors, covariance=covariance, reasons=reasons
     )

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
+from phongfit.codes import coded
 from phongfit.fitting.problem.parameters import EXPOSURE
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.specification import Specification
@@ -158,7 +159,7 @@ def summarize(
         steps=int(found.steps),
         reason=_CONVERGED if converged else _STOPPED,
         warnings=(
-            *(() if converged else ("the solver did not converge",)),
+            *(() if converged else (coded("not-converged", f"{_UNDONE}: {_STOPPED}"),)),
             *estimated.reasons,
             *at_edges,
             *bound_words(estimated, unknowns),
@@ -181,6 +182,7 @@ def summarize(
 
 
 _CONVERGED = "steps and changes of the residuals fell below the tolerance"
+_UNDONE = "the solver did not converge"
 _STOPPED = "the limit of steps was reached, or the numbers left the finite"
 
 

@@ -29,6 +29,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from phongfit.checks import as_array
+from phongfit.codes import coded
 from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera
 from phongfit.geometry.height import HeightField
@@ -312,18 +313,20 @@ def _words(
     count = int(pieces.max())
     placed = set() if known is None else {*pieces[np.isfinite(known)].tolist()} - {0}
     if count > 1 and len(placed) < count:
-        words.append(
+        found = (
             f"mask: it falls into {count} pieces, and normals do not tell how far one "
             f"lies before another: {count - len(placed)} of them are put at the same "
-            "depth (depth: where it is known moves them)"
+            "depth"
         )
+        words.append(coded("separate-pieces", found))
     vague = int((inside & ~sound).sum())
     if vague:
-        words.append(
+        found = (
             f"normals: {vague:,} of {int(inside.sum()):,} pixels do not identify "
             "theirs, or it looks away from the camera: there the surface follows its "
             "neighbours"
         )
+        words.append(coded("vague-normals", found))
     return tuple(words)
 
 

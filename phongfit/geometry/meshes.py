@@ -1,6 +1,5 @@
 """Triangle meshes: what a camera sees of them, and where they can be lit."""
 
-import warnings
 from collections.abc import Iterable
 from typing import Any, ClassVar
 
@@ -19,6 +18,7 @@ from phongfit.checks import (
     as_scalar,
     require,
 )
+from phongfit.codes import warn
 from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, Ray
 from phongfit.geometry.normals import (
@@ -206,9 +206,10 @@ class Mesh(AbstractSurface):
             raise ValueError(f"camera: its position {camera.position} lies in a face")
         face = first_faces(self.vertices, self.faces, seen, rays)
         if not isinstance(face, Tracer) and not np.any(np.asarray(face) >= 0):
-            warnings.warn(
+            warn(
+                "nothing-seen",
                 "surface: no pixel sees the mesh. It lies outside the view, or its "
-                "faces show their backs (two_sided=True shows these).",
+                "faces show their backs",
                 stacklevel=3,
             )
         return _interpolate(self, camera, rays, face)

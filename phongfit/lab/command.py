@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from phongfit.codes import coded
+
 if TYPE_CHECKING:
     import uvicorn
 
@@ -185,7 +187,8 @@ def configuration(session: "Session", host: str) -> "uvicorn.Config":
 def _announce(url: str, only_here: bool, browser: bool) -> None:
     print(f"phongfit lab: {url} (Ctrl-C stops it)", flush=True)
     if not only_here:
-        print("warning: other machines can reach it", file=sys.stderr)
+        words = coded("open-to-others", "other machines can reach it")
+        print(f"warning: {words}", file=sys.stderr)
     if browser:
         # On its own, since a browser in the terminal would not return.
         threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import os
-import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from phongfit.edge import checked
+from phongfit.codes import coded, warn
+from phongfit.edge import checked, shown
 from phongfit.files.arguments import describe
 from phongfit.files.arrays import unpack
 from phongfit.files.inputs import naming, read_bytes, reason
@@ -177,11 +177,11 @@ class Maps:
         sought = np.isfinite(self.normals_stderr) & (self.normals_stderr > 0)
         if not is_mirrored(self.normals, sought):
             return ()
-        return (
+        words = (
             "the normals bulge the wrong way: their slopes belong to no surface, and "
-            "with y turned round they do; try the lights with y (or x) of the opposite "
-            "sign",
+            "with y turned round they do"
         )
+        return (coded("bulging-normals", words),)
 
     @checked
     def flagged(self, flag: Flag) -> Bool[np.ndarray, "height width"]:
@@ -209,6 +209,7 @@ class Maps:
             np.savez(
                 temporary,
                 allow_pickle=False,
+                version=np.array(MAPS_VERSION),
                 unknowns=np.array(self.unknowns),
                 noise_given=np.array(given),
                 view=np.array(json.dumps(self._view())),
@@ -224,7 +225,7 @@ class Maps:
                 view[name] = None if part is None else describe(part)
             except ValueError as error:
                 # Hours of fitting are not lost for it.
-                warnings.warn(f"{name}: is left out: {error}", stacklevel=3)
+                warn("unregistered", f"{name}: is left out: {error}", stacklevel=3)
         return view
 
     def __str__(self) -> str:
@@ -275,6 +276,10 @@ Maps.__init__.__doc__ = """**Arguments:**
 PLAIN = ("noise", "samples", "flags", "normals", "normals_stderr", "depth")
 
 
+MAPS_VERSION = 2
+"""Of `maps.npz`. Version 1 does not state it, and may have no normals."""
+
+
 class ViewRecord(AbstractRecord):
     """From where maps were seen, and by which model."""
 
@@ -308,6 +313,11 @@ def _checked(arrays: dict[str, np.ndarray]) -> Maps:
 
     **Raises:** `KeyError` for one that is missing, `ValueError` for a wrong one.
     """
+    # The first version did not say so.
+    version = arrays.get("version", np.array(1))
+    if version.shape != () or version not in range(1, MAPS_VERSION + 1):
+        got = shown(version.tolist())
+        raise ValueError(f"version: expected 1 to {MAPS_VERSION}, got {got}")
     unknowns = arrays["unknowns"]
     if unknowns.ndim != 1 or not set(unknowns.tolist()) <= set(MAP_PARAMETERS):
         wanted = ", ".join(MAP_PARAMETERS)
@@ -362,7 +372,7 @@ def _checked(arrays: dict[str, np.ndarray]) -> Maps:
 def _checked_shape(
     arrays: dict[str, np.ndarray], size: tuple[int, ...]
 ) -> dict[str, Any]:
-    """Normals, depth and the view; files of older versions hold none of them.
+    """Normals, depth and the view; files of version 1 may hold none of them.
 
     **Raises:** as [`_checked`][] does.
     """

@@ -127,4 +127,4 @@ def _sections(warned: bool) -> list[tuple[str, str]]:
 
 
 def _full_stop(words: str) -> str:
-    return words if words.endswith(".") else f"{words}."
+    return words if words.endswith((".", "]")) else f"{words}."

@@ -238,7 +238,10 @@ def test_what_a_format_cannot_hold(tmp_path, capsys, to, words):
         warnings.simplefilter("default")
         assert main([*args, "--nearest"]) == 0
     told = capsys.readouterr().err
-    assert told == f"warning: {words}; the nearest is taken\n" and out.exists()
+    assert told.startswith(f"warning: {words}; the nearest is taken. Export ")
+    assert (
+        told.endswith(" [nearest-taken]\n") and told.count("\n") == 1 and out.exists()
+    )
 
 
 @pytest.mark.parametrize(

@@ -183,7 +183,6 @@ TWINS = pf.Scene(
     0.3,
 )
 BOTH = ("scene.lights[0].intensity", "scene.lights[1].intensity")
-DEGENERATE = "are degenerate: they change the image in the same way"
 
 
 @pytest.mark.parametrize(
@@ -213,7 +212,7 @@ def test_what_nobody_could_tell_is_named(scene, names, unidentified):
     assert np.array_equal(np.isinf(predicted.errors), predicted.unidentified)
     assert len(predicted.warnings) == bool(unidentified)
     for warning in predicted.warnings:
-        assert warning.endswith(DEGENERATE)
+        assert pf.warning_code(warning) == "degenerate"
         assert all(name in warning for name in unidentified)
 
 
@@ -223,7 +222,7 @@ def test_one_image_does_not_tell_its_exposure(noise):
     fit = pf.fit(ONE_LIGHT, image, unknowns=(*PARAMETERS, "exposure"))
     assert fit.converged
     (warning,) = fit.warnings
-    assert warning.endswith(DEGENERATE) and "exposure" in warning
+    assert pf.warning_code(warning) == "degenerate" and "exposure" in warning
     # The exponent does not depend on the scale.
     assert np.flatnonzero(~fit.unidentified).tolist() == [9]
     assert abs(fit.values[9] - 20) < max(4 * fit.errors[9], 2e-3)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
+from phongfit.codes import coded
 from phongfit.fitting.problem.samples import Source, gather
 from phongfit.fitting.problem.unknowns import Unknowns, in_units
 from phongfit.fitting.solve.search import SearchResult, search_on
@@ -78,11 +79,11 @@ def _off(edges: Sequence["Edges"], sources: Sequence[Source]) -> list[Source]:
 
 
 def _words(crossed: int) -> str:
-    return (
+    return coded(
+        "moving-edge",
         f"{crossed} pixels that count lie at an edge (an outline, the rim of a spot, a "
         "shadow) that moves with what is unknown: light jumps there, and no derivative "
-        "says how. Values may be off by more than their errors; mask out what lies "
-        "near the edge, or start nearer to the truth"
+        "says how. Values may be off by more than their errors",
     )
 
 

@@ -6,6 +6,7 @@ import functools
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from phongfit.codes import coded
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.unknowns import Unknowns, in_units
 from phongfit.fitting.uncertainty.exponents import Doubts, parts_over_exponents
@@ -184,13 +185,18 @@ def _reasons(
     labels = np.array(unknowns.y_labels)
     parameters, materials = unknowns.y_parameter, unknowns.y_material
     hiding = (parameters == "specular") & np.isin(materials, materials[unseen])
-    words = {
-        "its error is wider than its bounds": ~unseen & ~hiding,
-        "specular is 0 within its error": unseen,
-        "some exponents would hide the highlight where no pixel is used": hiding,
-    }
+    hidden = "some exponents would hide the highlight where no pixel is used"
+    wide = "its error is wider than its bounds"
     return [
-        f"{not_identifiable([label])}: {why}"
-        for why, chosen in words.items()
+        coded(code, f"{not_identifiable([label])}: {why}", remedy)
+        for code, why, remedy, chosen in (
+            ("not-identifiable", wide, _WIDE, ~unseen & ~hiding),
+            ("no-highlight", "specular is 0 within its error", None, unseen),
+            ("no-highlight", hidden, _HIDDEN, hiding),
+        )
         for label in dict.fromkeys(labels[unidentified & chosen])
     ]
+
+
+_WIDE = "Hold it (fixed), give it a prior, or add images that depend on it"
+_HIDDEN = "Use more of the pixels, or light it so that a highlight is seen"

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
+from phongfit.codes import coded
 from phongfit.fitting.problem.parameters import MATERIAL_PARAMETERS, REFLECTANCES
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.uncertainty.quantiles import chi_squared_reach
@@ -39,12 +40,22 @@ def unfelt(
     return diagonal <= threshold(resolution) * largest
 
 
+# Why nothing depends on it, and what to try.
 _SILENT = {
-    "ambient": "no ambient light falls on a pixel that is used",
-    "diffuse": "no light falls on a pixel that is used, or all of these are white",
-    "specular": "no pixel that is used sees a highlight",
-    "shininess": "there is no highlight: specular is 0, or no pixel sees it",
-    "emission": "all pixels that are used are white",
+    "ambient": (
+        "no ambient light falls on a pixel that is used",
+        "Leave ambient out of unknowns, or give the scene its ambient light",
+    ),
+    "diffuse": (
+        "no light falls on a pixel that is used, or all of these are white",
+        "Use pixels that are lit and not white: another mask, exposure or light",
+    ),
+    "specular": (
+        "no pixel that is used sees a highlight",
+        "Move a light or the camera so that one is seen, or leave specular and "
+        "shininess out of unknowns",
+    ),
+    "emission": ("all pixels that are used are white", "Expose less"),
 }
 
 
@@ -56,9 +67,7 @@ def find_unidentified(
     parameters = unknowns.y_parameter
     silent = unfelt(bread, unknowns, position, resolution)
     reasons = [
-        not_identifiable(labels[silent & (parameters == kind)])
-        + ": "
-        + _SILENT.get(kind, "no pixel that is used depends on it")
+        _silent(kind, labels[silent & (parameters == kind)])
         for kind in unknowns.names
         if (silent & (parameters == kind)).any()
     ]
@@ -76,10 +85,18 @@ def find_unidentified(
             names = _listed(labels[heard[group]])
             if "," not in names:
                 names += ": its two angles"
-            reasons.append(
-                f"{names} are degenerate: they change the image in the same way"
-            )
+            words = f"{names} are degenerate: they change the image in the same way"
+            reasons.append(coded("degenerate", words))
     return unidentified, tuple(reasons)
+
+
+def _silent(kind: str, labels: np.ndarray) -> str:
+    """A parameter of which no sample depends on a number, or on several."""
+    if kind == "shininess":
+        why = "there is no highlight: specular is 0, or no pixel sees it"
+        return coded("no-highlight", f"{not_identifiable(labels)}: {why}")
+    why, remedy = _SILENT.get(kind, ("no pixel that is used depends on it", None))
+    return coded("not-identifiable", f"{not_identifiable(labels)}: {why}", remedy)
 
 
 def not_identifiable(labels: np.ndarray | Sequence[str]) -> str:

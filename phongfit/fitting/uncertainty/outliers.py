@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from phongfit.codes import coded
 from phongfit.fitting.problem.noise import median_deviation
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.solve.sums import Linearization, linearize
@@ -67,10 +68,13 @@ def outlier_words(
     share = 100 * count / int(far.used)
     other = '"tukey"' if problem.loss.robust else '"cauchy" or "tukey"'
     return (
-        f"outliers: {count} samples ({share:.2g} %) lie more than {FAR:g} standard "
-        f"deviations off the model and pull the estimates, {unknowns.y_labels[most]} "
-        f"by {shifts[most]:.1f} of its standard errors; leave them out by a mask, or "
-        f"try loss={other}",
+        coded(
+            "outliers",
+            f"outliers: {count} samples ({share:.2g} %) lie more than {FAR:g} standard "
+            "deviations off the model and pull the estimates, "
+            f"{unknowns.y_labels[most]} by {shifts[most]:.1f} of its standard errors",
+            f"Leave them out by a mask, or try loss={other}",
+        ),
     )
 
 

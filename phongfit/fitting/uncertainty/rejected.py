@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from phongfit.codes import coded
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.uncertainty.estimate import Estimates
@@ -145,8 +146,7 @@ def without_rejected(
     words += (
         ": the loss took the highlight for outliers. A compact "
         f"cluster of {rejected.sum()} samples that it rejects, brighter than the fit, "
-        'lies where the model has its highlight; try loss="linear", or a mask if they '
-        "show something else"
+        "lies where the model has its highlight"
     )
     return dataclasses.replace(
         estimated,
@@ -154,5 +154,5 @@ def without_rejected(
         covariance=covariance,
         at_bound=estimated.at_bound & ~here,
         unidentified=estimated.unidentified | here,
-        reasons=(*estimated.reasons, words),
+        reasons=(*estimated.reasons, coded("rejected-highlight", words)),
     )

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from phongfit.codes import coded
 from phongfit.fitting.problem.noise import median_deviation, shared_rounding_variance
 from phongfit.fitting.problem.problem import Evaluation, Problem
 from phongfit.fitting.problem.unknowns import Unknowns
@@ -87,10 +88,8 @@ def statistics(
         sandwich.inside, unknowns, position, sandwich.resolution
     )
     if unidentified.all() and _all_white(problem):
-        words = (
-            "nothing is identifiable: all samples that are used are white. Expose less"
-        )
-        reasons = (f"{words}, or mask what is overexposed",)
+        words = "nothing is identifiable: all samples that are used are white"
+        reasons = (coded("all-white", words),)
     at_bound &= ~unidentified
 
     size = len(position)

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from phongfit.codes import coded
 from phongfit.fitting.problem.parameters import REFLECTANCES
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.uncertainty.estimate import Estimates
@@ -38,10 +39,12 @@ def misfit_words(misfit: Misfit, images: int) -> tuple[str, ...]:
             *(shown if correlation > CORRELATED else []),
         ]
     return (
-        f"residuals are not noise: {'; '.join(shown)}. The model does not describe the "
-        f"image fully; errors are widened {widened:.1f} times, which "
-        "covers no bias. Look at plot_residuals(); mask what does not belong, try "
-        "another specular model, or make what may be wrong unknown",
+        coded(
+            "lack-of-fit",
+            f"residuals are not noise: {'; '.join(shown)}. The model does not describe "
+            f"the image fully; errors are widened {widened:.1f} times, which covers no "
+            "bias",
+        ),
     )
 
 
@@ -56,9 +59,11 @@ def clipped_words(sums: SandwichSums, effective: int, samples: int) -> tuple[str
     if enough and np.all(np.abs(moved) < MOVED * error):
         return ()
     return (
-        f"{samples - effective:,} of {samples:,} samples are clipped: the noise is "
-        "estimated from the others, and the errors do not know how badly. Give noise=, "
-        "or expose less",
+        coded(
+            "few-unclipped",
+            f"{samples - effective:,} of {samples:,} samples are clipped: the noise is "
+            "estimated from the others, and the errors do not know how badly",
+        ),
     )
 
 
@@ -74,10 +79,12 @@ def grid_words(significance: float) -> tuple[str, ...]:
     if significance <= SIGNIFICANT:
         return ()
     return (
-        f"residuals jump between blocks of {SIDE} × {SIDE} pixels ({significance:.2g} "
-        "σ), as those of a JPEG file do: what that rounded is no noise, and errors may "
-        "be several times too small. Fit the photograph as it lies in its file, with "
-        "film=pf.read_film(path, encoding)",
+        coded(
+            "jpeg-blocks",
+            f"residuals jump between blocks of {SIDE} × {SIDE} pixels "
+            f"({significance:.2g} σ), as those of a JPEG file do: what that rounded is "
+            "no noise, and errors may be several times too small",
+        ),
     )
 
 
@@ -86,9 +93,11 @@ def spread_words(spread: float) -> tuple[str, ...]:
     if spread == 1:
         return ()
     return (
-        f"residuals are {spread:.1f} times as large as the noise that was given: the "
-        "noise or the model is wrong; errors allow for it. Give the noise as it is, or "
-        "leave it to be estimated",
+        coded(
+            "noise-level",
+            f"residuals are {spread:.1f} times as large as the noise that was given: "
+            "the noise or the model is wrong; errors allow for it",
+        ),
     )
 
 
@@ -99,8 +108,9 @@ def bound_words(estimated: Estimates, unknowns: Unknowns) -> Iterator[str]:
         above = high - estimated.values[k] < estimated.values[k] - low
         words = f"{label} lies at its {'upper' if above else 'lower'} bound "
         words += f"{high if above else low:g}: its error is one-sided"
-        decides = estimated.strain[k] > CONTRADICTION
-        if decides:
+        code, remedy = "at-bound", None
+        if estimated.strain[k] > CONTRADICTION:
+            code = "bound-decides"
             words += (
                 f". The bound decides: the images pull {estimated.strain[k]:.2g} σ "
             )
@@ -108,13 +118,10 @@ def bound_words(estimated: Estimates, unknowns: Unknowns) -> Iterator[str]:
         parameter = unknowns.entry_parameter[unknowns.reported[k]]
         # Nothing sends back less than no light.
         if above or parameter not in REFLECTANCES:
-            wider = (low, 5 * high) if above else (low / 5, high)
-            words += ". If it may lie beyond, try bounds="
-            words += f"{{'{label}': ({wider[0]:g}, {wider[1]:g})}}"
-        elif decides:
-            words += ". Look for light that is missing from the image, or too much of "
-            words += "it in the scene"
-        yield words
+            low, high = (low, 5 * high) if above else (low / 5, high)
+            remedy = f"If it may lie beyond, try bounds={{'{label}': ({low:g}, "
+            remedy += f"{high:g})}}, or --bounds {label}={low:g}:{high:g}"
+        yield coded(code, words, remedy)
 
 
 def prior_words(
@@ -134,8 +141,9 @@ def prior_words(
         share = min(share, 1 - 1e-6) if np.isfinite(share) else 0.0
         conflict = abs(off) / math.sqrt(1 - share)
         if conflict > CONTRADICTION:
-            yield (
+            yield coded(
+                "prior-conflict",
                 f"the prior of {unknowns.labels[k]}, {mean:g} ± {deviation:g}, and the "
                 f"images contradict each other ({conflict:.2g} σ): what comes out is "
-                "neither's. Widen the prior, or look for what else is wrong"
+                "neither's",
             )

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from experiments.honesty.judge import judge
+from phongfit.codes import coded
 from tests.experiments.honesty.made_up import made_up, with_errors
 
-LACK = "residuals are not noise: neighbouring pixels correlate by 0.30"
+LACK = coded("lack-of-fit", "residuals are not noise")
 REFUSED = "refused: unknowns: it has no derivative"
-BOUND = "diffuse.red lies at its bound: its error is one-sided"
+BOUND = coded("at-bound", "diffuse.red lies at its bound: its error is one-sided")
 
 
 def warned(answers, draws, words=LACK):
@@ -80,7 +81,7 @@ def test_a_wrong_answer_with_a_warning(words):
 
 
 def test_a_warning_of_something_else_is_none():
-    said = ("shininess is not identifiable: specular is 0 within its error", BOUND)
+    said = (coded("no-highlight", "shininess is not identifiable"), BOUND)
     answers = dataclasses.replace(off(made_up(), 100, 7), warnings=(said,) * 100)
     assert "100 of 100 draws" in judge(answers, "wrong").faults[0]
 
@@ -90,9 +91,7 @@ def test_a_false_alarm():
         assert judge(warned(made_up(), 5), kind).faults == ()
         assert "false alarms" in judge(warned(made_up(), 20), kind).faults[0]
     assert judge(warned(made_up(), 20), "doubtful").faults == ()
-    assert judge(warned(made_up(), 20), "wrong").words == {
-        "residuals are not noise: neighbouring pixels correlate by #.#": 20
-    }
+    assert judge(warned(made_up(), 20), "wrong").words == {"lack-of-fit": 20}
 
 
 def test_what_is_not_identified():

@@ -1,33 +1,28 @@
+import re
+from pathlib import Path
+
 import pytest
 
-from experiments.honesty.words import Subject, is_doubtful, subject_of
+import phongfit as pf
+from experiments.honesty.words import SUBJECTS, Subject, is_doubtful, subject_of
+from phongfit.codes import REMEDIES, coded
 
 SENTENCES = {
-    "the solver did not converge": Subject.FIT,
-    "residuals are not noise: neighbouring pixels correlate by 0.24. The model does "
-    "not describe the image fully; errors are widened 1.7 times": Subject.FIT,
-    "the model does not describe the image": Subject.FIT,
-    "residuals are 2.0 times as large as the noise that was given: the noise or the "
-    "model is wrong, errors are too small": Subject.FIT,
-    "3 % of the samples are outliers": Subject.FIT,
-    "specular.red is not identifiable: the loss took the highlight for outliers": (
-        Subject.FIT
-    ),
-    "90 of 100 samples are clipped: the noise is estimated": Subject.FIT,
-    "the image has the blocks of a JPEG file": Subject.FIT,
-    "its prior is 25 standard deviations off": Subject.FIT,
-    "shininess lies at its bound of 1000, which decides the others": Subject.FIT,
-    "ambient.red lies at its bound: its error is one-sided": Subject.BOUND,
+    coded("not-converged", "the solver did not converge"): Subject.FIT,
+    coded("lack-of-fit", "residuals are not noise"): Subject.FIT,
+    coded("rejected-highlight", "specular.red is not identifiable"): Subject.FIT,
+    coded("bound-decides", "shininess lies at its upper bound"): Subject.FIT,
+    coded("at-bound", "ambient.red lies at its lower bound"): Subject.BOUND,
+    coded("not-identifiable", "ambient.red is not identifiable"): Subject.OPEN,
+    coded("no-highlight", "shininess is not identifiable"): Subject.OPEN,
     "flag: at bound": Subject.BOUND,
-    "ambient.red is not identifiable: its error is wider than its bounds": Subject.OPEN,
-    "diffuse.red is not identifiable: no light falls on a pixel that is used, or all "
-    "of these are white": Subject.OPEN,
-    "shininess is not identifiable: no pixel sees a highlight": Subject.OPEN,
-    "the exponent may be any: the other errors are those of drawn fits": Subject.OPEN,
     "flag: no highlight": Subject.OPEN,
     "flag: not converged": Subject.FIT,
     "refused: ties: diffuse.green is held at -0.3": Subject.REFUSED,
-    "the moon is full": Subject.UNKNOWN,
+    # Words alone say nothing, nor does a code of something else.
+    "the solver did not converge": Subject.UNKNOWN,
+    coded("exif-broken", "a.jpg: its EXIF data is broken"): Subject.UNKNOWN,
+    "the moon is full [full-moon]": Subject.UNKNOWN,
 }
 
 
@@ -36,3 +31,15 @@ def test_subjects(sentence):
     assert subject_of(sentence) is SENTENCES[sentence]
     doubts = (Subject.FIT, Subject.REFUSED)
     assert is_doubtful(sentence) == (SENTENCES[sentence] in doubts)
+
+
+def test_every_code_of_a_fit_has_a_subject():
+    fitting = Path(pf.__file__).parent / "fitting"
+    text = "\n".join(path.read_text("utf-8") for path in fitting.rglob("*.py"))
+    codes = set(re.findall(r'"([a-z-]+)"', text)) & set(REMEDIES)
+    assert codes == {key for key in SUBJECTS if not key.startswith("flag: ")}
+
+
+def test_every_flag_that_has_a_subject_is_one():
+    flags = {f"flag: {str(flag.name).lower().replace('_', ' ')}" for flag in pf.Flag}
+    assert {key for key in SUBJECTS if key.startswith("flag: ")} <= flags

@@ -1,0 +1,115 @@
+"""Warnings: each has a stable code and names its remedy. The one table of both.
+
+A warning ends with what to try and its code in brackets: `shininess lies at its upper
+bound 1000: its error is one-sided. Try … [at-bound]`. Sentences may change from version
+to version, codes stay. `docs/how-to/warnings.md` has a paragraph for each.
+"""
+
+import re
+import warnings
+from collections.abc import Mapping
+from types import MappingProxyType
+
+REMEDIES: Mapping[str, str] = MappingProxyType(
+    {
+        # Of a fit.
+        "not-converged": "Raise max_steps, or hold one of two unknowns that are nearly "
+        "degenerate",
+        "not-identifiable": "Leave it out of unknowns, or use pixels that depend on it",
+        "no-highlight": "Quote no exponent, or light it so that a highlight is seen",
+        "all-white": "Expose less, or mask what is overexposed",
+        "degenerate": "Hold one of them (fixed), give one a prior, or add an image in "
+        "which they differ",
+        "rejected-highlight": 'Try loss="linear", or a mask if they show something '
+        "else",
+        "moving-edge": "Mask out what lies near the edge, or start nearer to the truth",
+        "at-bound": "Quote fit.intervals() in place of ±",
+        "bound-decides": "Look for light that is missing from the image, or too much "
+        "of it in the scene",
+        "prior-conflict": "Widen the prior, or look for what else is wrong",
+        "lack-of-fit": "Look at plot_residuals(); mask what does not belong, try "
+        "another specular model, or make what may be wrong unknown",
+        "jpeg-blocks": "Fit the photograph as it lies in its file, with "
+        "film=pf.read_film(path, encoding)",
+        "noise-level": "Give the noise as it is, or leave it to be estimated",
+        "few-unclipped": "Give noise, or expose less",
+        "outliers": "Leave them out by a mask, or try a robust loss",
+        # Of a prediction.
+        "drawn-errors": "Predict with a light or view that shows a highlight, or hold "
+        "shininess (fixed)",
+        # Of maps, heights and meshes.
+        "bulging-normals": "Try the lights with y (or x) of the opposite sign",
+        "separate-pieces": "Give depth where it is known, which moves them",
+        "vague-normals": "Mask these pixels, or photograph them under more lights",
+        "nothing-seen": "Aim the camera at it, or give two_sided=True if its faces "
+        "show their backs",
+        # Of files.
+        "saturated": "Leave these pixels out, with read_photograph's mask",
+        "exif-broken": "Save it anew if it lies on its side",
+        "jpeg-turned": "Turn it without loss first (jpegtran -trim)",
+        "part-unused": "Put what is missing beside the file, bake what is not used "
+        "into its textures, or go on without it",
+        "texture-unread": "Read it with its mesh (load_mesh), or go on with one colour",
+        "nearest-taken": "Export to a format that holds it, or expect what is written",
+        "unregistered": "Call register(class, kind) before saving",
+        # Of calibrations.
+        "several-matte": "Give the circle of the one that is meant (matte)",
+        "outline-unseen": "Look at the picture, or give its circle as a fit by eye",
+        "two-highlights": "Look at the picture: two lamps, or something that the "
+        "sphere mirrors",
+        "no-matte": "Let a fit find the strengths (the unknown exposure), or "
+        "photograph a matte sphere",
+        "left-out": "Look at it in the picture; take it out of the folder, or give "
+        "the spheres' circles",
+        "one-sphere": "Look at the picture, or photograph a second sphere",
+        "sphere-disagrees": "Check its circle, the camera's angle of view and the "
+        "kind of lamps (distant, near)",
+        "spheres-disagree": "Check the circles, and the kind of lamps",
+        "matte-disagrees": "Check that it is matte, and the encoding",
+        "slow-fall-off": "Take the lights from lights.json, which say so",
+        # Of responses.
+        "range-unseen": "Photograph brighter and darker, too",
+        "not-one-curve": "Check that the surface is matte, that the camera stands "
+        "still, and shape, lamps or exposures",
+        # Of this machine.
+        "shared-cache": "Take away others' right to write (chmod go-w), or set "
+        "PHONGFIT_CACHE=off",
+        "open-to-others": "Leave --host out if only you are to use it",
+    }
+)
+"""What to try, by code, where a warning says nothing that is more to the point."""
+
+_CODE = re.compile(r" \[([a-z]+(?:-[a-z]+)*)\]$")
+
+
+def coded(code: str, found: str, remedy: str | None = None) -> str:
+    """A warning in one line.
+
+    **Arguments:**
+
+    - `code`: of the table.
+    - `found`: what is wrong, and how large it is; no full stop at its end.
+    - `remedy`: what to try here, if that says more than the table.
+    """
+    return f"{found}. {REMEDIES[code] if remedy is None else remedy} [{code}]"
+
+
+def warn(code: str, found: str, remedy: str | None = None, *, stacklevel: int) -> None:
+    """Python's own `warnings.warn`, with the words of [`coded`][]."""
+    warnings.warn(coded(code, found, remedy), stacklevel=stacklevel + 1)
+
+
+def warning_code(warning: str | Warning) -> str | None:
+    """The code of a warning, such as `"at-bound"`.
+
+    Sentences may change from version to version; a code keeps its meaning. Warnings
+    that Python raises can be silenced by it: `warnings.filterwarnings("ignore",
+    r".*\\[texture-unread\\]$")`.
+
+    **Arguments:** `warning`: a sentence of `fit.warnings` and the like, or what
+    `warnings.warn` was called with.
+
+    **Returns:** `None` for a sentence without one, as version 0.1 wrote them.
+    """
+    found = _CODE.search(str(warning))
+    return found[1] if found else None

@@ -1,0 +1,69 @@
+"""Codes of warnings: one table, one paragraph each, and no warning without."""
+
+import ast
+import re
+import warnings
+from pathlib import Path
+
+import pytest
+
+import phongfit as pf
+from phongfit.codes import REMEDIES, coded, warn
+
+ROOT = Path(__file__).parents[1]
+SOURCES = sorted((ROOT / "phongfit").rglob("*.py"))
+PAGE = ROOT / "docs/how-to/warnings.md"
+
+
+def test_a_warning_names_its_remedy_and_its_code():
+    words = coded("degenerate", "a, b are degenerate")
+    assert words == f"a, b are degenerate. {REMEDIES['degenerate']} [degenerate]"
+    assert pf.warning_code(words) == "degenerate"
+    other = coded("at-bound", "f lies at its bound", "Try bounds={'f': (1, 5)}")
+    assert other == "f lies at its bound. Try bounds={'f': (1, 5)} [at-bound]"
+    for words in ("the solver did not converge", "scene.lights[0] is far [1]", ""):
+        assert pf.warning_code(words) is None
+    with pytest.raises(KeyError):
+        coded("full-moon", "the moon is full")
+
+
+def test_python_silences_them_by_code():
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r".*\[texture-unread\]$")
+        warn("texture-unread", "a.mtl: line 3: a texture", stacklevel=1)
+        with pytest.warns(UserWarning, match="b.mtl.* missing") as said:
+            warn("part-unused", "b.mtl: it is missing", stacklevel=1)
+    assert pf.warning_code(said[0].message) == "part-unused"
+    assert said[0].filename == __file__
+
+
+def test_every_code_has_a_paragraph():
+    text = PAGE.read_text(encoding="utf-8")
+    found = re.findall(r"^### (\S+)\n\n(\S.*)$", text, re.MULTILINE)
+    assert sorted(code for code, _ in found) == sorted(REMEDIES)
+    assert len(re.findall("^### ", text, re.MULTILINE)) == len(found)
+
+
+def test_codes_and_remedies_are_of_one_form():
+    for code, remedy in REMEDIES.items():
+        assert pf.warning_code(f"words [{code}]") == code
+        assert remedy[0].isupper() and not remedy.endswith("."), code
+
+
+def codes_of(path: Path) -> set[str]:
+    """The words of a module that are codes."""
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    found = {node.value for node in nodes if isinstance(node, ast.Constant)}
+    return {one for one in found if isinstance(one, str)} & set(REMEDIES)
+
+
+def test_every_code_is_given_by_someone():
+    others = [path for path in SOURCES if path.name != "codes.py"]
+    assert set().union(*map(codes_of, others)) == set(REMEDIES)
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_no_warning_goes_without_a_code(path):
+    # Of lists of warnings the tests of who makes them say so.
+    if path.name != "codes.py":
+        assert "warnings.warn(" not in path.read_text(encoding="utf-8")
