@@ -14,6 +14,8 @@ from phongfit.files.outputs import check_file, write_json
 from phongfit.files.scenes import load_views
 from phongfit.fitting.predict import Prediction, predict_errors
 
+PREDICTION_FORMAT = "phongfit prediction"
+
 
 @dataclass(frozen=True)
 class Options:
@@ -69,6 +71,8 @@ def main(options: Options) -> int:
 
 def _numbers(prediction: Prediction, noise: float) -> dict:
     return {
+        "format": PREDICTION_FORMAT,
+        "version": 1,
         "labels": list(prediction.labels),
         "values": prediction.values,
         "errors": prediction.errors,

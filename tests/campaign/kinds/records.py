@@ -115,7 +115,7 @@ def fits() -> dict[str, Any]:
     """Records of fits that this and older versions wrote."""
     return {
         path.name: json.loads(path.read_text())
-        for path in sorted(RECORDS.glob("*.json"))
+        for path in sorted(RECORDS.glob("fit_*.json"))
         if json.loads(path.read_text()).get("format") == "phongfit fit"
     }
 
