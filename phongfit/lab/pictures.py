@@ -11,6 +11,8 @@ from phongfit.files.images import to_levels
 # The brightest hundredth of a photograph is shown at this share of white.
 SHOWN = 0.8
 MOST_BRIGHTENED = 64.0
+# Of an outline's steps, in pixels.
+SMOOTHED = 0.8
 
 
 def png(light: Any, brighten: float = 1.0) -> bytes:
@@ -25,6 +27,25 @@ def brightening(image: Float[np.ndarray, "height width 3"]) -> float:
     """The factor that makes a dark photograph visible; never below 1."""
     bright = float(np.quantile(image.max(axis=-1), 0.99))
     return float(np.clip(SHOWN / max(bright, 1e-9), 1, MOST_BRIGHTENED))
+
+
+def outline_path(mask: Bool[np.ndarray, "height width"]) -> str:
+    """The border of a mask as an SVG path in pixels, open where the frame cuts it off.
+
+    Steps from pixel to pixel are smoothed away: it is for the eye.
+    """
+    # Put off, since they take long to import.
+    from contourpy import contour_generator
+    from scipy.ndimage import gaussian_filter
+
+    if min(mask.shape) < 2:
+        return ""
+    soft = gaussian_filter(mask.astype(float), SMOOTHED, mode="nearest")
+    # Pixels' centres are at half integers.
+    lines = (line + 0.5 for line in contour_generator(z=soft).lines(0.5))
+    return "".join(
+        "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in line) for line in lines
+    )
 
 
 def residual_png(

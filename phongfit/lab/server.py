@@ -68,6 +68,7 @@ def make_app(session: Session, host: str = "127.0.0.1") -> Starlette:
 
     posts = {
         "/api/picture": _asked(intake, PictureRequest, picture),
+        "/api/outline": _asked(intake, PictureRequest, session.outline),
         "/api/target": _asked(intake, TargetRequest, session.make_target),
         "/api/fit": _asked(intake, FitRequest, session.fit, heavy=True),
         "/api/chosen": _asked(intake, ChosenRequest, session.choose),

@@ -19,7 +19,7 @@ from phongfit.geometry.shapes import Ball
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer, Sphere
 from phongfit.lab.cache import Cache
 from phongfit.lab.given import settings_of
-from phongfit.lab.pictures import brightening, png, residual_png
+from phongfit.lab.pictures import brightening, outline_path, png, residual_png
 from phongfit.lab.responses import differences, fit_response
 from phongfit.lab.scene import Frame, make_lights, make_material, make_scene
 from phongfit.lab.settings import (
@@ -97,6 +97,17 @@ class Session:
             return png(self._render(request.settings, self.frame))
         target = self._targets.get(request.target)
         return png(self._render(request.settings, target.frame), target.brighten)
+
+    def outline(self, request: PictureRequest) -> dict[str, str]:
+        """Where the surface ends in the target's frame: see [`outline_path`][].
+
+        **Raises:** as [`picture`][phongfit.lab.session.Session.picture] does.
+        """
+        if request.target is None:
+            raise ValueError("target: expected one over which it is drawn, got none")
+        frame = self._targets.get(request.target).frame
+        _, gbuffer = self._geometry(_geometry_of(request.settings), frame)
+        return {"path": outline_path(np.asarray(gbuffer.mask))}
 
     def add_mesh(self, name: str, content: bytes) -> dict[str, Any]:
         """A mesh from a file, to be the surface: see [`read_mesh`][]."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+import phongfit as pf
 from phongfit.lab.session import Session
 from tests.lab.conftest import serving
 
@@ -193,6 +194,27 @@ def test_a_mesh_is_loaded(page, tmp_path):
     page.locator("#surface-name", has_text="ring.obj, 2,048 faces").wait_for()
     _move(page, "tilt", 50)
     assert (_mean(page) < before - 5).all()
+
+
+def test_the_outline_lies_over_the_photograph(page, tmp_path):
+    pf.write_image(tmp_path / "dark.png", np.full((40, 60, 3), 0.05), "srgb")
+    page.select_option("#encoding", "srgb")
+    page.set_input_files("#photograph", tmp_path / "dark.png")
+    try:
+        page.locator("#target-figure figcaption", has_text="brighter").wait_for()
+        page.locator("#outline path[d^=M]").wait_for(state="attached")
+        _move(page, "radius", 20)
+        _settle(page)
+        image = page.locator("#target-figure img").bounding_box()
+        drawn = page.evaluate(
+            "(e => [e.width, e.height])"
+            "(document.querySelector('#outline path').getBoundingClientRect())"
+        )
+        # Its radius is a fifth of the height, which is two thirds of the width.
+        across = 2 * 0.2 * image["width"] * 40 / 60
+        np.testing.assert_allclose(drawn, across, atol=4)
+    finally:
+        page.click("#drop")
 
 
 def test_files_that_cannot_be_read(page, tmp_path):

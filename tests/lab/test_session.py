@@ -1,5 +1,6 @@
 """Pictures, targets and fits, without a server."""
 
+import re
 import threading
 
 import imagecodecs
@@ -8,6 +9,7 @@ import pytest
 import trimesh
 
 import phongfit as pf
+from phongfit.lab.pictures import outline_path
 from phongfit.lab.responses import differences
 from phongfit.lab.session import Session
 from phongfit.lab.settings import (
@@ -166,10 +168,27 @@ def test_a_photograph_and_its_mask(session):
     assert masked["centre_x"] == pytest.approx(40, abs=0.1)
     assert masked["centre_y"] == pytest.approx(50, abs=0.1)
     assert masked["radius"] == pytest.approx(30, abs=0.1)
+    asked = PictureRequest(settings=settings, target=masked["target"])
+    corners = np.array(re.findall(r"([\d.]+) ([\d.]+)", session.outline(asked)["path"]))
+    # Of a circle around 40 % and 50 % of the frame, with 30 % of its height.
+    away = np.hypot(*(corners.astype(float) - (24, 20)).T)
+    np.testing.assert_allclose(away, 12, atol=0.7)
     with pytest.raises(ValueError, match=r"small.png: expected .*, got \(4, 4\)"):
         session.add_mask(loaded["target"], "small.png", _png(mask[:4, :4]))
     with pytest.raises(ValueError, match="empty.png: it leaves no pixel"):
         session.add_mask(loaded["target"], "empty.png", _png(0 * mask))
+
+
+def test_an_outline_that_the_frame_cuts_off():
+    mask = np.zeros((20, 30), bool)
+    mask[5:15, 20:] = True
+    path = outline_path(mask)
+    assert path.count("M") == 1 and path.startswith("M29.5 ")
+    assert path.endswith(("29.5 5.0", "29.5 15.0"))
+    assert outline_path(np.ones((20, 30), bool)) == ""
+    assert outline_path(np.ones((1, 30), bool)) == ""
+    with pytest.raises(ValueError, match="target: expected one"):
+        Session(8).outline(PictureRequest(settings=Settings()))
 
 
 def _dark(shape: tuple[int, int]) -> np.ndarray:

@@ -95,6 +95,13 @@ async function drawOnce() {
   const of = target?.photograph ? target.target : null;
   const response = await post("/api/picture", { settings: settings.values, target: of });
   await show($("#picture"), URL.createObjectURL(await response.blob()));
+  if (of !== null) await drawOutline(of);
+}
+
+/** Where the surface ends, over the photograph on which it is laid. */
+async function drawOutline(of) {
+  const answer = await json(post("/api/outline", { settings: settings.values, target: of }));
+  if (target?.target === of) $("#outline path").setAttribute("d", answer.path);
 }
 
 async function show(figure, address) {
@@ -119,6 +126,8 @@ async function setTarget(made, words) {
   $("#state").textContent = made === null ? "Make or load a target first." : "";
   if (made !== null) {
     $("#target-figure figcaption span").textContent = words;
+    $("#outline").setAttribute("viewBox", `0 0 ${made.width} ${made.height}`);
+    $("#outline path").setAttribute("d", "");
     await show($("#target-figure"), made.picture);
   }
   await draw();
