@@ -6,13 +6,13 @@
 """
 
 import math
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from phongfit.codes import warn
 from phongfit.files.budget import afford
 from phongfit.files.colmap import CAMERA
 from phongfit.files.images import SUFFIXES, read_head
@@ -104,7 +104,8 @@ def load_transforms(path: Path) -> dict[str, PinholeCamera]:
 def _warn(path: Path, unused: list[str]) -> None:
     more = f" and {len(unused) - FEW} more" if len(unused) > FEW else ""
     named = ", ".join(shorten(key) for key in unused[:FEW]) + more
-    warnings.warn(f"{path}: not used: {named}", stacklevel=4)
+    remedy = "Check that none of these changes what a camera sees"
+    warn("part-unused", f"{path}: not used: {named}", remedy, stacklevel=4)
 
 
 def _camera(folder: Path, name: str, frame: _Frame) -> PinholeCamera:
