@@ -1,0 +1,165 @@
+"""Question: what does it all look like?
+
+Draws the pictures of `docs/gallery.md`: fits, maps, normals, heights and other lamps,
+of the photographs of Ying Xiong's PSBox that `docs/how-to/capture.md` goes through, and
+the figures of the experiments that draw the model. Prints how large they are.
+"""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from PIL import Image
+
+import phongfit as pf
+from experiments import day_to_night, highlights, light_kinds, model, shading_methods
+from experiments.capture import run_page
+from experiments.style import page, quiet, show, styled
+from phongfit.cli import run
+from phongfit.files.outputs import check_file
+from phongfit.report.pictures import Row, comparison
+
+DRAWN = (model, highlights, shading_methods, light_kinds, day_to_night)
+"""Experiments whose figures the gallery has."""
+
+ASIDE = (1.6, 0.9, 1.5)
+"""From where the cat's mesh is seen, in its axes: x right, y up, z to the camera."""
+
+WIDEST = 1400
+"""Pixels of a picture: a screen's column of text, twice as sharp."""
+
+LAMPS = ((-1, 0.6, 0.5), (1, 0.2, 0.7), (0.2, -1, 0.8))
+"""Where no lamp stood when the cat was photographed."""
+
+
+class Cat(NamedTuple):
+    """What the photographs gave: maps, how strong the lamps are, and one of them."""
+
+    maps: pf.Maps
+    photograph: Float[np.ndarray, "height width 3"]
+
+
+def cat() -> Cat:
+    """The figurine, as `docs/how-to/capture.md` has it in the end."""
+    with tempfile.TemporaryDirectory() as folder:
+        names = run_page(Path(folder))
+    return Cat(names["maps"], names["images"][4])
+
+
+@styled
+def draw_ball() -> Figure:
+    """A photograph of a ball, its fit, and what is left over."""
+    camera, lamp = pf.OrthographicCamera(160, 160), pf.DirectionalLight((1, 1, 2))
+    scene = pf.Scene(pf.Sphere(), camera, lamp, ambient=0.3)
+    rows = []
+    for name in ("ruby", "brass"):
+        light = np.array(pf.render(scene, pf.preset(name), film=pf.Film(clamp=False)))
+        light += np.random.default_rng(0).normal(0, 0.01, light.shape)
+        # Noise comes before a camera's clamp.
+        image = np.clip(light, 0, 1)
+        fit = pf.fit(scene, image)
+        found = fit["shininess"]
+        title = f"{name}: f = {found.value:.4g} ± {found.error:.1g}"
+        rows.append(Row(image, fit.fitted, fit.residuals, title))
+    return comparison(rows, ("photograph", "fit"), blocks=2)
+
+
+@styled
+def draw_maps(of: Cat) -> Figure:
+    """A photograph, and what each of its pixels is made of."""
+    maps = of.maps
+    drawing = page(3.0)
+    panels = drawing.subplots(1, 4)
+    show(panels[0], of.photograph / np.quantile(of.photograph, 0.995), "photograph")
+    inside = ~maps.flagged(pf.Flag.OUTSIDE)
+    _numbers(panels[1], maps.diffuse[..., 0], inside, "diffuse $ρ_{d}$")
+    panels[2].imshow(np.where(inside[..., None], (maps.normals + 1) / 2, 1))
+    panels[2].set_title("normals")
+    _numbers(panels[3], maps.normals_stderr, inside, "their error, degrees")
+    for axes in panels:
+        quiet(axes)
+        axes.set_anchor("N")
+    return drawing
+
+
+def _numbers(axes: Axes, values: np.ndarray, inside: np.ndarray, title: str) -> None:
+    known = np.where(inside & np.isfinite(values), values, np.nan)
+    drawn = axes.imshow(known, vmin=0, vmax=np.nanquantile(known, 0.98), cmap="viridis")
+    figure: Any = axes.get_figure(root=True)
+    figure.colorbar(drawn, ax=axes, location="bottom", fraction=0.06, pad=0.02)
+    axes.set_title(title)
+
+
+@styled
+def draw_relit(of: Cat) -> Figure:
+    """The cat under other lamps, with shadows, and its mesh from the side."""
+    maps, surface = of.maps, of.maps.height()
+    pictures = maps.relight([pf.DirectionalLight(lamp) for lamp in LAMPS])
+    drawing = page(2.9)
+    panels = drawing.subplots(1, 4)
+    bright = np.quantile(pictures, 0.99)
+    for axes, picture, lamp in zip(panels, pictures, LAMPS, strict=False):
+        where = ", ".join(f"{x:g}" for x in lamp)
+        show(axes, picture / bright, f"lamp at {where}")
+    show(panels[3], _mesh(surface), "as a mesh, from aside")
+    return drawing
+
+
+def _mesh(surface: pf.HeightField) -> np.ndarray:
+    """Its triangles under one lamp, seen from where no camera stood."""
+    mesh, points = surface.mesh(), surface.positions()[surface.mask]
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    size = float(np.ptp(points, axis=0).max())
+    camera = pf.OrthographicCamera.look_at(
+        tuple(middle + 3 * size * np.array(ASIDE)),
+        tuple(middle),
+        width=240,
+        height=310,
+        view_height=1.15 * size,
+    )
+    lit = pf.Scene(mesh, camera, pf.DirectionalLight((0.2, 1, 1.5)), 0.2, background=1)
+    return np.asarray(pf.render(lit, pf.Material(0.8, 0.1, 12, 0.5)))
+
+
+def save(figure: Figure, path: Path) -> None:
+    """A figure as a small JPEG."""
+    with tempfile.TemporaryDirectory() as folder:
+        sharp = Path(folder) / "figure.png"
+        figure.savefig(sharp, dpi=140)
+        picture = Image.open(sharp).convert("RGB")
+        picture.thumbnail((WIDEST, WIDEST), Image.Resampling.LANCZOS)
+        picture.save(path, quality=82, optimize=True)
+    print(f"{path}: {path.stat().st_size // 1024} kB")
+
+
+def main(pictures: Path = Path("out/gallery")) -> int:
+    """What does it all look like?
+
+    Draws the pictures of docs/gallery.md.
+
+    Args:
+        pictures: The folder for them; docs/pictures, to replace those that are there.
+    """
+    check_file(pictures / "ball.jpg")
+    pictures.mkdir(parents=True, exist_ok=True)
+    of = cat()
+    drawn: dict[str, Callable[[], Figure]] = {
+        "ball": draw_ball,
+        "cat_maps": lambda: draw_maps(of),
+        "cat_relit": lambda: draw_relit(of),
+    }
+    for module in DRAWN:
+        one = module.EXPERIMENT
+        drawn[one.name] = lambda one=one: one.find(False).figure
+    for name, draw in drawn.items():
+        save(draw(), pictures / f"{name}.jpg")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(main, prog="python -m experiments.gallery"))
