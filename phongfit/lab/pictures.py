@@ -42,7 +42,8 @@ def outline_path(mask: Bool[np.ndarray, "height width"]) -> str:
         return ""
     soft = gaussian_filter(mask.astype(float), SMOOTHED, mode="nearest")
     # Pixels' centres are at half integers.
-    lines = (line + 0.5 for line in contour_generator(z=soft).lines(0.5))
+    found: Any = contour_generator(z=soft).lines(0.5)
+    lines = [line + 0.5 for line in found]
     return "".join(
         "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in line) for line in lines
     )
