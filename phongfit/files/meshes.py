@@ -71,7 +71,7 @@ def load_mesh(path: str | os.PathLike[str], **options: Any) -> LoadedMesh:
     default [`Material`][], with a warning, and still a material of its own. Of glTF's,
     which are of another model, base colour (as diffuse and ambient) and emission are
     taken, and roughness and KHR_materials_specular where the file gives them: see
-    [`phongfit.files.gltf_materials`][]. A material that phongfit wrote is what it was.
+    `phongfit.files.gltf_materials`. A material that phongfit wrote is what it was.
 
     Textures of colours (map_Ka, map_Kd, map_Ks, map_Ke; glTF's base colour, specular
     and emission; the TextureFile of a PLY), of the exponent (map_Ns, map_Pr; glTF's

@@ -40,6 +40,8 @@ from phongfit.lab.uploads import (
 from phongfit.rendering.film import Encoding, Film
 from phongfit.rendering.render import render
 
+# Rows and columns of a pixel that is shown; targets and fits have one of each.
+FINER = 2
 # What of the settings the geometry depends on.
 GEOMETRY = ("surface", "shading", "turn", "tilt", "centre_x", "centre_y", "radius")
 # The sphere as triangles, for the shading methods that need them.
@@ -94,9 +96,9 @@ class Session:
         **Raises:** `ValueError` if the mesh or the target is no longer held.
         """
         if request.target is None:
-            return png(self._render(request.settings, self.frame))
+            return png(self._smooth(request.settings, self.frame))
         target = self._targets.get(request.target)
-        return png(self._render(request.settings, target.frame), target.brighten)
+        return png(self._smooth(request.settings, target.frame), target.brighten)
 
     def outline(self, request: PictureRequest) -> dict[str, str]:
         """Where the surface ends in the target's frame: see [`outline_path`][].
@@ -241,6 +243,13 @@ class Session:
         scene = make_scene(settings, surface, frame)
         material = make_material(settings)
         return np.asarray(render(scene, material, film=film, gbuffer=gbuffer))
+
+    def _smooth(self, settings: Settings, frame: Frame) -> np.ndarray:
+        """A picture for the eye, with smooth outlines: the mean over finer pixels."""
+        height, width, _ = frame
+        fine = frame._replace(height=FINER * height, width=FINER * width)
+        light = self._render(settings, fine, Film(clamp=False))
+        return light.reshape(height, FINER, width, FINER, 3).mean(axis=(1, 3))
 
     def _trace(
         self, geometry: tuple[Any, ...], frame: Frame

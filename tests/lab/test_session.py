@@ -46,7 +46,8 @@ def test_the_picture_is_the_renderers(session):
     scene = pf.Scene(pf.Sphere(), camera, pf.DirectionalLight(direction), 0.3)
     material = pf.Material((0.6, 0.3, 0.2), 0.4, 9.0, (0.6, 0.3, 0.2))
     film = pf.Film(encoding="srgb", bits=8)
-    expected = np.round(255 * np.asarray(pf.render(scene, material, film=film)))
+    smooth = pf.render(scene, material, film=film, samples=4)
+    expected = np.round(255 * np.asarray(smooth))
     assert np.abs(_picture(session, TURNED) - expected).max() <= 1
 
 
@@ -69,8 +70,8 @@ def test_a_mesh_under_each_shading_method(session, tmp_path):
         for shading in ("flat", "gouraud", "phong")
     ]
     colours = [len(np.unique(image.reshape(-1, 3), axis=0)) for image in shown]
-    # Each face has one colour: a pixel sees one of 160 of them at most.
-    assert colours[0] <= 161 < min(colours[1:])
+    # Each of 160 faces has one colour, but for pixels that see several.
+    assert colours[0] < 0.6 * min(colours[1:])
     sphere = _picture(session, Settings(shading="flat"))
     assert not np.array_equal(sphere, shown[0])
 
