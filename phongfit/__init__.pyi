@@ -98,6 +98,7 @@ from .geometry.undistortion import Undistorted as Undistorted, undistort as undi
 from .lights import (
     AbstractLight as AbstractLight,
     DirectionalLight as DirectionalLight,
+    HarmonicLight as HarmonicLight,
     PointLight as PointLight,
     SpotLight as SpotLight,
 )

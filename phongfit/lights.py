@@ -5,13 +5,16 @@ A light knows no material. Its own `ambient` and `specular` colours are those of
 """
 
 import abc
+import math
 from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from phongfit.checks import (
+    as_floats,
     as_light,
     as_scalar,
     as_vector,
@@ -47,9 +50,12 @@ class AbstractLight(eqx.Module):
     A light with an edge, past which there is none of it, tells where that is by
     `covers`, and names in `jumps` the fields that move the edge alone: in these the
     light at a point jumps, and has no derivative.
+
+    One that comes from all around is not `directed`: it answers by `surround`.
     """
 
     jumps: ClassVar[tuple[str, ...]] = ()
+    directed: ClassVar[bool] = True
 
     def covers(self, position: Vec3) -> Bool[Array, ""]:
         """Whether `position` (world units) lies on the light's side of its edge."""
@@ -59,6 +65,10 @@ class AbstractLight(eqx.Module):
     @abc.abstractmethod
     def illuminate(self, position: Vec3) -> Illumination:
         """Direction and light that arrives at `position` (world units)."""
+
+    def surround(self, normal: Vec3) -> Vec3:
+        """RGB that comes from all around to the diffuse term of a unit normal."""
+        return jnp.zeros_like(normal)
 
 
 def _arriving(
@@ -238,6 +248,84 @@ class SpotLight(AbstractLight):
     def _cosine(self, position: Vec3) -> Scalar:
         """Of the angle between the axis and the way to a point."""
         return dot(normalize(position - self.position), normalize(self.axis))
+
+
+# Of the real harmonics up to order 2: of 1, x and the like, xy and the like, 3z² − 1,
+# x² − y²; and what is left of each order by the cosine of the angle, over π.
+_Y0, _Y1 = math.sqrt(1 / (4 * math.pi)), math.sqrt(3 / (4 * math.pi))
+_Y2 = math.sqrt(15 / (4 * math.pi))
+_Y20, _Y22 = _Y2 / math.sqrt(12), _Y2 / 2
+_LEFT = 1.0, 2 / 3, 1 / 4
+
+
+class HarmonicLight(AbstractLight):
+    r"""Light from all around that changes slowly with direction: sky, walls, a room.
+
+    Its radiance is $L(\omega) = \sum_{lm} L_{lm} Y_{lm}(\omega)$ with real spherical
+    harmonics up to order 2, and a matte surface with normal $m$ sends back
+    $\rho_d E(m) / \pi$ of the irradiance
+
+    $$E(m) = \sum_{lm} A_l L_{lm} Y_{lm}(m) \qquad A_0 = \pi,\; A_1 = 2\pi/3,\;
+    A_2 = \pi/4$$
+
+    which is within some per cent of that of any surroundings far away. Where nine
+    numbers make it negative it is 0. It enters the diffuse term, since it is light that
+    arrives and is reflected; the scene's `ambient` is light that ρ_a has an account of
+    its own for. It makes no highlight and throws no shadow.
+
+    ??? cite "Source"
+        Ramamoorthi and Hanrahan, *An efficient representation for irradiance
+        environment maps*, SIGGRAPH 2001.
+    """
+
+    directed: ClassVar[bool] = False
+
+    coefficients: Float[Array, "9 3"]
+
+    def __init__(self, coefficients: Any):
+        r"""**Arguments:**
+
+        - `coefficients`: $L_{00}$; $L_{1,-1}$, $L_{10}$, $L_{11}$ (of y, z, x);
+            $L_{2,-2}$, $L_{2,-1}$, $L_{20}$, $L_{21}$, $L_{22}$ (of xy, yz, 3z² − 1,
+            xz, x² − y²), in the world's axes: (9, 3) RGB, or (9,) for all channels.
+            Light of 1 from everywhere, which shows white as 1, is $L_{00} =
+            \sqrt{4\pi}$ alone.
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        array = as_floats("coefficients", coefficients)
+        if array.shape not in ((9,), (9, 1), (9, 3)):
+            raise ValueError(
+                f"coefficients: expected shape (9,) or (9, 3), got {array.shape}"
+            )
+        array = jnp.broadcast_to(array.reshape(9, -1), (9, 3))
+        self.coefficients = require(
+            "coefficients", array, np.isfinite, jnp.isfinite, "finite numbers"
+        )
+
+    def illuminate(self, position: Vec3) -> Illumination:
+        none = jnp.zeros_like(position)
+        # From nowhere; a unit vector, since shadow rays go along it.
+        nowhere = jnp.array([0, 0, 1], position.dtype)
+        far = jnp.full((), jnp.inf, position.dtype)
+        return Illumination(nowhere, none, none, none, far)
+
+    def surround(self, normal: Vec3) -> Vec3:
+        x, y, z = normal
+        zero, one, two = _LEFT
+        band = two * _Y2
+        basis = (
+            zero * _Y0 * jnp.ones_like(x),
+            *(one * _Y1 * part for part in (y, z, x)),
+            *(band * part for part in (x * y, y * z)),
+            two * _Y20 * (3 * z * z - 1),
+            band * x * z,
+            two * _Y22 * (x * x - y * y),
+        )
+        total = jnp.zeros_like(normal)
+        for share, light in zip(basis, self.coefficients, strict=True):
+            total = total + share * light
+        return jnp.maximum(total, 0)
 
 
 def _from_bulb(

@@ -12,7 +12,7 @@ from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera
 from phongfit.geometry.shading import AbstractShading, PhongShading
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer, NormalMap
 from phongfit.geometry.tracing import trace
-from phongfit.lights import AbstractLight, DirectionalLight
+from phongfit.lights import AbstractLight, DirectionalLight, HarmonicLight
 from phongfit.reflectance import AbstractSpecular, BlinnPhong
 from phongfit.vectors import Rgb
 
@@ -85,10 +85,11 @@ class Scene(eqx.Module):
                 wanted = getattr(kind, "__name__", kind)
                 raise ValueError(f"{name}: expected {wanted}, got {value!r}")
         if isinstance(surface, NormalMap) and surface.positions is None:
-            if not all(isinstance(light, DirectionalLight) for light in lights):
+            placeless = DirectionalLight | HarmonicLight
+            if not all(isinstance(light, placeless) for light in lights):
                 raise ValueError(
                     "lights: a normal map without positions can be lit by directional "
-                    "lights only, since no other light knows its distance"
+                    "and harmonic lights only, since no other knows its distance"
                 )
             if fog is not None or shadows:
                 raise ValueError(

@@ -113,7 +113,8 @@ def check_specular(
 def check_light(light: AbstractLight) -> None:
     """A light: unit direction, intensities ≥ 0, turns and moves with the scene.
 
-    Finite everywhere, its own place included; never brighter further away.
+    Finite everywhere, its own place included; never brighter further away. One that
+    comes from all around has no intensity of its own, but surrounds.
     """
     positions = 3 * random_units(50) + np.array([0.1, 0.2, 0.3])
     illuminate = eqx.filter_jit(jax.vmap(type(light).illuminate, in_axes=(None, 0)))
@@ -122,11 +123,15 @@ def check_light(light: AbstractLight) -> None:
     for colour in (arriving.intensity, arriving.specular, arriving.ambient):
         assert colour.shape == (50, 3)
         assert np.all(np.isfinite(colour)) and np.all(colour >= 0)
-    assert np.any(arriving.intensity > 0)
+    assert np.any(arriving.intensity > 0) == light.directed
+    around = jax.vmap(light.surround)(floats(random_units(50)))
+    assert np.all(np.isfinite(around)) and np.all(around >= 0)
+    assert np.any(around > 0) != light.directed
 
     turn, shift = random_rotation(5), np.array([0.3, -0.2, 0.5])
     there = illuminate(_moved(light, turn, shift), floats(positions @ turn.T + shift))
-    near(there.to_light, np.asarray(arriving.to_light) @ turn.T)
+    if light.directed:
+        near(there.to_light, np.asarray(arriving.to_light) @ turn.T)
     near(there.intensity, arriving.intensity)
     near(there.specular, arriving.specular)
 

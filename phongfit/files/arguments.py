@@ -43,6 +43,7 @@ from phongfit.files.records import (
     AbstractRecord,
     Colour,
     FileName,
+    Harmonics,
     Leaf,
     Many,
     Matrix,
@@ -207,7 +208,14 @@ FileBeside = Annotated[FileName, AfterValidator(_beside)]
 
 _Array = Annotated[FileBeside, AfterValidator(_read_array)]
 _Mask = Annotated[FileBeside, AfterValidator(_read_mask)]
-_NUMBERS = {"": float, "3": Vector, "rgb=3": Colour, "3 3": Matrix, "...": Leaf}
+_NUMBERS = {
+    "": float,
+    "3": Vector,
+    "rgb=3": Colour,
+    "3 3": Matrix,
+    "9 3": Harmonics,
+    "...": Leaf,
+}
 
 
 def kinds_of(base: type) -> dict[str, type[AbstractPart]]:

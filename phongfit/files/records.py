@@ -95,6 +95,9 @@ Colour = Annotated[tuple[float, float, float], BeforeValidator(_as_colour)]
 Leaf = Annotated[tuple[float, ...], BeforeValidator(_as_leaf)]
 """A leaf of a material: one number for all channels, or RGB."""
 
+Harmonics = Annotated[list[Colour], Field(min_length=9, max_length=9)]
+"""Nine RGB, of the spherical harmonics up to order 2."""
+
 FileName = Annotated[str, StringConstraints(min_length=1, max_length=255)]
 """A file in the folder of the file that names it."""
 

@@ -41,7 +41,13 @@ from phongfit.geometry.shading import (
     PhongShading,
 )
 from phongfit.geometry.surfaces import AbstractSurface, NormalMap, Sphere
-from phongfit.lights import AbstractLight, DirectionalLight, PointLight, SpotLight
+from phongfit.lights import (
+    AbstractLight,
+    DirectionalLight,
+    HarmonicLight,
+    PointLight,
+    SpotLight,
+)
 from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular, BlinnPhong, Phong
 from phongfit.rendering.film import Film
@@ -107,9 +113,9 @@ def register(made: type, kind: str, /, **keys: str) -> None:
 
     Fields and defaults are those of its constructor, shapes those of its annotations:
     `Float[Array, ""]` is a number, `"3"` three, `"rgb=3"` a colour (three, or one for
-    all), `"3 3"` three rows. An array of another shape goes into a file beside the
-    scene's. The class keeps each argument in a field of the same name, as something
-    that its constructor would take again.
+    all), `"3 3"` three rows, `"9 3"` nine colours. An array of another shape goes into
+    a file beside the scene's. The class keeps each argument in a field of the same
+    name, as something that its constructor would take again.
 
     **Arguments:**
 
@@ -155,6 +161,7 @@ register(FisheyeDistortion, "fisheye")
 register(DirectionalLight, "directional")
 register(PointLight, "point")
 register(SpotLight, "spot", cutoff="cutoff_degrees")
+register(HarmonicLight, "harmonic")
 register(Phong, "phong")
 register(BlinnPhong, "blinn-phong")
 register(FlatShading, "flat")

@@ -230,6 +230,11 @@ def make_settings(
         raise ValueError("unknowns: expected specular with shininess, which shapes it")
     if sought:
         _check_sought(names, per_channel, min_cosine)
+        if not all(light.directed for scene in scenes for light in scene.lights):
+            raise ValueError(
+                "scenes: expected lights with a direction where normals are sought, "
+                "got one from all around"
+            )
     cutoff, exactly = (1.0, True) if film is None else (1.0, False)
     if film is not None and not film.clamp:
         cutoff = float("inf")

@@ -113,7 +113,7 @@ def point_terms(
     - `lights`, `ambient`, `model`: as in [`Scene`][].
     - `position`: world units; `normal`, `to_viewer`: unit vectors.
     - `visibility`: how much of each light reaches the point, in [0, 1]; default all.
-        Their ambient light is not shadowed.
+        Their ambient light is not shadowed, nor is what comes from all around.
     """
     diffuse = jnp.zeros_like(ambient)
     cosines, strengths = [], []
@@ -124,6 +124,8 @@ def point_terms(
         ambient = ambient + arriving.ambient
         share = model.diffuse_scale() * lambert(normal, arriving.to_light)
         diffuse = diffuse + visible * share * arriving.intensity
+        if not light.directed:
+            diffuse = diffuse + light.surround(normal)
         cosines.append(model.cosine(normal, arriving.to_light, to_viewer))
         strengths.append(visible * arriving.specular)
     dtype = ambient.dtype

@@ -15,6 +15,7 @@ LIGHTS = (
     pf.DirectionalLight((1, 1, 2), 0.7),
     pf.PointLight((1, 2, 3), (0.1, 0.2, 0.3), attenuation=(0, 0.1, 0.3), specular=0.3),
     pf.SpotLight((1, 2, 3), (0, 0, -1), cutoff=33, exponent=2.5, ambient=0.1),
+    pf.HarmonicLight(np.linspace(-0.1, 1.2, 27).reshape(9, 3)),
 )
 
 

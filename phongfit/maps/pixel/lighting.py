@@ -138,8 +138,10 @@ class Lighting(eqx.Module):
         missing = self.lobes - len(lights)
         strength = (*terms.strength, *[dark] * missing)
         cosines = (*terms.cosine, *[dark[0]] * missing)
-        lit = jnp.array(not lights)
-        for k, light in enumerate(lights):
+        directed = [k for k, light in enumerate(lights) if light.directed]
+        lit = jnp.array(not directed)
+        for k in directed:
+            light = lights[k]
             to_light = light.illuminate(position).to_light
             reached = dot(normal, to_light) > min_cosine
             lit = lit | (reached if seen is None else reached & (seen[k] > 0))
