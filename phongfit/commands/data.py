@@ -19,7 +19,7 @@ from phongfit.files.fits import DataRecord, DataSettings
 from phongfit.files.images import read_film, read_light, read_mask, with_jpeg
 from phongfit.files.inputs import recording
 from phongfit.files.records import read_record
-from phongfit.files.scenes import SCENE_FILE, TRUTH_FILE, build_scene, with_lights
+from phongfit.files.scenes import SCENE_FILE, TRUTH_FILE, build_scene, view_of
 from phongfit.files.schema import SceneRecord
 from phongfit.files.seen import SOUGHT
 from phongfit.fitting.problem.noise import find_film
@@ -252,5 +252,5 @@ def _scene_of(path: Path, file: Path, record: SceneRecord) -> Scene:
     scene = build_scene(file, record)
     for entry in record.images:
         if (file.parent / entry.file).resolve() == path.resolve():
-            return with_lights(scene, entry.lights)
+            return view_of(scene, entry)
     return scene

@@ -10,6 +10,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from phongfit.calibration.result import Calibration
 from phongfit.commands.options import EncodingName, optional
+from phongfit.commands.views import find_views
 from phongfit.files.calibrations import load_calibration
 from phongfit.files.capture_data import (
     DIRECTION,
@@ -75,6 +76,9 @@ class Options:
         light: Towards a distant light, x right, y up, z to the camera. Once for each.
         point_light: Where a bulb is, likewise; its light does not fall off until the
             file gives it an attenuation.
+        cameras: With a folder and --mesh: where each photograph was taken from, in the
+            mesh's axes: the folder of a COLMAP model, or a transforms.json. All lights
+            are then on in all of them, in these axes too.
         lights: Lights from a file instead: lights.json, as `phongfit calibrate` writes
             it, with its camera, or an .lp.
         intensity: Of each light of --light and --point-light: a number, or three.
@@ -112,6 +116,8 @@ class Options:
 
     point_light: Annotated[Triples, optional("X Y Z")] = ()
 
+    cameras: Annotated[Path | None, optional("FILE|FOLDER")] = None
+
     lights: Annotated[Path | None, optional("FILE")] = None
 
     intensity: Annotated[tuple[float, ...], arg(metavar="I")] = (1.0,)
@@ -135,6 +141,7 @@ def main(options: Options) -> int:
       phongfit scene ball.jpg --sphere 179 155 81 --light 1 1 2 -o ball.json
       phongfit scene --size 96 96 --mesh cup.obj --point-light 2 3 4 -o cup.json
       phongfit scene photos --sphere 179 155 81 --lights out/lights/lights.json
+      phongfit scene photos --mesh cup.obj --cameras sparse/0 --light 1 2 2
     """
     out = _out(options)
     check_file(out)
@@ -143,7 +150,9 @@ def main(options: Options) -> int:
     with sparing(out):
         made = _make(options)
         check_size(made.scene)
-        save_scene(out, made.scene, film=made.film, images=made.images)
+        save_scene(
+            out, made.scene, film=made.film, images=made.images, cameras=made.cameras
+        )
     print(f"{out}: {_words(made)}")
     for note in made.notes:
         print(note)
@@ -155,6 +164,7 @@ class _Made(NamedTuple):
     film: Film | None
     images: list[ImageRecord]
     notes: list[str]
+    cameras: Sequence[AbstractCamera] = ()
 
 
 def _out(options: Options) -> Path:
@@ -176,6 +186,8 @@ def _out(options: Options) -> Path:
 
 
 def _make(options: Options) -> _Made:
+    if options.cameras is not None:
+        return _make_views(options)
     capture = _capture(options)
     width, height = _size(options, capture)
     camera, surface = _seen(options, height, width)
@@ -190,6 +202,35 @@ def _make(options: Options) -> _Made:
     film = None if capture is None else _film(capture)
     scene = Scene(surface, camera, lights, ambient=_colour("ambient", options.ambient))
     return _Made(scene, film, images, notes)
+
+
+def _make_views(options: Options) -> _Made:
+    """Of photographs that other tools found the cameras of."""
+    folder, cameras = options.photograph, options.cameras
+    if folder is None or cameras is None or options.mesh is None:
+        raise ValueError(
+            "cameras: expected a folder of photographs, and --mesh, whose axes they "
+            "are in"
+        )
+    for name in ("sphere", "normals", "camera", "fov", "position", "target", "size"):
+        if getattr(options, name) is not None:
+            raise ValueError(f"{name}: {cameras} tells what is seen from where")
+    for name in ("lights", "mask"):
+        if getattr(options, name) is not None:
+            raise ValueError(
+                f"{name}: is of photographs from one place; with --cameras give "
+                "--light or --point-light, in the mesh's axes"
+            )
+    views = find_views(folder, cameras, parse_encoding(options.encoding))
+    lights, notes = _given_lights(options)
+    scene = Scene(
+        _read_mesh(options.mesh),
+        views.cameras[0],
+        lights,
+        ambient=_colour("ambient", options.ambient),
+    )
+    notes = [*views.notes, *notes]
+    return _Made(scene, views.film, views.images, notes, views.cameras)
 
 
 def _film(capture: Capture) -> Film:

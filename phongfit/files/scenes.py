@@ -61,10 +61,7 @@ def load_views(path: str | os.PathLike[str]) -> tuple[tuple[Scene, ...], Film]:
     path = _scene_file(path)
     record = read_record(path, SceneRecord)
     scene = build_scene(path, record)
-    views = []
-    for at, entry in enumerate(record.images):
-        with naming_field(f"{path}: images[{at}]"):
-            views.append(with_lights(scene, entry.lights))
+    views = _views(path, record, scene)
     return tuple(views) or (with_lights(scene, None),), record.film()
 
 
@@ -75,6 +72,7 @@ def save_scene(
     *,
     film: Film | None = None,
     images: Sequence[ImageRecord] = (),
+    cameras: Sequence[AbstractCamera] = (),
 ) -> None:
     """Write a scene so that [`load_scene`][] gives it back.
 
@@ -85,6 +83,7 @@ def save_scene(
     - `scene`: with all lights that are on in one of `images`.
     - `film`: how light became the numbers of `images`; needed with them.
     - `images`: for a data set, what was photographed.
+    - `cameras`: one for each image, where it is not the scene's.
 
     **Raises:** `ValueError` for a part that scene files do not know, `OSError` if a
     file cannot be written.
@@ -99,6 +98,8 @@ def save_scene(
         data |= {} if film.bits is None else {"bits": film.bits}
     if images:
         data["images"] = [image.model_dump(exclude_none=True) for image in images]
+        for entry, camera in zip(data["images"], cameras, strict=False):
+            entry["camera"] = describe(camera)
     for name, array in arrays.items():
         _write_beside(path.with_name(name), array)
     write_json(path, data)
@@ -149,21 +150,40 @@ def open_scene_dataset(folder: str | os.PathLike[str]) -> Photographs:
     scene = build_scene(path, record)
     with naming(str(path)):
         _check_images(record)
-    scenes = []
-    for at, entry in enumerate(record.images):
-        with naming_field(f"{path}: images[{at}]"):
-            scenes.append(with_lights(scene, entry.lights))
+    scenes = _views(path, record, scene)
     return Photographs(
         folder.resolve().name,
         tuple(scenes),
         tuple(entry.file for entry in record.images),
         record.film(),
-        lambda number: _read_entry(path, record, scene.camera, number),
+        lambda number: _read_entry(path, record, scenes[number].camera, number),
         load_truth(truth) if truth.exists() else None,
         lambda number: with_jpeg(
             record.film(), inside(folder, record.images[number].file)
         ),
     )
+
+
+def _views(path: Path, record: SceneRecord, scene: Scene) -> list[Scene]:
+    """A scene for each image that a record lists."""
+    views = []
+    for at, entry in enumerate(record.images):
+        with naming_field(f"{path}: images[{at}]"):
+            views.append(view_of(scene, entry))
+    return views
+
+
+def view_of(scene: Scene, entry: ImageRecord) -> Scene:
+    """The scene of one image: with its lights, and its own camera if it has one.
+
+    **Raises:** `ValueError` that begins with the field of the image.
+    """
+    if entry.camera is not None:
+        with naming_field("camera"):
+            camera = entry.camera.build()
+        scene = dataclasses.replace(scene, camera=camera)
+        check_size(scene)
+    return with_lights(scene, entry.lights)
 
 
 def _scene_file(path: str | os.PathLike[str]) -> Path:

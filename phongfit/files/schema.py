@@ -176,11 +176,13 @@ SpecularRecord = Annotated[AbstractPart, PlainValidator(one_of(AbstractSpecular)
 
 
 class ImageRecord(AbstractRecord):
-    """One photograph; `lights` counts from 0 and defaults to all."""
+    """One photograph; `lights` counts from 0 and defaults to all, `camera` defaults to
+    the scene's."""
 
     file: FileName
     lights: Many[int] | None = None
     mask: FileName | None = None
+    camera: CameraRecord | None = None
 
 
 @arguments_of(Scene, {"specular_model": "specular"})

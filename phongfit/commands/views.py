@@ -1,0 +1,105 @@
+"""Photographs from several places, and the camera of each: a data set of views."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from phongfit.files.cameras import load_cameras
+from phongfit.files.captures import encoding_of
+from phongfit.files.images import read_film, read_head
+from phongfit.files.photographs import images_in, relative_exposures
+from phongfit.files.schema import ImageRecord
+from phongfit.files.transforms import image_of
+from phongfit.geometry.cameras import PinholeCamera
+from phongfit.rendering.film import Encoding, Film
+
+LISTED = 4
+
+
+class Views(NamedTuple):
+    """What a data set of photographs from several places lists."""
+
+    images: list[ImageRecord]
+    cameras: list[PinholeCamera]
+    film: Film
+    notes: list[str]
+
+
+def find_views(folder: Path, cameras: Path, encoding: Encoding | None) -> Views:
+    """The photographs in a folder that files of others tell the cameras of.
+
+    **Arguments:** `cameras`: as of [`load_cameras`][]. Photographs are found by the
+    names in it, below the folder, or in it without the folders that stand before them.
+
+    **Raises:** `ValueError` that names the file or the option.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"{folder}: expected a folder of photographs with --cameras")
+    found: dict[str, PinholeCamera] = {}
+    absent = []
+    for name, camera in load_cameras(cameras).items():
+        file = _photograph(folder, name)
+        if file is None:
+            absent.append(name)
+        elif file in found:
+            raise ValueError(f"{cameras}: expected one camera of {file}, got two")
+        else:
+            found[file] = camera
+    if not found:
+        raise ValueError(
+            f"{cameras}: expected cameras of photographs in {folder}, got "
+            f"{_few(absent)}"
+        )
+    names = list(found)
+    heads = [read_head(folder / name) for name in names]
+    for name, head in zip(names, heads, strict=True):
+        wanted = found[name].width, found[name].height
+        if head.size != wanted:
+            raise ValueError(
+                f"{folder / name}: expected {wanted[0]} × {wanted[1]} pixels, as its "
+                f"camera has, got {head.size[0]} × {head.size[1]}: give the photographs "
+                "that the cameras were found from"
+            )
+    relative, notes = relative_exposures(names, [head.exposure for head in heads])
+    told = [] if len(set(relative)) == 1 else _exposed(relative)
+    told += [note for note in notes if "brought to" not in note]
+    if absent:
+        told.append(f"no photograph of {_few(absent)}: left out")
+    others = {path.name for path in images_in(folder)} - set(names)
+    if others:
+        told.append(f"no camera of {_few(sorted(others))}: left out")
+    known = encoding_of(folder, names, encoding)
+    film = read_film(folder / names[0], known)
+    return Views(
+        [ImageRecord(file=name) for name in names],
+        list(found.values()),
+        Film(film.clamp, film.encoding, film.bits),
+        told,
+    )
+
+
+def _exposed(relative: Sequence[float]) -> list[str]:
+    low, high = min(relative), max(relative)
+    return [
+        f"exposures differ, from {low:.3g} to {high:.3g} of the first's: a fit finds "
+        "them with --unknowns ambient diffuse specular shininess exposure --fixed "
+        "exposure[0]=1"
+    ]
+
+
+def _photograph(folder: Path, name: str) -> str | None:
+    """The photograph of that name, as a name in the folder."""
+    for tried in (name, Path(name).name):
+        try:
+            path = image_of(folder, tried)
+            if path.is_file():
+                return path.relative_to(folder).as_posix()
+        except (OSError, ValueError):
+            # No name of a file in this folder: another machine's, perhaps.
+            continue
+    return None
+
+
+def _few(names: Sequence[str]) -> str:
+    rest = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(names[:LISTED]) + rest
