@@ -229,6 +229,12 @@ def _make_views(options: Options) -> _Made:
         lights,
         ambient=_colour("ambient", options.ambient),
     )
+    if not (options.light or options.point_light):
+        notes = [
+            f"no light is given: a distant one is taken, from {START} in the mesh's "
+            "axes; a fit finds it with --unknowns ambient diffuse specular shininess "
+            "scene.lights[0].direction"
+        ]
     notes = [*views.notes, *notes]
     return _Made(scene, views.film, views.images, notes, views.cameras)
 

@@ -57,8 +57,8 @@ def find_views(folder: Path, cameras: Path, encoding: Encoding | None) -> Views:
         if head.size != wanted:
             raise ValueError(
                 f"{folder / name}: expected {wanted[0]} × {wanted[1]} pixels, as its "
-                f"camera has, got {head.size[0]} × {head.size[1]}: give the photographs "
-                "that the cameras were found from"
+                f"camera has, got {head.size[0]} × {head.size[1]}: give the "
+                "photographs that the cameras were found from"
             )
     relative, notes = relative_exposures(names, [head.exposure for head in heads])
     told = [] if len(set(relative)) == 1 else _exposed(relative)

@@ -1,0 +1,105 @@
+"""`phongfit scene --cameras`: photographs from several places, from files of others."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+
+import phongfit as pf
+from phongfit.cli import main
+from tests.commands.test_scene import made
+from tests.files.test_cameras import quaternion
+
+SIZE = (40, 30)
+TRUTH = pf.Material((0.5, 0.4, 0.3), 0.3, 20.0, 0.2)
+LAMP = (1, 2, 2)
+PLACES = ((0.5, 0.3, 4.0), (2.8, 0.4, 2.9), (-1.5, 1.8, 3.2))
+LENS = "45.0 44.0 21.0 14.5 -0.2 0.05 0.001 -0.002"
+
+
+@pytest.fixture
+def project(tmp_path):
+    """A mesh, its photographs, and what COLMAP would have found of them."""
+    trimesh.creation.icosphere(subdivisions=3).export(tmp_path / "ball.ply")
+    mesh = pf.load_mesh(tmp_path / "ball.ply").mesh
+    model, photographs = tmp_path / "sparse" / "0", tmp_path / "photos"
+    model.mkdir(parents=True)
+    photographs.mkdir()
+    model.joinpath("cameras.txt").write_text(f"1 OPENCV {SIZE[0]} {SIZE[1]} {LENS}\n")
+    fx, fy, cx, cy, *lens = map(float, LENS.split())
+    lines, noise = [], np.random.default_rng(5)
+    for at, place in enumerate(PLACES, 1):
+        axes = np.asarray(pf.look_at(place, (0, 0, 0)))
+        turn = (axes * [1, -1, -1]).T
+        pose = [*quaternion(turn), *(-turn @ np.array(place))]
+        lines += [f"{at} {' '.join(map(str, pose))} 1 images/{at}.png", ""]
+        camera = pf.PinholeCamera(
+            *SIZE,
+            fx=fx,
+            fy=fy,
+            cx=cx,
+            cy=cy,
+            distortion=pf.BrownDistortion(*lens),
+            position=place,
+            rotation=axes,
+        )
+        scene = pf.Scene(mesh, camera, pf.DirectionalLight(LAMP), ambient=0.5)
+        image = np.asarray(pf.render(scene, TRUTH))
+        image = np.clip(image + 0.005 * noise.normal(size=image.shape), 0, 1)
+        pf.write_image(photographs / f"{at}.png", image, "srgb")
+    model.joinpath("images.txt").write_text("\n".join(lines))
+    return tmp_path
+
+
+def words(project, *more):
+    folder = project / "photos"
+    given = ["--mesh", project / "ball.ply", "--cameras", project, "--encoding", "srgb"]
+    return list(map(str, [folder, *given, *more]))
+
+
+def test_from_colmap_to_a_material(project, capsys):
+    """Three views of one material, through files alone."""
+    folder = project / "photos"
+    pf.write_image(folder / "other.png", np.zeros((3, 3, 3)), "srgb")
+    lamp = ["--light", *map(str, LAMP), "--ambient", "0.5"]
+    said = made(capsys, *words(project, *lamp))
+    assert "3 photographs" in said and "no camera of other.png: left out" in said
+    data = pf.read_dataset(folder)
+    assert [tuple(np.round(s.camera.position, 4)) for s in data.scenes] == [
+        pytest.approx(place, abs=1e-4) for place in PLACES
+    ]
+    out = project / "fit"
+    assert main(["fit", str(folder), "-o", str(out), "--report", "none"]) == 0
+    record = json.loads((out / "fit.json").read_text())
+    found = {row["label"]: row for row in record["parameters"]}
+    expected = {"diffuse.red": 0.5, "specular.red": 0.3, "shininess": 20}
+    for label, value in (expected | {"ambient.blue": 0.2}).items():
+        row = found[label]
+        assert abs(row["value"] - value) < 4 * row["stderr"], (label, row)
+
+
+@pytest.mark.parametrize(
+    "more, said",
+    [
+        (["--fov", "30"], "fov: "),
+        (["--sphere", "1", "1", "1"], "sphere: "),
+        (["--lights", "a.lp"], "lights: is of photographs from one place"),
+        (["--cameras", "none"], "none: there is no such file"),
+    ],
+)
+def test_what_does_not_go_together_is_one_line(more, said, project, capsys):
+    assert main(["scene", *words(project, *more)]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("error: ") and said in err and err.count("\n") == 1
+    assert not (project / "photos" / "scene.json").exists()
+
+
+def test_photographs_that_do_not_fit_their_cameras(project, capsys):
+    pf.write_image(project / "photos" / "2.png", np.zeros((3, 4, 3)), "srgb")
+    assert main(["scene", *words(project)]) == 2
+    assert "2.png: expected 40 × 30 pixels, as its camera" in capsys.readouterr().err
+    for at in (1, 2, 3):
+        (project / "photos" / f"{at}.png").unlink()
+    assert main(["scene", *words(project)]) == 2
+    assert "expected cameras of photographs in" in capsys.readouterr().err
