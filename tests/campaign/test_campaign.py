@@ -56,7 +56,7 @@ def test_the_judge_sees_faults():
 
 @linux
 def test_files_of_today():
-    kinds = ("archives", "bombs", "pictures", "records", "shapes")
+    kinds = ("archives", "bombs", "cameras", "pictures", "records", "shapes")
     done = run("tests.campaign", "--cases", str(CASES * 3 // 4), "--only", *kinds)
     assert done.returncode == 0, done.stdout + done.stderr
 

@@ -72,11 +72,12 @@ def test_from_colmap_to_a_material(project, capsys):
     out = project / "fit"
     assert main(["fit", str(folder), "-o", str(out), "--report", "none"]) == 0
     record = json.loads((out / "fit.json").read_text())
-    found = {row["label"]: row for row in record["parameters"]}
+    numbers = zip(record["values"], record["errors"], strict=True)
+    found = dict(zip(record["labels"], numbers, strict=True))
     expected = {"diffuse.red": 0.5, "specular.red": 0.3, "shininess": 20}
     for label, value in (expected | {"ambient.blue": 0.2}).items():
-        row = found[label]
-        assert abs(row["value"] - value) < 4 * row["stderr"], (label, row)
+        estimate, error = found[label]
+        assert abs(estimate - value) < 4 * error < 0.5, (label, found[label])
 
 
 @pytest.mark.parametrize(
