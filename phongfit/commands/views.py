@@ -61,7 +61,7 @@ def find_views(folder: Path, cameras: Path, encoding: Encoding | None) -> Views:
                 "photographs that the cameras were found from"
             )
     relative, notes = relative_exposures(names, [head.exposure for head in heads])
-    told = [] if len(set(relative)) == 1 else _exposed(relative)
+    told = _exposed(relative.tolist())
     told += [note for note in notes if "brought to" not in note]
     if absent:
         told.append(f"no photograph of {_few(absent)}: left out")
@@ -80,6 +80,8 @@ def find_views(folder: Path, cameras: Path, encoding: Encoding | None) -> Views:
 
 def _exposed(relative: Sequence[float]) -> list[str]:
     low, high = min(relative), max(relative)
+    if low == high:
+        return []
     return [
         f"exposures differ, from {low:.3g} to {high:.3g} of the first's: a fit finds "
         "them with --unknowns ambient diffuse specular shininess exposure --fixed "

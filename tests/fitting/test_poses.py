@@ -1,5 +1,7 @@
 """Where a calibrated camera stood, and its focal length, as unknowns of a fit."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +24,7 @@ TURN = (1.0, -1.5, 2.0)
 
 def view(position=PLACE, degrees=(0.0, 0.0, 0.0), **lens):
     aim = jax.jit(turned)(pf.look_at(PLACE, (0, 0, 0)), floats(degrees))
-    given = dict(fx=34.0, fy=33.0, cx=17, cy=15) | lens
+    given: dict[str, Any] = dict(fx=34.0, fy=33.0, cx=17, cy=15) | lens
     camera = pf.PinholeCamera(
         SIZE, SIZE, **given, position=position, rotation=np.asarray(aim)
     )
