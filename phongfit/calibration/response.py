@@ -269,6 +269,10 @@ def _of_surface(
             raise ValueError(
                 f"scenes[{number}]: expected one lamp, got {len(scene.lights)}"
             )
+        if not scene.lights[0].directed:
+            raise ValueError(
+                f"scenes[{number}]: expected a lamp, got light from all around"
+            )
     seen = scenes[0].trace()
     facing = np.sum(np.asarray(seen.normal) * np.asarray(seen.to_viewer), axis=-1)
     used = np.asarray(seen.mask) & (facing > FACING)

@@ -68,6 +68,8 @@ def settings_of(scene: Scene) -> dict[str, Any]:
         )
     if len(scene.lights) != 1:
         raise ValueError(f"lights: expected one lamp, got {len(scene.lights)}")
+    if not scene.lights[0].directed:
+        raise ValueError("lights: expected a lamp, got light from all around")
     x, y, radius = _outline(surface, camera)
     light = scene.lights[0].illuminate(surface.center)
     axes = camera.rotation

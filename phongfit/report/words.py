@@ -27,6 +27,7 @@ _UNITS = {
     "cy": "pixels",
     "skew": "pixels",
     "intensity": "light, white = 1",
+    "coefficients": "light, white = 1",
     "color": "light, white = 1",
     "cutoff": "degrees",
     "exponent": "exponent",
