@@ -52,6 +52,8 @@ from .fitting.problem.problem import Problem as Problem
 from .fitting.problem.specification import Specification as Specification
 from .fitting.result import Estimate as Estimate, Fit as Fit
 from .fitting.solve.solver import BoundedLevenbergMarquardt as BoundedLevenbergMarquardt
+from .fitting.texels.result import TextureFit as TextureFit
+from .fitting.texture_fit import fit_texture as fit_texture
 from .fitting.uncertainty.profile import Profile as Profile, ProfilePair as ProfilePair
 from .geometry import shapes as shapes
 from .geometry.cameras import (

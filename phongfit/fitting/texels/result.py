@@ -1,0 +1,148 @@
+"""What a fit of textures gives back."""
+
+import dataclasses
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from jaxtyping import Float
+from scipy import ndimage
+
+from phongfit.fitting.texels.sums import Grid
+from phongfit.fitting.uncertainty.misfit import Misfit
+from phongfit.geometry.meshes import Mesh
+from phongfit.material import Material
+from phongfit.scene import Scene
+from phongfit.textures import Texture, Textures, Wrap
+
+CHANNELS = ("red", "green", "blue")
+
+
+class Shared(NamedTuple):
+    """A number that all of a material shares, and its standard error."""
+
+    label: str
+    value: float
+    stderr: float
+
+
+class _Sized(Protocol):
+    @property
+    def grid(self) -> Grid: ...
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+
+
+def as_textures(
+    job: _Sized, numbers: Float[np.ndarray, "3 n"]
+) -> dict[str, np.ndarray]:
+    """Of each parameter its texels, (layers, rows, columns, 3)."""
+    grid = job.grid
+    apart = len(job.names), grid.layers, grid.rows, grid.columns
+    shaped = np.moveaxis(numbers.reshape(3, *apart), 0, -1)
+    return dict(zip(job.names, shaped, strict=True))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class TextureFit:
+    """Textures that [`fit_texture`][] found, with errors.
+
+    **Arguments:**
+
+    - `values`: of each textured parameter its texels, (layers, rows, columns, 3): one
+        layer, or one for each material.
+    - `stderr`: their standard errors, infinite where the photographs do not identify a
+        texel: where no pixel sees it, or too few.
+    - `seen`: how many pixels see each texel, (layers, rows, columns).
+    - `material`: the rest, with a row for each material; 1 where there is a texture.
+    - `shared`: what was found of it: label, value, standard error.
+    - `covariance`: of `shared`, in its order; of log f for an exponent.
+    - `names`: the textured parameters.
+    - `noise`: standard deviation of a sample, in linear light, estimated; 1 where it
+        was given: times that.
+    - `n_samples`: samples that are not clipped.
+    - `residuals`: of each image, (height, width, 3): photograph less model.
+    - `misfit`: whether these are noise.
+    - `converged`, `steps`: of the solver.
+    - `warnings`: what is wrong, how large, what to try.
+    - `wrap`: of the textures.
+    """
+
+    values: dict[str, np.ndarray]
+    stderr: dict[str, np.ndarray]
+    seen: np.ndarray
+    material: Material
+    shared: tuple[Shared, ...]
+    covariance: np.ndarray
+    names: tuple[str, ...]
+    noise: float
+    n_samples: int
+    residuals: tuple[np.ndarray, ...]
+    misfit: Misfit
+    converged: bool
+    steps: int
+    warnings: tuple[str, ...]
+    wrap: Wrap
+
+    def scene(self, scene: Scene) -> Scene:
+        """A scene of the same mesh, with the textures that were found on it.
+
+        Texels that are not identified are filled: see [`TextureFit.filled`][].
+
+        **Raises:** `ValueError` if its surface is not a [`Mesh`][] with uv.
+        """
+        if not isinstance(scene.surface, Mesh):
+            raise ValueError("scene: expected the surface to be a Mesh with uv")
+        textures = self.textures(scene.surface.textures)
+        surface = scene.surface.with_textures(textures)
+        return dataclasses.replace(scene, surface=surface)
+
+    def textures(self, known: tuple[Textures, ...] | None = None) -> list[Textures]:
+        """What was found, filled, beside textures that were known."""
+        before = known or (Textures(),)
+        filled = {name: self.filled(name) for name in self.names}
+        layers = max(len(self.seen), len(before))
+
+        def of(layer: int) -> Textures:
+            found: dict[str, Any] = {
+                name: Texture(values[min(layer, len(values) - 1)], wrap=self.wrap)
+                for name, values in filled.items()
+            }
+            return dataclasses.replace(before[min(layer, len(before) - 1)], **found)
+
+        return [of(layer) for layer in range(layers)]
+
+    def filled(self, name: str) -> Float[np.ndarray, "layers rows columns 3"]:
+        """A texture whose texels that are not identified are the nearest that are."""
+        values, known = self.values[name].copy(), np.isfinite(self.stderr[name])
+        for layer in range(len(values)):
+            for c in range(3):
+                own = known[layer, ..., c]
+                if own.any() and not own.all():
+                    at = ndimage.distance_transform_edt(
+                        ~own, return_distances=False, return_indices=True
+                    )
+                    values[layer, ..., c] = values[layer, ..., c][tuple(np.array(at))]
+        return values
+
+    def __str__(self) -> str:
+        texels = self.seen.size
+        lines = [
+            f"phongfit: {len(self.residuals)} images, {self.n_samples:,} samples",
+            f"  {'converged' if self.converged else 'did not converge'} after "
+            f"{self.steps} steps; noise {self.noise:.3g}",
+        ]
+        for name in self.names:
+            errors = self.stderr[name]
+            known = np.isfinite(errors)
+            median = np.median(errors[known]) if known.any() else np.inf
+            share = known.all(axis=-1).sum()
+            lines.append(
+                f"  {name}: {share:,} of {texels:,} texels identified, median standard "
+                f"error {median:.2g}"
+            )
+        lines += [
+            f"  {one.label:20} {one.value:12.5g}  ± {one.stderr:8.2g}"
+            for one in self.shared
+        ]
+        return "\n".join([*lines, *(f"  warning: {words}" for words in self.warnings)])

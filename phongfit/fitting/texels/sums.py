@@ -1,0 +1,147 @@
+r"""Normal equations of texels: sparse, since a sample sees four that are neighbours.
+
+For light $I_i = \sum_p b_{pi} \sum_k w_{ik} t_{p k} + \dots$ of a channel, with basis
+images $b_p$ and the weights $w$ of a bilinear texture, $J^T J$ couples a texel with the
+eight around it only: it is summed up as five images, whatever the number of
+photographs, and never as a matrix of all samples.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import sparse
+
+from phongfit.textures import Wrap
+
+# From a texel to the neighbours after it: itself, right, below, and both diagonals.
+OFFSETS = ((0, 0), (0, 1), (1, 0), (1, 1), (1, -1))
+# Pairs of the four texels that a point lies between, by the offset of the second; the
+# four are upper left, upper right, lower left, lower right.
+PAIRS = (
+    ((0, 0), (1, 1), (2, 2), (3, 3)),
+    ((0, 1), (2, 3)),
+    ((0, 2), (1, 3)),
+    ((0, 3),),
+    ((1, 2),),
+)
+
+
+class Grid(NamedTuple):
+    """Textures of one size: `layers` of them, one for each material, or one in all."""
+
+    layers: int
+    rows: int
+    columns: int
+    wrap: Wrap
+
+    @property
+    def texels(self) -> int:
+        """How many there are in all."""
+        return self.layers * self.rows * self.columns
+
+    def neighbour(self, offset: tuple[int, int]) -> Int[np.ndarray, " texels"]:
+        """The number of each texel's neighbour."""
+        number = np.arange(self.texels).reshape(self.layers, self.rows, self.columns)
+        down, right = offset
+        return np.roll(number, (-down, -right), axis=(1, 2)).ravel()
+
+    def links(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs of texels side by side, and one above the other."""
+        number = np.arange(self.texels).reshape(self.layers, self.rows, self.columns)
+        pairs = []
+        for axis, count in ((2, self.columns), (1, self.rows)):
+            other = np.roll(number, -1, axis=axis)
+            ends = count if self.wrap == "repeat" and count > 2 else count - 1
+            keep = np.arange(max(ends, 0))
+            pairs.append([np.take(one, keep, axis).ravel() for one in (number, other)])
+        first, second = (np.concatenate(part) for part in zip(*pairs, strict=True))
+        return first, second
+
+
+class Touched(NamedTuple):
+    """The texels that each sample sees, and their weights: (samples, 4), or 1."""
+
+    number: Int[np.ndarray, "samples corners"]
+    weight: Float[np.ndarray, "samples corners"]
+
+    def mean(self, texels: Float[np.ndarray, " texels"]) -> Float[np.ndarray, " n"]:
+        """A texture's value at each sample."""
+        total = self.weight[:, 0] * texels[self.number[:, 0]]
+        for k in range(1, self.number.shape[1]):
+            total += self.weight[:, k] * texels[self.number[:, k]]
+        return total
+
+    def scattered(self, values: np.ndarray, texels: int) -> np.ndarray:
+        """The transpose of [`Touched.mean`][]."""
+        total = np.zeros(texels)
+        for k in range(self.number.shape[1]):
+            total += np.bincount(self.number[:, k], self.weight[:, k] * values, texels)
+        return total
+
+    def products(self, values: np.ndarray, texels: int) -> np.ndarray:
+        r"""$\sum_i v_i w_{ik} w_{il}$ of neighbours, (5, texels): see `OFFSETS`."""
+        corners = self.number.shape[1]
+        total = np.zeros((len(OFFSETS) if corners > 1 else 1, texels))
+        for offset, pairs in enumerate(PAIRS[: len(total)]):
+            for k, m in pairs:
+                if max(k, m) < corners:
+                    both = values * self.weight[:, k] * self.weight[:, m]
+                    total[offset] += np.bincount(self.number[:, k], both, texels)
+        return total
+
+
+def merged(touched: Touched) -> Touched:
+    """Where a texture ends two of the four are one: it gets the weight of both."""
+    number, weight = touched
+    if number.shape[1] == 1:
+        return touched
+    weight = weight.copy()
+    for one, other in ((0, 1), (2, 3), (0, 2), (1, 3)):
+        same = number[:, one] == number[:, other]
+        weight[:, one] += np.where(same, weight[:, other], 0)
+        weight[same, other] = 0
+    return Touched(number, weight)
+
+
+def as_matrix(
+    grid: Grid, blocks: dict[tuple[int, int], np.ndarray], parameters: int
+) -> sparse.csr_array:
+    """The symmetric matrix over all texels of all parameters, parameter by parameter.
+
+    **Arguments:** `blocks`: for p ≤ q the sums of [`Touched.products`][].
+    """
+    rows, columns, values = [], [], []
+    number = np.arange(grid.texels)
+    for (p, q), images in blocks.items():
+        for offset, image in zip(OFFSETS, images, strict=False):
+            there = np.flatnonzero(image)
+            beside = grid.neighbour(offset)[there]
+            here, value = number[there], image[there]
+            ends = [(p, here, q, beside)]
+            if offset != (0, 0):
+                ends.append((p, beside, q, here))
+            if p != q:
+                ends += [(b, j, a, i) for a, i, b, j in ends]
+            for a, i, b, j in ends:
+                rows.append(a * grid.texels + i)
+                columns.append(b * grid.texels + j)
+                values.append(value)
+    size = parameters * grid.texels
+    entries = np.concatenate(values)
+    places = np.concatenate(rows), np.concatenate(columns)
+    return sparse.coo_array((entries, places), (size, size)).tocsr()
+
+
+def smoothness_matrix(
+    grid: Grid, parameters: int, deviation: float
+) -> sparse.csr_array:
+    r"""Of $\sum (t_i - t_j)^2 / \tau^2$ over neighbours."""
+    first, second = grid.links()
+    one = np.full(len(first), 1 / deviation**2)
+    size = grid.texels
+    rows = np.concatenate([first, second, first, second])
+    columns = np.concatenate([first, second, second, first])
+    values = np.concatenate([one, one, -one, -one])
+    block = sparse.coo_array((values, (rows, columns)), (size, size))
+    return sparse.csr_array(sparse.block_diag([block] * parameters))

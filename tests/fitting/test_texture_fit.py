@@ -1,0 +1,200 @@
+"""Texels from photographs: against the truth, and against dense least squares."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+import phongfit as pf
+from tests.helpers import near
+from tests.test_textures import plate
+
+SIZE = 12, 12
+CAMERA = pf.PerspectiveCamera.look_at((0.5, -0.3, 4), width=32, height=32, fov_y=32)
+ASIDE = pf.PerspectiveCamera.look_at((-1.5, 0.6, 3.5), width=32, height=32, fov_y=32)
+LAMPS = ((0.3, 0.2, 1), (-0.5, 0.4, 1), (0.1, -0.6, 1))
+TRUE = np.random.default_rng(0).uniform(0.1, 0.8, (*SIZE, 3))
+NOISE = 0.005
+
+
+def scenes(mesh=None) -> list[pf.Scene]:
+    mesh = plate() if mesh is None else mesh
+    places = (CAMERA, ASIDE, CAMERA)
+    return [
+        pf.Scene(mesh, camera, pf.DirectionalLight(lamp), ambient=0.2)
+        for camera, lamp in zip(places, LAMPS, strict=True)
+    ]
+
+
+def photographs(painted: list[pf.Scene], material, noise=NOISE, seed=0):
+    light = [pf.render(scene, material, film=pf.Film(False)) for scene in painted]
+    keys = jax.random.split(jax.random.key(seed), len(light))
+    return [
+        np.asarray(one + noise * jax.random.normal(key, one.shape))
+        for one, key in zip(light, keys, strict=True)
+    ]
+
+
+def painted(**textures) -> list[pf.Scene]:
+    named = {name: pf.Texture(values) for name, values in textures.items()}
+    return scenes(plate(pf.Textures(**named)))
+
+
+MATTE = pf.Material(1.0, 0.0, 20.0, 0.0)
+SHINY = pf.Material(1.0, 0.3, 20.0, 0.0)
+
+
+def fitted(images, **options):
+    given = {"per_channel": (), "known": pf.Material(ambient=0.0, shininess=20.0)}
+    return pf.fit_texture(scenes(), images, size=SIZE, **(given | options))
+
+
+def test_texels_and_a_shared_highlight():
+    fit = fitted(photographs(painted(diffuse=TRUE), SHINY))
+    assert fit.converged and not fit.warnings, fit
+    errors = fit.stderr["diffuse"][0]
+    known = np.isfinite(errors)
+    assert known.mean() > 0.9
+    pulls = ((fit.values["diffuse"][0] - TRUE) / errors)[known]
+    assert 0.85 < np.sqrt(np.mean(pulls**2)) < 1.15
+    for one, true in zip(fit.shared, (0.3, 20.0), strict=True):
+        assert abs(one.value - true) < 4 * one.stderr < 0.2 * true
+    assert [one.label for one in fit.shared] == ["specular", "shininess"]
+    assert abs(fit.noise / NOISE - 1) < 0.05
+    near(fit.material.diffuse, np.ones((1, 3)))
+    assert "texels identified" in str(fit)
+    # What was found is a scene again.
+    again = pf.render(fit.scene(scenes()[0]), fit.material)
+    near(
+        np.asarray(again), np.asarray(pf.render(painted(diffuse=TRUE)[0], SHINY)), 0.03
+    )
+
+
+def test_texels_are_those_of_dense_least_squares():
+    images = photographs(painted(diffuse=TRUE), MATTE)
+    fit = fitted(images, unknowns=(), noise=NOISE)
+    rows, light = [], []
+    for scene, image in zip(scenes(), images, strict=True):
+        buffer = scene.trace()
+        assert buffer.uv is not None
+        mask = np.asarray(buffer.mask)
+        basis = np.asarray(pf.pixel_terms(scene, buffer).basis(MATTE.shininess))
+        identity = np.eye(SIZE[0] * SIZE[1]).reshape(-1, *SIZE)
+        seen = [
+            np.asarray(pf.Texture(one[..., None]).at(buffer.uv))[mask][:, 0]
+            for one in identity
+        ]
+        rows.append(np.stack(seen, axis=1) * basis[mask][:, 0, 1][:, None])
+        light.append(image[mask])
+    matrix, target = np.concatenate(rows), np.concatenate(light)
+    # With the prior of 0.5 ± 1 on each.
+    whole = matrix.T @ matrix / NOISE**2 + np.eye(matrix.shape[1])
+    right = matrix.T @ target / NOISE**2 + 0.5
+    expected = np.linalg.solve(whole, right).reshape(*SIZE, 3)
+    error = np.sqrt(np.diag(np.linalg.inv(whole))).reshape(SIZE)
+    known = np.isfinite(fit.stderr["diffuse"][0]).all(axis=-1)
+    assert known.mean() > 0.9
+    inside = (expected > 0) & (expected < 1) & known[..., None]
+    difference = fit.values["diffuse"][0] - expected
+    assert abs(difference / error[..., None])[inside].max() < 0.05
+    widened = fit.stderr["diffuse"][0][known] / error[known][:, None]
+    near(widened, np.full(widened.shape, widened[0, 0]), 1e-2)
+    assert 0.98 < widened[0, 0] < 1.3
+
+
+def test_two_textures_and_a_smoothness():
+    smooth = 0.3 + 0.2 * np.sin(np.arange(12) / 12 * 2 * np.pi)
+    strong = np.broadcast_to(smooth[:, None, None], (*SIZE, 1))
+    truth = painted(diffuse=TRUE, specular=strong)
+    images = photographs(truth, pf.Material(1.0, 1.0, 20.0, 0.0), 0.002)
+    options = {"textures": ("diffuse", "specular"), "unknowns": ("shininess",)}
+    fit = fitted(images, **options)
+    errors = fit.stderr["specular"][0]
+    known = np.isfinite(errors)
+    pulls = ((fit.values["specular"][0] - strong) / errors)[known]
+    assert np.sqrt(np.mean(pulls**2)) < 1.2
+    drawn = fitted(images, **options, smoothness=0.1)
+    less = drawn.stderr["specular"][0][known] <= 1.01 * errors[known]
+    assert less.all()
+
+
+def test_texels_that_nothing_sees():
+    half = np.zeros((32, 32), bool)
+    half[:, :16] = True
+    images = photographs(painted(diffuse=TRUE), MATTE)[:1]
+    fit = pf.fit_texture(
+        scenes()[0],
+        images[0],
+        size=SIZE,
+        unknowns=(),
+        known=MATTE,
+        mask=half,
+    )
+    errors, seen = fit.stderr["diffuse"][0], fit.seen[0]
+    assert np.all(np.isinf(errors[seen == 0])) and np.any(seen == 0)
+    assert np.isinf(errors[:, 9]).all() and np.isfinite(errors[4:8, 2:4]).all()
+    # Filled from the nearest that is known, and only where nothing is.
+    filled, known = fit.filled("diffuse")[0], np.isfinite(errors)
+    near(filled[known], fit.values["diffuse"][0][known])
+    assert np.isin(
+        filled[:, 9, 0], fit.values["diffuse"][0][..., 0][known[..., 0]]
+    ).all()
+
+
+def test_each_material_has_its_own_texture():
+    other = 1 - TRUE
+    textures = [pf.Textures(diffuse=pf.Texture(one)) for one in (TRUE, other)]
+    mesh = plate(textures, material_index=[0, 1])
+    images = photographs(scenes(mesh), MATTE, 0.0005)
+    bare = scenes(mesh)
+    fit = pf.fit_texture(
+        bare, images, size=SIZE, unknowns=(), known=MATTE, separate=True
+    )
+    for layer, true in enumerate((TRUE, other)):
+        known = np.isfinite(fit.stderr["diffuse"][layer])
+        assert 0.2 < known.mean() < 0.9
+        off = abs(fit.values["diffuse"][layer] - true) / fit.stderr["diffuse"][layer]
+        assert off[known].max() < 6
+    image = pf.render(fit.scene(bare[0]), fit.material)
+    near(np.asarray(image), np.asarray(pf.render(bare[0], MATTE)), 0.02)
+
+
+def test_a_wrong_model_is_said_to_be_wrong():
+    images = photographs(painted(diffuse=TRUE), SHINY)
+    fit = fitted(images, unknowns=())
+    assert any("residuals are not noise" in words for words in fit.warnings)
+    # Without light from elsewhere the ambient reflectance means nothing.
+    dark = [dataclasses.replace(scene, ambient=0.0) for scene in scenes()]
+    images = photographs(
+        [dataclasses.replace(scene, ambient=0.0) for scene in painted(diffuse=TRUE)],
+        MATTE,
+    )
+    fit = pf.fit_texture(dark, images, size=SIZE, unknowns=("ambient",), known=MATTE)
+    assert all(np.isinf(one.stderr) for one in fit.shared)
+    assert any("ambient.red, ambient.green" in words for words in fit.warnings)
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ({"textures": ()}, "textures: expected at least one"),
+        ({"textures": ("shininess",)}, "textures: expected some of ambient"),
+        ({"unknowns": ("diffuse",)}, "unknowns: diffuse has a texture"),
+        ({"unknowns": ("shininess", "shininess")}, "unknowns: expected each name once"),
+        ({"size": (0, 3)}, "size: expected rows and columns"),
+        ({"smoothness": -1.0}, "smoothness: expected a number > 0"),
+        ({"image": np.zeros((3, 3, 3))}, "image: expected shape"),
+        ({"known": pf.Material(np.zeros((5, 3)))}, "known: diffuse has shape"),
+    ],
+)
+def test_wrong_arguments_are_named(options, words):
+    given = {"image": np.zeros((32, 32, 3)), "size": SIZE} | options
+    with pytest.raises(ValueError, match=words):
+        pf.fit_texture(scenes()[0], given.pop("image"), **given)
+
+
+def test_a_surface_without_uv_is_refused():
+    with pytest.raises(ValueError, match="scene: expected a Mesh with uv"):
+        scene = pf.Scene(pf.Sphere(), CAMERA)
+        pf.fit_texture(scene, np.zeros((32, 32, 3)), size=SIZE)

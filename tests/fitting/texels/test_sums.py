@@ -1,0 +1,74 @@
+import numpy as np
+import pytest
+
+from phongfit.fitting.texels.sums import (
+    Grid,
+    Touched,
+    as_matrix,
+    merged,
+    smoothness_matrix,
+)
+from phongfit.textures import texels
+from tests.helpers import floats, near
+
+RNG = np.random.default_rng(0)
+
+
+def touched(grid: Grid, filter, count: int = 300) -> Touched:
+    uv = floats(RNG.uniform(-0.5, 1.5, (count, 2)))
+    size = grid.rows, grid.columns
+    number, weight = texels(uv, size, filter, grid.wrap)
+    layer = RNG.integers(0, grid.layers, count) * grid.rows * grid.columns
+    return merged(Touched(np.asarray(number) + layer[:, None], np.asarray(weight)))
+
+
+def dense(seen: Touched, texels: int) -> np.ndarray:
+    matrix = np.zeros((len(seen.number), texels))
+    for k in range(seen.number.shape[1]):
+        matrix[np.arange(len(matrix)), seen.number[:, k]] += seen.weight[:, k]
+    return matrix
+
+
+@pytest.mark.parametrize("filter", ["bilinear", "nearest"])
+@pytest.mark.parametrize(
+    "grid",
+    [
+        Grid(1, 5, 7, "repeat"),
+        Grid(2, 4, 3, "clamp"),
+        # So small that neighbours on either side are one.
+        Grid(1, 2, 2, "repeat"),
+        Grid(1, 1, 3, "repeat"),
+        Grid(1, 1, 1, "clamp"),
+    ],
+)
+def test_sums_are_those_of_the_whole_matrix(grid, filter):
+    seen, count = touched(grid, filter), grid.texels
+    whole = dense(seen, count)
+    values, texture = RNG.normal(size=len(whole)), RNG.normal(size=count)
+    near(seen.mean(texture), whole @ texture, 1e-5)
+    near(seen.scattered(values, count), whole.T @ values, 1e-4)
+    columns = [RNG.normal(size=len(whole)) for _ in range(2)]
+    blocks = {
+        (p, q): seen.products(columns[p] * columns[q], count)
+        for p, q in ((0, 0), (0, 1), (1, 1))
+    }
+    both = np.concatenate([column[:, None] * whole for column in columns], axis=1)
+    near(as_matrix(grid, blocks, 2).toarray(), both.T @ both, 1e-4)
+
+
+@pytest.mark.parametrize("wrap, links", [("repeat", 24), ("clamp", 17)])
+def test_smoothness_is_of_differences_between_neighbours(wrap, links):
+    grid = Grid(1, 3, 4, wrap)
+    first, second = grid.links()
+    assert (
+        len(first)
+        == links
+        == len({frozenset(p) for p in zip(first, second, strict=True)})
+    )
+    matrix = smoothness_matrix(grid, 2, 0.5)
+    texture = RNG.normal(size=24)
+    expected = sum(
+        ((part[first] - part[second]) ** 2).sum() / 0.5**2
+        for part in (texture[:12], texture[12:])
+    )
+    near(texture @ (matrix @ texture), expected, 1e-6)
