@@ -21,6 +21,7 @@ from jaxtyping import Array
 from scipy import sparse
 
 from phongfit.checks import as_floats, untraced
+from phongfit.codes import coded
 from phongfit.edge import checked
 from phongfit.fitting.problem.inputs import as_photographs, as_scenes
 from phongfit.fitting.problem.losses import Linear
@@ -688,18 +689,30 @@ def _warnings(
 ) -> list[str]:
     words = []
     if not converged:
-        words.append("did not converge: try more max_steps, or fewer unknowns")
+        words.append(
+            coded(
+                "not-converged",
+                "did not converge",
+                "Raise max_steps, or ask for fewer unknowns",
+            )
+        )
     lost = [one.label for one in shared if not np.isfinite(one.stderr)]
     if lost:
         words.append(
-            f"{', '.join(lost)}: not identified by these photographs; give known=, or "
-            "photographs under other lamps"
+            coded(
+                "not-identifiable",
+                f"{', '.join(lost)}: not identifiable from these photographs",
+                "Give it as known, or photographs under other lamps",
+            )
         )
     total = sum(int(np.count_nonzero(one.weight > 0)) for one in job.images)
     if not noise_given and freedom < 0.1 * total:
         words.append(
-            f"{total:,} samples leave {freedom:,.0f} to estimate the noise from: give "
-            "noise=, or a smaller size"
+            coded(
+                "noise-level",
+                f"{total:,} samples leave {freedom:,.0f} to estimate the noise from",
+                "Give noise, or a smaller size",
+            )
         )
     words += spread_words(spread)
     return [*words, *misfit_words(misfit, len(job.images))]
