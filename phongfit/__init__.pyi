@@ -105,7 +105,11 @@ from .lights import (
     SpotLight as SpotLight,
 )
 from .maps.pixel.flags import Flag as Flag
-from .maps.result import Maps as Maps, load_maps as load_maps
+from .maps.result import (
+    BasisMaterials as BasisMaterials,
+    Maps as Maps,
+    load_maps as load_maps,
+)
 from .maps.run import fit_maps as fit_maps
 from .maps.stacks import (
     AbstractStack as AbstractStack,

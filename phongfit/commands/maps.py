@@ -60,6 +60,10 @@ class Options:
         highlight: own: every pixel has its own. shared: one for all, which a fit of one
             material finds first, with all photographs in memory; for few lights or
             sharp highlights, of which a pixel sees one at most.
+        materials: With --normals fit: how many materials the pixels share, or auto to
+            find out; each pixel is of the likeliest, and keeps its own diffuse. For few
+            lights, which do not show the highlight of every pixel. Default: every pixel
+            has its own.
         unknowns: Parameters to be found, of ambient diffuse specular shininess.
             Default: all of them; with --normals fit all but ambient.
         per_channel: Which of them differ between red, green and blue; with shininess,
@@ -80,6 +84,7 @@ class Options:
     data: OmitArgPrefixes[DataOptions]
     out: OutFolder
     highlight: Literal["own", "shared"] = "own"
+    materials: Annotated[str | None, optional("N|auto")] = None
     unknowns: Annotated[tuple[str, ...] | None, optional("NAME ...")] = None
     per_channel: Names = ("ambient", "diffuse", "specular")
     known: Annotated[str | None, optional("preset:NAME|FILE")] = None
@@ -101,6 +106,7 @@ def main(options: Options) -> int:
       phongfit maps out/dome -o out/maps
       phongfit maps ballPNG -o out/ball --highlight shared --bounds shininess=1:5000
       phongfit maps coin --normals fit --encoding srgb -o out/coin
+      phongfit maps coin --normals fit --materials auto -o out/few
     """
     if not options.overwrite and (options.out / RECORD_FILE).exists():
         raise OSError(f"{options.out}: there are maps in it; {OVERWRITE}")
@@ -186,7 +192,13 @@ def _given(options: Options) -> dict[str, Any]:
         "noise": options.noise,
         "loss": options.loss or ("cauchy" if sought else "linear"),
         "normals": "fit" if sought else "given",
+        "materials": _number(options.materials),
     }
+
+
+def _number(words: str | None) -> int | str | None:
+    """How many materials; [`fit_maps`][] says what is wrong with other words."""
+    return int(words) if words is not None and words.isdecimal() else words
 
 
 def _shared(photographs: Photographs, given: dict[str, Any]) -> Material:
@@ -194,7 +206,8 @@ def _shared(photographs: Photographs, given: dict[str, Any]) -> Material:
     with stage("fitting one material"):
         data = photographs.load()
         options = given | {"mask": data.masks, "film": data.film}
-        options.pop("normals")
+        for name in ("normals", "materials"):
+            options.pop(name)
         options |= {"uncertain": data.uncertain}
         one = fit(data.scenes, data.images, **options)
     print(one, "\n", flush=True)

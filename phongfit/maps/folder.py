@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -14,9 +14,10 @@ from phongfit.files.fits import DataRecord, Edges, LossName, made_with
 from phongfit.files.formats import WRITERS
 from phongfit.files.inputs import inside, naming
 from phongfit.files.outputs import replacing, write_json
-from phongfit.files.records import AbstractRecord, Many, read_record
+from phongfit.files.records import AbstractRecord, Colour, Many, read_record
 from phongfit.files.schema import MaterialRecord, SpecularRecord
-from phongfit.maps.result import MAP_PARAMETERS, Maps, load_maps
+from phongfit.maps.pixel.settings import MAP_PARAMETERS, MOST_MATERIALS
+from phongfit.maps.result import BasisMaterials, Maps, load_maps
 from phongfit.reflectance import AbstractSpecular
 from phongfit.rendering.film import Encoding
 
@@ -36,12 +37,26 @@ class MapSettings(AbstractRecord):
     noise: Annotated[float, Field(gt=0)] | None = None
     loss: LossName = "linear"
     normals: Literal["given", "fit"] = "given"
+    materials: (
+        Annotated[int, Field(ge=1, le=MOST_MATERIALS)] | Literal["auto"] | None
+    ) = None
+
+
+class SharedRecord(AbstractRecord):
+    """A material that pixels share; an error is `null` for what is not identified."""
+
+    share: float
+    specular: Colour
+    shininess: float
+    stderr_specular: Many[float | None]
+    stderr_shininess: float | None
 
 
 class MapsRecord(AbstractRecord):
     """`maps.json`: what the arrays beside it are, and how they were made.
 
-    `encoding` is the photographs'; version 1 does not have it.
+    `encoding` is the photographs'; version 1 does not have it. `materials` are those
+    that pixels share, and `criterion` is BIC of 1, 2, … of them.
     """
 
     format: Literal["phongfit maps"]
@@ -50,6 +65,8 @@ class MapsRecord(AbstractRecord):
     settings: MapSettings
     model: SpecularRecord
     encoding: EncodingField | None = None
+    materials: Many[SharedRecord] | None = None
+    criterion: Many[float] | None = None
     made_with: dict[str, str]
 
 
@@ -82,9 +99,31 @@ def save_folder(
         "settings": settings.model_dump(),
         "model": describe(model),
         "encoding": describe_encoding(encoding),
+        **_shared(maps.materials),
         "made_with": made_with(),
     }
     write_json(folder / RECORD_FILE, content)
+
+
+def _shared(materials: BasisMaterials | None) -> dict[str, Any]:
+    """Materials that pixels share, as the record has them."""
+    if materials is None:
+        return {}
+    shared = [
+        {
+            "share": float(share),
+            "specular": materials.specular[k].tolist(),
+            "shininess": float(materials.shininess[k]),
+            "stderr_specular": [_finite(e) for e in materials.stderr_specular[k]],
+            "stderr_shininess": _finite(materials.stderr_shininess[k]),
+        }
+        for k, share in enumerate(materials.shares)
+    ]
+    return {"materials": shared, "criterion": materials.criterion.tolist()}
+
+
+def _finite(error: float) -> float | None:
+    return float(error) if np.isfinite(error) else None
 
 
 def _write_tiff(path: Path, array: np.ndarray) -> None:

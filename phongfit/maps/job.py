@@ -17,7 +17,7 @@ from phongfit.geometry.tracing import trace
 from phongfit.maps.layers import Masks, Noise
 from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.pixel import Known
-from phongfit.maps.pixel.settings import MAP_PARAMETERS, MapSettings
+from phongfit.maps.pixel.settings import MAP_PARAMETERS, MOST_MATERIALS, MapSettings
 from phongfit.maps.pixel.tile import Outside, Tile
 from phongfit.material import Material
 from phongfit.rendering.film import Film
@@ -187,6 +187,7 @@ def make_settings(
     noise: Noise,
     min_cosine: float,
     normals: Literal["given", "fit"] = "given",
+    materials: int | Literal["auto"] | None = None,
 ) -> MapSettings:
     """Settings of a pixel's fit, checked.
 
@@ -235,6 +236,7 @@ def make_settings(
                 "scenes: expected lights with a direction where normals are sought, "
                 "got one from all around"
             )
+    _check_materials(materials, names, sought, start)
     cutoff, exactly = (1.0, True) if film is None else (1.0, False)
     if film is not None and not film.clamp:
         cutoff = float("inf")
@@ -250,6 +252,7 @@ def make_settings(
         weighted=noise.varies,
         normals=normals,
         one_specular=one_specular,
+        materials=materials,
         cutoff=cutoff,
         exactly=exactly,
     )
@@ -277,6 +280,35 @@ def _check_sought(
             "min_cosine: expected 0 where normals are sought, since no light's cosine "
             f"is known yet, got {min_cosine:g}"
         )
+
+
+def _check_materials(
+    materials: Any, names: Sequence[str], sought: bool, start: Any
+) -> None:
+    """What pixels can share.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    if materials is None:
+        return
+    number = isinstance(materials, int) and not isinstance(materials, bool)
+    if materials != "auto" and not (number and 1 <= materials <= MOST_MATERIALS):
+        raise ValueError(
+            f"materials: expected a number from 1 to {MOST_MATERIALS}, 'auto', or none "
+            f"for a material of each pixel's own, got {shown(materials)}"
+        )
+    if not sought:
+        raise ValueError(
+            "materials: expected normals='fit', since materials are shared where the "
+            "normals are sought; fit finds one material for all under given normals"
+        )
+    if not {"specular", "shininess"} <= set(names):
+        raise ValueError(
+            "materials: expected specular and shininess among the unknowns: they are "
+            f"what pixels share, got {', '.join(names)}"
+        )
+    if start is not None:
+        raise ValueError("materials: expected it or start, got both")
 
 
 def _bound(name: str, bounds: Mapping[str, tuple[float, float]]) -> tuple[float, float]:

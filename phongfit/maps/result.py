@@ -24,7 +24,7 @@ from phongfit.geometry.integration import integrate_normals, label_pieces
 from phongfit.lights import AbstractLight
 from phongfit.maps.normals.handedness import is_mirrored
 from phongfit.maps.pixel.flags import Flag
-from phongfit.maps.pixel.settings import MAP_PARAMETERS
+from phongfit.maps.pixel.settings import MAP_PARAMETERS, MOST_MATERIALS
 from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular
 from phongfit.rendering.film import Film
@@ -37,6 +37,73 @@ class ParameterMaps(NamedTuple):
     diffuse: Float[np.ndarray, "height width 3"]
     specular: Float[np.ndarray, "height width 3"]
     shininess: Float[np.ndarray, "height width exponents"]
+
+
+@dataclasses.dataclass(frozen=True)
+class BasisMaterials:
+    """Materials that the pixels share, and which pixel is of which."""
+
+    specular: Float[np.ndarray, "materials 3"]
+    shininess: Float[np.ndarray, " materials"]
+    stderr_specular: Float[np.ndarray, "materials 3"]
+    stderr_shininess: Float[np.ndarray, " materials"]
+    weights: Float[np.ndarray, "height width materials"]
+    criterion: Float[np.ndarray, " tried"]
+    sample: int
+
+    @property
+    def shares(self) -> Float[np.ndarray, " materials"]:
+        """The share of the fitted pixels that each material has."""
+        inside = self.weights.sum(axis=-1) > 0
+        return self.weights[inside].mean(axis=0)
+
+    @property
+    def weights_stderr(self) -> Float[np.ndarray, "height width materials"]:
+        r"""Standard deviations $\sqrt{w (1 - w)}$: 0 where a pixel tells for sure."""
+        return np.sqrt(self.weights * (1 - self.weights))
+
+    def __str__(self) -> str:
+        lines = ["  material   share        ρ_s                      f"]
+        for k, share in enumerate(self.shares):
+            channels = [0] if np.ptp(self.specular[k]) == 0 else range(3)
+            strength = " ".join(
+                _with_error(self.specular[k, c], self.stderr_specular[k, c])
+                for c in channels
+            )
+            exponent = _with_error(self.shininess[k], self.stderr_shininess[k])
+            lines.append(f"  {k + 1:<9}{share:>7.1%}   {strength}   {exponent}")
+        best = self.criterion.min()
+        tried = (
+            f"{count}: {more:.0f}"
+            for count, more in enumerate(self.criterion - best, 1)
+        )
+        words = "  materials by BIC, above the least: "
+        return "\n".join([*lines, words + ", ".join(tried)])
+
+
+def _with_error(value: float, error: float) -> str:
+    told = f"{error:.2g}" if np.isfinite(error) else "not identified"
+    return f"{value:.4g} ± {told}"
+
+
+BasisMaterials.__init__.__doc__ = r"""**Arguments:**
+
+- `specular`: (K, 3), ρ_s of each material; `shininess`: (K,), its exponent. The first
+    is that of most pixels.
+- `stderr_specular`, `stderr_shininess`: their standard errors, infinite where a
+    material has no highlight that would show an exponent. They rest on how the sample's
+    pixels spread (the sandwich formula), not on a noise that is assumed.
+- `weights`: (H, W, K), the probability that a pixel is of each; 0 outside.
+- `criterion`: BIC of 1, 2, … materials, as many as were tried:
+    $-2 \log L + p \log n$ with p numbers of the materials and n pixels. Less is
+    better, and by 10 plainly so.
+- `sample`: n, how many pixels the materials were found from.
+
+??? cite "Source"
+    Goldman et al., *Shape and spatially-varying BRDFs from photometric stereo*, IEEE
+    TPAMI 32(6), 2010, for materials that pixels share; Hertzmann and Seitz,
+    *Example-based photometric stereo*, IEEE TPAMI 27(8), 2005.
+"""
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -59,6 +126,7 @@ class Maps:
     camera: AbstractCamera | None = None
     specular_model: AbstractSpecular | None = None
     ambient_light: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    materials: BasisMaterials | None = None
 
     @property
     def material(self) -> Material:
@@ -205,6 +273,13 @@ class Maps:
         }
         arrays |= {name: getattr(self, name) for name in PLAIN}
         given = np.nan if self.noise_given is None else self.noise_given
+        if self.materials is not None:
+            arrays |= {
+                f"materials_{field.name}": np.asarray(
+                    getattr(self.materials, field.name)
+                )
+                for field in dataclasses.fields(self.materials)
+            }
         with replacing(path) as temporary:
             np.savez(
                 temporary,
@@ -239,8 +314,9 @@ class Maps:
             count = int((self.flagged(flag) & (inside | (flag == Flag.OUTSIDE))).sum())
             if count:
                 lines.append(
-                    f"  {str(flag.name).lower().replace('_', ' '):<14}{count:>12,}"
+                    f"  {str(flag.name).lower().replace('_', ' '):<17}{count:>9,}"
                 )
+        lines += [] if self.materials is None else str(self.materials).splitlines()
         lines += [f"warning: {warning}" for warning in self.warnings]
         return "\n".join(lines)
 
@@ -271,6 +347,7 @@ Maps.__init__.__doc__ = """**Arguments:**
     axis, world units; NaN elsewhere.
 - `camera`, `specular_model`: those of the scenes; `None` in files of older versions.
 - `ambient_light`: I_a of the first scene, RGB.
+- `materials`: those that the pixels share, if they do: see [`BasisMaterials`][].
 """
 
 PLAIN = ("noise", "samples", "flags", "normals", "normals_stderr", "depth")
@@ -365,8 +442,48 @@ def _checked(arrays: dict[str, np.ndarray]) -> Maps:
         flags=arrays["flags"],
         unknowns=tuple(unknowns.tolist()),
         noise_given=given,
+        materials=_checked_materials(arrays, size),
         **shape,
     )
+
+
+def _checked_materials(
+    arrays: dict[str, np.ndarray], size: tuple[int, ...]
+) -> BasisMaterials | None:
+    """The materials that pixels share, if a file has them.
+
+    **Raises:** as [`_checked`][] does.
+    """
+    if "materials_weights" not in arrays:
+        return None
+    count = arrays["materials_weights"].shape[-1:]
+    if not 1 <= count[0] <= MOST_MATERIALS:
+        raise ValueError(f"materials_weights: expected 1 to {MOST_MATERIALS} materials")
+    tried = arrays["materials_criterion"].shape[:1]
+    fields: dict[str, Any] = {}
+    for name, wanted in (
+        ("specular", (*count, 3)),
+        ("shininess", count),
+        ("stderr_specular", (*count, 3)),
+        ("stderr_shininess", count),
+        ("weights", (*size, *count)),
+        ("criterion", tried),
+    ):
+        array = fields[name] = arrays[f"materials_{name}"]
+        if array.shape != wanted or array.dtype.kind != "f" or 0 in wanted:
+            raise ValueError(
+                f"materials_{name}: expected floats of shape {wanted}, got "
+                f"{array.dtype} of shape {array.shape}"
+            )
+        # Errors may be infinite; nothing is NaN, and all but BIC is no less than 0.
+        if not np.all(array >= (-np.inf if name == "criterion" else 0)):
+            raise ValueError(f"materials_{name}: expected numbers ≥ 0")
+    if not np.all(fields["weights"] <= 1 + 1e-3):
+        raise ValueError("materials_weights: expected numbers up to 1")
+    sample = arrays["materials_sample"]
+    if sample.shape != () or sample.dtype.kind not in "iu" or sample < 1:
+        raise ValueError("materials_sample: expected a whole number ≥ 1")
+    return BasisMaterials(**fields, sample=int(sample))
 
 
 def _checked_shape(

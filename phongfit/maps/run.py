@@ -7,7 +7,7 @@ import importlib.metadata
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 import jax
@@ -30,15 +30,18 @@ from phongfit.maps.job import (
     resolve_geometry,
 )
 from phongfit.maps.layers import Masks, Noise
+from phongfit.maps.materials.bases import Bases
+from phongfit.maps.materials.block import Given, MaterialFit, fit_shared
+from phongfit.maps.materials.finding import Materials, choose_sample, find_materials
 from phongfit.maps.normals.block import NormalFit, fit_normals
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.lighting import make_lighting
 from phongfit.maps.pixel.pixel import PixelFit
-from phongfit.maps.pixel.settings import MAP_PARAMETERS
-from phongfit.maps.pixel.tile import BLOCK, Tile, compiled, fit_tile
-from phongfit.maps.result import Maps, ParameterMaps
+from phongfit.maps.pixel.settings import MAP_PARAMETERS, MapSettings
+from phongfit.maps.pixel.tile import BLOCK, Outside, Tile, compiled, fit_tile
+from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps
 from phongfit.maps.stacks import as_stack
-from phongfit.maps.store import tile_store
+from phongfit.maps.store import TileStore, tile_store
 from phongfit.material import Material
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
@@ -65,6 +68,7 @@ def fit_maps(
     film: Film | Sequence[Film] | None = None,
     loss: str | AbstractLoss | None = None,
     normals: Literal["given", "fit"] = "given",
+    materials: int | Literal["auto"] | None = None,
     start: Material | Fitted | None = None,
     min_cosine: float = 0.0,
     tile_pixels: int | None = None,
@@ -115,6 +119,13 @@ def fit_maps(
         and a perspective camera, and which see it. At least 3 images for a matte
         surface, 5 for one with a highlight. `ambient` asks for ambient light in the
         scenes; if `specular` is not in `per_channel`, the channels share one ρ_s.
+    - `materials`: how many materials the pixels share, or `"auto"` to find out (up to
+        6); `None` for a material of each pixel's own. A pixel's ρ_d stays its own; ρ_s
+        and f are those of the material that it is most likely of. They are found from a
+        sample of the pixels, whose number is chosen by Schwarz's criterion (BIC), and
+        their errors go into those of the pixels: see [`BasisMaterials`][]. A dozen
+        lamps hardly tell ρ_s and f of one pixel; they do tell which it is of a few.
+        With `normals="fit"`.
     - `start`: a fit of one material, or a material, whose exponent each pixel starts
         from, instead of the scan.
     - `min_cosine`: samples that no light reaches at a cosine above this are left out,
@@ -149,6 +160,7 @@ def fit_maps(
         levels,
         min_cosine,
         normals,
+        materials,
     )
     check_enough(settings, len(scenes))
     lighting = make_lighting(scenes)
@@ -175,24 +187,34 @@ def fit_maps(
             }
             store = place.enter_context(tile_store(output, job))
 
+        def take(some: np.ndarray, length: int) -> Tile:
+            target = stack.take(some, lighting.order)
+            used = masks.take(some, lighting.order) & ~np.ma.getmask(target)
+            used = levels.weigh(used, some, lighting.order)
+            return geometry.tile(some, np.ma.getdata(target), used, length)
+
         def read(tile: int) -> Tile | list[np.ndarray]:
             done = None if store is None else store.load(tile)
             if done is not None:
                 return done
-            target = stack.take(tiles[tile], lighting.order)
-            used = masks.take(tiles[tile], lighting.order) & ~np.ma.getmask(target)
-            used = levels.weigh(used, tiles[tile], lighting.order)
-            return geometry.tile(tiles[tile], np.ma.getdata(target), used, size)
+            return take(tiles[tile], size)
 
-        sought = normals == "fit"
-        run = compiled(settings, mesh, fit_normals if sought else fit_tile)
-
-        def work(part: Tile) -> list[np.ndarray]:
-            return [np.asarray(leaf) for leaf in jax.tree.leaves(run(part, outside))]
-
+        kind = "given" if normals == "given" else "sought"
         exponents = 1 if settings.shared else 3
-        maps = _Canvas(seen.shape, exponents, outside.noise.dtype, sought)
         with concurrent.futures.ThreadPoolExecutor(_workers(mesh)) as workers:
+            shared, among = None, outside
+            if materials is not None:
+                kind = "shared"
+                shared = _materials(
+                    pixels, take, outside, settings, workers, store, len(tiles)
+                )
+                among = Given(outside, shared.bases)
+            run = compiled(settings, mesh, _FITS[kind])
+
+            def work(part: Tile) -> list[np.ndarray]:
+                return [np.asarray(leaf) for leaf in jax.tree.leaves(run(part, among))]
+
+            maps = _Canvas(seen.shape, exponents, outside.noise.dtype, kind, shared)
             for k, tile in _bar(_ahead(read, len(tiles)), len(tiles), progress):
                 if isinstance(tile, list):
                     arrays = tile
@@ -212,6 +234,28 @@ def fit_maps(
         scenes[0],
         geometry,
     )
+
+
+def _materials(
+    pixels: np.ndarray,
+    take: Callable[[np.ndarray, int], Tile],
+    outside: Outside,
+    settings: MapSettings,
+    workers: concurrent.futures.Executor,
+    store: TileStore | None,
+    place: int,
+) -> Materials:
+    """The materials that pixels share; kept after the last tile."""
+    done = None if store is None else store.load(place)
+    if done is None:
+        sample = choose_sample(pixels, len(outside.lighting.order))
+        size = -(-len(sample) // BLOCK) * BLOCK
+        tile = take(sample, size)
+        found = find_materials(tile, len(sample), outside, settings, workers)
+        done = [np.asarray(leaf) for leaf in jax.tree.leaves(found)]
+        if store is not None:
+            store.save(place, done)
+    return jax.tree.unflatten(_MATERIALS, done)
 
 
 def _as_one(film: Film | Sequence[Film] | None, noise: Any) -> Film | None:
@@ -323,14 +367,31 @@ def _lines(
 
 _LEAF: Any = 0
 _MATERIAL = PixelFit(_LEAF, _LEAF, _LEAF, _LEAF, (_LEAF,) * 4, _LEAF, _LEAF, _LEAF)
-_GIVEN = jax.tree.structure(_MATERIAL)
-_SOUGHT = jax.tree.structure(NormalFit(_MATERIAL, _LEAF, _LEAF))
+_SOUGHT = NormalFit(_MATERIAL, _LEAF, _LEAF)
+_TREES = {
+    "given": jax.tree.structure(_MATERIAL),
+    "sought": jax.tree.structure(_SOUGHT),
+    "shared": jax.tree.structure(MaterialFit(_SOUGHT, _LEAF)),
+}
+"""What tiles are: materials, with normals, with shares of the materials."""
+
+_FITS = {"given": fit_tile, "sought": fit_normals, "shared": fit_shared}
+_MATERIALS = jax.tree.structure(
+    Materials(Bases(_LEAF, _LEAF, _LEAF, _LEAF), _LEAF, _LEAF)
+)
 
 
 class _Canvas:
     """The maps while they are painted, tile by tile."""
 
-    def __init__(self, size: tuple[int, int], exponents: int, dtype: Any, sought: bool):
+    def __init__(
+        self,
+        size: tuple[int, int],
+        exponents: int,
+        dtype: Any,
+        kind: str,
+        shared: Materials | None,
+    ):
         pixels = size[0] * size[1]
         self._size = size
         channels = (3, 3, 3, exponents)
@@ -339,20 +400,23 @@ class _Canvas:
         self._noise = np.full(pixels, np.nan, dtype)
         self._samples = np.zeros(pixels, np.int32)
         self._flags = np.full(pixels, int(Flag.OUTSIDE), np.uint16)
-        self._normals = np.zeros((pixels, 3), dtype) if sought else None
+        self._kind, self._shared = kind, shared
+        self._normals = None if kind == "given" else np.zeros((pixels, 3), dtype)
         self._turned = np.full(pixels, np.inf, dtype)
+        count = 0 if shared is None else len(shared.bases.shares)
+        self._weights = np.zeros((pixels, count), dtype)
 
     def paint(self, pixels: np.ndarray, arrays: list[np.ndarray]) -> None:
         """Put a tile where it belongs.
 
-        `arrays` are the leaves of a [`PixelFit`][], or of a [`NormalFit`][].
+        `arrays` are the leaves of what tiles of this kind are.
         """
-        if self._normals is None:
-            tile: PixelFit = jax.tree.unflatten(_GIVEN, arrays)
-        else:
-            found: NormalFit = jax.tree.unflatten(_SOUGHT, arrays)
-            tile = found.material
-            self._normals[pixels], self._turned[pixels] = found.normal, found.error
+        tile: Any = jax.tree.unflatten(_TREES[self._kind], arrays)
+        if self._kind == "shared":
+            self._weights[pixels], tile = tile.weights, tile.pixel
+        if self._normals is not None:
+            self._normals[pixels], self._turned[pixels] = tile.normal, tile.error
+            tile = tile.material
         leaves = (tile.ambient, tile.diffuse, tile.specular, tile.shininess)
         for canvas, values in zip(self._values, leaves, strict=True):
             canvas[pixels] = values
@@ -405,4 +469,24 @@ class _Canvas:
             camera=scene.camera,
             specular_model=scene.specular_model,
             ambient_light=tuple(np.asarray(scene.ambient).tolist()),
+            materials=self._basis(),
+        )
+
+    def _basis(self) -> BasisMaterials | None:
+        """The materials, if pixels share them."""
+        if self._shared is None:
+            return None
+        bases = self._shared.bases
+        values = np.asarray(bases.values, float)
+        errors = np.sqrt(np.diagonal(np.asarray(bases.covariance, float), 0, 1, 2))
+        shape = (len(values), 3)
+        shininess = np.exp(values[:, 0])
+        return BasisMaterials(
+            specular=np.broadcast_to(values[:, 1:], shape).copy(),
+            shininess=shininess,
+            stderr_specular=np.broadcast_to(errors[:, 1:], shape).copy(),
+            stderr_shininess=shininess * errors[:, 0],
+            weights=self._weights.reshape(*self._size, -1),
+            criterion=np.asarray(self._shared.criterion, float),
+            sample=int(self._shared.sample),
         )

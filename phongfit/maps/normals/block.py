@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from phongfit.maps.normals.errors import Profile, standard_errors
 from phongfit.maps.normals.lamps import make_lamps
@@ -50,6 +50,15 @@ def fit_normals(tile: Tile, outside: Outside, settings: MapSettings) -> NormalFi
 def fit_block(tile: Tile, outside: Outside, settings: MapSettings) -> NormalFit:
     """The same for pixels that are worked on side by side."""
     which = unknowns_of(settings)
+    samples, lost = samples_of(tile, outside, settings)
+    found = search(samples, outside.known, outside.noise, settings, which)
+    return judged(found, samples, lost, outside, settings, which)
+
+
+def samples_of(
+    tile: Tile, outside: Outside, settings: MapSettings
+) -> tuple[Samples, Bool[Array, "images channels pixels"]]:
+    """What pixels measure, and which of their samples are no numbers."""
     target = _pixels_last(tile.target)
     finite = jnp.isfinite(target)
     if settings.exactly:
@@ -62,12 +71,10 @@ def fit_block(tile: Tile, outside: Outside, settings: MapSettings) -> NormalFit:
     share = jnp.where(sound, given, 0)
     lamps = make_lamps(outside.lighting, tile.position, tile.to_viewer, tile.visibility)
     light = jnp.where(share > 0, target - lamps.veil, 0)
-    samples = Samples(light, share, lamps)
-    found = search(samples, outside.known, outside.noise, settings, which)
-    return _judged(found, samples, ~finite & (given > 0), outside, settings, which)
+    return Samples(light, share, lamps), ~finite & (given > 0)
 
 
-def _judged(
+def judged(
     found: Found,
     samples: Samples,
     lost: Array,

@@ -24,6 +24,8 @@ class Flag(IntFlag):
         than three: a normal that was sought is not identified, for its mirror image in
         that plane, and a steeper one of a brighter material, look the same.
     - `AMBIGUOUS`: another normal, more than 5° away, explains it as well.
+    - `SEVERAL_MATERIALS`: of the materials that pixels share more than one explains it:
+        it is of none with a probability of 95 %, and its highlight is not identified.
     """
 
     OUTSIDE = 1
@@ -37,3 +39,4 @@ class Flag(IntFlag):
     MISFIT = 256
     IN_A_PLANE = 512
     AMBIGUOUS = 1024
+    SEVERAL_MATERIALS = 2048

@@ -12,6 +12,9 @@ COLUMNS = ("ambient", "diffuse")
 
 MAP_PARAMETERS = (*COLUMNS, "specular", "shininess")
 
+MOST_MATERIALS = 6
+"""So many materials pixels share at most."""
+
 
 @dataclasses.dataclass(frozen=True)
 class MapSettings:
@@ -30,6 +33,7 @@ class MapSettings:
     - `weighted`: whether each sample's weight is the inverse of its own noise.
     - `normals`: whether normals are given, or sought with the material.
     - `one_specular`: whether the channels share ρ_s; only where normals are sought.
+    - `materials`: how many pixels share, `"auto"` to find out, `None` for each its own.
     - `cutoff`: values from this one on are saturated; `exactly`: only this one is.
     """
 
@@ -44,6 +48,7 @@ class MapSettings:
     weighted: bool = False
     normals: Literal["given", "fit"] = "given"
     one_specular: bool = False
+    materials: int | Literal["auto"] | None = None
     cutoff: float = 1.0
     exactly: bool = True
 

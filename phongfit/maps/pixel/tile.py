@@ -238,7 +238,7 @@ def _channels_first(values: Array) -> Array:
 
 
 # On a CPU, XLA removes barriers before it fuses: then they would be in vain.
-_SETTLED = {"xla_disable_hlo_passes": "cse_barrier_expander"}
+SETTLED = {"xla_disable_hlo_passes": "cse_barrier_expander"}
 
 
 @functools.lru_cache(maxsize=16)
@@ -261,7 +261,7 @@ def compiled(settings: MapSettings, mesh: Mesh, fit: Callable[..., Any] = fit_ti
             None if tile.visibility is None else PartitionSpec(None, None, axis),
         )
 
-    @functools.partial(jax.jit, compiler_options=_SETTLED)
+    @functools.partial(jax.jit, compiler_options=SETTLED)
     def run(tile: Tile, outside: Outside) -> Any:
         spread = jax.shard_map(
             lambda tile, outside: fit(tile, outside, settings),

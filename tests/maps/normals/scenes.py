@@ -1,6 +1,7 @@
 """A made-up stack whose normals nobody is told: a surface that is flat by name only."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -46,8 +47,12 @@ def hide(
     directions: np.ndarray | None = None,
     seed: int = 0,
     surface: Literal["random", "dome"] = "random",
+    shared: Sequence[tuple[float, float]] = (),
 ) -> Hidden:
-    """Random materials; near lamps stand 3 from the middle of a surface 2 high."""
+    """Random materials, or ρ_s and f of a few.
+
+    Near lamps stand 3 from the middle of a surface 2 high.
+    """
     rng = np.random.default_rng(seed)
     height, width = size
     x = np.linspace(-1, 1, width) * width / height
@@ -65,6 +70,13 @@ def hide(
         shininess=np.exp(rng.uniform(low, high, (*size, 1))),
         ambient=0.0,
     )
+    if shared:
+        strengths, sharp = np.array(shared)[rng.integers(len(shared), size=size)].T
+        truth = dataclasses.replace(
+            truth,
+            specular=np.broadcast_to(strengths.T[..., None], (*size, 3)),
+            shininess=sharp.T[..., None],
+        )
     camera: pf.AbstractCamera = pf.OrthographicCamera(width, height, view_height=2.0)
     if perspective:
         fov = 2 * np.rad2deg(np.arctan(1 / 4))

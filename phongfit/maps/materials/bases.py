@@ -1,0 +1,58 @@
+"""Materials that pixels share: highlights, while matte light is each pixel's own."""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from phongfit.maps.normals.unknowns import Unknowns, unknowns_of
+from phongfit.maps.pixel.pixel import Known
+from phongfit.maps.pixel.settings import MapSettings
+
+LOBE = ("specular", "shininess")
+"""What pixels of one material have in common."""
+
+
+class Bases(NamedTuple):
+    r"""K materials.
+
+    - `values`: (K, unknowns), $\log f$ and $\rho_s$, one number or one a channel.
+    - `covariance`: (K, unknowns, unknowns), of each.
+    - `shares`: (K,), of the pixels: they sum to 1.
+    - `noise`: of a typical sample, in the samples' units.
+    """
+
+    values: Float[Array, "materials unknowns"]
+    covariance: Float[Array, "materials unknowns unknowns"]
+    shares: Float[Array, " materials"]
+    noise: Float[Array, ""]
+
+
+def held(settings: MapSettings) -> MapSettings:
+    """Settings of a pixel whose highlight is given."""
+    own = tuple(name for name in settings.names if name not in LOBE)
+    return dataclasses.replace(settings, names=own, one_specular=False, materials=None)
+
+
+def alone(settings: MapSettings) -> MapSettings:
+    """Settings of a pixel with a highlight of its own."""
+    return dataclasses.replace(settings, materials=None)
+
+
+def sought(settings: MapSettings) -> Unknowns:
+    """What of a pixel is sought while its highlight is given."""
+    return unknowns_of(held(settings))
+
+
+def size_of(settings: MapSettings) -> int:
+    """How many numbers describe a material's highlight."""
+    return 2 if settings.one_specular else 4
+
+
+def as_known(values: Float[Array, " unknowns"], known: Known) -> Known:
+    """A pixel's known parameters, if it is of a material."""
+    return known._replace(
+        specular=jnp.broadcast_to(values[1:], known.specular.shape),
+        shininess=jnp.exp(values[:1]),
+    )

@@ -1,0 +1,208 @@
+"""Which materials an object has, from a sample of its pixels."""
+
+from collections.abc import Iterable
+from concurrent.futures import Executor
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from phongfit.cache import keep_compiled
+from phongfit.maps.materials.bases import Bases, alone, size_of
+from phongfit.maps.materials.grouping import Table, group
+from phongfit.maps.materials.looks import Alone, Look, fit_alone, fit_row, look_at
+from phongfit.maps.materials.mixture import Mixture, Told, maximize
+from phongfit.maps.normals.unknowns import Point
+from phongfit.maps.pixel.pixel import most_by_chance
+from phongfit.maps.pixel.settings import MOST_MATERIALS, MapSettings
+from phongfit.maps.pixel.tile import BLOCK, Outside, Tile
+
+# Pixels of a sample: as many as these lights, within limits.
+LIGHT = 2**17
+FEWEST, MOST = 1024, 4096
+# Exponents that a pixel is tried with, from this one on unless it is out of bounds.
+EXPONENTS, BROADEST = 14, 1.5
+PATIENCE = 2
+"""So many more materials than the best number are tried before it is believed."""
+
+
+class Materials(NamedTuple):
+    """The materials of an object.
+
+    - `criterion`: BIC of 1, 2, … materials.
+    - `sample`: how many pixels told so.
+    """
+
+    bases: Bases
+    criterion: Float[np.ndarray, " tried"]
+    sample: Int[np.ndarray, ""]
+
+
+def choose_sample(pixels: Int[np.ndarray, " n"], images: int) -> np.ndarray:
+    """Some pixels, from all over the object; the same whenever they are asked for."""
+    wanted = int(np.clip(LIGHT // images, FEWEST, MOST))
+    if len(pixels) <= wanted:
+        return pixels
+    chosen = np.random.default_rng(0).choice(len(pixels), wanted, replace=False)
+    return pixels[np.sort(chosen)]
+
+
+def find_materials(
+    tile: Tile,
+    pixels: int,
+    outside: Outside,
+    settings: MapSettings,
+    workers: Executor,
+) -> Materials:
+    """The materials of a sample: how many, their exponents and strengths.
+
+    **Arguments:**
+
+    - `tile`: the sample, of which so many `pixels` are no padding.
+    - `workers`: blocks are worked on side by side.
+
+    **Raises:** `ValueError` if no pixel of the sample can be used.
+    """
+    keep_compiled()
+    sample = _Sample(tile, pixels, outside, alone(settings), workers)
+    table = sample.table()
+    wanted = settings.materials
+    most = MOST_MATERIALS if wanted == "auto" else int(wanted or 1)
+    highest = settings.bound("specular")[1]
+    found: list[Mixture] = []
+    for count in range(1, most + 1):
+        groups = group(table, count, highest)
+        values = np.full((count, size_of(settings)), 0.0)
+        values[:, 0] = table.log_exponents[groups.exponent]
+        values[:, 1:] = groups.strength[:, None]
+        found.append(sample.maximize(values, groups.exponent))
+        best = int(np.argmin([one.criterion for one in found]))
+        if wanted == "auto" and count > best + PATIENCE:
+            break
+    criterion = np.array([one.criterion for one in found])
+    best = found[int(criterion.argmin()) if wanted == "auto" else most - 1]
+    order = np.argsort(-best.shares, kind="stable")
+    dtype = outside.noise.dtype
+    bases = (best.values[order], best.covariance[order], best.shares[order])
+    return Materials(
+        Bases(*(jnp.asarray(part, dtype) for part in (*bases, sample.noise))),
+        criterion,
+        np.asarray(sample.pixels),
+    )
+
+
+class _Sample:
+    """Blocks of sampled pixels, and where each was found under which material."""
+
+    def __init__(
+        self,
+        tile: Tile,
+        pixels: int,
+        outside: Outside,
+        settings: MapSettings,
+        workers: Executor,
+    ):
+        self._settings, self._known = settings, outside.known
+        self._workers = workers
+
+        def fit(part: Tile) -> Alone:
+            return fit_alone(part, outside, settings)
+
+        self._blocks = list(workers.map(fit, tile.parts(BLOCK)))
+        sound = np.concatenate([np.asarray(block.sound) for block in self._blocks])
+        sound &= np.arange(len(sound)) < pixels
+        if not sound.any():
+            raise ValueError(
+                "materials: expected pixels with more samples than unknowns, got none"
+            )
+        self._sound = sound
+        self.pixels = int(sound.sum())
+        level = np.concatenate([np.asarray(block.level) for block in self._blocks])
+        count = np.concatenate([np.asarray(block.count) for block in self._blocks])
+        given = settings.noise_given
+        self.noise = float(outside.noise if given else np.median(level[sound]))
+        # Exact data leave nothing.
+        bright = np.median(
+            [float(jnp.max(abs(b.samples.target))) for b in self._blocks]
+        )
+        self.noise = max(self.noise, 1e-6 * bright)
+        freedom = np.maximum(count - settings.unknowns(), 1)
+        worse = (level / self.noise) ** 2
+        # A pixel that no material of its own describes counts for less.
+        wrong = worse > np.asarray(most_by_chance(jnp.asarray(freedom)))
+        scale = self.noise * np.where(wrong, np.sqrt(worse), 1)
+        self._scales = np.split(scale.astype(level.dtype), len(self._blocks))
+        self._rows: list[list[Point]] = []
+
+    def table(self) -> Table:
+        """Costs of all pixels under a row of exponents."""
+        low, high = self._settings.log_bounds
+        first = max(low, min(np.log(BROADEST), high))
+        exponents = np.linspace(first, high, EXPONENTS if high > first else 1)
+        rows = []
+        for t in exponents:
+
+            def row(number: int, t: float = float(t)):
+                block = self._blocks[number]
+                return fit_row(
+                    block.samples,
+                    block.point,
+                    self._scales[number],
+                    jnp.asarray(t, block.level.dtype),
+                    self._settings,
+                )
+
+            rows.append(list(self._workers.map(row, range(len(self._blocks)))))
+        self._rows = [[block.point for block in row] for row in rows]
+        names = ("cost", "strength", "curvature")
+        cost, strength, curvature = (
+            np.stack([self._joined(getattr(b, name) for b in row) for row in rows])
+            for name in names
+        )
+        return Table(exponents, cost, strength, curvature)
+
+    def maximize(self, values: np.ndarray, rows: np.ndarray) -> Mixture:
+        """The best materials from a first guess, which is near rows of the table."""
+        starts = [list(self._rows[row]) for row in rows]
+
+        def look(material: int, values: np.ndarray) -> Told:
+            def one(number: int) -> Look:
+                block = self._blocks[number]
+                return look_at(
+                    block.samples,
+                    starts[material][number],
+                    self._scales[number],
+                    jnp.asarray(values, block.level.dtype),
+                    self._known,
+                    self._settings,
+                )
+
+            found = list(self._workers.map(one, range(len(self._blocks))))
+            starts[material] = [block.point for block in found]
+            kept, steep = (
+                self._joined(getattr(block, name) for block in found).sum()
+                for name in ("kept", "steepness")
+            )
+            return Told(
+                self._joined(block.cost for block in found),
+                self._joined(block.log_det for block in found),
+                self._joined(block.pull for block in found),
+                self._joined(block.curvature for block in found),
+                max(float(steep / kept), 0.1),
+            )
+
+        settings = self._settings
+        low, high = settings.bound("specular")
+        bottom, top = settings.log_bounds
+        strengths = size_of(settings) - 1
+        edges = (
+            np.array([bottom] + [low] * strengths),
+            np.array([top] + [high] * strengths),
+        )
+        return maximize(values.clip(*edges), look, edges)
+
+    def _joined(self, parts: Iterable[Any]) -> np.ndarray:
+        """Of all blocks, the pixels first, without those that cannot be used."""
+        whole = np.concatenate([np.asarray(part, float) for part in parts], axis=-1)
+        return np.moveaxis(whole[..., self._sound], -1, 0)

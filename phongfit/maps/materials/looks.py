@@ -1,0 +1,155 @@
+"""Blocks of sampled pixels, looked at with a material that is given: compiled once."""
+
+import dataclasses
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from phongfit.maps.materials.bases import as_known, held, sought
+from phongfit.maps.materials.reduced import reduce, take_apart
+from phongfit.maps.normals.block import samples_of
+from phongfit.maps.normals.scale import weighed_scale
+from phongfit.maps.normals.search import descend, search
+from phongfit.maps.normals.step import edges_of, free_to_move, reduce_sums
+from phongfit.maps.normals.sums import Samples, gather, residuals
+from phongfit.maps.normals.unknowns import Point, unknowns_of
+from phongfit.maps.pixel.pixel import Known
+from phongfit.maps.pixel.robust import loss_weights
+from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.small import curvatures
+from phongfit.maps.pixel.tile import SETTLED, Outside, Tile
+
+# Points that are looked at from a start nearby, and how little the last step matters.
+STEPS = 12
+ROUGH, FINE = 0.1, 1e-4
+
+compiled = functools.partial(
+    jax.jit, static_argnames=("settings",), compiler_options=SETTLED
+)
+
+
+class Alone(NamedTuple):
+    """Pixels with a highlight of their own, one ρ_s for the channels.
+
+    - `level`: size of the residuals a degree of freedom.
+    - `count`: samples that are used; `sound`: whether the pixel can be relied on.
+    """
+
+    samples: Samples
+    point: Point
+    level: Float[Array, " pixels"]
+    count: Float[Array, " pixels"]
+    sound: Float[Array, " pixels"]
+
+
+@compiled
+def fit_alone(tile: Tile, outside: Outside, settings: MapSettings) -> Alone:
+    """What pixels find on their own."""
+    settings = dataclasses.replace(settings, one_specular=True)
+    samples, _ = samples_of(tile, outside, settings)
+    which = unknowns_of(settings)
+    found = search(samples, outside.known, outside.noise, settings, which)
+    left = residuals(found.point, samples, settings.model, which)
+    unknowns = settings.unknowns()
+    count = jnp.sum((samples.share > 0).astype(left.dtype), axis=(0, 1))
+    if settings.loss.robust:
+        level = weighed_scale(left, samples.share, found.scale, settings.loss, unknowns)
+    else:
+        freedom = jnp.maximum(count - unknowns, 1)
+        level = jnp.sqrt(jnp.sum(left**2, axis=(0, 1)) / freedom)
+    lit = jnp.any(samples.target > 0, axis=(0, 1))
+    return Alone(samples, found.point, level, count, lit & (count > unknowns))
+
+
+class Row(NamedTuple):
+    r"""Pixels under one exponent: their costs are $c + h (\rho_s - \hat\rho_s)^2$."""
+
+    point: Point
+    cost: Float[Array, " pixels"]
+    strength: Float[Array, " pixels"]
+    curvature: Float[Array, " pixels"]
+
+
+@compiled
+def fit_row(
+    samples: Samples,
+    start: Point,
+    scale: Float[Array, " pixels"],
+    log_exponent: Float[Array, ""],
+    settings: MapSettings,
+) -> Row:
+    """All else adapted to an exponent, from a start."""
+    settings = dataclasses.replace(settings, one_specular=True)
+    which = unknowns_of(settings)._replace(exponent=False)
+    t = jnp.full_like(start.log_exponent, log_exponent)
+    begin = start._replace(log_exponent=t)
+    end = descend(begin, samples, scale, STEPS, ROUGH, settings, which)
+    free = free_to_move(end.point, end.sums, which, edges_of(settings, which))
+    shared = (*free.shared[:2], jnp.ones_like(free.shared[0]))
+    reduced = reduce_sums(end.sums, jnp.zeros_like(scale), free._replace(shared=shared))
+    return Row(
+        end.point, end.sums.cost, end.point.specular[0], curvatures(reduced.shared)[2]
+    )
+
+
+class Look(NamedTuple):
+    """Pixels under one material: what they tell of it.
+
+    - `pull`, `curvature`, `log_det`: see [`phongfit.maps.materials.reduced`][].
+    - `kept`, `steepness`: sums over the samples of a loss's weights, and of the slope
+        of weight times residual.
+    """
+
+    point: Point
+    cost: Float[Array, " pixels"]
+    pull: Float[Array, "unknowns pixels"]
+    curvature: Float[Array, "unknowns unknowns pixels"]
+    log_det: Float[Array, " pixels"]
+    kept: Float[Array, " pixels"]
+    steepness: Float[Array, " pixels"]
+
+
+@compiled
+def look_at(
+    samples: Samples,
+    start: Point,
+    scale: Float[Array, " pixels"],
+    values: Float[Array, " unknowns"],
+    known: Known,
+    settings: MapSettings,
+) -> Look:
+    """All that is a pixel's own adapted to a material, from a start."""
+    mine, which = sought(settings), unknowns_of(settings)
+    given = as_known(values, known)
+    begin = start._replace(
+        log_exponent=jnp.full_like(start.log_exponent, values[0]),
+        specular=jnp.broadcast_to(given.specular[:, None], start.diffuse.shape),
+    )
+    end = descend(begin, samples, scale, STEPS, FINE, held(settings), mine)
+    whole = end.point
+    if settings.one_specular:
+        whole = whole._replace(specular=whole.specular[:1])
+    sums = gather(whole, samples, scale, settings.loss, settings.model, which)
+    parts = take_apart(sums, which)
+    edges = edges_of(settings, mine)
+    reduced = reduce(parts, free_to_move(end.point, parts.pixel, mine, edges))
+    left = residuals(end.point, samples, settings.model, mine) / scale[None, None]
+    used = samples.share > 0
+
+    def psi(r: Array) -> Array:
+        return r * loss_weights(settings.loss, r)
+
+    _, slope = jax.jvp(psi, (left,), (jnp.ones_like(left),))
+    weight = loss_weights(settings.loss, left)
+    return Look(
+        end.point,
+        sums.cost,
+        reduced.pull,
+        reduced.curvature,
+        reduced.log_det,
+        jnp.sum(jnp.where(used, weight, 0), axis=(0, 1)),
+        jnp.sum(jnp.where(used, slope, 0), axis=(0, 1)),
+    )

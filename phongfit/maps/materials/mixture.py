@@ -1,0 +1,164 @@
+r"""Materials by maximum likelihood: each pixel is of one, and nobody knows of which.
+
+Expectation and maximisation in turn: how likely a pixel is of each material, and the
+materials by Gauss-Newton steps that all pixels share, $\sum_p r_{pk} H_p$. What is a
+pixel's own is integrated over by Laplace's approximation, so that a material is not
+preferred for leaving less to the normal.
+
+??? cite "Source"
+    Dempster, Laird and Rubin, *Maximum likelihood from incomplete data via the EM
+    algorithm*, J. R. Stat. Soc. B 39(1), 1977; Louis, *Finding the observed information
+    matrix when using the EM algorithm*, J. R. Stat. Soc. B 44(2), 1982; Schwarz,
+    *Estimating the dimension of a model*, Ann. Stat. 6(2), 1978; White, *Maximum
+    likelihood estimation of misspecified models*, Econometrica 50(1), 1982.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+# Rounds of the search, and the square of a step, in standard errors, that ends it.
+ROUNDS = 30
+SMALL = 1e-3
+# No step is longer, in log f and in ρ_s.
+LONGEST = np.array([0.5, 0.2, 0.2, 0.2])
+# A standard error of log f from which on f is not identified.
+LOST = 1.0
+
+
+class Told(NamedTuple):
+    """What each pixel tells of one material: see [`Reduced`][].
+
+    The loss's slope is `steepness` times as steep as its weights say.
+    """
+
+    cost: Float[np.ndarray, " pixels"]
+    log_det: Float[np.ndarray, " pixels"]
+    pull: Float[np.ndarray, "pixels unknowns"]
+    curvature: Float[np.ndarray, "pixels unknowns unknowns"]
+    steepness: float
+
+
+class Mixture(NamedTuple):
+    r"""K materials, and how well they explain the pixels.
+
+    - `values`: (K, unknowns), $\log f$ and $\rho_s$.
+    - `shares`: (K,), of the pixels.
+    - `log_likelihood`: of all pixels.
+    - `criterion`: BIC; less is better.
+    - `covariance`: (K, unknowns, unknowns), of each material.
+    - `converged`: whether the last step was small.
+    """
+
+    values: Float[np.ndarray, "materials unknowns"]
+    shares: Float[np.ndarray, " materials"]
+    log_likelihood: float
+    criterion: float
+    covariance: Float[np.ndarray, "materials unknowns unknowns"]
+    converged: bool
+
+
+def maximize(
+    values: Float[np.ndarray, "materials unknowns"],
+    look: Callable[[int, np.ndarray], Told],
+    edges: tuple[np.ndarray, np.ndarray],
+) -> Mixture:
+    """The best materials from a first guess.
+
+    **Arguments:**
+
+    - `look`: the number of a material and its values → what pixels tell of it.
+    - `edges`: low and high of each unknown.
+    """
+    count, unknowns = values.shape
+    shares = np.full(count, 1 / count)
+    told: list[Told] = []
+    odds, total = np.zeros((0, 0)), 0.0
+    converged = False
+    for _ in range(ROUNDS):
+        told = [look(k, values[k]) for k in range(count)]
+        odds, total = _odds(told, shares)
+        shares = odds.mean(axis=1)
+        if converged:
+            break
+        moved = np.zeros(count)
+        for k in range(count):
+            pull, curvature = odds[k] @ told[k].pull, _summed(odds[k], told[k])
+            step = np.linalg.pinv(curvature, rcond=1e-10, hermitian=True) @ pull
+            step = np.clip(step, -LONGEST[:unknowns], LONGEST[:unknowns])
+            new = np.clip(values[k] + step, *edges)
+            moved[k] = (new - values[k]) @ curvature @ (new - values[k])
+            values = np.concatenate([values[:k], new[None], values[k + 1 :]])
+        converged = bool(moved.max() < SMALL)
+    pixels = odds.shape[1]
+    free = count * unknowns + count - 1
+    return Mixture(
+        values,
+        shares,
+        total,
+        -2 * total + free * np.log(pixels),
+        _covariance(told, odds),
+        converged,
+    )
+
+
+def _odds(
+    told: list[Told], shares: np.ndarray
+) -> tuple[Float[np.ndarray, "materials pixels"], float]:
+    """How likely each pixel is of each material, and the likelihood of all."""
+    with np.errstate(divide="ignore"):
+        share = np.log(shares)
+    logs = np.stack(
+        [s - (one.cost + one.log_det) / 2 for s, one in zip(share, told, strict=True)]
+    )
+    top = logs.max(axis=0)
+    whole = np.exp(logs - top)
+    summed = whole.sum(axis=0)
+    return whole / summed, float((top + np.log(summed)).sum())
+
+
+def _summed(odds: np.ndarray, told: Told) -> np.ndarray:
+    return np.einsum("p,pij->ij", odds, told.curvature)
+
+
+def _covariance(
+    told: list[Told], odds: np.ndarray
+) -> Float[np.ndarray, "materials unknowns unknowns"]:
+    """By what pixels say, spread as it is: infinite where f is not identified."""
+    count, unknowns = len(told), told[0].pull.shape[1]
+    size = count * unknowns
+    information = np.zeros((size, size))
+    scores = np.concatenate(
+        [odds[k][:, None] * one.pull for k, one in enumerate(told)], axis=1
+    )
+    for k, one in enumerate(told):
+        part = slice(k * unknowns, (k + 1) * unknowns)
+        block = one.steepness * _summed(odds[k], one)
+        lost = np.einsum("p,pi,pj->ij", odds[k], one.pull, one.pull)
+        information[part, part] = block - lost
+    spread = scores.T @ scores
+    information += spread
+    alone = np.concatenate(
+        [np.diag(one.steepness * _summed(odds[k], one)) for k, one in enumerate(told)]
+    )
+    seen = alone > 0
+    seen[::unknowns] &= alone[::unknowns] > 1 / LOST**2
+    root = np.sqrt(np.where(seen, alone, 1))
+    inner = np.where(seen[:, None] & seen, information / np.outer(root, root), 0)
+    inverse = np.linalg.pinv(inner, rcond=1e-6, hermitian=True)
+    inverse = inverse / np.outer(root, root)
+    covariance = inverse @ spread @ inverse
+    blocks = np.stack(
+        [
+            covariance[k * unknowns : (k + 1) * unknowns][
+                :, k * unknowns : (k + 1) * unknowns
+            ]
+            for k in range(count)
+        ]
+    )
+    hidden = ~seen.reshape(count, unknowns)
+    blocks[hidden] = 0
+    blocks[np.nonzero(hidden)[0], np.nonzero(hidden)[1], np.nonzero(hidden)[1]] = np.inf
+    return blocks

@@ -1,0 +1,128 @@
+"""Materials that pixels share: how many, which, and what a pixel has of its own."""
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from tests.maps.normals.scenes import FREE, Hidden, hide
+from tests.maps.synthetic import pulls
+
+BLINN = ((0.3, 10.0), (0.4, 60.0), (0.2, 30.0), (0.45, 20.0))
+PHONG = ((0.3, 4.0), (0.4, 20.0), (0.2, 10.0), (0.45, 7.0))
+
+
+def found(hidden: Hidden, **options) -> pf.Maps:
+    given = {"materials": "auto", "per_channel": ("diffuse",)} | options
+    unknowns = ("diffuse", "specular", "shininess")
+    return pf.fit_maps(
+        hidden.scenes,
+        hidden.images,
+        film=FREE,
+        normals="fit",
+        unknowns=unknowns,
+        **given,
+    )
+
+
+def check_truth(hidden: Hidden, maps: pf.Maps, shared: tuple) -> None:
+    """As many as there are, and errors that hold."""
+    materials = maps.materials
+    assert materials is not None and len(materials.shininess) == len(shared)
+    for strength, exponent in shared:
+        k = int(np.abs(np.log(materials.shininess / exponent)).argmin())
+        off = abs(materials.specular[k] - strength)
+        assert (off < 4 * materials.stderr_specular[k] + 1e-3).all()
+        off = abs(materials.shininess[k] - exponent)
+        assert off < 4 * materials.stderr_shininess[k] + 0.01 * exponent
+    assert maps.identified.mean() > 0.85
+    for pull in (hidden.pulls(maps), pulls(maps, hidden.truth, "diffuse")):
+        square = np.sort(pull.ravel() ** 2)
+        assert 0.88 < np.sqrt(square[: int(0.995 * square.size)].mean()) < 1.12
+    weights = materials.weights
+    np.testing.assert_allclose(weights.sum(axis=-1), 1, atol=1e-3)
+
+
+@pytest.fixture(scope="module")
+def two() -> Hidden:
+    return hide(lights=12, shared=BLINN[:2])
+
+
+@pytest.fixture(scope="module")
+def maps(two: Hidden, tmp_path_factory) -> pf.Maps:
+    return found(two, output=tmp_path_factory.mktemp("two") / "tiles")
+
+
+def test_two_materials(two, maps):
+    check_truth(two, maps, BLINN[:2])
+    # Which is which, of 384 pixels under 12 lamps, and all that follows from it.
+    right = abs(maps.specular - two.truth.specular) < 0.05
+    assert right.mean() > 0.97
+    assert two.angles(maps).mean() < 0.45
+    assert maps.materials is not None
+    assert maps.materials.criterion.argmin() == 1
+    assert "materials by BIC" in str(maps)
+    told = maps.materials.weights_stderr.max(axis=-1) < 0.22
+    np.testing.assert_array_equal(told, ~maps.flagged(pf.Flag.SEVERAL_MATERIALS))
+
+
+def test_they_are_kept(two, maps, tmp_path):
+    maps.save(tmp_path / "maps.npz")
+    again = pf.load_maps(tmp_path / "maps.npz")
+    assert maps.materials is not None and again.materials is not None
+    for name in ("specular", "stderr_shininess", "weights", "criterion"):
+        ours = getattr(again.materials, name)
+        np.testing.assert_array_equal(ours, getattr(maps.materials, name))
+    assert again.materials.sample == maps.materials.sample == two.images[0, ..., 0].size
+    # A run that goes on has the same materials; of another number it is another job.
+    folder = tmp_path / "tiles"
+    first = found(two, output=folder, materials=1)
+    for path in folder.glob("tile_000000.npz"):
+        path.unlink()
+    second = found(two, output=folder, materials=1)
+    np.testing.assert_array_equal(first.normals, second.normals)
+    with pytest.raises(ValueError, match="tiles of another job"):
+        found(two, output=folder, materials=2)
+
+
+def test_one_for_all(two):
+    """A number that is given is believed; the criterion tells of what it leaves."""
+    one = hide(lights=12, shared=BLINN[2:3])
+    maps = found(one, materials=1)
+    check_truth(one, maps, BLINN[2:3])
+    assert maps.materials is not None and maps.materials.weights.min() == 1
+    assert np.ptp(maps.shininess) == 0
+    # Matte pixels are a material as well, and show no exponent.
+    matte = found(hide(lights=12, shared=((0.0, 10.0), BLINN[1])), materials=2)
+    assert matte.materials is not None
+    dim = int(matte.materials.specular[:, 0].argmin())
+    assert matte.materials.specular[dim].max() < 0.02
+    assert np.isinf(matte.materials.stderr_shininess[dim])
+    assert matte.flagged(pf.Flag.NO_HIGHLIGHT).mean() > 0.3
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ({"materials": 0}, "materials: expected a number from 1 to 6"),
+        ({"materials": "some"}, "materials: expected"),
+        ({"normals": "given"}, "materials: expected normals='fit'"),
+        ({"unknowns": ["diffuse"]}, "materials: expected specular and shininess"),
+        ({"start": pf.Material(0.2, 0.2, 9.0)}, "materials: expected it or start"),
+    ],
+)
+def test_wrong_arguments_are_named(two, options, words):
+    given = {"materials": 2, "normals": "fit"} | options
+    with pytest.raises(ValueError, match=words):
+        pf.fit_maps(two.scenes, two.images, **given)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 2, 4])
+@pytest.mark.parametrize("lights", [12, 24])
+@pytest.mark.parametrize("model", [pf.Phong(), pf.BlinnPhong()], ids=["phong", "blinn"])
+@pytest.mark.parametrize("coloured", [False, True])
+def test_as_many_as_there_are(count, lights, model, coloured):
+    shared = (PHONG if isinstance(model, pf.Phong) else BLINN)[:count]
+    hidden = hide((40, 48), lights, model=model, shared=shared, seed=count)
+    channels = ("diffuse", "specular") if coloured else ("diffuse",)
+    check_truth(hidden, found(hidden, per_channel=channels), shared)
