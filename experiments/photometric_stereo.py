@@ -14,7 +14,7 @@ the truth, beside those of least squares on a matte surface from the same pixels
 import dataclasses
 import re
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -122,8 +122,13 @@ def angles(
     return np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
 
 
-def compare(photos: Photos) -> tuple[dict[str, Any], pf.Maps]:
-    """Mean angular errors of both ways, in degrees, and phongfit's maps."""
+def compare(
+    photos: Photos, materials: int | Literal["auto"] | None = None
+) -> tuple[dict[str, Any], pf.Maps]:
+    """Mean angular errors of both ways, in degrees, and phongfit's maps.
+
+    **Arguments:** `materials`: as of [`fit_maps`][phongfit.fit_maps].
+    """
     data = photos.photographs
     directions = np.array([_direction(scene) for scene in data.scenes])
     loaded = data.load()
@@ -155,6 +160,7 @@ def compare(photos: Photos) -> tuple[dict[str, Any], pf.Maps]:
         # A highlight has the lamp's colour: one ρ_s, which few lamps can tell.
         per_channel=("diffuse",),
         bounds=BOUNDS,
+        materials=materials,
     )
     off = angles(maps.normals, photos)
     errors = maps.normals_stderr[photos.mask]
@@ -209,6 +215,7 @@ def figure(photos: Photos, maps: pf.Maps) -> Figure:
 def main(
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER")],
     every: int = 1,
+    materials: Literal["own", "auto", 1, 2, 3, 4, 5, 6] = "own",
     encoding: EncodingName = None,
     picture: PictureFile = Path("out/photometric_stereo.png"),
     json: JsonFile = None,
@@ -221,6 +228,8 @@ def main(
     Args:
         folder: DiLiGenT's layout, or photographs with an .lp and a normals.png.
         every: Use every so-manieth photograph only, from the first on.
+        materials: How many materials the pixels share; auto finds out; own: each pixel
+            has its own.
         encoding: What the photographs' numbers are, if their format does not tell.
         picture: Where the picture goes.
         json: Where the numbers go: mean_angular_error, least_squares, and more.
@@ -230,7 +239,7 @@ def main(
         return 0
     check_outputs(picture, json)
     photos = some(read(folder, parse_encoding(encoding)), every)
-    numbers, maps = compare(photos)
+    numbers, maps = compare(photos, None if materials == "own" else materials)
     for name, number in numbers.items():
         words = re.sub("_", " ", name)
         shown = f"{number:.4g}" if isinstance(number, float) else number

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from phongfit.edge import shown
 from phongfit.fitting.problem.losses import as_loss
 from phongfit.fitting.problem.parameters import DEFAULT_BOUNDS
 from phongfit.geometry.shading import PhongShading

@@ -249,3 +249,24 @@ def test_normals_are_sought(capture, tmp_path, capsys):
     (folder / "dome.lp").rename(folder / "dome.txt")
     assert main([*args, "-o", str(tmp_path / "more")]) == 2
     assert "lights: expected them where normals are sought" in capsys.readouterr().err
+
+
+def test_materials_are_asked_for(capture, tmp_path, monkeypatch, capsys):
+    """What becomes of them stands in `tests/maps/materials`."""
+    args = ["maps", str(capture[0]), "--normals", "fit", "--encoding", "linear"]
+    args += ["-o", str(tmp_path / "maps")]
+    asked = []
+
+    def stop(*_, **given):
+        asked.append(given["materials"])
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(command, "fit_maps", stop)
+        for words in ([], ["--materials", "3"], ["--materials", "auto"]):
+            assert main([*args, *words]) == 130
+    assert asked == [None, 3, "auto"]
+    capsys.readouterr()
+    assert main([*args, "--materials", "several"]) == 2
+    err = capsys.readouterr().err
+    assert "materials: expected a number from 1 to 6" in err and err.count("\n") == 1

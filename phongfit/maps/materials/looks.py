@@ -9,11 +9,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from phongfit.maps.materials.bases import as_known, held, sought
-from phongfit.maps.materials.reduced import reduce, take_apart
+from phongfit.maps.materials.reduced import log_determinant, reduce, take_apart
 from phongfit.maps.normals.block import samples_of
 from phongfit.maps.normals.scale import weighed_scale
 from phongfit.maps.normals.search import descend, search
-from phongfit.maps.normals.step import edges_of, free_to_move, reduce_sums
+from phongfit.maps.normals.step import (
+    Move,
+    edges_of,
+    free_to_move,
+    moved,
+    reduce_sums,
+)
 from phongfit.maps.normals.sums import Samples, gather, residuals
 from phongfit.maps.normals.unknowns import Point, unknowns_of
 from phongfit.maps.pixel.pixel import Known
@@ -25,6 +31,8 @@ from phongfit.maps.pixel.tile import SETTLED, Outside, Tile
 # Points that are looked at from a start nearby, and how little the last step matters.
 STEPS = 12
 ROUGH, FINE = 0.1, 1e-4
+# How far, in log f and ρ_s, to look for a slope.
+ASIDE = 0.01
 
 compiled = functools.partial(
     jax.jit, static_argnames=("settings",), compiler_options=SETTLED
@@ -98,7 +106,8 @@ def fit_row(
 class Look(NamedTuple):
     """Pixels under one material: what they tell of it.
 
-    - `pull`, `curvature`, `log_det`: see [`phongfit.maps.materials.reduced`][].
+    - `pull`, `curvature`, `log_det`: as [`Reduced`][] has them; the pull is that of the
+        determinant as well.
     - `kept`, `steepness`: sums over the samples of a loss's weights, and of the slope
         of weight times residual.
     """
@@ -135,7 +144,25 @@ def look_at(
     sums = gather(whole, samples, scale, settings.loss, settings.model, which)
     parts = take_apart(sums, which)
     edges = edges_of(settings, mine)
-    reduced = reduce(parts, free_to_move(end.point, parts.pixel, mine, edges))
+    free = free_to_move(end.point, parts.pixel, mine, edges)
+    reduced = reduce(parts, free)
+    own = jax.tree.map(lambda *leaves: jnp.stack(leaves), *reduced.adapting)
+
+    def slope_along(unknown: tuple[Array, Move]) -> Array:
+        """Of the logarithm of the determinant."""
+        along, adapting = unknown
+        there = values + ASIDE * along
+        move = Move(*jax.tree.map(lambda leaf: -ASIDE * leaf, adapting))
+        point = moved(end.point, move, samples.lamps.to_viewer, mine, edges)
+        lobe = as_known(there, known)
+        point = point._replace(
+            log_exponent=jnp.full_like(start.log_exponent, there[0]),
+            specular=jnp.broadcast_to(lobe.specular[:, None], start.diffuse.shape),
+        )
+        sums = gather(point, samples, scale, settings.loss, settings.model, mine)
+        return (log_determinant(sums, free) - reduced.log_det) / ASIDE
+
+    steep = jax.lax.map(slope_along, (jnp.eye(len(values), dtype=values.dtype), own))
     left = residuals(end.point, samples, settings.model, mine) / scale[None, None]
     used = samples.share > 0
 
@@ -147,7 +174,8 @@ def look_at(
     return Look(
         end.point,
         sums.cost,
-        reduced.pull,
+        # Of cost and determinant: what a pixel has of its own is integrated over.
+        reduced.pull - steep / 2,
         reduced.curvature,
         reduced.log_det,
         jnp.sum(jnp.where(used, weight, 0), axis=(0, 1)),

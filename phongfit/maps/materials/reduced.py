@@ -125,11 +125,19 @@ def reduce(parts: Parts, free: Free) -> Reduced:
     moves = tuple(adapted(column) for column in parts.columns)
     pull = jnp.stack([product(parts.pixel, move) for move in moves])
     taken = [[product(column, move) for move in moves] for column in parts.columns]
-    normal = reduce_sums(parts.pixel, still, free).shared
-    inverse = jnp.stack(factorize(normal).inverse)
     return Reduced(
         parts.pull - pull,
         parts.curvature - jnp.stack([jnp.stack(row) for row in taken]),
         moves,
-        -jnp.sum(jnp.log(jnp.where(inverse > 0, inverse, 1)), axis=0),
+        log_determinant(parts.pixel, free),
     )
+
+
+def log_determinant(sums: Sums, free: Free) -> Float[Array, " pixels"]:
+    """Of the normal's curvature, matte light having adapted: how well it is known.
+
+    **Arguments:** `sums`: of a pixel's own unknowns.
+    """
+    normal = reduce_sums(sums, jnp.zeros_like(sums.cost), free).shared
+    inverse = jnp.stack(factorize(normal).inverse)
+    return -jnp.sum(jnp.log(jnp.where(inverse > 0, inverse, 1)), axis=0)

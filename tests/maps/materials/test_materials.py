@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.files.fits import DataRecord, DataSettings
+from phongfit.maps.folder import MapSettings, load_folder, save_folder
 from tests.maps.normals.scenes import FREE, Hidden, hide
 from tests.maps.synthetic import pulls
 
@@ -73,6 +75,21 @@ def test_they_are_kept(two, maps, tmp_path):
         ours = getattr(again.materials, name)
         np.testing.assert_array_equal(ours, getattr(maps.materials, name))
     assert again.materials.sample == maps.materials.sample == two.images[0, ..., 0].size
+    # As a folder: the record says what they are, and by how much.
+    data = DataRecord(name="two", reading=DataSettings(), inputs={})
+    save_folder(
+        tmp_path,
+        maps,
+        data=data,
+        settings=MapSettings(normals="fit", materials="auto"),
+        model=pf.BlinnPhong(),
+        encoding="linear",
+    )
+    _, record, _ = load_folder(tmp_path)
+    assert record.settings.materials == "auto"
+    assert record.materials is not None and record.criterion is not None
+    assert [one.shininess for one in record.materials] == list(maps.materials.shininess)
+    assert len(record.criterion) == 4
     # A run that goes on has the same materials; of another number it is another job.
     folder = tmp_path / "tiles"
     first = found(two, output=folder, materials=1)
