@@ -120,7 +120,7 @@ def _inherited(
 
     turns = [through([m.shared[k] for m in reduced.adapting]) for k in range(2)]
     turn = jnp.rad2deg(jnp.sqrt(turns[0] + turns[1]))
-    errors = dict(zip(_NAMES, fit.material.errors, strict=True))
+    errors: dict[str, Array] = dict(zip(_NAMES, fit.material.errors, strict=True))
     for k, name in enumerate(mine.own):
         more = through([m.own[k] for m in reduced.adapting]).T
         errors[name] = jnp.sqrt(errors[name] ** 2 + more)

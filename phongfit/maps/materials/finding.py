@@ -119,7 +119,7 @@ class _Sample:
         self._sound = sound
         self.pixels = int(sound.sum())
         level = np.concatenate([np.asarray(block.level) for block in self._blocks])
-        count = np.concatenate([np.asarray(block.count) for block in self._blocks])
+        count = np.concatenate([np.asarray(block.used) for block in self._blocks])
         given = settings.noise_given
         self.noise = float(outside.noise if given else np.median(level[sound]))
         # Exact data leave nothing.

@@ -1,18 +1,16 @@
 r"""Materials by maximum likelihood: each pixel is of one, and nobody knows of which.
 
 Expectation and maximisation in turn: how likely a pixel is of each material, and the
-materials by Gauss-Newton steps that all pixels share, $\sum_p r_{pk} H_p$. What is a
-pixel's own is integrated over by Laplace's approximation: the best normals of thousands
-of pixels together would make every highlight a little too sharp.
+materials by Gauss-Newton steps that all pixels share, $\sum_p r_{pk} H_p$. Of which a
+pixel is, its normal is integrated over by Laplace's approximation: a material is not
+preferred for leaving less to the normal.
 
 ??? cite "Source"
-    Cox and Reid, *Parameter orthogonality and approximate conditional inference*, J. R.
-    Stat. Soc. B 49(1), 1987; Dempster, Laird and Rubin, *Maximum likelihood from
-    incomplete data via the EM algorithm*, J. R. Stat. Soc. B 39(1), 1977; Louis,
-    *Finding the observed information matrix when using the EM algorithm*, J. R. Stat.
-    Soc. B 44(2), 1982; Schwarz, *Estimating the dimension of a model*, Ann. Stat. 6(2),
-    1978; White, *Maximum likelihood estimation of misspecified models*, Econometrica
-    50(1), 1982.
+    Dempster, Laird and Rubin, *Maximum likelihood from incomplete data via the EM
+    algorithm*, J. R. Stat. Soc. B 39(1), 1977; Louis, *Finding the observed information
+    matrix when using the EM algorithm*, J. R. Stat. Soc. B 44(2), 1982; Schwarz,
+    *Estimating the dimension of a model*, Ann. Stat. 6(2), 1978; White, *Maximum
+    likelihood estimation of misspecified models*, Econometrica 50(1), 1982.
 """
 
 from collections.abc import Callable

@@ -125,19 +125,35 @@ def reduce(parts: Parts, free: Free) -> Reduced:
     moves = tuple(adapted(column) for column in parts.columns)
     pull = jnp.stack([product(parts.pixel, move) for move in moves])
     taken = [[product(column, move) for move in moves] for column in parts.columns]
+    normal = reduce_sums(parts.pixel, still, free).shared
+    inverse = jnp.stack(factorize(normal).inverse)
     return Reduced(
         parts.pull - pull,
         parts.curvature - jnp.stack([jnp.stack(row) for row in taken]),
         moves,
-        log_determinant(parts.pixel, free),
+        -jnp.sum(jnp.log(jnp.where(inverse > 0, inverse, 1)), axis=0),
     )
 
 
-def log_determinant(sums: Sums, free: Free) -> Float[Array, " pixels"]:
-    """Of the normal's curvature, matte light having adapted: how well it is known.
+def turns(sums: Sums, free: Free) -> tuple[Move, Move]:
+    """Two steps of a pixel's own unknowns whose squares sum to its covariance.
+
+    Of the normal's part, with matte light adapted; what is matte light's alone bends
+    nothing.
 
     **Arguments:** `sums`: of a pixel's own unknowns.
     """
-    normal = reduce_sums(sums, jnp.zeros_like(sums.cost), free).shared
-    inverse = jnp.stack(factorize(normal).inverse)
-    return -jnp.sum(jnp.log(jnp.where(inverse > 0, inverse, 1)), axis=0)
+    still = jnp.zeros_like(sums.cost)
+    reduced = reduce_sums(sums, still, free)
+    factors = factorize(reduced.shared)
+    first, second = (jnp.sqrt(d) for d in factors.inverse)
+    ((), (lower,)) = factors.lower
+
+    def follow(a: Array, b: Array) -> Move:
+        own = tuple(
+            -(a[None] * along + b[None] * across)
+            for along, across in zip(*reduced.adapted, strict=True)
+        )
+        return Move(own, (a, b), still)
+
+    return follow(first, still), follow(-lower * second, second)
