@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from phongfit.fitting.problem.losses import AbstractLoss
 from phongfit.maps.materials.bases import as_known, held, sought
 from phongfit.maps.materials.reduced import reduce, take_apart, turns
 from phongfit.maps.normals.block import samples_of
@@ -158,12 +159,32 @@ def look_at(
     return Look(
         end.point,
         sums.cost,
-        reduced.pull + more,
+        reduced.pull + _strayed(settings.loss) * more,
         reduced.curvature,
         reduced.log_det,
         jnp.sum(jnp.where(used, weight, 0), axis=(0, 1)),
         jnp.sum(jnp.where(used, slope, 0), axis=(0, 1)),
     )
+
+
+def _strayed(loss: AbstractLoss) -> Float[Array, ""]:
+    r"""What a loss makes of a bias that is reckoned as if it were least squares'.
+
+    $E\,\psi^2 \, E\,w / E\,\psi'$ of normal residuals: estimates spread by
+    $E\,\psi^2 / (E\,\psi')^2$, residuals are pulled back by $E\,\psi'$, and the sums'
+    weights are $E\,w$ of all.
+    """
+    r = jnp.linspace(-8, 8, 401)
+    density = jnp.exp(-(r**2) / 2)
+
+    def psi(r: Array) -> Array:
+        return r * loss_weights(loss, r)
+
+    value, slope = jax.jvp(psi, (r,), (jnp.ones_like(r),))
+    square, weight, steep = (
+        jnp.sum(density * each) for each in (value**2, loss_weights(loss, r), slope)
+    )
+    return square * weight / steep / jnp.sum(density)
 
 
 def _bent(
