@@ -146,8 +146,8 @@ def look_at(
     free = free_to_move(end.point, parts.pixel, mine, edges)
     reduced = reduce(parts, free)
     bent = _bent(end.point, turns(parts.pixel, free), samples, settings)
-    sums = gather(whole, bent, scale, settings.loss, settings.model, which)
-    more = reduce(take_apart(sums, which), free).pull
+    aside = gather(whole, bent, scale, settings.loss, settings.model, which)
+    more = reduce(take_apart(aside, which), free).pull
     left = residuals(end.point, samples, settings.model, mine) / scale[None, None]
     used = samples.share > 0
 
