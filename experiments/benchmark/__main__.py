@@ -17,7 +17,7 @@ from matplotlib.ticker import NullFormatter
 from rich.console import Console
 from rich.markdown import Markdown
 
-from experiments.benchmark import costs, map_peers, maps, single
+from experiments.benchmark import costs, map_peers, maps, normal_peers, single
 from experiments.output import JsonFile, check_outputs, save_numbers, save_picture
 from experiments.style import BLUE, GREEN, ORANGE, VERMILION, bands, page, styled
 from phongfit.cli import run
@@ -73,6 +73,18 @@ def map_ratios(found: list[map_peers.Row]) -> list[Ratio]:
     ]
 
 
+def normal_ratio(found: list[normal_peers.Row]) -> Ratio:
+    """Of normals that are sought with the material, by the processor's time."""
+    seconds = {row.key: row.seconds for row in found}
+    return Ratio(
+        f"normals and materials per pixel, {found[0].pixels:,} pixels × 49 lights",
+        "`vmap`ped stock LM",
+        "vmapped_lm_over_normals",
+        seconds["vmapped_lm_of_normals"] / seconds["normals"],
+        50,
+    )
+
+
 def spread(costs: dict[str, float]) -> float:
     """The largest of some costs over the least."""
     return max(costs.values()) / min(costs.values())
@@ -117,6 +129,20 @@ def map_details(found: list[map_peers.Row]) -> str:
         "",
         "As the map: pixels with no unknown further from the map's than half an error "
         "bar. Near the truth: unknowns within two error bars of it; 95 % is right.",
+    ]
+    return "\n".join(lines)
+
+
+def normal_details(found: list[normal_peers.Row]) -> str:
+    """The ways to normals, as Markdown."""
+    lines = [
+        "| normals and materials per pixel | pixels | processor, a pixel | off by |",
+        "|---|--:|--:|--:|",
+    ]
+    lines += [
+        f"| {row.name} | {row.pixels} | {1e6 * row.seconds:.1f} µs "
+        f"| {row.degrees:.2f}° |"
+        for row in found
     ]
     return "\n".join(lines)
 
@@ -203,6 +229,8 @@ def main(
     # The map's own programs are tuned to run at full size.
     mapped = map_peers.rows(16_000 // share, scipy=200 // share)
     show("\n" + map_details(mapped))
+    shaped = normal_peers.rows(16_000 // share)
+    show("\n" + normal_details(shaped))
     rendered = costs.render_costs(costs.SIZES[: 2 if quick else None])
     sizes = (10_000, 100_000, 1_000_000, 4_000_000)
     pixels = maps.scaling(tuple(n // share for n in sizes[: 2 if quick else None]))
@@ -213,6 +241,7 @@ def main(
     ratios = [
         *single_ratios(found),
         *map_ratios(mapped),
+        normal_ratio(shaped),
         Ratio(
             "render, a pixel from 128² to 2048²",
             "itself",
@@ -259,6 +288,7 @@ def main(
     numbers: dict[str, Any] = {row.key: row.value for row in ratios}
     numbers["seconds"] = {row.key: row.seconds for row in found} | {
         **{f"{row.key}_pixel": row.seconds for row in mapped},
+        **{f"{row.key}_pixel": row.seconds for row in shaped},
         "render_pixel": rendered,
         "map_pixel_by_size": {str(k): v for k, v in pixels.items()},
         "fit_by": grown,

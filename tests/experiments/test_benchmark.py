@@ -9,7 +9,14 @@ import pytest
 import scipy.special
 from rich.console import Console
 
-from experiments.benchmark import costs, map_peers, maps, single, single_peers
+from experiments.benchmark import (
+    costs,
+    map_peers,
+    maps,
+    normal_peers,
+    single,
+    single_peers,
+)
 from experiments.benchmark.__main__ import (
     Ratio,
     details,
@@ -17,6 +24,8 @@ from experiments.benchmark.__main__ import (
     main,
     map_details,
     map_ratios,
+    normal_details,
+    normal_ratio,
     single_ratios,
     spread,
     table,
@@ -133,6 +142,19 @@ def test_peers_of_a_map_end_at_its_answer(stack):
     lm, _ = map_ratios([ours, *rows])
     assert lm.key == "vmapped_lm_over_map" and lm.value == pytest.approx(9)
     assert map_details(rows).count("| 40 |") == 1
+
+
+def test_normals_and_their_peer_end_at_one_answer():
+    rows = normal_peers.rows(100, 24)
+    ours, peer = rows
+    assert ours.pixels == peer.pixels == 100 and min(ours.seconds, peer.seconds) > 0
+    # 0.2°: 1 % of noise in 72 samples.
+    assert 0.05 < ours.degrees < 0.6 and peer.degrees == pytest.approx(
+        ours.degrees, rel=0.1
+    )
+    slower = dataclasses.replace(peer, seconds=9 * ours.seconds)
+    assert normal_ratio([ours, slower]).value == pytest.approx(9)
+    assert normal_details(rows).count("| 100 |") == 2
 
 
 def test_a_row_says_whether_its_aim_is_met():
