@@ -116,8 +116,10 @@ def fit_maps(
         that bounced are outliers.
     - `normals`: `"given"` by the scenes' surface. `"fit"`: sought for each pixel, with
         errors in degrees; the surface then only tells where pixels are, for near lamps
-        and a perspective camera, and which see it. At least 3 images for a matte
-        surface, 5 for one with a highlight. `ambient` asks for ambient light in the
+        and a perspective camera, and which see it. Where near lamps are, ρ_s rests on
+        that: the surface of a second fit may have the `height(distance=…).positions()`
+        of a first, and the distance is that of the least `noise`. At least 3 images for
+        a matte surface, 5 for one with a highlight. `ambient` asks for ambient light in the
         scenes; if `specular` is not in `per_channel`, the channels share one ρ_s.
     - `materials`: how many materials the pixels share, or `"auto"` to find out (up to
         6); `None` for a material of each pixel's own. A pixel's ρ_d stays its own; ρ_s
