@@ -119,8 +119,8 @@ def fit_maps(
         and a perspective camera, and which see it. Where near lamps are, ρ_s rests on
         that: the surface of a second fit may have the `height(distance=…).positions()`
         of a first, and the distance is that of the least `noise`. At least 3 images for
-        a matte surface, 5 for one with a highlight. `ambient` asks for ambient light in the
-        scenes; if `specular` is not in `per_channel`, the channels share one ρ_s.
+        a matte surface, 5 for one with a highlight. `ambient` asks for ambient light in
+        the scenes; if `specular` is not in `per_channel`, the channels share one ρ_s.
     - `materials`: how many materials the pixels share, or `"auto"` to find out (up to
         6); `None` for a material of each pixel's own. A pixel's ρ_d stays its own; ρ_s
         and f are those of the material that it is most likely of. They are found from a
