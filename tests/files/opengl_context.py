@@ -10,6 +10,7 @@ from phongfit.geometry.meshes import Mesh
 from phongfit.lights import AbstractLight
 from phongfit.material import Material, unstack_materials
 from phongfit.scene import Scene
+from phongfit.textures import Texture
 
 
 def _gl() -> Any:
@@ -126,3 +127,58 @@ def draw_mesh(mesh: Mesh, material: Material, *, nearest: bool = False) -> None:
         gl.glDrawElements(gl.GL_TRIANGLES, own.size, gl.GL_UNSIGNED_INT, own)
     gl.glDisableClientState(gl.GL_NORMAL_ARRAY)
     gl.glDisableClientState(gl.GL_VERTEX_ARRAY)
+
+
+def draw_textured(mesh: Mesh, material: Material) -> None:
+    """Draw a mesh of one material whose texture multiplies all but the highlight."""
+    gl = _gl()
+    assert mesh.textures is not None and mesh.uv is not None
+    (textures,) = mesh.textures
+    assert textures.diffuse is textures.ambient is textures.emission
+    assert textures.diffuse is not None and textures.specular is None
+    _set_texture(gl, textures.diffuse)
+    faces = np.asarray(mesh.faces)
+    corners, normals, uv = (
+        np.ascontiguousarray(values, np.float32)
+        for values in (
+            np.asarray(mesh.vertices)[faces].reshape(-1, 3),
+            np.asarray(mesh.vertex_normals())[faces].reshape(-1, 3),
+            np.asarray(mesh.uv).reshape(-1, 2),
+        )
+    )
+    _switch(gl, gl.GL_CULL_FACE, not mesh.two_sided)
+    states = gl.GL_VERTEX_ARRAY, gl.GL_NORMAL_ARRAY, gl.GL_TEXTURE_COORD_ARRAY
+    for state in states:
+        gl.glEnableClientState(state)
+    gl.glVertexPointer(3, gl.GL_FLOAT, 0, corners)
+    gl.glNormalPointer(gl.GL_FLOAT, 0, normals)
+    gl.glTexCoordPointer(2, gl.GL_FLOAT, 0, uv)
+    apply_material(material)
+    gl.glDrawArrays(gl.GL_TRIANGLES, 0, len(corners))
+    for state in states:
+        gl.glDisableClientState(state)
+    gl.glDisable(gl.GL_TEXTURE_2D)
+
+
+def _set_texture(gl: Any, texture: Texture) -> None:
+    # Row 0 is at v = 0 for both, whatever is called up.
+    values = np.ascontiguousarray(texture.values, np.float32)
+    rows, columns, channels = values.shape
+    values = np.ascontiguousarray(np.broadcast_to(values, (rows, columns, 3)))
+    filter = gl.GL_LINEAR if texture.filter == "bilinear" else gl.GL_NEAREST
+    wrap = gl.GL_REPEAT if texture.wrap == "repeat" else gl.GL_CLAMP_TO_EDGE
+    gl.glEnable(gl.GL_TEXTURE_2D)
+    for name, value in (
+        (gl.GL_TEXTURE_MIN_FILTER, filter),
+        (gl.GL_TEXTURE_MAG_FILTER, filter),
+        (gl.GL_TEXTURE_WRAP_S, wrap),
+        (gl.GL_TEXTURE_WRAP_T, wrap),
+    ):
+        gl.glTexParameteri(gl.GL_TEXTURE_2D, name, value)
+    gl.glPixelStorei(gl.GL_UNPACK_ALIGNMENT, 1)
+    size = 0, gl.GL_RGB32F, columns, rows, 0
+    gl.glTexImage2D(gl.GL_TEXTURE_2D, *size, gl.GL_RGB, gl.GL_FLOAT, values)
+    gl.glTexEnvi(gl.GL_TEXTURE_ENV, gl.GL_TEXTURE_ENV_MODE, gl.GL_MODULATE)
+    # The highlight is added after the texture.
+    separate = gl.GL_SEPARATE_SPECULAR_COLOR
+    gl.glLightModeli(gl.GL_LIGHT_MODEL_COLOR_CONTROL, separate)

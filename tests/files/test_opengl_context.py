@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from experiments import textured_object
 from tests.files import opengl_context
+from tests.helpers import known
 
 ROOT = Path(__file__).parents[2]
 SIZE = 96
@@ -96,6 +98,41 @@ def scenes():
     ]
 
 
+def textured_scenes():
+    """A curved and a tilted flat surface, by both filters and both ways to go on."""
+    values = np.random.default_rng(0).uniform(0.05, 0.95, (24, 16, 3))
+    camera = pf.PerspectiveCamera.look_at((1, 2, 3), width=SIZE, height=SIZE, fov_y=40)
+    lights = (
+        pf.DirectionalLight((1, 0.9, 0.3), (0.5, 0.4, 0.4), ambient=0.05),
+        pf.PointLight((0, 1, 3), 0.4),
+    )
+    material = pf.Material(0.6, 0.15, 40.0, 0.4, (0.02, 0.01, 0.03))
+    corners = np.array([[-1, 0, 1], [1, 0, 1], [1, 0, -1], [-1, 0, -1]], float)
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    # More than one image, and none that ends at an edge.
+    places = np.array([[-0.3, 1.6], [1.4, 1.6], [1.4, -0.4], [-0.3, -0.4]])
+    vase = textured_object.vase(48, 24)
+    made = []
+    for filter in ("bilinear", "nearest"):
+        for wrap in ("repeat", "clamp"):
+            texture = pf.Texture(values, filter, wrap)
+            all_but = pf.Textures(diffuse=texture, ambient=texture, emission=texture)
+            flat = pf.Mesh(corners, faces, uv=places[faces], textures=all_but)
+            round_ = pf.Mesh(
+                vase.vertices,
+                vase.faces,
+                vase.normals,
+                uv=known(vase.uv) * 1.7 - 0.3,
+                textures=all_but,
+            )
+            for mesh in (flat, round_):
+                shading = pf.GouraudShading()
+                made.append(
+                    (pf.Scene(mesh, camera, lights, 0.2, shading=shading), material)
+                )
+    return made
+
+
 def draw_all(out: str) -> None:
     """Have Mesa draw every scene, and save the images: run in a process of its own."""
     from OpenGL import osmesa
@@ -106,11 +143,14 @@ def draw_all(out: str) -> None:
     assert osmesa.OSMesaMakeCurrent(context, buffer, gl.GL_FLOAT, SIZE, SIZE)
     gl.glClampColor(gl.GL_CLAMP_FRAGMENT_COLOR, gl.GL_FALSE)
     images = []
-    for scene, material in scenes():
+    for scene, material in [*scenes(), *textured_scenes()]:
         opengl_context.apply_scene(scene, near=0.5, far=10)
         gl.glClear(gl.GL_COLOR_BUFFER_BIT | gl.GL_DEPTH_BUFFER_BIT)
-        assert isinstance(scene.surface, pf.Mesh)
-        opengl_context.draw_mesh(scene.surface, material)
+        mesh = scene.surface
+        assert isinstance(mesh, pf.Mesh)
+        textured = mesh.textures is not None
+        draw = opengl_context.draw_textured if textured else opengl_context.draw_mesh
+        draw(mesh, material)
         gl.glFinish()
         assert gl.glGetError() == gl.GL_NO_ERROR
         images.append(buffer[::-1, :, :3].copy())
@@ -146,6 +186,22 @@ def test_opengl_sees_what_phongfit_does(drawn, number):
     assert 0.1 < mask.mean() < 0.9
     assert (error[mask] < 1e-4).mean() > 0.99
     assert np.std(drawn[number][mask]) > 0.02, "there is something to see"
+
+
+@needs_mesa
+@pytest.mark.parametrize("number", range(len(textured_scenes())))
+def test_opengl_looks_textures_up_as_phongfit_does(drawn, number):
+    scene, material = textured_scenes()[number]
+    gbuffer = scene.trace()
+    image = np.asarray(pf.render(scene, material, gbuffer=gbuffer))
+    theirs = drawn[len(scenes()) + number]
+    # Where both see the surface: which does at an edge is no matter of its texture.
+    covered = np.asarray(gbuffer.mask) & (theirs.max(axis=-1) > 0)
+    assert covered.mean() > 0.1
+    error = abs(image - theirs).max(axis=-1)[covered]
+    assert (error <= 1 / 255).mean() >= 0.999, np.quantile(error, [0.5, 0.99, 0.999])
+    assert np.median(error) < 1e-5
+    assert np.std(theirs[covered]) > 0.05, "there is something to see"
 
 
 class Recorder:
