@@ -71,6 +71,14 @@ class Textures(NamedTuple):
     specular_factor: Float[np.ndarray, "3"]
 
 
+class Picture(NamedTuple):
+    """A texture's PNG file as bytes, where a material has what names a texture."""
+
+    png: bytes
+    nearest: bool
+    repeat: bool
+
+
 def roughness(shininess: Any) -> Float[np.ndarray, "..."]:
     r"""glTF's roughness for a Blinn exponent: $(2 / (f + 2))^{1/4}$."""
     return (2 / (np.asarray(shininess, float) + 2)) ** 0.25
@@ -186,7 +194,29 @@ class _File:
                 "material": len(self.json["materials"]),
             }
         )
-        self.json["materials"].append(material)
+        self.json["materials"].append(self._pictured(material))
+
+    def _pictured(self, value: Any) -> Any:
+        """A material whose pictures are textures of this file."""
+        if isinstance(value, Picture):
+            return {"index": self._picture(value)}
+        if isinstance(value, dict):
+            return {key: self._pictured(part) for key, part in value.items()}
+        return value
+
+    def _picture(self, picture: Picture) -> int:
+        lists = [
+            self.json.setdefault(n, []) for n in ("images", "samplers", "textures")
+        ]
+        images, samplers, textures = lists
+        view = self._view(picture.png)
+        images.append({"bufferView": view, "mimeType": "image/png"})
+        filter, wrap = 9728 if picture.nearest else 9729, 33071
+        wrap = 10497 if picture.repeat else wrap
+        sampler = {"magFilter": filter, "minFilter": filter}
+        samplers.append(sampler | {"wrapS": wrap, "wrapT": wrap})
+        textures.append({"source": len(images) - 1, "sampler": len(samplers) - 1})
+        return len(textures) - 1
 
     def _array(self, array: np.ndarray, kind: str) -> int:
         whole = kind == "SCALAR"

@@ -154,12 +154,15 @@ def write_mtl(
     **Raises:** `ValueError` that names the material and the leaf, unless `nearest`, and
     for a name that is empty or has line breaks; `OSError` that names the file.
     """
-    blocks = [_block(name, material, nearest) for name, material in materials.items()]
+    blocks = [
+        mtl_block(name, material, nearest) for name, material in materials.items()
+    ]
     with replacing(path) as temporary:
         temporary.write_text("\n".join(blocks), encoding="utf-8")
 
 
-def _block(name: str, material: Material, nearest: bool) -> str:
+def mtl_block(name: str, material: Material, nearest: bool) -> str:
+    """The lines of one material; raises as [`write_mtl`][] does."""
     if not name or name != " ".join(name.split()) or "#" in name:
         raise ValueError(f"materials: expected a name on one line, got {name!r}")
     lines = [f"newmtl {name}"]

@@ -32,6 +32,7 @@ usemtl paper
 f 1/1 2/2 3/3
 f 1/1 3/3 4/4
 """
+BOX = trimesh.creation.box()
 LEVELS = np.random.default_rng(0).integers(0, 256, (4, 4, 3), np.uint8)
 CAMERA = pf.OrthographicCamera(8, 8, view_height=2)
 SMALL = pf.OrthographicCamera(4, 4, view_height=2)
@@ -291,3 +292,66 @@ def test_a_scene_file_keeps_uv_and_textures(tmp_path):
     material = pf.Material(1.0)
     near(pf.render(again, material), np.asarray(pf.render(scene, material)))
     assert np.std(np.asarray(pf.render(again, material))) > 0.1
+
+
+def painted(rng, **sizes):
+    """A texture of each kind, of numbers that 16 bits round."""
+    return {name: pf.Texture(rng.uniform(0.1, 1, size)) for name, size in sizes.items()}
+
+
+@pytest.mark.parametrize("suffix", ["obj", "glb", "gltf"])
+def test_a_saved_mesh_is_read_again(tmp_path, suffix):
+    rng = np.random.default_rng(0)
+    small = (5, 4)
+    first = painted(rng, diffuse=(6, 4, 3), emission=(3, 3, 1), specular=(*small, 3))
+    normal = rng.uniform(-0.3, 0.3, (4, 4, 3)) + [0, 0, 0.6]
+    first["normal"] = pf.Texture(normal, wrap="clamp")
+    if suffix == "obj":
+        first |= painted(rng, ambient=(2, 2, 3), shininess=(3, 2, 1))
+    # In glTF the specular colour depends on the exponent, texel by texel.
+    second = painted(
+        rng, diffuse=(2, 2, 3), specular=(*small, 3), shininess=(*small, 1)
+    )
+    textures = [pf.Textures(**first), pf.Textures(**second)]
+    uv = rng.uniform(size=(12, 3, 2))
+    mesh = pf.Mesh(
+        BOX.vertices, BOX.faces, None, np.arange(12) % 2, uv=uv, textures=textures
+    )
+    material = pf.Material(
+        np.array([[0.9, 0.5, 0.4], [0.2, 0.3, 0.4]]),
+        np.array([[0.3], [0.05]]),
+        np.array([[50.0], [12.0]]),
+        np.array([[0.3], [0.1]]),
+        np.array([[0.2], [0.0]]),
+    )
+    pf.save_mesh(tmp_path / f"a.{suffix}", mesh, material, ("one", "two"))
+    again, read, names = pf.load_mesh(tmp_path / f"a.{suffix}")
+    assert names == ("one", "two")
+    for view in ((3, 2, 4), (-2, -3, 1)):
+        camera = pf.PerspectiveCamera.look_at(view, width=24, height=24)
+        light = pf.DirectionalLight(view, 0.7)
+        images = [
+            np.asarray(pf.render(pf.Scene(one, camera, light, 0.3), numbers))
+            for one, numbers in ((mesh, material), (again, read))
+        ]
+        assert images[0].std() > 0.05
+        assert abs(images[0] - images[1]).max() < 2e-3
+        assert np.median(abs(images[0] - images[1])) < 1e-4
+
+
+def test_what_is_not_saved(tmp_path):
+    mesh = pf.Mesh(BOX.vertices, BOX.faces, uv=np.zeros((12, 3, 2)))
+    for path, words in (
+        ("a.stl", "expected .obj, .glb or .gltf"),
+        ("a b.obj", "blanks"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            pf.save_mesh(tmp_path / path, mesh, pf.Material())
+    with pytest.raises(ValueError, match="names: expected 1"):
+        pf.save_mesh(tmp_path / "a.obj", mesh, pf.Material(), ("one", "two"))
+    ambient = mesh.with_textures(pf.Textures(ambient=pf.Texture(np.ones((2, 2, 3)))))
+    with pytest.raises(ValueError, match="ambient: glTF has no texture of it"):
+        pf.save_mesh(tmp_path / "a.glb", ambient, pf.Material())
+    with pytest.raises(ValueError, match="shininess: .mtl holds at most 1000"):
+        pf.save_mesh(tmp_path / "a.obj", mesh, pf.Material(shininess=2000.0))
+    assert not list(tmp_path.iterdir())

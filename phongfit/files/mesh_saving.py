@@ -1,0 +1,257 @@
+"""Meshes with their materials and textures, written so that `load_mesh` has them back.
+
+Pictures have 16 bits: colours sRGB-encoded, exponents and normals as they are.
+"""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from phongfit.edge import checked
+from phongfit.files.formats import encode_png
+from phongfit.files.gltf import (
+    Part,
+    Picture,
+    pbr_material,
+    roughness,
+    specular_colour,
+    write_gltf,
+)
+from phongfit.files.images import to_levels
+from phongfit.files.limits import exponent, lost
+from phongfit.files.mtl import COLOURS, mtl_block
+from phongfit.files.outputs import replacing_files
+from phongfit.geometry.meshes import Mesh
+from phongfit.material import Material, unstack_materials
+from phongfit.rendering.film import NamedEncoding
+from phongfit.textures import Texture, Textures
+
+BITS = 16
+
+MTL_MAPS = {leaf: f"map_{key}" for key, leaf in COLOURS.items()} | {
+    "shininess": "map_Ns",
+    "normal": "norm",
+}
+
+
+class _Own(NamedTuple):
+    """One material of a mesh, with its faces."""
+
+    name: str
+    material: Material
+    textures: Textures
+    faces: np.ndarray
+
+
+@checked
+def save_mesh(
+    path: str | os.PathLike[str],
+    mesh: Mesh,
+    material: Material,
+    names: Sequence[str] | None = None,
+    *,
+    nearest: bool = False,
+) -> None:
+    """Write a mesh, its materials and its textures: the inverse of [`load_mesh`][].
+
+    Of the un-normalised Blinn-Phong model. What is read again is the same to the
+    rounding of 16-bit pictures. glTF has no place for ambient light: textures of it are
+    left out, and the numbers stand in `extras`.
+
+    **Arguments:**
+
+    - `path`: `.obj`, which gets an `.mtl` and the pictures beside it, `.glb` or
+        `.gltf`.
+    - `material`: of all faces, or with a row for each of the mesh's materials. Textures
+        of the mesh multiply it.
+    - `names`: of the materials; default `material0`, `material1`, …
+    - `nearest`: write the nearest that the format holds, with a warning, where it
+        cannot hold a material.
+
+    **Raises:** `ValueError` that names the argument, or what the format does not hold;
+    `OSError` that names the file.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in (".obj", ".glb", ".gltf"):
+        raise ValueError(f"{path}: expected .obj, .glb or .gltf, got {suffix!r}")
+    own = _apart(mesh, material, names)
+    if suffix == ".obj":
+        _write_obj(path, mesh, own, nearest)
+    else:
+        parts = [(_part(mesh, one), _gltf_material(one, nearest)) for one in own]
+        write_gltf(path, parts)
+
+
+def _apart(mesh: Mesh, material: Material, names: Sequence[str] | None) -> list[_Own]:
+    count = mesh.materials
+    names = [f"material{k}" for k in range(count)] if names is None else list(names)
+    if len(names) != count or len(set(names)) < count:
+        raise ValueError(f"names: expected {count}, each once, got {names}")
+    of = np.zeros(len(mesh.faces), int)
+    if mesh.material_index is not None:
+        of = np.asarray(mesh.material_index)
+    textures = mesh.textures or (Textures(),)
+    each = zip(names, unstack_materials(material, count), strict=True)
+    return [
+        _Own(name, one, textures[min(k, len(textures) - 1)], np.flatnonzero(of == k))
+        for k, (name, one) in enumerate(each)
+        if (of == k).any()
+    ]
+
+
+class _Scaled(NamedTuple):
+    """A texture with no number above 1, and what it is multiplied by."""
+
+    values: np.ndarray
+    factor: float
+
+
+def _scaled(texture: Texture) -> _Scaled:
+    values = np.asarray(texture.values, float)
+    factor = max(float(values.max()), 1e-12)
+    return _Scaled(values / factor, factor)
+
+
+def _png(values: np.ndarray, encoding: NamedEncoding) -> bytes:
+    colours = np.broadcast_to(values, (*values.shape[:2], 3))
+    return encode_png(to_levels(colours, encoding, BITS))
+
+
+def _multiplied(own: _Own, names: Sequence[str]) -> Material:
+    """The material with the factors of its textures."""
+    leaves: dict[str, Any] = {
+        name: leaf[0] if leaf.shape == (1,) else leaf
+        for name, leaf in vars(own.material).items()
+    }
+    for name in names:
+        texture = getattr(own.textures, name)
+        if texture is not None:
+            leaves[name] = np.asarray(leaves[name], float) * _scaled(texture).factor
+    return Material(**leaves)
+
+
+def _write_obj(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
+    if any(blank in path.stem for blank in " \t#"):
+        raise ValueError(f"{path}: expected a name without blanks, for the textures")
+    library, pictures = [], {}
+    for one in own:
+        names = [n for n in MTL_MAPS if getattr(one.textures, n) is not None]
+        material = _multiplied(one, [name for name in names if name != "normal"])
+        block = [mtl_block(one.name, material, nearest).rstrip("\n")]
+        for name in names:
+            texture: Texture = getattr(one.textures, name)
+            file = f"{path.stem}_{len(pictures)}.png"
+            if name == "normal":
+                values = (np.asarray(texture.values, float) + 1) / 2
+                pictures[file] = _png(values, "linear")
+            else:
+                linear = name == "shininess"
+                values = _scaled(texture).values
+                pictures[file] = _png(values, "linear" if linear else "srgb")
+            clamp = "-clamp on " if texture.wrap == "clamp" else ""
+            block.append(f"{MTL_MAPS[name]} {clamp}{file}")
+        library.append("\n".join([*block, ""]))
+    with replacing_files(path) as folder:
+        for file, content in pictures.items():
+            (folder / file).write_bytes(content)
+        (folder / f"{path.stem}.mtl").write_text("\n".join(library), encoding="utf-8")
+        text = _obj_text(mesh, own, f"{path.stem}.mtl")
+        (folder / path.name).write_text(text, encoding="utf-8")
+
+
+def _obj_text(mesh: Mesh, own: list[_Own], library: str) -> str:
+    lines = [f"mtllib {library}"]
+    lines += _rows("v %.9g %.9g %.9g", mesh.vertices)
+    lines += _rows("vn %.9g %.9g %.9g", mesh.vertex_normals())
+    faces = np.asarray(mesh.faces) + 1
+    form = "f " + " ".join(["%d//%d"] * 3)
+    corners = np.repeat(faces, 2, axis=1)
+    if mesh.uv is not None:
+        # Its v runs up.
+        places = np.asarray(mesh.uv, float).reshape(-1, 2) * [1, -1] + [0, 1]
+        lines += _rows("vt %.9g %.9g", places)
+        form = "f " + " ".join(["%d/%d/%d"] * 3)
+        number = np.arange(faces.size).reshape(-1, 3) + 1
+        corners = np.stack([faces, number, faces], axis=-1).reshape(-1, 9)
+    for one in own:
+        lines += [f"usemtl {one.name}", *_rows(form, corners[one.faces])]
+    return "\n".join([*lines, ""])
+
+
+def _rows(form: str, rows: Any) -> list[str]:
+    return [form % tuple(row) for row in np.asarray(rows).tolist()]
+
+
+def _part(mesh: Mesh, own: _Own) -> Part:
+    """One material's faces; where a vertex has several uv, it comes several times."""
+    vertex = np.asarray(mesh.faces)[own.faces].ravel()
+    uv = None
+    if mesh.uv is not None:
+        uv = np.asarray(mesh.uv, float)[own.faces].reshape(-1, 2)
+    keys = vertex[:, None] if uv is None else np.column_stack([vertex, uv])
+    _, first, faces = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return Part(
+        np.asarray(mesh.vertices, float)[vertex[first]],
+        faces.reshape(-1, 3),
+        np.asarray(mesh.vertex_normals(), float)[vertex[first]],
+        None if uv is None else uv[first],
+    )
+
+
+def _gltf_material(own: _Own, nearest: bool) -> dict[str, Any]:
+    textures = own.textures
+    material = _multiplied(own, ("diffuse", "emission", "shininess"))
+    made = pbr_material(own.name, material, nearest)
+    pbr = made["pbrMetallicRoughness"]
+
+    def picture(of: Texture, values: np.ndarray, encoding: NamedEncoding) -> Picture:
+        return Picture(
+            _png(values, encoding), of.filter == "nearest", of.wrap == "repeat"
+        )
+
+    if textures.diffuse is not None:
+        values = _scaled(textures.diffuse).values
+        pbr["baseColorTexture"] = picture(textures.diffuse, values, "srgb")
+    if textures.emission is not None:
+        values = _scaled(textures.emission).values
+        made["emissiveTexture"] = picture(textures.emission, values, "srgb")
+    if textures.normal is not None:
+        values = (np.asarray(textures.normal.values, float) + 1) / 2
+        made["normalTexture"] = picture(textures.normal, values, "linear")
+    if textures.ambient is not None and textures.ambient is not textures.diffuse:
+        lost("ambient: glTF has no texture of it", nearest)
+    f: Any = exponent(material, np.inf, "glTF", nearest)
+    if textures.shininess is not None:
+        f = f * _scaled(textures.shininess).values
+        # Green; red is not used, blue is metallic, and its factor 0.
+        values = np.repeat(roughness(f), 3, axis=-1)
+        pbr |= {"roughnessFactor": 1.0}
+        pbr["metallicRoughnessTexture"] = picture(textures.shininess, values, "linear")
+    if textures.specular is not None:
+        _tint(made, own, f, picture, nearest)
+    elif textures.shininess is not None:
+        lost("specular: with a texture of the exponent, glTF needs one of it", nearest)
+    return made
+
+
+def _tint(made: dict[str, Any], own: _Own, f: Any, picture: Any, nearest: bool) -> None:
+    """The specular colour's texture, and its factor."""
+    texture = own.textures.specular
+    assert texture is not None
+    values = np.asarray(texture.values, float) * np.asarray(
+        own.material.specular, float
+    )
+    if np.ndim(f) and f.shape[:2] != values.shape[:2]:
+        lost("specular: glTF needs its texture as large as the exponent's", nearest)
+        f = np.exp(np.log(np.maximum(f, 1e-6)).mean())
+    values = np.broadcast_to(values, (*values.shape[:2], 3))
+    tint = specular_colour(values, f)
+    factor = np.maximum(tint.reshape(-1, 3).max(axis=0), 1e-12)
+    made["extensions"]["KHR_materials_specular"] = {
+        "specularColorFactor": factor,
+        "specularColorTexture": picture(texture, tint / factor, "srgb"),
+    }
