@@ -137,6 +137,25 @@ def as_indices(
     return jnp.asarray(array), int(array.max(initial=0)) + 1
 
 
+def as_covariance(name: str, value: Any) -> Float[np.ndarray, "n n"]:
+    """`value` as a covariance: finite, symmetric, and nowhere negative.
+
+    **Raises:** `ValueError` that names `name`.
+    """
+    matrix = np.asarray(value, float)
+    slack = 1e-6 * np.abs(matrix).max(initial=0)
+    with np.errstate(all="ignore"):
+        if not np.allclose(matrix, matrix.T, atol=slack):
+            raise ValueError(f"{name}: expected a symmetric covariance")
+        matrix = (matrix + matrix.T) / 2
+        if not np.linalg.eigvalsh(matrix).min(initial=0) >= -slack:
+            raise ValueError(
+                f"{name}: expected a covariance, got a negative variance along some "
+                "direction"
+            )
+    return matrix
+
+
 def at_least(name: str, array: Array, lowest: float) -> Array:
     """`array` if all of it is finite and ≥ `lowest`, else an error naming `name`."""
 

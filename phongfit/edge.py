@@ -101,7 +101,8 @@ class _Kinds:
 def shown(value: Any) -> str:
     """A value in a few words of one line, whatever it is."""
     if isinstance(value, jax.Array | np.ndarray) and np.ndim(value):
-        return f"an array of shape {value.shape}, {value.dtype}"
+        kind = "a masked" if isinstance(value, np.ma.MaskedArray) else "an"
+        return f"{kind} array of shape {value.shape}, {value.dtype}"
     plain = value is None or isinstance(
         value, str | bytes | int | float | complex | np.generic | list | tuple | dict
     )
@@ -218,6 +219,9 @@ def _is_array(value: Any) -> bool:
     if isinstance(value, int):
         # JAX makes 32 bits of it.
         return -(2**31) <= value < 2**31
+    if isinstance(value, np.ma.MaskedArray):
+        # JAX would lose its mask, or refuse it in words of its own.
+        return False
     return _is_real(value) or is_number(value)
 
 

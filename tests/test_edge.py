@@ -61,8 +61,9 @@ KINDS = [
     (Mapping[str, Material], "a mapping of names, each to a Material", [{"a": ONE}],
      [{"a": 1}]),
     (Float[Array, "..."], "an array of real numbers", [1.0, 2, np.ones(3),
-     jnp.ones(3), np.float16(1)], [[1.0], "a", 1j, np.array(["a"]), None, Hostile(),
-     jax.random.key(0), jax.ShapeDtypeStruct((3,), np.float32)]),
+     jnp.ones(3), np.float16(1)], [[1.0], np.ma.masked_equal([3.0], 3), "a", 1j,
+     np.array(["a"]), None, Hostile(), jax.random.key(0),
+     jax.ShapeDtypeStruct((3,), np.float32)]),
 ]  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from phongfit.calibration.outlines import View
 from phongfit.calibration.result import CalibratedSphere, Calibration, Lamp
+from phongfit.checks import as_covariance
 from phongfit.files.inputs import naming
 from phongfit.files.outputs import write_json
 from phongfit.files.records import AbstractRecord, Colour, Matrix, Vector, read_record
@@ -70,6 +71,11 @@ class LightsRecord(AbstractRecord):
 
     def build(self) -> Calibration:
         view, covariance = self.camera, None
+        if (view.fov_y_degrees is None) == (view.view_height is None):
+            raise ValueError("camera: expected either fov_y_degrees or view_height")
+        lamps = tuple(self._lamp(at, lamp) for at, lamp in enumerate(self.lights))
+        if len({lamp.position is None for lamp in lamps}) > 1:
+            raise ValueError("lights: expected directions alone, or positions alone")
         if self.covariance is not None:
             size = 3 * len(self.lights)
             rows = {len(row) for row in self.covariance}
@@ -77,13 +83,17 @@ class LightsRecord(AbstractRecord):
                 raise ValueError(
                     f"covariance: expected {size} rows of as many, three for a light"
                 )
-            covariance = np.array(self.covariance)
+            covariance = as_covariance("covariance", self.covariance)
         return Calibration(
             View(view.width, view.height, view.fov_y_degrees),
-            tuple(self._lamp(at, lamp) for at, lamp in enumerate(self.lights)),
+            lamps,
             tuple(
-                CalibratedSphere(s.kind, np.array(s.outline), np.array(s.covariance))
-                for s in self.spheres
+                CalibratedSphere(
+                    s.kind,
+                    np.array(s.outline),
+                    as_covariance(f"spheres[{at}].covariance", s.covariance),
+                )
+                for at, s in enumerate(self.spheres)
             ),
             self.sphere_radius,
             np.array(self.reference),
@@ -111,7 +121,7 @@ class LightsRecord(AbstractRecord):
             lamp.photograph,
             offset / length,
             where if lamp.position else None,
-            np.array(lamp.covariance),
+            as_covariance(f"lights[{at}].covariance", lamp.covariance),
             lamp.direction_error_degrees,
             unknown if error is None else np.array(lamp.intensity),
             unknown if error is None else np.array(error),

@@ -515,8 +515,8 @@ def _room(data: bytes, max_pixels: int | None) -> Room:
         pixels = width * height
         if max_pixels is not None and pixels > max_pixels:
             raise Refused(
-                f"expected at most {max_pixels} pixels, got {width} × {height}; a "
-                "smaller copy will do"
+                f"expected at most {max_pixels} pixels (max_pixels), got {width} × "
+                f"{height}; a smaller copy will do"
             )
         # First file and numbers are there, then numbers and light.
         light = 3 * pixels * _float_type().itemsize

@@ -58,6 +58,12 @@ def seen_in(
                 f"photographs have, got {view.width} × {view.height}"
             )
         camera = calibration.camera
+        depth = calibration.reference[2]
+        if view.focal is not None and not depth < 0:
+            raise ValueError(
+                "lights: expected a calibration whose reference point lies before the "
+                f"camera, at z < 0, got z = {depth:g}"
+            )
     if normals == SOUGHT:
         camera = camera or OrthographicCamera(width, height)
         return camera, plane_before(camera, calibration)

@@ -286,7 +286,9 @@ def _as_mesh(devices: Sequence[Any] | None) -> Mesh:
 def _check_sizes(scenes: tuple[Scene, ...], shape: tuple[int, int, int]) -> None:
     camera = scenes[0].camera
     if shape[0] != len(scenes):
-        raise ValueError(f"images: expected {len(scenes)}, one a scene, got {shape[0]}")
+        raise ValueError(
+            f"images: expected {len(scenes)}, one for each of scenes, got {shape[0]}"
+        )
     if shape[1:] != (camera.height, camera.width):
         raise ValueError(
             f"images: expected {(camera.height, camera.width)} pixels, as the scenes' "

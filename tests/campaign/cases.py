@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import io
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,9 @@ from typing import Any
 import numpy as np
 
 from phongfit.cli import BAD_INPUT, main
+
+ASIDE = re.compile(r"warning: |[\w ]+: \d+ s so far$")
+"""What a command says besides: warnings, and that it is still at work."""
 
 
 class Wrong(Exception):
@@ -29,13 +33,16 @@ class Case:
     - `act`: does what is judged. It ends (the input was taken), or raises `ValueError`,
         `OSError` or [`Refused`][] (it was refused). [`Wrong`][] and everything else is
         a fault.
-    - `outputs`: names in the folder that may be written if the input is taken.
+    - `outputs`: what names in the folder are like that may be written if the input is
+        taken, as shells match them; a folder's with all in it.
+    - `anyway`: likewise, whether it is taken or not.
     """
 
     name: str
     arrange: Callable[[Path], None]
     act: Callable[[Path], Any]
     outputs: tuple[str, ...] = ()
+    anyway: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,7 +107,7 @@ def command(*args: Any) -> str:
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         status = main([str(arg) for arg in args])
     lines = err.getvalue().splitlines()
-    said = [line for line in lines if not line.startswith("warning: ")]
+    said = [line for line in lines if not ASIDE.match(line)]
     if any(not character.isprintable() for line in lines for character in line):
         raise Wrong(f"words that steer a terminal: {err.getvalue()!r}")
     if status == BAD_INPUT:

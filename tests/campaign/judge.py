@@ -17,6 +17,7 @@ import traceback
 import warnings
 import zlib
 from collections.abc import Callable, Iterable, Iterator
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -309,11 +310,12 @@ def _traces(
 ) -> str | None:
     """What has been changed or left behind, and must not have been."""
     here = "outside/case/"
-    allowed = tuple(f"{here}{name}" for name in case.outputs) if taken else ()
+    outputs = case.anyway + (case.outputs if taken else ())
+    allowed = [f"{here}{name}{more}" for name in outputs for more in ("", "/*")]
     for name in sorted(before.keys() | after.keys()):
         if before.get(name) == after.get(name):
             continue
-        if any(name == one or name.startswith(f"{one}/") for one in allowed):
+        if any(fnmatchcase(name, one) for one in allowed):
             continue
         what = {name not in before: "left", name not in after: "lost"}.get(True)
         return f"traces: {what or 'changed'}: {name}"

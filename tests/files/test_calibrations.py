@@ -67,6 +67,38 @@ def test_a_joint_covariance_of_another_number_of_lamps(tmp_path):
         pf.load_calibration(tmp_path)
 
 
+@pytest.mark.parametrize(
+    "place, value, words",
+    [
+        (("lights", 1, "covariance"), [[1, 0, 0], [0, -1, 0], [0, 0, 1]], "negative"),
+        (("lights", 0, "covariance"), [[1, 9, 0], [0, 1, 0], [0, 0, 1]], "symmetric"),
+        (("spheres", 0, "covariance"), [[1, 9, 0], [9, 1, 0], [0, 0, 1]], "negative"),
+        (("covariance", 0, 0), -1, "covariance: expected a covariance, got a negative"),
+        (("camera", "fov_y_degrees"), None, "either fov_y_degrees or view_height"),
+        (("camera", "view_height"), 2.5, "either fov_y_degrees or view_height"),
+    ],
+)
+def test_what_cannot_be(tmp_path, place, value, words):
+    data = calibration().to_dict()
+    *above, last = place
+    holder: Any = data
+    for step in above:
+        holder = holder[step]
+    holder[last] = value
+    head = {"format": "phongfit lights", "version": 1}
+    (tmp_path / "lights.json").write_text(json.dumps(head | data))
+    with pytest.raises(ValueError, match=f"lights.json: .*{words}"):
+        pf.load_calibration(tmp_path)
+
+
+def test_lamps_are_near_or_distant_all_of_them(tmp_path):
+    near, distant = calibration(near=True), calibration()
+    both = dataclasses.replace(near, lamps=(near.lamps[0], distant.lamps[0]))
+    pf.save_calibration(tmp_path / "lights.json", both)
+    with pytest.raises(ValueError, match="lights: expected directions alone, or"):
+        pf.load_calibration(tmp_path)
+
+
 def test_lights_are_of_strength_one_where_none_is_known():
     lights: Any = calibration().lights
     assert np.asarray(lights[0].intensity) == pytest.approx([1.1, 1.0, 0.9])

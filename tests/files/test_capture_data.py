@@ -1,5 +1,7 @@
 """Photographs of known shape as a data set, with lights known or not."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -134,6 +136,10 @@ def test_a_calibration_gives_camera_lights_and_strengths(tmp_path):
     assert covariance == pytest.approx(found.covariance)
     errors = data.load().uncertain["scene.lights[0].intensity"]
     assert errors[6:] == pytest.approx(found.lamps[2].intensity_error)
+    behind = dataclasses.replace(found, reference=-found.reference)
+    pf.save_calibration(tmp_path / "behind.json", behind)
+    with pytest.raises(ValueError, match="lights: .* lies before the camera, at z < 0"):
+        open_captured(tmp_path, sphere=circle, lights=tmp_path / "behind.json")
     (tmp_path / "4.jpg").write_bytes((tmp_path / "3.jpg").read_bytes())
     with pytest.raises(ValueError, match="got none for 4.jpg"):
         open_captured(tmp_path, sphere=circle)

@@ -167,7 +167,7 @@ def test_broken_and_misread(tmp_path, rawpy, capfd):
     path.write_bytes(data)
     with pytest.raises(ValueError, match="expected encoding 'linear', as RAW photogr"):
         read_image(path, "srgb")
-    with pytest.raises(ValueError, match="expected at most 1535 pixels, got 48 × 32"):
+    with pytest.raises(ValueError, match="1535 pixels .max_pixels., got 48 × 32"):
         read_image(path, "linear", max_pixels=32 * 48 - 1)
     assert capfd.readouterr() == ("", "")
 

@@ -18,7 +18,10 @@ def fit(scenes=STACK.scenes, images=STACK.images, **options):
 @pytest.mark.parametrize(
     "options, words",
     [
-        ({"images": STACK.images[:4]}, "images: expected 5, one a scene, got 4"),
+        (
+            {"images": STACK.images[:4]},
+            "images: expected 5, one for each of scenes, got 4",
+        ),
         (
             {"images": [*STACK.images[:4], STACK.images[4, :3]]},
             r"images\[4\]: expected shape",

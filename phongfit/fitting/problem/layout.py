@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from phongfit.checks import as_covariance
 from phongfit.edge import shown
 from phongfit.fitting.problem.charts import nearest_rotation, tangents
 from phongfit.fitting.problem.parameters import (
@@ -418,9 +419,7 @@ def covariance_of(name: str, given: Any, size: int) -> Float[np.ndarray, "n n"]:
         raise ValueError(
             f"uncertain: {name}: expected a covariance {wanted}, got {shown(given)}"
         )
-    if not np.allclose(array, array.T, atol=1e-6 * np.abs(array).max()):
-        raise ValueError(f"uncertain: {name}: expected a symmetric covariance")
-    return (array + array.T) / 2
+    return as_covariance(f"uncertain: {name}", array)
 
 
 class _Priors(NamedTuple):

@@ -89,7 +89,7 @@ def _places(value: Any, path: tuple = ()) -> list[tuple]:
 MARK = "a mark to be replaced"
 
 
-def _changed(random: np.random.Generator, record: Any) -> tuple[str, bytes]:
+def changed(random: np.random.Generator, record: Any) -> tuple[str, bytes]:
     """A record with one value changed, gone, or of another name."""
     record = copy.deepcopy(record)
     places = _places(record)
@@ -128,7 +128,7 @@ def make(random: np.random.Generator, stock: Path) -> Case:
     if random.random() < 0.2:
         what, data = damaged(random, json.dumps(sources[name]).encode())
     else:
-        what, data = _changed(random, sources[name])
+        what, data = changed(random, sources[name])
 
     def act(folder: Path) -> None:
         path = folder / name

@@ -105,6 +105,7 @@ def test_errors_that_are_predicted_know_it_too():
         ({DIRECTION: np.eye(5)}, r"uncertain: .*direction: expected a covariance \(6"),
         ({DIRECTION: "x"}, "uncertain: .*direction: expected a covariance"),
         ({DIRECTION: np.triu(np.ones((6, 6)))}, "uncertain: .* symmetric"),
+        ({DIRECTION: -np.eye(6)}, "uncertain: .* a negative variance"),
         ([1], "uncertain: expected a mapping of names"),
     ],
 )
