@@ -148,4 +148,7 @@ def load_calibration(path: str | os.PathLike[str]) -> Calibration:
     path = path / LIGHTS_FILE if path.is_dir() else path
     record = read_record(path, LightsRecord)
     with naming(str(path)):
-        return record.build()
+        found = record.build()
+        # Made here, so that what no lamp or camera can be names the file.
+        _ = found.lights, found.camera
+        return found

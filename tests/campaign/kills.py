@@ -7,23 +7,60 @@ import argparse
 import collections
 import hashlib
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from phongfit.cli import main
+from phongfit.files.images import write_image
 from phongfit.files.outputs import WORK
-from tests.campaign.cases import Wrong
+from tests.calibration.studio import Studio, directions
+from tests.campaign.cases import ASIDE, Wrong
 
 SIGNALS = ("KILL", "TERM", "INT", "HUP", "STOP")
+FULL, CLOCK = "a full disk", "a clock set back"
+DISTURBANCES = (*SIGNALS, FULL, CLOCK)
+A_YEAR = 365 * 86_400
+PATIENCE = 600.0
+"""Seconds that a command may take, on a machine that has other work too."""
+
 SMALL = ["--unknowns", "diffuse", "--noise", "0.01"]
+
+STUDIO = Studio(120, 90)
+CIRCLES = [
+    word
+    for circle in STUDIO.circles("chrome")
+    for word in ("--sphere", *(f"{number:.2f}" for number in circle))
+]
+
+# A command whose clock goes back a year while it runs.
+SET_BACK = f"""
+import sys, threading, time
+moment, read, back = float(sys.argv.pop(1)), time.time, [0]
+time.time = lambda: read() - back[0]
+timer = threading.Timer(moment, lambda: back.__setitem__(0, {A_YEAR}))
+timer.daemon = True
+timer.start()
+from phongfit.cli import main
+sys.exit(main())
+"""
+
+# One whose files may have so many bytes, as if no more were left.
+CONFINED = """
+import resource, sys
+room = int(sys.argv.pop(1))
+resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+from phongfit.cli import main
+sys.exit(main())
+"""
 
 COMMANDS: dict[str, Callable[[str], list[str]]] = {
     "fit": lambda out: ["fit", "in", *SMALL, "--report", "none", "-o", out],
@@ -35,7 +72,12 @@ COMMANDS: dict[str, Callable[[str], list[str]]] = {
     "export": lambda out: [
         "export", "preset:gold", "--to", "gltf", "--nearest", "-o", f"{out}.glb",
     ],
+    "textures": lambda out: ["export", "mapped", "-o", f"{out}.mtl"],
+    "calibrate": lambda out: [
+        "calibrate", "photos", *CIRCLES, "--fov", "20", "-o", out,
+    ],
 }  # fmt: skip
+TO_FILES = ("export", "textures")
 """Commands that write to `out`, or to a file of its name."""
 
 # What is written of when and how it ran differs from run to run: of these, that they
@@ -43,9 +85,11 @@ COMMANDS: dict[str, Callable[[str], list[str]]] = {
 VARYING = (".html", ".png")
 
 
-def _start(words: list[str], folder: Path) -> subprocess.Popen[bytes]:
+def _start(
+    words: list[str], folder: Path, program: Sequence[str] = ("-m", "phongfit")
+) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        [sys.executable, "-m", "phongfit", *words],
+        [sys.executable, *program, *words],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
         stdout=subprocess.DEVNULL,
@@ -72,6 +116,12 @@ def prepare(stock: Path) -> None:
     main(["synth", str(folder / "in"), *options, "--noise", "0.01"])
     truth = str(folder / "in" / "truth.json")
     main(["export", truth, "--to", "mtl", "-o", str(folder / "in" / "truth.mtl")])
+    main(["maps", str(folder / "in"), *SMALL, "-o", str(folder / "mapped"),
+          "--known", str(folder / "in" / "truth.mtl"), "--no-pictures"])  # fmt: skip
+    (folder / "photos").mkdir()
+    for number, lamp in enumerate(directions(3), 1):
+        image = STUDIO.photograph(lamp, seed=number)
+        write_image(folder / "photos" / f"{number}.jpg", image, "srgb")
     for name, words in COMMANDS.items():
         whole, begin = stock / f"kills-{name}", 0.0
         shutil.copytree(folder, whole)
@@ -95,30 +145,37 @@ def disturb(random: np.random.Generator, stock: Path, folder: Path) -> str:
     """
     name = str(random.choice(list(COMMANDS)))
     words = COMMANDS[name]("out")
-    sent = str(random.choice(SIGNALS))
+    by = str(random.choice(DISTURBANCES))
     lasting = float((stock / f"kills-{name}.txt").read_text())
     # More often late, where it writes.
     moment = lasting * float(random.uniform(0.3 if random.random() < 0.8 else 0, 1.05))
-    old = bool(random.random() < 0.5) and name != "export"
+    old = bool(random.random() < 0.5) and name not in TO_FILES
     whole, work = stock / f"kills-{name}", folder / "work"
     shutil.copytree(whole if old else stock / "kills", work)
     before = _tree(work)
-    title = f"{name}, {sent} after {moment:.2f} s{', over an old one' * old}"
+    title = f"{name}, {by} after {moment:.2f} s{', over an old one' * old}"
     first = words + (["--overwrite"] if old else [])
-    process = _start(first, work)
-    time.sleep(moment)
-    process.send_signal(getattr(signal, f"SIG{sent}"))
-    if sent == "STOP":
-        # Another one meanwhile does not disturb it, nor is it disturbed.
-        _start(first, work).communicate(timeout=120)
-        process.send_signal(signal.SIGCONT)
-    process.communicate(timeout=120)
+    if by == FULL:
+        room = int(2 ** random.uniform(0, 17))
+        title = f"{name}, {by} with room for {room} bytes{', over an old one' * old}"
+        _run_full(first, work, room, title)
+    elif by == CLOCK:
+        _run_set_back(first, work, moment, title)
+    else:
+        process = _start(first, work)
+        time.sleep(moment)
+        process.send_signal(getattr(signal, f"SIG{by}"))
+        if by == "STOP":
+            # Another one meanwhile does not disturb it, nor is it disturbed.
+            _start(first, work).communicate(timeout=PATIENCE)
+            process.send_signal(signal.SIGCONT)
+        process.communicate(timeout=PATIENCE)
     (work / "out").mkdir(exist_ok=True)
     (work / "out" / "notes.txt").write_text("mine")
     _check_kept(before, _tree(work), _tree(whole), title)
     (work / "out" / "notes.txt").unlink()
     _finish(words, name, work, title)
-    if name == "export":
+    if name in TO_FILES:
         (work / "out").rmdir()
     left = [path.name for path in work.rglob("*") if path.name.endswith(WORK)]
     after, wanted = _tree(work), _tree(whole)
@@ -126,6 +183,46 @@ def disturb(random: np.random.Generator, stock: Path, folder: Path) -> str:
         other = sorted(after.items() ^ wanted.items())
         raise Wrong(f"{title}: after the next run: {left} {other}")
     return title
+
+
+def _run_full(words: list[str], work: Path, room: int, title: str) -> None:
+    """It says so in one line, or there was room enough."""
+    used = sum(4096 * (2 + path.lstat().st_size // 4096) for path in work.rglob("*"))
+    with tempfile.TemporaryDirectory(prefix="full-") as folder:
+        disk = Path(folder)
+        size = f"size={used + room}"
+        mounted = not subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", size, "none", folder], capture_output=True
+        ).returncode
+        if mounted:
+            # A disk of that size, on which nothing else is.
+            shutil.copytree(work, disk / "work")
+            process = _start(words, disk / "work")
+        else:
+            process = _start([str(room), *words], work, ("-c", CONFINED))
+        try:
+            _, complaint = process.communicate(timeout=PATIENCE)
+            if mounted:
+                shutil.rmtree(work)
+                shutil.copytree(disk / "work", work)
+        finally:
+            if mounted:
+                subprocess.run(["umount", folder], check=True)
+    lines = complaint.decode().splitlines()
+    said = [line for line in lines if not ASIDE.match(line)]
+    if process.returncode not in (0, 2) or len(said) != bool(process.returncode):
+        raise Wrong(f"{title}: status {process.returncode}: {complaint.decode()}")
+
+
+def _run_set_back(words: list[str], work: Path, moment: float, title: str) -> None:
+    """A clock that goes back, and files that come from the future."""
+    later = time.time() + A_YEAR
+    for path in work.rglob("*"):
+        os.utime(path, (later, later))
+    process = _start([str(moment), *words], work, ("-c", SET_BACK))
+    _, complaint = process.communicate(timeout=PATIENCE)
+    if process.returncode:
+        raise Wrong(f"{title}: {complaint.decode()}")
 
 
 def _check_kept(
@@ -140,9 +237,9 @@ def _check_kept(
 
 def _finish(words: list[str], name: str, work: Path, title: str) -> None:
     """The next run: over what is there, if that is a whole result."""
-    overwrite = [] if name == "export" else ["--overwrite"]
+    overwrite = [] if name in TO_FILES else ["--overwrite"]
     process = _start([*words, *overwrite], work)
-    _, complaint = process.communicate(timeout=120)
+    _, complaint = process.communicate(timeout=PATIENCE)
     if process.returncode:
         raise Wrong(f"{title}: the next run: {complaint.decode()}")
 
@@ -158,9 +255,8 @@ def run(cases: int, seed: int) -> int:
             random = np.random.default_rng([seed, number])
             with tempfile.TemporaryDirectory(prefix="kill-") as folder:
                 try:
-                    counts[
-                        disturb(random, Path(root), Path(folder)).split(" a")[0]
-                    ] += 1
+                    title = disturb(random, Path(root), Path(folder))
+                    counts[re.split(" after| with", title)[0]] += 1
                 except (Wrong, subprocess.TimeoutExpired) as fault:
                     faults.append(f"{number}: {fault}")
                     print(faults[-1], flush=True)

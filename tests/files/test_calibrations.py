@@ -74,6 +74,7 @@ def test_a_joint_covariance_of_another_number_of_lamps(tmp_path):
         (("lights", 0, "covariance"), [[1, 9, 0], [0, 1, 0], [0, 0, 1]], "symmetric"),
         (("spheres", 0, "covariance"), [[1, 9, 0], [9, 1, 0], [0, 0, 1]], "negative"),
         (("covariance", 0, 0), -1, "covariance: expected a covariance, got a negative"),
+        (("lights", 0, "intensity"), [1, -1, 1], "intensity: expected finite numbers"),
         (("camera", "fov_y_degrees"), None, "either fov_y_degrees or view_height"),
         (("camera", "view_height"), 2.5, "either fov_y_degrees or view_height"),
     ],

@@ -19,6 +19,7 @@ from phongfit.files.captures import open_capture
 from phongfit.files.encodings import read_response
 from phongfit.files.images import to_levels
 from phongfit.files.lp import read_lp
+from phongfit.files.materials import read_material
 from tests.campaign.cases import Case, Kind, Wrong, blaming, command, files
 from tests.campaign.damage import damaged
 from tests.campaign.kinds.records import RESPONSE, changed
@@ -195,7 +196,7 @@ def _calibrated(folder: Path) -> None:
 def _fitted(folder: Path) -> None:
     own = ["--sphere", *BALL, "--report", "none", "--mask", folder / "photos/mask.png"]
     command("fit", folder / "photos", *own, "-o", folder / "out")
-    material = pf.load_fit(folder / "out" / "fit.json").material
+    material = read_material(str(folder / "out")).material
     if not np.isfinite(material.diffuse).all():
         raise Wrong("a material that is not finite")
 
