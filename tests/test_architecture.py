@@ -2,6 +2,8 @@
 
 import ast
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -218,6 +220,21 @@ def unheld(
         *(f"{name}: named, and has its own test" for name in sorted(own & {*named})),
         *(f"{name}: named twice" for name in sorted({*named}) if named.count(name) > 1),
     ]
+
+
+def test_an_import_does_not_start_jax():
+    # Half a second, and no fork after it.
+    names = [
+        ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for path in sorted((ROOT / "phongfit").rglob("*.py"))
+        if not path.stem.startswith("__") and path.parent.name != "commands"
+    ]
+    program = (
+        f"import importlib, sys; [importlib.import_module(n) for n in {names}]; "
+        "from jax._src.xla_bridge import backends_are_initialized as started; "
+        "sys.exit(started())"
+    )
+    assert subprocess.run([sys.executable, "-c", program], cwd=ROOT).returncode == 0
 
 
 def _own_test(module: str) -> str:

@@ -11,9 +11,10 @@ is roughness, of which $f = 2 / r^4 - 2$ is the exponent: see
     rendering extension of .mtl*, 2014, for `norm` and `map_Pr`.
 """
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -62,11 +63,13 @@ BLUE = 0.1
 """A normal map is so much bluer, in the mean, than grey is."""
 
 
-class Shaded(NamedTuple):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Shaded:
     """A material as a file has it: numbers, and textures that multiply them."""
 
-    material: Material = Material()
-    textures: Textures = Textures()
+    # Made when asked for: its arrays start JAX, which an import must not.
+    material: Material = dataclasses.field(default_factory=Material)
+    textures: Textures = dataclasses.field(default_factory=Textures)
 
 
 def read_textured(path: Path, note: Note) -> dict[str, Shaded]:

@@ -3,9 +3,13 @@ r"""The one idea: with geometry, lights and f fixed, the image is linear in ρ.
 $$I = \text{emission} + \rho_a A + \rho_d D + \rho_s S(f)$$
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from phongfit.edge import checked
@@ -16,9 +20,9 @@ from phongfit.material import Material
 from phongfit.programs import program
 from phongfit.reflectance import AbstractSpecular, lambert
 from phongfit.scene import Scene
-from phongfit.vectors import Vec3, normalize
+from phongfit.vectors import Scalar, Vec3, normalize
 
-# Lights that are written out; more of them are a loop, which compiles faster.
+# Lights that are written out; more of them are one program, which compiles faster.
 AT_ONCE = 16
 
 
@@ -115,20 +119,32 @@ def point_terms(
     - `visibility`: how much of each light reaches the point, in [0, 1]; default all.
         Their ambient light is not shadowed, nor is what comes from all around.
     """
+    dtype = ambient.dtype
+    if visibility is None:
+        visibility = jnp.ones(len(lights), dtype)
+
+    def of_light(light: AbstractLight, visible: Scalar) -> tuple[Array, ...]:
+        arriving = light.illuminate(position)
+        share = model.diffuse_scale() * lambert(normal, arriving.to_light)
+        sent = visible * share * arriving.intensity
+        return (
+            arriving.ambient,
+            sent if light.directed else sent + light.surround(normal),
+            model.cosine(normal, arriving.to_light, to_viewer),
+            visible * arriving.specular,
+        )
+
+    if len(lights) > AT_ONCE:
+        own, diffuses, cosine, strength = _each(of_light, lights, visibility)
+        ambient, diffuse = ambient + own.sum(axis=0), diffuses.sum(axis=0)
+        return ShadingTerms(ambient, diffuse, cosine, strength, model)
     diffuse = jnp.zeros_like(ambient)
     cosines, strengths = [], []
-    if visibility is None:
-        visibility = jnp.ones(len(lights), ambient.dtype)
     for light, visible in zip(lights, visibility, strict=True):
-        arriving = light.illuminate(position)
-        ambient = ambient + arriving.ambient
-        share = model.diffuse_scale() * lambert(normal, arriving.to_light)
-        diffuse = diffuse + visible * share * arriving.intensity
-        if not light.directed:
-            diffuse = diffuse + light.surround(normal)
-        cosines.append(model.cosine(normal, arriving.to_light, to_viewer))
-        strengths.append(visible * arriving.specular)
-    dtype = ambient.dtype
+        added, sent, angle, height = of_light(light, visible)
+        ambient, diffuse = ambient + added, diffuse + sent
+        cosines.append(angle)
+        strengths.append(height)
     return ShadingTerms(
         ambient=ambient,
         diffuse=diffuse,
@@ -136,6 +152,27 @@ def point_terms(
         strength=jnp.stack(strengths) if lights else jnp.zeros((0, 3), dtype),
         model=model,
     )
+
+
+def _each(
+    of_light: Callable[[AbstractLight, Scalar], tuple[Array, ...]],
+    lights: tuple[AbstractLight, ...],
+    visibility: Float[Array, " lights"],
+) -> tuple[Array, ...]:
+    """What many lights give, along a first axis: those of one kind as one program.
+
+    Written out, each of them would be compiled by itself.
+    """
+    kinds: dict[Any, list[int]] = {}
+    for k, light in enumerate(lights):
+        kinds.setdefault(jax.tree.structure(light), []).append(k)
+    found = []
+    for numbers in kinds.values():
+        alike = [lights[k] for k in numbers]
+        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *alike)
+        found.append(jax.vmap(of_light)(stacked, visibility[np.array(numbers)]))
+    place = np.argsort([k for numbers in kinds.values() for k in numbers])
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[place], *found)
 
 
 @checked
