@@ -143,8 +143,10 @@ def _read_surface(folder: Path, mask: Bool[np.ndarray, "height width"]) -> Norma
         afford(len(data) + 2 * 8 * math.prod(wanted), "normals")
         held = scipy.io.loadmat(io.BytesIO(data), variable_names=[NORMALS])
         return NormalMap(held[NORMALS], mask)
-    except MemoryError:
-        raise
+    except MemoryError as error:
+        # There is room for what it holds; it says within that there is more.
+        words = "is broken: its parts are larger than it says that the whole is"
+        raise ValueError(f"{path}: {words}") from error
     except Exception as error:
         # A broken file makes this reader raise nearly anything.
         raise ValueError(f"{path}: {reason(error)}") from error

@@ -10,7 +10,9 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from phongfit.checks import as_floats
 from phongfit.edge import checked
+from phongfit.fitting.problem.inputs import entries
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.samples import by_channel, join_pixels
 from phongfit.fitting.result import Fit
@@ -63,7 +65,7 @@ def _without_derivative(leaf: Any) -> Any:
 def _other_problem(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Problem:
     single = isinstance(scene, Scene)
     scenes = (scene,) if single else tuple(scene)
-    images = (image,) if single else tuple(image)
+    images = (image,) if single else entries("image", image)
     old = fit.solution.problem
     views = old.samples.views
     if len(scenes) != len(views) or len(images) != len(views):
@@ -76,13 +78,13 @@ def _other_problem(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Prob
         size, came = ((s.camera.height, s.camera.width) for s in (view.scene, one))
         if came != size:
             raise ValueError(f"scene: expected {size} pixels of scene {k}, got {came}")
-        shape = (*size, 3)
-        if jnp.shape(light) != shape:
+        shape, light = (*size, 3), as_floats("image", light)
+        if light.shape != shape:
             raise ValueError(
-                f"image: expected shape {shape} for scene {k}, got {jnp.shape(light)}"
+                f"image: expected shape {shape} for scene {k}, got {light.shape}"
             )
         pixels.append(resolve_terms(one)[1].select(view.index))
-        light = jnp.asarray(light, old.samples.target.dtype)
+        light = light.astype(old.samples.target.dtype)
         targets.append(light.reshape(-1, 3)[view.index])
     target = jnp.concatenate(targets).T - _lost(fit)
     samples = eqx.tree_at(

@@ -113,6 +113,20 @@ class Hurried(H11Protocol):
         self._rest()
         super().connection_lost(exc)
 
+    def send_400_response(self, msg: str) -> None:
+        """What came is no request; if it was the body of one, that has no answer now.
+
+        The server's own protocol lets both answer, and fails with the second.
+        """
+        cycle, begun = self.cycle, False
+        if cycle is not None:
+            cycle.disconnected, begun = True, cycle.response_started
+            cycle.message_event.set()
+        if begun:
+            self.transport.close()
+        else:
+            super().send_400_response(msg)
+
     def _watch(self) -> None:
         if self.cycle is not None and not self.cycle.response_complete:
             self._rest()

@@ -87,6 +87,8 @@ def test_a_list_of_images():
             "image: expected shape .16, 16, 3. for scene 0, got .8, 16, 3.",
         ),
         (SCENE, IMAGE[..., 0], "image: expected .*, got .16, 16."),
+        (SCENE, object(), "image: .* is not an array of numbers"),
+        ([SCENE], 3, "image: expected a sequence, one a scene, got int"),
         ([SCENE, SCENE], [IMAGE, IMAGE], "scene: expected 1 .*, got 2 and 2"),
         ([SCENE], [IMAGE, IMAGE], "scene: expected 1 .*, got 1 and 2"),
         (ball(), IMAGE, "scene: expected .16, 16. pixels of scene 0, got .32, 32."),

@@ -117,6 +117,17 @@ def test_who_leaves_is_not_complained_about(port, caplog, capfd):
     assert not caplog.records and "Traceback" not in capfd.readouterr().err
 
 
+@pytest.mark.parametrize("origin", ["", "Origin: null\r\n"])
+def test_a_body_that_is_none(port, caplog, capfd, origin):
+    head = f"POST /api/picture HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n{origin}"
+    with caplog.at_level(logging.ERROR):
+        with socket.create_connection(("127.0.0.1", port), timeout=30) as client:
+            client.sendall(f"{head}Transfer-Encoding: chunked\r\n\r\nzz\r\n".encode())
+            assert client.recv(4096).startswith(b"HTTP/1.1 4")
+        assert _post(port, "/api/picture", json.dumps({"settings": {}}))[0] == 200
+    assert not caplog.records and "Traceback" not in capfd.readouterr().err
+
+
 def test_the_end_does_not_wait_for_work(session, monkeypatch, capfd):
     begun, let_go = threading.Event(), threading.Event()
 

@@ -169,6 +169,24 @@ def test_highlights_of_all_lights_add_up(count):
     near(slope, slopes.sum(axis=(0, 1)))
 
 
+def test_many_lights_in_their_order():
+    """More than are written out, of all kinds: each as it is by itself."""
+    lights = 6 * lights_around()
+    lights = (lights[0], *lights)
+    assert len(lights) > AT_ONCE
+    visibility = np.random.default_rng(0).random(len(lights))
+    place = pf.BlinnPhong(), floats([0.1, 0.2, 0.3]), unit(0, 1, 3), unit(1, 0, 2)
+    found = point_terms(lights, floats([0.3] * 3), *place, floats(visibility))
+    each = [
+        point_terms((light,), floats([0.0] * 3), *place, floats([visible]))
+        for light, visible in zip(lights, visibility, strict=True)
+    ]
+    near(found.cosine, [one.cosine[0] for one in each])
+    near(found.strength, [one.strength[0] for one in each])
+    near(found.diffuse, sum(one.diffuse for one in each))
+    near(found.ambient, 0.3 + sum(one.ambient for one in each))
+
+
 @pytest.mark.parametrize("leaf", ["diffuse", "specular", "shininess", "ambient"])
 def test_a_map_of_another_size_is_refused(leaf):
     with pytest.raises(ValueError, match=rf"^{leaf}: expected .*, got \(2, 4, 3\)"):

@@ -52,11 +52,11 @@ def as_photographs(
     **Raises:** `ValueError` that names the argument, and which of several it is.
     """
     single, scenes = isinstance(scene, Scene), as_scenes(scene)
-    images = [image] if single else _sequence("image", image, len(scenes))
+    images = [image] if single else entries("image", image, len(scenes))
     masks, weightings, noises = (
         [given] * len(scenes)
         if single or given is None or (name == "noise" and is_number(given))
-        else _sequence(name, given, len(scenes))
+        else entries(name, given, len(scenes))
         for name, given in (("mask", mask), ("weights", weights), ("noise", noise))
     )
     return [
@@ -85,17 +85,20 @@ def is_number(given: Any) -> bool:
     return not isinstance(given, list | tuple) and not as_array("noise", given).ndim
 
 
-def _sequence(name: str, given: Any, count: int) -> list[Any]:
+def entries(name: str, given: Any, count: int | None = None) -> list[Any]:
+    """What was given for several scenes; `ValueError` names `name`."""
     try:
-        entries = list(given)
-    except TypeError as error:
+        found = list(given)
+    except Exception as error:
+        # Objects may fail in any way when they are asked.
+        many = "" if count is None else f" of {count}"
         raise ValueError(
-            f"{name}: expected a sequence of {count}, one a scene, got "
+            f"{name}: expected a sequence{many}, one a scene, got "
             f"{type(given).__name__}"
         ) from error
-    if len(entries) != count:
-        raise ValueError(f"{name}: expected {count}, one a scene, got {len(entries)}")
-    return entries
+    if count is not None and len(found) != count:
+        raise ValueError(f"{name}: expected {count}, one a scene, got {len(found)}")
+    return found
 
 
 def _photograph(

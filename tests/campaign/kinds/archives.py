@@ -44,7 +44,7 @@ def maps() -> dict[str, np.ndarray]:
     }
 
 
-def _packed(arrays: dict[str, np.ndarray], packed: bool = False) -> bytes:
+def packed(arrays: dict[str, np.ndarray], packed: bool = False) -> bytes:
     file = io.BytesIO()
     (np.savez_compressed if packed else np.savez)(file, allow_pickle=True, **arrays)
     return file.getvalue()
@@ -74,12 +74,12 @@ def _of_maps(random: np.random.Generator) -> Case:
     match int(random.integers(4)):
         case 0:
             del arrays[name]
-            what, data = f"without {name}", _packed(arrays)
+            what, data = f"without {name}", packed(arrays)
         case 1 | 2:
             arrays[name] = _wrong_array(random, arrays[name])
-            what, data = f"{name} is {arrays[name].dtype}", _packed(arrays)
+            what, data = f"{name} is {arrays[name].dtype}", packed(arrays)
         case _:
-            what, data = damaged(random, _packed(arrays, bool(random.integers(2))))
+            what, data = damaged(random, packed(arrays, bool(random.integers(2))))
 
     def act(folder: Path) -> None:
         with blaming("maps.npz"):

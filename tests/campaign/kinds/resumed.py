@@ -64,13 +64,21 @@ def _harm(random: np.random.Generator, folder: Path) -> None:
         case 6:
             path = folder / TILES / "maps.json"
             if path.is_file():
-                path.write_bytes(changed(random, json.loads(path.read_text()))[1])
+                path.write_bytes(_changed(random, path.read_bytes()))
         case 7:
             path = folder / TILES / str(random.choice(["tile_000009.npz", "x", WORK]))
             path.write_bytes(other.read_bytes())
         case _:
             name = str(random.choice([WORK, RECORD_FILE, "x", "flags.png"]))
             (folder / name).write_text(str(random.choice(VALUES[:30])))
+
+
+def _changed(random: np.random.Generator, data: bytes) -> bytes:
+    """A record with another value; one that is none any more, with more damage."""
+    try:
+        return changed(random, json.loads(data))[1]
+    except ValueError:
+        return damaged(random, data)[1]
 
 
 def _of_tiles(random: np.random.Generator, stock: Path) -> Case:
