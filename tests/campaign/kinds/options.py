@@ -173,4 +173,4 @@ def _known_options() -> dict[str, list[str]]:
     }
 
 
-KIND = Kind(make, prepare, seconds=60.0, megabytes=2500.0, share=0.3)
+KIND = Kind(make, prepare, seconds=60.0, megabytes=2500.0, share=0.2)

@@ -278,4 +278,4 @@ def prepare(stock: Path) -> None:
     pictures.prepare(stock)
 
 
-KIND = Kind(make, prepare, seconds=30.0, megabytes=2500.0)
+KIND = Kind(make, prepare, seconds=30.0, megabytes=2500.0, share=0.5)

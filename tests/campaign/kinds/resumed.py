@@ -174,4 +174,4 @@ def prepare(stock: Path) -> None:
         raise Wrong("no tiles were left by a run that was stopped")
 
 
-KIND = Kind(make, prepare, seconds=60.0, megabytes=2500.0, share=0.5)
+KIND = Kind(make, prepare, seconds=60.0, megabytes=2500.0, share=0.3)
