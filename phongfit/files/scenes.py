@@ -98,8 +98,9 @@ def save_scene(
         data |= {} if film.bits is None else {"bits": film.bits}
     if images:
         data["images"] = [image.model_dump(exclude_none=True) for image in images]
-        for entry, camera in zip(data["images"], cameras, strict=False):
-            entry["camera"] = describe(camera)
+        own = cameras or [None] * len(images)
+        for entry, camera in zip(data["images"], own, strict=True):
+            entry |= {} if camera is None else {"camera": describe(camera)}
     for name, array in arrays.items():
         _write_beside(path.with_name(name), array)
     write_json(path, data)

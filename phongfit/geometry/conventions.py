@@ -69,16 +69,13 @@ def camera_pose(to_world: Any, axes: Axes) -> Pose:
 
     **Raises:** `ValueError` that names the argument; axes must be orthonormal.
     """
-    if axes not in AXES:
-        wanted = ", ".join(map(repr, get_args(Axes)))
-        raise ValueError(f"axes: expected one of {wanted}, got {axes!r}")
     matrix = _numbers("to_world", to_world, (3, 4), (4, 4))
     if len(matrix) == 4 and not np.allclose(matrix[3], (0, 0, 0, 1), atol=1e-6):
         raise ValueError(
             f"to_world: expected 0, 0, 0, 1 as its last row, got {matrix[3].tolist()}"
         )
     rotation = _as_rotation("to_world", matrix[:3, :3])
-    return Pose(matrix[:3, 3], rotation * np.array(AXES[axes]))
+    return Pose(matrix[:3, 3], rotation * _signs(axes))
 
 
 @checked
@@ -91,11 +88,8 @@ def camera_to_world(camera: AbstractCamera, axes: Axes) -> Float[np.ndarray, "4 
 
     **Raises:** `ValueError` for another convention.
     """
-    if axes not in AXES:
-        wanted = ", ".join(map(repr, get_args(Axes)))
-        raise ValueError(f"axes: expected one of {wanted}, got {axes!r}")
     matrix = np.eye(4)
-    matrix[:3, :3] = np.asarray(camera.rotation, float) * np.array(AXES[axes])
+    matrix[:3, :3] = np.asarray(camera.rotation, float) * _signs(axes)
     matrix[:3, 3] = np.asarray(camera.position, float)
     return matrix
 
@@ -218,6 +212,13 @@ def camera_in_view(
     to_world = np.column_stack([turn.T, -turn.T @ shift])
     position, rotation = camera_pose(to_world, "opencv")
     return PinholeCamera(**intrinsics, position=position, rotation=rotation)
+
+
+def _signs(axes: Axes) -> Float[np.ndarray, "3"]:
+    if axes not in AXES:
+        wanted = ", ".join(map(repr, get_args(Axes)))
+        raise ValueError(f"axes: expected one of {wanted}, got {axes!r}")
+    return np.array(AXES[axes], float)
 
 
 def _numbers(

@@ -35,6 +35,25 @@ def test_truth_lies_within_the_errors(stack, maps):
     assert np.median(maps.chi_squared) == pytest.approx(1, rel=0.05)
 
 
+def test_under_a_sky_as_well(stack):
+    """Known light from all around: it makes no sample lit, and no normal known."""
+    sky = pf.HarmonicLight([0.4, 0.2, 0.1, 0, 0, 0.05, 0.1, 0, 0])
+    scenes = [
+        dataclasses.replace(scene, lights=(*scene.lights, sky))
+        for scene in stack.scenes
+    ]
+    alone = dataclasses.replace(scenes[0], lights=sky, ambient=0.0)
+    white = pf.Material(1.0, 0.0, 10.0, 0.0)
+    around = np.asarray(pf.render(alone, white, film=FREE))
+    images = stack.images + np.asarray(stack.truth.diffuse) * around
+    found = pf.fit_maps(scenes, images.astype(DTYPE), film=FREE)
+    pull = pulls(found, stack.truth, "diffuse")
+    assert abs(pull.mean()) < 6 / np.sqrt(pull.size) + 0.03
+    assert 0.9 < np.diff(np.quantile(pull, [0.1587, 0.8413]))[0] / 2 < 1.1
+    with pytest.raises(ValueError, match="lights with a direction where normals"):
+        pf.fit_maps(scenes, images, film=FREE, normals="fit")
+
+
 def test_material_renders_what_was_seen(stack, maps):
     shown = np.stack([
         np.asarray(pf.render(scene, maps.material, film=FREE))

@@ -170,6 +170,9 @@ def test_of_many_samples_there_are_few_profiles(one):
         ("scene.lights[0].cutoff", "degrees"),
         ("scene.lights[0].attenuation[1]", "per world unit and its square"),
         ("scene.fog.density", "per world unit"),
+        ("scene.camera.fx", "pixels"),
+        ("scene.camera.distortion.k1", "coefficient of the lens"),
+        ("scene.lights[0].coefficients[3,1]", "light, white = 1"),
     ],
 )
 def test_units(label, expected):
