@@ -19,7 +19,7 @@ Place = Float[Array, "2"]
 
 # Steps of Newton's method: some follow the place from the centre outwards, so that what
 # is found is on the branch that starts there, the others double the digits each.
-OUTWARDS, ROUNDS = 12, 24
+OUTWARDS, ROUNDS = 6, 14
 
 
 class AbstractDistortion(eqx.Module):

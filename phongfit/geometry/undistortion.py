@@ -35,8 +35,8 @@ def undistort(image: Any, camera: PinholeCamera, *, mask: Any = None) -> Undisto
 
     Fits need none of it: a [`PinholeCamera`][] with its `distortion` sees the
     photograph as it is. It is for other programs, and for pictures. Interpolation makes
-    one pixel of four: noise becomes smaller, and that of neighbours alike, so that a
-    fit of such an image finds standard errors that are too small.
+    one pixel of four: noise becomes smaller and that of neighbours alike, which a fit
+    of such an image takes for a lack of fit, and says so.
 
     **Arguments:**
 
