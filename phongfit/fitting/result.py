@@ -351,7 +351,7 @@ Fit.__init__.__doc__ = """**Arguments:**
 - `misfit`: whether residuals are noise: a [`Misfit`][]. Where they are not, the model
     does not describe the image, and errors are widened.
 - `converged`, `steps`, `reason`: how the solver ended.
-- `warnings`: plain sentences.
+- `warnings`: sentences, each with what to try and a code: see [`warning_code`][].
 - `region`: what the data allow, which [`Fit`][]`.intervals` asks.
 - `solution`: the solved problem, which [`Fit`][]`.profile` and [`refit`][] go on from.
 """

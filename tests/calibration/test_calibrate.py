@@ -79,6 +79,7 @@ def test_chrome_alone_and_matte_alone_agree(distant):
     assert apart.mean() < 0.7
     assert np.isnan([lamp.intensity for lamp in chrome.lamps]).all()
     assert any("no matte sphere" in warning for warning in chrome.warnings)
+    assert all(map(pf.warning_code, chrome.warnings))
 
 
 def test_near_lamps_have_a_place():

@@ -98,6 +98,7 @@ def test_normals_that_are_not_identified():
     off = np.abs(found.positions() - points)[np.isfinite(depth)]
     assert off.max() < 0.1 and found.height[16, 20] > 0.9
     (words,) = found.warnings
+    assert pf.warning_code(words) == "vague-normals"
     assert words.startswith("normals: 12 of ")
 
 

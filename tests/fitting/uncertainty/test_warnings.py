@@ -10,6 +10,7 @@ NOISY = photograph(SCENE, TRUTH, noise=NOISE)
 
 
 def said(fit: pf.Fit, words: str) -> bool:
+    assert all(map(pf.warning_code, fit.warnings))
     return any(words in warning for warning in fit.warnings)
 
 
