@@ -6,10 +6,12 @@ caller batches with `vmap`.
 
 import abc
 import math
+from collections.abc import Mapping
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from phongfit.edge import check_fields, checked
 from phongfit.vectors import Scalar, Vec3, dot, normalize, power
@@ -55,16 +57,25 @@ class AbstractSpecular(eqx.Module):
     """A highlight: a cosine that geometry fixes, and a lobe that the exponent shapes.
 
     The split is what makes fits fast: the cosine is computed once, the lobe at every
-    step.
+    step. A model may have floats of its own as fields, which shape the lobe: a fit
+    finds them by their place, `"scene.specular_model.roughness"`, within `bounds`.
     """
 
+    bounds: ClassVar[Mapping[str, tuple[float, float]]] = {}
+
     @abc.abstractmethod
-    def cosine(self, normal: Vec3, to_light: Vec3, to_viewer: Vec3) -> Scalar:
-        """Cosine of the angle from the highlight's centre; 0 where there is none."""
+    def cosine(
+        self, normal: Vec3, to_light: Vec3, to_viewer: Vec3
+    ) -> PyTree[Float[Array, ""]]:
+        """Cosine of the angle from the highlight's centre; 0 where there is none.
+
+        Or several numbers that the lobe takes, as a named tuple, of which this is the
+        first. Zeros stand for lights that an image lacks.
+        """
 
     @abc.abstractmethod
     def lobe(
-        self, cosine: Float[Array, "..."], shininess: Float[Array, "..."]
+        self, cosine: PyTree[Float[Array, "..."]], shininess: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         """Height of the highlight at `cosine`, elementwise, for ρ_s = 1."""
 

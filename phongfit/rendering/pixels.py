@@ -15,6 +15,7 @@ from phongfit.geometry.shading import Interpolation
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
 from phongfit.programs import program
+from phongfit.reflectance import AbstractSpecular
 from phongfit.rendering.terms import ShadingTerms, combine, parts, terms
 from phongfit.scene import Scene
 from phongfit.textures import COLOURED, Factors
@@ -146,6 +147,18 @@ PixelTerms.__init__.__doc__ = """**Arguments:**
 """
 
 
+def with_model(terms: T, model: AbstractSpecular | None) -> T:
+    """Terms with another specular model: its own arrays are of no point.
+
+    **Arguments:** `terms`: [`ShadingTerms`][], or what holds them as `terms`.
+    """
+
+    def own(part: Any) -> Any:
+        return getattr(part, "terms", part).model
+
+    return eqx.tree_at(own, terms, model, is_leaf=lambda leaf: leaf is None)
+
+
 def _size(used: np.ndarray) -> int:
     """At least as many points as are used, out of few sizes: each is a compilation."""
     return 2 ** int(max(len(used) - 1, 63)).bit_length()
@@ -167,8 +180,7 @@ def _gather(terms: ShadingTerms, index: Int[Array, " n"]) -> ShadingTerms:
     def at(array: Any) -> Array:
         return array.reshape(points, *array.shape[len(batch) :])[index]
 
-    # The model's own arrays, if it has any, are of no point.
-    return eqx.tree_at(lambda t: t.model, jax.tree.map(at, terms), terms.model)
+    return with_model(jax.tree.map(at, with_model(terms, None)), terms.model)
 
 
 @checked

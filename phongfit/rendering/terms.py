@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from phongfit.edge import checked
 from phongfit.geometry.shading import PhongShading
@@ -35,7 +35,7 @@ class ShadingTerms(eqx.Module):
 
     ambient: Float[Array, "*batch 3"]
     diffuse: Float[Array, "*batch 3"]
-    cosine: Float[Array, "*batch lights"]
+    cosine: PyTree[Float[Array, "*batch lights"]]
     strength: Float[Array, "*batch lights 3"]
     model: AbstractSpecular
     material_index: Int[Array, "*batch"] | None = None
@@ -45,19 +45,21 @@ class ShadingTerms(eqx.Module):
     def specular(self, shininess: Float[Array, "..."]) -> Float[Array, "*batch rgb"]:
         """Basis image S(f), for an exponent as a parameter of a [`Material`][]."""
         shininess = self.leaf("shininess", shininess)
-        *batch, _ = self.cosine.shape
+        batch = self.strength.shape[:-2]
         channels = 1 if shininess.ndim == 0 else shininess.shape[-1]
         # One lobe serves all channels where they share the exponent.
         exponent = _spread("shininess", shininess, (*batch, channels))
         if self.exponents is not None:
             exponent = self.exponents[..., None] * exponent
 
-        def add(total: Array, light: tuple[Array, Array]) -> tuple[Array, None]:
+        def add(total: Array, light: tuple[PyTree, Array]) -> tuple[Array, None]:
             cosine, strength = light
-            return total + strength * self.model.lobe(cosine[..., None], exponent), None
+            cosine = jax.tree.map(lambda one: one[..., None], cosine)
+            return total + strength * self.model.lobe(cosine, exponent), None
 
         # One by one: an innermost loop over a few lights is slow.
-        each = jnp.moveaxis(self.cosine, -1, 0), jnp.moveaxis(self.strength, -2, 0)
+        cosines = jax.tree.map(lambda one: jnp.moveaxis(one, -1, 0), self.cosine)
+        each = cosines, jnp.moveaxis(self.strength, -2, 0)
         none = jnp.zeros_like(self.diffuse)
         return jax.lax.scan(add, none, each, unroll=AT_ONCE)[0]
 
@@ -79,7 +81,7 @@ class ShadingTerms(eqx.Module):
 ShadingTerms.__init__.__doc__ = """**Arguments:**
 
 - `ambient`, `diffuse`: RGB for ρ = 1.
-- `cosine`: of the angle from each light's highlight.
+- `cosine`: of the angle from each light's highlight, or all that its lobe takes.
 - `strength`: RGB of each light's highlight at its centre, for ρ_s = 1.
 - `model`: turns `cosine` into the height of the highlight.
 - `material_index`: which of `materials` each point is made of: a parameter of shape
@@ -145,10 +147,13 @@ def point_terms(
         ambient, diffuse = ambient + added, diffuse + sent
         cosines.append(angle)
         strengths.append(height)
+    if not lights:
+        alike = jax.eval_shape(model.cosine, normal, normal, to_viewer)
+        none = jax.tree.map(lambda one: jnp.zeros((0,), one.dtype), alike)
     return ShadingTerms(
         ambient=ambient,
         diffuse=diffuse,
-        cosine=jnp.stack(cosines) if lights else jnp.zeros((0,), dtype),
+        cosine=jax.tree.map(lambda *each: jnp.stack(each), *cosines) if lights else none,
         strength=jnp.stack(strengths) if lights else jnp.zeros((0, 3), dtype),
         model=model,
     )

@@ -15,12 +15,14 @@ from phongfit.fitting.problem.parameters import (
     DEFAULT_BOUNDS,
     MATERIAL_PARAMETERS,
     Parameter,
+    is_of_model,
     is_of_scene,
     parameter,
     scene_arrays,
 )
 from phongfit.fitting.problem.specification import Specification, Tie
 from phongfit.fitting.problem.unknowns import Unknowns
+from phongfit.fitting.problem.shapes import moves_cosine
 from phongfit.material import Material
 from phongfit.scene import Scene
 
@@ -105,9 +107,18 @@ def make_unknowns(
         y_index=tuple(y_index.tolist()),
         fixed=tuple(is_fixed.tolist()),
         has_prior=tuple(known_before.has.tolist()),
+        relights=_relights(parameters, scenes),
         known=known,
         **arrays,
     )
+
+
+def _relights(parameters: tuple[Parameter, ...], scenes: Sequence[Scene]) -> bool:
+    """Whether an unknown moves more than the heights of lobes."""
+    names = [one.name for one in parameters if is_of_scene(one.name)]
+    if not all(map(is_of_model, names)):
+        return True
+    return bool(names) and moves_cosine(scenes[0].specular_model)
 
 
 class _Names:

@@ -19,6 +19,7 @@ from phongfit.scene import Scene
 REFLECTANCES = ("ambient", "diffuse", "specular", "emission")
 MATERIAL_PARAMETERS = ("ambient", "diffuse", "specular", "shininess", "emission")
 EXPOSURE = "exposure"
+OF_MODEL = "scene.specular_model."
 CHANNELS = ("red", "green", "blue")
 # Arrays of a scene that are RGB, unit vectors, and numbers that cannot be negative.
 _COLOURS = {"intensity", "specular", "ambient", "color", "background"}
@@ -47,7 +48,8 @@ class Parameter:
     """One parameter that is unknown, and how its numbers are called.
 
     `rows` are the materials or the images that have it each to itself, `parts` the
-    numbers of a row: a colour's channels, a vector's components, or one.
+    numbers of a row: a colour's channels, a vector's components, or one. `box` is what
+    the specular model says of where its own may lie.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Parameter:
     parts: tuple[str, ...]
     form: Form
     per_image: bool = False
+    box: tuple[float, float] | None = None
 
     @property
     def size(self) -> int:
@@ -80,6 +83,8 @@ class Parameter:
     @property
     def default_bounds(self) -> tuple[float, float]:
         """Where its numbers may lie unless something else is said."""
+        if self.box is not None:
+            return self.box
         if self.name in DEFAULT_BOUNDS:
             return DEFAULT_BOUNDS[self.name]
         last = self.name.rpartition(".")[2]
@@ -91,6 +96,11 @@ class Parameter:
 def is_of_scene(name: str) -> bool:
     """Whether a parameter is the scene's, not the material's."""
     return name.startswith("scene.")
+
+
+def is_of_model(name: str) -> bool:
+    """Whether a parameter is the specular model's own: it shapes lobes."""
+    return name.startswith(OF_MODEL)
 
 
 def moves_geometry(name: str) -> bool:
@@ -140,7 +150,11 @@ def parameter(
     if _is_rotation(name, value):
         form = "rotation"
     rows = _rows(len(scenes)) if per_image else ("",)
-    return Parameter(name, rows, parts, form, per_image and several)
+    box = None
+    if is_of_model(name):
+        own = scenes[0].specular_model.bounds
+        box = own.get(name.removeprefix(OF_MODEL))
+    return Parameter(name, rows, parts, form, per_image and several, box)
 
 
 def _is_rotation(name: str, array: Array) -> bool:

@@ -16,6 +16,7 @@ from phongfit.fitting.problem.layout import make_unknowns
 from phongfit.fitting.problem.noise import find_film, rounding_steps
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.samples import Source, gather, seen_pixels
+from phongfit.fitting.problem.shapes import check_shape
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.problem.uncertain import Nuisance, make_nuisance
 from phongfit.fitting.problem.unknowns import Unknowns
@@ -104,18 +105,19 @@ def set_up(
     **Raises:** `ValueError` that names the argument.
     """
     scenes = as_scenes(scene)
+    check_shape(specification.unknowns, scenes[0].specular_model)
     dtype, materials = jnp.result_type(float), scenes[0].surface.materials
     if len(scenes) == 1 and specification.asks_as_usual:
         layout = _default_unknowns(dtype, materials)
     else:
         layout = make_unknowns(specification, materials, scenes)
     nuisance = make_nuisance(specification, materials, scenes)
-    of_scene = layout.of_scene or nuisance is not None
+    relit = layout.relights or (nuisance is not None and nuisance.unknowns.relights)
     # Shadows move with the lights that throw them.
     shadows = any(scene.shadows for scene in scenes)
     moving = layout.moves_geometry or (shadows and layout.moves_lights)
     # Begun here: JAX goes on with it while the images are looked at.
-    seen = [_geometry(one, of_scene and not moving) for one in scenes]
+    seen = [_geometry(one, relit and not moving) for one in scenes]
     scene = scene if isinstance(scene, Scene) else scenes
     photographs = as_photographs(scene, image, mask, weights, noise)
     films = _checked_films(specification.film, photographs)

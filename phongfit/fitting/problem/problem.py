@@ -52,6 +52,9 @@ class Problem:
         """What the samples see in the scenes that the entries make."""
         if not self.unknowns.of_scene:
             return self.samples.channels
+        if not self.unknowns.relights:
+            (scene,) = self.unknowns.scenes(entries, (self.samples.views[0].scene,))
+            return self.samples.channels.shaped_by(scene.specular_model)
         views, stacked = self.samples.views, self.samples.stacked_views()
         if stacked is not None:
             scenes = self.unknowns.stacked_scenes(entries, stacked.scene, len(views))

@@ -14,7 +14,8 @@ from phongfit.geometry.shading import Interpolation
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
 from phongfit.programs import program, record
-from phongfit.rendering.pixels import PixelTerms, pixel_terms, resolve
+from phongfit.reflectance import AbstractSpecular
+from phongfit.rendering.pixels import PixelTerms, pixel_terms, resolve, with_model
 from phongfit.scene import Scene
 from phongfit.textures import Factors
 
@@ -75,6 +76,10 @@ class Channels:
         return jax.vmap(lambda pixels: pixels.fog_light()[:, 0], in_axes=(self._axes,))(
             self.pixels
         )
+
+    def shaped_by(self, model: AbstractSpecular) -> "Channels":
+        """The same samples, with other numbers of the specular model's own."""
+        return Channels(with_model(self.pixels, model))
 
     @property
     def _axes(self) -> PixelTerms:
@@ -267,7 +272,7 @@ def join_pixels(parts: list[PixelTerms]) -> PixelTerms:
         return parts[0]
     if any(part.factors is not None for part in parts):
         parts = [_with_factors(part) for part in parts]
-    lobes = max(part.terms.cosine.shape[-1] for part in parts)
+    lobes = max(part.terms.strength.shape[-2] for part in parts)
     return _concatenated(_apart([_with_lobes(part, lobes) for part in parts]))
 
 
@@ -292,15 +297,9 @@ def end_to_end(stacked: PixelTerms) -> PixelTerms:
         stacked = dataclasses.replace(stacked, interpolation=interpolation)
     flat = jax.tree.map(
         lambda leaf: leaf.reshape(images * leaf.shape[1], *leaf.shape[2:]),
-        eqx.tree_at(lambda p: p.terms.model, stacked, None),
+        with_model(stacked, None),
     )
-    # The model's own arrays, if it has any, are of no sample.
-    first = jax.tree.map(lambda leaf: leaf[0], model)
-    return eqx.tree_at(lambda p: p.terms.model, flat, first, is_leaf=_is_none)
-
-
-def _is_none(leaf: Any) -> bool:
-    return leaf is None
+    return with_model(flat, jax.tree.map(lambda leaf: leaf[0], model))
 
 
 def _apart(parts: list[PixelTerms]) -> list[PixelTerms]:
@@ -318,9 +317,9 @@ def _apart(parts: list[PixelTerms]) -> list[PixelTerms]:
 
 @program()
 def _concatenated(parts: list[PixelTerms]) -> PixelTerms:
-    joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
-    # The model's own arrays, if it has any, are of no sample.
-    return eqx.tree_at(lambda p: p.terms.model, joined, parts[0].terms.model)
+    bare = [with_model(part, None) for part in parts]
+    joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *bare)
+    return with_model(joined, parts[0].terms.model)
 
 
 def _padded(count: int, images: int) -> int:
@@ -337,15 +336,17 @@ def _padded(count: int, images: int) -> int:
 def _with_lobes(view: PixelTerms, lobes: int) -> PixelTerms:
     """A view with dark lights added, so that all images have equally many."""
     terms = view.terms
-    *batch, count = terms.cosine.shape
+    *batch, count, _ = terms.strength.shape
     if count == lobes:
         return view
-    dtype = terms.cosine.dtype
-    cosine = jnp.zeros((*batch, lobes - count), dtype)
+    dtype = terms.strength.dtype
+    dark = jnp.zeros((*batch, lobes - count), dtype)
     strength = jnp.zeros((*batch, lobes - count, 3), dtype)
     terms = dataclasses.replace(
         terms,
-        cosine=jnp.concatenate([terms.cosine, cosine], axis=-1),
+        cosine=jax.tree.map(
+            lambda one: jnp.concatenate([one, dark], axis=-1), terms.cosine
+        ),
         strength=jnp.concatenate([terms.strength, strength], axis=-2),
     )
     return dataclasses.replace(view, terms=terms)

@@ -8,7 +8,11 @@ import numpy as np
 
 from phongfit.edge import checked
 from phongfit.fitting.problem.losses import AbstractLoss, as_loss
-from phongfit.fitting.problem.parameters import MATERIAL_PARAMETERS, is_of_scene
+from phongfit.fitting.problem.parameters import (
+    MATERIAL_PARAMETERS,
+    is_of_model,
+    is_of_scene,
+)
 from phongfit.material import Material
 from phongfit.rendering.film import Film
 
@@ -132,7 +136,7 @@ class Specification:
                         f"{argument}: expected one of {', '.join(there)}, got {name!r}"
                     )
         for name in self.per_image:
-            if not is_of_scene(name):
+            if not is_of_scene(name) or is_of_model(name):
                 raise ValueError(
                     f"per_image: expected an array of the scenes, got {name!r}: "
                     "all images show the same material"

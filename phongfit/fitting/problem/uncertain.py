@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.fitting.problem.layout import covariance_of, make_unknowns
+from phongfit.fitting.problem.parameters import is_of_model
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.problem.unknowns import Unknowns, in_units
@@ -62,7 +63,8 @@ def make_nuisance(
         asked,
         unknowns=(*asked.unknowns, *names),
         per_channel=(*asked.per_channel, *names),
-        per_image=(*asked.per_image, *names),
+        # All images show the same material.
+        per_image=(*asked.per_image, *(n for n in names if not is_of_model(n))),
         uncertain={},
     )
     unknowns = make_unknowns(wider, materials, scenes)

@@ -50,6 +50,8 @@ class Unknowns:
     y_index: tuple[int, ...] = dataclasses.field(metadata=STATIC)
     fixed: tuple[bool, ...] = dataclasses.field(metadata=STATIC)
     has_prior: tuple[bool, ...] = dataclasses.field(metadata=STATIC)
+    # Whether points are lit anew where an unknown changes, or only lobes shaped anew.
+    relights: bool = dataclasses.field(metadata=STATIC)
     known: Material
     factor: Float[Array, " entries"]
     offset: Float[Array, " entries"]

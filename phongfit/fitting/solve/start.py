@@ -73,7 +73,9 @@ def _largest(values: np.ndarray, count: int) -> np.ndarray:
 
 def _nearness(view: PixelTerms) -> np.ndarray:
     """Largest cosine from any highlight, pixel by pixel."""
-    nearest = np.asarray(_nearest(view.terms.cosine, view.terms.strength)).ravel()
+    # Of several numbers that a lobe takes the first is the cosine from its centre.
+    cosine, *_ = jax.tree.leaves(view.terms.cosine)
+    nearest = np.asarray(_nearest(cosine, view.terms.strength)).ravel()
     if view.interpolation is None:
         return nearest
     index = np.asarray(view.interpolation.index)

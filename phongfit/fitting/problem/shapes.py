@@ -1,0 +1,63 @@
+"""What a specular model's own numbers do, read off what JAX traces of it."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from phongfit.fitting.problem.parameters import OF_MODEL
+from phongfit.reflectance import AbstractSpecular
+
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+def own_names(model: AbstractSpecular) -> list[str]:
+    """The model's own floats, as a fit calls them."""
+    found = jax.tree_util.tree_leaves_with_path(eqx.filter(model, eqx.is_inexact_array))
+    names = (jax.tree_util.keystr(path).removeprefix(".") for path, _ in found)
+    return [OF_MODEL + name for name in names]
+
+
+def moves_cosine(model: AbstractSpecular) -> bool:
+    """Whether the model's own floats change what geometry fixes of other models."""
+    own, rest = eqx.partition(model, eqx.is_inexact_array)
+
+    def fixed(own: AbstractSpecular) -> Any:
+        whole = eqx.combine(own, rest)
+        return whole.cosine(*_vectors()), whole.diffuse_scale()
+
+    return _depends(fixed, own)
+
+
+def takes_exponent(model: AbstractSpecular) -> bool:
+    """Whether the lobe depends on the material's exponent."""
+    cosine = model.cosine(*_vectors())
+    exponent = jnp.ones((), jnp.result_type(float))
+    return _depends(lambda shininess: model.lobe(cosine, shininess), exponent)
+
+
+def check_shape(unknowns: Sequence[str], model: AbstractSpecular) -> None:
+    """Nothing is looked for in an exponent that shapes no highlight.
+
+    **Raises:** `ValueError` that says what does.
+    """
+    own = own_names(model)
+    if "shininess" in unknowns and own and not takes_exponent(model):
+        raise ValueError(
+            f"unknowns: shininess shapes no highlight of this {type(model).__name__}; "
+            f"expected {' or '.join(own)} in its place, or neither"
+        )
+
+
+def _vectors() -> list[jax.Array]:
+    return [jnp.asarray(_UP, jnp.result_type(float))] * 3
+
+
+def _depends(function: Callable[[Any], Any], argument: Any) -> bool:
+    """Whether any of a function's values is made of its argument's arrays."""
+    traced = jax.make_jaxpr(function)(argument).jaxpr
+    used = [one for step in traced.eqns for one in step.invars] + list(traced.outvars)
+    return any(one is given for one in used for given in traced.invars)
