@@ -124,6 +124,12 @@ from .material import (
     stack_materials as stack_materials,
     unstack_materials as unstack_materials,
 )
+from .microfacets import (
+    GGX as GGX,
+    Ward as Ward,
+    roughness_from_shininess as roughness_from_shininess,
+    shininess_from_roughness as shininess_from_roughness,
+)
 from .reflectance import (
     AbstractSpecular as AbstractSpecular,
     BlinnPhong as BlinnPhong,

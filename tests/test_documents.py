@@ -84,6 +84,14 @@ def test_a_specular_model(extending):
 
 
 @as_users_run_it
+def test_a_specular_model_with_a_number_of_its_own(extending):
+    rim = extending["found"]["scene.specular_model.rim"]
+    assert rim.error > 0 and abs(rim.value - 10) < 0.5
+    scene = extending["coated"]
+    assert float(scene.specular_model.rim) == 10
+
+
+@as_users_run_it
 def test_a_loss(extending):
     fit, truth = extending["fit"], extending["truth"]
     assert fit.converged and fit.loss == "Geman"

@@ -76,9 +76,12 @@ class Options:
 def main(options: Options) -> int:
     """Write a material for other programs: .mtl, glTF, OpenGL, JSON.
 
-    All but json get Blinn's un-normalised model: Phong's exponents are multiplied by 4.
-    glTF knows another one: roughness = (2 / (f + 2))^(1/4), F0 = 8 rho_s / (f + 2) by
-    KHR_materials_specular, metallic 0; the exact numbers stand in its extras. Maps
+    All but json get Blinn's un-normalised model: Phong's exponents are multiplied by 4,
+    GGX's and Ward's alpha becomes f = 2 / alpha^2 - 2. glTF knows another one:
+    roughness = (2 / (f + 2))^(1/4), F0 = 8 rho_s / (f + 2) by KHR_materials_specular,
+    metallic 0; the exact numbers stand in its extras. Its highlight differs from
+    Blinn's by up to 0.16 of the peak, from GGX's by what Fresnel's law takes of the
+    diffuse light. Maps
     become texture images: beside an .mtl; inside a glTF file, on a rectangle with their
     normals, or on the mesh of their height (--surface; .obj and .ply always). A
     highlight that is 0 within its error is 0 there, and what a pixel does not identify

@@ -4,7 +4,9 @@ The two models are not the same. What is kept is how wide and how bright a highl
 where it is seen head-on:
 
 - roughness: Beckmann's and GGX's $\alpha$ of about the same lobe as Blinn's $\cos^f$
-  is $\alpha = \sqrt{2 / (f + 2)}$, and glTF's roughness is $\sqrt\alpha$;
+  is $\alpha = \sqrt{2 / (f + 2)}$, and glTF's roughness is $\sqrt\alpha$: peak and sum
+  of the facets are the same, between they differ by up to 0.16 of the peak. Of a
+  [`GGX`][] it is its own roughness, and $F_0$ its own times $\rho_s$;
 - `KHR_materials_specular`: the peak of GGX's lobe over a matte surface's light is
   $F_0 (f + 2) / 8$, so that $F_0 = 8 \rho_s / (f + 2)$; 4 % of it is glTF's colour 1.
   A viewer shows at most $F_0 = 1$;
@@ -80,7 +82,7 @@ class Picture(NamedTuple):
 
 
 def roughness(shininess: Any) -> Float[np.ndarray, "..."]:
-    r"""glTF's roughness for a Blinn exponent: $(2 / (f + 2))^{1/4}$."""
+    r"""[`roughness_from_shininess`][] in NumPy: $(2 / (f + 2))^{1/4}$."""
     return (2 / (np.asarray(shininess, float) + 2)) ** 0.25
 
 

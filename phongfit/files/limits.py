@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from phongfit.codes import warn
 from phongfit.material import Material
+from phongfit.microfacets import GGX, Ward
 from phongfit.reflectance import (
     AbstractSpecular,
     BlinnPhong,
@@ -70,7 +71,9 @@ def as_blinn(material: Material, model: AbstractSpecular) -> Material:
     r"""A material of any model as one of the un-normalised Blinn-Phong model.
 
     Phong's exponents become Blinn's by [`blinn_from_phong`][]; normalised reflectances
-    are multiplied by what the model does: $1 / \pi$, and $(f + 2) / (2 \pi)$.
+    are multiplied by what the model does: $1 / \pi$, and $(f + 2) / (2 \pi)$. Facets
+    become the exponent of [`shininess_from_roughness`][], and ρ_s what the highlight
+    shows head-on.
 
     **Raises:** `ValueError` for another model.
     """
@@ -86,7 +89,16 @@ def as_blinn(material: Material, model: AbstractSpecular) -> Material:
             )
         case BlinnPhong():
             return material
-    raise ValueError(f"model: expected Phong or BlinnPhong, got {type(model).__name__}")
+        case GGX() | Ward():
+            exponent = 2 / model.alpha_squared(material.shininess) - 2
+            peak = model.peak(material.shininess)
+            specular, peak = jnp.broadcast_arrays(*_same_rank(material.specular, peak))
+            return dataclasses.replace(
+                material, specular=specular * peak, shininess=jnp.asarray(exponent)
+            )
+    raise ValueError(
+        "model: expected Phong, BlinnPhong, GGX or Ward, got " + type(model).__name__
+    )
 
 
 def _same_rank(*leaves: Float[Array, "..."]) -> list[Float[Array, "..."]]:

@@ -49,6 +49,7 @@ from phongfit.lights import (
     SpotLight,
 )
 from phongfit.material import Material
+from phongfit.microfacets import GGX, Ward
 from phongfit.reflectance import AbstractSpecular, BlinnPhong, Phong
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
@@ -164,6 +165,8 @@ register(SpotLight, "spot", cutoff="cutoff_degrees")
 register(HarmonicLight, "harmonic")
 register(Phong, "phong")
 register(BlinnPhong, "blinn-phong")
+register(GGX, "ggx")
+register(Ward, "ward")
 register(FlatShading, "flat")
 register(GouraudShading, "gouraud")
 register(PhongShading, "phong")

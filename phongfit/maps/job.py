@@ -12,11 +12,13 @@ import numpy as np
 from phongfit.edge import shown
 from phongfit.fitting.problem.losses import as_loss
 from phongfit.fitting.problem.parameters import DEFAULT_BOUNDS
+from phongfit.fitting.problem.shapes import takes_exponent
 from phongfit.geometry.shading import PhongShading
 from phongfit.geometry.surfaces import NormalMap
 from phongfit.geometry.tracing import trace
 from phongfit.maps.layers import Masks, Noise
 from phongfit.maps.pixel.lighting import Lighting
+from phongfit.maps.pixel.lobes import in_numbers, is_power
 from phongfit.maps.pixel.pixel import Known
 from phongfit.maps.pixel.settings import MAP_PARAMETERS, MOST_MATERIALS, MapSettings
 from phongfit.maps.pixel.tile import Outside, Tile
@@ -108,7 +110,6 @@ def check_scenes(scenes: Any) -> tuple[Scene, ...]:
                     f"scenes[{k}]: its {what} is not that of scenes[0]; scenes of one "
                     "map differ in their lights and fog only"
                 )
-    _check_power(first)
     return scenes
 
 
@@ -119,19 +120,6 @@ def _same(a: Any, b: Any) -> bool:
         return False
     pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
     return all(x is y or np.array_equal(x, y) for x, y in pairs)
-
-
-def _check_power(scene: Scene) -> None:
-    """The search rests on lobes that are powers of a cosine, whatever their height."""
-    dtype = jnp.result_type(float)
-    cosine, exponent = jnp.array([0.3, 0.9], dtype), jnp.array([1.7, 23.0], dtype)
-    lobe = scene.specular_model.lobe(cosine, exponent)
-    top = scene.specular_model.lobe(jnp.ones_like(cosine), exponent)
-    if not np.allclose(lobe, top * cosine**exponent, rtol=1e-3, atol=0):
-        raise ValueError(
-            f"scenes: the lobe of {type(scene.specular_model).__name__} is no power of "
-            "the cosine, as that of Phong and BlinnPhong is"
-        )
 
 
 def resolve_geometry(scenes: tuple[Scene, ...], lighting: Lighting) -> Geometry:
@@ -230,12 +218,25 @@ def make_settings(
         raise ValueError("unknowns: expected at least one that light falls on")
     if "shininess" in names and "specular" not in names:
         raise ValueError("unknowns: expected specular with shininess, which shapes it")
+    model = scenes[0].specular_model
+    power = is_power(model)
+    if "shininess" in names and not takes_exponent(model):
+        raise ValueError(
+            f"unknowns: shininess shapes no highlight of this {type(model).__name__}, "
+            "whose own numbers are held in maps; leave it out"
+        )
     if sought:
         _check_sought(names, per_channel, min_cosine)
         if not all(light.directed for scene in scenes for light in scene.lights):
             raise ValueError(
                 "scenes: expected lights with a direction where normals are sought, "
                 "got one from all around"
+            )
+        if not power:
+            raise ValueError(
+                "scenes: where normals are sought a lobe is expected that is a power "
+                "of one cosine, as that of Phong and BlinnPhong is, got "
+                f"{type(model).__name__}"
             )
     _check_materials(materials, names, sought, start)
     cutoff, exactly = (1.0, True) if film is None else (1.0, False)
@@ -245,7 +246,8 @@ def make_settings(
         names=names,
         bounds=tuple(_bound(name, bounds) for name in MAP_PARAMETERS),
         shared="shininess" not in per_channel,
-        model=scenes[0].specular_model,
+        model=in_numbers(model),
+        power=power,
         loss=as_loss(("cauchy" if sought else "linear") if loss is None else loss),
         scanned=start is None,
         min_cosine=float(min_cosine),

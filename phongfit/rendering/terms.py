@@ -125,7 +125,7 @@ def point_terms(
     if visibility is None:
         visibility = jnp.ones(len(lights), dtype)
 
-    def of_light(light: AbstractLight, visible: Scalar) -> tuple[Array, ...]:
+    def of_light(light: AbstractLight, visible: Scalar) -> tuple[Any, ...]:
         arriving = light.illuminate(position)
         share = model.diffuse_scale() * lambert(normal, arriving.to_light)
         sent = visible * share * arriving.intensity
@@ -147,23 +147,25 @@ def point_terms(
         ambient, diffuse = ambient + added, diffuse + sent
         cosines.append(angle)
         strengths.append(height)
-    if not lights:
+    if lights:
+        cosine = jax.tree.map(lambda *each: jnp.stack(each), *cosines)
+    else:
         alike = jax.eval_shape(model.cosine, normal, normal, to_viewer)
-        none = jax.tree.map(lambda one: jnp.zeros((0,), one.dtype), alike)
+        cosine = jax.tree.map(lambda _: jnp.zeros((0,), dtype), alike)
     return ShadingTerms(
         ambient=ambient,
         diffuse=diffuse,
-        cosine=jax.tree.map(lambda *each: jnp.stack(each), *cosines) if lights else none,
+        cosine=cosine,
         strength=jnp.stack(strengths) if lights else jnp.zeros((0, 3), dtype),
         model=model,
     )
 
 
 def _each(
-    of_light: Callable[[AbstractLight, Scalar], tuple[Array, ...]],
+    of_light: Callable[[AbstractLight, Scalar], tuple[Any, ...]],
     lights: tuple[AbstractLight, ...],
     visibility: Float[Array, " lights"],
-) -> tuple[Array, ...]:
+) -> tuple[Any, ...]:
     """What many lights give, along a first axis: those of one kind as one program.
 
     Written out, each of them would be compiled by itself.

@@ -85,8 +85,7 @@ def of_scene(scene: Scene) -> str:
         "surface": _surface_words(surface),
         "camera": f"{type(camera).__name__}, {camera.width} × {camera.height} pixels",
         "ambient light": _numbers(np.asarray(scene.ambient)),
-        "specular model": f"{type(scene.specular_model).__name__}"
-        f" ({settings(scene.specular_model)})",
+        "specular model": settings(scene.specular_model),
         "shading": type(scene.shading).__name__,
         "shadows": "yes" if scene.shadows else "no",
     }

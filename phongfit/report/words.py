@@ -134,7 +134,7 @@ def assumptions(fit: Fit) -> dict[str, str]:
     """What the numbers rest on, as name and value."""
     scene = fit.scene[0] if isinstance(fit.scene, tuple) else fit.scene
     unknowns = fit.solution.problem.unknowns
-    model = f"{fit.model} ({settings(scene.specular_model)})"
+    model = settings(scene.specular_model)
     noise = f"{fit.noise:.3g} of white, {'given' if fit.noise_given else 'estimated'}"
     kinds = sorted({type(light).__name__ for light in scene.lights})
     lights = f"{len(scene.lights)} an image ({', '.join(kinds) or 'none'})"
@@ -155,9 +155,15 @@ def assumptions(fit: Fit) -> dict[str, str]:
 
 
 def settings(module: Any) -> str:
-    """The switches of a model, in words."""
-    switches = {k: v for k, v in vars(module).items() if isinstance(v, bool)}
-    return ", ".join(f"{k}: {'yes' if v else 'no'}" for k, v in switches.items())
+    """The class of a model, its switches and its own numbers, in words."""
+    words = []
+    for name, value in vars(module).items():
+        if isinstance(value, bool):
+            words.append(f"{name}: {'yes' if value else 'no'}")
+        elif value is not None and np.ndim(value) == 0:
+            words.append(f"{name}: {float(value):.4g}")
+    kind = type(module).__name__
+    return f"{kind} ({', '.join(words)})" if words else kind
 
 
 def bounds_words(fit: Fit) -> str:

@@ -20,9 +20,9 @@ from phongfit.fitting.problem.parameters import (
     parameter,
     scene_arrays,
 )
+from phongfit.fitting.problem.shapes import moves_cosine
 from phongfit.fitting.problem.specification import Specification, Tie
 from phongfit.fitting.problem.unknowns import Unknowns
-from phongfit.fitting.problem.shapes import moves_cosine
 from phongfit.material import Material
 from phongfit.scene import Scene
 

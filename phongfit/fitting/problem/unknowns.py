@@ -20,6 +20,7 @@ from phongfit.fitting.problem.parameters import (
     EXPOSURE,
     MATERIAL_PARAMETERS,
     Parameter,
+    is_of_model,
     is_of_scene,
     moves_geometry,
     with_arrays,
@@ -198,6 +199,13 @@ class Unknowns:
     def logarithmic(self) -> np.ndarray:
         """True where the solver works with a logarithm."""
         return self.forms[self.y_entry] == "logarithm"
+
+    @functools.cached_property
+    def shapes(self) -> np.ndarray:
+        """True for numbers of y that shape highlights: exponents, and a model's own."""
+        own = np.array([is_of_model(name) for name in self.y_parameter], bool)
+        closed = np.isfinite(self.lower) & np.isfinite(self.upper)
+        return self.logarithmic | (own & np.asarray(closed))
 
     @functools.cached_property
     def of_scene(self) -> bool:

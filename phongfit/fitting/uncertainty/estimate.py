@@ -162,17 +162,19 @@ def _vague(
     found: Statistics,
     unseen: Bool[np.ndarray, " n"],
 ) -> Bool[np.ndarray, " n"]:
-    """Exponents that one quadratic does not do for."""
-    exponents = unknowns.logarithmic
+    """Exponents, and what else shapes lobes, that one quadratic does not do for."""
+    exponents = unknowns.shapes
+    # Of logarithms already shares.
+    wide = VAGUE * np.where(unknowns.logarithmic, 1, np.abs(position))
     if found.unidentified[~exponents].all():
         return np.zeros(len(position), bool)
     with np.errstate(invalid="ignore"):
-        vague = exponents & (unseen | (found.stderr > VAGUE))
+        vague = exponents & (unseen | (found.stderr > wide))
     held = np.flatnonzero(exponents & found.at_bound & ~vague)
     if len(held):
         (part,) = _one_part(found, unknowns, position)
         ends = part.ends(np.eye(len(position))[held], 1.0)
-        vague[held] = np.abs(ends).max(axis=1) > VAGUE
+        vague[held] = np.abs(ends).max(axis=1) > wide[held]
     return vague
 
 

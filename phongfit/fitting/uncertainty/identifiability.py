@@ -130,14 +130,16 @@ def doubtful_exponents(
 ) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """Exponents of highlights that are not seen, and of those that are seen faintly.
 
-    Of each material the colours' ρ_s are judged, each alone and all together.
+    Of each material the colours' ρ_s are judged, each alone and all together. A
+    specular model's own numbers are taken for exponents of all materials.
 
     **Arguments:** `position`, `sandwich`: the solution, and the sums there.
     """
     parameters, materials = unknowns.y_parameter, unknowns.y_material
     unseen, faint = np.zeros((2, len(position)), bool)
+    hidden, plain = [], False
     specular = parameters == "specular"
-    if not specular.any() or not unknowns.logarithmic.any():
+    if not specular.any() or not unknowns.shapes.any():
         return unseen, faint
     # An unknown light scales a highlight, but cannot make one out of nothing.
     felt = ~unfelt(sandwich.inside, unknowns, position, sandwich.resolution)
@@ -151,6 +153,7 @@ def doubtful_exponents(
         exponents = own & (parameters == "shininess")
         together = covariance[np.ix_(colours, colours)]
         if _stands_out(height, together, PLAIN):
+            plain = True
             continue
         if _stands_out(height, together, SEEN) or _cannot_be_none(
             unknowns, position, part, group, colours
@@ -158,6 +161,13 @@ def doubtful_exponents(
             faint |= exponents
         else:
             unseen |= exponents
+            hidden.append(material)
+    # What shapes the highlights of all materials is seen in any of them.
+    shared = unknowns.shapes & ~unknowns.logarithmic
+    if len(hidden) == len(np.unique(materials[specular])):
+        unseen |= shared
+    elif not plain:
+        faint |= shared
     return unseen, faint
 
 

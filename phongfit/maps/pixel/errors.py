@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.uncertainty.identifiability import SEEN
-from phongfit.maps.pixel.columns import Columns, Lights
+from phongfit.maps.pixel.columns import Columns
 from phongfit.maps.pixel.exponent import (
     At,
     Box,
@@ -16,6 +16,7 @@ from phongfit.maps.pixel.exponent import (
     full_gram,
     slope_gram,
 )
+from phongfit.maps.pixel.lobes import Angles
 from phongfit.maps.pixel.search import (
     Profile,
     candidates,
@@ -65,7 +66,7 @@ def standard_errors(
     t: Float[Array, ""],
     sigma: Float[Array, ""],
     moved: Float[Array, "channels unknowns"],
-    log_cosine: Lights,
+    angles: Angles,
     box: Box,
     thorough: Bool[Array, ""],
     settings: MapSettings,
@@ -82,7 +83,7 @@ def standard_errors(
     - `at`, `columns`, `t`: the solution.
     - `sigma`: standard deviation of a sample.
     - `moved`: by how much the reflectances last moved, where weights move them.
-    - `log_cosine`: as in [`PixelSamples`][].
+    - `angles`: as in [`PixelSamples`][].
     - `thorough`: whether to follow the profile where it is wanted.
     """
     inner = (t > box.lowest) & (t < box.highest)
@@ -130,7 +131,7 @@ def standard_errors(
 
         def follow(columns: Columns) -> tuple[Array, Array, Array]:
             count = candidates(*settings.log_bounds)
-            profile = survey(columns, settings.model, log_cosine, box, count)
+            profile = survey(columns, settings.lobes, angles, box, count)
             return (_widest(at, profile, sigma), *_ends(at, profile, t, sigma, box))
 
         vague = dim | ~inner | ~(log_error < VAGUE)

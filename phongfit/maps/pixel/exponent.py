@@ -13,7 +13,6 @@ slope those sums give exactly: $\phi' = -2 \sum_c \rho_s\, S' \cdot r$.
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -24,6 +23,7 @@ from phongfit.maps.pixel.columns import (
     pairs,
     weighed_sums,
 )
+from phongfit.maps.pixel.lobes import AbstractLobes, Angles
 from phongfit.maps.pixel.small import (
     Boxed,
     Numbers,
@@ -37,11 +37,7 @@ from phongfit.maps.pixel.small import (
     solve,
     times,
 )
-from phongfit.reflectance import AbstractSpecular
 
-# Logarithm of the least height of a lobe that counts: products of smaller ones leave
-# the normal numbers of single precision, and those are slow.
-FAINTEST = -36.0
 # Rounds of the box problem.
 ROUNDS = 6
 
@@ -103,25 +99,6 @@ class At(NamedTuple):
     slopes: Slopes
 
 
-def lobes(
-    model: AbstractSpecular, log_cosine: Lights, t: Array
-) -> tuple[Lights, Lights]:
-    """Heights of the highlights at exponent e^t, and their slopes in t."""
-    one = jnp.ones((), t.dtype)
-
-    def height_at(t: Array) -> Array:
-        return model.lobe(one, jnp.exp(t))
-
-    height, rise = jax.jvp(height_at, (t,), (one,))
-    tops, slopes = [], []
-    for logarithm in log_cosine:
-        power = jnp.exp(t) * logarithm
-        lobe = height * jnp.where(power > FAINTEST, jnp.exp(power), 0)
-        tops.append(lobe)
-        slopes.append(lobe * (power + rise / height))
-    return optimization_barrier((tuple(tops), tuple(slopes)))
-
-
 def sum_lights(columns: Columns, lobe: Lights) -> Sums:
     """The sums of all channels: see [`Sums`][]."""
     *cross, moment = _rows(weighed_sums(columns.moments, joined(list(lobe))))
@@ -178,8 +155,8 @@ def slope_gram(slopes: Slopes) -> Numbers:
 
 def evaluate(
     columns: Columns,
-    model: AbstractSpecular,
-    log_cosine: Lights,
+    lobes: AbstractLobes,
+    angles: Angles,
     t: Float[Array, ""],
     box: Box,
 ) -> At:
@@ -187,7 +164,7 @@ def evaluate(
 
     **Arguments:** `columns`: of all channels that share the exponent.
     """
-    lobe, slope = lobes(model, log_cosine, t)
+    lobe, slope = lobes.at(angles, t)
     sums, slopes = sum_lights(columns, lobe), sum_slopes(columns, lobe, slope)
 
     def channel(

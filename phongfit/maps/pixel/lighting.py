@@ -13,8 +13,7 @@ from jaxtyping import Array, Float
 from phongfit.environment import Fog
 from phongfit.geometry.cameras import AbstractCamera
 from phongfit.lights import AbstractLight
-from phongfit.maps.pixel.samples import log_cosine
-from phongfit.reflectance import AbstractSpecular
+from phongfit.maps.pixel.lobes import AbstractLobes, Angles, lobes_of
 from phongfit.rendering.terms import point_terms
 from phongfit.scene import Scene
 from phongfit.vectors import Scalar, Vec3, dot
@@ -34,7 +33,7 @@ class Basis(eqx.Module):
     ambient: Float[Array, "3 *images"]
     diffuse: Float[Array, "3 *images"]
     strength: tuple[Float[Array, "3 *images"], ...]
-    log_cosine: tuple[Float[Array, "*images"], ...]
+    angles: Angles
     lit: Float[Array, "*images"]
     veil: Float[Array, "3 *images"] | None
 
@@ -47,7 +46,7 @@ class Lighting(eqx.Module):
     """
 
     kinds: tuple[_Alike, ...]
-    model: AbstractSpecular
+    shape: AbstractLobes
     camera: AbstractCamera | None
     order: tuple[int, ...] = eqx.field(static=True)
 
@@ -91,7 +90,7 @@ class Lighting(eqx.Module):
             _channels_first(joined.ambient),
             _channels_first(joined.diffuse),
             tuple(_channels_first(strength) for strength in joined.strength),
-            joined.log_cosine,
+            joined.angles,
             joined.lit,
             None if joined.veil is None else _channels_first(joined.veil),
         )
@@ -133,11 +132,16 @@ class Lighting(eqx.Module):
         """The basis of one image: of `kind`, but without the axis along scenes."""
         lights, dark = kind.lights, jnp.zeros_like(kind.ambient)
         terms = point_terms(
-            lights, kind.ambient, self.model, position, normal, to_viewer, seen
+            lights, kind.ambient, self.shape.model, position, normal, to_viewer, seen
         )
         missing = self.lobes - len(lights)
         strength = (*terms.strength, *[dark] * missing)
-        cosines = (*terms.cosine, *[dark[0]] * missing)
+        none = jax.tree.map(lambda _: dark[0], terms.cosine)
+        cosines = [
+            jax.tree.map(lambda one, k=k: one[k], terms.cosine)
+            for k in range(len(lights))
+        ]
+        cosines += [none] * missing
         directed = [k for k, light in enumerate(lights) if light.directed]
         lit = jnp.array(not directed)
         for k in directed:
@@ -145,10 +149,10 @@ class Lighting(eqx.Module):
             to_light = light.illuminate(position).to_light
             reached = dot(normal, to_light) > min_cosine
             lit = lit | (reached if seen is None else reached & (seen[k] > 0))
-        logarithms = tuple(log_cosine(cosine) for cosine in cosines)
+        angles = tuple(map(self.shape.angles, cosines))
         lit = lit.astype(normal.dtype)
         veil = None if self.camera is None else dark
-        basis = Basis(terms.ambient, terms.diffuse, strength, logarithms, lit, veil)
+        basis = Basis(terms.ambient, terms.diffuse, strength, angles, lit, veil)
         if kind.fog is None or self.camera is None:
             return basis
         return _fogged(basis, kind.fog, self.camera.depth(position))
@@ -161,7 +165,7 @@ def _fogged(basis: Basis, fog: Fog, depth: Scalar) -> Basis:
         through * basis.ambient,
         through * basis.diffuse,
         tuple(through * strength for strength in basis.strength),
-        basis.log_cosine,
+        basis.angles,
         basis.lit,
         (1 - through) * fog.color,
     )
@@ -187,7 +191,7 @@ def make_lighting(scenes: tuple[Scene, ...]) -> Lighting:
     order = tuple(k for indices in members.values() for k in indices)
     foggy = any(scene.fog is not None for scene in scenes)
     camera = scenes[0].camera if foggy else None
-    return Lighting(tuple(kinds), scenes[0].specular_model, camera, order)
+    return Lighting(tuple(kinds), lobes_of(scenes[0].specular_model), camera, order)
 
 
 def _stack(*leaves: Array) -> Array:

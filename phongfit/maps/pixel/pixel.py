@@ -17,8 +17,9 @@ from phongfit.fitting.problem.noise import median_deviation
 from phongfit.fitting.uncertainty.misfit import SIGNIFICANT
 from phongfit.maps.pixel.columns import Columns, Lights, make_columns
 from phongfit.maps.pixel.errors import VAGUE, Errors, standard_errors
-from phongfit.maps.pixel.exponent import At, Box, evaluate, lobes
+from phongfit.maps.pixel.exponent import At, Box, evaluate
 from phongfit.maps.pixel.flags import Flag
+from phongfit.maps.pixel.lobes import Angles
 from phongfit.maps.pixel.robust import loss_weights, widening
 from phongfit.maps.pixel.samples import PixelSamples, whitened
 from phongfit.maps.pixel.search import (
@@ -155,7 +156,7 @@ def fit_pixel(
         samples.ambient,
         samples.diffuse,
         samples.strength,
-        samples.log_cosine,
+        samples.angles,
     )
     unlike = jnp.any((weight > 0) != (weight[:1] > 0)) | _coloured(samples.strength)
     if settings.weighted:
@@ -171,8 +172,8 @@ def fit_pixel(
 
         def alone(channel: PixelSamples, known: Known) -> _Found:
             # Channels on their own share nothing but the cosines.
-            cosines = samples.log_cosine
-            return solved(dataclasses.replace(channel, log_cosine=cosines), known)
+            angles = samples.angles
+            return solved(dataclasses.replace(channel, angles=angles), known)
 
         found = optimization_barrier(jax.vmap(alone)(*_split(samples, known)))
     total = _sum(weight)
@@ -207,7 +208,7 @@ def fit_pixel(
             found.t,
             sigma * found.widening,
             found.moved,
-            samples.log_cosine,
+            samples.angles,
             _box(settings, dtype),
             thorough,
             settings,
@@ -265,7 +266,7 @@ def _split(samples: PixelSamples, known: Known) -> tuple[PixelSamples, Known]:
     def apart(leaf: Array) -> Array:
         return leaf[:, None]
 
-    samples = dataclasses.replace(samples, log_cosine=())
+    samples = dataclasses.replace(samples, angles=())
     return jax.tree.map(apart, samples), jax.tree.map(apart, known)
 
 
@@ -298,7 +299,7 @@ def _solve(
         t, unsettled = _search(
             samples, target, columns, t, noise, unlike, thorough, box, settings
         )
-    at = optimization_barrier(_evaluate(columns, samples.log_cosine, t, box, settings))
+    at = optimization_barrier(_evaluate(columns, samples.angles, t, box, settings))
     if settings.loss.robust:
         found = _reweighted(samples, target, at, t, noise, thorough, box, settings)
         return found._replace(unsettled=found.unsettled | unsettled)
@@ -324,7 +325,7 @@ def _search(
     same samples in the same light. Where they do not, or where the exponent stays
     vague, each of them is asked.
     """
-    model, cosine = settings.model, samples.log_cosine
+    lobes, angles = settings.lobes, samples.angles
     channels, count = samples.target.shape[0], candidates(*settings.log_bounds)
     low, high = edges = box.lowest, box.highest
     if channels > 1:
@@ -332,9 +333,9 @@ def _search(
     else:
         summed = columns
     if settings.scanned:
-        t, low, high = scan_exponents(summed, model, cosine, box, count)
+        t, low, high = scan_exponents(summed, lobes, angles, box, count)
     t, low, high = optimization_barrier((jnp.clip(t, low, high), low, high))
-    start = refine_exponents(summed, model, cosine, t, low, high, box, SUMMED_STEPS)
+    start = refine_exponents(summed, lobes, angles, t, low, high, box, SUMMED_STEPS)
 
     def variance(value: Array) -> Array:
         return _variance(columns, samples.weight, value, noise, settings)
@@ -353,7 +354,7 @@ def _search(
         wanted = wanted & (thorough | most)
         found = where_wanted(
             wanted,
-            lambda columns: scan_exponents(columns, model, cosine, box, count).t,
+            lambda columns: scan_exponents(columns, lobes, angles, box, count).t,
             columns,
             found,
         )
@@ -362,7 +363,7 @@ def _search(
     steps = STEPS if channels > 1 else 0
     most = jnp.where(thorough, MOST_STEPS, STEPS)
     end = refine_exponents(
-        columns, model, cosine, t, *edges, box, steps, bend, most, variance
+        columns, lobes, angles, t, *edges, box, steps, bend, most, variance
     )
     return end.t, unsettled | ~end.ended
 
@@ -393,7 +394,7 @@ def _less_known(samples: PixelSamples, known: Known, settings: MapSettings) -> A
     if "diffuse" not in settings.names:
         target = target - known.diffuse[:, None] * samples.diffuse
     if not settings.shiny:
-        lobe, _ = lobes(settings.model, samples.log_cosine, jnp.log(known.shininess[0]))
+        lobe, _ = settings.lobes.at(samples.angles, jnp.log(known.shininess[0]))
         light = _shine(samples, lobe)
         target = target - known.specular[:, None] * light
     return target
@@ -420,7 +421,7 @@ def _summed(samples: PixelSamples, target: Array, settings: MapSettings) -> Colu
         ambient=_total(samples.ambient),
         diffuse=_total(samples.diffuse),
         strength=tuple(_total(each) for each in samples.strength),
-        log_cosine=samples.log_cosine,
+        angles=samples.angles,
     )
     together = optimization_barrier(together)
     return _columns(together, together.target, together.weight, settings)
@@ -440,13 +441,13 @@ def _sum(values: Float[Array, "channels images"]) -> Float[Array, ""]:
 
 
 def _evaluate(
-    columns: Columns, cosine: Lights, t: Array, box: Box, settings: MapSettings
+    columns: Columns, angles: Angles, t: Array, box: Box, settings: MapSettings
 ) -> At:
     """The solution at t. A highlight that is known, or none, is held at 0 strength."""
     if not settings.shiny:
         nothing = (jnp.zeros_like(columns.moments), jnp.zeros_like(columns.squares))
         columns = columns._replace(moments=nothing[0], squares=nothing[1])
-    return evaluate(columns, settings.model, cosine, t, box)
+    return evaluate(columns, settings.lobes, angles, t, box)
 
 
 def _residual(
@@ -457,7 +458,7 @@ def _residual(
     for k, name in enumerate(settings.columns):
         light = light + at.point[k][:, None] * getattr(samples, name)
     if settings.shiny:
-        lobe, _ = lobes(settings.model, samples.log_cosine, t)
+        lobe, _ = settings.lobes.at(samples.angles, t)
         light = light + at.point[-1][:, None] * _shine(samples, lobe)
     return light - target
 
@@ -486,7 +487,7 @@ def _reweighted(
         Rousseeuw and Van Driessen, *Computing LTS regression for large data sets*, Data
         Min. Knowl. Discov. 12, 2006: starts from subsets.
     """
-    model, cosine = settings.model, samples.log_cosine
+    lobes, angles = settings.lobes, samples.angles
     used = samples.weight > 0
 
     def measured(at: At, t: Array) -> tuple[Array, Array]:
@@ -508,10 +509,10 @@ def _reweighted(
         if settings.searched:
             edges = box.lowest, box.highest
             found = refine_exponents(
-                columns, model, cosine, t, *edges, box, REWEIGHTED_STEPS, bend
+                columns, lobes, angles, t, *edges, box, REWEIGHTED_STEPS, bend
             )
             t, bend = found.t, found.bend
-        at = _evaluate(columns, cosine, t, box, settings)
+        at = _evaluate(columns, angles, t, box, settings)
         return _Rounds(at, t, bend, jnp.abs(t - state.t) <= SHORTEST, state.done + 1)
 
     most = jnp.where(thorough, MOST_REWEIGHTED, REWEIGHTED)
@@ -527,8 +528,8 @@ def _reweighted(
         begun = t
         if settings.scanned:
             count = candidates(*settings.log_bounds)
-            begun = scan_exponents(columns, model, cosine, box, count).t
-        return _evaluate(columns, cosine, begun, box, settings), begun
+            begun = scan_exponents(columns, lobes, angles, box, count).t
+        return _evaluate(columns, angles, begun, box, settings), begun
 
     def attempt(state: _Attempts) -> _Attempts:
         left = (_group(samples) != state.done - 1).astype(t.dtype)
@@ -557,7 +558,7 @@ def _reweighted(
         loss_weights(settings.loss, residual) * samples.weight
     )
     columns = _columns(samples, target, weight, settings)
-    at = optimization_barrier(_evaluate(columns, cosine, t, box, settings))
+    at = optimization_barrier(_evaluate(columns, angles, t, box, settings))
     moved = [abs(x - y) for x, y in zip(at.point, last.at.point, strict=True)]
     moved = jnp.stack(moved, axis=-1)
     share = _sum(weight) / jnp.maximum(_sum(samples.weight), 1)
@@ -578,7 +579,7 @@ def _is_doubtful(
     samples: PixelSamples, weight: Array, t: Array, settings: MapSettings
 ) -> Array:
     """Whether a loss rejects much of what shows a channel's highlight."""
-    lobe, _ = lobes(settings.model, samples.log_cosine, t)
+    lobe, _ = settings.lobes.at(samples.angles, t)
     height = _shine(samples, lobe) ** 2
     whole, kept = (jnp.sum(each * height, axis=-1) for each in (samples.weight, weight))
     return jnp.any(kept < KEPT * whole)

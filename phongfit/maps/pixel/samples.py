@@ -1,8 +1,9 @@
 """What one pixel measures: a sample for each channel and light, and its basis."""
 
 import equinox as eqx
-import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+from phongfit.maps.pixel.lobes import Angles
 
 
 class PixelSamples(eqx.Module):
@@ -17,7 +18,7 @@ class PixelSamples(eqx.Module):
     ambient: Float[Array, "channels images"]
     diffuse: Float[Array, "channels images"]
     strength: tuple[Float[Array, "channels images"], ...]
-    log_cosine: tuple[Float[Array, " images"], ...]
+    angles: Angles
     veil: Float[Array, "channels images"] | None = None
 
 
@@ -28,8 +29,7 @@ PixelSamples.__init__.__doc__ = r"""**Arguments:**
     other numbers may then be anything finite.
 - `ambient`, `diffuse`: A and D, light for $\rho_a = 1$ and $\rho_d = 1$.
 - `strength`: of each highlight at its centre, for $\rho_s = 1$.
-- `log_cosine`: logarithm of the cosine from its centre; very negative where there is
-    none.
+- `angles`: what each highlight's lobe takes: see [`AbstractLobes`][].
 - `veil`: light of the fog in front, which `target` holds too; `None` without any.
 """
 
@@ -46,17 +46,5 @@ def whitened(samples: PixelSamples) -> PixelSamples:
         share * samples.ambient,
         share * samples.diffuse,
         tuple(share * strength for strength in samples.strength),
-        samples.log_cosine,
+        samples.angles,
     )
-
-
-DARK = -1e4
-"""Stands for log 0: its exponential is 0 for every exponent from 1 on."""
-
-
-def log_cosine(cosine: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Logarithm of a cosine, [`DARK`][] where it is not positive."""
-    positive = cosine > 0
-    # Rounding can make a cosine larger than 1.
-    logarithm = jnp.log(jnp.where(positive, cosine, 1))
-    return jnp.where(positive, jnp.minimum(logarithm, 0), DARK)

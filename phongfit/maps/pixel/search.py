@@ -10,7 +10,6 @@ from jaxtyping import Array, Float, Int
 
 from phongfit.maps.pixel.columns import Columns, Lights
 from phongfit.maps.pixel.exponent import (
-    FAINTEST,
     Box,
     Sums,
     best_reflectances,
@@ -18,13 +17,13 @@ from phongfit.maps.pixel.exponent import (
     full_gram,
     sum_lights,
 )
+from phongfit.maps.pixel.lobes import AbstractLobes, Angles
 from phongfit.maps.pixel.small import (
     Numbers,
     curvatures,
     optimization_barrier,
     over_channels,
 )
-from phongfit.reflectance import AbstractSpecular
 
 # Candidates of a scan are a factor of 2 apart.
 SPACING = np.log(2).item()
@@ -71,8 +70,8 @@ class Profile(NamedTuple):
 
 def scan_exponents(
     columns: Columns,
-    model: AbstractSpecular,
-    log_cosine: Lights,
+    lobes: AbstractLobes,
+    angles: Angles,
     box: Box,
     count: int,
 ) -> Scan:
@@ -87,14 +86,14 @@ def scan_exponents(
     def candidate(sums: Sums) -> Array:
         return jnp.sum(over_channels(value, columns, sums))
 
-    sums = _candidate_sums(columns, model, log_cosine, box, count)
+    sums = _candidate_sums(columns, lobes, angles, box, count)
     return _lowest(jax.vmap(candidate)(_stacked(sums)), box)
 
 
 def survey(
     columns: Columns,
-    model: AbstractSpecular,
-    log_cosine: Lights,
+    lobes: AbstractLobes,
+    angles: Angles,
     box: Box,
     count: int,
 ) -> Profile:
@@ -112,9 +111,9 @@ def survey(
         value, point, variance = over_channels(channel, columns, sums)
         return jnp.sum(value), point, variance
 
-    sums = _candidate_sums(columns, model, log_cosine, box, count)
+    sums = _candidate_sums(columns, lobes, angles, box, count)
     highest = jnp.exp(box.highest)
-    end = _sums_at(columns, model, highest, _powers(log_cosine, highest))
+    end = _sums_at(columns, *lobes.alone(angles, highest))
     value, point, variance = jax.vmap(candidate)(_stacked([*sums, end]))
     steps = jnp.arange(count).astype(highest.dtype)
     t = jnp.append(box.lowest + SPACING * steps, box.highest)
@@ -127,47 +126,22 @@ def candidates(lowest: float, highest: float) -> int:
 
 
 def _candidate_sums(
-    columns: Columns,
-    model: AbstractSpecular,
-    log_cosine: Lights,
-    box: Box,
-    count: int,
+    columns: Columns, lobes: AbstractLobes, angles: Angles, box: Box, count: int
 ) -> list[Sums]:
-    r"""The sums of candidates a factor of 2 apart, from the lowest exponent on.
-
-    $\cos^{2f} = (\cos^f)^2$: one exponential serves all of them.
-    """
-    exponent = jnp.exp(box.lowest)
-    powers = _powers(log_cosine, exponent)
-    found = []
-    for k in range(count):
-        powers = optimization_barrier(_squares(powers) if k else powers)
-        found.append(_sums_at(columns, model, exponent * 2**k, powers))
-    return found
+    """The sums of candidates a factor of 2 apart, from the lowest exponent on."""
+    series = lobes.doubling(angles, jnp.exp(box.lowest), count)
+    return [_sums_at(columns, *one) for one in series]
 
 
-def _sums_at(
-    columns: Columns, model: AbstractSpecular, exponent: Array, powers: Lights
-) -> Sums:
-    """The sums for the powers of the cosines with an exponent."""
-    height = model.lobe(jnp.ones((), exponent.dtype), exponent)
-    sums = sum_lights(columns, powers)
+def _sums_at(columns: Columns, height: Array, shape: Lights) -> Sums:
+    """The sums for highlights of a shape, that high."""
+    sums = sum_lights(columns, shape)
     cross = tuple(height * number for number in sums.cross)
     return Sums(cross, height**2 * sums.own, height * sums.moment)
 
 
 def _stacked(sums: list[Sums]) -> Sums:
     return optimization_barrier(jax.tree.map(lambda *leaves: jnp.stack(leaves), *sums))
-
-
-def _powers(log_cosine: Lights, exponent: Array) -> Lights:
-    powers = (exponent * logarithm for logarithm in log_cosine)
-    return tuple(jnp.where(power > FAINTEST, jnp.exp(power), 0) for power in powers)
-
-
-def _squares(powers: Lights) -> Lights:
-    least = np.exp(FAINTEST / 2).item()
-    return tuple(jnp.where(power > least, power * power, 0) for power in powers)
 
 
 def _lowest(value: Float[Array, " candidates"], box: Box) -> Scan:
@@ -231,8 +205,8 @@ class _Search(NamedTuple):
 
 def refine_exponents(
     columns: Columns,
-    model: AbstractSpecular,
-    log_cosine: Lights,
+    lobes: AbstractLobes,
+    angles: Angles,
     start: Float[Array, ""],
     low: Float[Array, ""],
     high: Float[Array, ""],
@@ -259,7 +233,7 @@ def refine_exponents(
     rounding = ROUNDED * jnp.finfo(start.dtype).eps
 
     def step(search: _Search) -> _Search:
-        at = evaluate(columns, model, log_cosine, search.t, box)
+        at = evaluate(columns, lobes, angles, search.t, box)
         # Differences below rounding must not send the search back.
         accept = at.value <= search.value + rounding * jnp.abs(search.value)
         moved = search.t - search.best

@@ -5,6 +5,7 @@ import math
 from typing import Literal
 
 from phongfit.fitting.problem.losses import AbstractLoss, Linear
+from phongfit.maps.pixel.lobes import AbstractLobes, AnyLobes, PowerLobes
 from phongfit.reflectance import AbstractSpecular, BlinnPhong
 
 COLUMNS = ("ambient", "diffuse")
@@ -23,7 +24,8 @@ class MapSettings:
     - `names`: the unknowns, a subset of `MAP_PARAMETERS`.
     - `bounds`: (low, high) of each of `MAP_PARAMETERS`.
     - `shared`: whether the channels share one exponent.
-    - `model`: of the highlight; its lobe is a power of the cosine.
+    - `model`: of the highlight, its own numbers as Python's; `power`: whether its lobe
+        is a power of one cosine.
     - `loss`: how much a residual counts.
     - `scanned`: whether the exponent is looked for everywhere, or only downhill from
         where it starts.
@@ -41,6 +43,7 @@ class MapSettings:
     bounds: tuple[tuple[float, float], ...] = ((0, 1), (0, 1), (0, 1), (1, 1000))
     shared: bool = True
     model: AbstractSpecular = BlinnPhong()
+    power: bool = True
     loss: AbstractLoss = Linear()
     scanned: bool = True
     min_cosine: float = 0.0
@@ -70,6 +73,11 @@ class MapSettings:
     def bound(self, name: str) -> tuple[float, float]:
         """(low, high) of a parameter."""
         return self.bounds[MAP_PARAMETERS.index(name)]
+
+    @property
+    def lobes(self) -> AbstractLobes:
+        """The model's lobes."""
+        return PowerLobes(self.model) if self.power else AnyLobes(self.model)
 
     @property
     def log_bounds(self) -> tuple[float, float]:

@@ -191,7 +191,7 @@ def _fit_block(
             basis.ambient,
             basis.diffuse,
             basis.strength,
-            basis.log_cosine,
+            basis.angles,
             basis.veil,
         )
         return fit_pixel(samples, outside.known, outside.noise, thorough, settings)
