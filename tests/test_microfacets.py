@@ -181,7 +181,7 @@ def test_conversions():
 
 @pytest.mark.parametrize("exponent", (10.0, 50.0, 1000.0))
 def test_how_far_blinn_and_ggx_are_apart(exponent):
-    """Peak and sum of the facets are the same; what the documentation says of the rest."""
+    """Peak and sum of the facets are the same; the rest is as documented."""
     a2 = 2 / (exponent + 2)
     angle = np.linspace(0, np.pi / 2, 100001)[:-1]
     blinn = np.cos(angle) ** exponent

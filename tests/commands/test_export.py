@@ -1,6 +1,7 @@
 """`phongfit export`: other programs read the same numbers."""
 
 import base64
+import dataclasses
 import json
 import re
 import shutil
@@ -21,7 +22,7 @@ from phongfit.files.gltf import roughness, specular_colour
 from phongfit.files.limits import as_blinn
 from phongfit.files.materials import read_material, write_material
 from phongfit.files.opengl_lines import opengl_lines
-from tests.helpers import said
+from tests.helpers import floats, said
 
 BRASS = pf.preset("brass")
 
@@ -162,6 +163,36 @@ def test_conversions():
         for m, material in ((model, given), (pf.BlinnPhong(), plain))
     )
     np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("model", (pf.GGX(0.5, 0.25), pf.GGX(f0=0.25), pf.Ward()))
+def test_facets_are_kept_as_gltf_has_them(model, tmp_path):
+    """Roughness and F0 exactly; as Blinn's, the highlight seen head-on."""
+    material = pf.Material((0.5, 0.4, 0.3), (0.8, 0.6, 0.4), 30.0)
+    blinn = as_blinn(material, model)
+    ahead = pf.Scene(
+        pf.Sphere(), pf.OrthographicCamera(1, 1), pf.DirectionalLight((0, 0, 1))
+    )
+    bare = pf.Film(clamp=False)
+    shown = [
+        pf.render(dataclasses.replace(ahead, specular_model=one), given, film=bare)
+        for one, given in ((model, material), (pf.BlinnPhong(), blinn))
+    ]
+    np.testing.assert_allclose(*shown, rtol=1e-5)
+    write_material(tmp_path / "facets.json", "facets", material, model)
+    read = read_material(str(tmp_path / "facets.json"))
+    assert read.model == model
+    assert main(["export", f"{tmp_path}/facets.json", "-o", f"{tmp_path}/a.gltf"]) == 0
+    (written,) = json.loads((tmp_path / "a.gltf").read_text())["materials"]
+    own = getattr(model, "roughness", None)
+    rough = (
+        float(pf.roughness_from_shininess(floats(30.0))) if own is None else float(own)
+    )
+    found = written["pbrMetallicRoughness"]["roughnessFactor"]
+    assert found == pytest.approx(rough, rel=1e-5)
+    tint = written["extensions"]["KHR_materials_specular"]["specularColorFactor"]
+    f0 = 0.25 if isinstance(model, pf.GGX) else 1
+    np.testing.assert_allclose(tint, f0 * np.array([0.8, 0.6, 0.4]) / 0.04, rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["preset:brass", "preset:black_plastic"])

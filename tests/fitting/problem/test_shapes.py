@@ -101,9 +101,28 @@ def test_ward_is_found_from_images_of_several_lights():
     assert abs(fit[ALPHA].value - 0.25) < 4 * fit[ALPHA].error
     off = (fit["specular"].value - truth.specular) / fit["specular"].error
     assert np.abs(off).max() < 4
+    assert isinstance(fit.scene, tuple)
     again = fit.scene[1].specular_model
+    assert isinstance(again, pf.Ward) and again.alpha is not None
     assert float(again.alpha) == pytest.approx(float(fit[ALPHA].value), rel=1e-6)
     assert fit.bounds[fit.labels.index(ALPHA)] == pytest.approx((0.01, 1))
+
+
+def test_a_highlight_that_is_not_there_has_no_width():
+    """Neither of none, nor of one that noise hides, is an α claimed to be known."""
+    rng = np.random.default_rng(5)
+    scene, unknowns = ball(specular_model=pf.Ward(0.3)), ("diffuse", "specular", ALPHA)
+    known = pf.Material(0.0, 0.0, 32.0, 0.5)
+    for specular in (0.0, 0.0002):
+        truth = pf.Material((0.4, 0.3, 0.2), specular, 32.0, 0.5)
+        fit = pf.fit(
+            scene, photograph(scene, truth, rng), unknowns=unknowns, known=known
+        )
+        assert fit[ALPHA].unidentified and not np.isfinite(fit[ALPHA].error), fit
+        low, high = fit.intervals()[fit.labels.index(ALPHA)]
+        assert low == pytest.approx(0.01) and high == pytest.approx(1)
+        off = fit["diffuse"].value - np.asarray(truth.diffuse)
+        assert np.all(np.abs(off) < 4 * fit["diffuse"].error)
 
 
 def test_lobes_are_shaped_without_lighting_points_anew():
@@ -139,7 +158,10 @@ def test_what_a_model_depends_on():
             {"unknowns": (F0,), "per_image": (F0,)},
             "per_image: expected an array of the scenes",
         ),
-        ({"unknowns": (F0,), "bounds": {F0: (0.5, 0.1)}}, "bounds: .*f0: 0.5 < 0.1"),
+        (
+            {"unknowns": (F0,), "bounds": {F0: (0.5, 0.1)}},
+            "bounds: .*f0: 0.5 < 0.1 does not hold",
+        ),
     ],
 )
 def test_what_is_refused(options, words):

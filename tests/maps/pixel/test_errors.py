@@ -31,7 +31,7 @@ def errors_at(t, moved):
     low, high = settings.log_bounds
     edges = (floats(0.0), floats(0.0)), (floats(1.0), floats(1.0))
     box = Box(*edges, floats(low), floats(high))
-    at = evaluate(columns, settings.model, cosine, t, box)
+    at = evaluate(columns, settings.lobes, cosine, t, box)
     whole = jnp.ones((), bool)
     noise = floats(NOISE)
     return standard_errors(at, columns, t, noise, moved, cosine, box, whole, settings)

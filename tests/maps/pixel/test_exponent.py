@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from phongfit.maps.pixel.columns import make_columns
-from phongfit.maps.pixel.exponent import lobes, sum_lights, sum_slopes
+from phongfit.maps.pixel.exponent import sum_lights, sum_slopes
+from phongfit.maps.pixel.lobes import PowerLobes
 from phongfit.maps.pixel.small import over_channels
 from phongfit.reflectance import BlinnPhong
 from tests.helpers import floats
@@ -30,7 +31,8 @@ def test_sums_of_several_highlights(lights, channels):
         floats(weight),
         tuple(map(floats, strength)),
     )
-    heights, rises = lobes(BlinnPhong(), tuple(logarithm), floats(np.log(12.0)))
+    lobes = PowerLobes(BlinnPhong())
+    heights, rises = lobes.at(tuple(logarithm), floats(np.log(12.0)))
     sums = sum_lights(columns, heights)
     slopes = sum_slopes(columns, heights, rises)
     light, change = (
