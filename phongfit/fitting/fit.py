@@ -79,12 +79,13 @@ def fit(
     - `unknowns`: parameters of the material to be found; where the surface is made of M
         materials, of each of them: those that come back have shape (M, 3) or
         (M, 1). Arrays of the scene by their place, such as
-        `"scene.lights[0].direction"` or `"scene.fog.density"`, which start from what
-        the scene has. Directions are looked for on the whole sphere. A camera's
-        `rotation` is three angles: degrees about its own x, y and z axes, from where
-        the scene has it. A spot's `cutoff` is refused. Pixels next to an edge that an
-        unknown moves (an outline, the rim of a spot, a cast shadow) are left out: light
-        jumps there, which no derivative knows.
+        `"scene.lights[0].direction"`, `"scene.fog.density"`, or a specular model's own,
+        `"scene.specular_model.roughness"`, which start from what the scene has.
+        Directions are looked for on the whole sphere. A camera's `rotation` is three
+        angles: degrees about its own x, y and z axes, from where the scene has it. A
+        spot's `cutoff` is refused. Pixels next to an edge that an unknown moves (an
+        outline, the rim of a spot, a cast shadow) are left out: light jumps there,
+        which no derivative knows.
         `"exposure"`: what the light of each image is multiplied by.
     - `per_channel`: those of them with one value for each of red, green and blue; other
         colours have one for all.
@@ -92,7 +93,8 @@ def fit(
     - `known`: values of the parameters that are not unknown; default no reflectance, no
         emission and an exponent of 32.
     - `bounds`: name or label → (low, high), in place of 0 … 1 for reflectances and
-        emission and 1 … 1000 for shininess. Labels are those of the result:
+        emission, 1 … 1000 for shininess, and what a specular model says of its own.
+        Labels are those of the result:
         `"diffuse.red"`, `"exposure[1]"`, `"scenes[1].lights[0].position.x"`.
     - `fixed`: name or label → the value it is held at.
     - `ties`: name or label → another one, or (factor, other), which it follows; both

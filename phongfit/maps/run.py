@@ -92,7 +92,7 @@ def fit_maps(
         white is 1, in memory or memory-mapped, or an [`AbstractStack`][] such as
         [`PhotographStack`][], which reads files, or [`DatasetStack`][].
     - `unknowns`: parameters to be found. Where no ambient light falls, `ambient` is
-        not.
+        not. A specular model's own numbers are held.
     - `per_channel`: parameters with a number for each of red, green and blue. The
         reflectances that are unknown must be among them, since each channel of a pixel
         is fitted by itself; `"shininess"` may be, and then each channel has its own
@@ -119,8 +119,9 @@ def fit_maps(
         and a perspective camera, and which see it. Where near lamps are, ρ_s rests on
         that: the surface of a second fit may have the `height(distance=…).positions()`
         of a first, and the distance is that of the least `noise`. At least 3 images for
-        a matte surface, 5 for one with a highlight. `ambient` asks for ambient light in
-        the scenes; if `specular` is not in `per_channel`, the channels share one ρ_s.
+        a matte surface, 5 for one with a highlight, whose lobe must be a power of one
+        cosine, as Phong's and Blinn's is. `ambient` asks for ambient light in the
+        scenes; if `specular` is not in `per_channel`, the channels share one ρ_s.
     - `materials`: how many materials the pixels share, or `"auto"` to find out (up to
         6); `None` for a material of each pixel's own. A pixel's ρ_d stays its own; ρ_s
         and f are those of the material that it is most likely of. They are found from a
