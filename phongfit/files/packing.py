@@ -7,7 +7,6 @@ none is run: a class is named, and must be there when the file is read.
 import dataclasses
 import json
 import sys
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +17,9 @@ import numpy as np
 from phongfit.files.arrays import unpack
 from phongfit.files.inputs import naming, read_bytes
 from phongfit.files.outputs import replacing
-from phongfit.files.strict_json import parse_json
+from phongfit.files.strict_json import parse_json, shorten
 
-_STRUCTURE = "structure"
+STRUCTURE = "structure"
 
 
 def write_packed(path: Path, header: dict[str, Any], value: Any) -> None:
@@ -39,7 +38,7 @@ def write_packed(path: Path, header: dict[str, Any], value: Any) -> None:
     text = np.frombuffer(json.dumps(structure).encode(), np.uint8)
     with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(
-            file, allow_pickle=False, **packer.arrays | {_STRUCTURE: text}
+            file, allow_pickle=False, **packer.arrays | {STRUCTURE: text}
         )
 
 
@@ -55,16 +54,24 @@ def read_packed(path: Path, header: dict[str, Any], remedies: dict[str, str]) ->
     with naming(str(path)):
         try:
             arrays = unpack(data)
-            structure = parse_json(arrays[_STRUCTURE].tobytes())
-            found = {name: structure[name] for name in header}
-        except (zipfile.BadZipFile, KeyError, EOFError) as error:
+            structure = parse_json(arrays[STRUCTURE].tobytes())
+            _check_header({name: structure[name] for name in header}, header, remedies)
+            return _Unpacker(arrays).unpack(structure["value"])
+        except (ValueError, MemoryError):
+            raise
+        except Exception as error:
+            # What is broken, or made by hand, fails in nearly any way.
             raise ValueError("is no file that Fit.save has written") from error
-        for name, wanted in header.items():
-            if found[name] != wanted:
-                remedy = f"; {remedies[name]}" if name in remedies else ""
-                got = found[name]
-                raise ValueError(f"{name}: expected {wanted}, got {got}{remedy}")
-        return _Unpacker(arrays).unpack(structure["value"])
+
+
+def _check_header(
+    found: dict[str, Any], header: dict[str, Any], remedies: dict[str, str]
+) -> None:
+    for name, wanted in header.items():
+        if found[name] != wanted:
+            remedy = f"; {remedies[name]}" if name in remedies else ""
+            got = shorten(found[name]).strip('"')
+            raise ValueError(f"{name}: expected {wanted}, got {got}{remedy}")
 
 
 class _Packer:

@@ -33,7 +33,7 @@ def save_fit(path: str | os.PathLike[str], fit: Fit) -> None:
     """
     whole = dataclasses.replace(fit, region=fit.region.evaluated())
     made_with = importlib.metadata.version("phongfit")
-    write_packed(Path(path), {**_header(), "made_with": made_with}, whole)
+    write_packed(Path(path), {**header(), "made_with": made_with}, whole)
 
 
 @checked
@@ -46,12 +46,13 @@ def load_fit(path: str | os.PathLike[str]) -> Fit:
     **Raises:** `ValueError` that names the file, what was expected and what was got:
     another version of the format, or the other floating-point precision.
     """
-    found = read_packed(Path(path), _header(), _REMEDIES)
+    found = read_packed(Path(path), header(), _REMEDIES)
     if not isinstance(found, Fit):
         raise ValueError(f"{path}: expected a Fit, got a {type(found).__name__}")
     return found
 
 
-def _header() -> dict[str, object]:
+def header() -> dict[str, object]:
+    """What stands at the head of a fit that this program writes."""
     precision = str(jnp.result_type(float))
     return {"format": FORMAT, "version": VERSION, "precision": precision}

@@ -123,6 +123,13 @@ def test_what_it_does_not_know_is_named(fit, tmp_path):
     with pytest.raises(ValueError, match="fit.npz: is no file that Fit.save"):
         pf.load_fit(path)
     np.savez(path, a=np.ones(3))
+    # Of a version of the archive's format that nobody knows.
+    path.write_bytes(
+        path.read_bytes().replace(b"PK\1\2\x2d\3\x2d", b"PK\1\2\x2d\3\xcf")
+    )
+    with pytest.raises(ValueError, match="fit.npz: is no file that Fit.save"):
+        pf.load_fit(path)
+    np.savez(path, a=np.ones(3))
     with pytest.raises(ValueError, match="fit.npz: is no file that Fit.save"):
         pf.load_fit(path)
     double = np.result_type(pf.render(fit.scene, TRUTH).dtype) == np.float64

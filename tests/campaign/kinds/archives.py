@@ -3,6 +3,7 @@
 import functools
 import io
 import json
+import os
 import zipfile
 from pathlib import Path
 
@@ -12,11 +13,14 @@ import scipy.io
 
 from phongfit.files.arrays import read_array
 from phongfit.files.datasets import read_dataset
+from phongfit.files.packing import STRUCTURE, write_packed
+from phongfit.files.saved import header, load_fit
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.result import load_maps
 from phongfit.maps.store import TileStore
 from tests.campaign.cases import Case, Kind, Wrong, blaming, put
 from tests.campaign.damage import damaged
+from tests.campaign.kinds.records import changed
 
 SIZE = (5, 6)
 CAMERA = {"kind": "orthographic", "width": SIZE[1], "height": SIZE[0]}
@@ -165,6 +169,42 @@ def _of_manifest(random: np.random.Generator) -> Case:
     return Case(f"maps.json: {text[:9]}", put({"maps.json": text.encode()}), act)
 
 
+@functools.cache
+def _saved(stock: Path) -> dict[str, np.ndarray]:
+    """What `save_fit` writes, of a scene: it never becomes a fit."""
+    import phongfit as pf
+
+    scene = pf.Scene(pf.Sphere(), pf.OrthographicCamera(4, 4), pf.PointLight((0, 0, 3)))
+    path = stock / f"saved-{os.getpid()}.npz"
+    write_packed(path, header(), [scene, pf.Material(), {"a": (1, 2.5, None)}])
+    with np.load(path) as arrays:
+        return {name: arrays[name] for name in arrays}
+
+
+def _of_saved(random: np.random.Generator, stock: Path) -> Case:
+    """A fit that was saved: its archive damaged, or what stands in it."""
+    arrays = dict(_saved(stock))
+    if random.random() < 0.5:
+        what, data = damaged(random, packed(arrays, bool(random.integers(2))))
+    else:
+        name = str(random.choice(sorted(arrays)))
+        if name == STRUCTURE or random.random() < 0.7:
+            name, record = STRUCTURE, json.loads(arrays[STRUCTURE].tobytes())
+            what, text = changed(random, record)
+            arrays[name] = np.frombuffer(text, np.uint8)
+        else:
+            arrays[name] = _wrong_array(random, arrays[name])
+            what = f"{name} is {arrays[name].dtype}"
+        data = packed(arrays)
+
+    def act(folder: Path) -> None:
+        with blaming("fit.npz"):
+            load_fit(folder / "fit.npz")
+        raise Wrong("what is no fit was taken for one")
+
+    return Case(f"fit.npz: {what}", put({"fit.npz": data}), act)
+
+
 def _of_diligent(random: np.random.Generator) -> Case:
     """A data set in DiLiGenT's layout, one file of which was damaged."""
     matrix, packed = io.BytesIO(), bool(random.integers(2))
@@ -200,7 +240,8 @@ MAKERS = [_of_maps, _of_array, _of_zip, _of_tiles, _of_manifest, _of_diligent]
 
 
 def make(random: np.random.Generator, stock: Path) -> Case:
-    del stock
+    if random.random() < 0.15:
+        return _of_saved(random, stock)
     weights = np.array([4, 2, 1, 3, 1, 4]) / 15
     return MAKERS[int(random.choice(len(MAKERS), p=weights))](random)
 
