@@ -27,7 +27,13 @@ from phongfit.fitting.result import Fit
 from phongfit.fitting.solve.edges import keep_off_edges
 from phongfit.fitting.solve.jpeg import restore
 from phongfit.fitting.solve.search import SearchResult, search
-from phongfit.fitting.solve.start import ROBUST_NEAR, ROBUST_SUBSET, choose_few
+from phongfit.fitting.solve.start import (
+    NEAR,
+    ROBUST_NEAR,
+    ROBUST_SUBSET,
+    SUBSET,
+    choose_few,
+)
 from phongfit.fitting.summary import FittedImage, summarize
 from phongfit.fitting.uncertainty.inherited import with_inherited
 from phongfit.fitting.uncertainty.statistics import sandwich_sums
@@ -166,8 +172,8 @@ def fit(
     )
     layout, sources, films = setting.unknowns, setting.sources, setting.films
     seen, loss = seen_pixels(sources), specification.loss
-    asked = (ROBUST_NEAR, ROBUST_SUBSET) if loss.robust else ()
-    few = choose_few(sources, seen, *asked)
+    near, most = (ROBUST_NEAR, ROBUST_SUBSET) if loss.robust else (NEAR, SUBSET)
+    few = choose_few(sources, seen, near, most)
     found = search(
         None if few is None else gather(sources, few),
         lambda: gather(sources, seen),

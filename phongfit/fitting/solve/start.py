@@ -23,13 +23,13 @@ CANDIDATES, ROBUST_CANDIDATES = 16, 24
 BANDS = 6
 SUBSET, ROBUST_SUBSET = 1024, 2048
 # What a robust loss is to reject may lie just there: then it must be the smaller part.
-ROBUST_NEAR = 0.25
+NEAR, ROBUST_NEAR = 0.5, 0.25
 
 
 def choose_few(
     sources: list[Source],
     seen: list[np.ndarray],
-    near: float = 0.5,
+    near: float = NEAR,
     most: int = SUBSET,
 ) -> list[np.ndarray] | None:
     """A thousand samples or two: evenly spread ones, and the nearest to highlights.
