@@ -25,7 +25,7 @@ from phongfit.codes import coded
 from phongfit.edge import checked
 from phongfit.fitting.problem.inputs import as_photographs, as_scenes
 from phongfit.fitting.problem.losses import Linear
-from phongfit.fitting.problem.noise import find_film
+from phongfit.fitting.problem.noise import arithmetic_floor, find_film
 from phongfit.fitting.texels.lit import BASIS, LitImage, basis, see, shown
 from phongfit.fitting.texels.result import CHANNELS, Shared, TextureFit, as_textures
 from phongfit.fitting.texels.solve import Preconditioned, inverse_diagonal, precondition
@@ -94,6 +94,7 @@ class _Job:
     few: list[Few]
     clamp: bool
     smoothness: sparse.csr_array | None
+    floor: float
 
     @property
     def size(self) -> int:
@@ -195,6 +196,10 @@ def fit_texture(
         few,
         films[0].clamp,
         None if smoothness is None else smoothness_matrix(grid, len(names), smoothness),
+        # Residuals below it are rounding of the arithmetic, or of no matter.
+        max(float(arithmetic_floor(jnp.asarray(one.used()))) for one in observed)
+        if noise is None
+        else 0.01,
     )
     if not sum(len(one.place) for one in job.images):
         raise ValueError("mask: it leaves no pixel that sees the surface")
@@ -494,14 +499,16 @@ def _solve(
             sigma = _noise(job, system.sums, sigma)
         following, system = _step(job, state, sigma)
         now = float(system.sums.cost.sum()) * sigma**2
-        converged = abs(cost - now) < 1e-5 * now and _moved(state, following) < 1e-3
+        least = 1e-5 * max(now, system.sums.counted * job.floor**2)
+        converged = abs(cost - now) < least and _moved(state, following) < 1e-3
         state, cost, steps = following, now, steps + 1
     if not noise_given:
         sigma = _noise(job, system.sums, sigma)
     # Where it stands now, with the noise as it is.
     system = _step(job, state, sigma)[1]
     if not noise_given:
-        sigma *= np.sqrt(system.sums.residual / _freedom(job, system))
+        found = sigma * np.sqrt(system.sums.residual / _freedom(job, system))
+        sigma = max(float(found), job.floor)
         system = _step(job, state, sigma)[1]
     return state, sigma, system, converged, steps
 
@@ -523,7 +530,7 @@ def _noise(job: _Job, sums: _Sums, sigma: float) -> float:
         for p in range(len(job.names))
     )
     freedom = max(sums.counted - taken - len(job.few), 0.1 * sums.counted, 1.0)
-    return max(sigma * float(np.sqrt(sums.residual / freedom)), 1e-6)
+    return max(sigma * float(np.sqrt(sums.residual / freedom)), job.floor)
 
 
 def _freedom(job: _Job, system: _System) -> float:

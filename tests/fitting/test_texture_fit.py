@@ -71,6 +71,17 @@ def test_texels_and_a_shared_highlight():
     )
 
 
+def test_images_without_noise():
+    fit = fitted(photographs(painted(diffuse=TRUE), SHINY, 0.0))
+    assert fit.converged and fit.steps < 15, fit
+    errors = fit.stderr["diffuse"][0]
+    known = np.isfinite(errors)
+    # Known to the rounding of the arithmetic, and no better.
+    assert 1e-16 < errors.min() and errors[known].max() < 0.1
+    assert abs(fit.values["diffuse"][0] - TRUE)[known].max() < 1e-3
+    near([one.value for one in fit.shared], [0.3, 20.0], 1e-3)
+
+
 def test_texels_are_those_of_dense_least_squares():
     images = photographs(painted(diffuse=TRUE), MATTE)
     fit = fitted(images, unknowns=(), noise=NOISE)
