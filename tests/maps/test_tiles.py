@@ -238,6 +238,9 @@ def test_a_camera_that_files_do_not_know(maps, tmp_path):
         def to_viewer(self, position):
             raise NotImplementedError
 
+        def project(self, position):
+            raise NotImplementedError
+
     own = dataclasses.replace(maps, camera=Pinhole())
     with pytest.warns(UserWarning, match="camera: is left out: Pinhole"):
         own.save(tmp_path / "maps.npz")
