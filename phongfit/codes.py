@@ -39,6 +39,8 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "shininess (fixed)",
         # Of maps, heights and meshes.
         "bulging-normals": "Try the lights with y (or x) of the opposite sign",
+        "materials-run-out": "Give their number (materials=1), or make ambient one of "
+        "the unknowns if the room was not dark",
         "separate-pieces": "Give depth where it is known, which moves them",
         "vague-normals": "Mask these pixels, or photograph them under more lights",
         "nothing-seen": "Aim the camera at it, or give two_sided=True if its faces "

@@ -62,6 +62,12 @@ class BasisMaterials:
         r"""Standard deviations $\sqrt{w (1 - w)}$: 0 where a pixel tells for sure."""
         return np.sqrt(self.weights * (1 - self.weights))
 
+    @property
+    def runs_out(self) -> bool:
+        """Whether the most materials that are tried explain the pixels best."""
+        tried = len(self.criterion)
+        return tried == MOST_MATERIALS and int(self.criterion.argmin()) == tried - 1
+
     def __str__(self) -> str:
         lines = ["  material   share        ρ_s                      f"]
         for k, share in enumerate(self.shares):
@@ -242,14 +248,21 @@ class Maps:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with all of the maps rather than with a pixel."""
+        found = []
         sought = np.isfinite(self.normals_stderr) & (self.normals_stderr > 0)
-        if not is_mirrored(self.normals, sought):
-            return ()
-        words = (
-            "the normals bulge the wrong way: their slopes belong to no surface, and "
-            "with y turned round they do"
-        )
-        return (coded("bulging-normals", words),)
+        if is_mirrored(self.normals, sought):
+            words = (
+                "the normals bulge the wrong way: their slopes belong to no surface, "
+                "and with y turned round they do"
+            )
+            found.append(coded("bulging-normals", words))
+        if self.materials is not None and self.materials.runs_out:
+            words = (
+                f"BIC still falls at {MOST_MATERIALS} materials, the most there are: "
+                "it takes for materials what the model lacks"
+            )
+            found.append(coded("materials-run-out", words))
+        return tuple(found)
 
     @checked
     def flagged(self, flag: Flag) -> Bool[np.ndarray, "height width"]:

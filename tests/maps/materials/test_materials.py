@@ -1,5 +1,7 @@
 """Materials that pixels share: how many, which, and what a pixel has of its own."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -65,6 +67,13 @@ def test_two_materials(two, maps):
     assert "materials by BIC" in str(maps)
     told = maps.materials.weights_stderr.max(axis=-1) < 0.22
     np.testing.assert_array_equal(told, ~maps.flagged(pf.Flag.SEVERAL_MATERIALS))
+
+
+def test_more_than_there_are_is_a_warning(maps):
+    assert maps.materials is not None and maps.warnings == ()
+    falling = dataclasses.replace(maps.materials, criterion=np.arange(6.0)[::-1])
+    (warning,) = dataclasses.replace(maps, materials=falling).warnings
+    assert pf.warning_code(warning) == "materials-run-out"
 
 
 def test_they_are_kept(two, maps, tmp_path):
