@@ -125,7 +125,9 @@ class GGX(AbstractSpecular):
 
     def alpha_squared(self, shininess: Float[Array, "..."]) -> Float[Array, "..."]:
         r"""$\alpha^2$, for an exponent that counts where no roughness is given."""
-        return _facets(shininess) if self.roughness is None else self.roughness**4
+        if self.roughness is None:
+            return _facets(shininess)
+        return jnp.asarray(self.roughness) ** 4
 
     def peak(self, shininess: Float[Array, "..."]) -> Float[Array, "..."]:
         r"""Height of the highlight seen head-on: $F_0 / 4 \alpha^2$."""
@@ -176,7 +178,9 @@ class Ward(AbstractSpecular):
 
     def alpha_squared(self, shininess: Float[Array, "..."]) -> Float[Array, "..."]:
         r"""$\alpha^2$, for an exponent that counts where no $\alpha$ is given."""
-        return _facets(shininess) if self.alpha is None else self.alpha**2
+        return (
+            _facets(shininess) if self.alpha is None else jnp.asarray(self.alpha) ** 2
+        )
 
     def peak(self, shininess: Float[Array, "..."]) -> Float[Array, "..."]:
         r"""Height of the highlight seen head-on: $1 / 4 \alpha^2$."""

@@ -150,9 +150,10 @@ class _Unpacker:
         fields = _fields(kind)
         missing = {name for name in fields or () if not hasattr(kind, name)}
         if fields is None or not missing <= set(parts) <= set(fields):
+            name, got = shorten(name), shorten(", ".join(map(str, parts)))
             raise ValueError(
-                f"{name}: expected its fields {fields}, got {list(parts)}: the file is "
-                "of another version"
+                f"{name}: expected its fields {fields}, got {got}: the file is of "
+                "another version"
             )
         values = {field: self.unpack(part) for field, part in parts.items()}
         if issubclass(kind, tuple):
@@ -182,5 +183,6 @@ def _class(name: str) -> type:
     for part in path.split("."):
         found = getattr(found, part, None)
     if not isinstance(found, type):
+        path, module = shorten(path), shorten(module)
         raise ValueError(f"{path}: there is no such class; import {module} first")
     return found

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Integer
 
 from phongfit.codes import coded, warn
 from phongfit.edge import checked, shown
@@ -123,7 +123,7 @@ class Maps:
     stderr: ParameterMaps
     noise: Float[np.ndarray, "height width"]
     samples: Int[np.ndarray, "height width"]
-    flags: Int[np.ndarray, "height width"]
+    flags: Integer[np.ndarray, "height width"]
     unknowns: tuple[str, ...]
     noise_given: float | Float[np.ndarray, "height width"] | None
     normals: Float[np.ndarray, "height width 3"]

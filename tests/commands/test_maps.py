@@ -249,6 +249,7 @@ def test_normals_are_sought(capture, tmp_path, capsys):
     (folder / "dome.lp").rename(folder / "dome.txt")
     assert main([*args, "-o", str(tmp_path / "more")]) == 2
     assert "lights: expected them where normals are sought" in capsys.readouterr().err
+    (folder / "dome.txt").rename(folder / "dome.lp")
 
 
 def test_materials_are_asked_for(capture, tmp_path, monkeypatch, capsys):

@@ -192,7 +192,10 @@ WRONG = [
         _change("specular", "gate", 1),
         "specular.gate: expected a valid boolean ... got 1",
     ),
-    (_change("specular", "kind", "ward"), 'specular.kind: expected ... got "ward"'),
+    (
+        _change("specular", "kind", "minnaert"),
+        'specular.kind: expected ... got "minnaert"',
+    ),
     (_change("ambient", None), "ambient: expected ... got null"),
     (_change("ambient", -0.5), "ambient: expected ... got [-0.5 -0.5 -0.5]"),
     (_change("format", "mesh"), "format: expected 'phongfit scene', got \"mesh\""),

@@ -18,7 +18,7 @@ from phongfit.fitting.solve.box import minimize_in_box
 from phongfit.programs import program
 from phongfit.rendering.pixels import PixelTerms
 
-CANDIDATES, ROBUST_CANDIDATES = 16, 24
+CANDIDATES = 24
 # Bands of exponents of which a robust fit tries the best.
 BANDS = 6
 SUBSET, ROBUST_SUBSET = 1024, 2048
@@ -118,8 +118,7 @@ def _candidates(
     if logarithm.any():
         first = int(np.argmax(logarithm))
         low, high = unknowns.lower[first], unknowns.upper[first]
-        count = ROBUST_CANDIDATES if problem.loss.robust else CANDIDATES
-        grid = low + (high - low) * jnp.linspace(0, 1, count, dtype=low.dtype)
+        grid = low + (high - low) * jnp.linspace(0, 1, CANDIDATES, dtype=low.dtype)
         exponents = jnp.exp(grid)
     else:
         grid = jnp.zeros((1,), y.dtype)

@@ -89,7 +89,7 @@ def test_known_reflectances_are_taken_off():
     scene = ball()
     layout = unknowns_of(("specular", "shininess"), ("specular",), TRUTH, {})
     start = started(scene, photograph(scene, TRUTH), layout)
-    assert np.allclose(start.specular, TRUTH.specular, atol=0.05)
+    assert np.allclose(start.specular, TRUTH.specular, atol=0.03)
     assert abs(np.log(float(start.shininess) / 20)) < STEP
 
 
