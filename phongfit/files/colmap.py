@@ -130,9 +130,11 @@ def _rotation(quaternion: tuple[float, ...]) -> np.ndarray:
     length = np.linalg.norm(quaternion)
     if not np.isfinite(length) or length < 1e-6:
         raise ValueError(f"expected a quaternion, got {list(quaternion)}")
-    w, (x, y, z) = quaternion[0] / length, np.array(quaternion[1:]) / length
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+    # Here, since SciPy's transforms take long to import.
+    from scipy.spatial.transform import Rotation
+
+    w, *across = quaternion
+    return Rotation.from_quat([*across, w]).as_matrix()
 
 
 def _intrinsics(name: str, width: int, height: int, values: Any) -> dict[str, Any]:

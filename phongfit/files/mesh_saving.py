@@ -22,6 +22,7 @@ from phongfit.files.gltf import (
 )
 from phongfit.files.images import to_levels
 from phongfit.files.limits import exponent, lost
+from phongfit.files.mesh_writing import lines
 from phongfit.files.mtl import COLOURS, mtl_block
 from phongfit.files.outputs import replacing_files
 from phongfit.geometry.meshes import Mesh
@@ -164,26 +165,22 @@ def _write_obj(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
 
 
 def _obj_text(mesh: Mesh, own: list[_Own], library: str) -> str:
-    lines = [f"mtllib {library}"]
-    lines += _rows("v %.9g %.9g %.9g", mesh.vertices)
-    lines += _rows("vn %.9g %.9g %.9g", mesh.vertex_normals())
+    text = [f"mtllib {library}"]
+    text += lines("v %.9g %.9g %.9g", mesh.vertices)
+    text += lines("vn %.9g %.9g %.9g", mesh.vertex_normals())
     faces = np.asarray(mesh.faces) + 1
     form = "f " + " ".join(["%d//%d"] * 3)
     corners = np.repeat(faces, 2, axis=1)
     if mesh.uv is not None:
         # Its v runs up.
         places = np.asarray(mesh.uv, float).reshape(-1, 2) * [1, -1] + [0, 1]
-        lines += _rows("vt %.9g %.9g", places)
+        text += lines("vt %.9g %.9g", places)
         form = "f " + " ".join(["%d/%d/%d"] * 3)
         number = np.arange(faces.size).reshape(-1, 3) + 1
         corners = np.stack([faces, number, faces], axis=-1).reshape(-1, 9)
     for one in own:
-        lines += [f"usemtl {one.name}", *_rows(form, corners[one.faces])]
-    return "\n".join([*lines, ""])
-
-
-def _rows(form: str, rows: Any) -> list[str]:
-    return [form % tuple(row) for row in np.asarray(rows).tolist()]
+        text += [f"usemtl {one.name}", *lines(form, corners[one.faces])]
+    return "\n".join([*text, ""])
 
 
 def _part(mesh: Mesh, own: _Own) -> Part:

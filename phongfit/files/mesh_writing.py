@@ -1,6 +1,7 @@
 """Triangles as files: OBJ, beside an .mtl, and PLY with a colour for each vertex."""
 
 import os
+from typing import Any
 
 import numpy as np
 from jaxtyping import UInt
@@ -22,18 +23,19 @@ def obj_text(part: Part, library: str, material: str) -> str:
     return "\n".join(
         [
             f"mtllib {library}",
-            *_lines("v %.7g %.7g %.7g", part.positions),
-            *_lines("vt %.7g %.7g", uv),
-            *_lines("vn %.5f %.5f %.5f", part.normals),
+            *lines("v %.7g %.7g %.7g", part.positions),
+            *lines("vt %.7g %.7g", uv),
+            *lines("vn %.5f %.5f %.5f", part.normals),
             f"usemtl {material}",
-            *_lines("f %d/%d/%d %d/%d/%d %d/%d/%d", corners),
+            *lines("f %d/%d/%d %d/%d/%d %d/%d/%d", corners),
             "",
         ]
     )
 
 
-def _lines(form: str, rows: np.ndarray) -> list[str]:
-    return [form % tuple(row) for row in rows.tolist()]
+def lines(form: str, rows: Any) -> list[str]:
+    """A line for each row of numbers."""
+    return [form % tuple(row) for row in np.asarray(rows).tolist()]
 
 
 def write_ply(

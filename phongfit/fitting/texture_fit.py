@@ -83,6 +83,11 @@ class _State(NamedTuple):
     texels: np.ndarray
     numbers: dict[str, np.ndarray]
 
+    def value(self, one: Few) -> float:
+        """A shared number as it stands; of several channels' one, the first's."""
+        own = np.atleast_1d(self.numbers[one.name][one.material])
+        return float(own[one.channel or 0])
+
 
 @dataclasses.dataclass
 class _Job:
@@ -469,8 +474,7 @@ def _few_change(
     """The step of the shared numbers; none for those at a bound that push outwards."""
     free = np.diag(information) > 0
     for k, one in enumerate(job.few):
-        value = state.numbers[one.name][one.material]
-        value = float(np.atleast_1d(value)[one.channel or 0])
+        value = state.value(one)
         low, high = EXPONENTS if one.name == "shininess" else (0.0, 1.0)
         if (value <= low and right[k] < 0) or (value >= high and right[k] > 0):
             free[k] = False
@@ -592,8 +596,7 @@ def _finish(
         numbers[name][:] = 1
     shared = []
     for k, one in enumerate(job.few):
-        value = np.atleast_1d(state.numbers[one.name][one.material])
-        value = float(value[one.channel or 0])
+        value = state.value(one)
         # Found as a logarithm.
         error = few_errors[k] * (value if one.name == "shininess" else 1)
         shared.append(Shared(_label(job, one), value, float(error)))

@@ -249,20 +249,17 @@ def _as_rotation(name: str, matrix: np.ndarray) -> Float[np.ndarray, "3 3"]:
 
 
 def _from_rotation_vector(vector: np.ndarray) -> Float[np.ndarray, "3 3"]:
-    """Rodrigues' formula."""
-    angle = np.linalg.norm(vector)
-    x, y, z = vector / angle if angle > 0 else vector
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    # Here, since SciPy's transforms take long to import.
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(vector).as_matrix()
 
 
 def _rq(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """An upper triangle with a positive diagonal, and a rotation, whose product it is.
+    """An upper triangle with a positive diagonal, times a rotation, is the matrix."""
+    from scipy.linalg import rq
 
-    QR of the rows in the opposite order.
-    """
-    q, r = np.linalg.qr(matrix[::-1].T)
-    triangle, turn = r.T[::-1, ::-1], q.T[::-1]
+    triangle, turn = rq(matrix)
     signs = np.sign(np.diag(triangle))
     return triangle * signs, signs[:, None] * turn
 

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from phongfit.maps.materials.bases import Bases, as_known, held, sought
 from phongfit.maps.materials.reduced import reduce, take_apart
-from phongfit.maps.normals.block import NormalFit, judged, samples_of
+from phongfit.maps.normals.block import NormalFit, in_blocks, judged, samples_of
 from phongfit.maps.normals.search import Found, search
 from phongfit.maps.normals.step import edges_of, free_to_move
 from phongfit.maps.normals.sums import Samples, gather, residuals
@@ -16,7 +16,7 @@ from phongfit.maps.normals.unknowns import unknowns_of
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.pixel import PixelFit
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.tile import BLOCK, Outside, Tile
+from phongfit.maps.pixel.tile import Outside, Tile
 
 # Share of one material from which on a pixel is told to be of it.
 TOLD = 0.95
@@ -55,14 +55,7 @@ class _Try(NamedTuple):
 
 def fit_shared(tile: Tile, given: Given, settings: MapSettings) -> MaterialFit:
     """The normal, matte light and material of every pixel of a tile, block by block."""
-    pixels = tile.normal.shape[0]
-    along = jnp.arange(BLOCK)
-
-    def block(number: Array) -> MaterialFit:
-        return _fit_block(tile.rows(number * BLOCK + along), given, settings)
-
-    found = jax.lax.map(block, jnp.arange(pixels // BLOCK))
-    return jax.tree.map(lambda leaf: leaf.reshape(pixels, *leaf.shape[2:]), found)
+    return in_blocks(tile, lambda part: _fit_block(part, given, settings))
 
 
 def _fit_block(tile: Tile, given: Given, settings: MapSettings) -> MaterialFit:

@@ -24,7 +24,7 @@ from phongfit.maps.normals.step import (
 from phongfit.maps.normals.sums import Samples, gather, residuals
 from phongfit.maps.normals.unknowns import Point, unknowns_of
 from phongfit.maps.pixel.pixel import Known
-from phongfit.maps.pixel.robust import loss_weights
+from phongfit.maps.pixel.robust import loss_scores, loss_weights
 from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import curvatures
 from phongfit.maps.pixel.tile import SETTLED, Outside, Tile
@@ -150,11 +150,7 @@ def look_at(
     more = reduce(take_apart(aside, which), free).pull
     left = residuals(end.point, samples, settings.model, mine) / scale[None, None]
     used = samples.share > 0
-
-    def psi(r: Array) -> Array:
-        return r * loss_weights(settings.loss, r)
-
-    _, slope = jax.jvp(psi, (left,), (jnp.ones_like(left),))
+    _, slope = loss_scores(settings.loss, left)
     weight = loss_weights(settings.loss, left)
     return Look(
         end.point,
@@ -176,11 +172,7 @@ def _strayed(loss: AbstractLoss) -> Float[Array, ""]:
     """
     r = jnp.linspace(-8, 8, 401)
     density = jnp.exp(-(r**2) / 2)
-
-    def psi(r: Array) -> Array:
-        return r * loss_weights(loss, r)
-
-    value, slope = jax.jvp(psi, (r,), (jnp.ones_like(r),))
+    value, slope = loss_scores(loss, r)
     square, weight, steep = (
         jnp.sum(density * each) for each in (value**2, loss_weights(loss, r), slope)
     )

@@ -1,6 +1,7 @@
 """A tile of pixels whose normals are sought: arrays in, arrays out, no state."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +19,8 @@ from phongfit.maps.pixel.pixel import MEDIAN, PixelFit, most_by_chance
 from phongfit.maps.pixel.robust import widening
 from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.tile import BLOCK, Outside, Tile
+
+T = TypeVar("T")
 
 
 class NormalFit(NamedTuple):
@@ -37,11 +40,16 @@ def fit_normals(tile: Tile, outside: Outside, settings: MapSettings) -> NormalFi
 
     **Arguments:** as of [`fit_tile`][]; the tile's normals are not read.
     """
+    return in_blocks(tile, lambda part: fit_block(part, outside, settings))
+
+
+def in_blocks(tile: Tile, work: Callable[[Tile], T]) -> T:
+    """What `work` makes of each block of a tile, with all pixels as the first axis."""
     pixels = tile.normal.shape[0]
     along = jnp.arange(BLOCK)
 
-    def block(number: Array) -> NormalFit:
-        return fit_block(tile.rows(number * BLOCK + along), outside, settings)
+    def block(number: Array) -> T:
+        return work(tile.rows(number * BLOCK + along))
 
     found = jax.lax.map(block, jnp.arange(pixels // BLOCK))
     return jax.tree.map(lambda leaf: leaf.reshape(pixels, *leaf.shape[2:]), found)

@@ -24,6 +24,20 @@ def loss_weights(
     return jnp.maximum(slope, 0)
 
 
+def loss_scores(
+    loss: AbstractLoss, residual: Float[Array, "*batch"]
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    r"""$\psi(r) = r\, \rho'(r^2)$ and its slope, of the weights that maps use.
+
+    **Arguments:** `residual`: in standard deviations.
+    """
+
+    def psi(r: Array) -> Array:
+        return r * loss_weights(loss, r)
+
+    return jax.jvp(psi, (residual,), (jnp.ones_like(residual),))
+
+
 def widening(
     loss: AbstractLoss,
     residual: Float[Array, "*batch"],
@@ -43,11 +57,7 @@ def widening(
     ??? cite "Source"
         Huber, *Robust statistics*, 1981, section 7.6.
     """
-
-    def psi(r: Array) -> Array:
-        return r * loss_weights(loss, r)
-
-    score, slope = jax.jvp(psi, (residual,), (jnp.ones_like(residual),))
+    score, slope = loss_scores(loss, residual)
     count = jnp.maximum(jnp.sum(used), 1).astype(residual.dtype)
     freedom = jnp.maximum(count - unknowns, 1)
     square = jnp.sum(jnp.where(used, score**2, 0)) / freedom
