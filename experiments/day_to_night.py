@@ -139,7 +139,7 @@ def draw(result: Result, size: int) -> Figure:
     top, bottom = style.bands(figure, 4.1, 2.4)
     for axes, hour in zip(top.subplots(2, 4).flat, SHOWN, strict=True):
         minutes = round(60 * hour)
-        picture = pf.render(at(hour, size), MATERIAL)
+        picture = pf.render(at(hour, size), MATERIAL, samples=4)
         style.show(axes, picture, f"{minutes // 60}:{minutes % 60:02d}")
     left, right = bottom.subplots(1, 2)
     for axes, values in (

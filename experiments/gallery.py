@@ -123,7 +123,7 @@ def _mesh(surface: pf.HeightField) -> np.ndarray:
         view_height=1.15 * size,
     )
     lit = pf.Scene(mesh, camera, pf.DirectionalLight((0.2, 1, 1.5)), 0.2, background=1)
-    return np.asarray(pf.render(lit, pf.Material(0.8, 0.1, 12, 0.5)))
+    return np.asarray(pf.render(lit, pf.Material(0.8, 0.1, 12, 0.5), samples=4))
 
 
 def save(figure: Figure, path: Path) -> None:

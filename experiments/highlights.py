@@ -124,6 +124,7 @@ def draw(result: Result, size: int) -> Figure:
                 pf.render(
                     ball(size, angle, model, background=1.0),
                     pf.Material((0.35, 0.08, 0.05), 0.7, exponent, 0.0),
+                    samples=4,
                 )
             )
             for _, model, exponent, *_ in MODELS

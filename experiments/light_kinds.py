@@ -197,7 +197,7 @@ def draw(result: Result, size: int) -> Figure:
     scenes = pictures(size)
     places = top.subplots(2, 3).flat
     for axes, (name, scene) in zip(places, scenes.items(), strict=True):
-        style.show(axes, pf.render(scene, MATERIAL), name)
+        style.show(axes, pf.render(scene, MATERIAL, samples=4), name)
     fall, fog = bottom.subplots(1, 2)
     colours = (style.ORANGE, style.BLUE, style.VERMILION)
     every = max(len(result.place) // 32, 1)

@@ -99,7 +99,7 @@ def draw(size: int) -> Figure:
 
     def picture(diffuse: float, ambient: float = 0.0, **highlight: float) -> np.ndarray:
         material = pf.Material(diffuse * COLOUR, ambient=ambient * COLOUR, **highlight)
-        return np.asarray(pf.render(scene, material))
+        return np.asarray(pf.render(scene, material, samples=4))
 
     style.picture_grid(
         top,

@@ -1,8 +1,7 @@
 """Question: do the notebooks still run, and what do they show today?
 
 Runs every notebook of `experiments/notebooks/` in a fresh kernel and writes it back
-with its outputs. Without PHONGFIT_PHOTOS in the environment no photograph gets into
-them: leave it out wherever the outputs are to be passed on.
+with its outputs. Photographs are those of `docs/how-to/psbox`, whose licence is there.
 """
 
 import os
@@ -53,11 +52,7 @@ def execute(path: Path, environment: Mapping[str, str]) -> NotebookNode:
 
 
 def main() -> None:
-    """Run the notebooks and write their outputs into them.
-
-    What PHONGFIT_PHOTOS names is shown by photographs.ipynb; without it a synthetic
-    stand-in is.
-    """
+    """Run the notebooks and write their outputs into them."""
     for path in notebooks():
         notebook = execute(path, os.environ)
         with replacing(path) as temporary:

@@ -241,7 +241,9 @@ def draw(result: Result, pixels: int) -> Figure:
     lamp = np.array([-0.6, 0.7, 1.0])
     images = [
         [
-            np.asarray(pf.render(ball(rows, name, camera, lamp, 1.0), plastic))
+            np.asarray(
+                pf.render(ball(rows, name, camera, lamp, 1.0), plastic, samples=4)
+            )
             for rows in ROWS
         ]
         for name in METHODS

@@ -25,14 +25,14 @@ from phongfit.files import budget
 
 COMMANDS = {
     "synth": "Make a data set with known truth: photographs of a ball, to be fitted.",
+    "calibrate": "Find the lamps of a capture by spheres in its photographs.",
+    "response": "Check a camera's response, and fit it where it is not sRGB.",
+    "scene": "Write a scene file: surface, camera and lights, to render and to fit.",
     "render": "Render a scene with a material, as an image.",
     "fit": "Fit a material to photographs: values, errors, pictures, a report.",
     "maps": "Fit a material per pixel to photographs under many lights.",
     "relight": "Show what was mapped under other lights, one picture a light.",
     "view": "Write a page on which the pointer moves a lamp over what was mapped.",
-    "calibrate": "Find the lamps of a capture by spheres in its photographs.",
-    "response": "Check a camera's response, and fit it where it is not sRGB.",
-    "scene": "Write a scene file: surface, camera and lights, to render and to fit.",
     "predict": "How well could a material be known, before any photograph is taken?",
     "export": "Write a material for other programs: .mtl, glTF, OpenGL, JSON.",
     "lab": "Move the model's sliders in a browser, and fit a target with one press.",

@@ -5,6 +5,8 @@ bound 1000: its error is one-sided. Try … [at-bound]`. Sentences may change fr
 to version, codes stay. `docs/how-to/warnings.md` has a paragraph for each.
 """
 
+import functools
+import importlib.metadata
 import re
 import warnings
 from collections.abc import Mapping
@@ -81,6 +83,9 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
 )
 """What to try, by code, where a warning says nothing that is more to the point."""
 
+PAGE = "docs/how-to/warnings.md"
+"""Of a checkout; the site has it as HTML."""
+
 _CODE = re.compile(r" \[([a-z]+(?:-[a-z]+)*)\]$")
 
 
@@ -115,3 +120,20 @@ def warning_code(warning: str | Warning) -> str | None:
     """
     found = _CODE.search(str(warning))
     return found[1] if found else None
+
+
+def paragraph(code: str) -> str:
+    """Where the documentation says more of a code: on its site, or in the sources."""
+    site = _site()
+    return f"{site}/how-to/warnings.html#{code}" if site else f"{PAGE}#{code}"
+
+
+@functools.cache
+def _site() -> str | None:
+    """The address that the package states for its documentation, if it states one."""
+    try:
+        stated = importlib.metadata.metadata("phongfit").get_all("Project-URL") or []
+    except importlib.metadata.PackageNotFoundError:
+        return None
+    urls = dict(one.split(", ", 1) for one in stated)
+    return urls.get("Documentation", "").rstrip("/") or None

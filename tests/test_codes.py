@@ -3,12 +3,14 @@
 import ast
 import re
 import warnings
+from email.message import Message
 from pathlib import Path
 
 import pytest
 
 import phongfit as pf
-from phongfit.codes import REMEDIES, coded, warn
+from phongfit.codes import PAGE as PARAGRAPHS, REMEDIES, _site, coded, paragraph, warn
+from phongfit.report.html import linked
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "phongfit").rglob("*.py"))
@@ -48,6 +50,27 @@ def test_codes_and_remedies_are_of_one_form():
     for code, remedy in REMEDIES.items():
         assert pf.warning_code(f"words [{code}]") == code
         assert remedy[0].isupper() and not remedy.endswith("."), code
+
+
+def test_a_code_leads_to_its_paragraph(monkeypatch):
+    """On the site whose address the package states; else in the sources."""
+    stated = {"Documentation": "https://example.org/phongfit/", "Source": "https://b.c"}
+    for urls, place in (
+        (stated, "https://example.org/phongfit/how-to/warnings.html#at-bound"),
+        ({}, "docs/how-to/warnings.md#at-bound"),
+    ):
+        message = Message()
+        for name, url in urls.items():
+            message["Project-URL"] = f"{name}, {url}"
+        monkeypatch.setattr("importlib.metadata.metadata", lambda _, m=message: m)
+        _site.cache_clear()
+        assert paragraph("at-bound") == place
+        html = linked(coded("at-bound", "f < 1000 & so on", "Try it"))
+        assert place in html and html.startswith("f &lt; 1000 &amp; so on. Try it <")
+        assert ("<a href=" in html) == bool(urls)
+    _site.cache_clear()
+    assert linked("a sentence without one") == "a sentence without one"
+    assert (ROOT / PARAGRAPHS) == PAGE
 
 
 def codes_of(path: Path) -> set[str]:

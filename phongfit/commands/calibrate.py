@@ -85,8 +85,8 @@ def main(options: Options) -> int:
 
     For example:
       phongfit calibrate photos -o out/lights --sphere 179 565 88 --sphere 781 565 88
-      phongfit calibrate photos -o out/lights --fov 14 --matte 179 155 81
-      phongfit calibrate photos -o out/lights --lamps near --sphere-radius 30 --fov 14
+      phongfit calibrate photos -o out/matte --fov 14 --matte 179 155 81
+      phongfit calibrate photos -o out/near --lamps near --sphere-radius 30 --fov 14
     """
     may_replace = OURS.__contains__ if options.overwrite else None
     if options.orthographic and options.fov is not None:

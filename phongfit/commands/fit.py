@@ -80,7 +80,7 @@ def main(options: Options) -> int:
     For example:
       phongfit fit out/brass -o out/fit
       phongfit fit out/brass/001.png --scene out/brass/scene.json -o out/one
-      phongfit fit ballPNG -o out/ball --bounds shininess=1:5000 --loss cauchy
+      phongfit fit out/brass -o out/bold --bounds shininess=1:5000 --loss cauchy
       phongfit fit out/brass -o out/again --like out/fit/fit.json
 
     Exit status 1 if the solver does not converge, or if, with --like, the answers

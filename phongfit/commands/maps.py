@@ -104,9 +104,9 @@ def main(options: Options) -> int:
     For example:
       phongfit synth out/dome --shininess 40 --lights 24 --resolution 64
       phongfit maps out/dome -o out/maps
-      phongfit maps ballPNG -o out/ball --highlight shared --bounds shininess=1:5000
+      phongfit maps out/dome -o out/one --highlight shared --bounds shininess=1:5000
       phongfit maps coin --normals fit --encoding srgb -o out/coin
-      phongfit maps coin --normals fit --materials auto -o out/few
+      phongfit maps coin --normals fit --encoding srgb --materials auto -o out/few
     """
     if not options.overwrite and (options.out / RECORD_FILE).exists():
         raise OSError(f"{options.out}: there are maps in it; {OVERWRITE}")

@@ -141,7 +141,7 @@ def main(options: Options) -> int:
       phongfit scene ball.jpg --sphere 179 155 81 --light 1 1 2 -o ball.json
       phongfit scene --size 96 96 --mesh cup.obj --point-light 2 3 4 -o cup.json
       phongfit scene photos --sphere 179 155 81 --lights out/lights/lights.json
-      phongfit scene photos --mesh cup.obj --cameras sparse/0 --light 1 2 2
+      phongfit scene photos --mesh cup.obj --cameras sparse/0 --light 1 2 2 --overwrite
     """
     out = _out(options)
     check_file(out)

@@ -6,8 +6,10 @@ from typing import Any
 
 import jinja2
 import numpy as np
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
+from phongfit.codes import paragraph, warning_code
 from phongfit.files.formats import data_uri
 from phongfit.fitting.result import Fit, lopsided
 from phongfit.fitting.uncertainty.numbers import number_with_error
@@ -19,7 +21,7 @@ DPI = 160
 
 @functools.cache
 def _environment() -> jinja2.Environment:
-    return jinja2.Environment(
+    environment = jinja2.Environment(
         loader=jinja2.PackageLoader("phongfit.report"),
         # Names of files and titles come from outside.
         autoescape=True,
@@ -27,11 +29,24 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["linked"] = linked
+    return environment
 
 
 def fill(template: str, **values: Any) -> str:
     """A template, filled; what is put in is text, never markup."""
     return _environment().get_template(template).render(**values)
+
+
+def linked(warning: str) -> Markup:
+    """A warning whose code leads to its paragraph in the documentation."""
+    code = warning_code(warning)
+    if code is None:
+        return escape(warning)
+    words, place = warning.removesuffix(f"[{code}]"), paragraph(code)
+    if place.startswith("https://"):
+        return Markup('{}<a href="{}">[{}]</a>').format(words, place, code)
+    return Markup('{}<span title="{}">[{}]</span>').format(words, place, code)
 
 
 def source(figure: Figure, dpi: float = DPI) -> str:

@@ -1,5 +1,6 @@
 """How a fit, a material and a scene look in a notebook."""
 
+import dataclasses
 import io
 from typing import Any
 
@@ -12,7 +13,7 @@ from phongfit.files.formats import data_uri
 from phongfit.fitting.result import Fit
 from phongfit.geometry.cameras import OrthographicCamera
 from phongfit.geometry.meshes import Mesh
-from phongfit.geometry.surfaces import AbstractSurface, Sphere
+from phongfit.geometry.surfaces import AbstractSurface, NormalMap, Sphere
 from phongfit.lights import AbstractLight, DirectionalLight
 from phongfit.material import Material, unstack_materials
 from phongfit.rendering.render import render
@@ -24,7 +25,7 @@ from phongfit.scene import Scene
 
 SHOWN = ("diffuse", "specular", "shininess", "ambient", "emission")
 MOST_MATERIALS, MOST_LIGHTS = 8, 12
-SWATCH, PIXELS = 144, 240
+SWATCH, PIXELS, FINER = 144, 240, 2
 
 
 def of_fit(fit: Fit) -> str:
@@ -120,16 +121,26 @@ def _png(rgba: np.ndarray) -> str:
     return data_uri(stream.getvalue())
 
 
-def _over_nothing(image: Any, mask: Any) -> np.ndarray:
-    """An image with nothing, whatever the page's colour, where there is no surface."""
-    alpha = np.asarray(mask, float)[..., None]
-    return np.concatenate([displayed(image), alpha], axis=-1)
+def _over_nothing(image: Any, mask: Any, times: int) -> np.ndarray:
+    """An image with nothing, whatever the page's colour, where there is no surface.
+
+    A pixel is the mean of `times` × `times` finer ones, so that outlines are smooth.
+    """
+    rows, columns = (size // times for size in mask.shape)
+    light = (
+        np.concatenate([image, np.ones((*mask.shape, 1))], axis=-1) * mask[..., None]
+    )
+    fine = light[: rows * times, : columns * times]
+    mean = fine.reshape(rows, times, columns, times, 4).mean(axis=(1, 3))
+    cover = mean[..., 3:]
+    shown = displayed(mean[..., :3] / np.where(cover > 0, cover, 1))
+    return np.concatenate([shown, cover], axis=-1)
 
 
 def _ball(material: Material) -> str:
     scene = Scene(
         Sphere(),
-        OrthographicCamera(SWATCH, SWATCH, view_height=2.05),
+        OrthographicCamera(FINER * SWATCH, FINER * SWATCH, view_height=2.05),
         DirectionalLight((-1, 1.2, 2), 0.9),
         ambient=0.3,
     )
@@ -137,7 +148,8 @@ def _ball(material: Material) -> str:
     # What was made in another precision is shown all the same.
     floats = jnp.result_type(float)
     material = jax.tree.map(lambda leaf: jnp.asarray(leaf, floats), material)
-    return _png(_over_nothing(render(scene, material, gbuffer=gbuffer), gbuffer.mask))
+    image = render(scene, material, gbuffer=gbuffer)
+    return _png(_over_nothing(image, np.asarray(gbuffer.mask), FINER))
 
 
 def _map(leaf: np.ndarray) -> str:
@@ -150,14 +162,16 @@ def _map(leaf: np.ndarray) -> str:
 
 def _shape(scene: Scene) -> str:
     """The surface lit from the camera: its geometry, whatever the lights."""
+    camera = scene.camera
+    step = -(-max(camera.height, camera.width) // PIXELS)
+    if step == 1 and not isinstance(scene.surface, NormalMap):
+        step, scene = FINER, dataclasses.replace(scene, camera=camera.finer(FINER))
     gbuffer = scene.trace()
-    step = -(-max(gbuffer.mask.shape) // PIXELS)
     normal, viewer, mask = (
-        np.asarray(some)[::step, ::step]
-        for some in (gbuffer.normal, gbuffer.to_viewer, gbuffer.mask)
+        np.asarray(some) for some in (gbuffer.normal, gbuffer.to_viewer, gbuffer.mask)
     )
     facing = np.abs(np.sum(normal * viewer, axis=-1, keepdims=True))
-    return _png(_over_nothing(np.repeat(0.05 + 0.6 * facing, 3, axis=-1), mask))
+    return _png(_over_nothing(np.repeat(0.05 + 0.6 * facing, 3, axis=-1), mask, step))
 
 
 def _surface_words(surface: AbstractSurface) -> str:

@@ -100,7 +100,7 @@ def draw_blocks(axes: Axes, fit: Fit, image: int) -> None:
     # Noise alone stays pale.
     most = max(WIDEST, *(float(np.abs(one).max()) for one in misfit.maps))
     shown = axes.imshow(found, cmap=SIGNED, vmin=-most, vmax=most)
-    axes.set_title(f"summed over blocks of {misfit.side} × {misfit.side}")
+    axes.set_title(f"sums of {misfit.side} × {misfit.side} pixels")
     figure = axes.get_figure(root=True)
     assert figure is not None
     bar = figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.02)
