@@ -24,6 +24,9 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 # Compilation makes the first example slow, which says nothing about the code.
 settings.register_profile("phongfit", deadline=None, derandomize=True)
 settings.load_profile("phongfit")
+# JAX makes objects by the million while it traces, nearly all of which stay: to look
+# through them every 700 takes a tenth of the time of all tests.
+gc.set_threshold(100_000, 10, 10)
 
 
 @pytest.fixture(autouse=True, scope="module")

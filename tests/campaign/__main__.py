@@ -17,6 +17,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import phongfit as pf
 from tests.campaign import kinds
 from tests.campaign.cases import Kind
 from tests.campaign.judge import Verdict, judge, numbered
@@ -26,7 +27,9 @@ CHUNK = 500
 
 
 def load_kinds() -> dict[str, Kind]:
-    """Every kind by the name of its module."""
+    """Every kind by the name of its module; what they call is imported once for all."""
+    for name in pf.__all__:
+        getattr(pf, name)
     names = sorted(module.name for module in pkgutil.iter_modules(kinds.__path__))
     modules = {n: importlib.import_module(f"{kinds.__name__}.{n}") for n in names}
     return {name: m.KIND for name, m in modules.items() if hasattr(m, "KIND")}
