@@ -27,6 +27,8 @@ settings.load_profile("phongfit")
 # JAX makes objects by the million while it traces, nearly all of which stay: to look
 # through them every 700 takes a tenth of the time of all tests.
 gc.set_threshold(100_000, 10, 10)
+# Nobody reads which line an instruction came from: a seventh of tracing and lowering.
+jax.config.update("jax_traceback_in_locations_limit", 0)
 
 
 @pytest.fixture(autouse=True, scope="module")
