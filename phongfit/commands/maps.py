@@ -104,7 +104,7 @@ def main(options: Options) -> int:
     For example:
       phongfit synth out/dome --shininess 40 --lights 24 --resolution 64
       phongfit maps out/dome -o out/maps
-      phongfit maps out/dome -o out/one --highlight shared --bounds shininess=1:5000
+      phongfit maps out/dome -o out/shared --highlight shared --bounds shininess=1:5000
       phongfit maps coin --normals fit --encoding srgb -o out/coin
       phongfit maps coin --normals fit --encoding srgb --materials auto -o out/few
     """

@@ -58,7 +58,7 @@ def main(options: Options) -> int:
 
     For example:
       phongfit relight out/maps --lights dome.lp -o out/relit
-      phongfit relight out/maps --lights out/lights/lights.json -o out/relit
+      phongfit relight out/maps --lights out/lights/lights.json -o out/measured
     """
     maps, record, _ = load_folder(options.maps)
     encoding = parse_encoding(options.encoding) or record.encoding

@@ -58,7 +58,7 @@ def main(options: Options) -> int:
     For example:
       phongfit response brackets -o response.json --exposures 1 2 4 8
       phongfit response photos -o response.json --matte 179 155 81 --lights out/lights
-      phongfit calibrate photos -o out/again --encoding response.json
+      phongfit calibrate photos -o out/linear --encoding response.json
     """
     check_file(options.out)
     if options.out.suffix.lower() != ".json":

@@ -98,7 +98,7 @@ class Session:
         if request.target is None:
             return png(self._smooth(request.settings, self.frame))
         target = self._targets.get(request.target)
-        return png(self._smooth(request.settings, target.frame), target.brighten)
+        return png(self._smooth(request.settings, target.frame, target.brighten))
 
     def outline(self, request: PictureRequest) -> dict[str, str]:
         """Where the surface ends in the target's frame: see [`outline_path`][].
@@ -244,11 +244,15 @@ class Session:
         material = make_material(settings)
         return np.asarray(render(scene, material, film=film, gbuffer=gbuffer))
 
-    def _smooth(self, settings: Settings, frame: Frame) -> np.ndarray:
+    def _smooth(
+        self, settings: Settings, frame: Frame, brighten: float = 1.0
+    ) -> np.ndarray:
         """A picture for the eye, with smooth outlines: the mean over finer pixels."""
         height, width, _ = frame
         fine = frame._replace(height=FINER * height, width=FINER * width)
         light = self._render(settings, fine, Film(clamp=False))
+        # Nothing is whiter than white: an outline that is would be jagged again.
+        light = np.minimum(brighten * light, 1)
         return light.reshape(height, FINER, width, FINER, 3).mean(axis=(1, 3))
 
     def _trace(

@@ -238,6 +238,23 @@ def test_files_that_cannot_be_read(page, tmp_path):
     assert not page.is_visible("#problem")
 
 
+def test_a_fit_is_in_sight_on_a_phone(page):
+    try:
+        page.set_viewport_size({"width": 390, "height": 844})
+        page.click("#make")
+        page.locator("#target-figure").wait_for()
+        page.click("#fit")
+        page.locator("#result").wait_for(timeout=120_000)
+        for name in ("#target-figure", "#fitted-figure", "#residual-figure"):
+            box = page.locator(name).bounding_box()
+            assert box["y"] >= -1 and box["y"] + box["height"] <= 845, name
+        # The table follows them.
+        assert page.locator("#result").bounding_box()["y"] >= box["y"] + box["height"]
+    finally:
+        page.click("#drop")
+        page.set_viewport_size({"width": 1440, "height": 900})
+
+
 def test_it_fits_on_a_phone(page):
     try:
         for width in (360, 800, 1440):

@@ -257,6 +257,8 @@ async function showFit() {
   await show($("#fitted-figure"), found.fitted);
   await show($("#residual-figure"), found.residual);
   $("#result").hidden = false;
+  // On a phone they stand below the button.
+  $("#view").scrollIntoView({ block: "nearest" });
 }
 
 function rowOf(row) {
