@@ -105,6 +105,7 @@ from .lights import (
     PointLight as PointLight,
     SpotLight as SpotLight,
 )
+from .maps.cluster import fit_stored_maps as fit_stored_maps
 from .maps.pixel.flags import Flag as Flag
 from .maps.result import (
     BasisMaterials as BasisMaterials,
@@ -116,7 +117,9 @@ from .maps.stacks import (
     AbstractStack as AbstractStack,
     DatasetStack as DatasetStack,
     PhotographStack as PhotographStack,
+    ZarrStack as ZarrStack,
 )
+from .maps.stored import StoredMaps as StoredMaps
 from .material import (
     PRESETS as PRESETS,
     Material as Material,

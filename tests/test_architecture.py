@@ -47,6 +47,9 @@ KEPT = {
     "starlette": "lab",
     "rawpy": "files",
     "uvicorn": "lab",
+    "zarr": "files",
+    "dask": "maps",
+    "distributed": "maps",
 }
 # The exceptions, inside a function: what shows or saves itself asks `report` or `files`
 # how, since that is no part of it; and a command makes data sets where `data_synth` is

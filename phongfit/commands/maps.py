@@ -23,6 +23,7 @@ from phongfit.files.inputs import naming
 from phongfit.files.materials import read_material
 from phongfit.files.outputs import OVERWRITE, replacing, replacing_folder
 from phongfit.files.schema import describe_material
+from phongfit.files.zarrs import is_store
 from phongfit.fitting.fit import fit
 from phongfit.maps.folder import (
     ARRAYS_FILE,
@@ -36,6 +37,8 @@ from phongfit.maps.run import fit_maps
 from phongfit.maps.stacks import DatasetStack
 from phongfit.material import Material
 from phongfit.plain import plain
+from phongfit.rendering.film import Film
+from phongfit.scene import Scene
 
 TILES = "tiles"
 FLAGS_FILE = "flags.png"
@@ -77,6 +80,8 @@ class Options:
             of which the scene does not know. Default: linear; cauchy with --normals
             fit.
         tile_pixels: Pixels that are in memory at a time. Default: what 64 MB hold.
+        dask: With a zarr array: local:N for N workers on this machine, or the address
+            of a Dask scheduler, such as tcp://10.0.0.1:8786.
         pictures: Draw the pictures.
         overwrite: Replace older maps in OUT.
     """
@@ -92,6 +97,7 @@ class Options:
     noise: Annotated[float | None, optional("SD")] = None
     loss: Annotated[LossName | None, optional("NAME")] = None
     tile_pixels: Annotated[int | None, optional("N")] = None
+    dask: Annotated[str | None, optional("local:N|ADDRESS")] = None
     pictures: bool = True
     overwrite: bool = False
 
@@ -107,11 +113,25 @@ def main(options: Options) -> int:
       phongfit maps out/dome -o out/shared --highlight shared --bounds shininess=1:5000
       phongfit maps coin --normals fit --encoding srgb -o out/coin
       phongfit maps coin --normals fit --encoding srgb --materials auto -o out/few
+      phongfit maps coin/stack.zarr --normals fit -o out/maps.zarr --dask local:2
+
+    DATASET may be a zarr array (light, y, x, channel) on a disk or an object store,
+    with its lights or its scene.json beside it; OUT too, where it ends in .zarr.
     """
+    if is_store(options.data.dataset):
+        from phongfit.commands.stored import main as stored
+
+        return stored(options)
+    for name, given in (("out", is_store(options.out)), ("dask", options.dask)):
+        if given:
+            raise ValueError(
+                f"{name}: {getattr(options, name)} wants a zarr array as DATASET, got "
+                f"{options.data.dataset}"
+            )
     if not options.overwrite and (options.out / RECORD_FILE).exists():
         raise OSError(f"{options.out}: there are maps in it; {OVERWRITE}")
-    with replacing_folder(options.out, _replaceable(options)) as folder:
-        given = _given(options)
+    with replacing_folder(options.out, replaceable(options)) as folder:
+        given = arguments(options)
         stack, read = stack_data(options.data)
         tell(stack.photographs.notes)
         if options.highlight == "shared":
@@ -119,7 +139,8 @@ def main(options: Options) -> int:
             given |= {"known": known, "unknowns": SHARED}
         try:
             found = _fit_tiles(options, stack, given)
-            _save(folder, found, stack, read, given)
+            film = stack.photographs.film
+            save(folder, found, stack.photographs.scenes[0], film, read, given)
         except KeyboardInterrupt as stop:
             stay = "finished tiles stay in {}, the same command goes on there"
             stop.args = (stay.format(options.out),)
@@ -128,7 +149,7 @@ def main(options: Options) -> int:
             print(found, flush=True)
             if options.pictures:
                 with stage("drawing"):
-                    _draw(folder, found)
+                    draw(folder, found)
     kept.tell()
     return 0
 
@@ -146,26 +167,26 @@ def _fit_tiles(options: Options, stack: DatasetStack, given: dict[str, Any]) -> 
     )
 
 
-def _save(
+def save(
     folder: Path,
     found: Maps,
-    stack: DatasetStack,
+    scene: Scene,
+    film: Film,
     read: DataRecord,
     given: dict[str, Any],
 ) -> None:
     """All but the pictures."""
-    scene = stack.photographs.scenes[0]
     save_folder(
         folder,
         found,
         data=read,
         settings=_settings(given),
         model=scene.specular_model,
-        encoding=stack.photographs.film.encoding,
+        encoding=film.encoding,
     )
 
 
-def _replaceable(options: Options) -> Callable[[str], bool]:
+def replaceable(options: Options) -> Callable[[str], bool]:
     """Which names in OUT may go: tiles of an unfinished run, or all that is ours."""
 
     def may_replace(name: str) -> bool:
@@ -174,7 +195,7 @@ def _replaceable(options: Options) -> Callable[[str], bool]:
     return may_replace
 
 
-def _given(options: Options) -> dict[str, Any]:
+def arguments(options: Options) -> dict[str, Any]:
     """Keyword arguments of [`fit_maps`][]."""
     known = None
     if options.known is not None:
@@ -220,7 +241,8 @@ def _settings(given: dict[str, Any]) -> MapSettings:
     return MapSettings.model_validate(plain(given | {"known": described}))
 
 
-def _draw(folder: Path, found: Maps) -> None:
+def draw(folder: Path, found: Maps) -> None:
+    """The pictures."""
     # Here, since drawing takes long to import.
     from phongfit.report.maps import draw_flags, draw_parameter
 

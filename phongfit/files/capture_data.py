@@ -15,7 +15,7 @@ from phongfit.files.calibrations import LIGHTS_FILE, load_calibration
 from phongfit.files.captures import Capture, encoding_of, open_capture
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import read_film, read_mask
-from phongfit.files.lp import base_name
+from phongfit.files.lp import LightList, base_name
 from phongfit.files.photographs import open_photographs
 from phongfit.files.seen import SOUGHT, seen_in
 from phongfit.lights import AbstractLight, DirectionalLight, PointLight
@@ -98,9 +98,9 @@ def open_captured(
         )
     used = np.ones((height, width), bool)
     if not sought:
-        used = _facing(scenes[0], min_facing)
+        used = facing(scenes[0], min_facing)
     if mask is not None:
-        used &= _masked(Path(mask), used.shape)
+        used &= masked(Path(mask), used.shape)
 
     def read(number: int) -> Photograph:
         photo = series.read(number)
@@ -160,7 +160,7 @@ def find_lamps(
 
     **Raises:** `ValueError` for a photograph that the calibration does not name.
     """
-    lights, unknown = _lamps(capture, calibration)
+    lights, unknown = lamps_of(capture.names, capture.lights, calibration)
     exposures = capture.series.relative_exposures
     found = [_times(light, e) for light, e in zip(lights, exposures, strict=True)]
     return found, unknown
@@ -174,7 +174,7 @@ def _uncertain(
 
     if calibration is None:
         return {}
-    order = _order(capture, calibration)
+    order = _order(capture.names, calibration)
     found = [calibration.lamps[k] for k in order]
     if calibration.covariance is None:
         place = np.asarray(block_diag(*[lamp.covariance for lamp in found]))
@@ -204,38 +204,42 @@ def _times(light: AbstractLight, exposure: float) -> AbstractLight:
     return eqx.tree_at(strengths, light, [exposure * s for s in strengths(light)])
 
 
-def _lamps(
-    capture: Capture, calibration: Calibration | None
+def lamps_of(
+    names: Sequence[str], listed: LightList | None, calibration: Calibration | None
 ) -> tuple[Sequence[AbstractLight], tuple[str, ...]]:
-    several = len(capture.names) > 1
+    """A light for each of the photographs' names, and what of them is not known.
+
+    **Raises:** `ValueError` for a photograph that the calibration does not name.
+    """
+    several = len(names) > 1
     strength = ("exposure",) if several else ()
     if calibration is not None:
-        order = _order(capture, calibration)
+        order = _order(names, calibration)
         known = np.isfinite([calibration.lamps[k].intensity for k in order]).all()
         return [calibration.lights[k] for k in order], () if known else strength
-    if capture.lights is not None:
+    if listed is not None:
         # In the photographs' own order, which is the list's.
-        vectors = capture.lights.vectors
+        vectors = listed.vectors
         return [
             DirectionalLight(vector / np.linalg.norm(vector)) for vector in vectors
         ], strength
-    lamps: list[AbstractLight] = [DirectionalLight(START) for _ in capture.names]
+    lamps: list[AbstractLight] = [DirectionalLight(START) for _ in names]
     return lamps, (DIRECTION, *strength)
 
 
-def _order(capture: Capture, calibration: Calibration) -> list[int]:
+def _order(names: Sequence[str], calibration: Calibration) -> list[int]:
     """Which of a calibration's lamps each photograph was taken under."""
     lamps = {base_name(x.photograph): k for k, x in enumerate(calibration.lamps)}
-    missing = [name for name in capture.names if name not in lamps]
+    missing = [name for name in names if name not in lamps]
     if missing:
         raise ValueError(
             f"lights: expected one for each photograph, got none for {missing[0]}"
             + (f" and {len(missing) - 1} others" if len(missing) > 1 else "")
         )
-    return [lamps[name] for name in capture.names]
+    return [lamps[name] for name in names]
 
 
-def _facing(scene: Scene, least: float) -> Bool[np.ndarray, "height width"]:
+def facing(scene: Scene, least: float) -> Bool[np.ndarray, "height width"]:
     """Pixels that see the surface, and not aslant."""
     seen = scene.trace()
     cosine = np.sum(np.asarray(seen.normal) * np.asarray(seen.to_viewer), axis=-1)
@@ -255,7 +259,11 @@ def _lit(scene: Scene, least: float) -> Bool[np.ndarray, "height width"]:
     return np.sum(normals * to_light, axis=-1) > least * length
 
 
-def _masked(path: Path, shape: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
+def masked(path: Path, shape: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
+    """A mask's file, of the photographs' size.
+
+    **Raises:** `ValueError` that names it.
+    """
     mask = read_mask(path)
     if mask.shape != shape:
         raise ValueError(

@@ -60,6 +60,11 @@ class AbstractCamera(eqx.Module):
         """Which pixels have a ray; `None` where all have one, as nearly always."""
         return None
 
+    @property
+    def parallel(self) -> bool:
+        """Whether all rays are, so that the viewer is in one direction."""
+        return False
+
     def rays(self) -> Ray:
         """Rays through all pixel centres, of shape (height, width, 3)."""
         return over_pixels(self.ray, self)
@@ -201,6 +206,10 @@ class OrthographicCamera(AbstractCamera):
             position=position,
             rotation=look_at(position, target, up),
         )
+
+    @property
+    def parallel(self) -> bool:
+        return True
 
     def ray(self, x: Scalar, y: Scalar) -> Ray:
         pixel = self.view_height / self.height
@@ -433,6 +442,10 @@ class FinerCamera(AbstractCamera):
     def project(self, position: Vec3) -> Float[Array, "2"]:
         return self.camera.project(position) * self.times
 
+    @property
+    def parallel(self) -> bool:
+        return self.camera.parallel
+
     def to_viewer(self, position: Vec3) -> Vec3:
         return self.camera.to_viewer(position)
 
@@ -441,6 +454,56 @@ class FinerCamera(AbstractCamera):
         if whole is None:
             return None
         return jnp.repeat(jnp.repeat(whole, self.times, axis=0), self.times, axis=1)
+
+    def depth(self, position: Vec3) -> Scalar:
+        return self.camera.depth(position)
+
+
+class WindowCamera(AbstractCamera):
+    """A rectangle of what another camera sees; its edges may lie outside of it."""
+
+    camera: AbstractCamera
+    left: Float[Array, ""]
+    top: Float[Array, ""]
+    width: int = eqx.field(static=True)
+    height: int = eqx.field(static=True)
+    position: Float[Array, "3"]
+    rotation: Float[Array, "3 3"]
+
+    def __init__(
+        self, camera: AbstractCamera, left: int, top: int, width: int, height: int
+    ):
+        """**Arguments:** `left`, `top`: pixels of `camera` before the first."""
+        self.camera = camera
+        # Numbers, not settings: programs serve windows anywhere.
+        self.left = jnp.asarray(left, camera.position.dtype)
+        self.top = jnp.asarray(top, camera.position.dtype)
+        self.width = _as_size("width", width)
+        self.height = _as_size("height", height)
+        self.position = camera.position
+        self.rotation = camera.rotation
+
+    @property
+    def parallel(self) -> bool:
+        return self.camera.parallel
+
+    def ray(self, x: Scalar, y: Scalar) -> Ray:
+        return self.camera.ray(x + self.left, y + self.top)
+
+    def project(self, position: Vec3) -> Float[Array, "2"]:
+        return self.camera.project(position) - jnp.stack([self.left, self.top])
+
+    def to_viewer(self, position: Vec3) -> Vec3:
+        return self.camera.to_viewer(position)
+
+    def covered(self) -> Bool[Array, "height width"] | None:
+        whole = self.camera.covered()
+        if whole is None:
+            return None
+        left, top = int(self.left), int(self.top)
+        part = whole[top : top + self.height, left : left + self.width]
+        missing = ((0, self.height - part.shape[0]), (0, self.width - part.shape[1]))
+        return jnp.pad(part, missing)
 
     def depth(self, position: Vec3) -> Scalar:
         return self.camera.depth(position)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.checks import as_floats, as_indices, as_scalar, as_vector, require
 from phongfit.edge import checked
-from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera, Ray
+from phongfit.geometry.cameras import AbstractCamera, Ray
 from phongfit.programs import program
 from phongfit.textures import Factors
 from phongfit.vectors import Vec3, dot, normalize, normalize_all
@@ -267,7 +267,7 @@ class NormalMap(AbstractSurface):
             )
         if self.positions is not None:
             positions = self.positions
-        elif isinstance(camera, OrthographicCamera):
+        elif camera.parallel:
             positions = jnp.zeros_like(self.normals)
         else:
             raise ValueError(

@@ -1,6 +1,7 @@
 """From scenes to what tiles need: geometry resolved once, lights stacked, settings."""
 
 import dataclasses
+import functools
 import hashlib
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -17,11 +18,12 @@ from phongfit.geometry.shading import PhongShading
 from phongfit.geometry.surfaces import NormalMap
 from phongfit.geometry.tracing import trace
 from phongfit.maps.layers import Masks, Noise
-from phongfit.maps.pixel.lighting import Lighting
+from phongfit.maps.pixel.lighting import Lighting, make_lighting
 from phongfit.maps.pixel.lobes import in_numbers, is_power
 from phongfit.maps.pixel.pixel import Known
 from phongfit.maps.pixel.settings import MAP_PARAMETERS, MOST_MATERIALS, MapSettings
 from phongfit.maps.pixel.tile import Outside, Tile
+from phongfit.maps.stacks import AbstractStack
 from phongfit.material import Material
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
@@ -86,6 +88,146 @@ class Geometry:
             rows(self.position),
             rows(self.to_viewer),
             None if seen is None else seen[..., padded],
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """What is fitted to which samples of which pixels.
+
+    `unknowns` are those that were asked for, whether any light shows them or not.
+    """
+
+    scenes: tuple[Scene, ...]
+    stack: AbstractStack
+    unknowns: tuple[str, ...]
+    settings: MapSettings
+    outside: Outside
+    masks: Masks
+    noise: Noise
+    geometry: Geometry
+
+    @functools.cached_property
+    def pixels(self) -> np.ndarray:
+        """Flat indices of those that see the surface, and may be used."""
+        return np.flatnonzero(self.geometry.mask & self.masks.anywhere())
+
+    def tile(self, pixels: np.ndarray, size: int) -> Tile:
+        """The tile of some pixels, padded to `size` with pixels that are not used."""
+        order = self.outside.lighting.order
+        target = self.stack.take(pixels, order)
+        used = self.masks.take(pixels, order) & ~np.ma.getmask(target)
+        used = self.noise.weigh(used, pixels, order)
+        return self.geometry.tile(pixels, np.ma.getdata(target), used, size)
+
+    def identify(self) -> dict[str, str]:
+        """Checksums of all that the result rests on, save for the images."""
+        place = hashlib.blake2b(digest_size=16)
+        geometry = self.geometry
+        for array in (geometry.normal, geometry.position, geometry.to_viewer):
+            place.update(np.ascontiguousarray(array).data.cast("B"))
+        if geometry.visibility is not None:
+            place.update(np.ascontiguousarray(geometry.visibility).data.cast("B"))
+        place.update(np.packbits(geometry.mask).tobytes())
+        self.masks.identify(place.update)
+        level = hashlib.blake2b(digest_size=16)
+        self.noise.identify(level.update)
+        return {
+            "settings": repr(self.settings),
+            "lights": identify_lights(self.outside),
+            "surface": place.hexdigest(),
+            "noise": level.hexdigest(),
+        }
+
+
+def make_job(
+    scenes: Any,
+    stack: AbstractStack,
+    *,
+    mask: Any = None,
+    noise: Any = None,
+    **options: Any,
+) -> Job:
+    """A job from the arguments of [`fit_maps`][]; `options` are those of [`settle`][].
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    scenes = check_scenes(scenes)
+    check_sizes(scenes, stack.shape)
+    levels = Noise(noise, stack.shape)
+    settings, outside = settle(scenes, levels, **options)
+    unknowns = tuple(options.get("unknowns", MAP_PARAMETERS))
+    masks = Masks(mask, stack.shape)
+    geometry = resolve_geometry(scenes, outside.lighting)
+    return Job(scenes, stack, unknowns, settings, outside, masks, levels, geometry)
+
+
+def settle(
+    scenes: tuple[Scene, ...],
+    noise: Noise,
+    *,
+    unknowns: Sequence[str] = MAP_PARAMETERS,
+    per_channel: Sequence[str] = ("ambient", "diffuse", "specular"),
+    known: Material | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    film: Film | Sequence[Film] | None = None,
+    loss: Any = None,
+    normals: Literal["given", "fit"] = "given",
+    materials: int | Literal["auto"] | None = None,
+    start: Any = None,
+    min_cosine: float = 0.0,
+) -> tuple[MapSettings, Outside]:
+    """What all pixels share, wherever they are.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    settings = make_settings(
+        scenes,
+        unknowns,
+        per_channel,
+        bounds or {},
+        _as_one(film, noise),
+        loss,
+        start,
+        noise,
+        min_cosine,
+        normals,
+        materials,
+    )
+    check_enough(settings, len(scenes))
+    return settings, make_outside(make_lighting(scenes), settings, known, start, noise)
+
+
+def _as_one(film: Film | Sequence[Film] | None, noise: Noise) -> Film | None:
+    """The clamp of all images.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    films = [film] if film is None or isinstance(film, Film) else list(film)
+    if noise.known and any(one is not None and one.jpeg for one in films):
+        raise ValueError(
+            "noise: expected none with films of JPEG files, since it does not hold "
+            "their rounding; both are estimated from each pixel's residuals"
+        )
+    if len({one is None or one.clamp for one in films}) != 1:
+        raise ValueError("film: expected one clamp for all images, got both or none")
+    return films[0]
+
+
+def check_sizes(scenes: tuple[Scene, ...], shape: tuple[int, int, int]) -> None:
+    """Are there as many images as scenes, of the camera's size?
+
+    **Raises:** `ValueError` that says what was expected.
+    """
+    camera = scenes[0].camera
+    if shape[0] != len(scenes):
+        raise ValueError(
+            f"images: expected {len(scenes)}, one for each of scenes, got {shape[0]}"
+        )
+    if shape[1:] != (camera.height, camera.width):
+        raise ValueError(
+            f"images: expected {(camera.height, camera.width)} pixels, as the scenes' "
+            f"camera has, got {shape[1:]}"
         )
 
 
@@ -423,32 +565,12 @@ def _three(name: str, leaf: Any) -> np.ndarray:
     return np.broadcast_to(values.ravel(), (3,)).copy()
 
 
-def identify(
-    settings: MapSettings,
-    outside: Outside,
-    geometry: Geometry,
-    masks: Masks,
-    noise: Noise,
-) -> dict[str, str]:
-    """Checksums of all that the result rests on, save for the images."""
+def identify_lights(outside: Outside) -> str:
+    """A checksum of the lights, and of the parameters that are known."""
     light = hashlib.blake2b(digest_size=16)
     for leaf in jax.tree.leaves(outside):
         light.update(np.ascontiguousarray(leaf).tobytes())
     lighting = outside.lighting
     modes = [None if kind.fog is None else kind.fog.mode for kind in lighting.kinds]
     light.update(repr((lighting.order, modes)).encode())
-    place = hashlib.blake2b(digest_size=16)
-    for array in (geometry.normal, geometry.position, geometry.to_viewer):
-        place.update(np.ascontiguousarray(array).data.cast("B"))
-    if geometry.visibility is not None:
-        place.update(np.ascontiguousarray(geometry.visibility).data.cast("B"))
-    place.update(np.packbits(geometry.mask).tobytes())
-    masks.identify(place.update)
-    level = hashlib.blake2b(digest_size=16)
-    noise.identify(level.update)
-    return {
-        "settings": repr(settings),
-        "lights": light.hexdigest(),
-        "surface": place.hexdigest(),
-        "noise": level.hexdigest(),
-    }
+    return light.hexdigest()

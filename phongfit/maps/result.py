@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -280,12 +280,9 @@ class Maps:
         """
         if not os.fspath(path).endswith(".npz"):
             raise ValueError(f"{os.fspath(path)}: expected a name that ends in .npz")
-        arrays = {name: getattr(self, name) for name in MAP_PARAMETERS}
-        arrays |= {
-            f"stderr_{name}": getattr(self.stderr, name) for name in MAP_PARAMETERS
-        }
-        arrays |= {name: getattr(self, name) for name in PLAIN}
+        arrays = self.pixel_arrays()
         given = np.nan if self.noise_given is None else self.noise_given
+        arrays.setdefault("noise_given", np.array(given))
         if self.materials is not None:
             arrays |= {
                 f"materials_{field.name}": np.asarray(
@@ -299,42 +296,73 @@ class Maps:
                 allow_pickle=False,
                 version=np.array(MAPS_VERSION),
                 unknowns=np.array(self.unknowns),
-                noise_given=np.array(given),
-                view=np.array(json.dumps(self._view())),
+                view=np.array(
+                    json.dumps(
+                        view_of(self.camera, self.specular_model, self.ambient_light)
+                    )
+                ),
                 **arrays,
             )
 
-    def _view(self) -> dict[str, Any]:
-        """Camera and specular model as files have them."""
-        view: dict[str, Any] = {"ambient_light": list(self.ambient_light)}
-        for name in ("camera", "specular_model"):
-            part = getattr(self, name)
-            try:
-                view[name] = None if part is None else describe(part)
-            except ValueError as error:
-                # Hours of fitting are not lost for it.
-                warn("unregistered", f"{name}: is left out: {error}", stacklevel=3)
-        return view
+    def pixel_arrays(self) -> dict[str, np.ndarray]:
+        """What files have of each pixel, by the names that they give it."""
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in MAP_PARAMETERS}
+        arrays |= {
+            f"stderr_{name}": getattr(self.stderr, name) for name in MAP_PARAMETERS
+        }
+        arrays |= {name: getattr(self, name) for name in PLAIN}
+        if isinstance(self.noise_given, np.ndarray):
+            arrays["noise_given"] = self.noise_given
+        return arrays
+
+    def counts(self) -> dict[str, int]:
+        """How many pixels were fitted, are identified, and have each flag."""
+        inside = ~self.flagged(Flag.OUTSIDE)
+        found = {"fitted": int(inside.sum()), "identified": int(self.identified.sum())}
+        for flag in Flag:
+            shown = self.flagged(flag) & (inside | (flag == Flag.OUTSIDE))
+            found[str(flag.name).lower()] = int(shown.sum())
+        return found
 
     def __str__(self) -> str:
-        height, width = self.flags.shape
-        inside = ~self.flagged(Flag.OUTSIDE)
-        lines = [
-            f"phongfit: maps of {height} × {width} pixels, {inside.sum():,} fitted, "
-            f"{self.identified.sum():,} identified in all of {', '.join(self.unknowns)}"
-        ]
-        for flag in Flag:
-            count = int((self.flagged(flag) & (inside | (flag == Flag.OUTSIDE))).sum())
-            if count:
-                lines.append(
-                    f"  {str(flag.name).lower().replace('_', ' '):<17}{count:>9,}"
-                )
+        lines = counted(self.flags.shape, self.unknowns, self.counts())
         lines += [] if self.materials is None else str(self.materials).splitlines()
         lines += [f"warning: {warning}" for warning in self.warnings]
         return "\n".join(lines)
 
     def __repr__(self) -> str:
         return str(self)
+
+
+def view_of(
+    camera: AbstractCamera | None,
+    model: AbstractSpecular | None,
+    ambient: Sequence[float],
+) -> dict[str, Any]:
+    """Camera, specular model and ambient light as files have them."""
+    view: dict[str, Any] = {"ambient_light": list(ambient)}
+    for name, part in (("camera", camera), ("specular_model", model)):
+        try:
+            view[name] = None if part is None else describe(part)
+        except ValueError as error:
+            # Hours of fitting are not lost for it.
+            warn("unregistered", f"{name}: is left out: {error}", stacklevel=4)
+    return view
+
+
+def counted(
+    size: Sequence[int], unknowns: Sequence[str], counts: Mapping[str, int]
+) -> list[str]:
+    """Maps in a few lines, by the counts of their pixels."""
+    lines = [
+        f"phongfit: maps of {size[0]} × {size[1]} pixels, {counts['fitted']:,} fitted, "
+        f"{counts['identified']:,} identified in all of {', '.join(unknowns)}"
+    ]
+    for flag in Flag:
+        name = str(flag.name).lower()
+        if counts[name]:
+            lines.append(f"  {name.replace('_', ' '):<17}{counts[name]:>9,}")
+    return lines
 
 
 Maps.__init__.__doc__ = """**Arguments:**
@@ -387,7 +415,7 @@ def load_maps(path: str | os.PathLike[str]) -> Maps:
     """
     data = read_bytes(Path(path))
     try:
-        return _checked(unpack(data))
+        return checked_maps(unpack(data))
     except MemoryError:
         raise
     except Exception as error:
@@ -398,7 +426,7 @@ def load_maps(path: str | os.PathLike[str]) -> Maps:
         ) from error
 
 
-def _checked(arrays: dict[str, np.ndarray]) -> Maps:
+def checked_maps(arrays: dict[str, np.ndarray]) -> Maps:
     """The maps of a file's arrays, which have the shapes and types of maps.
 
     **Raises:** `KeyError` for one that is missing, `ValueError` for a wrong one.
@@ -465,7 +493,7 @@ def _checked_materials(
 ) -> BasisMaterials | None:
     """The materials that pixels share, if a file has them.
 
-    **Raises:** as [`_checked`][] does.
+    **Raises:** as [`checked_maps`][] does.
     """
     if "materials_weights" not in arrays:
         return None
@@ -504,7 +532,7 @@ def _checked_shape(
 ) -> dict[str, Any]:
     """Normals, depth and the view; files of version 1 may hold none of them.
 
-    **Raises:** as [`_checked`][] does.
+    **Raises:** as [`checked_maps`][] does.
     """
     if "normals" not in arrays:
         return {

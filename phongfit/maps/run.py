@@ -1,13 +1,12 @@
 """`fit_maps`: stacks of images under many lights in, maps of materials out."""
 
 import concurrent.futures
-import contextlib
 import hashlib
 import importlib.metadata
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 import jax
@@ -19,26 +18,16 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemaining
 from phongfit.checks import untraced
 from phongfit.edge import checked, shown
 from phongfit.fitting.problem.losses import AbstractLoss
-from phongfit.maps.job import (
-    Fitted,
-    Geometry,
-    check_enough,
-    check_scenes,
-    identify,
-    make_outside,
-    make_settings,
-    resolve_geometry,
-)
-from phongfit.maps.layers import Masks, Noise
+from phongfit.maps.job import Fitted, Geometry, Job, make_job
+from phongfit.maps.layers import Noise
 from phongfit.maps.materials.bases import Bases
 from phongfit.maps.materials.block import Given, MaterialFit, fit_shared
 from phongfit.maps.materials.finding import Materials, choose_sample, find_materials
 from phongfit.maps.normals.block import NormalFit, fit_normals
 from phongfit.maps.pixel.flags import Flag
-from phongfit.maps.pixel.lighting import make_lighting
 from phongfit.maps.pixel.pixel import PixelFit
-from phongfit.maps.pixel.settings import MAP_PARAMETERS, MapSettings
-from phongfit.maps.pixel.tile import BLOCK, Outside, Tile, compiled, fit_tile
+from phongfit.maps.pixel.settings import MAP_PARAMETERS
+from phongfit.maps.pixel.tile import BLOCK, Tile, compiled, fit_tile
 from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps
 from phongfit.maps.stacks import as_stack
 from phongfit.maps.store import TileStore, tile_store
@@ -148,102 +137,104 @@ def fit_maps(
     """
     instead = "fit_maps is no function that JAX can trace"
     untraced(instead, scenes=scenes, images=images, known=known, mask=mask, noise=noise)
-    scenes = check_scenes(scenes)
     stack = as_stack(images)
-    _check_sizes(scenes, stack.shape)
-    levels = Noise(noise, stack.shape)
-    settings = make_settings(
+    job = make_job(
         scenes,
-        unknowns,
-        per_channel,
-        bounds or {},
-        _as_one(film, noise),
-        loss,
-        start,
-        levels,
-        min_cosine,
-        normals,
-        materials,
+        stack,
+        unknowns=unknowns,
+        per_channel=per_channel,
+        known=known,
+        bounds=bounds,
+        mask=mask,
+        noise=noise,
+        film=film,
+        loss=loss,
+        normals=normals,
+        materials=materials,
+        start=start,
+        min_cosine=min_cosine,
     )
-    check_enough(settings, len(scenes))
-    lighting = make_lighting(scenes)
-    outside = make_outside(lighting, settings, known, start, levels)
-    masks = Masks(mask, stack.shape)
-    geometry = resolve_geometry(scenes, lighting)
-    seen = geometry.mask & masks.anywhere()
-    pixels = np.flatnonzero(seen)
-    if not len(pixels):
+    if not len(job.pixels):
         raise ValueError("mask: it leaves no pixel that sees the surface")
-    mesh = _as_mesh(devices)
-    size, part = _tile_size(len(pixels), len(scenes), tile_pixels, mesh)
+    mesh = as_mesh(devices)
+    count = len(job.scenes)
+    size, part = tile_size(len(job.pixels), count, tile_pixels, mesh)
+    if output is None:
+        return fit_job(job, mesh, size, part, side_by_side(mesh), None, progress)
+    checksum = hashlib.blake2b(digest_size=16)
+    stack.identify(checksum.update)
+    identity = job.identify() | {
+        "images": checksum.hexdigest(),
+        "tile": f"{size} pixels on {mesh.size} devices",
+        "versions": versions(),
+    }
+    with tile_store(output, identity) as store:
+        return fit_job(job, mesh, size, part, side_by_side(mesh), store, progress)
+
+
+def fit_job(
+    job: Job,
+    mesh: Mesh,
+    size: int,
+    part: int,
+    threads: int,
+    store: TileStore | None = None,
+    progress: bool = False,
+) -> Maps:
+    """The maps of a job, tile by tile.
+
+    **Arguments:**
+
+    - `size`, `part`: pixels of a tile, and of what is worked on at a time: the program
+        is compiled for that many.
+    - `threads`: how many parts are worked on side by side.
+    - `store`: where finished tiles are kept.
+    """
+    settings, outside, pixels = job.settings, job.outside, job.pixels
     tiles = [pixels[k : k + size] for k in range(0, len(pixels), size)]
-    with contextlib.ExitStack() as place:
-        store = None
-        if output is not None:
-            job = identify(settings, outside, geometry, masks, levels)
-            checksum = hashlib.blake2b(digest_size=16)
-            stack.identify(checksum.update)
-            job |= {
-                "images": checksum.hexdigest(),
-                "tile": f"{size} pixels on {mesh.size} devices",
-                "versions": _versions(),
-            }
-            store = place.enter_context(tile_store(output, job))
 
-        def take(some: np.ndarray, length: int) -> Tile:
-            target = stack.take(some, lighting.order)
-            used = masks.take(some, lighting.order) & ~np.ma.getmask(target)
-            used = levels.weigh(used, some, lighting.order)
-            return geometry.tile(some, np.ma.getdata(target), used, length)
+    def read(tile: int) -> Tile | list[np.ndarray]:
+        done = None if store is None else store.load(tile)
+        return job.tile(tiles[tile], size) if done is None else done
 
-        def read(tile: int) -> Tile | list[np.ndarray]:
-            done = None if store is None else store.load(tile)
-            if done is not None:
-                return done
-            return take(tiles[tile], size)
+    kind = "given" if settings.normals == "given" else "sought"
+    exponents = 1 if settings.shared else 3
+    with concurrent.futures.ThreadPoolExecutor(threads) as workers:
+        shared, among = None, outside
+        if settings.materials is not None:
+            kind = "shared"
+            shared = _materials(job, workers, store, len(tiles))
+            among = Given(outside, shared.bases)
+        run = compiled(settings, mesh, _FITS[kind])
 
-        kind = "given" if normals == "given" else "sought"
-        exponents = 1 if settings.shared else 3
-        with concurrent.futures.ThreadPoolExecutor(_workers(mesh)) as workers:
-            shared, among = None, outside
-            if materials is not None:
-                kind = "shared"
-                shared = _materials(
-                    pixels, take, outside, settings, workers, store, len(tiles)
-                )
-                among = Given(outside, shared.bases)
-            run = compiled(settings, mesh, _FITS[kind])
+        def work(part: Tile) -> list[np.ndarray]:
+            return [np.asarray(leaf) for leaf in jax.tree.leaves(run(part, among))]
 
-            def work(part: Tile) -> list[np.ndarray]:
-                return [np.asarray(leaf) for leaf in jax.tree.leaves(run(part, among))]
-
-            maps = _Canvas(seen.shape, exponents, outside.noise.dtype, kind, shared)
-            for k, tile in _bar(_ahead(read, len(tiles)), len(tiles), progress):
-                if isinstance(tile, list):
-                    arrays = tile
-                else:
-                    # XLA works on so little with one core.
-                    leaves = zip(*workers.map(work, tile.parts(part)), strict=True)
-                    arrays = [np.concatenate(leaf)[: len(tiles[k])] for leaf in leaves]
-                    if store is not None:
-                        store.save(k, arrays)
-                maps.paint(tiles[k], arrays)
+        dtype = outside.noise.dtype
+        maps = _Canvas(job.geometry.mask.shape, exponents, dtype, kind, shared)
+        for k, tile in bar(_ahead(read, len(tiles)), len(tiles), progress):
+            if isinstance(tile, list):
+                arrays = tile
+            else:
+                # XLA works on so little with one core.
+                leaves = zip(*workers.map(work, tile.parts(part)), strict=True)
+                arrays = [np.concatenate(leaf)[: len(tiles[k])] for leaf in leaves]
+                if store is not None:
+                    store.save(k, arrays)
+            maps.paint(tiles[k], arrays)
     # No ambient light: nothing is identified, and nothing was looked for.
-    hidden = tuple(name for name in unknowns if name not in settings.names)
+    hidden = tuple(name for name in job.unknowns if name not in settings.names)
     return maps.finished(
-        tuple(name for name in MAP_PARAMETERS if name in unknowns),
+        tuple(name for name in MAP_PARAMETERS if name in job.unknowns),
         hidden,
-        levels,
-        scenes[0],
-        geometry,
+        job.noise,
+        job.scenes[0],
+        job.geometry,
     )
 
 
 def _materials(
-    pixels: np.ndarray,
-    take: Callable[[np.ndarray, int], Tile],
-    outside: Outside,
-    settings: MapSettings,
+    job: Job,
     workers: concurrent.futures.Executor,
     store: TileStore | None,
     place: int,
@@ -251,53 +242,25 @@ def _materials(
     """The materials that pixels share; kept after the last tile."""
     done = None if store is None else store.load(place)
     if done is None:
-        sample = choose_sample(pixels, len(outside.lighting.order))
+        sample = choose_sample(job.pixels, len(job.scenes))
         size = -(-len(sample) // BLOCK) * BLOCK
-        tile = take(sample, size)
-        found = find_materials(tile, len(sample), outside, settings, workers)
+        tile = job.tile(sample, size)
+        found = find_materials(tile, len(sample), job.outside, job.settings, workers)
         done = [np.asarray(leaf) for leaf in jax.tree.leaves(found)]
         if store is not None:
             store.save(place, done)
     return jax.tree.unflatten(_MATERIALS, done)
 
 
-def _as_one(film: Film | Sequence[Film] | None, noise: Any) -> Film | None:
-    """The clamp of all images.
-
-    **Raises:** `ValueError` that names the argument.
-    """
-    films = [film] if film is None or isinstance(film, Film) else list(film)
-    if noise is not None and any(one is not None and one.jpeg for one in films):
-        raise ValueError(
-            "noise: expected none with films of JPEG files, since it does not hold "
-            "their rounding; both are estimated from each pixel's residuals"
-        )
-    if len({one is None or one.clamp for one in films}) != 1:
-        raise ValueError("film: expected one clamp for all images, got both or none")
-    return films[0]
-
-
-def _as_mesh(devices: Sequence[Any] | None) -> Mesh:
+def as_mesh(devices: Sequence[Any] | None) -> Mesh:
+    """The devices of a run; `None` for all local ones."""
     devices = jax.local_devices() if devices is None else list(devices)
     if not devices or not all(isinstance(one, jax.Device) for one in devices):
         raise ValueError(f"devices: expected devices of JAX, got {shown(devices)}")
     return Mesh(np.array(devices), ("pixels",))
 
 
-def _check_sizes(scenes: tuple[Scene, ...], shape: tuple[int, int, int]) -> None:
-    camera = scenes[0].camera
-    if shape[0] != len(scenes):
-        raise ValueError(
-            f"images: expected {len(scenes)}, one for each of scenes, got {shape[0]}"
-        )
-    if shape[1:] != (camera.height, camera.width):
-        raise ValueError(
-            f"images: expected {(camera.height, camera.width)} pixels, as the scenes' "
-            f"camera has, got {shape[1:]}"
-        )
-
-
-def _tile_size(
+def tile_size(
     pixels: int, images: int, wanted: int | None, mesh: Mesh
 ) -> tuple[int, int]:
     """Pixels of a tile and of its parts, multiples of what devices take at a time."""
@@ -310,12 +273,12 @@ def _tile_size(
     parts = 1
     if _on_cpu(mesh):
         parts = -(-units // max(PART_BYTES // (images * 12 * unit), 1))
-        parts = max(parts, min(_workers(mesh), units))
+        parts = max(parts, min(side_by_side(mesh), units))
     part = -(-units // parts) * unit
     return parts * part, part
 
 
-def _workers(mesh: Mesh) -> int:
+def side_by_side(mesh: Mesh) -> int:
     """How many parts are worked on side by side."""
     return os.cpu_count() or 1 if _on_cpu(mesh) and mesh.size == 1 else 1
 
@@ -324,7 +287,8 @@ def _on_cpu(mesh: Mesh) -> bool:
     return mesh.devices.flat[0].platform == "cpu"
 
 
-def _versions() -> str:
+def versions() -> str:
+    """Of the programs that maps rest on."""
     names = ("phongfit", "jax", "jaxlib")
     return " ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
 
@@ -332,16 +296,17 @@ def _versions() -> str:
 def _ahead(read: Any, count: int) -> Iterator[tuple[int, Any]]:
     """What is read, tile by tile; the next is read while one is worked on."""
     with concurrent.futures.ThreadPoolExecutor(1) as reader:
-        coming = reader.submit(read, 0)
+        coming = reader.submit(read, 0) if count else None
         for k in range(count):
+            assert coming is not None
             here = coming.result()
             if k + 1 < count:
                 coming = reader.submit(read, k + 1)
             yield k, here
 
 
-def _bar(
-    items: Iterator[tuple[int, Any]], total: int, wanted: bool
+def bar(
+    items: Iterator[tuple[int, Any]], total: int, wanted: bool, what: str = "tiles"
 ) -> Iterator[tuple[int, Any]]:
     """The same, with a progress bar; in a log, a line now and then."""
     console = Console(stderr=True)
@@ -349,15 +314,15 @@ def _bar(
         yield from items
         return
     if not console.is_terminal:
-        yield from _lines(items, total)
+        yield from _lines(items, total, what)
         return
     columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress("tiles", *columns, console=console, transient=True) as bar:
+    with Progress(what, *columns, console=console, transient=True) as bar:
         yield from bar.track(items, total=total)
 
 
 def _lines(
-    items: Iterator[tuple[int, Any]], total: int, every: float = 30.0
+    items: Iterator[tuple[int, Any]], total: int, what: str, every: float = 30.0
 ) -> Iterator[tuple[int, Any]]:
     """The same; every so many seconds a line says how far they are."""
     start = shown = time.monotonic()
@@ -365,7 +330,7 @@ def _lines(
         now = time.monotonic()
         if k and now - shown >= every:
             shown, left = now, (now - start) * (total - k) / k
-            words = f"{k} of {total} tiles, {left / 60:.1f} minutes left"
+            words = f"{k} of {total} {what}, {left / 60:.1f} minutes left"
             print(f"maps: {words}", file=sys.stderr, flush=True)
         yield k, item
 

@@ -16,8 +16,17 @@ from jaxtyping import Float, Int
 from phongfit.checks import as_array
 from phongfit.edge import checked
 from phongfit.files.dataset import Photograph, Photographs
-from phongfit.files.images import Light, read_light
-from phongfit.files.inputs import read_bytes, recording
+from phongfit.files.images import Light, from_levels, read_light
+from phongfit.files.inputs import naming, read_bytes, recording
+from phongfit.files.zarrs import (
+    Window,
+    address,
+    find_images,
+    fingerprint,
+    is_store,
+    place_of,
+    read_window,
+)
 from phongfit.rendering.film import Encoding, as_encoding
 
 Update = Callable[[bytes | memoryview], None]
@@ -226,8 +235,72 @@ class DatasetStack(AbstractStack):
             return self.photographs.read(number)
 
 
+class ZarrStack(AbstractStack):
+    """Images of a zarr array, version 3, on a disk or an object store.
+
+    Shape (light, y, x, 3): linear floats where white is 1, or whole numbers of 8 or 16
+    bits in an encoding. Any chunks or shards will do: what they hold in y and x is read
+    together.
+
+        stack = pf.ZarrStack("dome/stack.zarr")
+        stack = pf.ZarrStack("s3://museum/vase.zarr")
+    """
+
+    @checked
+    def __init__(self, path: str | os.PathLike[str], encoding: Encoding | None = None):
+        """**Arguments:**
+
+        - `path`: of the array, or of a group in which it is called `images`; or a URL,
+            as fsspec has them.
+        - `encoding`: default the attribute `encoding` of the array, else `"linear"`.
+
+        **Raises:** `ValueError` that names the store, and what is wrong with it, or
+        says that zarr is not installed: `pip install 'phongfit[cluster]'`.
+        """
+        self.array = find_images(path)
+        told = self.array.attrs.get("encoding", "linear")
+        with naming(address(path)):
+            self.encoding: Encoding = as_encoding(
+                told if encoding is None else encoding
+            )
+            if self.array.dtype.kind == "f" and self.encoding != "linear":
+                raise ValueError(
+                    f"encoding: expected 'linear', as floats are, got {self.encoding!r}"
+                )
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        count, height, width, _ = self.array.shape
+        return count, height, width
+
+    def read(
+        self, window: Window, size: tuple[int, int]
+    ) -> Float[np.ndarray, "images height width 3"]:
+        """Linear light of a rectangle of all images: see [`read_window`][]."""
+        numbers = read_window(self.array, window, size, first=1)
+        if numbers.dtype.kind == "f":
+            light = numbers.astype(_float_type(), copy=False)
+            if not np.isfinite(light).all():
+                raise ValueError(f"{place_of(self.array)}: has NaN or infinite pixels")
+            return light
+        return from_levels(numbers, self.encoding)
+
+    def take(
+        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
+    ) -> Float[np.ndarray, "images n 3"]:
+        width = self.array.shape[2]
+        first, last = int(pixels[0]) // width, int(pixels[-1]) // width + 1
+        rows = self.read((slice(first, last), slice(0, width)), (last - first, width))
+        return np.stack([gather(rows[k], pixels - first * width) for k in order])
+
+    def identify(self, update: Update) -> None:
+        update(f"{fingerprint(self.array)} {self.encoding}".encode())
+
+
 def as_stack(images: Any) -> AbstractStack:
     """`images` as a stack: one already, or arrays; `ValueError` for anything else."""
+    if is_store(images):
+        return ZarrStack(images)
     return images if isinstance(images, AbstractStack) else ArrayStack(images)
 
 

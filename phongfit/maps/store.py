@@ -90,10 +90,18 @@ def tile_store(
 def _check(manifest: Path, job: dict[str, Any]) -> None:
     with naming(f"output: {manifest}"):
         found = parse_json(read_text(manifest))
+    check_job(str(manifest.parent), found, job)
+
+
+def check_job(place: str, found: Any, job: dict[str, Any]) -> None:
+    """Are the tiles in a place of this job?
+
+    **Raises:** `ValueError` that says in what they differ.
+    """
     if found != json.loads(json.dumps(job)):
         held = found if isinstance(found, dict) else {}
         differing = [key for key in job if held.get(key) != job[key]]
         raise ValueError(
-            f"output: {manifest.parent} holds tiles of another job (its "
+            f"output: {place} holds tiles of another job (its "
             f"{', '.join(differing) or 'manifest'} differs); give another folder"
         )

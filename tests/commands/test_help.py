@@ -66,6 +66,8 @@ def dome(folder: Path) -> None:
         image = pf.render(scene, pf.Material(0.5, 0.3, 20.0, 0.0))
         pf.write_image(folder / name, image, "srgb")
     pf.write_lp(folder / "dome.lp", names, directions(8))
+    images = np.stack([pf.read_image(folder / name, "srgb") for name in names])
+    pytest.importorskip("zarr").create_array(folder / "stack.zarr", data=images)
 
 
 def readers_own() -> None:

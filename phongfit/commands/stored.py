@@ -1,0 +1,258 @@
+"""`phongfit maps` of a zarr array: block by block, perhaps on a Dask cluster."""
+
+import contextlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from phongfit.commands.data import DataOptions
+from phongfit.commands.keeping import keeping
+from phongfit.commands.progress import stage
+from phongfit.files.capture_data import (
+    calibration_of,
+    facing,
+    lamps_of,
+    list_of,
+    masked,
+)
+from phongfit.files.encodings import parse_encoding
+from phongfit.files.fits import DataRecord, DataSettings
+from phongfit.files.inputs import recording
+from phongfit.files.lp import LightList, base_name, read_lp
+from phongfit.files.outputs import OVERWRITE, replacing_folder
+from phongfit.files.scenes import SCENE_FILE, load_views
+from phongfit.files.seen import SOUGHT, seen_in
+from phongfit.files.zarrs import (
+    address,
+    erase,
+    fingerprint,
+    is_remote,
+    is_store,
+    open_group,
+)
+from phongfit.geometry.cameras import OrthographicCamera
+from phongfit.geometry.surfaces import NormalMap
+from phongfit.maps.cluster import dashboard, dask_client, fit_stored_maps
+from phongfit.maps.folder import RECORD_FILE
+from phongfit.maps.stacks import ZarrStack
+from phongfit.maps.stored import STORE_FORMAT, StoredMaps
+from phongfit.plain import readable
+from phongfit.rendering.film import Film
+from phongfit.scene import Scene
+
+if TYPE_CHECKING:
+    from phongfit.commands.maps import Options
+
+
+class _Input(NamedTuple):
+    """What is fitted, and arguments of [`fit_stored_maps`][] that go with it."""
+
+    scenes: tuple[Scene, ...]
+    stack: ZarrStack
+    film: Film
+    arguments: dict[str, Any]
+    record: DataRecord
+
+
+def main(options: "Options") -> int:
+    """Fit; see [`phongfit.commands.maps`][]."""
+    from phongfit.commands import maps as command
+
+    if options.highlight == "shared":
+        raise ValueError(
+            "highlight: expected own of a zarr array, since a highlight that is shared "
+            "is found with all images in memory, got shared"
+        )
+    if options.tile_pixels is not None:
+        raise ValueError(
+            "tile_pixels: expected none of a zarr array: its chunks or shards say how "
+            "much is in memory at a time"
+        )
+    read = _read(options.data)
+    given = command.arguments(options)
+    out = options.out
+    if is_store(out):
+        if options.overwrite:
+            _erase(address(out))
+        print(_fit(options, read, given, address(out)), flush=True)
+        return 0
+    if not options.overwrite and (out / RECORD_FILE).exists():
+        raise OSError(f"{out}: there are maps in it; {OVERWRITE}")
+    with replacing_folder(out, command.replaceable(options)) as folder:
+        tiles = str(out / command.TILES / "maps.zarr")
+        found = _fit(options, read, given, tiles).load()
+        settings = given | {"loss": given["loss"]}
+        command.save(folder, found, read.scenes[0], read.film, read.record, settings)
+        with keeping(out, folder) as kept:
+            print(found, flush=True)
+            if options.pictures:
+                with stage("drawing"):
+                    command.draw(folder, found)
+    kept.tell()
+    return 0
+
+
+def _fit(
+    options: "Options", read: _Input, given: dict[str, Any], output: str
+) -> StoredMaps:
+    """The maps in a store, by this process or by workers."""
+    with contextlib.ExitStack() as place:
+        client = None
+        if options.dask is not None:
+            client = place.enter_context(dask_client(options.dask))
+            page = dashboard(client)
+            if page is not None:
+                print(f"dask: {page}", flush=True)
+        try:
+            return fit_stored_maps(
+                read.scenes,
+                read.stack,
+                output,
+                client=client,
+                **given | read.arguments,
+            )
+        except KeyboardInterrupt as stop:
+            stay = "finished blocks stay in {}, the same command goes on there"
+            stop.args = (stay.format(options.out),)
+            raise
+
+
+def _erase(output: str) -> None:
+    """Make room for other maps, where there are older ones; nothing else is touched.
+
+    **Raises:** `OSError` that names what is no store of maps.
+    """
+    if not is_remote(output) and not Path(output).exists():
+        return
+    if dict(open_group(output, "a").attrs).get("format") != STORE_FORMAT:
+        raise OSError(f"{output}: is not replaced, since it holds no maps")
+    erase(output)
+
+
+def _read(options: DataOptions) -> _Input:
+    """The images, and what lies beside them.
+
+    **Raises:** `ValueError` that names the file or the option.
+    """
+    path = address(options.dataset)
+    with recording() as checksums:
+        stack = ZarrStack(path, parse_encoding(options.encoding))
+        shaped = options.sphere is not None or options.normals is not None
+        scenes, more = (_captured if shaped else _scenes)(options, stack)
+    clamped = stack.array.dtype.kind != "f"
+    film = Film(encoding=stack.encoding) if clamped else Film(clamp=False)
+    inputs = {file.name: digest for file, digest in sorted(checksums.items())}
+    record = DataRecord(
+        name=readable(Path(path).stem),
+        reading=DataSettings(
+            encoding=options.encoding,
+            min_cosine=options.min_cosine,
+            min_facing=options.min_facing,
+            room_light=options.room_light,
+            sphere=options.sphere,
+            normals=None if options.normals is None else str(options.normals),
+            lights=None if options.lights is None else str(options.lights),
+        ),
+        inputs=inputs | {readable(Path(path).name): fingerprint(stack.array)},
+    )
+    if clamped:
+        more["film"] = film
+    return _Input(scenes, stack, film, more, record)
+
+
+def _scenes(
+    options: DataOptions, stack: ZarrStack
+) -> tuple[tuple[Scene, ...], dict[str, Any]]:
+    """Those of the scene file that is named, or beside the images."""
+    file = options.scene or options.dataset.parent / SCENE_FILE
+    if options.scene is None and not file.exists():
+        raise ValueError(
+            f"{address(options.dataset)}: expected --scene, or --sphere or --normals, "
+            f"the shape that its images show, since no {SCENE_FILE} is beside it"
+        )
+    if options.lights is not None:
+        raise ValueError(f"lights: {file} is a scene, which says this itself")
+    scenes, _ = load_views(file)
+    size = stack.shape[1:]
+    return scenes, {} if options.mask is None else {"mask": masked(options.mask, size)}
+
+
+def _captured(
+    options: DataOptions, stack: ZarrStack
+) -> tuple[tuple[Scene, ...], dict[str, Any]]:
+    """A known shape, or normals that are sought, under lights of a list."""
+    if options.scene is not None:
+        raise ValueError("scene: expected it, or sphere or normals, got both")
+    if options.sphere is not None and options.normals is not None:
+        raise ValueError("sphere: expected it or normals, got both")
+    count, height, width = stack.shape
+    folder = options.dataset.parent
+    source = calibration_of(folder, options.lights)
+    listed = None
+    if source is not None:
+        known = [lamp.photograph for lamp in source.lamps]
+    else:
+        beside = [list_of(options.lights), *sorted(folder.glob("*.lp"))]
+        found = next((path for path in beside if path is not None), None)
+        if found is None:
+            raise ValueError(
+                f"lights: expected an .lp or lights.json in {folder}, or given"
+            )
+        listed = read_lp(found)
+        known = [*listed.names]
+    told: Any = stack.array.attrs.get("names", known)
+    names = [base_name(str(name)) for name in told]
+    if len(names) != count:
+        raise ValueError(
+            f"lights: expected {count}, one for each image, got {len(names)}"
+        )
+    lamps, unknown = lamps_of(names, _sorted(listed, names), source)
+    near = source is not None and source.lamps[0].position is not None
+    sought = options.normals is not None and str(options.normals) == SOUGHT
+    if sought and not near:
+        # A plane, which need not be known pixel by pixel.
+        camera, surface = OrthographicCamera(width, height), NormalMap(UP)
+        if source is not None:
+            camera = source.camera
+    else:
+        camera, surface = seen_in(
+            height, width, source, options.sphere, options.normals
+        )
+    scenes = tuple(
+        Scene(surface, camera, light, ambient=options.room_light) for light in lamps
+    )
+    if unknown:
+        # As an .lp is: of each lamp its direction alone.
+        print("assumed: all lamps are of one strength", flush=True)
+    more: dict[str, Any] = {}
+    if not sought:
+        used = facing(scenes[0], options.min_facing)
+        if options.mask is not None:
+            used &= masked(options.mask, used.shape)
+        more = {"mask": used, "min_cosine": options.min_cosine}
+    elif options.mask is not None:
+        more = {"mask": masked(options.mask, (height, width))}
+    return scenes, more
+
+
+UP = np.array([[[0.0, 0.0, 1.0]]])
+"""The normals of a plane that the camera looks at."""
+
+
+def _sorted(listed: LightList | None, names: Sequence[str]) -> LightList | None:
+    """A list in the order of the images.
+
+    **Raises:** `ValueError` for an image that it does not name.
+    """
+    if listed is None:
+        return None
+    at = {name: k for k, name in enumerate(listed.base_names)}
+    missing = [name for name in names if name not in at]
+    if missing:
+        raise ValueError(
+            f"lights: expected one for each image, got none for {missing[0]}"
+        )
+    order = [at[name] for name in names]
+    return LightList(tuple(names), listed.vectors[order])

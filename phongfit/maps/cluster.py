@@ -1,0 +1,260 @@
+"""Maps from zarr arrays to zarr arrays, by this process or by the workers of Dask.
+
+Dask is told numbers of blocks and gives back counts; what is large goes from a worker
+to the stores and back. What is finished stands in the output's ledger, not in Dask's
+memory: workers, scheduler and this process may die at any moment.
+"""
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from phongfit.checks import untraced
+from phongfit.edge import checked
+from phongfit.files.outputs import alone_in
+from phongfit.files.zarrs import (
+    address,
+    is_remote,
+    open_group,
+    require,
+    write_attributes,
+)
+from phongfit.maps.blocks import Counts, Place, fit_block, make_place
+from phongfit.maps.run import bar
+from phongfit.maps.stacks import ZarrStack
+from phongfit.maps.stored import StoredMaps
+from phongfit.scene import Scene
+
+if TYPE_CHECKING:
+    import distributed
+
+ONE_CORE = {
+    "NPROC": "1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+}
+"""A worker's environment, before it starts JAX: one thread computes."""
+
+DEATHS = 12
+"""So many workers may die over one block: another one is killed by chance, this many by
+what they do."""
+
+AHEAD = 4
+"""Blocks for each thread of a worker that the scheduler knows of at a time."""
+
+
+@checked
+def fit_stored_maps(
+    scenes: Sequence[Scene],
+    images: Any,
+    output: str | os.PathLike[str],
+    *,
+    client: Any = None,
+    block: tuple[int, int] | None = None,
+    progress: bool = True,
+    **options: Any,
+) -> StoredMaps:
+    """[`fit_maps`][] of images that no memory holds, to maps that none need hold.
+
+    Block by block: each is read from one zarr store and written to another, here or by
+    the workers of a Dask cluster, one block at a time and thread. A run that was
+    interrupted, in whatever way, goes on when it is started again, to the same bits:
+    finished blocks are read and compared with their checksums, and not fitted again.
+    Bits are the same on processors of the same kind.
+
+        stack = pf.ZarrStack("dome/stack.zarr")
+        with Client("tcp://10.0.0.1:8786") as client:
+            pf.fit_stored_maps(scenes, stack, "dome/maps.zarr", client=client)
+
+    **Arguments:**
+
+    - `scenes`: as in [`fit_maps`][]. A normal map of one pixel stands for a plane.
+    - `images`: a [`ZarrStack`][], or the path or URL of one.
+    - `output`: the path or URL of a zarr store that is new, or of the same job. Its
+        chunks are the blocks.
+    - `client`: of a Dask cluster; default the one that is current, or else this process
+        does the work. Workers want one thread each: see the guide.
+    - `block`: rows and columns of a block. Default: as the images' shards or chunks
+        have them, as many together as 64 MB of light hold.
+    - `progress`: show a bar on a terminal, elsewhere a line now and then.
+    - `options`: those of [`fit_maps`][]: `unknowns`, `per_channel`, `known`, `bounds`,
+        `mask`, `noise`, `film`, `loss`, `normals`, `start` and `min_cosine`.
+
+    **Returns:** [`StoredMaps`][].
+
+    **Raises:** `ValueError` that names the argument, or the store that is missing or
+    broken; `OSError` if the output cannot be written, another run writes there, or the
+    cluster is gone. Finished blocks stay.
+    """
+    require("zarr", "fsspec", "cloudpickle")
+    untraced("fit_stored_maps is no function that JAX can trace", scenes=scenes)
+    stack = images if isinstance(images, ZarrStack) else ZarrStack(images)
+    output = address(output)
+    client = _current() if client is None else client
+    with contextlib.ExitStack() as alone:
+        if not is_remote(output):
+            output = os.path.abspath(output)
+            Path(output).mkdir(parents=True, exist_ok=True)
+            alone.enter_context(alone_in(Path(output)))
+        threads = None if client is None else 1
+        place, plan = make_place(
+            tuple(scenes), stack, output, block, threads, **options
+        )
+        count = plan.grid[0] * plan.grid[1]
+        done = (
+            ((number, fit_block(place, number)) for number in range(count))
+            if client is None
+            else _spread(client, place, count)
+        )
+        total: Counts = {}
+        for _, (counts, _) in bar(done, count, progress, "blocks"):
+            total = {name: total.get(name, 0) + n for name, n in counts.items()}
+        write_attributes(open_group(output, "r+"), {"counts": total})
+    return StoredMaps(output)
+
+
+def _current() -> "distributed.Client | None":
+    """The client that is current, if Dask is at work in this process."""
+    distributed = sys.modules.get("distributed")
+    if distributed is None:
+        return None
+    try:
+        return distributed.get_client()
+    except ValueError:
+        return None
+
+
+def _spread(
+    client: "distributed.Client", place: Place, count: int
+) -> Iterator[tuple[int, tuple[Counts, bool]]]:
+    """Blocks as workers finish them.
+
+    **Raises:** what a block raises; `OSError` if the cluster is gone, or workers die
+    over a block again and again.
+    """
+    import distributed
+
+    numbers = {}
+    deaths: dict[int, int] = {}
+    coming = iter(range(count))
+    waiting = distributed.as_completed(loop=client.loop)
+
+    def submit(number: int) -> None:
+        future = client.submit(fit_block, place, number, pure=False)
+        numbers[future] = number
+        waiting.add(future)
+
+    def more() -> None:
+        threads: Any = client.nthreads()
+        ahead = AHEAD * max(sum(threads.values()), 1)
+        while len(numbers) < ahead and (number := next(coming, None)) is not None:
+            submit(number)
+
+    try:
+        more()
+        for future in waiting:
+            number = numbers.pop(future)
+            if future.status == "finished":
+                yield number, future.result()
+            elif isinstance(error := _failure(future), distributed.KilledWorker):
+                deaths[number] = deaths.get(number, 0) + 1
+                if deaths[number] * _patience(error) > DEATHS:
+                    raise OSError(
+                        f"client: workers died {DEATHS} times over block {number} of "
+                        f"{place.output}: give them more memory, or a smaller block"
+                    ) from error
+                submit(number)
+            elif isinstance(error, ValueError | OSError):
+                raise error
+            else:
+                raise OSError(
+                    f"client: the cluster is gone; finished blocks stay in "
+                    f"{place.output}, and the same run goes on there"
+                ) from error
+            more()
+    finally:
+        with contextlib.suppress(Exception):
+            client.cancel([*numbers])
+
+
+def _failure(future: Any) -> BaseException | None:
+    """Why there is no result."""
+    if future.status != "error":
+        return None
+    return future.exception()
+
+
+def _patience(error: Any) -> int:
+    """How many workers died before Dask gave up."""
+    return error.allowed_failures + 1
+
+
+@contextlib.contextmanager
+def dask_client(where: str) -> "Iterator[distributed.Client]":
+    """A client for words of the command line.
+
+    **Arguments:** `where`: `local:N`, N workers on this machine, a thread each, which
+    end with the block; or the address of a scheduler, such as `tcp://10.0.0.1:8786`.
+
+    **Raises:** `ValueError` for other words, or where Dask is not installed; `OSError`
+    if nobody answers.
+    """
+    require("dask", "distributed")
+    kind, _, rest = where.partition(":")
+    if kind == "local" and rest.isdecimal() and int(rest):
+        with _local(int(rest)) as client:
+            yield client
+        return
+    if kind not in ("tcp", "tls", "ws", "wss", "ucx") or not rest.startswith("//"):
+        raise ValueError(
+            "dask: expected local:N or the address of a scheduler, such as "
+            f"tcp://10.0.0.1:8786, got {where!r}"
+        )
+    import distributed
+
+    try:
+        client = distributed.Client(where, timeout=20, set_as_default=False)
+    except (OSError, TimeoutError) as error:
+        raise OSError(f"dask: no scheduler answers at {where}") from error
+    with client:
+        yield client
+
+
+@contextlib.contextmanager
+def _local(count: int) -> "Iterator[distributed.Client]":
+    import logging
+
+    import dask.config
+    import distributed
+
+    flags = f"{os.environ.get('XLA_FLAGS', '')} {ONE_CORE['XLA_FLAGS']}".strip()
+    environment = ONE_CORE | {"XLA_FLAGS": flags}
+    settings = {
+        # JAX's threads do not bear a fork.
+        "distributed.worker.multiprocessing-method": "spawn",
+        "distributed.nanny.pre-spawn-environ": environment,
+        # Which worker dies has nothing to do with its block.
+        "distributed.scheduler.allowed-failures": DEATHS - 1,
+    }
+    with (
+        dask.config.set(settings),
+        distributed.LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=":0",
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
+
+
+def dashboard(client: "distributed.Client") -> str | None:
+    """The address of Dask's own page, where it runs."""
+    services = client.scheduler_info().get("services", {})
+    return client.dashboard_link if "dashboard" in services else None

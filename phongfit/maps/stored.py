@@ -1,0 +1,123 @@
+"""Maps in a store: zarr arrays of the names that `maps.npz` has, a window at a time."""
+
+import dataclasses
+import json
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from phongfit.edge import checked
+from phongfit.files.budget import afford
+from phongfit.files.inputs import naming
+from phongfit.files.records import parse_record
+from phongfit.files.zarrs import address, open_group, read_window, writable
+from phongfit.geometry.cameras import WindowCamera
+from phongfit.maps.result import (
+    MAPS_VERSION,
+    Maps,
+    ViewRecord,
+    checked_maps,
+    counted,
+)
+
+STORE_FORMAT = "phongfit maps"
+STORE_VERSION = 1
+
+
+def maps_of(arrays: Mapping[str, np.ndarray], head: Mapping[str, Any]) -> Maps:
+    """Maps of arrays by their names in a store, without the camera.
+
+    **Arguments:** `head`: the store's attributes.
+
+    **Raises:** `KeyError` for an array that is missing, `ValueError` for a wrong one.
+    """
+    given = head["noise_given"]
+    more = {
+        "version": np.array(MAPS_VERSION),
+        "unknowns": np.array(head["unknowns"]),
+        "noise_given": np.array(np.nan if given is None else given),
+        "view": np.array(json.dumps(head["view"] | {"camera": None})),
+    }
+    return checked_maps(more | dict(arrays))
+
+
+class StoredMaps:
+    """Maps that [`fit_stored_maps`][] has left in a zarr store, on disk or elsewhere.
+
+    Their arrays have the names of [`Maps`][] and, `stderr_diffuse` and the like, of its
+    errors; programs that read zarr read them. `str` of it counts pixels as `Maps` does.
+    """
+
+    @checked
+    def __init__(self, path: str | os.PathLike[str]):
+        """**Arguments:** `path`: or URL.
+
+        **Raises:** `ValueError` that names it: there is no store, or one of something
+        else, or its maps are not complete.
+        """
+        self.path = address(path)
+        self._group = open_group(path)
+        head = dict(self._group.attrs)
+        with naming(self.path):
+            if (head.get("format"), head.get("version")) != (
+                STORE_FORMAT,
+                STORE_VERSION,
+            ):
+                raise ValueError("expected a store of maps, got something else")
+            if "counts" not in head:
+                raise ValueError(
+                    "the maps are not complete; the run that was interrupted goes on "
+                    "when it is started again"
+                )
+        self._head: dict[str, Any] = head
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width, pixels."""
+        height, width = self._head["size"]
+        return height, width
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many pixels were `fitted`, are `identified`, and have each flag."""
+        return dict(self._head["counts"])
+
+    @checked
+    def load(self, rows: slice | None = None, columns: slice | None = None) -> Maps:
+        """The maps of a rectangle in memory; by default all of them.
+
+        **Raises:** `ValueError` that names the store: it is broken, or what is asked
+        for takes more memory than what is read may take (`PHONGFIT_MAX_MEMORY`).
+        """
+        height, width = self.shape
+        sides = (
+            range(size)[slice(None) if part is None else part]
+            for part, size in ((rows, height), (columns, width))
+        )
+        down, along = sides
+        if down.step != 1 or along.step != 1 or not len(down) or not len(along):
+            raise ValueError("rows: expected rows and columns one after another")
+        window = slice(down.start, down.stop), slice(along.start, along.stop)
+        found = [writable(self._group, name) for name in self._head["arrays"]]
+        size = len(down), len(along)
+        pixel = sum(a.dtype.itemsize * int(np.prod(a.shape[2:])) for a in found)
+        with naming(self.path):
+            afford(pixel * size[0] * size[1], f"maps of {size[0]} × {size[1]} pixels")
+            arrays = {a.basename: read_window(a, window, size) for a in found}
+            maps = maps_of(arrays, self._head)
+            view = parse_record(json.dumps(self._head["view"]), ViewRecord)
+        if view.camera is None:
+            return maps
+        camera = view.camera.build()
+        if size != self.shape:
+            camera = WindowCamera(camera, along.start, down.start, size[1], size[0])
+        return dataclasses.replace(maps, camera=camera)
+
+    def __str__(self) -> str:
+        lines = counted(self.shape, self._head["unknowns"], self.counts)
+        return "\n".join([*lines, f"  in {self.path}"])
+
+    def __repr__(self) -> str:
+        return str(self)

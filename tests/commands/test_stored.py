@@ -1,0 +1,109 @@
+"""`phongfit maps` of a zarr array: what lies beside it, and where the maps go."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.cli import main
+from phongfit.files.lp import write_lp
+from phongfit.maps.folder import load_folder
+from tests.commands.test_maps import FEW
+from tests.maps.synthetic import same
+
+zarr = pytest.importorskip("zarr")
+
+
+@pytest.fixture
+def stored(copy):
+    """The data set's images as a zarr array beside its scene.json."""
+    data = pf.read_dataset(copy)
+    images = np.stack(data.images)
+    zarr.create_array(copy / "stack.zarr", data=images, chunks=(1, 12, 12, 3))
+    return copy / "stack.zarr"
+
+
+def test_a_scene_beside_it(stored, tmp_path, capsys):
+    """To a store, to a folder, and the same as from Python."""
+    data = pf.read_dataset(stored.parent)
+    known = pf.preset("brass")
+    expected = pf.fit_maps(
+        data.scenes, np.stack(data.images), unknowns=("ambient", "diffuse"), known=known
+    )
+    out = tmp_path / "maps.zarr"
+    assert main(["maps", str(stored), "-o", str(out), *FEW]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("phongfit: maps of 24 × 24 pixels") and str(out) in told
+    same(pf.StoredMaps(out).load(), expected)
+    # Again: nothing is done. Others in its place want to be asked for.
+    assert main(["maps", str(stored), "-o", str(out), *FEW]) == 0
+    assert main(["maps", str(stored), "-o", str(out), *FEW, "--noise", "0.1"]) == 2
+    assert "another job (its settings, noise differs)" in capsys.readouterr().err
+    words = ["maps", str(stored), "-o", str(out), *FEW, "--noise", "0.1", "--overwrite"]
+    assert main(words) == 0
+    folder = tmp_path / "maps"
+    assert main(["maps", str(stored), "-o", str(folder), *FEW, "--no-pictures"]) == 0
+    maps, record, _ = load_folder(folder)
+    same(maps, expected)
+    assert set(record.data.inputs) >= {"scene.json", "stack.zarr"}
+    assert not (folder / "tiles").exists()
+
+
+def test_a_ball_and_a_list_of_lights(stored, tmp_path):
+    """As of a folder of the same images, but for the edges that it leaves out."""
+    (stored.parent / "scene.json").unlink()
+    names = sorted(path.name for path in stored.parent.glob("*.png"))
+    vectors = [(0.5, 0.2, 1), (-0.5, 0.3, 1), (0, -0.6, 1)]
+    write_lp(stored.parent / "dome.lp", names, vectors)
+    words = [
+        "--sphere",
+        "12",
+        "12",
+        "10",
+        "--unknowns",
+        "diffuse",
+        "--min-cosine",
+        "0.1",
+    ]
+    found = []
+    for source in (stored.parent, stored):
+        encoding = [] if source == stored else ["--encoding", "linear"]
+        folder = tmp_path / source.stem
+        args = ["maps", str(source), "-o", str(folder), *words, *encoding]
+        assert main([*args, "--no-pictures"]) == 0
+        found.append(load_folder(folder)[0])
+    a, b = found
+    np.testing.assert_array_equal(a.flags & 1, b.flags & 1)
+    np.testing.assert_array_equal(a.samples, b.samples)
+    np.testing.assert_allclose(a.diffuse, b.diffuse, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "words, told",
+    [
+        (["--highlight", "shared"], "highlight: expected own of a zarr array"),
+        (["--tile-pixels", "99"], "tile_pixels: expected none of a zarr array"),
+        (["--lights", "some.lp"], "scene.json is a scene, which says this itself"),
+        (["--normals", "fit"], "lights: expected an .lp or lights.json in"),
+        (["--dask", "tcp"], "dask: expected local:N or the address of a scheduler"),
+    ],
+)
+def test_what_is_wrong_is_named(stored, tmp_path, capsys, words, told):
+    out = str(tmp_path / "maps.zarr")
+    assert main(["maps", str(stored), "-o", out, *words]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_stores_and_folders_are_not_mixed_up(brass, stored, tmp_path, capsys):
+    out = str(tmp_path / "maps.zarr")
+    assert main(["maps", str(brass), "-o", out]) == 2
+    assert "wants a zarr array as DATASET" in capsys.readouterr().err
+    assert main(["maps", str(tmp_path / "no.zarr"), "-o", out]) == 2
+    assert "no.zarr: there is no such zarr array" in capsys.readouterr().err
+    (stored.parent / "scene.json").unlink()
+    assert main(["maps", str(stored), "-o", out]) == 2
+    assert "no scene.json is beside it" in capsys.readouterr().err
+    # What holds no maps is not replaced.
+    shutil.copytree(stored, out)
+    assert main(["maps", str(stored), "-o", out, "--overwrite", "--scene", "x"]) == 2

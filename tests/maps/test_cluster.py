@@ -1,0 +1,249 @@
+"""Maps from zarr to zarr: the same bits, here or on workers, whoever dies meanwhile."""
+
+import errno
+import importlib.util
+import os
+import shutil
+import signal
+import threading
+import time
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.files.images import from_levels
+from phongfit.maps import blocks
+from phongfit.maps.blocks import block_size
+from phongfit.maps.cluster import dask_client, fit_stored_maps
+from phongfit.maps.pixel.tile import BLOCK
+from tests.maps.synthetic import make_stack, same
+
+zarr = pytest.importorskip("zarr")
+pytest.importorskip("distributed")
+
+QUICK: Any = {"unknowns": ("diffuse",), "film": pf.Film(clamp=False)}
+STACK = make_stack(48, 64, 4, ambient=0.0)
+SIZE = (20, 26)
+"""A block's: none at the lower and right edges is whole."""
+
+
+@pytest.fixture
+def images(tmp_path):
+    """The stack on disk."""
+    path = tmp_path / "stack.zarr"
+    array = zarr.create_array(path, data=STACK.images, chunks=(1, 16, 16, 3))
+    assert array.metadata.zarr_format == 3
+    return path
+
+
+@pytest.fixture(scope="module")
+def maps() -> pf.Maps:
+    return pf.fit_maps(STACK.scenes, STACK.images, tile_pixels=BLOCK, **QUICK)
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """How often a block is fitted in this process."""
+    fitted = []
+    real = blocks.fit_job
+    monkeypatch.setattr(
+        blocks, "fit_job", lambda *a, **k: fitted.append(1) or real(*a, **k)
+    )
+    return fitted
+
+
+def test_there_and_back(maps, images, tmp_path, counted):
+    stored = fit_stored_maps(
+        STACK.scenes, images, tmp_path / "maps.zarr", block=SIZE, **QUICK
+    )
+    same(stored.load(), maps)
+    assert stored.counts == maps.counts() and stored.shape == (48, 64)
+    assert len(counted) == 9
+    part = stored.load(slice(10, 30), slice(5, 64))
+    np.testing.assert_array_equal(part.diffuse, maps.diffuse[10:30, 5:])
+    assert part.camera is not None
+    assert part.camera.project(jnp.zeros(3)).tolist() == [27.0, 14.0]
+
+
+def test_a_finished_block_is_not_fitted_again_and_a_broken_one_is(
+    maps, images, tmp_path, counted
+):
+    out = tmp_path / "maps.zarr"
+    options: Any = {"block": SIZE, "progress": False} | QUICK
+    fit_stored_maps(STACK.scenes, images, out, **options)
+    counted.clear()
+    # A chunk of another block, one that was cut off, one that is gone; a ledger's
+    # entry that was cut off, and one that never was written.
+    chunks = out / "diffuse" / "c"
+    shutil.copy(chunks / "0" / "0" / "0", chunks / "0" / "1" / "0")
+    broken = out / "normals" / "c" / "1" / "0" / "0"
+    broken.write_bytes(broken.read_bytes()[:20])
+    (out / "flags" / "c" / "1" / "1").unlink()
+    ledger = out / "ledger" / "c"
+    (ledger / "2" / "0" / "0").write_bytes(b"cut")
+    (ledger / "2" / "1" / "0").unlink()
+    same(fit_stored_maps(STACK.scenes, images, out, **options).load(), maps)
+    assert len(counted) == 5
+
+
+def test_another_job_is_refused(images, tmp_path):
+    out = tmp_path / "maps.zarr"
+    options: Any = {"block": (48, 64), "progress": False} | QUICK
+    fit_stored_maps(STACK.scenes, images, out, **options)
+    with pytest.raises(ValueError, match="another job .*settings differs"):
+        fit_stored_maps(STACK.scenes, images, out, min_cosine=0.1, **options)
+    with pytest.raises(ValueError, match="another job .*block differs"):
+        fit_stored_maps(STACK.scenes, images, out, **options | {"block": (48, 32)})
+    turned = [
+        pf.Scene(scene.surface, scene.camera, STACK.scenes[0].lights)
+        for scene in STACK.scenes
+    ]
+    with pytest.raises(ValueError, match="another job .*lights differs"):
+        fit_stored_maps(turned, images, out, **options)
+    with pytest.raises(ValueError, match="another job .*surface differs"):
+        mask = np.ones((48, 64), bool)
+        fit_stored_maps(STACK.scenes, images, out, mask=mask, **options)
+    zarr.open_array(images, mode="r+")[0, 0, 0, 0] = 0.5
+    with pytest.raises(ValueError, match="another job .*images differs"):
+        fit_stored_maps(STACK.scenes, images, out, **options)
+
+
+def test_a_disk_that_is_full(maps, images, tmp_path, monkeypatch):
+    """One line that says so; what was finished stays, and the run goes on."""
+    from zarr.storage import _local
+
+    out, real, written = tmp_path / "maps.zarr", _local._put, []
+
+    def put(path, value, exclusive=False):
+        if "diffuse" in str(path) and "zarr.json" not in str(path):
+            written.append(path)
+            if len(written) == 4:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return real(path, value, exclusive)
+
+    monkeypatch.setattr(_local, "_put", put)
+    options: Any = {"block": SIZE, "progress": False} | QUICK
+    with pytest.raises(OSError, match="diffuse: cannot be written: No space left"):
+        fit_stored_maps(STACK.scenes, images, out, **options)
+    with pytest.raises(ValueError, match="not complete"):
+        pf.StoredMaps(out)
+    same(fit_stored_maps(STACK.scenes, images, out, **options).load(), maps)
+
+
+def test_masks_noise_and_whole_numbers(tmp_path):
+    """What is given for each pixel goes to the workers by way of the store."""
+    levels = np.clip(STACK.images * 40_000, 0, 65_535).astype(np.uint16)
+    path = tmp_path / "stack.zarr"
+    made = zarr.create_array(
+        path, name="images", data=levels, shards=(4, 32, 32, 3), chunks=(1, 16, 16, 3)
+    )
+    made.attrs["encoding"] = "linear"
+    rng = np.random.default_rng(2)
+    mask = rng.uniform(size=(48, 64)) > 0.3
+    options: Any = QUICK | {
+        "mask": [mask, mask, ~mask, mask],
+        "noise": rng.uniform(0.01, 0.02, (48, 64)),
+    }
+    stored = fit_stored_maps(
+        STACK.scenes, path, tmp_path / "maps.zarr", progress=False, **options
+    )
+    expected = pf.fit_maps(
+        STACK.scenes, from_levels(levels, "linear"), tile_pixels=BLOCK, **options
+    )
+    same(stored.load(), expected)
+    np.testing.assert_array_equal(stored.load().noise_given, expected.noise_given)
+    # A stack is a stack wherever else one is taken, too.
+    same(pf.fit_maps(STACK.scenes, pf.ZarrStack(path), **options), expected)
+
+
+def test_blocks_are_as_shards_and_chunks_are(tmp_path):
+    def block(shape, **layout):
+        path = tmp_path / f"{len(list(tmp_path.iterdir()))}.zarr"
+        zarr.create_array(path, shape=shape, dtype="uint8", **layout)
+        return block_size(pf.ZarrStack(path), None)
+
+    # 24 images: 233 016 pixels make 64 MB.
+    assert block((24, 9000, 9000, 3), chunks=(1, 512, 512, 3)) == (256, 512)
+    assert block((24, 9000, 9000, 3), chunks=(1, 256, 256, 3)) == (256, 512)
+    shards = {"shards": (24, 384, 384, 3), "chunks": (1, 64, 64, 3)}
+    assert block((24, 9000, 9000, 3), **shards) == (384, 384)
+    assert block((24, 100, 130, 3), chunks=(1, 64, 64, 3)) == (100, 130)
+    assert block((1000, 9000, 9000, 3), chunks=(1, 4096, 4096, 3)) == (1, 4096)
+
+
+def test_what_is_wrong_is_named(images, tmp_path, monkeypatch):
+    out = tmp_path / "maps.zarr"
+    with pytest.raises(ValueError, match="gone.zarr: there is no such zarr array"):
+        pf.ZarrStack(tmp_path / "gone.zarr")
+    with pytest.raises(ValueError, match=r"images: expected 3, one for each of scenes"):
+        fit_stored_maps(STACK.scenes[:3], images, out, **QUICK)
+    with pytest.raises(ValueError, match="materials: expected none"):
+        fit_stored_maps(STACK.scenes, images, out, materials=2, normals="fit")
+    with pytest.raises(ValueError, match="block: expected rows and columns"):
+        fit_stored_maps(STACK.scenes, images, out, block=(0, 5), **QUICK)
+    flat = zarr.create_array(tmp_path / "flat.zarr", shape=(3, 4), dtype="f4")
+    assert flat.ndim == 2
+    with pytest.raises(ValueError, match=r"expected images of shape \(light, y, x, 3"):
+        pf.ZarrStack(tmp_path / "flat.zarr")
+    spoilt = tmp_path / "spoilt.zarr"
+    zarr.create_array(spoilt, data=np.full((4, 48, 64, 3), np.nan, "f4"))
+    with pytest.raises(ValueError, match="has NaN"):
+        fit_stored_maps(STACK.scenes, spoilt, out, progress=False, **QUICK)
+    (tmp_path / "bad.zarr").mkdir()
+    (tmp_path / "bad.zarr" / "zarr.json").write_text("{")
+    with pytest.raises(ValueError, match="bad.zarr: cannot be read"):
+        pf.ZarrStack(tmp_path / "bad.zarr")
+    huge = tmp_path / "huge.zarr"
+    zarr.create_array(
+        huge, shape=(9, 99_999, 99_999, 3), dtype="f4", chunks=(9, 99_999, 9_999, 3)
+    )
+    with pytest.raises(ValueError, match="at most 1 GB of memory, got a chunk"):
+        pf.ZarrStack(huge)
+    with pytest.raises(ValueError, match="dask: expected local:N or the address"):
+        with dask_client("local:none"):
+            raise AssertionError
+    real = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name: None if name == "zarr" else real(name)
+    )
+    with pytest.raises(
+        ValueError, match=r"zarr not installed: pip .*phongfit\[cluster"
+    ):
+        pf.ZarrStack(images)
+
+
+@pytest.fixture(scope="module")
+def client():
+    """Two workers, for the whole file: each imports JAX."""
+    with dask_client("local:2") as client:
+        yield client
+
+
+def test_workers_one_of_which_is_killed(client, maps, images, tmp_path):
+    """While it works on a block, at the moment that another one is finished."""
+    killed = []
+
+    def kill():
+        ledger = tmp_path / "maps.zarr" / "ledger" / "c"
+        while not any(ledger.rglob("0")):
+            time.sleep(0.01)
+        killed.append(next(iter(client.run(os.getpid).values())))
+        os.kill(killed[0], signal.SIGKILL)
+
+    thread = threading.Thread(target=kill, daemon=True)
+    thread.start()
+    stored = fit_stored_maps(
+        STACK.scenes,
+        images,
+        tmp_path / "maps.zarr",
+        client=client,
+        block=(8, 16),
+        progress=False,
+        **QUICK,
+    )
+    thread.join()
+    assert killed
+    same(stored.load(), maps)
