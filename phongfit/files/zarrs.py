@@ -170,7 +170,7 @@ def fingerprint(array: "Array") -> str:
         files, root = fsspec.url_to_fs(path)
         files.invalidate_cache()
         found = files.find(root, detail=True)
-    digest = hashlib.blake2b(digest_size=16)
+    digest = hashlib.sha256()
     for name in sorted(found):
         entry = found[name]
         stamps = ("ETag", "mtime", "LastModified")

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.geometry.cameras import WindowCamera
 from tests.helpers import CLOSE, check_camera, floats, known, near, random_rotation
 
 ROTATION = random_rotation(7)
@@ -23,6 +24,7 @@ ROTATION = random_rotation(7)
         pf.PinholeCamera(5, 4, fx=5, fy=6, cx=1.5, cy=3, skew=0.3),
         pf.PinholeCamera(6, 4, fx=9, distortion=pf.BrownDistortion(-0.2, 0.1, 0.01)),
         pf.PinholeCamera(6, 4, fx=3, cx=2, distortion=pf.FisheyeDistortion(0.05)),
+        WindowCamera(pf.PerspectiveCamera(6, 4, fov_y=50), 2, 1, 5, 2),
     ],
 )
 def test_contract(camera):
@@ -158,3 +160,18 @@ def test_cameras_are_batched_by_vmap():
     # The upper row of three lies two thirds up.
     heights = 2 / 3 * np.tan(np.radians([15, 30]))
     near(directions[:, 1] / -directions[:, 2], heights, 2 * CLOSE)
+
+
+def test_a_window_sees_what_the_whole_does_there():
+    """The same bits, past the whole's edge nothing, where a lens's fold ends it."""
+    lens = pf.BrownDistortion(-0.3)
+    whole = pf.PinholeCamera(12, 8, fx=4, distortion=lens)
+    window = WindowCamera(whole, 5, 3, 9, 4)
+    rays, part = whole.rays(), window.rays()
+    np.testing.assert_array_equal(part.direction[:, :7], rays.direction[3:7, 5:])
+    covered, seen = whole.covered(), window.covered()
+    assert covered is not None and seen is not None and not covered.all()
+    np.testing.assert_array_equal(seen[:, :7], covered[3:7, 5:])
+    assert not seen[:, 7:].any()
+    assert WindowCamera(pf.OrthographicCamera(4, 4), 0, 0, 2, 2).parallel
+    assert not window.parallel and window.covered() is not None

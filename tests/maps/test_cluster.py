@@ -15,6 +15,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.files.images import from_levels
+from phongfit.files.zarrs import erase
 from phongfit.maps import blocks
 from phongfit.maps.blocks import block_size
 from phongfit.maps.cluster import dask_client, fit_stored_maps
@@ -180,8 +181,11 @@ def test_what_is_wrong_is_named(images, tmp_path, monkeypatch):
         pf.ZarrStack(tmp_path / "gone.zarr")
     with pytest.raises(ValueError, match=r"images: expected 3, one for each of scenes"):
         fit_stored_maps(STACK.scenes[:3], images, out, **QUICK)
+    eight = tmp_path / "eight.zarr"
+    zarr.create_array(eight, data=np.concatenate([STACK.images] * 2))
     with pytest.raises(ValueError, match="materials: expected none"):
-        fit_stored_maps(STACK.scenes, images, out, materials=2, normals="fit")
+        scenes = STACK.scenes * 2
+        fit_stored_maps(scenes, eight, out, materials=2, normals="fit")
     with pytest.raises(ValueError, match="block: expected rows and columns"):
         fit_stored_maps(STACK.scenes, images, out, block=(0, 5), **QUICK)
     flat = zarr.create_array(tmp_path / "flat.zarr", shape=(3, 4), dtype="f4")
@@ -247,3 +251,57 @@ def test_workers_one_of_which_is_killed(client, maps, images, tmp_path):
     thread.join()
     assert killed
     same(stored.load(), maps)
+
+
+@pytest.fixture
+def bucket(client, monkeypatch):
+    """An object store that speaks as S3 does, on this machine."""
+    server = pytest.importorskip("moto.server")
+    pytest.importorskip("s3fs")
+    import fsspec
+
+    running = server.ThreadedMotoServer(port=0, verbose=False)
+    running.start()
+    host, port = running.get_host_and_port()
+    settings = {
+        "s3": {"key": "a", "secret": "b", "endpoint_url": f"http://{host}:{port}"}
+    }
+
+    def tell(settings):
+        fsspec.config.conf.update(settings)
+
+    monkeypatch.setattr(fsspec.config, "conf", settings)
+    client.run(tell, settings)
+    fsspec.filesystem("s3").mkdir("coins")
+    yield "s3://coins"
+    running.stop()
+
+
+def test_an_object_store(bucket, client, maps, counted):
+    array = zarr.create_array(f"{bucket}/a/stack.zarr", data=STACK.images)
+    out = f"{bucket}/a/maps.zarr"
+    options: Any = {"block": SIZE, "progress": False} | QUICK
+    stored = fit_stored_maps(
+        STACK.scenes,
+        pf.ZarrStack(f"{bucket}/a/stack.zarr"),
+        out,
+        client=client,
+        **options,
+    )
+    same(stored.load(), maps)
+    # Gone, and made again, by this process; the others are not.
+    import fsspec
+
+    fsspec.filesystem("s3").rm("coins/a/maps.zarr/noise/c/1/1")
+    same(
+        fit_stored_maps(STACK.scenes, f"{bucket}/a/stack.zarr", out, **options).load(),
+        maps,
+    )
+    assert len(counted) == 1
+    array[0, 0, 0, 0] = 0.25
+    with pytest.raises(ValueError, match="another job .*images differs"):
+        fit_stored_maps(STACK.scenes, f"{bucket}/a/stack.zarr", out, **options)
+    with pytest.raises(ValueError, match="s3://coins/no.zarr: there is no such"):
+        pf.ZarrStack(f"{bucket}/no.zarr")
+    erase(out)
+    assert not fsspec.filesystem("s3").exists("coins/a/maps.zarr")

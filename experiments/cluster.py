@@ -1,0 +1,311 @@
+"""Question: what do maps cost on a cluster, and what when its workers die?
+
+`python -m experiments.cluster` makes a stack of 24 images of a ball, by the workers of
+a cluster on this machine, a thread each, and fits it from zarr to zarr: by one worker
+and by two; by four of which one is killed every ten seconds, to the same bits; and in
+sizes from 1 to 100 megapixels. `--small` does the same with less.
+"""
+
+import contextlib
+import dataclasses
+import itertools
+import os
+import shutil
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import phongfit as pf
+from data_synth.lights import spread_directions
+from experiments.output import JsonFile, check_outputs, save_numbers
+from phongfit.cli import run
+from phongfit.files.zarrs import make_array, open_group, writable, write_window
+from phongfit.geometry.cameras import WindowCamera
+from phongfit.maps import cluster
+from phongfit.maps.blocks import Place, fit_block
+
+LIGHTS = 24
+SIDE = 384
+"""Pixels of a shard's side: 24 images of it are 42 MB of light."""
+
+NOISE = 0.005
+
+
+def scenes(height: int, width: int) -> tuple[pf.Scene, ...]:
+    """A ball that fills the image, under 24 lamps."""
+    camera = pf.OrthographicCamera(width, height, view_height=0.9)
+    return tuple(
+        pf.Scene(pf.Sphere(), camera, pf.DirectionalLight(direction))
+        for direction in spread_directions(LIGHTS)
+    )
+
+
+def make_shard(path: str, number: int) -> None:
+    """Render one shard of a stack: materials differ from pixel to pixel."""
+    array: Any = writable(open_group(path, "r+"), "images")
+    _, height, width, _ = array.shape
+    columns = width // SIDE
+    top, left = SIDE * (number // columns), SIDE * (number % columns)
+    rng = np.random.default_rng(number)
+    material = pf.Material(
+        diffuse=rng.uniform(0.2, 0.5, (SIDE, SIDE, 3)),
+        specular=rng.uniform(0.2, 0.4, (SIDE, SIDE, 3)),
+        shininess=rng.uniform(8, 40, (SIDE, SIDE, 1)),
+    )
+    whole = scenes(height, width)
+    camera = WindowCamera(whole[0].camera, left, top, SIDE, SIDE)
+    film = pf.Film(clamp=False)
+    gbuffer = pf.trace(whole[0].surface, camera)
+    images = [
+        pf.render(
+            dataclasses.replace(scene, camera=camera),
+            material,
+            film=film,
+            gbuffer=gbuffer,
+        )
+        for scene in whole
+    ]
+    light = np.stack(images) + NOISE * rng.normal(size=(LIGHTS, SIDE, SIDE, 3))
+    numbers = np.round(np.clip(light, 0, 1) * 65535).astype(np.uint16)
+    rows, along = slice(top, top + SIDE), slice(left, left + SIDE)
+    write_window(array, (slice(None), rows, along), numbers)
+
+
+def make_stack(client: Any, folder: Path, rows: int, columns: int) -> Path:
+    """A stack of so many shards, which the workers render."""
+    path = folder / f"{rows}x{columns}.zarr"
+    shape = (LIGHTS, rows * SIDE, columns * SIDE, 3)
+    group = open_group(path, "a")
+    make_array(group, "images", shape, "uint16", (LIGHTS, SIDE, SIDE, 3))
+    made = client.map(make_shard, [str(path)] * (rows * columns), range(rows * columns))
+    client.gather(made)
+    return path
+
+
+def begun(folder: Path) -> int:
+    """How many blocks were begun, those of workers that died among them."""
+    return sum(1 for _ in folder.iterdir())
+
+
+def counted_block(place: Place, number: int) -> Any:
+    """[`fit_block`][], which leaves a mark when it begins."""
+    marks = Path(place.output).with_suffix(".begun")
+    (marks / f"{number}-{os.getpid()}-{time.monotonic_ns()}").touch()
+    return fit_block(place, number)
+
+
+def timed(client: Any, stack: Path, output: Path) -> float:
+    """Seconds of a run; its maps are in `output`."""
+    images = pf.ZarrStack(stack)
+    _, height, width = images.shape
+    output.with_suffix(".begun").mkdir()
+    start = time.perf_counter()
+    pf.fit_stored_maps(
+        scenes(height, width), images, output, client=client, progress=False
+    )
+    return time.perf_counter() - start
+
+
+@contextlib.contextmanager
+def killing(client: Any, every: float) -> Iterator[list[int]]:
+    """Kill one worker of a cluster every so many seconds; gives those that were."""
+    killed: list[int] = []
+    ended = threading.Event()
+
+    def work() -> None:
+        while not ended.wait(every):
+            # Those that work: one that starts anew is no loss.
+            workers = sorted(client.run(os.getpid, on_error="ignore").values())
+            if workers:
+                killed.append(workers[len(killed) % len(workers)])
+                os.kill(killed[-1], signal.SIGKILL)
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    try:
+        yield killed
+    finally:
+        ended.set()
+        thread.join(every + 60)
+
+
+def same(a: Path, b: Path) -> bool:
+    """Whether two stores hold the same maps, bit for bit."""
+    one, other = open_group(a), open_group(b)
+    names: Any = one.attrs["arrays"]
+    return all(
+        writable(one, name)[...].tobytes() == writable(other, name)[...].tobytes()
+        for name in names
+    )
+
+
+def size_of(path: Path) -> int:
+    """Bytes of all files of a store."""
+    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+
+
+def overhead(client: Any, count: int) -> float:
+    """Seconds that a block costs besides its work, by those that have none."""
+    place = Place("", b"", "", None)
+    start = time.perf_counter()
+    done = sum(1 for _ in cluster._spread(client, place, count))
+    assert done == count
+    return (time.perf_counter() - start) / count
+
+
+def nothing(place: Place, number: int) -> tuple[dict[str, int], bool]:
+    """A block without work."""
+    del place, number
+    return {}, False
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Options.
+
+    Args:
+        small: Less of everything, for a first look.
+        folder: Where the stacks are made, tens of gigabytes for 100 megapixels; they
+            are removed in the end. Default: that of temporary files.
+        json: File for the numbers.
+    """
+
+    small: bool = False
+    folder: Path | None = None
+    json: JsonFile = None
+
+
+def main(options: Options) -> int:
+    """Measure maps on a cluster of this machine.
+
+    For example:
+      python -m experiments.cluster --small
+    """
+    check_outputs(None, options.json)
+    # The blocks that workers are given leave marks of theirs.
+    cluster.fit_block = counted_block  # pyright: ignore
+    with tempfile.TemporaryDirectory(dir=options.folder) as name:
+        numbers = measure(Path(name), options.small)
+    cluster.fit_block = fit_block
+    show(numbers)
+    save_numbers(options.json, numbers)
+    return 0 if numbers["deaths"]["same_bits"] else 1
+
+
+def measure(folder: Path, small: bool) -> dict[str, Any]:
+    """All numbers of the page."""
+    console = Console(stderr=True)
+    fresh = (folder / f"maps{k}.zarr" for k in itertools.count())
+    numbers: dict[str, Any] = {"small": small, "lights": LIGHTS}
+    grid = (3, 4) if small else (6, 8)
+    seconds: dict[int, float] = {}
+    for workers in (1, 2):
+        console.print(f"{workers} of one core …")
+        with cluster.dask_client(f"local:{workers}") as client:
+            stack = folder / f"{grid[0]}x{grid[1]}.zarr"
+            if not stack.exists():
+                make_stack(client, folder, *grid)
+            warm(client, folder, next(fresh))
+            output = next(fresh)
+            before = time.process_time()
+            seconds[workers] = timed(client, stack, output)
+            spent = time.process_time() - before
+    whole = output
+    pixels = grid[0] * grid[1] * SIDE**2
+    numbers["scaling"] = {
+        "pixels": pixels,
+        "seconds": seconds,
+        "ratio": seconds[1] / seconds[2],
+        "pixels_per_worker_second": pixels / seconds[1],
+        "bytes_read_per_pixel": size_of(stack) / pixels,
+        "bytes_written_per_pixel": size_of(whole) / pixels,
+        "scheduler_cpu_seconds_per_block": spent / (grid[0] * grid[1]),
+    }
+    console.print("four, one killed every ten seconds …")
+    with cluster.dask_client("local:4") as client:
+        output = next(fresh)
+        with killing(client, 10.0) as killed:
+            taken = timed(client, stack, output)
+        blocks = grid[0] * grid[1]
+        numbers["deaths"] = {
+            "killed": len(killed),
+            "seconds": taken,
+            "blocks": blocks,
+            "begun": begun(output.with_suffix(".begun")),
+            "work": begun(output.with_suffix(".begun")) / blocks,
+            "same_bits": same(whole, output),
+        }
+        cluster.fit_block = nothing  # pyright: ignore
+        numbers["scheduling"] = {"seconds_per_block": overhead(client, 200)}
+        cluster.fit_block = counted_block  # pyright: ignore
+    sizes = [(1, 2), (2, 4)] if small else [(2, 4), (6, 11), (21, 33)]
+    numbers["sizes"] = []
+    with cluster.dask_client("local:2") as client:
+        warm(client, folder, next(fresh))
+        for size in sizes:
+            console.print(f"{size[0] * size[1] * SIDE**2 / 1e6:.1f} megapixels …")
+            stack = make_stack(client, folder, *size)
+            output = next(fresh)
+            taken = timed(client, stack, output)
+            pixels = size[0] * size[1] * SIDE**2
+            row = {"megapixels": pixels / 1e6, "microseconds": 1e6 * taken / pixels}
+            numbers["sizes"].append(row)
+            for path in (stack, output):
+                shutil.rmtree(path)
+    return numbers
+
+
+def warm(client: Any, folder: Path, output: Path) -> None:
+    """Let every worker compile before time is taken."""
+    stack = folder / "1x4.zarr"
+    if not stack.exists():
+        make_stack(client, folder, 1, 4)
+    timed(client, stack, output)
+
+
+def show(numbers: dict[str, Any]) -> None:
+    """The numbers as tables."""
+    scaling, deaths = numbers["scaling"], numbers["deaths"]
+    table = Table("what", "measured", "aim")
+    one, two = scaling["seconds"][1], scaling["seconds"][2]
+    table.add_row(
+        "two workers against one",
+        f"{scaling['ratio']:.2f}× ({one:.1f} s, {two:.1f} s)",
+        "≥ 1.8×",
+    )
+    rate = scaling["pixels_per_worker_second"]
+    table.add_row("pixels a second and worker", f"{rate:,.0f}", "")
+    for what in ("read", "written"):
+        table.add_row(
+            f"bytes {what} per pixel", f"{scaling[f'bytes_{what}_per_pixel']:.0f}", ""
+        )
+    share = scaling["scheduler_cpu_seconds_per_block"]
+    table.add_row("scheduler and client, CPU ms a block", f"{1e3 * share:.0f}", "")
+    idle = numbers["scheduling"]["seconds_per_block"]
+    table.add_row("a block without work, ms", f"{1e3 * idle:.1f}", "")
+    table.add_row(
+        f"work with {deaths['killed']} workers killed",
+        f"{deaths['work']:.2f}× ({deaths['begun']} of {deaths['blocks']} blocks begun)",
+        "≤ 1.3×",
+    )
+    table.add_row("same bits", "yes" if deaths["same_bits"] else "no", "yes")
+    least = min(row["microseconds"] for row in numbers["sizes"])
+    for row in numbers["sizes"]:
+        table.add_row(
+            f"{row['megapixels']:.1f} megapixels, µs a pixel",
+            f"{row['microseconds']:.1f} ({row['microseconds'] / least:.2f}×)",
+            "≤ 1.5×",
+        )
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(main, prog="python -m experiments.cluster"))
