@@ -24,7 +24,6 @@ ROTATION = random_rotation(7)
         pf.PinholeCamera(5, 4, fx=5, fy=6, cx=1.5, cy=3, skew=0.3),
         pf.PinholeCamera(6, 4, fx=9, distortion=pf.BrownDistortion(-0.2, 0.1, 0.01)),
         pf.PinholeCamera(6, 4, fx=3, cx=2, distortion=pf.FisheyeDistortion(0.05)),
-        WindowCamera(pf.PerspectiveCamera(6, 4, fov_y=50), 2, 1, 5, 2),
     ],
 )
 def test_contract(camera):
