@@ -9,12 +9,19 @@ finds the texels, and of each material ρ_s and f. Asked are
 - a photograph from a ninth place, under a third lamp, is predicted to 1.1 times its
   noise.
 
+With `--disk FOLDER` the same goes by way of files: the mesh as `.glb`, photographs as
+sRGB `.png`, cameras as COLMAP's text files, lamps as an `.lp`; `phongfit scene` and
+`phongfit fit` make textures and a mesh of them, and these files are what is judged.
+
 Result, x86-64 with two busy cores, November 2026, float32, `--full` (256 × 256 texels,
 16 photographs of 400 × 400 pixels): all 65 536 texels identified and seen three times,
 pulls 1.009; ρ_s and f within 2.3 errors; the ninth place 1.036 times its noise; 98 s of
-processor time and 1 GB. By default (48 × 48, 80 × 80): 1.000, 1.7 errors, 1.027.
+processor time and 1 GB. By default (48 × 48, 80 × 80): 1.000, 1.7 errors, 1.027;
+by way of files 1.002, 1.6 errors, 1.021.
 """
 
+import dataclasses
+import json
 import sys
 import time
 from dataclasses import dataclass
@@ -23,9 +30,10 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import phongfit as pf
-from phongfit.cli import run
+from phongfit.cli import main as phongfit, run
 from phongfit.files.outputs import check_file, write_json
 
 NOISE = 0.01
@@ -110,11 +118,13 @@ def view(
     return made
 
 
-def photograph(scene: pf.Scene, material: pf.Material, seed: int) -> np.ndarray:
-    """What a camera of 8 bits makes of it."""
+def photograph(
+    scene: pf.Scene, material: pf.Material, seed: int, bits: int | None = 8
+) -> np.ndarray:
+    """What a camera of 8 bits makes of it; without bits, before it is rounded."""
     light = pf.render(scene, material, film=pf.Film(clamp=False))
     light = light + NOISE * jax.random.normal(jax.random.key(seed), light.shape)
-    return np.asarray(pf.Film(bits=8).expose(light))
+    return np.asarray(pf.Film(bits=bits).expose(light))
 
 
 class Answer(NamedTuple):
@@ -142,47 +152,145 @@ class Answer(NamedTuple):
         )
 
 
-def ask(size: Size, seed: int = 0) -> tuple[Answer, pf.TextureFit]:
-    """Photograph, fit, compare."""
-    mesh = vase(size.around, size.along)
-    true = checkered(size.texels, seed)
-    painted = mesh.with_textures(pf.Textures(diffuse=pf.Texture(true)))
-    images = [
-        photograph(scene, TRUTH, 100 * seed + k)
-        for k, scene in enumerate(views(painted, size))
-    ]
-    started = time.perf_counter()
+class Found(NamedTuple):
+    """What a fit gives: of texels values, errors, and how many pixels see each.
+
+    `few` has label, value and error of what a material shares; `painted` is the mesh
+    with its textures, which multiply `material`.
+    """
+
+    values: np.ndarray
+    errors: np.ndarray
+    seen: np.ndarray
+    few: list[tuple[str, float, float]]
+    painted: pf.Mesh
+    material: pf.Material
+
+
+def fit_in_memory(
+    mesh: pf.Mesh, size: Size, images: list[np.ndarray], folder: Path | None
+) -> Found:
+    """By `fit_texture`."""
+    del folder
+    scenes = views(mesh, size)
     fit = pf.fit_texture(
-        views(mesh, size),
+        scenes,
         images,
-        size=true.shape[:2],
+        size=(size.texels, size.texels),
         unknowns=("specular", "shininess"),
         per_channel=(),
         known=pf.Material(ambient=0.0),
     )
+    print(fit)
+    painted = fit.scene(scenes[0]).surface
+    assert isinstance(painted, pf.Mesh)
+    return Found(
+        fit.values["diffuse"][0],
+        fit.stderr["diffuse"][0],
+        fit.seen[0],
+        [(one.label, one.value, one.stderr) for one in fit.shared],
+        painted,
+        fit.material,
+    )
+
+
+def fit_on_disk(
+    mesh: pf.Mesh, size: Size, images: list[np.ndarray], folder: Path | None
+) -> Found:
+    """By `phongfit scene` and `phongfit fit`, of files as other programs write them."""
+    assert folder is not None
+    photos, model, out = (folder / name for name in ("photos", "sparse", "fit"))
+    photos.mkdir(parents=True)
+    names = [f"{k:02}.png" for k in range(len(images))]
+    scenes = views(mesh, size)
+    for name, image in zip(names, images, strict=True):
+        pf.write_image(photos / name, image, "srgb")
+    pf.save_mesh(folder / "vase.glb", mesh, pf.Material(), ("lower", "upper"))
+    lamps = [
+        np.asarray(lamp.direction)
+        for scene in scenes
+        for lamp in scene.lights
+        if isinstance(lamp, pf.DirectionalLight)
+    ]
+    pf.write_lp(folder / "vase.lp", names, np.stack(lamps))
+    write_colmap(model, names, [scene.camera for scene in scenes])
+    texels = str(size.texels)
+    given = ["--mesh", folder / "vase.glb", "--cameras", model, "--encoding", "srgb"]
+    lit = ["--lights", folder / "vase.lp", "--intensity", "1.1", "--ambient", "0"]
+    asked = ["--unknowns", "diffuse.texture", "specular", "shininess"]
+    asked += ["--per-channel", "diffuse", "--texture-size", texels, texels]
+    for words in (
+        ["scene", photos, *given, *lamps],
+        ["fit", photos, "-o", out, *asked],
+    ):
+        if phongfit([str(word) for word in words]) != 0:
+            raise ValueError(f"{words[0]}: phongfit failed")
+    arrays = np.load(out / "textures.npz")
+    record = json.loads((out / "textures.json").read_text())
+    few = zip(record["labels"], record["values"], record["errors"], strict=True)
+    painted, material, _ = pf.load_mesh(out / "mesh.glb")
+    values, errors, seen = (arrays[n] for n in ("diffuse", "stderr_diffuse", "seen"))
+    return Found(values[0], errors[0], seen[0], list(few), painted, material)
+
+
+def _run(*words: Any) -> None:
+    if phongfit([str(word) for word in words]) != 0:
+        raise ValueError(f"phongfit {words[0]}: expected it to end well")
+
+
+def write_colmap(folder: Path, names: list[str], cameras: list[Any]) -> None:
+    """Cameras as COLMAP's text files: they look along +z, and y runs down."""
+    folder.mkdir(parents=True)
+    one = cameras[0]
+    focal = one.height / 2 / np.tan(np.radians(float(one.fov_y)) / 2)
+    middle = one.width / 2, one.height / 2
+    lens = f"{one.width} {one.height} {focal:.9g} {middle[0]} {middle[1]}"
+    (folder / "cameras.txt").write_text(f"1 SIMPLE_PINHOLE {lens}\n")
+    lines = []
+    for number, (name, camera) in enumerate(zip(names, cameras, strict=True), 1):
+        turn = (np.asarray(camera.rotation, float) * [1, -1, -1]).T
+        x, y, z, w = Rotation.from_matrix(turn).as_quat()
+        shift = -turn @ np.asarray(camera.position, float)
+        pose = " ".join(f"{part:.9g}" for part in (w, x, y, z, *shift))
+        lines += [f"{number} {pose} 1 {name}", ""]
+    (folder / "images.txt").write_text("\n".join(lines) + "\n")
+
+
+def ask(size: Size, seed: int = 0, folder: Path | None = None) -> Answer:
+    """Photograph, fit, compare; by way of files if there is a folder for them."""
+    mesh = vase(size.around, size.along)
+    true = checkered(size.texels, seed)
+    painted = mesh.with_textures(pf.Textures(diffuse=pf.Texture(true)))
+    # Files round when they are written.
+    bits = 8 if folder is None else None
+    images = [
+        photograph(scene, TRUTH, 100 * seed + k, bits)
+        for k, scene in enumerate(views(painted, size))
+    ]
+    started = time.perf_counter()
+    found = (fit_in_memory if folder is None else fit_on_disk)(
+        mesh, size, images, folder
+    )
     seconds = time.perf_counter() - started
-    found, errors = fit.values["diffuse"][0], fit.stderr["diffuse"][0]
-    thrice = (fit.seen[0] >= 3)[..., None] & np.isfinite(errors)
-    pulls = ((found - true) / errors)[thrice]
+    thrice = (found.seen >= 3)[..., None] & np.isfinite(found.errors)
+    pulls = ((found.values - true) / found.errors)[thrice]
     truths = [*np.ravel(TRUTH.specular), *np.ravel(TRUTH.shininess)]
     few = [
-        (one.label, one.value, one.stderr, float((one.value - true) / one.stderr))
-        for one, true in zip(fit.shared, truths, strict=True)
+        (label, value, error, float((value - true) / error))
+        for (label, value, error), true in zip(found.few, truths, strict=True)
     ]
     (ninth,) = view(painted, size.pixels, 2 * np.pi * 0.56 / VIEWS, 0.3, (0.2,))
-    taken = photograph(ninth, TRUTH, 100 * seed + 99)
-    predicted = pf.render(fit.scene(ninth), fit.material)
+    taken = photograph(ninth, TRUTH, 100 * seed + 99, bits)
+    again = dataclasses.replace(ninth, surface=found.painted)
+    predicted = pf.render(again, found.material)
     known = np.asarray(ninth.trace().mask) & (taken < 1).all(axis=-1)
     left = (taken - np.asarray(predicted))[known]
-    return (
-        Answer(
-            float(np.sqrt(np.mean(pulls**2))),
-            (int(thrice.all(axis=-1).sum()), true[..., 0].size),
-            few,
-            float(np.sqrt(np.mean(left**2)) / NOISE),
-            seconds,
-        ),
-        fit,
+    return Answer(
+        float(np.sqrt(np.mean(pulls**2))),
+        (int(thrice.all(axis=-1).sum()), true[..., 0].size),
+        few,
+        float(np.sqrt(np.mean(left**2)) / NOISE),
+        seconds,
     )
 
 
@@ -190,6 +298,9 @@ def ask(size: Size, seed: int = 0) -> tuple[Answer, pf.TextureFit]:
 class Options:
     full: bool = False
     """A texture of 256 × 256 texels and photographs of 400 × 400 pixels."""
+
+    disk: Path | None = None
+    """A folder to make: by way of files in it, and of the command line."""
 
     json: Path | None = None
     """File to write the numbers to as well."""
@@ -202,8 +313,7 @@ def main(options: Options) -> int:
     """
     if options.json is not None:
         check_file(options.json)
-    answer, fit = ask(FULL if options.full else SMALL)
-    print(fit)
+    answer = ask(FULL if options.full else SMALL, folder=options.disk)
     seen, total = answer.texels
     print(
         f"{seen:,} of {total:,} texels seen three times: pulls have an RMS of "

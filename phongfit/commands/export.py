@@ -15,10 +15,12 @@ from phongfit.files.gltf import Part, pbr_material, write_gltf
 from phongfit.files.inputs import sparing
 from phongfit.files.limits import as_blinn
 from phongfit.files.materials import NamedMaterial, read_material, write_material
+from phongfit.files.mesh_saving import save_mesh
 from phongfit.files.mtl import write_mtl
 from phongfit.files.opengl_lines import write_opengl
 from phongfit.files.outputs import check_file
 from phongfit.files.scenes import load_scene
+from phongfit.files.texture_fits import MESH_FILE
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.shapes import Ball
 from phongfit.geometry.surfaces import AbstractSurface, Sphere
@@ -40,6 +42,9 @@ BY_SUFFIX: dict[str, Target] = {
     ".ply": "ply",
 }
 
+MESHES = (".obj", ".ply", ".glb", ".gltf")
+"""Files of meshes that know materials."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -47,13 +52,14 @@ class Options:
 
     Args:
         fit: A fit.json or the folder that holds it, preset:NAME, an .mtl, another .json
-            of a material, or the folder that `phongfit maps` made.
+            of a material, the folder that `phongfit maps` made, or a mesh with its
+            materials and textures: a file, or the folder of a fit of textures.
         out: The file to write; for gltf .glb, or .gltf, which is text.
         to: mtl: Wavefront's .mtl. gltf: glTF 2.0, on the scene's mesh. json: what
-            phongfit reads again. opengl: C lines of glMaterialfv. Of maps also obj: the
-            mesh of their height, with an .mtl and textures beside it, and ply: the mesh
-            with colours. Default: what the file's suffix says (.mtl; .glb, .gltf;
-            .json; .h, .c; .obj; .ply).
+            phongfit reads again. opengl: C lines of glMaterialfv. Of a mesh gltf and
+            obj, with an .mtl and textures beside it. Of maps also obj: the mesh of
+            their height, likewise, and ply: the mesh with colours. Default: what the
+            file's suffix says (.mtl; .glb, .gltf; .json; .h, .c; .obj; .ply).
         scene: For gltf: a scene file whose mesh, or sphere, gets the material.
             Default: a sphere.
         nearest: Where the format cannot hold the material (colours above 1, an exponent
@@ -93,6 +99,7 @@ def main(options: Options) -> int:
       phongfit export preset:gold -o out/gold.mtl
       phongfit export out/maps -o out/maps.glb
       phongfit export out/maps -o out/coin.obj
+      phongfit export cup.obj -o out/cup.glb
     """
     check_file(options.out)
     to = _target(options)
@@ -123,6 +130,9 @@ def _target(options: Options) -> Target:
 def _export(options: Options, to: Target) -> str:
     """Write the file; what was written, in words."""
     folder = Path(options.fit)
+    mesh = _mesh_in(folder)
+    if mesh is not None:
+        return _export_mesh(mesh, options, to)
     if not (folder / RECORD_FILE).is_file():
         if to in ("obj", "ply") or options.surface:
             raise ValueError(
@@ -139,6 +149,29 @@ def _export(options: Options, to: Target) -> str:
         surface=options.surface,
         distance=options.distance,
     )
+
+
+def _mesh_in(source: Path) -> Path | None:
+    """The mesh of that name, or of the fit of textures in that folder."""
+    if source.is_file() and source.suffix.lower() in MESHES:
+        return source
+    fitted = source / MESH_FILE
+    return fitted if fitted.is_file() else None
+
+
+def _export_mesh(mesh: Path, options: Options, to: Target) -> str:
+    """A mesh with its materials and textures, in another format."""
+    # Here, since trimesh takes long to import.
+    from phongfit.files.meshes import load_mesh
+
+    for name in ("scene", "surface", "distance"):
+        if getattr(options, name):
+            raise ValueError(f"{name}: expected none, since {mesh} is a mesh")
+    if to not in ("gltf", "obj"):
+        raise ValueError(f"to: expected gltf or obj for a mesh, got {to}")
+    loaded = load_mesh(mesh)
+    save_mesh(options.out, *loaded, nearest=options.nearest)
+    return f"{mesh.name}, {len(loaded.names)} materials"
 
 
 def _check_maps(folder: Path, options: Options, to: Target) -> None:

@@ -19,6 +19,12 @@ from phongfit.commands.options import (
     specification_of,
 )
 from phongfit.commands.progress import stage
+from phongfit.commands.textures import (
+    TextureOptions,
+    arguments_for,
+    as_settings,
+    draw,
+)
 from phongfit.files.dataset import Dataset
 from phongfit.files.fits import (
     DataRecord,
@@ -28,14 +34,24 @@ from phongfit.files.fits import (
     write_fit_record,
 )
 from phongfit.files.outputs import replacing, replacing_folder
+from phongfit.files.texture_fits import (
+    ARRAYS_FILE,
+    MESH_FILE,
+    RECORD_FILE,
+    save_texture_fit,
+)
 from phongfit.fitting.fit import fit
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.result import Fit
+from phongfit.fitting.texture_fit import TEXTURED, fit_texture
 
 FIT_FILE = "fit.json"
 PICTURE_FILE = "comparison.png"
 REPORT_FILE = "report.html"
-OURS = (FIT_FILE, PICTURE_FILE, REPORT_FILE)
+OURS = (
+    *(FIT_FILE, PICTURE_FILE, REPORT_FILE, RECORD_FILE, ARRAYS_FILE, MESH_FILE),
+    *(f"{name}.png" for name in TEXTURED),
+)
 
 
 @dataclass(frozen=True)
@@ -44,7 +60,10 @@ class Options:
 
     Args:
         out: Folder to make: fit.json (all numbers, and what is needed to repeat the
-            fit), comparison.png (photograph, fit and residual), report.html.
+            fit), comparison.png (photograph, fit and residual), report.html. With
+            textures textures.npz (texels, their errors, and how many pixels see each),
+            textures.json (all other numbers), mesh.glb (the mesh with its textures) and
+            a picture of each, in place of fit.json.
         like: Repeat this fit: take all settings from it, and compare the answers.
         report: full: the picture, and the report with profiles, for which the fit is
             solved some fifty times more. quick: the same without profiles. none:
@@ -60,6 +79,7 @@ class Options:
 
     unknown: OmitArgPrefixes[UnknownOptions] = UnknownOptions()
     fitting: OmitArgPrefixes[FitOptions] = FitOptions()
+    texture: OmitArgPrefixes[TextureOptions] = TextureOptions()
 
     like: Annotated[Path | None, optional("FIT.json")] = None
 
@@ -82,10 +102,14 @@ def main(options: Options) -> int:
       phongfit fit out/brass/001.png --scene out/brass/scene.json -o out/one
       phongfit fit out/brass -o out/bold --bounds shininess=1:5000 --loss cauchy
       phongfit fit out/brass -o out/again --like out/fit/fit.json
+      phongfit fit photos --unknowns diffuse.texture --texture-size 512 512 -o out/cup
 
     Exit status 1 if the solver does not converge, or if, with --like, the answers
     differ by more than a standard error.
     """
+    given = arguments_for(options.unknown, options.fitting, options.texture)
+    if given:
+        return _fit_textures(options, given)
     may_replace = OURS.__contains__ if options.overwrite else None
     with replacing_folder(options.out, may_replace) as folder:
         record = None if options.like is None else read_fit_record(options.like)
@@ -104,6 +128,46 @@ def main(options: Options) -> int:
     kept.tell()
     agrees = record is None or _compare(record, found, read)
     return 0 if found.converged and agrees else 1
+
+
+def _fit_textures(options: Options, given: dict[str, Any]) -> int:
+    """The same with texels among the unknowns."""
+    for name in ("like", "refine_lights"):
+        if getattr(options, name):
+            raise ValueError(f"{name}: expected none with textures")
+    may_replace = OURS.__contains__ if options.overwrite else None
+    with replacing_folder(options.out, may_replace) as folder:
+        data, read = read_data(options.data)
+        tell(data.notes)
+        with stage("fitting"):
+            found = fit_texture(
+                data.scenes, data.images, mask=data.masks, film=data.film, **given
+            )
+        settings = as_settings(given)
+        save_texture_fit(folder, found, data.scenes[0], data=read, settings=settings)
+        with keeping(options.out, folder) as kept:
+            print(found, flush=True)
+            if options.report != "none":
+                with stage("drawing"):
+                    draw(folder, found, data, shlex.join(_words(options)))
+    kept.tell()
+    return 0 if found.converged else 1
+
+
+def _words(options: Options) -> list[str]:
+    """The command that repeats a fit of textures, with all options that were given."""
+    words = ["phongfit", "fit", str(options.data.dataset)]
+    for group in (options.data, options.unknown, options.fitting, options.texture):
+        for field in dataclasses.fields(group):
+            value = getattr(group, field.name)
+            if field.name == "dataset" or value == field.default:
+                continue
+            words.append("--" + field.name.replace("_", "-"))
+            if isinstance(value, tuple):
+                words += map(str, value)
+            elif value is not True:
+                words.append(str(value))
+    return [*words, "-o", f"{options.out}-again"]
 
 
 def _asked(

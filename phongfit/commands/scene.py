@@ -80,7 +80,8 @@ class Options:
             mesh's axes: the folder of a COLMAP model, or a transforms.json. All lights
             are then on in all of them, in these axes too.
         lights: Lights from a file instead: lights.json, as `phongfit calibrate` writes
-            it, with its camera, or an .lp.
+            it, with its camera, or an .lp. With --cameras an .lp in the mesh's axes,
+            which gives each photograph its own.
         intensity: Of each light of --light and --point-light: a number, or three.
         ambient: The ambient light: a number, or three.
         encoding: With a photograph: what its numbers are, or the file of a response
@@ -142,6 +143,7 @@ def main(options: Options) -> int:
       phongfit scene --size 96 96 --mesh cup.obj --point-light 2 3 4 -o cup.json
       phongfit scene photos --sphere 179 155 81 --lights out/lights/lights.json
       phongfit scene photos --mesh cup.obj --cameras sparse/0 --light 1 2 2 --overwrite
+      phongfit scene photos --mesh cup.obj --cameras sparse/0 --lights cup.lp --overwrite
     """
     out = _out(options)
     check_file(out)
@@ -215,28 +217,54 @@ def _make_views(options: Options) -> _Made:
     for name in ("sphere", "normals", "camera", "fov", "position", "target", "size"):
         if getattr(options, name) is not None:
             raise ValueError(f"{name}: {cameras} tells what is seen from where")
-    for name in ("lights", "mask"):
-        if getattr(options, name) is not None:
-            raise ValueError(
-                f"{name}: is of photographs from one place; with --cameras give "
-                "--light or --point-light, in the mesh's axes"
-            )
+    if options.mask is not None:
+        raise ValueError("mask: is of photographs from one place")
     views = find_views(folder, cameras, parse_encoding(options.encoding))
-    lights, notes = _given_lights(options)
+    images = views.images
+    if options.lights is None:
+        lights, notes = _given_lights(options)
+    else:
+        lights, notes = _own_lights(options, [Path(one.file).name for one in images])
+        images = [
+            one.model_copy(update={"lights": [k]}) for k, one in enumerate(images)
+        ]
     scene = Scene(
         _read_mesh(options.mesh),
         views.cameras[0],
         lights,
         ambient=_colour("ambient", options.ambient),
     )
-    if not (options.light or options.point_light):
+    if not (options.light or options.point_light or options.lights):
         notes = [
             f"no light is given: a distant one is taken, from {START} in the mesh's "
             "axes; a fit finds it with --unknowns ambient diffuse specular shininess "
             "scene.lights[0].direction"
         ]
     notes = [*views.notes, *notes]
-    return _Made(scene, views.film, views.images, notes, views.cameras)
+    return _Made(scene, views.film, images, notes, views.cameras)
+
+
+def _own_lights(
+    options: Options, photographs: Sequence[str]
+) -> tuple[list[AbstractLight], list[str]]:
+    """One for each of some photographs from several places, by their names."""
+    file = list_of(options.lights)
+    if file is None:
+        raise ValueError(
+            "lights: expected an .lp with --cameras, in the mesh's axes, got "
+            f"{options.lights}: lights.json is of photographs from one place"
+        )
+    if options.light or options.point_light:
+        raise ValueError("lights: expected it or --light and --point-light")
+    listed = read_lp(file)
+    vectors = dict(zip(listed.base_names, listed.vectors, strict=True))
+    intensity = _colour("intensity", options.intensity)
+    for name in photographs:
+        if name not in vectors:
+            raise ValueError(f"{file}: expected a light of {name}, got none")
+    left = len(vectors) - len(photographs)
+    notes = [f"{left} lights of {file} are of no photograph: left out"] if left else []
+    return [DirectionalLight(vectors[name], intensity) for name in photographs], notes
 
 
 def _film(capture: Capture) -> Film:

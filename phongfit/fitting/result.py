@@ -231,7 +231,7 @@ class Fit:
     @property
     def film(self) -> str:
         """What of the images' films the fit rests on."""
-        return " / ".join(dict.fromkeys(map(_film_words, self.films)))
+        return " / ".join(dict.fromkeys(map(film_words, self.films)))
 
     @property
     def neighbour_correlation(self) -> float:
@@ -315,7 +315,8 @@ class Fit:
         return of_fit(self)
 
 
-def _film_words(film: Film) -> str:
+def film_words(film: Film) -> str:
+    """How light became numbers."""
     rounded = "not rounded" if film.bits is None else f"{film.bits}-bit {film.encoding}"
     kind = "" if film.jpeg is None else f" JPEG {film.jpeg.subsampling}"
     return f"{'clamped' if film.clamp else 'not clamped'}, {rounded}{kind}"

@@ -2,6 +2,7 @@
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import jinja2
@@ -62,23 +63,31 @@ def parameters(fit: Fit) -> list[dict[str, Any]]:
 
 def _row(fit: Fit, k: int, words: str) -> dict[str, Any]:
     value, error = float(fit.values[k]), float(fit.errors[k])
-    row = {
-        "label": fit.labels[k],
-        "value": number_with_error(value, error),
-        "unit": unit(fit.labels[k]),
-    }
-    if fit.unidentified[k] or not np.isfinite(error):
-        return row | {"error": "∞", "percent": "", "note": "not identifiable"}
-    percent = 100 * error / abs(value) if value else math.inf
-    # Above 100 the error says that nothing is known, and 3.1e+02 would say it badly.
-    shown = f"{percent:.2g} %" if percent < 99.5 else "> 99 %" if value else "–"
     notes = [
         *(["at its bound"] if fit.at_bound[k] else []),
         *(["tied"] if fit.tied[k] else []),
         *([words] if words else []),
     ]
-    return row | {
+    return row(fit.labels[k], value, math.inf if fit.unidentified[k] else error, notes)
+
+
+def row(
+    label: str, value: float, error: float, notes: Sequence[str] = ()
+) -> dict[str, Any]:
+    """One row of the table; an error that is not finite says "not identifiable"."""
+    known = np.isfinite(error)
+    shown = {
+        "label": label,
+        "value": number_with_error(value, error),
+        "unit": unit(label),
+    }
+    if not known:
+        return shown | {"error": "∞", "percent": "", "note": "not identifiable"}
+    percent = 100 * error / abs(value) if value else math.inf
+    # Above 100 the error says that nothing is known, and 3.1e+02 would say it badly.
+    words = f"{percent:.2g} %" if percent < 99.5 else "> 99 %" if value else "–"
+    return shown | {
         "error": f"{error:.2g}",
-        "percent": shown,
+        "percent": words,
         "note": ", ".join(notes),
     }

@@ -15,13 +15,19 @@ from phongfit.report.panels import (
     correlations,
     profiles,
     residuals,
+    shown,
     trio,
 )
 from phongfit.report.pictures import Title
-from phongfit.report.plots import chosen, names_of
+from phongfit.report.plots import brightening, chosen, names_of
 from phongfit.report.repeat import call, names as names_in_call
 from phongfit.report.style import styled
-from phongfit.report.words import assumptions as assumed, listed, summary
+from phongfit.report.words import (
+    as_tuple,
+    assumptions as assumed,
+    listed,
+    summary,
+)
 
 
 @checked
@@ -79,8 +85,9 @@ def page(
     """The text of the page: see [`write_page`][]."""
     every = names_of(fit, names)
     images = chosen(fit.n_images)
+    factor = brightening(as_tuple(fit.photographs)[k] for k in images)
     with styled():
-        pictures = [trio(fit, k, every[k], images) for k in images]
+        pictures = [trio(shown(fit, k), every[k], factor) for k in images]
         curves, about_curves = profiles(fit, diagnostics)
         course, about_course = convergence(fit, diagnostics)
         matrix, about_matrix = correlations(fit)
@@ -91,9 +98,9 @@ def page(
         converged=fit.converged,
         sections=_sections(bool(fit.warnings)),
         sentences=summary(fit),
-        warnings=[_full_stop(warning) for warning in fit.warnings],
+        warnings=[full_stop(warning) for warning in fit.warnings],
         images=pictures,
-        about_pictures=about_pictures(fit, images),
+        about_pictures=about_pictures(factor, len(images), fit.n_images),
         rows=parameters(fit),
         profiles=curves,
         about_profiles=about_curves,
@@ -126,5 +133,6 @@ def _sections(warned: bool) -> list[tuple[str, str]]:
     return list(names.items())
 
 
-def _full_stop(words: str) -> str:
+def full_stop(words: str) -> str:
+    """A warning as a sentence; its code may be its end."""
     return words if words.endswith((".", "]")) else f"{words}."

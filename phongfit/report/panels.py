@@ -1,7 +1,7 @@
 """The pictures of the page, each with a text for those who do not see it."""
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +12,6 @@ from phongfit.fitting.uncertainty.diagnostics import Diagnostics
 from phongfit.report.html import source
 from phongfit.report.pictures import displayed, draw_residual
 from phongfit.report.plots import (
-    brightening,
     draw_convergence,
     draw_correlations,
     shown_unknowns,
@@ -38,12 +37,23 @@ def _drawn(
     return {"source": source(figure), "alt": alt, "caption": caption}
 
 
-def trio(fit: Fit, k: int, name: str, images: Sequence[int]) -> Panel:
-    """Photograph, fit and residual of image `k`, as bright as all `images` shown."""
-    photograph, fitted, residual = (
-        as_tuple(some)[k] for some in (fit.photographs, fit.fitted, fit.residuals)
-    )
-    factor = brightening(fit, images)
+class Shown(NamedTuple):
+    """One image, its fit and the residual: linear light (H, W, 3)."""
+
+    photograph: np.ndarray
+    fitted: np.ndarray
+    residual: np.ndarray
+
+
+def shown(fit: Fit, k: int) -> Shown:
+    """Image `k` of a fit."""
+    parts = (fit.photographs, fit.fitted, fit.residuals)
+    return Shown(*(as_tuple(part)[k] for part in parts))
+
+
+def trio(image: Shown, name: str, factor: float) -> Panel:
+    """Photograph, fit and residual of an image, as much brighter as `factor` says."""
+    photograph, fitted, residual = image
     of = f" of {name}" if name else ""
 
     def left(axes: Axes) -> None:
@@ -84,16 +94,15 @@ def _image(image: np.ndarray, alt: str, caption: str) -> Panel:
     return {"source": source(figure), "alt": alt, "caption": caption}
 
 
-def about_pictures(fit: Fit, images: Sequence[int]) -> str:
-    """How the pictures are to be read."""
+def about_pictures(factor: float, images: int, of: int) -> str:
+    """How the pictures of some images of many are to be read."""
     words = ["Photograph and fit as a screen shows them (sRGB)"]
-    factor = brightening(fit, images)
     if factor > 1:
         words.append(f", {factor:.2g} times brighter than they are")
     words.append("; the residual in linear light, the channel that is furthest off. ")
     words.append("Where a sample was left out, the residual is 0.")
-    if len(images) < fit.n_images:
-        words.append(f" Shown are {len(images)} of {fit.n_images}.")
+    if images < of:
+        words.append(f" Shown are {images} of {of}.")
     return "".join(words)
 
 

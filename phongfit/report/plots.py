@@ -1,6 +1,6 @@
 """Figures of a fit: what `fit.plot()` and its kin return."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,10 +23,9 @@ def chosen(count: int, most: int = MOST_IMAGES) -> list[int]:
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)).tolist()
 
 
-def brightening(fit: Fit, images: Sequence[int]) -> float:
+def brightening(photographs: Iterable[np.ndarray]) -> float:
     """Factor that brings the brightest of dark photographs to white; never below 1."""
-    photographs = as_tuple(fit.photographs)
-    used = [np.nan_to_num(photographs[k], nan=0.0) for k in images]
+    used = (np.nan_to_num(image, nan=0.0) for image in photographs)
     brightest = max(float(np.quantile(image, 0.995)) for image in used)
     return 1.0 if brightest > 0.5 else min(1 / max(brightest, 1e-3), 1e3)
 
@@ -58,10 +57,10 @@ def plot(fit: Fit, names: Sequence[Title] = (), most: int = MOST_IMAGES) -> Figu
     """
     every = names_of(fit, names)
     images = chosen(fit.n_images, most)
-    factor = brightening(fit, images)
     photographs, fitted, left = (
         as_tuple(some) for some in (fit.photographs, fit.fitted, fit.residuals)
     )
+    factor = brightening(photographs[k] for k in images)
     brighter = f"  (shown {factor:.2g} × brighter)" if factor > 1 else ""
     rows = [
         Row(photographs[k], fitted[k], left[k], (every[k] + brighter).strip())

@@ -85,7 +85,9 @@ def test_from_colmap_to_a_material(project, capsys):
     [
         (["--fov", "30"], "fov: "),
         (["--sphere", "1", "1", "1"], "sphere: "),
-        (["--lights", "a.lp"], "lights: is of photographs from one place"),
+        (["--lights", "a.json"], "lights: expected an .lp with --cameras"),
+        (["--lights", "a.lp"], "a.lp: cannot be read"),
+        (["--mask", "a.png"], "mask: is of photographs from one place"),
         (["--cameras", "none"], "none: there is no such file"),
     ],
 )

@@ -52,7 +52,7 @@ def test_photograph_fit_and_residual(one):
 
 
 def test_dark_photographs_are_shown_brighter_and_say_so(open_fit):
-    factor = brightening(open_fit, range(6))
+    factor = brightening(open_fit.photographs)
     assert 3 < factor < 10
     figure = open_fit.plot([f"{k}.png" for k in range(6)])
     words = texts(figure)

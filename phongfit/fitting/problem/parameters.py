@@ -20,6 +20,8 @@ REFLECTANCES = ("ambient", "diffuse", "specular", "emission")
 MATERIAL_PARAMETERS = ("ambient", "diffuse", "specular", "shininess", "emission")
 EXPOSURE = "exposure"
 OF_MODEL = "scene.specular_model."
+TEXTURE = ".texture"
+"""Behind a parameter's name: each texel has its own."""
 CHANNELS = ("red", "green", "blue")
 # Arrays of a scene that are RGB, unit vectors, and numbers that cannot be negative.
 _COLOURS = {"intensity", "specular", "ambient", "color", "background"}
@@ -128,6 +130,12 @@ def parameter(
     if name in MATERIAL_PARAMETERS:
         scale: Form = "logarithm" if name == "shininess" else "plain"
         return Parameter(name, _rows(materials), rgb, scale)
+    if name.endswith(TEXTURE):
+        texture = name.removesuffix(TEXTURE)
+        raise ValueError(
+            f"unknowns: texels are found by fit_texture(..., textures=({texture!r},)), "
+            f"got {name!r}"
+        )
     value = scene_arrays(scenes[0])[name] if is_known(name, scenes) else None
     if value is None or name.startswith("scene.background"):
         raise ValueError(f"unknowns: expected one of {_choice(scenes)}, got {name!r}")

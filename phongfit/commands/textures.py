@@ -1,0 +1,108 @@
+"""What `phongfit fit` does where unknowns are textures: options, pictures, report."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from phongfit.commands.options import FitOptions, UnknownOptions, optional
+from phongfit.files.dataset import Dataset
+from phongfit.files.inputs import naming
+from phongfit.files.materials import read_material
+from phongfit.files.outputs import replacing
+from phongfit.files.schema import describe_material
+from phongfit.fitting.problem.parameters import TEXTURE
+from phongfit.fitting.texels.result import TextureFit
+from phongfit.fitting.texture_fit import TEXTURED
+
+FITTED = ("unknowns", "per_channel")
+"""Of [`UnknownOptions`][], what textures have a use for."""
+
+
+@dataclass(frozen=True)
+class TextureOptions:
+    """Textures among the unknowns, such as diffuse.texture, of a mesh with uv.
+
+    Args:
+        texture_size: Columns and rows of the textures, no finer than the photographs.
+        separate: A texture for each material of the mesh. Default: one that all
+            lie on.
+        smoothness: Standard deviation of what is expected between neighbouring texels:
+            a prior, which blurs. Default: no such expectation.
+    """
+
+    texture_size: Annotated[tuple[int, int] | None, optional("W H")] = None
+
+    separate: bool = False
+
+    smoothness: Annotated[float | None, optional("SD")] = None
+
+
+def textures_among(unknowns: Sequence[str]) -> tuple[str, ...]:
+    """Parameters whose textures are unknown."""
+    return tuple(n.removesuffix(TEXTURE) for n in unknowns if n.endswith(TEXTURE))
+
+
+def arguments_for(
+    unknown: UnknownOptions, fitting: FitOptions, texture: TextureOptions
+) -> dict[str, Any]:
+    """Keyword arguments of [`fit_texture`][], but for the data.
+
+    **Raises:** `ValueError` that names the option.
+    """
+    names = textures_among(unknown.unknowns)
+    if not names:
+        for field in dataclasses.fields(texture):
+            if getattr(texture, field.name) != field.default:
+                raise ValueError(
+                    f"{field.name}: is of textures, expected one among the unknowns, "
+                    f"such as {TEXTURED[1]}{TEXTURE}"
+                )
+        return {}
+    for field in dataclasses.fields(unknown):
+        if field.name not in FITTED and getattr(unknown, field.name) != field.default:
+            raise ValueError(f"{field.name}: expected none with textures")
+    if fitting.loss != "linear":
+        raise ValueError(f"loss: expected linear with textures, got {fitting.loss}")
+    if texture.texture_size is None:
+        raise ValueError(
+            "texture_size: expected columns and rows of the textures, got none"
+        )
+    columns, rows = texture.texture_size
+    known = None
+    if fitting.known is not None:
+        with naming("known"):
+            known = read_material(fitting.known).material
+    default = FitOptions().max_steps
+    steps = {} if fitting.max_steps == default else {"max_steps": fitting.max_steps}
+    return {
+        "size": (rows, columns),
+        "textures": names,
+        "unknowns": tuple(n for n in unknown.unknowns if not n.endswith(TEXTURE)),
+        "per_channel": unknown.per_channel,
+        "known": known,
+        "separate": texture.separate,
+        "smoothness": texture.smoothness,
+        "noise": fitting.noise,
+        **steps,
+    }
+
+
+def as_settings(given: dict[str, Any]) -> dict[str, Any]:
+    """What was asked, as a record has it."""
+    known = given["known"]
+    return given | {"known": None if known is None else describe_material(known)}
+
+
+def draw(folder: Path, found: TextureFit, data: Dataset, command: str) -> None:
+    """A picture of each texture and of the photographs, and the report of both."""
+    # Here, since drawing takes long to import.
+    from phongfit.report.textures import draw_photographs, draw_texture, write_page
+
+    for name in found.names:
+        with replacing(folder / f"{name}.png") as picture:
+            draw_texture(found, name).savefig(picture, dpi=130)
+    with replacing(folder / "comparison.png") as picture:
+        draw_photographs(found, data).savefig(picture, dpi=150)
+    write_page(folder / "report.html", found, data, command=command)

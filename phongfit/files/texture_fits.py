@@ -1,0 +1,96 @@
+"""A folder of fitted textures: numbers for programs, and a mesh for everything else.
+
+`textures.npz` has of each texture NAME, (layers, rows, columns, 3), its standard errors
+`stderr_NAME`, infinite where no photograph identifies a texel, and `seen`: how many
+pixels see each, (layers, rows, columns). `textures.json` has what was asked and all
+other numbers. `mesh.glb` is the mesh with its material and textures.
+"""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phongfit.files.arguments import describe
+from phongfit.files.fits import DataRecord, made_with
+from phongfit.files.limits import as_blinn
+from phongfit.files.mesh_saving import save_mesh
+from phongfit.files.outputs import replacing, write_json
+from phongfit.fitting.texels.result import TextureFit
+from phongfit.geometry.meshes import Mesh
+from phongfit.scene import Scene
+
+TEXTURES_FORMAT = "phongfit textures"
+RECORD_FILE = "textures.json"
+ARRAYS_FILE = "textures.npz"
+MESH_FILE = "mesh.glb"
+
+
+def save_texture_fit(
+    folder: Path,
+    found: TextureFit,
+    scene: Scene,
+    *,
+    data: DataRecord,
+    settings: dict[str, Any],
+) -> None:
+    """Write fitted textures into a folder that is there: see above.
+
+    Texels that are not identified are filled in `mesh.glb` alone: see
+    [`TextureFit`][]`.filled`.
+
+    **Arguments:** `scene`: of one of the photographs; `settings`: what was asked.
+
+    **Raises:** `OSError` that names the file.
+    """
+    arrays = {"seen": found.seen}
+    for name in found.names:
+        arrays |= {name: found.values[name], f"stderr_{name}": found.stderr[name]}
+    with replacing(folder / ARRAYS_FILE) as temporary:
+        np.savez_compressed(temporary, allow_pickle=False, **arrays)
+    surface = found.scene(scene).surface
+    assert isinstance(surface, Mesh)
+    blinn = as_blinn(found.material, scene.specular_model)
+    # Of what glTF does not hold, such as ambient textures, a warning speaks.
+    save_mesh(folder / MESH_FILE, surface, blinn, nearest=True)
+    write_json(folder / RECORD_FILE, _record(found, scene, data, settings))
+
+
+def _record(
+    found: TextureFit, scene: Scene, data: DataRecord, settings: dict[str, Any]
+) -> dict[str, Any]:
+    identified = {
+        name: int(np.isfinite(found.stderr[name]).all(axis=-1).sum())
+        for name in found.names
+    }
+    known = {
+        field.name: getattr(found.material, field.name)
+        for field in dataclasses.fields(found.material)
+        if field.name not in found.names
+    }
+    return {
+        "format": TEXTURES_FORMAT,
+        "version": 1,
+        "data": data.model_dump(),
+        "settings": settings,
+        "model": describe(scene.specular_model),
+        "textures": found.names,
+        "texels": found.seen.size,
+        "seen": int((found.seen > 0).sum()),
+        "identified": identified,
+        "wrap": found.wrap,
+        "material": known,
+        "labels": [one.label for one in found.shared],
+        "values": [one.value for one in found.shared],
+        "errors": [one.stderr for one in found.shared],
+        "covariance": found.covariance,
+        "noise": found.noise,
+        "n_samples": found.n_samples,
+        "n_images": len(found.residuals),
+        "misfit_significance": found.misfit.significance,
+        "converged": found.converged,
+        "steps": found.steps,
+        "warnings": found.warnings,
+        "made_with": made_with(),
+    }

@@ -1,0 +1,118 @@
+"""Pictures of numbers, one a place: as they look, with their scale, their errors."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+from phongfit.report.pictures import displayed
+from phongfit.report.style import picture, quiet, styled
+
+TITLES = {
+    "ambient": "ambient ρ_a",
+    "diffuse": "diffuse ρ_d",
+    "specular": "specular ρ_s",
+    "shininess": "exponent f",
+}
+UNIDENTIFIED = "0.85"
+"""Grey where there is nothing to be shown."""
+
+
+def draw_numbers(
+    name: str,
+    values: np.ndarray,
+    errors: np.ndarray,
+    inside: np.ndarray,
+    places: str = "pixels",
+) -> Figure:
+    """A parameter as it looks, its numbers with their scale, and its standard errors.
+
+    Numbers are means over the channels, errors root mean squares. Places that cannot
+    tell are grey, as are those outside: what number they have is chance.
+
+    **Arguments:** `values` and `errors`, (H, W, 1 or 3); `inside`, (H, W); what is
+    there, in a word.
+    """
+    identified = inside & np.isfinite(errors).all(axis=-1)
+    with np.errstate(invalid="ignore"):
+        spread = np.sqrt(np.mean(errors**2, axis=-1))
+    height, width = inside.shape
+    coloured = values.shape[-1] == 3
+    columns = 3 if coloured else 2
+    with styled():
+        side = float(np.clip(3.2 * width / height, 2.4, 6))
+        figure = picture(columns * (side + 0.6), 3.5)
+        axes = figure.subplots(1, columns, squeeze=False)[0]
+        if coloured:
+            _draw_colours(axes[0], values, errors, identified)
+        exponents = name == "shininess"
+        title = "exponent, logarithmic scale" if exponents else "mean of the channels"
+        draw_scale(axes[-2], values.mean(axis=-1), identified, title, exponents)
+        unidentified = int(np.sum(inside & ~identified))
+        title = "standard error" + (
+            f", {unidentified:,} {places} not identified" if unidentified else ""
+        )
+        draw_scale(axes[-1], spread, identified, title)
+        figure.suptitle(TITLES[name], fontsize=11)
+    return figure
+
+
+def _draw_colours(
+    axes: Axes, values: np.ndarray, errors: np.ndarray, identified: np.ndarray
+) -> None:
+    factor = 1.0
+    # What is 0 but for noise is black, and stays so.
+    seen = identified & (values > 3 * errors).any(axis=-1)
+    if seen.sum() > 0.02 * identified.sum():
+        brightest = float(np.quantile(values[seen], 0.995))
+        factor = 1 / brightest if brightest < 0.5 else 1.0
+    shown = displayed(factor * values)
+    axes.imshow(np.where(identified[..., None], shown, float(UNIDENTIFIED)))
+    axes.set_title("colour" + (f", {factor:.2g} × brighter" if factor > 1 else ""))
+    quiet(axes)
+
+
+def draw_scale(
+    axes: Axes,
+    numbers: np.ndarray,
+    identified: np.ndarray,
+    title: str,
+    logarithmic: bool = False,
+) -> None:
+    """Numbers with their scale, where they are identified.
+
+    **Arguments:** `identified`: elsewhere is grey.
+    """
+    quiet(axes)
+    axes.set_title(title)
+    shown = np.where(identified & np.isfinite(numbers), numbers, np.nan)
+    if np.isnan(shown).all():
+        axes.imshow(np.full((*numbers.shape, 3), float(UNIDENTIFIED)))
+        words = "no pixel identifies it"
+        axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)
+        return
+    low, high = np.nanquantile(shown, [0.005, 0.995])
+    options: dict[str, Any] = {"vmin": low, "vmax": max(high, low + 1e-12)}
+    if low > 0 and (logarithmic or high > 20 * low):
+        options = {"norm": LogNorm(low, max(high, 1.01 * low))}
+    axes.set_facecolor(UNIDENTIFIED)
+    drawn = axes.imshow(shown, cmap="viridis", interpolation="nearest", **options)
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    bar = figure.colorbar(drawn, ax=axes, fraction=0.046, pad=0.03)
+    bar.ax.tick_params(which="both", labelsize=7)
+    bar.ax.grid(False)
+    if "norm" in options:
+        _plain_ticks(bar.ax.yaxis, few=high < 100 * low)
+
+
+def _plain_ticks(axis: Axis, few: bool) -> None:
+    """20 rather than 2 × 10¹, in the letters of all other numbers."""
+    between = LogLocator(subs=(2, 5)) if few else NullLocator()
+    axis.set_minor_locator(between)
+    axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
+    axis.set_minor_formatter(FuncFormatter(lambda value, place: f"{value:g}"))

@@ -1,0 +1,160 @@
+"""Fitted textures in pictures, and the page about them."""
+
+import os
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from phongfit.files.dataset import Dataset
+from phongfit.files.outputs import replacing
+from phongfit.fitting.result import film_words
+from phongfit.fitting.texels.result import TextureFit
+from phongfit.plain import readable
+from phongfit.rendering.render import render
+from phongfit.report.html import fill, row, source
+from phongfit.report.page import full_stop
+from phongfit.report.panels import Panel, Shown, about_pictures, trio
+from phongfit.report.pictures import Row, comparison
+from phongfit.report.plots import brightening, chosen
+from phongfit.report.scales import TITLES, draw_numbers, draw_scale
+from phongfit.report.style import picture, styled
+from phongfit.report.words import listed, settings, versions
+
+
+def draw_texture(found: TextureFit, name: str) -> Figure:
+    """A texture as it looks, its numbers with their scale, and its standard errors.
+
+    Grey is what is not identified. Textures of several materials stand one below the
+    other.
+    """
+    values, errors = (_below(one[name]) for one in (found.values, found.stderr))
+    inside = np.ones(values.shape[:2], bool)
+    return draw_numbers(name, values, errors, inside, "texels")
+
+
+def draw_seen(found: TextureFit) -> Figure:
+    """How many pixels see each texel; grey is what none does."""
+    seen = _below(found.seen)
+    height, width = seen.shape
+    with styled():
+        side = float(np.clip(3.2 * width / height, 2.4, 6))
+        figure = picture(side + 0.6, 3.5)
+        unseen = f", {int((seen == 0).sum()):,} by none" if (seen == 0).any() else ""
+        draw_scale(
+            figure.subplots(), seen, seen > 0, f"pixels that see a texel{unseen}"
+        )
+    return figure
+
+
+def _below(layers: np.ndarray) -> np.ndarray:
+    """(layers, rows, …) as (layers · rows, …)."""
+    return layers.reshape(-1, *layers.shape[2:])
+
+
+def draw_photographs(found: TextureFit, data: Dataset) -> Figure:
+    """Photograph, fit and residual of some of the photographs."""
+    images, factor = _some(found, data)
+    brighter = f"  (shown {factor:.2g} × brighter)" if factor > 1 else ""
+    rows = [Row(*one.shown, f"{one.name}{brighter}") for one in images]
+    return comparison(rows, ("photograph", "fit"), brighten=factor)
+
+
+class _Named(NamedTuple):
+    name: str
+    shown: Shown
+
+
+def _some(found: TextureFit, data: Dataset) -> tuple[list[_Named], float]:
+    """Some of the photographs with their fits, and how much brighter to show them."""
+    images = []
+    for k in chosen(len(data.images)):
+        fitted = np.asarray(render(found.scene(data.scenes[k]), found.material))
+        parts = Shown(data.images[k], fitted, found.residuals[k])
+        images.append(_Named(data.names[k], parts))
+    return images, brightening(one.shown.photograph for one in images)
+
+
+def write_page(
+    path: str | os.PathLike[str], found: TextureFit, data: Dataset, *, command: str
+) -> None:
+    """Write a report of fitted textures: a page that stands alone.
+
+    **Arguments:** `data`: what they were fitted to; `command`: what repeats the fit.
+
+    **Raises:** `OSError` that names `path`.
+    """
+    images, factor = _some(found, data)
+    with styled():
+        shown = [trio(one.shown, one.name, factor) for one in images]
+        textures = [_panel(draw_texture(found, n), TITLES[n]) for n in found.names]
+        textures.append(_panel(draw_seen(found), "How many pixels see each texel"))
+    names = {
+        "summary": "Summary",
+        **({"warnings": "Warnings"} if found.warnings else {}),
+        "textures": "Textures",
+        "pictures": "Pictures",
+        **({"parameters": "Numbers"} if found.shared else {}),
+        "assumptions": "Assumptions",
+        "repeat": "How to repeat",
+    }
+    text = fill(
+        "textures.html",
+        title=data.name,
+        converged=found.converged,
+        sections=list(names.items()),
+        sentences=_summary(found),
+        warnings=[full_stop(warning) for warning in found.warnings],
+        textures=textures,
+        images=shown,
+        about_pictures=about_pictures(factor, len(images), len(data.images)),
+        rows=[row(*one) for one in found.shared],
+        assumptions=_assumptions(found, data),
+        command=command,
+    )
+    with replacing(path) as temporary:
+        temporary.write_text(readable(text), encoding="utf-8")
+
+
+def _panel(figure: Figure, alt: str) -> Panel:
+    inches = float(figure.get_size_inches()[0])
+    return {"source": source(figure), "alt": alt, "caption": "", "inches": inches}
+
+
+def _summary(found: TextureFit) -> list[str]:
+    layers, rows, columns = found.seen.shape
+    count = len(found.residuals)
+    of = "one photograph" if count == 1 else f"{count} photographs"
+    several = f" for each of {layers} materials" if layers > 1 else ""
+    samples = f"{found.n_samples:,} samples (pixels times channels)"
+    steps = f"in {found.steps} steps"
+    sentences = [
+        f"Textures of {listed(found.names)}, {columns} × {rows} texels{several}, were "
+        f"fitted to {of}: {samples}.",
+        f"The solver {'converged' if found.converged else 'did not converge'} {steps}.",
+        f"Of {found.seen.size:,} texels {int((found.seen > 0).sum()):,} are seen.",
+    ]
+    for name in found.names:
+        known = np.isfinite(found.stderr[name])
+        median = f"{np.median(found.stderr[name][known]):.2g}" if known.any() else "∞"
+        sentences.append(
+            f"{int(known.all(axis=-1).sum()):,} of {name} are identified, with a "
+            f"median standard error of {median}."
+        )
+    return sentences
+
+
+def _assumptions(found: TextureFit, data: Dataset) -> dict[str, str]:
+    scene = data.scenes[0]
+    lights = sorted({type(one).__name__ for s in data.scenes for one in s.lights})
+    films = dict.fromkeys(film_words(film) for film in data.films)
+    return {
+        **({"exposures": "; ".join(data.notes)} if data.notes else {}),
+        "specular model": settings(scene.specular_model),
+        "shading": type(scene.shading).__name__,
+        "lights": listed(lights) or "none",
+        "textures": f"bilinear, {'repeated' if found.wrap == 'repeat' else 'clamped'}",
+        "film": f"{' / '.join(films)}; light is linear, white = 1",
+        "noise": f"{found.noise:.3g}",
+        "versions": versions(),
+    }

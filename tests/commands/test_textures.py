@@ -1,0 +1,132 @@
+"""`phongfit fit` with textures among the unknowns: files in, files out."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.cli import main
+from tests.fitting.test_texture_fit import NOISE, SHINY, SIZE, TRUE, painted, scenes
+from tests.helpers import known as present, near
+
+ASKED = ["--unknowns", "diffuse.texture", "specular", "shininess"]
+SIZED = ["--texture-size", *map(str, SIZE), "--per-channel", "diffuse"]
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    """A folder with the photographs of a plate, as `phongfit scene` lists them."""
+    folder = tmp_path_factory.mktemp("texels") / "photographs"
+    folder.mkdir()
+    noise = np.random.default_rng(3)
+    views = painted(diffuse=TRUE)
+    for at, scene in enumerate(views):
+        light = np.asarray(pf.render(scene, SHINY))
+        light = np.clip(light + NOISE * noise.normal(size=light.shape), 0, 1)
+        pf.write_image(folder / f"{at}.png", light, "srgb", bits=16)
+    images = [
+        {"file": f"{at}.png", "lights": [at]} | _camera(scene.camera)
+        for at, scene in enumerate(views)
+    ]
+    lights = [light for scene in views for light in scene.lights]
+    bare = pf.Scene(scenes()[0].surface, views[0].camera, lights, ambient=0.2)
+    pf.save_scene(folder, bare)
+    record = json.loads((folder / "scene.json").read_text())
+    record |= {"images": images, "encoding": "srgb", "bits": 16}
+    (folder / "scene.json").write_text(json.dumps(record))
+    return folder
+
+
+def _camera(camera) -> dict[str, object]:
+    return {
+        "camera": {
+            "kind": "perspective",
+            "width": camera.width,
+            "height": camera.height,
+            "fov_y_degrees": float(camera.fov_y),
+            "position": np.asarray(camera.position).tolist(),
+            "rotation": np.asarray(camera.rotation).tolist(),
+        }
+    }
+
+
+def test_from_photographs_to_a_mesh_for_others(photographs, tmp_path, capsys):
+    out = tmp_path / "fit"
+    assert main(["fit", str(photographs), "-o", str(out), *ASKED, *SIZED]) == 0
+    said = capsys.readouterr().out
+    assert "texels identified" in said and "mesh.glb" in said
+    arrays = np.load(out / "textures.npz")
+    values, errors = arrays["diffuse"][0], arrays["stderr_diffuse"][0]
+    known = np.isfinite(errors)
+    pulls = ((values - TRUE) / errors)[known]
+    assert known.mean() > 0.9 and 0.8 < np.sqrt(np.mean(pulls**2)) < 1.2
+    # What nothing sees is marked, and filled in the mesh alone.
+    assert np.isinf(errors[arrays["seen"][0] == 0]).all()
+    record = json.loads((out / "textures.json").read_text())
+    assert record["converged"] and not record["warnings"]
+    numbers = zip(record["values"], record["errors"], (0.3, 20.0), strict=True)
+    for value, error, true in numbers:
+        assert abs(value - true) < 4 * error < 0.2 * true
+    assert record["labels"] == ["specular", "shininess"]
+    # The mesh is the scene again, and so it is in other formats.
+    seen = np.asarray(scenes()[0].trace().mask)
+    expected = np.asarray(pf.render(painted(diffuse=TRUE)[0], SHINY))
+    again = tmp_path / "again.obj"
+    assert main(["export", str(out), "-o", str(again)]) == 0
+    for file in (out / "mesh.glb", again):
+        mesh, material, names = pf.load_mesh(file)
+        assert len(names) == 1
+        near(material.shininess, record["values"][1], 1e-3)
+        near(material.specular, record["values"][0], 1e-3)
+        texture = present(present(mesh.textures)[0].diffuse)
+        read = np.asarray(material.diffuse) * np.asarray(texture.values)
+        # To the rounding of pictures.
+        near(read[known.all(axis=-1)], values[known.all(axis=-1)], 2e-4)
+        scene = pf.Scene(mesh, scenes()[0].camera, scenes()[0].lights, ambient=0.2)
+        left = (np.asarray(pf.render(scene, material)) - expected)[seen]
+        assert np.sqrt(np.mean(left**2)) < 2 * NOISE
+    page = (out / "report.html").read_text()
+    for words in ("Textures", "12 × 12 texels", "specular", "--texture-size 12 12"):
+        assert words in page, words
+    # Again, in its place.
+    words = ["fit", str(photographs), "-o", str(out), *ASKED, *SIZED]
+    assert main(words) == 2
+    assert "is not empty" in capsys.readouterr().err
+
+
+def test_ambient_has_no_place_in_gltf(photographs, tmp_path, capsys):
+    out = tmp_path / "fit"
+    asked = ["--unknowns", "ambient.texture", "--known", "preset:brass"]
+    words = ["fit", str(photographs), "-o", str(out), *asked, *SIZED]
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        assert main([*words, "--report", "none", "--smoothness", "0.1"]) == 0
+    told = capsys.readouterr().err
+    assert "warning: ambient: glTF has no texture of it; the nearest is taken" in told
+    assert "ambient" in np.load(out / "textures.npz")
+
+
+@pytest.mark.parametrize(
+    "more, said",
+    [
+        (ASKED, "texture_size: expected columns and rows"),
+        (["--separate"], "separate: is of textures, expected one among the unknowns"),
+        ([*ASKED, *SIZED, "--fixed", "shininess=3"], "fixed: expected none with"),
+        ([*ASKED, *SIZED, "--loss", "huber"], "loss: expected linear with textures"),
+        ([*ASKED, *SIZED, "--refine-lights"], "refine_lights: expected none with"),
+        (["--unknowns", "gloss.texture", *SIZED], "textures: expected some of ambient"),
+    ],
+)
+def test_what_does_not_go_with_textures(more, said, photographs, tmp_path, capsys):
+    assert main(["fit", str(photographs), "-o", str(tmp_path / "out"), *more]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("error: ") and said in err and err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_fit_says_who_finds_texels():
+    image = np.zeros((32, 32, 3))
+    with pytest.raises(ValueError, match=r"by fit_texture\(..., textures=\('diffuse'"):
+        pf.fit(scenes()[0], image, unknowns=("diffuse.texture", "specular"))
