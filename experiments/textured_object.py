@@ -219,12 +219,8 @@ def fit_on_disk(
     lit = ["--lights", folder / "vase.lp", "--intensity", "1.1", "--ambient", "0"]
     asked = ["--unknowns", "diffuse.texture", "specular", "shininess"]
     asked += ["--per-channel", "diffuse", "--texture-size", texels, texels]
-    for words in (
-        ["scene", photos, *given, *lamps],
-        ["fit", photos, "-o", out, *asked],
-    ):
-        if phongfit([str(word) for word in words]) != 0:
-            raise ValueError(f"{words[0]}: phongfit failed")
+    _run("scene", photos, *given, *lit)
+    _run("fit", photos, "-o", out, *asked)
     arrays = np.load(out / "textures.npz")
     record = json.loads((out / "textures.json").read_text())
     few = zip(record["labels"], record["values"], record["errors"], strict=True)
