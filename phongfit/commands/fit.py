@@ -102,7 +102,7 @@ def main(options: Options) -> int:
       phongfit fit out/brass/001.png --scene out/brass/scene.json -o out/one
       phongfit fit out/brass -o out/bold --bounds shininess=1:5000 --loss cauchy
       phongfit fit out/brass -o out/again --like out/fit/fit.json
-      phongfit fit photos --unknowns diffuse.texture --texture-size 512 512 -o out/cup
+      phongfit fit cup --unknowns diffuse.texture --texture-size 64 64 -o out/cup
 
     Exit status 1 if the solver does not converge, or if, with --like, the answers
     differ by more than a standard error.

@@ -143,7 +143,7 @@ def main(options: Options) -> int:
       phongfit scene --size 96 96 --mesh cup.obj --point-light 2 3 4 -o cup.json
       phongfit scene photos --sphere 179 155 81 --lights out/lights/lights.json
       phongfit scene photos --mesh cup.obj --cameras sparse/0 --light 1 2 2 --overwrite
-      phongfit scene photos --mesh cup.obj --cameras sparse/0 --lights cup.lp --overwrite
+      phongfit scene photos --mesh cup.obj --cameras . --lights cup.lp --overwrite
     """
     out = _out(options)
     check_file(out)

@@ -11,8 +11,10 @@ import pytest
 import phongfit as pf
 from phongfit import cli
 from phongfit.commands import lab
+from phongfit.files.schema import ImageRecord
 from tests.calibration.studio import Ball, Studio, directions
 from tests.calibration.test_response import EXPOSURES, patches
+from tests.fitting.test_texture_fit import scenes
 
 CUP = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 LAMPS = directions(4)
@@ -70,13 +72,24 @@ def dome(folder: Path) -> None:
     pytest.importorskip("zarr").create_array(folder / "stack.zarr", data=images)
 
 
+def textured(folder: Path) -> None:
+    """A data set of a plate with uv."""
+    scene = scenes()[0]
+    folder.mkdir()
+    pf.write_image(folder / "1.png", pf.render(scene, pf.Material(0.5)), "srgb")
+    film, images = pf.Film(encoding="srgb", bits=8), [ImageRecord(file="1.png")]
+    pf.save_scene(folder, scene, film=film, images=images)
+
+
 def readers_own() -> None:
     """What the examples speak of and no command makes: whoever reads them has it."""
     Path("cup.obj").write_text(CUP)
     names = capture(Path("photos"))
     Path("ball.jpg").write_bytes(Path("photos/1.jpg").read_bytes())
     dome(Path("coin"))
-    pf.write_lp("dome.lp", names, LAMPS)
+    textured(Path("cup"))
+    for name in ("dome.lp", "cup.lp"):
+        pf.write_lp(name, names, LAMPS)
     Path("brackets").mkdir()
     for number, exposure in enumerate(EXPOSURES, 1):
         pf.write_image(

@@ -1,5 +1,6 @@
 """`phongfit fit` with textures among the unknowns: files in, files out."""
 
+import dataclasses
 import json
 import warnings
 
@@ -8,6 +9,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.cli import main
+from phongfit.files.schema import ImageRecord
 from tests.fitting.test_texture_fit import NOISE, SHINY, SIZE, TRUE, painted, scenes
 from tests.helpers import known as present, near
 
@@ -26,30 +28,13 @@ def photographs(tmp_path_factory):
         light = np.asarray(pf.render(scene, SHINY))
         light = np.clip(light + NOISE * noise.normal(size=light.shape), 0, 1)
         pf.write_image(folder / f"{at}.png", light, "srgb", bits=16)
-    images = [
-        {"file": f"{at}.png", "lights": [at]} | _camera(scene.camera)
-        for at, scene in enumerate(views)
-    ]
+    images = [ImageRecord(file=f"{at}.png", lights=[at]) for at in range(len(views))]
     lights = [light for scene in views for light in scene.lights]
-    bare = pf.Scene(scenes()[0].surface, views[0].camera, lights, ambient=0.2)
-    pf.save_scene(folder, bare)
-    record = json.loads((folder / "scene.json").read_text())
-    record |= {"images": images, "encoding": "srgb", "bits": 16}
-    (folder / "scene.json").write_text(json.dumps(record))
+    bare = dataclasses.replace(scenes()[0], lights=lights)
+    film = pf.Film(encoding="srgb", bits=16)
+    cameras = [scene.camera for scene in views]
+    pf.save_scene(folder, bare, film=film, images=images, cameras=cameras)
     return folder
-
-
-def _camera(camera) -> dict[str, object]:
-    return {
-        "camera": {
-            "kind": "perspective",
-            "width": camera.width,
-            "height": camera.height,
-            "fov_y_degrees": float(camera.fov_y),
-            "position": np.asarray(camera.position).tolist(),
-            "rotation": np.asarray(camera.rotation).tolist(),
-        }
-    }
 
 
 def test_from_photographs_to_a_mesh_for_others(photographs, tmp_path, capsys):

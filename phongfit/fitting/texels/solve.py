@@ -1,11 +1,13 @@
 """Sparse symmetric systems of texels: solved, and the diagonal of their inverses."""
 
-from typing import NamedTuple
+import dataclasses
+import functools
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy import sparse
-from scipy.sparse.linalg import LinearOperator, cg
+from scipy.sparse.linalg import LinearOperator, SuperLU, cg, splu
 
 from phongfit.fitting.texels.sums import Grid
 
@@ -20,12 +22,32 @@ AT_ONCE = 16
 
 STEPS = 2000
 
+SYMMETRIC: dict[str, Any] = {
+    "permc_spec": "MMD_AT_PLUS_A",
+    "diag_pivot_thresh": 0.0,
+    "options": {"SymmetricMode": True},
+}
+"""Of SuperLU, for positive definite matrices."""
 
-class Preconditioned(NamedTuple):
+
+DIRECT = 150_000
+"""Unknowns up to which a matrix is factored, where steps of descent take too many."""
+
+PATIENCE = 150
+"""Steps of conjugate gradients that are tried before."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Preconditioned:
     """A positive definite matrix, scaled to a diagonal of 1, and by what."""
 
     matrix: sparse.csr_array
     scale: Float[np.ndarray, " n"]
+
+    @functools.cached_property
+    def factor(self) -> SuperLU:
+        """Of the whole matrix."""
+        return splu(sparse.csc_array(self.matrix), **SYMMETRIC)
 
     def solve(
         self,
@@ -33,7 +55,10 @@ class Preconditioned(NamedTuple):
         tolerance: float,
         free: Bool[np.ndarray, " n"] | None = None,
     ) -> Float[np.ndarray, "n k"]:
-        """The solution for k right-hand sides, by conjugate gradients.
+        """The solution for k right-hand sides.
+
+        By conjugate gradients, of which few steps do where photographs tell each texel
+        apart; where they do not, by factors, if there is room for them.
 
         **Arguments:** `free`: the others stay 0, as if they were known.
         """
@@ -49,10 +74,24 @@ class Preconditioned(NamedTuple):
 
         shape = (count * sides, count * sides)
         operator = LinearOperator(shape, matvec=apply, dtype=float)  # pyright: ignore
-        found, _ = cg(
-            operator, (scaled / length).ravel(), rtol=tolerance, maxiter=STEPS
-        )
-        return found.reshape(count, sides) * length * (self.scale * kept)[:, None]
+        direct = count <= DIRECT
+        whole = free is None or bool(free.all())
+        found, info = np.zeros(count * sides), 1
+        if not (whole and "factor" in self.__dict__):
+            start, steps = (scaled / length).ravel(), PATIENCE if direct else STEPS
+            found, info = cg(operator, start, rtol=tolerance, maxiter=steps)
+        found = found.reshape(count, sides) * length
+        if info and direct:
+            found = self._direct(scaled, None if whole else kept)
+        return found * (self.scale * kept)[:, None]
+
+    def _direct(self, scaled: np.ndarray, kept: np.ndarray | None) -> np.ndarray:
+        if kept is None:
+            return self.factor.solve(scaled)
+        mask = sparse.diags_array(kept)
+        # What is known has a row of its own.
+        matrix = mask @ self.matrix @ mask + sparse.diags_array(1 - kept)
+        return splu(sparse.csc_array(matrix), **SYMMETRIC).solve(scaled)
 
 
 def precondition(matrix: sparse.csr_array) -> Preconditioned:
