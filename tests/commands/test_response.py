@@ -80,6 +80,7 @@ def test_an_sRGB_camera_is_said_to_be_one(tmp_path, capsys):
 def test_a_fit_takes_the_curve(photographs, curve, tmp_path):
     out = tmp_path / "fit"
     words = ["fit", f"{photographs}", "--sphere", *CIRCLE, "--encoding", f"{curve}"]
+    words += ["--unknowns", "ambient", "diffuse"]
     assert main([*words, "-o", f"{out}", "--report", "none"]) == 0
     written = json.loads((out / "fit.json").read_text())
     assert written["film"] == "clamped, 8-bit response curve"
@@ -104,7 +105,7 @@ def test_a_data_set_keeps_the_curve(photographs, curve, tmp_path, capsys):
         pf.read_image(photographs / "1.png", CAMERA), abs=0.01
     )
     maps = ["maps", f"{photographs}", "--no-pictures", "-o", f"{tmp_path / 'm'}"]
-    assert main(maps) == 0
+    assert main([*maps, "--unknowns", "diffuse"]) == 0
     kept = json.loads((tmp_path / "m" / "maps.json").read_text())["encoding"]
     assert kept == written
     scene.unlink()

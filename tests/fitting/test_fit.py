@@ -304,14 +304,14 @@ def garbage(share: float, seed: int = 0) -> np.ndarray:
     return np.where(hit, rng.random(NOISY.shape), NOISY)
 
 
-@pytest.mark.parametrize("loss", ["huber", "soft_l1", "cauchy", "tukey"])
+# Those that forget garbage wholly are held by `test_robust`.
+@pytest.mark.parametrize("loss", ["huber", "soft_l1"])
 def test_robust_losses_bear_garbage(loss):
     image = garbage(0.2)
     fit = pf.fit(SCENE, image, loss=loss)
     assert fit.converged and fit.loss.lower() == loss.replace("_", "")
     off = np.abs(fit.values / as_vector(TRUTH) - 1)
-    limit = {"huber": 0.15, "soft_l1": 0.15, "cauchy": 0.06, "tukey": 0.06}[loss]
-    assert np.all(off < limit), dict(zip(fit.labels, off, strict=True))
+    assert np.all(off < 0.15), dict(zip(fit.labels, off, strict=True))
     assert fit.noise < 2 * NOISE
     # Without any, next to nothing is lost.
     plain, robust = pf.fit(SCENE, NOISY), pf.fit(SCENE, NOISY, loss=loss)

@@ -45,8 +45,12 @@ def shadow() -> np.ndarray:
 def test_what_is_not_of_the_model_hardly_moves_a_fit(spoil, loss, limit):
     clean = pf.fit(SCENE, NOISY, loss=loss)
     assert np.all(np.abs(clean.values - as_vector(TRUTH)) < 4.5 * clean.errors)
+    # Without any garbage, next to nothing is lost.
+    free = pf.fit(SCENE, NOISY)
+    assert np.all(np.abs(clean.errors / free.errors - 1) < 0.15)
     fit = pf.fit(SCENE, spoil(), loss=loss)
-    assert fit.converged
+    assert fit.converged and fit.loss.lower() == loss.replace("_", "")
+    assert fit.noise < 2 * 0.01
     moved = np.abs(fit.values / clean.values - 1)
     assert np.all(moved < limit), dict(zip(fit.labels, moved, strict=True))
     # Least squares are moved, so the test says something.
