@@ -10,8 +10,8 @@ Most of their time is compilation of what runs once, so XLA compiles in a hurry,
 at any time. Commands and experiments run as users run them.
 """
 
+import functools
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -104,14 +104,16 @@ def in_parts() -> list[tuple[str, list[str]]]:
 
 
 def precision(name: str) -> dict[str, str]:
-    """Environment of a part, whose compiled programs no other one writes meanwhile."""
+    """Environment of a part, which shares its compiled programs with its precision's.
+
+    Another part may look at one that is half written: it is compiled there, too.
+    """
     chosen = os.environ.get("JAX_COMPILATION_CACHE_DIR")
     folder = Path(chosen) if chosen else Path.home() / ".cache" / "phongfit" / "tests"
+    bits, *_ = name.split(",")
     return {
-        "JAX_ENABLE_X64": "1" if name.startswith("float64") else "0",
-        "JAX_COMPILATION_CACHE_DIR": str(
-            compiled(folder / "-".join(re.findall(r"\w+", name)))
-        ),
+        "JAX_ENABLE_X64": "1" if bits == "float64" else "0",
+        "JAX_COMPILATION_CACHE_DIR": str(compiled_before(folder / bits)),
         # Small ones too: there are thousands of them.
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
@@ -128,6 +130,10 @@ def compiled(folder: Path) -> Path:
     # Programs are run as they are found: nobody else may put any there.
     ours.mkdir(mode=0o700, parents=True, exist_ok=True)
     return ours
+
+
+# Once for the parts of a precision, the first of which may be at work.
+compiled_before = functools.cache(compiled)
 
 
 def quick_flags() -> str:

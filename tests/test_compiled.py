@@ -1,5 +1,7 @@
 """What a run of the tests leaves of compiled programs, and what it removes."""
 
+from pathlib import Path
+
 from tests import __main__ as runner
 
 
@@ -22,10 +24,16 @@ def test_too_many_go(tmp_path, monkeypatch):
     assert runner.compiled(tmp_path) == ours and not list(ours.iterdir())
 
 
-def test_runs_side_by_side_write_apart(tmp_path, monkeypatch):
+def test_precisions_write_apart_and_parts_of_one_together(tmp_path, monkeypatch):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
-    single, double = (
-        runner.precision(name)["JAX_COMPILATION_CACHE_DIR"]
-        for name in ("float32", "float64")
-    )
+
+    def folder(name):
+        return runner.precision(name)["JAX_COMPILATION_CACHE_DIR"]
+
+    single, double = folder("float32"), folder("float64")
     assert single != double and single.startswith(str(tmp_path))
+    # What the first part has compiled by then is not too much for the second.
+    Path(single, "jit_run").write_bytes(bytes(11))
+    monkeypatch.setattr(runner, "MOST", 10)
+    assert folder("float32, second part") == single
+    assert Path(single, "jit_run").exists()
