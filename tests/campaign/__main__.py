@@ -28,7 +28,7 @@ CHUNK = 500
 
 def load_kinds() -> dict[str, Kind]:
     """Every kind by the name of its module; what they call is imported once for all."""
-    for name in pf.__all__:
+    for name in dir(pf):
         getattr(pf, name)
     names = sorted(module.name for module in pkgutil.iter_modules(kinds.__path__))
     modules = {n: importlib.import_module(f"{kinds.__name__}.{n}") for n in names}
