@@ -14,7 +14,7 @@ from phongfit.files.calibrations import LightsRecord
 from phongfit.files.encodings import ResponseRecord
 from phongfit.files.fits import FitRecord
 from phongfit.files.materials import MaterialFile
-from phongfit.files.schema import SceneRecord
+from phongfit.files.schema import SceneRecord, TruthRecord
 from phongfit.maps.folder import MapsRecord
 
 FORMULA = re.compile(
@@ -27,6 +27,7 @@ FETCHED = "https://unpkg.com/iframe-worker/shim"
 
 SCHEMAS = {
     "scene": SceneRecord,
+    "truth": TruthRecord,
     "material": MaterialFile,
     "fit": FitRecord,
     "lights": LightsRecord,

@@ -1,6 +1,7 @@
 """The documentation: its code runs as it stands, and names all that is public."""
 
 import contextlib
+import json
 import re
 import shlex
 import shutil
@@ -74,6 +75,20 @@ def test_every_public_name_has_its_place():
     text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
     documented = set(re.findall(r"^::: phongfit\.(\w+)$", text, re.MULTILINE))
     assert documented == set(dir(pf)) - {"__version__"}
+
+
+def test_every_format_has_its_schema():
+    """Files that are records are shown as such; a prediction is written alone."""
+    sources = [
+        path.read_text(encoding="utf-8") for path in (ROOT / "phongfit").rglob("*.py")
+    ]
+    kinds = re.findall(r'format: Literal\["phongfit (\w+)"\]', "\n".join(sources))
+    text = (ROOT / "docs/reference/formats.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"{{ schema (\w+) }}", text)) == set(kinds)
+    kept = ROOT / "tests/data/records/prediction_version_1.json"
+    record = json.loads(kept.read_text(encoding="utf-8"))
+    part = text.partition("## A prediction")[2]
+    assert set(record) - {"format", "version"} <= set(re.findall(r"`(\w+)`", part))
 
 
 def test_every_page_is_in_the_table_of_contents():
