@@ -4,11 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from matplotlib.colors import LogNorm
 
 import phongfit as pf
 from phongfit.maps.result import MAP_PARAMETERS, Maps, ParameterMaps
 from phongfit.maps.textures import filled_in, texture_maps
-from phongfit.report.maps import draw_parameter
+from phongfit.report.maps import draw_flags, draw_parameter
 
 SIZE = (2, 3)
 # Of six pixels: two that identify all, a matte one, one that no light shows a highlight
@@ -92,3 +93,31 @@ def test_previews_leave_chance_out():
     figure = draw_parameter(made(), "specular")
     colours = np.asarray(figure.axes[0].images[0].get_array())
     assert np.all(colours[1, 0] == 0.85) and np.ptp(colours[0, :, 0]) > 0.1
+
+
+def test_exponents_are_drawn_in_a_logarithmic_scale():
+    figure = draw_parameter(made(), "shininess")
+    assert isinstance(figure.axes[0].images[0].norm, LogNorm)
+    assert "logarithmic" in figure.axes[0].get_title("left")
+
+
+def test_a_map_of_nothing_but_noise_is_not_brightened():
+    maps = made()
+    faint = np.full((*SIZE, 3), 1e-3)
+    for error, brightened in ((faint, False), (faint / 10, True)):
+        one = dataclasses.replace(
+            maps,
+            specular=faint,
+            stderr=maps.stderr._replace(specular=error),
+            flags=0 * FLAGS,
+        )
+        title = draw_parameter(one, "specular").axes[0].get_title("left")
+        assert ("brighter" in title) == brightened
+
+
+def test_flags_are_one_picture_with_a_legend():
+    (axes,) = draw_flags(made()).axes
+    legend = axes.get_legend()
+    words = [text.get_text() for text in legend.get_texts()]
+    assert words[0].startswith("identified, no flag") and len(words) > 1
+    assert len(axes.images) == 1
