@@ -118,6 +118,7 @@ def test_a_map_of_nothing_but_noise_is_not_brightened():
 def test_flags_are_one_picture_with_a_legend():
     (axes,) = draw_flags(made()).axes
     legend = axes.get_legend()
+    assert legend is not None
     words = [text.get_text() for text in legend.get_texts()]
     assert words[0].startswith("identified, no flag") and len(words) > 1
     assert len(axes.images) == 1
