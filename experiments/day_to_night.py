@@ -185,7 +185,7 @@ def find(small: bool) -> Finding:
     return Finding(
         answer,
         dataclasses.asdict(result),
-        draw(result, 64 if small else 256),
+        draw(result, 48 if small else 256),
         "A ball over a floor at eight hours of the day: in fog at dawn, under the high "
         "sun, in red light, under a street lamp; the mean light of the picture by "
         "source, hour by hour.",

@@ -195,7 +195,7 @@ def find(small: bool) -> Finding:
     return Finding(
         answer,
         dataclasses.asdict(result),
-        draw(result, 64 if small else 256),
+        draw(result, 48 if small else 256),
         "Balls with the highlights of a mirror, of Phong and of Blinn, under a lamp "
         "near the viewer and one far around; profiles of the four; the ratio of the "
         "exponents of Phong and Blinn, near a quarter for lamps near the viewer.",

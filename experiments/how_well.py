@@ -129,21 +129,21 @@ def clipped(shares: Sequence[float]) -> Sweep:
     return Sweep("clipping", "samples at white (%)", tuple(settings), log=False)
 
 
-def windows(places: Sequence[float]) -> Sweep:
+def windows(places: Sequence[float], size: int = 39) -> Sweep:
     """Close-ups that move off the highlight; x is the share of it that is seen."""
     settings = []
-    (whole,) = close_up(-0.2, 2.0)
+    (whole,) = close_up(-0.2, 2.0, size)
     for place in places:
-        scenes = close_up(place, 0.8)
+        scenes = close_up(place, 0.8, size)
         share = highlight_light(scenes[0]) / highlight_light(whole)
         settings.append(Setting(100 * share, scenes, material=SHARP))
     label = "share of the highlight that is seen (%)"
     return Sweep("highlight", label, tuple(settings), log=False)
 
 
-def close_up(x: float, view: float) -> tuple[pf.Scene, ...]:
-    """A window of the ball around (x, 0), `view` wide."""
-    size = round(39 * view / 0.8)
+def close_up(x: float, view: float, size: int) -> tuple[pf.Scene, ...]:
+    """A window of the ball around (x, 0), `view` wide; `size` pixels are 0.8."""
+    size = round(size * view / 0.8)
     camera = pf.OrthographicCamera(size, size, view_height=view, position=(x, 0.0, 5.0))
     # Its highlight is centred on x = −0.35.
     turn = 2 * np.arcsin(-0.35)
@@ -169,7 +169,8 @@ def sweeps(small: bool) -> list[Sweep]:
             lamps([1, 4]),
             resolutions([32, SIZE]),
             clipped([0.0, 0.3]),
-            windows([-0.1, 0.5]),
+            # Of one size with others, so that what is compiled serves them all.
+            windows([-0.1, 0.5], SIZE),
         ]
     return [
         noises([0.003, 0.01, 0.03, 0.1, 0.3]),

@@ -250,7 +250,7 @@ def find(small: bool) -> Finding:
     return Finding(
         answer,
         dataclasses.asdict(result) | {"off": result.off},
-        draw(result, 96 if small else 512),
+        draw(result, 64 if small else 512),
         "A ball over a floor under ambient, directional, point and spot light, with a "
         "shadow, and in fog; how light falls off from below each lamp; how fog takes "
         "contrast with depth.",
