@@ -95,12 +95,17 @@ def test_noise_free_under_a_light_of_each_kind(shininess):
     check_exact(scene, with_exponent(shininess))
 
 
-# The smaller number always; all of them with `-m slow`.
-MANY = pytest.mark.parametrize("count", [15, pytest.param(500, marks=pytest.mark.slow)])
+# Scenes whose lights and models are of four kinds, each of which is compiled: all three
+# lights, alone and mixed, and both models are among them.
+SEEDS = (2, 3, 4, 5, 6, 7, 8, 9, 10, 13, 15, 17, 18, 19, 20)
+# These always; all with `-m slow`.
+MANY = pytest.mark.parametrize(
+    "count", [len(SEEDS), pytest.param(500, marks=pytest.mark.slow)]
+)
 
 
 def random_fits(count: int, noise: float) -> Iterator[tuple[Case, np.ndarray, pf.Fit]]:
-    for seed in range(count):
+    for seed in SEEDS if count == len(SEEDS) else range(count):
         case = random_case(seed)
         image = photograph(
             case.scene, case.material, noise=noise, film=case.film, seed=1000 + seed
