@@ -34,6 +34,7 @@ from phongfit.files.gltf_records import (
     Item,
     Node,
     Primitive,
+    strangers,
 )
 from phongfit.files.inputs import inside, naming, read_bytes
 from phongfit.files.mtl_textures import Note
@@ -88,6 +89,7 @@ def unused(file: File, content: dict[str, Any]) -> list[str]:
     found: dict[str, None] = dict.fromkeys(
         f"its extension {name!r} is" for name in file.extensionsUsed if name not in READ
     )
+    found |= dict.fromkeys(f"its {stranger[:80]} is" for stranger in strangers(file))
     for name in ("animations", "skins", "cameras"):
         if content.get(name):
             found[f"its {name} are"] = None

@@ -1,5 +1,6 @@
 """The records of a glTF file's JSON part: what is needed here of each object."""
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -15,10 +16,36 @@ Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Vector4 = Annotated[list[float], Field(min_length=4, max_length=4)]
 
 
-class _Record(BaseModel):
-    """An object of the JSON part; what is not needed here is passed over."""
+SILENT = frozenset(
+    "name extras generator copyright minVersion mimeType min max normalized target "
+    "minFilter alphaCutoff animations skins skin cameras camera targets weights".split()
+)
+"""Keys that change nothing here, or of which something else speaks."""
+USUAL = {"alphaMode": "OPAQUE", "doubleSided": False}
+"""Keys that change nothing where they have this value."""
 
-    model_config = ConfigDict(extra="ignore", allow_inf_nan=False, defer_build=True)
+
+class _Record(BaseModel):
+    """An object of the JSON part; what has no place here is kept aside, to be named."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False, defer_build=True)
+
+
+def strangers(record: BaseModel) -> Iterator[str]:
+    """What stands in a file and has no place in its records, with what it is of."""
+    kind = type(record).__name__.removeprefix("Gltf").strip("_").lower()
+    for key, value in (record.model_extra or {}).items():
+        if isinstance(record, Extensions):
+            yield f"extension {key!r}"
+        elif key == "extensions" and isinstance(value, dict):
+            yield from (f"extension {name!r}" for name in value)
+        elif key not in SILENT and USUAL.get(key) != value:
+            yield f"{kind}'s {key}" if kind != "file" else key
+    for name in type(record).model_fields:
+        value = getattr(record, name)
+        for one in value if isinstance(value, list) else [value]:
+            if isinstance(one, BaseModel):
+                yield from strangers(one)
 
 
 class _Asset(_Record):
@@ -108,7 +135,7 @@ class Specular(_Record):
     specularColorTexture: TextureInfo | None = None
 
 
-class _Extensions(_Record):
+class Extensions(_Record):
     KHR_materials_specular: Specular | None = None
 
 
@@ -118,7 +145,7 @@ class GltfMaterial(_Record):
     normalTexture: TextureInfo | None = None
     emissiveFactor: Vector3 | None = None
     emissiveTexture: TextureInfo | None = None
-    extensions: _Extensions = _Extensions()
+    extensions: Extensions = Extensions()
     extras: Any = None
 
 

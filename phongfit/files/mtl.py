@@ -25,10 +25,17 @@ FORMAT = ".mtl"
 MOST = 10_000
 """Materials in a file."""
 
+MOST_UNUSED = 20
+"""Warnings of keys that have no place here."""
+
 FEW = 5
 """Warnings of one sort: more say no more."""
 
 COLOURS = {"Ka": "ambient", "Kd": "diffuse", "Ks": "specular", "Ke": "emission"}
+USUAL = {"d": 1, "Tr": 0, "Tf": 1}
+"""Of what is opaque: keys that change nothing where they have this value."""
+SILENT = ("", "Ni", "sharpness")
+"""Of refraction, and of a reflection map: keys that change nothing by themselves."""
 TEXTURES = ("map_", "bump", "disp", "decal", "refl", "norm")
 
 
@@ -41,24 +48,39 @@ class TextureLine(NamedTuple):
     words: list[str]
 
 
+class Library(NamedTuple):
+    """What a `.mtl` says.
+
+    - `materials`: the numbers of each by their keys.
+    - `textures`: lines that name one.
+    - `unused`: what has no place here, in words, once each.
+    """
+
+    materials: dict[str, dict[str, Any]]
+    textures: list[TextureLine]
+    unused: list[str]
+
+
 @checked
 def read_mtl(path: str | os.PathLike[str]) -> dict[str, Material]:
     """The materials of a `.mtl` file by their names, in the file's order.
 
     Ka, Kd, Ks, Ke and Ns are read; what a material leaves out is the default of
     [`Material`][]. With `illum 0` the colour Kd is shown as it is, and with `illum 1`
-    there is no highlight. Transparency and refraction are no part of the model and are
-    passed over. So are textures, with a warning that says whether the file is there:
+    there is no highlight. What else the file says, such as transparency, is named in a
+    warning. So are textures, with a warning that says whether the file is there:
     [`load_mesh`][] reads them, with the mesh that they lie on.
 
     **Raises:** `ValueError` that names the file and the line.
     """
     path = Path(path)
-    found, textures = parse_mtl(path)
+    found, textures, unused = parse_mtl(path)
     materials = {}
     for name, fields in found.items():
         with naming(f"{path}: material {name!r}"):
             materials[name] = as_material(fields)
+    for words in unused:
+        warn("part-unused", f"{path}: {words}", stacklevel=2)
     for line in textures[:FEW]:
         told = f"line {line.number}: {_of_texture(path, line.material, line.words)}"
         told = f"{path}: {told}: the material has one colour"
@@ -69,13 +91,14 @@ def read_mtl(path: str | os.PathLike[str]) -> dict[str, Material]:
     return materials
 
 
-def parse_mtl(path: Path) -> tuple[dict[str, dict[str, Any]], list[TextureLine]]:
-    """What a `.mtl` says: numbers of each material by their keys, and texture lines.
+def parse_mtl(path: Path) -> Library:
+    """What a `.mtl` says.
 
     **Raises:** `ValueError` that names the file and the line.
     """
     found: dict[str, dict[str, Any]] = {}
     textures: list[TextureLine] = []
+    unused: dict[str, str] = {}
     name = None
     for number, line in enumerate(io.StringIO(read_text(path)), start=1):
         key, *words = line.split("#", 1)[0].split() or [""]
@@ -91,9 +114,24 @@ def parse_mtl(path: Path) -> tuple[dict[str, dict[str, Any]], list[TextureLine]]
                 if name is None:
                     raise ValueError(f"{key}: came before the first newmtl")
                 found[name][key] = _numbers(key, words)
+                if key == "illum" and found[name][key] > 2:
+                    shown = " ".join(words)[:20]
+                    told = f"illum {shown}, of mirrors and glass, is taken as 2"
+                    unused.setdefault(key, f"line {number}: {told}")
             elif key.lower().startswith(TEXTURES):
                 textures.append(TextureLine(number, name, key, words))
-    return found, textures
+            elif key not in SILENT and not _is_usual(key, words):
+                told = f"line {number}: {key[:20]} is not used"
+                if len(unused) < MOST_UNUSED:
+                    unused.setdefault(key, told)
+    return Library(found, textures, list(unused.values()))
+
+
+def _is_usual(key: str, words: list[str]) -> bool:
+    try:
+        return key in USUAL and {float(word) for word in words} == {USUAL[key]}
+    except ValueError:
+        return False
 
 
 def _numbers(key: str, words: list[str]) -> Any:

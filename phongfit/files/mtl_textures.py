@@ -77,7 +77,9 @@ def read_textured(path: Path, note: Note) -> dict[str, Shaded]:
 
     **Raises:** `ValueError` that names the file and the line.
     """
-    found, lines = parse_mtl(path)
+    found, lines, unused = parse_mtl(path)
+    for words in unused:
+        note(f"{path}: {words}")
     opened: dict[tuple[Path, str], np.ndarray] = {}
     textures: dict[str, dict[str, Texture]] = {name: {} for name in found}
     for line in lines:

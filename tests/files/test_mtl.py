@@ -45,7 +45,7 @@ def test_illumination_models(tmp_path):
     lines = "Ka 0.1 0.1 0.1\nKd 0.5 0.6 0.7\nKs 1 1 1\n"
     constant, matte, shiny = (
         read(tmp_path, f"newmtl a\n{lines}illum {number}\n")["a"]
-        for number in (0, 1, 7)
+        for number in (0, 1, 2)
     )
     near(constant.emission, (0.5, 0.6, 0.7))
     near(constant.diffuse, 0)
@@ -155,3 +155,20 @@ def test_maps_have_no_place(tmp_path):
         ValueError, match="^a: diffuse: expected one material, got shape"
     ):
         pf.write_mtl(tmp_path / "out.mtl", {"a": pf.Material(np.zeros((4, 5, 3)))})
+
+
+def test_every_key_that_has_no_place_is_named_once(tmp_path):
+    path = tmp_path / "a.mtl"
+    usual = "Ni 1.45\nd 1.0\nTr 0\nTf 1 1 1\nillum 2\n"
+    path.write_text(f"newmtl a\nKd 1 1 1\n{usual}")
+    assert list(pf.read_mtl(path)) == ["a"]
+    path.write_text("newmtl a\nd 0.5\nPm 1\nshine 3\nnewmtl b\nd 0.1\nillum 5\n")
+    with pytest.warns(UserWarning) as said:
+        pf.read_mtl(path)
+    words = [str(one.message).partition(".mtl: ")[2] for one in said]
+    assert [one.partition(". ")[0] for one in words] == [
+        "line 2: d is not used",
+        "line 3: Pm is not used",
+        "line 4: shine is not used",
+        "line 7: illum 5, of mirrors and glass, is taken as 2",
+    ]

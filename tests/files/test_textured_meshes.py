@@ -215,11 +215,15 @@ def test_what_of_a_gltf_is_not_used_is_named(tmp_path):
             "metallicFactor": 1.0,
         },
         "emissiveTexture": {"index": 0, "texCoord": 1},
+        "alphaMode": "BLEND",
+        "doubleSided": False,
+        "extensions": {"KHR_materials_sheen": {}},
     }
     path = gltf(
         tmp_path,
         material,
         {"clear": clear},
+        odd=1,
         extensionsUsed=["KHR_materials_clearcoat", "KHR_texture_transform"],
         skins=[{"joints": [0]}],
         samplers=[{"wrapS": 33648}],
@@ -243,6 +247,9 @@ def test_what_of_a_gltf_is_not_used_is_named(tmp_path):
         "material 'glass': its emissiveTexture has another set of uv, and is not used",
         "its extension 'KHR_materials_clearcoat' is not used",
         "its extension 'KHR_texture_transform' is not used",
+        "its odd is not used",
+        "its material's alphaMode is not used",
+        "its extension 'KHR_materials_sheen' is not used",
         "its skins are not used",
         "its vertices' COLOR_0 are not used",
     ]

@@ -76,11 +76,11 @@ def see(
     uv = gbuffer.uv.reshape(-1, 2)[chosen]
     index, share = texels(uv, (grid.rows, grid.columns), filter, grid.wrap)
     material = pixels.material_index()
-    of = np.zeros(size, int) if material is None else np.asarray(material)
-    own = of.ravel()[place]
-    number = np.asarray(index)
+    of = np.zeros(size, np.int32) if material is None else np.asarray(material)
+    own = of.ravel()[place].astype(np.int32, copy=False)
+    number = np.asarray(index, np.int32)
     if grid.layers > 1:
-        number = number + (own * grid.rows * grid.columns)[:, None]
+        number = number + (own * np.int32(grid.rows * grid.columns))[:, None]
     image = photograph.image
     image = np.maximum(image, 0) if film.clamp else image
     return LitImage(

@@ -17,8 +17,8 @@ EXACT = 2000
 SPACING = 8
 """Texels between those that are probed at once; further away they hardly covary."""
 
-AT_ONCE = 16
-"""Right-hand sides that are solved for together."""
+AT_ONCE, ROOM = 16, 4_000_000
+"""Right-hand sides that are solved for together, and numbers in them, at the most."""
 
 STEPS = 2000
 
@@ -123,8 +123,9 @@ def inverse_diagonal(
     colour = np.concatenate([colour + p * SPACING**2 for p in range(parameters)])
     sign = np.random.default_rng(0).choice([-1.0, 1.0], count)
     found = np.zeros(count)
-    for start in range(0, parameters * SPACING**2, AT_ONCE):
-        probed = colour[:, None] == start + np.arange(AT_ONCE)
+    together = int(np.clip(ROOM // count, 1, AT_ONCE))
+    for start in range(0, parameters * SPACING**2, together):
+        probed = colour[:, None] == start + np.arange(together)
         # Scaled, the solution's own entry is the variance over that of one alone.
         probes = np.where(probed, (sign / system.scale)[:, None], 0)
         solved = system.solve(probes, tolerance)
