@@ -10,6 +10,7 @@ import contextlib
 import dataclasses
 import itertools
 import os
+import resource
 import shutil
 import signal
 import tempfile
@@ -137,14 +138,17 @@ def killing(client: Any, every: float) -> Iterator[list[int]]:
         thread.join(every + 60)
 
 
+def peak_memory() -> int:
+    """The most bytes that this process has had in memory."""
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
 def same(a: Path, b: Path) -> bool:
     """Whether two stores hold the same maps, bit for bit."""
     one, other = open_group(a), open_group(b)
     names: Any = one.attrs["arrays"]
-    return all(
-        writable(one, name)[...].tobytes() == writable(other, name)[...].tobytes()
-        for name in names
-    )
+    pairs = ((writable(group, name) for group in (one, other)) for name in names)
+    return all(np.asarray(a).tobytes() == np.asarray(b).tobytes() for a, b in pairs)
 
 
 def size_of(path: Path) -> int:
@@ -218,6 +222,7 @@ def measure(folder: Path, small: bool) -> dict[str, Any]:
             before = time.process_time()
             seconds[workers] = timed(client, stack, output)
             spent = time.process_time() - before
+            most = max(client.run(peak_memory).values())
     whole = output
     pixels = grid[0] * grid[1] * SIDE**2
     numbers["scaling"] = {
@@ -227,6 +232,7 @@ def measure(folder: Path, small: bool) -> dict[str, Any]:
         "pixels_per_worker_second": pixels / seconds[1],
         "bytes_read_per_pixel": size_of(stack) / pixels,
         "bytes_written_per_pixel": size_of(whole) / pixels,
+        "peak_memory_of_a_worker": most,
         "scheduler_cpu_seconds_per_block": spent / (grid[0] * grid[1]),
     }
     console.print("four, one killed every ten seconds …")
@@ -287,6 +293,8 @@ def show(numbers: dict[str, Any]) -> None:
         table.add_row(
             f"bytes {what} per pixel", f"{scaling[f'bytes_{what}_per_pixel']:.0f}", ""
         )
+    memory = scaling["peak_memory_of_a_worker"]
+    table.add_row("most memory of a worker, MB", f"{memory / 1e6:.0f}", "")
     share = scaling["scheduler_cpu_seconds_per_block"]
     table.add_row("scheduler and client, CPU ms a block", f"{1e3 * share:.0f}", "")
     idle = numbers["scheduling"]["seconds_per_block"]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from phongfit.checks import untraced
-from phongfit.edge import checked
+from phongfit.edge import checked, shown
 from phongfit.files.outputs import alone_in
 from phongfit.files.zarrs import (
     address,
@@ -95,6 +95,7 @@ def fit_stored_maps(
     stack = images if isinstance(images, ZarrStack) else ZarrStack(images)
     output = address(output)
     client = _current() if client is None else client
+    _check_client(client)
     with contextlib.ExitStack() as alone:
         if not is_remote(output):
             output = os.path.abspath(output)
@@ -126,6 +127,18 @@ def _current() -> "distributed.Client | None":
         return distributed.get_client()
     except ValueError:
         return None
+
+
+def _check_client(client: Any) -> None:
+    if client is None:
+        return
+    require("distributed")
+    import distributed
+
+    if not isinstance(client, distributed.Client) or client.asynchronous:
+        raise ValueError(
+            f"client: expected a Client of Dask's that waits, got {shown(client)}"
+        )
 
 
 def _spread(

@@ -79,7 +79,9 @@ def fit_maps(
         and fog.
     - `images`: (L, H, W, 3) or a sequence of (H, W, 3), linear light as floats where
         white is 1, in memory or memory-mapped, or an [`AbstractStack`][] such as
-        [`PhotographStack`][], which reads files, or [`DatasetStack`][].
+        [`PhotographStack`][], which reads files, [`DatasetStack`][] or [`ZarrStack`][].
+        From zarr to zarr, and on a cluster, maps need not fit into memory either: see
+        [`fit_stored_maps`][].
     - `unknowns`: parameters to be found. Where no ambient light falls, `ambient` is
         not. A specular model's own numbers are held.
     - `per_channel`: parameters with a number for each of red, green and blue. The

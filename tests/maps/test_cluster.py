@@ -253,12 +253,41 @@ def test_workers_one_of_which_is_killed(client, maps, images, tmp_path):
     same(stored.load(), maps)
 
 
+def test_a_scheduler_that_is_gone(maps, images, tmp_path, counted):
+    """One line that says so; what was finished is not fitted again."""
+    from distributed import Client, LocalCluster
+
+    out = tmp_path / "maps.zarr"
+    options: Any = {"block": SIZE, "progress": False} | QUICK
+    cluster = LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    )
+    with Client(cluster, set_as_default=False) as client:
+
+        def end():
+            while len(counted) < 3:
+                time.sleep(0.01)
+            cluster.close()
+
+        thread = threading.Thread(target=end, daemon=True)
+        thread.start()
+        with pytest.raises(OSError, match="client: the cluster is gone; finished"):
+            fit_stored_maps(STACK.scenes, images, out, client=client, **options)
+        thread.join()
+    # The last that was begun may have been finished, or not.
+    begun = len(counted)
+    assert 2 < begun < 9
+    same(fit_stored_maps(STACK.scenes, images, out, **options).load(), maps)
+    assert 9 <= len(counted) <= 10
+
+
 @pytest.fixture
 def bucket(client, monkeypatch):
     """An object store that speaks as S3 does, on this machine."""
     server = pytest.importorskip("moto.server")
     pytest.importorskip("s3fs")
     import fsspec
+    from fsspec import config
 
     running = server.ThreadedMotoServer(port=0, verbose=False)
     running.start()
@@ -268,9 +297,9 @@ def bucket(client, monkeypatch):
     }
 
     def tell(settings):
-        fsspec.config.conf.update(settings)
+        config.conf.update(settings)
 
-    monkeypatch.setattr(fsspec.config, "conf", settings)
+    monkeypatch.setattr(config, "conf", settings)
     client.run(tell, settings)
     fsspec.filesystem("s3").mkdir("coins")
     yield "s3://coins"
