@@ -276,7 +276,7 @@ class ZarrStack(AbstractStack):
     def read(
         self, window: Window, size: tuple[int, int]
     ) -> Float[np.ndarray, "images height width 3"]:
-        """Linear light of a rectangle of all images: see [`read_window`][]."""
+        """Linear light of rows and columns of all images, padded to `size` with 0."""
         numbers = read_window(self.array, window, size, first=1)
         if numbers.dtype.kind == "f":
             light = numbers.astype(_float_type(), copy=False)
