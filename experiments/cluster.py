@@ -34,8 +34,8 @@ from phongfit.maps import cluster
 from phongfit.maps.blocks import Place, fit_block
 
 LIGHTS = 24
-SIDE = 384
-"""Pixels of a shard's side: 24 images of it are 42 MB of light."""
+SIDE, SMALL = 384, 192
+"""Pixels of a shard's side: 24 images of 384² are 42 MB of light."""
 
 NOISE = 0.005
 
@@ -53,16 +53,17 @@ def make_shard(path: str, number: int) -> None:
     """Render one shard of a stack: materials differ from pixel to pixel."""
     array: Any = writable(open_group(path, "r+"), "images")
     _, height, width, _ = array.shape
-    columns = width // SIDE
-    top, left = SIDE * (number // columns), SIDE * (number % columns)
+    side = array.chunks[1]
+    columns = width // side
+    top, left = side * (number // columns), side * (number % columns)
     rng = np.random.default_rng(number)
     material = pf.Material(
-        diffuse=rng.uniform(0.2, 0.5, (SIDE, SIDE, 3)),
-        specular=rng.uniform(0.2, 0.4, (SIDE, SIDE, 3)),
-        shininess=rng.uniform(8, 40, (SIDE, SIDE, 1)),
+        diffuse=rng.uniform(0.2, 0.5, (side, side, 3)),
+        specular=rng.uniform(0.2, 0.4, (side, side, 3)),
+        shininess=rng.uniform(8, 40, (side, side, 1)),
     )
     whole = scenes(height, width)
-    camera = WindowCamera(whole[0].camera, left, top, SIDE, SIDE)
+    camera = WindowCamera(whole[0].camera, left, top, side, side)
     film = pf.Film(clamp=False)
     gbuffer = pf.trace(whole[0].surface, camera)
     images = [
@@ -74,18 +75,18 @@ def make_shard(path: str, number: int) -> None:
         )
         for scene in whole
     ]
-    light = np.stack(images) + NOISE * rng.normal(size=(LIGHTS, SIDE, SIDE, 3))
+    light = np.stack(images) + NOISE * rng.normal(size=(LIGHTS, side, side, 3))
     numbers = np.round(np.clip(light, 0, 1) * 65535).astype(np.uint16)
-    rows, along = slice(top, top + SIDE), slice(left, left + SIDE)
+    rows, along = slice(top, top + side), slice(left, left + side)
     write_window(array, (slice(None), rows, along), numbers)
 
 
-def make_stack(client: Any, folder: Path, rows: int, columns: int) -> Path:
+def make_stack(client: Any, folder: Path, rows: int, columns: int, side: int) -> Path:
     """A stack of so many shards, which the workers render."""
     path = folder / f"{rows}x{columns}.zarr"
-    shape = (LIGHTS, rows * SIDE, columns * SIDE, 3)
+    shape = (LIGHTS, rows * side, columns * side, 3)
     group = open_group(path, "a")
-    make_array(group, "images", shape, "uint16", (LIGHTS, SIDE, SIDE, 3))
+    make_array(group, "images", shape, "uint16", (LIGHTS, side, side, 3))
     made = client.map(make_shard, [str(path)] * (rows * columns), range(rows * columns))
     client.gather(made)
     return path
@@ -109,8 +110,15 @@ def timed(client: Any, stack: Path, output: Path) -> float:
     _, height, width = images.shape
     output.with_suffix(".begun").mkdir()
     start = time.perf_counter()
+    # A block for each shard, which small ones would share otherwise.
+    block = (images.array.chunks[1],) * 2
     pf.fit_stored_maps(
-        scenes(height, width), images, output, client=client, progress=False
+        scenes(height, width),
+        images,
+        output,
+        client=client,
+        block=block,
+        progress=False,
     )
     return time.perf_counter() - start
 
@@ -141,6 +149,11 @@ def killing(client: Any, every: float) -> Iterator[list[int]]:
 def peak_memory() -> int:
     """The most bytes that this process has had in memory."""
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def work_of(client: Any) -> float:
+    """The processor's seconds that workers have spent, all together."""
+    return sum(client.run(time.process_time).values())
 
 
 def same(a: Path, b: Path) -> bool:
@@ -209,25 +222,28 @@ def measure(folder: Path, small: bool) -> dict[str, Any]:
     console = Console(stderr=True)
     fresh = (folder / f"maps{k}.zarr" for k in itertools.count())
     numbers: dict[str, Any] = {"small": small, "lights": LIGHTS}
-    grid = (3, 4) if small else (6, 8)
+    grid, side = ((3, 4), SMALL) if small else ((6, 8), SIDE)
     seconds: dict[int, float] = {}
+    work: dict[int, float] = {}
     for workers in (1, 2):
         console.print(f"{workers} of one core …")
         with cluster.dask_client(f"local:{workers}") as client:
             stack = folder / f"{grid[0]}x{grid[1]}.zarr"
             if not stack.exists():
-                make_stack(client, folder, *grid)
-            warm(client, folder, next(fresh))
+                make_stack(client, folder, *grid, side)
+            warm(client, folder, next(fresh), side)
             output = next(fresh)
-            before = time.process_time()
+            before, computed = time.process_time(), work_of(client)
             seconds[workers] = timed(client, stack, output)
             spent = time.process_time() - before
+            work[workers] = work_of(client) - computed
             most = max(client.run(peak_memory).values())
     whole = output
-    pixels = grid[0] * grid[1] * SIDE**2
+    pixels = grid[0] * grid[1] * side**2
     numbers["scaling"] = {
         "pixels": pixels,
         "seconds": seconds,
+        "cpu_seconds": work,
         "ratio": seconds[1] / seconds[2],
         "pixels_per_worker_second": pixels / seconds[1],
         "bytes_read_per_pixel": size_of(stack) / pixels,
@@ -255,13 +271,13 @@ def measure(folder: Path, small: bool) -> dict[str, Any]:
     sizes = [(1, 2), (2, 4)] if small else [(2, 4), (6, 11), (21, 33)]
     numbers["sizes"] = []
     with cluster.dask_client("local:2") as client:
-        warm(client, folder, next(fresh))
+        warm(client, folder, next(fresh), side)
         for size in sizes:
-            console.print(f"{size[0] * size[1] * SIDE**2 / 1e6:.1f} megapixels …")
-            stack = make_stack(client, folder, *size)
+            console.print(f"{size[0] * size[1] * side**2 / 1e6:.1f} megapixels …")
+            stack = make_stack(client, folder, *size, side)
             output = next(fresh)
             taken = timed(client, stack, output)
-            pixels = size[0] * size[1] * SIDE**2
+            pixels = size[0] * size[1] * side**2
             row = {"megapixels": pixels / 1e6, "microseconds": 1e6 * taken / pixels}
             numbers["sizes"].append(row)
             for path in (stack, output):
@@ -269,11 +285,11 @@ def measure(folder: Path, small: bool) -> dict[str, Any]:
     return numbers
 
 
-def warm(client: Any, folder: Path, output: Path) -> None:
+def warm(client: Any, folder: Path, output: Path, side: int) -> None:
     """Let every worker compile before time is taken."""
     stack = folder / "1x4.zarr"
     if not stack.exists():
-        make_stack(client, folder, 1, 4)
+        make_stack(client, folder, 1, 4, side)
     timed(client, stack, output)
 
 
@@ -287,6 +303,10 @@ def show(numbers: dict[str, Any]) -> None:
         f"{scaling['ratio']:.2f}× ({one:.1f} s, {two:.1f} s)",
         "≥ 1.8×",
     )
+    one, two = scaling["cpu_seconds"][1], scaling["cpu_seconds"][2]
+    table.add_row("their CPU seconds", f"{one:.1f}, {two:.1f}", "the same")
+    rate = scaling["pixels"] / one
+    table.add_row("pixels a CPU second", f"{rate:,.0f}", "")
     rate = scaling["pixels_per_worker_second"]
     table.add_row("pixels a second and worker", f"{rate:,.0f}", "")
     for what in ("read", "written"):
