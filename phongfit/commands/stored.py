@@ -10,6 +10,7 @@ import numpy as np
 from phongfit.commands.data import DataOptions
 from phongfit.commands.keeping import keeping
 from phongfit.commands.progress import stage
+from phongfit.files.budget import afford
 from phongfit.files.capture_data import (
     calibration_of,
     facing,
@@ -19,7 +20,7 @@ from phongfit.files.capture_data import (
 )
 from phongfit.files.encodings import parse_encoding
 from phongfit.files.fits import DataRecord, DataSettings
-from phongfit.files.inputs import recording
+from phongfit.files.inputs import naming, recording
 from phongfit.files.lp import LightList, base_name, read_lp
 from phongfit.files.outputs import OVERWRITE, replacing_folder
 from phongfit.files.scenes import SCENE_FILE, load_views
@@ -44,6 +45,10 @@ from phongfit.scene import Scene
 
 if TYPE_CHECKING:
     from phongfit.commands.maps import Options
+
+
+PIXEL = 110
+"""Bytes that the maps of a pixel take in memory."""
 
 
 class _Input(NamedTuple):
@@ -78,13 +83,16 @@ def main(options: "Options") -> int:
             _erase(address(out))
         print(_fit(options, read, given, address(out)), flush=True)
         return 0
+    _, height, width = read.stack.shape
+    with naming("out"):
+        # Before what takes long: a store would not need it.
+        afford(PIXEL * height * width, f"a folder of maps of {height} × {width} pixels")
     if not options.overwrite and (out / RECORD_FILE).exists():
         raise OSError(f"{out}: there are maps in it; {OVERWRITE}")
     with replacing_folder(out, command.replaceable(options)) as folder:
         tiles = str(out / command.TILES / "maps.zarr")
         found = _fit(options, read, given, tiles).load()
-        settings = given | {"loss": given["loss"]}
-        command.save(folder, found, read.scenes[0], read.film, read.record, settings)
+        command.save(folder, found, read.scenes[0], read.film, read.record, given)
         with keeping(out, folder) as kept:
             print(found, flush=True)
             if options.pictures:

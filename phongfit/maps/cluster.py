@@ -6,6 +6,7 @@ memory: workers, scheduler and this process may die at any moment.
 """
 
 import contextlib
+import importlib.util
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -269,5 +270,7 @@ def _local(count: int) -> "Iterator[distributed.Client]":
 
 def dashboard(client: "distributed.Client") -> str | None:
     """The address of Dask's own page, where it runs."""
+    if client.cluster is not None and importlib.util.find_spec("bokeh") is None:
+        return None
     services = client.scheduler_info().get("services", {})
     return client.dashboard_link if "dashboard" in services else None
