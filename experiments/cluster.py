@@ -111,13 +111,13 @@ def timed(client: Any, stack: Path, output: Path) -> float:
     output.with_suffix(".begun").mkdir()
     start = time.perf_counter()
     # A block for each shard, which small ones would share otherwise.
-    block = (images.array.chunks[1],) * 2
+    _, *block, _ = images.array.chunks
     pf.fit_stored_maps(
         scenes(height, width),
         images,
         output,
         client=client,
-        block=block,
+        block=(block[0], block[1]),
         progress=False,
     )
     return time.perf_counter() - start
@@ -237,7 +237,8 @@ def measure(folder: Path, small: bool) -> dict[str, Any]:
             seconds[workers] = timed(client, stack, output)
             spent = time.process_time() - before
             work[workers] = work_of(client) - computed
-            most = max(client.run(peak_memory).values())
+            peaks: Any = client.run(peak_memory)
+            most = max(peaks.values())
     whole = output
     pixels = grid[0] * grid[1] * side**2
     numbers["scaling"] = {

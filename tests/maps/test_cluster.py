@@ -259,9 +259,8 @@ def test_a_scheduler_that_is_gone(maps, images, tmp_path, counted):
 
     out = tmp_path / "maps.zarr"
     options: Any = {"block": SIZE, "progress": False} | QUICK
-    cluster = LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
-    )
+    alone: Any = {"processes": False, "dashboard_address": None}
+    cluster = LocalCluster(n_workers=1, threads_per_worker=1, **alone)
     with Client(cluster, set_as_default=False) as client:
 
         def end():
