@@ -190,12 +190,15 @@ class Options:
 
     Args:
         small: Less of everything, for a first look.
+        every: Seconds between two deaths of workers. A worker takes some to start: on a
+            machine that is not quiet none would live to finish a block.
         folder: Where the stacks are made, tens of gigabytes for 100 megapixels; they
             are removed in the end. Default: that of temporary files.
         json: File for the numbers.
     """
 
     small: bool = False
+    every: float = 10.0
     folder: Path | None = None
     json: JsonFile = None
 
@@ -210,14 +213,14 @@ def main(options: Options) -> int:
     # The blocks that workers are given leave marks of theirs.
     cluster.fit_block = counted_block  # pyright: ignore
     with tempfile.TemporaryDirectory(dir=options.folder) as name:
-        numbers = measure(Path(name), options.small)
+        numbers = measure(Path(name), options.small, options.every)
     cluster.fit_block = fit_block
     show(numbers)
     save_numbers(options.json, numbers)
     return 0 if numbers["deaths"]["same_bits"] else 1
 
 
-def measure(folder: Path, small: bool) -> dict[str, Any]:
+def measure(folder: Path, small: bool, every: float) -> dict[str, Any]:
     """All numbers of the page."""
     console = Console(stderr=True)
     fresh = (folder / f"maps{k}.zarr" for k in itertools.count())
@@ -252,14 +255,16 @@ def measure(folder: Path, small: bool) -> dict[str, Any]:
         "peak_memory_of_a_worker": most,
         "scheduler_cpu_seconds_per_block": spent / (grid[0] * grid[1]),
     }
-    console.print("four, one killed every ten seconds …")
+    console.print(numbers["scaling"])
+    console.print(f"four, one killed every {every:g} seconds …")
     with cluster.dask_client("local:4") as client:
         output = next(fresh)
-        with killing(client, 10.0) as killed:
+        with killing(client, every) as killed:
             taken = timed(client, stack, output)
         blocks = grid[0] * grid[1]
         numbers["deaths"] = {
             "killed": len(killed),
+            "every": every,
             "seconds": taken,
             "blocks": blocks,
             "begun": begun(output.with_suffix(".begun")),
@@ -269,6 +274,7 @@ def measure(folder: Path, small: bool) -> dict[str, Any]:
         cluster.fit_block = nothing  # pyright: ignore
         numbers["scheduling"] = {"seconds_per_block": overhead(client, 200)}
         cluster.fit_block = counted_block  # pyright: ignore
+    console.print(numbers["deaths"], numbers["scheduling"])
     sizes = [(1, 2), (2, 4)] if small else [(2, 4), (6, 11), (21, 33)]
     numbers["sizes"] = []
     with cluster.dask_client("local:2") as client:
@@ -321,7 +327,7 @@ def show(numbers: dict[str, Any]) -> None:
     idle = numbers["scheduling"]["seconds_per_block"]
     table.add_row("a block without work, ms", f"{1e3 * idle:.1f}", "")
     table.add_row(
-        f"work with {deaths['killed']} workers killed",
+        f"work, one killed every {deaths['every']:g} s ({deaths['killed']} in all)",
         f"{deaths['work']:.2f}× ({deaths['begun']} of {deaths['blocks']} blocks begun)",
         "≤ 1.3×",
     )
