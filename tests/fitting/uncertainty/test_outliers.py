@@ -6,7 +6,8 @@ import pytest
 import phongfit as pf
 from tests.fitting.scenes import TRUTH, ball, photograph
 
-SIZE = 32
+# As in `test_rejected`, whose losses are compiled by then.
+SIZE = 64
 SCENE = ball(size=SIZE)
 NOISY = photograph(SCENE, TRUTH, noise=0.01)
 
