@@ -42,7 +42,7 @@ def _close(*args, **kwargs):
     "args, place, kept",
     [
         (FIT, "phongfit.commands.fit._draw", "fit.json"),
-        (MAPS, "phongfit.commands.maps._draw", "maps.npz"),
+        (MAPS, "phongfit.commands.maps.draw", "maps.npz"),
     ],
 )
 def test_a_result_outlives_its_pictures(

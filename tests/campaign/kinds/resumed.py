@@ -167,7 +167,7 @@ def prepare(stock: Path) -> None:
         command(*COMMAND, "-o", "maps")
         # Stopped when all tiles are there, and what is made of them is not.
         stop = OSError("stopped before the end")
-        with mock.patch("phongfit.commands.maps._save", side_effect=stop):
+        with mock.patch("phongfit.commands.maps.save", side_effect=stop):
             with contextlib.suppress(Refused):
                 command(*COMMAND, "-o", "begun")
     if len(list((folder / "begun" / TILES).glob("tile_*"))) < 3:
