@@ -32,6 +32,7 @@ from phongfit.maps.folder import (
     MapSettings,
     save_folder,
 )
+from phongfit.maps.passes import near_lamps
 from phongfit.maps.result import MAP_PARAMETERS, Maps
 from phongfit.maps.run import fit_maps
 from phongfit.maps.stacks import DatasetStack
@@ -47,6 +48,8 @@ OURS = {
     *(f"{name}.{suffix}" for name in MAP_PARAMETERS for suffix in ("png", "tif")),
     *(f"stderr_{name}.tif" for name in MAP_PARAMETERS),
 }
+NEAR = 3
+"""Passes that normals under near lamps want: each finds the surface's place better."""
 SHARED = ("ambient", "diffuse")
 """What each pixel still identifies where the highlight is one for all of them."""
 
@@ -67,6 +70,9 @@ class Options:
             find out; each pixel is of the likeliest, and keeps its own diffuse. For few
             lights, which do not show the highlight of every pixel. Default: every pixel
             has its own.
+        passes: With --normals fit: how often. Each pass after the first knows from the
+            last where the surface is, how far from near lamps, and what lies in its
+            shadow. Default: 3 with near lamps, else 1.
         unknowns: Parameters to be found, of ambient diffuse specular shininess.
             Default: all of them; with --normals fit all but ambient.
         per_channel: Which of them differ between red, green and blue; with shininess,
@@ -90,6 +96,7 @@ class Options:
     out: OutFolder
     highlight: Literal["own", "shared"] = "own"
     materials: Annotated[str | None, optional("N|auto")] = None
+    passes: Annotated[int | None, optional("N")] = None
     unknowns: Annotated[tuple[str, ...] | None, optional("NAME ...")] = None
     per_channel: Names = ("ambient", "diffuse", "specular")
     known: Annotated[str | None, optional("preset:NAME|FILE")] = None
@@ -134,6 +141,8 @@ def main(options: Options) -> int:
         given = arguments(options)
         stack, read = stack_data(options.data)
         tell(stack.photographs.notes)
+        if options.passes is None and options.data.sought:
+            given["passes"] = NEAR if near_lamps(stack.photographs.scenes) else 1
         if options.highlight == "shared":
             known = _shared(stack.photographs, given)
             given |= {"known": known, "unknowns": SHARED}
@@ -214,6 +223,7 @@ def arguments(options: Options) -> dict[str, Any]:
         "loss": options.loss or ("cauchy" if sought else "linear"),
         "normals": "fit" if sought else "given",
         "materials": _number(options.materials),
+        "passes": options.passes or 1,
     }
 
 
@@ -227,7 +237,7 @@ def _shared(photographs: Photographs, given: dict[str, Any]) -> Material:
     with stage("fitting one material"):
         data = photographs.load()
         options = given | {"mask": data.masks, "film": data.film}
-        for name in ("normals", "materials"):
+        for name in ("normals", "materials", "passes"):
             options.pop(name)
         options |= {"uncertain": data.uncertain}
         one = fit(data.scenes, data.images, **options)

@@ -75,8 +75,14 @@ def main(options: "Options") -> int:
             "tile_pixels: expected none of a zarr array: its chunks or shards say how "
             "much is in memory at a time"
         )
+    if options.passes not in (None, 1):
+        raise ValueError(
+            "passes: expected 1 of a zarr array, whose surface would have to be made "
+            f"whole in memory, got {options.passes}"
+        )
     read = _read(options.data)
     given = command.arguments(options)
+    given.pop("passes")
     out = options.out
     if is_store(out):
         if options.overwrite:

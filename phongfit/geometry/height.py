@@ -10,14 +10,11 @@ from jaxtyping import Bool, Float, Int
 
 from phongfit.checks import as_array
 from phongfit.edge import checked
-from phongfit.geometry.cameras import AbstractCamera, Ray
+from phongfit.geometry.cameras import AbstractCamera
+from phongfit.geometry.grids import faces_within, in_shadow
 from phongfit.geometry.meshes import Mesh
-from phongfit.geometry.raytracing import blocked
 from phongfit.geometry.tracing import towards
 from phongfit.lights import AbstractLight
-
-LIFT = 0.5
-"""How far from its pixel a shadow's ray starts, in pixels: past its own triangles."""
 
 CENTRES = ((0, 0),)
 CORNERS = ((-1, -1), (1, -1), (-1, 1), (1, 1))
@@ -47,11 +44,11 @@ class HeightField:
 
         **Raises:** `ValueError` if no three neighbours have heights.
         """
-        vertices, faces = triangles(self.positions(), self.mask)
+        faces = faces_within(self.mask)
         if not len(faces):
             raise ValueError("height: expected neighbouring pixels, got none")
         used, place = np.unique(faces, return_inverse=True)
-        return Mesh(vertices[used], place.reshape(-1, 3))
+        return Mesh(self.positions().reshape(-1, 3)[used], place.reshape(-1, 3))
 
     def __str__(self) -> str:
         height, width = self.height.shape
@@ -88,22 +85,6 @@ def positions_at(
     along = (height - origin @ axis) / (direction @ axis)
     points = origin + along[..., None] * direction
     return np.where(np.isfinite(height)[..., None], points, 0)
-
-
-def triangles(
-    positions: Float[np.ndarray, "height width 3"], mask: Bool[np.ndarray, "h w"]
-) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
-    """A vertex for each pixel, and two triangles between every four inside the mask.
-
-    Their common side runs from the upper left to the lower right.
-    """
-    height, width = mask.shape
-    at = np.arange(height * width).reshape(height, width)
-    a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
-    faces = np.concatenate(
-        [np.stack(corners, -1).reshape(-1, 3) for corners in ((a, b, c), (a, c, d))]
-    )
-    return positions.reshape(-1, 3), faces[mask.ravel()[faces].all(axis=1)]
 
 
 @checked
@@ -147,17 +128,12 @@ def shadow_shares(
     **Returns:** numbers in [0, 1]; 0 outside.
     """
     mask, points = np.isfinite(height), positions_at(height, camera)
-    vertices, faces = triangles(points, mask)
-    apart = pixel_size(points, mask)
     starts = np.stack([_within(points, mask, place)[mask] for place in places])
     for light in lights:
         share = np.zeros(height.shape)
-        if len(faces):
-            to_light, distance = (
-                np.asarray(a, float) for a in towards(light, jnp.asarray(starts))
-            )
-            rays = Ray(starts + LIFT * apart * to_light, to_light)  # pyright: ignore
-            hit = blocked(vertices, faces, rays, distance - LIFT * apart)  # pyright: ignore
+        if mask.any():
+            to_light, distance = towards(light, jnp.asarray(starts))
+            hit = in_shadow(points, mask, starts, to_light, distance)
             share[mask] = np.asarray(hit).mean(axis=0)
         yield share
 
@@ -175,20 +151,6 @@ def as_height(height: Any, camera: AbstractCamera) -> np.ndarray:
             f"got {array.dtype} of shape {array.shape}"
         )
     return array.astype(float)
-
-
-def pixel_size(
-    points: Float[np.ndarray, "height width 3"], mask: Bool[np.ndarray, "height width"]
-) -> float:
-    """About how far apart neighbours are, as the camera sees them; world units."""
-    height, width = mask.shape
-    known = points[mask]
-    if not len(known):
-        return 1.0
-    rows, columns = np.nonzero(mask)
-    across = np.ptp(known, axis=0)
-    spans = np.array([np.ptp(rows), np.ptp(columns)], float)
-    return float(np.linalg.norm(across) / max(np.linalg.norm(spans), 1.0))
 
 
 def _within(

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from phongfit.checks import as_floats, as_indices, as_scalar, as_vector, require
 from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, Ray
+from phongfit.geometry.grids import in_shadow
 from phongfit.programs import program
 from phongfit.textures import Factors
 from phongfit.vectors import Vec3, dot, normalize, normalize_all
@@ -194,7 +195,10 @@ class Sphere(AbstractSurface):
 
 
 class NormalMap(AbstractSurface):
-    """A normal for every pixel, as photometric stereo and scanners give it."""
+    """A normal for every pixel, as photometric stereo and scanners give it.
+
+    With positions it throws shadows: two triangles between every four neighbours do.
+    """
 
     normals: Float[Array, "height width 3"]
     mask: Bool[Array, "height width"]
@@ -285,8 +289,13 @@ class NormalMap(AbstractSurface):
         to_light: Float[Array, "*batch 3"],
         distance: Float[Array, "*batch"],
     ) -> Bool[Array, "*batch"]:
-        del position, normal, to_light, distance
-        raise ValueError("shadows: a normal map does not know what is in a light's way")
+        del normal
+        if self.positions is None:
+            raise ValueError(
+                "shadows: a normal map without positions does not know what is in a "
+                "light's way"
+            )
+        return ~in_shadow(self.positions, self.mask, position, to_light, distance)
 
     @property
     def materials(self) -> int:

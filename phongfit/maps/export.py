@@ -10,7 +10,8 @@ from phongfit.files.images import to_levels
 from phongfit.files.mesh_writing import obj_text, write_ply
 from phongfit.files.mtl import MAX_NS
 from phongfit.files.outputs import replacing_files
-from phongfit.geometry.height import HeightField, triangles
+from phongfit.geometry.grids import faces_within
+from phongfit.geometry.height import HeightField
 from phongfit.maps.folder import load_folder
 from phongfit.maps.textures import (
     TextureMaps,
@@ -83,7 +84,7 @@ def relief(field: HeightField, normals: Float[np.ndarray, "height width 3"]) -> 
     **Raises:** `ValueError` if no three neighbours have heights.
     """
     height, width = field.mask.shape
-    vertices, faces = triangles(field.positions(), field.mask)
+    vertices, faces = field.positions().reshape(-1, 3), faces_within(field.mask)
     if not len(faces):
         raise ValueError("mask: expected neighbouring pixels, got none")
     number = np.cumsum(field.mask.ravel()) - 1

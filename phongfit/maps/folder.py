@@ -40,6 +40,7 @@ class MapSettings(AbstractRecord):
     materials: (
         Annotated[int, Field(ge=1, le=MOST_MATERIALS)] | Literal["auto"] | None
     ) = None
+    passes: Annotated[int, Field(ge=1)] = 1
 
 
 class SharedRecord(AbstractRecord):

@@ -87,7 +87,7 @@ class Geometry:
             self.normal[padded],
             rows(self.position),
             rows(self.to_viewer),
-            None if seen is None else seen[..., padded],
+            None if seen is None else seen[..., padded].astype(self.normal.dtype),
         )
 
 
@@ -296,14 +296,14 @@ def _rows(array: Any, alike: bool = True) -> np.ndarray:
 def _visibility(
     scenes: tuple[Scene, ...], lighting: Lighting, size: tuple[int, int]
 ) -> np.ndarray:
-    dtype = np.dtype(jnp.result_type(float))
-    seen = np.ones((len(scenes), lighting.lobes, size[0] * size[1]), dtype)
+    # As flags, a quarter of what numbers take: there is one for each sample.
+    seen = np.ones((len(scenes), lighting.lobes, size[0] * size[1]), bool)
     for row, k in enumerate(lighting.order):
         if scenes[k].shadows:
             traced = scenes[k].trace().visibility
             assert traced is not None
             lights = len(scenes[k].lights)
-            seen[row, :lights] = np.asarray(traced).reshape(-1, lights).T
+            seen[row, :lights] = np.asarray(traced).reshape(-1, lights).T > 0
     return seen
 
 

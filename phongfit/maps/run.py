@@ -1,6 +1,7 @@
 """`fit_maps`: stacks of images under many lights in, maps of materials out."""
 
 import concurrent.futures
+import functools
 import hashlib
 import importlib.metadata
 import os
@@ -18,12 +19,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemaining
 from phongfit.checks import untraced
 from phongfit.edge import checked, shown
 from phongfit.fitting.problem.losses import AbstractLoss
-from phongfit.maps.job import Fitted, Geometry, Job, make_job
+from phongfit.maps.job import Fitted, Geometry, Job, check_scenes, make_job
 from phongfit.maps.layers import Noise
 from phongfit.maps.materials.bases import Bases
 from phongfit.maps.materials.block import Given, MaterialFit, fit_shared
 from phongfit.maps.materials.finding import Materials, choose_sample, find_materials
 from phongfit.maps.normals.block import NormalFit, fit_normals
+from phongfit.maps.passes import fit_in_passes
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.pixel import PixelFit
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
@@ -58,6 +60,7 @@ def fit_maps(
     loss: str | AbstractLoss | None = None,
     normals: Literal["given", "fit"] = "given",
     materials: int | Literal["auto"] | None = None,
+    passes: int = 1,
     start: Material | Fitted | None = None,
     min_cosine: float = 0.0,
     tile_pixels: int | None = None,
@@ -108,11 +111,10 @@ def fit_maps(
     - `normals`: `"given"` by the scenes' surface. `"fit"`: sought for each pixel, with
         errors in degrees; the surface then only tells where pixels are, for near lamps
         and a perspective camera, and which see it. Where near lamps are, ρ_s rests on
-        that: the surface of a second fit may have the `height(distance=…).positions()`
-        of a first, and the distance is that of the least `noise`. At least 3 images for
-        a matte surface, 5 for one with a highlight, whose lobe must be a power of one
-        cosine, as Phong's and Blinn's is. `ambient` asks for ambient light in the
-        scenes; if `specular` is not in `per_channel`, the channels share one ρ_s.
+        that: see `passes`. At least 3 images for a matte surface, 5 for one with a
+        highlight, whose lobe must be a power of one cosine, as Phong's and Blinn's is.
+        `ambient` asks for ambient light in the scenes; if `specular` is not in
+        `per_channel`, the channels share one ρ_s.
     - `materials`: how many materials the pixels share, or `"auto"` to find out (up to
         6); `None` for a material of each pixel's own. A pixel's ρ_d stays its own; ρ_s
         and f are those of the material that it is most likely of. They are found from a
@@ -120,6 +122,10 @@ def fit_maps(
         their errors go into those of the pixels: see [`BasisMaterials`][]. A dozen
         lamps hardly tell ρ_s and f of one pixel; they do tell which it is of a few.
         With `normals="fit"`.
+    - `passes`: with `normals="fit"`, how often. Each pass after the first takes pixels
+        to lie on the surface that the last one's normals make, and leaves samples out
+        that lie in its shadow; near lamps tell how far away it is, since there the
+        noise is least. `output` keeps the tiles of all of them.
     - `start`: a fit of one material, or a material, whose exponent each pixel starts
         from, instead of the scan.
     - `min_cosine`: samples that no light reaches at a cosine above this are left out,
@@ -140,22 +146,30 @@ def fit_maps(
     instead = "fit_maps is no function that JAX can trace"
     untraced(instead, scenes=scenes, images=images, known=known, mask=mask, noise=noise)
     stack = as_stack(images)
-    job = make_job(
-        scenes,
-        stack,
-        unknowns=unknowns,
-        per_channel=per_channel,
-        known=known,
-        bounds=bounds,
-        mask=mask,
-        noise=noise,
-        film=film,
-        loss=loss,
-        normals=normals,
-        materials=materials,
-        start=start,
-        min_cosine=min_cosine,
-    )
+    asked: dict[str, Any] = {
+        "unknowns": unknowns,
+        "per_channel": per_channel,
+        "known": known,
+        "bounds": bounds,
+        "mask": mask,
+        "noise": noise,
+        "film": film,
+        "loss": loss,
+        "normals": normals,
+        "materials": materials,
+        "start": start,
+        "min_cosine": min_cosine,
+    }
+    if passes != 1:
+        if passes < 1 or normals != "fit":
+            raise ValueError(
+                "passes: expected 1, or more where normals are sought, got "
+                f"{shown(passes)}"
+            )
+        placed = {"tile_pixels": tile_pixels, "devices": devices}
+        once = functools.partial(fit_maps, images=stack, **asked, **placed)
+        return fit_in_passes(once, check_scenes(scenes), passes, output, progress)
+    job = make_job(scenes, stack, **asked)
     if not len(job.pixels):
         raise ValueError("mask: it leaves no pixel that sees the surface")
     mesh = as_mesh(devices)

@@ -1,6 +1,5 @@
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -176,7 +175,7 @@ def test_a_ball_is_in_the_way_of_its_own_back():
     assert np.all(inside[mask] == 1)
 
 
-def test_a_normal_map_knows_of_no_shadows():
+def test_a_normal_map_without_positions_knows_of_no_shadows():
     flat = np.broadcast_to([0.0, 0, 1], (4, 4, 3))
     light = pf.DirectionalLight((0, 0, 1))
     view = pf.OrthographicCamera(4, 4)
@@ -184,6 +183,5 @@ def test_a_normal_map_knows_of_no_shadows():
         pf.Scene(pf.NormalMap(flat), view, light, shadows=True)
     with pytest.raises(ValueError, match="^fog: a normal map"):
         pf.Scene(pf.NormalMap(flat), view, light, fog=pf.Fog())
-    placed = pf.NormalMap(flat, positions=jnp.zeros((4, 4, 3)))
     with pytest.raises(ValueError, match="^shadows: a normal map"):
-        pf.Scene(placed, view, light, shadows=True).trace()
+        pf.trace(pf.NormalMap(flat), view, [light], shadows=True)

@@ -78,6 +78,9 @@ def samples_of(
     )
     share = jnp.where(sound, given, 0)
     lamps = make_lamps(outside.lighting, tile.position, tile.to_viewer, tile.visibility)
+    if tile.visibility is not None:
+        # In shadow there is only what bounced, of which no model knows.
+        share = jnp.where(jnp.any(lamps.diffuse > 0, axis=(1, 2))[:, None], share, 0)
     light = jnp.where(share > 0, target - lamps.veil, 0)
     return Samples(light, share, lamps), ~finite & (given > 0)
 

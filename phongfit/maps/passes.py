@@ -1,0 +1,144 @@
+"""Normals make a surface, and the surface tells what reaches it from each lamp."""
+
+import dataclasses
+import functools
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from phongfit.geometry.cameras import OrthographicCamera
+from phongfit.geometry.height import HeightField
+from phongfit.geometry.surfaces import NormalMap
+from phongfit.lights import PointLight, SpotLight
+from phongfit.maps.result import Maps
+from phongfit.scene import Scene
+
+SAMPLE = 512
+"""Pixels that tell how far away a surface is."""
+
+REACH, FINEST = 0.25, 1e-3
+"""Of the nearest lamp's distance: how far the surface may be from where it is thought
+to be, half as far in each further pass; and how well its place is found."""
+
+STEPS = 5
+"""Places that are tried first."""
+
+
+class FitOnce(Protocol):
+    """[`fit_maps`][] with all chosen but the geometry, and where tiles are kept."""
+
+    def __call__(
+        self, scenes: Sequence[Scene], *, output: Any, progress: bool
+    ) -> Maps: ...
+
+
+def fit_in_passes(
+    once: FitOnce,
+    scenes: Sequence[Scene],
+    passes: int,
+    output: str | os.PathLike[str] | None,
+    progress: bool,
+) -> Maps:
+    """Maps of normals that are sought; each pass knows the surface of the last.
+
+    **Arguments:** `output`: where finished tiles of the first pass are kept; those of
+    later ones in folders inside.
+    """
+    maps = once(scenes, output=output, progress=progress)
+    for number in range(2, passes + 1):
+        field = maps.height()
+        quick = functools.partial(once, output=None, progress=False)
+        reach = REACH * 0.5 ** (number - 2)
+        offset = find_offset(quick, scenes, field, _sample(maps), reach)
+        inner = None if output is None else Path(output) / f"pass_{number}"
+        scenes = on_surface(scenes, field, field.mask, offset, shadows=True)
+        maps = once(scenes, output=inner, progress=progress)
+    return maps
+
+
+def find_offset(
+    fit: Any,
+    scenes: Sequence[Scene],
+    field: HeightField,
+    sample: Bool[np.ndarray, "height width"],
+    reach: float = REACH,
+) -> float:
+    """How much nearer to the camera a surface is than `field` has it, world units.
+
+    Normals do not tell; near lamps do: where it is, the noise of `sample` is least.
+
+    **Arguments:** `reach`: how far it may be, of the nearest lamp's distance.
+    """
+    from scipy.optimize import minimize_scalar
+
+    lamps = near_lamps(scenes)
+    if not lamps:
+        return 0.0
+    middle = np.median(field.positions()[field.mask], axis=0)
+    near = float(np.linalg.norm(np.stack(lamps) - middle, axis=-1).min())
+
+    def noise(offset: float) -> float:
+        found = fit(on_surface(scenes, field, sample, offset * near, shadows=False))
+        return float(np.nanmedian(found.noise))
+
+    places = np.linspace(-reach, reach, STEPS)
+    levels = [noise(place) for place in places]
+    best = int(np.argmin(levels))
+    around = places[max(best - 1, 0)], places[min(best + 1, STEPS - 1)]
+    options = {"xatol": FINEST}
+    found: Any = minimize_scalar(
+        noise, bounds=around, method="bounded", options=options
+    )
+    return near * float(found.x if found.fun < levels[best] else places[best])
+
+
+def near_lamps(scenes: Sequence[Scene]) -> list[Float[np.ndarray, "3"]]:
+    """Where the lamps stand that stand anywhere, world units."""
+    lamps = (light for scene in scenes for light in scene.lights)
+    near = (x.position for x in lamps if isinstance(x, PointLight | SpotLight))
+    return [np.asarray(position, float) for position in near]
+
+
+def on_surface(
+    scenes: Sequence[Scene],
+    field: HeightField,
+    mask: Bool[np.ndarray, "height width"],
+    offset: float,
+    *,
+    shadows: bool,
+) -> tuple[Scene, ...]:
+    """Scenes whose pixels lie on a surface, moved to the camera by `offset`."""
+    points = moved(field, offset)
+    axis = np.asarray(field.camera.rotation)[:, 2]
+    surface = NormalMap(np.broadcast_to(axis, points.shape), mask, points)
+    replace = functools.partial(dataclasses.replace, surface=surface, shadows=shadows)
+    return tuple(replace(scene) for scene in scenes)
+
+
+def moved(field: HeightField, offset: float) -> Float[np.ndarray, "height width 3"]:
+    """Its points, nearer to the camera by `offset` in their middle, world units.
+
+    Through a pinhole the same normals belong to a surface that is larger or smaller.
+    """
+    points, camera = field.positions(), field.camera
+    axis = np.asarray(camera.rotation, float)[:, 2]
+    if isinstance(camera, OrthographicCamera):
+        return points + offset * axis
+    eye = np.asarray(camera.position, float)
+    away = float(np.median((eye - points[field.mask]) @ axis))
+    return eye + (1 - offset / away) * (points - eye)
+
+
+def _sample(maps: Maps) -> Bool[np.ndarray, "height width"]:
+    """Some of the pixels that were fitted, of those that identify all if there are."""
+    fitted = np.isfinite(maps.noise)
+    usable = maps.identified if maps.identified.any() else fitted
+    pixels = np.flatnonzero(usable)
+    sample = np.zeros(usable.shape, bool)
+    sample.ravel()[pixels[:: math.ceil(len(pixels) / SAMPLE)]] = True
+    return sample

@@ -1,0 +1,106 @@
+"""Maps in passes: where a surface is, and what lies in its shadow, from its normals."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from data_synth.lights import spread_directions
+from phongfit.maps.passes import find_offset, moved
+from tests.maps.hills import CAMERA, SIZE, bumps
+from tests.maps.synthetic import DTYPE
+
+FREE = pf.Film(clamp=False)
+TRUTH = pf.Material((0.4, 0.3, 0.2), 0.3, 20.0, 0.0)
+RAISED = 0.5
+
+
+def hills(near: bool, camera: pf.AbstractCamera = CAMERA) -> tuple:
+    """Scenes of a plane, images of hills above it that throw shadows, and the hills."""
+    down, right = np.gradient(bumps(), 0.1)
+    normals = np.stack([-right, down, np.ones(SIZE)], axis=-1)
+    rays = np.asarray(camera.rays().origin, float) * [1, 1, 0]
+    points = rays + bumps()[..., None] * [0, 0, 1] + [0, 0, RAISED if near else 0]
+    surface = pf.NormalMap(normals, positions=points)
+    directions = spread_directions(12) * [1, 1, 0.6]
+    lamps = [
+        pf.PointLight(3 * d, attenuation=(0, 0, 1 / 9))
+        if near
+        else pf.DirectionalLight(d)
+        for d in directions
+    ]
+    true = [pf.Scene(surface, camera, lamp, shadows=True) for lamp in lamps]
+    images = np.stack([np.asarray(pf.render(s, TRUTH, film=FREE)) for s in true])
+    rng = np.random.default_rng(0)
+    images = (images + 0.003 * rng.normal(size=images.shape)).astype(DTYPE)
+    plane = pf.NormalMap(np.broadcast_to([0.0, 0, 1], normals.shape), positions=rays)
+    flat = [dataclasses.replace(s, surface=plane, shadows=False) for s in true]
+    return flat, images, surface, true
+
+
+def found(scenes, images, **options) -> pf.Maps:
+    return pf.fit_maps(
+        scenes,
+        images,
+        film=FREE,
+        normals="fit",
+        per_channel=("diffuse",),
+        progress=False,
+        **options,
+    )
+
+
+def angles(maps: pf.Maps, surface: pf.NormalMap) -> np.ndarray:
+    cosine = np.sum(maps.normals * np.asarray(surface.normals), axis=-1)
+    return np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def test_near_lamps_tell_where_the_surface_is(tmp_path):
+    scenes, images, surface, _ = hills(near=True)
+    folder = tmp_path / "tiles"
+    once = found(scenes, images, output=folder)
+    again = found(scenes, images, passes=3, output=folder)
+    wrong = [abs(np.median(m.specular[m.identified]) / 0.3 - 1) for m in (once, again)]
+    assert wrong[1] < 0.03 < 0.5 < wrong[0]
+    assert np.median(once.noise) > 0.03 and np.median(again.noise) < 0.005
+    assert angles(once, surface).mean() > 5 and angles(again, surface).mean() < 1
+    assert sorted(path.name for path in folder.glob("*_*")) == [
+        "pass_2",
+        "pass_3",
+        "tile_000000.npz",
+    ]
+
+
+def test_shadows_are_left_out():
+    scenes, images, _, true = hills(near=False)
+    dark = np.stack([np.asarray(s.trace().visibility)[..., 0] == 0 for s in true])
+    lit = np.median(images, axis=-1) > 0.02
+    twice = found(scenes, images, passes=2)
+    once = found(scenes, images)
+    lost = (once.samples - twice.samples) / 3
+    assert dark.sum() > 200 and np.all(once.samples == 36)
+    # As many as there are, but for the rims of shadows.
+    assert abs(lost.sum() / dark.sum() - 1) < 0.15
+    assert np.all(lost[(dark | ~lit).sum(axis=0) == 0] <= 2)
+
+
+def test_a_pinhole_sees_a_surface_moved_as_a_larger_or_smaller_one():
+    rays = pf.PerspectiveCamera(8, 6, fov_y=30, position=(0, 0, 4))
+    field = pf.integrate_normals(np.broadcast_to([0.0, 0, 1], (6, 8, 3)), rays)
+    near = moved(field, 1.0)
+    np.testing.assert_allclose(near[..., 2], 1, atol=1e-5)
+    np.testing.assert_allclose(near[..., :2], 0.75 * field.positions()[..., :2])
+
+
+def test_distant_lamps_tell_no_distance():
+    scenes, *_ = hills(near=False)
+    field = pf.integrate_normals(np.broadcast_to([0.0, 0, 1], (*SIZE, 3)), CAMERA)
+    assert find_offset(None, scenes, field, field.mask) == 0
+
+
+@pytest.mark.parametrize("passes, normals", [(0, "fit"), (2, "given")])
+def test_passes_are_of_normals_that_are_sought(passes, normals):
+    scenes, images, *_ = hills(near=False)
+    with pytest.raises(ValueError, match="passes: expected 1, or more"):
+        pf.fit_maps(scenes, images, normals=normals, passes=passes)
