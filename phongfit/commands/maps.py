@@ -48,8 +48,9 @@ OURS = {
     *(f"{name}.{suffix}" for name in MAP_PARAMETERS for suffix in ("png", "tif")),
     *(f"stderr_{name}.tif" for name in MAP_PARAMETERS),
 }
-NEAR = 3
-"""Passes that normals under near lamps want: each finds the surface's place better."""
+PASSES = {False: 2, True: 3}
+"""Of normals: shadows are known in the second; with near lamps (`True`) each finds the
+surface's place better."""
 SHARED = ("ambient", "diffuse")
 """What each pixel still identifies where the highlight is one for all of them."""
 
@@ -72,7 +73,7 @@ class Options:
             has its own.
         passes: With --normals fit: how often. Each pass after the first knows from the
             last where the surface is, how far from near lamps, and what lies in its
-            shadow. Default: 3 with near lamps, else 1.
+            shadow. Default: 3 with near lamps, else 2.
         unknowns: Parameters to be found, of ambient diffuse specular shininess.
             Default: all of them; with --normals fit all but ambient.
         per_channel: Which of them differ between red, green and blue; with shininess,
@@ -142,7 +143,7 @@ def main(options: Options) -> int:
         stack, read = stack_data(options.data)
         tell(stack.photographs.notes)
         if options.passes is None and options.data.sought:
-            given["passes"] = NEAR if near_lamps(stack.photographs.scenes) else 1
+            given["passes"] = PASSES[bool(near_lamps(stack.photographs.scenes))]
         if options.highlight == "shared":
             known = _shared(stack.photographs, given)
             given |= {"known": known, "unknowns": SHARED}

@@ -27,7 +27,7 @@ def shadow(surface: pf.NormalMap, light: pf.AbstractLight) -> np.ndarray:
     "light, reach",
     [
         (pf.DirectionalLight((1, 0, 1)), 0.5),
-        (pf.DirectionalLight((2, 0, 1)), 0.25),
+        (pf.DirectionalLight((1, 0, 2)), 0.25),
         # From 1.5 above the floor's right edge: its ray grazes the step at x = 0.5.
         (pf.PointLight((1.5, 0, 1)), 1.0),
         (pf.DirectionalLight((0, 0, 1)), 0.0),
@@ -40,7 +40,8 @@ def test_a_step_throws_the_shadow_that_geometry_says(light, reach):
     wanted = (x < 0.5) & (x > 0.5 - reach)
     # A pixel at each end: the step lies between two.
     clear = (abs(x - 0.5) > 3 / N) & (abs(x - 0.5 + reach) > 3 / N)
-    middle = slice(8, 24) if isinstance(light, pf.PointLight) else slice(0, N)
+    # A ray along the outermost row grazes the rim of all triangles.
+    middle = slice(8, 24) if isinstance(light, pf.PointLight) else slice(1, N - 1)
     assert np.all(dark[middle][:, clear] == wanted[clear])
     assert dark.any() == (reach > 0)
 
