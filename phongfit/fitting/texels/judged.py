@@ -1,0 +1,196 @@
+"""What a fit of textures found: errors, lack of fit, warnings."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from phongfit.codes import coded
+from phongfit.fitting.problem.losses import Linear
+from phongfit.fitting.texels.equations import light_of
+from phongfit.fitting.texels.job import PRIOR, Few, Job, State
+from phongfit.fitting.texels.lit import BASIS, LitImage
+from phongfit.fitting.texels.result import CHANNELS, Shared, TextureFit, as_textures
+from phongfit.fitting.texels.solve import inverse_diagonal
+from phongfit.fitting.texels.steps import LEAST, System, freedom_of
+from phongfit.fitting.uncertainty.misfit import Misfit, find_misfit
+from phongfit.fitting.uncertainty.tiles import (
+    Measured,
+    Tiles,
+    sum_over_tiles,
+    tile_side,
+)
+from phongfit.fitting.uncertainty.warnings import misfit_words, spread_words
+from phongfit.material import Material
+from phongfit.programs import program
+
+
+def judge(
+    job: Job,
+    state: State,
+    sigma: float,
+    system: System,
+    noise_given: bool,
+    converged: bool,
+    steps: int,
+) -> TextureFit:
+    """Errors, lack of fit, warnings."""
+    covariance, told = _few_covariance(system.information)
+    variances, known = np.empty((3, job.size)), {}
+    for c, matrix in enumerate(system.matrices):
+        if id(matrix) not in known:
+            known[id(matrix)] = inverse_diagonal(matrix, job.grid, len(job.names))
+        shared = job.of_channel(c)
+        part = np.where(told, covariance, 0)[np.ix_(shared, shared)]
+        moved = system.eliminated[c]
+        variances[c] = known[id(matrix)] + ((moved @ part) * moved).sum(axis=1)
+    freedom = freedom_of(job, system)
+    images = [_image(job, one, state, sigma) for one in job.images]
+    side = max(tile_side(*one.image.shape[:2]) for one in job.images)
+    misfit = find_misfit([one.tiles for one in images], side)
+    spread = 1.0
+    if noise_given:
+        over = system.sums.residual / freedom
+        spread = float(np.sqrt(over)) if over > 1 + 5 * np.sqrt(2 / freedom) else 1.0
+    inflation = max(misfit.inflation, spread**2)
+    identified = variances < (PRIOR[1] / 2) ** 2
+    seen = _times_seen(job)
+    errors = np.sqrt(np.where(identified, variances * inflation, np.inf))
+    few_errors = np.sqrt(np.where(np.diag(told), np.diag(covariance), np.inf))
+    few_errors = few_errors * np.sqrt(inflation)
+    numbers = {name: value.copy() for name, value in state.numbers.items()}
+    for name in job.names:
+        numbers[name][:] = 1
+    shared = []
+    for k, one in enumerate(job.few):
+        value = state.value(one)
+        # Found as a logarithm.
+        error = few_errors[k] * (value if one.name == "shininess" else 1)
+        shared.append(Shared(_label(job, one), value, float(error)))
+    return TextureFit(
+        as_textures(job, state.texels),
+        as_textures(job, np.where(identified, errors, np.inf)),
+        seen,
+        Material(
+            **{name: numbers[name] for name in BASIS},
+            shininess=numbers["shininess"][:, None],
+        ),
+        tuple(shared),
+        covariance * inflation,
+        job.names,
+        sigma if not noise_given else 1.0,
+        int(system.sums.counted),
+        tuple(one.residual for one in images),
+        misfit,
+        converged,
+        steps,
+        tuple(_warnings(job, misfit, spread, converged, shared, freedom, noise_given)),
+        job.grid.wrap,
+    )
+
+
+def _few_covariance(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The inverse, and which pairs of the shared numbers are identified."""
+    diagonal = np.diag(information)
+    there = diagonal > 0
+    scale = np.sqrt(np.where(there, diagonal, 1))
+    scaled = information / np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(np.where(np.outer(there, there), scaled, 0))
+    vague = values < LEAST
+    lost = (vectors[:, vague] ** 2).sum(axis=1) > 0.01
+    inverse = (vectors / np.where(vague, np.inf, values)) @ vectors.T
+    told = ~lost & there
+    return inverse / np.outer(scale, scale), np.outer(told, told)
+
+
+def _label(job: Job, one: Few) -> str:
+    several = max(k.material for k in job.few) > 0
+    number = f"[{one.material}]" if several else ""
+    return f"{one.name}{number}" + (
+        "" if one.channel is None else f".{CHANNELS[one.channel]}"
+    )
+
+
+def _times_seen(job: Job) -> np.ndarray:
+    """How often each texel is seen: pixels, as much as they look at it."""
+    total = np.zeros(job.grid.texels)
+    for image in job.images:
+        used = (image.weight > 0).any(axis=1)
+        total += image.touched.scattered(used.astype(float), job.grid.texels)
+    return total.reshape(job.grid.layers, job.grid.rows, job.grid.columns)
+
+
+class _Shown(NamedTuple):
+    residual: np.ndarray
+    tiles: Tiles
+
+
+def _image(job: Job, image: LitImage, state: State, sigma: float) -> _Shown:
+    """Residuals of one image, and their sums over tiles."""
+    parts, light = light_of(job, image, state, image.touched)
+    whole = np.zeros((4, image.image.size // 3, 3), image.image.dtype)
+    whole[0, image.place] = light
+    whole[1, image.place] = parts.light[1]
+    whole[2, image.place] = parts.light[2]
+    whole[3, image.place] = image.weight
+    light, diffuse, highlight, weight = whole.reshape(4, *image.image.shape)
+    side = tile_side(*image.image.shape[:2])
+    step = None if image.step is None else jnp.asarray(image.step)
+    deviation = jnp.asarray(sigma, light.dtype)
+    measured = Measured(jnp.asarray(image.image), jnp.asarray(weight), step, deviation)
+    tiles = _tiles(measured, light, diffuse, highlight, job.clamp, side)
+    fitted = np.clip(light, 0, 1) if job.clamp else light
+    return _Shown(np.where(weight > 0, image.image - fitted, 0), tiles)
+
+
+@program("clamp", "side")
+def _tiles(
+    measured: Measured,
+    light: Array,
+    diffuse: Array,
+    highlight: Array,
+    clamp: bool,
+    side: int,
+) -> Tiles:
+    return sum_over_tiles(measured, light, diffuse, highlight, Linear(), clamp, side)
+
+
+def _warnings(
+    job: Job,
+    misfit: Misfit,
+    spread: float,
+    converged: bool,
+    shared: list[Shared],
+    freedom: float,
+    noise_given: bool,
+) -> list[str]:
+    words = []
+    if not converged:
+        words.append(
+            coded(
+                "not-converged",
+                "did not converge",
+                "Raise max_steps, or ask for fewer unknowns",
+            )
+        )
+    lost = [one.label for one in shared if not np.isfinite(one.stderr)]
+    if lost:
+        words.append(
+            coded(
+                "not-identifiable",
+                f"{', '.join(lost)}: not identifiable from these photographs",
+                "Give it as known, or photographs under other lamps",
+            )
+        )
+    total = sum(int(np.count_nonzero(one.weight > 0)) for one in job.images)
+    if not noise_given and freedom < 0.1 * total:
+        words.append(
+            coded(
+                "noise-level",
+                f"{total:,} samples leave {freedom:,.0f} to estimate the noise from",
+                "Give noise, or a smaller size",
+            )
+        )
+    words += spread_words(spread)
+    return [*words, *misfit_words(misfit, len(job.images))]
