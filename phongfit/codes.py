@@ -33,6 +33,7 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "another specular model, or make what may be wrong unknown",
         "jpeg-blocks": "Fit the photograph as it lies in its file, with "
         "film=pf.read_film(path, encoding)",
+        "jpeg-texels": "Take photographs without loss: PNG, TIFF or raw",
         "noise-level": "Give the noise as it is, or leave it to be estimated",
         "few-unclipped": "Give noise, or expose less",
         "outliers": "Leave them out by a mask, or try a robust loss",

@@ -124,6 +124,7 @@ def fit_texture(
         max(float(arithmetic_floor(jnp.asarray(one.used()))) for one in observed)
         if noise is None
         else 0.01,
+        any(one.jpeg is not None for one in films),
     )
     if not sum(len(one.place) for one in job.images):
         raise ValueError("mask: it leaves no pixel that sees the surface")

@@ -71,6 +71,13 @@ def test_texels_and_a_shared_highlight():
     )
 
 
+def test_jpeg_files_are_said_to_err_alike():
+    images = photographs(painted(diffuse=TRUE), MATTE)
+    film = pf.Film(jpeg=pf.JpegCompression.at_quality(90))
+    fit = fitted(images, unknowns=(), film=film)
+    assert [pf.warning_code(words) for words in fit.warnings] == ["jpeg-texels"]
+
+
 def test_images_without_noise():
     fit = fitted(photographs(painted(diffuse=TRUE), SHINY, 0.0))
     assert fit.converged and fit.steps < 15, fit

@@ -47,6 +47,7 @@ class Job:
     clamp: bool
     smoothness: sparse.csr_array | None
     floor: float
+    lossy: bool
 
     @property
     def size(self) -> int:

@@ -192,5 +192,13 @@ def _warnings(
                 "Give noise, or a smaller size",
             )
         )
+    if job.lossy:
+        words.append(
+            coded(
+                "jpeg-texels",
+                "what JPEG files round errs alike in blocks of pixels, of which errors "
+                "of texels do not know: they may be too small",
+            )
+        )
     words += spread_words(spread)
     return [*words, *misfit_words(misfit, len(job.images))]
