@@ -38,7 +38,7 @@ def _settled_memory():
     Until there is so much of it that the system runs out of places in memory.
     """
     yield
-    if _places() > 55_000:
+    if _places() > 40_000:
         jax.clear_caches()
         gc.unfreeze()
         gc.collect()
