@@ -42,6 +42,7 @@ CHECKED = (
     "test_testing.py",
     "test_vectors.py",
     "geometry/test_cameras.py",
+    "geometry/test_grids.py",
     "geometry/test_shapes.py",
     "geometry/test_surfaces.py",
     "rendering/test_film.py",
@@ -52,7 +53,9 @@ CHECKED = (
     "fitting/problem/test_noise.py",
     "fitting/problem/test_samples.py",
     "fitting/problem/test_unknowns.py",
+    "maps/normals",
     "maps/pixel",
+    "maps/test_passes.py",
 )
 # Folders that make the second part in float32.
 LATE = ("lab", "maps", "rendering", "report")

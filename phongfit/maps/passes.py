@@ -4,9 +4,9 @@ import dataclasses
 import functools
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -29,16 +29,8 @@ STEPS = 5
 """Places that are tried first."""
 
 
-class FitOnce(Protocol):
-    """[`fit_maps`][] with all chosen but the geometry, and where tiles are kept."""
-
-    def __call__(
-        self, scenes: Sequence[Scene], *, output: Any, progress: bool
-    ) -> Maps: ...
-
-
 def fit_in_passes(
-    once: FitOnce,
+    once: Callable[..., Maps],
     scenes: Sequence[Scene],
     passes: int,
     output: str | os.PathLike[str] | None,
@@ -46,8 +38,11 @@ def fit_in_passes(
 ) -> Maps:
     """Maps of normals that are sought; each pass knows the surface of the last.
 
-    **Arguments:** `output`: where finished tiles of the first pass are kept; those of
-    later ones in folders inside.
+    **Arguments:**
+
+    - `once`: [`fit_maps`][] with all chosen but scenes, `output` and `progress`.
+    - `output`: where finished tiles of the first pass are kept; those of later ones in
+        folders inside.
     """
     maps = once(scenes, output=output, progress=progress)
     for number in range(2, passes + 1):
@@ -62,7 +57,7 @@ def fit_in_passes(
 
 
 def find_offset(
-    fit: Any,
+    fit: Callable[..., Maps],
     scenes: Sequence[Scene],
     field: HeightField,
     sample: Bool[np.ndarray, "height width"],
@@ -72,7 +67,10 @@ def find_offset(
 
     Normals do not tell; near lamps do: where it is, the noise of `sample` is least.
 
-    **Arguments:** `reach`: how far it may be, of the nearest lamp's distance.
+    **Arguments:**
+
+    - `fit`: maps of scenes.
+    - `reach`: how far it may be, of the nearest lamp's distance.
     """
     from scipy.optimize import minimize_scalar
 

@@ -46,9 +46,9 @@ def test_help_reads_like_a_manual(command, capsys):
 @pytest.mark.parametrize(
     "args, words",
     [
-        ([], "expected one of synth, render, fit, maps, ... lab, got none"),
+        ([], "expected one of synth, calibrate, response, scene, ... lab, got none"),
         (["fti"], "there is no command 'fti'; did you mean 'fit'? (see --help)"),
-        (["zzz"], "there is no command 'zzz'; one of synth, render"),
+        (["zzz"], "there is no command 'zzz'; one of synth, calibrate"),
         (["--quick"], "--quick"),
         (["fit"], "DATASET"),
     ],

@@ -96,7 +96,7 @@ def test_a_pinhole_sees_a_surface_moved_as_a_larger_or_smaller_one():
 def test_distant_lamps_tell_no_distance():
     scenes, *_ = hills(near=False)
     field = pf.integrate_normals(np.broadcast_to([0.0, 0, 1], (*SIZE, 3)), CAMERA)
-    assert find_offset(None, scenes, field, field.mask) == 0
+    assert find_offset(pf.fit_maps, scenes, field, field.mask) == 0
 
 
 @pytest.mark.parametrize("passes, normals", [(0, "fit"), (2, "given")])

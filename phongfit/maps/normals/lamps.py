@@ -21,19 +21,19 @@ class Lamps(NamedTuple):
     - `to_viewer`: (3, pixels) unit vectors.
     """
 
-    to_light: Float[Array, "images lights 3 pixels"]
-    diffuse: Float[Array, "images lights channels pixels"]
-    specular: Float[Array, "images lights channels pixels"]
-    ambient: Float[Array, "images channels pixels"]
-    veil: Float[Array, "images channels pixels"]
-    to_viewer: Float[Array, "3 pixels"]
+    to_light: Float[Array, "images lights 3 #pixels"]
+    diffuse: Float[Array, "images lights channels #pixels"]
+    specular: Float[Array, "images lights channels #pixels"]
+    ambient: Float[Array, "images channels #pixels"]
+    veil: Float[Array, "images channels #pixels"]
+    to_viewer: Float[Array, "3 #pixels"]
 
 
 def make_lamps(
     lighting: Lighting,
-    position: Float[Array, "some_pixels 3"],
-    to_viewer: Float[Array, "some_pixels 3"],
-    visibility: Float[Array, "images lobes pixels"] | None = None,
+    position: Float[Array, "#pixels 3"],
+    to_viewer: Float[Array, "#pixels 3"],
+    visibility: Float[Array, "images lobes #pixels"] | None = None,
 ) -> Lamps:
     """The lamps of all images, in the order of the lighting's rows.
 

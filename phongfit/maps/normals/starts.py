@@ -74,7 +74,7 @@ def make_starts(samples: Samples) -> Starts:
 
 
 def _shown(
-    vector: Float[Array, "3 pixels"], lights: Float[Array, "images 3 some_pixels"]
+    vector: Float[Array, "3 pixels"], lights: Float[Array, "images 3 #pixels"]
 ) -> Float[Array, "images pixels"]:
     """ρ n · e s of all images."""
     return sum(

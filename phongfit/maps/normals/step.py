@@ -160,7 +160,7 @@ def free_to_move(point: Point, sums: Sums, which: Unknowns, edges: Edges) -> Fre
 def moved(
     point: Point,
     move: Move,
-    to_viewer: Float[Array, "3 some_pixels"],
+    to_viewer: Float[Array, "3 #pixels"],
     which: Unknowns,
     edges: Edges,
 ) -> Point:

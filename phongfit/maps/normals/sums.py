@@ -91,8 +91,8 @@ def shade(
     normal: Float[Array, "3 pixels"],
     log_exponent: Float[Array, " pixels"],
     peak: Peak,
-    to_light: Float[Array, "3 some_pixels"],
-    to_viewer: Float[Array, "3 some_pixels"],
+    to_light: Float[Array, "3 #pixels"],
+    to_viewer: Float[Array, "3 #pixels"],
 ) -> Shade:
     """Of any specular model whose lobe is a power of the cosine.
 
@@ -129,7 +129,7 @@ def shade(
     )
 
 
-def _same_for_all(vectors: Float[Array, "3 some_pixels"]) -> tuple[Array, int | None]:
+def _same_for_all(vectors: Float[Array, "3 #pixels"]) -> tuple[Array, int | None]:
     """Vectors, and along which axis to batch them."""
     return (vectors[:, 0], None) if vectors.shape[1] == 1 else (vectors, 1)
 

@@ -82,7 +82,7 @@ FACING = 0.02
 
 
 def turned_to(
-    vector: Float[Array, "3 pixels"], to_viewer: Float[Array, "3 some_pixels"]
+    vector: Float[Array, "3 pixels"], to_viewer: Float[Array, "3 #pixels"]
 ) -> Float[Array, "3 pixels"]:
     """Unit vectors, moved to the viewer's side where they are not on it."""
     normal = unit(vector)
