@@ -60,7 +60,7 @@ def pixel_size(
     """About how far apart neighbours are, as the camera sees them; world units."""
     height, width = mask.shape
     rows, columns = jnp.indices((height, width))
-    points = jnp.asarray(positions)
+    points, mask = jnp.asarray(positions), jnp.asarray(mask)
 
     def span(values: Array, inside: Array) -> Array:
         high = jnp.max(jnp.where(inside, values, -jnp.inf), axis=(0, 1))
