@@ -45,12 +45,13 @@ def in_shadow(
     - `start`, `to_light`, `distance`: points of the surface, unit vectors to the light,
         and how far away it is (may be inf).
     """
+    positions, mask = jnp.asarray(positions), jnp.asarray(mask)
     faces = grid_faces(*mask.shape)
     whole = mask.ravel()[faces].all(axis=1)
     # Of no size, which no ray meets: as many faces whatever the mask.
     faces = jnp.where(whole[:, None], faces, 0)
     lift = LIFT * pixel_size(positions, mask)
-    rays = Ray(start + lift * to_light, to_light)
+    rays = Ray(jnp.asarray(start) + lift * to_light, to_light)
     return blocked(positions.reshape(-1, 3), faces, rays, distance - lift)
 
 
