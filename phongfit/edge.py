@@ -128,7 +128,7 @@ def kind_of(hint: Any) -> Kind | None:
         return _several(parts[0])
     if isinstance(origin, type):
         if issubclass(origin, Mapping):
-            return _mapping(parts[1])
+            return _mapping(*parts)
         if origin is not tuple and issubclass(origin, Iterable):
             return _several(parts[0])
         if origin is os.PathLike:
@@ -190,13 +190,13 @@ def _several(part: Any) -> Kind:
     return Kind(words, holds)
 
 
-def _mapping(part: Any) -> Kind:
-    one = kind_of(part)
+def _mapping(key: Any, part: Any) -> Kind:
+    named, one = kind_of(key), kind_of(part)
     words = "a mapping of names" + ("" if one is None else f", each to {one.words}")
 
     def holds(values: Any) -> bool:
         return isinstance(values, Mapping) and all(
-            isinstance(name, str) and (one is None or one.holds(value))
+            (named is None or named.holds(name)) and (one is None or one.holds(value))
             for name, value in values.items()
         )
 

@@ -44,9 +44,6 @@ from phongfit.edge import checked, shown
 DISAGREEING = 5.0
 """A highlight this many standard deviations from its lamp's place is another's."""
 
-EVEN = 0.002
-"""No strength is stated to be better, as a share of it."""
-
 BEST = np.radians(0.03)
 """No direction is stated to be better: lenses distort, no sphere is quite round."""
 
@@ -248,7 +245,8 @@ class _Session:
         shaded = None
         if self.matte is not None:
             shaded = shaded_directions(self.matte)
-            self.matte = self.matte._replace(ambient=room_light(self.matte, shaded))
+            light, error = room_light(self.matte, shaded)
+            self.matte = self.matte._replace(ambient=light, ambient_error=error)
         on_spheres = [
             self._candidates(crop, outline)
             for crop, outline in zip(
@@ -420,6 +418,7 @@ class _Session:
             self._view_height(spheres),
             spread @ joint @ spread.T,
             estimate.falloff_error if self.lamps == "near" else 0.0,
+            strengths.ambient_error,
         )
 
     def _view_height(self, spheres: Sequence[CalibratedSphere]) -> float | None:
@@ -431,23 +430,17 @@ class _Session:
         return float(self.view.height * self.radius / np.mean(sizes))
 
     def _strengths(self, estimate: LampEstimate, kept: list[int]) -> Strengths:
-        if self.matte is None or estimate.place is None:
+        if self.matte is None or estimate.with_place is None:
             nothing = np.full((len(kept), 3), np.nan)
             self._warn(
                 "no-matte", "no matte sphere: how strong the lamps are is not known"
             )
-            return Strengths(nothing, nothing, np.zeros(3))
+            return Strengths(nothing, nothing, np.zeros(3), np.zeros(3))
+        assert estimate.place is not None
         matte = self.matte._replace(light=self.matte.light[kept], place=estimate.place)
-        found = find_strengths(
-            matte, estimate.directions, estimate.inverse_distances, estimate.covariances
+        return find_strengths(
+            matte, estimate.directions, estimate.inverse_distances, estimate.with_place
         )
-        # Times the sphere's reflectance, which nothing tells: 1 on average instead.
-        unit = np.nanmean(found.intensity)
-        if not unit > 0:
-            return found
-        # Nor is any sphere painted more evenly than this.
-        error = np.hypot(found.error, EVEN * found.intensity)
-        return Strengths(found.intensity / unit, error / unit, found.ambient / unit)
 
     def _judge(
         self,

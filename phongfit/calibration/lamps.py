@@ -29,6 +29,9 @@ AGREE = 2.5
 ROUNDS = 8
 """How often shading is looked at anew about the last estimate, at most."""
 
+HELD = 1e-6
+"""Standard deviation of a fall-off that is at its bound."""
+
 STEPS = 12
 """How many steps are made for one look at the shading, at most."""
 
@@ -61,6 +64,7 @@ class LampEstimate(NamedTuple):
     - `outlines`: of the spheres, as all highlights together would have them.
     - `place`: of the matte sphere, likewise.
     - `falloff_error`: standard deviation of its κ.
+    - `with_place`: covariances of each lamp and the moves of this place together.
     """
 
     directions: Float[np.ndarray, "lamps 3"]
@@ -71,6 +75,7 @@ class LampEstimate(NamedTuple):
     outlines: Float[np.ndarray, "spheres 3"]
     place: Place | None
     falloff_error: float = 0.0
+    with_place: Float[np.ndarray, "lamps 8 8"] | None = None
 
     @property
     def covariances(self) -> Float[np.ndarray, "lamps 3 3"]:
@@ -319,6 +324,14 @@ def solve_lamps(
             break
         here = matte._replace(place=estimate.place)
     assert estimate is not None
+    if estimate.place is not None and estimate.place.falloff > 1 + 10 * HELD:
+        # No lamp's light falls off faster than a bulb's.
+        bulb, held = matte.place._replace(falloff=1.0), matte.covariance.copy()
+        held[4, :] = held[:, 4] = 0
+        held[4, 4] = HELD**2
+        matte = matte._replace(place=bulb, covariance=held)
+        at_most = solve_lamps(highlights, chrome, view, lamps, reference, matte)
+        return at_most._replace(falloff_error=estimate.falloff_error)
     return estimate
 
 
@@ -550,7 +563,13 @@ class _Linearised:
         apart = self.residuals(flat)[: 2 * len(system.lamp)].reshape(-1, 2)
         distance = np.full((count, system.spheres), np.nan)
         distance[system.lamp, system.sphere] = np.hypot(*apart.T) / scales[0]
-        shaded = self.shaded
+        shaded, with_place = self.shaded, np.zeros((count, 8, 8))
+        for number, own in enumerate(where):
+            chosen = np.concatenate([own, system.parts[3] + np.arange(5)])
+            back = np.eye(8)
+            mine = slice(3 * number, 3 * number + 3)
+            back[:3, :3] = turn[mine, mine]
+            with_place[number] = back @ joint[np.ix_(chosen, chosen)] @ back.T
         return LampEstimate(
             directions,
             inverse,
@@ -560,6 +579,7 @@ class _Linearised:
             system.chrome.outlines + moves,
             None if shaded is None else shaded.matte.place.moved(place),
             0.0 if shaded is None else float(np.sqrt(max(joint[-1, -1], 0))),
+            None if shaded is None else with_place,
         )
 
 

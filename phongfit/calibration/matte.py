@@ -35,11 +35,14 @@ DARK = 0.03
 MOST = 4000
 """Pixels that are looked at: more of them err alike."""
 
+EVEN = 0.002
+"""No strength is stated to be better, as a share of it."""
+
 TUKEY = 4.7
 """Residuals of so many standard deviations count no more (Tukey's biweight)."""
 
-BLOCK = 8
-"""Neighbours up to this many pixels apart, and JPEG's blocks, err together."""
+BLOCK = 16
+"""Neighbours up to this many pixels apart, and JPEG's blocks of colour, err alike."""
 
 
 class Place(NamedTuple):
@@ -72,7 +75,7 @@ class Matte(NamedTuple):
     - `covariance`: of what moves the place.
     - `view`: the camera.
     - `reference`: the point that lamps' directions are counted from.
-    - `ambient`: light of the room on it.
+    - `ambient`, `ambient_error`: light of the room on it.
     """
 
     light: Float[np.ndarray, "count height width 3"]
@@ -82,6 +85,7 @@ class Matte(NamedTuple):
     view: View
     reference: Float[np.ndarray, "3"]
     ambient: Float[np.ndarray, "3"] = np.zeros(3)
+    ambient_error: Float[np.ndarray, "3"] = np.zeros(3)
 
 
 class Shading(NamedTuple):
@@ -184,7 +188,9 @@ def _line(light: np.ndarray, columns: np.ndarray, block: np.ndarray) -> _Line:
     _, group = np.unique(block, return_inverse=True)
     scores = np.zeros((group.max() + 1, columns.shape[1]))
     np.add.at(scores, group, (weights * rest)[:, None] * columns)
-    covariance = bread @ scores.T @ scores @ bread
+    # Few blocks leave less than they err: numbers were fitted to them.
+    few = len(scores) / max(len(scores) - len(found), 1)
+    covariance = few * bread @ scores.T @ scores @ bread
     # How much larger than the covariance of independent samples of variance 1.
     inflation = float(np.mean(np.diag(covariance) / np.maximum(np.diag(bread), 1e-300)))
     return _Line(found, covariance, weights, max(inflation, 1e-12))
@@ -245,34 +251,39 @@ def shade(
 class Strengths(NamedTuple):
     """How strong lamps are at the reference point, and the light of the room.
 
-    Of linear light times the sphere's reflectance, which nothing tells.
+    In units of the mean of all lamps and channels: linear light has the sphere's
+    reflectance in it, which nothing tells.
 
     - `intensity`, `error`: by lamp and channel; `nan` where a photograph tells nothing.
-    - `ambient`: by channel.
+    - `ambient`, `ambient_error`: by channel.
     """
 
     intensity: Float[np.ndarray, "lamps 3"]
     error: Float[np.ndarray, "lamps 3"]
     ambient: Float[np.ndarray, "3"]
+    ambient_error: Float[np.ndarray, "3"]
 
 
 def find_strengths(
     matte: Matte,
     directions: Float[np.ndarray, "lamps 3"],
     inverse_distances: Float[np.ndarray, " lamps"],
-    covariances: Float[np.ndarray, "lamps 3 3"],
+    covariances: Float[np.ndarray, "lamps 8 8"],
 ) -> Strengths:
     """Strengths of lamps whose places are known, with errors that these add to.
+
+    So does how well the sphere's own place is known, and how light falls off.
 
     **Arguments:** as of [`LampEstimate`][].
     """
     points = _points(matte)
     shape = (len(directions), 3)
-    intensity, error = np.full(shape, np.nan), np.full(shape, np.nan)
-    small = 1e-4 * np.eye(3)
+    intensity, error, by_room = (np.full(shape, np.nan) for _ in range(3))
+    slopes = np.full((*shape, 8), np.nan)
+    small = 1e-4 * np.eye(8)
     for number, direction in enumerate(directions):
         at = _about(matte, points, direction, inverse_distances[number])
-        here = at(np.zeros(3))
+        here = at(np.zeros(8))
         # The same for all channels.
         beside = [(at(step), at(-step)) for step in small]
         for channel in range(3):
@@ -281,35 +292,80 @@ def find_strengths(
             if lit.sum() < ENOUGH:
                 continue
             line = _line(light[lit], here[lit, None], points.block[lit])
-            # How the strength moves with the lamp's direction and distance.
-            slope = [
+            # How the strength moves with the lamp's direction and distance, and with
+            # the sphere's place.
+            slopes[number, channel] = [
                 (_strength(one[lit], light[lit]) - _strength(other[lit], light[lit]))
                 / 2e-4
                 for one, other in beside
             ]
-            spread = slope @ covariances[number] @ slope
             intensity[number, channel] = line.numbers[0]
-            error[number, channel] = np.sqrt(line.covariance[0, 0] + spread)
-    return Strengths(intensity, error, matte.ambient)
+            by_room[number, channel] = -_strength(here[lit], np.ones(lit.sum()))
+            error[number, channel] = np.sqrt(line.covariance[0, 0])
+    mean = float(np.nanmean(intensity))
+    mean = mean if mean > 0 else 1.0
+    # Strengths are over their mean, so that what all share alike is no error: most of
+    # what is wrong with the room's light, or with the sphere's place.
+    share = intensity / mean
+    by_room = (by_room - share * np.nanmean(by_room)) * matte.ambient_error
+    slopes[..., 3:] -= share[..., None] * np.nanmean(slopes[..., 3:], axis=(0, 1))
+    place = np.sqrt(np.einsum("lci,lij,lcj->lc", slopes, covariances, slopes))
+    # Nor is any sphere painted more evenly than this.
+    error = np.linalg.norm([error, place, by_room, EVEN * intensity], axis=0)
+    room = matte.ambient / mean, matte.ambient_error / mean
+    return Strengths(intensity / mean, error / mean, *room)
 
 
 def _strength(model: np.ndarray, light: np.ndarray) -> float:
     return float(model @ light / (model @ model))
 
 
-def room_light(
-    matte: Matte, directions: Float[np.ndarray, "lamps 3"]
-) -> Float[np.ndarray, "3"]:
-    """Light of the room on the matte sphere: what is there on its side in shadow.
+class RoomLight(NamedTuple):
+    """Light of the room on a sphere, by channel, and its standard deviation."""
+
+    light: Float[np.ndarray, "3"]
+    error: Float[np.ndarray, "3"]
+
+
+def room_light(matte: Matte, directions: Float[np.ndarray, "lamps 3"]) -> RoomLight:
+    r"""Light of the room on the matte sphere: what is there on its side in shadow.
 
     The median of the photographs; 0 where none shows enough of that side. (As one more
     number of a fit it could not be told from a sphere that is not quite Lambert's.)
+
+    Nothing is darker than black: noise of standard deviation $\sigma$ makes of no light
+    at all $\sigma / \sqrt{2 \pi}$ on average. What clipping added is taken off, and is
+    the error, too, as that is known to no better than its size; so is how photographs
+    scatter, which light that comes from the lamps by way of the room makes differ.
     """
     points = _points(matte._replace(ambient=np.zeros(3)))
     normals = seen(points.pixel, matte.place.outline, matte.view, 1.0).normal
-    found = []
+    found, noise = [], []
     for light, direction in zip(points.light, directions, strict=True):
-        dark = normals @ direction < -0.1
-        if direction.any() and dark.sum() >= ENOUGH:
+        cosine = normals @ direction
+        dark, lit = cosine < -0.1, (cosine > 0.2) & (light.max(axis=-1) < WHITE)
+        if direction.any() and min(dark.sum(), lit.sum()) >= ENOUGH:
             found.append(np.median(light[dark], axis=0))
-    return np.maximum(np.median(found, axis=0), 0) if found else np.zeros(3)
+            shade = np.linalg.lstsq(normals[lit], light[lit], rcond=None)[0]
+            rest = np.abs(light[lit] - normals[lit] @ shade)
+            noise.append(1.4826 * np.median(rest, axis=0))
+    if not found:
+        return RoomLight(np.zeros(3), np.zeros(3))
+    shown, sigma = np.median(found, axis=0), np.median(noise, axis=0)
+    light = _unclipped(shown, sigma)
+    scatter = 1.4826 * np.median(np.abs(found - shown), axis=0)
+    return RoomLight(light, np.hypot(shown - light, scatter))
+
+
+def _unclipped(mean: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Light of which noise and the clamp at 0 make such means; 0 where none does."""
+    from scipy.special import ndtr
+
+    low, high = np.zeros_like(mean), mean
+    for _ in range(40):
+        middle = (low + high) / 2
+        ratio = middle / np.maximum(sigma, 1e-12)
+        density = np.exp(-(ratio**2) / 2) / np.sqrt(2 * np.pi)
+        below = middle * ndtr(ratio) + sigma * density < mean
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return low

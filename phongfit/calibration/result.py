@@ -1,7 +1,7 @@
 """What a calibration found."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,12 +69,13 @@ class Calibration:
     - `falloff`: κ of near lamps' light, 1 / (1 − κ + κ (d / d₀)²), where d₀ is the
         lamp's distance from the reference point; 1 for a bulb.
     - `ambient`: light that is there without a lamp, RGB, in the unit of intensities.
+        It is taken from the matte sphere's light; a fit finds that of its own object.
     - `left_out`: photographs that are not used, and why.
     - `warnings`: what to know before this is trusted.
     - `view_height`: with parallel rays, height of what is seen, in spheres' unit.
     - `covariance`: of all lamps' positions or directions, lamp by lamp; `None` where
         only that of each is known.
-    - `falloff_error`: standard deviation of `falloff`.
+    - `falloff_error`, `ambient_error`: standard deviations of these.
     """
 
     view: View
@@ -89,6 +90,7 @@ class Calibration:
     view_height: float | None = None
     covariance: Float[np.ndarray, "lamps*3 lamps*3"] | None = None
     falloff_error: float = 0.0
+    ambient_error: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
 
     @property
     def camera(self) -> AbstractCamera:
@@ -190,6 +192,7 @@ class Calibration:
             "falloff_error": self.falloff_error,
             "covariance": self.covariance,
             "ambient": self.ambient,
+            "ambient_error": self.ambient_error,
             "left_out": dict(self.left_out),
             "warnings": list(self.warnings),
         }

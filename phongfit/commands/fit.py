@@ -205,8 +205,13 @@ def _with_unknown(asked: Specification, data: Dataset, refine: bool) -> Specific
             "refine_lights: expected lights of a calibration, whose errors are known"
         )
     several = len(data.images) > 1
-    # How light falls off is one number of all lamps, and stays.
-    refined = tuple(n for n in data.uncertain if refine and "attenuation" not in n)
+    if refine and any(not isinstance(key, str) for key in data.uncertain):
+        raise ValueError(
+            "refine_lights: expected distant lamps, got near ones: their places and "
+            "how light falls off hang together, and are brought to the photographs "
+            "anyway"
+        )
+    refined = tuple(key for key in data.uncertain if refine and isinstance(key, str))
     names = (*data.unknown, *refined)
     own = tuple(name for name in names if name.startswith("scene."))
     return dataclasses.replace(

@@ -55,6 +55,12 @@ SHARED = ("ambient", "diffuse")
 """What each pixel still identifies where the highlight is one for all of them."""
 
 
+HELD = (
+    "warning: the maps' errors are those of the photographs alone, and leave out those "
+    "of the calibration: all pixels share them, and `phongfit fit` includes them"
+)
+
+
 @dataclass(frozen=True)
 class Options:
     """Options of `phongfit maps`.
@@ -157,6 +163,8 @@ def main(options: Options) -> int:
             raise
         with keeping(options.out, folder) as kept:
             print(found, flush=True)
+            if stack.photographs.uncertain:
+                print(HELD, flush=True)
             if options.pictures:
                 with stage("drawing"):
                     draw(folder, found)

@@ -66,6 +66,7 @@ class LightsRecord(AbstractRecord):
     falloff_error: Annotated[float, Field(ge=0)] = 0.0
     covariance: list[list[float]] | None = None
     ambient: Colour = (0.0, 0.0, 0.0)
+    ambient_error: Colour = (0.0, 0.0, 0.0)
     left_out: dict[str, str] = {}
     warnings: list[str] = []
 
@@ -104,6 +105,7 @@ class LightsRecord(AbstractRecord):
             view.view_height,
             covariance,
             self.falloff_error,
+            np.array(self.ambient_error),
         )
 
     def _lamp(self, at: int, lamp: LampRecord) -> Lamp:

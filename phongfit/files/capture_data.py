@@ -7,9 +7,9 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
-from phongfit.calibration.result import Calibration
+from phongfit.calibration.result import Calibration, Lamp
 from phongfit.edge import checked
 from phongfit.files.calibrations import LIGHTS_FILE, load_calibration
 from phongfit.files.captures import Capture, encoding_of, open_capture
@@ -66,7 +66,7 @@ def open_captured(
     - `room_light`: ambient light that stands for all that came by way of the room.
 
     Where exposures differ, photographs stay as they are, and the lights of their scenes
-    are as much stronger or weaker.
+    are as much stronger or weaker. Those that the calibration left out are left out.
 
     **Raises:** `ValueError` that names the file or the argument.
     """
@@ -76,6 +76,8 @@ def open_captured(
     else:
         capture = one_photograph(path, encoding)
     source = calibration_of(path, lights)
+    if source is not None:
+        capture = capture.without(source.left_out.keys())
     if (sphere is None) == (normals is None):
         raise ValueError(
             "sphere: expected the shape of what is photographed, by its circle "
@@ -168,7 +170,7 @@ def find_lamps(
 
 def _uncertain(
     capture: Capture, calibration: Calibration | None
-) -> dict[str, np.ndarray]:
+) -> dict[str | tuple[str, ...], np.ndarray]:
     """How well a calibration knows its lamps, in the order of the photographs."""
     from scipy.linalg import block_diag
 
@@ -181,19 +183,38 @@ def _uncertain(
     else:
         rows = (3 * np.array(order)[:, None] + np.arange(3)).ravel()
         place = calibration.covariance[np.ix_(rows, rows)]
-    where = "direction" if found[0].position is None else "position"
-    uncertain: dict[str, np.ndarray] = {f"scene.lights[0].{where}": place}
-    if found[0].position is not None and calibration.falloff_error:
-        # Attenuation is (1 − κ, 0, κ / d²), with one κ for all.
-        away = [np.linalg.norm(x.position - calibration.reference) for x in found]
-        slope = np.array([[-1, 0, 1 / d**2] for d in away]).ravel()
-        spread = calibration.falloff_error**2 * np.outer(slope, slope)
-        uncertain["scene.lights[0].attenuation"] = spread
+    uncertain: dict[str | tuple[str, ...], np.ndarray] = {}
+    if found[0].position is None:
+        uncertain["scene.lights[0].direction"] = place
+    else:
+        arrays = "scene.lights[0].position", "scene.lights[0].attenuation"
+        uncertain[arrays] = _with_attenuation(place, found, calibration)
     errors = np.array([lamp.intensity_error for lamp in found])
     if np.isfinite(errors).all():
         exposures = capture.series.relative_exposures[:, None]
         uncertain["scene.lights[0].intensity"] = (exposures * errors).ravel()
     return uncertain
+
+
+def _with_attenuation(
+    place: Float[np.ndarray, "n n"], lamps: Sequence[Lamp], calibration: Calibration
+) -> Float[np.ndarray, "2*n 2*n"]:
+    """The covariance of near lamps' positions, and with it that of their attenuations.
+
+    An attenuation is (1 − κ, 0, κ / d²), with one κ for all, and d from the reference
+    point, where a lamp's strength is known: the further it is, the slower its light
+    falls off.
+    """
+    away = np.array([lamp.position - calibration.reference for lamp in lamps])
+    distance = np.linalg.norm(away, axis=1)
+    falloff = min(calibration.falloff, 1.0)
+    by_place = np.zeros((3 * len(lamps), 3 * len(lamps)))
+    for k, (offset, d) in enumerate(zip(away, distance, strict=True)):
+        by_place[3 * k + 2, 3 * k : 3 * k + 3] = -2 * falloff * offset / d**4
+    slope = np.concatenate([np.eye(len(place)), by_place])
+    by_falloff = np.array([[-1, 0, 1 / d**2] for d in distance]).ravel()
+    own = calibration.falloff_error * np.concatenate([0 * by_falloff, by_falloff])
+    return slope @ place @ slope.T + np.outer(own, own)
 
 
 def _times(light: AbstractLight, exposure: float) -> AbstractLight:

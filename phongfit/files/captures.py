@@ -1,8 +1,9 @@
 """A capture: a folder of photographs of a standing camera, one lamp each."""
 
+import dataclasses
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,6 +73,21 @@ class Capture(AbstractImages):
 
     def __len__(self) -> int:
         return len(self.series)
+
+    def without(self, names: Collection[str]) -> "Capture":
+        """What is left without some photographs; a note says which."""
+        kept = [k for k, name in enumerate(self.names) if name not in names]
+        if len(kept) in (0, len(self.names)):
+            return self
+        out = ", ".join(name for name in self.names if name in names)
+        series, listed = self.series.only(kept), self.lights
+        notes = (*series.notes, f"{out}: left out, as the calibration does")
+        if listed is not None:
+            listed = LightList(
+                tuple(listed.names[k] for k in kept), listed.vectors[kept]
+            )
+        series = dataclasses.replace(series, notes=notes)
+        return dataclasses.replace(self, series=series, lights=listed)
 
     def image(self, number: int) -> Float[np.ndarray, "height width 3"]:
         """The photograph of a number; samples that were cut off at white are 1."""
@@ -148,7 +164,7 @@ def open_capture(
     every = open_photographs(
         [*paths, *([] if ambient is None else [ambient])], encoding
     )
-    series = every.first(len(paths))
+    series = every.only(range(len(paths)))
     return Capture(
         series,
         None if ambient is None else _in_light_of(every, len(paths), series),

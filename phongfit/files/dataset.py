@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -28,8 +28,8 @@ class Dataset:
     - `unknown`: parameters of the scenes, and the exposure, that the photographs' maker
         does not know either, and a fit should find.
     - `notes`: what was assumed of the photographs, in sentences.
-    - `uncertain`: arrays of the scenes that were measured, and their covariances or
-        standard deviations, as [`fit`][] takes them.
+    - `uncertain`: arrays of the scenes that were measured, or several of them
+        together, and their covariances or standard deviations, as [`fit`][] takes them.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Dataset:
     truth: Material | None = None
     unknown: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    uncertain: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    uncertain: Mapping[Any, np.ndarray] = dataclasses.field(default_factory=dict)
 
     @property
     def films(self) -> tuple[Film, ...]:
@@ -101,7 +101,7 @@ class Photographs:
     film_of: Callable[[int], Film] | None = None
     unknown: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    uncertain: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    uncertain: Mapping[Any, np.ndarray] = dataclasses.field(default_factory=dict)
 
     def films(self) -> tuple[Film, ...]:
         """Of each photograph, as its file tells."""

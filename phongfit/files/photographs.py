@@ -111,13 +111,14 @@ class PhotoSeries:
     def __len__(self) -> int:
         return len(self.paths)
 
-    def first(self, count: int) -> "PhotoSeries":
-        """So many of them; the notes stay those of all."""
+    def only(self, numbers: Sequence[int]) -> "PhotoSeries":
+        """Some of them; the notes stay those of all."""
+        some = list(numbers)
         return dataclasses.replace(
             self,
-            paths=self.paths[:count],
-            exposures=self.exposures[:count],
-            relative_exposures=self.relative_exposures[:count],
+            paths=tuple(self.paths[k] for k in some),
+            exposures=tuple(self.exposures[k] for k in some),
+            relative_exposures=self.relative_exposures[some],
         )
 
     def read(self, number: int) -> Photo:

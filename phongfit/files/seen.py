@@ -24,6 +24,9 @@ from phongfit.geometry.surfaces import AbstractSurface, NormalMap, Sphere
 SOUGHT = "fit"
 """In place of a file of normals: they are sought."""
 
+OFF = 0.03
+"""How far positions may lie from their pixels' rays, of the surface's size."""
+
 
 def seen_in(
     height: int,
@@ -76,7 +79,8 @@ def seen_in(
             )
         if surface.positions is None or camera is None:
             # Of a long lens: without positions no other is known.
-            camera = OrthographicCamera(width, height)
+            return OrthographicCamera(width, height), surface
+        _check_positions(str(normals), surface, camera)
         return camera, surface
     assert sphere is not None
     circle = as_circle("sphere", sphere, view)
@@ -86,6 +90,39 @@ def seen_in(
         camera = OrthographicCamera(width, height, view_height=height / circle[2])
     # Plus 0, since −0 in a scene file would puzzle whoever reads it.
     return camera, Sphere(sphere_behind(circle, view, 1.0) + 0.0, 1.0)
+
+
+def _check_positions(name: str, surface: NormalMap, camera: AbstractCamera) -> None:
+    """That the camera sees each position in its own pixel.
+
+    **Raises:** `ValueError` that names the file, and how far they are off.
+    """
+    there = np.flatnonzero(np.asarray(surface.mask))
+    if not len(there):
+        return
+    # Some are enough.
+    some = there[:: max(len(there) // 1000, 1)]
+    rays = camera.rays()
+    origin, direction, places = (
+        np.asarray(part, float).reshape(-1, 3)[some]
+        for part in (rays.origin, rays.direction, surface.positions)
+    )
+    # What lies across the rays; the same of all, moved so that it is least.
+    beside = np.eye(3) - direction[:, :, None] * direction[:, None, :]
+    across = np.einsum("kij,kj->ki", beside, places - origin)
+    shift = np.linalg.lstsq(beside.sum(axis=0), -across.sum(axis=0), rcond=None)[0]
+    moved = across + beside @ shift
+    size = np.linalg.norm(places - places.mean(axis=0), axis=1).mean()
+    off, best = (np.linalg.norm(a, axis=1).mean() for a in (across, moved))
+    if off <= OFF * size:
+        return
+    shift = np.where(np.abs(shift) > 1e-3 * size, shift, 0)
+    hint = f"; moved by ({', '.join(f'{x:.4g}' for x in shift)}) they would be"
+    raise ValueError(
+        f"{name}: expected positions in the axes of the calibration, whose camera "
+        "stands at the origin and looks along −z, got some that it does not see in "
+        "their pixels" + (hint if best < OFF * size else "")
+    )
 
 
 def plane_before(camera: AbstractCamera, calibration: Calibration | None) -> NormalMap:

@@ -21,6 +21,7 @@ from phongfit.fitting.problem.specification import (
     DEFAULT_UNKNOWNS,
     Specification,
     Tie,
+    Uncertain,
 )
 from phongfit.fitting.problem.unknowns import Unknowns, in_units
 from phongfit.fitting.result import Fit
@@ -35,7 +36,7 @@ from phongfit.fitting.solve.start import (
     choose_few,
 )
 from phongfit.fitting.summary import FittedImage, summarize
-from phongfit.fitting.uncertainty.inherited import with_inherited
+from phongfit.fitting.uncertainty.inherited import refine, with_inherited
 from phongfit.fitting.uncertainty.statistics import sandwich_sums
 from phongfit.fitting.uncertainty.tiles import (
     Measured,
@@ -63,7 +64,7 @@ def fit(
     fixed: Mapping[str, Any] | None = None,
     ties: Mapping[str, Tie] | None = None,
     priors: Mapping[str, tuple[Any, float]] | None = None,
-    uncertain: Mapping[str, Any] | None = None,
+    uncertain: Uncertain | None = None,
     mask: Any = None,
     weights: Any = None,
     noise: Any = None,
@@ -109,9 +110,12 @@ def fit(
         known beforehand, as one more measurement.
     - `uncertain`: array of the scenes, such as `"scene.lights[0].direction"` → how well
         the scenes know it: its covariance over all images and components, image by
-        image (colours have three), or a standard deviation for all or one each. It is
-        held at what the scenes have, and its error goes into the errors of what is
-        found; or, if it is one of the `unknowns`, this is a prior about what they have.
+        image (colours have three), or a standard deviation for all or one each. Arrays
+        whose errors hang together share one covariance, array by array:
+        `("scene.lights[0].position", "scene.lights[0].attenuation")` → it. That is a
+        prior about what the scenes have. If it is of none of the `unknowns`, the scenes
+        are brought to where this and the images agree best, and what they leave open
+        goes into the errors of what is found; the result's scenes have it.
     - `mask`: (height, width) or (height, width, 3), true where a sample is used; with
         several scenes a sequence. Pixels that see no surface are never used.
     - `weights`: relative inverse variances, shaped as `mask`; 0 leaves a sample out.
@@ -148,7 +152,7 @@ def fit(
         fixed=fixed,
         ties=ties,
         priors=priors,
-        uncertain=uncertain,
+        uncertain=list((uncertain or {}).values()),
         mask=mask,
         weights=weights,
         noise=noise,
@@ -186,13 +190,22 @@ def fit(
     found, sources, at_edges = keep_off_edges(
         found, sources, seen, noise is not None, max_steps
     )
+    moved = None
+    if setting.nuisance is not None:
+        found, sources, moved = refine(
+            found,
+            sources,
+            setting.nuisance,
+            noise_given=noise is not None,
+            max_steps=max_steps,
+        )
     restored, side = None, max(tile_side(*source.mask.shape) for source in sources)
     if any(film.jpeg is not None for film in films):
         restored = restore(found, sources, films, noise is not None, max_steps, side)
         found = restored.solution
         sources = restored.sources
     if setting.nuisance is not None:
-        problem = with_inherited(found.problem, found.y, setting.nuisance)
+        problem = with_inherited(found.problem, found.y, setting.nuisance, moved)
         found = dataclasses.replace(found, problem=problem)
     setting = dataclasses.replace(setting, sources=sources)
     given = {"mask": mask, "weights": weights, "noise": noise}

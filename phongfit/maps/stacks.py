@@ -16,8 +16,9 @@ from jaxtyping import Float, Int
 from phongfit.checks import as_array
 from phongfit.edge import checked
 from phongfit.files.dataset import Photograph, Photographs
-from phongfit.files.images import Light, from_levels, read_light
+from phongfit.files.images import from_levels
 from phongfit.files.inputs import naming, read_bytes, recording
+from phongfit.files.photographs import open_photographs
 from phongfit.files.zarrs import (
     Window,
     address,
@@ -126,7 +127,11 @@ class ArrayStack(AbstractStack):
 
 
 class PhotographStack(AbstractStack):
-    """Image files, decoded anew for every tile: one of them is in memory at a time."""
+    """Image files, decoded anew for every tile: one of them is in memory at a time.
+
+    Where their exposures differ, they are in the light that the shortest let in, and
+    what was cut off at white is masked; `notes` says so.
+    """
 
     @checked
     def __init__(self, paths: Sequence[str | os.PathLike[str]], encoding: Encoding):
@@ -135,48 +140,46 @@ class PhotographStack(AbstractStack):
         - `paths`: one file for each image.
         - `encoding`: see [`read_image`][].
 
-        **Raises:** `ValueError` that names the file, if the first cannot be read.
+        **Raises:** `ValueError` that names the file that cannot be read, has another
+        size, or alone states no exposure.
         """
         self._checksums: dict[Path, str] = {}
-        self._paths = tuple(Path(path) for path in paths)
-        self._encoding: Encoding = as_encoding(encoding)
-        if not self._paths:
-            raise ValueError("paths: expected at least one, got none")
-        self._size = self._read(0).usable.shape
+        with recording(self._checksums):
+            self._series = open_photographs(paths, encoding)
+        self.notes = self._series.notes
+        relative = self._series.relative_exposures
+        self._shares = relative.min() / relative
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        return len(self._paths), *self._size
+        return len(self._series), *self._series.size
 
     def take(
         self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
     ) -> Float[np.ndarray, "images n 3"]:
         taken = np.empty((len(order), len(pixels), 3), _float_type())
-        used = np.empty((len(order), len(pixels), 1), bool)
+        used = np.empty(taken.shape, bool)
         for row, k in enumerate(order):
-            image, usable, _ = self._read(k)
-            if usable.shape != self._size:
-                raise ValueError(
-                    f"{self._paths[k]}: expected {self._size} pixels, as "
-                    f"{self._paths[0].name} has, got {usable.shape}"
-                )
-            taken[row], used[row] = gather(image, pixels), gather(usable, pixels)
-        if used.all():
-            return taken
-        return np.ma.MaskedArray(taken, np.broadcast_to(~used, taken.shape))
+            image, known = self._read(k)
+            taken[row], used[row] = gather(image, pixels), gather(known, pixels)
+        return taken if used.all() else np.ma.MaskedArray(taken, ~used)
 
     def identify(self, update: Update) -> None:
-        encoding = self._encoding
+        encoding = self._series.encoding
         name = encoding if isinstance(encoding, str) else json.dumps(encoding.light)
         update(name.encode())
         with recording(self._checksums):
-            for path in self._paths:
+            for path in self._series.paths:
                 update(read_bytes(path))
 
-    def _read(self, number: int) -> Light:
+    def _read(self, number: int) -> Photograph:
         # Read many times: it must not change meanwhile.
         with recording(self._checksums):
-            return read_light(self._paths[number], self._encoding)
+            photo = self._series.read(number)
+        if (self._shares == 1).all():
+            return Photograph(photo.image, photo.usable[..., None])
+        share = photo.image.dtype.type(self._shares[number])
+        return Photograph(share * photo.image, photo.unsaturated)
 
 
 class DatasetStack(AbstractStack):

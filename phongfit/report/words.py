@@ -204,7 +204,7 @@ def known_words(fit: Fit) -> str:
 def _uncertain(fit: Fit) -> tuple[list[str], list[bool]]:
     """What the scenes say with an error, and no unknown is."""
     asked = fit.specification
-    names = [name for name in asked.uncertain if name not in asked.unknowns]
+    names = [n for n in asked.uncertain_arrays if n not in asked.unknowns]
     return names, [True] * len(names)
 
 

@@ -145,6 +145,80 @@ def test_a_calibration_gives_camera_lights_and_strengths(tmp_path):
         open_captured(tmp_path, sphere=circle)
 
 
+@pytest.fixture(scope="module")
+def near(tmp_path_factory):
+    """Photographs under near lamps, their calibration, and the matte ball's circle."""
+    folder, studio = tmp_path_factory.mktemp("near"), Studio()
+    for number, lamp in enumerate([0, 0, -10] + 6 * LAMPS, 1):
+        image = studio.photograph(lamp, near=True, seed=number)
+        pf.write_image(folder / f"{number}.png", image, "srgb")
+    capture = open_capture(folder, "srgb")
+    found = pf.calibrate(
+        capture,
+        chrome=studio.circles("chrome"),
+        matte=studio.circles("matte")[0],
+        sphere_radius=0.5,
+        fov=20,
+        lamps="near",
+        names=capture.names,
+    )
+    pf.save_calibration(folder / "lights.json", found)
+    return folder, found, studio.circles("matte")[0]
+
+
+def test_a_near_lamp_that_is_further_is_as_bright_where_it_was_measured(near):
+    folder, found, circle = near
+    data = open_captured(folder, "srgb", sphere=circle)
+    names = "scene.lights[0].position", "scene.lights[0].attenuation"
+    joint = data.uncertain[names]
+    assert joint[:9, :9] == pytest.approx(found.covariance)
+    # One of the joint covariance's own steps: light at the reference point stays.
+    lamp, light = found.lamps[1], data.scenes[1].lights[0]
+    assert isinstance(light, pf.PointLight)
+    away = (lamp.position - found.reference) / np.linalg.norm(
+        lamp.position - found.reference
+    )
+    # How attenuation follows the distance.
+    share = joint[9 + 3 + 2, 3:6] @ away / (away @ joint[3:6, 3:6] @ away)
+    distance = np.linalg.norm(lamp.position - found.reference)
+    expected = -2 * min(found.falloff, 1) / distance**3
+    assert share == pytest.approx(expected, rel=0.2)
+    assert found.falloff <= 1 + 1e-4
+
+
+def test_photographs_that_the_calibration_leaves_out(near, tmp_path):
+    folder, found, circle = near
+    left = dataclasses.replace(
+        found,
+        lamps=found.lamps[:1] + found.lamps[2:],
+        covariance=None,
+        left_out={"2.png": "it shows two lamps"},
+    )
+    pf.save_calibration(tmp_path / "lights.json", left)
+    data = open_captured(folder, "srgb", sphere=circle, lights=tmp_path)
+    assert data.names == ("1.png", "3.png")
+    assert data.notes[-1] == "2.png: left out, as the calibration does"
+    assert data.load().images[1].shape == data.read(1).image.shape
+
+
+def test_positions_in_other_axes_than_the_calibrations(near, tmp_path):
+    folder, found, circle = near
+    seen = open_captured(folder, "srgb", sphere=circle).scenes[0].trace()
+    there = np.asarray(seen.mask)[..., None]
+    normals = np.where(there, seen.normal, 0)
+    places = np.where(there, seen.position, 0)
+    for name, shift in (("own", 0), ("other", 20)):
+        moved = np.where(there, places + [0, 0, shift], 0)
+        np.savez(tmp_path / f"{name}.npz", normals=normals, positions=moved)
+    open_captured(folder, "srgb", normals=tmp_path / "own.npz")
+    with pytest.raises(
+        ValueError,
+        match=r"other.npz: expected positions in the axes of"
+        r" the calibration.*moved by \(0, 0, -20\) they would be",
+    ):
+        open_captured(folder, "srgb", normals=tmp_path / "other.npz")
+
+
 def test_normals_from_a_file(folder, tmp_path):
     seen = ball(LAMPS[0]).trace()
     normals = np.where(seen.mask[..., None], seen.normal, 0)

@@ -11,9 +11,11 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 import pytest
+from PIL import Image
 
 import phongfit as pf
 from phongfit.files.images import write_image
+from tests.files.test_photographs import exif
 from tests.maps.synthetic import make_stack, same
 
 # The plumbing is the same for every fit: the fewest unknowns compile fastest.
@@ -53,6 +55,26 @@ def test_photographs_one_at_a_time(tmp_path):
     same(found, expected)
     with pytest.raises(ValueError, match="gone.png"):
         pf.PhotographStack([tmp_path / "gone.png"], "linear")
+
+
+def test_exposures_that_differ_come_to_the_light_of_the_shortest(tmp_path):
+    light = np.full((4, 6, 3), 0.4)
+    light[0, 0] = 0.9
+    for name, time in (("1.png", 0.5), ("2.png", 1.0)):
+        levels = np.round(255 * np.clip(2 * time * light, 0, 1)).astype(np.uint8)
+        Image.fromarray(levels).save(tmp_path / name, exif=exif(time=time))
+    paths = [tmp_path / "1.png", tmp_path / "2.png"]
+    stack = pf.PhotographStack(paths, "linear")
+    assert stack.notes == ("1.png 1/2 s, 2.png 1 s: brought to common light",)
+    taken = stack.take(np.arange(24), [0, 1])
+    hidden = np.ma.getmaskarray(taken)
+    # The lamp of the longer one is cut off at white.
+    assert hidden[1, 0].all() and hidden.sum() == 3
+    assert np.ma.getdata(taken)[:, 1:] == pytest.approx(0.4, abs=0.003)
+    paths.append(tmp_path / "3.png")
+    Image.fromarray(levels).save(paths[-1])
+    with pytest.raises(ValueError, match="3.png: expected an exposure time"):
+        pf.PhotographStack(paths, "linear")
 
 
 def test_a_file_that_goes_missing_is_named_and_finished_tiles_stay(tmp_path):

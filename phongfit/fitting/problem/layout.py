@@ -21,7 +21,7 @@ from phongfit.fitting.problem.parameters import (
     scene_arrays,
 )
 from phongfit.fitting.problem.shapes import moves_cosine
-from phongfit.fitting.problem.specification import Specification, Tie
+from phongfit.fitting.problem.specification import Specification, Tie, as_names
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.material import Material
 from phongfit.scene import Scene
@@ -414,11 +414,14 @@ def _box(name: str, box: tuple[float, float], form: str) -> tuple[float, float]:
     return low, high
 
 
-def covariance_of(name: str, given: Any, size: int) -> Float[np.ndarray, "n n"]:
+def covariance_of(
+    key: str | tuple[str, ...], given: Any, size: int
+) -> Float[np.ndarray, "n n"]:
     """A covariance from itself, or from one standard deviation or one for each.
 
     **Raises:** `ValueError` that names the entry.
     """
+    name = ", ".join(as_names(key))
     wanted = f"({size}, {size}), or {size} standard deviations"
     try:
         array = np.asarray(given, float)
@@ -467,14 +470,22 @@ def _priors(
         covariance[entries, entries] = deviation**2
         has[entries] = True
     unknown = {one.name for one in names.parameter}
-    for name in unknown.intersection(asked.uncertain):
-        entries = names.entries("uncertain", name)
+    for key, given in asked.uncertain.items():
+        own = as_names(key)
+        if not unknown.issuperset(own):
+            if unknown.intersection(own):
+                raise ValueError(
+                    f"uncertain: {', '.join(own)}: expected all of them to be unknown, "
+                    "or none, since their errors hang together"
+                )
+            continue
+        entries = np.concatenate([names.entries("uncertain", name) for name in own])
         if has[entries].any():
-            raise ValueError(f"priors: {name}: expected it or uncertain, got both")
-        block = covariance_of(name, asked.uncertain[name], len(entries))
+            raise ValueError(f"priors: {key}: expected it or uncertain, got both")
+        block = covariance_of(key, given, len(entries))
         if names.form[entries[0]] != "direction" and _is_singular(block):
             raise ValueError(
-                f"uncertain: {name}: expected a covariance of full rank, since it is "
+                f"uncertain: {key}: expected a covariance of full rank, since it is "
                 "unknown: of what is known exactly nothing is to be found"
             )
         mean[entries], has[entries] = first[entries], True

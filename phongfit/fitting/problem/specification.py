@@ -21,6 +21,8 @@ DEFAULT_PER_CHANNEL = ("ambient", "diffuse", "specular")
 
 # A name, or a factor and a name.
 Tie = str | tuple[float, str]
+# By one name, or by several whose errors hang together.
+Uncertain = Mapping[Any, Any]
 
 
 @dataclasses.dataclass(frozen=True, init=False)
@@ -40,7 +42,7 @@ class Specification:
     fixed: Mapping[str, Any]
     ties: Mapping[str, tuple[float, str]]
     priors: Mapping[str, tuple[Any, float]]
-    uncertain: Mapping[str, Any]
+    uncertain: Uncertain
     film: Film | tuple[Film, ...] | None
     loss: AbstractLoss
     max_steps: int
@@ -57,7 +59,7 @@ class Specification:
         fixed: Mapping[str, Any] | None = None,
         ties: Mapping[str, Tie] | None = None,
         priors: Mapping[str, tuple[Any, float]] | None = None,
-        uncertain: Mapping[str, Any] | None = None,
+        uncertain: Uncertain | None = None,
         film: Film | Sequence[Film] | None = None,
         loss: str | AbstractLoss = "linear",
         max_steps: int = 200,
@@ -121,6 +123,11 @@ class Specification:
         """All of it as keyword arguments of [`fit`][]."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
 
+    @property
+    def uncertain_arrays(self) -> tuple[str, ...]:
+        """Arrays of the scenes that are known with an error."""
+        return tuple(name for key in self.uncertain for name in as_names(key))
+
     def _check_names(self) -> None:
         if not self.unknowns:
             raise ValueError("unknowns: expected at least one, got none")
@@ -135,6 +142,9 @@ class Specification:
                     raise ValueError(
                         f"{argument}: expected one of {', '.join(there)}, got {name!r}"
                     )
+        for name in self.uncertain_arrays:
+            if self.uncertain_arrays.count(name) > 1:
+                raise ValueError(f"uncertain: expected each name once, got {name} more")
         for name in self.per_image:
             if not is_of_scene(name) or is_of_model(name):
                 raise ValueError(
@@ -152,6 +162,17 @@ class Specification:
         """What differs from the defaults."""
         given = self.options.items()
         return {name: v for name, v in given if v != getattr(_USUAL, name)}
+
+
+def as_names(key: Any) -> tuple[str, ...]:
+    """Arrays that an entry of `uncertain` is of.
+
+    **Raises:** `ValueError` if it is neither a name nor several.
+    """
+    names = (key,) if isinstance(key, str) else key
+    if not isinstance(names, tuple) or not all(isinstance(n, str) for n in names):
+        raise ValueError(f"uncertain: expected a name, or several, got {key!r}")
+    return names
 
 
 def _names(argument: str, given: Sequence[Any] | None) -> tuple[Any, ...]:

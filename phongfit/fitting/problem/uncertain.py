@@ -7,11 +7,12 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.linalg import block_diag
 
 from phongfit.fitting.problem.layout import covariance_of, make_unknowns
 from phongfit.fitting.problem.parameters import is_of_model
 from phongfit.fitting.problem.problem import Problem
-from phongfit.fitting.problem.specification import Specification
+from phongfit.fitting.problem.specification import Specification, as_names
 from phongfit.fitting.problem.unknowns import Unknowns, in_units
 from phongfit.scene import Scene
 
@@ -56,7 +57,7 @@ def make_nuisance(
 
     **Raises:** `ValueError` that names the entry that is wrong.
     """
-    names = tuple(name for name in asked.uncertain if name not in asked.unknowns)
+    names = tuple(n for n in asked.uncertain_arrays if n not in asked.unknowns)
     if not names:
         return None
     wider = dataclasses.replace(
@@ -68,12 +69,10 @@ def make_nuisance(
         uncertain={},
     )
     unknowns = make_unknowns(wider, materials, scenes)
+    sizes = {one.name: one.size for one in unknowns.parameters}
     blocks = [
-        covariance_of(one.name, asked.uncertain[one.name], one.size)
-        for one in unknowns.parameters[-len(names) :]
+        covariance_of(key, given, sum(sizes[name] for name in as_names(key)))
+        for key, given in asked.uncertain.items()
+        if set(as_names(key)) <= set(names)
     ]
-    ends = np.cumsum([len(block) for block in blocks])
-    covariance = np.zeros((ends[-1], ends[-1]))
-    for block, end in zip(blocks, ends, strict=True):
-        covariance[end - len(block) : end, end - len(block) : end] = block
-    return Nuisance(unknowns, covariance)
+    return Nuisance(unknowns, np.asarray(block_diag(*blocks)))

@@ -9,6 +9,9 @@ which is fitted again; how the draws scatter says what the errors are.
 
 Each draw is a little brighter or darker, and shifted by some levels: where a
 large number lies between two steps is chance, but a small one rounds to 0 all the same.
+It is the same chance for all images of a draw. They show one material, whose colour
+passes the same steps at the same brightness in each, so that what a number rounds to in
+one of them it rounds to in all.
 
 ??? cite "Source"
     Widrow and Kollár, *Quantization noise*, 2008, chapters 4 and 19; Gouriéroux,
@@ -153,6 +156,8 @@ class _Plate(NamedTuple):
     - `place`, `columns`: the pixels that the fit uses, counted row by row, and where
         they stand among the samples.
     - `used`: true for the samples that count, (height, width, 3).
+    - `box`: rows and columns of the blocks that they lie in, and of those about them:
+        the others' numbers say nothing of theirs.
     """
 
     film: Film
@@ -160,6 +165,7 @@ class _Plate(NamedTuple):
     place: Int[np.ndarray, " n"]
     columns: Int[np.ndarray, " n"]
     used: Bool[np.ndarray, "height width 3"]
+    box: tuple[slice, slice]
 
     def picture(
         self, samples: Float[np.ndarray, "3 samples"]
@@ -176,12 +182,26 @@ class _Plate(NamedTuple):
 
     def levels(
         self, light: Float[np.ndarray, "3 n"]
-    ) -> Float[np.ndarray, "height width 3"]:
-        """Encoded levels 0 … 255 of the image with this light on the surface."""
+    ) -> Float[np.ndarray, "rows columns 3"]:
+        """Encoded levels 0 … 255 of the box with this light on the surface."""
         canvas = self.around.copy()
         canvas[self.place] = light.T
-        shown = np.clip(canvas, 0, 1).reshape(self.used.shape)
+        shown = np.clip(canvas.reshape(self.used.shape)[self.box], 0, 1)
         return encode(shown, self.film.encoding) * 255
+
+    def brightest(self, light: Float[np.ndarray, "3 n"]) -> float:
+        """The largest of these levels."""
+        around = self.around.reshape(self.used.shape)[self.box]
+        most = np.clip(max(around.max(), light.max(initial=0)), 0, 1)
+        return 255 * float(encode(most, self.film.encoding))
+
+    def read(
+        self, levels: Float[np.ndarray, "rows columns 3"]
+    ) -> Float[np.ndarray, "3 n"]:
+        """Light of the surface, from encoded levels of the box."""
+        image = np.zeros(self.used.shape, levels.dtype)
+        image[self.box] = decode(np.clip(levels / 255, 0, 1), self.film.encoding)
+        return image.reshape(-1, 3)[self.place].T
 
 
 def _plates(
@@ -196,8 +216,20 @@ def _plates(
         image = np.asarray(source.image, np.float32)
         used = np.greater(np.broadcast_to(source.weight, image.shape), 0)
         around = _surroundings(image, used.max(axis=-1, keepdims=True))
-        plates.append(_Plate(film, around.reshape(-1, 3), place, columns, used))
+        around, box = around.reshape(-1, 3), _box(used, film)
+        plates.append(_Plate(film, around, place, columns, used, box))
     return plates
+
+
+def _box(used: Bool[np.ndarray, "height width 3"], film: Film) -> tuple[slice, slice]:
+    """Whole blocks around all that is used, and one more on each side."""
+    if film.jpeg is None or not used.any():
+        return slice(None), slice(None)
+    edges = []
+    for axis, block in enumerate(film.jpeg.block):
+        there = np.flatnonzero(used.any(axis=(1 - axis, 2))) // block
+        edges.append(slice(max(there[0] - 1, 0) * block, (there[-1] + 2) * block))
+    return edges[0], edges[1]
 
 
 def _surroundings(
@@ -236,6 +268,13 @@ def _in_blocks(
     padded = np.pad(picture, [(0, -height % down), (0, -width % across), (0, 0)])
     blocks = padded.reshape(-(-height // down), down, -1, across, channels)
     return blocks.sum(axis=(1, 3), dtype=float)
+
+
+class _Another(NamedTuple):
+    """What levels are multiplied by, and what is added to red, green and blue."""
+
+    share: np.float32
+    shift: Float[np.ndarray, "3"]
 
 
 class _Draws(NamedTuple):
@@ -341,8 +380,10 @@ class _Stage:
             rng, errors = np.random.default_rng(seed), np.zeros_like(self.light)
             drawn = rng.standard_normal(self.light.shape, np.float32)
             light = self.light + (noise * drawn).astype(kind)
+            brightest = max(p.brightest(light[:, p.columns]) for p in self.plates)
+            another = _another([p.film for p in self.plates], brightest, rng)
             for plate in self.plates:
-                shown = _developed(plate, light[:, plate.columns], rng)
+                shown = _developed(plate, light[:, plate.columns], another)
                 errors[:, plate.columns] = shown - predicted[:, plate.columns]
             yield np.where(self.used, errors, 0)
 
@@ -425,41 +466,37 @@ def _look(problem: Problem, y: Float[Array, " n"]) -> tuple[Array, Linearization
 
 
 def _developed(
-    plate: _Plate,
-    light: Float[np.ndarray, "3 n"],
-    rng: np.random.Generator,
+    plate: _Plate, light: Float[np.ndarray, "3 n"], another: _Another
 ) -> Float[np.ndarray, "3 n"]:
-    """Light on the surface as it is read from the file; its roundings are drawn."""
-    film = plate.film
-    if film.jpeg is None:
-        shown = np.clip(light, 0, 1) if film.clamp else light
-        if film.bits is None:
-            return shown
-        top = 2**film.bits - 1
-        offset = rng.uniform(-0.5, 0.5, (3, 1)).astype(light.dtype)
-        levels = np.round(encode(shown, film.encoding) * top + offset) - offset
-        return decode(np.clip(levels / top, 0, 1), film.encoding)
-    levels = plate.levels(light)
-    share, shift = _another(film.jpeg, float(levels.max()), rng)
-    read = (compressed(share * levels + shift, film.jpeg) - shift) / share
-    shown = decode(np.clip(read / 255, 0, 1), film.encoding)
-    return shown.reshape(-1, 3)[plate.place].T
+    """Light on the surface as it is read from the file."""
+    film, (share, shift) = plate.film, another
+    if film.jpeg is not None:
+        levels = compressed(share * plate.levels(light) + shift, film.jpeg)
+        return plate.read((levels - shift) / share)
+    shown = np.clip(light, 0, 1) if film.clamp else light
+    if film.bits is None:
+        return shown
+    top = 2**film.bits - 1
+    levels = np.round(encode(shown, film.encoding) * top + shift[:, None])
+    return decode(np.clip((levels - shift[:, None]) / top, 0, 1), film.encoding)
 
 
 def _another(
-    jpeg: JpegCompression, brightest: float, rng: np.random.Generator
-) -> tuple[np.float32, Float[np.ndarray, " 3"]]:
-    """What levels are multiplied by, and what is added to red, green and blue.
+    films: Sequence[Film], brightest: float, rng: np.random.Generator
+) -> _Another:
+    """Other levels of all images, of which none passes white by it.
 
-    Nothing passes white by it, so that no more is cut off than was.
+    No more is to be cut off than was.
     """
+    known = [film.jpeg for film in films if film.jpeg is not None]
     # Twice as wide as the coarsest rounding of a block's mean.
-    widest = max(1.0, *(table[0][0] / 8 for table in jpeg.tables))
+    steps = [table[0][0] / 8 for jpeg in known for table in jpeg.tables]
+    widest = max([1.0, *steps])
     shift = rng.uniform(-widest, widest, 3).astype(np.float32)
-    if len(jpeg.tables) == 1:
+    if all(len(jpeg.tables) == 1 for jpeg in known):
         shift[:] = shift[0]
     most = min(1 + BRIGHTER, (255 - widest) / max(brightest, 1.0))
-    return np.float32(most - 2 * BRIGHTER * rng.uniform()), shift
+    return _Another(np.float32(most - 2 * BRIGHTER * rng.uniform()), shift)
 
 
 def _root(function: Callable[[float], float], scale: float) -> float:

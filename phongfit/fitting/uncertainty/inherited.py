@@ -1,33 +1,225 @@
-r"""Errors that a fit inherits from what its scenes say.
+r"""What scenes say with an error: brought to what the images say too, and the rest.
 
-A fit holds lights where a calibration found them. Were these off by $\delta$, the
-solution would be off by $-B^{-1} C \delta$, to first order, where B is the curvature of
-the cost in the unknowns and C the mixed one in unknowns and lights. So their covariance
-$\Sigma$ adds $C \Sigma C^\top$ to the covariance of the cost's gradient.
+A calibration knows lights as $\eta \sim N(\eta_0, \Sigma)$, which is one more
+measurement. With $\Sigma = L L^\top$ and $\eta = \eta_0 + L z$ the fit minimises its
+cost and $|z|^2$ together. With B the curvature of half the cost in the unknowns, C the
+mixed one in them and z, and S that in z once the unknowns have followed, a step to the
+least is $-(1 + S)^{-1}$ times the gradient, and what is left open about z has the
+covariance
+
+$$(1 + S)^{-1} (1 + \kappa S) (1 + S)^{-1},$$
+
+where κ is how much more samples scatter than if they were independent. By it the
+unknowns err $-B^{-1} C z$ more, to first order: $C \operatorname{cov}(z) C^\top$ adds
+to the covariance of the cost's gradient.
 
 ??? cite "Source"
-    Murphy and Topel, *Estimation and inference in two-step econometric models*, J.
-    Business & Economic Statistics 3(4), 1985.
+    Lindley and Smith, *Bayes estimates for the linear model*, J. R. Stat. Soc. B 34(1),
+    1972; Murphy and Topel, *Estimation and inference in two-step econometric models*,
+    J. Business & Economic Statistics 3(4), 1985.
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from phongfit.fitting.problem.problem import Problem
+from phongfit.fitting.problem.problem import Problem, evaluate
+from phongfit.fitting.problem.samples import Channels, Samples, Source
 from phongfit.fitting.problem.uncertain import Nuisance
-from phongfit.fitting.uncertainty.statistics import sandwich_sums
+from phongfit.fitting.problem.unknowns import in_units
+from phongfit.fitting.solve.search import SearchResult, search_on
+from phongfit.fitting.uncertainty.sandwich import inverse_of
+from phongfit.fitting.uncertainty.statistics import in_numpy, sums_in_double
+from phongfit.geometry.surfaces import GBuffer
+from phongfit.programs import program
+from phongfit.rendering.pixels import PixelTerms, pixel_terms, resolve_terms
+from phongfit.scene import Scene
+
+# Steps towards the least, and the length of one, in standard deviations of what was
+# known before, that is not worth another.
+ROUNDS, SMALL = 4, 0.02
+# Share of the largest variance below which one is rounding.
+ROUNDING = 1e-9
+
+
+class Refined(NamedTuple):
+    """A fit whose scenes were brought to what its images say of them, too.
+
+    - `found`, `sources`: the fit, and its images in these scenes.
+    - `moved`: z, by which the scenes differ from what was said.
+    """
+
+    found: SearchResult
+    sources: list[Source]
+    moved: Float[np.ndarray, " k"]
+
+
+def refine(
+    found: SearchResult,
+    sources: list[Source],
+    nuisance: Nuisance,
+    noise_given: bool,
+    max_steps: int,
+) -> Refined:
+    """The least cost of images and of what was known before, together.
+
+    As long as steps lead downwards: a start that is far off is left where it was.
+    """
+    root = _root(nuisance, found.problem, found.y)
+    best = Refined(found, sources, np.zeros(root.shape[1]))
+    for _ in range(ROUNDS):
+        problem, y = best.found.problem, best.found.y
+        seen = _look(problem, y, nuisance, root, best.moved)
+        step = -np.linalg.solve(seen.curvature, best.moved + seen.pull)
+        moved = best.moved + step
+        scenes = _scenes(problem, y, nuisance, root @ moved, best.sources)
+        samples = _moved(problem.samples, scenes)
+        there = search_on(
+            dataclasses.replace(best.found, problem=problem),
+            samples,
+            noise_given,
+            max_steps,
+        )
+        # At the same noise, since less of it makes residuals larger.
+        again = dataclasses.replace(there.problem, sigma=problem.sigma)
+        before = _cost(problem, y) + float(best.moved @ best.moved)
+        if not _cost(again, there.y) + float(moved @ moved) < before:
+            break
+        best = Refined(there, best.sources, moved)
+        if np.abs(step).max(initial=0) < SMALL:
+            break
+    scenes = _scenes(
+        best.found.problem, best.found.y, nuisance, root @ best.moved, sources
+    )
+    pairs = zip(sources, scenes, strict=True)
+    return best._replace(sources=[_in_scene(*pair) for pair in pairs])
 
 
 def with_inherited(
-    problem: Problem, y: Float[Array, " n"], nuisance: Nuisance
+    problem: Problem,
+    y: Float[Array, " n"],
+    nuisance: Nuisance,
+    moved: Float[np.ndarray, " k"] | None = None,
 ) -> Problem:
-    """The problem with the share of its scores' covariance that scenes bring."""
+    """The problem with the share of its scores' covariance that scenes bring.
+
+    **Arguments:** `moved`: as of [`Refined`][]; default not at all.
+    """
+    root = _root(nuisance, problem, y)
+    moved = np.zeros(root.shape[1]) if moved is None else moved
+    seen = _look(problem, y, nuisance, root, moved)
+    values, vectors = np.linalg.eigh(seen.curvature)
+    share = np.sqrt(1 + seen.excess * np.maximum(values - 1, 0)) / values
+    half = seen.mixed @ (vectors * share)
+    inherited = half @ half.T
+    # In double precision, where what is nearly known exactly is not lost.
+    return dataclasses.replace(problem, inherited=inherited)
+
+
+def _root(
+    nuisance: Nuisance, problem: Problem, y: Float[Array, " n"]
+) -> Float[np.ndarray, "m k"]:
+    """L, of the solver's numbers."""
+    _, there = nuisance.beside(problem, y)
+    covariance = nuisance.solver_covariance(there, len(y))
+    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
+    kept = values > ROUNDING * values.max(initial=0)
+    return vectors[:, kept] * np.sqrt(values[kept])
+
+
+class _Seen(NamedTuple):
+    """What the images say of z at a point.
+
+    - `curvature`: 1 + S.
+    - `pull`: of the cost alone.
+    - `mixed`: C.
+    - `excess`: κ.
+    """
+
+    curvature: Float[np.ndarray, "k k"]
+    pull: Float[np.ndarray, " k"]
+    mixed: Float[np.ndarray, "n k"]
+    excess: float
+
+
+def _look(
+    problem: Problem,
+    y: Float[Array, " n"],
+    nuisance: Nuisance,
+    root: Float[np.ndarray, "m k"],
+    moved: Float[np.ndarray, " k"],
+) -> _Seen:
     wider, there = nuisance.beside(problem, y)
-    bread = np.asarray(sandwich_sums(wider, there).bread, float)
-    mixed = bread[: len(y), len(y) :]
-    spread = nuisance.solver_covariance(there, len(y))
-    inherited = mixed @ spread @ mixed.T
-    return dataclasses.replace(problem, inherited=jnp.asarray(inherited, y.dtype))
+    there = there.at[len(y) :].add(jnp.asarray(root @ moved, y.dtype))
+    # What looks alike cancels, which single precision would take for knowledge.
+    sums, count = in_numpy(sums_in_double(wider, there)), len(y)
+    own, mixed = sums.bread[:count, :count], sums.bread[:count, count:] @ root
+    # What lies at a bound stays there.
+    at, box = np.asarray(y), problem.unknowns
+    free = (at > np.asarray(box.lower)) & (at < np.asarray(box.upper))
+    inverse = np.zeros_like(own)
+    some = np.ix_(free, free)
+    inverse[some] = inverse_of(own[some], float(np.finfo(y.dtype).eps))
+    alone = root.T @ sums.bread[count:, count:] @ root - mixed.T @ inverse @ mixed
+    values, vectors = np.linalg.eigh((alone + alone.T) / 2)
+    curvature = (vectors * (1 + np.maximum(values, 0))) @ vectors.T
+    pull = root.T @ sums.pull[count:] - mixed.T @ inverse @ sums.pull[:count]
+    meat = sums.meat[:count, :count]
+    if problem.scatter is not None:
+        size = np.sqrt(np.diag(own))
+        meat = np.asarray(problem.scatter, float) * np.outer(size, size)
+    excess = np.trace(inverse @ meat) / max(np.count_nonzero(free), 1)
+    return _Seen(curvature, pull, mixed, max(float(excess), 1.0))
+
+
+def _scenes(
+    problem: Problem,
+    y: Float[Array, " n"],
+    nuisance: Nuisance,
+    step: Float[np.ndarray, " m"],
+    sources: list[Source],
+) -> tuple[Scene, ...]:
+    """The images' scenes with what is uncertain moved."""
+    wider, there = nuisance.beside(problem, y)
+    there = there.at[len(y) :].add(jnp.asarray(step, y.dtype))
+    entries = in_units(wider.unknowns, there)[0]
+    return wider.unknowns.scenes(entries, tuple(source.scene for source in sources))
+
+
+def _moved(samples: Samples, scenes: tuple[Scene, ...]) -> Samples:
+    views = [
+        dataclasses.replace(view, scene=scene)
+        for view, scene in zip(samples.views, scenes, strict=True)
+    ]
+    channels = _lit(samples, scenes)
+    return dataclasses.replace(samples, channels=channels, views=tuple(views))
+
+
+@program()
+def _lit(samples: Samples, scenes: tuple[Scene, ...]) -> Channels:
+    return samples.lit(scenes)
+
+
+def _in_scene(source: Source, scene: Scene) -> Source:
+    """An image in another scene."""
+    return dataclasses.replace(source, scene=scene, pixels=_seen_in(source, scene))
+
+
+def _seen_in(source: Source, scene: Scene) -> PixelTerms:
+    if source.gbuffer is None:
+        return resolve_terms(scene)[1]
+    return _terms(scene, source.gbuffer)
+
+
+@program()
+def _terms(scene: Scene, gbuffer: GBuffer) -> PixelTerms:
+    return pixel_terms(scene, gbuffer)
+
+
+def _cost(problem: Problem, y: Float[Array, " n"]) -> float:
+    """Robust residuals, in standard deviations, squared and summed."""
+    residual = evaluate(problem, y).residual
+    return float(np.sum(np.asarray(problem.loss.root(residual), float) ** 2))

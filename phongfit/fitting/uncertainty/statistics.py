@@ -124,7 +124,7 @@ def sandwich_at(
         # What is left over is rounding of the arithmetic, which samples share.
         inflation = inflation * float(np.sum(np.asarray(problem.samples.weight) > 0))
     if _too_coarse(found.inside, resolution):
-        found = in_numpy(_sums_in_double(problem, y))
+        found = in_numpy(sums_in_double(problem, y))
     meat = found.meat
     if found.shared > 1e-6:
         meat = meat + found.loss_variance * shared_rounding(problem, y)
@@ -160,7 +160,7 @@ def _too_coarse(bread: np.ndarray, resolution: float) -> bool:
     return bool(np.any(values < 1e4 * resolution))
 
 
-def _sums_in_double(problem: Problem, y: Float[Array, " n"]) -> "SandwichSums":
+def sums_in_double(problem: Problem, y: Float[Array, " n"]) -> "SandwichSums":
     """The same derivatives, added up in double precision."""
     parts = problem, linearized(problem, y)
     with jax.enable_x64(True):

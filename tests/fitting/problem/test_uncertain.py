@@ -1,4 +1,4 @@
-"""What scenes know with an error: held, with its effect on results, or refined."""
+"""What scenes know with an error: a prior, whatever is asked for."""
 
 import numpy as np
 import pytest
@@ -24,6 +24,7 @@ def photographs(noise=0.002):
 
 
 IMAGES = photographs()
+AIM_UNIT = AIM / np.linalg.norm(AIM, axis=1, keepdims=True)
 
 
 def fitted(aim=AIM, strength=(1.0, 1.0), **options):
@@ -44,27 +45,69 @@ def lamps(found):
     return np.array([np.asarray(s.lights[0].direction) for s in tuple(found.scene)])
 
 
-def test_what_a_wrong_lamp_would_change_is_in_the_errors():
-    plain = fitted(turned(0, 0))
-    angle, share = 0.004, 0.01
+def test_what_images_leave_open_of_a_lamp_is_in_the_errors():
+    plain, share = fitted(turned(0, 0)), 0.01
+    # Lamps that are all stronger by the same share look like a darker material.
+    alike = {INTENSITY: np.full((6, 6), share**2)}
+    found = fitted(turned(0, 0), uncertain=alike)
+    assert found.values == pytest.approx(plain.values, rel=1e-4)
+    stronger = np.append(share * plain.values[:-1], 0)
+    expected = plain.covariance + np.outer(stronger, stronger)
+    assert found.errors == pytest.approx(np.sqrt(np.diag(expected)), rel=0.05)
+    assert found.errors[0] > 5 * plain.errors[0]
+
+
+def test_a_lamp_is_brought_to_what_the_images_say():
+    plain, angle = fitted(turned(0, 0)), 0.01
     to_side = (turned(0, angle) - turned(0, -angle))[0] / (2 * angle)
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = np.outer(to_side, to_side) * angle**2
-    found = fitted(
-        turned(0, 0),
-        uncertain={DIRECTION: covariance, INTENSITY: [0, 0, 0, share, 0, 0]},
+    held = fitted(turned(0, angle))
+    found = fitted(turned(0, angle), uncertain={DIRECTION: covariance})
+    assert np.abs((held.values - plain.values) / plain.errors).max() > 3
+    assert np.abs((found.values - plain.values) / found.errors).max() < 1.5
+    assert np.abs(lamps(found) - AIM_UNIT).max() < 0.1 * angle
+    # Images that know the lamp better than anybody lose little by its error.
+    assert (found.errors < 1.3 * plain.errors).all()
+    assert (found.errors > 0.95 * plain.errors).all()
+    assert found.misfit.significance < 4.5 < held.misfit.significance
+
+
+def test_errors_that_hang_together():
+    near = [
+        pf.PointLight(5 * a / np.linalg.norm(a), attenuation=(0, 0, 1 / 25))
+        for a in AIM
+    ]
+    rooms = [pf.Scene(pf.Sphere(), CAMERA, lamp) for lamp in near]
+    light = [np.asarray(pf.render(room, TRUTH)) for room in rooms]
+    arrays = "scene.lights[0].position", "scene.lights[0].attenuation"
+    # Further away by a share, and as bright at the origin.
+    share, joint = 0.05, np.zeros((12, 12))
+    for k, lamp in enumerate(near):
+        place = np.asarray(lamp.position, float)
+        moved = np.zeros(12)
+        moved[3 * k : 3 * k + 3] = share * place
+        moved[6 + 3 * k + 2] = -2 * share / 25
+        joint += np.outer(moved, moved)
+    apart = {arrays[0]: joint[:6, :6], arrays[1]: joint[6:, 6:]}
+    options = {"unknowns": UNKNOWNS, "noise": 0.002, "film": pf.Film(clamp=False)}
+    together, separate = (
+        pf.fit(rooms, light, **options, uncertain=one)
+        for one in ({arrays: joint}, apart)
     )
-    assert found.values == pytest.approx(plain.values, rel=1e-5)
-    # As far as the answer moves with the lamps themselves.
-    moved = (fitted(turned(0, angle)).values - fitted(turned(0, -angle)).values) / 2
-    dim = np.array([[1.0, 1.0, 1.0], [1 + share, 1, 1]])
-    bright = np.array([[1.0, 1.0, 1.0], [1 - share, 1, 1]])
-    stronger = (
-        fitted(turned(0, 0), dim).values - fitted(turned(0, 0), bright).values
-    ) / 2
-    expected = plain.covariance + np.outer(moved, moved) + np.outer(stronger, stronger)
-    assert found.errors == pytest.approx(np.sqrt(np.diag(expected)), rel=0.05)
-    assert (found.errors > 1.5 * plain.errors).any()
+    assert together.errors[0] < 0.5 * separate.errors[0]
+    with pytest.raises(ValueError, match="expected all of them to be unknown, or none"):
+        pf.fit(
+            rooms,
+            light,
+            unknowns=(*UNKNOWNS, arrays[0]),
+            per_image=(arrays[0],),
+            uncertain={arrays: joint},
+        )
+    with pytest.raises(ValueError, match="uncertain: expected a name, or several"):
+        pf.fit(rooms, light, uncertain={3: 0.1})
+    with pytest.raises(ValueError, match="uncertain: expected each name once"):
+        pf.fit(rooms, light, uncertain={arrays: joint, arrays[0]: 0.1})
 
 
 def test_what_is_unknown_too_has_a_prior_about_what_the_scenes_have():
