@@ -65,8 +65,8 @@ def photograph(folder, seed, noise, quality, lamps):
         stored = np.asarray(FILM.expose(image))
         levels = np.round(255 * stored).astype(np.uint8)
         Image.fromarray(levels).save(folder / f"{k + 1}.jpg", quality=quality)
-    arrays = {"normals": surface.normals, "positions": known(surface.positions)}
-    np.savez(folder / "n.npz", **arrays)
+    places = known(surface.positions)
+    np.savez(folder / "n.npz", normals=surface.normals, positions=places)
     capture = pf.open_capture(folder)
     found = pf.calibrate(
         capture,
