@@ -30,6 +30,7 @@ from phongfit.calibration.result import CalibratedSphere, Calibration, Lamp
 from phongfit.calibration.spheres import (
     SEEN,
     Crop,
+    Developed,
     Images,
     Kind,
     Outline,
@@ -40,6 +41,7 @@ from phongfit.calibration.spheres import (
 )
 from phongfit.codes import coded
 from phongfit.edge import checked, shown
+from phongfit.rendering.film import Film
 
 DISAGREEING = 5.0
 """A highlight this many standard deviations from its lamp's place is another's."""
@@ -72,7 +74,8 @@ def calibrate(
     **Arguments:**
 
     - `photographs`: linear light, (height, width, 3), all of one size. Any sequence:
-        one that reads each file when it is asked for needs little memory.
+        one that reads each file when it is asked for needs little memory. Of a
+        [`Capture`][] it is known what its files round, and strengths' errors have it.
     - `chrome`: circles (x, y, radius) of the outlines of chrome spheres of one size, in
         pixels from the upper left corner. Where an outline is seen they are moved onto
         it. Default: spheres are looked for, matte ones too.
@@ -100,7 +103,8 @@ def calibrate(
         photographs, names, [outline for _, outline in outlines], (height, width)
     )
     spheres = _placed(outlines, crops, view, warnings)
-    return _Session(names, view, radius, lamps, spheres, crops, warnings).run()
+    film = photographs.film if isinstance(photographs, Developed) else Film(clamp=False)
+    return _Session(names, view, radius, lamps, spheres, crops, film, warnings).run()
 
 
 def _several(photographs: Any) -> Images:
@@ -197,6 +201,7 @@ class _Session:
         lamps: Lamps,
         spheres: Sequence[CalibratedSphere],
         crops: Sequence[Crop],
+        film: Film,
         warnings: list[str],
     ):
         self.names, self.view, self.radius = names, view, radius
@@ -220,9 +225,9 @@ class _Session:
         )
         # On the optical axis, as deep as the spheres are.
         self.reference = np.array([0, 0, centres[:, 2].mean()])
-        self.matte = self._matte(*mattes[0]) if mattes else None
+        self.matte = self._matte(*mattes[0], film) if mattes else None
 
-    def _matte(self, sphere: CalibratedSphere, crop: Crop) -> Matte:
+    def _matte(self, sphere: CalibratedSphere, crop: Crop, film: Film) -> Matte:
         """The matte sphere, as deep as the others to begin with."""
         near, other = self.lamps == "near", len(self.chrome.outlines) > 0
         radius = self.radius
@@ -237,9 +242,10 @@ class _Session:
         covariance[3, 3] = (0.3 if near and other else 0.05 if other else 1e-6) ** 2
         covariance[4, 4] = (0.7 if near else 1e-6) ** 2
         place = Place(sphere.outline, float(radius), 1.0 if near else 0.0)
-        return Matte(
+        matte = Matte(
             crop.light, crop.corner, place, covariance, self.view, self.reference
         )
+        return matte._replace(film=film)
 
     def run(self) -> Calibration:
         shaded = None
@@ -360,9 +366,13 @@ class _Session:
         chosen: list[list[Highlight | None]],
     ) -> Calibration:
         strengths = self._strengths(estimate, kept)
-        lamps, rows = [], []
+        lamps, rows, used = [], [], []
         floor = np.diag([BEST**2 / 2, BEST**2 / 2, 0])
-        joint = estimate.covariance + np.kron(np.eye(len(kept)), floor)
+        joint = estimate.joint.copy()
+        joint[:-5, :-5] += np.kron(np.eye(len(kept)), floor)
+        together = strengths.slopes @ joint
+        spread = strengths.covariance + together @ strengths.slopes.T
+        errors = np.sqrt(np.diag(spread)).reshape(-1, 3)
         for place, number in enumerate(kept):
             direction = estimate.directions[place]
             mine = slice(3 * place, 3 * place + 3)
@@ -383,6 +393,7 @@ class _Session:
             row = np.zeros((3, len(joint)))
             row[:, mine] = columns
             rows.append(row)
+            used += range(3 * place, 3 * place + 3)
             lamps.append(
                 Lamp(
                     self.names[number],
@@ -391,7 +402,9 @@ class _Session:
                     columns @ covariance @ columns.T,
                     float(np.degrees(np.sqrt(np.trace(covariance[:2, :2])))),
                     strengths.intensity[place],
-                    strengths.error[place],
+                    np.where(
+                        np.isfinite(strengths.intensity[place]), errors[place], np.nan
+                    ),
                     _pixels(chosen[number]),
                 )
             )
@@ -404,7 +417,16 @@ class _Session:
             sphere._replace(outline=outline)
             for sphere, outline in zip(self.spheres, outlines, strict=True)
         ]
-        spread = np.array(rows).reshape(-1, len(joint))
+        by_place = np.array(rows).reshape(-1, len(joint))
+        covariance = by_place @ joint @ by_place.T
+        if np.isfinite([lamp.intensity for lamp in lamps]).all():
+            # With strengths, and how light falls off.
+            by_falloff = np.eye(len(joint))[-1:]
+            every = np.concatenate([by_place, strengths.slopes[used], by_falloff])
+            own = np.zeros((len(every), len(every)))
+            place = len(by_place) + np.arange(len(used))
+            own[np.ix_(place, place)] = strengths.covariance[np.ix_(used, used)]
+            covariance = every @ joint @ every.T + own
         return Calibration(
             self.view,
             tuple(lamps),
@@ -416,7 +438,7 @@ class _Session:
             {self.names[n]: why for n, why in sorted(left_out.items())},
             tuple(self.warnings),
             self._view_height(spheres),
-            spread @ joint @ spread.T,
+            covariance,
             estimate.falloff_error if self.lamps == "near" else 0.0,
             strengths.ambient_error,
         )
@@ -430,17 +452,17 @@ class _Session:
         return float(self.view.height * self.radius / np.mean(sizes))
 
     def _strengths(self, estimate: LampEstimate, kept: list[int]) -> Strengths:
-        if self.matte is None or estimate.with_place is None:
-            nothing = np.full((len(kept), 3), np.nan)
+        if self.matte is None:
             self._warn(
                 "no-matte", "no matte sphere: how strong the lamps are is not known"
             )
-            return Strengths(nothing, nothing, np.zeros(3), np.zeros(3))
+            size = 3 * len(kept)
+            nothing, none = np.full((len(kept), 3), np.nan), np.zeros((size, size))
+            slopes = np.zeros((size, size + 5))
+            return Strengths(nothing, none, slopes, np.zeros(3), np.zeros(3))
         assert estimate.place is not None
         matte = self.matte._replace(light=self.matte.light[kept], place=estimate.place)
-        return find_strengths(
-            matte, estimate.directions, estimate.inverse_distances, estimate.with_place
-        )
+        return find_strengths(matte, estimate.directions, estimate.inverse_distances)
 
     def _judge(
         self,

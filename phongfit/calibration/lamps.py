@@ -54,34 +54,36 @@ class LampEstimate(NamedTuple):
 
     - `directions`: unit vectors from the reference point to each lamp.
     - `inverse_distances`: 1 / distance from there; 0 for parallel rays.
-    - `covariance`: of two coordinates of each direction across it (see `across` of
-        `outlines`), in radians, and of its inverse distance, lamp by lamp: what is
-        wrong with a sphere is wrong for all lamps.
+    - `joint`: covariance of two coordinates of each direction across it (see `across`
+        of `outlines`), in radians, and of its inverse distance, lamp by lamp, and of
+        the moves of the matte sphere's place: what is wrong with a sphere is wrong for
+        all lamps.
     - `residuals`: distance of each highlight from where its lamp would show it, in
         standard deviations; `nan` where a sphere shows none.
     - `scatter`: how far highlights lie from there, over what their centroids' errors
         say, root mean square; 1 where nothing is left to tell it.
     - `outlines`: of the spheres, as all highlights together would have them.
     - `place`: of the matte sphere, likewise.
-    - `falloff_error`: standard deviation of its κ.
-    - `with_place`: covariances of each lamp and the moves of this place together.
     """
 
     directions: Float[np.ndarray, "lamps 3"]
     inverse_distances: Float[np.ndarray, " lamps"]
-    covariance: Float[np.ndarray, "lamps*3 lamps*3"]
+    joint: Float[np.ndarray, "lamps*3+5 lamps*3+5"]
     residuals: Float[np.ndarray, "lamps spheres"]
     scatter: float
     outlines: Float[np.ndarray, "spheres 3"]
     place: Place | None
-    falloff_error: float = 0.0
-    with_place: Float[np.ndarray, "lamps 8 8"] | None = None
+
+    @property
+    def falloff_error(self) -> float:
+        """Standard deviation of the place's κ."""
+        return float(np.sqrt(max(self.joint[-1, -1], 0)))
 
     @property
     def covariances(self) -> Float[np.ndarray, "lamps 3 3"]:
         """Of each lamp alone."""
         count = len(self.directions)
-        each = self.covariance.reshape(count, 3, count, 3)
+        each = self.joint[:-5, :-5].reshape(count, 3, count, 3)
         return np.moveaxis(np.diagonal(each, axis1=0, axis2=2), -1, 0)
 
 
@@ -331,7 +333,8 @@ def solve_lamps(
         held[4, 4] = HELD**2
         matte = matte._replace(place=bulb, covariance=held)
         at_most = solve_lamps(highlights, chrome, view, lamps, reference, matte)
-        return at_most._replace(falloff_error=estimate.falloff_error)
+        at_most.joint[-1, -1] = estimate.joint[-1, -1]
+        return at_most
     return estimate
 
 
@@ -557,19 +560,14 @@ class _Linearised:
             each = 2 * count + np.arange(count)
         turns = np.arange(2 * count).reshape(-1, 2)
         where = np.concatenate([turns, each[:, None]], axis=1)
-        flat_where = where.ravel()
-        turn = _turns(self.tangents, across(directions))
-        covariance = turn @ joint[np.ix_(flat_where, flat_where)] @ turn.T
+        chosen = np.concatenate([where.ravel(), system.parts[3] + np.arange(5)])
+        turn = np.eye(len(chosen))
+        turn[:-5, :-5] = _turns(self.tangents, across(directions))
+        covariance = turn @ joint[np.ix_(chosen, chosen)] @ turn.T
         apart = self.residuals(flat)[: 2 * len(system.lamp)].reshape(-1, 2)
         distance = np.full((count, system.spheres), np.nan)
         distance[system.lamp, system.sphere] = np.hypot(*apart.T) / scales[0]
-        shaded, with_place = self.shaded, np.zeros((count, 8, 8))
-        for number, own in enumerate(where):
-            chosen = np.concatenate([own, system.parts[3] + np.arange(5)])
-            back = np.eye(8)
-            mine = slice(3 * number, 3 * number + 3)
-            back[:3, :3] = turn[mine, mine]
-            with_place[number] = back @ joint[np.ix_(chosen, chosen)] @ back.T
+        shaded = self.shaded
         return LampEstimate(
             directions,
             inverse,
@@ -578,8 +576,6 @@ class _Linearised:
             float(scales[0]),
             system.chrome.outlines + moves,
             None if shaded is None else shaded.matte.place.moved(place),
-            0.0 if shaded is None else float(np.sqrt(max(joint[-1, -1], 0))),
-            None if shaded is None else with_place,
         )
 
 

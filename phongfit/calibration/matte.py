@@ -16,6 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from phongfit.calibration.outlines import View, across, seen, unit
+from phongfit.rendering.film import Film, decode, encode
+from phongfit.rendering.jpeg import compressed
 
 LIT = 0.1
 """Smallest n·l of the pixels that are used: nearer to its edge, shade is uncertain."""
@@ -76,6 +78,7 @@ class Matte(NamedTuple):
     - `view`: the camera.
     - `reference`: the point that lamps' directions are counted from.
     - `ambient`, `ambient_error`: light of the room on it.
+    - `film`: how light became the numbers of the photographs' files.
     """
 
     light: Float[np.ndarray, "count height width 3"]
@@ -86,6 +89,7 @@ class Matte(NamedTuple):
     reference: Float[np.ndarray, "3"]
     ambient: Float[np.ndarray, "3"] = np.zeros(3)
     ambient_error: Float[np.ndarray, "3"] = np.zeros(3)
+    film: Film = Film(clamp=False)
 
 
 class Shading(NamedTuple):
@@ -254,12 +258,16 @@ class Strengths(NamedTuple):
     In units of the mean of all lamps and channels: linear light has the sphere's
     reflectance in it, which nothing tells.
 
-    - `intensity`, `error`: by lamp and channel; `nan` where a photograph tells nothing.
+    - `intensity`: by lamp and channel; `nan` where a photograph tells nothing.
+    - `covariance`: of these, lamp by lamp; places of lamps and of the sphere are held.
+    - `slopes`: by these and by what they depend on, as [`LampEstimate`][] has it in
+        `joint`.
     - `ambient`, `ambient_error`: by channel.
     """
 
     intensity: Float[np.ndarray, "lamps 3"]
-    error: Float[np.ndarray, "lamps 3"]
+    covariance: Float[np.ndarray, "lamps*3 lamps*3"]
+    slopes: Float[np.ndarray, "lamps*3 lamps*3+5"]
     ambient: Float[np.ndarray, "3"]
     ambient_error: Float[np.ndarray, "3"]
 
@@ -268,24 +276,21 @@ def find_strengths(
     matte: Matte,
     directions: Float[np.ndarray, "lamps 3"],
     inverse_distances: Float[np.ndarray, " lamps"],
-    covariances: Float[np.ndarray, "lamps 8 8"],
 ) -> Strengths:
-    """Strengths of lamps whose places are known, with errors that these add to.
-
-    So does how well the sphere's own place is known, and how light falls off.
+    """Strengths of lamps whose places are known, and how they move with these.
 
     **Arguments:** as of [`LampEstimate`][].
     """
-    points = _points(matte)
-    shape = (len(directions), 3)
-    intensity, error, by_room = (np.full(shape, np.nan) for _ in range(3))
-    slopes = np.full((*shape, 8), np.nan)
+    points, count = _points(matte), len(directions)
+    intensity, noise, by_room = (np.full((count, 3), np.nan) for _ in range(3))
+    slopes = np.zeros((count, 3, 3 * count + 5))
     small = 1e-4 * np.eye(8)
     for number, direction in enumerate(directions):
         at = _about(matte, points, direction, inverse_distances[number])
         here = at(np.zeros(8))
         # The same for all channels.
         beside = [(at(step), at(-step)) for step in small]
+        moves = np.append(3 * number + np.arange(3), 3 * count + np.arange(5))
         for channel in range(3):
             light = points.light[number, :, channel]
             lit = (here > LIT) & (light < WHITE)
@@ -294,26 +299,109 @@ def find_strengths(
             line = _line(light[lit], here[lit, None], points.block[lit])
             # How the strength moves with the lamp's direction and distance, and with
             # the sphere's place.
-            slopes[number, channel] = [
+            slopes[number, channel, moves] = [
                 (_strength(one[lit], light[lit]) - _strength(other[lit], light[lit]))
                 / 2e-4
                 for one, other in beside
             ]
             intensity[number, channel] = line.numbers[0]
             by_room[number, channel] = -_strength(here[lit], np.ones(lit.sum()))
-            error[number, channel] = np.sqrt(line.covariance[0, 0])
+            noise[number, channel] = line.covariance[0, 0]
     mean = float(np.nanmean(intensity))
     mean = mean if mean > 0 else 1.0
+    rounded = rounding(matte, directions, inverse_distances, intensity)
+    known = np.isfinite(intensity).ravel()
+    own = np.diag(np.maximum(np.nan_to_num(noise.ravel()) - np.diag(rounded), 0))
+    rooms = (by_room[:, :, None] * np.diag(matte.ambient_error)).reshape(-1, 3)
+    rooms = np.nan_to_num(rooms)
+    # Nor is any sphere painted more evenly than this.
+    paint = np.kron(np.eye(count), np.ones((3, 1))) * intensity.reshape(-1, 1)
+    paint = EVEN * np.nan_to_num(paint)
+    spread = own + rounded + rooms @ rooms.T + paint @ paint.T
     # Strengths are over their mean, so that what all share alike is no error: most of
     # what is wrong with the room's light, or with the sphere's place.
-    share = intensity / mean
-    by_room = (by_room - share * np.nanmean(by_room)) * matte.ambient_error
-    slopes[..., 3:] -= share[..., None] * np.nanmean(slopes[..., 3:], axis=(0, 1))
-    place = np.sqrt(np.einsum("lci,lij,lcj->lc", slopes, covariances, slopes))
-    # Nor is any sphere painted more evenly than this.
-    error = np.linalg.norm([error, place, by_room, EVEN * intensity], axis=0)
-    room = matte.ambient / mean, matte.ambient_error / mean
-    return Strengths(intensity / mean, error / mean, *room)
+    share = np.nan_to_num(intensity.ravel() / mean)
+    relative = (np.eye(3 * count) - share[:, None] * known / max(known.sum(), 1)) / mean
+    return Strengths(
+        intensity / mean,
+        relative @ spread @ relative.T,
+        relative @ slopes.reshape(3 * count, -1),
+        matte.ambient / mean,
+        matte.ambient_error / mean,
+    )
+
+
+DRAWS = 32
+"""How often what files round is drawn; covariances of lamps err by a fifth."""
+
+SHRUNK = 96
+"""A sphere is drawn with up to this many pixels across: on more, more is averaged."""
+
+BRIGHTER = 0.03
+"""Each draw is up to this much brighter or darker."""
+
+
+def rounding(
+    matte: Matte,
+    directions: Float[np.ndarray, "lamps 3"],
+    inverse_distances: Float[np.ndarray, " lamps"],
+    strengths: Float[np.ndarray, "lamps 3"],
+) -> Float[np.ndarray, "lamps*3 lamps*3"]:
+    """How strengths err by what the photographs' files round, as a covariance.
+
+    Of one hue a sphere has few values of chroma, and all photographs round them alike:
+    that is no noise, which pixels would average. Drawn, as [`restore`][] does: the
+    model under each lamp, as its file would have it, a little brighter or darker.
+    """
+    film, size = matte.film, 3 * len(strengths)
+    if film.jpeg is None and (film.bits or 16) > 8:
+        return np.zeros((size, size))
+    stride = max(1, int(np.ceil(2 * matte.place.outline[2] / SHRUNK)))
+    height, width = matte.light.shape[1:3]
+    rows, columns = np.mgrid[:height:stride, :width:stride]
+    pixels = np.stack([columns, rows], axis=-1) + 0.5 + matte.corner
+    apart = np.linalg.norm(pixels - matte.place.outline[:2], axis=-1)
+    disc = apart < matte.place.outline[2]
+    inside = apart < WITHIN * matte.place.outline[2]
+    around = matte.light[:, ::stride, ::stride]
+    rng, errors = np.random.default_rng(0), np.zeros((DRAWS, len(strengths), 3))
+    models = []
+    for direction, inverse in zip(directions, inverse_distances, strict=True):
+        shade = np.zeros(disc.shape)
+        shade[disc] = _model(matte, pixels[disc], matte.place, direction, inverse)
+        models.append(shade)
+    for draw in errors:
+        # Twice as wide as the coarsest rounding of a block's mean.
+        widest = 1.0
+        if film.jpeg is not None:
+            widest = max(1.0, *(table[0][0] / 8 for table in film.jpeg.tables))
+        shift = rng.uniform(-widest, widest, 3).astype(np.float32)
+        share = np.float32(1 - BRIGHTER * rng.uniform())
+        for number, (shade, strength) in enumerate(zip(models, strengths, strict=True)):
+            if not np.isfinite(strength).all():
+                continue
+            own = shade[..., None] * strength
+            canvas = np.where(disc[..., None], own + matte.ambient, around[number])
+            read = _read_back(film, canvas, share, shift) - matte.ambient
+            for channel in range(3):
+                lit = inside & (shade > LIT) & (own[..., channel] < WHITE)
+                if lit.sum() > 0:
+                    found = _strength(shade[lit], read[..., channel][lit])
+                    draw[number, channel] = found - strength[channel]
+    flat = errors.reshape(DRAWS, size)
+    return flat.T @ flat / DRAWS
+
+
+def _read_back(
+    film: Film, light: np.ndarray, share: np.float32, shift: np.ndarray
+) -> Float[np.ndarray, "height width 3"]:
+    """Light as it is read from a file of a little other levels."""
+    shown = np.clip(light, 0, 1).astype(np.float32)
+    levels = share * 255 * np.asarray(encode(shown, film.encoding), np.float32) + shift
+    stored = np.round(levels)
+    if film.jpeg is not None:
+        stored = compressed(levels, film.jpeg)
+    return decode(np.clip((stored - shift) / share / 255, 0, 1), film.encoding)
 
 
 def _strength(model: np.ndarray, light: np.ndarray) -> float:

@@ -73,8 +73,9 @@ class Calibration:
     - `left_out`: photographs that are not used, and why.
     - `warnings`: what to know before this is trusted.
     - `view_height`: with parallel rays, height of what is seen, in spheres' unit.
-    - `covariance`: of all lamps' positions or directions, lamp by lamp; `None` where
-        only that of each is known.
+    - `covariance`: of all lamps' positions or directions, lamp by lamp, and, where
+        strengths are known, of these and of the fall-off behind them; `None` where only
+        that of each is known.
     - `falloff_error`, `ambient_error`: standard deviations of these.
     """
 
@@ -88,9 +89,25 @@ class Calibration:
     left_out: Mapping[str, str]
     warnings: tuple[str, ...]
     view_height: float | None = None
-    covariance: Float[np.ndarray, "lamps*3 lamps*3"] | None = None
+    covariance: Float[np.ndarray, "n n"] | None = None
     falloff_error: float = 0.0
     ambient_error: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def joint(self) -> Float[np.ndarray, "6*lamps+1 6*lamps+1"]:
+        """Covariance of positions or directions, of strengths, and of the fall-off.
+
+        Lamp by lamp in each of the first two; `nan` for strengths that are not known.
+        """
+        from scipy.linalg import block_diag
+
+        place = self.covariance
+        if place is None:
+            place = np.asarray(block_diag(*[lamp.covariance for lamp in self.lamps]))
+        if len(place) == 6 * len(self.lamps) + 1:
+            return place
+        errors = [*[lamp.intensity_error for lamp in self.lamps], [self.falloff_error]]
+        return np.asarray(block_diag(place, np.diag(np.concatenate(errors) ** 2)))
 
     @property
     def camera(self) -> AbstractCamera:

@@ -1,7 +1,7 @@
 """Spheres in photographs: looked for, told apart, cut out with their surroundings."""
 
 from collections.abc import Iterator, Sequence
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +10,7 @@ from phongfit.calibration.circles import Placed, find_circles, place
 from phongfit.calibration.highlights import find_highlights
 from phongfit.calibration.matte import Matte, Place, shaded_directions
 from phongfit.calibration.outlines import View, seen, stretch
+from phongfit.rendering.film import Film
 
 Kind = Literal["chrome", "matte"]
 Outline = Float[np.ndarray, "3"]
@@ -26,6 +27,14 @@ NOT_SEEN = 0.5
 
 NOT_ROUND = (0.06, 0.06, 0.08)
 """Error that no sphere's circle is better than, pixels: x, y and radius."""
+
+
+@runtime_checkable
+class Developed(Protocol):
+    """Photographs of which it is known how light became the numbers of their files."""
+
+    @property
+    def film(self) -> Film: ...
 
 
 class Crop(NamedTuple):

@@ -41,7 +41,7 @@ from phongfit.files.texture_fits import (
     save_texture_fit,
 )
 from phongfit.fitting.fit import fit
-from phongfit.fitting.problem.specification import Specification
+from phongfit.fitting.problem.specification import Specification, as_names
 from phongfit.fitting.result import Fit
 from phongfit.fitting.texture_fit import TEXTURED, fit_texture
 
@@ -205,13 +205,14 @@ def _with_unknown(asked: Specification, data: Dataset, refine: bool) -> Specific
             "refine_lights: expected lights of a calibration, whose errors are known"
         )
     several = len(data.images) > 1
-    if refine and any(not isinstance(key, str) for key in data.uncertain):
+    known = tuple(name for key in data.uncertain for name in as_names(key))
+    if refine and any("attenuation" in name for name in known):
         raise ValueError(
             "refine_lights: expected distant lamps, got near ones: their places and "
             "how light falls off hang together, and are brought to the photographs "
             "anyway"
         )
-    refined = tuple(key for key in data.uncertain if refine and isinstance(key, str))
+    refined = known if refine else ()
     names = (*data.unknown, *refined)
     own = tuple(name for name in names if name.startswith("scene."))
     return dataclasses.replace(

@@ -78,11 +78,12 @@ class LightsRecord(AbstractRecord):
         if len({lamp.position is None for lamp in lamps}) > 1:
             raise ValueError("lights: expected directions alone, or positions alone")
         if self.covariance is not None:
-            size = 3 * len(self.lights)
+            count, size = len(self.lights), len(self.covariance)
             rows = {len(row) for row in self.covariance}
-            if len(self.covariance) != size or rows != {size}:
+            if size not in (3 * count, 6 * count + 1) or rows != {size}:
                 raise ValueError(
-                    f"covariance: expected {size} rows of as many, three for a light"
+                    f"covariance: expected {3 * count} rows of as many, three for a "
+                    f"light, or with strengths and falloff {6 * count + 1}"
                 )
             covariance = as_covariance("covariance", self.covariance)
         return Calibration(

@@ -170,51 +170,49 @@ def find_lamps(
 
 def _uncertain(
     capture: Capture, calibration: Calibration | None
-) -> dict[str | tuple[str, ...], np.ndarray]:
+) -> dict[tuple[str, ...], np.ndarray]:
     """How well a calibration knows its lamps, in the order of the photographs."""
-    from scipy.linalg import block_diag
-
     if calibration is None:
         return {}
     order = _order(capture.names, calibration)
-    found = [calibration.lamps[k] for k in order]
-    if calibration.covariance is None:
-        place = np.asarray(block_diag(*[lamp.covariance for lamp in found]))
-    else:
-        rows = (3 * np.array(order)[:, None] + np.arange(3)).ravel()
-        place = calibration.covariance[np.ix_(rows, rows)]
-    uncertain: dict[str | tuple[str, ...], np.ndarray] = {}
-    if found[0].position is None:
-        uncertain["scene.lights[0].direction"] = place
-    else:
-        arrays = "scene.lights[0].position", "scene.lights[0].attenuation"
-        uncertain[arrays] = _with_attenuation(place, found, calibration)
-    errors = np.array([lamp.intensity_error for lamp in found])
-    if np.isfinite(errors).all():
-        exposures = capture.series.relative_exposures[:, None]
-        uncertain["scene.lights[0].intensity"] = (exposures * errors).ravel()
-    return uncertain
+    lamps, count = [calibration.lamps[k] for k in order], len(calibration.lamps)
+    rows = (3 * np.array(order)[:, None] + np.arange(3)).ravel()
+    size, eye = len(rows), np.eye(6 * count + 1)
+    # What a lamp's place, its strength and the fall-off of all are of what it knows.
+    where, strength, falloff = eye[rows], eye[3 * count + rows], eye[-1:]
+    parts = {"scene.lights[0].direction": where}
+    if lamps[0].position is not None:
+        attenuation = _attenuation(lamps, calibration)
+        parts = {
+            "scene.lights[0].position": where,
+            "scene.lights[0].attenuation": attenuation[:, :size] @ where
+            + attenuation[:, size:] @ falloff,
+        }
+    if np.isfinite([lamp.intensity_error for lamp in lamps]).all():
+        exposures = np.repeat(capture.series.relative_exposures, 3)
+        parts["scene.lights[0].intensity"] = exposures[:, None] * strength
+    slopes = np.concatenate(list(parts.values()))
+    known = np.nan_to_num(calibration.joint)
+    return {tuple(parts): slopes @ known @ slopes.T}
 
 
-def _with_attenuation(
-    place: Float[np.ndarray, "n n"], lamps: Sequence[Lamp], calibration: Calibration
-) -> Float[np.ndarray, "2*n 2*n"]:
-    """The covariance of near lamps' positions, and with it that of their attenuations.
+def _attenuation(
+    lamps: Sequence[Lamp], calibration: Calibration
+) -> Float[np.ndarray, "3*n 3*n+1"]:
+    """How near lamps' attenuations move with their positions, and with the fall-off.
 
     An attenuation is (1 − κ, 0, κ / d²), with one κ for all, and d from the reference
     point, where a lamp's strength is known: the further it is, the slower its light
     falls off.
     """
-    away = np.array([lamp.position - calibration.reference for lamp in lamps])
-    distance = np.linalg.norm(away, axis=1)
-    falloff = min(calibration.falloff, 1.0)
-    by_place = np.zeros((3 * len(lamps), 3 * len(lamps)))
-    for k, (offset, d) in enumerate(zip(away, distance, strict=True)):
-        by_place[3 * k + 2, 3 * k : 3 * k + 3] = -2 * falloff * offset / d**4
-    slope = np.concatenate([np.eye(len(place)), by_place])
-    by_falloff = np.array([[-1, 0, 1 / d**2] for d in distance]).ravel()
-    own = calibration.falloff_error * np.concatenate([0 * by_falloff, by_falloff])
-    return slope @ place @ slope.T + np.outer(own, own)
+    slopes = np.zeros((3 * len(lamps), 3 * len(lamps) + 1))
+    for k, lamp in enumerate(lamps):
+        offset = lamp.position - calibration.reference
+        squared = offset @ offset
+        mine = slice(3 * k, 3 * k + 3)
+        slopes[3 * k + 2, mine] = -2 * min(calibration.falloff, 1) * offset / squared**2
+        slopes[mine, -1] = -1, 0, 1 / squared
+    return slopes
 
 
 def _times(light: AbstractLight, exposure: float) -> AbstractLight:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from phongfit.edge import checked
 from phongfit.files.dataset import Photograph
+from phongfit.files.images import read_film
 from phongfit.files.lp import LightList, base_name, read_lp
 from phongfit.files.photographs import (
     AbstractImages,
@@ -20,7 +21,7 @@ from phongfit.files.photographs import (
     open_photographs,
     read_photograph,
 )
-from phongfit.rendering.film import Encoding
+from phongfit.rendering.film import Encoding, Film
 
 NO_LAMP = {"mask", "ambient", "dark", "flat", "ref", "reference", "normals", "normal"}
 """Words in the names of images that are no photographs of the object under a lamp."""
@@ -65,6 +66,11 @@ class Capture(AbstractImages):
     def encoding(self) -> Encoding:
         """What their numbers are."""
         return self.series.encoding
+
+    @property
+    def film(self) -> Film:
+        """How light became the numbers of the first file."""
+        return read_film(self.series.paths[0], self.series.encoding)
 
     @property
     def notes(self) -> tuple[str, ...]:
