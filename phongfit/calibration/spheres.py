@@ -25,8 +25,9 @@ SEEN = 0.85
 NOT_SEEN = 0.5
 """Error of a circle that is taken as given, pixels."""
 
-NOT_ROUND = (0.06, 0.06, 0.08)
-"""Error that no sphere's circle is better than, pixels: x, y and radius."""
+NOT_ROUND = {"chrome": (0.06, 0.06, 0.15), "matte": (0.06, 0.06, 0.08)}
+"""Error that no sphere's circle is better than, pixels: x, y and radius. At its rim a
+mirror shows what is behind it, so that its edge is hardly one."""
 
 
 @runtime_checkable
@@ -117,7 +118,7 @@ def place_sphere(crop: Crop, outline: Outline, kind: Kind, view: View) -> Placed
     if placed.coverage < SEEN:
         return Placed(outline, NOT_SEEN**2 * np.eye(3), placed.coverage)
     moved = placed.outline + np.append(crop.corner, 0)
-    spread = placed.covariance + np.diag(NOT_ROUND) ** 2
+    spread = placed.covariance + np.diag(NOT_ROUND[kind]) ** 2
     return Placed(moved, spread, placed.coverage)
 
 

@@ -36,7 +36,11 @@ from phongfit.fitting.solve.start import (
     choose_few,
 )
 from phongfit.fitting.summary import FittedImage, summarize
-from phongfit.fitting.uncertainty.inherited import refine, with_inherited
+from phongfit.fitting.uncertainty.inherited import (
+    refine,
+    with_inherited,
+    with_samples_of,
+)
 from phongfit.fitting.uncertainty.statistics import sandwich_sums
 from phongfit.fitting.uncertainty.tiles import (
     Measured,
@@ -190,20 +194,24 @@ def fit(
     found, sources, at_edges = keep_off_edges(
         found, sources, seen, noise is not None, max_steps
     )
-    moved = None
-    if setting.nuisance is not None:
-        found, sources, moved = refine(
-            found,
-            sources,
-            setting.nuisance,
-            noise_given=noise is not None,
-            max_steps=max_steps,
-        )
     restored, side = None, max(tile_side(*source.mask.shape) for source in sources)
-    if any(film.jpeg is not None for film in films):
+    moved, rounds = None, any(film.jpeg is not None for film in films)
+    if rounds:
         restored = restore(found, sources, films, noise is not None, max_steps, side)
-        found = restored.solution
-        sources = restored.sources
+    if setting.nuisance is not None:
+        # What files round is alike in all images, and says little of their scenes.
+        begin = found if restored is None else restored.solution
+        settled = noise is not None or rounds
+        refined, sources, moved = refine(
+            begin, sources, setting.nuisance, settled, max_steps
+        )
+        found = with_samples_of(refined, found) if rounds else refined
+        if rounds and moved.any():
+            restored = restore(
+                found, sources, films, noise is not None, max_steps, side
+            )
+    if restored is not None:
+        found, sources = restored.solution, restored.sources
     if setting.nuisance is not None:
         problem = with_inherited(found.problem, found.y, setting.nuisance, moved)
         found = dataclasses.replace(found, problem=problem)

@@ -5,6 +5,7 @@ Errors that are stated are to hold, whatever they come from: noise, JPEG, the la
 
 import itertools
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -82,7 +83,8 @@ def photograph(folder, seed, noise, quality, lamps):
     )
     pf.save_calibration(folder / "lights.json", found)
     # Strengths are over their mean, as nothing tells how bright the matte sphere is.
-    unit = strength.mean() * COLOUR.mean()
+    kept = [int(Path(lamp.photograph).stem) - 1 for lamp in found.lamps]
+    unit = strength[kept].mean() * COLOUR.mean()
     return np.array([*(unit * diffuse), unit * specular, shininess])
 
 

@@ -2,16 +2,13 @@ r"""What scenes say with an error: brought to what the images say too, and the r
 
 A calibration knows lights as $\eta \sim N(\eta_0, \Sigma)$, which is one more
 measurement. With $\Sigma = L L^\top$ and $\eta = \eta_0 + L z$ the fit minimises its
-cost and $|z|^2$ together. With B the curvature of half the cost in the unknowns, C the
-mixed one in them and z, and S that in z once the unknowns have followed, a step to the
-least is $-(1 + S)^{-1}$ times the gradient, and what is left open about z has the
-covariance
-
-$$(1 + S)^{-1} (1 + \kappa S) (1 + S)^{-1},$$
-
-where κ is how much more samples scatter than if they were independent. By it the
-unknowns err $-B^{-1} C z$ more, to first order: $C \operatorname{cov}(z) C^\top$ adds
-to the covariance of the cost's gradient.
+cost and $\kappa |z|^2$ together, where κ is how much more samples scatter than if they
+were independent: so much less they say. With B the curvature of half the cost in the
+unknowns, C the mixed one in them and z, and S that in z once the unknowns have
+followed, a step to the least is $-(1 + S / \kappa)^{-1}$ times the gradient, and what
+is left open about z has the covariance $(1 + S / \kappa)^{-1}$. By it the unknowns err
+$-B^{-1} C z$ more, to first order: $C \operatorname{cov}(z) C^\top$ adds to the
+covariance of the cost's gradient.
 
 ??? cite "Source"
     Lindley and Smith, *Bayes estimates for the linear model*, J. R. Stat. Soc. B 34(1),
@@ -70,10 +67,12 @@ def refine(
     """
     root = _root(nuisance, found.problem, found.y)
     best = Refined(found, sources, np.zeros(root.shape[1]))
+    excess = _look(found.problem, found.y, nuisance, root, best.moved).excess
     for _ in range(ROUNDS):
         problem, y = best.found.problem, best.found.y
         seen = _look(problem, y, nuisance, root, best.moved)
-        step = -np.linalg.solve(seen.curvature, best.moved + seen.pull)
+        pull = best.moved + seen.pull / excess
+        step = -np.linalg.solve(seen.curvature(excess), pull)
         moved = best.moved + step
         scenes = _scenes(problem, y, nuisance, root @ moved, best.sources)
         samples = _moved(problem.samples, scenes)
@@ -85,8 +84,9 @@ def refine(
         )
         # At the same noise, since less of it makes residuals larger.
         again = dataclasses.replace(there.problem, sigma=problem.sigma)
-        before = _cost(problem, y) + float(best.moved @ best.moved)
-        if not _cost(again, there.y) + float(moved @ moved) < before:
+        before = _cost(problem, y) / excess + float(best.moved @ best.moved)
+        after = _cost(again, there.y) / excess + float(moved @ moved)
+        if not after < before:
             break
         best = Refined(there, best.sources, moved)
         if np.abs(step).max(initial=0) < SMALL:
@@ -96,6 +96,16 @@ def refine(
     )
     pairs = zip(sources, scenes, strict=True)
     return best._replace(sources=[_in_scene(*pair) for pair in pairs])
+
+
+def with_samples_of(refined: SearchResult, first: SearchResult) -> SearchResult:
+    """A refined fit of the images as they were, before anything was given back."""
+    problem, old = refined.problem, first.problem
+    samples = dataclasses.replace(
+        problem.samples, target=old.samples.target, step=old.samples.step
+    )
+    problem = Problem(samples, problem.unknowns, old.sigma, old.loss, old.clamp)
+    return dataclasses.replace(refined, problem=problem)
 
 
 def with_inherited(
@@ -111,10 +121,8 @@ def with_inherited(
     root = _root(nuisance, problem, y)
     moved = np.zeros(root.shape[1]) if moved is None else moved
     seen = _look(problem, y, nuisance, root, moved)
-    values, vectors = np.linalg.eigh(seen.curvature)
-    share = np.sqrt(1 + seen.excess * np.maximum(values - 1, 0)) / values
-    half = seen.mixed @ (vectors * share)
-    inherited = half @ half.T
+    inherited = seen.mixed @ np.linalg.solve(seen.curvature(seen.excess), seen.mixed.T)
+    inherited = (inherited + inherited.T) / 2
     # In double precision, where what is nearly known exactly is not lost.
     return dataclasses.replace(problem, inherited=inherited)
 
@@ -133,16 +141,20 @@ def _root(
 class _Seen(NamedTuple):
     """What the images say of z at a point.
 
-    - `curvature`: 1 + S.
+    - `information`: S.
     - `pull`: of the cost alone.
     - `mixed`: C.
     - `excess`: κ.
     """
 
-    curvature: Float[np.ndarray, "k k"]
+    information: Float[np.ndarray, "k k"]
     pull: Float[np.ndarray, " k"]
     mixed: Float[np.ndarray, "n k"]
     excess: float
+
+    def curvature(self, excess: float) -> Float[np.ndarray, "k k"]:
+        """1 + S / κ."""
+        return np.eye(len(self.information)) + self.information / excess
 
 
 def _look(
@@ -165,14 +177,14 @@ def _look(
     inverse[some] = inverse_of(own[some], float(np.finfo(y.dtype).eps))
     alone = root.T @ sums.bread[count:, count:] @ root - mixed.T @ inverse @ mixed
     values, vectors = np.linalg.eigh((alone + alone.T) / 2)
-    curvature = (vectors * (1 + np.maximum(values, 0))) @ vectors.T
+    information = (vectors * np.maximum(values, 0)) @ vectors.T
     pull = root.T @ sums.pull[count:] - mixed.T @ inverse @ sums.pull[:count]
     meat = sums.meat[:count, :count]
     if problem.scatter is not None:
         size = np.sqrt(np.diag(own))
         meat = np.asarray(problem.scatter, float) * np.outer(size, size)
     excess = np.trace(inverse @ meat) / max(np.count_nonzero(free), 1)
-    return _Seen(curvature, pull, mixed, max(float(excess), 1.0))
+    return _Seen(information, pull, mixed, max(float(excess), 1.0))
 
 
 def _scenes(
