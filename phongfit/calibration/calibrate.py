@@ -1,6 +1,7 @@
 """`calibrate`: from photographs with spheres in them to lamps, with errors."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -427,6 +428,8 @@ class _Session:
             place = len(by_place) + np.arange(len(used))
             own[np.ix_(place, place)] = strengths.covariance[np.ix_(used, used)]
             covariance = every @ joint @ every.T + own
+        if self.lamps == "near" and self.view.focal is not None:
+            lamps, covariance = self._of_any_scale(lamps, covariance)
         return Calibration(
             self.view,
             tuple(lamps),
@@ -442,6 +445,36 @@ class _Session:
             estimate.falloff_error if self.lamps == "near" else 0.0,
             strengths.ambient_error,
         )
+
+    def _of_any_scale(
+        self, lamps: list[Lamp], covariance: np.ndarray
+    ) -> tuple[list[Lamp], np.ndarray]:
+        """With how far away all of it may be: as far as the spheres' size is unknown.
+
+        Everything that is as much further away from a pinhole looks the same. Rims of
+        mirrors err alike. Strengths are those at the reference point, which stays.
+        """
+        if not len(self.chrome.outlines):
+            return lamps, covariance
+        relative = np.sqrt(self.chrome.covariances[:, 2, 2])
+        relative = relative / self.chrome.outlines[:, 2]
+        scale, count = float(relative.mean()), len(lamps)
+        places = np.array([lamp.position for lamp in lamps])
+        offset = places - self.reference
+        brighter = -2 * (offset @ self.reference) / np.sum(offset**2, axis=1)
+        strengths = np.array([lamp.intensity for lamp in lamps]) * brighter[:, None]
+        moved = scale * np.concatenate([places.ravel(), strengths.ravel(), [0]])
+        moved = moved[: len(covariance)]
+        covariance = covariance + np.outer(moved, moved)
+        errors = np.hypot(
+            [lamp.intensity_error for lamp in lamps], scale * np.abs(strengths)
+        )
+        blocks = [slice(3 * k, 3 * k + 3) for k in range(count)]
+        wider = [
+            replace(lamp, covariance=covariance[mine, mine], intensity_error=error)
+            for lamp, mine, error in zip(lamps, blocks, errors, strict=True)
+        ]
+        return wider, covariance
 
     def _view_height(self, spheres: Sequence[CalibratedSphere]) -> float | None:
         """Of parallel rays: a pixel has the size that the spheres' radius gives it."""
