@@ -26,7 +26,7 @@ from phongfit.fitting.problem.specification import (
 from phongfit.fitting.problem.unknowns import Unknowns, in_units
 from phongfit.fitting.result import Fit
 from phongfit.fitting.solve.edges import keep_off_edges
-from phongfit.fitting.solve.jpeg import restore
+from phongfit.fitting.solve.jpeg import Restored, restore
 from phongfit.fitting.solve.search import SearchResult, search
 from phongfit.fitting.solve.start import (
     NEAR,
@@ -37,6 +37,7 @@ from phongfit.fitting.solve.start import (
 )
 from phongfit.fitting.summary import FittedImage, summarize
 from phongfit.fitting.uncertainty.inherited import (
+    beside,
     refine,
     with_inherited,
     with_samples_of,
@@ -53,6 +54,10 @@ from phongfit.programs import program
 from phongfit.rendering.film import Film
 from phongfit.rendering.pixels import PixelTerms, resolve_terms
 from phongfit.scene import Scene
+
+# How often what files round and what scenes are is found in turn, and the step that is
+# not worth another turn, in standard deviations of what was known of scenes before.
+TURNS, STAYS = 3, 0.3
 
 
 @checked
@@ -194,26 +199,34 @@ def fit(
     found, sources, at_edges = keep_off_edges(
         found, sources, seen, noise is not None, max_steps
     )
-    restored, side = None, max(tile_side(*source.mask.shape) for source in sources)
-    moved, rounds = None, any(film.jpeg is not None for film in films)
+    side = max(tile_side(*source.mask.shape) for source in sources)
+    nuisance, rounds = setting.nuisance, any(film.jpeg is not None for film in films)
+    noise_given, restored, moved, scores = noise is not None, None, None, None
+
+    def restored_now() -> Restored:
+        also = None if nuisance is None else beside(nuisance, moved)
+        return restore(found, sources, films, noise_given, max_steps, side, also)
+
     if rounds:
-        restored = restore(found, sources, films, noise is not None, max_steps, side)
-    if setting.nuisance is not None:
-        # What files round is alike in all images, and says little of their scenes.
-        begin = found if restored is None else restored.solution
-        settled = noise is not None or rounds
+        restored = restored_now()
+    # Misplaced lamps pass for noise, and noise says what files round: both in turn.
+    for _ in range(TURNS if rounds else 1):
+        if nuisance is None:
+            break
+        begin, before = found, 0.0 if moved is None else moved
+        if restored is not None:
+            begin, scores = restored.solution, restored.scores
         refined, sources, moved = refine(
-            begin, sources, setting.nuisance, settled, max_steps
+            begin, sources, nuisance, noise_given or rounds, max_steps, moved, scores
         )
         found = with_samples_of(refined, found) if rounds else refined
-        if rounds and moved.any():
-            restored = restore(
-                found, sources, films, noise is not None, max_steps, side
-            )
+        restored = restored_now() if rounds else None
+        if np.abs(moved - before).max(initial=0) < STAYS:
+            break
     if restored is not None:
-        found, sources = restored.solution, restored.sources
-    if setting.nuisance is not None:
-        problem = with_inherited(found.problem, found.y, setting.nuisance, moved)
+        found, sources, scores = restored.solution, restored.sources, restored.scores
+    if nuisance is not None:
+        problem = with_inherited(found.problem, found.y, nuisance, moved, scores)
         found = dataclasses.replace(found, problem=problem)
     setting = dataclasses.replace(setting, sources=sources)
     given = {"mask": mask, "weights": weights, "noise": noise}
@@ -241,7 +254,7 @@ def fit(
         images=fitted_images,
         side=side,
         single=single,
-        noise_given=noise is not None,
+        noise_given=noise_given,
         arrays=tuple(name for name, value in given.items() if not is_number(value)),
         at_edges=at_edges,
         drawn=None if restored is None else restored.drawn,

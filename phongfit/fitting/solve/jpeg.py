@@ -32,7 +32,7 @@ from phongfit.fitting.problem.problem import Problem, evaluate
 from phongfit.fitting.problem.samples import Source
 from phongfit.fitting.solve.search import SearchResult
 from phongfit.fitting.solve.solution import solve
-from phongfit.fitting.solve.sums import Linearization, linearize
+from phongfit.fitting.solve.sums import Jacobian, Linearization, linearize
 from phongfit.programs import program
 from phongfit.rendering.film import Film, decode, encode
 from phongfit.rendering.jpeg import JpegCompression, compressed
@@ -50,6 +50,9 @@ ENOUGH = 0.1
 # How often the search for the noise quadruples a variance that is too small.
 GROWN = 6
 
+Beside = Callable[[Problem, Float[Array, " n"]], tuple[Problem, Array]]
+"""A fit's problem and solution, with more unknowns behind its own."""
+
 Drawn = Float[np.ndarray, "draws 3 rows columns"]
 """Sums over tiles of residuals that are drawn; their squares add up to a variance."""
 
@@ -60,11 +63,14 @@ class Restored(NamedTuple):
     - `solution`: of the fit, and its problem.
     - `sources`: these photographs, with steps as wide as what the files rounded.
     - `drawn`: sums over tiles of what the right model leaves: see [`find_misfit`][].
+    - `scores`: rows whose products with themselves add up to the covariance of scores,
+        those of what is beside the unknowns behind these.
     """
 
     solution: SearchResult
     sources: list[Source]
     drawn: list[Drawn]
+    scores: Float[np.ndarray, "rows m"]
 
 
 def restore(
@@ -74,6 +80,7 @@ def restore(
     noise_given: bool,
     max_steps: int,
     side: int,
+    beside: Beside | None = None,
 ) -> Restored:
     """Fit again, what the files took from their images given back.
 
@@ -82,6 +89,7 @@ def restore(
     - `found`: a fit of the images as they are.
     - `sources`, `films`: the images; those that are no JPEG take part too.
     - `side`: pixels along a tile.
+    - `beside`: what else scores are drawn of.
     """
     first, problem, y, steps = found.problem, found.problem, found.y, found.steps
     plates = _plates(first, sources, films)
@@ -94,7 +102,7 @@ def restore(
         problem = _restored(first, errors.mean(axis=0), step, sigma)
         solution = solve(problem, y, max_steps)
         y, steps = solution.y, steps + solution.steps
-    draws = _Stage(first, problem, y, plates).draw(side)
+    draws = _Stage(first, problem, y, plates).draw(side, beside)
     problem = _restored(first, draws.lost, step, sigma)
     solution = solve(problem, y, max_steps)
     restored = [
@@ -110,7 +118,7 @@ def restore(
     found = SearchResult(
         problem, solution.y, solution.converged, steps + solution.steps
     )
-    return Restored(found, restored, draws.tiles)
+    return Restored(found, restored, draws.tiles, draws.scores)
 
 
 def foresee(
@@ -118,18 +126,22 @@ def foresee(
     y: Float[Array, " n"],
     sources: list[Source],
     films: tuple[Film, ...],
-) -> Problem:
+    beside: Beside | None = None,
+) -> tuple[Problem, Float[np.ndarray, "rows m"]]:
     """The problem of photographs not yet taken, with what their files will round.
 
-    **Arguments:** `y`: the truth.
+    **Arguments:** `y`: the truth; `beside`: what else scores are drawn of.
+
+    **Returns:** also the `scores` of [`Restored`][].
     """
     plates, sigma = _plates(problem, sources, films), 1.0
     stage = _Stage(problem, problem, y, plates)
     errors = np.array(list(stage.errors(sigma, range(FEW))))
     step = stage.wider_steps(errors, sigma)
     there = _restored(problem, errors.mean(axis=0), step, sigma)
-    scatter = _Stage(problem, there, y, plates).draw(8).scatter
-    return dataclasses.replace(there, scatter=jnp.asarray(scatter, y.dtype))
+    draws = _Stage(problem, there, y, plates).draw(8, beside)
+    scatter = jnp.asarray(draws.scatter, y.dtype)
+    return dataclasses.replace(there, scatter=scatter), draws.scores
 
 
 def _restored(
@@ -283,11 +295,13 @@ class _Draws(NamedTuple):
     - `lost`: its mean, in linear light.
     - `scatter`: covariance of the scores: see [`Problem`][].
     - `tiles`: of each image: see [`find_misfit`][].
+    - `scores`: as of [`Restored`][].
     """
 
     lost: Float[np.ndarray, "3 samples"]
     scatter: Float[np.ndarray, "n n"]
     tiles: list[Drawn]
+    scores: Float[np.ndarray, "rows m"]
 
 
 class _Stage:
@@ -360,10 +374,11 @@ class _Stage:
         taken = jnp.asarray(self.inverse @ self._pull(residual), self.y.dtype)
         return residual - np.asarray(self.jacobian.change(taken))
 
-    def _pull(self, residual: np.ndarray) -> Float[np.ndarray, " n"]:
-        return np.asarray(
-            self.jacobian.pull(jnp.asarray(residual, self.y.dtype)), float
-        )
+    def _pull(
+        self, residual: np.ndarray, jacobian: Jacobian | None = None
+    ) -> Float[np.ndarray, " m"]:
+        jacobian = self.jacobian if jacobian is None else jacobian
+        return np.asarray(jacobian.pull(jnp.asarray(residual, self.y.dtype)), float)
 
     def errors(
         self, sigma: float, seeds: range
@@ -404,23 +419,29 @@ class _Stage:
             wider[:, plate.columns] *= factor.reshape(-1, 3)[plate.place].T
         return wider
 
-    def draw(self, side: int) -> _Draws:
+    def draw(self, side: int, beside: Beside | None = None) -> _Draws:
         """Many draws at the problem's own noise."""
+        jacobian = self.jacobian
+        if beside is not None:
+            jacobian = _look(*beside(self.problem, self.y))[1].jacobian
         total, scores, tiles = np.zeros_like(self.light), [], []
         # Other draws than those that the solution comes from.
         for errors in self.errors(float(self.problem.sigma), range(FEW, FEW + MANY)):
             total += errors
             scaled = errors / self.deviation
-            scores.append(self._pull(self.bend * scaled))
+            scores.append(self._pull(self.bend * scaled, jacobian))
             left = self._left(scaled)
             tiles.append([_in_tiles(p.picture(left), side) for p in self.plates])
         root = np.sqrt(np.diag(self.gram))
-        doubts = self._doubts(total / MANY)
-        rows = np.concatenate([_apart(scores), doubts]) / np.where(root > 0, root, 1)
+        doubts = self._doubts(total / MANY, jacobian)
+        every = np.concatenate([_apart(scores), doubts])
+        rows = every[:, : len(root)] / np.where(root > 0, root, 1)
         each = [_rows(one) for one in zip(*tiles, strict=True)]
-        return _Draws(total / MANY, rows.T @ rows, each)
+        return _Draws(total / MANY, rows.T @ rows, each, every)
 
-    def _doubts(self, lost: Float[np.ndarray, "3 samples"]) -> Float[np.ndarray, "3 n"]:
+    def _doubts(
+        self, lost: Float[np.ndarray, "3 samples"], jacobian: Jacobian
+    ) -> Float[np.ndarray, "3 m"]:
         """Scores of what is given back, which counts as an error.
 
         An encoder may round otherwise than is assumed, and what surrounds the surface
@@ -428,7 +449,8 @@ class _Stage:
         from all of them, in turn.
         """
         turns = [np.roll(lost / self.deviation, k, axis=0) for k in range(3)]
-        return np.array([self._pull(self.bend * one) for one in turns]) / np.sqrt(3)
+        pulls = [self._pull(self.bend * one, jacobian) for one in turns]
+        return np.array(pulls) / np.sqrt(3)
 
 
 def _apart(draws: Sequence[np.ndarray]) -> Float[np.ndarray, "draws ..."]:

@@ -2,13 +2,16 @@ r"""What scenes say with an error: brought to what the images say too, and the r
 
 A calibration knows lights as $\eta \sim N(\eta_0, \Sigma)$, which is one more
 measurement. With $\Sigma = L L^\top$ and $\eta = \eta_0 + L z$ the fit minimises its
-cost and $\kappa |z|^2$ together, where κ is how much more samples scatter than if they
-were independent: so much less they say. With B the curvature of half the cost in the
-unknowns, C the mixed one in them and z, and S that in z once the unknowns have
+cost over κ and $|z|^2$ together, where κ is how much more the gradient scatters than if
+samples were independent: so much less they say. With B the curvature of half the cost
+in the unknowns, C the mixed one in them and z, and S that in z once the unknowns have
 followed, a step to the least is $-(1 + S / \kappa)^{-1}$ times the gradient, and what
 is left open about z has the covariance $(1 + S / \kappa)^{-1}$. By it the unknowns err
 $-B^{-1} C z$ more, to first order: $C \operatorname{cov}(z) C^\top$ adds to the
 covariance of the cost's gradient.
+
+Each principal axis of S has its own κ. What a JPEG file rounds alike in all images
+leaves their lamps' strengths uncertain and tells little less of where these stand.
 
 ??? cite "Source"
     Lindley and Smith, *Bayes estimates for the linear model*, J. R. Stat. Soc. B 34(1),
@@ -27,6 +30,7 @@ from phongfit.fitting.problem.problem import Problem, evaluate
 from phongfit.fitting.problem.samples import Channels, Samples, Source
 from phongfit.fitting.problem.uncertain import Nuisance
 from phongfit.fitting.problem.unknowns import in_units
+from phongfit.fitting.solve.jpeg import Beside
 from phongfit.fitting.solve.search import SearchResult, search_on
 from phongfit.fitting.uncertainty.sandwich import inverse_of
 from phongfit.fitting.uncertainty.statistics import in_numpy, sums_in_double
@@ -60,19 +64,26 @@ def refine(
     nuisance: Nuisance,
     noise_given: bool,
     max_steps: int,
+    moved: Float[np.ndarray, " k"] | None = None,
+    scores: Float[np.ndarray, "rows m"] | None = None,
 ) -> Refined:
     """The least cost of images and of what was known before, together.
 
-    As long as steps lead downwards: a start that is far off is left where it was.
+    A step that both like less is not taken: a start that is far off is left where it
+    was.
+
+    **Arguments:**
+
+    - `moved`: as of [`Refined`][], if the scenes were moved already.
+    - `scores`: as of [`Restored`][], where they scatter more than independent samples'.
     """
     root = _root(nuisance, found.problem, found.y)
-    best = Refined(found, sources, np.zeros(root.shape[1]))
-    excess = _look(found.problem, found.y, nuisance, root, best.moved).excess
+    moved = np.zeros(root.shape[1]) if moved is None else moved
+    best = Refined(found, sources, moved)
     for _ in range(ROUNDS):
         problem, y = best.found.problem, best.found.y
-        seen = _look(problem, y, nuisance, root, best.moved)
-        pull = best.moved + seen.pull / excess
-        step = -np.linalg.solve(seen.curvature(excess), pull)
+        seen = _look(problem, y, nuisance, root, best.moved, scores)
+        step = -seen.covariance @ (best.moved + seen.pull)
         moved = best.moved + step
         scenes = _scenes(problem, y, nuisance, root @ moved, best.sources)
         samples = _moved(problem.samples, scenes)
@@ -84,9 +95,8 @@ def refine(
         )
         # At the same noise, since less of it makes residuals larger.
         again = dataclasses.replace(there.problem, sigma=problem.sigma)
-        before = _cost(problem, y) / excess + float(best.moved @ best.moved)
-        after = _cost(again, there.y) / excess + float(moved @ moved)
-        if not after < before:
+        better = _cost(again, there.y) < _cost(problem, y)
+        if not (better or moved @ moved < best.moved @ best.moved):
             break
         best = Refined(there, best.sources, moved)
         if np.abs(step).max(initial=0) < SMALL:
@@ -113,15 +123,16 @@ def with_inherited(
     y: Float[Array, " n"],
     nuisance: Nuisance,
     moved: Float[np.ndarray, " k"] | None = None,
+    scores: Float[np.ndarray, "rows m"] | None = None,
 ) -> Problem:
     """The problem with the share of its scores' covariance that scenes bring.
 
-    **Arguments:** `moved`: as of [`Refined`][]; default not at all.
+    **Arguments:** `moved`, `scores`: as of [`refine`][].
     """
     root = _root(nuisance, problem, y)
     moved = np.zeros(root.shape[1]) if moved is None else moved
-    seen = _look(problem, y, nuisance, root, moved)
-    inherited = seen.mixed @ np.linalg.solve(seen.curvature(seen.excess), seen.mixed.T)
+    seen = _look(problem, y, nuisance, root, moved, scores)
+    inherited = seen.mixed @ seen.covariance @ seen.mixed.T
     inherited = (inherited + inherited.T) / 2
     # In double precision, where what is nearly known exactly is not lost.
     return dataclasses.replace(problem, inherited=inherited)
@@ -139,22 +150,16 @@ def _root(
 
 
 class _Seen(NamedTuple):
-    """What the images say of z at a point.
+    """What the images say of z at a point, over κ.
 
-    - `information`: S.
     - `pull`: of the cost alone.
     - `mixed`: C.
-    - `excess`: κ.
+    - `covariance`: what is left open about z.
     """
 
-    information: Float[np.ndarray, "k k"]
     pull: Float[np.ndarray, " k"]
     mixed: Float[np.ndarray, "n k"]
-    excess: float
-
-    def curvature(self, excess: float) -> Float[np.ndarray, "k k"]:
-        """1 + S / κ."""
-        return np.eye(len(self.information)) + self.information / excess
+    covariance: Float[np.ndarray, "k k"]
 
 
 def _look(
@@ -163,9 +168,9 @@ def _look(
     nuisance: Nuisance,
     root: Float[np.ndarray, "m k"],
     moved: Float[np.ndarray, " k"],
+    scores: Float[np.ndarray, "rows m"] | None,
 ) -> _Seen:
-    wider, there = nuisance.beside(problem, y)
-    there = there.at[len(y) :].add(jnp.asarray(root @ moved, y.dtype))
+    wider, there = _beside(problem, y, nuisance, root @ moved)
     # What looks alike cancels, which single precision would take for knowledge.
     sums, count = in_numpy(sums_in_double(wider, there)), len(y)
     own, mixed = sums.bread[:count, :count], sums.bread[:count, count:] @ root
@@ -176,15 +181,43 @@ def _look(
     some = np.ix_(free, free)
     inverse[some] = inverse_of(own[some], float(np.finfo(y.dtype).eps))
     alone = root.T @ sums.bread[count:, count:] @ root - mixed.T @ inverse @ mixed
-    values, vectors = np.linalg.eigh((alone + alone.T) / 2)
-    information = (vectors * np.maximum(values, 0)) @ vectors.T
+    said, basis = np.linalg.eigh((alone + alone.T) / 2)
+    said = np.maximum(said, 0)
     pull = root.T @ sums.pull[count:] - mixed.T @ inverse @ sums.pull[:count]
-    meat = sums.meat[:count, :count]
-    if problem.scatter is not None:
-        size = np.sqrt(np.diag(own))
-        meat = np.asarray(problem.scatter, float) * np.outer(size, size)
-    excess = np.trace(inverse @ meat) / max(np.count_nonzero(free), 1)
-    return _Seen(information, pull, mixed, max(float(excess), 1.0))
+    if scores is None:
+        meat = sums.meat[:count, :count]
+        excess = np.trace(inverse @ meat) / max(np.count_nonzero(free), 1)
+    else:
+        # What a file rounds moves some of z far more than others.
+        rest = scores[:, count:] @ root - scores[:, :count] @ inverse @ mixed
+        excess = np.sum((rest @ basis) ** 2, axis=0) / np.maximum(said, 1e-30)
+    excess = np.maximum(excess, 1.0)
+    pull = (basis / excess) @ (basis.T @ pull)
+    return _Seen(pull, mixed, (basis / (1 + said / excess)) @ basis.T)
+
+
+def beside(nuisance: Nuisance, moved: Float[np.ndarray, " k"] | None = None) -> Beside:
+    """A fit's problem with what is uncertain behind its unknowns, where it is now.
+
+    **Arguments:** `moved`: as of [`refine`][].
+    """
+
+    def wider(problem: Problem, y: Float[Array, " n"]) -> tuple[Problem, Array]:
+        root = _root(nuisance, problem, y)
+        step = np.zeros(len(root)) if moved is None else root @ moved
+        return _beside(problem, y, nuisance, step)
+
+    return wider
+
+
+def _beside(
+    problem: Problem,
+    y: Float[Array, " n"],
+    nuisance: Nuisance,
+    step: Float[np.ndarray, " m"],
+) -> tuple[Problem, Array]:
+    wider, there = nuisance.beside(problem, y)
+    return wider, there.at[len(y) :].add(jnp.asarray(step, y.dtype))
 
 
 def _scenes(
@@ -195,8 +228,7 @@ def _scenes(
     sources: list[Source],
 ) -> tuple[Scene, ...]:
     """The images' scenes with what is uncertain moved."""
-    wider, there = nuisance.beside(problem, y)
-    there = there.at[len(y) :].add(jnp.asarray(step, y.dtype))
+    wider, there = _beside(problem, y, nuisance, step)
     entries = in_units(wider.unknowns, there)[0]
     return wider.unknowns.scenes(entries, tuple(source.scene for source in sources))
 
