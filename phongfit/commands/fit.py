@@ -68,8 +68,9 @@ class Options:
         report: full: the picture, and the report with profiles, for which the fit is
             solved some fifty times more. quick: the same without profiles. none:
             fit.json alone.
-        refine_lights: Find the lights of a calibration anew, with what it knows of them
-            as a prior. Else they are held, and their errors are in the material's.
+        refine_lights: Find distant lights of a calibration with errors of their own,
+            what it knows of them as a prior. Else lights are brought to where it and
+            the photographs agree, and what stays open is in the material's errors.
         overwrite: Replace an older fit in OUT.
     """
 

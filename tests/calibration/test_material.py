@@ -88,8 +88,8 @@ def photograph(folder, seed, noise, quality, lamps):
     return np.array([*(unit * diffuse), unit * specular, shininess])
 
 
-def pulls(folder, *of):
-    """(found − true) / error of reflectances and exponent, by the calibration alone."""
+def fitted(folder, *of):
+    """Shares that reflectances and exponent are off by the calibration, and errors."""
     truth = photograph(folder, *of)
     data = open_captured(folder, "srgb", normals=folder / "n.npz").load()
     fit = pf.fit(
@@ -108,12 +108,21 @@ def pulls(folder, *of):
         *("diffuse.red", "diffuse.green", "diffuse.blue"),
         *("specular", "shininess"),
     )
-    return (fit.values[first:] - truth) / fit.errors[first:]
+    return (fit.values[first:] - truth) / truth, fit.errors[first:] / truth
+
+
+def pulls(folder, *of):
+    """(found − true) / error of the same."""
+    off, errors = fitted(folder, *of)
+    return off / errors
 
 
 def test_errors_contain_those_of_the_lamps(tmp_path):
-    found = pulls(tmp_path, 25, 0.003, None, "near")
-    assert 0.2 < np.sqrt(np.mean(found**2)) < 1.8
+    off, errors = fitted(tmp_path, 25, 0.003, None, "near")
+    assert np.sqrt(np.mean((off / errors) ** 2)) < 1.8
+    # How strong all lamps are stays open, how far away they are does not.
+    assert (0.005 < errors[:-1]).all() and (errors[:-1] < 0.03).all()
+    assert errors[-1] < 0.01
 
 
 @pytest.mark.slow
