@@ -53,6 +53,7 @@ def test_slopes_are_those_of_the_curve():
         ([0.1, 1.0], "got 0.1 … 1"),
         ([0.0, 0.6, 0.5, 1.0], "got 0.6 and then 0.5"),
         ([0.0, float("nan"), 1.0], "light: expected"),
+        ([0.0, 1e-320, 1.0], "light: expected 2 … 65536 numbers that rise"),
         ("curve", "light: expected a list"),
     ],
 )

@@ -111,9 +111,10 @@ def make(random: np.random.Generator, stock: Path) -> Case:
     }
     kept = {str(Path(out)) for out in outs if out} - {".", "in", "fit"}
     # What these two are given may be a folder that they write into.
-    kept |= {"synth": set(words[1:]) & FOLDERS, "scene": IN_FOLDERS}.get(
-        words[0], set()
-    )
+    named = {
+        word for word in words[1:] if word in FOLDERS or re.fullmatch(r"\w+", word)
+    }
+    kept |= {"synth": named, "scene": IN_FOLDERS}.get(words[0], set())
     # And folders that are made for it.
     kept |= {str(above) for out in kept for above in Path(out).parents} - {".", "in"}
 
