@@ -7,7 +7,6 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.linalg import block_diag
 
 from phongfit.fitting.problem.layout import covariance_of, make_unknowns
 from phongfit.fitting.problem.parameters import is_of_model
@@ -75,4 +74,7 @@ def make_nuisance(
         for key, given in asked.uncertain.items()
         if set(as_names(key)) <= set(names)
     ]
+    # Here, since SciPy takes long to import, and few fits have any.
+    from scipy.linalg import block_diag
+
     return Nuisance(unknowns, np.asarray(block_diag(*blocks)))
