@@ -19,6 +19,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from rich.console import Console
@@ -211,10 +212,11 @@ def main(options: Options) -> int:
     """
     check_outputs(None, options.json)
     # The blocks that workers are given leave marks of theirs.
-    cluster.fit_block = counted_block  # pyright: ignore
-    with tempfile.TemporaryDirectory(dir=options.folder) as name:
+    with (
+        patch.object(cluster, "fit_block", counted_block),
+        tempfile.TemporaryDirectory(dir=options.folder) as name,
+    ):
         numbers = measure(Path(name), options.small, options.every)
-    cluster.fit_block = fit_block
     show(numbers)
     save_numbers(options.json, numbers)
     return 0 if numbers["deaths"]["same_bits"] else 1
@@ -271,9 +273,8 @@ def measure(folder: Path, small: bool, every: float) -> dict[str, Any]:
             "work": begun(output.with_suffix(".begun")) / blocks,
             "same_bits": same(whole, output),
         }
-        cluster.fit_block = nothing  # pyright: ignore
-        numbers["scheduling"] = {"seconds_per_block": overhead(client, 200)}
-        cluster.fit_block = counted_block  # pyright: ignore
+        with patch.object(cluster, "fit_block", nothing):
+            numbers["scheduling"] = {"seconds_per_block": overhead(client, 200)}
     console.print(numbers["deaths"], numbers["scheduling"])
     sizes = [(1, 2), (2, 4)] if small else [(2, 4), (6, 11), (21, 33)]
     numbers["sizes"] = []

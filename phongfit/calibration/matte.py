@@ -371,10 +371,7 @@ def rounding(
         shade[disc] = _model(matte, pixels[disc], matte.place, direction, inverse)
         models.append(shade)
     for draw in errors:
-        # Twice as wide as the coarsest rounding of a block's mean.
-        widest = 1.0
-        if film.jpeg is not None:
-            widest = max(1.0, *(table[0][0] / 8 for table in film.jpeg.tables))
+        widest = 1.0 if film.jpeg is None else film.jpeg.widest
         shift = rng.uniform(-widest, widest, 3).astype(np.float32)
         share = np.float32(1 - BRIGHTER * rng.uniform())
         for number, (shade, strength) in enumerate(zip(models, strengths, strict=True)):

@@ -80,6 +80,18 @@ class DataOptions:
 
     room_light: Annotated[float, arg(metavar="X")] = 1.0
 
+    def settings(self) -> DataSettings:
+        """How data are read, as records have it."""
+        return DataSettings(
+            encoding=self.encoding,
+            min_cosine=self.min_cosine,
+            min_facing=self.min_facing,
+            room_light=self.room_light,
+            sphere=self.sphere,
+            normals=None if self.normals is None else str(self.normals),
+            lights=None if self.lights is None else str(self.lights),
+        )
+
     @property
     def sought(self) -> bool:
         """Whether normals are sought."""
@@ -126,17 +138,8 @@ def _recorded(
         # What the images were made of is no input of a fit.
         if p.name != TRUTH_FILE
     }
-    reading = DataSettings(
-        encoding=options.encoding,
-        min_cosine=options.min_cosine,
-        min_facing=options.min_facing,
-        room_light=options.room_light,
-        sphere=options.sphere,
-        normals=None if options.normals is None else str(options.normals),
-        lights=None if options.lights is None else str(options.lights),
-    )
     name = readable(photographs.name)
-    return made, DataRecord(name=name, reading=reading, inputs=inputs)
+    return made, DataRecord(name=name, reading=options.settings(), inputs=inputs)
 
 
 def tell(notes: Sequence[str]) -> None:

@@ -53,8 +53,6 @@ PASSES = {False: 2, True: 3}
 surface's place better."""
 SHARED = ("ambient", "diffuse")
 """What each pixel still identifies where the highlight is one for all of them."""
-
-
 HELD = (
     "warning: the maps' errors are those of the photographs alone, and leave out those "
     "of the calibration: all pixels share them, and `phongfit fit` includes them"
@@ -232,7 +230,7 @@ def arguments(options: Options) -> dict[str, Any]:
         "loss": options.loss or ("cauchy" if sought else "linear"),
         "normals": "fit" if sought else "given",
         "materials": _number(options.materials),
-        "passes": options.passes or 1,
+        "passes": 1 if options.passes is None else options.passes,
     }
 
 

@@ -23,7 +23,7 @@ from phongfit.files.capture_data import (
 from phongfit.files.captures import Capture, open_capture
 from phongfit.files.encodings import parse_encoding
 from phongfit.files.images import read_film
-from phongfit.files.inputs import sparing
+from phongfit.files.inputs import naming, sparing
 from phongfit.files.lp import read_lp
 from phongfit.files.outputs import check_file
 from phongfit.files.scenes import SCENE_FILE, check_size, save_scene
@@ -257,14 +257,12 @@ def _own_lights(
     if options.light or options.point_light:
         raise ValueError("lights: expected it or --light and --point-light")
     listed = read_lp(file)
-    vectors = dict(zip(listed.base_names, listed.vectors, strict=True))
+    with naming(str(file)):
+        vectors = listed.only(photographs).vectors
     intensity = _colour("intensity", options.intensity)
-    for name in photographs:
-        if name not in vectors:
-            raise ValueError(f"{file}: expected a light of {name}, got none")
-    left = len(vectors) - len(photographs)
+    left = len(listed.names) - len(photographs)
     notes = [f"{left} lights of {file} are of no photograph: left out"] if left else []
-    return [DirectionalLight(vectors[name], intensity) for name in photographs], notes
+    return [DirectionalLight(vector, intensity) for vector in vectors], notes
 
 
 def _film(capture: Capture) -> Film:

@@ -1,7 +1,6 @@
 """`phongfit maps` of a zarr array: block by block, perhaps on a Dask cluster."""
 
 import contextlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,9 +18,9 @@ from phongfit.files.capture_data import (
     masked,
 )
 from phongfit.files.encodings import parse_encoding
-from phongfit.files.fits import DataRecord, DataSettings
+from phongfit.files.fits import DataRecord
 from phongfit.files.inputs import naming, recording
-from phongfit.files.lp import LightList, base_name, read_lp
+from phongfit.files.lp import base_name, read_lp
 from phongfit.files.outputs import OVERWRITE, replacing_folder
 from phongfit.files.scenes import SCENE_FILE, load_views
 from phongfit.files.seen import SOUGHT, seen_in
@@ -160,15 +159,7 @@ def _read(options: DataOptions) -> _Input:
     inputs = {file.name: digest for file, digest in sorted(checksums.items())}
     record = DataRecord(
         name=readable(Path(path).stem),
-        reading=DataSettings(
-            encoding=options.encoding,
-            min_cosine=options.min_cosine,
-            min_facing=options.min_facing,
-            room_light=options.room_light,
-            sphere=options.sphere,
-            normals=None if options.normals is None else str(options.normals),
-            lights=None if options.lights is None else str(options.lights),
-        ),
+        reading=options.settings(),
         inputs=inputs | {readable(Path(path).name): fingerprint(stack.array)},
     )
     if clamped:
@@ -222,7 +213,8 @@ def _captured(
         raise ValueError(
             f"lights: expected {count}, one for each image, got {len(names)}"
         )
-    lamps, unknown = lamps_of(names, _sorted(listed, names), source)
+    listed = None if listed is None else listed.only(names)
+    lamps, unknown = lamps_of(names, listed, source)
     near = source is not None and source.lamps[0].position is not None
     sought = options.normals is not None and str(options.normals) == SOUGHT
     if sought and not near:
@@ -253,20 +245,3 @@ def _captured(
 
 UP = np.array([[[0.0, 0.0, 1.0]]])
 """The normals of a plane that the camera looks at."""
-
-
-def _sorted(listed: LightList | None, names: Sequence[str]) -> LightList | None:
-    """A list in the order of the images.
-
-    **Raises:** `ValueError` for an image that it does not name.
-    """
-    if listed is None:
-        return None
-    at = {name: k for k, name in enumerate(listed.base_names)}
-    missing = [name for name in names if name not in at]
-    if missing:
-        raise ValueError(
-            f"lights: expected one for each image, got none for {missing[0]}"
-        )
-    order = [at[name] for name in names]
-    return LightList(tuple(names), listed.vectors[order])

@@ -36,6 +36,19 @@ class LightList(NamedTuple):
         """Names without folders, which are often another machine's."""
         return tuple(base_name(name) for name in self.names)
 
+    def only(self, names: Sequence[str]) -> "LightList":
+        """The lights of some photographs, by their base names, in that order.
+
+        **Raises:** `ValueError` for a photograph that the list does not name.
+        """
+        at = {name: k for k, name in enumerate(self.base_names)}
+        missing = [name for name in names if name not in at]
+        if missing:
+            raise ValueError(
+                f"lights: expected one for each image, got none for {missing[0]}"
+            )
+        return LightList(tuple(names), self.vectors[[at[name] for name in names]])
+
 
 def base_name(name: str) -> str:
     """A file's name without its folder, of whatever system."""

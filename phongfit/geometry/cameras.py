@@ -417,7 +417,23 @@ def _covered(camera: PinholeCamera) -> Bool[Array, "height width"]:
     return over_pixels(found, camera)
 
 
-class FinerCamera(AbstractCamera):
+class AbstractSameView(AbstractCamera):
+    """What another camera sees from where it is, in other pixels."""
+
+    camera: AbstractVar[AbstractCamera]
+
+    @property
+    def parallel(self) -> bool:
+        return self.camera.parallel
+
+    def to_viewer(self, position: Vec3) -> Vec3:
+        return self.camera.to_viewer(position)
+
+    def depth(self, position: Vec3) -> Scalar:
+        return self.camera.depth(position)
+
+
+class FinerCamera(AbstractSameView):
     """What another camera sees, in smaller pixels."""
 
     camera: AbstractCamera
@@ -442,24 +458,14 @@ class FinerCamera(AbstractCamera):
     def project(self, position: Vec3) -> Float[Array, "2"]:
         return self.camera.project(position) * self.times
 
-    @property
-    def parallel(self) -> bool:
-        return self.camera.parallel
-
-    def to_viewer(self, position: Vec3) -> Vec3:
-        return self.camera.to_viewer(position)
-
     def covered(self) -> Bool[Array, "height width"] | None:
         whole = self.camera.covered()
         if whole is None:
             return None
         return jnp.repeat(jnp.repeat(whole, self.times, axis=0), self.times, axis=1)
 
-    def depth(self, position: Vec3) -> Scalar:
-        return self.camera.depth(position)
 
-
-class WindowCamera(AbstractCamera):
+class WindowCamera(AbstractSameView):
     """A rectangle of what another camera sees; its edges may lie outside of it."""
 
     camera: AbstractCamera
@@ -483,18 +489,11 @@ class WindowCamera(AbstractCamera):
         self.position = camera.position
         self.rotation = camera.rotation
 
-    @property
-    def parallel(self) -> bool:
-        return self.camera.parallel
-
     def ray(self, x: Scalar, y: Scalar) -> Ray:
         return self.camera.ray(x + self.left, y + self.top)
 
     def project(self, position: Vec3) -> Float[Array, "2"]:
         return self.camera.project(position) - jnp.stack([self.left, self.top])
-
-    def to_viewer(self, position: Vec3) -> Vec3:
-        return self.camera.to_viewer(position)
 
     def covered(self) -> Bool[Array, "height width"] | None:
         whole = self.camera.covered()
@@ -504,6 +503,3 @@ class WindowCamera(AbstractCamera):
         part = whole[top : top + self.height, left : left + self.width]
         missing = ((0, self.height - part.shape[0]), (0, self.width - part.shape[1]))
         return jnp.pad(part, missing)
-
-    def depth(self, position: Vec3) -> Scalar:
-        return self.camera.depth(position)

@@ -1,9 +1,10 @@
 """Pixels as the vertices of a surface: triangles between neighbours."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.geometry.cameras import Ray
@@ -30,38 +31,57 @@ def faces_within(mask: Bool[np.ndarray, "height width"]) -> Int[np.ndarray, "fac
     return faces[mask.ravel()[faces].all(axis=1)]
 
 
-def in_shadow(
-    positions: Float[Any, "height width 3"],
-    mask: Bool[Any, "height width"],
-    start: Float[Any, "*batch 3"],
-    to_light: Float[Any, "*batch 3"],
-    distance: Float[Any, "*batch"],
-) -> Bool[Array, "*batch"]:
-    """Whether the triangles between pixels lie on the way from points of them to light.
+class Triangles(NamedTuple):
+    """The surface between pixels, ready to throw shadows.
 
-    **Arguments:**
-
-    - `positions`, `mask`: where pixels' points are, world units, and which have one.
-    - `start`, `to_light`, `distance`: points of the surface, unit vectors to the light,
-        and how far away it is (may be inf).
+    - `vertices`, `faces`: its triangles.
+    - `lift`: how far from a point of it a shadow's ray starts, world units.
     """
-    positions, mask = jnp.asarray(positions), jnp.asarray(mask)
-    faces = grid_faces(*mask.shape)
-    whole = mask.ravel()[faces].all(axis=1)
-    # Of no size, which no ray meets: as many faces whatever the mask.
-    faces = jnp.where(whole[:, None], faces, 0)
-    lift = LIFT * pixel_size(positions, mask)
-    rays = Ray(jnp.asarray(start) + lift * to_light, to_light)
-    return blocked(positions.reshape(-1, 3), faces, rays, distance - lift)
+
+    vertices: Float[Array, "pixels 3"]
+    faces: Int[Array, "faces 3"]
+    lift: Float[Array, ""]
+
+    def shadowed(
+        self,
+        start: Float[Any, "*batch 3"],
+        to_light: Float[Array, "*batch 3"],
+        distance: Float[Array, "*batch"],
+    ) -> Bool[Array, "*batch"]:
+        """Whether triangles lie on the way from points of the surface to light.
+
+        **Arguments:** the points, unit vectors to the light, and how far away it is
+        (may be inf).
+        """
+        if not len(self.faces):
+            return jnp.zeros(distance.shape, bool)
+        rays = Ray(jnp.asarray(start) + self.lift * to_light, to_light)
+        return blocked(self.vertices, self.faces, rays, distance - self.lift)
+
+
+def triangles(
+    positions: Float[Any, "height width 3"], mask: Bool[Any, "height width"]
+) -> Triangles:
+    """The triangles between pixels inside a mask.
+
+    **Arguments:** `positions`: pixels' points, world units.
+    """
+    if isinstance(mask, Tracer):
+        # As many faces whatever the mask: of no size, which no ray meets.
+        every = grid_faces(*mask.shape)
+        faces = jnp.where(mask.ravel()[every].all(axis=1)[:, None], every, 0)
+    else:
+        faces = jnp.asarray(faces_within(np.asarray(mask)), jnp.int32)
+    points, inside = jnp.asarray(positions), jnp.asarray(mask)
+    return Triangles(points.reshape(-1, 3), faces, LIFT * pixel_size(points, inside))
 
 
 def pixel_size(
-    positions: Float[Any, "height width 3"], mask: Bool[Any, "height width"]
+    points: Float[Array, "height width 3"], mask: Bool[Array, "height width"]
 ) -> Float[Array, ""]:
     """About how far apart neighbours are, as the camera sees them; world units."""
     height, width = mask.shape
     rows, columns = jnp.indices((height, width))
-    points, mask = jnp.asarray(positions), jnp.asarray(mask)
 
     def span(values: Array, inside: Array) -> Array:
         high = jnp.max(jnp.where(inside, values, -jnp.inf), axis=(0, 1))

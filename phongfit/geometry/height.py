@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from phongfit.checks import as_array
 from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera
-from phongfit.geometry.grids import faces_within, in_shadow
+from phongfit.geometry.grids import faces_within, triangles
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.tracing import towards
 from phongfit.lights import AbstractLight
@@ -128,12 +128,13 @@ def shadow_shares(
     **Returns:** numbers in [0, 1]; 0 outside.
     """
     mask, points = np.isfinite(height), positions_at(height, camera)
+    surface = triangles(points, mask)
     starts = np.stack([_within(points, mask, place)[mask] for place in places])
     for light in lights:
         share = np.zeros(height.shape)
         if mask.any():
             to_light, distance = towards(light, jnp.asarray(starts))
-            hit = in_shadow(points, mask, starts, to_light, distance)
+            hit = surface.shadowed(starts, to_light, distance)
             share[mask] = np.asarray(hit).mean(axis=0)
         yield share
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from phongfit.checks import as_floats, as_indices, as_scalar, as_vector, require
 from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, Ray
-from phongfit.geometry.grids import in_shadow
+from phongfit.geometry.grids import triangles
 from phongfit.programs import program
 from phongfit.textures import Factors
 from phongfit.vectors import Vec3, dot, normalize, normalize_all
@@ -295,7 +295,8 @@ class NormalMap(AbstractSurface):
                 "shadows: a normal map without positions does not know what is in a "
                 "light's way"
             )
-        return ~in_shadow(self.positions, self.mask, position, to_light, distance)
+        surface = triangles(self.positions, self.mask)
+        return ~surface.shadowed(position, to_light, distance)
 
     @property
     def materials(self) -> int:

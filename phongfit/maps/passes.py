@@ -16,6 +16,7 @@ from phongfit.geometry.height import HeightField
 from phongfit.geometry.surfaces import NormalMap
 from phongfit.lights import PointLight, SpotLight
 from phongfit.maps.result import Maps
+from phongfit.maps.stacks import AbstractStack, KeptStack
 from phongfit.scene import Scene
 
 SAMPLE = 512
@@ -32,6 +33,7 @@ STEPS = 5
 def fit_in_passes(
     once: Callable[..., Maps],
     scenes: Sequence[Scene],
+    stack: AbstractStack,
     passes: int,
     output: str | os.PathLike[str] | None,
     progress: bool,
@@ -40,19 +42,21 @@ def fit_in_passes(
 
     **Arguments:**
 
-    - `once`: [`fit_maps`][] with all chosen but scenes, `output` and `progress`.
+    - `once`: [`fit_maps`][] with all chosen but scenes, images, `output`, `progress`.
     - `output`: where finished tiles of the first pass are kept; those of later ones in
         folders inside.
     """
-    maps = once(scenes, output=output, progress=progress)
+    maps = once(scenes, stack, output=output, progress=progress)
     for number in range(2, passes + 1):
         field = maps.height()
-        quick = functools.partial(once, output=None, progress=False)
+        quick = functools.partial(
+            once, images=KeptStack(stack), output=None, progress=False
+        )
         reach = REACH * 0.5 ** (number - 2)
         offset = find_offset(quick, scenes, field, _sample(maps), reach)
         inner = None if output is None else Path(output) / f"pass_{number}"
         scenes = on_surface(scenes, field, field.mask, offset, shadows=True)
-        maps = once(scenes, output=inner, progress=progress)
+        maps = once(scenes, stack, output=inner, progress=progress)
     return maps
 
 

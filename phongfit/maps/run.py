@@ -167,8 +167,9 @@ def fit_maps(
                 f"{shown(passes)}"
             )
         placed = {"tile_pixels": tile_pixels, "devices": devices}
-        once = functools.partial(fit_maps, images=stack, **asked, **placed)
-        return fit_in_passes(once, check_scenes(scenes), passes, output, progress)
+        once = functools.partial(fit_maps, **asked, **placed)
+        scenes = check_scenes(scenes)
+        return fit_in_passes(once, scenes, stack, passes, output, progress)
     job = make_job(scenes, stack, **asked)
     if not len(job.pixels):
         raise ValueError("mask: it leaves no pixel that sees the surface")

@@ -126,6 +126,31 @@ class ArrayStack(AbstractStack):
             _let_go(array)
 
 
+class KeptStack(AbstractStack):
+    """Another stack, of which what was asked for last stays in memory."""
+
+    def __init__(self, stack: AbstractStack):
+        """**Arguments:** `stack`: of which the same pixels are wanted again."""
+        self._stack = stack
+        self._asked: tuple[bytes, tuple[int, ...]] | None = None
+        self._taken = np.zeros(0)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return self._stack.shape
+
+    def take(
+        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
+    ) -> Float[np.ndarray, "images n 3"]:
+        asked = pixels.tobytes(), tuple(order)
+        if asked != self._asked:
+            self._asked, self._taken = asked, self._stack.take(pixels, order)
+        return self._taken
+
+    def identify(self, update: Update) -> None:
+        self._stack.identify(update)
+
+
 class PhotographStack(AbstractStack):
     """Image files, decoded anew for every tile: one of them is in memory at a time.
 

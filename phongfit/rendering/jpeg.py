@@ -69,6 +69,11 @@ class JpegCompression:
         object.__setattr__(self, "tables", tables)
         object.__setattr__(self, "sampling", sampling)
 
+    @property
+    def widest(self) -> float:
+        """Twice the coarsest rounding of a block's mean, at least 1: levels."""
+        return max(1.0, *(table[0][0] / 8 for table in self.tables))
+
     @classmethod
     @checked
     def at_quality(cls, quality: int, subsampling: str = "4:2:0") -> "JpegCompression":

@@ -5,8 +5,12 @@ its own, on a finer grid whose means are the pixels.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+
+import phongfit as pf
+from phongfit.calibration.lamps import Lamps
 
 FINER = 3
 LAMP_SIZE = 0.03  # radians from a lamp's centre to its edge, as a mirror shows it
@@ -124,3 +128,21 @@ def directions(count: int) -> np.ndarray:
 def degrees(a, b) -> np.ndarray:
     """Between unit vectors."""
     return np.degrees(2 * np.arcsin(np.linalg.norm(np.subtract(a, b), axis=-1) / 2))
+
+
+def calibrated(
+    studio: Studio, folder: Path, encoding=None, lamps: Lamps = "distant"
+) -> pf.Calibration:
+    """The lamps of photographs that lie in a folder, and lights.json beside them."""
+    capture = pf.open_capture(folder, encoding)
+    found = pf.calibrate(
+        capture,
+        chrome=studio.circles("chrome"),
+        matte=studio.circles("matte")[0],
+        sphere_radius=studio.balls[0].radius,
+        fov=studio.fov,
+        lamps=lamps,
+        names=capture.names,
+    )
+    pf.save_calibration(folder / "lights.json", found)
+    return found

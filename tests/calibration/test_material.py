@@ -13,7 +13,7 @@ from PIL import Image
 
 import phongfit as pf
 from phongfit.files.capture_data import open_captured
-from tests.calibration.studio import Studio, directions
+from tests.calibration.studio import Studio, calibrated, directions
 from tests.helpers import known, photographs
 
 LAMPS = 6
@@ -71,17 +71,7 @@ def photograph(folder, seed, noise, quality, lamps):
         Image.fromarray(levels).save(folder / f"{k + 1}.{suffix}", **options)
     places = known(surface.positions)
     np.savez(folder / "n.npz", normals=surface.normals, positions=places)
-    capture = pf.open_capture(folder, "srgb")
-    found = pf.calibrate(
-        capture,
-        chrome=studio.circles("chrome"),
-        matte=studio.circles("matte")[0],
-        sphere_radius=0.5,
-        fov=20,
-        lamps=lamps,
-        names=capture.names,
-    )
-    pf.save_calibration(folder / "lights.json", found)
+    found = calibrated(studio, folder, "srgb", lamps)
     # Strengths are over their mean, as nothing tells how bright the matte sphere is.
     kept = [int(Path(lamp.photograph).stem) - 1 for lamp in found.lamps]
     unit = strength[kept].mean() * COLOUR.mean()

@@ -240,6 +240,7 @@ def test_normals_are_sought(capture, tmp_path, capsys):
     capsys.readouterr()
     for more, words in (
         (["--highlight", "shared"], "highlight: expected own"),
+        (["--passes", "0"], "passes: expected 1, or more"),
         (["--sphere", "8", "8", "4"], "got both"),
     ):
         assert main([*args, "-o", str(tmp_path / "more"), *more]) == 2

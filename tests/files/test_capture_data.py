@@ -8,9 +8,8 @@ from PIL import Image
 
 import phongfit as pf
 from phongfit.files.capture_data import open_captured
-from phongfit.files.captures import open_capture
 from phongfit.fitting.fit import fit
-from tests.calibration.studio import Studio, directions
+from tests.calibration.studio import Studio, calibrated, directions
 from tests.files.test_photographs import exif
 
 HEIGHT, WIDTH = 36, 48
@@ -113,17 +112,8 @@ def test_a_calibration_gives_camera_lights_and_strengths(tmp_path):
     for number, lamp in enumerate(LAMPS, 1):
         image = studio.photograph(lamp, seed=number)
         pf.write_image(tmp_path / f"{number}.jpg", image, "srgb")
-    capture = open_capture(tmp_path)
     circle = studio.circles("matte")[0]
-    found = pf.calibrate(
-        capture,
-        chrome=studio.circles("chrome"),
-        matte=circle,
-        sphere_radius=0.5,
-        fov=20,
-        names=capture.names,
-    )
-    pf.save_calibration(tmp_path / "lights.json", found)
+    found = calibrated(studio, tmp_path)
     # In the folder of the photographs it is found by itself.
     data = open_captured(tmp_path, sphere=circle)
     assert data.unknown == ()
@@ -156,17 +146,7 @@ def near(tmp_path_factory):
     for number, lamp in enumerate([0, 0, -10] + 6 * LAMPS, 1):
         image = studio.photograph(lamp, near=True, seed=number)
         pf.write_image(folder / f"{number}.png", image, "srgb")
-    capture = open_capture(folder, "srgb")
-    found = pf.calibrate(
-        capture,
-        chrome=studio.circles("chrome"),
-        matte=studio.circles("matte")[0],
-        sphere_radius=0.5,
-        fov=20,
-        lamps="near",
-        names=capture.names,
-    )
-    pf.save_calibration(folder / "lights.json", found)
+    found = calibrated(studio, folder, "srgb", "near")
     return folder, found, studio.circles("matte")[0]
 
 

@@ -8,6 +8,7 @@ import pytest
 import phongfit as pf
 from data_synth.lights import spread_directions
 from phongfit.maps.passes import find_offset, moved
+from phongfit.maps.stacks import ArrayStack, KeptStack
 from tests.maps.hills import CAMERA, SIZE, bumps
 from tests.maps.synthetic import DTYPE
 
@@ -70,6 +71,23 @@ def test_near_lamps_tell_where_the_surface_is(tmp_path):
         "pass_3",
         "tile_000000.npz",
     ]
+
+
+def test_what_tells_the_distance_is_read_once():
+    asked = []
+
+    class Counted(ArrayStack):
+        def take(self, pixels, order):
+            asked.append(len(pixels))
+            return super().take(pixels, order)
+
+    kept = KeptStack(Counted(hills(near=True)[1]))
+    first = kept.take(np.arange(5), (1, 0))
+    np.testing.assert_array_equal(kept.take(np.arange(5), (1, 0)), first)
+    assert asked == [5]
+    assert not np.array_equal(kept.take(np.arange(5), (0, 1)), first)
+    kept.take(np.arange(4), (0, 1))
+    assert asked == [5, 5, 4]
 
 
 def test_shadows_are_left_out():

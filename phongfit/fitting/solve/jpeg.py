@@ -511,9 +511,7 @@ def _another(
     No more is to be cut off than was.
     """
     known = [film.jpeg for film in films if film.jpeg is not None]
-    # Twice as wide as the coarsest rounding of a block's mean.
-    steps = [table[0][0] / 8 for jpeg in known for table in jpeg.tables]
-    widest = max([1.0, *steps])
+    widest = max([1.0, *(jpeg.widest for jpeg in known)])
     shift = rng.uniform(-widest, widest, 3).astype(np.float32)
     if all(len(jpeg.tables) == 1 for jpeg in known):
         shift[:] = shift[0]
