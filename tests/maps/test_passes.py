@@ -109,6 +109,8 @@ def test_a_pinhole_sees_a_surface_moved_as_a_larger_or_smaller_one():
     near = moved(field, 1.0)
     np.testing.assert_allclose(near[..., 2], 1, atol=1e-5)
     np.testing.assert_allclose(near[..., :2], 0.75 * field.positions()[..., :2])
+    flat = pf.integrate_normals(np.broadcast_to([0.0, 0, 1], (*SIZE, 3)), CAMERA)
+    np.testing.assert_allclose(moved(flat, 1.0), flat.positions() + [0, 0, 1])
 
 
 def test_distant_lamps_tell_no_distance():

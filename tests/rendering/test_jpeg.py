@@ -83,3 +83,9 @@ def test_a_film_of_it_is_the_same_for_light():
 def test_what_is_no_compression(wrong, words):
     with pytest.raises(ValueError, match=words):
         wrong()
+
+
+def test_the_widest_rounding_is_that_of_the_coarsest_mean():
+    # T.81's table K.2 begins with 17, as it stands at quality 50; a mean has an eighth.
+    assert pf.JpegCompression.at_quality(50).widest == 17 / 8
+    assert pf.JpegCompression.at_quality(100).widest == 1
