@@ -77,7 +77,7 @@ class Options:
             has its own.
         passes: With --normals fit: how often. Each pass after the first knows from the
             last where the surface is, how far from near lamps, and what lies in its
-            shadow. Default: 3 with near lamps, else 2.
+            shadow. Default: 3 with near lamps, else 2; of a zarr array 1 alone.
         unknowns: Parameters to be found, of ambient diffuse specular shininess.
             Default: all of them; with --normals fit all but ambient.
         per_channel: Which of them differ between red, green and blue; with shininess,
