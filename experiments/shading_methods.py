@@ -27,7 +27,6 @@ METHODS: dict[str, pf.AbstractShading] = {
     "Phong": pf.PhongShading(),
 }
 LINES = {
-    "flat": (style.ORANGE, "s"),
     "Gouraud": (style.VERMILION, "o"),
     "Phong": (style.BLUE, "^"),
 }
@@ -250,7 +249,7 @@ def draw(result: Result, pixels: int) -> Figure:
     ]
     names = [f"{4 * rows**2} triangles" for rows in ROWS]
     style.picture_grid(top, images, columns=names, rows=list(METHODS))
-    (peak, energy), (slope, cost) = bottom.subplots(2, 2)
+    (peak, energy), (facets, slope) = bottom.subplots(2, 2)
     for k, (f, colour, marker) in enumerate(
         zip(EXPONENTS, (style.BLUE, style.GREEN, style.VERMILION), "os^", strict=True)
     ):
@@ -258,27 +257,25 @@ def draw(result: Result, pixels: int) -> Figure:
         for axes, loss in (
             (peak, 1 - result.peak["Gouraud"][:, k]),
             (energy, np.abs(result.energy["Gouraud"][:, k] - 1)),
+            (facets, np.abs(result.peak["flat"][:, k] - 1)),
         ):
             mean = np.maximum(100 * loss.mean(axis=-1), 1e-3)
             axes.loglog(x, mean, f"{marker}-", c=colour, label=f"$f$ = {f:g}")
     peak.axhline(100 * GOOD, c=style.BLACK, lw=0.8, ls=":")
-    peak.set_ylabel("lost of the peak (%)")
-    energy.set_ylabel("energy off by (%)")
-    for axes in (peak, energy):
+    for axes, about, label in (
+        (peak, "Gouraud: the highlight's peak", "lost of the peak (%)"),
+        (energy, "Gouraud: the highlight's energy", "energy off by (%)"),
+        (facets, "flat: the highlight's peak", "peak off by (%)"),
+    ):
         axes.set_xlabel("edge / half width of the highlight")
+        axes.set_ylabel(label)
+        axes.set_title(about)
         axes.legend()
-    peak.set_title("Gouraud: the highlight's peak")
-    energy.set_title("Gouraud: the highlight's energy")
     for name in ("Gouraud", "Phong"):
         colour, marker = LINES[name]
-        slope.loglog(
-            result.edge,
-            result.slope_jump[name],
-            f"{marker}-",
-            c=colour,
-            label=name,
-        )
-    for axes in (peak, energy, slope):
+        jump = result.slope_jump[name]
+        slope.loglog(result.edge, jump, f"{marker}-", c=colour, label=name)
+    for axes in (peak, energy, facets, slope):
         style.plain_numbers(axes)
     slope.set_xlabel("edge (degrees)")
     slope.set_ylabel("jump of the slope (1/radius)")
@@ -286,24 +283,6 @@ def draw(result: Result, pixels: int) -> Figure:
     slope.minorticks_off()
     slope.set_title("Mach bands: slope across edges")
     slope.legend()
-    places = np.arange(len(METHODS))
-    for at, (lamps, hatch) in enumerate(zip(TIMED, ("", "///"), strict=True)):
-        bars = cost.barh(
-            places + 0.4 * at - 0.2,
-            [1e3 * result.seconds[name][at] for name in METHODS],
-            0.38,
-            color=[LINES[name][0] for name in METHODS],
-            hatch=hatch,
-            edgecolor="white",
-        )
-        label = f"{lamps} lamp" + "s" * (lamps > 1)
-        cost.bar_label(bars, [f" {bar.get_width():.1f}, {label}" for bar in bars])
-    cost.set_yticks(places, list(METHODS))
-    cost.invert_yaxis()
-    cost.grid(False, axis="y")
-    cost.margins(x=0.35)
-    cost.set_xlabel("time of one image (ms)")
-    cost.set_title(f"cost, {4 * ROWS[2] ** 2} triangles")
     return figure
 
 
@@ -377,8 +356,8 @@ def find(small: bool) -> Finding:
         dataclasses.asdict(result),
         draw(result, 96 if small else 256),
         "Balls of 144 to 36864 triangles with flat, Gouraud and Phong shading; curves "
-        "of what Gouraud's highlight loses against the length of the mesh's edges, of "
-        "the jump of the slope across edges, and bars of the time of an image.",
+        "of what highlights lose against the length of the mesh's edges, and of the "
+        "jump of the slope across edges.",
         Table(COLUMNS, rows_of(result)),
         wrong=() if falls else ("Gouraud's loss does not fall with finer meshes",),
     )

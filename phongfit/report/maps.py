@@ -65,7 +65,7 @@ def draw_flags(maps: Maps) -> Figure:
             Patch(facecolor=colour, edgecolor=PALE, linewidth=0.5, label=label)
             for colour, label in entries
         ]
-        axes.legend(handles=patches, loc="center left", bbox_to_anchor=(1.02, 0.5))
+        figure.legend(handles=patches, loc="outside right center")
     return figure
 
 

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 
 import phongfit as pf
@@ -116,9 +117,18 @@ def test_a_map_of_nothing_but_noise_is_not_brightened():
 
 
 def test_flags_are_one_picture_with_a_legend():
-    (axes,) = draw_flags(made()).axes
-    legend = axes.get_legend()
-    assert legend is not None
+    figure = draw_flags(made())
+    (axes,), (legend,) = figure.axes, figure.legends
     words = [text.get_text() for text in legend.get_texts()]
     assert words[0].startswith("identified, no flag") and len(words) > 1
     assert len(axes.images) == 1
+
+
+def test_large_counts_of_flags_are_not_cut_off():
+    """Of as many pixels as a camera has, in a picture as narrow as one is."""
+    one, flags = made(), np.zeros((1200, 1000), int)
+    flags[:10] = pf.Flag.NO_HIGHLIGHT
+    figure = draw_flags(dataclasses.replace(one, flags=flags))
+    FigureCanvasAgg(figure).draw()
+    legend, pictured = figure.legends[0].get_window_extent(), figure.axes[0].bbox
+    assert pictured.x1 < legend.x0 and legend.x1 < figure.bbox.x1
