@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
 from phongfit.checks import as_array
 from phongfit.edge import checked
@@ -93,6 +93,8 @@ def draw_residual(axes: Axes, residual: Any, *, below: bool = False) -> None:
     bar = figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.03, **place)
     bar.ax.tick_params(labelsize=7)
     bar.locator = MaxNLocator(4 if below else 8, symmetric=True)
+    # Without a power of ten that all share, which would lie over the words below.
+    bar.formatter = StrMethodFormatter("{x:g}")
     bar.ax.grid(False)
     if below:
         bar.set_label("linear light, white = 1; the channel furthest off")

@@ -201,7 +201,8 @@ def test_the_outline_lies_over_the_photograph(page, tmp_path):
     page.select_option("#encoding", "srgb")
     page.set_input_files("#photograph", tmp_path / "dark.png")
     try:
-        page.locator("#target-figure figcaption", has_text="brighter").wait_for()
+        for figure, words in (("#target-figure", "brighter"), ("#picture", ", too")):
+            page.locator(f"{figure} figcaption", has_text=words).wait_for()
         page.locator("#outline path[d^=M]").wait_for(state="attached")
         _move(page, "radius", 20)
         _settle(page)

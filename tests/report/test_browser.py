@@ -68,6 +68,18 @@ def test_wide_tables_scroll_within_themselves(browser, pages):
     window.close()
 
 
+def test_pictures_that_scroll_stand_apart(browser, pages):
+    """As those of several textures, one below the other."""
+    window, _ = opened(browser, pages["one"], WIDTHS["phone"])
+    gap = window.evaluate("""() => { const one = document.querySelector(".scroll");
+        const next = one.cloneNode(true);
+        one.after(next);
+        const [above, below] = [one, next].map(e => e.getBoundingClientRect());
+        return below.top - above.bottom; }""")
+    assert gap >= 8
+    window.close()
+
+
 def test_letters_can_be_read_in_the_dark(browser, pages):
     shades = {}
     for scheme in ("light", "dark"):

@@ -5,11 +5,12 @@ import dataclasses
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import phongfit as pf
 from phongfit.fitting.uncertainty.convergence import trace_convergence
-from phongfit.report.pictures import displayed, signed
+from phongfit.report.pictures import displayed, draw_residual, signed
 from phongfit.report.plots import (
     MOST_UNKNOWNS,
     brightening,
@@ -17,7 +18,7 @@ from phongfit.report.plots import (
     shown_unknowns,
 )
 from phongfit.report.residuals import residuals
-from phongfit.report.style import png
+from phongfit.report.style import picture, png
 from tests.helpers import near
 
 
@@ -62,6 +63,18 @@ def test_dark_photographs_are_shown_brighter_and_say_so(open_fit):
     assert [k for k in range(6) if f"{k}.png" in words] == [0, 1, 3, 5]
     with pytest.raises(ValueError, match="names: expected 6, one an image, got 2"):
         open_fit.plot(["a", "b"])
+
+
+@pytest.mark.parametrize("size", [2e-6, 0.02])
+def test_scales_of_residuals_have_no_power_beside_them(size):
+    figure = picture(3, 3)
+    axes = figure.subplots()
+    draw_residual(axes, size * np.linspace(-1, 1, 27).reshape(3, 3, 3), below=True)
+    FigureCanvasAgg(figure).draw()
+    scale = figure.axes[1].xaxis
+    assert scale.get_offset_text().get_text() == ""
+    told = [label.get_text() for label in scale.get_ticklabels()]
+    assert "0" in told and told[0].startswith("−"), told
 
 
 @pytest.mark.parametrize(

@@ -126,9 +126,10 @@ class TextureFit:
         return values
 
     def __str__(self) -> str:
-        texels = self.seen.size
+        texels, count = self.seen.size, len(self.residuals)
+        images = f"{count} image{'s' * (count > 1)}"
         lines = [
-            f"phongfit: {len(self.residuals)} images, {self.n_samples:,} samples",
+            f"phongfit: {images}, {self.n_samples:,} samples",
             f"  {'converged' if self.converged else 'did not converge'} after "
             f"{self.steps} steps; noise {self.noise:.3g}",
         ]

@@ -124,6 +124,8 @@ async function setTarget(made, words) {
   $("#drop").hidden = made === null;
   $("#fit").disabled = made === null;
   $("#state").textContent = made === null ? "Make or load a target first." : "";
+  const brighter = brighterOf(made ?? { brighten: 1 });
+  $("#brightened").textContent = brighter && `${brighter}, too`;
   if (made !== null) {
     $("#target-figure figcaption span").textContent = words;
     $("#outline").setAttribute("viewBox", `0 0 ${made.width} ${made.height}`);
@@ -136,8 +138,13 @@ async function setTarget(made, words) {
 function wordsOf(photograph) {
   const words = [`${photograph.width} × ${photograph.height}`];
   if (photograph.shrunk > 1) words.push(`shrunk ${photograph.shrunk} times`);
-  if (photograph.brighten > 1) words.push(`shown ${photograph.brighten.toFixed(1)} × brighter`);
+  if (brighterOf(photograph)) words.push(brighterOf(photograph));
   return words.join(", ");
+}
+
+// Beside the target the sliders' picture is shown as much brighter as the target is.
+function brighterOf({ brighten }) {
+  return brighten > 1 ? `shown ${brighten.toFixed(1)} × brighter` : "";
 }
 
 async function makeTarget() {
