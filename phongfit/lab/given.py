@@ -20,7 +20,8 @@ from phongfit.geometry.cameras import (
 )
 from phongfit.geometry.surfaces import Sphere
 from phongfit.lab.scene import angles
-from phongfit.lab.settings import Settings
+from phongfit.lab.settings import FURTHEST, Settings
+from phongfit.lights import AbstractLight, PointLight
 from phongfit.scene import Scene
 
 
@@ -55,8 +56,8 @@ def open_given(
 def settings_of(scene: Scene) -> dict[str, Any]:
     """Where the sliders stand for a scene: its ball, its lamp, its ambient light.
 
-    Rays are taken as parallel, and the lamp as far away: the light is the one that the
-    ball's centre sees.
+    Rays are taken as parallel, and the light is the one that the ball's centre sees: a
+    lamp that has a place is near, unless it is further away than the slider goes.
 
     **Raises:** `ValueError` that says what the sliders cannot show.
     """
@@ -77,10 +78,11 @@ def settings_of(scene: Scene) -> dict[str, Any]:
         # A ball beside the axis is seen from the side, by nearly parallel rays.
         axes = look_at(camera.position, surface.center, camera.rotation[:, 1])
     azimuth, elevation, _ = angles(np.asarray(axes).T @ np.asarray(light.to_light))
+    near = _near(scene.lights[0], surface)
     found = {
         "surface": "sphere",
         "shading": "phong",
-        "light": "directional",
+        "light": "point" if near else "directional",
         "azimuth": azimuth,
         "elevation": elevation,
         "intensity": np.clip(np.asarray(light.intensity, float), 0, 10).tolist(),
@@ -88,10 +90,30 @@ def settings_of(scene: Scene) -> dict[str, Any]:
         "centre_x": 100 * x / camera.width,
         "centre_y": 100 * y / camera.height,
         "radius": 100 * radius / camera.height,
+        **near,
     }
     # The page gives back what it was given: let it fail here.
     Settings.model_validate(found)
     return found
+
+
+def _near(light: AbstractLight, ball: Sphere) -> dict[str, float]:
+    """Of a lamp that has a place, how far away it is; nothing if it is far.
+
+    The fall-off is the one that changes as fast with the distance, at the ball.
+    """
+    if not isinstance(light, PointLight):
+        return {}
+    away = np.asarray(light.position, float) - np.asarray(ball.center, float)
+    distance = float(np.linalg.norm(away))
+    in_radii = distance / float(np.asarray(ball.radius))
+    if in_radii > FURTHEST:
+        return {}
+    constant, linear, square = np.asarray(light.attenuation, float) * (
+        distance ** np.arange(3)
+    )
+    share = (linear / 2 + square) / (constant + linear + square)
+    return {"distance": in_radii, "falloff": float(share)}
 
 
 def _outline(ball: Sphere, camera: AbstractCamera) -> tuple[float, float, float]:

@@ -64,11 +64,13 @@ def make_shading(settings: Settings) -> AbstractShading:
 def make_lights(settings: Settings) -> tuple[AbstractLight, ...]:
     """The light of the chosen kind; none where there is ambient light only.
 
-    A spot light shines at the origin.
+    A spot light shines at the origin. Intensities are those there, however far away.
     """
     towards = _direction(settings.azimuth, settings.elevation)
     position = settings.distance * towards
-    near: dict[str, Any] = {"attenuation": (1.0, 0.0, settings.falloff)}
+    share = settings.falloff
+    attenuation = (1 - share, 0.0, share / settings.distance**2)
+    near: dict[str, Any] = {"attenuation": attenuation}
     match settings.light:
         case "directional":
             return (DirectionalLight(towards, settings.intensity),)

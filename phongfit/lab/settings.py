@@ -11,6 +11,8 @@ from phongfit.files.records import AbstractRecord
 from phongfit.presets import OPENGL_MATERIALS
 
 SPHERE = "sphere"
+FURTHEST = 100
+"""Of near lamps, in radii of the ball: from there, light is parallel to 0.6°."""
 
 Group = Literal["material", "light", "model", "view", "frame", "fit"]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -82,10 +84,18 @@ class Settings(AbstractRecord):
         "light", "upwards", 30.0, -90, 90, unit="°", step=1, only=WITH_LIGHT
     )
     distance: float = _slider(
-        "light", "distance", 3.0, 1.2, 10, unit="radii", step=0.1, only=NEAR_LIGHT
+        "light",
+        "distance",
+        3.0,
+        1.2,
+        FURTHEST,
+        unit="radii",
+        step=0.1,
+        scale="log",
+        only=NEAR_LIGHT,
     )
     falloff: float = _slider(
-        "light", "falls off with d²", 0.0, 0, 1, symbol="a₂", step=0.01, only=NEAR_LIGHT
+        "light", "falls off with d²", 0.0, 0, 1, symbol="κ", step=0.01, only=NEAR_LIGHT
     )
     cutoff: float = _slider(
         "light", "half the cone", 14.0, 1, 90, unit="°", step=0.5, only=SPOT_LIGHT

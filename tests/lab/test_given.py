@@ -7,6 +7,7 @@ import phongfit as pf
 from phongfit.cli import run
 from phongfit.lab.command import lab
 from phongfit.lab.given import open_given, settings_of
+from phongfit.lab.scene import Frame, make_scene
 from phongfit.lab.session import Session
 from phongfit.lab.settings import ChosenRequest, FitOptions, FitRequest, Settings
 from tests.calibration.studio import directions
@@ -77,6 +78,29 @@ def test_a_ball_beside_the_axis_of_a_pinhole():
     found = settings_of(scene)
     assert (found["azimuth"], found["elevation"]) == pytest.approx((0, 0), abs=0.01)
     assert found["centre_x"] > 60 and found["centre_y"] < 40
+
+
+def test_a_near_lamp_stays_near():
+    """What the sliders show of a calibrated ball is what the scene shows of it."""
+    camera = pf.OrthographicCamera(48, 40, view_height=4.0, position=(0, 0, 50))
+    ball = pf.Sphere((0.4, -0.2, 1.0), 1.5)
+    # From a reference point elsewhere, its light half a bulb's.
+    lamp = pf.PointLight((3, 2, 6), (1.0, 0.9, 0.8), attenuation=(0.5, 0, 0.5 / 36))
+    scene = pf.Scene(ball, camera, lamp)
+    found = settings_of(scene)
+    assert found["light"] == "point"
+    assert found["distance"] == pytest.approx(np.sqrt(2.6**2 + 2.2**2 + 25) / 1.5)
+    shown = make_scene(
+        Settings.model_validate(found), pf.Sphere(), Frame(40, 48, free=True)
+    )
+    images = [np.asarray(pf.render(one, TRUTH)) for one in (scene, shown)]
+    assert images[0].max() > 0.5
+    assert np.abs(images[0] - images[1]).max() < 0.002
+    # So far away that the slider ends: its light is parallel.
+    away = pf.PointLight((0, 0, 500), attenuation=(0, 0, 1 / 500**2))
+    far = settings_of(pf.Scene(ball, camera, away))
+    assert far["light"] == "directional"
+    assert far["intensity"] == pytest.approx([1, 1, 1], rel=0.01)
 
 
 @pytest.mark.parametrize(
