@@ -20,7 +20,7 @@ from phongfit.geometry.cameras import (
 )
 from phongfit.geometry.surfaces import Sphere
 from phongfit.lab.scene import angles
-from phongfit.lab.settings import FURTHEST, Settings
+from phongfit.lab.settings import FURTHEST, NEAREST, Settings
 from phongfit.lights import AbstractLight, PointLight
 from phongfit.scene import Scene
 
@@ -109,6 +109,11 @@ def _near(light: AbstractLight, ball: Sphere) -> dict[str, float]:
     in_radii = distance / float(np.asarray(ball.radius))
     if in_radii > FURTHEST:
         return {}
+    if in_radii < NEAREST:
+        raise ValueError(
+            f"lights: expected a lamp at least {NEAREST} radii from the ball's centre, "
+            f"got one at {in_radii:.3g}"
+        )
     constant, linear, square = np.asarray(light.attenuation, float) * (
         distance ** np.arange(3)
     )

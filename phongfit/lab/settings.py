@@ -11,8 +11,8 @@ from phongfit.files.records import AbstractRecord
 from phongfit.presets import OPENGL_MATERIALS
 
 SPHERE = "sphere"
-FURTHEST = 100
-"""Of near lamps, in radii of the ball: from there, light is parallel to 0.6°."""
+NEAREST, FURTHEST = 1.2, 100
+"""Of near lamps, in radii of the ball: from the last, light is parallel to 0.6°."""
 
 Group = Literal["material", "light", "model", "view", "frame", "fit"]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -87,7 +87,7 @@ class Settings(AbstractRecord):
         "light",
         "distance",
         3.0,
-        1.2,
+        NEAREST,
         FURTHEST,
         unit="radii",
         step=0.1,

@@ -60,6 +60,17 @@ def test_strengths_and_their_colour(distant):
     assert intensity.mean() == pytest.approx(1)
 
 
+def test_highlights_that_are_white(distant):
+    """They are round still, and what is white of the matte sphere is left out."""
+    studio, images = distant
+    white = [np.minimum(2 * image, 1) for image in images]
+    assert np.mean([(image == 1).any(axis=-1).mean() for image in white]) > 0.01
+    found = calibrated(studio, white)
+    assert degrees([lamp.direction for lamp in found.lamps], LAMPS).max() < 0.5
+    ratio = np.array([lamp.intensity.mean() for lamp in found.lamps]) / STRENGTHS
+    assert np.abs(ratio / ratio.mean() - 1).max() < 0.015
+
+
 def test_spheres_are_found_where_nobody_says_where(distant):
     studio, images = distant
     found = pf.calibrate(images, fov=studio.fov, sphere_radius=0.5)

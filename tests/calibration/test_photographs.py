@@ -1,15 +1,22 @@
 """Real spheres, where the photographs are."""
 
 import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.cli import main
 from phongfit.files.capture_data import open_captured
 from phongfit.files.images import read_mask
 from tests.calibration.studio import degrees
 from tests.helpers import photographs
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_two_chrome_spheres_agree():
@@ -26,6 +33,30 @@ def test_two_chrome_spheres_agree():
     apart = degrees(*found)
     assert len(apart) == 12
     assert apart.mean() < 1.0
+
+
+@pytest.mark.slow
+def test_strengths_of_lamps_from_the_object_itself(tmp_path, monkeypatch):
+    """As the guide finds them, by either half of the pixels."""
+    page = (ROOT / "docs/how-to/capture.md").read_text(encoding="utf-8")
+    code = re.search(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    assert code is not None
+    shutil.copytree(ROOT / "docs/how-to/psbox", tmp_path / "psbox")
+    monkeypatch.chdir(tmp_path)
+    command = "calibrate psbox/chrome -o out/lights --encoding srgb --sphere"
+    assert main([*command.split(), "114", "119", "105"]) == 0
+    whole = "mask = images.max(axis=(0, 3)) > 0.1\n"
+    assert whole in code[1]
+    found = []
+    for half in (0, 1):
+        # Tiles, as neighbours err alike.
+        tiles = "sum(np.indices(mask.shape) // 16) % 2"
+        some = f"{whole}mask &= {tiles} == {half}\n"
+        names: dict[str, Any] = {}
+        exec(code[1].replace(whole, some), names)
+        found.append(names["strengths"] / names["strengths"].mean())
+    assert len(found[0]) == 12 and np.ptp(found[0]) > 0.5
+    assert np.abs(found[0] / found[1] - 1).max() < 0.03
 
 
 def outline(folder, name):

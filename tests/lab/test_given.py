@@ -101,6 +101,9 @@ def test_a_near_lamp_stays_near():
     far = settings_of(pf.Scene(ball, camera, away))
     assert far["light"] == "directional"
     assert far["intensity"] == pytest.approx([1, 1, 1], rel=0.01)
+    inside = pf.PointLight((0.4, -0.2, 2.0))
+    with pytest.raises(ValueError, match="lights: .* at least 1.2 radii .* 0.667"):
+        settings_of(pf.Scene(ball, camera, inside))
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 
 import imageio.v3 as iio
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -114,3 +115,24 @@ def test_maps_do_not_take_the_sensors_noise_for_all_of_it():
     scene = ball(size=SIZE)
     with pytest.raises(ValueError, match="noise: expected none with films of JPEG"):
         pf.fit_maps([scene], [photograph(0, 95)], film=film(95), noise=NOISE)
+
+
+def test_errors_under_uncertain_lamps_are_foreseen():
+    """Lamps that may all be brighter by one share, which no photograph tells."""
+    scene, known, share = ball(size=SIZE), film(95), 0.03
+    names = tuple(f"scene.lights[{k}].intensity" for k in (0, 1))
+    lit = [light.illuminate(jnp.zeros(3)) for light in scene.lights]
+    strengths = np.concatenate([np.asarray(light.intensity) for light in lit])
+    uncertain = {names: share**2 * np.outer(strengths, strengths)}
+    plain, foreseen = (
+        pf.predict_errors(scene, TRUTH, NOISE, film=known, **options)
+        for options in ({}, {"uncertain": uncertain})
+    )
+    fit = pf.fit(scene, photograph(0, 95), film=known, uncertain=uncertain)
+    np.testing.assert_allclose(foreseen.errors, fit.errors, rtol=0.5)
+    # The material is darker by as much; ambient light is no lamp's.
+    darker = [label.startswith(("diffuse", "specular")) for label in fit.labels]
+    darker = np.where(darker, share * as_vector(TRUTH), 0)
+    expected = np.hypot(plain.errors, darker)
+    np.testing.assert_allclose(foreseen.errors, expected, rtol=0.05)
+    assert foreseen.errors[3] > 2 * plain.errors[3]
