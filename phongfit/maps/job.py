@@ -20,9 +20,9 @@ from phongfit.geometry.tracing import trace
 from phongfit.maps.layers import Masks, Noise
 from phongfit.maps.pixel.lighting import Lighting, make_lighting
 from phongfit.maps.pixel.lobes import in_numbers, is_power
-from phongfit.maps.pixel.pixel import Known
+from phongfit.maps.pixel.pixel import Known, Outside
+from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MAP_PARAMETERS, MOST_MATERIALS, MapSettings
-from phongfit.maps.pixel.tile import Outside, Tile
 from phongfit.maps.stacks import AbstractStack
 from phongfit.material import Material
 from phongfit.rendering.film import Film

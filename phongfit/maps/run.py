@@ -28,8 +28,9 @@ from phongfit.maps.normals.block import NormalFit, fit_normals
 from phongfit.maps.passes import fit_in_passes
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.pixel import PixelFit
+from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
-from phongfit.maps.pixel.tile import BLOCK, Tile, compiled, fit_tile
+from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
 from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps
 from phongfit.maps.stacks import as_stack
 from phongfit.maps.store import TileStore, tile_store

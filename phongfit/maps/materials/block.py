@@ -11,12 +11,12 @@ from phongfit.maps.materials.reduced import reduce, take_apart
 from phongfit.maps.normals.block import NormalFit, in_blocks, judged, samples_of
 from phongfit.maps.normals.search import Found, search
 from phongfit.maps.normals.step import edges_of, free_to_move
-from phongfit.maps.normals.sums import Samples, gather, residuals
+from phongfit.maps.normals.sums import gather, residuals
 from phongfit.maps.normals.unknowns import unknowns_of
 from phongfit.maps.pixel.flags import Flag
-from phongfit.maps.pixel.pixel import PixelFit
+from phongfit.maps.pixel.pixel import Outside, PixelFit
+from phongfit.maps.pixel.samples import Samples, Tile
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.tile import Outside, Tile
 
 # Share of one material from which on a pixel is told to be of it.
 TOLD = 0.95

@@ -14,9 +14,10 @@ from phongfit.maps.materials.grouping import Table, group
 from phongfit.maps.materials.looks import Alone, Look, fit_alone, fit_row, look_at
 from phongfit.maps.materials.mixture import Mixture, Told, maximize
 from phongfit.maps.normals.unknowns import Point
-from phongfit.maps.pixel.pixel import most_by_chance
+from phongfit.maps.pixel.pixel import Outside, most_by_chance
+from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MOST_MATERIALS, MapSettings
-from phongfit.maps.pixel.tile import BLOCK, Outside, Tile
+from phongfit.maps.pixel.tile import BLOCK
 
 # Pixels of a sample: as many as these lights, within limits.
 LIGHT = 2**17

@@ -21,13 +21,14 @@ from phongfit.maps.normals.step import (
     moved,
     reduce_sums,
 )
-from phongfit.maps.normals.sums import Samples, gather, residuals
+from phongfit.maps.normals.sums import gather, residuals
 from phongfit.maps.normals.unknowns import Point, unknowns_of
-from phongfit.maps.pixel.pixel import Known
+from phongfit.maps.pixel.pixel import Known, Outside
 from phongfit.maps.pixel.robust import loss_scores, loss_weights
+from phongfit.maps.pixel.samples import Samples, Tile
 from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import curvatures
-from phongfit.maps.pixel.tile import SETTLED, Outside, Tile
+from phongfit.maps.pixel.tile import SETTLED
 
 # Points that are looked at from a start nearby, and how little the last step matters.
 STEPS = 12

@@ -8,17 +8,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from phongfit.maps.normals.errors import Profile, standard_errors
-from phongfit.maps.normals.lamps import make_lamps
 from phongfit.maps.normals.scale import weighed_scale
 from phongfit.maps.normals.search import Found, follow_exponent, search
 from phongfit.maps.normals.step import edges_of
-from phongfit.maps.normals.sums import Samples, residuals
+from phongfit.maps.normals.sums import residuals
 from phongfit.maps.normals.unknowns import Unknowns, unknowns_of
 from phongfit.maps.pixel.flags import Flag
-from phongfit.maps.pixel.pixel import MEDIAN, PixelFit, most_by_chance
+from phongfit.maps.pixel.pixel import MEDIAN, Outside, PixelFit, most_by_chance
 from phongfit.maps.pixel.robust import widening
+from phongfit.maps.pixel.samples import Samples, Tile, measured
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.tile import BLOCK, Outside, Tile
+from phongfit.maps.pixel.tile import BLOCK
 
 T = TypeVar("T")
 
@@ -46,10 +46,9 @@ def fit_normals(tile: Tile, outside: Outside, settings: MapSettings) -> NormalFi
 def in_blocks(tile: Tile, work: Callable[[Tile], T]) -> T:
     """What `work` makes of each block of a tile, with all pixels as the first axis."""
     pixels = tile.normal.shape[0]
-    along = jnp.arange(BLOCK)
 
     def block(number: Array) -> T:
-        return work(tile.rows(number * BLOCK + along))
+        return work(tile.span(number * BLOCK, BLOCK))
 
     found = jax.lax.map(block, jnp.arange(pixels // BLOCK))
     return jax.tree.map(lambda leaf: leaf.reshape(pixels, *leaf.shape[2:]), found)
@@ -67,22 +66,13 @@ def samples_of(
     tile: Tile, outside: Outside, settings: MapSettings
 ) -> tuple[Samples, Bool[Array, "images channels pixels"]]:
     """What pixels measure, and which of their samples are no numbers."""
-    target = _pixels_last(tile.target)
-    finite = jnp.isfinite(target)
-    if settings.exactly:
-        sound = finite & (target != settings.cutoff)
-    else:
-        sound = finite & (target < settings.cutoff)
-    given = jnp.broadcast_to(
-        _pixels_last(tile.used.astype(tile.target.dtype)), target.shape
-    )
-    share = jnp.where(sound, given, 0)
-    lamps = make_lamps(outside.lighting, tile.position, tile.to_viewer, tile.visibility)
+    samples, lost = measured(tile, outside.lighting, settings)
     if tile.visibility is not None:
         # In shadow there is only what bounced, of which no model knows.
-        share = jnp.where(jnp.any(lamps.diffuse > 0, axis=(1, 2))[:, None], share, 0)
-    light = jnp.where(share > 0, target - lamps.veil, 0)
-    return Samples(light, share, lamps), ~finite & (given > 0)
+        reached = jnp.any(samples.lamps.diffuse > 0, axis=(1, 2))[:, None]
+        target, share = (jnp.where(reached, one, 0) for one in samples[:2])
+        samples = samples._replace(target=target, share=share)
+    return samples, lost
 
 
 def judged(
@@ -196,9 +186,3 @@ def _noise_left(
         return level, unit, jnp.zeros(level.shape, bool)
     misfit = (level / noise) ** 2 > most_by_chance(heard)
     return level, jnp.where(misfit, unit * level / noise, unit), misfit
-
-
-def _pixels_last(values: Float[Array, "images pixels channels"]) -> Array:
-    """(images, channels, pixels), in that order in memory."""
-    channels = [values[..., k] for k in range(values.shape[-1])]
-    return jnp.stack(channels, axis=1)

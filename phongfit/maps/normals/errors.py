@@ -8,10 +8,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.uncertainty.identifiability import SEEN
-from phongfit.maps.normals.lamps import facing
 from phongfit.maps.normals.step import Edges, Free, reduce_sums
-from phongfit.maps.normals.sums import Samples, Sums
+from phongfit.maps.normals.sums import Sums
 from phongfit.maps.normals.unknowns import Point, Unknowns
+from phongfit.maps.pixel.lamps import facing
+from phongfit.maps.pixel.samples import Samples
 from phongfit.maps.pixel.small import (
     Numbers,
     Triangle,

@@ -25,9 +25,10 @@ from phongfit.maps.normals.step import (
     make_move,
     moved,
 )
-from phongfit.maps.normals.sums import Samples, Sums, gather, no_sums, residuals
+from phongfit.maps.normals.sums import Sums, gather, no_sums, residuals
 from phongfit.maps.normals.unknowns import Point, Unknowns
 from phongfit.maps.pixel.pixel import Known
+from phongfit.maps.pixel.samples import Samples
 from phongfit.maps.pixel.settings import MapSettings
 
 # Exponents to begin from: broad and sharp highlights.

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from phongfit.fitting.problem.losses import Cauchy
-from phongfit.maps.normals.lamps import facing, grey
 from phongfit.maps.normals.scale import median_scale
-from phongfit.maps.normals.sums import Samples
 from phongfit.maps.normals.unknowns import turned_to, unit
+from phongfit.maps.pixel.lamps import facing, grey
 from phongfit.maps.pixel.robust import loss_weights
+from phongfit.maps.pixel.samples import Samples
 from phongfit.maps.pixel.small import Numbers, Triangle, factorize, solve
 
 # Rounds of reweighting of a matte surface.

@@ -11,26 +11,19 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from phongfit.fitting.problem.losses import AbstractLoss
-from phongfit.maps.normals.lamps import Lamps
 from phongfit.maps.normals.unknowns import Point, Unknowns, tangents
+from phongfit.maps.pixel.lamps import Lamps, at_pixels
 from phongfit.maps.pixel.robust import loss_weights
-from phongfit.maps.pixel.small import Numbers, Triangle, optimization_barrier
+from phongfit.maps.pixel.samples import Samples
+from phongfit.maps.pixel.small import (
+    Numbers,
+    Triangle,
+    add_products,
+    no_triangle,
+    optimization_barrier,
+)
 from phongfit.reflectance import AbstractSpecular
 from phongfit.vectors import Scalar, Vec3, dot
-
-
-class Samples(NamedTuple):
-    """What pixels measure.
-
-    - `target`: (images, channels, pixels), linear light, without fog and 0 where it may
-        not be used.
-    - `share`: the inverse of each sample's noise, or 1; 0 where it may not be used.
-    - `lamps`: what arrives.
-    """
-
-    target: Float[Array, "images channels pixels"]
-    share: Float[Array, "images channels pixels"]
-    lamps: Lamps
 
 
 class Sums(NamedTuple):
@@ -111,12 +104,8 @@ def shade(
         _, c2 = jax.jvp(cosine, (normal,), (second,))
         return c, c1, c2, dot(normal, light), dot(first, light), dot(second, light)
 
-    light, light_axis = _same_for_all(to_light)
-    viewer, viewer_axis = _same_for_all(to_viewer)
-    axes = (1, 1, 1, light_axis, viewer_axis)
-    c, c1, c2, d, d1, d2 = jax.vmap(pixel, in_axes=axes)(
-        normal, *tangents(normal), light, viewer
-    )
+    vectors = normal, *tangents(normal), to_light, to_viewer
+    c, c1, c2, d, d1, d2 = at_pixels(pixel, *vectors)
     lit, shiny = d > 0, c > 0
     scale = jnp.where(lit, model.diffuse_scale(), 0)
     base = jnp.where(shiny, c, 1)
@@ -127,11 +116,6 @@ def shade(
     return optimization_barrier(
         Shade(scale * d, scale * d1, scale * d2, s, steep * c1, steep * c2, st)
     )
-
-
-def _same_for_all(vectors: Float[Array, "3 #pixels"]) -> tuple[Array, int | None]:
-    """Vectors, and along which axis to batch them."""
-    return (vectors[:, 0], None) if vectors.shape[1] == 1 else (vectors, 1)
 
 
 class Image(NamedTuple):
@@ -206,12 +190,12 @@ def gather(
         weighed_own = tuple(whole * column for column in own)
         weighed = tuple(whole * column for column in shared)
         return Sums(
-            _plus(sums.own, weighed_own, own),
+            add_products(sums.own, weighed_own, own),
             tuple(
                 tuple(s + w * c for s, c in zip(row, own, strict=True))
                 for row, w in zip(sums.cross, weighed, strict=True)
             ),
-            _plus(sums.shared, weighed, shared),
+            add_products(sums.shared, weighed, shared),
             tuple(s + pull * c for s, c in zip(sums.pull_own, own, strict=True)),
             tuple(s + pull * c for s, c in zip(sums.pull_shared, shared, strict=True)),
             sums.cost + loss.root(residual) ** 2,
@@ -231,13 +215,10 @@ def _nothing(samples: Samples, which: Unknowns) -> Sums:
     nothing = jnp.zeros_like(samples.target[0])
     n_own, n_shared = len(which.own), which.n_shared
 
-    def triangle(size: int) -> Triangle:
-        return tuple(tuple(nothing for _ in range(i + 1)) for i in range(size))
-
     return Sums(
-        triangle(n_own),
+        no_triangle(nothing, n_own),
         tuple(tuple(nothing for _ in range(n_own)) for _ in range(n_shared)),
-        triangle(n_shared),
+        no_triangle(nothing, n_shared),
         tuple(nothing for _ in range(n_own)),
         tuple(nothing for _ in range(n_shared)),
         nothing,
@@ -250,13 +231,6 @@ def _joined(sums: Sums) -> Sums:
         shared=jax.tree.map(over_channels, sums.shared),
         pull_shared=jax.tree.map(over_channels, sums.pull_shared),
         cost=over_channels(sums.cost),
-    )
-
-
-def _plus(sums: Triangle, left: Numbers, right: Numbers) -> Triangle:
-    return tuple(
-        tuple(s + left[i] * right[j] for j, s in enumerate(row))
-        for i, row in enumerate(sums)
     )
 
 

@@ -4,32 +4,21 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.uncertainty.identifiability import SEEN
 from phongfit.maps.pixel.columns import Columns
-from phongfit.maps.pixel.exponent import (
-    At,
-    Box,
-    Slopes,
-    Sums,
-    full_gram,
-    slope_gram,
-)
+from phongfit.maps.pixel.exponent import At, Box, full_gram, slope_gram
 from phongfit.maps.pixel.lobes import Angles
-from phongfit.maps.pixel.search import (
-    Profile,
-    candidates,
-    survey,
-    where_wanted,
-)
+from phongfit.maps.pixel.search import Profile, survey, where_wanted
 from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import (
-    Numbers,
     Triangle,
     curvatures,
     factorize,
-    over_channels,
+    in_groups,
+    optimization_barrier,
 )
 
 # A search has ended where the next step would be less than this share of the error.
@@ -43,29 +32,30 @@ FAR = 2.0
 
 
 class Errors(NamedTuple):
-    """Standard errors of a group of channels; infinite for what is not identified.
+    """Standard errors of all channels; infinite for what is not identified.
 
-    - `reflectances`: (channels, unknowns): the columns', then that of ρ_s.
-    - `exponent`: of f.
-    - `dim`, `degenerate`, `at_bound`, `moving`: see [`Flag`][].
+    - `reflectances`: for each unknown (channels, pixels): the columns', then that of
+        ρ_s.
+    - `exponent`: of f, (groups, pixels).
+    - `dim`, `degenerate`, `at_bound`, `moving`: see [`Flag`][], (groups, pixels).
     - `vague`: whether the profile is wanted.
     """
 
-    reflectances: Float[Array, "channels unknowns"]
-    exponent: Float[Array, ""]
-    dim: Bool[Array, ""]
-    degenerate: Bool[Array, ""]
-    at_bound: Bool[Array, ""]
-    moving: Bool[Array, ""]
-    vague: Bool[Array, ""]
+    reflectances: Float[Array, "unknowns channels pixels"]
+    exponent: Float[Array, "groups pixels"]
+    dim: Bool[Array, "groups pixels"]
+    degenerate: Bool[Array, "groups pixels"]
+    at_bound: Bool[Array, "groups pixels"]
+    moving: Bool[Array, "groups pixels"]
+    vague: Bool[Array, "groups pixels"]
 
 
 def standard_errors(
     at: At,
     columns: Columns,
-    t: Float[Array, ""],
-    sigma: Float[Array, ""],
-    moved: Float[Array, "channels unknowns"],
+    t: Float[Array, "groups pixels"],
+    sigma: Float[Array, "#groups pixels"],
+    moved: Float[Array, "unknowns channels pixels"],
     angles: Angles,
     box: Box,
     thorough: Bool[Array, ""],
@@ -83,60 +73,49 @@ def standard_errors(
     - `at`, `columns`, `t`: the solution.
     - `sigma`: standard deviation of a sample.
     - `moved`: by how much the reflectances last moved, where weights move them.
-    - `angles`: as in [`PixelSamples`][].
+    - `angles`: as in [`Basis`][].
     - `thorough`: whether to follow the profile where it is wanted.
     """
+    groups = len(t)
     inner = (t > box.lowest) & (t < box.highest)
-    nothing = jnp.zeros_like(t)
 
-    def bordered(
-        columns: Columns, sums: Sums, slopes: Slopes, specular: Array, rest: Array
-    ) -> Triangle:
+    def bordered(rest: Array) -> Triangle:
         """Products of all columns and of ρ_s S'; `rest` is other channels' say on t."""
-        side = tuple(specular * number for number in slope_gram(slopes))
-        corner = specular**2 * slopes.own + rest
-        return (*full_gram(columns, sums), (*side, corner))
+        specular = at.point[-1]
+        side = tuple(specular * number for number in slope_gram(at.slopes))
+        corner = specular**2 * at.slopes.own + rest
+        return (*full_gram(columns, at.sums), (*side, corner))
 
-    def about_t(columns: Columns, sums: Sums, slopes: Slopes, point: Numbers) -> Array:
-        return factorize(bordered(columns, sums, slopes, point[-1], nothing)).last
+    def any_of(found: Array) -> Array:
+        return in_groups(found.astype(t.dtype), groups) > 0
 
-    here = (columns, at.sums, at.slopes, at.point)
-    alone = over_channels(about_t, *here)
-    total = jnp.sum(alone)
-
-    def channel(
-        columns: Columns, sums: Sums, slopes: Slopes, point: Numbers, alone: Array
-    ) -> tuple[Numbers, Numbers]:
-        apart = curvatures(full_gram(columns, sums))
-        if not settings.searched:
-            return apart, apart
-        matrix = bordered(columns, sums, slopes, point[-1], total - alone)
-        return curvatures(matrix)[:-1], apart
-
-    shared, apart = over_channels(channel, *here, alone)
+    alone = factorize(bordered(jnp.zeros_like(at.point[-1]))).last
+    total = in_groups(alone, groups)
+    apart = shared = curvatures(full_gram(columns, at.sums))
+    if settings.searched:
+        shared = curvatures(bordered(total - alone))[:-1]
     error, error_apart = (
-        jnp.stack([sigma * _root_inverse(c) for c in curvature], axis=-1)
+        optimization_barrier(jnp.stack([sigma * _root_inverse(c) for c in curvature]))
         for curvature in (shared, apart)
     )
     # Without a highlight the exponent may be anything: ρ_s is identified if it is for
     # all.
-    seen = at.point[-1] >= SEEN * jnp.minimum(error[:, -1], error_apart[:, -1])
-    dim = ~jnp.any(seen) & settings.shiny
+    seen = at.point[-1] >= SEEN * jnp.minimum(error[-1], error_apart[-1])
+    dim = ~any_of(seen) & settings.shiny
     log_error = sigma * _root_inverse(total)
     reach = log_error
     open_ended = ~inner
     moving = vague = jnp.zeros_like(dim)
     if settings.searched:
-        error = jnp.where(dim, error_apart, error)
+        error = jnp.where(dim[None], error_apart, error)
 
-        def follow(columns: Columns) -> tuple[Array, Array, Array]:
-            count = candidates(*settings.log_bounds)
-            profile = survey(columns, settings.lobes, angles, box, count)
+        def follow() -> tuple[Array, Array, Array]:
+            profile = survey(columns, settings.lobes, angles, box, groups)
             return (_widest(at, profile, sigma), *_ends(at, profile, t, sigma, box))
 
         vague = dim | ~inner | ~(log_error < VAGUE)
         nowhere = (jnp.zeros_like(error), t, t)
-        wider, low, high = where_wanted(vague & thorough, follow, columns, nowhere)
+        wider, low, high = where_wanted(vague & thorough, follow, nowhere)
         error = jnp.maximum(error, wider)
         reach = jnp.maximum(log_error, (high - t) / FAR)
         below = (t - low) / FAR
@@ -147,21 +126,22 @@ def standard_errors(
         upward = jnp.expm1(FAR * reach) / FAR
         downward = -jnp.expm1(-FAR * below) / FAR
         reach = jnp.maximum(upward, downward)
-    moving |= jnp.any((moved > SETTLED * error) & (moved > LEAST))
-    width = jnp.stack(box.upper) - jnp.stack(box.lower)
-    identified = (error <= width[None, :]) & ~moving
+    restless = (moved > SETTLED * error) & (moved > LEAST)
+    moving = moving | any_of(jnp.any(restless, axis=0))
+    width = np.subtract(box.upper, box.lower)
+    identified = (error <= width[:, None, None]) & ~moving[None]
     error = jnp.where(identified, error, jnp.inf)
     exponent = jnp.where(open_ended | moving, jnp.inf, jnp.exp(t) * reach)
 
-    wanted = jnp.array([True] * len(settings.columns) + [settings.shiny])[None, :]
-    held = ~jnp.stack(at.free, axis=-1)
-    blurred = jnp.any(~identified & wanted) & ~moving
+    wanted = np.array([True] * len(settings.columns) + [settings.shiny])[:, None, None]
+    held = ~jnp.stack(at.free)
+    blurred = any_of(jnp.any(~identified & wanted, axis=0)) & ~moving
     return Errors(
         error,
         exponent,
         dim & settings.searched,
         blurred | (settings.searched & open_ended & inner & ~dim),
-        jnp.any(held & wanted) | (settings.searched & ~inner & ~dim),
+        any_of(jnp.any(held & wanted, axis=0)) | (settings.searched & ~inner & ~dim),
         moving,
         vague,
     )
@@ -169,30 +149,33 @@ def standard_errors(
 
 def _widest(
     at: At, profile: Profile, sigma: Array
-) -> Float[Array, "channels unknowns"]:
+) -> Float[Array, "unknowns channels pixels"]:
     r"""Half of the interval that the profile allows at two standard errors.
 
     For an exponent that costs $\Delta\phi$, a reflectance there may lie
     $\sqrt{(4 \sigma^2 - \Delta\phi) v}$ from the best.
     """
     left = FAR**2 - _rise(at, profile, sigma)
-    allowed = (left >= 0)[:, None]
-    left = jnp.sqrt(jnp.maximum(left, 0))[:, None]
+    allowed = left >= 0
+    left = jnp.sqrt(jnp.maximum(left, 0))
     found = []
     for here, points, variances in zip(
         at.point, profile.point, profile.variance, strict=True
     ):
-        off = jnp.abs(points - here[None, :]) + left * sigma * jnp.sqrt(variances)
+        off = jnp.abs(points - here[None]) + left * sigma[None] * jnp.sqrt(variances)
         # Infinity times 0 is nothing here: such an exponent costs all there is.
         off = jnp.where(allowed, jnp.where(jnp.isnan(off), jnp.inf, off), 0)
         found.append(jnp.max(off, axis=0) / FAR)
-    return jnp.stack(found, axis=-1)
+    return jnp.stack(found)
 
 
-def _rise(at: At, profile: Profile, sigma: Array) -> Float[Array, " candidates"]:
+def _rise(
+    at: At, profile: Profile, sigma: Array
+) -> Float[Array, "candidates groups pixels"]:
     """What candidates cost more than the solution, in variances of a sample."""
-    exact = sigma > 0
-    rise = (profile.value - at.value) / jnp.where(exact, sigma**2, 1)
+    exact = (sigma > 0)[None]
+    rise = profile.value - at.value[None]
+    rise = rise / jnp.where(exact, sigma[None] ** 2, 1)
     return jnp.where(exact, rise, jnp.inf)
 
 
@@ -209,18 +192,19 @@ def _ends(
         section 6.1.
     """
     root = jnp.sqrt(jnp.maximum(_rise(at, profile, sigma), 0))
-    root = jnp.where(profile.t < t, -root, root)
+    grid, t = profile.t[:, None, None], t[None]
+    root = jnp.where(grid < t, -root, root)
     here, beyond = root[:-1], root[1:]
     slope = beyond - here
     slope = jnp.where(slope > 0, slope, jnp.inf)
-    start, spacing = profile.t[:-1], profile.t[1:] - profile.t[:-1]
+    start, spacing = grid[:-1], grid[1:] - grid[:-1]
     rises = (here <= FAR) & (beyond > FAR)
     high = jnp.where(rises, start + spacing * (FAR - here) / slope, t)
     falls = (here < -FAR) & (beyond >= -FAR)
     low = jnp.where(falls, start + spacing * (-FAR - here) / slope, t)
     # A candidate at the end of the range that is allowed leaves that open.
-    high = jnp.where(root[-1] <= FAR, box.highest, jnp.max(high))
-    low = jnp.where(root[0] >= -FAR, box.lowest, jnp.min(low))
+    high = jnp.where(root[-1] <= FAR, box.highest, jnp.max(high, axis=0))
+    low = jnp.where(root[0] >= -FAR, box.lowest, jnp.min(low, axis=0))
     return low, high
 
 

@@ -1,4 +1,4 @@
-r"""The best reflectances of one pixel at one exponent, and how the squares go on.
+r"""The best reflectances of pixels at one exponent, and how the squares go on.
 
 For given f the best ρ is a tiny problem in a box, made of sums over the lights. What is
 left of the squares, $\phi(t)$ with $t = \log f$, is a function of one number, whose
@@ -13,16 +13,11 @@ slope those sums give exactly: $\phi' = -2 \sum_c \rho_s\, S' \cdot r$.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
-from phongfit.maps.pixel.columns import (
-    Columns,
-    Lights,
-    joined,
-    pairs,
-    weighed_sums,
-)
+from phongfit.maps.pixel.columns import Columns, pairs
 from phongfit.maps.pixel.lobes import AbstractLobes, Angles
 from phongfit.maps.pixel.small import (
     Boxed,
@@ -30,12 +25,13 @@ from phongfit.maps.pixel.small import (
     Triangle,
     dot,
     factorize,
+    in_groups,
     minimize_in_box,
+    of_rank,
     only,
     optimization_barrier,
-    over_channels,
     solve,
-    times,
+    sum_over_images,
 )
 
 # Rounds of the box problem.
@@ -45,14 +41,14 @@ ROUNDS = 6
 class Box(NamedTuple):
     """Bounds of the reflectances (those in the columns, then ρ_s) and of log f."""
 
-    lower: Numbers
-    upper: Numbers
-    lowest: Float[Array, ""]
-    highest: Float[Array, ""]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    lowest: float
+    highest: float
 
 
 class Sums(NamedTuple):
-    """Sums over the lights for one exponent, (channels,) each.
+    """Sums over the images for one exponent, (channels, pixels) each, or for several.
 
     - `cross`: of S with the fixed columns.
     - `own`: S·S.
@@ -81,12 +77,13 @@ class Slopes(NamedTuple):
 class At(NamedTuple):
     r"""The best reflectances at one exponent, and how $\phi$ goes on from there.
 
-    - `point`: the columns' reflectances, then ρ_s, each (channels,).
+    A group of channels shares an exponent: all of them, or each is one.
+
+    - `point`: the columns' reflectances, then ρ_s, each (channels, pixels).
     - `free`: which of them are not held by a bound.
-    - `value`: φ less a constant.
+    - `value`: φ less a constant, (groups, pixels).
     - `slope`: φ'.
     - `curvature`: φ'' as Gauss and Newton have it, ≥ 0.
-    - `pull`: the slope of half the squares in each unknown.
     """
 
     point: Numbers
@@ -94,58 +91,109 @@ class At(NamedTuple):
     value: Array
     slope: Array
     curvature: Array
-    pull: Numbers
     sums: Sums
     slopes: Slopes
 
 
-def sum_lights(columns: Columns, lobe: Lights) -> Sums:
+def sum_images(
+    columns: Columns,
+    lobes: AbstractLobes,
+    angles: Angles,
+    t: Float[Array, "*candidates groups #pixels"],
+) -> Sums:
     """The sums of all channels: see [`Sums`][]."""
-    *cross, moment = _rows(weighed_sums(columns.moments, joined(list(lobe))))
-    own = weighed_sums(columns.squares, joined(pairs(lobe, lobe)))
+    height = lobes.at(t)
+
+    def add(sums: tuple[Array, Array], image: tuple) -> tuple:
+        angles, moments, squares = image
+        heights = [height(one)[0] for one in _lights(angles, t.ndim)]
+        products = optimization_barrier(pairs(heights, heights))
+        along = [one[..., None, :, :] for one in heights]
+        return _plus(sums[0], moments, along), _plus(sums[1], squares, products)
+
+    batch, rows = t.shape[:-2], columns.moments.shape[2:]
+    none = jnp.zeros((*batch, *rows), t.dtype), jnp.zeros((*batch, *rows[1:]), t.dtype)
+    each = angles, columns.moments, columns.squares
+    moments, own = sum_over_images(add, none, each)
+    *cross, moment = jnp.moveaxis(moments, -3, 0)
     return Sums(tuple(cross), own, moment)
 
 
-def sum_slopes(columns: Columns, lobe: Lights, slope: Lights) -> Slopes:
-    """The sums of all channels: see [`Slopes`][]."""
-    *cross, moment = _rows(weighed_sums(columns.moments, joined(list(slope))))
-    mixed = weighed_sums(columns.squares, joined(_mixed_pairs(lobe, slope)))
-    own = weighed_sums(columns.squares, joined(pairs(slope, slope)))
-    return Slopes(tuple(cross), mixed, own, moment)
+def sum_with_slopes(
+    columns: Columns,
+    lobes: AbstractLobes,
+    angles: Angles,
+    t: Float[Array, "groups #pixels"],
+) -> tuple[Sums, Slopes]:
+    """The same with [`Slopes`][]."""
+    height = lobes.at(t)
+
+    def add(sums: tuple[Array, Array, Array], image: tuple) -> tuple:
+        angles, moments, squares = image
+        both = [height(one) for one in _lights(angles, t.ndim)]
+        heights, rises = ([one[k] for one in both] for k in (0, 1))
+        products = zip(
+            pairs(heights, heights),
+            _mixed_pairs(heights, rises),
+            pairs(rises, rises),
+            strict=True,
+        )
+        products = optimization_barrier([jnp.stack(three) for three in products])
+        return (
+            _plus(sums[0], moments, heights),
+            _plus(sums[1], moments, rises),
+            _plus(sums[2], squares, products),
+        )
+
+    rows = columns.moments.shape[2:]
+    none = (*[jnp.zeros(rows, t.dtype)] * 2, jnp.zeros((3, *rows[1:]), t.dtype))
+    each = angles, columns.moments, columns.squares
+    moments, turned, squares = sum_over_images(add, none, each)
+    (*cross, moment), (*crossed, slope), (own, mixed, steep) = moments, turned, squares
+    sums = Sums(tuple(cross), own, moment)
+    return sums, Slopes(tuple(crossed), mixed, steep, slope)
 
 
-def _mixed_pairs(left: Lights, right: Lights) -> list[Array]:
+def _lights(angles: PyTree[Float[Array, "lobes pixels"]], rank: int) -> list[PyTree]:
+    """Those of each light of an image, as arrays of so many axes."""
+    count = jax.tree.leaves(angles)[0].shape[0]
+    return [
+        of_rank(jax.tree.map(lambda one, j=j: one[j], angles), rank)
+        for j in range(count)
+    ]
+
+
+def _plus(sums: Array, rows: Array, parts: list[Array]) -> Array:
+    """Sums, and the products of rows with what a light is."""
+    for row, part in zip(rows, parts, strict=True):
+        sums = sums + of_rank(row, sums.ndim) * of_rank(part, sums.ndim)
+    return sums
+
+
+def _mixed_pairs(left: list[Array], right: list[Array]) -> list[Array]:
     """As [`pairs`][], of the mean of left with right and right with left."""
     both = zip(pairs(left, right), pairs(right, left), strict=True)
     return [left[0] * right[0]] if len(left) == 1 else [(a + b) / 2 for a, b in both]
 
 
-def _rows(table: Float[Array, "channels rows"]) -> Numbers:
-    return tuple(table[:, k] for k in range(table.shape[1]))
-
-
-def best_reflectances(
-    columns: Columns, sums: Sums, box: Box, rounds: int
-) -> tuple[Boxed, Numbers]:
-    """One channel's best ρ for given sums, and what is left of its slope there."""
+def best_reflectances(columns: Columns, sums: Sums, box: Box, rounds: int) -> Boxed:
+    """The best ρ of every channel for given sums."""
     matrix = full_gram(columns, sums)
     zero = jnp.zeros_like(sums.own)
     vector = (*(zero for _ in columns.start), sums.moment)
-    start = (*columns.start, zero)
+    start = (*of_rank(columns.start, zero.ndim), zero)
     lower = tuple(edge - x for edge, x in zip(box.lower, start, strict=True))
     upper = tuple(edge - x for edge, x in zip(box.upper, start, strict=True))
     matrix, lower, upper = optimization_barrier((matrix, lower, upper))
     found = minimize_in_box(matrix, vector, lower, upper, rounds)
-    product = times(matrix, found.point)
-    pull = tuple(p - v for p, v in zip(product, vector, strict=True))
     moved = zip(start, found.point, box.lower, box.upper, strict=True)
     point = tuple(jnp.clip(x + d, low, high) for x, d, low, high in moved)
-    return optimization_barrier((Boxed(point, found.value, found.free), pull))
+    return optimization_barrier(Boxed(point, found.value, found.free))
 
 
 def full_gram(columns: Columns, sums: Sums) -> Triangle:
     """Products of all columns, the highlight's last."""
-    return (*columns.gram, (*sums.cross, sums.own))
+    return (*of_rank(columns.gram, sums.own.ndim), (*sums.cross, sums.own))
 
 
 def slope_gram(slopes: Slopes) -> Numbers:
@@ -157,43 +205,29 @@ def evaluate(
     columns: Columns,
     lobes: AbstractLobes,
     angles: Angles,
-    t: Float[Array, ""],
+    t: Float[Array, "groups pixels"],
     box: Box,
 ) -> At:
-    """Everything at one exponent: one exponential for each light.
-
-    **Arguments:** `columns`: of all channels that share the exponent.
-    """
-    lobe, slope = lobes.at(angles, t)
-    sums, slopes = sum_lights(columns, lobe), sum_slopes(columns, lobe, slope)
-
-    def channel(
-        columns: Columns, sums: Sums, slopes: Slopes
-    ) -> tuple[Boxed, Array, Array, Numbers]:
-        best, pull = best_reflectances(columns, sums, box, ROUNDS)
-        *fixed, specular = best.point
-        moved = tuple(x - x0 for x, x0 in zip(fixed, columns.start, strict=True))
-        products = slope_gram(slopes)
-        score = slopes.moment - dot(products, (*moved, specular))
-        # What of S' no reflectance that is free to move can imitate.
-        held = tuple(
-            jnp.where(f, p, 0) for f, p in zip(best.free, products, strict=True)
+    """Everything at one exponent of each group: one exponential for each light."""
+    groups = len(t)
+    sums, slopes = optimization_barrier(sum_with_slopes(columns, lobes, angles, t))
+    best = best_reflectances(columns, sums, box, ROUNDS)
+    *fixed, specular = best.point
+    moved = tuple(x - x0 for x, x0 in zip(fixed, columns.start, strict=True))
+    products = slope_gram(slopes)
+    score = slopes.moment - dot(products, (*moved, specular))
+    # What of S' no reflectance that is free to move can imitate.
+    held = tuple(jnp.where(f, p, 0) for f, p in zip(best.free, products, strict=True))
+    imitated = solve(factorize(only(full_gram(columns, sums), best.free)), held)
+    alone = jnp.maximum(slopes.own - dot(held, imitated), 0)
+    return optimization_barrier(
+        At(
+            best.point,
+            best.free,
+            2 * in_groups(best.value, groups),
+            -2 * in_groups(specular * score, groups),
+            2 * in_groups(specular**2 * alone, groups),
+            sums,
+            slopes,
         )
-        imitated = solve(factorize(only(full_gram(columns, sums), best.free)), held)
-        alone = jnp.maximum(slopes.own - dot(held, imitated), 0)
-        return best, specular * score, specular**2 * alone, pull
-
-    sums, slopes = optimization_barrier((sums, slopes))
-    best, score, curvature, pull = optimization_barrier(
-        over_channels(channel, columns, sums, slopes)
-    )
-    return At(
-        best.point,
-        best.free,
-        2 * jnp.sum(best.value),
-        -2 * jnp.sum(score),
-        2 * jnp.sum(curvature),
-        pull,
-        sums,
-        slopes,
     )

@@ -1,4 +1,4 @@
-"""All images' lights at one pixel: what its samples are made of, save for the material.
+"""All images' lights, asked for one pixel.
 
 Scenes whose lights are of the same kinds are stacked and batched with `vmap`: a hundred
 scenes of one lamp each compile as one.
@@ -13,10 +13,8 @@ from jaxtyping import Array, Float
 from phongfit.environment import Fog
 from phongfit.geometry.cameras import AbstractCamera
 from phongfit.lights import AbstractLight
-from phongfit.maps.pixel.lobes import AbstractLobes, Angles, lobes_of
-from phongfit.rendering.terms import point_terms
 from phongfit.scene import Scene
-from phongfit.vectors import Scalar, Vec3, dot
+from phongfit.vectors import Vec3
 
 
 class _Alike(eqx.Module):
@@ -27,26 +25,14 @@ class _Alike(eqx.Module):
     fog: Fog | None
 
 
-class Basis(eqx.Module):
-    """What the samples of one pixel are made of; see [`PixelSamples`][]."""
-
-    ambient: Float[Array, "3 *images"]
-    diffuse: Float[Array, "3 *images"]
-    strength: tuple[Float[Array, "3 *images"], ...]
-    angles: Angles
-    lit: Float[Array, "*images"]
-    veil: Float[Array, "3 *images"] | None
-
-
 class Lighting(eqx.Module):
-    """The lights of all images, asked for one pixel.
+    """The lights of all images.
 
     `order` says which image each of its rows is: images of one kind stand together.
     `camera` is that of all scenes, if there is fog in any.
     """
 
     kinds: tuple[_Alike, ...]
-    shape: AbstractLobes
     camera: AbstractCamera | None
     order: tuple[int, ...] = eqx.field(static=True)
 
@@ -55,44 +41,41 @@ class Lighting(eqx.Module):
         """The largest number of lights in an image."""
         return max([len(kind.lights) for kind in self.kinds] + [1])
 
-    def basis(
-        self,
-        position: Vec3,
-        normal: Vec3,
-        to_viewer: Vec3,
-        visibility: Float[Array, "images lobes"] | None,
-        min_cosine: float,
-    ) -> Basis:
-        """The basis of one pixel's samples.
-
-        **Arguments:**
-
-        - `position`: world units; `normal`, `to_viewer`: unit vectors.
-        - `visibility`: how much of each light arrives, in [0, 1], rows as in `order`.
-        - `min_cosine`: an image is lit if a light of it reaches the pixel at more than
-            this, or if it has none and shows ambient light alone.
-        """
-        parts, first = [], 0
+    @property
+    def directed(self) -> np.ndarray:
+        """(images, lobes): which lights come from a direction; rows as in `order`."""
+        images = sum(kind.ambient.shape[0] for kind in self.kinds)
+        directed = np.zeros((images, self.lobes), bool)
+        first = 0
         for kind in self.kinds:
-            count = kind.ambient.shape[0]
-            seen = None
-            if visibility is not None:
-                seen = visibility[first : first + count, : len(kind.lights)]
+            last = first + kind.ambient.shape[0]
+            for k, light in enumerate(kind.lights):
+                directed[first:last, k] = light.directed
+            first = last
+        return directed
 
-            def image(kind: _Alike, seen: Array | None) -> Basis:
-                return self._image(kind, position, normal, to_viewer, seen, min_cosine)
+    def around(
+        self, position: Float[Array, "#pixels 3"], normal: Float[Array, "pixels 3"]
+    ) -> Float[Array, "images 3 pixels"] | None:
+        """Diffuse light from all around, `None` where no light gives any."""
+        if all(light.directed for kind in self.kinds for light in kind.lights):
+            return None
 
-            axis = None if seen is None else 0
-            parts.append(jax.vmap(image, in_axes=(0, axis))(kind, seen))
-            first += count
-        joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
-        return Basis(
-            _channels_first(joined.ambient),
-            _channels_first(joined.diffuse),
-            tuple(_channels_first(strength) for strength in joined.strength),
-            joined.angles,
-            joined.lit,
-            None if joined.veil is None else _channels_first(joined.veil),
+        def point(kind: _Alike, position: Vec3, normal: Vec3) -> Vec3:
+            total = jnp.zeros_like(normal)
+            for light in kind.lights:
+                if not light.directed:
+                    total = total + light.surround(normal)
+            if kind.fog is None or self.camera is None:
+                return total
+            return kind.fog.transmittance(self.camera.depth(position)) * total
+
+        axis = None if len(position) == 1 else 0
+        position = position[0] if axis is None else position
+        over_pixels = jax.vmap(point, in_axes=(None, axis, 0), out_axes=-1)
+        over_scenes = jax.vmap(over_pixels, in_axes=(0, None, None))
+        return jnp.concatenate(
+            [over_scenes(kind, position, normal) for kind in self.kinds]
         )
 
     def arriving(
@@ -120,61 +103,6 @@ class Lighting(eqx.Module):
         veil = (1 - through) * kind.fog.color
         return to_light, through * diffuse, through * specular, through * ambient, veil
 
-    def _image(
-        self,
-        kind: _Alike,
-        position: Vec3,
-        normal: Vec3,
-        to_viewer: Vec3,
-        seen: Float[Array, " lights"] | None,
-        min_cosine: float,
-    ) -> Basis:
-        """The basis of one image: of `kind`, but without the axis along scenes."""
-        lights, dark = kind.lights, jnp.zeros_like(kind.ambient)
-        terms = point_terms(
-            lights, kind.ambient, self.shape.model, position, normal, to_viewer, seen
-        )
-        missing = self.lobes - len(lights)
-        strength = (*terms.strength, *[dark] * missing)
-        none = jax.tree.map(lambda _: dark[0], terms.cosine)
-        cosines = [
-            jax.tree.map(lambda one, k=k: one[k], terms.cosine)
-            for k in range(len(lights))
-        ]
-        cosines += [none] * missing
-        directed = [k for k, light in enumerate(lights) if light.directed]
-        lit = jnp.array(not directed)
-        for k in directed:
-            light = lights[k]
-            to_light = light.illuminate(position).to_light
-            reached = dot(normal, to_light) > min_cosine
-            lit = lit | (reached if seen is None else reached & (seen[k] > 0))
-        angles = tuple(map(self.shape.angles, cosines))
-        lit = lit.astype(normal.dtype)
-        veil = None if self.camera is None else dark
-        basis = Basis(terms.ambient, terms.diffuse, strength, angles, lit, veil)
-        if kind.fog is None or self.camera is None:
-            return basis
-        return _fogged(basis, kind.fog, self.camera.depth(position))
-
-
-def _fogged(basis: Basis, fog: Fog, depth: Scalar) -> Basis:
-    """What fog leaves of one image's light, and what it adds."""
-    through = fog.transmittance(depth)
-    return Basis(
-        through * basis.ambient,
-        through * basis.diffuse,
-        tuple(through * strength for strength in basis.strength),
-        basis.angles,
-        basis.lit,
-        (1 - through) * fog.color,
-    )
-
-
-def _channels_first(colours: Float[Array, "images 3"]) -> Float[Array, "3 images"]:
-    # Not a mere transposition: the compiler would keep the old order in memory.
-    return jnp.stack([colours[:, k] for k in range(3)])
-
 
 def make_lighting(scenes: tuple[Scene, ...]) -> Lighting:
     """The lights, and the fog, of scenes that share surface, camera and model."""
@@ -191,7 +119,7 @@ def make_lighting(scenes: tuple[Scene, ...]) -> Lighting:
     order = tuple(k for indices in members.values() for k in indices)
     foggy = any(scene.fog is not None for scene in scenes)
     camera = scenes[0].camera if foggy else None
-    return Lighting(tuple(kinds), lobes_of(scenes[0].specular_model), camera, order)
+    return Lighting(tuple(kinds), camera, order)
 
 
 def _stack(*leaves: Array) -> Array:

@@ -1,6 +1,7 @@
-"""Heights of one pixel's highlights, whatever the exponent, light by light."""
+"""Heights of highlights, whatever the exponent, light by light."""
 
 import abc
+from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import equinox as eqx
@@ -9,18 +10,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from phongfit.maps.pixel.columns import Lights
 from phongfit.maps.pixel.small import optimization_barrier
 from phongfit.reflectance import AbstractSpecular
 
 # Logarithm of the least height of a lobe that counts: products of smaller ones leave
 # the normal numbers of single precision, and those are slow.
 FAINTEST = -36.0
-DARK = -1e4
-"""Stands for log 0: its exponential is 0 for every exponent from 1 on."""
+DARK = -1e30
+"""Stands for log 0: its exponential is 0 for every exponent."""
 
-Angles: TypeAlias = tuple[PyTree[Float[Array, "..."]], ...]
-"""What a lobe takes of the geometry, for each light of an image, most often one."""
+Angles: TypeAlias = PyTree[Float[Array, "images lobes pixels"]]
+"""What lobes take of the geometry, for each light of an image, most often one."""
+
+Angle: TypeAlias = PyTree[Float[Array, " pixels"]]
+"""What the lobe of one light takes of the geometry."""
+
+Heights: TypeAlias = Callable[[Angle], tuple[Array, Array]]
+"""From a light's angles to its lobe's heights, and to their slopes in log f."""
 
 
 class AbstractLobes(eqx.Module):
@@ -35,27 +41,12 @@ class AbstractLobes(eqx.Module):
         """What is kept of the model's cosine."""
 
     @abc.abstractmethod
-    def at(self, angles: Angles, t: Float[Array, ""]) -> tuple[Lights, Lights]:
-        """Heights at exponent e^t, and their slopes in t."""
-
-    @abc.abstractmethod
-    def alone(
-        self, angles: Angles, exponent: Float[Array, ""]
-    ) -> tuple[Float[Array, ""], Lights]:
-        """Heights at one exponent, as a number that multiplies all, and the rest."""
-
-    @abc.abstractmethod
-    def doubling(
-        self, angles: Angles, exponent: Float[Array, ""], count: int
-    ) -> list[tuple[Float[Array, ""], Lights]]:
-        """The same at several, each twice the one before."""
+    def at(self, t: Float[Array, "*candidates groups #pixels"]) -> Heights:
+        """The heights at exponents e^t, of all lights one after another."""
 
 
 class PowerLobes(AbstractLobes):
-    r"""Powers of one cosine, of any height: one exponential serves all of a scan.
-
-    $\cos^{2f} = (\cos^f)^2$.
-    """
+    """Powers of one cosine, of any height."""
 
     model: AbstractSpecular
 
@@ -66,47 +57,24 @@ class PowerLobes(AbstractLobes):
         logarithm = jnp.log(jnp.where(positive, cosine, 1))
         return jnp.where(positive, jnp.minimum(logarithm, 0), DARK)
 
-    def at(self, angles: Lights, t: Float[Array, ""]) -> tuple[Lights, Lights]:
-        one = jnp.ones((), t.dtype)
+    def at(self, t: Float[Array, "*candidates groups #pixels"]) -> Heights:
+        one = jnp.ones_like(t)
 
         def height_at(t: Array) -> Array:
             return self.model.lobe(one, jnp.exp(t))
 
         height, rise = jax.jvp(height_at, (t,), (one,))
-        tops, slopes = [], []
-        for logarithm in angles:
-            power = jnp.exp(t) * logarithm
-            lobe = height * jnp.where(power > FAINTEST, jnp.exp(power), 0)
-            tops.append(lobe)
-            slopes.append(lobe * (power + rise / height))
-        return optimization_barrier((tuple(tops), tuple(slopes)))
-
-    def alone(
-        self, angles: Lights, exponent: Float[Array, ""]
-    ) -> tuple[Float[Array, ""], Lights]:
-        powers = (exponent * logarithm for logarithm in angles)
-        shape = tuple(
-            jnp.where(power > FAINTEST, jnp.exp(power), 0) for power in powers
+        exponent, height, bend = optimization_barrier(
+            (jnp.exp(t), height, rise / height)
         )
-        return self._height(exponent), shape
 
-    def doubling(
-        self, angles: Lights, exponent: Float[Array, ""], count: int
-    ) -> list[tuple[Float[Array, ""], Lights]]:
-        _, powers = self.alone(angles, exponent)
-        found = []
-        for k in range(count):
-            powers = optimization_barrier(_squares(powers) if k else powers)
-            found.append((self._height(exponent * 2**k), powers))
-        return found
+        def heights(logarithm: Angle) -> tuple[Array, Array]:
+            power = exponent * logarithm
+            lobe = height * jnp.where(power > FAINTEST, jnp.exp(power), 0)
+            lobe = optimization_barrier(lobe)
+            return lobe, optimization_barrier(lobe * (power + bend))
 
-    def _height(self, exponent: Float[Array, ""]) -> Float[Array, ""]:
-        return self.model.lobe(jnp.ones((), exponent.dtype), exponent)
-
-
-def _squares(powers: Lights) -> Lights:
-    least = np.exp(FAINTEST / 2).item()
-    return tuple(jnp.where(power > least, power * power, 0) for power in powers)
+        return heights
 
 
 class AnyLobes(AbstractLobes):
@@ -119,33 +87,14 @@ class AnyLobes(AbstractLobes):
     ) -> PyTree[Float[Array, "..."]]:
         return cosine
 
-    def at(self, angles: Angles, t: Float[Array, ""]) -> tuple[Lights, Lights]:
-        def heights(t: Array) -> Lights:
-            return self._heights(angles, jnp.exp(t))
+    def at(self, t: Float[Array, "*candidates groups #pixels"]) -> Heights:
+        def heights(cosine: Angle) -> tuple[Array, Array]:
+            def lobe(t: Array) -> Array:
+                return self.model.lobe(cosine, jnp.exp(t))
 
-        return optimization_barrier(jax.jvp(heights, (t,), (jnp.ones_like(t),)))
+            return optimization_barrier(jax.jvp(lobe, (t,), (jnp.ones_like(t),)))
 
-    def alone(
-        self, angles: Angles, exponent: Float[Array, ""]
-    ) -> tuple[Float[Array, ""], Lights]:
-        return jnp.ones_like(exponent), self._heights(angles, exponent)
-
-    def doubling(
-        self, angles: Angles, exponent: Float[Array, ""], count: int
-    ) -> list[tuple[Float[Array, ""], Lights]]:
-        # A loop: compiled once, however many there are.
-        exponents = exponent * 2.0 ** jnp.arange(count, dtype=exponent.dtype)
-        found = jax.lax.map(lambda one: self._heights(angles, one), exponents)
-        one = jnp.ones_like(exponent)
-        return [(one, tuple(each[k] for each in found)) for k in range(count)]
-
-    def _heights(self, angles: Angles, exponent: Float[Array, ""]) -> Lights:
-        return tuple(self.model.lobe(cosine, exponent) for cosine in angles)
-
-
-def lobes_of(model: AbstractSpecular) -> AbstractLobes:
-    """The lobes of a model, as powers where they are that."""
-    return PowerLobes(model) if is_power(model) else AnyLobes(model)
+        return heights
 
 
 def is_power(model: AbstractSpecular) -> bool:

@@ -1,42 +1,43 @@
-"""One pixel under many lights: its material, with errors, and what is unidentified.
+"""Pixels under many lights: their materials, with errors, and what is unidentified.
 
-The caller batches with `vmap`. Nothing here branches on numbers, so that a pixel that
-fails costs no more than one that does not, and disturbs none.
+Pixels stand side by side, along the last axis. Nothing here branches on the numbers of
+one, so that a pixel that fails costs no more than one that does not, and disturbs none.
+Where a group of channels shares an exponent, it is all of them or each is one.
 """
 
-import dataclasses
-import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.fitting.problem.losses import Huber
 from phongfit.fitting.problem.noise import median_deviation
 from phongfit.fitting.uncertainty.misfit import SIGNIFICANT
-from phongfit.maps.pixel.columns import Columns, Lights, make_columns
+from phongfit.maps.pixel.basis import Basis, make_basis
+from phongfit.maps.pixel.columns import Columns, make_columns
 from phongfit.maps.pixel.errors import VAGUE, Errors, standard_errors
 from phongfit.maps.pixel.exponent import At, Box, evaluate
 from phongfit.maps.pixel.flags import Flag
-from phongfit.maps.pixel.lobes import Angles
+from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.robust import loss_weights, widening
-from phongfit.maps.pixel.samples import PixelSamples, whitened
+from phongfit.maps.pixel.samples import Tile, measured
 from phongfit.maps.pixel.search import (
     SHORTEST,
     Descent,
-    candidates,
     refine_exponents,
     scan_exponents,
     where_wanted,
 )
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.small import dot, optimization_barrier, over_channels
+from phongfit.maps.pixel.small import in_groups, of_rank, optimization_barrier
 
 # Steps on the sum of the channels, which are a third of the price, then on all; and of
 # those at most, where it takes longer.
-SUMMED_STEPS = 4
-STEPS = 4
+SUMMED_STEPS = 3
+STEPS = 2
 MOST_STEPS = 16
 # Rounds of reweighting of a robust loss; and where it takes longer.
 REWEIGHTED = 10
@@ -55,8 +56,6 @@ LARGER = 1.3
 MEDIAN = 0.37
 # By how much channels may differ in how the lights share them, over their sum.
 COLOURED = 0.1
-# The axis along which pixels are batched.
-BESIDE = "beside"
 
 
 class PixelFit(NamedTuple):
@@ -93,8 +92,87 @@ class Known(NamedTuple):
     shininess: Float[Array, " exponents"]
 
 
+class Outside(NamedTuple):
+    """What all pixels share: lights, known parameters, and the noise level.
+
+    `noise` is the standard deviation of a sample in linear light, 1 if
+    `settings.weighted`; not read if `settings.noise_given` is false.
+    """
+
+    lighting: Lighting
+    known: Known
+    noise: Float[Array, ""]
+
+
+class _Job(NamedTuple):
+    """What pixels measure, and of what.
+
+    - `target`: linear light of the unknowns; `share`: as in [`Samples`][].
+    - `box`: what bounds the unknowns.
+    """
+
+    target: Float[Array, "images channels pixels"]
+    share: Float[Array, "images channels pixels"]
+    basis: Basis
+    box: Box
+    noise: Float[Array, ""]
+    thorough: Bool[Array, ""]
+    settings: MapSettings
+
+    @property
+    def groups(self) -> int:
+        """Of channels that share an exponent."""
+        return 1 if self.settings.shared else self.target.shape[1]
+
+    def columns(self, weight: Float[Array, "images channels pixels"]) -> Columns:
+        """Columns of all channels for such weights."""
+        fixed = tuple(getattr(self.basis, name) for name in self.settings.columns)
+        return make_columns(fixed, self.target, weight, self.basis.strength)
+
+    def at(self, columns: Columns, t: Float[Array, "groups pixels"]) -> At:
+        """The solution at t. A highlight that is known, or none, has 0 strength."""
+        if not self.settings.shiny:
+            nothing = jax.tree.map(jnp.zeros_like, (columns.moments, columns.squares))
+            columns = columns._replace(moments=nothing[0], squares=nothing[1])
+        lobes, angles = self.settings.lobes, self.basis.angles
+        return evaluate(columns, lobes, angles, t, self.box)
+
+    def residual(
+        self, at: At, t: Float[Array, "groups pixels"]
+    ) -> Float[Array, "images channels pixels"]:
+        """(model − measured) · share."""
+        settings = self.settings
+        lobes = settings.lobes if settings.shiny else None
+        light = self.basis.light(settings.columns, at.point, lobes, t)
+        return optimization_barrier(self.share * (light - self.target))
+
+    def in_groups(
+        self, values: Float[Array, "images channels pixels"]
+    ) -> Float[Array, "groups pixels"]:
+        """The sum over the images and each group's channels."""
+        return in_groups(jnp.sum(values, axis=0), self.groups)
+
+    def count(self) -> Float[Array, "groups pixels"]:
+        """How many samples may be used."""
+        return self.in_groups((self.share > 0).astype(self.share.dtype))
+
+    def deviation(
+        self, residual: Float[Array, "images channels pixels"]
+    ) -> Float[Array, "groups pixels"]:
+        """Standard deviations of the residuals, which outliers do not reach."""
+        return self.each_group(median_deviation, residual)
+
+    def each_group(
+        self, function: Callable[[Array, Array], Array], residual: Array
+    ) -> Float[Array, "groups pixels"]:
+        """A function of residuals, and of where they count, for each group."""
+        rows = len(residual), self.groups, -1, residual.shape[-1]
+        parts = residual.reshape(rows), (self.share > 0).reshape(rows)
+        return jax.vmap(jax.vmap(function, in_axes=-1), in_axes=1)(*parts)
+
+
 class _Found(NamedTuple):
-    """A group of channels with one exponent, solved.
+    """The exponents of all groups, and everything else.
 
     - `columns`: of the samples as they were weighed at the end.
     - `squares`: of all residuals; `scale`: their size, which outliers do not reach.
@@ -113,128 +191,84 @@ class _Found(NamedTuple):
     unsettled: Array
 
 
-def fit_pixel(
-    samples: PixelSamples,
-    known: Known,
-    noise: Float[Array, ""],
-    thorough: Bool[Array, ""],
-    settings: MapSettings,
-) -> tuple[PixelFit, Bool[Array, ""]]:
-    """The material of one pixel, from its samples alone.
+def fit_pixels(
+    tile: Tile, outside: Outside, thorough: Bool[Array, ""], settings: MapSettings
+) -> tuple[PixelFit, Bool[Array, " pixels"]]:
+    """The materials of pixels, of each from its own samples alone.
 
-    What a few pixels need all that are batched with them pay for. So there are two
-    ways, one short and one thorough, and a pixel that is settled by the short one gets
-    the same from both.
+    What a few pixels need all beside them pay for. So there are two ways, one short and
+    one thorough, and a pixel that is settled by the short one gets the same from both.
 
-    **Arguments:**
+    **Arguments:** `thorough`: whether to do whatever helps.
 
-    - `samples`: of three channels.
-    - `known`: what is not unknown.
-    - `noise`: standard deviation of a sample in linear light, 1 if
-        `settings.weighted`; not read if `settings.noise_given` is false.
-    - `thorough`: whether to do whatever helps.
-
-    **Returns:** the material, and whether the thorough way is wanted.
+    **Returns:** the materials, whose leaves have the pixels as their first axis, and
+    for which of them the thorough way is wanted.
     """
-    dtype = samples.target.dtype
-    finite = jnp.isfinite(samples.target)
-    if settings.exactly:
-        sound = finite & (samples.target != settings.cutoff)
-    else:
-        sound = finite & (samples.target < settings.cutoff)
-    # Numbers rather than flags from here on: sums of those are slow.
-    weight = jnp.where(sound, samples.weight, 0)
-    light = samples.target if samples.veil is None else samples.target - samples.veil
-    target = jnp.where(sound, light, 0) * weight
-    infinite = jnp.where(finite, 0, samples.weight)
-    weight, target = optimization_barrier((weight, target))
-    lost = _sum(infinite) > 0
-    black = _sum(jnp.abs(target)) == 0
-    samples = PixelSamples(
-        target,
-        weight,
-        samples.ambient,
-        samples.diffuse,
-        samples.strength,
-        samples.angles,
-    )
-    unlike = jnp.any((weight > 0) != (weight[:1] > 0)) | _coloured(samples.strength)
-    if settings.weighted:
-        samples = optimization_barrier(whitened(samples))
-        weight = samples.weight
+    samples, lost = measured(tile, outside.lighting, settings)
+    basis, lit = make_basis(tile, outside.lighting, samples.lamps, settings)
+    share = optimization_barrier(samples.share * lit[:, None])
+    known = Known(*(leaf[:, None] for leaf in outside.known))
+    target = optimization_barrier(_less_known(samples.target, basis, known, settings))
+    noise = outside.noise
+    job = _Job(target, share, basis, _box(settings), noise, thorough, settings)
+    found = optimization_barrier(_solve(job, known))
 
-    def solved(samples: PixelSamples, known: Known) -> _Found:
-        return _solve(samples, known, noise, unlike, thorough, settings)
-
-    if settings.shared:
-        found = optimization_barrier(solved(samples, known))
-    else:
-
-        def alone(channel: PixelSamples, known: Known) -> _Found:
-            # Channels on their own share nothing but the cosines.
-            angles = samples.angles
-            return solved(dataclasses.replace(channel, angles=angles), known)
-
-        found = optimization_barrier(jax.vmap(alone)(*_split(samples, known)))
-    total = _sum(weight)
-    count = total.astype(jnp.int32)
-    unknowns = settings.unknowns()
-    freedom = total - unknowns
-    enough = freedom > 0
-    freedom = jnp.maximum(freedom, 1)
+    share_of_group = job.count()
+    total = in_groups(share_of_group, 1)[0]
+    count, unknowns = total.astype(jnp.int32), settings.unknowns()
+    enough = total > unknowns
+    freedom = jnp.maximum(total - unknowns, 1)
+    squares = found.squares
     if settings.loss.robust:
         # Each group's own scale, which outliers do not reach.
-        share = jnp.sum(weight, axis=-1)
-        share = jnp.sum(share) if settings.shared else share
-        level = jnp.sqrt(jnp.sum(share * found.scale**2) / freedom)
-    else:
-        level = jnp.sqrt(jnp.sum(found.squares) / freedom)
+        squares = share_of_group * found.scale**2
+    level = jnp.sqrt(in_groups(squares, 1)[0] / freedom)
+    black = in_groups(jnp.sum(jnp.abs(share * samples.target), axis=0), 1)[0] == 0
     identified = ~black & (enough | (settings.noise_given & (count >= unknowns)))
 
-    misfit = jnp.zeros((), bool)
+    misfit = jnp.zeros(level.shape, bool)
     if settings.noise_given:
         # Of a normal distribution a median knows no more than a third of the samples.
         heard = freedom * (MEDIAN if settings.loss.robust else 1)
         misfit = identified & enough & ((level / noise) ** 2 > most_by_chance(heard))
-
-    def errors_of(found: _Found) -> Errors:
-        sigma = found.scale if settings.loss.robust else level
-        if settings.noise_given:
-            # What the model does not describe may pull as hard as it shows.
-            sigma = jnp.where(misfit, level, noise)
-        return standard_errors(
+    sigma = found.scale if settings.loss.robust else level[None]
+    if settings.noise_given:
+        # What the model does not describe may pull as hard as it shows.
+        sigma = jnp.where(misfit, level, noise)[None]
+    errors = optimization_barrier(
+        standard_errors(
             found.at,
             found.columns,
             found.t,
             sigma * found.widening,
             found.moved,
-            samples.angles,
-            _box(settings, dtype),
+            basis.angles,
+            job.box,
             thorough,
             settings,
         )
+    )
 
-    errors = errors_of(found) if settings.shared else jax.vmap(errors_of)(found)
-    errors = optimization_barrier(errors)
-    values = _values(found, known, settings)
-    deviations = _leaves(errors, identified, dtype, settings)
+    def some(of_groups: Bool[Array, "groups pixels"]) -> Bool[Array, " pixels"]:
+        return jnp.any(of_groups, axis=0)
+
+    lost = in_groups(jnp.sum(lost * lit[:, None], axis=0), 1)[0] > 0
     flags = (
         jnp.where(black, Flag.BLACK, 0)
         | jnp.where(lost, Flag.NOT_FINITE, 0)
         | jnp.where(
             enough | settings.noise_given & (count >= unknowns), 0, Flag.TOO_FEW
         )
-        | jnp.where(identified & jnp.any(errors.dim), Flag.NO_HIGHLIGHT, 0)
-        | jnp.where(identified & jnp.any(errors.degenerate), Flag.DEGENERATE, 0)
-        | jnp.where(identified & jnp.any(errors.at_bound), Flag.AT_BOUND, 0)
-        | jnp.where(identified & jnp.any(errors.moving), Flag.NOT_CONVERGED, 0)
+        | jnp.where(identified & some(errors.dim), Flag.NO_HIGHLIGHT, 0)
+        | jnp.where(identified & some(errors.degenerate), Flag.DEGENERATE, 0)
+        | jnp.where(identified & some(errors.at_bound), Flag.AT_BOUND, 0)
+        | jnp.where(identified & some(errors.moving), Flag.NOT_CONVERGED, 0)
         | jnp.where(misfit, Flag.MISFIT, 0)
     )
-    ambient, diffuse, specular, shininess = values
-    fit = PixelFit(
-        ambient, diffuse, specular, shininess, deviations, level, count, flags
-    )
-    unsettled = jnp.any(found.unsettled | errors.vague | errors.moving)
+    values = _values(found, known, settings)
+    deviations = _leaves(errors, identified, settings)
+    fit = PixelFit(*values, deviations, level, count, flags)
+    unsettled = some(found.unsettled | errors.vague | errors.moving)
     return fit, identified & unsettled & ~thorough
 
 
@@ -249,118 +283,94 @@ def most_by_chance(freedom: Array) -> Array:
     return (1 - spread + SIGNIFICANT * jnp.sqrt(spread)) ** 3
 
 
-def _coloured(strength: Lights) -> Array:
+def _coloured(strength: Float[Array, "images lobes channels #pixels"]) -> Array:
     """Whether the lights differ in colour: then the channels' sum says little."""
-    sums = [jnp.sum(each, axis=-1, keepdims=True) for each in strength]
-    total = functools.reduce(jnp.add, sums)
-    coloured = jnp.zeros((), bool)
-    for each in strength:
-        own, first = each * total[:1], each[:1] * total
-        coloured |= jnp.any(jnp.abs(own - first) > COLOURED * (own + first))
-    return coloured
+    total = jnp.sum(strength, axis=(0, 1), keepdims=True)
+    own, first = strength * total[:, :, :1], strength[:, :, :1] * total
+    unlike = jnp.abs(own - first) > COLOURED * (own + first)
+    return jnp.sum(unlike.astype(total.dtype), axis=(0, 1, 2)) > 0
 
 
-def _split(samples: PixelSamples, known: Known) -> tuple[PixelSamples, Known]:
-    """Samples of channels, but for the cosines, along a new first axis."""
-
-    def apart(leaf: Array) -> Array:
-        return leaf[:, None]
-
-    samples = dataclasses.replace(samples, angles=())
-    return jax.tree.map(apart, samples), jax.tree.map(apart, known)
+def _box(settings: MapSettings) -> Box:
+    edges = [settings.bound(name) for name in (*settings.columns, "specular")]
+    low, high = zip(*edges, strict=True)
+    return Box(low, high, *settings.log_bounds)
 
 
-def _box(settings: MapSettings, dtype: jnp.dtype) -> Box:
-    names = (*settings.columns, "specular")
-    edges = [settings.bound(name) for name in names]
-    low, high = (
-        tuple(jnp.array(number, dtype) for number in edge)
-        for edge in zip(*edges, strict=True)
-    )
-    return Box(low, high, *(jnp.array(edge, dtype) for edge in settings.log_bounds))
+def _less_known(
+    target: Array, basis: Basis, known: Known, settings: MapSettings
+) -> Array:
+    """The target without the light of parameters that are known."""
+    if "ambient" not in settings.names:
+        target = target - known.ambient[None] * basis.ambient
+    if "diffuse" not in settings.names:
+        target = target - known.diffuse[None] * basis.diffuse
+    if not settings.shiny:
+        light = basis.specular(settings.lobes, jnp.log(known.shininess))
+        target = target - known.specular[None] * light
+    return target
 
 
-def _solve(
-    samples: PixelSamples,
-    known: Known,
-    noise: Array,
-    unlike: Array,
-    thorough: Array,
-    settings: MapSettings,
-) -> _Found:
-    """One group of channels: the exponent, then everything else."""
-    dtype = samples.target.dtype
-    box = _box(settings, dtype)
-    target = optimization_barrier(_less_known(samples, known, settings))
-    columns = _columns(samples, target, samples.weight, settings)
-    t = jnp.log(known.shininess[0])
-    unsettled = jnp.zeros((), bool)
+def _solve(job: _Job, known: Known) -> _Found:
+    """The exponents, then everything else."""
+    settings, shape = job.settings, (job.groups, job.target.shape[-1])
+    columns = job.columns(job.share**2)
+    t = jnp.broadcast_to(jnp.log(known.shininess), shape)
+    unsettled = jnp.zeros(shape, bool)
     if settings.searched:
-        t, unsettled = _search(
-            samples, target, columns, t, noise, unlike, thorough, box, settings
-        )
-    at = optimization_barrier(_evaluate(columns, samples.angles, t, box, settings))
+        t, unsettled = _search(job, columns, t)
+    at = job.at(columns, t)
     if settings.loss.robust:
-        found = _reweighted(samples, target, at, t, noise, thorough, box, settings)
+        found = _reweighted(job, at, t)
         return found._replace(unsettled=found.unsettled | unsettled)
-    squares = _sum(samples.weight * _residual(samples, target, at, t, settings) ** 2)
-    one, still = jnp.ones((), dtype), jnp.zeros_like(jnp.stack(at.point, axis=-1))
+    squares = job.in_groups(job.residual(at, t) ** 2)
+    one, still = jnp.ones_like(t), jnp.zeros_like(jnp.stack(at.point))
     return _Found(at, t, columns, squares, one, one, still, unsettled)
 
 
-def _search(
-    samples: PixelSamples,
-    target: Array,
-    columns: Columns,
-    t: Array,
-    noise: Array,
-    unlike: Array,
-    thorough: Array,
-    box: Box,
-    settings: MapSettings,
-) -> tuple[Array, Array]:
-    """The exponent of a group of channels, and whether the search was cut short.
+def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Array]:
+    """The exponents, and whether the search was cut short.
 
-    The channels' sum is enough to start from, as if ρ were grey, where they have the
-    same samples in the same light. Where they do not, or where the exponent stays
-    vague, each of them is asked.
+    Where channels share one, their sum is enough to start from, as if ρ were grey,
+    where they have the same samples in the same light. Where they do not, or where the
+    exponent stays vague, each of them is asked.
     """
-    lobes, angles = settings.lobes, samples.angles
-    channels, count = samples.target.shape[0], candidates(*settings.log_bounds)
-    low, high = edges = box.lowest, box.highest
-    if channels > 1:
-        summed = _summed(samples, target, settings)
-    else:
-        summed = columns
+    settings, box, noise = job.settings, job.box, job.noise
+    lobes, angles, thorough = settings.lobes, job.basis.angles, job.thorough
+    low, high = (jnp.full_like(t, edge) for edge in (box.lowest, box.highest))
+    edges = low, high
+    shared = settings.shared and job.target.shape[1] > 1
+    summed = _summed(job) if shared else columns
     if settings.scanned:
-        t, low, high = scan_exponents(summed, lobes, angles, box, count)
+        t, low, high = scan_exponents(summed, lobes, angles, box, job.groups)
     t, low, high = optimization_barrier((jnp.clip(t, low, high), low, high))
     start = refine_exponents(summed, lobes, angles, t, low, high, box, SUMMED_STEPS)
 
     def variance(value: Array) -> Array:
-        return _variance(columns, samples.weight, value, noise, settings)
+        return _variance(job, columns, value)
 
-    if channels > 1:
-        level = _variance(summed, samples.weight[:1], start.value, noise, settings)
-        level = channels * level if settings.noise_given else level
-    else:
-        level = variance(start.value)
-    found, bend, unsettled = start.t, start.bend, jnp.zeros((), bool)
-    if settings.scanned and channels > 1:
+    found, bend = start.t, start.bend
+    unsettled = jnp.zeros(t.shape, bool)
+    if settings.scanned and shared:
+        level = 3 * noise**2 * jnp.ones_like(t)
+        if not settings.noise_given:
+            level = _variance(job._replace(share=job.share[:, :1]), summed, start.value)
+        used = (job.share > 0).astype(t.dtype)
+        odd = in_groups(jnp.sum(jnp.abs(used - used[:, :1]), axis=0), 1) > 0
+        unlike = odd | _coloured(job.basis.strength)[None]
         wanted = unlike | _is_vague(start, level, box)
         # If most pixels beside this one have channels of their own, all do it at once.
-        most = jax.lax.pmean(unlike.astype(t.dtype), BESIDE) > 0.5
+        most = jnp.mean(unlike.astype(t.dtype)) > 0.5
         unsettled = wanted & ~(thorough | most)
         wanted = wanted & (thorough | most)
-        found = where_wanted(
-            wanted,
-            lambda columns: scan_exponents(columns, lobes, angles, box, count).t,
-            columns,
-            found,
-        )
+
+        def scan() -> Array:
+            return scan_exponents(columns, lobes, angles, box, job.groups).t
+
+        found = where_wanted(wanted, scan, found)
         bend = jnp.where(wanted, 1, bend)
     t, bend = optimization_barrier((found, bend))
-    steps = STEPS if channels > 1 else 0
+    steps = STEPS if shared else 0
     most = jnp.where(thorough, MOST_STEPS, STEPS)
     end = refine_exponents(
         columns, lobes, angles, t, *edges, box, steps, bend, most, variance
@@ -368,15 +378,15 @@ def _search(
     return end.t, unsettled | ~end.ended
 
 
-def _variance(
-    columns: Columns, weight: Array, value: Array, noise: Array, settings: MapSettings
-) -> Array:
+def _variance(job: _Job, columns: Columns, value: Array) -> Array:
     """Of a sample: as it was given, or from the squares that a value of φ leaves."""
-    if settings.noise_given:
-        return noise**2 * jnp.ones_like(value)
-    unknowns = weight.shape[0] * (len(columns.start) + 1) + 1
-    freedom = jnp.maximum(_sum(weight) - unknowns, 1)
-    return jnp.maximum(jnp.sum(columns.rest) + value, 0) / freedom
+    if job.settings.noise_given:
+        return job.noise**2 * jnp.ones_like(value)
+    groups = len(value)
+    channels = job.share.shape[1] // groups
+    unknowns = channels * (len(columns.start) + 1) + 1
+    freedom = jnp.maximum(job.count() - unknowns, 1)
+    return jnp.maximum(in_groups(columns.rest, groups) + value, 0) / freedom
 
 
 def _is_vague(found: Descent, variance: Array, box: Box) -> Array:
@@ -386,93 +396,15 @@ def _is_vague(found: Descent, variance: Array, box: Box) -> Array:
     return ~steep | (found.t <= box.lowest) | (found.t >= box.highest)
 
 
-def _less_known(samples: PixelSamples, known: Known, settings: MapSettings) -> Array:
-    """The target without the light of parameters that are known."""
-    target = samples.target
-    if "ambient" not in settings.names:
-        target = target - known.ambient[:, None] * samples.ambient
-    if "diffuse" not in settings.names:
-        target = target - known.diffuse[:, None] * samples.diffuse
-    if not settings.shiny:
-        lobe, _ = settings.lobes.at(samples.angles, jnp.log(known.shininess[0]))
-        light = _shine(samples, lobe)
-        target = target - known.specular[:, None] * light
-    return target
-
-
-def _shine(samples: PixelSamples, lobe: Lights) -> Array:
-    """S(f): highlights of all lights of each image."""
-    return dot(samples.strength, tuple(heights[None] for heights in lobe))
-
-
-def _columns(
-    samples: PixelSamples, target: Array, weight: Array, settings: MapSettings
-) -> Columns:
-    """Columns of all channels."""
-    fixed = tuple(getattr(samples, name) for name in settings.columns)
-    return over_channels(make_columns, fixed, target, weight, samples.strength)
-
-
-def _summed(samples: PixelSamples, target: Array, settings: MapSettings) -> Columns:
+def _summed(job: _Job) -> Columns:
     """Columns of the channels' sum, as if ρ were grey: enough to start from."""
-    together = PixelSamples(
-        target=_total(target),
-        weight=samples.weight[:1],
-        ambient=_total(samples.ambient),
-        diffuse=_total(samples.diffuse),
-        strength=tuple(_total(each) for each in samples.strength),
-        angles=samples.angles,
+    together = job._replace(
+        target=in_groups(job.target, 1), basis=optimization_barrier(job.basis.grey())
     )
-    together = optimization_barrier(together)
-    return _columns(together, together.target, together.weight, settings)
+    return together.columns(job.share[:, :1] ** 2)
 
 
-def _total(channels: Float[Array, "channels images"]) -> Float[Array, "1 images"]:
-    """The sum of the channels, without a sum over an axis of three."""
-    red, *others = channels
-    for channel in others:
-        red = red + channel
-    return red[None]
-
-
-def _sum(values: Float[Array, "channels images"]) -> Float[Array, ""]:
-    """The sum of all, one axis after the other: of two at once it is slow."""
-    return jnp.sum(_total(values)[0])
-
-
-def _evaluate(
-    columns: Columns, angles: Angles, t: Array, box: Box, settings: MapSettings
-) -> At:
-    """The solution at t. A highlight that is known, or none, is held at 0 strength."""
-    if not settings.shiny:
-        nothing = (jnp.zeros_like(columns.moments), jnp.zeros_like(columns.squares))
-        columns = columns._replace(moments=nothing[0], squares=nothing[1])
-    return evaluate(columns, settings.lobes, angles, t, box)
-
-
-def _residual(
-    samples: PixelSamples, target: Array, at: At, t: Array, settings: MapSettings
-) -> Array:
-    """(model − measured) in linear light, of used samples and others."""
-    light = jnp.zeros_like(target)
-    for k, name in enumerate(settings.columns):
-        light = light + at.point[k][:, None] * getattr(samples, name)
-    if settings.shiny:
-        lobe, _ = settings.lobes.at(samples.angles, t)
-        light = light + at.point[-1][:, None] * _shine(samples, lobe)
-    return light - target
-
-
-def _reweighted(
-    samples: PixelSamples,
-    target: Array,
-    at: At,
-    t: Array,
-    noise: Array,
-    thorough: Array,
-    box: Box,
-    settings: MapSettings,
-) -> _Found:
+def _reweighted(job: _Job, at: At, t: Array) -> _Found:
     r"""Iteratively reweighted least squares from a plain solution.
 
     All that is said of the end rests on its weights w, held: how $\phi$ rises from
@@ -487,122 +419,121 @@ def _reweighted(
         Rousseeuw and Van Driessen, *Computing LTS regression for large data sets*, Data
         Min. Knowl. Discov. 12, 2006: starts from subsets.
     """
-    lobes, angles = settings.lobes, samples.angles
-    used = samples.weight > 0
+    settings, box, noise, thorough = job.settings, job.box, job.noise, job.thorough
+    lobes, angles, loss = settings.lobes, job.basis.angles, settings.loss
+    low, high = (jnp.full_like(t, edge) for edge in (box.lowest, box.highest))
+    whole = job.share**2
 
-    def measured(at: At, t: Array) -> tuple[Array, Array]:
-        residual = optimization_barrier(_residual(samples, target, at, t, settings))
-        scale = median_deviation(residual, used)
-        return residual / (noise if settings.noise_given else scale), scale
+    def relative(at: At, t: Array) -> tuple[Array, Array]:
+        residual = job.residual(at, t)
+        scale = job.deviation(residual)
+        return residual / (noise if settings.noise_given else scale[None]), scale
 
     def step(state: _Rounds) -> _Rounds:
-        residual, _ = measured(state.at, state.t)
+        residual, _ = relative(state.at, state.t)
         # A convex loss leads to where one that rejects outliers sees them.
         weight = jnp.where(
-            state.done < CONVEX,
+            (state.done < CONVEX)[None],
             loss_weights(Huber(), residual),
-            loss_weights(settings.loss, residual),
+            loss_weights(loss, residual),
         )
-        weight = optimization_barrier(weight * samples.weight)
-        columns = _columns(samples, target, weight, settings)
+        columns = job.columns(optimization_barrier(weight * whole))
         t, bend = state.t, state.bend
         if settings.searched:
-            edges = box.lowest, box.highest
             found = refine_exponents(
-                columns, lobes, angles, t, *edges, box, REWEIGHTED_STEPS, bend
+                columns, lobes, angles, t, low, high, box, REWEIGHTED_STEPS, bend
             )
             t, bend = found.t, found.bend
-        at = _evaluate(columns, angles, t, box, settings)
-        return _Rounds(at, t, bend, jnp.abs(t - state.t) <= SHORTEST, state.done + 1)
+        ended = jnp.abs(t - state.t) <= SHORTEST
+        return _Rounds(job.at(columns, t), t, bend, ended, state.done + 1)
 
     most = jnp.where(thorough, MOST_REWEIGHTED, REWEIGHTED)
 
     def unfinished(state: _Rounds) -> Array:
         return (state.done < REWEIGHTED) | (~state.ended & (state.done < most))
 
+    def go_on(state: _Rounds) -> _Rounds:
+        return _chosen(unfinished(state), step(state), state)
+
     def begin(left: Array) -> tuple[At, Array]:
         """Where all samples but some lead to."""
-        columns = _columns(
-            samples, target, optimization_barrier(samples.weight * left), settings
-        )
+        columns = job.columns(optimization_barrier(whole * left))
         begun = t
         if settings.scanned:
-            count = candidates(*settings.log_bounds)
-            begun = scan_exponents(columns, lobes, angles, box, count).t
-        return _evaluate(columns, angles, begun, box, settings), begun
+            begun = scan_exponents(columns, lobes, angles, box, job.groups).t
+        return job.at(columns, begun), begun
 
     def attempt(state: _Attempts) -> _Attempts:
-        left = (_group(samples) != state.done - 1).astype(t.dtype)
-        start = where_wanted(state.done > 0, begin, left, (at, t))
-        last = jax.lax.while_loop(unfinished, step, _before_rounds(*start))
-        residual = optimization_barrier(
-            _residual(samples, target, last.at, last.t, settings)
+        left = (_group(job) != state.done - 1).astype(t.dtype)
+        start = jax.lax.cond(state.done > 0, lambda: begin(left), lambda: (at, t))
+        last = jax.lax.while_loop(
+            lambda state: jnp.any(unfinished(state)), go_on, _before_rounds(*start)
         )
-        better = (state.done == 0) | _is_better(
-            residual, state.residual, used, noise, settings
-        )
-        last, residual = jax.tree.map(
-            lambda new, old: jnp.where(better, new, old),
-            (last, residual),
-            (state.best, state.residual),
-        )
-        return _Attempts(last, residual, state.done + 1)
+        residual = job.residual(last.at, last.t)
+        better = (state.done == 0) | _is_better(job, residual, state.residual)
+        best = _chosen(better, last, state.best)
+        residual = jnp.where(better[None], residual, state.residual)
+        return _Attempts(best, residual, state.done + 1)
 
-    none = jnp.zeros_like(target)
+    none = jnp.zeros_like(job.target)
     first = _Attempts(_before_rounds(at, t), none, jnp.zeros((), int))
     wanted = jnp.where(thorough, 1 + GROUPS, 1)
     last = jax.lax.while_loop(lambda s: s.done < wanted, attempt, first).best
     at, t = last.at, last.t
-    residual, scale = measured(at, t)
-    weight = optimization_barrier(
-        loss_weights(settings.loss, residual) * samples.weight
-    )
-    columns = _columns(samples, target, weight, settings)
-    at = optimization_barrier(_evaluate(columns, angles, t, box, settings))
+    residual, scale = relative(at, t)
+    weight = optimization_barrier(loss_weights(loss, residual) * whole)
+    columns = job.columns(weight)
+    at = job.at(columns, t)
     moved = [abs(x - y) for x, y in zip(at.point, last.at.point, strict=True)]
-    moved = jnp.stack(moved, axis=-1)
-    share = _sum(weight) / jnp.maximum(_sum(samples.weight), 1)
-    unknowns = settings.unknowns(channels=len(target))
-    widened = widening(settings.loss, residual, used, unknowns)
+    count = job.count()
+    kept = job.in_groups(jnp.where(job.share > 0, weight / whole, 0))
+    channels = job.target.shape[1] // job.groups
+    unknowns = settings.unknowns(channels=channels)
+
+    def widened(residual: Array, used: Array) -> Array:
+        return widening(loss, residual, used, unknowns)
+
+    wider = job.each_group(widened, residual)
     if settings.noise_given:
         # No loss says more of noise that is known than least squares.
-        widened = jnp.maximum(widened, 1)
-    widened = widened * jnp.sqrt(share)
-    squares = _sum(samples.weight * _residual(samples, target, at, t, settings) ** 2)
-    doubtful = ~last.ended | _is_doubtful(samples, weight, t, settings)
+        wider = jnp.maximum(wider, 1)
+    wider = wider * jnp.sqrt(kept / jnp.maximum(count, 1))
+    squares = job.in_groups(job.residual(at, t) ** 2)
+    doubtful = ~last.ended | _is_doubtful(job, weight, t)
     if settings.noise_given:
         doubtful |= scale > LARGER * noise
-    return _Found(at, t, columns, squares, scale, widened, moved, doubtful)
+    return _Found(at, t, columns, squares, scale, wider, jnp.stack(moved), doubtful)
 
 
-def _is_doubtful(
-    samples: PixelSamples, weight: Array, t: Array, settings: MapSettings
-) -> Array:
+def _chosen(which: Array, new: "_Rounds", old: "_Rounds") -> "_Rounds":
+    """The new where it is wanted: leaves of channels, or of groups of them."""
+    return jax.tree.map(lambda one, other: jnp.where(which, one, other), new, old)
+
+
+def _is_doubtful(job: _Job, weight: Array, t: Array) -> Array:
     """Whether a loss rejects much of what shows a channel's highlight."""
-    lobe, _ = settings.lobes.at(samples.angles, t)
-    height = _shine(samples, lobe) ** 2
-    whole, kept = (jnp.sum(each * height, axis=-1) for each in (samples.weight, weight))
-    return jnp.any(kept < KEPT * whole)
+    height = job.basis.specular(job.settings.lobes, t) ** 2
+    whole, kept = (jnp.sum(w * height, axis=0) for w in (job.share**2, weight))
+    rejects = (kept < KEPT * whole).astype(t.dtype)
+    return in_groups(rejects, job.groups) > 0
 
 
-def _group(samples: PixelSamples) -> Array:
+def _group(job: _Job) -> Array:
     """Samples in groups of which each has a share of every channel's lights."""
-    channels, images = samples.target.shape
-    return (jnp.arange(channels)[:, None] + jnp.arange(images)[None]) % GROUPS
+    images, channels, _ = job.target.shape
+    number = np.arange(channels) + np.arange(images)[:, None]
+    return jnp.asarray(number % GROUPS)[..., None]
 
 
-def _is_better(
-    residual: Array, other: Array, used: Array, noise: Array, settings: MapSettings
-) -> Array:
+def _is_better(job: _Job, residual: Array, other: Array) -> Array:
     """Whether a loss finds less left over, at the smaller of both scales."""
-    scale = noise
-    if not settings.noise_given:
-        scale = jnp.minimum(
-            median_deviation(residual, used), median_deviation(other, used)
-        )
+    scale = job.noise
+    if not job.settings.noise_given:
+        scale = jnp.minimum(job.deviation(residual), job.deviation(other))
 
     def cost(residual: Array) -> Array:
-        return _sum(jnp.where(used, settings.loss.root(residual / scale) ** 2, 0))
+        root = job.settings.loss.root(residual / of_rank(scale, 3))
+        return job.in_groups(jnp.where(job.share > 0, root**2, 0))
 
     return cost(residual) < cost(other)
 
@@ -618,7 +549,8 @@ class _Rounds(NamedTuple):
 
 
 def _before_rounds(at: At, t: Array) -> _Rounds:
-    return _Rounds(at, t, jnp.ones_like(t), jnp.zeros((), bool), jnp.zeros((), int))
+    none = jnp.zeros(t.shape, bool)
+    return _Rounds(at, t, jnp.ones_like(t), none, jnp.zeros(t.shape, int))
 
 
 class _Attempts(NamedTuple):
@@ -630,34 +562,33 @@ class _Attempts(NamedTuple):
 
 
 def _values(found: _Found, known: Known, settings: MapSettings) -> tuple[Array, ...]:
-    """The four parameters of the solution."""
-    point = [number.reshape(3) for number in found.at.point]
-    leaves = []
-    for name in ("ambient", "diffuse"):
-        wanted = name in settings.names
-        at = settings.columns.index(name) if wanted else 0
-        leaves.append(point[at] if wanted else getattr(known, name))
-    leaves.append(point[-1] if settings.shiny else known.specular)
-    exponent = jnp.clip(jnp.exp(found.t), *settings.bound("shininess"))
-    exponent = exponent.reshape(-1)
-    leaves.append(exponent if settings.searched else known.shininess)
-    return tuple(leaves)
+    """The four parameters of the solution, (pixels, channels) each."""
+    shape = found.at.point[-1].shape
+
+    def leaf(name: str) -> Array:
+        if name in settings.columns:
+            return found.at.point[settings.columns.index(name)].T
+        if name == "specular" and settings.shiny:
+            return found.at.point[-1].T
+        return jnp.broadcast_to(getattr(known, name), shape).T
+
+    exponent = jnp.broadcast_to(known.shininess, found.t.shape)
+    if settings.searched:
+        exponent = jnp.clip(jnp.exp(found.t), *settings.bound("shininess"))
+    return leaf("ambient"), leaf("diffuse"), leaf("specular"), exponent.T
 
 
 def _leaves(
-    errors: Errors, identified: Array, dtype: jnp.dtype, settings: MapSettings
+    errors: Errors, identified: Array, settings: MapSettings
 ) -> tuple[Array, Array, Array, Array]:
     """Errors in the order of the parameters: infinite where nothing is identified."""
-    reflectances = errors.reflectances.reshape(3, -1)
-    reflectances = jnp.where(identified, reflectances, jnp.inf)
-    none = jnp.zeros((3,), dtype)
+    reflectances = jnp.where(identified[None, None], errors.reflectances, jnp.inf)
+    none = jnp.zeros_like(reflectances[-1].T)
     leaves = [
-        reflectances[:, settings.columns.index(name)]
-        if name in settings.names
-        else none
+        reflectances[settings.columns.index(name)].T if name in settings.names else none
         for name in ("ambient", "diffuse")
     ]
-    specular = reflectances[:, -1] if settings.shiny else none
-    exponent = jnp.where(identified, errors.exponent, jnp.inf).reshape(-1)
+    specular = reflectances[-1].T if settings.shiny else none
+    exponent = jnp.where(identified[None], errors.exponent, jnp.inf).T
     exponent = exponent if settings.searched else jnp.zeros_like(exponent)
     return leaves[0], leaves[1], specular, exponent

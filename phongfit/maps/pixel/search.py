@@ -1,4 +1,4 @@
-r"""The best exponent of one pixel: a scan over log f, then steps of Newton's kind."""
+r"""The best exponents of pixels: a scan over log f, then steps of Newton's kind."""
 
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
@@ -8,22 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from phongfit.maps.pixel.columns import Columns, Lights
+from phongfit.maps.pixel.columns import Columns
 from phongfit.maps.pixel.exponent import (
     Box,
-    Sums,
     best_reflectances,
     evaluate,
     full_gram,
-    sum_lights,
+    sum_images,
 )
 from phongfit.maps.pixel.lobes import AbstractLobes, Angles
-from phongfit.maps.pixel.small import (
-    Numbers,
-    curvatures,
-    optimization_barrier,
-    over_channels,
-)
+from phongfit.maps.pixel.small import Numbers, curvatures, in_groups, of_rank
 
 # Candidates of a scan are a factor of 2 apart.
 SPACING = np.log(2).item()
@@ -40,7 +34,6 @@ ROUNDED = 500
 SHORTEST = 1e-3
 SETTLED = 0.05
 
-S = TypeVar("S")
 T = TypeVar("T")
 
 
@@ -56,9 +49,9 @@ class Profile(NamedTuple):
     r"""The best reflectances at exponents all over their range.
 
     - `t`: (candidates,) logarithms of the exponents, rising.
-    - `value`: (candidates,) $\phi$ less a constant.
-    - `point`: for each unknown (candidates, channels), the columns' and last that of
-        ρ_s.
+    - `value`: (candidates, groups, pixels) $\phi$ less a constant.
+    - `point`: for each unknown (candidates, channels, pixels), the columns' and last
+        that of ρ_s.
     - `variance`: the same, of noise 1 and for this exponent; no bound holds anything.
     """
 
@@ -69,90 +62,47 @@ class Profile(NamedTuple):
 
 
 def scan_exponents(
-    columns: Columns,
-    lobes: AbstractLobes,
-    angles: Angles,
-    box: Box,
-    count: int,
+    columns: Columns, lobes: AbstractLobes, angles: Angles, box: Box, groups: int
 ) -> Scan:
-    """The best of all candidates.
-
-    **Arguments:** `count`: of candidates: from [`candidates`][].
-    """
-
-    def value(columns: Columns, sums: Sums) -> Array:
-        return best_reflectances(columns, sums, box, FEW_ROUNDS)[0].value
-
-    def candidate(sums: Sums) -> Array:
-        return jnp.sum(over_channels(value, columns, sums))
-
-    sums = _candidate_sums(columns, lobes, angles, box, count)
-    return _lowest(jax.vmap(candidate)(_stacked(sums)), box)
+    """The best of all candidates, (groups, pixels)."""
+    t = jnp.asarray(_candidates(box), columns.rest.dtype)
+    sums = sum_images(columns, lobes, angles, t[:, None, None])
+    value = best_reflectances(columns, sums, box, FEW_ROUNDS).value
+    return _lowest(in_groups(value, groups), box)
 
 
 def survey(
-    columns: Columns,
-    lobes: AbstractLobes,
-    angles: Angles,
-    box: Box,
-    count: int,
+    columns: Columns, lobes: AbstractLobes, angles: Angles, box: Box, groups: int
 ) -> Profile:
     """The best at all candidates, and at the end of the range."""
-
-    def channel(columns: Columns, sums: Sums) -> tuple[Array, Numbers, Numbers]:
-        best, _ = best_reflectances(columns, sums, box, FEW_ROUNDS)
-        variance = tuple(
-            jnp.where(c > 0, 1 / jnp.where(c > 0, c, 1), jnp.inf)
-            for c in curvatures(full_gram(columns, sums))
-        )
-        return best.value, best.point, variance
-
-    def candidate(sums: Sums) -> tuple[Array, Numbers, Numbers]:
-        value, point, variance = over_channels(channel, columns, sums)
-        return jnp.sum(value), point, variance
-
-    sums = _candidate_sums(columns, lobes, angles, box, count)
-    highest = jnp.exp(box.highest)
-    end = _sums_at(columns, *lobes.alone(angles, highest))
-    value, point, variance = jax.vmap(candidate)(_stacked([*sums, end]))
-    steps = jnp.arange(count).astype(highest.dtype)
-    t = jnp.append(box.lowest + SPACING * steps, box.highest)
-    return Profile(t, 2 * value, point, variance)
+    t = jnp.asarray([*_candidates(box), box.highest], columns.rest.dtype)
+    sums = sum_images(columns, lobes, angles, t[:, None, None])
+    best = best_reflectances(columns, sums, box, FEW_ROUNDS)
+    variance = tuple(
+        jnp.where(c > 0, 1 / jnp.where(c > 0, c, 1), jnp.inf)
+        for c in curvatures(full_gram(columns, sums))
+    )
+    return Profile(t, 2 * in_groups(best.value, groups), best.point, variance)
 
 
-def candidates(lowest: float, highest: float) -> int:
-    """How many candidates a scan between two values of log f takes."""
-    return max(int(np.ceil((highest - lowest) / SPACING - 1e-6)), 1)
+def _candidates(box: Box) -> Float[np.ndarray, " candidates"]:
+    """Exponents of a scan: a factor of 2 apart, from the lowest on."""
+    count = max(int(np.ceil((box.highest - box.lowest) / SPACING - 1e-6)), 1)
+    return box.lowest + SPACING * np.arange(count)
 
 
-def _candidate_sums(
-    columns: Columns, lobes: AbstractLobes, angles: Angles, box: Box, count: int
-) -> list[Sums]:
-    """The sums of candidates a factor of 2 apart, from the lowest exponent on."""
-    series = lobes.doubling(angles, jnp.exp(box.lowest), count)
-    return [_sums_at(columns, *one) for one in series]
-
-
-def _sums_at(columns: Columns, height: Array, shape: Lights) -> Sums:
-    """The sums for highlights of a shape, that high."""
-    sums = sum_lights(columns, shape)
-    cross = tuple(height * number for number in sums.cross)
-    return Sums(cross, height**2 * sums.own, height * sums.moment)
-
-
-def _stacked(sums: list[Sums]) -> Sums:
-    return optimization_barrier(jax.tree.map(lambda *leaves: jnp.stack(leaves), *sums))
-
-
-def _lowest(value: Float[Array, " candidates"], box: Box) -> Scan:
+def _lowest(value: Float[Array, "candidates groups pixels"], box: Box) -> Scan:
     """The candidate with the least value, between its neighbours."""
     count = value.shape[0]
-    best = jnp.argmin(value)
+    best = jnp.argmin(value, axis=0)
     t = box.lowest + SPACING * best.astype(value.dtype)
     low = jnp.maximum(t - SPACING, box.lowest)
     high = jnp.where(best == count - 1, box.highest, t + SPACING)
     # The vertex of the parabola through the best and its neighbours.
-    left, here, right = (value[jnp.clip(best + k, 0, count - 1)] for k in (-1, 0, 1))
+    left, here, right = (
+        jnp.take_along_axis(value, jnp.clip(best + k, 0, count - 1)[None], axis=0)[0]
+        for k in (-1, 0, 1)
+    )
     bend = left - 2 * here + right
     inner = (best > 0) & (best < count - 1) & (bend > 0)
     shift = jnp.where(inner, (left - right) / (2 * jnp.where(inner, bend, 1)), 0)
@@ -207,12 +157,12 @@ def refine_exponents(
     columns: Columns,
     lobes: AbstractLobes,
     angles: Angles,
-    start: Float[Array, ""],
-    low: Float[Array, ""],
-    high: Float[Array, ""],
+    start: Float[Array, "groups pixels"],
+    low: Float[Array, "#groups #pixels"],
+    high: Float[Array, "#groups #pixels"],
     box: Box,
     steps: int,
-    bend: Float[Array, ""] | float = 1.0,
+    bend: Float[Array, "#groups #pixels"] | float = 1.0,
     most: Int[Array, ""] | int = 0,
     variance: Callable[[Array], Array] | None = None,
 ) -> Descent:
@@ -278,6 +228,12 @@ def refine_exponents(
     def unfinished(search: _Search) -> Array:
         return (search.done < steps) | (~ended(search) & (search.done < most))
 
+    def go_on(search: _Search) -> _Search:
+        active = unfinished(search)
+        return jax.tree.map(
+            lambda new, old: jnp.where(active, new, old), step(search), search
+        )
+
     infinite = jnp.full_like(start, jnp.inf)
     zero = jnp.zeros_like(start)
     first = _Search(
@@ -291,26 +247,25 @@ def refine_exponents(
         infinite,
         zero + bend,
         infinite,
-        jnp.zeros((), jnp.int32),
+        jnp.zeros(start.shape, jnp.int32),
     )
-    last = jax.lax.while_loop(unfinished, step, first)
+    last = jax.lax.while_loop(lambda s: jnp.any(unfinished(s)), go_on, first)
     # The last step has not been tried: a short one is safe, near the bottom.
     t = jnp.where(jnp.abs(last.step) < 0.1, last.t, last.best)
     return Descent(t, last.value, last.slope, last.curvature, last.bend, ended(last))
 
 
-def where_wanted(
-    wanted: Array, compute: Callable[[S], T], argument: S, otherwise: T
-) -> T:
-    """`compute(argument)` where it is wanted, else `otherwise`.
+def where_wanted(wanted: Array, compute: Callable[[], T], otherwise: T) -> T:
+    """`compute()` where it is wanted, else `otherwise`; not at all if nobody wants it.
 
-    Of a batch nothing is computed if nobody in it wants it: a loop of one round.
+    The last axes of all leaves are those of `wanted`.
     """
 
-    def once(state: tuple[Array, T]) -> tuple[Array, T]:
-        # What does not change in a loop is computed ahead of it, wanted or not: so the
-        # argument is tied to what does.
-        wanted, tied = optimization_barrier((state[0], argument))
-        return jnp.zeros_like(wanted), compute(tied)
+    def some() -> T:
+        return jax.tree.map(
+            lambda new, old: jnp.where(of_rank(wanted, new.ndim), new, old),
+            compute(),
+            otherwise,
+        )
 
-    return jax.lax.while_loop(lambda state: state[0], once, (wanted, otherwise))[1]
+    return jax.lax.cond(jnp.any(wanted), some, lambda: otherwise)

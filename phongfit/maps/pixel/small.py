@@ -5,12 +5,13 @@ vector is a tuple of numbers here and a symmetric matrix a tuple of the rows of 
 lower triangle: batched, each entry is one array with the pixels side by side.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 Numbers: TypeAlias = tuple[Array, ...]
 Triangle: TypeAlias = tuple[Numbers, ...]
@@ -225,13 +226,57 @@ def _better(new: Boxed, old: Boxed) -> Boxed:
     )
 
 
-def over_channels(function: Callable[..., T], *args: Any) -> T:
-    """`function` for each channel, along the first axis of all of `args`.
+def of_rank(values: T, rank: int) -> T:
+    """The same with axes of length 1 before the others."""
 
-    As `vmap` does it, but for a single channel without an axis of length 1, which makes
-    some compilers' sums ten times slower.
+    def spread(one: Array) -> Array:
+        return one.reshape((1,) * (rank - one.ndim) + one.shape)
+
+    return jax.tree.map(spread, values)
+
+
+def no_triangle(nothing: Array, size: int) -> Triangle:
+    """A symmetric matrix of zeros."""
+    return tuple((nothing,) * (i + 1) for i in range(size))
+
+
+def add_products(sums: Triangle, left: Numbers, right: Numbers) -> Triangle:
+    """A symmetric matrix and the products of two vectors."""
+    return tuple(
+        tuple(s + left[i] * right[j] for j, s in enumerate(row))
+        for i, row in enumerate(sums)
+    )
+
+
+def in_groups(
+    values: Float[Array, "*batch channels pixels"], groups: int
+) -> Float[Array, "*batch groups pixels"]:
+    """Summed over the channels that share an exponent: over all, or each alone."""
+    if values.shape[-2] == groups:
+        return values
+    # Row by row: a sum over an axis of three is slow.
+    total = values[..., :1, :]
+    for k in range(1, values.shape[-2]):
+        total = total + values[..., k : k + 1, :]
+    return total
+
+
+def sum_over_images(add: Callable[[T, Any], T], none: T, images: Any) -> T:
+    """What `add` makes of all images, one after another along the first axis.
+
+    In runs, so that rounding grows with their length and their number, and not with
+    the number of images.
+
+    **Arguments:** `add`: from sums and an image to sums; `none`: sums over no image.
     """
-    if jax.tree.leaves(args)[0].shape[0] > 1:
-        return jax.vmap(function)(*args)
-    found = function(*jax.tree.map(lambda leaf: leaf[0], args))
-    return jax.tree.map(lambda leaf: leaf[None], found)
+    count = len(jax.tree.leaves(images)[0])
+    length = max(n for n in range(1, math.isqrt(count) + 1) if count % n == 0)
+
+    def one(k: Array, sums: T) -> T:
+        return add(sums, jax.tree.map(lambda each: each[k], images))
+
+    def run(k: Array, sums: T) -> T:
+        part = jax.lax.fori_loop(k * length, (k + 1) * length, one, none)
+        return jax.tree.map(jnp.add, sums, part)
+
+    return jax.lax.fori_loop(0, count // length, run, none)

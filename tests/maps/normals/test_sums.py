@@ -7,10 +7,11 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.problem.losses import Linear
-from phongfit.maps.normals.lamps import make_lamps
-from phongfit.maps.normals.sums import Samples, gather
+from phongfit.maps.normals.sums import gather
 from phongfit.maps.normals.unknowns import Point, tangents, unknowns_of
+from phongfit.maps.pixel.lamps import make_lamps
 from phongfit.maps.pixel.lighting import make_lighting
+from phongfit.maps.pixel.samples import Samples
 from phongfit.maps.pixel.settings import MapSettings
 from tests.maps.synthetic import DTYPE
 

@@ -9,7 +9,6 @@ from phongfit.maps.pixel.columns import make_columns
 from phongfit.maps.pixel.errors import standard_errors
 from phongfit.maps.pixel.exponent import Box, evaluate
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.small import over_channels
 from tests.helpers import floats
 
 IMAGES, NOISE = 40, 0.01
@@ -20,21 +19,17 @@ EXPONENT, SPECULAR, DIFFUSE = 12.0, 0.3, 0.5
 def errors_at(t, moved):
     """Of one channel, ρ_d, ρ_s and f unknown, without noise in its samples."""
     rng = np.random.default_rng(0)
-    diffuse = floats(rng.random((1, IMAGES)))
-    cosine = (floats(-0.3 * rng.random(IMAGES)),)
-    strength = (floats(np.ones((1, IMAGES))),)
-    lobe = jnp.exp(EXPONENT * cosine[0])[None]
-    target = DIFFUSE * diffuse + SPECULAR * lobe
-    weight = floats(np.ones((1, IMAGES)))
-    columns = over_channels(make_columns, (diffuse,), target, weight, strength)
+    diffuse = floats(rng.random((IMAGES, 1, 1)))
+    angles = floats(-0.3 * rng.random((IMAGES, 1, 1)))
+    one = floats(np.ones((IMAGES, 1, 1)))
+    target = DIFFUSE * diffuse + SPECULAR * jnp.exp(EXPONENT * angles)
+    columns = make_columns((diffuse,), target, one, one[:, None])
     settings = MapSettings(names=("diffuse", "specular", "shininess"))
-    low, high = settings.log_bounds
-    edges = (floats(0.0), floats(0.0)), (floats(1.0), floats(1.0))
-    box = Box(*edges, floats(low), floats(high))
-    at = evaluate(columns, settings.lobes, cosine, t, box)
-    whole = jnp.ones((), bool)
-    noise = floats(NOISE)
-    return standard_errors(at, columns, t, noise, moved, cosine, box, whole, settings)
+    box = Box((0.0, 0.0), (1.0, 1.0), *settings.log_bounds)
+    t, moved = t.reshape(1, 1), moved.reshape(2, 1, 1)
+    at = evaluate(columns, settings.lobes, angles, t, box)
+    whole, noise = jnp.ones((), bool), floats([[NOISE]])
+    return standard_errors(at, columns, t, noise, moved, angles, box, whole, settings)
 
 
 STILL = np.zeros((1, 2))

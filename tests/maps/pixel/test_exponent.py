@@ -6,13 +6,17 @@ import numpy as np
 import pytest
 
 from phongfit.maps.pixel.columns import make_columns
-from phongfit.maps.pixel.exponent import sum_lights, sum_slopes
+from phongfit.maps.pixel.exponent import sum_images, sum_with_slopes
 from phongfit.maps.pixel.lobes import PowerLobes
-from phongfit.maps.pixel.small import over_channels
 from phongfit.reflectance import BlinnPhong
 from tests.helpers import floats
 
 IMAGES = 40
+
+
+def one_pixel(*layers):
+    """Layers whose first axis is the images', as those of a single pixel."""
+    return [floats(layer)[..., None] for layer in layers]
 
 
 @pytest.mark.parametrize("channels", [1, 3])
@@ -23,24 +27,26 @@ def test_sums_of_several_highlights(lights, channels):
     fixed = [rng.random(shape) for _ in range(2)]
     target, weight = rng.random(shape), (rng.random(shape) > 0.2) * 0.7
     strength = [rng.random(shape) for _ in range(lights)]
-    logarithm = [floats(-0.3 * rng.random(IMAGES)) for _ in range(lights)]
-    columns = over_channels(
-        make_columns,
-        tuple(map(floats, fixed)),
-        floats(target),
-        floats(weight),
-        tuple(map(floats, strength)),
+    logarithm = -0.3 * rng.random((IMAGES, lights))
+    *columns, seen, whole = one_pixel(*(x.T for x in (*fixed, target, weight)))
+    (strong,) = one_pixel(np.moveaxis(strength, -1, 0))
+    (angles,) = one_pixel(logarithm)
+    columns = make_columns(tuple(columns), seen, whole, strong)
+    lobes, t = PowerLobes(BlinnPhong()), floats([[np.log(12.0)]])
+    sums, slopes = sum_with_slopes(columns, lobes, angles, t)
+    several = sum_images(
+        columns, lobes, angles, floats([0.0, np.log(12.0)])[:, None, None]
     )
-    lobes = PowerLobes(BlinnPhong())
-    heights, rises = lobes.at(tuple(logarithm), floats(np.log(12.0)))
-    sums = sum_lights(columns, heights)
-    slopes = sum_slopes(columns, heights, rises)
+    for one, other in zip(jax.tree.leaves(several), jax.tree.leaves(sums), strict=True):
+        np.testing.assert_allclose(one[1], other, rtol=1e-5)
+    found = [lobes.at(t)(angles[:, j]) for j in range(lights)]
+    heights, rises = ([np.asarray(one[k])[..., 0] for one in found] for k in (0, 1))
     light, change = (
         np.sum([s * np.asarray(h) for s, h in zip(strength, parts, strict=True)], 0)
         for parts in (heights, rises)
     )
     # The slope is the lobe's derivative in log f.
-    power = 12 * np.asarray(logarithm[0])
+    power = 12 * logarithm[:, 0]
     np.testing.assert_allclose(rises[0], power * np.exp(power), rtol=1e-4, atol=1e-6)
     for c in range(channels):
         root = np.sqrt(weight[c])
@@ -48,7 +54,9 @@ def test_sums_of_several_highlights(lights, channels):
         gram = matrix.T @ matrix
         for i in range(2):
             for j in range(i + 1):
-                assert float(columns.gram[i][j][c]) == pytest.approx(gram[i, j], 1e-4)
+                assert float(columns.gram[i][j][c, 0]) == pytest.approx(
+                    gram[i, j], 1e-4
+                )
         best, *_ = np.linalg.lstsq(matrix, root * target[c])
         rest = root * target[c] - matrix @ best
         expected = {
@@ -61,7 +69,7 @@ def test_sums_of_several_highlights(lights, channels):
             "slope moment": (slopes.moment, rest @ (root * change[c])),
         }
         for name, (found, wanted) in expected.items():
-            value = np.asarray(jnp.stack(jax.tree.leaves(found)))[..., c]
+            value = np.asarray(jnp.stack(jax.tree.leaves(found)))[..., c, 0]
             np.testing.assert_allclose(
                 value, np.ravel(wanted), rtol=1e-3, atol=1e-4, err_msg=name
             )

@@ -1,12 +1,16 @@
 """What arrives at pixels from all lamps, whatever their normals are."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from phongfit.maps.pixel.lighting import Lighting
+from phongfit.vectors import Scalar
+
+T = TypeVar("T")
 
 
 class Lamps(NamedTuple):
@@ -54,6 +58,23 @@ def make_lamps(
         seen = visibility[:, :, None]
         diffuse, specular = diffuse * seen, specular * seen
     return Lamps(light, diffuse, specular, ambient, veil, to_viewer.T)
+
+
+def at_pixels(function: Callable[..., T], *vectors: Float[Array, "3 #pixels"]) -> T:
+    """What a function of one pixel's vectors is at all of them; pixels come last.
+
+    The vectors are handed on as numbers that stand side by side: as rows of an array
+    with an axis of three, compilers take them one by one, at five times the price.
+    """
+    pixels = max(vector.shape[1] for vector in vectors)
+
+    def of_numbers(*numbers: tuple[Scalar, ...]) -> T:
+        return function(*map(jnp.stack, numbers))
+
+    rows = [
+        tuple(jnp.broadcast_to(row, (pixels,)) for row in vector) for vector in vectors
+    ]
+    return jax.vmap(of_numbers, out_axes=-1)(*rows)
 
 
 def grey(lamps: Lamps) -> Lamps:

@@ -1,0 +1,106 @@
+r"""What the light of pixels is made of: $I = \rho_a A + \rho_d D + \rho_s S(f)$."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from phongfit.maps.pixel.lamps import Lamps, at_pixels
+from phongfit.maps.pixel.lighting import Lighting
+from phongfit.maps.pixel.lobes import AbstractLobes, Angles
+from phongfit.maps.pixel.samples import Tile, pixels_last
+from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.small import Numbers, in_groups, optimization_barrier
+from phongfit.reflectance import lambert
+from phongfit.vectors import Scalar, Vec3, dot
+
+
+class Basis(NamedTuple):
+    r"""The basis of pixels. An image of several lights has a highlight for each.
+
+    - `ambient`, `diffuse`: A and D, light for $\rho_a = 1$ and $\rho_d = 1$.
+    - `strength`: of each highlight at its centre, for $\rho_s = 1$.
+    - `angles`: what each highlight's lobe takes: see [`AbstractLobes`][].
+    """
+
+    ambient: Float[Array, "images channels #pixels"]
+    diffuse: Float[Array, "images channels pixels"]
+    strength: Float[Array, "images lobes channels #pixels"]
+    angles: Angles
+
+    def grey(self) -> "Basis":
+        """The sum of the channels, as one."""
+        return Basis(*(in_groups(one, 1) for one in self[:3]), self.angles)
+
+    def specular(
+        self, lobes: AbstractLobes, t: Float[Array, "groups pixels"]
+    ) -> Float[Array, "images channels pixels"]:
+        """S at exponent e^t."""
+        height = lobes.at(t)
+
+        def image(each: tuple) -> Array:
+            strength, angles = each
+            light = jnp.zeros((strength.shape[1], t.shape[1]), t.dtype)
+            for j, one in enumerate(strength):
+                angle = jax.tree.map(lambda a, j=j: a[j][None], angles)
+                light = light + one * height(angle)[0]
+            return light
+
+        return jax.lax.map(image, (self.strength, self.angles))
+
+    def light(
+        self,
+        columns: tuple[str, ...],
+        point: Numbers,
+        lobes: AbstractLobes | None,
+        t: Float[Array, "groups pixels"],
+    ) -> Float[Array, "images channels pixels"]:
+        """Of the reflectances of `columns`, and last ρ_s unless `lobes` is `None`."""
+        light = jnp.zeros_like(self.diffuse)
+        for name, x in zip(columns, point, strict=False):
+            light = light + x[None] * getattr(self, name)
+        if lobes is None:
+            return light
+        return light + point[-1][None] * self.specular(lobes, t)
+
+
+def make_basis(
+    tile: Tile, lighting: Lighting, lamps: Lamps, settings: MapSettings
+) -> tuple[Basis, Float[Array, "images pixels"]]:
+    """The basis of a tile's pixels, and where it is lit.
+
+    That is where a light of an image reaches the surface at a cosine above the
+    settings' least, or where the image shows light from all around alone.
+    """
+    model, lobes = settings.model, settings.lobes
+    normal = optimization_barrier(pixels_last(tile.normal))
+    directed = jnp.asarray(lighting.directed)
+    seen = tile.visibility
+
+    def pixel(normal: Vec3, light: Vec3, viewer: Vec3) -> tuple[Scalar, Scalar, PyTree]:
+        share = model.diffuse_scale() * lambert(normal, light)
+        return share, dot(normal, light), model.cosine(normal, light, viewer)
+
+    def image(each: tuple) -> tuple[Array, PyTree, Array]:
+        lights, intensity, directed, seen = each
+        diffuse = jnp.zeros((intensity.shape[1], normal.shape[1]), normal.dtype)
+        lit = jnp.broadcast_to(~jnp.any(directed), normal.shape[1:])
+        angles = []
+        for j, light in enumerate(lights):
+            share, reached, cosine = at_pixels(pixel, normal, light, lamps.to_viewer)
+            diffuse = diffuse + share[None] * intensity[j]
+            reaches = directed[j] & (reached > settings.min_cosine)
+            lit = lit | (reaches if seen is None else reaches & (seen[j] > 0))
+            angles.append(lobes.angles(cosine))
+        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *angles)
+        # Else it is computed while it is written, which compilers do number by number.
+        return optimization_barrier((diffuse, stacked, lit.astype(normal.dtype)))
+
+    each = lamps.to_light, lamps.diffuse, directed, seen
+    diffuse, angles, lit = jax.lax.map(image, each)
+    around = lighting.around(tile.position, tile.normal)
+    if around is not None:
+        diffuse = diffuse + around
+    basis = Basis(lamps.ambient, diffuse, lamps.specular, angles)
+    return optimization_barrier((basis, lit))
