@@ -31,7 +31,8 @@ class Basis(NamedTuple):
 
     def grey(self) -> "Basis":
         """The sum of the channels, as one."""
-        return Basis(*(in_groups(one, 1) for one in self[:3]), self.angles)
+        ambient, diffuse, strength = (in_groups(one, 1) for one in self[:3])
+        return Basis(ambient, diffuse, strength, self.angles)
 
     def specular(
         self, lobes: AbstractLobes, t: Float[Array, "groups pixels"]

@@ -9,6 +9,7 @@ Pixels are the last axis, so that each sum is a sum of long rows, and images are
 through one by one: what a compiler would compute anew for every sum is computed once.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -92,7 +93,9 @@ def make_columns(
     return optimization_barrier(Columns(gram, start, moments, squares, rest))
 
 
-def pairs(left: Array, right: Array, unequal: float = 1) -> list[Array]:
+def pairs(
+    left: Sequence[Array] | Array, right: Sequence[Array] | Array, unequal: float = 1
+) -> list[Array]:
     """Products of each row with itself, and `unequal` times with those before it."""
     return [
         left[j] * right[k] * (1 if j == k else unequal)

@@ -146,7 +146,8 @@ def sum_with_slopes(
         )
 
     rows = columns.moments.shape[2:]
-    none = (*[jnp.zeros(rows, t.dtype)] * 2, jnp.zeros((3, *rows[1:]), t.dtype))
+    nothing = jnp.zeros(rows, t.dtype)
+    none = nothing, nothing, jnp.zeros((3, *rows[1:]), t.dtype)
     each = angles, columns.moments, columns.squares
     moments, turned, squares = sum_over_images(add, none, each)
     (*cross, moment), (*crossed, slope), (own, mixed, steep) = moments, turned, squares

@@ -5,6 +5,7 @@ one, so that a pixel that fails costs no more than one that does not, and distur
 Where a group of channels shares an exponent, it is all of them or each is one.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -104,7 +105,8 @@ class Outside(NamedTuple):
     noise: Float[Array, ""]
 
 
-class _Job(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class _Job:
     """What pixels measure, and of what.
 
     - `target`: linear light of the unknowns; `share`: as in [`Samples`][].
@@ -354,7 +356,9 @@ def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Array]:
     if settings.scanned and shared:
         level = 3 * noise**2 * jnp.ones_like(t)
         if not settings.noise_given:
-            level = _variance(job._replace(share=job.share[:, :1]), summed, start.value)
+            level = _variance(
+                dataclasses.replace(job, share=job.share[:, :1]), summed, start.value
+            )
         used = (job.share > 0).astype(t.dtype)
         odd = in_groups(jnp.sum(jnp.abs(used - used[:, :1]), axis=0), 1) > 0
         unlike = odd | _coloured(job.basis.strength)[None]
@@ -398,9 +402,8 @@ def _is_vague(found: Descent, variance: Array, box: Box) -> Array:
 
 def _summed(job: _Job) -> Columns:
     """Columns of the channels' sum, as if ρ were grey: enough to start from."""
-    together = job._replace(
-        target=in_groups(job.target, 1), basis=optimization_barrier(job.basis.grey())
-    )
+    target, basis = in_groups(job.target, 1), optimization_barrier(job.basis.grey())
+    together = dataclasses.replace(job, target=target, basis=basis)
     return together.columns(job.share[:, :1] ** 2)
 
 
@@ -561,7 +564,9 @@ class _Attempts(NamedTuple):
     done: Array
 
 
-def _values(found: _Found, known: Known, settings: MapSettings) -> tuple[Array, ...]:
+def _values(
+    found: _Found, known: Known, settings: MapSettings
+) -> tuple[Array, Array, Array, Array]:
     """The four parameters of the solution, (pixels, channels) each."""
     shape = found.at.point[-1].shape
 

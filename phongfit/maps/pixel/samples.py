@@ -17,7 +17,7 @@ class Tile(NamedTuple):
 
     - `target`: (images, pixels, 3), in the order of the lighting's rows.
     - `used`: the same or (1, pixels, 3) or (1, pixels, 1): which samples count, or how
-        much: see [`PixelSamples`][].
+        much: 1, or the inverse of the sample's noise; 0 where it is left out.
     - `normal`: (pixels, 3).
     - `position`, `to_viewer`: (pixels, 3), or (1, 3) where they are the same for all.
     - `visibility`: (images, lobes, pixels), or `None` without shadows.

@@ -29,7 +29,7 @@ def test_sums_of_several_highlights(lights, channels):
     strength = [rng.random(shape) for _ in range(lights)]
     logarithm = -0.3 * rng.random((IMAGES, lights))
     *columns, seen, whole = one_pixel(*(x.T for x in (*fixed, target, weight)))
-    (strong,) = one_pixel(np.moveaxis(strength, -1, 0))
+    (strong,) = one_pixel(np.moveaxis(np.array(strength), -1, 0))
     (angles,) = one_pixel(logarithm)
     columns = make_columns(tuple(columns), seen, whole, strong)
     lobes, t = PowerLobes(BlinnPhong()), floats([[np.log(12.0)]])
