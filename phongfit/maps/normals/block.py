@@ -5,7 +5,7 @@ from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from phongfit.maps.normals.errors import Profile, standard_errors
 from phongfit.maps.normals.scale import weighed_scale
@@ -64,7 +64,7 @@ def fit_block(tile: Tile, outside: Outside, settings: MapSettings) -> NormalFit:
 
 def samples_of(
     tile: Tile, outside: Outside, settings: MapSettings
-) -> tuple[Samples, Bool[Array, "images channels pixels"]]:
+) -> tuple[Samples, Float[Array, "images channels pixels"]]:
     """What pixels measure, and which of their samples are no numbers."""
     samples, lost = measured(tile, outside.lighting, settings)
     if tile.visibility is not None:

@@ -22,8 +22,8 @@ DARK = -1e30
 Angles: TypeAlias = PyTree[Float[Array, "images lobes pixels"]]
 """What lobes take of the geometry, for each light of an image, most often one."""
 
-Angle: TypeAlias = PyTree[Float[Array, " pixels"]]
-"""What the lobe of one light takes of the geometry."""
+Angle: TypeAlias = PyTree[Float[Array, "..."]]
+"""What the lobe of one light takes of the geometry: as many axes as t has."""
 
 Heights: TypeAlias = Callable[[Angle], tuple[Array, Array]]
 """From a light's angles to its lobe's heights, and to their slopes in log f."""
