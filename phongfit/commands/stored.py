@@ -9,6 +9,7 @@ import numpy as np
 from phongfit.commands.data import DataOptions
 from phongfit.commands.keeping import keeping
 from phongfit.commands.progress import stage
+from phongfit.edge import shown
 from phongfit.files.budget import afford
 from phongfit.files.capture_data import (
     calibration_of,
@@ -26,6 +27,7 @@ from phongfit.files.scenes import SCENE_FILE, load_views
 from phongfit.files.seen import SOUGHT, seen_in
 from phongfit.files.zarrs import (
     address,
+    attributes,
     erase,
     fingerprint,
     is_remote,
@@ -139,7 +141,7 @@ def _erase(output: str) -> None:
     """
     if not is_remote(output) and not Path(output).exists():
         return
-    if dict(open_group(output, "a").attrs).get("format") != STORE_FORMAT:
+    if attributes(open_group(output, "a")).get("format") != STORE_FORMAT:
         raise OSError(f"{output}: is not replaced, since it holds no maps")
     erase(output)
 
@@ -207,7 +209,11 @@ def _captured(
             )
         listed = read_lp(found)
         known = [*listed.names]
-    told: Any = stack.array.attrs.get("names", known)
+    told: Any = attributes(stack.array).get("names", known)
+    if not isinstance(told, list):
+        raise ValueError(
+            f"{address(options.dataset)}: names: expected a list, got {shown(told)}"
+        )
     names = [base_name(str(name)) for name in told]
     if len(names) != count:
         raise ValueError(

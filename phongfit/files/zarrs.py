@@ -192,7 +192,9 @@ def read_window(
 
     **Raises:** `OSError` or `ValueError` that names the store.
     """
+    count = math.prod((*array.shape[:first], *size, *array.shape[first + 2 :]))
     with _blaming(place_of(array), "read"):
+        afford(count * array.dtype.itemsize, f"{size[0]} × {size[1]} pixels")
         part = np.asarray(array[(*[slice(None)] * first, *window)])
     rows, columns = part.shape[first : first + 2]
     if (rows, columns) == size:
@@ -252,9 +254,34 @@ def writable(group: "Group", name: str) -> "Array":
 
     **Raises:** `ValueError` that names the store, if it has no such array.
     """
+    import zarr
+
     with _blaming(str(group.store_path), "read"):
         found: Any = group[name]
+        if not isinstance(found, zarr.Array):
+            raise ValueError(f"expected an array {name}, got a group")
     return found.with_config({"write_empty_chunks": True})
+
+
+def holds(
+    group: "Group", name: str, shape: Sequence[int], dtype: Any, chunks: Sequence[int]
+) -> bool:
+    """Whether a group has such an array, which can be read."""
+    try:
+        found = writable(group, name)
+    except ValueError:
+        return False
+    made = found.shape, found.chunks, found.dtype
+    return made == (tuple(shape), tuple(chunks), np.dtype(dtype))
+
+
+def attributes(node: "Array | Group") -> dict[str, Any]:
+    """Attributes of an array or a group.
+
+    **Raises:** `ValueError` that names the store, if they cannot be read.
+    """
+    with _blaming(str(node.store_path), "read"):
+        return dict(node.attrs)
 
 
 def write_attributes(group: "Group", values: dict[str, Any]) -> None:

@@ -25,7 +25,9 @@ import numpy as np
 from phongfit.files.encodings import describe_encoding
 from phongfit.files.zarrs import (
     Window,
+    attributes,
     fingerprint,
+    holds,
     keep_array,
     make_array,
     open_array,
@@ -423,7 +425,7 @@ def _open_output(output: str, job: dict[str, str]) -> "Group":
     **Raises:** `ValueError` if it is another's.
     """
     group = open_group(output, "a")
-    held = dict(group.attrs)
+    held = attributes(group)
     if held.get("format") == STORE_FORMAT:
         check_job(output, held.get("job"), job)
     elif held:
@@ -434,7 +436,7 @@ def _open_output(output: str, job: dict[str, str]) -> "Group":
 def _make_arrays(
     group: "Group", plan: Plan, settings: MapSettings, varies: bool
 ) -> None:
-    """The arrays that are not there yet; finished blocks stay."""
+    """The arrays that are not there yet, or not as they should be."""
     floats, inf, nan = plan.head["precision"], float("inf"), float("nan")
     wanted: dict[str, tuple[tuple[int, ...], str, Any]] = {}
     for name in MAP_PARAMETERS:
@@ -455,13 +457,13 @@ def _make_arrays(
     plan.head["arrays"].extend(wanted)
     write_attributes(group, plan.head)
     for name, (channels, dtype, fill) in wanted.items():
-        if name not in group:
-            shape, chunks = ((*side, *channels) for side in (plan.size, plan.block))
+        shape, chunks = ((*side, *channels) for side in (plan.size, plan.block))
+        if not holds(group, name, shape, dtype, chunks):
             make_array(group, name, shape, dtype, chunks, fill)
-    if LEDGER not in group:
-        shape = (*plan.grid, DIGEST)
+    shape, chunks = (*plan.grid, DIGEST), (1, 1, DIGEST)
+    if not holds(group, LEDGER, shape, "uint8", chunks):
         # As it stands, so that one that was cut off cannot be read.
-        make_array(group, LEDGER, shape, "uint8", (1, 1, DIGEST), compressed=False)
+        make_array(group, LEDGER, shape, "uint8", chunks, compressed=False)
 
 
 def block_size(stack: ZarrStack, wanted: tuple[int, int] | None) -> tuple[int, int]:

@@ -22,6 +22,7 @@ from phongfit.files.photographs import open_photographs
 from phongfit.files.zarrs import (
     Window,
     address,
+    attributes,
     find_images,
     fingerprint,
     is_store,
@@ -286,7 +287,7 @@ class ZarrStack(AbstractStack):
         says that zarr is not installed: `pip install 'phongfit[cluster]'`.
         """
         self.array = find_images(path)
-        told = self.array.attrs.get("encoding", "linear")
+        told = attributes(self.array).get("encoding", "linear")
         with naming(address(path)):
             self.encoding: Encoding = as_encoding(
                 told if encoding is None else encoding

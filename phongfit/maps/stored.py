@@ -2,18 +2,21 @@
 
 import dataclasses
 import json
+import math
 import os
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from phongfit.edge import checked
 from phongfit.files.budget import afford
 from phongfit.files.inputs import naming
-from phongfit.files.records import parse_record
-from phongfit.files.zarrs import address, open_group, read_window, writable
+from phongfit.files.records import AbstractRecord, parse_record, validated
+from phongfit.files.zarrs import address, attributes, open_group, read_window, writable
 from phongfit.geometry.cameras import WindowCamera
+from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.result import (
     MAPS_VERSION,
     Maps,
@@ -25,13 +28,38 @@ from phongfit.maps.result import (
 STORE_FORMAT = "phongfit maps"
 STORE_VERSION = 1
 
+Count = Annotated[int, Field(ge=1)]
+
+
+class StoreRecord(AbstractRecord):
+    """What a store says of the maps in it; `counts` once they are complete."""
+
+    format: Literal["phongfit maps"]
+    version: Literal[1]
+    job: dict[str, str]
+    size: Annotated[list[Count], Field(min_length=2, max_length=2)]
+    unknowns: list[str]
+    noise_given: float | None
+    view: ViewRecord
+    precision: Literal["float32", "float64"]
+    arrays: list[str]
+    counts: dict[str, Annotated[int, Field(ge=0)]] | None = None
+
+    @model_validator(mode="after")
+    def _all_counted(self) -> "StoreRecord":
+        named = {"fitted", "identified", *(str(flag.name).lower() for flag in Flag)}
+        if self.counts is not None and not named <= self.counts.keys():
+            lacking = ", ".join(sorted(named - self.counts.keys()))
+            raise ValueError(f"counts: expected those of {lacking}, too")
+        return self
+
 
 def maps_of(arrays: Mapping[str, np.ndarray], head: Mapping[str, Any]) -> Maps:
     """Maps of arrays by their names in a store, without the camera.
 
     **Arguments:** `head`: the store's attributes.
 
-    **Raises:** `KeyError` for an array that is missing, `ValueError` for a wrong one.
+    **Raises:** `ValueError` for an array that is missing or wrong.
     """
     given = head["noise_given"]
     more = {
@@ -40,7 +68,10 @@ def maps_of(arrays: Mapping[str, np.ndarray], head: Mapping[str, Any]) -> Maps:
         "noise_given": np.array(np.nan if given is None else given),
         "view": np.array(json.dumps(head["view"] | {"camera": None})),
     }
-    return checked_maps(more | dict(arrays))
+    try:
+        return checked_maps(more | dict(arrays))
+    except KeyError as error:
+        raise ValueError(f"has no array {error}") from error
 
 
 class StoredMaps:
@@ -59,14 +90,14 @@ class StoredMaps:
         """
         self.path = address(path)
         self._group = open_group(path)
-        head = dict(self._group.attrs)
+        head = attributes(self._group)
         with naming(self.path):
             if (head.get("format"), head.get("version")) != (
                 STORE_FORMAT,
                 STORE_VERSION,
             ):
                 raise ValueError("expected a store of maps, got something else")
-            if "counts" not in head:
+            if validated(head, StoreRecord).counts is None:
                 raise ValueError(
                     "the maps are not complete; the run that was interrupted goes on "
                     "when it is started again"
@@ -102,7 +133,7 @@ class StoredMaps:
         window = slice(down.start, down.stop), slice(along.start, along.stop)
         found = [writable(self._group, name) for name in self._head["arrays"]]
         size = len(down), len(along)
-        pixel = sum(a.dtype.itemsize * int(np.prod(a.shape[2:])) for a in found)
+        pixel = sum(a.dtype.itemsize * math.prod(a.shape[2:]) for a in found)
         with naming(self.path):
             afford(pixel * size[0] * size[1], f"maps of {size[0]} × {size[1]} pixels")
             arrays = {a.basename: read_window(a, window, size) for a in found}

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -39,7 +40,7 @@ def test_kinds_of_light():
     near(angles(point.position), (20, -40, 4), 1e-5)
     # At the origin it is as strong as it says, and falls off by half from there.
     near(point.attenuation, (0.5, 0, 0.5 / 16))
-    near(point.illuminate(np.zeros(3)).intensity, np.ones(3), 1e-6)
+    near(point.illuminate(jnp.zeros(3)).intensity, np.ones(3), 1e-6)
     (spot,) = make_lights(Settings(light="spot", cutoff=9.0, exponent=3.0, **place))
     assert isinstance(spot, pf.SpotLight)
     near(spot.position, -4 * spot.axis, 1e-5)
