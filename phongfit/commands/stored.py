@@ -33,13 +33,14 @@ from phongfit.files.zarrs import (
     is_remote,
     is_store,
     open_group,
+    store_of,
 )
 from phongfit.geometry.cameras import OrthographicCamera
 from phongfit.geometry.surfaces import NormalMap
 from phongfit.maps.cluster import dashboard, dask_client, fit_stored_maps
 from phongfit.maps.folder import RECORD_FILE
 from phongfit.maps.stacks import ZarrStack
-from phongfit.maps.stored import STORE_FORMAT, StoredMaps
+from phongfit.maps.stored import STORE_FORMAT, StoredMaps, check_place
 from phongfit.plain import readable
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
@@ -87,7 +88,7 @@ def main(options: "Options") -> int:
     out = options.out
     if is_store(out):
         if options.overwrite:
-            _erase(address(out))
+            _erase(address(out), store_of(read.stack.array))
         print(_fit(options, read, given, address(out)), flush=True)
         return 0
     _, height, width = read.stack.shape
@@ -134,14 +135,16 @@ def _fit(
             raise
 
 
-def _erase(output: str) -> None:
+def _erase(output: str, images: str) -> None:
     """Make room for other maps, where there are older ones; nothing else is touched.
 
     **Raises:** `OSError` that names what is no store of maps.
     """
-    if not is_remote(output) and not Path(output).exists():
-        return
-    if attributes(open_group(output, "a")).get("format") != STORE_FORMAT:
+    if not is_remote(output):
+        check_place(output, images)
+        if not Path(output).exists() or not any(Path(output).iterdir()):
+            return
+    if attributes(open_group(output)).get("format") != STORE_FORMAT:
         raise OSError(f"{output}: is not replaced, since it holds no maps")
     erase(output)
 

@@ -158,6 +158,14 @@ def place_of(array: "Array") -> str:
     )
 
 
+def store_of(array: "Array") -> str:
+    """The path or URL of the store that an array is in, whole.
+
+    **Raises:** as [`place_of`][] does.
+    """
+    return place_of(array).removesuffix(array.path).rstrip("/")
+
+
 def fingerprint(array: "Array") -> str:
     """Of an array, by the names, sizes and times or tags of its chunks.
 

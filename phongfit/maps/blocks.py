@@ -55,15 +55,19 @@ from phongfit.maps.result import view_of
 from phongfit.maps.run import as_mesh, fit_job, side_by_side, tile_size, versions
 from phongfit.maps.stacks import ArrayStack, ZarrStack
 from phongfit.maps.store import check_job
-from phongfit.maps.stored import STORE_FORMAT, STORE_VERSION, maps_of
+from phongfit.maps.stored import (
+    GIVEN,
+    LEDGER,
+    PLAN,
+    STORE_FORMAT,
+    STORE_VERSION,
+    maps_of,
+)
 from phongfit.rendering.film import Encoding
 from phongfit.scene import Scene
 
 if TYPE_CHECKING:
     from phongfit.files.zarrs import Array, Group
-
-LEDGER, GIVEN, PLAN = "ledger", "given", "plan"
-"""In the output's store: checksums of blocks; arrays that were given; the plan."""
 
 BLOCK_BYTES = 2**26
 """How much light a block holds unless told otherwise."""

@@ -21,12 +21,13 @@ from phongfit.files.zarrs import (
     is_remote,
     open_group,
     require,
+    store_of,
     write_attributes,
 )
 from phongfit.maps.blocks import Counts, Place, fit_block, make_place
 from phongfit.maps.run import bar
 from phongfit.maps.stacks import ZarrStack
-from phongfit.maps.stored import StoredMaps
+from phongfit.maps.stored import StoredMaps, check_place
 from phongfit.scene import Scene
 
 if TYPE_CHECKING:
@@ -100,6 +101,7 @@ def fit_stored_maps(
     with contextlib.ExitStack() as alone:
         if not is_remote(output):
             output = os.path.abspath(output)
+            check_place(output, store_of(stack.array))
             Path(output).mkdir(parents=True, exist_ok=True)
             alone.enter_context(alone_in(Path(output)))
         threads = None if client is None else 1

@@ -5,6 +5,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -13,10 +14,12 @@ from pydantic import Field, model_validator
 from phongfit.edge import checked
 from phongfit.files.budget import afford
 from phongfit.files.inputs import naming
+from phongfit.files.outputs import WORK
 from phongfit.files.records import AbstractRecord, parse_record, validated
 from phongfit.files.zarrs import address, attributes, open_group, read_window, writable
 from phongfit.geometry.cameras import WindowCamera
 from phongfit.maps.pixel.flags import Flag
+from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.result import (
     MAPS_VERSION,
     Maps,
@@ -27,6 +30,17 @@ from phongfit.maps.result import (
 
 STORE_FORMAT = "phongfit maps"
 STORE_VERSION = 1
+
+LEDGER, GIVEN, PLAN = "ledger", "given", "plan"
+"""In the output's store: checksums of blocks; arrays that were given; the plan."""
+
+OWN = {
+    *MAP_PARAMETERS,
+    *(f"stderr_{name}" for name in MAP_PARAMETERS),
+    *("noise", "samples", "flags", "normals", "normals_stderr", "depth", "noise_given"),
+    *(LEDGER, GIVEN, PLAN, WORK, "zarr.json"),
+}
+"""All that a run puts into a store on a disk."""
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -52,6 +66,23 @@ class StoreRecord(AbstractRecord):
             lacking = ", ".join(sorted(named - self.counts.keys()))
             raise ValueError(f"counts: expected those of {lacking}, too")
         return self
+
+
+def check_place(output: str | os.PathLike[str], images: str) -> None:
+    """May maps go to a path on a disk? Asked before anything is written there.
+
+    **Arguments:** `images`: the store that they are made of: its path or URL.
+
+    **Raises:** `OSError` if the images are there, or what is no part of such a store.
+    """
+    place, source = Path(output).resolve(), Path(images).resolve()
+    if place.is_relative_to(source) or source.is_relative_to(place):
+        raise OSError(f"{output}: the images are there, expected another place")
+    if not place.is_dir():
+        return
+    for name in sorted(entry.name for entry in place.iterdir()):
+        if name not in OWN:
+            raise OSError(f"{output}: is not replaced, since it holds {name}")
 
 
 def maps_of(arrays: Mapping[str, np.ndarray], head: Mapping[str, Any]) -> Maps:

@@ -99,3 +99,37 @@ def test_stores_and_folders_are_not_mixed_up(brass, stored, tmp_path, capsys):
     # What holds no maps is not replaced.
     shutil.copytree(stored, out)
     assert main(["maps", str(stored), "-o", out, "--overwrite", "--scene", "x"]) == 2
+
+
+def _files(folder):
+    """All that is in a folder, as it is."""
+    found = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder): path.read_bytes() for path in found}
+
+
+def test_what_is_not_of_maps_stays(stored, tmp_path, capsys):
+    """Before anything is put among it, or into the images."""
+    out = tmp_path / "maps.zarr"
+    out.mkdir()
+    (out / "letter.txt").write_text("mine")
+    for more in [], ["--overwrite"]:
+        assert main(["maps", str(stored), "-o", str(out), *FEW, *more]) == 2
+        assert "is not replaced, since it holds letter.txt" in capsys.readouterr().err
+        assert _files(out).keys() == {(out / "letter.txt").relative_to(out)}
+    (out / "letter.txt").unlink()
+    assert main(["maps", str(stored), "-o", str(out), *FEW, "--overwrite"]) == 0
+    # What came among older maps.
+    (out / "letter.txt").write_text("mine")
+    before = _files(out)
+    assert main(["maps", str(stored), "-o", str(out), *FEW, "--overwrite"]) == 2
+    assert _files(out) == before
+
+
+@pytest.mark.parametrize("place", ["", "maps.zarr", "c/maps.zarr", "../linked.zarr"])
+def test_images_are_no_place_for_maps(stored, capsys, place):
+    (stored.parent / "linked.zarr").symlink_to(stored)
+    before, out = _files(stored), str(stored / place)
+    for more in [], ["--overwrite"]:
+        assert main(["maps", str(stored), "-o", out, *FEW, *more]) == 2
+        assert "the images are there" in capsys.readouterr().err
+        assert _files(stored) == before
