@@ -35,7 +35,7 @@ class Basis(NamedTuple):
         return Basis(ambient, diffuse, strength, self.angles)
 
     def specular(
-        self, lobes: AbstractLobes, t: Float[Array, "groups pixels"]
+        self, lobes: AbstractLobes, t: Float[Array, "groups #pixels"]
     ) -> Float[Array, "images channels pixels"]:
         """S at exponent e^t."""
         height = lobes.at(t)
