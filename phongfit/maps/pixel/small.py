@@ -5,7 +5,6 @@ vector is a tuple of numbers here and a symmetric matrix a tuple of the rows of 
 lower triangle: batched, each entry is one array with the pixels side by side.
 """
 
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
@@ -18,6 +17,9 @@ Triangle: TypeAlias = tuple[Numbers, ...]
 
 
 T = TypeVar("T")
+
+# Images of a run.
+RUN = 8
 
 
 def optimization_barrier(values: T) -> T:
@@ -264,19 +266,18 @@ def in_groups(
 def sum_over_images(add: Callable[[T, Any], T], none: T, images: Any) -> T:
     """What `add` makes of all images, one after another along the first axis.
 
-    In runs, so that rounding grows with their length and their number, and not with
-    the number of images.
+    In runs of a few, which compilers work out at once: sums are read and written once a
+    run, and rounding grows with the number of runs, not of images.
 
     **Arguments:** `add`: from sums and an image to sums; `none`: sums over no image.
     """
-    count = len(jax.tree.leaves(images)[0])
-    length = max(n for n in range(1, math.isqrt(count) + 1) if count % n == 0)
 
-    def one(k: Array, sums: T) -> T:
-        return add(sums, jax.tree.map(lambda each: each[k], images))
-
-    def run(k: Array, sums: T) -> T:
-        part = jax.lax.fori_loop(k * length, (k + 1) * length, one, none)
+    def run(start: Array | int, length: int, sums: T) -> T:
+        part = none
+        for k in range(length):
+            part = add(part, jax.tree.map(lambda each, k=k: each[start + k], images))
         return jax.tree.map(jnp.add, sums, part)
 
-    return jax.lax.fori_loop(0, count // length, run, none)
+    runs, rest = divmod(len(jax.tree.leaves(images)[0]), RUN)
+    sums = jax.lax.fori_loop(0, runs, lambda k, sums: run(k * RUN, RUN, sums), none)
+    return run(runs * RUN, rest, sums) if rest else sums

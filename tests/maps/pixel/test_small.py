@@ -13,6 +13,7 @@ from phongfit.maps.pixel.small import (
     factorize,
     minimize_in_box,
     solve,
+    sum_over_images,
     times,
 )
 from tests.helpers import floats
@@ -101,3 +102,18 @@ def test_a_minimum_does_not_depend_on_its_neighbours():
         apart = solve_all(*some)
         for a, b in zip(jax.tree.leaves(apart), jax.tree.leaves(together), strict=True):
             np.testing.assert_array_equal(a, b[start : start + 50])
+
+
+@pytest.mark.parametrize("count", [1, 7, 8, 13, 16, 97])
+def test_sums_over_images_hold_each_once(count):
+    rng = np.random.default_rng(0)
+    images = floats(rng.normal(size=(count, 3))), floats(rng.normal(size=(count, 1)))
+
+    def add(sums, image):
+        return sums[0] + image[0] * image[1], sums[1] + 1
+
+    products, seen = sum_over_images(add, (jnp.zeros(3), jnp.zeros(())), images)
+    np.testing.assert_allclose(
+        products, np.asarray(images[0] * images[1]).sum(0), atol=1e-4
+    )
+    assert seen == count
