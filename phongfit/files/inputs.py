@@ -3,6 +3,7 @@
 import contextlib
 import contextvars
 import hashlib
+import re
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
@@ -155,7 +156,9 @@ def naming(prefix: str) -> Iterator[None]:
 
 def reason(error: Exception) -> str:
     """What a library says of a broken file, on one line that can be read."""
-    return shortened(" ".join(str(error).split())) or type(error).__name__
+    # Whose memory it is says nothing to a reader, and is other each time.
+    text = re.sub(r" ?<[^<>]* at 0x[0-9a-f]+>", "", str(error))
+    return shortened(" ".join(text.split())) or type(error).__name__
 
 
 def shortened(text: str) -> str:

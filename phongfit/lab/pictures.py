@@ -23,7 +23,7 @@ def png(light: Any, brighten: float = 1.0) -> bytes:
     return encode_png(to_levels(brighten * np.asarray(light), "srgb", 8))
 
 
-def brightening(image: Float[np.ndarray, "height width 3"]) -> float:
+def brightening(image: Float[np.ndarray, "*pixels 3"]) -> float:
     """The factor that makes a dark photograph visible; never below 1."""
     bright = float(np.quantile(image.max(axis=-1), 0.99))
     return float(np.clip(SHOWN / max(bright, 1e-9), 1, MOST_BRIGHTENED))

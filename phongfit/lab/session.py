@@ -53,7 +53,8 @@ class Target:
     """An image to be fitted, in linear light.
 
     `shrunk` and `brighten`: how many times a photograph was shrunk, and is brightened
-    where it is shown. `truth`: the settings that it was made of, if it was.
+    where it is shown, as is what stands beside it, to be compared. `truth`: the
+    settings that it was made of, if it was.
     """
 
     image: Float[np.ndarray, "height width 3"]
@@ -162,7 +163,10 @@ class Session:
             "centre_y": 50 * (top + bottom) / height,
             "radius": 25 * (bottom - top + right - left) / height,
         }
-        return self._keep(dataclasses.replace(target, mask=mask)) | circle
+        masked = dataclasses.replace(
+            target, mask=mask, brighten=brightening(target.image[mask])
+        )
+        return self._keep(masked) | circle
 
     def make_target(self, request: TargetRequest) -> dict[str, Any]:
         """A target of the present settings: noise is added, then it is clamped."""

@@ -34,6 +34,17 @@ _UNITS = {
     "density": "per world unit",
     "attenuation": "per world unit and its square",
 }
+# What a model's switches mean, off and on.
+_SWITCHES = {
+    "gate": (
+        "a highlight even where the light is behind",
+        "no highlight where the light is behind",
+    ),
+    "normalized": (
+        "highlights equally high for all exponents",
+        "highlights of about equal energy for all exponents",
+    ),
+}
 _REFLECTANCE, _LENGTH = "reflectance, 0 … 1", "world units"
 
 
@@ -159,11 +170,12 @@ def settings(module: Any) -> str:
     words = []
     for name, value in vars(module).items():
         if isinstance(value, bool):
-            words.append(f"{name}: {'yes' if value else 'no'}")
+            off, on = _SWITCHES.get(name, (f"{name}: no", f"{name}: yes"))
+            words.append(on if value else off)
         elif value is not None and np.ndim(value) == 0:
             words.append(f"{name}: {float(value):.4g}")
     kind = type(module).__name__
-    return f"{kind} ({', '.join(words)})" if words else kind
+    return f"{kind} ({'; '.join(words)})" if words else kind
 
 
 def bounds_words(fit: Fit) -> str:

@@ -237,6 +237,7 @@ def _check_one_line(path, message, capfd) -> None:
         read_image(path, "linear")
     text = str(caught.value)
     assert text.startswith(str(path)) and said(message, text) and "\n" not in text
+    assert " at 0x" not in text
     # Libraries must not talk to the user past us.
     assert capfd.readouterr() == ("", "")
 

@@ -1,5 +1,6 @@
 """The page, as a user moves it: headless Chromium by Playwright."""
 
+import re
 import statistics
 from pathlib import Path
 
@@ -201,8 +202,10 @@ def test_the_outline_lies_over_the_photograph(page, tmp_path):
     page.select_option("#encoding", "srgb")
     page.set_input_files("#photograph", tmp_path / "dark.png")
     try:
-        for figure, words in (("#target-figure", "brighter"), ("#picture", ", too")):
-            page.locator(f"{figure} figcaption", has_text=words).wait_for()
+        page.locator("#target-figure figcaption", has_text="brighter").wait_for()
+        for figure in ("#picture", "#fitted-figure"):
+            words = page.locator(f"{figure} .brightened").text_content()
+            assert re.fullmatch(r"shown [\d.]+ × brighter, like the target", words)
         page.locator("#outline path[d^=M]").wait_for(state="attached")
         _move(page, "radius", 20)
         _settle(page)

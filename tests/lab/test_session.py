@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 import phongfit as pf
-from phongfit.lab.pictures import outline_path
+from phongfit.lab.pictures import MOST_BRIGHTENED, outline_path
 from phongfit.lab.responses import differences
 from phongfit.lab.session import Session
 from phongfit.lab.settings import (
@@ -19,6 +19,7 @@ from phongfit.lab.settings import (
     Settings,
     TargetRequest,
 )
+from phongfit.rendering.film import decode
 from tests.lab.conftest import SIZE
 
 pytestmark = pytest.mark.float64
@@ -178,6 +179,32 @@ def test_a_photograph_and_its_mask(session):
         session.add_mask(loaded["target"], "small.png", _png(mask[:4, :4]))
     with pytest.raises(ValueError, match="empty.png: it leaves no pixel"):
         session.add_mask(loaded["target"], "empty.png", _png(0 * mask))
+
+
+def test_a_dark_photograph_and_what_stands_beside_it_are_brightened_alike(session):
+    dim, none = (0.1, 0.1, 0.1), (0.0, 0.0, 0.0)
+    settings = Settings(ambient=none, diffuse=dim, specular=none)
+    dark, bright = (
+        session.add_photograph("a.png", _png(k * _dark((48, 48))), "linear")
+        for k in (1, 4)
+    )
+    assert (dark["brighten"], bright["brighten"]) == (pytest.approx(4), 1)
+    shown, plain = (
+        np.asarray(decode(_picture(session, settings, one["target"]) / 255, "srgb"))
+        for one in (dark, bright)
+    )
+    assert 0.05 < plain.max() < 0.2
+    np.testing.assert_allclose(shown, 4 * plain, atol=0.02)
+
+
+def test_a_mask_says_what_is_to_be_seen(session):
+    image = np.zeros((40, 60, 3), np.uint8)
+    image[10:13, 20:24] = 204
+    mask = np.where(image[..., 0], 1, 0).astype(np.uint8)
+    loaded = session.add_photograph("small.png", _png(image), "linear")
+    assert loaded["brighten"] == MOST_BRIGHTENED
+    masked = session.add_mask(loaded["target"], "mask.png", _png(mask))
+    assert masked["brighten"] == 1
 
 
 def test_an_outline_that_the_frame_cuts_off():

@@ -65,7 +65,11 @@ def test_every_number_is_there(whole, one):
     assert f"shininess {value:.1f}" in text or f"{value:.2f} ± {error:.2g}" in text
     assert "The data identify everything that was asked." in text
     assert "converged" in text and "NOT" not in text
-    for assumption in ("BlinnPhong (gate: yes", "clamped, not rounded", "optimistix "):
+    for assumption in (
+        "BlinnPhong (no highlight where the light is behind; ",
+        "clamped, not rounded",
+        "optimistix ",
+    ):
         assert assumption in text
     assert "phongfit fit ball" in text and "fit = pf.fit( scene, image, )" in text
     assert "In Python, with the same scene and image:" in text

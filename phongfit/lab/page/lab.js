@@ -125,7 +125,9 @@ async function setTarget(made, words) {
   $("#fit").disabled = made === null;
   $("#state").textContent = made === null ? "Make or load a target first." : "";
   const brighter = brighterOf(made ?? { brighten: 1 });
-  $("#brightened").textContent = brighter && `${brighter}, too`;
+  for (const span of document.querySelectorAll(".brightened")) {
+    span.textContent = brighter && `${brighter}, like the target`;
+  }
   if (made !== null) {
     $("#target-figure figcaption span").textContent = words;
     $("#outline").setAttribute("viewBox", `0 0 ${made.width} ${made.height}`);
@@ -142,7 +144,7 @@ function wordsOf(photograph) {
   return words.join(", ");
 }
 
-// Beside the target the sliders' picture is shown as much brighter as the target is.
+// What stands beside the target is shown as much brighter as the target is, to be compared.
 function brighterOf({ brighten }) {
   return brighten > 1 ? `shown ${brighten.toFixed(1)} × brighter` : "";
 }
