@@ -22,6 +22,7 @@ by way of files 1.002, 1.6 errors, 1.021.
 
 import dataclasses
 import json
+import resource
 import sys
 import time
 from dataclasses import dataclass
@@ -37,19 +38,20 @@ from phongfit.cli import main as phongfit, run
 from phongfit.files.outputs import check_file, write_json
 
 NOISE = 0.01
-VIEWS = 8
 
 
 class Size(NamedTuple):
-    """Texels and pixels along a side, and cells of the mesh around and along."""
+    """Texels and pixels along a side, cells of the mesh around and along, places."""
 
     texels: int
     pixels: int
     around: int
     along: int
+    views: int = 8
 
 
 SMALL, FULL = Size(48, 80, 48, 24), Size(256, 400, 96, 48)
+LARGE = Size(2048, 1415, 96, 48, 10)
 
 
 def vase(around: int, along: int) -> pf.Mesh:
@@ -93,11 +95,11 @@ TRUTH = pf.Material(
 )
 
 
-def views(mesh: pf.Mesh, size: Size, count: int = VIEWS) -> list[pf.Scene]:
+def views(mesh: pf.Mesh, size: Size) -> list[pf.Scene]:
     """Cameras around the vase, each with two lamps, one after the other."""
     scenes = []
-    for k in range(count):
-        angle = 2 * np.pi * k / VIEWS
+    for k in range(size.views):
+        angle = 2 * np.pi * k / size.views
         height = 1.6 if k % 2 else -1.2
         scenes += view(mesh, size.pixels, angle, height, (0.5, -0.7))
     return scenes
@@ -275,7 +277,7 @@ def ask(size: Size, seed: int = 0, folder: Path | None = None) -> Answer:
         (label, value, error, float((value - true) / error))
         for (label, value, error), true in zip(found.few, truths, strict=True)
     ]
-    (ninth,) = view(painted, size.pixels, 2 * np.pi * 0.56 / VIEWS, 0.3, (0.2,))
+    (ninth,) = view(painted, size.pixels, 2 * np.pi * 0.56 / size.views, 0.3, (0.2,))
     taken = photograph(ninth, TRUTH, 100 * seed + 99, bits)
     again = dataclasses.replace(ninth, surface=found.painted)
     predicted = pf.render(again, found.material)
@@ -295,6 +297,9 @@ class Options:
     full: bool = False
     """A texture of 256 × 256 texels and photographs of 400 × 400 pixels."""
 
+    large: bool = False
+    """2048 × 2048 texels and 20 photographs of 2 megapixels: what memory it takes."""
+
     disk: Path | None = None
     """A folder to make: by way of files in it, and of the command line."""
 
@@ -309,7 +314,8 @@ def main(options: Options) -> int:
     """
     if options.json is not None:
         check_file(options.json)
-    answer = ask(FULL if options.full else SMALL, folder=options.disk)
+    size = LARGE if options.large else FULL if options.full else SMALL
+    answer = ask(size, folder=options.disk)
     seen, total = answer.texels
     print(
         f"{seen:,} of {total:,} texels seen three times: pulls have an RMS of "
@@ -318,7 +324,9 @@ def main(options: Options) -> int:
     for label, value, error, pull in answer.few:
         print(f"{label}: {value:.4g} ± {error:.2g}, {pull:+.2f} errors from the truth")
     print(f"ninth place: {answer.predicted:.3f} times its noise")
-    print(f"{answer.seconds:.1f} s; {'right' if answer.right else 'FALLS SHORT'}")
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    print(f"{answer.seconds:.1f} s, {memory:.2f} GB at the most")
+    print("right" if answer.right else "FALLS SHORT")
     if options.json is not None:
         numbers: dict[str, Any] = answer._asdict() | {"right": answer.right}
         write_json(options.json, numbers)

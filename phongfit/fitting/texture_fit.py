@@ -4,6 +4,7 @@ For given exponents the light is linear in the texels and in what is shared by a
 material, so that Gauss-Newton steps solve for all at once.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,7 +17,7 @@ from phongfit.fitting.problem.inputs import as_photographs, as_scenes
 from phongfit.fitting.problem.noise import arithmetic_floor, find_film
 from phongfit.fitting.texels.job import Few, Job
 from phongfit.fitting.texels.judged import judge
-from phongfit.fitting.texels.lit import BASIS, see
+from phongfit.fitting.texels.lit import BASIS, Photographs, without
 from phongfit.fitting.texels.result import TextureFit
 from phongfit.fitting.texels.steps import find_start, solve
 from phongfit.fitting.texels.sums import Grid, smoothness_matrix
@@ -110,12 +111,13 @@ def fit_texture(
         for material in range(materials)
         for channel in (range(3) if channels[name] else [None])
     ]
+    bare = [without(one.scene, names) for one in observed]
+    observed = tuple(
+        dataclasses.replace(one, scene=scene)
+        for one, scene in zip(observed, bare, strict=True)
+    )
     job = Job(
-        [
-            see(one, film, grid, filter, names)
-            for one, film in zip(observed, films, strict=True)
-        ],
-        grid,
+        Photographs(observed, tuple(films), grid, filter),
         names,
         few,
         films[0].clamp,
@@ -126,7 +128,7 @@ def fit_texture(
         else 0.01,
         any(one.jpeg is not None for one in films),
     )
-    if not sum(len(one.place) for one in job.images):
+    if not any(len(one.place) for one in job.images):
         raise ValueError("mask: it leaves no pixel that sees the surface")
     numbers = _numbers(known, materials)
     start, sigma = find_start(job, numbers, noise is not None)

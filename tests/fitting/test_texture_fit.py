@@ -1,12 +1,16 @@
 """Texels from photographs: against the truth, and against dense least squares."""
 
 import dataclasses
+import functools
 
 import jax
 import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.fitting import texture_fit
+from phongfit.fitting.texels import steps
+from phongfit.fitting.texels.lit import Photographs
 from tests.helpers import near
 from tests.test_textures import plate
 
@@ -176,6 +180,54 @@ def test_each_material_has_its_own_texture():
         assert off[known].max() < 6
     image = pf.render(fit.scene(bare[0]), fit.material)
     near(np.asarray(image), np.asarray(pf.render(bare[0], MATTE)), 0.02)
+
+
+def test_each_material_has_its_own_highlight():
+    shiny = pf.Material(1.0, [[0.3], [0.15]], [[20.0], [6.0]], 0.0)
+    textures = pf.Textures(diffuse=pf.Texture(TRUE))
+    of = {"material_index": [0, 1]}
+    images = photographs(scenes(plate(textures, **of)), shiny, 0.002)
+    fit = pf.fit_texture(
+        scenes(plate(**of)), images, size=SIZE, per_channel=(), known=MATTE
+    )
+    labels = ["specular[0]", "specular[1]", "shininess[0]", "shininess[1]"]
+    assert [one.label for one in fit.shared] == labels
+    for one, true in zip(fit.shared, (0.3, 0.15, 20.0, 6.0), strict=True):
+        assert abs(one.value - true) < 4 * one.stderr < true, one
+
+
+class Counted(Photographs):
+    """Photographs of which few are kept."""
+
+    traced = 0
+
+    def at(self, k):
+        Counted.traced += k not in self.kept
+        assert sum(one.bytes for one in self.kept.values()) <= self.room
+        return super().at(k)
+
+
+def test_photographs_that_are_not_kept_are_traced_again(monkeypatch):
+    images = photographs(painted(diffuse=TRUE), SHINY)
+    kept = fitted(images)
+    # Some 750 pixels of each see the plate, which take 80 kB.
+    made = functools.partial(Counted, room=120_000)
+    monkeypatch.setattr(texture_fit, "Photographs", made)
+    again = fitted(images)
+    # One is kept, and the others are seen anew in each step.
+    assert Counted.traced > 2 * again.steps
+    near(again.values["diffuse"], kept.values["diffuse"], 0)
+    near(again.stderr["diffuse"], kept.stderr["diffuse"], 0)
+
+
+def test_a_fit_starts_from_some_of_many_pixels(monkeypatch):
+    images = photographs(painted(diffuse=TRUE), SHINY)
+    whole = fitted(images)
+    monkeypatch.setattr(steps, "START", 32 * 32)
+    fit = fitted(images)
+    assert fit.converged
+    for one, other in zip(fit.shared, whole.shared, strict=True):
+        assert abs(one.value - other.value) < 0.1 * one.stderr
 
 
 def test_a_wrong_model_is_said_to_be_wrong():

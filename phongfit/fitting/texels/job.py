@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from phongfit.fitting.texels.lit import LitImage
+from phongfit.fitting.texels.lit import Photographs
 from phongfit.fitting.texels.sums import Grid
 
 PRIOR = 0.5, 1.0
@@ -40,14 +40,22 @@ class State(NamedTuple):
 class Job:
     """What is asked, and of what."""
 
-    images: list[LitImage]
-    grid: Grid
+    images: Photographs
     names: tuple[str, ...]
     few: list[Few]
     clamp: bool
     smoothness: sparse.csr_array | None
     floor: float
     lossy: bool
+
+    @property
+    def grid(self) -> Grid:
+        return self.images.grid
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Of the photographs."""
+        return self.images.given[0].image.dtype
 
     @property
     def size(self) -> int:

@@ -10,10 +10,9 @@ from phongfit.codes import coded
 from phongfit.fitting.problem.losses import Linear
 from phongfit.fitting.texels.equations import light_of
 from phongfit.fitting.texels.job import PRIOR, Few, Job, State
-from phongfit.fitting.texels.lit import BASIS, LitImage
+from phongfit.fitting.texels.lit import BASIS
 from phongfit.fitting.texels.result import CHANNELS, Shared, TextureFit, as_textures
-from phongfit.fitting.texels.solve import inverse_diagonal
-from phongfit.fitting.texels.steps import LEAST, System, freedom_of
+from phongfit.fitting.texels.steps import LEAST, System
 from phongfit.fitting.uncertainty.misfit import Misfit, find_misfit
 from phongfit.fitting.uncertainty.tiles import (
     Measured,
@@ -37,25 +36,21 @@ def judge(
 ) -> TextureFit:
     """Errors, lack of fit, warnings."""
     covariance, told = _few_covariance(system.information)
-    variances, known = np.empty((3, job.size)), {}
-    for c, matrix in enumerate(system.matrices):
-        if id(matrix) not in known:
-            known[id(matrix)] = inverse_diagonal(matrix, job.grid, len(job.names))
+    variances = system.alone.copy()
+    for c, moved in enumerate(system.eliminated):
         shared = job.of_channel(c)
         part = np.where(told, covariance, 0)[np.ix_(shared, shared)]
-        moved = system.eliminated[c]
-        variances[c] = known[id(matrix)] + ((moved @ part) * moved).sum(axis=1)
-    freedom = freedom_of(job, system)
-    images = [_image(job, one, state, sigma) for one in job.images]
-    side = max(tile_side(*one.image.shape[:2]) for one in job.images)
+        variances[c] += np.einsum("ti,ij,tj->t", moved, part, moved, optimize=False)
+    freedom = system.freedom
+    images = [_image(job, k, state, sigma) for k in range(len(job.images.given))]
+    side = max(tile_side(*one.residual.shape[:2]) for one in images)
     misfit = find_misfit([one.tiles for one in images], side)
-    spread = 1.0
+    spread, total = 1.0, sum(one.samples for one in images)
     if noise_given:
-        over = system.sums.residual / freedom
+        over = system.left.squares / freedom
         spread = float(np.sqrt(over)) if over > 1 + 5 * np.sqrt(2 / freedom) else 1.0
     inflation = max(misfit.inflation, spread**2)
     identified = variances < (PRIOR[1] / 2) ** 2
-    seen = _times_seen(job)
     errors = np.sqrt(np.where(identified, variances * inflation, np.inf))
     few_errors = np.sqrt(np.where(np.diag(told), np.diag(covariance), np.inf))
     few_errors = few_errors * np.sqrt(inflation)
@@ -70,8 +65,8 @@ def judge(
         shared.append(Shared(_label(job, one), value, float(error)))
     return TextureFit(
         as_textures(job, state.texels),
-        as_textures(job, np.where(identified, errors, np.inf)),
-        seen,
+        as_textures(job, errors),
+        sum((one.seen for one in images), np.zeros(job.grid.shape)),
         Material(
             **{name: numbers[name] for name in BASIS},
             shininess=numbers["shininess"][:, None],
@@ -80,12 +75,16 @@ def judge(
         covariance * inflation,
         job.names,
         sigma if not noise_given else 1.0,
-        int(system.sums.counted),
+        system.left.counted,
         tuple(one.residual for one in images),
         misfit,
         converged,
         steps,
-        tuple(_warnings(job, misfit, spread, converged, shared, freedom, noise_given)),
+        tuple(
+            _warnings(
+                job, misfit, spread, converged, shared, freedom, total, noise_given
+            )
+        ),
         job.grid.wrap,
     )
 
@@ -112,36 +111,38 @@ def _label(job: Job, one: Few) -> str:
     )
 
 
-def _times_seen(job: Job) -> np.ndarray:
-    """How often each texel is seen: pixels, as much as they look at it."""
-    total = np.zeros(job.grid.texels)
-    for image in job.images:
-        used = (image.weight > 0).any(axis=1)
-        total += image.touched.scattered(used.astype(float), job.grid.texels)
-    return total.reshape(job.grid.layers, job.grid.rows, job.grid.columns)
-
-
 class _Shown(NamedTuple):
+    """Of one image: `samples` that count, and how often each texel is `seen`."""
+
     residual: np.ndarray
     tiles: Tiles
+    samples: int
+    seen: np.ndarray
 
 
-def _image(job: Job, image: LitImage, state: State, sigma: float) -> _Shown:
-    """Residuals of one image, and their sums over tiles."""
-    parts, light = light_of(job, image, state, image.touched)
-    whole = np.zeros((4, image.image.size // 3, 3), image.image.dtype)
-    whole[0, image.place] = light
-    whole[1, image.place] = parts.light[1]
-    whole[2, image.place] = parts.light[2]
-    whole[3, image.place] = image.weight
-    light, diffuse, highlight, weight = whole.reshape(4, *image.image.shape)
-    side = tile_side(*image.image.shape[:2])
-    step = None if image.step is None else jnp.asarray(image.step)
+def _image(job: Job, k: int, state: State, sigma: float) -> _Shown:
+    lit, image, step = job.images.at(k), job.images.image(k), job.images.step(k)
+    parts, light = light_of(job, lit, state, lit.touched)
+    whole = np.zeros((4, image.size // 3, 3), image.dtype)
+    whole[0, lit.place] = light
+    whole[1, lit.place] = parts.light[1]
+    whole[2, lit.place] = parts.light[2]
+    whole[3, lit.place] = lit.weight
+    light, diffuse, highlight, weight = whole.reshape(4, *image.shape)
+    side = tile_side(*image.shape[:2])
+    step = None if step is None else jnp.asarray(step)
     deviation = jnp.asarray(sigma, light.dtype)
-    measured = Measured(jnp.asarray(image.image), jnp.asarray(weight), step, deviation)
+    measured = Measured(jnp.asarray(image), jnp.asarray(weight), step, deviation)
     tiles = _tiles(measured, light, diffuse, highlight, job.clamp, side)
     fitted = np.clip(light, 0, 1) if job.clamp else light
-    return _Shown(np.where(weight > 0, image.image - fitted, 0), tiles)
+    # A pixel counts as much as it looks at a texel.
+    looks = (lit.weight > 0).any(axis=1).astype(float)
+    return _Shown(
+        np.where(weight > 0, image - fitted, 0),
+        tiles,
+        int(np.count_nonzero(lit.weight)),
+        lit.touched.scattered(looks, job.grid.texels).reshape(job.grid.shape),
+    )
 
 
 @program("clamp", "side")
@@ -163,6 +164,7 @@ def _warnings(
     converged: bool,
     shared: list[Shared],
     freedom: float,
+    total: int,
     noise_given: bool,
 ) -> list[str]:
     words = []
@@ -183,7 +185,6 @@ def _warnings(
                 "Give it as known, or photographs under other lamps",
             )
         )
-    total = sum(int(np.count_nonzero(one.weight > 0)) for one in job.images)
     if not noise_given and freedom < 0.1 * total:
         words.append(
             coded(
@@ -201,4 +202,4 @@ def _warnings(
             )
         )
     words += spread_words(spread)
-    return [*words, *misfit_words(misfit, len(job.images))]
+    return [*words, *misfit_words(misfit, len(job.images.given))]

@@ -1,6 +1,7 @@
 """What the samples of photographs see of a textured surface, image by image."""
 
 import dataclasses
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
@@ -22,23 +23,72 @@ BASIS = ("ambient", "diffuse", "specular", "emission")
 """The basis images of [`PixelTerms.basis`][], in its order."""
 
 
+ROOM = 150_000_000
+"""Bytes of what is traced that are kept; the rest is traced again for each sum."""
+
+
 class LitImage(NamedTuple):
     """One photograph's samples: n pixels of three channels.
 
-    - `scene`: with the textures that are known.
     - `place`: of each pixel in the image, row by row.
     - `target`, `weight`: measured light, and its relative inverse variance.
     """
 
-    scene: Scene
     place: Int[np.ndarray, " n"]
     pixels: PixelTerms
     touched: Touched
     material: Int[np.ndarray, " n"]
     target: Float[np.ndarray, "n 3"]
     weight: Float[np.ndarray, "n 3"]
-    image: Float[np.ndarray, "height width 3"]
-    step: Float[np.ndarray, "height width 3"] | None
+
+    @property
+    def bytes(self) -> int:
+        """How many it takes."""
+        return sum(getattr(one, "nbytes", 0) for one in jax.tree.leaves(self))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Photographs:
+    """Photographs, each of which is a [`LitImage`][] when it is asked for.
+
+    Some 100 bytes a pixel are not kept for many millions of pixels: beyond `room` a
+    photograph is traced again whenever its turn comes.
+
+    **Arguments:**
+
+    - `given`: with scenes that have the known textures only.
+    - `every`: one of so many of the pixels that see the surface.
+    """
+
+    given: tuple[Observation, ...]
+    films: tuple[Film, ...]
+    grid: Grid
+    filter: Filter
+    room: int = ROOM
+    every: int = 1
+    kept: dict[int, LitImage] = dataclasses.field(default_factory=dict, init=False)
+
+    def __iter__(self) -> Iterator[LitImage]:
+        return (self.at(k) for k in range(len(self.given)))
+
+    def at(self, k: int) -> LitImage:
+        """One of them, from before or traced anew."""
+        if k in self.kept:
+            return self.kept[k]
+        found = see(self.given[k], self.films[k], self.grid, self.filter, self.every)
+        if found.bytes + sum(one.bytes for one in self.kept.values()) <= self.room:
+            self.kept[k] = found
+        return found
+
+    def image(self, k: int) -> Float[np.ndarray, "height width 3"]:
+        """One whole photograph, as its film has it."""
+        return _exposed(self.given[k].image, self.films[k])
+
+    def step(self, k: int) -> Float[np.ndarray, "height width 3"] | None:
+        """What its values were rounded to, if to anything."""
+        film = self.films[k]
+        rounded = film.bits is not None
+        return rounding_steps(self.given[k].image, film) if rounded else None
 
 
 class Basis(NamedTuple):
@@ -50,20 +100,15 @@ class Basis(NamedTuple):
 
 
 def see(
-    photograph: Observation,
-    film: Film,
-    grid: Grid,
-    filter: Filter,
-    names: tuple[str, ...],
+    photograph: Observation, film: Film, grid: Grid, filter: Filter, every: int = 1
 ) -> LitImage:
     """Trace a photograph's scene.
 
-    **Arguments:** `names`: parameters whose textures are unknown.
+    **Arguments:** `every`: one of so many of the pixels that see the surface.
 
     **Raises:** `ValueError` if the scene's surface has no uv.
     """
-    scene = _without(photograph.scene, names)
-    gbuffer, pixels = resolve(scene)
+    gbuffer, pixels = resolve(photograph.scene)
     if gbuffer.uv is None:
         raise ValueError(
             "scene: expected a surface with uv, which say where its texels lie"
@@ -71,7 +116,7 @@ def see(
     size = gbuffer.mask.shape
     weight = np.broadcast_to(photograph.weight, photograph.image.shape)
     seen = np.asarray(gbuffer.mask) & (weight > 0).any(axis=-1)
-    place = np.flatnonzero(seen).astype(np.int32)
+    place = np.flatnonzero(seen)[::every].astype(np.int32)
     chosen = jnp.asarray(place)
     uv = gbuffer.uv.reshape(-1, 2)[chosen]
     index, share = texels(uv, (grid.rows, grid.columns), filter, grid.wrap)
@@ -81,23 +126,25 @@ def see(
     number = np.asarray(index, np.int32)
     if grid.layers > 1:
         number = number + (own * np.int32(grid.rows * grid.columns))[:, None]
-    image = photograph.image
-    image = np.maximum(image, 0) if film.clamp else image
     return LitImage(
-        scene,
         place,
         pixels.select(chosen),
         merged(Touched(number, np.asarray(share))),
         own,
-        image.reshape(-1, 3)[place],
-        weight.reshape(-1, 3)[place],
-        image,
-        rounding_steps(photograph.image, film) if film.bits is not None else None,
+        _exposed(photograph.image.reshape(-1, 3)[place], film),
+        weight[np.unravel_index(place, size)],
     )
 
 
-def _without(scene: Scene, names: tuple[str, ...]) -> Scene:
-    """The scene without the textures that are to be found."""
+def _exposed(light: np.ndarray, film: Film) -> np.ndarray:
+    return np.maximum(light, 0) if film.clamp else light
+
+
+def without(scene: Scene, names: tuple[str, ...]) -> Scene:
+    """The scene without the textures that are to be found.
+
+    **Raises:** `ValueError` if its surface has no uv.
+    """
     surface = scene.surface
     if not isinstance(surface, Mesh) or surface.uv is None:
         raise ValueError(

@@ -20,6 +20,9 @@ SPACING = 8
 AT_ONCE, ROOM = 16, 4_000_000
 """Right-hand sides that are solved for together, and numbers in them, at the most."""
 
+BLOCK = 100_000
+"""Rows of a matrix that are scaled at a time."""
+
 STEPS = 2000
 
 SYMMETRIC: dict[str, Any] = {
@@ -63,6 +66,10 @@ class Preconditioned:
         **Arguments:** `free`: the others stay 0, as if they were known.
         """
         count, sides = right.shape
+        together = at_once(count)
+        if sides > together:
+            parts = np.split(right, range(together, sides, together), axis=1)
+            return np.hstack([self.solve(part, tolerance, free) for part in parts])
         kept = np.ones(count) if free is None else free.astype(float)
         scaled = right * (self.scale * kept)[:, None]
         length = np.linalg.norm(scaled, axis=0)
@@ -94,11 +101,22 @@ class Preconditioned:
         return splu(sparse.csc_array(matrix), **SYMMETRIC).solve(scaled)
 
 
+def at_once(count: int) -> int:
+    """How many right-hand sides of so many numbers are solved for together."""
+    return int(np.clip(ROOM // count, 1, AT_ONCE))
+
+
 def precondition(matrix: sparse.csr_array) -> Preconditioned:
-    """A matrix with a positive diagonal, ready to be solved."""
+    """A matrix with a positive diagonal, ready to be solved: scaled in its place."""
     scale = 1 / np.sqrt(matrix.diagonal())
-    scaling = sparse.diags_array(scale)
-    return Preconditioned(sparse.csr_array(scaling @ matrix @ scaling), scale)
+    each = np.diff(matrix.indptr)
+    # Some rows at a time: of every entry a number more would be half a matrix.
+    for start in range(0, len(scale), BLOCK):
+        rows = slice(start, start + BLOCK)
+        ends = matrix.indptr[[start, min(start + BLOCK, len(scale))]]
+        own = np.repeat(scale[rows], each[rows])
+        matrix.data[slice(*ends)] *= own * scale[matrix.indices[slice(*ends)]]
+    return Preconditioned(matrix, scale)
 
 
 def inverse_diagonal(
@@ -123,7 +141,7 @@ def inverse_diagonal(
     colour = np.concatenate([colour + p * SPACING**2 for p in range(parameters)])
     sign = np.random.default_rng(0).choice([-1.0, 1.0], count)
     found = np.zeros(count)
-    together = int(np.clip(ROOM // count, 1, AT_ONCE))
+    together = at_once(count)
     for start in range(0, parameters * SPACING**2, together):
         probed = colour[:, None] == start + np.arange(together)
         # Scaled, the solution's own entry is the variance over that of one alone.

@@ -40,15 +40,24 @@ class Grid(NamedTuple):
         """How many there are in all."""
         return self.layers * self.rows * self.columns
 
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return self.layers, self.rows, self.columns
+
+    def coarser(self, by: int) -> "Grid":
+        """With fewer texels along each side."""
+        rows, columns = max(self.rows // by, 1), max(self.columns // by, 1)
+        return self._replace(rows=rows, columns=columns)
+
     def neighbour(self, offset: tuple[int, int]) -> Int[np.ndarray, " texels"]:
         """The number of each texel's neighbour."""
-        number = np.arange(self.texels).reshape(self.layers, self.rows, self.columns)
+        number = np.arange(self.texels, dtype=np.int32).reshape(self.shape)
         down, right = offset
         return np.roll(number, (-down, -right), axis=(1, 2)).ravel()
 
     def links(self) -> tuple[np.ndarray, np.ndarray]:
         """Pairs of texels side by side, and one above the other."""
-        number = np.arange(self.texels).reshape(self.layers, self.rows, self.columns)
+        number = np.arange(self.texels).reshape(self.shape)
         pairs = []
         for axis, count in ((2, self.columns), (1, self.rows)):
             other = np.roll(number, -1, axis=axis)
@@ -79,16 +88,17 @@ class Touched(NamedTuple):
             total += np.bincount(self.number[:, k], self.weight[:, k] * values, texels)
         return total
 
-    def products(self, values: np.ndarray, texels: int) -> np.ndarray:
-        r"""$\sum_i v_i w_{ik} w_{il}$ of neighbours, (5, texels): see `OFFSETS`."""
-        corners = self.number.shape[1]
-        total = np.zeros((len(OFFSETS) if corners > 1 else 1, texels))
-        for offset, pairs in enumerate(PAIRS[: len(total)]):
-            for k, m in pairs:
-                if max(k, m) < corners:
-                    both = values * self.weight[:, k] * self.weight[:, m]
-                    total[offset] += np.bincount(self.number[:, k], both, texels)
-        return total
+    def add_products(self, values: np.ndarray, total: np.ndarray) -> None:
+        r"""Add $\sum_i v_i w_{ik} w_{il}$ of neighbours: see [`Touched.offsets`][]."""
+        for image, pairs in zip(total, PAIRS[: self.offsets], strict=True):
+            for k, m in pairs[: self.number.shape[1]]:
+                both = values * self.weight[:, k] * self.weight[:, m]
+                image += np.bincount(self.number[:, k], both, len(image))
+
+    @property
+    def offsets(self) -> int:
+        """How many of `OFFSETS` there are between the texels of a sample."""
+        return len(OFFSETS) if self.number.shape[1] > 1 else 1
 
 
 def merged(touched: Touched) -> Touched:
@@ -105,32 +115,40 @@ def merged(touched: Touched) -> Touched:
 
 
 def as_matrix(
-    grid: Grid, blocks: dict[tuple[int, int], np.ndarray], parameters: int
+    grid: Grid,
+    blocks: dict[tuple[int, int], np.ndarray],
+    parameters: int,
+    prior: float = 0.0,
 ) -> sparse.csr_array:
     """The symmetric matrix over all texels of all parameters, parameter by parameter.
 
-    **Arguments:** `blocks`: for p ≤ q the sums of [`Touched.products`][].
+    It is made in its last form at once: a list of its entries would take several times
+    as much memory.
+
+    **Arguments:**
+
+    - `blocks`: for p ≤ q the sums of [`Touched.add_products`][].
+    - `prior`: added to the diagonal.
     """
-    rows, columns, values = [], [], []
-    number = np.arange(grid.texels)
-    for (p, q), images in blocks.items():
-        for offset, image in zip(OFFSETS, images, strict=False):
-            there = np.flatnonzero(image)
-            beside = grid.neighbour(offset)[there]
-            here, value = number[there], image[there]
-            ends = [(p, here, q, beside)]
-            if offset != (0, 0):
-                ends.append((p, beside, q, here))
-            if p != q:
-                ends += [(b, j, a, i) for a, i, b, j in ends]
-            for a, i, b, j in ends:
-                rows.append(a * grid.texels + i)
-                columns.append(b * grid.texels + j)
-                values.append(value)
-    size = parameters * grid.texels
-    entries = np.concatenate(values)
-    places = np.concatenate(rows), np.concatenate(columns)
-    return sparse.coo_array((entries, places), (size, size)).tocsr()
+    number, size = grid.texels, parameters * grid.texels
+    beside = [(offset, 1) for offset in OFFSETS]
+    beside += [(offset, -1) for offset in OFFSETS[1:]]
+    if len(next(iter(blocks.values()))) == 1:
+        beside = beside[:1]
+    columns = np.empty((parameters, number, parameters, len(beside)), np.int32)
+    values = np.empty(columns.shape)
+    for k, (offset, way) in enumerate(beside):
+        other = grid.neighbour((way * offset[0], way * offset[1]))
+        for p in range(parameters):
+            for q in range(parameters):
+                image = blocks[min(p, q), max(p, q)][OFFSETS.index(offset)]
+                columns[p, :, q, k] = other + q * number
+                values[p, :, q, k] = image if way == 1 else image[other]
+    for p in range(parameters):
+        values[p, :, p, 0] += prior
+    ends = np.arange(size + 1, dtype=np.int32) * (parameters * len(beside))
+    entries = values.ravel(), columns.ravel(), ends
+    return sparse.csr_array(entries, (size, size))
 
 
 def smoothness_matrix(
