@@ -14,7 +14,7 @@ import math
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from urllib.parse import unquote
 
 import numpy as np
@@ -34,8 +34,9 @@ from phongfit.files.gltf_records import (
     Item,
     Node,
     Primitive,
-    strangers,
+    unused,
 )
+from phongfit.files.gltf_tangents import differing, vertex_tangents
 from phongfit.files.inputs import inside, naming, read_bytes
 from phongfit.files.mtl_textures import Note
 from phongfit.files.records import validated
@@ -43,8 +44,6 @@ from phongfit.files.strict_json import parse_json
 
 # What extensions may be required: those that change colours alone.
 HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_punctual")
-READ = ("KHR_materials_specular",)
-"""Extensions that are understood."""
 
 
 class GltfPart(NamedTuple):
@@ -73,42 +72,16 @@ def read_gltf(path: Path, note: Note) -> tuple[list[GltfPart], list[GltfShade]]:
     for name in file.extensionsRequired:
         if not name.startswith(HARMLESS):
             raise ValueError(f"requires the extension {name!r}, which is unknown here")
-    reader = _Reader(file, path.parent, binary)
+    reader = _Reader(file, path.parent, binary, note)
     shades = []
     for number, material in enumerate(file.materials):
         with naming(f"materials[{number}]"):
             shades.append(read_shade(material, file, reader.image, note))
-    parts = list(reader.parts([shade.uv_set for shade in shades]))
-    for words in unused(file, content):
+    uv_sets = [shade.uv_set for shade in shades]
+    parts = list(reader.parts(uv_sets))
+    for words in unused(file, content, uv_sets):
         note(f"{words} not used")
     return parts, shades
-
-
-def unused(file: File, content: dict[str, Any]) -> list[str]:
-    """What of a file's JSON has no place here, in words that end with a verb."""
-    found: dict[str, None] = dict.fromkeys(
-        f"its extension {name!r} is" for name in file.extensionsUsed if name not in READ
-    )
-    found |= dict.fromkeys(f"its {stranger[:80]} is" for stranger in strangers(file))
-    for name in ("animations", "skins", "cameras"):
-        if content.get(name):
-            found[f"its {name} are"] = None
-    for mesh in content.get("meshes", []):
-        for primitive in mesh["primitives"]:
-            if primitive.get("targets"):
-                found["its morph targets are"] = None
-            if primitive.get("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN):
-                found["its points and lines are"] = None
-            number = primitive.get("material")
-            own = file.materials[number : number + 1] if number is not None else []
-            textured = any(material.normalTexture is not None for material in own)
-            for name in primitive["attributes"]:
-                # What is skinned or morphed says so above.
-                known = name.startswith(("JOINTS", "WEIGHTS", "TEXCOORD"))
-                known = known or name in ("POSITION", "NORMAL")
-                if not known and (name != "TANGENT" or textured):
-                    found[f"its vertices' {name} are"] = None
-    return list(found)
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
@@ -135,8 +108,9 @@ def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
 class _Reader:
     """Arrays and triangles of a file."""
 
-    def __init__(self, file: File, folder: Path, binary: bytes | None):
+    def __init__(self, file: File, folder: Path, binary: bytes | None, note: Note):
         self._file = file
+        self._note = note
         self._folder = folder
         self._binary = binary
         self._buffers: dict[int, bytes] = {}
@@ -211,6 +185,8 @@ class _Reader:
         if primitive.material is not None:
             _at(self._file.materials, primitive.material, "material")
         uv = self._uv(primitive, uv_sets, len(local))
+        if uv is not None and normals is not None:
+            self._compare(primitive, local, faces, normals, uv)
         # A mesh may be in many places: all of them take memory, and more when joined.
         self._made += 6 * (faces.nbytes + 2 * local.nbytes)
         afford(self._made, "triangles")
@@ -225,6 +201,24 @@ class _Reader:
                 normals = None
         place = local @ linear.T + shift
         return GltfPart(place, faces, normals, primitive.material, uv)
+
+    def _compare(self, primitive: Primitive, *of_uv: np.ndarray) -> None:
+        """Tangents are found from the uv: does a normal map's own say otherwise?"""
+        number = primitive.attributes.get("TANGENT")
+        if number is None or primitive.material is None:
+            return
+        if self._file.materials[primitive.material].normalTexture is None:
+            return
+        given = self._floats(number, "VEC4")
+        if len(given) != len(of_uv[0]):
+            raise ValueError(
+                f"attributes.TANGENT: expected {len(of_uv[0])}, got {len(given)}"
+            )
+        if far := differing(given, vertex_tangents(*of_uv)):
+            self._note(
+                f"its vertices' TANGENT are not used: {far} of {len(given)} are not "
+                "those of the uv, which are"
+            )
 
     def _uv(
         self, primitive: Primitive, uv_sets: list[int | None], vertices: int

@@ -23,6 +23,8 @@ SILENT = frozenset(
 """Keys that change nothing here, or of which something else speaks."""
 USUAL = {"alphaMode": "OPAQUE", "doubleSided": False}
 """Keys that change nothing where they have this value."""
+READ = ("KHR_materials_specular",)
+"""Extensions that are understood."""
 
 
 class _Record(BaseModel):
@@ -180,3 +182,30 @@ class File(_Record):
     samplers: Lots[_Sampler] = []
     extensionsRequired: Lots[str] = []
     extensionsUsed: Lots[str] = []
+
+
+def unused(file: File, content: dict[str, Any], uv_sets: list[int | None]) -> list[str]:
+    """What of a file's JSON has no place here, in words that end with a verb.
+
+    **Arguments:** `uv_sets`: which set of uv each material's textures use.
+    """
+    found: dict[str, None] = dict.fromkeys(
+        f"its extension {name!r} is" for name in file.extensionsUsed if name not in READ
+    )
+    found |= dict.fromkeys(f"its {stranger[:80]} is" for stranger in strangers(file))
+    for name in ("animations", "skins", "cameras"):
+        if content.get(name):
+            found[f"its {name} are"] = None
+    for primitive in (one for mesh in file.meshes for one in mesh.primitives):
+        if (primitive.model_extra or {}).get("targets"):
+            found["its morph targets are"] = None
+        if primitive.mode not in (TRIANGLES, STRIP, FAN):
+            found["its points and lines are"] = None
+        own = uv_sets[primitive.material :] if primitive.material is not None else []
+        # Tangents are compared with those of the uv.
+        used = "POSITION", "NORMAL", "TANGENT", f"TEXCOORD_{(own or [0])[0] or 0}"
+        for name in primitive.attributes:
+            # What is skinned or morphed says so above.
+            if name not in used and not name.startswith(("JOINTS", "WEIGHTS")):
+                found[f"its vertices' {name} are"] = None
+    return list(found)

@@ -20,6 +20,7 @@ from phongfit.files.gltf import (
     specular_colour,
     write_gltf,
 )
+from phongfit.files.gltf_tangents import mirrored, vertex_tangents
 from phongfit.files.images import to_levels
 from phongfit.files.limits import exponent, lost
 from phongfit.files.mesh_writing import lines
@@ -184,19 +185,28 @@ def _obj_text(mesh: Mesh, own: list[_Own], library: str) -> str:
 
 
 def _part(mesh: Mesh, own: _Own) -> Part:
-    """One material's faces; where a vertex has several uv, it comes several times."""
+    """One material's faces; where a vertex has several uv, it comes several times.
+
+    With a normal map, its vertices have tangents.
+    """
     vertex = np.asarray(mesh.faces)[own.faces].ravel()
     uv = None
     if mesh.uv is not None:
         uv = np.asarray(mesh.uv, float)[own.faces].reshape(-1, 2)
     keys = vertex[:, None] if uv is None else np.column_stack([vertex, uv])
+    bent = own.textures.normal is not None and uv is not None
+    if bent:
+        # What is mirrored has tangents of its own.
+        corners = np.asarray(mesh.vertices, float)[vertex].reshape(-1, 3, 3)
+        keys = np.column_stack([keys, np.repeat(mirrored(corners, uv), 3)])
     _, first, faces = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    return Part(
+    part = Part(
         np.asarray(mesh.vertices, float)[vertex[first]],
         faces.reshape(-1, 3),
         np.asarray(mesh.vertex_normals(), float)[vertex[first]],
         None if uv is None else uv[first],
     )
+    return part._replace(tangents=vertex_tangents(*part[:4])) if bent else part
 
 
 def _gltf_material(own: _Own, nearest: bool) -> dict[str, Any]:
