@@ -8,6 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from phongfit.checks import as_floats
 from phongfit.geometry.meshes import tangents
 
 ASIDE = np.cos(np.radians(20))
@@ -74,7 +75,7 @@ def _along(corners: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     area = np.linalg.norm(
         np.cross(*np.moveaxis(np.diff(corners, axis=1), 1, 0)), axis=1
     )
-    along = jax.vmap(tangents)(corners.astype(np.float32), uv.astype(np.float32))
+    along = jax.vmap(tangents)(as_floats("vertices", corners), as_floats("uv", uv))
     scaled = []
     for one in along:
         vector = np.asarray(one, float)

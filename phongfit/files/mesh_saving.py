@@ -194,19 +194,20 @@ def _part(mesh: Mesh, own: _Own) -> Part:
     if mesh.uv is not None:
         uv = np.asarray(mesh.uv, float)[own.faces].reshape(-1, 2)
     keys = vertex[:, None] if uv is None else np.column_stack([vertex, uv])
-    bent = own.textures.normal is not None and uv is not None
-    if bent:
+    bent = own.textures.normal is not None
+    if bent and uv is not None:
         # What is mirrored has tangents of its own.
         corners = np.asarray(mesh.vertices, float)[vertex].reshape(-1, 3, 3)
         keys = np.column_stack([keys, np.repeat(mirrored(corners, uv), 3)])
     _, first, faces = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    part = Part(
-        np.asarray(mesh.vertices, float)[vertex[first]],
-        faces.reshape(-1, 3),
-        np.asarray(mesh.vertex_normals(), float)[vertex[first]],
-        None if uv is None else uv[first],
-    )
-    return part._replace(tangents=vertex_tangents(*part[:4])) if bent else part
+    positions = np.asarray(mesh.vertices, float)[vertex[first]]
+    normals = np.asarray(mesh.vertex_normals(), float)[vertex[first]]
+    faces = faces.reshape(-1, 3)
+    if uv is None:
+        return Part(positions, faces, normals)
+    uv = uv[first]
+    tangents = vertex_tangents(positions, faces, normals, uv) if bent else None
+    return Part(positions, faces, normals, uv, tangents)
 
 
 def _gltf_material(own: _Own, nearest: bool) -> dict[str, Any]:
