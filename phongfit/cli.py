@@ -75,6 +75,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
     **Returns:** the exit status, as of [`run`][].
     """
+    a_process = args is None and threading.current_thread() is threading.main_thread()
     args = list(sys.argv[1:] if args is None else args)
     _speak_any_language()
     with (
@@ -84,7 +85,11 @@ def main(args: Sequence[str] | None = None) -> int:
         warnings.catch_warnings(),
     ):
         warnings.showwarning = _show_warning
-        return _guard(lambda: _run(args))
+        status = _guard(lambda: _run(args))
+    if a_process and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        # What is cleaned up at the very end need not be: Ctrl-C ends it without a word.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    return status
 
 
 def _run(args: list[str]) -> int | None:

@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -170,6 +171,17 @@ def test_told_to_end(brass, tmp_path, monkeypatch, capsys, name):
     assert main(_fill(FIT, brass, tmp_path / "out")) == 128 + number
     assert capsys.readouterr().err == f"error: ended by {name}\n"
     assert not os.listdir(tmp_path) and signal.getsignal(number) == before
+
+
+@pytest.mark.parametrize("args, words", [("", b""), ("['--version']", b"Interrupt")])
+def test_an_interrupt_after_the_end_says_nothing(args, words):
+    """Of the process that the command is; whoever calls it keeps what it had."""
+    code = f"import signal; from phongfit.cli import main; main({args}); "
+    code += "signal.raise_signal(signal.SIGINT)"
+    command = [sys.executable, "-c", code, "--version"]
+    done = subprocess.run(command, capture_output=True)
+    assert done.stdout.startswith(b"phongfit ") and done.returncode == -signal.SIGINT
+    assert words in done.stderr and bool(words) == bool(done.stderr)
 
 
 def test_a_signal_that_is_ignored_stays_so(brass, tmp_path, monkeypatch, capsys):
