@@ -27,6 +27,7 @@ from experiments import (
     wrong_model,
 )
 from experiments.finding import Experiment, Finding, save_animation
+from experiments.output import complain
 from phongfit.cli import run
 from phongfit.files.outputs import replacing_folder, write_json
 
@@ -114,8 +115,7 @@ def main(
             save(folder, entry)
             entries.append(entry)
             console.print(f"{experiment.name}: {entry.seconds:.0f} s", highlight=False)
-            for words in finding.wrong:
-                console.print(f"  ! {words}", markup=False, highlight=False)
+            complain(console, finding.wrong)
         (folder / PAGE).write_text(contents(entries, small), encoding="utf-8")
     print(f"{len(entries)} experiments: {out / PAGE}")
     return 1 if any(entry.finding.wrong for entry in entries) else 0

@@ -18,6 +18,7 @@ from experiments.output import (
     JsonFile,
     PictureFile,
     check_outputs,
+    complain,
     save_numbers,
     save_picture,
 )
@@ -139,8 +140,7 @@ def show(console: Console, finding: Finding) -> None:
             table.add_row(*map(escape, row))
         console.print(table)
     console.print(finding.answer, markup=False, highlight=False)
-    for words in finding.wrong:
-        console.print(f"  ! {words}", markup=False, highlight=False)
+    complain(console, finding.wrong)
 
 
 # Milliseconds that a frame of an animation stays.

@@ -1,11 +1,13 @@
 """What all experiments share: where their numbers and pictures go."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
+from rich.console import Console
 
 from phongfit.files.outputs import check_file, replacing, write_json
 
@@ -27,6 +29,12 @@ def check_outputs(picture: Path | None, json: Path | None) -> None:
             f"{picture}: expected the suffix of a picture, such as .png or .pdf, got "
             f"{picture.suffix!r}"
         )
+
+
+def complain(console: Console, sentences: Iterable[str]) -> None:
+    """Print warnings and what is wrong as they stand: codes are in brackets."""
+    for words in sentences:
+        console.print(f"  ! {words}", markup=False, highlight=False)
 
 
 def save_numbers(path: Path | None, numbers: Any) -> None:

@@ -23,6 +23,7 @@ from experiments.output import (
     JsonFile,
     PictureFile,
     check_outputs,
+    complain,
     save_numbers,
     save_picture,
 )
@@ -176,8 +177,7 @@ def main(
         rows.append(Row(data.images[0], fit.fitted[0], fit.residuals[0], case.name))
     for result in results:
         console.print(show(result))
-        for warning in (*result["warnings"], *result["wrong"]):
-            console.print(f"  ! {warning}")
+        complain(console, (*result["warnings"], *result["wrong"]))
         console.print()
     save_picture(picture, comparison(rows, blocks=2))
     save_numbers(json, results)

@@ -9,7 +9,7 @@ import argparse
 import importlib
 import importlib.util
 import logging
-import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -59,6 +59,11 @@ def readers(stock: Path) -> dict[str, tuple[Callable[[Path], Any], list[bytes]]]
     return found
 
 
+def written(folder: Path, name: str) -> Path:
+    """Where inputs are put for the reader; libFuzzer ends without removing it."""
+    return Path("/dev/shm", f"{folder.name}-{name}")
+
+
 def fuzz(name: str, seconds: int, folder: Path) -> None:
     """Fuzz one reader in this process, which ends with it."""
     atheris: Any = importlib.import_module("atheris")
@@ -69,7 +74,7 @@ def fuzz(name: str, seconds: int, folder: Path) -> None:
     faults.mkdir()
     for number, data in enumerate(whole):
         (seeds / f"{number}").write_bytes(data)
-    path = Path("/dev/shm", f"fuzz-{os.getpid()}-{name}")
+    path = written(folder, name)
     warnings.simplefilter("ignore")
     logging.disable()
 
@@ -86,10 +91,7 @@ def fuzz(name: str, seconds: int, folder: Path) -> None:
         "-max_len=20000", f"-artifact_prefix={faults}/", "-print_final_stats=1",
     ]  # fmt: skip
     atheris.Setup([sys.argv[0], *options, str(seeds)], one)
-    try:
-        atheris.Fuzz()
-    finally:
-        path.unlink(missing_ok=True)
+    atheris.Fuzz()
 
 
 def main() -> int:
@@ -113,6 +115,7 @@ def main() -> int:
         words += ["--seconds", str(max(options.seconds // len(names), 1))]
         command = [sys.executable, "-m", "tests.campaign.fuzz", *words]
         done = subprocess.run(command, capture_output=True, text=True)
+        written(folder, name).unlink(missing_ok=True)
         lines = (done.stdout + done.stderr).splitlines()
         runs = [line for line in lines if "number_of_executed_units" in line]
         executed = runs[0].split()[-1] if runs else "?"
@@ -120,6 +123,8 @@ def main() -> int:
         if done.returncode:
             failed += 1
             print("\n".join(lines[-40:]), f"\n  kept in {folder}", flush=True)
+        else:
+            shutil.rmtree(folder)
     return int(failed > 0)
 
 

@@ -1,0 +1,13 @@
+"""What experiments print."""
+
+import io
+
+from rich.console import Console
+
+from experiments.output import complain
+
+
+def test_codes_of_warnings_are_printed():
+    file = io.StringIO()
+    complain(Console(file=file, width=80), ["it is at its bound [at-bound]"])
+    assert file.getvalue() == "  ! it is at its bound [at-bound]\n"
