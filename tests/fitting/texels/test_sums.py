@@ -22,6 +22,13 @@ def touched(grid: Grid, filter, count: int = 300) -> Touched:
     return merged(Touched(np.asarray(number) + layer[:, None], np.asarray(weight)))
 
 
+def products(seen: Touched, values: np.ndarray, texels: int) -> np.ndarray:
+    """As a fit adds them up, of one photograph."""
+    total = np.zeros((seen.offsets, texels))
+    seen.add_products(values, total)
+    return total
+
+
 def dense(seen: Touched, texels: int) -> np.ndarray:
     matrix = np.zeros((len(seen.number), texels))
     for k in range(seen.number.shape[1]):
@@ -49,7 +56,7 @@ def test_sums_are_those_of_the_whole_matrix(grid, filter):
     near(seen.scattered(values, count), whole.T @ values, 1e-4)
     columns = [RNG.normal(size=len(whole)) for _ in range(2)]
     blocks = {
-        (p, q): seen.products(columns[p] * columns[q], count)
+        (p, q): products(seen, columns[p] * columns[q], count)
         for p, q in ((0, 0), (0, 1), (1, 1))
     }
     both = np.concatenate([column[:, None] * whole for column in columns], axis=1)
