@@ -201,9 +201,12 @@ def unused(file: File, content: dict[str, Any], uv_sets: list[int | None]) -> li
             found["its morph targets are"] = None
         if primitive.mode not in (TRIANGLES, STRIP, FAN):
             found["its points and lines are"] = None
-        own = uv_sets[primitive.material :] if primitive.material is not None else []
+        number, uv_set = primitive.material, None
+        # Meshes that stand nowhere may be of materials that are not there.
+        if number is not None and number < len(uv_sets):
+            uv_set = uv_sets[number]
         # Tangents are compared with those of the uv.
-        used = "POSITION", "NORMAL", "TANGENT", f"TEXCOORD_{(own or [0])[0] or 0}"
+        used = "POSITION", "NORMAL", "TANGENT", f"TEXCOORD_{uv_set or 0}"
         for name in primitive.attributes:
             # What is skinned or morphed says so above.
             if name not in used and not name.startswith(("JOINTS", "WEIGHTS")):

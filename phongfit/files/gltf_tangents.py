@@ -54,16 +54,14 @@ def mirrored(
     return one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0] > 0
 
 
+@np.errstate(all="ignore")
 def differing(
     one: Float[np.ndarray, "vertices 4"], other: Float[np.ndarray, "vertices 4"]
 ) -> int:
-    """How many of two files' tangents are more than 20° apart, or mirrored."""
-    # Files may hold any numbers: what is not finite does not differ.
-    with np.errstate(all="ignore"):
-        return _differing(one, other)
+    """How many tangents are more than 20° apart, or mirrored.
 
-
-def _differing(one: np.ndarray, other: np.ndarray) -> int:
+    Files may hold any numbers: what is not finite does not differ.
+    """
     length = np.linalg.norm(one[:, :3], axis=1) * np.linalg.norm(other[:, :3], axis=1)
     along = (one[:, :3] * other[:, :3]).sum(axis=1)
     far = (along < ASIDE * length) | (one[:, 3] * other[:, 3] < 0)

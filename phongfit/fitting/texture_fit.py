@@ -111,10 +111,8 @@ def fit_texture(
         for material in range(materials)
         for channel in (range(3) if channels[name] else [None])
     ]
-    bare = [without(one.scene, names) for one in observed]
     observed = tuple(
-        dataclasses.replace(one, scene=scene)
-        for one, scene in zip(observed, bare, strict=True)
+        dataclasses.replace(one, scene=without(one.scene, names)) for one in observed
     )
     job = Job(
         Photographs(observed, tuple(films), grid, filter),

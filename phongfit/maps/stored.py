@@ -22,6 +22,7 @@ from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.result import (
     MAPS_VERSION,
+    PLAIN,
     Maps,
     ViewRecord,
     checked_maps,
@@ -37,8 +38,7 @@ LEDGER, GIVEN, PLAN = "ledger", "given", "plan"
 OWN = {
     *MAP_PARAMETERS,
     *(f"stderr_{name}" for name in MAP_PARAMETERS),
-    *("noise", "samples", "flags", "normals", "normals_stderr", "depth", "noise_given"),
-    *(LEDGER, GIVEN, PLAN, WORK, "zarr.json"),
+    *(*PLAIN, "noise_given", LEDGER, GIVEN, PLAN, WORK, "zarr.json"),
 }
 """All that a run puts into a store on a disk."""
 

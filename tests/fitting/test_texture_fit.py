@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import weakref
 
 import jax
 import numpy as np
@@ -218,6 +219,20 @@ def test_photographs_that_are_not_kept_are_traced_again(monkeypatch):
     assert Counted.traced > 2 * again.steps
     near(again.values["diffuse"], kept.values["diffuse"], 0)
     near(again.stderr["diffuse"], kept.stderr["diffuse"], 0)
+
+
+def test_one_matrix_is_there_at_a_time(monkeypatch):
+    make, made = steps.make_matrix, []
+
+    def alone(*args):
+        assert all(one() is None for one in made)
+        matrix = make(*args)
+        made.append(weakref.ref(matrix))
+        return matrix
+
+    monkeypatch.setattr(steps, "make_matrix", alone)
+    fitted(photographs(painted(diffuse=TRUE), SHINY))
+    assert len(made) > 3
 
 
 def test_a_fit_starts_from_some_of_many_pixels(monkeypatch):

@@ -10,6 +10,7 @@ left is the Schur complement of the shared numbers.
 """
 
 import dataclasses
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -119,16 +120,28 @@ class System(NamedTuple):
     freedom: float
 
 
+def _matrices(job: Job, sums: Sums) -> Iterator[tuple[int, Preconditioned, bool]]:
+    """Each channel's matrix, and whether it is another than the last channel's.
+
+    Matrices are what is largest: the last one goes before the next is made, where who
+    takes them deletes them.
+    """
+    last: list[Preconditioned] = []
+    for c in range(3):
+        new = not is_like_last(sums, c)
+        if new:
+            last.clear()
+            last.append(make_matrix(job, sums, c))
+        yield c, last[0], new
+
+
 def make_system(job: Job, state: State, sigma: float) -> System:
     """The equations where a fit ends, solved for the shared numbers alone."""
     sums, _, free = linearise(job, state, sigma)
     information, eliminated = sums.dense.copy(), []
-    alone, taken, matrix = np.empty((3, job.size)), np.zeros(3), None
-    for c in range(3):
-        if matrix is None or not is_like_last(sums, c):
-            # First the last one goes: matrices are what is largest.
-            matrix = None
-            matrix = make_matrix(job, sums, c)
+    alone, taken = np.empty((3, job.size)), np.zeros(3)
+    for c, matrix, new in _matrices(job, sums):
+        if new:
             alone[c] = inverse_diagonal(matrix, job.grid, len(job.names))
             taken[c] = taken_by(job, matrix)
         else:
@@ -138,6 +151,7 @@ def make_system(job: Job, state: State, sigma: float) -> System:
         shared = job.of_channel(c)
         information[np.ix_(shared, shared)] -= _products(mixed, solved, own)
         eliminated.append(solved.astype(job.dtype))
+        del matrix
     information = (information + information.T) / 2
     freedom = _freedom(job, sums.left, float(taken.sum()))
     return System(sums.left, alone, eliminated, information, freedom)
@@ -164,11 +178,8 @@ def step(job: Job, state: State, sigma: float, nearest: bool = False) -> Stepped
     """One step of Gauss and Newton's, within the bounds."""
     sums, right, free = linearise(job, state, sigma, nearest)
     information, few_right = sums.dense.copy(), sums.few_right.copy()
-    moves, eliminated, matrix = [], [], None
-    for c in range(3):
-        if matrix is None or not is_like_last(sums, c):
-            matrix = None
-            matrix = make_matrix(job, sums, c)
+    moves, eliminated = [], []
+    for c, matrix, _ in _matrices(job, sums):
         moves.append(matrix.solve(right[c][:, None], TOLERANCE, free[c])[:, 0])
         mixed = sums.mixed[c]
         solved = matrix.solve(mixed, TOLERANCE, free[c])
@@ -176,6 +187,7 @@ def step(job: Job, state: State, sigma: float, nearest: bool = False) -> Stepped
         information[np.ix_(shared, shared)] -= _products(mixed, solved, free[c])
         few_right[shared] -= solved.T @ right[c]
         eliminated.append(solved.astype(job.dtype))
+        del matrix
     information = (information + information.T) / 2
     change = _few_change(job, state, information, few_right)
     texels = state.texels.copy()
@@ -254,14 +266,10 @@ def solve(
 def _left_over(job: Job, state: State, sigma: float) -> tuple[Left, float]:
     """What is left of the photographs, and the samples that determine nothing."""
     sums = sum_up(job, state, sigma)
-    taken, matrix = np.zeros(3), None
-    for c in range(3):
-        if c and is_like_last(sums, c):
-            taken[c] = taken[c - 1]
-        else:
-            matrix = None
-            matrix = make_matrix(job, sums, c)
-            taken[c] = taken_by(job, matrix)
+    taken = np.zeros(3)
+    for c, matrix, new in _matrices(job, sums):
+        taken[c] = taken_by(job, matrix) if new else taken[c - 1]
+        del matrix
     return sums.left, _freedom(job, sums.left, float(taken.sum()))
 
 

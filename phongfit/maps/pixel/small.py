@@ -279,5 +279,7 @@ def sum_over_images(add: Callable[[T, Any], T], none: T, images: Any) -> T:
         return jax.tree.map(jnp.add, sums, part)
 
     runs, rest = divmod(len(jax.tree.leaves(images)[0]), RUN)
-    sums = jax.lax.fori_loop(0, runs, lambda k, sums: run(k * RUN, RUN, sums), none)
+    sums = none
+    if runs:
+        sums = jax.lax.fori_loop(0, runs, lambda k, sums: run(k * RUN, RUN, sums), sums)
     return run(runs * RUN, rest, sums) if rest else sums
