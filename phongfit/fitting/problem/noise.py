@@ -5,13 +5,15 @@ white or black is not the model plus noise: on average it lies below, or above. 
 compares with that average.
 """
 
+import functools
+import itertools
 import math
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import erfc
+from jax.scipy.special import erf
 from jaxtyping import Array, Bool, Float
 
 from phongfit.rendering.film import Encoding, Film, decode, encode
@@ -53,10 +55,56 @@ def clipped_moments(light: Values, sigma: Float[Array, ""] | Values) -> Moments:
         Tobin, *Estimation of relationships for limited dependent variables*,
         Econometrica 26(1), 1958.
     """
-    edges = _edges(light, sigma)
+    # Without noise there is a little, which clamps as hard.
+    sigma = jnp.maximum(sigma, jnp.finfo(light.dtype).eps ** 2)
+    sigma = jnp.broadcast_to(sigma, light.shape)
+    # Mostly no sample comes near black, or white, and nothing is to be computed there.
+    near_black = jnp.min(light / sigma, initial=FAR) < FAR
+    near_white = jnp.min((1 - light) / sigma, initial=FAR) < FAR
+    branches = [
+        functools.partial(_moments, *near)
+        for near in itertools.product((False, True), repeat=2)
+    ]
+    which = 2 * near_black.astype(jnp.int32) + near_white.astype(jnp.int32)
+    return jax.lax.switch(which, branches, light, sigma)
+
+
+def _moments(black: bool, white: bool, light: Values, sigma: Values) -> Moments:
+    """The same where samples come near black, near white, near both, or near none."""
+    under = _beyond(light / sigma) if black else _Beyond()
+    over = _beyond((1 - light) / sigma) if white else _Beyond()
+    one, mean = jnp.ones_like(light), under.excess - over.excess
     return Moments(
-        _mean(light, edges), _slope(edges), _variance_share(edges), _drift(edges)
+        light + sigma * mean,
+        one - over.chance - under.chance,
+        jnp.clip(one - under.lost - over.lost - mean**2, 0, 1),
+        one * (under.density - over.density),
     )
+
+
+class _Beyond(NamedTuple):
+    r"""Of a standard normal distribution beyond z.
+
+    - `density`: $\phi(z)$.
+    - `chance`: $Q(z)$.
+    - `excess`: $g(z) = \phi(z) - z Q(z)$, by how much on average.
+    - `lost`: $Q(z) + z g(z)$, of the square; g and z at most `FAR`, which stands for
+        infinity: what is further beyond has a variance of 0.
+    """
+
+    density: Values | float = 0.0
+    chance: Values | float = 0.0
+    excess: Values | float = 0.0
+    lost: Values | float = 0.0
+
+
+def _beyond(z: Values) -> _Beyond:
+    density = jnp.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
+    # Of small chances few digits: more would be lost beside 1, and take long.
+    chance = (1 - erf(z / math.sqrt(2))) / 2
+    excess = density - z * chance
+    lost = chance + jnp.clip(z, -FAR, FAR) * jnp.minimum(excess, FAR)
+    return _Beyond(density, chance, excess, lost)
 
 
 def unclipped_moments(light: Values) -> Moments:
@@ -72,77 +120,15 @@ def clipped_mean(light: Values, sigma: Float[Array, ""] | Values) -> Values:
 
 @jax.custom_jvp
 def _clipped_mean(light: Values, sigma: Values) -> Values:
-    return _mean(light, _edges(light, sigma))
+    return clipped_moments(light, sigma).mean
 
 
 @_clipped_mean.defjvp
 def _clipped_mean_derivative(
     at: tuple[Values, Values], towards: tuple[Values, Values]
 ) -> tuple[Values, Values]:
-    edges = _edges(*at)
-    moved = _slope(edges) * towards[0] + _drift(edges) * towards[1]
-    return _mean(at[0], edges), moved
-
-
-class _Edges(NamedTuple):
-    """How far black and white are, in σ; the normal density there; what lies beyond."""
-
-    sigma: Values
-    black: Values
-    white: Values
-    black_density: Values
-    white_density: Values
-    black_tail: Values
-    white_tail: Values
-
-
-def _edges(light: Values, sigma: Float[Array, ""] | Values) -> _Edges:
-    sigma = jnp.maximum(sigma, jnp.finfo(light.dtype).eps ** 2)
-    black, white = light / sigma, (1 - light) / sigma
-    densities, tails = zip(_beyond(black), _beyond(white), strict=True)
-    return _Edges(sigma, black, white, *densities, *tails)
-
-
-def _mean(light: Values, edges: _Edges) -> Values:
-    under = edges.black_density - edges.black * edges.black_tail
-    over = edges.white_density - edges.white * edges.white_tail
-    return light + edges.sigma * (under - over)
-
-
-def _slope(edges: _Edges) -> Values:
-    return 1 - edges.white_tail - edges.black_tail
-
-
-def _drift(edges: _Edges) -> Values:
-    return edges.black_density - edges.white_density
-
-
-def _variance_share(edges: _Edges) -> Values:
-    # Far stands for infinity, where densities are 0; b² − b² would otherwise cancel.
-    a, b = jnp.clip(-edges.black, -FAR, FAR), jnp.clip(edges.white, -FAR, FAR)
-    below, above = edges.black_tail, edges.white_tail
-    density_a, density_b = edges.black_density, edges.white_density
-    mean = density_a - density_b + a * below + b * above
-    square = 1 - below - above + a * density_a - b * density_b
-    square = square + a**2 * below + b**2 * above
-    return jnp.clip(square - mean**2, 0, 1)
-
-
-def _beyond(z: Values) -> tuple[Values, Values]:
-    """Normal density at z, and chance beyond it.
-
-    Mostly no sample comes near, and nothing is to be computed. The condition also keeps
-    XLA from computing them anew for each of their uses.
-    """
-
-    def both(z: Values) -> tuple[Values, Values]:
-        density = jnp.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
-        return density, erfc(z / math.sqrt(2)) / 2
-
-    def neither(z: Values) -> tuple[Values, Values]:
-        return jnp.zeros_like(z), jnp.zeros_like(z)
-
-    return jax.lax.cond(jnp.min(z, initial=FAR) < FAR, both, neither, z)
+    found = clipped_moments(*at)
+    return found.mean, found.slope * towards[0] + found.drift * towards[1]
 
 
 def rounding_steps(image: np.ndarray, film: Film) -> np.ndarray:
