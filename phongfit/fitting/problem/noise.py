@@ -57,7 +57,6 @@ def clipped_moments(light: Values, sigma: Float[Array, ""] | Values) -> Moments:
     """
     # Without noise there is a little, which clamps as hard.
     sigma = jnp.maximum(sigma, jnp.finfo(light.dtype).eps ** 2)
-    sigma = jnp.broadcast_to(sigma, light.shape)
     # Mostly no sample comes near black, or white, and nothing is to be computed there.
     near_black = jnp.min(light / sigma, initial=FAR) < FAR
     near_white = jnp.min((1 - light) / sigma, initial=FAR) < FAR

@@ -159,7 +159,6 @@ def _leave(
     image, weight, step, sigma = measured
     used = jnp.broadcast_to(weight > 0, image.shape)
     noise = sigma / jnp.sqrt(jnp.where(weight > 0, weight, 1))
-    noise = jnp.broadcast_to(noise, image.shape)
     film = clipped_moments(light, noise) if clamp else unclipped_moments(light)
     deviation, variance, shared = noise, film.variance_share, None
     if step is not None:
