@@ -462,7 +462,11 @@ class _Session:
         places = np.array([lamp.position for lamp in lamps])
         offset = places - self.reference
         brighter = -2 * (offset @ self.reference) / np.sum(offset**2, axis=1)
-        strengths = np.array([lamp.intensity for lamp in lamps]) * brighter[:, None]
+        shares = np.array([lamp.intensity for lamp in lamps])
+        strengths = shares * brighter[:, None]
+        # They are over their mean, which is no error of theirs.
+        known = np.isfinite(strengths)
+        strengths -= shares * (strengths[known].sum() / max(known.sum(), 1))
         moved = scale * np.concatenate([places.ravel(), strengths.ravel(), [0]])
         moved = moved[: len(covariance)]
         covariance = covariance + np.outer(moved, moved)
