@@ -50,12 +50,12 @@ def photograph(folder, seed, noise, quality, lamps):
     turn = random.uniform(0, 2 * np.pi)
     c, s = np.cos(turn), np.sin(turn)
     aim = directions(LAMPS) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-    strength = random.uniform(0.7, 1.3, LAMPS)
+    strength, places = random.uniform(0.7, 1.3, LAMPS), np.array(aim)
     for k in range(LAMPS):
         place, light = aim[k], pf.DirectionalLight(aim[k], strength[k] * COLOUR)
         if lamps == "near":
             distance = random.uniform(5, 8)
-            place = np.array([0, 0, -10]) + distance * aim[k]
+            place = places[k] = np.array([0, 0, -10]) + distance * aim[k]
             attenuation = (0, 0, 1 / distance**2)
             light = pf.PointLight(place, strength[k] * COLOUR, attenuation=attenuation)
         around = studio.photograph(place, strength[k], near=lamps == "near", noise=0)
@@ -69,9 +69,13 @@ def photograph(folder, seed, noise, quality, lamps):
         options = {} if quality is None else {"quality": quality}
         suffix = "png" if quality is None else "jpg"
         Image.fromarray(levels).save(folder / f"{k + 1}.{suffix}", **options)
-    places = known(surface.positions)
-    np.savez(folder / "n.npz", normals=surface.normals, positions=places)
+    seen = known(surface.positions)
+    np.savez(folder / "n.npz", normals=surface.normals, positions=seen)
     found = calibrated(studio, folder, "srgb", lamps)
+    if lamps == "near":
+        # They are those at the calibration's reference point.
+        centre = np.linalg.norm(places - [0, 0, -10], axis=1)
+        strength *= (centre / np.linalg.norm(places - found.reference, axis=1)) ** 2
     # Strengths are over their mean, as nothing tells how bright the matte sphere is.
     kept = [int(Path(lamp.photograph).stem) - 1 for lamp in found.lamps]
     unit = strength[kept].mean() * COLOUR.mean()
@@ -110,8 +114,8 @@ def pulls(folder, *of):
 def test_errors_contain_those_of_the_lamps(tmp_path):
     off, errors = fitted(tmp_path, 25, 0.003, None, "near")
     assert np.sqrt(np.mean((off / errors) ** 2)) < 1.8
-    # How strong all lamps are stays open, how far away they are does not.
-    assert (0.005 < errors[:-1]).all() and (errors[:-1] < 0.03).all()
+    # How far away all is moves strengths that are over their mean by next to nothing.
+    assert (0.0003 < errors[:-1]).all() and (errors[:-1] < 0.005).all()
     assert errors[-1] < 0.01
 
 

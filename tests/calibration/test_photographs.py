@@ -140,18 +140,19 @@ def test_captures_rendered_by_another_program(name, lamps, given):
         [lamp["direction"] for lamp in truth["lamps"]],
     )
     stated = np.array([lamp.direction_error for lamp in found.lamps])
-    assert apart.max() < 0.5 and np.median(apart) < 0.25
+    # What the guide to captures says of them.
+    assert apart.max() < 0.5 and np.mean(apart) < 0.1
     assert np.sqrt(np.mean((apart / stated) ** 2)) < 1.3
     ratio = np.array([lamp.intensity.mean() for lamp in found.lamps]) / [
         lamp["intensity"] for lamp in truth["lamps"]
     ]
-    assert np.abs(ratio / ratio.mean() - 1).max() < 0.015
+    assert np.abs(ratio / ratio.mean() - 1).max() < 0.003
     if lamps == "near":
         # The camera stands at (0, 0, 20) of the truth's axes.
         places = np.array([lamp["position"] for lamp in truth["lamps"]])
         seen = np.array([lamp.position for lamp in found.lamps]) + [0, 0, 20]
         far = np.linalg.norm(places, axis=1)
-        assert (np.linalg.norm(seen - places, axis=1) / far).max() < 0.02
+        assert (np.linalg.norm(seen - places, axis=1) / far).max() < 0.007
         # Its light falls off as 2 / (1 + d²), not as 1 / d².
         assert found.falloff == pytest.approx(0.5, abs=0.05)
     for sphere in found.spheres:
