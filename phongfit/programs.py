@@ -2,9 +2,11 @@
 
 import dataclasses
 import functools
+import gc
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, dataclass_transform, no_type_check
 
 import equinox as eqx
@@ -16,6 +18,14 @@ from phongfit.cache import keep_compiled
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
+
+# Linux gives a process 65 530 pieces of memory, of which XLA takes dozens for each
+# program, and fails without a word where there are no more.
+MOST_PIECES = 40_000
+# Programs that are compiled between two counts of these.
+COUNTED = 100
+# What JAX calls it.
+COMPILED = "/jax/core/compile/backend_compile_duration"
 
 # On a CPU: compiled in half the time, and as fast.
 HURRY = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
@@ -51,6 +61,7 @@ def program(*static: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         @functools.cache
         def whole() -> Callable[..., R]:
             _keep_compiled_once()
+            _room.watch()
             options = compiler_options()
             return jax.jit(function, static_argnames=static, compiler_options=options)
 
@@ -58,6 +69,8 @@ def program(*static: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         def run(*args: P.args, **kwargs: P.kwargs) -> R:
             # What is traced becomes part of another program, with that one's options.
             traced = get_opaque_trace_state() != _untraced()
+            if not traced:
+                _room.make()
             try:
                 return (part if traced else whole())(*args, **kwargs)
             except TypeError:
@@ -70,6 +83,41 @@ def program(*static: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 _keep_compiled_once = functools.cache(keep_compiled)
+
+
+class _Room:
+    """Sees to it that a process does not run out of pieces of memory."""
+
+    def __init__(self) -> None:
+        self._compiled, self._watches = 0, False
+
+    def watch(self) -> None:
+        """Count from now on what JAX compiles, or loads."""
+        if not self._watches:
+            self._watches = True
+            jax.monitoring.register_event_duration_secs_listener(self._count)
+
+    def _count(self, event: str, duration_secs: float, **kwargs: Any) -> None:
+        del duration_secs, kwargs
+        self._compiled += event == COMPILED
+
+    def make(self) -> None:
+        """Where there is little left, all programs go; those in use come again."""
+        if self._compiled < COUNTED:
+            return
+        self._compiled = 0
+        if _pieces() > MOST_PIECES:
+            jax.clear_caches()
+            gc.collect()
+
+
+_room = _Room()
+
+
+def _pieces() -> int:
+    """How many pieces of memory this process has; 0 where nothing tells."""
+    maps = Path("/proc/self/maps")
+    return maps.read_bytes().count(b"\n") if maps.exists() else 0
 
 
 @functools.cache

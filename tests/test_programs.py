@@ -1,6 +1,7 @@
 """Compiled programs, whatever their arguments hold."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 
+from phongfit import programs
 from phongfit.programs import HURRY, compiler_options, program
 
 
@@ -54,6 +56,37 @@ def test_it_is_compiled_once_and_differentiable():
     assert len(traced) == 1
     assert jax.grad(square)(two) == 4
     np.testing.assert_array_equal(jax.vmap(square)(jnp.arange(3.0)), [0, 1, 4])
+
+
+@pytest.mark.parametrize("pieces, goes", [(10, False), (10**5, True)])
+def test_programs_go_before_memory_has_no_place_for_others(monkeypatch, pieces, goes):
+    cleared = []
+    monkeypatch.setattr(programs, "COUNTED", 2)
+    monkeypatch.setattr(programs, "_pieces", lambda: pieces)
+    monkeypatch.setattr(jax, "clear_caches", lambda: cleared.append(True))
+    square = program()(lambda x: x**2)
+    one = np.ones(3)
+    square(one)
+    cleared.clear()
+    # One more is compiled, and then none: nothing is looked at.
+    for array in (one, one, one):
+        square(array)
+    assert not cleared
+    for size in range(4, 7):
+        square(np.ones(size))
+    assert bool(cleared) == goes
+    cleared.clear()
+    # What is traced is no program of its own.
+    jax.make_jaxpr(square)(one)
+    assert not cleared
+
+
+def test_pieces_of_memory_are_counted():
+    maps = Path("/proc/self/maps")
+    if not maps.exists():
+        pytest.skip("only Linux counts them")
+    lines = len(maps.read_text().splitlines())
+    assert abs(programs._pieces() - lines) < 0.2 * lines
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ import itertools
 import json
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 from PIL import Image
@@ -109,8 +108,6 @@ def fitted(folder, *of):
 def pulls(folder, *of):
     """(found − true) / error of the same."""
     off, errors = fitted(folder, *of)
-    # Programs of each capture's own shapes: of a dozen memory has no place.
-    jax.clear_caches()
     return off / errors
 
 
