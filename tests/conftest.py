@@ -16,6 +16,8 @@ import matplotlib
 import pytest
 from hypothesis import settings
 
+from phongfit.programs import MOST_PIECES, pieces_of_memory
+
 ROOT = Path(__file__).parent
 
 matplotlib.use("agg")
@@ -35,20 +37,15 @@ jax.config.update("jax_traceback_in_locations_limit", 0)
 def _settled_memory():
     """What JAX has compiled stays: the collector need not look at it again.
 
-    Until there is so much of it that the system runs out of places in memory.
+    Until there is so much of it that the system runs out of pieces of memory: what is
+    frozen would not go by itself.
     """
     yield
-    if _places() > 40_000:
+    if pieces_of_memory() > MOST_PIECES:
         jax.clear_caches()
         gc.unfreeze()
         gc.collect()
     gc.freeze()
-
-
-def _places() -> int:
-    """How many separate pieces of memory this process has; Linux allows 65 530."""
-    maps = Path("/proc/self/maps")
-    return len(maps.read_text().splitlines()) if maps.exists() else 0
 
 
 @pytest.fixture(scope="module")

@@ -62,7 +62,7 @@ def test_it_is_compiled_once_and_differentiable():
 def test_programs_go_before_memory_has_no_place_for_others(monkeypatch, pieces, goes):
     cleared = []
     monkeypatch.setattr(programs, "COUNTED", 2)
-    monkeypatch.setattr(programs, "_pieces", lambda: pieces)
+    monkeypatch.setattr(programs, "pieces_of_memory", lambda: pieces)
     monkeypatch.setattr(jax, "clear_caches", lambda: cleared.append(True))
     square = program()(lambda x: x**2)
     one = np.ones(3)
@@ -86,7 +86,7 @@ def test_pieces_of_memory_are_counted():
     if not maps.exists():
         pytest.skip("only Linux counts them")
     lines = len(maps.read_text().splitlines())
-    assert abs(programs._pieces() - lines) < 0.2 * lines
+    assert abs(programs.pieces_of_memory() - lines) < 0.2 * lines
 
 
 @pytest.fixture
