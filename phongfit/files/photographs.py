@@ -264,9 +264,15 @@ def relative_exposures(
             for name, exposure in zip(names[:LISTED], exposures, strict=False)
         ]
         rest = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-        notes.append(f"{', '.join(shown)}{rest}: brought to common light")
+        notes.append(
+            f"{', '.join(shown)}{rest}: brought to common light, to some 5 %, as "
+            "cameras state rounded numbers"
+        )
     elif all(exposure.time is None for exposure in exposures) and len(names) > 1:
-        notes.append("no exposure times are stated: taken as alike")
+        notes.append(
+            "no exposure times are stated: taken as alike, or lamps' strengths are "
+            "times those"
+        )
     return relative, tuple(notes)
 
 

@@ -11,6 +11,7 @@ from phongfit.cli import main
 from phongfit.files.images import to_levels
 from phongfit.rendering.film import decode
 from tests.calibration.studio import Studio, degrees, directions
+from tests.files.test_photographs import exif
 from tests.files.test_profiles import FROM_P3, P3, rgb_profile
 from tests.files.test_raw import BLACK, WHITE, dng
 
@@ -100,6 +101,53 @@ def test_one_photograph_that_is_kept_otherwise(tmp_path, save):
         save(path, levels) if number == 2 else Image.fromarray(levels).save(path)
     words = ["calibrate", f"{folder}", "--encoding", "srgb", "--fov", "20"]
     check_lamps([*words, *circles(studio)], tmp_path / "out")
+
+
+def exposed(folder, settings, strengths, states):
+    """Lamps of such strengths, each as time, f-number and ISO let in; all formats."""
+    studio = Studio()
+    for number, (lamp, strength) in enumerate(zip(LAMPS, strengths, strict=True)):
+        time, f_number, iso = settings[number]
+        share = let_in(settings[number]) / let_in(settings[0])
+        light = studio.photograph(lamp, strength * share, seed=number)
+        levels = Image.fromarray(to_levels(light, "srgb", 8))
+        options = {"quality": 95, "subsampling": 0} if number % 2 else {}
+        if states:
+            options["exif"] = exif(time=time, f_number=f_number, iso=iso)
+        suffix = ("png", "jpg", "tif")[number % 3]
+        levels.save(folder / f"{number + 1}.{suffix}", **options)
+    return ["calibrate", f"{folder}", "--encoding", "srgb", "--fov", "20"]
+
+
+def let_in(setting):
+    time, f_number, iso = setting
+    return time * iso / f_number**2
+
+
+@pytest.mark.parametrize("states", [True, False])
+def test_photographs_of_mixed_exposures(tmp_path, capsys, states):
+    """Lamps' strengths are those in common light, or else that is said."""
+    folder, out = tmp_path / "photos", tmp_path / "out"
+    folder.mkdir()
+    settings = [(1 / 60, 8, 100), (1 / 120, 8, 100), (1 / 60, 8, 25)]
+    settings += [(1 / 120, 4, 25), (1 / 60, 4, 50)]
+    strengths = np.array([1.0, 0.9, 1.2, 1.1, 0.4])
+    words = exposed(folder, settings, strengths, states)
+    assert main([*words, *circles(Studio()), "-o", f"{out}"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    shares = np.array([let_in(setting) for setting in settings])
+    if states:
+        assert "1.png 1/60 s, f/8, ISO 100, 2.jpg 1/120 s, f/8, ISO 100" in said
+        assert "brought to common light, to some 5 %" in said
+        shares = np.ones(5)
+    else:
+        assert (
+            "no exposure times are stated: taken as alike, or lamps' strengths" in said
+        )
+    found = pf.load_calibration(out)
+    assert degrees([lamp.direction for lamp in found.lamps], LAMPS).max() < 0.5
+    ratio = [lamp.intensity.mean() for lamp in found.lamps] / (strengths * shares)
+    assert np.abs(ratio / ratio.mean() - 1).max() < 0.015
 
 
 def test_a_folder_of_raw_photographs(tmp_path):

@@ -82,7 +82,10 @@ def test_exposures_that_differ_are_lights_that_do(tmp_path):
         shown.save(tmp_path / name, exif=exif(time=time))
     pf.write_lp(tmp_path / "a.lp", ["1.png", "2.png"], LAMPS[[0, 0]])
     data = open_captured(tmp_path, "linear", sphere=CIRCLE)
-    assert data.notes == ("1.png 1/4 s, 2.png 1 s: brought to common light",)
+    assert data.notes == (
+        "1.png 1/4 s, 2.png 1 s: brought to common light, to some 5 %, as cameras "
+        "state rounded numbers",
+    )
     bright = data.scenes[1]
     assert float(bright.ambient[0]) == 4
     # In the light of the first.

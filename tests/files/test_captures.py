@@ -74,7 +74,8 @@ def test_photographs_of_different_exposure_come_to_common_light(tmp_path):
         assert image[1:] == pytest.approx(0.15, abs=0.003)
     assert not capture.read(0).mask[0, 0].any() and capture.read(0).mask[1:].all()
     assert capture.notes == (
-        "1.png 1 s, 2.png 0.5 s, 3.png 1/4 s: brought to common light",
+        "1.png 1 s, 2.png 0.5 s, 3.png 1/4 s: brought to common light, to some 5 %, as "
+        "cameras state rounded numbers",
     )
     beyond = {"ambient": tmp_path / "ambient.png", "flat": tmp_path / "flat.png"}
     capture = pf.open_capture(tmp_path, "linear", **beyond)

@@ -65,7 +65,10 @@ def test_exposures_that_differ_come_to_the_light_of_the_shortest(tmp_path):
         Image.fromarray(levels).save(tmp_path / name, exif=exif(time=time))
     paths = [tmp_path / "1.png", tmp_path / "2.png"]
     stack = pf.PhotographStack(paths, "linear")
-    assert stack.notes == ("1.png 0.5 s, 2.png 1 s: brought to common light",)
+    assert stack.notes == (
+        "1.png 0.5 s, 2.png 1 s: brought to common light, to some 5 %, as cameras "
+        "state rounded numbers",
+    )
     taken = stack.take(np.arange(24), [0, 1])
     hidden = np.ma.getmaskarray(taken)
     # The lamp of the longer one is cut off at white.
