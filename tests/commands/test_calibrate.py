@@ -111,11 +111,9 @@ def exposed(folder, settings, strengths, states):
         share = let_in(settings[number]) / let_in(settings[0])
         light = studio.photograph(lamp, strength * share, seed=number)
         levels = Image.fromarray(to_levels(light, "srgb", 8))
-        options = {"quality": 95, "subsampling": 0} if number % 2 else {}
-        if states:
-            options["exif"] = exif(time=time, f_number=f_number, iso=iso)
+        note = exif(time=time, f_number=f_number, iso=iso) if states else b""
         suffix = ("png", "jpg", "tif")[number % 3]
-        levels.save(folder / f"{number + 1}.{suffix}", **options)
+        levels.save(folder / f"{number + 1}.{suffix}", exif=note, quality=95)
     return ["calibrate", f"{folder}", "--encoding", "srgb", "--fov", "20"]
 
 
