@@ -154,6 +154,11 @@ from .report.page import write_page as write_page
 from .report.pictures import show as show
 from .report.viewer import write_view as write_view
 from .scene import Scene as Scene
-from .textures import Texture as Texture, Textures as Textures
+from .textures import (
+    AbstractTexture as AbstractTexture,
+    Texture as Texture,
+    Textures as Textures,
+    VertexColours as VertexColours,
+)
 
 __version__: str

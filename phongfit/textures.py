@@ -1,11 +1,13 @@
-r"""Textures: images on a surface, which multiply the parameters of its material.
+r"""Textures: numbers on a surface, which multiply the parameters of its material.
 
-$u$ and $v$ are glTF's: (0, 0) is the upper left corner of an image and (1, 1) the lower
+They are images, or stand at the vertices of a mesh. Of images $u$ and $v$ are glTF's: (0, 0) is the upper left corner of an image and (1, 1) the lower
 right one, so that texel (row, column) has its centre at $u = (column + \frac12) / W$,
 $v = (row + \frac12) / H$.
 """
 
-from collections.abc import Sequence
+import abc
+import dataclasses
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, get_args
 
 import equinox as eqx
@@ -22,7 +24,35 @@ FILTERS: tuple[Filter, ...] = get_args(Filter)
 WRAPS: tuple[Wrap, ...] = get_args(Wrap)
 
 
-class Texture(eqx.Module):
+class Place(eqx.Module):
+    """Points of a surface, as textures are asked about them."""
+
+    corners: Int[Array, "*batch 3"]
+    weights: Float[Array, "*batch 3"]
+    uv: Float[Array, "*batch 2"] | None = None
+    material_index: Int[Array, "*batch"] | None = None
+
+
+Place.__init__.__doc__ = """**Arguments:**
+
+- `corners`, `weights`: vertices of the triangle that a point lies in, and their
+    weights, which sum to 1.
+- `uv`: where in its textures it lies; `None` where the surface has no uv.
+- `material_index`: which of several materials; `None` where there is one.
+"""
+
+
+class AbstractTexture(eqx.Module):
+    """Numbers on a surface, of three channels, or of one for all."""
+
+    values: eqx.AbstractVar[Float[Array, "*places channels"]]
+
+    @abc.abstractmethod
+    def look_up(self, place: Place) -> Float[Array, "*batch channels"]:
+        """The numbers at points of the surface."""
+
+
+class Texture(AbstractTexture):
     """An image on a surface: numbers between the texels are interpolated, or not."""
 
     values: Float[Array, "rows columns channels"]
@@ -42,19 +72,17 @@ class Texture(eqx.Module):
 
         **Raises:** `ValueError` that names the argument.
         """
-        values = as_floats("values", values)
-        if values.ndim != 3 or values.shape[-1] not in (1, 3) or 0 in values.shape:
-            raise ValueError(
-                f"values: expected shape (H, W, 3) or (H, W, 1), got {values.shape}"
-            )
+        self.values = _as_values(values, "H, W")
         if filter not in FILTERS:
             raise ValueError(f"filter: expected one of {FILTERS}, got {filter!r}")
         if wrap not in WRAPS:
             raise ValueError(f"wrap: expected one of {WRAPS}, got {wrap!r}")
-        finite = "finite numbers"
-        self.values = require("values", values, np.isfinite, jnp.isfinite, finite)
         self.filter = filter
         self.wrap = wrap
+
+    def look_up(self, place: Place) -> Float[Array, "*batch channels"]:
+        assert place.uv is not None
+        return self.at(place.uv)
 
     def at(self, uv: Float[Array, "*batch 2"]) -> Float[Array, "*batch channels"]:
         """The texture's numbers at points of the surface."""
@@ -66,6 +94,39 @@ class Texture(eqx.Module):
         for k in range(index.shape[-1]):
             total += weight[..., k, None] * flat[index[..., k]]
         return total
+
+
+class VertexColours(AbstractTexture):
+    """Numbers at the vertices of a mesh, linear over each triangle in space."""
+
+    values: Float[Array, "vertices channels"]
+
+    @checked
+    def __init__(self, values: Any):
+        """**Arguments:** `values`: (V, 3), or (V, 1) for all channels; linear, never
+        sRGB.
+
+        **Raises:** `ValueError` that names the argument.
+        """
+        self.values = _as_values(values, "V")
+
+    def look_up(self, place: Place) -> Float[Array, "*batch channels"]:
+        shape = (*place.weights.shape[:-1], self.values.shape[-1])
+        total = jnp.zeros(shape, self.values.dtype)
+        for k in range(3):
+            total += place.weights[..., k, None] * self.values[place.corners[..., k]]
+        return total
+
+
+def _as_values(values: Any, places: str) -> Array:
+    """Numbers of three channels or one, for each place: `"V"`, or `"H, W"`."""
+    values = as_floats("values", values)
+    channels, count = values.shape[-1:], len(places.split(","))
+    if values.ndim != count + 1 or channels not in ((1,), (3,)) or 0 in values.shape:
+        raise ValueError(
+            f"values: expected shape ({places}, 3) or ({places}, 1), got {values.shape}"
+        )
+    return require("values", values, np.isfinite, jnp.isfinite, "finite numbers")
 
 
 def texels(
@@ -112,23 +173,25 @@ class Textures(eqx.Module):
     A surface has them: light stays linear in the reflectances, which are factors then.
     """
 
-    diffuse: Texture | None = None
-    specular: Texture | None = None
-    shininess: Texture | None = None
-    ambient: Texture | None = None
-    emission: Texture | None = None
+    diffuse: AbstractTexture | None = None
+    specular: AbstractTexture | None = None
+    shininess: AbstractTexture | None = None
+    ambient: AbstractTexture | None = None
+    emission: AbstractTexture | None = None
     normal: Texture | None = None
 
     def __check_init__(self) -> None:
         for name, texture in vars(self).items():
             if texture is None:
                 continue
-            if not isinstance(texture, Texture):
-                raise ValueError(f"{name}: expected a Texture, got {texture!r}")
+            kind = Texture if name == "normal" else AbstractTexture
+            if not isinstance(texture, kind):
+                more = " or VertexColours" if name != "normal" else ""
+                raise ValueError(f"{name}: expected a Texture{more}, got {texture!r}")
             wanted = {"shininess": 1, "normal": 3}.get(name)
             if wanted not in (None, texture.values.shape[-1]):
                 raise ValueError(
-                    f"{name}: expected a texture (H, W, {wanted}), got "
+                    f"{name}: expected a texture of channels: {wanted}, got shape "
                     f"{texture.values.shape}"
                 )
             if name != "normal":
@@ -138,13 +201,27 @@ class Textures(eqx.Module):
 
                 require(name, texture.values, positive, positive, "numbers ≥ 0")
 
+    @property
+    def at_vertices(self) -> dict[str, VertexColours]:
+        """Those that are not images."""
+        each = vars(self).items()
+        return {name: one for name, one in each if isinstance(one, VertexColours)}
+
+    def rearranged(self, change: Callable[[Array], Array]) -> "Textures":
+        """The same where vertices have other numbers: `change` is of their rows."""
+        changed = {
+            name: VertexColours(change(one.values))
+            for name, one in self.at_vertices.items()
+        }
+        return dataclasses.replace(self, **changed)
+
 
 Textures.__init__.__doc__ = """**Arguments:**
 
-- `diffuse`, `specular`, `ambient`, `emission`: [`Texture`][]s of numbers ≥ 0, with
-    three channels or one.
+- `diffuse`, `specular`, `ambient`, `emission`: [`Texture`][] or [`VertexColours`][] of
+    numbers ≥ 0, with three channels or one.
 - `shininess`: of one channel.
-- `normal`: the normal's part along u, along −v (up in the image) and outwards, from −1
+- `normal`: a [`Texture`][]: the normal's part along u, along −v (up in the image) and outwards, from −1
     to 1; seen with Phong shading only.
 
 **Raises:** `ValueError` that names the argument.
@@ -164,17 +241,11 @@ class Factors(eqx.Module):
 
 
 def looked_up(
-    name: str,
-    textures: Sequence[Textures],
-    uv: Float[Array, "*batch 2"],
-    material_index: Int[Array, "*batch"] | None,
+    name: str, textures: Sequence[Textures], place: Place
 ) -> Float[Array, "*batch channels"] | None:
     """One parameter's factor at points of a surface; `None` if it has no texture.
 
-    **Arguments:**
-
-    - `textures`: of each material, or of all.
-    - `material_index`: of each point.
+    **Arguments:** `textures`: of each material, or of all.
     """
     own = [getattr(one, name) for one in textures]
     given = [one for one in own if one is not None]
@@ -182,35 +253,34 @@ def looked_up(
         return None
     channels = max(one.values.shape[-1] for one in given)
     neutral = [0.0, 0.0, 1.0] if name == "normal" else [1.0] * channels
+    *shape, _ = place.weights.shape
+    dtype = place.weights.dtype
 
-    def at(texture: Texture | None) -> Array:
-        values = jnp.asarray(neutral, uv.dtype) if texture is None else texture.at(uv)
-        return jnp.broadcast_to(values, (*uv.shape[:-1], channels))
+    def at(texture: AbstractTexture | None) -> Array:
+        none = texture is None
+        values = jnp.asarray(neutral, dtype) if none else texture.look_up(place)
+        return jnp.broadcast_to(values, (*shape, channels))
 
-    if len(own) == 1 or material_index is None:
+    if len(own) == 1 or place.material_index is None:
         return at(own[0])
     total = at(None)
     for number, texture in enumerate(own):
         if texture is not None:
-            here = (material_index == number)[..., None]
+            here = (place.material_index == number)[..., None]
             total = jnp.where(here, at(texture), total)
     return total
 
 
-def factors(
-    textures: Sequence[Textures],
-    uv: Float[Array, "*batch 2"],
-    material_index: Int[Array, "*batch"] | None,
-) -> Factors | None:
+def factors(textures: Sequence[Textures], place: Place) -> Factors | None:
     """What the colours' textures multiply; `None` if there is no texture of colour."""
-    found = {name: looked_up(name, textures, uv, material_index) for name in COLOURED}
+    found = {name: looked_up(name, textures, place) for name in COLOURED}
     if all(values is None for values in found.values()):
         return None
-    shape = (*uv.shape[:-1], 3)
-    one = jnp.ones((), uv.dtype)
+    *shape, _ = place.weights.shape
+    one = jnp.ones((), place.weights.dtype)
     return Factors(
         **{
-            name: jnp.broadcast_to(one if values is None else values, shape)
+            name: jnp.broadcast_to(one if values is None else values, (*shape, 3))
             for name, values in found.items()
         }
     )

@@ -73,6 +73,13 @@ def test_what_textures_do_not_take():
         pf.Textures(shininess=pf.Texture(np.ones((1, 1, 3))))
     with pytest.raises(ValueError, match="normal: expected a texture"):
         pf.Textures(normal=pf.Texture(VALUES))
+    with pytest.raises(ValueError, match="normal: expected a Texture, got"):
+        pf.Textures(normal=pf.VertexColours(np.ones((4, 3))))  # pyright: ignore
+    with pytest.raises(ValueError, match="diffuse: expected numbers ≥ 0"):
+        pf.Textures(diffuse=pf.VertexColours(-np.ones((4, 1))))
+    for values in (np.ones(3), np.ones((4, 2)), np.ones((0, 3)), np.ones((1, 1, 3))):
+        with pytest.raises(ValueError, match=r"values: expected shape \(V, 3\)"):
+            pf.VertexColours(values)
 
 
 def plate(textures=None, **changes) -> pf.Mesh:
@@ -163,12 +170,12 @@ def test_materials_have_their_own_textures():
 
 
 def test_a_mesh_with_textures_needs_uv():
-    mesh = plate()
+    mesh, wood = plate(), pf.Textures(diffuse=pf.Texture(VALUES))
     with pytest.raises(ValueError, match="textures: the mesh has no uv"):
-        pf.Mesh(mesh.vertices, mesh.faces, textures=pf.Textures())
+        pf.Mesh(mesh.vertices, mesh.faces, textures=wood)
     with pytest.raises(ValueError, match="uv: expected shape"):
         pf.Mesh(mesh.vertices, mesh.faces, uv=np.zeros((4, 2)))
-    textured = mesh.with_textures(pf.Textures(diffuse=pf.Texture(VALUES)))
+    textured = mesh.with_textures(wood)
     assert textured.textures is not None and mesh.textures is None
     assert textured.with_textures(None).textures is None
 
@@ -194,6 +201,85 @@ def test_texels_have_gradients():
 
     # Each is seen in as many pixels: a third of a channel's mean over 16 texels.
     near(jax.grad(mean)(values), np.full((4, 4, 3), 1 / 48), 1e-5)
+
+
+ASKEW = np.array([[-1, -1, 1], [1.2, -0.8, -1], [-0.1, 1.1, 0.3], [2, 2, -1]])
+
+
+def test_colours_of_vertices_are_linear_in_space():
+    """Where a ray meets the plane, by hand: areas in the plane, not in the image."""
+    colours = np.random.default_rng(0).uniform(0.1, 0.9, (4, 3))
+    textures = pf.Textures(emission=pf.VertexColours(colours))
+    mesh = pf.Mesh(ASKEW, [[0, 1, 2], [1, 3, 2]], textures=textures)
+    camera = pf.PerspectiveCamera.look_at((0, 0, 2.5), width=16, height=16, fov_y=60)
+    scene = pf.Scene(mesh, camera, FRONT)
+    material = pf.Material(0.0, 0.0, 1.0, 0.0, emission=0.5)
+    buffer, image = scene.trace(), np.asarray(pf.render(scene, material))
+    points, mask = np.asarray(buffer.position), np.asarray(buffer.mask)
+    assert mask.sum() > 50 and len(set(np.asarray(buffer.face)[mask])) == 2
+    for place in np.argwhere(mask):
+        corners = np.asarray(mesh.faces)[np.asarray(buffer.face)[tuple(place)]]
+        # Position and weights: p = Σ w v, Σ w = 1.
+        matrix = np.vstack([ASKEW[corners].T, np.ones(3)])
+        point = np.append(points[tuple(place)], 1)
+        weights = np.linalg.lstsq(matrix, point, rcond=None)[0]
+        near(image[tuple(place)], 0.5 * weights @ colours[corners], 1e-4)
+
+
+def test_colours_of_vertices_are_in_the_materials_place():
+    values = np.random.default_rng(1).uniform(0.2, 1, (4, 1))
+    each = [pf.Textures(specular=pf.VertexColours(values)), pf.Textures()]
+    mesh = pf.Mesh(plate().vertices, plate().faces, None, [0, 1], textures=each)
+    scene = pf.Scene(mesh, CAMERA, FRONT)
+    material = pf.Material(0.0, np.ones((2, 1)), 1e-3, 0.0)
+    image = np.asarray(pf.render(scene, material))
+    # The other triangle has none. At a pixel's centre its weights are known.
+    near(image[1, 0], (1, 1, 1), 1e-3)
+    weights = np.array([1 - 7.5 / 8, 7.5 / 8 - 1.5 / 8, 1.5 / 8])
+    near(image[6, 7], np.repeat(weights @ values[:3], 3), 2e-3)
+    # An exponent, too, and a mesh that is cut open keeps its colours.
+    bent = pf.Textures(shininess=pf.VertexColours(values), diffuse=each[0].specular)
+    half = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 1.0]])
+    faces = [[0, 1, 2], [0, 2, 3]]
+    for angle in (None, 10.0):
+        cut = pf.Mesh(half, faces, textures=bent, crease_angle=angle)
+        rows = np.asarray(cut.textures[0].diffuse.values)  # pyright: ignore
+        for point, row in zip(np.asarray(cut.vertices), rows, strict=True):
+            near(row, values[np.flatnonzero((half == point).all(axis=1))[0]])
+    assert len(rows) == 6
+    with pytest.raises(ValueError, match="diffuse: expected a row for each of 3 vert"):
+        pf.Mesh(half[:3], [[0, 1, 2]], textures=bent)
+
+
+def test_joined_meshes_keep_the_colours_of_their_vertices():
+    red = pf.Textures(diffuse=pf.VertexColours([(1.0, 0, 0)] * 4))
+    bare = pf.Mesh(np.asarray(plate().vertices) + [0, 0, 1], plate().faces[:1])
+    both = pf.join([bare, pf.Mesh(plate().vertices, plate().faces, textures=red)])
+    white = pf.Material(np.ones((2, 1)), 0.0, 1.0, 0.0)
+    image = np.asarray(pf.render(pf.Scene(both, CAMERA, FRONT), white))
+    near(image[7, 6], (1, 1, 1))
+    near(image[1, 0], (1, 0, 0))
+
+
+def test_colours_of_vertices_have_gradients():
+    values = floats(np.random.default_rng(0).uniform(size=(4, 3)))
+    bare = pf.Mesh(plate().vertices, plate().faces)
+    buffer = pf.trace(bare, CAMERA)
+
+    @jax.jit
+    def mean(values):
+        colours = pf.Textures(diffuse=pf.VertexColours(values))
+        scene = pf.Scene(bare.with_textures(colours), CAMERA, FRONT)
+        return jnp.mean(pf.render(scene, pf.Material(1.0, ambient=0.0), gbuffer=buffer))
+
+    slopes = np.asarray(jax.grad(mean)(values))
+    # The two on the diagonal are corners of both triangles.
+    near(slopes[[1, 3]], np.full((2, 3), slopes[1, 0]), 1e-6)
+    near(slopes.sum(), 1, 1e-5)
+    assert slopes[0, 0] > 1.5 * slopes[1, 0]
+    step = np.zeros((4, 3))
+    step[2, 1] = 0.1
+    near((mean(values + step) - mean(values)) / 0.1, slopes[2, 1], 1e-3)
 
 
 def test_several_rays_make_smooth_outlines():

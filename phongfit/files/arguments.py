@@ -96,6 +96,9 @@ def _built(place: str, value: Any) -> Any:
 RECORDS: dict[type, type[AbstractPart]] = {}
 """What stands in files for the objects of a class."""
 
+UNSAID: dict[type, str] = {}
+"""Of a base class the kind that is meant where a file does not say one."""
+
 R = TypeVar("R", bound=Arguments)
 
 
@@ -233,7 +236,10 @@ def one_of(base: type) -> Callable[[Any, ValidationInfo], AbstractPart]:
     def read(data: Any, info: ValidationInfo) -> AbstractPart:
         if not isinstance(data, dict):
             raise complain(f"expected an object {{…}}, got {shorten(data)}")
-        kind, kinds = data.get("kind"), kinds_of(base)
+        kinds = kinds_of(base)
+        if base in UNSAID:
+            data = {"kind": UNSAID[base], **data}
+        kind = data.get("kind")
         if isinstance(kind, str) and kind in kinds:
             return kinds[kind].model_validate(data, context=info.context)
         wanted = ", ".join(repr(name) for name in kinds)

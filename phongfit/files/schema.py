@@ -11,6 +11,7 @@ from pydantic import Field, PlainValidator
 from phongfit.edge import checked
 from phongfit.files.arguments import (
     RECORDS,
+    UNSAID,
     AbstractPart,
     Arguments,
     FileBeside,
@@ -53,6 +54,7 @@ from phongfit.microfacets import GGX, Ward
 from phongfit.reflectance import AbstractSpecular, BlinnPhong, Phong
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
+from phongfit.textures import AbstractTexture, Texture, VertexColours
 
 SCENE_FORMAT = "phongfit scene"
 TRUTH_FORMAT = "phongfit truth"
@@ -101,6 +103,7 @@ FAMILIES = (
     AbstractSpecular,
     AbstractShading,
     AbstractDistortion,
+    AbstractTexture,
 )
 
 
@@ -120,8 +123,8 @@ def register(made: type, kind: str, /, **keys: str) -> None:
 
     **Arguments:**
 
-    - `made`: a light, surface, camera, distortion, specular model or shading method. It
-        may be registered again, as happens in a notebook.
+    - `made`: a light, surface, camera, distortion, texture, specular model or shading
+        method. It may be registered again, as happens in a notebook.
     - `kind`: what files call it.
     - `keys`: what files call an argument, where that is not its name.
 
@@ -151,6 +154,10 @@ def _full_name(made: type) -> tuple[str, str]:
 
 
 RECORDS[AbstractSurface] = MeshFile
+# Scene files are older than textures of vertices.
+UNSAID[AbstractTexture] = "image"
+register(Texture, "image")
+register(VertexColours, "vertices")
 register(Sphere, "sphere")
 register(NormalMap, "normal_map")
 register(Mesh, "mesh")

@@ -32,7 +32,14 @@ from phongfit.geometry.normals import (
 from phongfit.geometry.raytracing import blocked, first_faces
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer
 from phongfit.programs import program
-from phongfit.textures import Factors, Textures, factors, looked_up
+from phongfit.textures import (
+    Factors,
+    Place,
+    Texture,
+    Textures,
+    factors,
+    looked_up,
+)
 from phongfit.vectors import Vec3, dot, norm, normalize, normalize_all
 
 # A shadow ray starts this far off its face, as a share of the mesh's size: past the
@@ -110,7 +117,8 @@ class Mesh(AbstractSurface):
         - `uv`: (F, 3, 2): where in a texture each corner of a face lies; (0, 0) is the
             texture's upper left corner, (1, 1) its lower right one.
         - `textures`: what multiplies the parameters of the `Material`: one for all
-            materials, or one for each.
+            materials, or one for each. [`VertexColours`][] have a row for each of
+            `vertices`, and need no uv.
         - `weighting`: of the faces around a vertex, `"area"` or `"angle"`.
         - `crease_angle`: degrees; an edge between faces whose normals differ by more is
             sharp, and its vertices are doubled. Default: every edge is smooth.
@@ -140,6 +148,7 @@ class Mesh(AbstractSurface):
                 )
             require("normals", normals, np.isfinite, jnp.isfinite, "finite numbers")
             normals = normalize_all(normals)
+        count, origin = len(vertices), None
         if crease_angle is not None:
             if normals is not None:
                 raise ValueError("crease_angle: only for normals that are computed")
@@ -156,7 +165,10 @@ class Mesh(AbstractSurface):
         index = self.material_index
         self.corners = Corners(faces, None if index is None else np.asarray(index))
         self.uv = _as_uv(uv, len(faces))
-        self.textures = _as_textures(textures, self.uv, self._materials)
+        chosen = _as_textures(textures, self.uv, self._materials, count)
+        if chosen is not None and origin is not None:
+            chosen = tuple(one.rearranged(lambda rows: rows[origin]) for one in chosen)
+        self.textures = chosen
         self.weighting = weighting
         self.two_sided = bool(two_sided)
 
@@ -167,23 +179,29 @@ class Mesh(AbstractSurface):
     def with_textures(self, textures: Iterable[Textures] | Textures | None) -> "Mesh":
         """The same mesh with other textures; `None` for none.
 
-        **Raises:** `ValueError` if it has no uv, or not as many materials.
+        **Raises:** `ValueError` if it has no uv, or not as many materials or vertices.
         """
-        chosen = _as_textures(textures, self.uv, self._materials)
+        count = len(self.vertices)
+        chosen = _as_textures(textures, self.uv, self._materials, count)
         return eqx.tree_at(
             lambda mesh: mesh.textures, self, chosen, is_leaf=lambda leaf: leaf is None
         )
 
+    def place(self, gbuffer: GBuffer) -> Place:
+        """Where on the surface each pixel looks."""
+        face, weights = gbuffer.face, gbuffer.barycentrics
+        assert face is not None and weights is not None
+        return Place(self.faces[face], weights, gbuffer.uv, gbuffer.material_index)
+
     def factors(self, gbuffer: GBuffer) -> Factors | None:
-        if self.textures is None or gbuffer.uv is None:
+        if self.textures is None:
             return None
-        return factors(self.textures, gbuffer.uv, gbuffer.material_index)
+        return factors(self.textures, self.place(gbuffer))
 
     def exponents(self, gbuffer: GBuffer) -> Float[Array, "*pixels"] | None:
-        if self.textures is None or gbuffer.uv is None:
+        if self.textures is None:
             return None
-        place = gbuffer.uv, gbuffer.material_index
-        found = looked_up("shininess", self.textures, *place)
+        found = looked_up("shininess", self.textures, self.place(gbuffer))
         return None if found is None else found[..., 0]
 
     def vertex_normals(self) -> Float[Array, "vertices 3"]:
@@ -235,7 +253,7 @@ def _as_uv(value: Any, faces: int) -> Float[Array, "faces 3 2"] | None:
 
 
 def _as_textures(
-    value: Any, uv: Array | None, materials: int
+    value: Any, uv: Array | None, materials: int, vertices: int
 ) -> tuple[Textures, ...] | None:
     if value is None:
         return None
@@ -243,13 +261,19 @@ def _as_textures(
     for one in textures:
         if not isinstance(one, Textures):
             raise ValueError(f"textures: expected Textures, got {one!r}")
+        if uv is None and any(isinstance(k, Texture) for k in vars(one).values()):
+            raise ValueError("textures: the mesh has no uv, which say where they lie")
+        for name, colours in one.at_vertices.items():
+            if len(colours.values) != vertices:
+                raise ValueError(
+                    f"textures: {name}: expected a row for each of {vertices} "
+                    f"vertices, got {len(colours.values)}"
+                )
     if len(textures) not in (1, materials):
         raise ValueError(
             f"textures: expected one for all of the surface's {materials} materials, "
             f"or one for each, got {len(textures)}"
         )
-    if uv is None:
-        raise ValueError("textures: the mesh has no uv, which say where they lie")
     return textures
 
 
@@ -348,7 +372,8 @@ def _interpolate(
     uv = None
     if mesh.uv is not None:
         uv = jnp.sum(weights[..., None] * mesh.uv[face], axis=-2)
-        normal = _bumped(mesh, normal, face, uv, index)
+        place = Place(corners, weights, uv, index)
+        normal = _bumped(mesh, normal, face, place)
     if mesh.two_sided:
         behind = jnp.sum(surface_normal * to_viewer, axis=-1, keepdims=True) < 0
         normal = jnp.where(behind, -normal, normal)
@@ -370,12 +395,11 @@ def _bumped(
     mesh: Mesh,
     normal: Float[Array, "height width 3"],
     face: Int[Array, "height width"],
-    uv: Float[Array, "height width 2"],
-    material_index: Int[Array, "height width"] | None,
+    place: Place,
 ) -> Float[Array, "height width 3"]:
     """Normals as a normal map turns them."""
     textures = () if mesh.textures is None else mesh.textures
-    local = looked_up("normal", textures, uv, material_index)
+    local = looked_up("normal", textures, place)
     if local is None or mesh.uv is None:
         return normal
     along_u, along_v = jax.vmap(tangents)(mesh.vertices[mesh.faces], mesh.uv)
@@ -433,13 +457,16 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
     if len({mesh.two_sided for mesh in meshes}) > 1:
         raise ValueError("meshes: some are two-sided and some are not")
     faces, indices, vertices, materials = [], [], 0, 0
+    total = sum(len(mesh.vertices) for mesh in meshes)
     with_uv = any(mesh.uv is not None for mesh in meshes)
     textures: list[Textures] = []
     for mesh in meshes:
         index = mesh.material_index
         own = np.zeros(len(mesh.faces), int) if index is None else np.asarray(index)
         given = mesh.textures or (Textures(),)
-        textures += given * (mesh.materials // len(given))
+        given = given * (mesh.materials // len(given))
+        ends = vertices, total - vertices - len(mesh.vertices)
+        textures += [one.rearranged(lambda rows: _padded(rows, ends)) for one in given]
         faces.append(np.asarray(mesh.faces) + vertices)
         indices.append(own + materials)
         vertices += len(mesh.vertices)
@@ -458,6 +485,11 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
         weighting=meshes[0].weighting,
         two_sided=meshes[0].two_sided,
     )
+
+
+def _padded(rows: Array, ends: tuple[int, int]) -> Array:
+    """Rows of one mesh's vertices among those of others, which are 1."""
+    return jnp.pad(rows, (ends, (0, 0)), constant_values=1)
 
 
 def _uv_of(mesh: Mesh) -> Float[Array, "faces 3 2"]:

@@ -308,6 +308,33 @@ def test_a_scene_file_keeps_uv_and_textures(tmp_path):
     assert np.std(np.asarray(pf.render(again, material))) > 0.1
 
 
+def test_a_scene_file_keeps_colours_of_vertices(tmp_path):
+    colours = np.random.default_rng(0).uniform(size=(len(BOX.vertices), 3))
+    textures = pf.Textures(diffuse=pf.VertexColours(colours))
+    mesh = pf.Mesh(BOX.vertices, BOX.faces, textures=textures)
+    pf.save_scene(tmp_path / "scene.json", pf.Scene(mesh, CAMERA, WHITE))
+    again = pf.load_scene(tmp_path / "scene.json").surface
+    assert isinstance(again, pf.Mesh)
+    read = known(known(again.textures)[0].diffuse)
+    assert isinstance(read, pf.VertexColours)
+    near(read.values, colours)
+
+
+def test_scene_files_from_before_kinds_of_textures(tmp_path):
+    mesh = pf.load_mesh(write(tmp_path, "map_Kd c.png", c=LEVELS)).mesh
+    pf.save_scene(tmp_path / "scene.json", pf.Scene(mesh, CAMERA, WHITE))
+    text = (tmp_path / "scene.json").read_text()
+    content = json.loads(text)
+    assert content["surface"]["textures"][0]["diffuse"].pop("kind") == "image"
+    (tmp_path / "scene.json").write_text(json.dumps(content))
+    again = pf.load_scene(tmp_path / "scene.json").surface
+    assert isinstance(again, pf.Mesh)
+    near(
+        known(known(again.textures)[0].diffuse).values,
+        np.asarray(known(known(mesh.textures)[0].diffuse).values),
+    )
+
+
 def painted(rng, **sizes):
     """A texture of each kind, of numbers that 16 bits round."""
     return {name: pf.Texture(rng.uniform(0.1, 1, size)) for name, size in sizes.items()}
