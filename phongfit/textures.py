@@ -1,7 +1,8 @@
 r"""Textures: numbers on a surface, which multiply the parameters of its material.
 
-They are images, or stand at the vertices of a mesh. Of images $u$ and $v$ are glTF's: (0, 0) is the upper left corner of an image and (1, 1) the lower
-right one, so that texel (row, column) has its centre at $u = (column + \frac12) / W$,
+They are images, or stand at the vertices of a mesh. $u$ and $v$ of images are glTF's:
+(0, 0) is the upper left corner of an image and (1, 1) the lower right one, so that
+texel (row, column) has its centre at $u = (column + \frac12) / W$,
 $v = (row + \frac12) / H$.
 """
 
@@ -221,8 +222,8 @@ Textures.__init__.__doc__ = """**Arguments:**
 - `diffuse`, `specular`, `ambient`, `emission`: [`Texture`][] or [`VertexColours`][] of
     numbers ≥ 0, with three channels or one.
 - `shininess`: of one channel.
-- `normal`: a [`Texture`][]: the normal's part along u, along −v (up in the image) and outwards, from −1
-    to 1; seen with Phong shading only.
+- `normal`: a [`Texture`][] of the normal's part along u, along −v (up in the image)
+    and outwards, from −1 to 1; seen with Phong shading only.
 
 **Raises:** `ValueError` that names the argument.
 """

@@ -50,7 +50,8 @@ class Part(NamedTuple):
     """Triangles of one material: arrays as glTF has them.
 
     `uv` has its origin at the top left, and `tangents` are its u in space, with a sign.
-    Without `normals` faces are flat.
+    Without `normals` faces are flat. `colours` of its vertices are linear, by the name
+    of the attribute.
     """
 
     positions: Float[np.ndarray, "vertices 3"]
@@ -58,6 +59,7 @@ class Part(NamedTuple):
     normals: Float[np.ndarray, "vertices 3"] | None = None
     uv: Float[np.ndarray, "vertices 2"] | None = None
     tangents: Float[np.ndarray, "vertices 4"] | None = None
+    colours: dict[str, np.ndarray] = {}  # noqa: RUF012
 
 
 class Textures(NamedTuple):
@@ -183,6 +185,7 @@ class _File:
             "NORMAL": part.normals,
             "TEXCOORD_0": part.uv,
             "TANGENT": part.tangents,
+            **part.colours,
         }
         attributes = {
             name: self._array(array, f"VEC{array.shape[1]}")

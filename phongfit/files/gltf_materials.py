@@ -31,11 +31,12 @@ OpenImage = Callable[[int], tuple[bytes, Path]]
 
 
 class GltfShade(NamedTuple):
-    """A material's name, itself, and which set of uv its textures use."""
+    """A material's name, itself, which set of uv its textures use, and is it ours?"""
 
     name: str | None
     shaded: Shaded
     uv_set: int | None
+    own: bool
 
 
 def read_shade(
@@ -77,6 +78,7 @@ def read_shade(
         material.name,
         Shaded(Material(**leaves), Textures(**textures)),
         reader.uv_set,
+        given is not None,
     )
 
 

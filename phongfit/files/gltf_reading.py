@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 from phongfit.files.budget import afford
 from phongfit.files.gltf_materials import GltfShade, read_shade
 from phongfit.files.gltf_records import (
+    COLOURS,
     FAN,
     STRIP,
     TRIANGLES,
@@ -47,13 +48,17 @@ HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_punctu
 
 
 class GltfPart(NamedTuple):
-    """Triangles of one material in the world; `material` counts those of the file."""
+    """Triangles of one material in the world; `material` counts those of the file.
+
+    `colours` are rows for its vertices, (V, 3), by the parameter that they multiply.
+    """
 
     vertices: Float[np.ndarray, "vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
     normals: Float[np.ndarray, "vertices 3"] | None
     material: int | None
     uv: Float[np.ndarray, "vertices 2"] | None = None
+    colours: dict[str, np.ndarray] = {}  # noqa: RUF012
 
 
 def read_gltf(path: Path, note: Note) -> tuple[list[GltfPart], list[GltfShade]]:
@@ -77,9 +82,8 @@ def read_gltf(path: Path, note: Note) -> tuple[list[GltfPart], list[GltfShade]]:
     for number, material in enumerate(file.materials):
         with naming(f"materials[{number}]"):
             shades.append(read_shade(material, file, reader.image, note))
-    uv_sets = [shade.uv_set for shade in shades]
-    parts = list(reader.parts(uv_sets))
-    for words in unused(file, content, uv_sets):
+    parts = list(reader.parts(shades))
+    for words in unused(file, content, [shade.uv_set for shade in shades]):
         note(f"{words} not used")
     return parts, shades
 
@@ -135,11 +139,8 @@ class _Reader:
             file = inside(self._folder, unquote(image.uri))
             return (read_bytes(file) if file.is_file() else b""), file
 
-    def parts(self, uv_sets: list[int | None]) -> Iterator[GltfPart]:
-        """Triangles of every node of the scene.
-
-        **Arguments:** `uv_sets`: which of the sets of uv each material's textures use.
-        """
+    def parts(self, shades: list[GltfShade]) -> Iterator[GltfPart]:
+        """Triangles of every node of the scene, of these materials."""
         file = self._file
         if not file.scenes:
             return
@@ -162,10 +163,10 @@ class _Reader:
                 for k, primitive in enumerate(mesh.primitives):
                     if primitive.mode in (TRIANGLES, STRIP, FAN):
                         with naming(f"meshes[{node.mesh}].primitives[{k}]"):
-                            yield self._part(primitive, matrix, uv_sets)
+                            yield self._part(primitive, matrix, shades)
 
     def _part(
-        self, primitive: Primitive, matrix: np.ndarray, uv_sets: list[int | None]
+        self, primitive: Primitive, matrix: np.ndarray, shades: list[GltfShade]
     ) -> GltfPart:
         if "POSITION" not in primitive.attributes:
             raise ValueError("attributes.POSITION: is missing")
@@ -182,9 +183,11 @@ class _Reader:
         else:
             corners = self._indices(primitive.indices, len(local))
         faces = _triangles(corners, primitive.mode)
+        shade = None
         if primitive.material is not None:
-            _at(self._file.materials, primitive.material, "material")
-        uv = self._uv(primitive, uv_sets, len(local))
+            shade = _at(shades, primitive.material, "material")
+        uv = self._uv(primitive, shade, len(local))
+        colours = self._colours(primitive, shade, len(local))
         if uv is not None and normals is not None:
             self._compare(primitive, local, faces, normals, uv)
         # A mesh may be in many places: all of them take memory, and more when joined.
@@ -200,7 +203,7 @@ class _Reader:
             except np.linalg.LinAlgError:
                 normals = None
         place = local @ linear.T + shift
-        return GltfPart(place, faces, normals, primitive.material, uv)
+        return GltfPart(place, faces, normals, primitive.material, uv, colours)
 
     def _compare(self, primitive: Primitive, *of_uv: np.ndarray) -> None:
         """Tangents are found from the uv: does a normal map's own say otherwise?"""
@@ -221,28 +224,61 @@ class _Reader:
             )
 
     def _uv(
-        self, primitive: Primitive, uv_sets: list[int | None], vertices: int
+        self, primitive: Primitive, shade: GltfShade | None, vertices: int
     ) -> np.ndarray | None:
         """The uv of a part's textures, or else its first ones."""
-        wanted = None if primitive.material is None else uv_sets[primitive.material]
+        wanted = None if shade is None else shade.uv_set
         name = f"TEXCOORD_{wanted or 0}"
         if name not in primitive.attributes:
             if wanted is not None:
                 raise ValueError(f"attributes.{name}: is missing, for its textures")
             return None
-        uv = self._floats(primitive.attributes[name], "VEC2")
+        uv = self._floats(primitive.attributes[name], "VEC2", shares=True)
         if len(uv) != vertices:
             raise ValueError(f"attributes.{name}: expected {vertices}, got {len(uv)}")
         return uv
 
-    def _floats(self, number: int, kind: str) -> np.ndarray:
+    def _colours(
+        self, primitive: Primitive, shade: GltfShade | None, vertices: int
+    ) -> dict[str, np.ndarray]:
+        """Rows for a part's vertices, by the parameter that they multiply.
+
+        As a texture of it, base colour is ambient light's, too, but in what we wrote.
+        """
+        found: dict[str, np.ndarray] = {}
+        own = shade is not None and shade.own
+        for name, leaf in COLOURS.items():
+            number = primitive.attributes.get(name)
+            if number is None:
+                continue
+            if not own and name != "COLOR_0":
+                self._note(f"its vertices' {name} are not used")
+                continue
+            if shade is not None and getattr(shade.shaded.textures, leaf) is not None:
+                self._note(f"its vertices' {name} are not used: there is a texture")
+                continue
+            rows = self._floats(number, "VEC3", "VEC4", shares=True)
+            if len(rows) != vertices or not (rows >= 0).all():
+                raise ValueError(
+                    f"attributes.{name}: expected {vertices} colours ≥ 0, got "
+                    f"{len(rows)} from {rows.min():g}"
+                )
+            if (rows[:, 3:] != 1).any():
+                self._note(f"its vertices' {name} are partly transparent: not used")
+            found[leaf] = rows[:, :3]
+        if "diffuse" in found and not own:
+            found["ambient"] = found["diffuse"]
+        return found
+
+    def _floats(self, number: int, *kinds: str, shares: bool = False) -> np.ndarray:
+        """Rows of floats, or with `shares` of whole numbers: shares of the highest."""
         with naming(f"accessors[{number}]"):
             accessor: Accessor = _at(self._file.accessors, number, "number")
-            # Of uv whole numbers are shares of the highest.
-            whole = kind == "VEC2" and accessor.componentType in (5121, 5123)
-            if accessor.type != kind or not (whole or accessor.componentType == 5126):
+            whole = shares and accessor.componentType in (5121, 5123)
+            known = whole or accessor.componentType == 5126
+            if accessor.type not in kinds or not known:
                 raise ValueError(
-                    f"expected {kind} of floats (5126), got "
+                    f"expected {' or '.join(kinds)} of floats (5126), got "
                     f"{accessor.type} of {accessor.componentType}"
                 )
             numbers = self._array(accessor)

@@ -23,6 +23,15 @@ SILENT = frozenset(
 """Keys that change nothing here, or of which something else speaks."""
 USUAL = {"alphaMode": "OPAQUE", "doubleSided": False}
 """Keys that change nothing where they have this value."""
+COLOURS = {
+    "COLOR_0": "diffuse",
+    "_AMBIENT": "ambient",
+    "_SPECULAR": "specular",
+    "_EMISSION": "emission",
+    "_SHININESS": "shininess",
+}
+"""Attributes of vertices that multiply a material's numbers; all but the first are our
+own, which the format allows."""
 READ = ("KHR_materials_specular",)
 """Extensions that are understood."""
 
@@ -206,7 +215,7 @@ def unused(file: File, content: dict[str, Any], uv_sets: list[int | None]) -> li
         if number is not None and number < len(uv_sets):
             uv_set = uv_sets[number]
         # Tangents are compared with those of the uv.
-        used = "POSITION", "NORMAL", "TANGENT", f"TEXCOORD_{uv_set or 0}"
+        used = "POSITION", "NORMAL", "TANGENT", f"TEXCOORD_{uv_set or 0}", *COLOURS
         for name in primitive.attributes:
             # What is skinned or morphed says so above.
             if name not in used and not name.startswith(("JOINTS", "WEIGHTS")):

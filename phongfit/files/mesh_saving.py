@@ -1,10 +1,12 @@
 """Meshes with their materials and textures, written so that `load_mesh` has them back.
 
-Pictures have 16 bits: colours sRGB-encoded, exponents and normals as they are.
+Pictures have 16 bits: colours sRGB-encoded, exponents and normals as they are. Colours
+of vertices are floats, in OBJ sRGB-encoded.
 """
 
+import dataclasses
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +22,7 @@ from phongfit.files.gltf import (
     specular_colour,
     write_gltf,
 )
+from phongfit.files.gltf_records import COLOURS as ATTRIBUTES
 from phongfit.files.gltf_tangents import mirrored, vertex_tangents
 from phongfit.files.images import to_levels
 from phongfit.files.limits import exponent, lost
@@ -28,8 +31,8 @@ from phongfit.files.mtl import COLOURS, mtl_block
 from phongfit.files.outputs import replacing_files
 from phongfit.geometry.meshes import Mesh
 from phongfit.material import Material, unstack_materials
-from phongfit.rendering.film import NamedEncoding
-from phongfit.textures import Texture, Textures
+from phongfit.rendering.film import NamedEncoding, encode
+from phongfit.textures import AbstractTexture, Texture, Textures, VertexColours
 
 BITS = 16
 
@@ -61,7 +64,9 @@ def save_mesh(
 
     Of the un-normalised Blinn-Phong model. What is read again is the same to the
     rounding of 16-bit pictures. glTF has no place for ambient light: textures of it are
-    left out, and the numbers stand in `extras`.
+    left out, and the numbers stand in `extras`. Of vertices it has all: colours, which
+    others show, and in attributes of our own the rest. OBJ has colours of vertices that
+    multiply ρ_d and ρ_a alike.
 
     **Arguments:**
 
@@ -112,7 +117,7 @@ class _Scaled(NamedTuple):
     factor: float
 
 
-def _scaled(texture: Texture) -> _Scaled:
+def _scaled(texture: AbstractTexture) -> _Scaled:
     values = np.asarray(texture.values, float)
     factor = max(float(values.max()), 1e-12)
     return _Scaled(values / factor, factor)
@@ -123,12 +128,9 @@ def _png(values: np.ndarray, encoding: NamedEncoding) -> bytes:
     return encode_png(to_levels(colours, encoding, BITS))
 
 
-def _multiplied(own: _Own, names: Sequence[str]) -> Material:
+def _multiplied(own: _Own, names: Iterable[str]) -> Material:
     """The material with the factors of its textures."""
-    leaves: dict[str, Any] = {
-        name: leaf[0] if leaf.shape == (1,) else leaf
-        for name, leaf in vars(own.material).items()
-    }
+    leaves = _leaves(own.material)
     for name in names:
         texture = getattr(own.textures, name)
         if texture is not None:
@@ -136,16 +138,54 @@ def _multiplied(own: _Own, names: Sequence[str]) -> Material:
     return Material(**leaves)
 
 
+def _leaves(material: Material) -> dict[str, Any]:
+    return {
+        name: leaf[0] if leaf.shape == (1,) else leaf
+        for name, leaf in vars(material).items()
+    }
+
+
+def _flattened(own: _Own, nearest: bool) -> _Own:
+    """With colours of vertices that multiply ρ_d and ρ_a alike, as others have them."""
+    at = own.textures.at_vertices
+    diffuse, ambient = at.get("diffuse"), own.textures.ambient
+    alike = diffuse is not None and "ambient" in at
+    alike = alike and np.array_equal(_rows(at["ambient"]), _rows(at["diffuse"]))
+    if diffuse is not None and ambient is None and np.any(own.material.ambient):
+        lost("ambient: colours of vertices multiply it, too", nearest)
+    leaves, none = _leaves(own.material), {}
+    for name, colours in at.items():
+        if name == "diffuse" or (name == "ambient" and alike):
+            continue
+        lost(f"{name}: the format has no colours of vertices for it", nearest)
+        mean = np.asarray(colours.values, float).mean(axis=0)
+        leaves[name] = np.asarray(leaves[name], float) * (
+            mean[0] if len(mean) == 1 else mean
+        )
+        none[name] = None
+    textures = dataclasses.replace(own.textures, **none)
+    return own._replace(material=Material(**leaves), textures=textures)
+
+
+def _rows(colours: VertexColours) -> np.ndarray:
+    """Colours of vertices, (V, 3), none above 1."""
+    values = _scaled(colours).values
+    return np.broadcast_to(values, (len(values), 3))
+
+
 def _write_obj(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
     if any(blank in path.stem for blank in " \t#"):
         raise ValueError(f"{path}: expected a name without blanks, for the textures")
     library, pictures = [], {}
+    own = [_flattened(one, nearest) for one in own]
     for one in own:
         names = [n for n in MTL_MAPS if getattr(one.textures, n) is not None]
         material = _multiplied(one, [name for name in names if name != "normal"])
         block = [mtl_block(one.name, material, nearest).rstrip("\n")]
         for name in names:
-            texture: Texture = getattr(one.textures, name)
+            texture = getattr(one.textures, name)
+            if not isinstance(texture, Texture):
+                continue
             file = f"{path.stem}_{len(pictures)}.png"
             if name == "normal":
                 values = (np.asarray(texture.values, float) + 1) / 2
@@ -167,9 +207,18 @@ def _write_obj(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
 
 def _obj_text(mesh: Mesh, own: list[_Own], library: str) -> str:
     text = [f"mtllib {library}"]
-    text += lines("v %.9g %.9g %.9g", mesh.vertices)
-    text += lines("vn %.9g %.9g %.9g", mesh.vertex_normals())
-    faces = np.asarray(mesh.faces) + 1
+    points, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals())
+    faces = np.asarray(mesh.faces)
+    if any("diffuse" in one.textures.at_vertices for one in own):
+        # A vertex has one colour: each material has its own.
+        used, places, colours = _apart_by_material(len(points), faces, own)
+        points, normals, faces = points[used], normals[used], places
+        coloured = np.column_stack([points, encode(colours, "srgb")])
+        text += lines(" ".join(["v", *["%.9g"] * 6]), coloured)
+    else:
+        text += lines("v %.9g %.9g %.9g", points)
+    text += lines("vn %.9g %.9g %.9g", normals)
+    faces = faces + 1
     form = "f " + " ".join(["%d//%d"] * 3)
     corners = np.repeat(faces, 2, axis=1)
     if mesh.uv is not None:
@@ -182,6 +231,27 @@ def _obj_text(mesh: Mesh, own: list[_Own], library: str) -> str:
     for one in own:
         text += [f"usemtl {one.name}", *lines(form, corners[one.faces])]
     return "\n".join([*text, ""])
+
+
+def _apart_by_material(
+    count: int, faces: np.ndarray, own: list[_Own]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices of which each is of one material.
+
+    **Returns:** which one of the mesh's each is, the faces, and the vertices' colours.
+    """
+    material = np.zeros(len(faces), int)
+    for k, one in enumerate(own):
+        material[one.faces] = k
+    keys = material[:, None] * count + faces
+    used, places = np.unique(keys, return_inverse=True)
+    colours = np.ones((len(used), 3))
+    for k, one in enumerate(own):
+        rows = one.textures.at_vertices.get("diffuse")
+        if rows is not None:
+            here = used // count == k
+            colours[here] = _rows(rows)[used[here] % count]
+    return used % count, places.reshape(faces.shape), colours
 
 
 def _part(mesh: Mesh, own: _Own) -> Part:
@@ -203,20 +273,30 @@ def _part(mesh: Mesh, own: _Own) -> Part:
     positions = np.asarray(mesh.vertices, float)[vertex[first]]
     normals = np.asarray(mesh.vertex_normals(), float)[vertex[first]]
     faces = faces.reshape(-1, 3)
-    if uv is None:
-        return Part(positions, faces, normals)
-    uv = uv[first]
-    tangents = vertex_tangents(positions, faces, normals, uv) if bent else None
-    return Part(positions, faces, normals, uv, tangents)
+    tangents = None
+    if uv is not None:
+        uv = uv[first]
+        tangents = vertex_tangents(positions, faces, normals, uv) if bent else None
+    at = own.textures.at_vertices
+    colours = {
+        name: _rows(at[leaf])[vertex[first]]
+        for name, leaf in ATTRIBUTES.items()
+        if leaf in at
+    }
+    return Part(positions, faces, normals, uv, tangents, colours)
 
 
 def _gltf_material(own: _Own, nearest: bool) -> dict[str, Any]:
-    textures = own.textures
-    material = _multiplied(own, ("diffuse", "emission", "shininess"))
+    at = own.textures.at_vertices
+    material = _multiplied(
+        own, dict.fromkeys(("diffuse", "emission", "shininess", *at))
+    )
+    textures = dataclasses.replace(own.textures, **dict.fromkeys(at))
+    own = own._replace(textures=textures)
     made = pbr_material(own.name, material, nearest)
     pbr = made["pbrMetallicRoughness"]
 
-    def picture(of: Texture, values: np.ndarray, encoding: NamedEncoding) -> Picture:
+    def picture(of: Any, values: np.ndarray, encoding: NamedEncoding) -> Picture:
         return Picture(
             _png(values, encoding), of.filter == "nearest", of.wrap == "repeat"
         )

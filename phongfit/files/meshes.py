@@ -1,8 +1,11 @@
 """Meshes on disk, through trimesh, with the materials that their files name.
 
-OBJ and PLY count v upwards; here, and in glTF, it runs down.
+OBJ and PLY count v upwards; here, and in glTF, it runs down. Colours of vertices are
+linear in glTF, by its specification; those of OBJ and PLY, which do not say, are taken
+to be sRGB-encoded, as most programs write them.
 """
 
+import dataclasses
 import io
 import logging
 import os
@@ -26,7 +29,8 @@ from phongfit.files.mtl import FEW, MOST
 from phongfit.files.mtl_textures import Note, Shaded, read_textured
 from phongfit.geometry.meshes import Mesh
 from phongfit.material import Material, stack_materials
-from phongfit.textures import Texture, Textures
+from phongfit.rendering.film import decode
+from phongfit.textures import Texture, Textures, VertexColours
 
 # What trimesh minds and bears is for whoever asks for logs, not for the terminal.
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
@@ -44,7 +48,16 @@ OBJ_READ = ("", "v", "vt", "vn", "f", "o", "g", "s", "usemtl", "mtllib")
 PLY_READ = [
     *(b"x", b"y", b"z", b"nx", b"ny", b"nz"),
     *(b"texture_u", b"texture_v", b"u", b"v", b"s", b"t"),
+    *(b"red", b"green", b"blue", b"alpha"),
 ]
+HIGHEST = {
+    **dict.fromkeys((b"uchar", b"uint8"), 255.0),
+    **dict.fromkeys((b"ushort", b"uint16"), 65535.0),
+    **dict.fromkeys((b"float", b"float32", b"double", b"float64"), 1.0),
+}
+"""What is white, by a PLY's type."""
+
+OBJ_COLOURS = re.compile(r"(?m)^v(?:[ \t]+[^\s#]+){6}")
 
 
 class LoadedMesh(NamedTuple):
@@ -75,10 +88,12 @@ def load_mesh(path: str | os.PathLike[str], **options: Any) -> LoadedMesh:
 
     Textures of colours (map_Ka, map_Kd, map_Ks, map_Ke; glTF's base colour, specular
     and emission; the TextureFile of a PLY), of the exponent (map_Ns, map_Pr; glTF's
-    roughness) and normal maps become the mesh's `textures`; `mesh.with_textures(None)`
-    is the mesh without. What a file has besides that is not used (more uv, skins,
-    vertices' colours, other maps, transparency, unknown extensions) is named in a
-    warning, each.
+    roughness), normal maps and colours of vertices become the mesh's `textures`;
+    `mesh.with_textures(None)` is the mesh without. Colours of vertices multiply ρ_d and
+    ρ_a, where there is no texture of these; of a PLY, and of an OBJ without materials,
+    they are these. They are sRGB-encoded in OBJ and PLY, and linear in glTF. What a
+    file has besides that is not used (more uv, skins, other maps, transparency, unknown
+    extensions) is named in a warning, each.
 
     **Arguments:**
 
@@ -115,11 +130,18 @@ def _load(path: Path, options: dict[str, Any], note: Note) -> LoadedMesh:
             parts = _named(*read_gltf(path, say))
     else:
         content = _whole(path, read_bytes(path))
-        parts = _parts(_parse(path, content), Shaded())
+        scene = _parse(path, content)
+        parts = _parts(scene, Shaded())
         if suffix == ".ply":
+            parts = _with_colours(path, scene, parts, note)
             parts = _with_picture(path, parts, note)
     with naming(str(path)):
-        return _join(parts, order, suffix in (".stl", ".obj"), options)
+        return _join(parts, order, suffix in (".stl", ".obj"), options, note)
+
+
+def _white() -> Material:
+    """Of what a texture or colours are the reflectances themselves."""
+    return Material(diffuse=1.0, ambient=1.0)
 
 
 def _read_obj(path: Path, note: Note) -> tuple[list["_Part"], list[str]]:
@@ -127,24 +149,102 @@ def _read_obj(path: Path, note: Note) -> tuple[list["_Part"], list[str]]:
     text = read_text(path, None)
     with naming(str(path)):
         afford(TAKEN_APART[".obj"] * len(text), "triangles")
-    library = _library(path, text, note)
+        text, coloured = _take_colours(text)
+    default = Shaded() if coloured is None else Shaded(_white())
+    library = _library(path, text, default, note)
     # trimesh gets a library that has nothing but names: textures stay closed.
     names = "".join(f"newmtl {name}\nKd 1 1 1\n" for name in library)
     content = f"mtllib names\n{text}".encode()
     scene = _parse(path, content, {"names": names.encode()})
-    default = Shaded()
     parts = [
         part._replace(shaded=library.get(part.name, default))
         for part in _parts(scene, default)
     ]
+    if coloured is not None:
+        parts = [_put_back(path, part, coloured, note) for part in parts]
     return parts, list(library)
+
+
+def _take_colours(text: str) -> tuple[str, np.ndarray | None]:
+    """An OBJ's text with the numbers of its vertices in place of where they are.
+
+    trimesh rounds colours to 8 bits, and does not say which vertex is which.
+
+    **Returns:** besides, x, y, z and colour of each vertex; `None`, and the text as it
+    is, where they have no colours.
+    """
+    if not OBJ_COLOURS.search(text):
+        return text, None
+    lines, rows = text.splitlines(), []
+    for k, line in enumerate(lines):
+        if line.startswith("v "):
+            # Those without a colour are white.
+            row = line.partition("#")[0].split()[1:7]
+            rows.append(row if len(row) == 6 else [*row[:3], "1", "1", "1"])
+            lines[k] = f"v {len(rows) - 1} 0 0"
+    try:
+        return "\n".join([*lines, ""]), np.array(rows, float)
+    except ValueError:
+        raise ValueError("its vertices: expected x y z r g b, all numbers") from None
+
+
+def _put_back(path: Path, part: "_Part", rows: np.ndarray, note: Note) -> "_Part":
+    """A part whose vertices are where they are again, with their colours."""
+    own = rows[part.vertices[:, 0].astype(int)]
+    part = part._replace(vertices=own[:, :3])
+    if part.shaded.textures.diffuse is not None:
+        note(f"{path}: its vertices' colours are not used where map_Kd is")
+        return part
+    return part._replace(colours=_decoded(path, own[:, 3:], note))
+
+
+def _decoded(path: Path, colours: np.ndarray, note: Note) -> dict[str, np.ndarray]:
+    """sRGB-encoded colours of vertices as what they multiply."""
+    if not ((colours >= 0) & (colours <= 1)).all():
+        low, high = colours.min(), colours.max()
+        ends = f"expected 0 to 1, got {low:g} to {high:g}"
+        note(f"{path}: its vertices' colours are not used: {ends}")
+        return {}
+    light = decode(colours, "srgb")
+    return {"diffuse": light, "ambient": light}
+
+
+def _with_colours(
+    path: Path, scene: trimesh.Scene, parts: list["_Part"], note: Note
+) -> list["_Part"]:
+    """A PLY's parts with the colours of its vertices."""
+    types = {name: kind for kind, name in _vertex_properties(read_bytes(path))}
+    names = ("red", "green", "blue")
+    highest = [HIGHEST.get(types.get(name.encode(), b"")) for name in names]
+    if len(parts) != 1 or not any(name.encode() in types for name in names):
+        return parts
+    raw = [one.metadata.get("_ply_raw") for one in scene.geometry.values()]
+    if None in highest or parts[0].uv is not None or None in raw or len(raw) != 1:
+        why = "it has uv" if parts[0].uv is not None else "they are of another kind"
+        note(f"{path}: its vertices' colours are not used: {why}")
+        return parts
+    data = raw[0]["vertex"]["data"]
+    if b"alpha" in types and np.ptp(np.asarray(data["alpha"], float)) > 0:
+        note(f"{path}: its vertices are partly transparent, which is not used")
+    columns = [np.asarray(data[name], float).ravel() for name in names]
+    rows = np.stack(columns, axis=-1) / highest
+    if (colours := _decoded(path, rows, note)) and len(rows) == len(parts[0].vertices):
+        return [parts[0]._replace(shaded=Shaded(_white()), colours=colours)]
+    return parts
+
+
+def _vertex_properties(content: bytes) -> list[tuple[bytes, bytes]]:
+    """Types and names of what a PLY has of its vertices."""
+    head, _, _ = content.partition(b"end_header")
+    vertex = re.search(rb"(?ms)^element\s+vertex.*?(?=^element|\Z)", head)
+    return re.findall(rb"(?m)^property\s+(\S+)\s+(\S+)", vertex[0] if vertex else b"")
 
 
 def _with_picture(path: Path, parts: list["_Part"], note: Note) -> list["_Part"]:
     """A PLY's parts with the picture that a comment of its head names."""
-    head, _, _ = read_bytes(path).partition(b"end_header")
-    vertex = re.search(rb"(?ms)^element\s+vertex.*?(?=^element|\Z)", head)
-    names = re.findall(rb"(?m)^property\s+\S+\s+(\S+)", vertex[0] if vertex else b"")
+    content = read_bytes(path)
+    head, _, _ = content.partition(b"end_header")
+    names = [name for _, name in _vertex_properties(content)]
     others = [name.decode("ascii", "replace") for name in names if name not in PLY_READ]
     if others:
         shown = ", ".join(others[:9])
@@ -163,10 +263,9 @@ def _with_picture(path: Path, parts: list["_Part"], note: Note) -> list["_Part"]
         note(f"{path}: its texture {file.name} is missing")
         return parts
     values = read_texels(read_bytes(file), file, "srgb").values
-    white = Material(diffuse=1.0, ambient=1.0)
     picture = Textures(diffuse=Texture(values), ambient=Texture(values))
     return [
-        part if part.uv is None else part._replace(shaded=Shaded(white, picture))
+        part if part.uv is None else part._replace(shaded=Shaded(_white(), picture))
         for part in parts
     ]
 
@@ -233,7 +332,7 @@ def _parse(
         raise ValueError(f"{path}: cannot be read: {reason(error)}") from error
 
 
-def _library(path: Path, text: str, note: Note) -> dict[str, Shaded]:
+def _library(path: Path, text: str, default: Shaded, note: Note) -> dict[str, Shaded]:
     """The materials that an OBJ file uses, in the order in which it does."""
     found: dict[str, Shaded] = {}
     used: dict[str, None] = {}
@@ -257,12 +356,14 @@ def _library(path: Path, text: str, note: Note) -> dict[str, Shaded]:
         note(f"{path}: no .mtl has its material {name!r}, a default one is taken")
     if missing[FEW:]:
         note(f"{path}: nor {len(missing) - FEW} others of its materials")
-    default = Shaded()
     return {name: found.get(name, default) for name in used}
 
 
 class _Part(NamedTuple):
-    """One object of a file, in world coordinates, of one material by its name."""
+    """One object of a file, in world coordinates, of one material by its name.
+
+    `colours` are rows for its vertices, (V, 3), by the parameter that they multiply.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -270,6 +371,7 @@ class _Part(NamedTuple):
     name: str
     shaded: Shaded
     uv: np.ndarray | None = None
+    colours: dict[str, np.ndarray] = {}  # noqa: RUF012
 
 
 def _parts(scene: trimesh.Scene, shaded: Shaded) -> list[_Part]:
@@ -312,14 +414,18 @@ def _named(parts: list[GltfPart], shades: list[GltfShade]) -> list[_Part]:
             name = f"{given}-{times[given]}"
         names[number] = name
         taken.add(name)
+    bare = Shaded(), Shaded(_white())
     return [
         _Part(
             part.vertices,
             part.faces,
             part.normals,
             names[part.material],
-            Shaded() if part.material is None else shades[part.material].shaded,
+            bare[bool(part.colours)]
+            if part.material is None
+            else shades[part.material].shaded,
             part.uv,
+            part.colours,
         )
         for part in parts
         if len(part.faces)
@@ -327,7 +433,11 @@ def _named(parts: list[GltfPart], shades: list[GltfShade]) -> list[_Part]:
 
 
 def _join(
-    parts: list[_Part], order: list[str], repeats: bool, options: dict[str, Any]
+    parts: list[_Part],
+    order: list[str],
+    repeats: bool,
+    options: dict[str, Any],
+    note: Note,
 ) -> LoadedMesh:
     """All parts as one mesh; where the format `repeats` vertices, each comes once."""
     if not parts:
@@ -336,8 +446,6 @@ def _join(
     names = dict.fromkeys([*(name for name in order if name in found), *found])
     place = {name: k for k, name in enumerate(names)}
     materials = [found[name].material for name in place]
-    textures = [found[name].textures for name in place]
-    textured = any(vars(one)[k] is not None for one in textures for k in vars(one))
     starts = np.cumsum([0] + [len(part.vertices) for part in parts])
     faces = np.concatenate(
         [part.faces + start for part, start in zip(parts, starts[:-1], strict=True)]
@@ -347,25 +455,68 @@ def _join(
     if len(place) > 1:
         counts = [len(part.faces) for part in parts]
         index = np.repeat([place[part.name] for part in parts], counts)
-    normals = [part.normals for part in parts if part.normals is not None]
-    given = len(normals) == len(parts) and options.get("crease_angle") is None
+    each = [part.normals for part in parts if part.normals is not None]
+    smooth = options.get("crease_angle") is None
+    normals = np.concatenate(each) if len(each) == len(parts) and smooth else None
     uv = None
     if any(part.uv is not None for part in parts):
         uv = np.concatenate([_uv_of(part) for part in parts])
-    if repeats and not given:
-        vertices, same = np.unique(vertices, axis=0, return_inverse=True)
-        faces = same.ravel()[faces]
+    colours = _colours_of(parts)
+    if repeats and normals is None:
+        points, at = np.unique(vertices, axis=0, return_inverse=True)
+        at = at.ravel()
+        keys = np.column_stack([at, *colours.values()])
+        _, first, same = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        if len(first) > len(points) and smooth:
+            # Where colours end the surface goes on.
+            whole = Mesh(points, at[faces], weighting=options.get("weighting", "area"))
+            normals = np.asarray(whole.vertex_normals())[at[first]]
+        vertices, faces = vertices[first], same.ravel()[faces]
+        colours = {name: rows[first] for name, rows in colours.items()}
+    textures = _with_rows(parts, place, found, colours)
+    textured = any(vars(one)[k] is not None for one in textures for k in vars(one))
     mesh = Mesh(
         vertices,
         faces,
-        np.concatenate(normals) if given else None,
+        normals,
         index,
         uv=uv,
-        textures=textures if textured and uv is not None else None,
+        textures=textures if textured else None,
         **options,
     )
     material = stack_materials(materials) if len(place) > 1 else materials[0]
     return LoadedMesh(mesh, material, tuple(place))
+
+
+def _colours_of(parts: list[_Part]) -> dict[str, np.ndarray]:
+    """Rows for the vertices of all parts; 1 where a part has none."""
+    names = dict.fromkeys(name for part in parts for name in part.colours)
+    return {
+        name: np.concatenate(
+            [part.colours.get(name, np.ones((len(part.vertices), 3))) for part in parts]
+        )
+        for name in names
+    }
+
+
+def _with_rows(
+    parts: list[_Part],
+    place: dict[str, int],
+    found: dict[str, Shaded],
+    colours: dict[str, np.ndarray],
+) -> list[Textures]:
+    """Each material's textures, with the colours of the vertices of its parts."""
+    rows = {
+        name: VertexColours(values[:, :1] if name == "shininess" else values)
+        for name, values in colours.items()
+    }
+    own: dict[str, dict[str, Any]] = {name: {} for name in place}
+    for part in parts:
+        given = found[part.name].textures
+        own[part.name] |= {k: rows[k] for k in part.colours if vars(given)[k] is None}
+    return [
+        dataclasses.replace(found[name].textures, **more) for name, more in own.items()
+    ]
 
 
 def _uv_of(part: _Part) -> np.ndarray:

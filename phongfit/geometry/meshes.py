@@ -1,5 +1,6 @@
 """Triangle meshes: what a camera sees of them, and where they can be lit."""
 
+import functools
 from collections.abc import Iterable
 from typing import Any, ClassVar
 
@@ -465,8 +466,10 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
         own = np.zeros(len(mesh.faces), int) if index is None else np.asarray(index)
         given = mesh.textures or (Textures(),)
         given = given * (mesh.materials // len(given))
-        ends = vertices, total - vertices - len(mesh.vertices)
-        textures += [one.rearranged(lambda rows: _padded(rows, ends)) for one in given]
+        # Vertices of the others, which have other materials.
+        ends = (vertices, total - vertices - len(mesh.vertices)), (0, 0)
+        among = functools.partial(jnp.pad, pad_width=ends, constant_values=1)
+        textures += [one.rearranged(among) for one in given]
         faces.append(np.asarray(mesh.faces) + vertices)
         indices.append(own + materials)
         vertices += len(mesh.vertices)
@@ -485,11 +488,6 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
         weighting=meshes[0].weighting,
         two_sided=meshes[0].two_sided,
     )
-
-
-def _padded(rows: Array, ends: tuple[int, int]) -> Array:
-    """Rows of one mesh's vertices among those of others, which are 1."""
-    return jnp.pad(rows, (ends, (0, 0)), constant_values=1)
 
 
 def _uv_of(mesh: Mesh) -> Float[Array, "faces 3 2"]:

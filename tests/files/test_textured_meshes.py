@@ -250,6 +250,7 @@ def test_what_of_a_gltf_is_not_used_is_named(tmp_path):
         "material 'glass': its baseColorTexture is mirrored or wrapped by axis: it "
         "repeats instead",
         "material 'glass': its emissiveTexture has another set of uv, and is not used",
+        "its vertices' COLOR_0 are not used: there is a texture",
         "its extension 'KHR_materials_clearcoat' is not used",
         "its extension 'KHR_texture_transform' is not used",
         "its odd is not used",
@@ -257,7 +258,6 @@ def test_what_of_a_gltf_is_not_used_is_named(tmp_path):
         "its extension 'KHR_materials_sheen' is not used",
         "its skins are not used",
         "its morph targets are not used",
-        "its vertices' COLOR_0 are not used",
         "its vertices' TEXCOORD_2 are not used",
     ]
 
@@ -333,6 +333,168 @@ def test_scene_files_from_before_kinds_of_textures(tmp_path):
         known(known(again.textures)[0].diffuse).values,
         np.asarray(known(known(mesh.textures)[0].diffuse).values),
     )
+
+
+ICO = trimesh.creation.icosphere(1)
+PAINT = np.random.default_rng(0).integers(0, 256, (len(ICO.vertices), 3), np.uint8)
+
+
+def colours_of(mesh: pf.Mesh, name: str = "diffuse") -> np.ndarray:
+    """Of the vertices of ICO, in their order there."""
+    found = getattr(known(mesh.textures)[0], name)
+    assert isinstance(found, pf.VertexColours)
+    far = np.linalg.norm(ICO.vertices[:, None] - np.asarray(mesh.vertices), axis=-1)
+    assert far.min(axis=1).max() < 1e-5
+    return np.asarray(found.values)[far.argmin(axis=1)]
+
+
+@pytest.mark.parametrize("suffix", ["ply", "obj", "glb"])
+def test_colours_of_vertices_as_others_write_them(tmp_path, suffix):
+    coloured = ICO.copy()
+    coloured.visual.vertex_colors = PAINT  # pyright: ignore
+    coloured.export(tmp_path / f"a.{suffix}")
+    mesh, material, _ = pf.load_mesh(tmp_path / f"a.{suffix}")
+    # glTF's are linear, those of the others sRGB.
+    shares = PAINT / 255.0
+    light = shares if suffix == "glb" else decode(shares, "srgb")
+    for name in ("diffuse", "ambient"):
+        near(colours_of(mesh, name), light, 1e-6)
+        near(getattr(material, name), 1)
+    assert len(mesh.vertices) == len(ICO.vertices)
+
+
+OBJ_V = "v 0 0 0 {}\nv 1 0 0 {}\nv 0 1 0 {}\nv 0 1 0 {}\n"
+"""Two triangles; the last vertex stands where the third does."""
+
+
+def test_colours_of_an_obj_are_not_rounded(tmp_path):
+    colours = np.array([[0.1234567, 0.5, 1], [0, 0.25, 1], [1, 0, 0], [0, 1, 0]])
+    text = OBJ_V.format(*(" ".join(map(str, one)) for one in colours))
+    text += "v -1 0 0\nf 1 2 3\nf 1 4 5\n"
+    (tmp_path / "a.obj").write_text(text)
+    mesh, material, _ = pf.load_mesh(tmp_path / "a.obj")
+    near(material.diffuse, 1)
+    read = np.asarray(known(known(mesh.textures)[0].diffuse).values)
+    wanted = np.concatenate([decode(colours, "srgb"), np.ones((1, 3))])
+    faces, places = np.asarray(mesh.faces), np.array([[0, 1, 2], [0, 3, 4]])
+    near(read[faces], wanted[places], 1e-6)
+    # One place in two colours is not an edge of the surface.
+    assert len(mesh.vertices) == 5
+    flat = np.asarray(mesh.vertices)
+    (at,) = np.where((flat == [0, 1, 0]).all(axis=1))
+    assert len(at) == 2
+    near(mesh.vertex_normals()[at], np.tile([0, 0, 1], (2, 1)))
+
+
+@pytest.mark.parametrize(
+    "colour, words",
+    [
+        ("200 0 0", "its vertices' colours are not used: expected 0 to 1, got 0 to 2"),
+        ("nan 0 0", "its vertices' colours are not used"),
+    ],
+)
+def test_colours_of_vertices_that_are_not_used(tmp_path, colour, words):
+    text = OBJ_V.format(*[colour] * 4) + "f 1 2 3\n"
+    (tmp_path / "a.obj").write_text(text)
+    with pytest.warns(UserWarning, match=words):
+        assert pf.load_mesh(tmp_path / "a.obj").mesh.textures is None
+
+
+def test_colours_of_vertices_where_there_is_a_texture(tmp_path):
+    path = write(tmp_path, "map_Kd c.png", c=LEVELS)
+    coloured = "\n".join(
+        f"{line} 1 0 0" if line.startswith("v ") else line for line in OBJ.split("\n")
+    )
+    path.write_text(coloured)
+    with pytest.warns(UserWarning, match="colours are not used where map_Kd is"):
+        (textures,) = known(pf.load_mesh(path).mesh.textures)
+    at_texels(textures.diffuse, decode(LEVELS / 255.0, "srgb"))
+
+
+def test_broken_colours_of_vertices(tmp_path):
+    (tmp_path / "a.obj").write_text(OBJ_V.format(*["1 x 0"] * 4) + "f 1 2 3\n")
+    with pytest.raises(ValueError, match="a.obj: its vertices: expected x y z r g b"):
+        pf.load_mesh(tmp_path / "a.obj")
+    content = _triangle()
+    content["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = 0
+    content["accessors"][0]["count"] = 2
+    content["accessors"].append({**content["accessors"][0], "count": 3})
+    content["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = 1
+    (tmp_path / "a.gltf").write_text(json.dumps(content))
+    with pytest.raises(ValueError, match="attributes.COLOR_0: expected 3 colours ≥ 0"):
+        pf.load_mesh(tmp_path / "a.gltf")
+
+
+@pytest.mark.parametrize("kind, levels", [(5121, 255), (5123, 65535), (5126, 1)])
+def test_colours_of_gltf_of_each_kind(tmp_path, kind, levels):
+    colours = np.array([[1, 0.5, 0, 1], [0, 1, 0.2, 1], [0.3, 0, 1, 0.5]])
+    rows = (colours * levels).astype({5121: "u1", 5123: "<u2", 5126: "<f4"}[kind])
+    content = _triangle()
+    head = "data:application/octet-stream;base64,"
+    uri = head + base64.b64encode(rows.tobytes()).decode()
+    content["buffers"].append({"byteLength": rows.nbytes, "uri": uri})
+    content["bufferViews"].append({"buffer": 1, "byteLength": rows.nbytes})
+    told = {"componentType": kind, "count": 3, "type": "VEC4", "normalized": True}
+    content["accessors"].append({"bufferView": 1, **told})
+    content["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = 1
+    (tmp_path / "a.gltf").write_text(json.dumps(content))
+    with pytest.warns(UserWarning, match="COLOR_0 are partly transparent: not used"):
+        mesh, material, _ = pf.load_mesh(tmp_path / "a.gltf")
+    near(material.diffuse, 1)
+    read = known(known(mesh.textures)[0].diffuse).values
+    near(read, colours[:, :3], 1.1 / levels if levels > 1 else 1e-6)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "glb", "gltf"])
+def test_saved_colours_of_vertices_are_read_again(tmp_path, suffix):
+    rng, count = np.random.default_rng(0), len(ICO.vertices)
+    rows = {
+        name: pf.VertexColours(rng.uniform(0.1, 2, (count, channels)))
+        for name, channels in dict(
+            diffuse=3, specular=3, ambient=1, emission=3, shininess=1
+        ).items()
+    }
+    if suffix == "obj":
+        rows = {"diffuse": rows["diffuse"], "ambient": rows["diffuse"]}
+    other = pf.VertexColours(rng.uniform(0.1, 2, (count, 1)))
+    textures = [pf.Textures(**rows), pf.Textures(diffuse=other)]
+    index = (np.asarray(ICO.triangles_center)[:, 0] > 0).astype(int)
+    mesh = pf.Mesh(ICO.vertices, ICO.faces, None, index, textures=textures)
+    material = pf.Material(
+        np.array([[0.3, 0.2, 0.4], [0.2, 0.3, 0.4]]),
+        np.array([[0.3], [0.05]]),
+        np.array([[50.0], [12.0]]),
+        np.array([[0.3], [0.0]]),
+        np.array([[0.2], [0.0]]),
+    )
+    pf.save_mesh(tmp_path / f"a.{suffix}", mesh, material, ("one", "two"))
+    again, read, names = pf.load_mesh(tmp_path / f"a.{suffix}")
+    assert names == ("one", "two")
+    for view in ((3, 2, 4), (-2, -3, 1)):
+        camera = pf.PerspectiveCamera.look_at(view, width=24, height=24)
+        light = pf.DirectionalLight(view, 0.7)
+        images = [
+            np.asarray(pf.render(pf.Scene(one, camera, light, 0.3), numbers))
+            for one, numbers in ((mesh, material), (again, read))
+        ]
+        assert images[0].std() > 0.05
+        # An outline may fall on either side of a pixel's centre.
+        assert np.mean(abs(images[0] - images[1]) > 1e-4) < 0.01
+
+
+def test_colours_of_vertices_that_an_obj_does_not_hold(tmp_path):
+    rows = pf.VertexColours(np.linspace(0, 1, len(ICO.vertices))[:, None])
+    for name, numbers in (("specular", {}), ("diffuse", {"ambient": 0.2})):
+        textures = pf.Textures(**{name: rows})
+        mesh = pf.Mesh(ICO.vertices, ICO.faces, textures=textures)
+        material = pf.Material(**({"ambient": 0.0} | numbers))
+        with pytest.raises(ValueError, match="colours of vertices .*nearest=True"):
+            pf.save_mesh(tmp_path / "a.obj", mesh, material)
+        with pytest.warns(UserWarning, match="the nearest is taken"):
+            pf.save_mesh(tmp_path / "a.obj", mesh, material, nearest=True)
+        again = pf.load_mesh(tmp_path / "a.obj")
+        wanted = 0.5 if name == "specular" else 1.0
+        near(getattr(again.material, name), wanted * getattr(material, name), 1e-6)
 
 
 def painted(rng, **sizes):
