@@ -448,7 +448,7 @@ def test_colours_of_gltf_of_each_kind(tmp_path, kind, levels):
 @pytest.mark.parametrize("suffix", ["obj", "glb", "gltf"])
 def test_saved_colours_of_vertices_are_read_again(tmp_path, suffix):
     rng, count = np.random.default_rng(0), len(ICO.vertices)
-    rows = {
+    rows: dict[str, Any] = {
         name: pf.VertexColours(rng.uniform(0.1, 2, (count, channels)))
         for name, channels in dict(
             diffuse=3, specular=3, ambient=1, emission=3, shininess=1
@@ -483,7 +483,7 @@ def test_saved_colours_of_vertices_are_read_again(tmp_path, suffix):
 
 
 def test_colours_of_vertices_that_an_obj_does_not_hold(tmp_path):
-    rows = pf.VertexColours(np.linspace(0, 1, len(ICO.vertices))[:, None])
+    rows: Any = pf.VertexColours(np.linspace(0, 1, len(ICO.vertices))[:, None])
     for name, numbers in (("specular", {}), ("diffuse", {"ambient": 0.2})):
         textures = pf.Textures(**{name: rows})
         mesh = pf.Mesh(ICO.vertices, ICO.faces, textures=textures)
