@@ -1,7 +1,8 @@
 """`fit_texture`: photographs and geometry in, texels with errors out.
 
 For given exponents the light is linear in the texels and in what is shared by all of a
-material, so that Gauss-Newton steps solve for all at once.
+material, so that Gauss-Newton steps solve for all at once. Texels of exponents are
+found by damped ones.
 """
 
 import dataclasses
@@ -26,8 +27,7 @@ from phongfit.rendering.film import Film, as_films
 from phongfit.scene import Scene
 from phongfit.textures import Filter, Wrap
 
-TEXTURED = ("ambient", "diffuse", "specular")
-SHARED = (*TEXTURED, "shininess")
+TEXTURED = ("ambient", "diffuse", "specular", "shininess")
 
 
 @checked
@@ -53,8 +53,9 @@ def fit_texture(
     r"""Textures that explain photographs of a mesh, texel by texel, with errors.
 
     Minimises $\sum_i w_i (I_i - t_i)^2 / \sigma^2$ over the texels of the reflectances,
-    within 0 … 1, and over what all points of a material share. The photographs may show
-    the surface from any places, under any lamps.
+    within 0 … 1, of the exponents, within 1 … 1000, and over what all points of a
+    material share. The photographs may show the surface from any places, under any
+    lamps.
 
     **Arguments:**
 
@@ -63,23 +64,29 @@ def fit_texture(
     - `image`: as of [`fit`][].
     - `size`: rows and columns of the textures that are sought.
     - `textures`: parameters with a number for each texel and channel: some of
-        `"ambient"`, `"diffuse"` and `"specular"`.
-    - `unknowns`: parameters with numbers of each material: some of these and
-        `"shininess"`.
+        `"ambient"`, `"diffuse"`, `"specular"`, and `"shininess"`, which has one number
+        for all channels. That needs lamps at many angles: without one near its mirror
+        direction a texel tells nothing of its exponent.
+    - `unknowns`: parameters with numbers of each material: some of the others.
     - `per_channel`: those of `unknowns` with one for each of red, green and blue.
     - `known`: what is neither; default no reflectance and an exponent of 32. Of several
         materials parameters have shape (M, 3), (M, 1), or less.
     - `separate`: a texture for each material; default one that all lie on.
     - `smoothness`: standard deviation of what is expected between neighbouring texels;
-        default no such expectation. It is a prior: sharp edges are drawn softer.
+        default no such expectation. It is a prior: sharp edges are drawn softer. Of
+        exponents it is that of log f: 0.05 expects neighbours to differ by 5 %.
     - `filter`, `wrap`: how the textures are looked up: see [`Texture`][].
     - `mask`, `weights`, `noise`, `film`: as of [`fit`][].
-    - `max_steps`: of Gauss and Newton's.
+    - `max_steps`: of Gauss and Newton's; of Levenberg and Marquardt's with exponents.
 
     Each texel has, besides, a prior of 0.5 ± 1, which counts only where the photographs
     tell next to nothing; a texel that is not known to better than ± 0.5 is not
-    identified, and its error infinite. A mean over a pixel is no part of the model: a
-    texture should not be finer than the photographs.
+    identified, and its error infinite. Of an exponent it is a prior of log f:
+    $\log f_0 \pm 1$ with the one $f_0$ that suits all texels best, those of each
+    material if `separate`. Where a texel has no highlight, its exponent is not
+    identified. A sample between texels has the mean of their f, as in a render. A mean
+    over a pixel is no part of the model: a texture should not be finer than the
+    photographs.
 
     **Returns:** a [`TextureFit`][].
 
@@ -119,7 +126,7 @@ def fit_texture(
         names,
         few,
         films[0].clamp,
-        None if smoothness is None else smoothness_matrix(grid, len(names), smoothness),
+        None if smoothness is None else smoothness_matrix(grid, 1, smoothness),
         # Residuals below it are rounding of the arithmetic, or of no matter.
         max(float(arithmetic_floor(jnp.asarray(one.used()))) for one in observed)
         if noise is None
@@ -139,7 +146,7 @@ def fit_texture(
 def _check_names(names: tuple[str, ...], few: tuple[str, ...]) -> None:
     for argument, given, known in (
         ("textures", names, TEXTURED),
-        ("unknowns", few, SHARED),
+        ("unknowns", few, TEXTURED),
     ):
         for name in given:
             if name not in known:

@@ -226,12 +226,18 @@ def terms(scene: Scene, gbuffer: GBuffer) -> ShadingTerms:
 
 def _exponents(scene: Scene, gbuffer: GBuffer) -> Float[Array, "*pixels"] | None:
     found = scene.surface.exponents(gbuffer)
-    if found is not None and not isinstance(scene.shading, PhongShading):
+    if found is not None:
+        check_exponents(scene)
+    return found
+
+
+def check_exponents(scene: Scene) -> None:
+    """**Raises:** `ValueError` if its shading is none with exponents in the pixels."""
+    if not isinstance(scene.shading, PhongShading):
         raise ValueError(
             "textures: one of the exponent needs Phong shading, got "
             f"{type(scene.shading).__name__}"
         )
-    return found
 
 
 def _to_viewer(scene: Scene, position: Vec3, to_viewer: Vec3) -> Vec3:

@@ -266,7 +266,7 @@ def test_a_wrong_model_is_said_to_be_wrong():
     "options, words",
     [
         ({"textures": ()}, "textures: expected at least one"),
-        ({"textures": ("shininess",)}, "textures: expected some of ambient"),
+        ({"textures": ("gloss",)}, "textures: expected some of ambient"),
         ({"unknowns": ("diffuse",)}, "unknowns: diffuse has a texture"),
         ({"unknowns": ("shininess", "shininess")}, "unknowns: expected each name once"),
         ({"size": (0, 3)}, "size: expected rows and columns"),

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import sparse
 
-from phongfit.fitting.texels.job import PRIOR, Few, Job, State
+from phongfit.fitting.texels.job import PRIOR, Few, Field, Job, State
 from phongfit.fitting.texels.lit import BASIS, Basis, LitImage, basis, shown
-from phongfit.fitting.texels.solve import Preconditioned, precondition
+from phongfit.fitting.texels.solve import Preconditioned, precondition, rescale
 from phongfit.fitting.texels.sums import Touched, as_matrix
 
 
@@ -25,17 +25,20 @@ class Left(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Normal equations: of each channel's texels, of the few, and of both.
+    """Normal equations: of each system's texels, of the few, and of both.
 
-    What is large has the precision of the photographs.
+    What is large has the precision of the photographs. `blocks` of exponents are of f,
+    all else is of log f: `unit` is what log f is multiplied by, field by field, where
+    there are any. A sample's f is the mean of its texels', as in a render.
     """
 
     blocks: list[dict[tuple[int, int], np.ndarray]]
-    right: np.ndarray
+    right: list[np.ndarray]
     mixed: list[np.ndarray]
     dense: np.ndarray
     few_right: np.ndarray
     left: Left
+    unit: np.ndarray | None
 
 
 class Compared(NamedTuple):
@@ -82,12 +85,13 @@ def sum_up(job: Job, state: State, sigma: float, nearest: bool = False) -> Sums:
 
     **Arguments:** `nearest`: as if each sample saw one texel, the nearest.
     """
-    grid, names, few = job.grid, job.names, job.few
-    blocks: list[dict[tuple[int, int], np.ndarray]] = [{} for _ in range(3)]
-    right = np.zeros((3, job.size))
+    texels, systems, few = job.grid.texels, job.systems, job.few
+    blocks: list[dict[tuple[int, int], np.ndarray]] = [{} for _ in systems]
+    right = [np.zeros(len(fields) * texels) for fields in systems]
     # Columns: rows of a few numbers each would be gathered for every product.
     mixed = [
-        np.zeros((job.size, len(job.of_channel(c))), job.dtype, "F") for c in range(3)
+        np.zeros((len(own), len(job.of_system(s))), job.dtype, "F")
+        for s, own in enumerate(right)
     ]
     dense, few_right = np.zeros((len(few), len(few))), np.zeros(len(few))
     cost, squares, count = 0.0, 0.0, 0
@@ -98,29 +102,43 @@ def sum_up(job: Job, state: State, sigma: float, nearest: bool = False) -> Sums:
         squares += float((left**2)[free].sum())
         count += int(np.count_nonzero(free))
         for c in range(3):
-            columns = [
-                parts.light[BASIS.index(name)][:, c] * gain[:, c] for name in names
-            ]
-            shared = job.of_channel(c)
-            others = [
-                _column(few[k], parts, state, job, image, touched, c) * gain[:, c]
-                for k in shared
-            ]
-            for p, column in enumerate(columns):
-                span = slice(p * grid.texels, (p + 1) * grid.texels)
-                right[c, span] += touched.scattered(column * left[:, c], grid.texels)
-                for k, other in enumerate(others):
-                    mixed[c][span, k] += touched.scattered(column * other, grid.texels)
-                for q in range(p, len(names)):
-                    if (p, q) not in blocks[c]:
-                        shape = touched.offsets, grid.texels
-                        blocks[c][p, q] = np.zeros(shape, job.dtype)
-                    touched.add_products(column * columns[q], blocks[c][p, q])
-            for i, k in enumerate(shared):
-                few_right[k] += others[i] @ left[:, c]
-                for j, m in enumerate(shared):
-                    dense[k, m] += others[i] @ others[j]
-    return Sums(blocks, right, mixed, dense, few_right, Left(cost, squares, count))
+            others = {
+                k: _column(few[k], parts, state, job, image, touched, c) * gain[:, c]
+                for k in job.of_channel(c)
+            }
+            for k, other in others.items():
+                few_right[k] += other @ left[:, c]
+                for m, beside in others.items():
+                    dense[k, m] += other @ beside
+            if not systems:
+                continue
+            s = job.system_of(c)
+            shared = job.of_system(s)
+            columns = {
+                p: _light(field, parts, state, job, image, touched, c) * gain[:, c]
+                for p, field in enumerate(systems[s])
+                if field.channel in (None, c)
+            }
+            for p, column in columns.items():
+                span = slice(p * texels, (p + 1) * texels)
+                right[s][span] += touched.scattered(column * left[:, c], texels)
+                for k, other in others.items():
+                    at = shared.index(k)
+                    mixed[s][span, at] += touched.scattered(column * other, texels)
+                for q, beside in columns.items():
+                    if q < p:
+                        continue
+                    if (p, q) not in blocks[s]:
+                        blocks[s][p, q] = np.zeros((touched.offsets, texels), job.dtype)
+                    touched.add_products(column * beside, blocks[s][p, q])
+    unit = None
+    if "shininess" in job.names:
+        assert state.exponents is not None
+        unit = np.concatenate([np.ones(state.texels.size), np.exp(state.exponents)])
+        right[0] *= unit
+        mixed[0] *= unit[:, None].astype(job.dtype)
+    left = Left(cost, squares, count)
+    return Sums(blocks, right, mixed, dense, few_right, left, unit)
 
 
 def _nearest(touched: Touched) -> Touched:
@@ -133,22 +151,40 @@ def light_of(
     job: Job, image: LitImage, state: State, touched: Touched
 ) -> tuple[Basis, np.ndarray]:
     """Basis images, and the light that the state makes of them."""
-    parts = basis(image, state.numbers["shininess"])
+    own = None if state.exponents is None else touched.mean(np.exp(state.exponents))
+    parts = basis(image, state.numbers["shininess"], own)
     light = parts.fog.astype(float)
     for number, name in enumerate(BASIS):
-        if name in job.names:
-            share = np.stack(
-                [touched.mean(_texture(job, state, name, c)) for c in range(3)], axis=1
-            )
-        else:
-            share = state.numbers[name][image.material]
-        light += share * parts.light[number]
+        each = [_share(name, state, job, image, touched, c) for c in range(3)]
+        light += np.stack(each, axis=1) * parts.light[number]
     return parts, light
 
 
-def _texture(job: Job, state: State, name: str, channel: int) -> np.ndarray:
-    at = job.names.index(name) * job.grid.texels
-    return state.texels[channel, at : at + job.grid.texels]
+def _share(
+    name: str, state: State, job: Job, image: LitImage, touched: Touched, channel: int
+) -> np.ndarray:
+    """A reflectance at each sample."""
+    if name not in job.names:
+        return state.numbers[name][image.material, channel]
+    at = job.coloured.index(name) * job.grid.texels
+    return touched.mean(state.texels[channel, at : at + job.grid.texels])
+
+
+def _light(
+    field: Field,
+    parts: Basis,
+    state: State,
+    job: Job,
+    image: LitImage,
+    touched: Touched,
+    channel: int,
+) -> np.ndarray:
+    """How a channel's light grows with what a texture has there; of f, not its log."""
+    if field.name != "shininess":
+        return parts.light[BASIS.index(field.name)][:, channel]
+    assert state.exponents is not None
+    share = _share("specular", state, job, image, touched, channel)
+    return share * parts.slope[:, channel] / touched.mean(np.exp(state.exponents))
 
 
 def _column(
@@ -164,32 +200,81 @@ def _column(
     own = image.material == one.material
     if one.name != "shininess":
         return np.where(own, parts.light[BASIS.index(one.name)][:, channel], 0)
-    if "specular" in job.names:
-        share = touched.mean(_texture(job, state, "specular", channel))
-    else:
-        share = state.numbers["specular"][image.material, channel]
+    share = _share("specular", state, job, image, touched, channel)
     return np.where(own, share * parts.slope[:, channel], 0)
 
 
-def is_like_last(sums: Sums, channel: int) -> bool:
-    """Whether a channel's texels have the matrix of the channel before."""
-    own, last = sums.blocks[channel], sums.blocks[channel - 1]
-    return channel > 0 and all(np.allclose(own[k], last[k], rtol=1e-6) for k in own)
+def is_like_last(sums: Sums, system: int) -> bool:
+    """Whether a system's texels have the matrix of the system before."""
+    own, last = sums.blocks[system], sums.blocks[system - 1]
+    return system > 0 and all(np.allclose(own[k], last[k], rtol=1e-6) for k in own)
 
 
-def make_matrix(job: Job, sums: Sums, channel: int) -> Preconditioned:
-    """A channel's texels' matrix with their prior, ready to be solved."""
-    names, prior = len(job.names), 1 / PRIOR[1] ** 2
-    matrix = as_matrix(job.grid, sums.blocks[channel], names, prior)
+def make_matrix(
+    job: Job, sums: Sums, system: int, damping: np.ndarray | None = None
+) -> Preconditioned:
+    """A system's texels' matrix with their prior, ready to be solved.
+
+    **Arguments:** `damping`: of each texel's exponent, relative to its information.
+    """
+    fields, prior = len(job.systems[system]), 1 / PRIOR[1] ** 2
+    if sums.unit is None:
+        matrix = as_matrix(job.grid, sums.blocks[system], fields, prior)
+    else:
+        known = prior / sums.unit**2
+        if damping is not None:
+            own = slice((fields - 1) * job.grid.texels, None)
+            known[own] += damping * (
+                sums.blocks[0][fields - 1, fields - 1][0] + known[own]
+            )
+        matrix = as_matrix(job.grid, sums.blocks[system], fields, known)
+        rescale(matrix, sums.unit)
     if job.smoothness is not None:
-        matrix = sparse.csr_array(matrix + job.smoothness)
+        smooth = sparse.block_diag([job.smoothness] * fields)
+        matrix = sparse.csr_array(matrix + smooth)
     return precondition(matrix)
 
 
-def right_side(job: Job, sums: Sums, state: State) -> Float[np.ndarray, "3 n"]:
-    """The texels' right-hand sides, with what is known before."""
-    mean, deviation = PRIOR
-    right = sums.right + (mean - state.texels) / deviation**2
-    if job.smoothness is not None:
-        right -= (job.smoothness @ state.texels.T).T
-    return right
+def expected_differences(job: Job, texels: np.ndarray) -> np.ndarray | float:
+    """The gradient of half of what smoothness asks, field by field."""
+    if job.smoothness is None:
+        return 0.0
+    apart = texels.reshape(-1, job.grid.texels)
+    return (job.smoothness @ apart.T).T.ravel()
+
+
+def right_sides(job: Job, sums: Sums, state: State) -> list[np.ndarray]:
+    """The systems' right-hand sides, with what is known before."""
+    each = zip(sums.right, job.vectors(state), job.expected(state), strict=True)
+    return [
+        right + (mean - own) / PRIOR[1] ** 2 - expected_differences(job, own)
+        for right, own, mean in each
+    ]
+
+
+class Cost(NamedTuple):
+    """What is minimised: squares of the photographs, and of what is known before.
+
+    - `whole`: of all.
+    - `around`: of the samples that see a texel, and of itself, texel by texel.
+    """
+
+    whole: float
+    around: Float[np.ndarray, " texels"]
+
+
+def cost_of(job: Job, state: State, sigma: float) -> Cost:
+    """What is minimised, as a whole and texel by texel."""
+    count = job.grid.texels
+    whole, around = 0.0, np.zeros(count)
+    for image in job.images:
+        left = compare(job, image, state, image.touched, sigma).left
+        squares = (left**2).sum(axis=1)
+        whole += float(squares.sum())
+        sees = (image.touched.weight > 0).astype(squares.dtype)
+        around += image.touched._replace(weight=sees).scattered(squares, count)
+    for own, mean in zip(job.vectors(state), job.expected(state), strict=True):
+        known = ((own - mean) / PRIOR[1]) ** 2 + own * expected_differences(job, own)
+        whole += float(known.sum())
+        around += known.reshape(-1, count).sum(axis=0)
+    return Cost(whole, around)

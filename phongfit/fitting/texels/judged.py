@@ -36,11 +36,14 @@ def judge(
 ) -> TextureFit:
     """Errors, lack of fit, warnings."""
     covariance, told = _few_covariance(system.information)
-    variances = system.alone.copy()
-    for c, moved in enumerate(system.eliminated):
-        shared = job.of_channel(c)
+    variances = []
+    for s, (alone, moved) in enumerate(
+        zip(system.alone, system.eliminated, strict=True)
+    ):
+        shared = job.of_system(s)
         part = np.where(told, covariance, 0)[np.ix_(shared, shared)]
-        variances[c] += np.einsum("ti,ij,tj->t", moved, part, moved, optimize=False)
+        more = np.einsum("ti,ij,tj->t", moved, part, moved, optimize=False)
+        variances.append(alone + more)
     freedom = system.freedom
     images = [_image(job, k, state, sigma) for k in range(len(job.images.given))]
     side = max(tile_side(*one.residual.shape[:2]) for one in images)
@@ -50,8 +53,13 @@ def judge(
         over = system.left.squares / freedom
         spread = float(np.sqrt(over)) if over > 1 + 5 * np.sqrt(2 / freedom) else 1.0
     inflation = max(misfit.inflation, spread**2)
-    identified = variances < (PRIOR[1] / 2) ** 2
-    errors = np.sqrt(np.where(identified, variances * inflation, np.inf))
+    least = (PRIOR[1] / 2) ** 2
+    errors = [np.sqrt(np.where(v < least, v * inflation, np.inf)) for v in variances]
+    textures = as_textures(job, job.vectors(state)), as_textures(job, errors)
+    if "shininess" in job.names:
+        values, stderr = textures
+        values["shininess"] = np.exp(values["shininess"])
+        stderr["shininess"] *= values["shininess"]
     few_errors = np.sqrt(np.where(np.diag(told), np.diag(covariance), np.inf))
     few_errors = few_errors * np.sqrt(inflation)
     numbers = {name: value.copy() for name, value in state.numbers.items()}
@@ -64,8 +72,7 @@ def judge(
         error = few_errors[k] * (value if one.name == "shininess" else 1)
         shared.append(Shared(_label(job, one), value, float(error)))
     return TextureFit(
-        as_textures(job, state.texels),
-        as_textures(job, errors),
+        *textures,
         sum((one.seen for one in images), np.zeros(job.grid.shape)),
         Material(
             **{name: numbers[name] for name in BASIS},

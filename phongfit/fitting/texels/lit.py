@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Iterator
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +17,7 @@ from phongfit.geometry.meshes import Mesh
 from phongfit.programs import program
 from phongfit.rendering.film import Film
 from phongfit.rendering.pixels import PixelTerms, resolve
+from phongfit.rendering.terms import check_exponents
 from phongfit.scene import Scene
 from phongfit.textures import Filter, texels
 
@@ -143,9 +145,11 @@ def _exposed(light: np.ndarray, film: Film) -> np.ndarray:
 def without(scene: Scene, names: tuple[str, ...]) -> Scene:
     """The scene without the textures that are to be found.
 
-    **Raises:** `ValueError` if its surface has no uv.
+    **Raises:** `ValueError` if its surface has no uv, or its shading no exponents.
     """
     surface = scene.surface
+    if "shininess" in names:
+        check_exponents(scene)
     if not isinstance(surface, Mesh) or surface.uv is None:
         raise ValueError(
             "scene: expected a Mesh with uv, which say where its texels lie, got "
@@ -158,9 +162,25 @@ def without(scene: Scene, names: tuple[str, ...]) -> Scene:
     return dataclasses.replace(scene, surface=surface.with_textures(left))
 
 
-def basis(image: LitImage, shininess: Float[np.ndarray, " materials"]) -> Basis:
-    """The basis images of an image's samples."""
-    found = _basis(image.pixels, jnp.asarray(np.log(shininess), image.target.dtype))
+def basis(
+    image: LitImage,
+    shininess: Float[np.ndarray, " materials"],
+    own: Float[np.ndarray, " n"] | None = None,
+) -> Basis:
+    """The basis images of an image's samples.
+
+    **Arguments:** `own`: each sample's exponent, in place of the materials'.
+    """
+    pixels, dtype = image.pixels, image.target.dtype
+    if own is not None:
+        pixels = eqx.tree_at(
+            lambda one: one.terms.exponents,
+            pixels,
+            jnp.asarray(own, dtype),
+            is_leaf=lambda leaf: leaf is None,
+        )
+        shininess = np.ones(len(shininess))
+    found = _basis(pixels, jnp.asarray(np.log(shininess), dtype))
     return Basis(*(np.asarray(one) for one in found))
 
 

@@ -1,13 +1,13 @@
 """What a fit of textures gives back."""
 
 import dataclasses
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
-from phongfit.fitting.texels.sums import Grid
+from phongfit.fitting.texels.job import Job
 from phongfit.fitting.uncertainty.misfit import Misfit
 from phongfit.geometry.meshes import Mesh
 from phongfit.material import Material
@@ -25,22 +25,17 @@ class Shared(NamedTuple):
     stderr: float
 
 
-class _Sized(Protocol):
-    @property
-    def grid(self) -> Grid: ...
+def as_textures(job: Job, vectors: list[np.ndarray]) -> dict[str, np.ndarray]:
+    """Of each parameter its texels, (layers, rows, columns, 3); of exponents 1 number.
 
-    @property
-    def names(self) -> tuple[str, ...]: ...
-
-
-def as_textures(
-    job: _Sized, numbers: Float[np.ndarray, "3 n"]
-) -> dict[str, np.ndarray]:
-    """Of each parameter its texels, (layers, rows, columns, 3)."""
-    grid = job.grid
-    apart = len(job.names), grid.layers, grid.rows, grid.columns
-    shaped = np.moveaxis(numbers.reshape(3, *apart), 0, -1)
-    return dict(zip(job.names, shaped, strict=True))
+    **Arguments:** `vectors`: of each system, as of [`Job.vectors`][].
+    """
+    whole = np.concatenate(vectors).reshape(-1, *job.grid.shape)
+    fields = [field.name for fields in job.systems for field in fields]
+    return {
+        name: np.moveaxis(whole[[own == name for own in fields]], 0, -1)
+        for name in job.names
+    }
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -50,7 +45,7 @@ class TextureFit:
     **Arguments:**
 
     - `values`: of each textured parameter its texels, (layers, rows, columns, 3): one
-        layer, or one for each material.
+        layer, or one for each material. Of exponents (layers, rows, columns, 1).
     - `stderr`: their standard errors, infinite where the photographs do not identify a
         texel: where no pixel sees it, or too few.
     - `seen`: how many pixels see each texel, (layers, rows, columns).
@@ -116,7 +111,7 @@ class TextureFit:
         """A texture whose texels that are not identified are the nearest that are."""
         values, known = self.values[name].copy(), np.isfinite(self.stderr[name])
         for layer in range(len(values)):
-            for c in range(3):
+            for c in range(values.shape[-1]):
                 own = known[layer, ..., c]
                 if own.any() and not own.all():
                     at = ndimage.distance_transform_edt(

@@ -109,6 +109,12 @@ def at_once(count: int) -> int:
 def precondition(matrix: sparse.csr_array) -> Preconditioned:
     """A matrix with a positive diagonal, ready to be solved: scaled in its place."""
     scale = 1 / np.sqrt(matrix.diagonal())
+    rescale(matrix, scale)
+    return Preconditioned(matrix, scale)
+
+
+def rescale(matrix: sparse.csr_array, scale: Float[np.ndarray, " n"]) -> None:
+    """Multiply rows and columns, in place."""
     each = np.diff(matrix.indptr)
     # Some rows at a time: of every entry a number more would be half a matrix.
     for start in range(0, len(scale), BLOCK):
@@ -116,7 +122,6 @@ def precondition(matrix: sparse.csr_array) -> Preconditioned:
         ends = matrix.indptr[[start, min(start + BLOCK, len(scale))]]
         own = np.repeat(scale[rows], each[rows])
         matrix.data[slice(*ends)] *= own * scale[matrix.indices[slice(*ends)]]
-    return Preconditioned(matrix, scale)
 
 
 def inverse_diagonal(

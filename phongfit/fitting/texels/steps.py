@@ -18,10 +18,12 @@ import numpy as np
 from phongfit.fitting.texels.equations import (
     Left,
     Sums,
+    cost_of,
     costs,
+    expected_differences,
     is_like_last,
     make_matrix,
-    right_side,
+    right_sides,
     sum_up,
 )
 from phongfit.fitting.texels.job import EXPONENTS, PRIOR, Job, State
@@ -40,6 +42,12 @@ LEAST = 1e-7
 """Eigenvalue of the shared numbers' scaled information that none is identified by."""
 
 
+REACH = 1.0
+"""How far a texel's log f goes in a step, at the most."""
+
+SETTLED = 0.01
+"""How far texels' log f would still go where a fit ends, root mean square."""
+
 START = 4_000_000
 """Pixels of photographs among which a fit starts, at the most; then one of several."""
 
@@ -50,17 +58,26 @@ def find_start(
     """Where to start: the best of some exponents, each material on its own.
 
     Each sample sees the nearest texel alone, which is then solved for at once. Of many
-    photographs some of the pixels, and larger texels, do.
+    photographs some of the pixels, and larger texels, do. Texels of one texture of
+    exponents start at the one that suits them all.
     """
     sigma = 1.0 if noise_given else 0.02
-    seek = any(one.name == "shininess" for one in job.few)
-    linear = dataclasses.replace(
-        job, few=[one for one in job.few if one.name != "shininess"]
-    )
-    if seek:
-        numbers = numbers | {"shininess": _scan(_thinned(linear), numbers, sigma)}
-    state = State(np.full((3, job.size), PRIOR[0]), numbers)
+    linear, own = job.without_exponents(), "shininess" in job.names
+    if own or len(linear.few) < len(job.few):
+        together = own and job.grid.layers == 1
+        found = _scan(_thinned(linear), numbers, sigma, together)
+        numbers = numbers | {"shininess": found}
+    state = _at_start(linear, numbers)
+    if own:
+        layers = np.log(numbers["shininess"])[: job.grid.layers]
+        logs = np.repeat(layers, job.grid.texels // job.grid.layers)
+        state = state._replace(exponents=logs)
     return step(linear, state, sigma).state, sigma
+
+
+def _at_start(job: Job, numbers: dict[str, np.ndarray]) -> State:
+    size = len(job.coloured) * job.grid.texels
+    return State(np.full((3, size), PRIOR[0]), numbers)
 
 
 def _thinned(job: Job) -> Job:
@@ -74,15 +91,17 @@ def _thinned(job: Job) -> Job:
     return dataclasses.replace(job, images=some, smoothness=None)
 
 
-def _scan(job: Job, numbers: dict[str, np.ndarray], sigma: float) -> np.ndarray:
-    """The exponent of each material whose other numbers fit best."""
+def _scan(
+    job: Job, numbers: dict[str, np.ndarray], sigma: float, together: bool
+) -> np.ndarray:
+    """The exponent of each material, or of all, whose other numbers fit best."""
     best = numbers["shininess"]
     least = np.full(len(best), np.inf)
-    texels = np.full((3, job.size), PRIOR[0])
     for f in SCAN:
-        tried = State(texels, numbers | {"shininess": np.full_like(best, f)})
+        tried = _at_start(job, numbers | {"shininess": np.full_like(best, f)})
         stepped = step(job, tried, sigma, nearest=True).state
         cost = costs(job, stepped, sigma)
+        cost = np.full_like(cost, cost.sum()) if together else cost
         best, least = np.where(cost < least, f, best), np.minimum(cost, least)
     return best
 
@@ -91,69 +110,74 @@ class Equations(NamedTuple):
     """Of the texels right-hand sides, and which are free to move; the rest in sums."""
 
     sums: Sums
-    right: np.ndarray
-    free: np.ndarray
+    right: list[np.ndarray]
+    free: list[np.ndarray]
 
 
 def linearise(job: Job, state: State, sigma: float, nearest: bool = False) -> Equations:
     """The equations of a step of Gauss and Newton's; texels at a bound stay there."""
     sums = sum_up(job, state, sigma, nearest)
-    right = right_side(job, sums, state)
-    at_low = (state.texels <= 0) & (right < 0)
-    at_high = (state.texels >= 1) & (right > 0)
-    return Equations(sums, right, ~(at_low | at_high))
+    rights, (low, high) = right_sides(job, sums, state), job.bounds(state)
+    free = [
+        ~((own <= low) & (right < 0) | (own >= high) & (right > 0))
+        for own, right in zip(job.vectors(state), rights, strict=True)
+    ]
+    return Equations(sums, rights, free)
 
 
 class System(NamedTuple):
     """What errors are made of.
 
-    - `alone`: variances of each channel's texels, were the shared numbers known.
-    - `eliminated`: how each channel's texels answer to the shared numbers.
+    - `alone`: variances of each system's texels, were the shared numbers known.
+    - `eliminated`: how each system's texels answer to the shared numbers.
     - `information`: of these, the texels being eliminated.
     - `freedom`: samples less the numbers that they determine.
     """
 
     left: Left
-    alone: np.ndarray
+    alone: list[np.ndarray]
     eliminated: list[np.ndarray]
     information: np.ndarray
     freedom: float
 
 
-def _matrices(job: Job, sums: Sums) -> Iterator[tuple[int, Preconditioned, bool]]:
-    """Each channel's matrix, and whether it is another than the last channel's.
+def _matrices(
+    job: Job, sums: Sums, damping: np.ndarray | None = None
+) -> Iterator[tuple[int, Preconditioned, bool]]:
+    """Each system's matrix, and whether it is another than the last system's.
 
     Matrices are what is largest: the last one goes before the next is made, where who
     takes them deletes them.
     """
     last: list[Preconditioned] = []
-    for c in range(3):
-        new = not is_like_last(sums, c)
+    for s in range(len(job.systems)):
+        new = not is_like_last(sums, s)
         if new:
             last.clear()
-            last.append(make_matrix(job, sums, c))
-        yield c, last[0], new
+            last.append(make_matrix(job, sums, s, damping))
+        yield s, last[0], new
 
 
 def make_system(job: Job, state: State, sigma: float) -> System:
     """The equations where a fit ends, solved for the shared numbers alone."""
     sums, _, free = linearise(job, state, sigma)
     information, eliminated = sums.dense.copy(), []
-    alone, taken = np.empty((3, job.size)), np.zeros(3)
-    for c, matrix, new in _matrices(job, sums):
+    alone, taken = [], []
+    for s, matrix, new in _matrices(job, sums):
         if new:
-            alone[c] = inverse_diagonal(matrix, job.grid, len(job.names))
-            taken[c] = taken_by(job, matrix)
+            alone.append(inverse_diagonal(matrix, job.grid, len(job.systems[s])))
+            taken.append(taken_by(job, matrix))
         else:
-            alone[c], taken[c] = alone[c - 1], taken[c - 1]
-        mixed, own = sums.mixed[c], free[c]
+            alone.append(alone[-1])
+            taken.append(taken[-1])
+        mixed, own = sums.mixed[s], free[s]
         solved = matrix.solve(mixed, TOLERANCE, own)
-        shared = job.of_channel(c)
+        shared = job.of_system(s)
         information[np.ix_(shared, shared)] -= _products(mixed, solved, own)
         eliminated.append(solved.astype(job.dtype))
         del matrix
     information = (information + information.T) / 2
-    freedom = _freedom(job, sums.left, float(taken.sum()))
+    freedom = _freedom(job, sums.left, sum(taken))
     return System(sums.left, alone, eliminated, information, freedom)
 
 
@@ -167,33 +191,46 @@ def _products(mixed: np.ndarray, solved: np.ndarray, free: np.ndarray) -> np.nda
 
 
 class Stepped(NamedTuple):
-    """A step's end; of its beginning what was `left`, and `taken` by the texels."""
+    """A step's end; of its beginning what was `left`, and `taken` by the texels.
+
+    `wanted`: how far texels' log f would have gone, root mean square.
+    """
 
     state: State
     left: Left
     taken: float
+    wanted: float = 0.0
 
 
-def step(job: Job, state: State, sigma: float, nearest: bool = False) -> Stepped:
-    """One step of Gauss and Newton's, within the bounds."""
+def step(
+    job: Job,
+    state: State,
+    sigma: float,
+    nearest: bool = False,
+    damping: np.ndarray | None = None,
+) -> Stepped:
+    """One step of Gauss and Newton's, within the bounds.
+
+    **Arguments:** `damping`: of each texel's exponent, relative to its information.
+    """
     sums, right, free = linearise(job, state, sigma, nearest)
     information, few_right = sums.dense.copy(), sums.few_right.copy()
     moves, eliminated = [], []
-    for c, matrix, _ in _matrices(job, sums):
-        moves.append(matrix.solve(right[c][:, None], TOLERANCE, free[c])[:, 0])
-        mixed = sums.mixed[c]
-        solved = matrix.solve(mixed, TOLERANCE, free[c])
-        shared = job.of_channel(c)
-        information[np.ix_(shared, shared)] -= _products(mixed, solved, free[c])
-        few_right[shared] -= solved.T @ right[c]
+    for s, matrix, _ in _matrices(job, sums, damping):
+        moves.append(matrix.solve(right[s][:, None], TOLERANCE, free[s])[:, 0])
+        mixed = sums.mixed[s]
+        solved = matrix.solve(mixed, TOLERANCE, free[s])
+        shared = job.of_system(s)
+        information[np.ix_(shared, shared)] -= _products(mixed, solved, free[s])
+        few_right[shared] -= solved.T @ right[s]
         eliminated.append(solved.astype(job.dtype))
         del matrix
     information = (information + information.T) / 2
     change = _few_change(job, state, information, few_right)
-    texels = state.texels.copy()
-    for c, move in enumerate(moves):
-        move -= eliminated[c] @ change[job.of_channel(c)]
-        texels[c] = np.clip(texels[c] + move, 0, 1)
+    vectors = []
+    for s, (own, move) in enumerate(zip(job.vectors(state), moves, strict=True)):
+        move -= eliminated[s] @ change[job.of_system(s)]
+        vectors.append(np.clip(own + move, *job.bounds(state)))
     numbers = {name: value.copy() for name, value in state.numbers.items()}
     for one, by in zip(job.few, change, strict=True):
         value = numbers[one.name]
@@ -204,16 +241,43 @@ def step(job: Job, state: State, sigma: float, nearest: bool = False) -> Stepped
         else:
             at = slice(None) if one.channel is None else one.channel
             value[one.material, at] = np.clip(value[one.material, at] + by, 0, 1)
-    return Stepped(State(texels, numbers), sums.left, _taken(job, sums))
+    following = job.at(vectors, state)._replace(numbers=numbers)
+    return Stepped(following, sums.left, _taken(job, sums))
+
+
+def descend(
+    job: Job, state: State, sigma: float, damping: np.ndarray
+) -> tuple[Stepped, np.ndarray]:
+    """A step of texels' exponents, and of all else at what these come to.
+
+    Light is not linear in them: a step that would cost more is not taken, and texels
+    around which light fits worse are damped, as Levenberg and Marquardt do.
+    """
+    before = cost_of(job, state, sigma)
+    stepped = step(job, state, sigma, damping=damping)
+    assert state.exponents is not None and stepped.state.exponents is not None
+    wanted = stepped.state.exponents - state.exponents
+    logs = state.exponents + np.clip(wanted, -REACH, REACH)
+    tried = state._replace(exponents=logs)
+    tried = step(job.without_exponents(), tried, sigma).state
+    after = cost_of(job, tried, sigma)
+    far = float(np.sqrt(np.mean((wanted * (1 + damping)) ** 2)))
+    if after.whole <= before.whole:
+        return stepped._replace(state=tried, wanted=far), damping / 10
+    worse = after.around > before.around
+    damping = np.where(worse, np.maximum(10 * damping, 0.1), damping)
+    return stepped._replace(state=state, wanted=far), damping
 
 
 def _taken(job: Job, sums: Sums) -> float:
     """A first estimate: a texel takes a sample away where it has one."""
-    ridge = 1 / PRIOR[1] ** 2
+    ridge = np.full((1, job.grid.texels), 1 / PRIOR[1] ** 2)
+    if sums.unit is not None:
+        ridge = ridge / sums.unit.reshape(-1, job.grid.texels) ** 2
     return sum(
-        float((blocks[p, p][0] / (blocks[p, p][0] + ridge)).sum(dtype=float))
-        for blocks in sums.blocks
-        for p in range(len(job.names))
+        float((own[p, p][0] / (own[p, p][0] + ridge[p % len(ridge)])).sum(dtype=float))
+        for own, fields in zip(sums.blocks, job.systems, strict=True)
+        for p in range(len(fields))
     )
 
 
@@ -245,16 +309,24 @@ def solve(
     job: Job, state: State, sigma: float, noise_given: bool, max_steps: int
 ) -> tuple[State, float, System, bool, int]:
     """Steps until nothing changes, with the noise that is found on the way."""
-    state, left, taken = step(job, state, sigma)
+    damping = np.zeros(job.grid.texels)
+
+    def following(state: State, damping: np.ndarray) -> tuple[Stepped, np.ndarray]:
+        if "shininess" in job.names:
+            return descend(job, state, sigma, damping)
+        return step(job, state, sigma), damping
+
+    (state, left, taken, _), damping = following(state, damping)
     cost, converged, steps = np.inf, False, 1
     while steps < max_steps and not converged:
         if not noise_given:
             sigma = _noise(job, left, taken, sigma)
-        following, left, taken = step(job, state, sigma)
+        (moved, left, taken, wanted), damping = following(state, damping)
         now = left.cost * sigma**2
         least = 1e-5 * max(now, left.counted * job.floor**2)
-        converged = abs(cost - now) < least and _moved(state, following) < 1e-3
-        state, cost, steps = following, now, steps + 1
+        converged = abs(cost - now) < least and _moved(state, moved) < 1e-3
+        converged = converged and wanted < SETTLED
+        state, cost, steps = moved, now, steps + 1
     if not noise_given:
         sigma = _noise(job, left, taken, sigma)
         # Where it stands now.
@@ -266,11 +338,11 @@ def solve(
 def _left_over(job: Job, state: State, sigma: float) -> tuple[Left, float]:
     """What is left of the photographs, and the samples that determine nothing."""
     sums = sum_up(job, state, sigma)
-    taken = np.zeros(3)
-    for c, matrix, new in _matrices(job, sums):
-        taken[c] = taken_by(job, matrix) if new else taken[c - 1]
+    taken = []
+    for _, matrix, new in _matrices(job, sums):
+        taken.append(taken_by(job, matrix) if new else taken[-1])
         del matrix
-    return sums.left, _freedom(job, sums.left, float(taken.sum()))
+    return sums.left, _freedom(job, sums.left, sum(taken))
 
 
 def _moved(one: State, other: State) -> float:
@@ -293,7 +365,7 @@ def _freedom(job: Job, left: Left, taken: float) -> float:
 
 
 def taken_by(job: Job, matrix: Preconditioned) -> float:
-    """How many numbers the samples determine of one channel's texels.
+    """How many numbers the samples determine of one system's texels.
 
     The trace of the hat matrix, by random probes.
 
@@ -301,13 +373,14 @@ def taken_by(job: Job, matrix: Preconditioned) -> float:
         Hutchinson, *A stochastic estimator of the trace of the influence matrix*,
         Commun. Stat. Simul. Comput. 19(2), 1990.
     """
-    random, each = np.random.default_rng(1), at_once(job.size)
-    known = 0.0
+    random, size = np.random.default_rng(1), len(matrix.scale)
+    each, known = at_once(size), 0.0
     for start in range(0, PROBES, each):
         sides = min(each, PROBES - start)
-        probes = random.choice([-1.0, 1.0], (job.size, sides))
+        probes = random.choice([-1.0, 1.0], (size, sides))
         prior = probes / PRIOR[1] ** 2
         if job.smoothness is not None:
-            prior = prior + job.smoothness @ probes
+            by = [expected_differences(job, one) for one in probes.T]
+            prior = prior + np.stack(by, axis=1)
         known += float((prior * matrix.solve(probes, 1e-3)).sum()) / PROBES
-    return job.size - known
+    return size - known

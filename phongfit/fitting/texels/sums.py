@@ -117,38 +117,47 @@ def merged(touched: Touched) -> Touched:
 def as_matrix(
     grid: Grid,
     blocks: dict[tuple[int, int], np.ndarray],
-    parameters: int,
-    prior: float = 0.0,
+    fields: int,
+    prior: float | Float[np.ndarray, " texels"] = 0.0,
 ) -> sparse.csr_array:
-    """The symmetric matrix over all texels of all parameters, parameter by parameter.
+    """The symmetric matrix over all texels of all fields, field by field.
 
     It is made in its last form at once: a list of its entries would take several times
     as much memory.
 
     **Arguments:**
 
-    - `blocks`: for p ≤ q the sums of [`Touched.add_products`][].
-    - `prior`: added to the diagonal.
+    - `blocks`: for p ≤ q the sums of [`Touched.add_products`][]; pairs of fields that
+        are not there have no entries.
+    - `prior`: added to the diagonal, field by field.
     """
-    number, size = grid.texels, parameters * grid.texels
+    number, size = grid.texels, fields * grid.texels
     beside = [(offset, 1) for offset in OFFSETS]
     beside += [(offset, -1) for offset in OFFSETS[1:]]
     if len(next(iter(blocks.values()))) == 1:
         beside = beside[:1]
-    columns = np.empty((parameters, number, parameters, len(beside)), np.int32)
-    values = np.empty(columns.shape)
-    for k, (offset, way) in enumerate(beside):
-        other = grid.neighbour((way * offset[0], way * offset[1]))
-        for p in range(parameters):
-            for q in range(parameters):
+    coupled = [
+        [q for q in range(fields) if (min(p, q), max(p, q)) in blocks]
+        for p in range(fields)
+    ]
+    each = np.repeat([len(own) * len(beside) for own in coupled], number)
+    ends = np.concatenate([[0], np.cumsum(each)])
+    columns, values = np.empty(ends[-1], np.int32), np.empty(ends[-1])
+    prior = np.broadcast_to(prior, size)
+    for p, own in enumerate(coupled):
+        span = slice(ends[p * number], ends[(p + 1) * number])
+        shape = number, len(own), len(beside)
+        at, value = columns[span].reshape(shape), values[span].reshape(shape)
+        for k, (offset, way) in enumerate(beside):
+            other = grid.neighbour((way * offset[0], way * offset[1]))
+            for i, q in enumerate(own):
                 image = blocks[min(p, q), max(p, q)][OFFSETS.index(offset)]
-                columns[p, :, q, k] = other + q * number
-                values[p, :, q, k] = image if way == 1 else image[other]
-    for p in range(parameters):
-        values[p, :, p, 0] += prior
-    ends = np.arange(size + 1, dtype=np.int32) * (parameters * len(beside))
-    entries = values.ravel(), columns.ravel(), ends
-    return sparse.csr_array(entries, (size, size))
+                at[:, i, k] = other + q * number
+                value[:, i, k] = image if way == 1 else image[other]
+        value[:, own.index(p), 0] += prior[p * number : (p + 1) * number]
+    if ends[-1] <= np.iinfo(np.int32).max:
+        ends = ends.astype(np.int32)
+    return sparse.csr_array((values, columns, ends), (size, size))
 
 
 def smoothness_matrix(
