@@ -45,8 +45,9 @@ LEAST = 1e-7
 REACH = 1.0
 """How far a texel's log f goes in a step, at the most."""
 
-SETTLED = 0.01
-"""How far texels' log f would still go where a fit ends, root mean square."""
+SETTLED = 0.05
+"""How far texels' log f would still go where a fit ends: of their standard deviations,
+root mean square."""
 
 START = 4_000_000
 """Pixels of photographs among which a fit starts, at the most; then one of several."""
@@ -193,13 +194,15 @@ def _products(mixed: np.ndarray, solved: np.ndarray, free: np.ndarray) -> np.nda
 class Stepped(NamedTuple):
     """A step's end; of its beginning what was `left`, and `taken` by the texels.
 
-    `wanted`: how far texels' log f would have gone, root mean square.
+    - `known`: how well each texel's log f is known for itself: inverse variances.
+    - `settled`: of a step of exponents, whether there is hardly any left to take.
     """
 
     state: State
     left: Left
     taken: float
-    wanted: float = 0.0
+    known: np.ndarray | None = None
+    settled: bool | None = None
 
 
 def step(
@@ -242,7 +245,10 @@ def step(
             at = slice(None) if one.channel is None else one.channel
             value[one.material, at] = np.clip(value[one.material, at] + by, 0, 1)
     following = job.at(vectors, state)._replace(numbers=numbers)
-    return Stepped(following, sums.left, _taken(job, sums))
+    known = None
+    if "shininess" in job.names:
+        known = 1 / PRIOR[1] ** 2 + next(_information(job, sums))[-1]
+    return Stepped(following, sums.left, _taken(job, sums), known)
 
 
 def descend(
@@ -261,24 +267,33 @@ def descend(
     tried = state._replace(exponents=logs)
     tried = step(job.without_exponents(), tried, sigma).state
     after = cost_of(job, tried, sigma)
-    far = float(np.sqrt(np.mean((wanted * (1 + damping)) ** 2)))
+    far = np.sqrt(np.mean((wanted * (1 + damping)) ** 2 * stepped.known))
+    least = 1e-5 * max(before.whole, stepped.left.counted)
+    settled = bool(far < SETTLED and abs(after.whole - before.whole) < least)
     if after.whole <= before.whole:
-        return stepped._replace(state=tried, wanted=far), damping / 10
+        return stepped._replace(state=tried, settled=settled), damping / 10
     worse = after.around > before.around
     damping = np.where(worse, np.maximum(10 * damping, 0.1), damping)
-    return stepped._replace(state=state, wanted=far), damping
+    return stepped._replace(state=state, settled=settled), damping
 
 
 def _taken(job: Job, sums: Sums) -> float:
     """A first estimate: a texel takes a sample away where it has one."""
-    ridge = np.full((1, job.grid.texels), 1 / PRIOR[1] ** 2)
-    if sums.unit is not None:
-        ridge = ridge / sums.unit.reshape(-1, job.grid.texels) ** 2
+    ridge = 1 / PRIOR[1] ** 2
     return sum(
-        float((own[p, p][0] / (own[p, p][0] + ridge[p % len(ridge)])).sum(dtype=float))
-        for own, fields in zip(sums.blocks, job.systems, strict=True)
-        for p in range(len(fields))
+        float((own / (own + ridge)).sum(dtype=float))
+        for fields in _information(job, sums)
+        for own in fields
     )
+
+
+def _information(job: Job, sums: Sums) -> Iterator[list[np.ndarray]]:
+    """What the samples tell of each texel for itself: by system, field by field."""
+    for blocks, fields in zip(sums.blocks, job.systems, strict=True):
+        own = [blocks[p, p][0] for p in range(len(fields))]
+        if sums.unit is not None:
+            own[-1] = own[-1] * sums.unit[-job.grid.texels :] ** 2
+        yield own
 
 
 def _few_change(
@@ -316,16 +331,16 @@ def solve(
             return descend(job, state, sigma, damping)
         return step(job, state, sigma), damping
 
-    (state, left, taken, _), damping = following(state, damping)
+    (state, left, taken, *_), damping = following(state, damping)
     cost, converged, steps = np.inf, False, 1
     while steps < max_steps and not converged:
         if not noise_given:
             sigma = _noise(job, left, taken, sigma)
-        (moved, left, taken, wanted), damping = following(state, damping)
+        (moved, left, taken, _, settled), damping = following(state, damping)
         now = left.cost * sigma**2
         least = 1e-5 * max(now, left.counted * job.floor**2)
-        converged = abs(cost - now) < least and _moved(state, moved) < 1e-3
-        converged = converged and wanted < SETTLED
+        same = abs(cost - now) < least if settled is None else settled
+        converged = same and _moved(state, moved) < 1e-3
         state, cost, steps = moved, now, steps + 1
     if not noise_given:
         sigma = _noise(job, left, taken, sigma)
