@@ -118,7 +118,7 @@ def as_matrix(
     grid: Grid,
     blocks: dict[tuple[int, int], np.ndarray],
     fields: int,
-    prior: float | Float[np.ndarray, " texels"] = 0.0,
+    prior: float | Float[np.ndarray, " n"] = 0.0,
 ) -> sparse.csr_array:
     """The symmetric matrix over all texels of all fields, field by field.
 

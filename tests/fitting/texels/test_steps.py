@@ -1,0 +1,224 @@
+"""Texels of exponents: one joint system of all channels, and steps that are damped."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import phongfit as pf
+from phongfit.fitting import texture_fit
+from phongfit.fitting.texels import equations, steps
+from phongfit.fitting.texels.job import State
+from tests.fitting.test_texture_fit import CAMERA, SIZE, photographs
+from tests.helpers import near
+from tests.test_textures import plate
+
+RNG = np.random.default_rng(0)
+CHECKS = (np.indices(SIZE) // 3).sum(axis=0)[..., None] % 2
+EXPONENT = np.where(CHECKS, 80.0, 20.0)
+DIFFUSE = RNG.uniform(0.1, 0.6, (*SIZE, 3))
+SPECULAR = np.repeat(RNG.uniform(0.3, 0.5, (*SIZE, 1)), 3, axis=-1)
+# Matte, where only texels beside it have a highlight.
+SPECULAR[3:9, 3:9] = 0
+INSIDE = np.zeros(SIZE, bool)
+INSIDE[4:8, 4:8] = True
+ASIDE = pf.PerspectiveCamera.look_at((-0.8, 0.6, 3.8), width=32, height=32, fov_y=32)
+UNIT = pf.Material(1.0, 1.0, 1.0, 0.0)
+ALL = ("diffuse", "specular", "shininess")
+BARE = pf.Material(0.0, 0.0, 32.0, 0.0)
+
+
+def scenes(count: int = 12, mesh=None) -> list[pf.Scene]:
+    """Lamps from near the mirror direction to far from it, seen from two places."""
+    aside = 0.05 + 0.75 * (np.arange(count) + 0.5) / count
+    angle = 2.4 * np.arange(count)
+    lamps = np.stack([aside * np.cos(angle), aside * np.sin(angle), np.ones(count)], 1)
+    mesh = plate() if mesh is None else mesh
+    return [
+        pf.Scene(mesh, (CAMERA, ASIDE)[k % 2], pf.DirectionalLight(lamp))
+        for k, lamp in enumerate(lamps)
+    ]
+
+
+def painted(count: int = 12, **textures) -> list[pf.Scene]:
+    named = {name: pf.Texture(values) for name, values in textures.items()}
+    return scenes(count, plate(pf.Textures(**named)))
+
+
+def fitted(count: int = 12, noise: float = 0.01, **options) -> pf.TextureFit:
+    truth = painted(count, diffuse=DIFFUSE, specular=SPECULAR, shininess=EXPONENT)
+    images = photographs(truth, UNIT, noise)
+    given = {"textures": ALL, "unknowns": (), "known": BARE}
+    return pf.fit_texture(scenes(count), images, size=SIZE, **(given | options))
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return fitted()
+
+
+def pulls(fit: pf.TextureFit, name: str, true) -> np.ndarray:
+    """Of texels that are identified; of exponents those of their logarithms."""
+    values, errors = fit.values[name][0], fit.stderr[name][0]
+    true = np.broadcast_to(true, values.shape)
+    if name == "shininess":
+        values, errors, true = np.log(values), errors / values, np.log(true)
+    return ((values - true) / errors)[np.isfinite(errors)]
+
+
+def test_checkered_exponents(fit):
+    assert fit.converged and not fit.warnings, fit
+    assert fit.values["shininess"].shape == fit.stderr["shininess"].shape
+    assert fit.values["shininess"].shape == (1, *SIZE, 1)
+    exponents = pulls(fit, "shininess", EXPONENT)
+    assert 0.9 < np.sqrt(np.mean(exponents**2)) < 1.1 and abs(exponents).max() < 4.5
+    # Where nothing shines there is no exponent; elsewhere there is, to some percent.
+    errors = (fit.stderr["shininess"] / fit.values["shininess"])[0, ..., 0]
+    assert np.isinf(errors[INSIDE]).all()
+    assert np.isfinite(errors).mean() > 0.8
+    shiny = SPECULAR[..., 0] > 0
+    assert np.isfinite(errors[shiny]).mean() > 0.98 and np.median(errors[shiny]) < 0.05
+    shine = fit.values["specular"][0] - SPECULAR
+    for name, true in (("diffuse", DIFFUSE), ("specular", SPECULAR)):
+        errors = fit.stderr[name][0]
+        assert np.isfinite(errors).all()
+        off = ((fit.values[name][0] - true) / errors)[shiny]
+        assert 0.9 < np.sqrt(np.mean(off**2)) < 1.1, name
+    # At its bound, and within its error of it.
+    assert (abs(shine) < 4.5 * fit.stderr["specular"][0])[INSIDE].all()
+    near(fit.material.shininess, np.ones((1, 1)))
+    assert "shininess: " in str(fit)
+
+
+def test_what_was_found_is_a_scene(fit):
+    truth = painted(diffuse=DIFFUSE, specular=SPECULAR, shininess=EXPONENT)
+    for bare, true in list(zip(scenes(), truth, strict=True))[:4]:
+        again = pf.render(fit.scene(bare), fit.material)
+        near(np.asarray(again), np.asarray(pf.render(true, UNIT)), 0.04)
+    # What is not identified is filled from the nearest that is.
+    filled = fit.filled("shininess")[0, ..., 0]
+    known = np.isfinite(fit.stderr["shininess"][0, ..., 0])
+    assert np.isin(filled[~known], filled[known]).all()
+
+
+def test_no_step_costs_more(monkeypatch):
+    costs, taken = [], []
+
+    def watched(job, state, sigma, damping):
+        before = equations.cost_of(job, state, sigma).whole
+        stepped, more = descend(job, state, sigma, damping)
+        costs.append(equations.cost_of(job, stepped.state, sigma).whole - before)
+        taken.append(stepped.state is not state)
+        return stepped, more
+
+    descend = steps.descend
+    monkeypatch.setattr(steps, "descend", watched)
+    # Three photographs hardly tell f from ρ_s.
+    fitted(3, noise=0.02)
+    assert len(costs) > 5 and max(costs) <= 0 and min(costs) < -100
+    assert not all(taken)
+
+
+def job_of(monkeypatch, **options):
+    """The job that `fit_texture` makes, and where it starts."""
+    found = []
+
+    def caught(job, start, sigma, *rest):
+        found.append((job, start, sigma))
+        raise InterruptedError
+
+    monkeypatch.setattr(texture_fit, "solve", caught)
+    with pytest.raises(InterruptedError):
+        fitted(3, **options)
+    return found[0]
+
+
+@pytest.mark.float64
+def test_the_right_side_is_the_slope_of_what_is_minimised(monkeypatch):
+    job, start, sigma = job_of(monkeypatch, smoothness=0.5)
+    rng = np.random.default_rng(1)
+    # Some way off, so that no term is small.
+    logs = start.exponents + rng.normal(0, 0.4, start.exponents.shape)
+    state = State(rng.uniform(0.2, 0.8, start.texels.shape), start.numbers, logs)
+    right = np.concatenate(steps.linearise(job, state, sigma).right)
+    vector = np.concatenate(job.vectors(state))
+    for way in rng.normal(size=(3, len(vector))):
+        # Of reflectances alone, of exponents alone, of both.
+        for part in (slice(0, -144), slice(-144, None), slice(None)):
+            move = np.zeros_like(way)
+            move[part] = 1e-5 * way[part]
+            ends = [
+                equations.cost_of(job, job.at([vector + s * move], state), sigma).whole
+                for s in (1, -1)
+            ]
+            near((ends[0] - ends[1]) / 2, -2 * right @ move, 1e-6 * abs(right @ move))
+
+
+def test_systems_of_three_channels_are_one_with_exponents(monkeypatch):
+    job, start, sigma = job_of(monkeypatch)
+    linear = job.without_exponents()
+    assert [len(own) for own in linear.systems] == [2, 2, 2]
+    assert [len(own) for own in job.systems] == [7]
+    joint = equations.sum_up(job, start, sigma)
+    apart = equations.sum_up(linear, start, sigma)
+    for c, own in enumerate(apart.blocks):
+        for (p, q), block in own.items():
+            near(joint.blocks[0][2 * c + p, 2 * c + q], block, 1e-4 * abs(block).max())
+    # None between colours, and all with the exponent.
+    assert (0, 2) not in joint.blocks[0] and (1, 4) not in joint.blocks[0]
+    assert all((p, 6) in joint.blocks[0] for p in range(7))
+    near(np.stack(apart.right).ravel(), joint.right[0][:-144], 1e-4)
+
+
+def test_exponents_alone_beside_numbers_of_each_material():
+    diffuse, specular = (0.4, 0.3, 0.2), 0.5
+    truth = painted(4, shininess=EXPONENT)
+    images = photographs(truth, pf.Material(diffuse, specular, 1.0, 0.0), 0.01)
+    fit = pf.fit_texture(
+        scenes(4),
+        images,
+        size=SIZE,
+        textures=("shininess",),
+        unknowns=("diffuse", "specular"),
+        per_channel=("diffuse",),
+        known=BARE,
+    )
+    assert fit.converged, fit
+    for one, true in zip(fit.shared, (*diffuse, specular), strict=True):
+        assert abs(one.value - true) < 4 * one.stderr < 0.05, one
+    found = pulls(fit, "shininess", EXPONENT)
+    assert len(found) > 130 and 0.85 < np.sqrt(np.mean(found**2)) < 1.15
+
+
+def test_exponents_of_each_material():
+    true = [np.full((*SIZE, 1), f) for f in (15.0, 150.0)]
+    mesh = plate(
+        [pf.Textures(shininess=pf.Texture(one)) for one in true], material_index=[0, 1]
+    )
+    images = photographs(scenes(4, mesh), pf.Material(0.3, 0.4, 1.0, 0.0), 0.01)
+    fit = pf.fit_texture(
+        scenes(4, plate(material_index=[0, 1])),
+        images,
+        size=SIZE,
+        textures=("shininess",),
+        unknowns=(),
+        known=pf.Material(0.3, 0.4, 32.0, 0.0),
+        separate=True,
+    )
+    for layer, one in enumerate(true):
+        known = np.isfinite(fit.stderr["shininess"][layer])
+        assert 0.3 < known.mean() < 0.8
+        off = (fit.values["shininess"][layer] - one) / fit.stderr["shininess"][layer]
+        assert abs(off[known]).max() < 5
+
+
+def test_what_exponents_do_not_go_with():
+    images = np.zeros((2, 32, 32, 3))
+    bare = [
+        dataclasses.replace(scene, shading=pf.GouraudShading()) for scene in scenes(2)
+    ]
+    given = {"size": SIZE, "textures": ("shininess",), "known": BARE}
+    with pytest.raises(ValueError, match="exponent needs Phong shading, got Gouraud"):
+        pf.fit_texture(bare, images, unknowns=(), **given)
+    with pytest.raises(ValueError, match="unknowns: shininess has a texture"):
+        pf.fit_texture(scenes(2), images, unknowns=("shininess",), **given)
