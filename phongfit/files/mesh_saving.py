@@ -319,10 +319,14 @@ def _gltf_material(own: _Own, nearest: bool) -> dict[str, Any]:
         values = np.repeat(roughness(f), 3, axis=-1)
         pbr |= {"roughnessFactor": 1.0}
         pbr["metallicRoughnessTexture"] = picture(textures.shininess, values, "linear")
+        if textures.specular is None:
+            # glTF's colour for a ρ_s depends on f, and so is each texel's own.
+            same, like = np.ones((*f.shape[:2], 1)), textures.shininess
+            textures = dataclasses.replace(
+                textures, specular=Texture(same, like.filter, like.wrap)
+            )
     if textures.specular is not None:
-        _tint(made, own, f, picture, nearest)
-    elif textures.shininess is not None:
-        lost("specular: with a texture of the exponent, glTF needs one of it", nearest)
+        _tint(made, own._replace(textures=textures), f, picture, nearest)
     return made
 
 

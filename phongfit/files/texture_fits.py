@@ -1,9 +1,9 @@
 """A folder of fitted textures: numbers for programs, and a mesh for everything else.
 
-`textures.npz` has of each texture NAME, (layers, rows, columns, 3), its standard errors
-`stderr_NAME`, infinite where no photograph identifies a texel, and `seen`: how many
-pixels see each, (layers, rows, columns). `textures.json` has what was asked and all
-other numbers. `mesh.glb` is the mesh with its material and textures.
+`textures.npz` has of each texture NAME, (layers, rows, columns, 3), of exponents 1 for
+3, its standard errors `stderr_NAME`, infinite where no photograph identifies a texel,
+and `seen`: how many pixels see each, (layers, rows, columns). `textures.json` has what
+was asked and all other numbers. `mesh.glb` is the mesh with its material and textures.
 """
 
 import dataclasses
@@ -14,12 +14,15 @@ import numpy as np
 
 from phongfit.files.arguments import describe
 from phongfit.files.fits import DataRecord, made_with
-from phongfit.files.limits import as_blinn
+from phongfit.files.limits import as_blinn, lost
 from phongfit.files.mesh_saving import save_mesh
 from phongfit.files.outputs import replacing, write_json
 from phongfit.fitting.texels.result import TextureFit
 from phongfit.geometry.meshes import Mesh
+from phongfit.material import Material
+from phongfit.reflectance import AbstractSpecular
 from phongfit.scene import Scene
+from phongfit.textures import Texture, Textures
 
 TEXTURES_FORMAT = "phongfit textures"
 RECORD_FILE = "textures.json"
@@ -49,12 +52,44 @@ def save_texture_fit(
         arrays |= {name: found.values[name], f"stderr_{name}": found.stderr[name]}
     with replacing(folder / ARRAYS_FILE) as temporary:
         np.savez_compressed(temporary, allow_pickle=False, **arrays)
-    surface = found.scene(scene).surface
-    assert isinstance(surface, Mesh)
-    blinn = as_blinn(found.material, scene.specular_model)
     # Of what glTF does not hold, such as ambient textures, a warning speaks.
-    save_mesh(folder / MESH_FILE, surface, blinn, nearest=True)
+    save_mesh(folder / MESH_FILE, *_as_blinn(found, scene), nearest=True)
     write_json(folder / RECORD_FILE, _record(found, scene, data, settings))
+
+
+def _as_blinn(found: TextureFit, scene: Scene) -> tuple[Mesh, Material]:
+    """The mesh and its material of the un-normalised Blinn-Phong model.
+
+    What ρ_s is multiplied by depends on f, and so is each texel's own where f is.
+    """
+    surface, model = found.scene(scene).surface, scene.specular_model
+    assert isinstance(surface, Mesh) and surface.textures is not None
+    material = as_blinn(found.material, model)
+    if "shininess" not in found.names:
+        return surface, material
+    textures = [_blinn_textures(one, model) for one in surface.textures]
+    whole = dataclasses.replace(
+        material, specular=found.material.specular, shininess=found.material.shininess
+    )
+    return surface.with_textures(textures), whole
+
+
+def _blinn_textures(own: Textures, model: AbstractSpecular) -> Textures:
+    f, rho = own.shininess, own.specular
+    assert isinstance(f, Texture)
+    one = as_blinn(Material(specular=1.0, shininess=np.asarray(f.values)), model)
+    made = Texture(one.shininess, f.filter, f.wrap)
+    # 1 where the model is Blinn's or Phong's.
+    factor = np.asarray(one.specular, float)
+    if (factor == 1).all():
+        return dataclasses.replace(own, shininess=made)
+    if not isinstance(rho, Texture):
+        rho = Texture(np.ones_like(factor), f.filter, f.wrap)
+    if rho.values.shape[:2] != factor.shape[:2]:
+        lost("specular: its texture is not as large as the exponent's", nearest=True)
+        factor = np.exp(np.log(factor).mean())
+    scaled = Texture(factor * np.asarray(rho.values, float), rho.filter, rho.wrap)
+    return dataclasses.replace(own, specular=scaled, shininess=made)
 
 
 def _record(

@@ -11,6 +11,7 @@ import phongfit as pf
 from phongfit.cli import main
 from phongfit.files.schema import ImageRecord
 from tests.fitting.test_texture_fit import NOISE, SHINY, SIZE, TRUE, painted, scenes
+from tests.fitting.texels import test_steps as shiny
 from tests.helpers import known as present, near
 
 ASKED = ["--unknowns", "diffuse.texture", "specular", "shininess"]
@@ -102,6 +103,10 @@ def test_ambient_has_no_place_in_gltf(photographs, tmp_path, capsys):
         ([*ASKED, *SIZED, "--loss", "huber"], "loss: expected linear with textures"),
         ([*ASKED, *SIZED, "--refine-lights"], "refine_lights: expected none with"),
         (["--unknowns", "gloss.texture", *SIZED], "textures: expected some of ambient"),
+        (
+            ["--unknowns", "shininess.texture", "shininess", *SIZED],
+            "unknowns: shininess",
+        ),
     ],
 )
 def test_what_does_not_go_with_textures(more, said, photographs, tmp_path, capsys):
@@ -115,3 +120,72 @@ def test_fit_says_who_finds_texels():
     image = np.zeros((32, 32, 3))
     with pytest.raises(ValueError, match=r"by fit_texture\(..., textures=\('diffuse'"):
         pf.fit(scenes()[0], image, unknowns=("diffuse.texture", "specular"))
+
+
+def fitted_to(folder, model, shown, truth):
+    """Photographs of exponents in checks, as files, and what is asked of them."""
+    noise = np.random.default_rng(5)
+    views = [dataclasses.replace(one, specular_model=model) for one in truth]
+    for at, scene in enumerate(views):
+        light = np.asarray(pf.render(scene, shown))
+        light = np.clip(light + NOISE * noise.normal(size=light.shape), 0, 1)
+        pf.write_image(folder / f"{at}.png", light, "linear", bits=16)
+    images = [ImageRecord(file=f"{at}.png", lights=[at]) for at in range(len(views))]
+    lights = [light for scene in views for light in scene.lights]
+    bare = dataclasses.replace(shiny.scenes()[0], lights=lights, specular_model=model)
+    cameras = [scene.camera for scene in views]
+    film = pf.Film(encoding="linear", bits=16)
+    pf.save_scene(folder, bare, film=film, images=images, cameras=cameras)
+    return views
+
+
+@pytest.mark.parametrize(
+    "model, names, scale",
+    [
+        (pf.BlinnPhong(), ("diffuse", "specular", "shininess"), 1.0),
+        # Of which ρ_s is multiplied by what depends on f.
+        (pf.BlinnPhong(normalized=True), ("diffuse", "shininess"), 0.1),
+    ],
+)
+def test_exponents_of_texels_by_way_of_files(model, names, scale, tmp_path, capsys):
+    folder, out = tmp_path / "photographs", tmp_path / "fit"
+    folder.mkdir()
+    plain = np.full((*SIZE, 3), 0.4)
+    painted = {
+        "diffuse": shiny.DIFFUSE,
+        "specular": scale * plain,
+        "shininess": shiny.EXPONENT,
+    }
+    views = fitted_to(folder, model, shiny.UNIT, shiny.painted(6, **painted))
+    asked = [f"{name}.texture" if name in names else name for name in painted]
+    words = ["fit", str(folder), "-o", str(out), "--unknowns", *asked]
+    report = "full" if scale == 1 else "none"
+    assert main([*words, *SIZED, "--report", report]) == 0
+    assert "shininess: " in capsys.readouterr().out
+    arrays = np.load(out / "textures.npz")
+    f, errors = arrays["shininess"], arrays["stderr_shininess"]
+    assert f.shape == errors.shape == (1, *SIZE, 1)
+    known = np.isfinite(errors)
+    pulls = ((np.log(f) - np.log(shiny.EXPONENT)) * f / errors)[known]
+    assert known.mean() > 0.95 and 0.85 < np.sqrt(np.mean(pulls**2)) < 1.15
+    record = json.loads((out / "textures.json").read_text())
+    assert record["identified"]["shininess"] == known[..., 0].sum()
+    assert record["converged"] and not record["warnings"]
+    # Un-normalised Blinn-Phong looks the same, in either file.
+    again = tmp_path / "again.obj"
+    assert main(["export", str(out), "-o", str(again)]) == 0
+    for file in (out / "mesh.glb", again):
+        mesh, material, _ = pf.load_mesh(file)
+        texture = present(present(mesh.textures)[0].shininess)
+        read = float(material.shininess) * np.asarray(texture.values)
+        # To the rounding of pictures of 16 bits.
+        near(read[known[0]], f[0][known[0]], 2e-3)
+        for view in views[:3]:
+            scene = pf.Scene(mesh, view.camera, view.lights)
+            seen = np.asarray(scene.trace().mask)
+            left = np.asarray(pf.render(scene, material) - pf.render(view, shiny.UNIT))
+            assert np.sqrt(np.mean(left[seen] ** 2)) < 2 * NOISE
+    if report == "full":
+        assert (out / "shininess.png").is_file()
+        page = (out / "report.html").read_text()
+        assert "shininess are identified" in page
