@@ -322,6 +322,7 @@ def _gltf_material(own: _Own, nearest: bool) -> dict[str, Any]:
         if textures.specular is None:
             # glTF's colour for a ρ_s depends on f, and so is each texel's own.
             same, like = np.ones((*f.shape[:2], 1)), textures.shininess
+            assert isinstance(like, Texture)
             textures = dataclasses.replace(
                 textures, specular=Texture(same, like.filter, like.wrap)
             )

@@ -135,7 +135,7 @@ def draw_textured(mesh: Mesh, material: Material) -> None:
     assert mesh.textures is not None and mesh.uv is not None
     (textures,) = mesh.textures
     assert textures.diffuse is textures.ambient is textures.emission
-    assert textures.diffuse is not None and textures.specular is None
+    assert isinstance(textures.diffuse, Texture) and textures.specular is None
     _set_texture(gl, textures.diffuse)
     faces = np.asarray(mesh.faces)
     corners, normals, uv = (
