@@ -129,12 +129,13 @@ def _load(path: Path, options: dict[str, Any], note: Note) -> LoadedMesh:
             say = lambda words: note(f"{path}: {words}")  # noqa: E731
             parts = _named(*read_gltf(path, say))
     else:
-        content = _whole(path, read_bytes(path))
-        scene = _parse(path, content)
+        content = read_bytes(path)
+        scene = _parse(path, _whole(path, content))
         parts = _parts(scene, Shaded())
         if suffix == ".ply":
-            parts = _with_colours(path, scene, parts, note)
-            parts = _with_picture(path, parts, note)
+            head, _, _ = content.partition(b"end_header")
+            parts = _with_colours(path, head, scene, parts, note)
+            parts = _with_picture(path, head, parts, note)
     with naming(str(path)):
         return _join(parts, order, suffix in (".stl", ".obj"), options, note)
 
@@ -210,10 +211,10 @@ def _decoded(path: Path, colours: np.ndarray, note: Note) -> dict[str, np.ndarra
 
 
 def _with_colours(
-    path: Path, scene: trimesh.Scene, parts: list["_Part"], note: Note
+    path: Path, head: bytes, scene: trimesh.Scene, parts: list["_Part"], note: Note
 ) -> list["_Part"]:
     """A PLY's parts with the colours of its vertices."""
-    types = {name: kind for kind, name in _vertex_properties(read_bytes(path))}
+    types = {name: kind for kind, name in _vertex_properties(head)}
     names = ("red", "green", "blue")
     highest = [HIGHEST.get(types.get(name.encode(), b"")) for name in names]
     if len(parts) != 1 or not any(name.encode() in types for name in names):
@@ -233,18 +234,17 @@ def _with_colours(
     return parts
 
 
-def _vertex_properties(content: bytes) -> list[tuple[bytes, bytes]]:
+def _vertex_properties(head: bytes) -> list[tuple[bytes, bytes]]:
     """Types and names of what a PLY has of its vertices."""
-    head, _, _ = content.partition(b"end_header")
     vertex = re.search(rb"(?ms)^element\s+vertex.*?(?=^element|\Z)", head)
     return re.findall(rb"(?m)^property\s+(\S+)\s+(\S+)", vertex[0] if vertex else b"")
 
 
-def _with_picture(path: Path, parts: list["_Part"], note: Note) -> list["_Part"]:
+def _with_picture(
+    path: Path, head: bytes, parts: list["_Part"], note: Note
+) -> list["_Part"]:
     """A PLY's parts with the picture that a comment of its head names."""
-    content = read_bytes(path)
-    head, _, _ = content.partition(b"end_header")
-    names = [name for _, name in _vertex_properties(content)]
+    names = [name for _, name in _vertex_properties(head)]
     others = [name.decode("ascii", "replace") for name in names if name not in PLY_READ]
     if others:
         shown = ", ".join(others[:9])
