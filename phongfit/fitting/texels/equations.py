@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import sparse
 
-from phongfit.fitting.texels.job import PRIOR, Few, Field, Job, State
+from phongfit.fitting.texels.job import PRIOR, Job, State
 from phongfit.fitting.texels.lit import BASIS, Basis, LitImage, basis, shown
 from phongfit.fitting.texels.solve import Preconditioned, precondition, rescale
 from phongfit.fitting.texels.sums import Touched, as_matrix
@@ -102,10 +102,11 @@ def sum_up(job: Job, state: State, sigma: float, nearest: bool = False) -> Sums:
         squares += float((left**2)[free].sum())
         count += int(np.count_nonzero(free))
         for c in range(3):
-            others = {
-                k: _column(few[k], parts, state, job, image, touched, c) * gain[:, c]
-                for k in job.of_channel(c)
-            }
+            at = parts, state, job, image, touched, c
+            others = {}
+            for k in job.of_channel(c):
+                own = image.material == few[k].material
+                others[k] = np.where(own, _growth(few[k].name, *at), 0) * gain[:, c]
             for k, other in others.items():
                 few_right[k] += other @ left[:, c]
                 for m, beside in others.items():
@@ -115,7 +116,7 @@ def sum_up(job: Job, state: State, sigma: float, nearest: bool = False) -> Sums:
             s = job.system_of(c)
             shared = job.of_system(s)
             columns = {
-                p: _light(field, parts, state, job, image, touched, c) * gain[:, c]
+                p: _growth(field.name, *at) * gain[:, c]
                 for p, field in enumerate(systems[s])
                 if field.channel in (None, c)
             }
@@ -123,8 +124,8 @@ def sum_up(job: Job, state: State, sigma: float, nearest: bool = False) -> Sums:
                 span = slice(p * texels, (p + 1) * texels)
                 right[s][span] += touched.scattered(column * left[:, c], texels)
                 for k, other in others.items():
-                    at = shared.index(k)
-                    mixed[s][span, at] += touched.scattered(column * other, texels)
+                    products = touched.scattered(column * other, texels)
+                    mixed[s][span, shared.index(k)] += products
                 for q, beside in columns.items():
                     if q < p:
                         continue
@@ -170,8 +171,8 @@ def _share(
     return touched.mean(state.texels[channel, at : at + job.grid.texels])
 
 
-def _light(
-    field: Field,
+def _growth(
+    name: str,
     parts: Basis,
     state: State,
     job: Job,
@@ -179,29 +180,17 @@ def _light(
     touched: Touched,
     channel: int,
 ) -> np.ndarray:
-    """How a channel's light grows with what a texture has there; of f, not its log."""
-    if field.name != "shininess":
-        return parts.light[BASIS.index(field.name)][:, channel]
-    assert state.exponents is not None
-    share = _share("specular", state, job, image, touched, channel)
-    return share * parts.slope[:, channel] / touched.mean(np.exp(state.exponents))
+    """How a channel's light grows with a parameter.
 
-
-def _column(
-    one: Few,
-    parts: Basis,
-    state: State,
-    job: Job,
-    image: LitImage,
-    touched: Touched,
-    channel: int,
-) -> np.ndarray:
-    """How a channel's light grows with a shared number; of an exponent, its log."""
-    own = image.material == one.material
-    if one.name != "shininess":
-        return np.where(own, parts.light[BASIS.index(one.name)][:, channel], 0)
+    With log f of an exponent that all of a material share; with f of texels' own.
+    """
+    if name != "shininess":
+        return parts.light[BASIS.index(name)][:, channel]
     share = _share("specular", state, job, image, touched, channel)
-    return np.where(own, share * parts.slope[:, channel], 0)
+    grown = share * parts.slope[:, channel]
+    if state.exponents is None:
+        return grown
+    return grown / touched.mean(np.exp(state.exponents))
 
 
 def is_like_last(sums: Sums, system: int) -> bool:
