@@ -18,23 +18,27 @@ ASKED = ["--unknowns", "diffuse.texture", "specular", "shininess"]
 SIZED = ["--texture-size", *map(str, SIZE), "--per-channel", "diffuse"]
 
 
+def write(folder, views, material, bare, encoding, seed):
+    """Photographs of these views, and a scene file with all but their textures."""
+    noise = np.random.default_rng(seed)
+    for at, scene in enumerate(views):
+        light = np.asarray(pf.render(scene, material))
+        light = np.clip(light + NOISE * noise.normal(size=light.shape), 0, 1)
+        pf.write_image(folder / f"{at}.png", light, encoding, bits=16)
+    images = [ImageRecord(file=f"{at}.png", lights=[at]) for at in range(len(views))]
+    lights = [light for scene in views for light in scene.lights]
+    bare = dataclasses.replace(bare, lights=lights)
+    film = pf.Film(encoding=encoding, bits=16)
+    cameras = [scene.camera for scene in views]
+    pf.save_scene(folder, bare, film=film, images=images, cameras=cameras)
+
+
 @pytest.fixture(scope="module")
 def photographs(tmp_path_factory):
     """A folder with the photographs of a plate, as `phongfit scene` lists them."""
     folder = tmp_path_factory.mktemp("texels") / "photographs"
     folder.mkdir()
-    noise = np.random.default_rng(3)
-    views = painted(diffuse=TRUE)
-    for at, scene in enumerate(views):
-        light = np.asarray(pf.render(scene, SHINY))
-        light = np.clip(light + NOISE * noise.normal(size=light.shape), 0, 1)
-        pf.write_image(folder / f"{at}.png", light, "srgb", bits=16)
-    images = [ImageRecord(file=f"{at}.png", lights=[at]) for at in range(len(views))]
-    lights = [light for scene in views for light in scene.lights]
-    bare = dataclasses.replace(scenes()[0], lights=lights)
-    film = pf.Film(encoding="srgb", bits=16)
-    cameras = [scene.camera for scene in views]
-    pf.save_scene(folder, bare, film=film, images=images, cameras=cameras)
+    write(folder, painted(diffuse=TRUE), SHINY, scenes()[0], "srgb", seed=3)
     return folder
 
 
@@ -122,23 +126,6 @@ def test_fit_says_who_finds_texels():
         pf.fit(scenes()[0], image, unknowns=("diffuse.texture", "specular"))
 
 
-def fitted_to(folder, model, shown, truth):
-    """Photographs of exponents in checks, as files, and what is asked of them."""
-    noise = np.random.default_rng(5)
-    views = [dataclasses.replace(one, specular_model=model) for one in truth]
-    for at, scene in enumerate(views):
-        light = np.asarray(pf.render(scene, shown))
-        light = np.clip(light + NOISE * noise.normal(size=light.shape), 0, 1)
-        pf.write_image(folder / f"{at}.png", light, "linear", bits=16)
-    images = [ImageRecord(file=f"{at}.png", lights=[at]) for at in range(len(views))]
-    lights = [light for scene in views for light in scene.lights]
-    bare = dataclasses.replace(shiny.scenes()[0], lights=lights, specular_model=model)
-    cameras = [scene.camera for scene in views]
-    film = pf.Film(encoding="linear", bits=16)
-    pf.save_scene(folder, bare, film=film, images=images, cameras=cameras)
-    return views
-
-
 @pytest.mark.parametrize(
     "model, names, scale",
     [
@@ -156,7 +143,12 @@ def test_exponents_of_texels_by_way_of_files(model, names, scale, tmp_path, caps
         "specular": scale * plain,
         "shininess": shiny.EXPONENT,
     }
-    views = fitted_to(folder, model, shiny.UNIT, shiny.painted(6, **painted))
+    views = [
+        dataclasses.replace(one, specular_model=model)
+        for one in shiny.painted(6, **painted)
+    ]
+    bare = dataclasses.replace(shiny.scenes()[0], specular_model=model)
+    write(folder, views, shiny.UNIT, bare, "linear", seed=5)
     asked = [f"{name}.texture" if name in names else name for name in painted]
     words = ["fit", str(folder), "-o", str(out), "--unknowns", *asked]
     report = "full" if scale == 1 else "none"

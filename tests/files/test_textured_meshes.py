@@ -445,6 +445,17 @@ def test_colours_of_gltf_of_each_kind(tmp_path, kind, levels):
     near(read, colours[:, :3], 1.1 / levels if levels > 1 else 1e-6)
 
 
+def seen_twice(*shaded):
+    """Renders of meshes with their materials, from either side."""
+    for view in ((3, 2, 4), (-2, -3, 1)):
+        camera = pf.PerspectiveCamera.look_at(view, width=24, height=24)
+        light = pf.DirectionalLight(view, 0.7)
+        yield [
+            np.asarray(pf.render(pf.Scene(mesh, camera, light, 0.3), material))
+            for mesh, material in shaded
+        ]
+
+
 @pytest.mark.parametrize("suffix", ["obj", "glb", "gltf"])
 def test_saved_colours_of_vertices_are_read_again(tmp_path, suffix):
     rng, count = np.random.default_rng(0), len(ICO.vertices)
@@ -470,13 +481,7 @@ def test_saved_colours_of_vertices_are_read_again(tmp_path, suffix):
     pf.save_mesh(tmp_path / f"a.{suffix}", mesh, material, ("one", "two"))
     again, read, names = pf.load_mesh(tmp_path / f"a.{suffix}")
     assert names == ("one", "two")
-    for view in ((3, 2, 4), (-2, -3, 1)):
-        camera = pf.PerspectiveCamera.look_at(view, width=24, height=24)
-        light = pf.DirectionalLight(view, 0.7)
-        images = [
-            np.asarray(pf.render(pf.Scene(one, camera, light, 0.3), numbers))
-            for one, numbers in ((mesh, material), (again, read))
-        ]
+    for images in seen_twice((mesh, material), (again, read)):
         assert images[0].std() > 0.05
         # An outline may fall on either side of a pixel's centre.
         assert np.mean(abs(images[0] - images[1]) > 1e-4) < 0.01
@@ -530,13 +535,7 @@ def test_a_saved_mesh_is_read_again(tmp_path, suffix):
     pf.save_mesh(tmp_path / f"a.{suffix}", mesh, material, ("one", "two"))
     again, read, names = pf.load_mesh(tmp_path / f"a.{suffix}")
     assert names == ("one", "two")
-    for view in ((3, 2, 4), (-2, -3, 1)):
-        camera = pf.PerspectiveCamera.look_at(view, width=24, height=24)
-        light = pf.DirectionalLight(view, 0.7)
-        images = [
-            np.asarray(pf.render(pf.Scene(one, camera, light, 0.3), numbers))
-            for one, numbers in ((mesh, material), (again, read))
-        ]
+    for images in seen_twice((mesh, material), (again, read)):
         assert images[0].std() > 0.05
         assert abs(images[0] - images[1]).max() < 2e-3
         assert np.median(abs(images[0] - images[1])) < 1e-4
