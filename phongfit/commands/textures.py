@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from phongfit.commands.options import FitOptions, UnknownOptions, optional
 from phongfit.files.dataset import Dataset
@@ -25,14 +25,17 @@ class TextureOptions:
     """Textures among the unknowns, such as diffuse.texture, of a mesh with uv.
 
     Args:
-        texture_size: Columns and rows of the textures, no finer than the photographs.
+        texture_size: Columns and rows of the textures, no finer than the photographs;
+            or the word vertices: a number for each vertex of a mesh, without uv.
         separate: A texture for each material of the mesh. Default: one that all
             lie on.
         smoothness: Standard deviation of what is expected between neighbouring texels:
             a prior, which blurs. Default: no such expectation.
     """
 
-    texture_size: Annotated[tuple[int, int] | None, optional("W H")] = None
+    texture_size: Annotated[
+        tuple[int, int] | Literal["vertices"] | None, optional("W H|vertices")
+    ] = None
 
     separate: bool = False
 
@@ -67,9 +70,10 @@ def arguments_for(
         raise ValueError(f"loss: expected linear with textures, got {fitting.loss}")
     if texture.texture_size is None:
         raise ValueError(
-            "texture_size: expected columns and rows of the textures, got none"
+            "texture_size: expected columns and rows of the textures, or vertices, got "
+            "none"
         )
-    columns, rows = texture.texture_size
+    size = texture.texture_size
     known = None
     if fitting.known is not None:
         with naming("known"):
@@ -77,7 +81,7 @@ def arguments_for(
     default = FitOptions().max_steps
     steps = {} if fitting.max_steps == default else {"max_steps": fitting.max_steps}
     return {
-        "size": (rows, columns),
+        "size": size if isinstance(size, str) else size[::-1],
         "textures": names,
         "unknowns": tuple(n for n in unknown.unknowns if not n.endswith(TEXTURE)),
         "per_channel": unknown.per_channel,
@@ -102,7 +106,7 @@ def draw(folder: Path, found: TextureFit, data: Dataset, command: str) -> None:
 
     for name in found.names:
         with replacing(folder / f"{name}.png") as picture:
-            draw_texture(found, name).savefig(picture, dpi=130)
+            draw_texture(found, name, data.scenes[0]).savefig(picture, dpi=130)
     with replacing(folder / "comparison.png") as picture:
         draw_photographs(found, data).savefig(picture, dpi=150)
     write_page(folder / "report.html", found, data, command=command)

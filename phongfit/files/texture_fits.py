@@ -2,8 +2,10 @@
 
 `textures.npz` has of each texture NAME, (layers, rows, columns, 3), of exponents 1 for
 3, its standard errors `stderr_NAME`, infinite where no photograph identifies a texel,
-and `seen`: how many pixels see each, (layers, rows, columns). `textures.json` has what
-was asked and all other numbers. `mesh.glb` is the mesh with its material and textures.
+and `seen`: how many pixels see each, (layers, rows, columns). Of vertices, V stands for
+rows and columns, in the order in which the scene's mesh has them. `textures.json` has
+what was asked and all other numbers. `mesh.glb` is the mesh with its material and
+textures.
 """
 
 import dataclasses
@@ -18,6 +20,7 @@ from phongfit.files.limits import as_blinn, lost
 from phongfit.files.mesh_saving import save_mesh
 from phongfit.files.outputs import replacing, write_json
 from phongfit.fitting.texels.result import TextureFit
+from phongfit.fitting.texels.sums import Grid
 from phongfit.geometry.meshes import Mesh
 from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular
@@ -114,7 +117,7 @@ def _record(
         "texels": found.seen.size,
         "seen": int((found.seen > 0).sum()),
         "identified": identified,
-        "wrap": found.wrap,
+        "wrap": found.texels.wrap if isinstance(found.texels, Grid) else None,
         "material": known,
         "labels": [one.label for one in found.shared],
         "values": [one.value for one in found.shared],

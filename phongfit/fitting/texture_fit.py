@@ -7,7 +7,7 @@ found by damped ones.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +21,9 @@ from phongfit.fitting.texels.judged import judge
 from phongfit.fitting.texels.lit import BASIS, Photographs, without
 from phongfit.fitting.texels.result import TextureFit
 from phongfit.fitting.texels.steps import find_start, solve
-from phongfit.fitting.texels.sums import Grid, smoothness_matrix
+from phongfit.fitting.texels.sums import AbstractTexels, Grid, smoothness_matrix
+from phongfit.fitting.texels.vertices import Vertices
+from phongfit.geometry.meshes import Mesh
 from phongfit.material import Material
 from phongfit.rendering.film import Film, as_films
 from phongfit.scene import Scene
@@ -35,7 +37,7 @@ def fit_texture(
     scene: Scene | Sequence[Scene],
     image: Any,
     *,
-    size: tuple[int, int],
+    size: tuple[int, int] | Literal["vertices"],
     textures: Sequence[str] = ("diffuse",),
     unknowns: Sequence[str] = ("specular", "shininess"),
     per_channel: Sequence[str] = ("ambient", "diffuse", "specular"),
@@ -59,10 +61,12 @@ def fit_texture(
 
     **Arguments:**
 
-    - `scene`: one, or a sequence of scenes, of one [`Mesh`][] with uv. What it has of
-        textures besides those that are sought is known, and multiplies as ever.
+    - `scene`: one, or a sequence of scenes, of one [`Mesh`][], which has uv where
+        images are sought. What it has of textures besides is known, and multiplies as
+        ever.
     - `image`: as of [`fit`][].
-    - `size`: rows and columns of the textures that are sought.
+    - `size`: rows and columns of the textures that are sought; or `"vertices"`: a
+        number for each vertex of the mesh, as [`VertexColours`][] have it.
     - `textures`: parameters with a number for each texel and channel: some of
         `"ambient"`, `"diffuse"`, `"specular"`, and `"shininess"`, which has one number
         for all channels. That needs lamps at many angles: without one near its mirror
@@ -105,12 +109,12 @@ def fit_texture(
         films = as_films(film, len(observed))
     if len({one.clamp for one in films}) > 1:
         raise ValueError("film: expected one clamp for all images, got both")
-    if len(size) != 2 or min(size) < 1:
-        raise ValueError(f"size: expected rows and columns, got {size}")
     if smoothness is not None and not 0 < smoothness < np.inf:
         raise ValueError(f"smoothness: expected a number > 0, got {smoothness}")
     materials = scenes[0].surface.materials
-    grid = Grid(materials if separate else 1, *size, wrap)
+    grid = _texels(size, materials if separate else 1, scenes[0], filter, wrap)
+    for one in scenes:
+        grid.check(one.surface)
     channels = {name: name in per_channel and name != "shininess" for name in few_names}
     few = [
         Few(name, material, channel)
@@ -122,7 +126,7 @@ def fit_texture(
         dataclasses.replace(one, scene=without(one.scene, names)) for one in observed
     )
     job = Job(
-        Photographs(observed, tuple(films), grid, filter),
+        Photographs(observed, tuple(films), grid),
         names,
         few,
         films[0].clamp,
@@ -141,6 +145,29 @@ def fit_texture(
         job, start, sigma, noise is not None, max_steps
     )
     return judge(job, state, sigma, system, noise is not None, converged, steps)
+
+
+def _texels(
+    size: Any, layers: int, scene: Scene, filter: Filter, wrap: Wrap
+) -> AbstractTexels:
+    """Where there are numbers to be found."""
+    if isinstance(size, str):
+        if size != "vertices":
+            raise ValueError(
+                f"size: expected rows and columns, or 'vertices', got {size!r}"
+            )
+        if (filter, wrap) != ("bilinear", "repeat"):
+            raise ValueError("filter, wrap: expected none of vertices")
+        if not isinstance(scene.surface, Mesh):
+            kind = type(scene.surface).__name__
+            raise ValueError(f"scene: expected a Mesh, which has vertices, got {kind}")
+        mesh = scene.surface
+        points = np.asarray(mesh.vertices, float)
+        return Vertices(layers, points, np.asarray(mesh.faces))
+    if len(size) != 2 or min(size) < 1:
+        raise ValueError(f"size: expected rows and columns, or 'vertices', got {size}")
+    rows, columns = size
+    return Grid(layers, rows, columns, wrap, filter)
 
 
 def _check_names(names: tuple[str, ...], few: tuple[str, ...]) -> None:

@@ -10,6 +10,9 @@ from phongfit.files.dataset import Dataset
 from phongfit.files.outputs import replacing
 from phongfit.fitting.result import film_words
 from phongfit.fitting.texels.result import TextureFit
+from phongfit.fitting.texels.sums import AbstractTexels, Grid
+from phongfit.fitting.texels.vertices import Vertices
+from phongfit.geometry.meshes import Mesh
 from phongfit.plain import readable
 from phongfit.rendering.render import render
 from phongfit.report.html import fill, row, source
@@ -20,36 +23,55 @@ from phongfit.report.plots import brightening, chosen
 from phongfit.report.scales import TITLES, draw_numbers, draw_scale
 from phongfit.report.style import picture, styled
 from phongfit.report.words import listed, settings, versions
+from phongfit.scene import Scene
 
 
-def draw_texture(found: TextureFit, name: str) -> Figure:
+def draw_texture(found: TextureFit, name: str, scene: Scene) -> Figure:
     """A texture as it looks, its numbers with their scale, and its standard errors.
 
     Grey is what is not identified. Textures of several materials stand one below the
-    other.
+    other; numbers of vertices are shown as the camera of `scene` sees them.
     """
-    values, errors = (_below(one[name]) for one in (found.values, found.stderr))
-    inside = np.ones(values.shape[:2], bool)
-    return draw_numbers(name, values, errors, inside, "texels")
+    values, inside = _laid_out(found, found.values[name], scene)
+    errors, _ = _laid_out(found, found.stderr[name], scene)
+    places = "pixels" if isinstance(found.texels, Vertices) else "texels"
+    return draw_numbers(name, values, errors, inside, places)
 
 
-def draw_seen(found: TextureFit) -> Figure:
+def draw_seen(found: TextureFit, scene: Scene) -> Figure:
     """How many pixels see each texel; grey is what none does."""
-    seen = _below(found.seen)
+    seen, inside = _laid_out(found, found.seen[..., None], scene)
+    seen = seen[..., 0]
     height, width = seen.shape
+    none, one = int((found.seen == 0).sum()), found.texels.one
     with styled():
         side = float(np.clip(3.2 * width / height, 2.4, 6))
         figure = picture(side + 0.6, 3.5)
-        unseen = f", {int((seen == 0).sum()):,} by none" if (seen == 0).any() else ""
-        draw_scale(
-            figure.subplots(), seen, seen > 0, f"pixels that see a texel{unseen}"
-        )
+        unseen = f", {none:,} by none" if none else ""
+        title = f"pixels that see a {one}{unseen}"
+        draw_scale(figure.subplots(), seen, inside & (seen > 0), title)
     return figure
 
 
-def _below(layers: np.ndarray) -> np.ndarray:
-    """(layers, rows, …) as (layers · rows, …)."""
-    return layers.reshape(-1, *layers.shape[2:])
+def _laid_out(
+    found: TextureFit, layers: np.ndarray, scene: Scene
+) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of texels or vertices as a picture, and where there are any in it."""
+    if not isinstance(found.texels, Vertices):
+        # Layers one below the other.
+        whole = layers.reshape(-1, *layers.shape[2:])
+        return whole, np.ones(whole.shape[:2], bool)
+    assert isinstance(scene.surface, Mesh)
+    buffer = scene.trace()
+    place = scene.surface.place(buffer)
+    corners, weights = np.asarray(place.corners), np.asarray(place.weights)
+    layer = np.zeros(corners.shape[:2], int)
+    if place.material_index is not None and len(layers) > 1:
+        layer = np.asarray(place.material_index)
+    rows = layers[layer[..., None], corners]
+    # Of what is not identified errors are infinite, or no number.
+    with np.errstate(invalid="ignore"):
+        return (weights[..., None] * rows).sum(axis=-2), np.asarray(buffer.mask)
 
 
 def draw_photographs(found: TextureFit, data: Dataset) -> Figure:
@@ -87,8 +109,13 @@ def write_page(
     images, factor = _some(found, data)
     with styled():
         shown = [trio(one.shown, one.name, factor) for one in images]
-        textures = [_panel(draw_texture(found, n), TITLES[n]) for n in found.names]
-        textures.append(_panel(draw_seen(found), "How many pixels see each texel"))
+        first, one = data.scenes[0], found.texels.one
+        textures = [
+            _panel(draw_texture(found, n, first), TITLES[n]) for n in found.names
+        ]
+        textures.append(
+            _panel(draw_seen(found, first), f"How many pixels see each {one}")
+        )
     names = {
         "summary": "Summary",
         **({"warnings": "Warnings"} if found.warnings else {}),
@@ -107,6 +134,7 @@ def write_page(
         warnings=[full_stop(warning) for warning in found.warnings],
         textures=textures,
         images=shown,
+        places=found.texels.word,
         about_pictures=about_pictures(factor, len(images), len(data.images)),
         rows=[row(*one) for one in found.shared],
         assumptions=_assumptions(found, data),
@@ -122,17 +150,18 @@ def _panel(figure: Figure, alt: str) -> Panel:
 
 
 def _summary(found: TextureFit) -> list[str]:
-    layers, rows, columns = found.seen.shape
+    layers, *size = found.seen.shape
     count = len(found.residuals)
     of = "one photograph" if count == 1 else f"{count} photographs"
     several = f" for each of {layers} materials" if layers > 1 else ""
     samples = f"{found.n_samples:,} samples (pixels times channels)"
     steps = f"in {found.steps} steps"
     sentences = [
-        f"Textures of {listed(found.names)}, {columns} × {rows} texels{several}, were "
-        f"fitted to {of}: {samples}.",
+        f"Textures of {listed(found.names)}, {_sized(size)}{several}, were fitted to "
+        f"{of}: {samples}.",
         f"The solver {'converged' if found.converged else 'did not converge'} {steps}.",
-        f"Of {found.seen.size:,} texels {int((found.seen > 0).sum()):,} are seen.",
+        f"Of {found.seen.size:,} {found.texels.word} {int((found.seen > 0).sum()):,} "
+        "are seen.",
     ]
     for name in found.names:
         known = np.isfinite(found.stderr[name])
@@ -144,6 +173,20 @@ def _summary(found: TextureFit) -> list[str]:
     return sentences
 
 
+def _sized(size: list[int]) -> str:
+    if len(size) == 1:
+        return f"a number for each of {size[0]:,} vertices"
+    rows, columns = size
+    return f"{columns} × {rows} texels"
+
+
+def _interpolated(texels: AbstractTexels) -> str:
+    if not isinstance(texels, Grid):
+        return "at vertices, linear over each triangle"
+    ends = "repeated" if texels.wrap == "repeat" else "clamped"
+    return f"{texels.filter}, {ends}"
+
+
 def _assumptions(found: TextureFit, data: Dataset) -> dict[str, str]:
     scene = data.scenes[0]
     lights = sorted({type(one).__name__ for s in data.scenes for one in s.lights})
@@ -153,7 +196,7 @@ def _assumptions(found: TextureFit, data: Dataset) -> dict[str, str]:
         "specular model": settings(scene.specular_model),
         "shading": type(scene.shading).__name__,
         "lights": listed(lights) or "none",
-        "textures": f"bilinear, {'repeated' if found.wrap == 'repeat' else 'clamped'}",
+        "textures": _interpolated(found.texels),
         "film": f"{' / '.join(films)}; light is linear, white = 1",
         "noise": f"{found.noise:.3g}",
         "versions": versions(),

@@ -12,6 +12,7 @@ from phongfit.cli import main
 from phongfit.files.schema import ImageRecord
 from tests.fitting.test_texture_fit import NOISE, SHINY, SIZE, TRUE, painted, scenes
 from tests.fitting.texels import test_steps as shiny
+from tests.fitting.texels import test_vertices as ball
 from tests.helpers import known as present, near
 
 ASKED = ["--unknowns", "diffuse.texture", "specular", "shininess"]
@@ -86,6 +87,47 @@ def test_from_photographs_to_a_mesh_for_others(photographs, tmp_path, capsys):
     assert "is not empty" in capsys.readouterr().err
 
 
+def test_from_photographs_to_numbers_at_vertices(tmp_path, capsys):
+    folder, out = tmp_path / "ball", tmp_path / "fit"
+    folder.mkdir()
+    views = ball.painted(diffuse=ball.TRUE)
+    for at, light in enumerate(ball.images()):
+        pf.write_image(folder / f"{at}.png", np.clip(light, 0, 1), "srgb", bits=16)
+    images = [ImageRecord(file=f"{at}.png", lights=[at]) for at in range(len(views))]
+    lights = [light for scene in views for light in scene.lights]
+    bare = dataclasses.replace(ball.scenes()[0], lights=lights)
+    film = pf.Film(encoding="srgb", bits=16)
+    cameras = [scene.camera for scene in views]
+    pf.save_scene(folder, bare, film=film, images=images, cameras=cameras)
+    asked = [*ASKED, "--texture-size", "vertices", "--per-channel", "diffuse"]
+    assert main(["fit", str(folder), "-o", str(out), *asked]) == 0
+    assert "162 vertices identified" in capsys.readouterr().out
+    arrays = np.load(out / "textures.npz")
+    values, errors = arrays["diffuse"][0], arrays["stderr_diffuse"][0]
+    told = np.isfinite(errors) & (arrays["seen"][0] >= 3)[:, None]
+    pulls = ((values - ball.TRUE) / errors)[told]
+    assert told.mean() > 0.85 and 0.9 < np.sqrt(np.mean(pulls**2)) < 1.1
+    record = json.loads((out / "textures.json").read_text())
+    assert record["settings"]["size"] == "vertices" and record["texels"] == 162
+    # The mesh of the folder has them, and an .obj of it.
+    again = tmp_path / "again.obj"
+    assert main(["export", str(out), "-o", str(again)]) == 0
+    for file in (out / "mesh.glb", again):
+        mesh, material, _ = pf.load_mesh(file)
+        rows = present(present(mesh.textures)[0].diffuse)
+        read = np.asarray(material.diffuse) * np.asarray(rows.values)
+        whole = np.isfinite(errors).all(axis=-1)
+        near(read[whole], values[whole], 1e-5)
+    page = (out / "report.html").read_text()
+    for words in (
+        "a number for each of 162 vertices",
+        "at vertices, linear over each triangle",
+        "--texture-size vertices",
+        "Vertices as they look",
+    ):
+        assert words in page, words
+
+
 def test_ambient_has_no_place_in_gltf(photographs, tmp_path, capsys):
     out = tmp_path / "fit"
     asked = ["--unknowns", "ambient.texture", "--known", "preset:brass"]
@@ -101,7 +143,8 @@ def test_ambient_has_no_place_in_gltf(photographs, tmp_path, capsys):
 @pytest.mark.parametrize(
     "more, said",
     [
-        (ASKED, "texture_size: expected columns and rows"),
+        (ASKED, "texture_size: expected columns and rows of the textures, or vertices"),
+        ([*ASKED, "--texture-size", "faces"], "texture-size"),
         (["--separate"], "separate: is of textures, expected one among the unknowns"),
         ([*ASKED, *SIZED, "--fixed", "shininess=3"], "fixed: expected none with"),
         ([*ASKED, *SIZED, "--loss", "huber"], "loss: expected linear with textures"),

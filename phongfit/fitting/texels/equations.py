@@ -9,7 +9,7 @@ from scipy import sparse
 from phongfit.fitting.texels.job import PRIOR, Job, State
 from phongfit.fitting.texels.lit import BASIS, Basis, LitImage, basis, shown
 from phongfit.fitting.texels.solve import Preconditioned, precondition, rescale
-from phongfit.fitting.texels.sums import Touched, as_matrix
+from phongfit.fitting.texels.sums import Touched
 
 
 class Left(NamedTuple):
@@ -208,7 +208,7 @@ def make_matrix(
     """
     fields, prior = len(job.systems[system]), 1 / PRIOR[1] ** 2
     if sums.unit is None:
-        matrix = as_matrix(job.grid, sums.blocks[system], fields, prior)
+        matrix = job.grid.matrix(sums.blocks[system], fields, prior)
     else:
         known = prior / sums.unit**2
         if damping is not None:
@@ -216,7 +216,7 @@ def make_matrix(
             known[own] += damping * (
                 sums.blocks[0][fields - 1, fields - 1][0] + known[own]
             )
-        matrix = as_matrix(job.grid, sums.blocks[system], fields, known)
+        matrix = job.grid.matrix(sums.blocks[system], fields, known)
         rescale(matrix, sums.unit)
     if job.smoothness is not None:
         smooth = sparse.block_diag([job.smoothness] * fields)

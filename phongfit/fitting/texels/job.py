@@ -7,7 +7,7 @@ import numpy as np
 from scipy import sparse
 
 from phongfit.fitting.texels.lit import Photographs
-from phongfit.fitting.texels.sums import Grid
+from phongfit.fitting.texels.sums import AbstractTexels
 
 PRIOR = 0.5, 1.0
 """Mean and standard deviation of what is known of a reflectance before any image.
@@ -67,7 +67,7 @@ class Job:
     lossy: bool
 
     @property
-    def grid(self) -> Grid:
+    def grid(self) -> AbstractTexels:
         return self.images.grid
 
     @property

@@ -92,7 +92,7 @@ def judge(
                 job, misfit, spread, converged, shared, freedom, total, noise_given
             )
         ),
-        job.grid.wrap,
+        job.grid,
     )
 
 

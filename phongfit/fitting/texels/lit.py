@@ -12,14 +12,13 @@ from jaxtyping import Array, Float, Int
 
 from phongfit.fitting.problem.inputs import Observation
 from phongfit.fitting.problem.noise import clipped_moments, rounding_steps
-from phongfit.fitting.texels.sums import Grid, Touched, merged
+from phongfit.fitting.texels.sums import AbstractTexels, Touched
 from phongfit.geometry.meshes import Mesh
 from phongfit.programs import program
 from phongfit.rendering.film import Film
 from phongfit.rendering.pixels import PixelTerms, resolve
 from phongfit.rendering.terms import check_exponents
 from phongfit.scene import Scene
-from phongfit.textures import Filter, texels
 
 BASIS = ("ambient", "diffuse", "specular", "emission")
 """The basis images of [`PixelTerms.basis`][], in its order."""
@@ -64,8 +63,7 @@ class Photographs:
 
     given: tuple[Observation, ...]
     films: tuple[Film, ...]
-    grid: Grid
-    filter: Filter
+    grid: AbstractTexels
     room: int = ROOM
     every: int = 1
     kept: dict[int, LitImage] = dataclasses.field(default_factory=dict, init=False)
@@ -77,7 +75,7 @@ class Photographs:
         """One of them, from before or traced anew."""
         if k in self.kept:
             return self.kept[k]
-        found = see(self.given[k], self.films[k], self.grid, self.filter, self.every)
+        found = see(self.given[k], self.films[k], self.grid, self.every)
         if found.bytes + sum(one.bytes for one in self.kept.values()) <= self.room:
             self.kept[k] = found
         return found
@@ -102,36 +100,26 @@ class Basis(NamedTuple):
 
 
 def see(
-    photograph: Observation, film: Film, grid: Grid, filter: Filter, every: int = 1
+    photograph: Observation, film: Film, grid: AbstractTexels, every: int = 1
 ) -> LitImage:
     """Trace a photograph's scene.
 
     **Arguments:** `every`: one of so many of the pixels that see the surface.
-
-    **Raises:** `ValueError` if the scene's surface has no uv.
     """
     gbuffer, pixels = resolve(photograph.scene)
-    if gbuffer.uv is None:
-        raise ValueError(
-            "scene: expected a surface with uv, which say where its texels lie"
-        )
     size = gbuffer.mask.shape
     weight = np.broadcast_to(photograph.weight, photograph.image.shape)
     seen = np.asarray(gbuffer.mask) & (weight > 0).any(axis=-1)
     place = np.flatnonzero(seen)[::every].astype(np.int32)
     chosen = jnp.asarray(place)
-    uv = gbuffer.uv.reshape(-1, 2)[chosen]
-    index, share = texels(uv, (grid.rows, grid.columns), filter, grid.wrap)
     material = pixels.material_index()
     of = np.zeros(size, np.int32) if material is None else np.asarray(material)
     own = of.ravel()[place].astype(np.int32, copy=False)
-    number = np.asarray(index, np.int32)
-    if grid.layers > 1:
-        number = number + (own * np.int32(grid.rows * grid.columns))[:, None]
+    layer = own if grid.shape[0] > 1 else None
     return LitImage(
         place,
         pixels.select(chosen),
-        merged(Touched(number, np.asarray(share))),
+        grid.touched(gbuffer.select(chosen), layer),
         own,
         _exposed(photograph.image.reshape(-1, 3)[place], film),
         weight[np.unravel_index(place, size)],
@@ -145,17 +133,12 @@ def _exposed(light: np.ndarray, film: Film) -> np.ndarray:
 def without(scene: Scene, names: tuple[str, ...]) -> Scene:
     """The scene without the textures that are to be found.
 
-    **Raises:** `ValueError` if its surface has no uv, or its shading no exponents.
+    **Raises:** `ValueError` if its shading has no exponents.
     """
     surface = scene.surface
     if "shininess" in names:
         check_exponents(scene)
-    if not isinstance(surface, Mesh) or surface.uv is None:
-        raise ValueError(
-            "scene: expected a Mesh with uv, which say where its texels lie, got "
-            f"{type(surface).__name__}"
-        )
-    if surface.textures is None:
+    if not isinstance(surface, Mesh) or surface.textures is None:
         return scene
     none = dict.fromkeys(names)
     left = [dataclasses.replace(one, **none) for one in surface.textures]

@@ -5,14 +5,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import ndimage
 
 from phongfit.fitting.texels.job import Job
+from phongfit.fitting.texels.sums import AbstractTexels
 from phongfit.fitting.uncertainty.misfit import Misfit
 from phongfit.geometry.meshes import Mesh
 from phongfit.material import Material
 from phongfit.scene import Scene
-from phongfit.textures import Texture, Textures, Wrap
+from phongfit.textures import Textures
 
 CHANNELS = ("red", "green", "blue")
 
@@ -45,7 +45,8 @@ class TextureFit:
     **Arguments:**
 
     - `values`: of each textured parameter its texels, (layers, rows, columns, 3): one
-        layer, or one for each material. Of exponents (layers, rows, columns, 1).
+        layer, or one for each material. Of exponents (layers, rows, columns, 1). Of
+        vertices (layers, V, 3), as all else here.
     - `stderr`: their standard errors, infinite where the photographs do not identify a
         texel: where no pixel sees it, or too few.
     - `seen`: how many pixels see each texel, (layers, rows, columns).
@@ -60,7 +61,7 @@ class TextureFit:
     - `misfit`: whether these are noise.
     - `converged`, `steps`: of the solver.
     - `warnings`: what is wrong, how large, what to try.
-    - `wrap`: of the textures.
+    - `texels`: where on the mesh they are: a grid, or its vertices.
     """
 
     values: dict[str, np.ndarray]
@@ -77,17 +78,17 @@ class TextureFit:
     converged: bool
     steps: int
     warnings: tuple[str, ...]
-    wrap: Wrap
+    texels: AbstractTexels
 
     def scene(self, scene: Scene) -> Scene:
         """A scene of the same mesh, with the textures that were found on it.
 
         Texels that are not identified are filled: see [`TextureFit.filled`][].
 
-        **Raises:** `ValueError` if its surface is not a [`Mesh`][] with uv.
+        **Raises:** `ValueError` if its surface is not such a [`Mesh`][].
         """
-        if not isinstance(scene.surface, Mesh):
-            raise ValueError("scene: expected the surface to be a Mesh with uv")
+        self.texels.check(scene.surface)
+        assert isinstance(scene.surface, Mesh)
         textures = self.textures(scene.surface.textures)
         surface = scene.surface.with_textures(textures)
         return dataclasses.replace(scene, surface=surface)
@@ -100,25 +101,18 @@ class TextureFit:
 
         def of(layer: int) -> Textures:
             found: dict[str, Any] = {
-                name: Texture(values[min(layer, len(values) - 1)], wrap=self.wrap)
+                name: self.texels.texture(values[min(layer, len(values) - 1)])
                 for name, values in filled.items()
             }
             return dataclasses.replace(before[min(layer, len(before) - 1)], **found)
 
         return [of(layer) for layer in range(layers)]
 
-    def filled(self, name: str) -> Float[np.ndarray, "layers rows columns 3"]:
+    def filled(self, name: str) -> Float[np.ndarray, "layers *places channels"]:
         """A texture whose texels that are not identified are the nearest that are."""
-        values, known = self.values[name].copy(), np.isfinite(self.stderr[name])
-        for layer in range(len(values)):
-            for c in range(values.shape[-1]):
-                own = known[layer, ..., c]
-                if own.any() and not own.all():
-                    at = ndimage.distance_transform_edt(
-                        ~own, return_distances=False, return_indices=True
-                    )
-                    values[layer, ..., c] = values[layer, ..., c][tuple(np.array(at))]
-        return values
+        known = np.isfinite(self.stderr[name])
+        each = zip(self.values[name], known, strict=True)
+        return np.stack([self.texels.filled(*layer) for layer in each])
 
     def __str__(self) -> str:
         texels, count = self.seen.size, len(self.residuals)
@@ -134,8 +128,8 @@ class TextureFit:
             median = np.median(errors[known]) if known.any() else np.inf
             share = known.all(axis=-1).sum()
             lines.append(
-                f"  {name}: {share:,} of {texels:,} texels identified, median standard "
-                f"error {median:.2g}"
+                f"  {name}: {share:,} of {texels:,} {self.texels.word} identified, "
+                f"median standard error {median:.2g}"
             )
         lines += [
             f"  {one.label:20} {one.value:12.5g}  ± {one.stderr:8.2g}"

@@ -9,13 +9,10 @@ from jaxtyping import Bool, Float
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, SuperLU, cg, splu
 
-from phongfit.fitting.texels.sums import Grid
+from phongfit.fitting.texels.sums import AbstractTexels
 
 EXACT = 2000
 """Unknowns up to which a matrix is inverted as a whole."""
-
-SPACING = 8
-"""Texels between those that are probed at once; further away they hardly covary."""
 
 AT_ONCE, ROOM = 16, 4_000_000
 """Right-hand sides that are solved for together, and numbers in them, at the most."""
@@ -125,11 +122,14 @@ def rescale(matrix: sparse.csr_array, scale: Float[np.ndarray, " n"]) -> None:
 
 
 def inverse_diagonal(
-    system: Preconditioned, grid: Grid, parameters: int, tolerance: float = 1e-3
+    system: Preconditioned,
+    grid: AbstractTexels,
+    parameters: int,
+    tolerance: float = 1e-3,
 ) -> Float[np.ndarray, " n"]:
     r"""The diagonal of the inverse: exactly if small, else by probing.
 
-    Texels eight apart are probed at once, with random signs $v$: what the solution $x$
+    Texels far apart are probed at once, with random signs $v$: what the solution $x$
     of $N x = v$ has at each is its own variance, and what is left of the covariance
     with the next ones.
 
@@ -140,14 +140,13 @@ def inverse_diagonal(
     count = len(system.scale)
     if count <= EXACT:
         return np.diag(np.linalg.inv(system.matrix.toarray())) * system.scale**2
-    row, column = np.divmod(np.arange(grid.texels), grid.columns)
-    # Layers come one below the other.
-    colour = row % grid.rows % SPACING * SPACING + column % SPACING
-    colour = np.concatenate([colour + p * SPACING**2 for p in range(parameters)])
+    own = grid.colours()
+    kinds = int(own.max()) + 1
+    colour = np.concatenate([own + p * kinds for p in range(parameters)])
     sign = np.random.default_rng(0).choice([-1.0, 1.0], count)
     found = np.zeros(count)
     together = at_once(count)
-    for start in range(0, parameters * SPACING**2, together):
+    for start in range(0, parameters * kinds, together):
         probed = colour[:, None] == start + np.arange(together)
         # Scaled, the solution's own entry is the variance over that of one alone.
         probes = np.where(probed, (sign / system.scale)[:, None], 0)

@@ -6,13 +6,21 @@ eight around it only: it is summed up as five images, whatever the number of
 photographs, and never as a matrix of all samples.
 """
 
-from typing import NamedTuple
+import abc
+import dataclasses
+import math
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy import sparse
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage, sparse
 
-from phongfit.textures import Wrap
+from phongfit.geometry.meshes import Mesh
+from phongfit.geometry.surfaces import GBuffer
+from phongfit.textures import AbstractTexture, Filter, Texture, Wrap, texels
+
+SPACING = 8
+"""Texels between those that are probed at once; further away they hardly covary."""
 
 # From a texel to the neighbours after it: itself, right, below, and both diagonals.
 OFFSETS = ((0, 0), (0, 1), (1, 0), (1, 1), (1, -1))
@@ -27,27 +35,144 @@ PAIRS = (
 )
 
 
-class Grid(NamedTuple):
+class AbstractTexels(abc.ABC):
+    """Where on a mesh there are numbers to be found, and which are neighbours."""
+
+    word: ClassVar[str]
+    one: ClassVar[str]
+
+    @property
+    @abc.abstractmethod
+    def shape(self) -> tuple[int, ...]:
+        """Layers, one for each material or one in all, and the places of each."""
+
+    @property
+    def texels(self) -> int:
+        """How many there are in all."""
+        return math.prod(self.shape)
+
+    @abc.abstractmethod
+    def check(self, surface: Any) -> None:
+        """**Raises:** `ValueError` if a scene's surface does not have these places."""
+
+    @abc.abstractmethod
+    def touched(
+        self, gbuffer: GBuffer, layer: Int[np.ndarray, " n"] | None
+    ) -> "Touched":
+        """Which texels samples see.
+
+        **Arguments:** `gbuffer`: of n pixels; `layer`: of each, if there are several.
+        """
+
+    @abc.abstractmethod
+    def coarser(self, by: int) -> "AbstractTexels":
+        """With fewer texels along each side, where that can be."""
+
+    @abc.abstractmethod
+    def links(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs of neighbours."""
+
+    @abc.abstractmethod
+    def matrix(
+        self,
+        blocks: dict[tuple[int, int], np.ndarray],
+        fields: int,
+        prior: float | Float[np.ndarray, " n"] = 0.0,
+    ) -> sparse.csr_array:
+        """The symmetric matrix over all texels of all fields, field by field.
+
+        **Arguments:**
+
+        - `blocks`: for p ≤ q the sums of [`Touched.add_products`][].
+        - `prior`: added to the diagonal.
+        """
+
+    @abc.abstractmethod
+    def colours(self) -> Int[np.ndarray, " texels"]:
+        """Numbers from 0 of which texels that covary have different ones."""
+
+    @abc.abstractmethod
+    def texture(self, values: Float[np.ndarray, "*places channels"]) -> AbstractTexture:
+        """One layer's values, as a mesh has them."""
+
+    @abc.abstractmethod
+    def filled(
+        self,
+        values: Float[np.ndarray, "*places channels"],
+        known: Bool[np.ndarray, "*places channels"],
+    ) -> Float[np.ndarray, "*places channels"]:
+        """One layer's values; those that are not known are the nearest that are."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid(AbstractTexels):
     """Textures of one size: `layers` of them, one for each material, or one in all."""
+
+    word: ClassVar[str] = "texels"
+    one: ClassVar[str] = "texel"
 
     layers: int
     rows: int
     columns: int
     wrap: Wrap
-
-    @property
-    def texels(self) -> int:
-        """How many there are in all."""
-        return self.layers * self.rows * self.columns
+    filter: Filter = "bilinear"
 
     @property
     def shape(self) -> tuple[int, int, int]:
         return self.layers, self.rows, self.columns
 
+    def check(self, surface: Any) -> None:
+        if not isinstance(surface, Mesh) or surface.uv is None:
+            raise ValueError(
+                "scene: expected a Mesh with uv, which say where its texels lie, got "
+                f"{type(surface).__name__}"
+            )
+
+    def touched(
+        self, gbuffer: GBuffer, layer: Int[np.ndarray, " n"] | None
+    ) -> "Touched":
+        assert gbuffer.uv is not None
+        size = self.rows, self.columns
+        index, share = texels(gbuffer.uv, size, self.filter, self.wrap)
+        number = np.asarray(index, np.int32)
+        if layer is not None:
+            number = number + (layer * np.int32(self.rows * self.columns))[:, None]
+        return merged(Touched(number, np.asarray(share)))
+
     def coarser(self, by: int) -> "Grid":
-        """With fewer texels along each side."""
         rows, columns = max(self.rows // by, 1), max(self.columns // by, 1)
-        return self._replace(rows=rows, columns=columns)
+        return dataclasses.replace(self, rows=rows, columns=columns)
+
+    def matrix(
+        self,
+        blocks: dict[tuple[int, int], np.ndarray],
+        fields: int,
+        prior: float | Float[np.ndarray, " n"] = 0.0,
+    ) -> sparse.csr_array:
+        return as_matrix(self, blocks, fields, prior)
+
+    def colours(self) -> Int[np.ndarray, " texels"]:
+        row, column = np.divmod(np.arange(self.texels), self.columns)
+        # Layers come one below the other.
+        return row % self.rows % SPACING * SPACING + column % SPACING
+
+    def texture(self, values: Float[np.ndarray, "rows columns channels"]) -> Texture:
+        return Texture(values, self.filter, self.wrap)
+
+    def filled(
+        self,
+        values: Float[np.ndarray, "rows columns channels"],
+        known: Bool[np.ndarray, "rows columns channels"],
+    ) -> Float[np.ndarray, "rows columns channels"]:
+        values = values.copy()
+        for c in range(values.shape[-1]):
+            own = known[..., c]
+            if own.any() and not own.all():
+                at = ndimage.distance_transform_edt(
+                    ~own, return_distances=False, return_indices=True
+                )
+                values[..., c] = values[..., c][tuple(np.array(at))]
+        return values
 
     def neighbour(self, offset: tuple[int, int]) -> Int[np.ndarray, " texels"]:
         """The number of each texel's neighbour."""
@@ -56,7 +181,7 @@ class Grid(NamedTuple):
         return np.roll(number, (-down, -right), axis=(1, 2)).ravel()
 
     def links(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of texels side by side, and one above the other."""
+        # Side by side, and one above the other.
         number = np.arange(self.texels).reshape(self.shape)
         pairs = []
         for axis, count in ((2, self.columns), (1, self.rows)):
@@ -69,10 +194,16 @@ class Grid(NamedTuple):
 
 
 class Touched(NamedTuple):
-    """The texels that each sample sees, and their weights: (samples, 4), or 1."""
+    """The texels that each sample sees, and their weights: (samples, 4), or 3, or 1.
+
+    - `beside`: of three vertices, where in a block of sums each of their pairs stands.
+    - `slots`: rows of such a block, of which the first are the texels themselves.
+    """
 
     number: Int[np.ndarray, "samples corners"]
     weight: Float[np.ndarray, "samples corners"]
+    beside: Int[np.ndarray, "samples pairs"] | None = None
+    slots: int = len(OFFSETS)
 
     def mean(self, texels: Float[np.ndarray, " texels"]) -> Float[np.ndarray, " n"]:
         """A texture's value at each sample."""
@@ -90,6 +221,15 @@ class Touched(NamedTuple):
 
     def add_products(self, values: np.ndarray, total: np.ndarray) -> None:
         r"""Add $\sum_i v_i w_{ik} w_{il}$ of neighbours: see [`Touched.offsets`][]."""
+        if self.beside is not None:
+            flat = total.reshape(-1)
+            for k in range(3):
+                both = values * self.weight[:, k] ** 2
+                total[0] += np.bincount(self.number[:, k], both, len(total[0]))
+            for pair, (k, m) in enumerate(((0, 1), (0, 2), (1, 2))):
+                both = values * self.weight[:, k] * self.weight[:, m]
+                flat += np.bincount(self.beside[:, pair], both, len(flat))
+            return
         for image, pairs in zip(total, PAIRS[: self.offsets], strict=True):
             for k, m in pairs[: self.number.shape[1]]:
                 both = values * self.weight[:, k] * self.weight[:, m]
@@ -97,13 +237,13 @@ class Touched(NamedTuple):
 
     @property
     def offsets(self) -> int:
-        """How many of `OFFSETS` there are between the texels of a sample."""
-        return len(OFFSETS) if self.number.shape[1] > 1 else 1
+        """How many rows a block of sums has."""
+        return self.slots if self.number.shape[1] > 1 else 1
 
 
 def merged(touched: Touched) -> Touched:
     """Where a texture ends two of the four are one: it gets the weight of both."""
-    number, weight = touched
+    number, weight = touched.number, touched.weight
     if number.shape[1] == 1:
         return touched
     weight = weight.copy()
@@ -161,7 +301,7 @@ def as_matrix(
 
 
 def smoothness_matrix(
-    grid: Grid, parameters: int, deviation: float
+    grid: AbstractTexels, parameters: int, deviation: float
 ) -> sparse.csr_array:
     r"""Of $\sum (t_i - t_j)^2 / \tau^2$ over neighbours."""
     first, second = grid.links()

@@ -1,0 +1,195 @@
+"""Numbers at the vertices of a mesh, as unknowns: the twin of a grid of texels."""
+
+import dataclasses
+import functools
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import sparse
+from scipy.spatial import KDTree
+
+from phongfit.fitting.texels.sums import AbstractTexels, Touched
+from phongfit.geometry.meshes import Mesh
+from phongfit.geometry.surfaces import GBuffer
+from phongfit.textures import VertexColours
+
+CORNERS = ((0, 1), (0, 2), (1, 2))
+"""Pairs of a triangle's corners: its edges."""
+
+RINGS = 5
+"""How many edges apart vertices still covary: further away they are probed at once."""
+
+
+class Edges(NamedTuple):
+    """Each edge of a mesh once, kept by one of its ends: few are kept by any.
+
+    - `owner`, `other`: its ends.
+    - `slot`: counts the edges of an owner, from 1; 0 is the vertex itself.
+    - `of_faces`: the number of each of a face's edges, in the order of `CORNERS`.
+    """
+
+    owner: Int[np.ndarray, " edges"]
+    other: Int[np.ndarray, " edges"]
+    slot: Int[np.ndarray, " edges"]
+    of_faces: Int[np.ndarray, "faces 3"]
+
+
+def find_edges(faces: Int[np.ndarray, "faces 3"], vertices: int) -> Edges:
+    """The edges of a mesh, of faces without an area only those with a length."""
+    ends = np.sort(faces[:, CORNERS].reshape(-1, 2), axis=1).astype(np.int64)
+    keys, number = np.unique(ends[:, 0] * vertices + ends[:, 1], return_inverse=True)
+    low, high = keys // vertices, keys % vertices
+    long = low != high
+    # What is no edge is never seen: any number does.
+    number = np.where(long, np.cumsum(long) - 1, 0)[number]
+    low, high = low[long], high[long]
+    degree = np.bincount(np.concatenate([low, high]), minlength=vertices)
+    # Kept by the end that has fewer, so that the tip of a fan keeps none.
+    swapped = degree[low] > degree[high]
+    owner, other = np.where(swapped, high, low), np.where(swapped, low, high)
+    order = np.argsort(owner, kind="stable")
+    slot = np.empty(len(owner), np.int64)
+    kept = owner[order]
+    slot[order] = np.arange(len(kept)) - np.searchsorted(kept, kept) + 1
+    return Edges(owner, other, slot, number.reshape(-1, 3))
+
+
+class Pattern(NamedTuple):
+    """A sparse matrix's rows, and where in a block of sums each entry stands."""
+
+    ends: np.ndarray
+    columns: np.ndarray
+    source: np.ndarray
+    diagonal: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Vertices(AbstractTexels):
+    """A number for each vertex: `layers` of them, one for each material, or one in all.
+
+    **Arguments:** `points`, `faces`: the mesh.
+    """
+
+    word: ClassVar[str] = "vertices"
+    one: ClassVar[str] = "vertex"
+
+    layers: int
+    points: Float[np.ndarray, "vertices 3"]
+    faces: Int[np.ndarray, "faces 3"]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.layers, len(self.points)
+
+    @functools.cached_property
+    def edges(self) -> Edges:
+        """The mesh's."""
+        return find_edges(self.faces, len(self.points))
+
+    @property
+    def slots(self) -> int:
+        """Of a vertex in a block of sums: itself, and the edges that it keeps."""
+        return 1 + int(self.edges.slot.max(initial=0))
+
+    def check(self, surface: Any) -> None:
+        if not isinstance(surface, Mesh):
+            kind = type(surface).__name__
+            raise ValueError(f"scene: expected a Mesh, which has vertices, got {kind}")
+        same = len(surface.vertices) == len(self.points)
+        if not same or not np.array_equal(surface.faces, self.faces):
+            raise ValueError("scene: expected the same Mesh in all scenes")
+
+    def touched(self, gbuffer: GBuffer, layer: Int[np.ndarray, " n"] | None) -> Touched:
+        face = np.asarray(gbuffer.face)
+        number = self.faces[face].astype(np.int32)
+        edge = self.edges.of_faces[face]
+        beside = self.edges.slot[edge] * self.texels + self.edges.owner[edge]
+        if layer is not None:
+            number = number + (layer * np.int32(len(self.points)))[:, None]
+            beside = beside + (layer.astype(np.int64) * len(self.points))[:, None]
+        return Touched(number, np.asarray(gbuffer.barycentrics), beside, self.slots)
+
+    def coarser(self, by: int) -> "Vertices":
+        del by
+        return self
+
+    def links(self) -> tuple[np.ndarray, np.ndarray]:
+        start = (np.arange(self.layers) * len(self.points))[:, None]
+        ends = self.edges.owner, self.edges.other
+        return tuple((start + one).ravel() for one in ends)  # pyright: ignore
+
+    @functools.cached_property
+    def pattern(self) -> Pattern:
+        """Of the matrix over all vertices: each beside those of its edges."""
+        owner, other = self.links()
+        own = np.arange(self.texels)
+        slot = np.tile(self.edges.slot, self.layers)
+        source = np.concatenate([own, *[slot * self.texels + owner] * 2])
+        rows = np.concatenate([own, owner, other])
+        columns = np.concatenate([own, other, owner])
+        order = np.lexsort([columns, rows])
+        ends = np.searchsorted(rows[order], np.arange(self.texels + 1))
+        diagonal = np.flatnonzero(rows[order] == columns[order])
+        kind = np.int32
+        return Pattern(
+            ends.astype(kind), columns[order].astype(kind), source[order], diagonal
+        )
+
+    def matrix(
+        self,
+        blocks: dict[tuple[int, int], np.ndarray],
+        fields: int,
+        prior: float | Float[np.ndarray, " n"] = 0.0,
+    ) -> sparse.csr_array:
+        count = self.texels
+        prior = np.broadcast_to(prior, fields * count).reshape(fields, count)
+
+        def of(p: int, q: int) -> sparse.csr_array | None:
+            block = blocks.get((min(p, q), max(p, q)))
+            if block is None:
+                return None
+            more = prior[p] if p == q else 0.0
+            if len(block) == 1:
+                return sparse.csr_array(sparse.diags_array(block[0] + more))
+            ends, columns, source, diagonal = self.pattern
+            values = block.ravel()[source].astype(float)
+            values[diagonal] += more
+            return sparse.csr_array((values, columns, ends), (count, count))
+
+        rows = [[of(p, q) for q in range(fields)] for p in range(fields)]
+        return sparse.csr_array(sparse.block_array(rows, format="csr"))
+
+    def colours(self) -> Int[np.ndarray, " texels"]:
+        count = len(self.points)
+        ends = np.concatenate([self.edges.owner, self.edges.other])
+        others = np.concatenate([self.edges.other, self.edges.owner])
+        one = sparse.csr_array((np.ones(len(ends), bool), (ends, others)), (count,) * 2)
+        one = sparse.csr_array(one + sparse.eye_array(count, dtype=bool))
+        near = one
+        for _ in range(RINGS - 1):
+            near = sparse.csr_array(near @ one)
+        colour = np.full(count, -1)
+        for k in range(count):
+            taken = colour[near.indices[near.indptr[k] : near.indptr[k + 1]]]
+            free = np.ones(len(taken) + 1, bool)
+            free[taken[(taken >= 0) & (taken < len(free))]] = False
+            colour[k] = free.argmax()
+        # Vertices of different materials are not seen together.
+        return np.tile(colour, self.layers)
+
+    def texture(self, values: Float[np.ndarray, "vertices channels"]) -> VertexColours:
+        return VertexColours(values)
+
+    def filled(
+        self,
+        values: Float[np.ndarray, "vertices channels"],
+        known: Bool[np.ndarray, "vertices channels"],
+    ) -> Float[np.ndarray, "vertices channels"]:
+        values = values.copy()
+        for c in range(values.shape[-1]):
+            own = known[:, c]
+            if own.any():
+                _, nearest = KDTree(self.points[own]).query(self.points[~own])
+                values[~own, c] = values[own, c][nearest]
+        return values
