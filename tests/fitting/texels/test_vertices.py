@@ -4,6 +4,7 @@ import dataclasses
 import functools
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -42,8 +43,9 @@ def touched(texels: Vertices, count: int = 400) -> Touched:
     faces = len(texels.faces) - (texels.faces[-1, 0] == texels.faces[-1, 1])
     face, weights = RNG.integers(0, faces, count), RNG.dirichlet([1, 1, 1], count)
     nothing = floats(np.zeros((count, 3)))
+    mask, place = jnp.ones(count, bool), (jnp.asarray(face), floats(weights))
     buffer = GBuffer(
-        nothing, nothing, nothing, np.ones(count, bool), face=face, barycentrics=weights
+        nothing, nothing, nothing, mask, face=place[0], barycentrics=place[1]
     )
     layers = texels.shape[0]
     layer = RNG.integers(0, layers, count).astype(np.int32) if layers > 1 else None
@@ -144,7 +146,7 @@ def scenes(mesh: pf.Mesh = BARE) -> list[pf.Scene]:
 
 
 def painted(**rows) -> list[pf.Scene]:
-    named = {name: pf.VertexColours(values) for name, values in rows.items()}
+    named: Any = {name: pf.VertexColours(values) for name, values in rows.items()}
     return scenes(BARE.with_textures(pf.Textures(**named)))
 
 
