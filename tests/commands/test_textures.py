@@ -11,8 +11,7 @@ import phongfit as pf
 from phongfit.cli import main
 from phongfit.files.schema import ImageRecord
 from tests.fitting.test_texture_fit import NOISE, SHINY, SIZE, TRUE, painted, scenes
-from tests.fitting.texels import test_steps as shiny
-from tests.fitting.texels import test_vertices as ball
+from tests.fitting.texels import test_steps as shiny, test_vertices as ball
 from tests.helpers import known as present, near
 
 ASKED = ["--unknowns", "diffuse.texture", "specular", "shininess"]
