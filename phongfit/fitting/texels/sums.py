@@ -41,6 +41,8 @@ class AbstractTexels(abc.ABC):
     word: ClassVar[str]
     one: ClassVar[str]
 
+    layers: int
+
     @property
     @abc.abstractmethod
     def shape(self) -> tuple[int, ...]:

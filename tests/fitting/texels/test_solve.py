@@ -16,7 +16,8 @@ def matrix(parameters: int = 2) -> sparse.csr_array:
     """As a fit has it: each texel is seen some three times."""
     rng = np.random.default_rng(0)
     uv = floats(rng.uniform(size=(3 * GRID.texels, 2)))
-    seen = Touched(*map(np.asarray, texels(uv, (24, 20), "bilinear", "repeat")))
+    index, share = texels(uv, (24, 20), "bilinear", "repeat")
+    seen = Touched(np.asarray(index), np.asarray(share))
     columns = rng.uniform(0.2, 1, (parameters, len(uv)))
     blocks = {
         (p, q): products(seen, columns[p] * columns[q], GRID.texels)
