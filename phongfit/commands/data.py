@@ -48,6 +48,9 @@ class DataOptions:
             sought, by `phongfit maps`, under known lights.
         lights: With photographs: their lights, as `phongfit calibrate` writes them, or
             an .lp. Default: those in the folder; else the fit finds them.
+        fov: With photographs: the camera's angle of view, from the lower to the upper
+            edge. Default: what a calibration's lights say, else parallel rays, as of a
+            long lens from far away.
         mask: With an image or photographs: white where a pixel may be used.
         encoding: With an image or photographs: what their numbers are, or the file of
             a response curve, as `phongfit response` writes it. Default: what the scene
@@ -70,6 +73,8 @@ class DataOptions:
 
     lights: Annotated[Path | None, optional("FILE")] = None
 
+    fov: Annotated[float | None, optional("DEGREES")] = None
+
     mask: Annotated[Path | None, optional("FILE")] = None
 
     encoding: EncodingName = None
@@ -90,7 +95,15 @@ class DataOptions:
             sphere=self.sphere,
             normals=None if self.normals is None else str(self.normals),
             lights=None if self.lights is None else str(self.lights),
+            fov=self.fov,
         )
+
+    def like(self, reading: DataSettings) -> "DataOptions":
+        """The same photographs, read as a record has it."""
+        given = reading.model_dump()
+        for name in ("normals", "lights"):
+            given[name] = None if given[name] is None else Path(given[name])
+        return dataclasses.replace(self, **given)
 
     @property
     def sought(self) -> bool:
@@ -160,6 +173,7 @@ def _open_captured(options: DataOptions) -> Photographs:
         sphere=options.sphere,
         normals=SOUGHT if options.sought else options.normals,
         lights=options.lights,
+        fov=options.fov,
         mask=options.mask,
         min_cosine=options.min_cosine,
         min_facing=options.min_facing,
@@ -169,7 +183,7 @@ def _open_captured(options: DataOptions) -> Photographs:
 
 def _open_sought(options: DataOptions) -> Photographs:
     """A data set whose normals are left aside: none says what is lit or aslant."""
-    for name in ("scene", "sphere", "lights", "mask", "encoding"):
+    for name in ("scene", "sphere", "lights", "fov", "mask", "encoding"):
         if getattr(options, name) is not None:
             raise ValueError(
                 f"{name}: {options.dataset} is a data set, which says this itself"
@@ -184,7 +198,7 @@ def _open_folder(options: DataOptions) -> Photographs:
             f"{folder}: expected --sphere or --normals, the shape that its photographs "
             "show, since it is no data set with a scene.json or a filenames.txt"
         )
-    for name in ("scene", "mask", "encoding"):
+    for name in ("scene", "fov", "mask", "encoding"):
         if getattr(options, name) is not None:
             raise ValueError(f"{name}: {folder} is a folder, which says this itself")
     photographs = open_dataset(
@@ -220,6 +234,8 @@ def _read_single(options: DataOptions) -> Photographs:
             f"scene: is missing, {path} is one image and needs --scene, or --sphere or "
             "--normals for its shape"
         )
+    if options.fov is not None:
+        raise ValueError(f"fov: {options.scene} has the camera, expected no other")
     record = read_record(options.scene, SceneRecord)
     scene = _scene_of(path, options.scene, record)
     encoding = parse_encoding(options.encoding) or record.encoding

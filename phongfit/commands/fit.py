@@ -185,10 +185,7 @@ def _asked(
                     f"{field.name}: expected this option or --like, which says it, got "
                     "both"
                 )
-    settings, reading = record.settings, record.data.reading.model_dump()
-    for name in ("normals", "lights"):
-        reading[name] = None if reading[name] is None else Path(reading[name])
-    data = dataclasses.replace(options.data, **reading)
+    settings, data = record.settings, options.data.like(record.data.reading)
     return settings.specification(), settings.noise, data
 
 

@@ -3,24 +3,29 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from tyro.conf import Positional, arg
 
+from phongfit.commands.data import DataOptions, stack_data
 from phongfit.commands.options import EncodingName, OutFolder, optional
 from phongfit.commands.progress import stage
 from phongfit.files.calibrations import load_calibration
 from phongfit.files.encodings import parse_encoding
+from phongfit.files.fits import DataRecord
 from phongfit.files.formats import WRITERS
 from phongfit.files.images import write_image
+from phongfit.files.inputs import naming
 from phongfit.files.lp import base_name, read_lp
 from phongfit.files.outputs import replacing_folder
+from phongfit.files.zarrs import is_store
 from phongfit.lights import AbstractLight, DirectionalLight
 from phongfit.maps.folder import load_folder
 from phongfit.maps.relighting import relit
 from phongfit.maps.result import Maps
 from phongfit.rendering.film import Film
+from phongfit.scene import Scene
 
 OTHER = ".png"
 """What a picture is written as whose name tells no format that we write."""
@@ -34,6 +39,9 @@ class Options:
         maps: The folder that `phongfit maps` made.
         lights: An .lp, or the lights.json that `phongfit calibrate` writes.
         out: Folder to make: a picture for each light, named as in the list.
+        photographs: The folder that the maps were fitted to. What they leave of its
+            photographs is shown as well, interpolated between their lamps: light that
+            bounced, and shadows as they were, in place of those of the height.
         shadows: Surfaces throw shadows, as their height, which is found from the
             normals, has it.
         ambient: Ambient light. Default: that of the photographs.
@@ -46,6 +54,7 @@ class Options:
     maps: Annotated[Positional[Path], arg(metavar="MAPS")]
     lights: Annotated[Path, arg(metavar="FILE")]
     out: OutFolder
+    photographs: Annotated[Path | None, optional("FOLDER")] = None
     shadows: bool = True
     ambient: Annotated[float | None, optional("X")] = None
     distance: Annotated[float | None, optional("LENGTH")] = None
@@ -59,6 +68,7 @@ def main(options: Options) -> int:
     For example:
       phongfit relight out/maps --lights dome.lp -o out/relit
       phongfit relight out/maps --lights out/lights/lights.json -o out/measured
+      phongfit relight out/coin --lights dome.lp --photographs coin -o out/as-seen
     """
     maps, record, _ = load_folder(options.maps)
     encoding = parse_encoding(options.encoding) or record.encoding
@@ -73,10 +83,17 @@ def main(options: Options) -> int:
     if ambient is not None and not ambient >= 0:
         raise ValueError(f"ambient: expected a number ≥ 0, got {ambient:g}")
 
+    if options.photographs is not None and not options.shadows:
+        raise ValueError("shadows: photographs have theirs, expected one of both")
+
     def may_replace(name: str) -> bool:
         return options.overwrite and name in names
 
     with replacing_folder(options.out, may_replace) as folder:
+        photographs = None
+        if options.photographs is not None:
+            with stage("reading the photographs"):
+                photographs = _photographs(options.photographs, record.data)
         with stage("integrating the normals"):
             surface = maps.height(distance=options.distance)
         pictures = relit(
@@ -86,6 +103,7 @@ def main(options: Options) -> int:
             ambient=maps.ambient_light if ambient is None else ambient,
             shadows=options.shadows,
             film=Film(clamp=False),
+            photographs=photographs,
         )
         with stage("relighting"):
             for name, picture in zip(names, pictures, strict=True):
@@ -97,6 +115,26 @@ def main(options: Options) -> int:
         + (f"; {others} of them as {OTHER}" if others else "")
     )
     return 0
+
+
+def _photographs(folder: Path, data: DataRecord) -> tuple[Sequence[Scene], Any]:
+    """What maps were fitted to, read as it was then: scenes and images.
+
+    **Raises:** `ValueError` that names the file, or what is not of these maps.
+    """
+    if is_store(folder):
+        raise ValueError(f"photographs: expected a folder, got a zarr array: {folder}")
+    with naming("photographs"):
+        stack, read = stack_data(DataOptions(folder).like(data.reading))
+    others = [
+        f for f, digest in read.inputs.items() if digest not in data.inputs.values()
+    ]
+    if others:
+        raise ValueError(
+            f"photographs: expected those of the maps, {data.name}; in {folder} "
+            f"{others[0]} is another file"
+        )
+    return stack.photographs.scenes, stack
 
 
 def read_lights(path: Path, maps: Maps) -> tuple[list[str], list[AbstractLight]]:

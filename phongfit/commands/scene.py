@@ -320,8 +320,8 @@ def _seen(
     if options.camera == "perspective" and options.fov is None:
         raise ValueError("fov: expected the angle of view of a perspective camera")
     found = _calibrated(options)
-    if found is not None and (options.camera or options.fov is not None):
-        raise ValueError(f"fov: {options.lights} tells the camera, expected no other")
+    if found is not None and options.camera:
+        raise ValueError("camera: expected none, since the calibration has the camera")
     return seen_in(height, width, found, options.sphere, options.normals, options.fov)
 
 

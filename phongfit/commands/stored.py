@@ -24,7 +24,7 @@ from phongfit.files.inputs import naming, recording
 from phongfit.files.lp import base_name, read_lp
 from phongfit.files.outputs import OVERWRITE, replacing_folder
 from phongfit.files.scenes import SCENE_FILE, load_views
-from phongfit.files.seen import SOUGHT, seen_in
+from phongfit.files.seen import SOUGHT, camera_of, seen_in
 from phongfit.files.zarrs import (
     address,
     attributes,
@@ -182,8 +182,9 @@ def _scenes(
             f"{address(options.dataset)}: expected --scene, or --sphere or --normals, "
             f"the shape that its images show, since no {SCENE_FILE} is beside it"
         )
-    if options.lights is not None:
-        raise ValueError(f"lights: {file} is a scene, which says this itself")
+    for name in ("lights", "fov"):
+        if getattr(options, name) is not None:
+            raise ValueError(f"{name}: {file} is a scene, which says this itself")
     scenes, _ = load_views(file)
     size = stack.shape[1:]
     return scenes, {} if options.mask is None else {"mask": masked(options.mask, size)}
@@ -228,12 +229,12 @@ def _captured(
     sought = options.normals is not None and str(options.normals) == SOUGHT
     if sought and not near:
         # A plane, which need not be known pixel by pixel.
-        camera, surface = OrthographicCamera(width, height), NormalMap(UP)
-        if source is not None:
-            camera = source.camera
+        surface = NormalMap(UP)
+        camera = camera_of(height, width, source, options.fov)
+        camera = camera or OrthographicCamera(width, height)
     else:
         camera, surface = seen_in(
-            height, width, source, options.sphere, options.normals
+            height, width, source, options.sphere, options.normals, options.fov
         )
     scenes = tuple(
         Scene(surface, camera, light, ambient=options.room_light) for light in lamps

@@ -39,6 +39,7 @@ def open_captured(
     sphere: Sequence[float] | None = None,
     normals: str | os.PathLike[str] | None = None,
     lights: str | os.PathLike[str] | None = None,
+    fov: float | None = None,
     mask: str | os.PathLike[str] | None = None,
     min_cosine: float = 0.05,
     min_facing: float = 0.15,
@@ -59,6 +60,8 @@ def open_captured(
         be known, and no pixel is left out for its normal.
     - `lights`: a calibration's lights.json, or its folder, or an .lp. Default: the .lp
         or lights.json in the folder, else the lights are unknown.
+    - `fov`: the camera's angle from the lower to the upper edge, degrees. Default: that
+        of the calibration, else parallel rays.
     - `mask`: an image, white where pixels may be used.
     - `min_cosine`: samples with n·l up to this are left out, where a light is known.
     - `min_facing`: pixels with n·v up to this are left out: a rim's pixel averages over
@@ -86,7 +89,7 @@ def open_captured(
         )
     series = capture.series
     height, width = series.size
-    camera, surface = seen_in(height, width, source, sphere, normals)
+    camera, surface = seen_in(height, width, source, sphere, normals, fov)
     lamps, unknown = find_lamps(capture, source)
     scenes = tuple(
         Scene(surface, camera, light, ambient=room_light * float(exposure))

@@ -130,6 +130,7 @@ class DataSettings(AbstractRecord):
     sphere: Vector | None = None
     normals: str | None = None
     lights: str | None = None
+    fov: Annotated[float, Field(gt=0, lt=180)] | None = None
 
 
 class DataRecord(AbstractRecord):

@@ -40,7 +40,8 @@ def seen_in(
 
     Without a calibration a ball's radius is the unit of length. Then the camera has
     parallel rays and a ball's centre lies in the plane z = 0, or else the camera is a
-    pinhole at the origin, with `fov` degrees from the lower to the upper edge.
+    pinhole at the origin, with `fov` degrees from the lower to the upper edge, and
+    normals without positions lie on a plane.
 
     Where normals are sought, the surface is a plane square to the camera's axis:
     through the calibration's reference point, or where the camera looks from 1 away.
@@ -49,24 +50,8 @@ def seen_in(
 
     **Raises:** `ValueError` that names the file or the argument.
     """
-    camera: AbstractCamera | None = None
-    view = View(width, height, fov)
-    if fov is not None:
-        camera = PerspectiveCamera(width, height, fov_y=fov, position=(0, 0, 0))
-    if calibration is not None:
-        view = calibration.view
-        if (view.height, view.width) != (height, width):
-            raise ValueError(
-                f"lights: expected a calibration of {width} × {height} pixels, as the "
-                f"photographs have, got {view.width} × {view.height}"
-            )
-        camera = calibration.camera
-        depth = calibration.reference[2]
-        if view.focal is not None and not depth < 0:
-            raise ValueError(
-                "lights: expected a calibration whose reference point lies before the "
-                f"camera, at z < 0, got z = {depth:g}"
-            )
+    camera = camera_of(height, width, calibration, fov)
+    view = View(width, height, fov) if calibration is None else calibration.view
     if normals == SOUGHT:
         camera = camera or OrthographicCamera(width, height)
         return camera, plane_before(camera, calibration)
@@ -77,6 +62,11 @@ def seen_in(
                 f"{normals}: expected {width} × {height} normals, as the photographs "
                 f"have pixels, got {surface.mask.shape[1]} × {surface.mask.shape[0]}"
             )
+        if surface.positions is None and fov is not None:
+            # From further away than the object is deep: each is seen on a plane.
+            assert camera is not None
+            places = plane_before(camera, None).positions
+            return camera, NormalMap(surface.normals, surface.mask, places)
         if surface.positions is None or camera is None:
             # Of a long lens: without positions no other is known.
             return OrthographicCamera(width, height), surface
@@ -90,6 +80,35 @@ def seen_in(
         camera = OrthographicCamera(width, height, view_height=height / circle[2])
     # Plus 0, since −0 in a scene file would puzzle whoever reads it.
     return camera, Sphere(sphere_behind(circle, view, 1.0) + 0.0, 1.0)
+
+
+def camera_of(
+    height: int, width: int, calibration: Calibration | None, fov: float | None
+) -> AbstractCamera | None:
+    """The camera of photographs of a size, where anything tells it.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    if calibration is None:
+        if fov is None:
+            return None
+        if not 0 < fov < 180:
+            raise ValueError(f"fov: expected degrees > 0 and < 180, got {fov:g}")
+        return PerspectiveCamera(width, height, fov_y=fov, position=(0, 0, 0))
+    if fov is not None:
+        raise ValueError("fov: expected none, since the calibration has the camera")
+    view, depth = calibration.view, calibration.reference[2]
+    if (view.height, view.width) != (height, width):
+        raise ValueError(
+            f"lights: expected a calibration of {width} × {height} pixels, as the "
+            f"photographs have, got {view.width} × {view.height}"
+        )
+    if view.focal is not None and not depth < 0:
+        raise ValueError(
+            "lights: expected a calibration whose reference point lies before the "
+            f"camera, at z < 0, got z = {depth:g}"
+        )
+    return calibration.camera
 
 
 def _check_positions(name: str, surface: NormalMap, camera: AbstractCamera) -> None:

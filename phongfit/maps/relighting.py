@@ -1,6 +1,9 @@
-"""Maps under other lights: diffuse light, highlight, attached and cast shadows."""
+"""Maps under other lights: diffuse light, highlight, attached and cast shadows.
 
-from collections.abc import Iterable, Iterator
+With photographs, also what maps leave of them, their cast shadows in it.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -13,7 +16,9 @@ from phongfit.geometry.surfaces import NormalMap
 from phongfit.geometry.tracing import trace
 from phongfit.lights import AbstractLight
 from phongfit.maps.pixel.flags import Flag
+from phongfit.maps.remainder import find_remainder
 from phongfit.maps.result import Maps
+from phongfit.maps.stacks import AbstractStack
 from phongfit.rendering.film import Film
 from phongfit.rendering.render import render
 from phongfit.scene import Scene
@@ -27,23 +32,32 @@ def relit(
     ambient: Any,
     shadows: bool,
     film: Film,
+    photographs: tuple[Sequence[Scene], AbstractStack] | None = None,
 ) -> Iterator[Float[np.ndarray, "height width 3"]]:
     """A picture for one light after the other: see [`Maps`][]`.relight`.
 
-    **Arguments:** `surface`: the maps' height.
+    **Arguments:**
+
+    - `surface`: the maps' height.
+    - `photographs`: scenes and images. What is left of them has their shadows in it, so
+        that none are thrown by the height.
     """
     assert maps.camera is not None
     camera, inside = maps.camera, surface.mask
     lights = tuple(lights)
     normals = maps.normals @ np.asarray(camera.rotation).T
-    positions = jnp.asarray(surface.positions(), jnp.result_type(float))
-    shape = NormalMap(np.where(inside[..., None], normals, 0), inside, positions)
-    black = ~inside | maps.flagged(Flag.OUTSIDE)
-    shares: Iterable[np.ndarray] = (np.zeros(inside.shape) for _ in lights)
-    if shadows:
-        shares = shadow_shares(surface.height, camera, lights)
+    positions = surface.positions()
+    shape = NormalMap(
+        np.where(inside[..., None], normals, 0),
+        inside,
+        jnp.asarray(positions, jnp.result_type(float)),
+    )
     seen = trace(shape, camera)
-    for light, share in zip(lights, shares, strict=True):
+
+    def show(
+        light: AbstractLight, ambient: Any, share: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Linear light without an end; `share`: of the light that is kept off."""
         scene = Scene(
             shape,
             camera,
@@ -52,9 +66,24 @@ def relit(
             specular_model=maps.specular_model,
             shadows=True,
         )
+        share = np.zeros(inside.shape) if share is None else share
         lit = jnp.asarray(1 - share[..., None], seen.position.dtype)
         shaded = eqx.tree_at(
             lambda g: g.visibility, seen, lit, is_leaf=lambda leaf: leaf is None
         )
-        picture = render(scene, maps.material, film=film, gbuffer=shaded)
-        yield np.where(black[..., None], 0, np.asarray(picture))
+        picture = render(scene, maps.material, film=Film(clamp=False), gbuffer=shaded)
+        return np.asarray(picture)
+
+    rest = None
+    if photographs is not None:
+        rest = find_remainder(show, *photographs, np.median(positions[inside], axis=0))
+    shares: Iterable[np.ndarray | None] = [None] * len(lights)
+    if shadows and rest is None:
+        shares = shadow_shares(surface.height, camera, lights)
+    black = ~inside | maps.flagged(Flag.OUTSIDE)
+    for light, share in zip(lights, shares, strict=True):
+        picture = show(light, ambient, share)
+        if rest is not None:
+            picture = np.maximum(picture + rest.under(light), 0)
+        picture = np.asarray(film.expose(jnp.asarray(picture)))
+        yield np.where(black[..., None], 0, picture)

@@ -28,6 +28,7 @@ from phongfit.maps.pixel.settings import MAP_PARAMETERS, MOST_MATERIALS
 from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular
 from phongfit.rendering.film import Film
+from phongfit.scene import Scene
 
 
 class ParameterMaps(NamedTuple):
@@ -211,6 +212,8 @@ class Maps:
         shadows: bool = True,
         surface: HeightField | None = None,
         film: Film | None = None,
+        scenes: Sequence[Scene] | None = None,
+        images: Any = None,
     ) -> Float[np.ndarray, "lights height width 3"]:
         """The object under other lights, one at a time.
 
@@ -227,13 +230,21 @@ class Maps:
         - `shadows`: whether surfaces throw them.
         - `surface`: the height, if it is known; default [`height`][Maps.height]`()`.
         - `film`: default none: linear light without an end.
+        - `scenes`, `images`: the photographs that the maps were fitted to, as
+            [`fit_maps`][] takes them. What the maps leave of them is shown as well,
+            interpolated between their lamps: light that bounced, and their cast
+            shadows, in place of those of the height. Under a photograph's own lamp this
+            gives the photograph.
 
         **Returns:** a picture for each light; 0 outside.
 
         **Raises:** `ValueError` that names the argument, or what is missing.
         """
         from phongfit.maps.relighting import relit
+        from phongfit.maps.stacks import as_stack
 
+        if (scenes is None) != (images is None):
+            raise ValueError("images: expected them with their scenes, got one of both")
         lights = tuple(lights)
         pictures = relit(
             self,
@@ -242,6 +253,7 @@ class Maps:
             ambient=self.ambient_light if ambient is None else ambient,
             shadows=shadows,
             film=Film(clamp=False) if film is None else film,
+            photographs=None if scenes is None else (scenes, as_stack(images)),
         )
         return np.stack([*pictures]) if lights else np.zeros((0, *self.diffuse.shape))
 
