@@ -5,10 +5,10 @@ makes them: with `Dome` and `Test` folders the first are fitted and the second
 predicted, else every sixth photograph, from the fourth on, is left out. Each is
 predicted by polynomial texture maps (6 coefficients), by hemispherical harmonics of
 orders 2 and 3 (9 and 16), which are least squares on the values as stored, and by maps:
-normals and materials per pixel, fitted to light, the height that the normals have, and
-the shadows that it throws, which a second fit leaves out. Printed is the mean over the
-photographs of the peak signal-to-noise ratio, in dB. Without folders a synthetic stand-
-in is made: a bumpy shiny plate that throws shadows on itself.
+normals and materials per pixel, fitted to light, and the shadows that the height of the
+normals throws; or, in its place, with what the maps leave of the photographs. Printed
+is the mean over the photographs of the peak signal-to-noise ratio, in dB. Without
+folders a synthetic stand-in is made: a bumpy shiny plate that throws shadows on itself.
 """
 
 import math
@@ -36,6 +36,7 @@ from experiments.output import (
 from phongfit.cli import run
 from phongfit.files.fits import LossName
 from phongfit.files.lp import base_name
+from phongfit.files.seen import camera_of, plane_before
 from phongfit.rendering.film import Encoding, decode, encode
 
 SIZE, SMALL = 96, 32
@@ -101,46 +102,44 @@ def regress(basis: Any, data: Photographed) -> Float[np.ndarray, "lamps h w 3"]:
 
 
 def mapped(
-    data: Photographed, loss: LossName = "cauchy"
-) -> Float[np.ndarray, "lamps h w 3"]:
-    """The left-out photographs by maps that are relit."""
+    data: Photographed,
+    loss: LossName = "cauchy",
+    fov: float | None = None,
+    passes: int = 1,
+) -> dict[str, Float[np.ndarray, "lamps h w 3"]]:
+    """The left-out photographs by maps that are relit, and with what these leave."""
     height, width = data.fitted.images.shape[1:3]
-    camera = pf.OrthographicCamera(width, height, view_height=float(height))
-    ahead = pf.NormalMap(np.tile([0.0, 0.0, 1.0], (height, width, 1)))
-    lights = [pf.DirectionalLight(vector) for vector in data.fitted.directions]
+    camera = camera_of(height, width, None, fov)
+    camera = camera or pf.OrthographicCamera(width, height)
+    plane = plane_before(camera, None)
     # Ambient light stands for what comes by way of the surroundings.
-    scenes = [pf.Scene(ahead, camera, light, ambient=1.0) for light in lights]
+    scenes = [
+        pf.Scene(plane, camera, pf.DirectionalLight(vector), ambient=1.0)
+        for vector in data.fitted.directions
+    ]
     light = np.asarray(decode(data.fitted.images, data.encoding), np.float32)
-    maps, surface = _fitted(scenes, light, None, loss)
-    shadows = pf.cast_shadows(surface.height, camera, lights)
-    if shadows.any():
-        maps, surface = _fitted(scenes, light, list(_enough(~shadows)), loss)
-    lamps = [pf.DirectionalLight(vector) for vector in data.left_out.directions]
-    relit = maps.relight(lamps, surface=surface)
-    return np.asarray(encode(np.clip(relit, 0, 1), data.encoding))
-
-
-def _fitted(
-    scenes: list[pf.Scene], light: np.ndarray, mask: Any, loss: LossName
-) -> tuple[pf.Maps, pf.HeightField]:
-    """Maps of samples that are not masked, and the height of their normals."""
     maps = pf.fit_maps(
-        scenes, light, normals="fit", film=pf.Film(), mask=mask, loss=loss
+        scenes, light, normals="fit", film=pf.Film(), loss=loss, passes=passes
     )
-    return maps, maps.height()
+    lamps = [pf.DirectionalLight(vector) for vector in data.left_out.directions]
+    surface = maps.height()
+    relit = {
+        MAPS: maps.relight(lamps, surface=surface),
+        BOTH: maps.relight(lamps, surface=surface, scenes=scenes, images=light),
+    }
+    return {
+        name: np.asarray(encode(np.clip(images, 0, 1), data.encoding))
+        for name, images in relit.items()
+    }
 
 
-def _enough(lit: np.ndarray) -> np.ndarray:
-    """Where a pixel would keep too few lamps, it keeps all: the height may be wrong."""
-    return lit | (lit.sum(axis=0) < max(8, len(lit) // 3))
-
-
-METHODS: dict[str, Callable[..., np.ndarray]] = {
+REGRESSIONS: dict[str, Callable[[Photographed], np.ndarray]] = {
     "PTM": lambda data: regress(polynomials, data),
     "HSH 2": lambda data: regress(lambda d: harmonics(d, 2), data),
     "HSH 3": lambda data: regress(lambda d: harmonics(d, 3), data),
-    "maps": mapped,
 }
+
+MAPS, BOTH = "maps", "maps, photographs"
 
 
 def ratio(shown: np.ndarray, wanted: np.ndarray) -> float:
@@ -244,6 +243,8 @@ def _mean(images: np.ndarray, data: Photographed) -> float:
 def main(
     folders: Folders = (),
     loss: LossName = "cauchy",
+    fov: Annotated[float | None, tyro.conf.arg(metavar="DEGREES")] = None,
+    passes: int = 1,
     small: bool = False,
     picture: PictureFile = Path("out/relighting.png"),
     json: JsonFile = None,
@@ -255,6 +256,9 @@ def main(
         loss: Of the maps' fit. The shorter its tails, the more of what the model does
             not have (light that bounced, the wide foot of a highlight) counts as an
             outlier: tukey is better on a smooth glossy panel, cauchy on a statue.
+        fov: The camera's angle of view, from the lower to the upper edge. Default:
+            parallel rays.
+        passes: Of the maps' fit: all but the first leave out what lies in shadow.
         small: A small stand-in, where no folder is given.
         picture: The figure to write; of several folders the first one's.
         json: The table as JSON.
@@ -262,16 +266,17 @@ def main(
     check_outputs(picture, json)
     sets = [read(folder) for folder in folders] or [stand_in(SMALL if small else SIZE)]
     console, table = Console(), Table(title="Mean PSNR of left-out lamps, dB")
-    for column in ("set", *METHODS):
+    for column in ("set", *REGRESSIONS, MAPS, BOTH):
         table.add_column(column, justify="left" if column == "set" else "right")
     numbers: dict[str, dict[str, float]] = {}
     for at, data in enumerate(sets):
         shown = {}
-        for name, method in METHODS.items():
+        for name, method in REGRESSIONS.items():
             with console.status(f"{data.name}: {name}"):
-                options = {"loss": loss} if method is mapped else {}
-                shown[name] = method(data, **options)
-        numbers[data.name] = {name: _mean(shown[name], data) for name in METHODS}
+                shown[name] = method(data)
+        with console.status(f"{data.name}: {MAPS}"):
+            shown |= mapped(data, loss, fov, passes)
+        numbers[data.name] = {name: _mean(shown[name], data) for name in shown}
         table.add_row(data.name, *(f"{v:.2f}" for v in numbers[data.name].values()))
         if at == 0:
             save_picture(picture, draw(data, shown))

@@ -36,7 +36,7 @@ from phongfit.files.zarrs import (
     store_of,
 )
 from phongfit.geometry.cameras import OrthographicCamera
-from phongfit.geometry.surfaces import NormalMap
+from phongfit.geometry.surfaces import AbstractSurface, NormalMap
 from phongfit.maps.cluster import dashboard, dask_client, fit_stored_maps
 from phongfit.maps.folder import RECORD_FILE
 from phongfit.maps.stacks import ZarrStack
@@ -227,12 +227,11 @@ def _captured(
     lamps, unknown = lamps_of(names, listed, source)
     near = source is not None and source.lamps[0].position is not None
     sought = options.normals is not None and str(options.normals) == SOUGHT
-    if sought and not near:
-        # A plane, which need not be known pixel by pixel.
-        surface = NormalMap(UP)
-        camera = camera_of(height, width, source, options.fov)
-        camera = camera or OrthographicCamera(width, height)
-    else:
+    camera = camera_of(height, width, source, options.fov)
+    camera = camera or OrthographicCamera(width, height)
+    surface: AbstractSurface = NormalMap(UP)
+    # A plane that parallel rays meet need not be known pixel by pixel.
+    if not sought or near or not isinstance(camera, OrthographicCamera):
         camera, surface = seen_in(
             height, width, source, options.sphere, options.normals, options.fov
         )

@@ -50,10 +50,8 @@ class Remainder(NamedTuple):
     def under(self, light: AbstractLight) -> Float[np.ndarray, "height width 3"]:
         """The remainder under another lamp, linear light."""
         direction, strength = _lamp("lights", light, self.middle)
-        known = _common(self.directions, self.directions, self.width)
-        weights = np.linalg.solve(
-            known, _common(self.directions, direction[None], self.width)[:, 0]
-        )
+        shared = _common(self.directions, direction[None], self.width)[:, 0]
+        weights = np.linalg.solve(_among(self.directions, self.width), shared)
         total = np.zeros(self.images.shape[1:], np.float32)
         for weight, image in zip(weights, self.images, strict=True):
             total += np.float32(weight) * image
@@ -121,7 +119,13 @@ def _common(
     # Better than a cosine where lamps are close.
     apart = np.linalg.norm(some[:, None] - others, axis=-1)
     angle = 2 * np.arcsin(np.minimum(apart / 2, 1))
-    return np.exp(-angle / width) + NUGGET * (apart == 0)
+    return np.exp(-angle / width)
+
+
+def _among(directions: Float[np.ndarray, "n 3"], width: float) -> np.ndarray:
+    """The same of the photographs' own lamps."""
+    own = NUGGET * np.eye(len(directions))
+    return _common(directions, directions, width) + own
 
 
 def _width(
@@ -133,7 +137,7 @@ def _width(
     products = some.astype(float) @ some.astype(float).T
 
     def missed(width: float) -> float:
-        inverse = np.linalg.inv(_common(directions, directions, width))
+        inverse = np.linalg.inv(_among(directions, width))
         return float(
             (np.diag(inverse @ products @ inverse) / np.diag(inverse) ** 2).sum()
         )

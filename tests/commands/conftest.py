@@ -3,9 +3,12 @@
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import phongfit as pf
 from phongfit.cli import main
+from tests.maps.normals.scenes import hide
 
 
 @pytest.fixture(autouse=True)
@@ -37,3 +40,20 @@ def fitted(brass, tmp_path_factory) -> Path:
 def copy(brass, tmp_path) -> Path:
     """A copy of the data set that a test may break."""
     return Path(shutil.copytree(brass, tmp_path / "copy"))
+
+
+@pytest.fixture(scope="session")
+def capture(tmp_path_factory):
+    """Photographs of something, and their list of lights; what it is, too."""
+    folder = tmp_path_factory.mktemp("capture")
+    hidden = hide(surface="dome")
+    names = [f"{k:02d}.png" for k in range(24)]
+    directions = []
+    for name, image, scene in zip(names, hidden.images, hidden.scenes, strict=True):
+        # As bright as the strongest channel of the lamps: a list knows no strengths.
+        pf.write_image(folder / name, image / [1.0, 0.9, 0.8], "linear", 16)
+        (lamp,) = scene.lights
+        assert isinstance(lamp, pf.DirectionalLight)
+        directions.append(np.asarray(lamp.direction))
+    pf.write_lp(folder / "dome.lp", names, np.array(directions))
+    return folder, hidden

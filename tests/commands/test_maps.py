@@ -12,11 +12,8 @@ import phongfit as pf
 from phongfit.cli import main
 from phongfit.commands import maps as command
 from phongfit.files.dataset import Photographs
-from phongfit.files.images import write_image
-from phongfit.files.lp import write_lp
 from phongfit.maps.folder import load_folder
 from phongfit.rendering.film import decode
-from tests.maps.normals.scenes import hide
 
 FEW = ["--unknowns", "ambient", "diffuse", "--known", "preset:brass"]
 
@@ -206,23 +203,6 @@ def test_record_is_whole(mapped):
     record = json.loads((mapped / "maps.json").read_text())
     assert record["model"]["kind"] == "blinn-phong"
     assert record["made_with"]["jax"]
-
-
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory):
-    """Photographs of something, and their list of lights; what it is, too."""
-    folder = tmp_path_factory.mktemp("capture")
-    hidden = hide(surface="dome")
-    names = [f"{k:02d}.png" for k in range(24)]
-    directions = []
-    for name, image, scene in zip(names, hidden.images, hidden.scenes, strict=True):
-        # As bright as the strongest channel of the lamps: a list knows no strengths.
-        write_image(folder / name, image / [1.0, 0.9, 0.8], "linear", 16)
-        (lamp,) = scene.lights
-        assert isinstance(lamp, pf.DirectionalLight)
-        directions.append(np.asarray(lamp.direction))
-    write_lp(folder / "dome.lp", names, np.array(directions))
-    return folder, hidden
 
 
 def test_normals_are_sought(capture, tmp_path, capsys):

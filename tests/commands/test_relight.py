@@ -1,6 +1,7 @@
 """`phongfit relight`: pictures named as in the list, as the photographs are encoded."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -98,3 +99,57 @@ def test_maps_of_before_want_an_encoding(hills, tmp_path, capsys):
     args = ["relight", str(tmp_path), "--lights", f"{tmp_path}/a.lp"]
     assert main([*args, "-o", f"{tmp_path}/out"]) == 2
     assert "expected --encoding linear or srgb" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def coin(capture, tmp_path_factory):
+    """Maps of photographs under a list of lamps, and the photographs."""
+    folder, _ = capture
+    out = tmp_path_factory.mktemp("coin") / "maps"
+    args = ["maps", str(folder), "--normals", "fit", "--encoding", "linear"]
+    args += ["--passes", "1", "--fov", "30", "--no-pictures"]
+    assert main([*args, "-o", str(out)]) == 0
+    return out, folder
+
+
+def test_with_what_maps_leave_of_their_photographs(coin, tmp_path, capsys):
+    """Under its own lamp each photograph comes back."""
+    maps, photographs = coin
+    args = ["relight", str(maps), "--lights", f"{photographs}/dome.lp"]
+    given = [*args, "--photographs", str(photographs), "-o", str(tmp_path / "seen")]
+    assert main(given) == 0
+    assert main([*args, "-o", str(tmp_path / "alone")]) == 0
+    off = {}
+    for name in ("seen", "alone"):
+        shown, taken = (
+            np.stack([pf.read_image(at / f"{k:02d}.png", "linear") for k in range(24)])
+            for at in (tmp_path / name, photographs)
+        )
+        off[name] = np.abs(shown - taken).max()
+    # 8 bits as they are written, of 16 that were read.
+    assert off["seen"] < 0.0025 < 0.02 < off["alone"]
+    capsys.readouterr()
+    assert main([*given[:-1], str(tmp_path / "more"), "--no-shadows"]) == 2
+    assert "shadows: photographs have theirs" in capsys.readouterr().err
+    assert not (tmp_path / "more").exists()
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ("07.png", "photographs: expected those of the maps"),
+        (None, "photographs: "),
+    ],
+)
+def test_other_photographs_are_refused(coin, tmp_path, capsys, change, words):
+    maps, photographs = coin
+    other = tmp_path / "other"
+    if change is not None:
+        shutil.copytree(photographs, other)
+        pf.write_image(other / change, np.full((16, 24, 3), 0.5), "linear")
+    args = ["relight", str(maps), "--lights", f"{photographs}/dome.lp"]
+    args += ["--photographs", str(other), "-o", str(tmp_path / "out")]
+    assert main(args) == 2
+    told = capsys.readouterr().err
+    assert words in told and told.count("\n") == 1
+    assert not (tmp_path / "out").exists()

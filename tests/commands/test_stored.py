@@ -71,12 +71,41 @@ def test_a_ball_and_a_list_of_lights(stored, tmp_path):
     np.testing.assert_allclose(a.diffuse, b.diffuse, rtol=1e-5)
 
 
+def test_a_pinhole_and_a_list_of_lights(capture, tmp_path):
+    """A plane that is not known pixel by pixel is seen along the same rays."""
+    folder, _ = capture
+    images = [pf.read_image(path, "linear") for path in sorted(folder.glob("*.png"))]
+    chunks = (24, 16, 24, 3)
+    zarr.create_array(tmp_path / "stack.zarr", data=np.stack(images), chunks=chunks)
+    shutil.copy(folder / "dome.lp", tmp_path)
+    words = ["--normals", "fit", "--passes", "1", "--no-pictures"]
+
+    def shown(name, *more):
+        args = ["maps", *more, "-o", str(tmp_path / name), *words]
+        assert main(args) == 0
+        return load_folder(tmp_path / name)[0]
+
+    given = [str(folder), "--encoding", "linear"]
+    a, straight = shown("a", *given, "--fov", "60"), shown("b", *given)
+    b = shown("c", str(tmp_path / "stack.zarr"), "--fov", "60")
+    for name in ("normals", "specular"):
+        off, other = (
+            np.abs(getattr(a, name) - getattr(x, name)) for x in (b, straight)
+        )
+        assert np.median(off) < 1e-4 < 1e-3 < np.median(other), name
+    assert isinstance(b.camera, pf.PerspectiveCamera) and b.camera.width == 24
+
+
 @pytest.mark.parametrize(
     "words, told",
     [
         (["--highlight", "shared"], "highlight: expected own of a zarr array"),
         (["--tile-pixels", "99"], "tile_pixels: expected none of a zarr array"),
         (["--lights", "some.lp"], "scene.json is a scene, which says this itself"),
+        (
+            ["--fov", "40"],
+            "fov: ",
+        ),
         (["--normals", "fit"], "lights: expected an .lp or lights.json in"),
         (["--dask", "tcp"], "dask: expected local:N or the address of a scheduler"),
     ],

@@ -76,7 +76,8 @@ def test_maps_are_best_on_what_they_describe(tmp_path, capsys):
     args = ["--small", "--picture", f"{tmp_path}/a.png", "--json", str(out)]
     assert run(relighting.main, args) == 0
     (found,) = json.loads(out.read_text()).values()
-    assert set(found) == {"PTM", "HSH 2", "HSH 3", "maps"}
+    assert set(found) == {"PTM", "HSH 2", "HSH 3", "maps", "maps, photographs"}
     assert found["PTM"] < found["HSH 2"] < found["HSH 3"] < found["maps"] - 3
+    assert found["HSH 3"] < found["maps, photographs"] - 3
     assert "Mean PSNR" in capsys.readouterr().out
     assert (tmp_path / "a.png").stat().st_size > 10_000

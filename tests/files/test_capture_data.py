@@ -248,3 +248,25 @@ def test_what_is_wrong_is_said(folder, options, message):
 def test_the_encoding_is_not_guessed(folder):
     with pytest.raises(ValueError, match="encoding: expected linear or srgb"):
         open_captured(folder / "1.png", sphere=CIRCLE)
+
+
+@pytest.mark.parametrize("normals", ["fit", "n.npy"])
+def test_a_pinhole_without_a_calibration(folder, tmp_path, normals):
+    """As each pixel looks; a plane before it, where no positions are known."""
+    np.save(tmp_path / "n.npy", np.tile([0.0, 0.0, 1.0], (HEIGHT, WIDTH, 1)))
+    pf.write_lp(tmp_path / "a.lp", ["1.png", "2.png", "3.png"], LAMPS)
+    given = normals if normals == "fit" else tmp_path / normals
+    options = {"normals": given, "lights": tmp_path / "a.lp"}
+    data = open_captured(folder, "srgb", fov=40, **options)
+    camera = pf.PerspectiveCamera(WIDTH, HEIGHT, fov_y=40, position=(0, 0, 0))
+    seen = data.scenes[0].trace()
+    np.testing.assert_allclose(seen.to_viewer, -camera.rays().direction, atol=1e-6)
+    np.testing.assert_allclose(seen.position[..., 2], -1, atol=1e-6)
+    for wrong in (0, 180):
+        with pytest.raises(ValueError, match="fov: expected degrees > 0 and < 180"):
+            open_captured(folder, "srgb", fov=wrong, **options)
+
+
+def test_a_calibration_has_the_camera_already(near):
+    with pytest.raises(ValueError, match="fov: expected none, since the calibration"):
+        open_captured(near[0], "srgb", normals="fit", fov=40)
