@@ -226,14 +226,19 @@ def _captured(
     listed = None if listed is None else listed.only(names)
     lamps, unknown = lamps_of(names, listed, source)
     near = source is not None and source.lamps[0].position is not None
-    sought = options.normals is not None and str(options.normals) == SOUGHT
+    sought = options.sought
     camera = camera_of(height, width, source, options.fov)
     camera = camera or OrthographicCamera(width, height)
     surface: AbstractSurface = NormalMap(UP)
     # A plane that parallel rays meet need not be known pixel by pixel.
     if not sought or near or not isinstance(camera, OrthographicCamera):
         camera, surface = seen_in(
-            height, width, source, options.sphere, options.normals, options.fov
+            height,
+            width,
+            source,
+            options.sphere,
+            SOUGHT if sought else options.normals,
+            options.fov,
         )
     scenes = tuple(
         Scene(surface, camera, light, ambient=options.room_light) for light in lamps
