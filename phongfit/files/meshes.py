@@ -229,7 +229,11 @@ def _with_colours(
         note(f"{path}: its vertices are partly transparent, which is not used")
     columns = [np.asarray(data[name], float).ravel() for name in names]
     rows = np.stack(columns, axis=-1) / highest
-    if (colours := _decoded(path, rows, note)) and len(rows) == len(parts[0].vertices):
+    count = len(parts[0].vertices)
+    if len(rows) != count:
+        why = f"expected {count}, one a vertex, got {len(rows)}"
+        note(f"{path}: its vertices' colours are not used: {why}")
+    elif colours := _decoded(path, rows, note):
         return [parts[0]._replace(shaded=Shaded(_white()), colours=colours)]
     return parts
 

@@ -234,7 +234,7 @@ class Maps:
             [`fit_maps`][] takes them. What the maps leave of them is shown as well,
             interpolated between their lamps: light that bounced, and their cast
             shadows, in place of those of the height. Under a photograph's own lamp this
-            gives the photograph.
+            gives the photograph. They take 6 bytes a pixel of each.
 
         **Returns:** a picture for each light; 0 outside.
 

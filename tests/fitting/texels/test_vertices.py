@@ -12,6 +12,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 import phongfit as pf
+from phongfit.files.fits import DataRecord, DataSettings
+from phongfit.files.texture_fits import save_texture_fit
 from phongfit.fitting.texels import solve
 from phongfit.fitting.texels.solve import inverse_diagonal, precondition
 from phongfit.fitting.texels.sums import Touched, smoothness_matrix
@@ -221,6 +223,32 @@ def test_two_parameters_and_a_smoothness():
     assert told.mean() > 0.5 and 0.8 < np.sqrt(np.mean(away**2)) < 1.2
     drawn = pf.fit_texture(scenes(), light, **asked, smoothness=0.1)
     assert (drawn.stderr["specular"][0][told] <= 1.01 * errors[told]).all()
+
+
+@pytest.mark.parametrize("normalized", [False, True])
+def test_exponents_of_vertices_by_way_of_files(normalized, tmp_path):
+    """Half of the ball is sharper; a mesh file looks as the photographs do."""
+    right = np.asarray(BALL.vertices)[:, :1] > 0
+    f, model = np.where(right, 30.0, 12.0), pf.BlinnPhong(normalized=normalized)
+    rho = np.full(TRUE.shape, 0.04 if normalized else 0.4)
+    views = [
+        dataclasses.replace(one, specular_model=model)
+        for one in painted(diffuse=TRUE, specular=rho, shininess=f)
+    ]
+    bare = [dataclasses.replace(one, surface=BARE) for one in views]
+    light = photographs(views, pf.Material(1.0, 1.0, 1.0, 0.0), 0.0)
+    names = ("diffuse", "specular", "shininess")
+    asked = ASKED | {"textures": names, "unknowns": ()}
+    fit = pf.fit_texture(bare, light, **asked)
+    errors = fit.stderr["shininess"][0]
+    assert errors.shape == f.shape and np.isfinite(errors).mean() > 0.5
+    data = DataRecord(name="ball", reading=DataSettings(), inputs={})
+    save_texture_fit(tmp_path, fit, bare[0], data=data, settings={})
+    mesh, material, _ = pf.load_mesh(tmp_path / "mesh.glb")
+    for view, seen in zip(views, light, strict=True):
+        scene = pf.Scene(mesh, view.camera, view.lights)
+        image = np.asarray(pf.render(scene, material))
+        assert np.sqrt(np.mean((image - np.clip(seen, 0, 1)) ** 2)) < 0.005
 
 
 def test_each_material_has_numbers_of_its_own():
