@@ -22,11 +22,11 @@ FITTED = ("unknowns", "per_channel")
 
 @dataclass(frozen=True)
 class TextureOptions:
-    """Textures among the unknowns, such as diffuse.texture, of a mesh with uv.
+    """Textures among the unknowns, such as diffuse.texture or shininess.texture.
 
     Args:
-        texture_size: Columns and rows of the textures, no finer than the photographs;
-            or the word vertices: a number for each vertex of a mesh, without uv.
+        texture_size: Columns and rows of the textures, no finer than the photographs,
+            of a mesh with uv; or the word vertices: a number for each vertex.
         separate: A texture for each material of the mesh. Default: one that all
             lie on.
         smoothness: Standard deviation of what is expected between neighbouring texels:

@@ -12,8 +12,6 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from phongfit.files.arguments import describe
@@ -27,7 +25,7 @@ from phongfit.geometry.meshes import Mesh
 from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular
 from phongfit.scene import Scene
-from phongfit.textures import AbstractTexture, Textures
+from phongfit.textures import Textures
 
 TEXTURES_FORMAT = "phongfit textures"
 RECORD_FILE = "textures.json"
@@ -83,23 +81,18 @@ def _blinn_textures(own: Textures, model: AbstractSpecular) -> Textures:
     f, rho = own.shininess, own.specular
     assert f is not None
     one = as_blinn(Material(specular=1.0, shininess=np.asarray(f.values)), model)
-    made = _with_values(f, one.shininess)
+    made = f.with_values(one.shininess)
     # 1 where the model is Blinn's or Phong's.
     factor = np.asarray(one.specular, float)
     if (factor == 1).all():
         return dataclasses.replace(own, shininess=made)
     if rho is None:
-        rho = _with_values(f, np.ones_like(factor))
+        rho = f.with_values(np.ones_like(factor))
     if rho.values.shape[:-1] != factor.shape[:-1]:
         lost("specular: its texture is not as large as the exponent's", nearest=True)
         factor = np.exp(np.log(factor).mean())
-    scaled = _with_values(rho, factor * np.asarray(rho.values, float))
+    scaled = rho.with_values(factor * np.asarray(rho.values, float))
     return dataclasses.replace(own, specular=scaled, shininess=made)
-
-
-def _with_values(texture: AbstractTexture, values: Any) -> AbstractTexture:
-    """Other numbers in the same places."""
-    return eqx.tree_at(lambda one: one.values, texture, jnp.asarray(values))
 
 
 def _record(

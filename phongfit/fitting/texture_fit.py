@@ -22,8 +22,7 @@ from phongfit.fitting.texels.lit import BASIS, Photographs, without
 from phongfit.fitting.texels.result import TextureFit
 from phongfit.fitting.texels.steps import find_start, solve
 from phongfit.fitting.texels.sums import AbstractTexels, Grid, smoothness_matrix
-from phongfit.fitting.texels.vertices import Vertices
-from phongfit.geometry.meshes import Mesh
+from phongfit.fitting.texels.vertices import Vertices, as_mesh
 from phongfit.material import Material
 from phongfit.rendering.film import Film, as_films
 from phongfit.scene import Scene
@@ -158,10 +157,7 @@ def _texels(
             )
         if (filter, wrap) != ("bilinear", "repeat"):
             raise ValueError("filter, wrap: expected none of vertices")
-        if not isinstance(scene.surface, Mesh):
-            kind = type(scene.surface).__name__
-            raise ValueError(f"scene: expected a Mesh, which has vertices, got {kind}")
-        mesh = scene.surface
+        mesh = as_mesh(scene.surface)
         points = np.asarray(mesh.vertices, float)
         return Vertices(layers, points, np.asarray(mesh.faces))
     if len(size) != 2 or min(size) < 1:

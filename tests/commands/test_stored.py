@@ -102,10 +102,7 @@ def test_a_pinhole_and_a_list_of_lights(capture, tmp_path):
         (["--highlight", "shared"], "highlight: expected own of a zarr array"),
         (["--tile-pixels", "99"], "tile_pixels: expected none of a zarr array"),
         (["--lights", "some.lp"], "scene.json is a scene, which says this itself"),
-        (
-            ["--fov", "40"],
-            "fov: ",
-        ),
+        (["--fov", "40"], "scene.json is a scene, which says this itself"),
         (["--normals", "fit"], "lights: expected an .lp or lights.json in"),
         (["--dask", "tcp"], "dask: expected local:N or the address of a scheduler"),
     ],

@@ -34,6 +34,9 @@ PAIRS = (
     ((1, 2),),
 )
 
+CORNERS = ((0, 1), (0, 2), (1, 2))
+"""Pairs of a triangle's corners: its edges."""
+
 
 class AbstractTexels(abc.ABC):
     """Where on a mesh there are numbers to be found, and which are neighbours."""
@@ -85,8 +88,9 @@ class AbstractTexels(abc.ABC):
 
         **Arguments:**
 
-        - `blocks`: for p ≤ q the sums of [`Touched.add_products`][].
-        - `prior`: added to the diagonal.
+        - `blocks`: for p ≤ q the sums of [`Touched.add_products`][]; pairs of fields
+            that are not there have no entries.
+        - `prior`: added to the diagonal, field by field.
         """
 
     @abc.abstractmethod
@@ -98,12 +102,21 @@ class AbstractTexels(abc.ABC):
         """One layer's values, as a mesh has them."""
 
     @abc.abstractmethod
+    def nearest(self, known: Bool[np.ndarray, "*places"]) -> tuple[np.ndarray, ...]:
+        """For each of one layer's places the indices of the nearest that is known."""
+
     def filled(
         self,
         values: Float[np.ndarray, "*places channels"],
         known: Bool[np.ndarray, "*places channels"],
     ) -> Float[np.ndarray, "*places channels"]:
         """One layer's values; those that are not known are the nearest that are."""
+        values = values.copy()
+        for c in range(values.shape[-1]):
+            own, channel = known[..., c], values[..., c]
+            if own.any() and not own.all():
+                channel[~own] = channel[self.nearest(own)][~own]
+        return values
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,7 +164,35 @@ class Grid(AbstractTexels):
         fields: int,
         prior: float | Float[np.ndarray, " n"] = 0.0,
     ) -> sparse.csr_array:
-        return as_matrix(self, blocks, fields, prior)
+        # Made in its last form at once: a list of its entries would take several times
+        # as much memory.
+        number, size = self.texels, fields * self.texels
+        beside = [(offset, 1) for offset in OFFSETS]
+        beside += [(offset, -1) for offset in OFFSETS[1:]]
+        if len(next(iter(blocks.values()))) == 1:
+            beside = beside[:1]
+        coupled = [
+            [q for q in range(fields) if (min(p, q), max(p, q)) in blocks]
+            for p in range(fields)
+        ]
+        each = np.repeat([len(own) * len(beside) for own in coupled], number)
+        ends = np.concatenate([[0], np.cumsum(each)])
+        columns, values = np.empty(ends[-1], np.int32), np.empty(ends[-1])
+        prior = np.broadcast_to(prior, size)
+        for p, own in enumerate(coupled):
+            span = slice(ends[p * number], ends[(p + 1) * number])
+            shape = number, len(own), len(beside)
+            at, value = columns[span].reshape(shape), values[span].reshape(shape)
+            for k, (offset, way) in enumerate(beside):
+                other = self.neighbour((way * offset[0], way * offset[1]))
+                for i, q in enumerate(own):
+                    image = blocks[min(p, q), max(p, q)][OFFSETS.index(offset)]
+                    at[:, i, k] = other + q * number
+                    value[:, i, k] = image if way == 1 else image[other]
+            value[:, own.index(p), 0] += prior[p * number : (p + 1) * number]
+        if ends[-1] <= np.iinfo(np.int32).max:
+            ends = ends.astype(np.int32)
+        return sparse.csr_array((values, columns, ends), (size, size))
 
     def colours(self) -> Int[np.ndarray, " texels"]:
         row, column = np.divmod(np.arange(self.texels), self.columns)
@@ -161,20 +202,13 @@ class Grid(AbstractTexels):
     def texture(self, values: Float[np.ndarray, "rows columns channels"]) -> Texture:
         return Texture(values, self.filter, self.wrap)
 
-    def filled(
-        self,
-        values: Float[np.ndarray, "rows columns channels"],
-        known: Bool[np.ndarray, "rows columns channels"],
-    ) -> Float[np.ndarray, "rows columns channels"]:
-        values = values.copy()
-        for c in range(values.shape[-1]):
-            own = known[..., c]
-            if own.any() and not own.all():
-                at = ndimage.distance_transform_edt(
-                    ~own, return_distances=False, return_indices=True
-                )
-                values[..., c] = values[..., c][tuple(np.array(at))]
-        return values
+    def nearest(
+        self, known: Bool[np.ndarray, "rows columns"]
+    ) -> tuple[np.ndarray, ...]:
+        at = ndimage.distance_transform_edt(
+            ~known, return_distances=False, return_indices=True
+        )
+        return tuple(np.array(at))
 
     def neighbour(self, offset: tuple[int, int]) -> Int[np.ndarray, " texels"]:
         """The number of each texel's neighbour."""
@@ -228,7 +262,7 @@ class Touched(NamedTuple):
             for k in range(3):
                 both = values * self.weight[:, k] ** 2
                 total[0] += np.bincount(self.number[:, k], both, len(total[0]))
-            for pair, (k, m) in enumerate(((0, 1), (0, 2), (1, 2))):
+            for pair, (k, m) in enumerate(CORNERS):
                 both = values * self.weight[:, k] * self.weight[:, m]
                 flat += np.bincount(self.beside[:, pair], both, len(flat))
             return
@@ -254,52 +288,6 @@ def merged(touched: Touched) -> Touched:
         weight[:, one] += np.where(same, weight[:, other], 0)
         weight[same, other] = 0
     return Touched(number, weight)
-
-
-def as_matrix(
-    grid: Grid,
-    blocks: dict[tuple[int, int], np.ndarray],
-    fields: int,
-    prior: float | Float[np.ndarray, " n"] = 0.0,
-) -> sparse.csr_array:
-    """The symmetric matrix over all texels of all fields, field by field.
-
-    It is made in its last form at once: a list of its entries would take several times
-    as much memory.
-
-    **Arguments:**
-
-    - `blocks`: for p ≤ q the sums of [`Touched.add_products`][]; pairs of fields that
-        are not there have no entries.
-    - `prior`: added to the diagonal, field by field.
-    """
-    number, size = grid.texels, fields * grid.texels
-    beside = [(offset, 1) for offset in OFFSETS]
-    beside += [(offset, -1) for offset in OFFSETS[1:]]
-    if len(next(iter(blocks.values()))) == 1:
-        beside = beside[:1]
-    coupled = [
-        [q for q in range(fields) if (min(p, q), max(p, q)) in blocks]
-        for p in range(fields)
-    ]
-    each = np.repeat([len(own) * len(beside) for own in coupled], number)
-    ends = np.concatenate([[0], np.cumsum(each)])
-    columns, values = np.empty(ends[-1], np.int32), np.empty(ends[-1])
-    prior = np.broadcast_to(prior, size)
-    for p, own in enumerate(coupled):
-        span = slice(ends[p * number], ends[(p + 1) * number])
-        shape = number, len(own), len(beside)
-        at, value = columns[span].reshape(shape), values[span].reshape(shape)
-        for k, (offset, way) in enumerate(beside):
-            other = grid.neighbour((way * offset[0], way * offset[1]))
-            for i, q in enumerate(own):
-                image = blocks[min(p, q), max(p, q)][OFFSETS.index(offset)]
-                at[:, i, k] = other + q * number
-                value[:, i, k] = image if way == 1 else image[other]
-        value[:, own.index(p), 0] += prior[p * number : (p + 1) * number]
-    if ends[-1] <= np.iinfo(np.int32).max:
-        ends = ends.astype(np.int32)
-    return sparse.csr_array((values, columns, ends), (size, size))
 
 
 def smoothness_matrix(

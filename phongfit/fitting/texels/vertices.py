@@ -9,16 +9,21 @@ from jaxtyping import Bool, Float, Int
 from scipy import sparse
 from scipy.spatial import KDTree
 
-from phongfit.fitting.texels.sums import AbstractTexels, Touched
+from phongfit.fitting.texels.sums import CORNERS, AbstractTexels, Touched
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.textures import VertexColours
 
-CORNERS = ((0, 1), (0, 2), (1, 2))
-"""Pairs of a triangle's corners: its edges."""
-
 RINGS = 5
 """How many edges apart vertices still covary: further away they are probed at once."""
+
+
+def as_mesh(surface: Any) -> Mesh:
+    """A scene's surface, if it is a mesh; `ValueError` else."""
+    if not isinstance(surface, Mesh):
+        kind = type(surface).__name__
+        raise ValueError(f"scene: expected a Mesh, which has vertices, got {kind}")
+    return surface
 
 
 class Edges(NamedTuple):
@@ -93,11 +98,9 @@ class Vertices(AbstractTexels):
         return 1 + int(self.edges.slot.max(initial=0))
 
     def check(self, surface: Any) -> None:
-        if not isinstance(surface, Mesh):
-            kind = type(surface).__name__
-            raise ValueError(f"scene: expected a Mesh, which has vertices, got {kind}")
-        same = len(surface.vertices) == len(self.points)
-        if not same or not np.array_equal(surface.faces, self.faces):
+        mesh = as_mesh(surface)
+        same = len(mesh.vertices) == len(self.points)
+        if not same or not np.array_equal(mesh.faces, self.faces):
             raise ValueError("scene: expected the same Mesh in all scenes")
 
     def touched(self, gbuffer: GBuffer, layer: Int[np.ndarray, " n"] | None) -> Touched:
@@ -181,15 +184,6 @@ class Vertices(AbstractTexels):
     def texture(self, values: Float[np.ndarray, "vertices channels"]) -> VertexColours:
         return VertexColours(values)
 
-    def filled(
-        self,
-        values: Float[np.ndarray, "vertices channels"],
-        known: Bool[np.ndarray, "vertices channels"],
-    ) -> Float[np.ndarray, "vertices channels"]:
-        values = values.copy()
-        for c in range(values.shape[-1]):
-            own = known[:, c]
-            if own.any():
-                _, nearest = KDTree(self.points[own]).query(self.points[~own])
-                values[~own, c] = values[own, c][nearest]
-        return values
+    def nearest(self, known: Bool[np.ndarray, " vertices"]) -> tuple[np.ndarray, ...]:
+        _, nearest = KDTree(self.points[known]).query(self.points)
+        return (np.flatnonzero(known)[nearest],)

@@ -4,7 +4,7 @@ from scipy import sparse
 
 from phongfit.fitting.texels import solve
 from phongfit.fitting.texels.solve import inverse_diagonal, precondition
-from phongfit.fitting.texels.sums import Grid, Touched, as_matrix
+from phongfit.fitting.texels.sums import Grid, Touched
 from phongfit.textures import texels
 from tests.fitting.texels.test_sums import products
 from tests.helpers import floats, near
@@ -26,7 +26,7 @@ def matrix(parameters: int = 2) -> sparse.csr_array:
     }
     size = parameters * GRID.texels
     return sparse.csr_array(
-        1e3 * as_matrix(GRID, blocks, parameters) + sparse.eye_array(size)
+        1e3 * GRID.matrix(blocks, parameters) + sparse.eye_array(size)
     )
 
 

@@ -4,7 +4,6 @@ import pytest
 from phongfit.fitting.texels.sums import (
     Grid,
     Touched,
-    as_matrix,
     merged,
     smoothness_matrix,
 )
@@ -60,7 +59,7 @@ def test_sums_are_those_of_the_whole_matrix(grid, filter):
         for p, q in ((0, 0), (0, 1), (1, 1))
     }
     both = np.concatenate([column[:, None] * whole for column in columns], axis=1)
-    near(as_matrix(grid, blocks, 2).toarray(), both.T @ both, 1e-4)
+    near(grid.matrix(blocks, 2).toarray(), both.T @ both, 1e-4)
 
 
 @pytest.mark.parametrize("wrap, links", [("repeat", 24), ("clamp", 17)])
