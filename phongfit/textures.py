@@ -9,7 +9,7 @@ $v = (row + \frac12) / H$.
 import abc
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -52,7 +52,7 @@ class AbstractTexture(eqx.Module):
     def look_up(self, place: Place) -> Float[Array, "*batch channels"]:
         """The numbers at points of the surface."""
 
-    def with_values(self, values: Any) -> Self:
+    def with_values(self, values: Any) -> "AbstractTexture":
         """Other numbers in the same places."""
         return eqx.tree_at(lambda one: one.values, self, jnp.asarray(values))
 
