@@ -64,6 +64,8 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "sphere mirrors",
         "no-matte": "Let a fit find the strengths (the unknown exposure), or "
         "photograph a matte sphere",
+        "strength-unknown": "Photograph it at another exposure, leave these "
+        "photographs out, or let a fit find the strengths (the unknown exposure)",
         "left-out": "Look at it in the picture; take it out of the folder, or give "
         "the spheres' circles",
         "one-sphere": "Look at the picture, or photograph a second sphere",

@@ -23,6 +23,7 @@ from phongfit.calibration.matte import (
     Place,
     Strengths,
     find_strengths,
+    overexposed,
     room_light,
     shaded_directions,
 )
@@ -294,15 +295,19 @@ class _Session:
             shows = sum(one is not None for one in row)
             shows += int(shaded is not None and shaded[number].any())
             if shows == 0:
-                left_out[number] = "no highlight is seen on a sphere, and no shading"
+                white = self.matte is not None and overexposed(self.matte)[number]
+                left_out[number] = "no highlight is seen on a sphere, and " + (
+                    "the matte one is overexposed" if white else "no shading"
+                )
             elif self.lamps == "near" and shows < 2:
                 left_out[number] = (
                     "one sphere alone shows its lamp, which near lamps need two for"
                 )
         if len(left_out) == len(chosen):
+            white = self.matte is not None and overexposed(self.matte).any()
             raise ValueError(
-                "photographs: in none of them a lamp is seen on the spheres; are the "
-                "circles right?"
+                "photographs: in none of them a lamp is seen on the spheres; "
+                + ("expose less" if white else "are the circles right?")
             )
 
     def _leave_out_double(
@@ -499,7 +504,20 @@ class _Session:
             return Strengths(nothing, none, slopes, np.zeros(3), np.zeros(3))
         assert estimate.place is not None
         matte = self.matte._replace(light=self.matte.light[kept], place=estimate.place)
-        return find_strengths(matte, estimate.directions, estimate.inverse_distances)
+        found = find_strengths(matte, estimate.directions, estimate.inverse_distances)
+        known = np.isfinite(found.intensity).all(axis=1)
+        if not known.all():
+            names = [
+                self.names[n] for n, one in zip(kept, known, strict=True) if not one
+            ]
+            white = overexposed(matte).all(where=~known)
+            self._warn(
+                "strength-unknown",
+                f"{', '.join(names[:3])}{' …' if len(names) > 3 else ''}: the matte "
+                f"sphere {'is overexposed' if white else 'shows too little light'} to "
+                "say how strong the lamp is",
+            )
+        return found
 
     def _judge(
         self,

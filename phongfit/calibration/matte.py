@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from phongfit.calibration.outlines import View, across, seen, unit
 from phongfit.rendering.film import Film, decode, encode
@@ -111,14 +111,23 @@ class Shading(NamedTuple):
 
 
 class _Points(NamedTuple):
-    """Which pixels are looked at, and the block that each lies in."""
+    """Which pixels are looked at, and the block that each lies in.
+
+    - `light`: without that of the room.
+    - `white`: what of it may have been cut off, and what is next to that: noise decides
+        which samples at the edge are white, and those that are not are darker than
+        they should be.
+    """
 
     pixel: Float[np.ndarray, "points 2"]
     block: np.ndarray
     light: Float[np.ndarray, "count points 3"]
+    white: Bool[np.ndarray, "count points 3"]
 
 
 def _points(matte: Matte) -> _Points:
+    from scipy import ndimage
+
     height, width = matte.light.shape[1:3]
     rows, columns = np.mgrid[:height, :width]
     pixels = np.stack([columns, rows], axis=-1) + 0.5 + matte.corner
@@ -127,8 +136,16 @@ def _points(matte: Matte) -> _Points:
     stride = max(1, round(np.sqrt(inside.sum() / MOST)))
     inside &= (rows % stride == 0) & (columns % stride == 0)
     block = (rows // BLOCK) * (width // BLOCK + 1) + columns // BLOCK
-    light = matte.light[:, inside] - matte.ambient
-    return _Points(pixels[inside], block[inside], light)
+    light = matte.light[:, inside]
+    white = ndimage.binary_dilation(matte.light >= WHITE, np.ones((1, 3, 3, 1)))
+    shown = light - matte.ambient
+    return _Points(pixels[inside], block[inside], shown, white[:, inside])
+
+
+def overexposed(matte: Matte) -> Bool[np.ndarray, " count"]:
+    """In which photographs most of the sphere is white, and says little."""
+    white = _points(matte).white.any(axis=-1)
+    return white.mean(axis=1) > 0.5
 
 
 def shaded_directions(matte: Matte) -> Float[np.ndarray, "count 3"]:
@@ -141,15 +158,16 @@ def shaded_directions(matte: Matte) -> Float[np.ndarray, "count 3"]:
     normals = seen(points.pixel, matte.place.outline, matte.view, 1.0).normal
     grey = points.light.mean(axis=-1)
     brightness = np.percentile(grey, 98, axis=1)
-    for light, bright in zip(grey, brightness, strict=True):
-        lit, direction = light > 0.3 * bright, np.zeros(3)
+    whole = ~points.white.any(axis=-1)
+    for light, bright, sound in zip(grey, brightness, whole, strict=True):
+        lit, direction = sound & (light > 0.3 * bright), np.zeros(3)
         for _ in range(5):
             if lit.sum() < 30 or bright <= DARK * np.median(brightness):
                 direction = np.zeros(3)
                 break
             vector = np.linalg.lstsq(normals[lit], light[lit], rcond=None)[0]
             direction = unit(vector)
-            lit = (normals @ direction > 0.2) & (light > 0.1 * bright)
+            lit = sound & (normals @ direction > 0.2) & (light > 0.1 * bright)
         found.append(direction)
     return np.array(found)
 
@@ -231,7 +249,7 @@ def shade(
     for number, light in enumerate(points.light.mean(axis=-1)):
         at = _about(matte, points, directions[number], inverse_distances[number])
         here = at(np.zeros(8))
-        lit = (here > LIT) & (light < WHITE)
+        lit = (here > LIT) & ~points.white[number].any(axis=-1)
         if lit.sum() < ENOUGH:
             continue
         slopes = [(at(s) - at(-s)) / (2 * s.sum()) for s in steps]
@@ -293,7 +311,7 @@ def find_strengths(
         moves = np.append(3 * number + np.arange(3), 3 * count + np.arange(5))
         for channel in range(3):
             light = points.light[number, :, channel]
-            lit = (here > LIT) & (light < WHITE)
+            lit = (here > LIT) & ~points.white[number, :, channel]
             if lit.sum() < ENOUGH:
                 continue
             line = _line(light[lit], here[lit, None], points.block[lit])
@@ -426,9 +444,11 @@ def room_light(matte: Matte, directions: Float[np.ndarray, "lamps 3"]) -> RoomLi
     points = _points(matte._replace(ambient=np.zeros(3)))
     normals = seen(points.pixel, matte.place.outline, matte.view, 1.0).normal
     found, noise = [], []
-    for light, direction in zip(points.light, directions, strict=True):
+    for light, white, direction in zip(
+        points.light, points.white, directions, strict=True
+    ):
         cosine = normals @ direction
-        dark, lit = cosine < -0.1, (cosine > 0.2) & (light.max(axis=-1) < WHITE)
+        dark, lit = cosine < -0.1, (cosine > 0.2) & ~white.any(axis=-1)
         if direction.any() and min(dark.sum(), lit.sum()) >= ENOUGH:
             found.append(np.median(light[dark], axis=0))
             shade = np.linalg.lstsq(normals[lit], light[lit], rcond=None)[0]
