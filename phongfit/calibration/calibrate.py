@@ -505,7 +505,7 @@ class _Session:
         assert estimate.place is not None
         matte = self.matte._replace(light=self.matte.light[kept], place=estimate.place)
         found = find_strengths(matte, estimate.directions, estimate.inverse_distances)
-        known = np.isfinite(found.intensity).all(axis=1)
+        known = np.asarray(np.isfinite(found.intensity).all(axis=1))
         if not known.all():
             names = [
                 self.names[n] for n, one in zip(kept, known, strict=True) if not one

@@ -158,7 +158,7 @@ def shaded_directions(matte: Matte) -> Float[np.ndarray, "count 3"]:
     normals = seen(points.pixel, matte.place.outline, matte.view, 1.0).normal
     grey = points.light.mean(axis=-1)
     brightness = np.percentile(grey, 98, axis=1)
-    whole = ~points.white.any(axis=-1)
+    whole = np.asarray(~points.white.any(axis=-1))
     for light, bright, sound in zip(grey, brightness, whole, strict=True):
         lit, direction = sound & (light > 0.3 * bright), np.zeros(3)
         for _ in range(5):
