@@ -85,25 +85,25 @@ class Picture(NamedTuple):
 
 def roughness(shininess: Any) -> Float[np.ndarray, "..."]:
     r"""[`roughness_from_shininess`][] in NumPy: $(2 / (f + 2))^{1/4}$."""
-    return (2 / (np.asarray(shininess, float) + 2)) ** 0.25
+    return np.asarray((2 / (np.asarray(shininess, float) + 2)) ** 0.25)
 
 
 def exponents(roughness: Any) -> Float[np.ndarray, "..."]:
     r"""Blinn's exponent for glTF's roughness: $2 / r^4 - 2$, at most 1e4."""
     fourth = np.maximum(np.asarray(roughness, float) ** 4, 2 / (MAX_EXPONENT + 2))
-    return np.maximum(2 / fourth - 2, 0)
+    return np.asarray(np.maximum(2 / fourth - 2, 0))
 
 
 def specular_of(colour: Any, shininess: Any) -> Float[np.ndarray, "..."]:
     r"""$\rho_s$ of glTF's specular colour, the inverse of [`specular_colour`][]."""
     numbers = np.asarray(colour, float), np.asarray(shininess, float)
-    return F0_OF_WHITE * numbers[0] * (numbers[1] + 2) / 8
+    return np.asarray(F0_OF_WHITE * numbers[0] * (numbers[1] + 2) / 8)
 
 
 def specular_colour(specular: Any, shininess: Any) -> Float[np.ndarray, "..."]:
     r"""glTF's specular colour: $8 \rho_s / (f + 2) / 0.04$; see above."""
     numbers = np.asarray(specular, float), np.asarray(shininess, float)
-    return 8 * numbers[0] / (numbers[1] + 2) / F0_OF_WHITE
+    return np.asarray(8 * numbers[0] / (numbers[1] + 2) / F0_OF_WHITE)
 
 
 def pbr_material(name: str, material: Material, nearest: bool) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from phongfit.edge import checked
 from phongfit.fitting.problem.problem import Problem
@@ -361,8 +361,8 @@ Fit.__init__.__doc__ = """**Arguments:**
 @program()
 def as_materials(
     unknowns: Unknowns,
-    entries: Float[np.ndarray, " n"],
-    errors: Float[np.ndarray, " n"],
+    entries: Float[np.ndarray | Array, " n"],
+    errors: Float[np.ndarray | Array, " n"],
 ) -> tuple[Material, Material]:
     """All entries, and their errors, as materials; what was known has no error."""
     none = jax.tree.map(jnp.zeros_like, unknowns.known)

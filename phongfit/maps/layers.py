@@ -165,7 +165,7 @@ class Noise:
         used: Bool[np.ndarray, "some_images n some_channels"],
         pixels: Int[np.ndarray, " n"],
         order: Sequence[int],
-    ) -> Shaped[np.ndarray, "some_images n some_channels"]:
+    ) -> Shaped[np.ndarray, "images n channels"]:
         """Which samples count; where the noise varies, the inverse of theirs."""
         if not self.varies:
             return used

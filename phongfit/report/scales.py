@@ -107,7 +107,7 @@ def draw_scale(
     bar.ax.tick_params(which="both", labelsize=7)
     bar.ax.grid(False)
     if "norm" in options:
-        _plain_ticks(bar.ax.yaxis, few=high < 100 * low)
+        _plain_ticks(bar.ax.yaxis, few=bool(high < 100 * low))
 
 
 def _plain_ticks(axis: Axis, few: bool) -> None:

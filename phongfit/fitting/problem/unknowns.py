@@ -288,7 +288,7 @@ class Unknowns:
         """Reported entries in the user's units."""
         return self.entries(y)[self.reported]
 
-    def parts(self, entries: Any) -> dict[str, Array]:
+    def parts(self, entries: Any) -> dict[str, Any]:
         """The entries cut into parameters, each (rows, parts)."""
         ends = np.cumsum([parameter.size for parameter in self.parameters])
         return {

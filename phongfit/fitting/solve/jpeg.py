@@ -25,7 +25,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from phongfit.fitting.problem.noise import median_deviation
 from phongfit.fitting.problem.problem import Problem, evaluate
@@ -187,7 +187,7 @@ class _Plate(NamedTuple):
         picture[self.place] = samples[:, self.columns].T
         return np.where(self.used, picture.reshape(self.used.shape), 0)
 
-    def cut(self, picture: np.ndarray) -> Float[np.ndarray, "height width channels"]:
+    def cut(self, picture: np.ndarray) -> Shaped[np.ndarray, "height width channels"]:
         """What lies in the image, of one that was filled up to whole blocks."""
         height, width, _ = self.used.shape
         return picture[:height, :width]
@@ -475,8 +475,8 @@ def _in_tiles(
 
 
 def _all_over(
-    blocks: Float[np.ndarray, "rows columns channels"], jpeg: JpegCompression
-) -> Float[np.ndarray, "height width channels"]:
+    blocks: Shaped[np.ndarray, "rows columns channels"], jpeg: JpegCompression
+) -> Shaped[np.ndarray, "height width channels"]:
     """At each pixel the number of its block; the last blocks are whole ones."""
     down, across = jpeg.block
     return blocks.repeat(down, axis=0).repeat(across, axis=1)

@@ -153,8 +153,8 @@ def _grid(
 def _fit_with_held(
     problem: Problem,
     y: Float[Array, " n"],
-    turn: Bool[np.ndarray, " n"],
-    shares: Float[np.ndarray, " points"],
+    turn: Bool[np.ndarray | Array, " n"],
+    shares: Float[np.ndarray | Array, " points"],
 ) -> tuple[Float[Array, "points n"], Float[Array, "points terms"], SandwichSums]:
     """Solutions where some unknowns are held, by how much the cost rises, and sums."""
     unknowns = problem.unknowns

@@ -168,7 +168,7 @@ def _look(
     nuisance: Nuisance,
     root: Float[np.ndarray, "m k"],
     moved: Float[np.ndarray, " k"],
-    scores: Float[np.ndarray, "rows m"] | None,
+    scores: Float[np.ndarray, "rows n+m"] | None,
 ) -> _Seen:
     wider, there = _beside(problem, y, nuisance, root @ moved)
     # What looks alike cancels, which single precision would take for knowledge.

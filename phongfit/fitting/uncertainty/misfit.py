@@ -19,6 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Array
 
 from phongfit.fitting.solve.jpeg import Drawn
 from phongfit.fitting.uncertainty.tiles import Rounding, Tiles
@@ -83,7 +84,7 @@ class Misfit:
     @property
     def noise_differs(self) -> bool:
         """Whether noise differs between channels or with light: no misfit says so."""
-        return self.unequal > SIGNIFICANT and not self.significant
+        return bool(self.unequal > SIGNIFICANT and not self.significant)
 
 
 class _Blocks(NamedTuple):
@@ -259,7 +260,7 @@ def _compare_channels(images: Sequence[Tiles]) -> float:
     return min(correlation, 1.0) if correlation > 5 / math.sqrt(pairs) else 0.0
 
 
-def _over_all(parts: Sequence[np.ndarray]) -> float:
+def _over_all(parts: Sequence[np.ndarray | Array]) -> float:
     return sum(float(np.sum(part, dtype=float)) for part in parts)
 
 

@@ -122,7 +122,7 @@ def _along_light(
     def variance(line: tuple[Array, Array]) -> Array:
         return jnp.maximum(line[0] + line[1] * place, LEAST * mean + tiny)
 
-    def fit_anew(_: int, line: tuple[Array, Array]) -> tuple[Array, Array]:
+    def fit_anew(_: Array, line: tuple[Array, Array]) -> tuple[Array, Array]:
         # A square scatters as the square of the variance does.
         weight = (mean / variance(line)) ** 2
         total = jnp.sum(weight * share) + tiny
