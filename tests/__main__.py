@@ -31,32 +31,6 @@ QUICK = (
 # Bytes of compiled programs, above which all are compiled anew: a run leaves a quarter
 # of it, and what changes in the code adds to it.
 MOST = 2**29
-# Tests during which annotations are checked, too: of what lies below a fit.
-CHECKED = (
-    "test_annotations.py",
-    "test_environment.py",
-    "test_lights.py",
-    "test_material.py",
-    "test_reflectance.py",
-    "test_scene.py",
-    "test_testing.py",
-    "test_vectors.py",
-    "geometry/test_cameras.py",
-    "geometry/test_grids.py",
-    "geometry/test_shapes.py",
-    "geometry/test_surfaces.py",
-    "rendering/test_film.py",
-    "rendering/test_pixels.py",
-    "fitting/problem/test_charts.py",
-    "fitting/problem/test_layout.py",
-    "fitting/problem/test_losses.py",
-    "fitting/problem/test_noise.py",
-    "fitting/problem/test_samples.py",
-    "fitting/problem/test_unknowns.py",
-    "maps/normals",
-    "maps/pixel",
-    "maps/test_passes.py",
-)
 # Folders that make the second part in float32.
 LATE = ("lab", "maps", "rendering", "report")
 
@@ -91,18 +65,16 @@ def run(
 
 
 def in_parts() -> list[tuple[str, list[str]]]:
-    """All tests, with the annotations of what some of them call checked as well.
+    """All tests; in float32 what is annotated is checked while they run.
 
     The longest come first.
     """
-    checked = [f"tests/{name}" for name in CHECKED]
     late = [f"tests/{name}" for name in LATE]
-    others = [f"--ignore={path}" for path in checked]
+    typed = ["-p", "tests.annotations"]
     return [
         ("float64", []),
-        ("float32", [*others, *(f"--ignore={path}" for path in late)]),
-        ("float32, second part", [*others, *late]),
-        ("float32, annotations", ["-p", "tests.annotations", *checked]),
+        ("float32", [*typed, *(f"--ignore={path}" for path in late)]),
+        ("float32, second part", [*typed, *late]),
     ]
 
 

@@ -86,7 +86,7 @@ def find_highlights(
     peaks &= standing > FAINTEST * most
     order = np.argsort(-standing[peaks])[:KEPT]
     found = []
-    for row, column in np.argwhere(peaks)[order]:
+    for row, column in np.argwhere(peaks)[order].tolist():
         reach = int(np.ceil(2 * coarse))
         box = (
             slice(max(row - reach, 0), row + reach + 1),
