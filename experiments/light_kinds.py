@@ -7,6 +7,7 @@ from below each lamp, how fog takes contrast with depth, and the shadow's area.
 
 import dataclasses
 
+import jax
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -139,8 +140,8 @@ def fog_contrast(size: int) -> tuple[np.ndarray, np.ndarray]:
     light, dark = (seen(scene, pf.Material(0.0, 0.0, ambient=a)) for a in (1.0, 0.0))
     gbuffer = scene.trace()
     rows = np.asarray(gbuffer.mask)[:, size // 2]
-    middle = np.asarray(gbuffer.position)[:, size // 2][rows]
-    depth = np.array([float(camera.depth(point)) for point in middle])
+    middle = gbuffer.position[:, size // 2]
+    depth = np.asarray(jax.vmap(camera.depth)(middle))[rows]
     contrast = (light - dark)[:, size // 2][rows]
     shown = depth < 12
     return depth[shown], contrast[shown]

@@ -230,7 +230,7 @@ def is_number(value: Any) -> bool:
     if isinstance(value, int):
         return _fits(value)
     if isinstance(value, float):
-        return value == value
+        return bool(value == value)
     if not _is_real(value) or np.ndim(value):
         return False
     return isinstance(value, Tracer) or bool(value == value)

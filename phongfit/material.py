@@ -100,14 +100,14 @@ def stack_materials(materials: Iterable[Material]) -> Material:
     # By NumPy where it can be: nothing is compiled, however many there are.
     xp: Any = jnp if is_traced(materials) else np
 
-    def rows(material: Material) -> list[Array]:
+    def rows(material: Material) -> list[Any]:
         leaves = [xp.atleast_2d(leaf) for leaf in jax.tree.leaves(material)]
         if any(leaf.ndim > 2 for leaf in leaves):
             raise ValueError("materials: expected single materials, got a map")
         count = max(len(leaf) for leaf in leaves)
         return [xp.broadcast_to(leaf, (count, leaf.shape[1])) for leaf in leaves]
 
-    def stack(*leaves: Array) -> Array:
+    def stack(*leaves: Any) -> Array:
         channels = max(leaf.shape[1] for leaf in leaves)
         spread = [xp.broadcast_to(leaf, (len(leaf), channels)) for leaf in leaves]
         return jnp.asarray(xp.concatenate(spread))

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jaxtyping
+import pytest
 from beartype import BeartypeConf, FrozenDict, beartype
 from pydantic import ValidationInfo
 
@@ -31,6 +32,7 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     return function if before else _typed(function)
 
 
-def pytest_configure() -> None:
-    """Before any test imports phongfit."""
+@pytest.hookimpl(tryfirst=True)
+def pytest_load_initial_conftests() -> None:
+    """Before any test, or what prepares it, imports phongfit."""
     jaxtyping.install_import_hook("phongfit", "tests.annotations.checked")

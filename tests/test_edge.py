@@ -187,8 +187,6 @@ FIT_DATA = (SCENE, np.zeros((4, 4, 3), np.float32))
         (lambda: pf.Tukey(float("nan")), "k"),
         (lambda: pf.Cauchy("x"), "k"),  # pyright: ignore
         (lambda: pf.SoftL1(1e-320), "k"),
-        (lambda: pf.BlinnPhong("no"), "gate"),  # pyright: ignore
-        (lambda: pf.GouraudShading([]), "clamp"),  # pyright: ignore
         (lambda: pf.Film(jpeg=3), "jpeg"),  # pyright: ignore
         (lambda: pf.JpegCompression(3), "tables"),
         (lambda: pf.Material(10**5000), "diffuse"),
@@ -201,3 +199,14 @@ FIT_DATA = (SCENE, np.zeros((4, 4, 3), np.float32))
 def test_the_argument_is_named(call, name):
     with pytest.raises(ValueError, match=rf"^{name}(\[\d\])?: "):
         call()
+
+
+@pytest.mark.float64
+def test_a_flag_is_named():
+    """Where annotations are checked, in float32, these forbid it first."""
+    for call, name in (
+        (lambda: pf.BlinnPhong("no"), "gate"),  # pyright: ignore
+        (lambda: pf.GouraudShading([]), "clamp"),  # pyright: ignore
+    ):
+        with pytest.raises(ValueError, match=f"^{name}: "):
+            call()

@@ -73,13 +73,18 @@ def test_what_textures_do_not_take():
         pf.Textures(shininess=pf.Texture(np.ones((1, 1, 3))))
     with pytest.raises(ValueError, match="normal: expected a texture"):
         pf.Textures(normal=pf.Texture(VALUES))
-    with pytest.raises(ValueError, match="normal: expected a Texture, got"):
-        pf.Textures(normal=pf.VertexColours(np.ones((4, 3))))  # pyright: ignore
     with pytest.raises(ValueError, match="diffuse: expected numbers ≥ 0"):
         pf.Textures(diffuse=pf.VertexColours(-np.ones((4, 1))))
     for values in (np.ones(3), np.ones((4, 2)), np.ones((0, 3)), np.ones((1, 1, 3))):
         with pytest.raises(ValueError, match=r"values: expected shape \(V, 3\)"):
             pf.VertexColours(values)
+
+
+@pytest.mark.float64
+def test_normals_are_a_texture():
+    """Where annotations are checked, in float32, these forbid it first."""
+    with pytest.raises(ValueError, match="normal: expected a Texture, got"):
+        pf.Textures(normal=pf.VertexColours(np.ones((4, 3))))  # pyright: ignore
 
 
 def plate(textures=None, **changes) -> pf.Mesh:

@@ -277,10 +277,10 @@ def nearest_point(
 
 
 def angles(
-    a: Float[np.ndarray, "*batch 3"], b: Float[np.ndarray, "*batch 3"]
-) -> Float[np.ndarray, "*batch"]:
+    a: Float[np.ndarray, "... 3"], b: Float[np.ndarray, "... 3"]
+) -> Float[np.ndarray, "..."]:
     """Between unit vectors, radians, exact for small ones too."""
-    return 2 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=-1) / 2, 0, 1))
+    return np.asarray(2 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=-1) / 2, 0, 1)))
 
 
 def solve_lamps(

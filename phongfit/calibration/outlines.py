@@ -23,9 +23,9 @@ SMALLEST = 5.0
 SLACK = 2.0
 """A sphere that touches the edge may reach so far beyond it, as circles are given."""
 
-Vectors = Float[np.ndarray, "*batch 3"]
-Pixels = Float[np.ndarray, "*batch 2"]
-Outlines = Float[np.ndarray, "*batch 3"]
+Vectors = Float[np.ndarray, "... 3"]
+Pixels = Float[np.ndarray, "... 2"]
+Outlines = Float[np.ndarray, "... 3"]
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def unit(vectors: Vectors) -> Vectors:
     return vectors / np.where(length > 0, length, 1)
 
 
-def dots(a: Vectors, b: Vectors) -> Float[np.ndarray, "*batch 1"]:
+def dots(a: Vectors, b: Vectors) -> Float[np.ndarray, "... 1"]:
     """Scalar products along the last axis, which stays."""
     return np.sum(a * b, axis=-1, keepdims=True)
 
@@ -203,7 +203,7 @@ def mirrored(pixel: Pixels, outline: Outlines, view: View, radius: float) -> Ray
     return Ray(at.position, back)
 
 
-def across(direction: Vectors) -> Float[np.ndarray, "*batch 2 3"]:
+def across(direction: Vectors) -> Float[np.ndarray, "... 2 3"]:
     """Two unit vectors across each unit vector."""
     # From the axis that is farthest from it.
     axis = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]

@@ -94,7 +94,7 @@ class Calibration:
     ambient_error: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
 
     @property
-    def joint(self) -> Float[np.ndarray, "6*lamps+1 6*lamps+1"]:
+    def joint(self) -> Float[np.ndarray, "numbers numbers"]:
         """Covariance of positions or directions, of strengths, and of the fall-off.
 
         Lamp by lamp in each of the first two; `nan` for strengths that are not known.

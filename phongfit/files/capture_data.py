@@ -201,7 +201,7 @@ def _uncertain(
 
 def _attenuation(
     lamps: Sequence[Lamp], calibration: Calibration
-) -> Float[np.ndarray, "3*n 3*n+1"]:
+) -> Float[np.ndarray, "rows columns"]:
     """How near lamps' attenuations move with their positions, and with the fall-off.
 
     An attenuation is (1 − κ, 0, κ / d²), with one κ for all, and d from the reference

@@ -35,7 +35,7 @@ def limited(
     if array.max(initial=0) <= highest:
         return array
     lost(f"{name}: {format} holds at most {highest:g}, got {array.max():g}", nearest)
-    return np.minimum(array, highest)
+    return np.asarray(np.minimum(array, highest))
 
 
 def lost(message: str, nearest: bool) -> None:

@@ -1,7 +1,7 @@
 """Meshes with their materials and textures, written so that `load_mesh` has them back.
 
 Pictures have 16 bits: colours sRGB-encoded, exponents and normals as they are. Colours
-of vertices are floats, in OBJ sRGB-encoded.
+of vertices are floats, in OBJ sRGB-encoded; in PLY they have 8 bits, sRGB-encoded, too.
 """
 
 import dataclasses
@@ -25,8 +25,8 @@ from phongfit.files.gltf import (
 from phongfit.files.gltf_records import COLOURS as ATTRIBUTES
 from phongfit.files.gltf_tangents import mirrored, vertex_tangents
 from phongfit.files.images import to_levels
-from phongfit.files.limits import exponent, lost
-from phongfit.files.mesh_writing import lines
+from phongfit.files.limits import exponent, limited, lost
+from phongfit.files.mesh_writing import lines, write_ply
 from phongfit.files.mtl import COLOURS, mtl_block
 from phongfit.files.outputs import replacing_files
 from phongfit.geometry.meshes import Mesh
@@ -66,12 +66,12 @@ def save_mesh(
     rounding of 16-bit pictures. glTF has no place for ambient light: textures of it are
     left out, and the numbers stand in `extras`. Of vertices it has all: colours, which
     others show, and in attributes of our own the rest. OBJ has colours of vertices that
-    multiply ρ_d and ρ_a alike.
+    multiply ρ_d and ρ_a alike. PLY has nothing but such colours: they are ρ_d.
 
     **Arguments:**
 
-    - `path`: `.obj`, which gets an `.mtl` and the pictures beside it, `.glb` or
-        `.gltf`.
+    - `path`: `.obj`, which gets an `.mtl` and the pictures beside it, `.glb`, `.gltf`
+        or `.ply`.
     - `material`: of all faces, or with a row for each of the mesh's materials. Textures
         of the mesh multiply it.
     - `names`: of the materials; default `material0`, `material1`, …
@@ -83,11 +83,13 @@ def save_mesh(
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix not in (".obj", ".glb", ".gltf"):
-        raise ValueError(f"{path}: expected .obj, .glb or .gltf, got {suffix!r}")
+    if suffix not in (".obj", ".glb", ".gltf", ".ply"):
+        raise ValueError(f"{path}: expected .obj, .glb, .gltf or .ply, got {suffix!r}")
     own = _apart(mesh, material, names)
     if suffix == ".obj":
         _write_obj(path, mesh, own, nearest)
+    elif suffix == ".ply":
+        _write_ply(path, mesh, own, nearest)
     else:
         parts = [(_part(mesh, one), _gltf_material(one, nearest)) for one in own]
         write_gltf(path, parts)
@@ -211,9 +213,10 @@ def _obj_text(mesh: Mesh, own: list[_Own], library: str) -> str:
     faces = np.asarray(mesh.faces)
     if any("diffuse" in one.textures.at_vertices for one in own):
         # A vertex has one colour: each material has its own.
-        used, places, colours = _apart_by_material(len(points), faces, own)
-        points, normals, faces = points[used], normals[used], places
-        coloured = np.column_stack([points, encode(colours, "srgb")])
+        apart = _apart_by_material(len(points), faces, own)
+        points, normals = points[apart.vertex], normals[apart.vertex]
+        faces = apart.faces
+        coloured = np.column_stack([points, encode(apart.colours, "srgb")])
         text += lines(" ".join(["v", *["%.9g"] * 6]), coloured)
     else:
         text += lines("v %.9g %.9g %.9g", points)
@@ -233,25 +236,61 @@ def _obj_text(mesh: Mesh, own: list[_Own], library: str) -> str:
     return "\n".join([*text, ""])
 
 
-def _apart_by_material(
-    count: int, faces: np.ndarray, own: list[_Own]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+class _OneEach(NamedTuple):
     """Vertices of which each is of one material.
 
-    **Returns:** which one of the mesh's each is, the faces, and the vertices' colours.
+    - `vertex`: which one of the mesh's each is; `material`: of which material.
+    - `faces`: by these vertices.
+    - `colours`: none above 1.
     """
-    material = np.zeros(len(faces), int)
+
+    vertex: np.ndarray
+    material: np.ndarray
+    faces: np.ndarray
+    colours: np.ndarray
+
+
+def _apart_by_material(count: int, faces: np.ndarray, own: list[_Own]) -> _OneEach:
+    of_face = np.zeros(len(faces), int)
     for k, one in enumerate(own):
-        material[one.faces] = k
-    keys = material[:, None] * count + faces
+        of_face[one.faces] = k
+    keys = of_face[:, None] * count + faces
     used, places = np.unique(keys, return_inverse=True)
+    material, vertex = used // count, used % count
     colours = np.ones((len(used), 3))
     for k, one in enumerate(own):
         rows = one.textures.at_vertices.get("diffuse")
         if rows is not None:
-            here = used // count == k
-            colours[here] = _rows(rows)[used[here] % count]
-    return used % count, places.reshape(faces.shape), colours
+            here = material == k
+            colours[here] = _rows(rows)[vertex[here]]
+    return _OneEach(vertex, material, places.reshape(faces.shape), colours)
+
+
+def _write_ply(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
+    """ρ_d as colours of vertices: a PLY has nothing else of a material."""
+    own, diffuse = [_flattened(one, nearest) for one in own], []
+    for one in own:
+        material = _multiplied(one, one.textures.at_vertices)
+        leaves = {
+            name: np.asarray(leaf, float) for name, leaf in _leaves(material).items()
+        }
+        for name in ("specular", "emission"):
+            if leaves[name].any():
+                lost(f"{name}: PLY has colours of vertices alone, of ρ_d", nearest)
+        if not np.array_equal(
+            *np.broadcast_arrays(leaves["ambient"], leaves["diffuse"])
+        ):
+            lost("ambient: colours of a PLY's vertices are read as it, too", nearest)
+        for name, texture in vars(one.textures).items():
+            if isinstance(texture, Texture):
+                lost(f"{name}: PLY has no place for a texture", nearest)
+        diffuse.append(limited("diffuse", leaves["diffuse"], 1, "PLY", nearest))
+    points, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals())
+    apart = _apart_by_material(len(points), np.asarray(mesh.faces), own)
+    factor = np.stack([np.broadcast_to(one, 3) for one in diffuse])[apart.material]
+    levels = to_levels(apart.colours * factor, "srgb", 8)
+    part = Part(points[apart.vertex], apart.faces, normals[apart.vertex])
+    write_ply(path, part, levels)
 
 
 def _part(mesh: Mesh, own: _Own) -> Part:

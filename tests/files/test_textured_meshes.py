@@ -502,6 +502,40 @@ def test_colours_of_vertices_that_an_obj_does_not_hold(tmp_path):
         near(getattr(again.material, name), wanted * getattr(material, name), 1e-6)
 
 
+def test_a_ply_has_diffuse_colours_alone(tmp_path):
+    """Of several materials each with its own, where they meet in a vertex, too."""
+    rng, path = np.random.default_rng(0), tmp_path / "a.ply"
+    rows: Any = pf.VertexColours(rng.uniform(0.1, 2, (len(ICO.vertices), 3)))
+    textures = [pf.Textures(diffuse=rows, ambient=rows), pf.Textures()]
+    index = (np.asarray(ICO.triangles_center)[:, 0] > 0).astype(int)
+    mesh = pf.Mesh(ICO.vertices, ICO.faces, None, index, textures=textures)
+    colours = np.array([[0.3, 0.2, 0.4], [0.2, 0.3, 0.4]])
+    material = pf.Material(colours, 0.0, 32.0, colours)
+    pf.save_mesh(path, mesh, material)
+    again, read, _ = pf.load_mesh(path)
+    for images in seen_twice((mesh, material), (again, read)):
+        assert images[0].std() > 0.05
+        # Of 8 bits, sRGB-encoded; an outline may fall on either side.
+        assert np.mean(abs(images[0] - images[1]) > 0.01) < 0.01
+    plain = pf.Mesh(ICO.vertices, ICO.faces)
+    for lost, words in (
+        (pf.Material(0.5, 0.2, 32.0, 0.5), "specular: PLY"),
+        (pf.Material(0.5, 0.0, 32.0, 0.5, 0.1), "emission: PLY"),
+        (pf.Material(0.5, 0.0, 32.0, 0.1), "ambient: colours of a PLY's vertices"),
+        (pf.Material(1.5, 0.0, 32.0, 1.5), "diffuse: PLY holds at most 1"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            pf.save_mesh(tmp_path / "b.ply", plain, lost)
+        with pytest.warns(UserWarning, match=words):
+            pf.save_mesh(tmp_path / "b.ply", plain, lost, nearest=True)
+        shown = colours_of(pf.load_mesh(tmp_path / "b.ply").mesh)
+        near(shown, min(float(lost.diffuse), 1) * np.ones_like(shown), 0.005)
+    image = pf.Textures(diffuse=pf.Texture(np.ones((2, 2, 3))))
+    mapped = pf.Mesh(BOX.vertices, BOX.faces, uv=np.zeros((12, 3, 2)), textures=image)
+    with pytest.raises(ValueError, match="diffuse: PLY has no place for a texture"):
+        pf.save_mesh(path, mapped, pf.Material(0.5, 0.0, 32.0, 0.5))
+
+
 def painted(rng, **sizes):
     """A texture of each kind, of numbers that 16 bits round."""
     return {name: pf.Texture(rng.uniform(0.1, 1, size)) for name, size in sizes.items()}
@@ -610,7 +644,7 @@ def test_tangents_where_an_image_is_mirrored_or_lost():
 def test_what_is_not_saved(tmp_path):
     mesh = pf.Mesh(BOX.vertices, BOX.faces, uv=np.zeros((12, 3, 2)))
     for path, words in (
-        ("a.stl", "expected .obj, .glb or .gltf"),
+        ("a.stl", "expected .obj, .glb, .gltf or .ply"),
         ("a b.obj", "blanks"),
     ):
         with pytest.raises(ValueError, match=words):

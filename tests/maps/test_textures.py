@@ -126,9 +126,16 @@ def test_flags_are_one_picture_with_a_legend():
 
 def test_large_counts_of_flags_are_not_cut_off():
     """Of as many pixels as a camera has, in a picture as narrow as one is."""
-    one, flags = made(), np.zeros((1200, 1000), int)
-    flags[:10] = pf.Flag.NO_HIGHLIGHT
-    figure = draw_flags(dataclasses.replace(one, flags=flags))
+
+    def tiled(values: np.ndarray) -> np.ndarray:
+        return np.tile(values, (600, 333, *[1] * (values.ndim - 2)))
+
+    one = made()
+    arrays = {k: tiled(v) for k, v in vars(one).items() if isinstance(v, np.ndarray)}
+    arrays["flags"] = np.zeros((1200, 999), int)
+    arrays["flags"][:10] = pf.Flag.NO_HIGHLIGHT
+    stderr = ParameterMaps(**{k: tiled(v) for k, v in one.stderr._asdict().items()})
+    figure = draw_flags(dataclasses.replace(one, **arrays, stderr=stderr))
     FigureCanvasAgg(figure).draw()
     legend, pictured = figure.legends[0].get_window_extent(), figure.axes[0].bbox
     assert pictured.x1 < legend.x0 and legend.x1 < figure.bbox.x1

@@ -180,6 +180,8 @@ def test_a_megapixel_is_small(tmp_path):
         shininess=noisy(np.full((*size, 1), 40.0), 0.05),
         stderr=ParameterMaps(0 * texture, 0 * texture, 0 * texture, texture[..., :1]),
         flags=zeros.astype(int),
+        noise=np.full(size, 0.01),
+        samples=np.full(size, 90),
         normals_stderr=zeros,
         depth=5 - height,
     )

@@ -5,6 +5,7 @@ import phongfit as pf
 from phongfit.fitting.problem.losses import LOSSES
 from phongfit.fitting.uncertainty.misfit import SIGNIFICANT
 from tests.fitting.scenes import TRUTH, ball, photograph
+from tests.helpers import floats
 
 LINEAR = ("ambient", "diffuse", "specular")
 
@@ -71,7 +72,7 @@ def test_a_noisy_channel_under_a_robust_loss():
     drawn = np.random.default_rng(1).normal(size=200_000)
     for channel, color in enumerate(("red", "green", "blue")):
         times = level[0, 0, channel] / fit.noise
-        score, slope = map(np.asarray, LOSSES["tukey"].score(times * drawn))
+        score, slope = map(np.asarray, LOSSES["tukey"].score(floats(times * drawn)))
         deviation = fit.noise * np.sqrt(np.mean(score**2)) / np.mean(slope)
         expected = deviation * np.sqrt(np.diag(inverse))
         check_errors(fit, color, expected)
