@@ -277,9 +277,7 @@ def _write_ply(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
         for name in ("specular", "emission"):
             if leaves[name].any():
                 lost(f"{name}: PLY has colours of vertices alone, of ρ_d", nearest)
-        if not np.array_equal(
-            *np.broadcast_arrays(leaves["ambient"], leaves["diffuse"])
-        ):
+        if np.any(leaves["ambient"] != leaves["diffuse"]):
             lost("ambient: colours of a PLY's vertices are read as it, too", nearest)
         for name, texture in vars(one.textures).items():
             if isinstance(texture, Texture):
