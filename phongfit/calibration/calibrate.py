@@ -291,23 +291,24 @@ class _Session:
         left_out: dict[int, str],
     ) -> None:
         """Photographs in which no lamp is seen, or only half of what places one."""
+        white = np.zeros(len(chosen), bool)
+        if self.matte is not None:
+            white = overexposed(self.matte)
         for number, row in enumerate(chosen):
             shows = sum(one is not None for one in row)
             shows += int(shaded is not None and shaded[number].any())
             if shows == 0:
-                white = self.matte is not None and overexposed(self.matte)[number]
                 left_out[number] = "no highlight is seen on a sphere, and " + (
-                    "the matte one is overexposed" if white else "no shading"
+                    "the matte one is overexposed" if white[number] else "no shading"
                 )
             elif self.lamps == "near" and shows < 2:
                 left_out[number] = (
                     "one sphere alone shows its lamp, which near lamps need two for"
                 )
         if len(left_out) == len(chosen):
-            white = self.matte is not None and overexposed(self.matte).any()
             raise ValueError(
                 "photographs: in none of them a lamp is seen on the spheres; "
-                + ("expose less" if white else "are the circles right?")
+                + ("expose less" if white.any() else "are the circles right?")
             )
 
     def _leave_out_double(

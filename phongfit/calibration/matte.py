@@ -136,10 +136,9 @@ def _points(matte: Matte) -> _Points:
     stride = max(1, round(np.sqrt(inside.sum() / MOST)))
     inside &= (rows % stride == 0) & (columns % stride == 0)
     block = (rows // BLOCK) * (width // BLOCK + 1) + columns // BLOCK
-    light = matte.light[:, inside]
-    white = ndimage.binary_dilation(matte.light >= WHITE, np.ones((1, 3, 3, 1)))
-    shown = light - matte.ambient
-    return _Points(pixels[inside], block[inside], shown, white[:, inside])
+    light = matte.light[:, inside] - matte.ambient
+    white = ndimage.maximum_filter(matte.light >= WHITE, (1, 3, 3, 1))[:, inside]
+    return _Points(pixels[inside], block[inside], light, white)
 
 
 def overexposed(matte: Matte) -> Bool[np.ndarray, " count"]:
@@ -399,7 +398,7 @@ def rounding(
             canvas = np.where(disc[..., None], own + matte.ambient, around[number])
             read = _read_back(film, canvas, share, shift) - matte.ambient
             for channel in range(3):
-                lit = inside & (shade > LIT) & (own[..., channel] < WHITE)
+                lit = inside & (shade > LIT) & (canvas[..., channel] < WHITE)
                 if lit.sum() > 0:
                     found = _strength(shade[lit], read[..., channel][lit])
                     draw[number, channel] = found - strength[channel]

@@ -83,7 +83,7 @@ def test_a_matte_sphere_that_is_white_says_nothing_of_its_lamp(distant):
     studio, images = distant
     with pytest.raises(ValueError, match="expose less"):
         calibrated(studio, [np.minimum(8 * i, 1) for i in images], chrome=None)
-    # Two of them four times as bright as the others: the one is left out alone.
+    # Two of them six times as bright as the others: the first is white, and left out.
     white = [np.minimum((6 if n < 2 else 1) * i, 1) for n, i in enumerate(images)]
     found = calibrated(studio, white, chrome=None)
     assert found.left_out["photograph 1"].endswith("the matte one is overexposed")

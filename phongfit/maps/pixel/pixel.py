@@ -356,9 +356,7 @@ def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Array]:
     if settings.scanned and shared:
         level = 3 * noise**2 * jnp.ones_like(t)
         if not settings.noise_given:
-            first = job.target[:, :1], job.share[:, :1]
-            one = dataclasses.replace(job, target=first[0], share=first[1])
-            level = _variance(one, summed, start.value)
+            level = _variance(_one_channel(job), summed, start.value)
         used = (job.share > 0).astype(t.dtype)
         odd = in_groups(jnp.sum(jnp.abs(used - used[:, :1]), axis=0), 1) > 0
         unlike = odd | _coloured(job.basis.strength)[None]
@@ -403,9 +401,13 @@ def _is_vague(found: Descent, variance: Array, box: Box) -> Array:
 def _summed(job: _Job) -> Columns:
     """Columns of the channels' sum, as if ρ were grey: enough to start from."""
     target, basis = in_groups(job.target, 1), optimization_barrier(job.basis.grey())
-    share = job.share[:, :1]
-    together = dataclasses.replace(job, target=target, share=share, basis=basis)
-    return together.columns(share**2)
+    together = dataclasses.replace(_one_channel(job), target=target, basis=basis)
+    return together.columns(together.share**2)
+
+
+def _one_channel(job: _Job) -> _Job:
+    """The same of the first alone."""
+    return dataclasses.replace(job, target=job.target[:, :1], share=job.share[:, :1])
 
 
 def _reweighted(job: _Job, at: At, t: Array) -> _Found:
