@@ -515,7 +515,7 @@ class _Session:
             self._warn(
                 "strength-unknown",
                 f"{', '.join(names[:3])}{' …' if len(names) > 3 else ''}: the matte "
-                f"sphere {'is overexposed' if white else 'shows too little light'} to "
+                f"sphere is {'overexposed' if white else 'hardly lit'}, and does not "
                 "say how strong the lamp is",
             )
         return found
