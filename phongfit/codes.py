@@ -66,8 +66,8 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "photograph a matte sphere",
         "strength-unknown": "Photograph it at another exposure, leave these "
         "photographs out, or let a fit find the strengths (the unknown exposure)",
-        "left-out": "Look at it in the picture; take it out of the folder, or give "
-        "the spheres' circles",
+        "left-out": "Look at it in the picture; take it out of the folder, photograph "
+        "it again (exposed less where it is white), or give the spheres' circles",
         "one-sphere": "Look at the picture, or photograph a second sphere",
         "sphere-disagrees": "Check its circle, the camera's angle of view and the "
         "kind of lamps (distant, near)",
