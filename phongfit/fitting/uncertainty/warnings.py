@@ -50,13 +50,7 @@ def misfit_words(misfit: Misfit, images: int) -> tuple[str, ...]:
 
 def clipped_words(sums: SandwichSums, effective: int, samples: int) -> tuple[str, ...]:
     """Where the noise level is estimated from samples that hardly know it."""
-    bread = np.asarray(sums.bread, float)
-    inverse = np.linalg.pinv(bread, rcond=1e-6, hermitian=True)
-    # How far the solution moves with the noise level, by one error of that.
-    moved = inverse @ np.asarray(sums.drift, float) / math.sqrt(2 * max(effective, 1))
-    error = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
-    enough = effective >= max(FEW, FEW_SHARE * samples)
-    if enough and np.all(np.abs(moved) < MOVED * error):
+    if effective >= max(FEW, FEW_SHARE * samples) and not _drifts(sums, effective):
         return ()
     return (
         coded(
@@ -65,6 +59,19 @@ def clipped_words(sums: SandwichSums, effective: int, samples: int) -> tuple[str
             "estimated from the others, and the errors do not know how badly",
         ),
     )
+
+
+def _drifts(sums: SandwichSums, effective: int) -> bool:
+    """Whether an error of the noise level moves the solution by much of its own."""
+    drift = np.asarray(sums.drift, float)
+    # Mostly nothing is clipped, and a pseudo-inverse takes long.
+    if not drift.any():
+        return False
+    bread = np.asarray(sums.bread, float)
+    inverse = np.linalg.pinv(bread, rcond=1e-6, hermitian=True)
+    moved = inverse @ drift / math.sqrt(2 * max(effective, 1))
+    error = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
+    return not np.all(np.abs(moved) < MOVED * error)
 
 
 _SUMMED = {
