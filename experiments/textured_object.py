@@ -175,13 +175,11 @@ class Found(NamedTuple):
     material: pf.Material
 
 
-def fit_in_memory(
-    mesh: pf.Mesh, size: Size, images: list[np.ndarray], folder: Path | None
-) -> Found:
-    """By `fit_texture`."""
-    del folder
-    scenes = views(mesh, size)
-    fit = pf.fit_texture(
+def fit_texels(
+    scenes: list[pf.Scene], images: list[np.ndarray], size: Size
+) -> pf.TextureFit:
+    """Diffuse texels, and of each material ρ_s and f."""
+    return pf.fit_texture(
         scenes,
         images,
         size=(size.texels, size.texels),
@@ -189,6 +187,15 @@ def fit_in_memory(
         per_channel=(),
         known=pf.Material(ambient=0.0),
     )
+
+
+def fit_in_memory(
+    mesh: pf.Mesh, size: Size, images: list[np.ndarray], folder: Path | None
+) -> Found:
+    """By `fit_texture`."""
+    del folder
+    scenes = views(mesh, size)
+    fit = fit_texels(scenes, images, size)
     print(fit)
     painted = fit.scene(scenes[0]).surface
     assert isinstance(painted, pf.Mesh)

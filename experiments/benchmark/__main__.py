@@ -17,7 +17,14 @@ from matplotlib.ticker import NullFormatter
 from rich.console import Console
 from rich.markdown import Markdown
 
-from experiments.benchmark import costs, map_peers, maps, normal_peers, single
+from experiments.benchmark import (
+    costs,
+    map_peers,
+    maps,
+    normal_peers,
+    single,
+    textures,
+)
 from experiments.output import JsonFile, check_outputs, save_numbers, save_picture
 from experiments.style import BLUE, GREEN, ORANGE, VERMILION, bands, page, styled
 from phongfit.cli import run
@@ -38,6 +45,12 @@ class Ratio:
     def met(self) -> bool:
         """Whether the aim is reached."""
         return self.value <= self.aim if self.at_most else self.value >= self.aim
+
+
+NO_MITSUBA = (
+    "Mitsuba 3 does not render here, so it is left out: `pip install mitsuba`, and "
+    "LLVM's shared library, 17 or later (Debian: `apt install libllvm19`)."
+)
 
 
 def single_ratios(found: list[single.Row]) -> list[Ratio]:
@@ -83,6 +96,21 @@ def normal_ratio(found: list[normal_peers.Row]) -> Ratio:
         seconds["vmapped_lm_of_normals"] / seconds["normals"],
         50,
     )
+
+
+def texture_ratios(found: list[textures.Row]) -> list[Ratio]:
+    """Of texels, by the processor's time; none where there is no peer."""
+    ours, *peers = found
+    return [
+        Ratio(
+            "texels of a mesh, 48² from 16 photographs, to the same error",
+            "Adam through Mitsuba 3",
+            f"{peer.key}_over_texture",
+            peer.seconds / ours.seconds,
+            20,
+        )
+        for peer in peers
+    ]
 
 
 def spread(costs: dict[str, float]) -> float:
@@ -144,6 +172,19 @@ def normal_details(found: list[normal_peers.Row]) -> str:
         f"| {row.degrees:.2f}° |"
         for row in found
     ]
+    return "\n".join(lines)
+
+
+def texture_details(found: list[textures.Row]) -> str:
+    """The ways to texels, as Markdown."""
+    lines = ["| texels of a mesh | processor | steps | off by |", "|---|--:|--:|--:|"]
+    lines += [
+        f"| {row.name} | {row.seconds:.1f} s | {row.steps} "
+        f"| {row.error:.4f}{'' if row.arrived else ' (not there yet)'} |"
+        for row in found
+    ]
+    if len(found) == 1:
+        lines += ["", NO_MITSUBA]
     return "\n".join(lines)
 
 
@@ -231,6 +272,8 @@ def main(
     show("\n" + map_details(mapped))
     shaped = normal_peers.rows(16_000 // share)
     show("\n" + normal_details(shaped))
+    painted = textures.rows(most=20 if quick else textures.MOST)
+    show("\n" + texture_details(painted))
     rendered = costs.render_costs(costs.SIZES[: 2 if quick else None])
     sizes = (10_000, 100_000, 1_000_000, 4_000_000)
     pixels = maps.scaling(tuple(n // share for n in sizes[: 2 if quick else None]))
@@ -242,6 +285,7 @@ def main(
         *single_ratios(found),
         *map_ratios(mapped),
         normal_ratio(shaped),
+        *texture_ratios(painted),
         Ratio(
             "render, a pixel from 128² to 2048²",
             "itself",
@@ -289,6 +333,7 @@ def main(
     numbers["seconds"] = {row.key: row.seconds for row in found} | {
         **{f"{row.key}_pixel": row.seconds for row in mapped},
         **{f"{row.key}_pixel": row.seconds for row in shaped},
+        **{row.key: row.seconds for row in painted},
         "render_pixel": rendered,
         "map_pixel_by_size": {str(k): v for k, v in pixels.items()},
         "fit_by": grown,

@@ -9,6 +9,7 @@ import pytest
 import scipy.special
 from rich.console import Console
 
+import phongfit as pf
 from experiments.benchmark import (
     costs,
     map_peers,
@@ -16,6 +17,8 @@ from experiments.benchmark import (
     normal_peers,
     single,
     single_peers,
+    texture_peers,
+    textures,
 )
 from experiments.benchmark.__main__ import (
     Ratio,
@@ -29,9 +32,12 @@ from experiments.benchmark.__main__ import (
     single_ratios,
     spread,
     table,
+    texture_details,
+    texture_ratios,
 )
 from experiments.benchmark.stack import UNKNOWNS, make_stack
 from experiments.benchmark.timing import medians
+from experiments.textured_object import TRUTH, Size, checkered, vase, views
 from phongfit.fitting.fit import fit
 
 
@@ -155,6 +161,53 @@ def test_normals_and_their_peer_end_at_one_answer():
     slower = dataclasses.replace(peer, seconds=9 * ours.seconds)
     assert normal_ratio([ours, slower]).value == pytest.approx(9)
     assert normal_details(rows).count("| 100 |") == 2
+
+
+TEXELS = Size(8, 16, 12, 6, 2)
+
+
+def test_texels_without_a_peer(monkeypatch):
+    monkeypatch.setattr(texture_peers, "is_there", lambda: False)
+    rows = textures.rows(TEXELS)
+    (ours,) = rows
+    assert ours.seconds > 0 and ours.arrived and 0 < ours.error < 0.03
+    assert texture_ratios(rows) == [] and "libllvm" in texture_details(rows)
+    peer = textures.Row("Adam", "adam", 30 * ours.seconds, 9, 0.1, False)
+    (ratio,) = texture_ratios([ours, peer])
+    assert ratio.key == "adam_over_texture" and ratio.value == pytest.approx(30)
+    assert "not there yet" in texture_details([ours, peer])
+
+
+@pytest.fixture(scope="module")
+def mitsuba():
+    if not texture_peers.is_there():
+        pytest.skip("Mitsuba 3 does not render here")
+    return texture_peers.Mitsuba(views(vase(12, 6), TEXELS), TEXELS.texels)
+
+
+def test_mitsuba_renders_what_we_render(mitsuba):
+    """Its own cameras, shapes and textures; the lobe is the one thing of ours."""
+    texels = checkered(TEXELS.texels)
+    mesh = vase(12, 6).with_textures(pf.Textures(diffuse=pf.Texture(texels)))
+    few = np.concatenate([TRUTH.specular, TRUTH.shininess], axis=1)
+    for which, scene in enumerate(views(mesh, TEXELS)):
+        found = mitsuba.picture(which, texels, few)
+        light = np.asarray(pf.render(scene, TRUTH, film=pf.Film(clamp=False)))
+        apart = np.abs(found - light).max(axis=-1)
+        # Along the outline, and where two materials meet, a ray may go either way.
+        assert np.mean(apart < 1e-4) > 0.98, which
+
+
+def test_adam_of_mitsuba_comes_near(mitsuba):
+    texels = checkered(TEXELS.texels)
+    few = np.concatenate([TRUTH.specular, TRUTH.shininess], axis=1)
+    images = [mitsuba.picture(k, texels, few) for k in range(4)]
+
+    def off(found: np.ndarray) -> float:
+        return float(np.median(np.abs(found - texels)))
+
+    end = mitsuba.descend(images, lambda found: off(found) < 0.01, 400)
+    assert 10 < end.steps < 400 and end.seconds > 0 and off(end.texels) < 0.01
 
 
 def test_a_row_says_whether_its_aim_is_met():

@@ -1,0 +1,281 @@
+"""Texels by Mitsuba 3: its renderer, its Adam, and a lobe of ours written for it.
+
+Mitsuba has no Blinn-Phong; a BSDF in Python whose highlight is that of ours makes its
+pictures agree with ours. Photographs come one after another, as its own examples of
+inverse rendering have them: their gradients are added up, then Adam takes a step.
+
+Mitsuba wants a shared library of LLVM: `pip install mitsuba`, `apt install libllvm19`.
+That of LLVM 14 to 16 ends the whole process in Mitsuba 3.9's first program.
+"""
+
+import dataclasses
+import importlib
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+import phongfit as pf
+
+RATE = 0.03
+# Where Adam starts: reflectances in mid-range, f = 8.
+START = (0.5, 8.0)
+# Steps after which the distance from the truth is looked at.
+LOOK = 10
+VARIANT, LIBRARY = "llvm_ad_rgb", "DRJIT_LIBLLVM_PATH"
+TRY = f"""
+import mitsuba as mi
+mi.set_variant("{VARIANT}")
+mi.render(mi.load_dict(mi.cornell_box()), spp=1).numpy()
+"""
+
+
+def is_there() -> bool:
+    """Whether Mitsuba renders here: tried in a process that may end in a crash."""
+    if LIBRARY not in os.environ and (newest := _newest_llvm()) is not None:
+        os.environ[LIBRARY] = newest
+    tried = subprocess.run([sys.executable, "-c", TRY], capture_output=True)
+    return tried.returncode == 0
+
+
+def _newest_llvm() -> str | None:
+    """Of the libraries that the system's linker knows."""
+    try:
+        known = subprocess.run(["ldconfig", "-p"], capture_output=True, text=True)
+    except OSError:
+        return None
+    found = re.findall(r"=> (\S*/libLLVM\D*(\d+)\S*)", known.stdout)
+    return max(found, key=lambda one: int(one[1]))[0] if found else None
+
+
+@dataclasses.dataclass(frozen=True)
+class Descent:
+    """Where Adam came to.
+
+    - `seconds`: of the processor, in the steps alone.
+    - `texels`: the texture; `few`: of each material ρ_s and f.
+    """
+
+    seconds: float
+    steps: int
+    texels: Float[np.ndarray, "rows columns 3"]
+    few: Float[np.ndarray, "materials 2"]
+
+
+class Mitsuba:
+    """A mesh under several scenes' cameras and lamps, as Mitsuba has them.
+
+    **Arguments:**
+
+    - `scenes`: of one mesh with uv, each with a camera in perspective and one distant
+        lamp.
+    - `rows`: texels along each side of the texture.
+    """
+
+    def __init__(self, scenes: Sequence[pf.Scene], rows: int):
+        self.mi: Any = importlib.import_module("mitsuba")
+        self.dr: Any = importlib.import_module("drjit")
+        self.mi.set_variant(VARIANT)
+        self.mi.register_bsdf("blinn", _blinn(self.mi, self.dr))
+        mesh = scenes[0].surface
+        assert isinstance(mesh, pf.Mesh)
+        none = np.full((rows, rows, 3), START[0], np.float32)
+        texture = self.mi.load_dict(
+            {
+                "type": "bitmap",
+                "bitmap": self.mi.Bitmap(none),
+                "raw": True,
+                "filter_type": "bilinear",
+                "wrap_mode": "repeat",
+            }
+        )
+        parts = [self._part(mesh, which, texture) for which in range(mesh.materials)]
+        self.scenes = [self._scene(one, parts) for one in scenes]
+        self.cameras = [self._camera(one.camera) for one in scenes]
+        self.parameters = self.mi.traverse(self.scenes[0])
+        keys = [key for key in self.parameters.keys() if ".bsdf." in key]
+        (self.texels,) = (key for key in keys if key.endswith("diffuse.data"))
+        self.few = {
+            name: [key for key in keys if key.endswith(name)]
+            for name in ("specular", "logarithm")
+        }
+
+    def _part(self, mesh: pf.Mesh, which: int, texture: Any) -> Any:
+        """The faces of one material, each with corners of its own."""
+        assert mesh.uv is not None
+        own = np.asarray(mesh.material_index) == which
+        corners = np.asarray(mesh.faces)[own].ravel()
+        properties = self.mi.Properties()
+        properties["bsdf"] = self.mi.load_dict(
+            {
+                "type": "blinn",
+                "diffuse": texture,
+                "specular": START[0],
+                "shininess": START[1],
+            }
+        )
+        count = int(own.sum())
+        made = self.mi.Mesh(f"part{which}", 3 * count, count, properties, True, True)
+        arrays = self.mi.traverse(made)
+        arrays["vertex_positions"] = _flat(np.asarray(mesh.vertices)[corners])
+        arrays["vertex_normals"] = _flat(np.asarray(mesh.normals)[corners])
+        arrays["vertex_texcoords"] = _flat(np.asarray(mesh.uv)[own])
+        arrays["faces"] = np.arange(3 * count, dtype=np.uint32)
+        arrays.update()
+        return made
+
+    def _scene(self, scene: pf.Scene, parts: list[Any]) -> Any:
+        (lamp,) = scene.lights
+        assert isinstance(lamp, pf.DirectionalLight)
+        away = (-np.asarray(lamp.direction, float)).tolist()
+        strength = np.broadcast_to(np.asarray(lamp.intensity, float), 3).tolist()
+        light = {"type": "rgb", "value": strength}
+        return self.mi.load_dict(
+            {
+                "type": "scene",
+                "integrator": {
+                    "type": "direct",
+                    "emitter_samples": 1,
+                    "bsdf_samples": 0,
+                },
+                "lamp": {"type": "directional", "direction": away, "irradiance": light},
+                **{f"part{k}": part for k, part in enumerate(parts)},
+            }
+        )
+
+    def _camera(self, camera: Any) -> Any:
+        """A camera that looks through the middle of each pixel once."""
+        pose = pf.camera_to_world(camera, "mitsuba")
+        return self.mi.load_dict(
+            {
+                "type": "perspective",
+                "fov": float(camera.fov_y),
+                "fov_axis": "y",
+                "to_world": self.mi.ScalarTransform4f(pose.tolist()),
+                "film": {
+                    "type": "hdrfilm",
+                    "width": camera.width,
+                    "height": camera.height,
+                    "rfilter": {"type": "box"},
+                    "pixel_format": "rgb",
+                    "component_format": "float32",
+                },
+                "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
+            }
+        )
+
+    def picture(
+        self, which: int, texels: np.ndarray, few: np.ndarray
+    ) -> Float[np.ndarray, "height width 3"]:
+        """One of the scenes, of given texels, and ρ_s and f of each material."""
+        unknowns = self._unknowns()
+        unknowns["texels"] = self.mi.TensorXf(texels.astype(np.float32))
+        for name, values in zip(self.few, (few[:, 0], np.log(few[:, 1])), strict=True):
+            for k, value in enumerate(values):
+                unknowns[f"{name}{k}"] = self.mi.Float(float(value))
+        self._show(unknowns)
+        return np.array(self._render(which))
+
+    def _render(self, which: int) -> Any:
+        scene, camera = self.scenes[which], self.cameras[which]
+        return self.mi.render(scene, params=self.parameters, sensor=camera, spp=1)
+
+    def _unknowns(self) -> Any:
+        """Adam's, at its start."""
+        shape = self.dr.shape(self.parameters[self.texels])
+        unknowns = self.mi.ad.Adam(lr=RATE)
+        unknowns["texels"] = self.mi.TensorXf(np.full(shape, START[0], np.float32))
+        for name, value in zip(self.few, (START[0], np.log(START[1])), strict=True):
+            for k in range(len(self.few[name])):
+                unknowns[f"{name}{k}"] = self.mi.Float(float(value))
+        return unknowns
+
+    def _show(self, unknowns: Any) -> None:
+        self.parameters[self.texels] = unknowns["texels"]
+        for name, keys in self.few.items():
+            for k, key in enumerate(keys):
+                self.parameters[key] = unknowns[f"{name}{k}"]
+        self.parameters.update()
+
+    def descend(
+        self,
+        images: Sequence[np.ndarray],
+        near_enough: Callable[[np.ndarray], bool],
+        most: int,
+    ) -> Descent:
+        """Adam's steps on the mean square until the texels are near enough."""
+        dr, targets = self.dr, [self.mi.TensorXf(one) for one in images]
+        unknowns, seconds, steps = self._unknowns(), 0.0, 0
+        while steps < most:
+            begin = time.process_time()
+            for which, target in enumerate(targets):
+                # Anew for each: a gradient that was propagated leaves nothing behind.
+                self._show(unknowns)
+                shown = dr.minimum(self._render(which), 1)
+                dr.backward(dr.mean(dr.square(shown - target), axis=None))
+            unknowns.step()
+            unknowns["texels"] = dr.clip(unknowns["texels"], 0, 1)
+            for k in range(len(self.few["specular"])):
+                unknowns[f"specular{k}"] = dr.clip(unknowns[f"specular{k}"], 0, 1)
+            dr.eval(unknowns["texels"])
+            dr.sync_thread()
+            seconds += time.process_time() - begin
+            steps += 1
+            if steps % LOOK == 0 and near_enough(np.array(unknowns["texels"])):
+                break
+        specular, logarithm = (
+            [float(unknowns[f"{name}{k}"][0]) for k in range(len(keys))]
+            for name, keys in self.few.items()
+        )
+        few = np.stack([specular, np.exp(logarithm)], axis=-1)
+        return Descent(seconds, steps, np.array(unknowns["texels"]), few)
+
+
+def _flat(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, np.float32).ravel()
+
+
+def _blinn(mi: Any, dr: Any) -> Callable[[Any], Any]:
+    """Lambert and Blinn, not normalised, as [`BlinnPhong`][] has them."""
+
+    class Blinn(mi.BSDF):
+        def __init__(self, properties: Any):
+            mi.BSDF.__init__(self, properties)
+            self.diffuse = properties["diffuse"]
+            self.specular = mi.Float(properties["specular"])
+            self.logarithm = mi.Float(np.log(properties["shininess"]))
+            flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
+            self.m_components, self.m_flags = [flags], flags
+
+        def traverse(self, callback: Any) -> None:
+            for name in ("diffuse", "specular", "logarithm"):
+                own = getattr(self, name)
+                callback.put(name, own, mi.ParamFlags.Differentiable)
+
+        def sample(self, context: Any, point: Any, *rest: Any) -> Any:
+            del context, point, rest
+            return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
+
+        def eval(self, context: Any, point: Any, to_light: Any, active: Any) -> Any:
+            del context
+            cosine = dr.maximum(dr.normalize(point.wi + to_light).z, 1e-6)
+            lobe = dr.exp(dr.exp(self.logarithm) * dr.log(cosine))
+            matte = self.diffuse.eval(point, active) * to_light.z
+            lit = (to_light.z > 0) & active
+            return dr.select(lit, matte + self.specular * lobe, 0)
+
+        def pdf(self, context: Any, point: Any, to_light: Any, active: Any) -> Any:
+            del context, point, to_light, active
+            return mi.Float(0)
+
+        def eval_pdf(self, context: Any, point: Any, to_light: Any, active: Any) -> Any:
+            light = self.eval(context, point, to_light, active)
+            return light, mi.Float(0)
+
+    return Blinn

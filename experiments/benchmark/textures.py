@@ -1,0 +1,83 @@
+"""Texels of a mesh, and what its materials share, next to Adam through Mitsuba 3.
+
+The vase of [`experiments.textured_object`][]: a checkered diffuse texture, of two
+materials ρ_s and f; photographs of 8 bits with 1 % noise from eight places under two
+lamps each. Adam (learning rate 0.03) starts with mid-range reflectances and f = 8, and
+has come as far when its texels are as near the truth as those of the fit, within 5 %.
+`fit_texture` has no start, and gives errors as well. What is measured is the
+processor's time, which other programs on the machine disturb least. PyTorch3D has no
+wheel for present Pythons, nvdiffrast wants a GPU.
+"""
+
+import dataclasses
+import time
+
+import numpy as np
+
+import phongfit as pf
+from experiments.benchmark import texture_peers
+from experiments.textured_object import (
+    SMALL,
+    TRUTH,
+    Size,
+    checkered,
+    fit_texels,
+    photograph,
+    vase,
+    views,
+)
+
+MOST = 3000
+NEAR = 1.05
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One way to texels.
+
+    - `seconds`: of the processor; of Adam's steps alone.
+    - `error`: root mean square of texels less the true ones.
+    - `arrived`: whether that is as small as the fit's.
+    """
+
+    name: str
+    key: str
+    seconds: float
+    steps: int
+    error: float
+    arrived: bool
+
+
+def rows(size: Size = SMALL, most: int = MOST) -> list[Row]:
+    """The fit, and Adam through Mitsuba if that is there."""
+    mesh, true = vase(size.around, size.along), checkered(size.texels)
+    painted = mesh.with_textures(pf.Textures(diffuse=pf.Texture(true)))
+    images = [
+        photograph(scene, TRUTH, k) for k, scene in enumerate(views(painted, size))
+    ]
+    scenes = views(mesh, size)
+
+    fit_texels(scenes, images, size)
+    begin = time.process_time()
+    found = fit_texels(scenes, images, size)
+    taken = time.process_time() - begin
+    seen = found.seen[0] >= 3
+
+    def error(texels: np.ndarray) -> float:
+        return float(np.sqrt(np.mean((texels - true)[seen] ** 2)))
+
+    ours = error(found.values["diffuse"][0])
+    made = [Row("phongfit, `fit_texture`", "texture", taken, found.steps, ours, True)]
+    if texture_peers.is_there():
+        mitsuba = texture_peers.Mitsuba(scenes, size.texels)
+
+        def near_enough(texels: np.ndarray) -> bool:
+            return error(texels) <= NEAR * ours
+
+        # Compiles.
+        mitsuba.descend(images, near_enough, 2)
+        end = mitsuba.descend(images, near_enough, most)
+        last = error(end.texels)
+        adam = "Mitsuba 3, Adam", "mitsuba_adam", end.seconds, end.steps, last
+        made.append(Row(*adam, last <= NEAR * ours))
+    return made
