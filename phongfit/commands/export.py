@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from tyro.conf import Positional, arg
@@ -21,6 +21,7 @@ from phongfit.files.opengl_lines import write_opengl
 from phongfit.files.outputs import check_file
 from phongfit.files.scenes import load_scene
 from phongfit.files.texture_fits import MESH_FILE
+from phongfit.files.usd import SUFFIXES, write_usd
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.shapes import Ball
 from phongfit.geometry.surfaces import AbstractSurface, Sphere
@@ -29,7 +30,7 @@ from phongfit.maps.folder import RECORD_FILE
 from phongfit.material import Material, unstack_materials
 from phongfit.reflectance import AbstractSpecular, BlinnPhong
 
-Target = Literal["mtl", "gltf", "json", "opengl", "obj", "ply"]
+Target = Literal["mtl", "gltf", "usd", "json", "opengl", "obj", "ply"]
 
 BY_SUFFIX: dict[str, Target] = {
     ".mtl": "mtl",
@@ -40,6 +41,7 @@ BY_SUFFIX: dict[str, Target] = {
     ".c": "opengl",
     ".obj": "obj",
     ".ply": "ply",
+    **dict.fromkeys(SUFFIXES, "usd"),
 }
 
 MESHES = (".obj", ".ply", ".glb", ".gltf")
@@ -54,13 +56,16 @@ class Options:
         fit: A fit.json or the folder that holds it, preset:NAME, an .mtl, another .json
             of a material, the folder that `phongfit maps` made, or a mesh with its
             materials and textures: a file, or the folder of a fit of textures.
-        out: The file to write; for gltf .glb, or .gltf, which is text.
-        to: mtl: Wavefront's .mtl. gltf: glTF 2.0, on the scene's mesh. json: what
-            phongfit reads again. opengl: C lines of glMaterialfv. Of a mesh gltf and
-            obj, with an .mtl and textures beside it. Of maps also obj: the mesh of
-            their height, likewise, and ply: the mesh with colours. Default: what the
-            file's suffix says (.mtl; .glb, .gltf; .json; .h, .c; .obj; .ply).
-        scene: For gltf: a scene file whose mesh, or sphere, gets the material.
+        out: The file to write; for gltf .glb, or .gltf, which is text; for usd .usda,
+            which is text, .usd, .usdc, or .usdz, which holds textures, too.
+        to: mtl: Wavefront's .mtl. gltf: glTF 2.0, on the scene's mesh. usd: the same as
+            UsdPreviewSurface (pip install 'phongfit[usd]'). json: what phongfit reads
+            again. opengl: C lines of glMaterialfv. Of a mesh gltf, usd and obj, with an
+            .mtl and textures beside it. Of maps mtl, gltf, obj: the mesh of their
+            height, likewise, and ply: the mesh with colours. Default: what the file's
+            suffix says (.mtl; .glb, .gltf; .usda, .usd, .usdc, .usdz; .json; .h, .c;
+            .obj; .ply).
+        scene: For gltf and usd: a scene file whose mesh, or sphere, gets the material.
             Default: a sphere.
         nearest: Where the format cannot hold the material (colours above 1, an exponent
             above 1000 in .mtl or 128 in OpenGL, an exponent for each channel), write
@@ -72,7 +77,7 @@ class Options:
 
     fit: Annotated[Positional[str], arg(metavar="FIT")]
     out: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
-    to: Annotated[Target | None, optional("mtl|gltf|json|opengl|obj|ply")] = None
+    to: Annotated[Target | None, optional("mtl|gltf|usd|json|opengl|obj|ply")] = None
     scene: Annotated[Path | None, optional("FILE")] = None
     nearest: bool = False
     surface: bool = False
@@ -80,14 +85,14 @@ class Options:
 
 
 def main(options: Options) -> int:
-    """Write a material for other programs: .mtl, glTF, OpenGL, JSON.
+    """Write a material for other programs: .mtl, glTF, USD, OpenGL, JSON.
 
     All but json get Blinn's un-normalised model: Phong's exponents are multiplied by 4,
     GGX's and Ward's alpha becomes f = 2 / alpha^2 - 2. glTF knows another one:
     roughness = (2 / (f + 2))^(1/4), F0 = 8 rho_s / (f + 2) by KHR_materials_specular,
     metallic 0; the exact numbers stand in its extras. Its highlight differs from
     Blinn's by up to 0.16 of the peak, from GGX's by what Fresnel's law takes of the
-    diffuse light. Maps
+    diffuse light. USD has the same numbers, with F0 as the specular colour. Maps
     become texture images: beside an .mtl; inside a glTF file, on a rectangle with their
     normals, or on the mesh of their height (--surface; .obj and .ply always). A
     highlight that is 0 within its error is 0 there, and what a pixel does not identify
@@ -100,11 +105,14 @@ def main(options: Options) -> int:
       phongfit export out/maps -o out/maps.glb
       phongfit export out/maps -o out/coin.obj
       phongfit export cup.obj -o out/cup.glb
+      phongfit export out/fit -o out/brass.usda
     """
     check_file(options.out)
     to = _target(options)
-    if options.scene is not None and to != "gltf":
-        raise ValueError(f"scene: expected none, since {to} holds no shape; gltf does")
+    if options.scene is not None and to not in ("gltf", "usd"):
+        raise ValueError(
+            f"scene: expected none, since {to} holds no shape; gltf and usd do"
+        )
     try:
         with sparing(options.out):
             written = _export(options, to)
@@ -167,18 +175,17 @@ def _export_mesh(mesh: Path, options: Options, to: Target) -> str:
     for name in ("scene", "surface", "distance"):
         if getattr(options, name):
             raise ValueError(f"{name}: expected none, since {mesh} is a mesh")
-    if to not in ("gltf", "obj"):
-        raise ValueError(f"to: expected gltf or obj for a mesh, got {to}")
+    if to not in ("gltf", "usd", "obj"):
+        raise ValueError(f"to: expected gltf, usd or obj for a mesh, got {to}")
     loaded = load_mesh(mesh)
     save_mesh(options.out, *loaded, nearest=options.nearest)
     return f"{mesh.name}, {len(loaded.names)} materials"
 
 
 def _check_maps(folder: Path, options: Options, to: Target) -> None:
-    if to in ("json", "opengl"):
+    if to in ("json", "opengl", "usd"):
         raise ValueError(
-            f"to: {to} holds one material, {folder} holds maps; mtl and gltf "
-            "know textures"
+            f"to: expected mtl, gltf, obj or ply for the maps in {folder}, got {to}"
         )
     if options.scene is not None:
         raise ValueError("scene: expected none, since maps lie on their picture")
@@ -225,7 +232,7 @@ def _single(job: Job) -> str:
     if len(job.given) != 1:
         raise ValueError(
             f"to: expected one material for {job.to}, got {len(job.given)}; "
-            "mtl and gltf hold several"
+            "mtl, gltf and usd hold several"
         )
     return job.names[0]
 
@@ -240,6 +247,15 @@ def _write_opengl(job: Job) -> None:
 
 
 def _write_gltf(job: Job) -> None:
+    write_gltf(job.options.out, _on_surface(job))
+
+
+def _write_usd(job: Job) -> None:
+    write_usd(job.options.out, _on_surface(job), nearest=job.options.nearest)
+
+
+def _on_surface(job: Job) -> list[tuple[Part, dict[str, Any]]]:
+    """The scene's surface, or a sphere, in parts, each with its material."""
     scene = job.options.scene
     surface = Sphere() if scene is None else load_scene(scene).surface
     parts = surface_parts(surface)
@@ -254,12 +270,13 @@ def _write_gltf(job: Job) -> None:
     ]
     if len(materials) == 1:
         materials *= len(parts)
-    write_gltf(job.options.out, list(zip(parts, materials, strict=True)))
+    return list(zip(parts, materials, strict=True))
 
 
 _WRITERS: dict[Target, Callable[[Job], None]] = {
     "mtl": _write_mtl,
     "gltf": _write_gltf,
+    "usd": _write_usd,
     "json": _write_json,
     "opengl": _write_opengl,
 }

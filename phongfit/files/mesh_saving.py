@@ -29,6 +29,7 @@ from phongfit.files.limits import exponent, limited, lost
 from phongfit.files.mesh_writing import lines, write_ply
 from phongfit.files.mtl import COLOURS, mtl_block
 from phongfit.files.outputs import replacing_files
+from phongfit.files.usd import SUFFIXES, write_usd
 from phongfit.geometry.meshes import Mesh
 from phongfit.material import Material, unstack_materials
 from phongfit.rendering.film import NamedEncoding, encode
@@ -66,12 +67,14 @@ def save_mesh(
     rounding of 16-bit pictures. glTF has no place for ambient light: textures of it are
     left out, and the numbers stand in `extras`. Of vertices it has all: colours, which
     others show, and in attributes of our own the rest. OBJ has colours of vertices that
-    multiply ρ_d and ρ_a alike. PLY has nothing but such colours: they are ρ_d.
+    multiply ρ_d and ρ_a alike. PLY has nothing but such colours: they are ρ_d. USD is
+    for others: [`load_mesh`][] does not read it.
 
     **Arguments:**
 
     - `path`: `.obj`, which gets an `.mtl` and the pictures beside it, `.glb`, `.gltf`
-        or `.ply`.
+        or `.ply`; with `pip install 'phongfit[usd]'` also `.usda`, `.usd`, `.usdc`,
+        with pictures beside them, or `.usdz`.
     - `material`: of all faces, or with a row for each of the mesh's materials. Textures
         of the mesh multiply it.
     - `names`: of the materials; default `material0`, `material1`, …
@@ -83,8 +86,10 @@ def save_mesh(
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix not in (".obj", ".glb", ".gltf", ".ply"):
-        raise ValueError(f"{path}: expected .obj, .glb, .gltf or .ply, got {suffix!r}")
+    if suffix not in (".obj", ".glb", ".gltf", ".ply", *SUFFIXES):
+        raise ValueError(
+            f"{path}: expected .obj, .glb, .gltf, .ply or .usda, got {suffix!r}"
+        )
     own = _apart(mesh, material, names)
     if suffix == ".obj":
         _write_obj(path, mesh, own, nearest)
@@ -92,7 +97,10 @@ def save_mesh(
         _write_ply(path, mesh, own, nearest)
     else:
         parts = [(_part(mesh, one), _gltf_material(one, nearest)) for one in own]
-        write_gltf(path, parts)
+        if suffix in SUFFIXES:
+            write_usd(path, parts, nearest=nearest)
+        else:
+            write_gltf(path, parts)
 
 
 def _apart(mesh: Mesh, material: Material, names: Sequence[str] | None) -> list[_Own]:
