@@ -5,7 +5,8 @@ One RGB image of a ball, 1 % noise, ten unknowns. All ways take turns in one pro
 - phongfit: the whole of `pf.fit`, from arrays to error bars, without a starting guess;
   and of it the search for the solution alone, which is what the others do;
 - stock Levenberg-Marquardt of optimistix on the same residuals, from f = 8, with its
-  default linear solver and with normal equations;
+  default linear solver, also with OpenBLAS on one thread, which suits that better, and
+  with normal equations;
 - Adam as differentiable renderers use it (learning rate 0.03, from f = 8), until f has
   come within 1e-3 of the answer: optax's, compiled into one loop, and PyTorch's;
 - lmfit's `leastsq`, from f = 8 in the same box, errors included.
@@ -150,6 +151,9 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
             lambda: stock(problem, y, lx.Normal(lx.Cholesky())),
         ),
     }
+    one = "LM with OpenBLAS on one thread"
+    if installed("threadpoolctl", one, "pip install phongfit[benchmark]", console):
+        ways["lm_one"] = f"optimistix {one}", on_one_thread(ways["lm"][1])
     rate = f"rate {ADAM_RATE}, to 1e-3 in f"
     if installed("optax", "Adam", "pip install phongfit[benchmark]", console):
         ways["adam"] = f"Adam (optax), {rate}", adam(problem, y, answer)
@@ -168,7 +172,7 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
         seconds, result = found[key]
         if key in ("fit", "search"):
             end, steps = answer, result.steps
-        elif key in ("lm", "lm_normal"):
+        elif key in ("lm", "lm_one", "lm_normal"):
             end, steps = result.value, result.stats["num_steps"]
         else:
             end, steps = result
@@ -177,6 +181,17 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
         return Row(ways[key][0], key, seconds, int(steps), off)
 
     return [row(key) for key in ways]
+
+
+def on_one_thread(work: Callable[[], Any]) -> Callable[[], Any]:
+    """The same while OpenBLAS, which factorises matrices for JAX, has one thread."""
+    from threadpoolctl import threadpool_limits
+
+    def limited() -> Any:
+        with threadpool_limits(1, user_api="blas"):
+            return jax.block_until_ready(work())
+
+    return limited
 
 
 def installed(module: str, name: str, cure: str, console: Console) -> bool:

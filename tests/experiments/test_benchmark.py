@@ -55,6 +55,19 @@ def test_all_ways_end_at_one_answer():
         assert ratio.value == pytest.approx(seconds[theirs] / seconds[ours])
 
 
+def test_a_peer_has_one_thread():
+    """The one that factorises matrices with OpenBLAS, as long as it works."""
+    threadpoolctl = pytest.importorskip("threadpoolctl")
+
+    def threads() -> list[int]:
+        pools = threadpoolctl.threadpool_info()
+        return [one["num_threads"] for one in pools if one["user_api"] == "blas"]
+
+    before = threads()
+    assert before and set(single.on_one_thread(threads)()) == {1}
+    assert threads() == before
+
+
 def test_the_start_is_the_peers():
     scene, image = single.target(24)
     problem = fit(scene, image).solution.problem
