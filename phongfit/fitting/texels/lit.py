@@ -14,6 +14,7 @@ from phongfit.fitting.problem.inputs import Observation
 from phongfit.fitting.problem.noise import clipped_moments, rounding_steps
 from phongfit.fitting.texels.sums import AbstractTexels, Touched
 from phongfit.geometry.meshes import Mesh
+from phongfit.memory import give_back
 from phongfit.programs import program
 from phongfit.rendering.film import Film
 from phongfit.rendering.pixels import PixelTerms, resolve
@@ -75,7 +76,9 @@ class Photographs:
         """One of them, from before or traced anew."""
         if k in self.kept:
             return self.kept[k]
+        give_back()
         found = see(self.given[k], self.films[k], self.grid, self.every)
+        give_back()
         if found.bytes + sum(one.bytes for one in self.kept.values()) <= self.room:
             self.kept[k] = found
         return found
