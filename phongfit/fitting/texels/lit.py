@@ -29,6 +29,10 @@ ROOM = 150_000_000
 """Bytes of what is traced that are kept; the rest is traced again for each sum."""
 
 
+LARGE = 10_000_000
+"""Bytes of a photograph around which freed memory is given back: it takes a while."""
+
+
 class LitImage(NamedTuple):
     """One photograph's samples: n pixels of three channels.
 
@@ -76,9 +80,13 @@ class Photographs:
         """One of them, from before or traced anew."""
         if k in self.kept:
             return self.kept[k]
-        give_back()
+        large = self.given[k].image.nbytes >= LARGE
+        # What the one before left, and what tracing leaves.
+        if large:
+            give_back()
         found = see(self.given[k], self.films[k], self.grid, self.every)
-        give_back()
+        if large:
+            give_back()
         if found.bytes + sum(one.bytes for one in self.kept.values()) <= self.room:
             self.kept[k] = found
         return found
