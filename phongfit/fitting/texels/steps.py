@@ -176,7 +176,7 @@ def make_system(job: Job, state: State, sigma: float) -> System:
         solved = matrix.solve(mixed, TOLERANCE, own)
         shared = job.of_system(s)
         information[np.ix_(shared, shared)] -= _products(mixed, solved, own)
-        eliminated.append(solved.astype(job.dtype))
+        eliminated.append(solved.astype(job.dtype, copy=False))
         del matrix
     information = (information + information.T) / 2
     freedom = _freedom(job, sums.left, sum(taken))
@@ -226,14 +226,16 @@ def step(
         solved = matrix.solve(mixed, TOLERANCE, free[s])
         shared = job.of_system(s)
         information[np.ix_(shared, shared)] -= _products(mixed, solved, free[s])
-        few_right[shared] -= solved.T @ right[s]
-        eliminated.append(solved.astype(job.dtype))
+        few_right[shared] -= _products(solved, right[s][:, None], free[s])[:, 0]
+        eliminated.append(solved.astype(job.dtype, copy=False))
         del matrix
     information = (information + information.T) / 2
     change = _few_change(job, state, information, few_right)
     vectors = []
     for s, (own, move) in enumerate(zip(job.vectors(state), moves, strict=True)):
-        move -= eliminated[s] @ change[job.of_system(s)]
+        # In the photographs' precision: else a copy is made of what is large.
+        by = change[job.of_system(s)].astype(job.dtype)
+        move -= eliminated[s] @ by
         vectors.append(np.clip(own + move, *job.bounds(state)))
     numbers = {name: value.copy() for name, value in state.numbers.items()}
     for one, by in zip(job.few, change, strict=True):
