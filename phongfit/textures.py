@@ -56,6 +56,10 @@ class AbstractTexture(eqx.Module):
         """Other numbers in the same places."""
         return eqx.tree_at(lambda one: one.values, self, jnp.asarray(values))
 
+    def of_ones(self) -> "AbstractTexture":
+        """The number 1 in the same places."""
+        return self.with_values(jnp.ones((*self.values.shape[:-1], 1)))
+
 
 class Texture(AbstractTexture):
     """An image on a surface: numbers between the texels are interpolated, or not."""

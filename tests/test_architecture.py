@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 ORDER = [
     {"codes"},
     {"cache"},
-    {"edge", "plain", "programs"},
+    {"edge", "memory", "plain", "programs"},
     {"checks", "vectors"},
     {"presets"},
     {"material", "reflectance", "lights", "environment", "testing", "textures"},

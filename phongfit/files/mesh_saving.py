@@ -366,7 +366,7 @@ def _gltf_material(own: _Own, nearest: bool) -> dict[str, Any]:
         pbr["metallicRoughnessTexture"] = picture(textures.shininess, values, "linear")
         if textures.specular is None:
             # glTF's colour for a ρ_s depends on f, and so is each texel's own.
-            same = textures.shininess.with_values(np.ones((*f.shape[:2], 1)))
+            same = textures.shininess.of_ones()
             textures = dataclasses.replace(textures, specular=same)
     if textures.specular is not None:
         _tint(made, own._replace(textures=textures), f, picture, nearest)

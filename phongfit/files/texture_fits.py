@@ -87,7 +87,7 @@ def _blinn_textures(own: Textures, model: AbstractSpecular) -> Textures:
     if (factor == 1).all():
         return dataclasses.replace(own, shininess=made)
     if rho is None:
-        rho = f.with_values(np.ones_like(factor))
+        rho = f.of_ones()
     if rho.values.shape[:-1] != factor.shape[:-1]:
         lost("specular: its texture is not as large as the exponent's", nearest=True)
         factor = np.exp(np.log(factor).mean())

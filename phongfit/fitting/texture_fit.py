@@ -21,7 +21,7 @@ from phongfit.fitting.texels.judged import judge
 from phongfit.fitting.texels.lit import BASIS, Photographs, without
 from phongfit.fitting.texels.result import TextureFit
 from phongfit.fitting.texels.steps import find_start, solve
-from phongfit.fitting.texels.sums import AbstractTexels, Grid, smoothness_matrix
+from phongfit.fitting.texels.sums import AbstractTexels, Grid
 from phongfit.fitting.texels.vertices import Vertices, as_mesh
 from phongfit.material import Material
 from phongfit.rendering.film import Film, as_films
@@ -129,7 +129,7 @@ def fit_texture(
         names,
         few,
         films[0].clamp,
-        None if smoothness is None else smoothness_matrix(grid, 1, smoothness),
+        None if smoothness is None else 1 / smoothness**2,
         # Residuals below it are rounding of the arithmetic, or of no matter.
         max(float(arithmetic_floor(jnp.asarray(one.used()))) for one in observed)
         if noise is None

@@ -10,7 +10,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting import texture_fit
-from phongfit.fitting.texels import steps
+from phongfit.fitting.texels import equations, lit, steps
 from phongfit.fitting.texels.lit import Photographs
 from tests.helpers import near
 from tests.test_textures import plate
@@ -221,6 +221,16 @@ def test_photographs_that_are_not_kept_are_traced_again(monkeypatch):
     near(again.stderr["diffuse"], kept.stderr["diffuse"], 0)
 
 
+def test_memory_goes_back_around_large_photographs_alone(monkeypatch):
+    images, calls = photographs(painted(diffuse=TRUE), SHINY), []
+    monkeypatch.setattr(lit, "give_back", lambda: calls.append(0))
+    fitted(images, max_steps=1)
+    assert not calls
+    monkeypatch.setattr(lit, "LARGE", images[0].nbytes)
+    fitted(images, max_steps=1)
+    assert len(calls) == 2 * len(images)
+
+
 def test_one_matrix_is_there_at_a_time(monkeypatch):
     make, made = steps.make_matrix, []
 
@@ -235,6 +245,20 @@ def test_one_matrix_is_there_at_a_time(monkeypatch):
     monkeypatch.setattr(steps, "is_like_last", lambda *args: False)
     fitted(photographs(painted(diffuse=TRUE), SHINY))
     assert len(made) > 3
+
+
+def test_many_texels_are_found_as_few_are(monkeypatch):
+    images = photographs(painted(diffuse=TRUE), SHINY)
+    few = fitted(images, smoothness=0.2)
+    monkeypatch.setattr(equations, "DIRECT", 0)
+    many = fitted(images, smoothness=0.2)
+    errors = few.stderr["diffuse"]
+    away = abs(many.values["diffuse"] - few.values["diffuse"]) / errors
+    assert away[np.isfinite(errors)].max() < 0.05
+    near(many.stderr["diffuse"] / errors, np.ones_like(errors), 0.1)
+    for one, other in zip(many.shared, few.shared, strict=True):
+        assert abs(one.value - other.value) < 0.01 * other.stderr
+        near(one.stderr, other.stderr, 0.01 * other.stderr)
 
 
 def test_a_fit_starts_from_some_of_many_pixels(monkeypatch):

@@ -4,24 +4,34 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import sparse
 
 from phongfit.fitting.texels.job import PRIOR, Job, State
 from phongfit.fitting.texels.lit import BASIS, Basis, LitImage, basis, shown
-from phongfit.fitting.texels.solve import Preconditioned, precondition, rescale
+from phongfit.fitting.texels.solve import (
+    DIRECT,
+    AbstractSystem,
+    precondition,
+    rescale,
+)
+from phongfit.fitting.texels.stencil import make_stencil
 from phongfit.fitting.texels.sums import Touched
+
+Blocks = dict[tuple[int, int], np.ndarray]
+"""Sums of samples' products for each pair of fields p ≤ q that they couple."""
 
 
 class Left(NamedTuple):
     """What the light of a state leaves of the photographs, in standard deviations.
 
     `cost` is the sum of squares, `squares` that of the samples that are not clipped,
-    and `counted` how many these are.
+    and `counted` how many these are. `around` is the sum of squares of the samples that
+    see a texel, where texels have exponents of their own.
     """
 
     cost: float
     squares: float
     counted: int
+    around: np.ndarray | None = None
 
 
 class Sums(NamedTuple):
@@ -32,7 +42,7 @@ class Sums(NamedTuple):
     there are any. A sample's f is the mean of its texels', as in a render.
     """
 
-    blocks: list[dict[tuple[int, int], np.ndarray]]
+    blocks: list[Blocks]
     right: list[np.ndarray]
     mixed: list[np.ndarray]
     dense: np.ndarray
@@ -77,6 +87,7 @@ def costs(job: Job, state: State, sigma: float) -> Float[np.ndarray, " materials
     for image in job.images:
         left = compare(job, image, state, _nearest(image.touched), sigma).left
         total += np.bincount(image.material, (left**2).sum(axis=1), len(total))
+        del image, left
     return total
 
 
@@ -85,61 +96,105 @@ def sum_up(job: Job, state: State, sigma: float, nearest: bool = False) -> Sums:
 
     **Arguments:** `nearest`: as if each sample saw one texel, the nearest.
     """
-    texels, systems, few = job.grid.texels, job.systems, job.few
-    blocks: list[dict[tuple[int, int], np.ndarray]] = [{} for _ in systems]
-    right = [np.zeros(len(fields) * texels) for fields in systems]
+    sums = _no_sums(job)
+    for image in job.images:
+        touched = _nearest(image.touched) if nearest else image.touched
+        left = _add_image(sums, job, image, state, touched, sigma)
+        sums = sums._replace(left=left)
+        # It goes before the next one is traced.
+        del image, touched
+    if "shininess" not in job.names:
+        return sums
+    assert state.exponents is not None
+    unit = np.concatenate([np.ones(state.texels.size), np.exp(state.exponents)])
+    sums.right[0] *= unit
+    sums.mixed[0] *= unit[:, None].astype(job.dtype)
+    return sums._replace(unit=unit)
+
+
+def _no_sums(job: Job) -> Sums:
+    """Of no image yet."""
+    texels, few = job.grid.texels, len(job.few)
+    right = [np.zeros(len(fields) * texels) for fields in job.systems]
     # Columns: rows of a few numbers each would be gathered for every product.
     mixed = [
         np.zeros((len(own), len(job.of_system(s))), job.dtype, "F")
         for s, own in enumerate(right)
     ]
-    dense, few_right = np.zeros((len(few), len(few))), np.zeros(len(few))
-    cost, squares, count = 0.0, 0.0, 0
-    for image in job.images:
-        touched = _nearest(image.touched) if nearest else image.touched
-        parts, left, gain, free = compare(job, image, state, touched, sigma)
-        cost += float((left**2).sum())
-        squares += float((left**2)[free].sum())
-        count += int(np.count_nonzero(free))
-        for c in range(3):
-            at = parts, state, job, image, touched, c
-            others = {}
-            for k in job.of_channel(c):
-                own = image.material == few[k].material
-                others[k] = np.where(own, _growth(few[k].name, *at), 0) * gain[:, c]
-            for k, other in others.items():
-                few_right[k] += other @ left[:, c]
-                for m, beside in others.items():
-                    dense[k, m] += other @ beside
-            if not systems:
+    around = np.zeros(texels) if "shininess" in job.names else None
+    return Sums(
+        [{} for _ in job.systems],
+        right,
+        mixed,
+        np.zeros((few, few)),
+        np.zeros(few),
+        Left(0.0, 0.0, 0, around),
+        None,
+    )
+
+
+def _add_image(
+    sums: Sums, job: Job, image: LitImage, state: State, touched: Touched, sigma: float
+) -> Left:
+    """Add one image's samples to arrays in their place; what is left of all so far."""
+    parts, left, gain, free = compare(job, image, state, touched, sigma)
+    for c in range(3):
+        at = parts, state, job, image, touched, c
+        others = {}
+        for k in job.of_channel(c):
+            own = image.material == job.few[k].material
+            others[k] = np.where(own, _growth(job.few[k].name, *at), 0) * gain[:, c]
+        for k, other in others.items():
+            sums.few_right[k] += other @ left[:, c]
+            for m, beside in others.items():
+                sums.dense[k, m] += other @ beside
+        if not job.systems:
+            continue
+        s = job.system_of(c)
+        columns = {
+            p: _growth(field.name, *at) * gain[:, c]
+            for p, field in enumerate(job.systems[s])
+            if field.channel in (None, c)
+        }
+        _add_texels(sums, job, s, touched, columns, left[:, c], others)
+    before, squares = sums.left, left**2
+    if before.around is not None:
+        before.around[:] += _around(touched, squares.sum(axis=1), job.grid.texels)
+    return Left(
+        before.cost + float(squares.sum()),
+        before.squares + float(squares[free].sum()),
+        before.counted + int(np.count_nonzero(free)),
+        before.around,
+    )
+
+
+def _add_texels(
+    sums: Sums,
+    job: Job,
+    system: int,
+    touched: Touched,
+    columns: dict[int, np.ndarray],
+    left: np.ndarray,
+    others: dict[int, np.ndarray],
+) -> None:
+    """Add one channel's samples to a system's sums.
+
+    **Arguments:** how light grows with fields (`columns`) and with shared numbers
+    (`others`), by their numbers.
+    """
+    texels, shared, blocks = job.grid.texels, job.of_system(system), sums.blocks[system]
+    for p, column in columns.items():
+        span = slice(p * texels, (p + 1) * texels)
+        sums.right[system][span] += touched.scattered(column * left, texels)
+        for k, other in others.items():
+            products = touched.scattered(column * other, texels)
+            sums.mixed[system][span, shared.index(k)] += products
+        for q, beside in columns.items():
+            if q < p:
                 continue
-            s = job.system_of(c)
-            shared = job.of_system(s)
-            columns = {
-                p: _growth(field.name, *at) * gain[:, c]
-                for p, field in enumerate(systems[s])
-                if field.channel in (None, c)
-            }
-            for p, column in columns.items():
-                span = slice(p * texels, (p + 1) * texels)
-                right[s][span] += touched.scattered(column * left[:, c], texels)
-                for k, other in others.items():
-                    products = touched.scattered(column * other, texels)
-                    mixed[s][span, shared.index(k)] += products
-                for q, beside in columns.items():
-                    if q < p:
-                        continue
-                    if (p, q) not in blocks[s]:
-                        blocks[s][p, q] = np.zeros((touched.offsets, texels), job.dtype)
-                    touched.add_products(column * beside, blocks[s][p, q])
-    unit = None
-    if "shininess" in job.names:
-        assert state.exponents is not None
-        unit = np.concatenate([np.ones(state.texels.size), np.exp(state.exponents)])
-        right[0] *= unit
-        mixed[0] *= unit[:, None].astype(job.dtype)
-    left = Left(cost, squares, count)
-    return Sums(blocks, right, mixed, dense, few_right, left, unit)
+            if (p, q) not in blocks:
+                blocks[p, q] = np.zeros((touched.offsets, texels), job.dtype)
+            touched.add_products(column * beside, blocks[p, q])
 
 
 def _nearest(touched: Touched) -> Touched:
@@ -196,32 +251,53 @@ def _growth(
 def is_like_last(sums: Sums, system: int) -> bool:
     """Whether a system's texels have the matrix of the system before."""
     own, last = sums.blocks[system], sums.blocks[system - 1]
-    return system > 0 and all(np.allclose(own[k], last[k], rtol=1e-6) for k in own)
+    # Row by row: most systems differ in the first, and the others need not be compared.
+    return system > 0 and all(
+        np.allclose(row, other, rtol=1e-6)
+        for k in own
+        for row, other in zip(own[k], last[k], strict=True)
+    )
 
 
 def make_matrix(
     job: Job, sums: Sums, system: int, damping: np.ndarray | None = None
-) -> Preconditioned:
+) -> AbstractSystem:
     """A system's texels' matrix with their prior, ready to be solved.
 
     **Arguments:** `damping`: of each texel's exponent, relative to its information.
     """
     fields, prior = len(job.systems[system]), 1 / PRIOR[1] ** 2
-    if sums.unit is None:
-        matrix = job.grid.matrix(sums.blocks[system], fields, prior)
+    blocks, unit = sums.blocks[system], sums.unit
+    if unit is None:
+        known = prior
     else:
-        known = prior / sums.unit**2
+        known = prior / unit**2
         if damping is not None:
             own = slice((fields - 1) * job.grid.texels, None)
-            known[own] += damping * (
-                sums.blocks[0][fields - 1, fields - 1][0] + known[own]
-            )
-        matrix = job.grid.matrix(sums.blocks[system], fields, known)
-        rescale(matrix, sums.unit)
+            known[own] += damping * (blocks[fields - 1, fields - 1][0] + known[own])
     if job.smoothness is not None:
-        smooth = sparse.block_diag([job.smoothness] * fields)
-        matrix = sparse.csr_array(matrix + smooth)
+        blocks = _smoothed(job, blocks, unit)
+    if job.grid.regular and fields * job.grid.texels > DIRECT:
+        return make_stencil(blocks, job.grid.shape, known, unit)
+    matrix = job.grid.matrix(blocks, fields, known)
+    if unit is not None:
+        rescale(matrix, unit)
     return precondition(matrix)
+
+
+def _smoothed(job: Job, blocks: Blocks, unit: np.ndarray | None) -> Blocks:
+    """Sums with what is expected between neighbours, which is of log f."""
+    smoothed, count = {}, job.grid.texels
+    for (p, q), block in blocks.items():
+        # Where each sample sees one texel, there are no sums of neighbours yet.
+        whole = np.zeros((job.grid.slots, count))
+        if p == q:
+            own = slice(p * count, (p + 1) * count)
+            scale = np.ones(count) if unit is None else 1 / unit[own]
+            whole = job.grid.differences(scale) * job.smoothness
+        whole[: len(block)] += block
+        smoothed[p, q] = whole
+    return smoothed
 
 
 def expected_differences(job: Job, texels: np.ndarray) -> np.ndarray | float:
@@ -229,7 +305,8 @@ def expected_differences(job: Job, texels: np.ndarray) -> np.ndarray | float:
     if job.smoothness is None:
         return 0.0
     apart = texels.reshape(-1, job.grid.texels)
-    return (job.smoothness @ apart.T).T.ravel()
+    each = [job.grid.from_neighbours(own) for own in apart]
+    return job.smoothness * np.concatenate(each)
 
 
 def right_sides(job: Job, sums: Sums, state: State) -> list[np.ndarray]:
@@ -252,18 +329,27 @@ class Cost(NamedTuple):
     around: Float[np.ndarray, " texels"]
 
 
+def _around(touched: Touched, squares: np.ndarray, texels: int) -> np.ndarray:
+    """Sums of the samples that see each texel, however little of it."""
+    sees = (touched.weight > 0).astype(squares.dtype)
+    return touched._replace(weight=sees).scattered(squares, texels)
+
+
 def cost_of(job: Job, state: State, sigma: float) -> Cost:
     """What is minimised, as a whole and texel by texel."""
-    count = job.grid.texels
-    whole, around = 0.0, np.zeros(count)
+    whole, around = 0.0, np.zeros(job.grid.texels)
     for image in job.images:
         left = compare(job, image, state, image.touched, sigma).left
         squares = (left**2).sum(axis=1)
         whole += float(squares.sum())
-        sees = (image.touched.weight > 0).astype(squares.dtype)
-        around += image.touched._replace(weight=sees).scattered(squares, count)
+        around += _around(image.touched, squares, job.grid.texels)
+    return with_known(job, state, whole, around)
+
+
+def with_known(job: Job, state: State, whole: float, around: np.ndarray) -> Cost:
+    """Squares of the photographs, with those of what is known before."""
     for own, mean in zip(job.vectors(state), job.expected(state), strict=True):
         known = ((own - mean) / PRIOR[1]) ** 2 + own * expected_differences(job, own)
         whole += float(known.sum())
-        around += known.reshape(-1, count).sum(axis=0)
+        around = around + known.reshape(-1, job.grid.texels).sum(axis=0)
     return Cost(whole, around)

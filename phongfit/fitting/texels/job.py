@@ -4,7 +4,6 @@ import dataclasses
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import sparse
 
 from phongfit.fitting.texels.lit import Photographs
 from phongfit.fitting.texels.sums import AbstractTexels
@@ -56,13 +55,17 @@ class State(NamedTuple):
 
 @dataclasses.dataclass
 class Job:
-    """What is asked, and of what."""
+    """What is asked, and of what.
+
+    **Arguments:** `smoothness`: inverse variance of what is expected between
+    neighbours.
+    """
 
     images: Photographs
     names: tuple[str, ...]
     few: list[Few]
     clamp: bool
-    smoothness: sparse.csr_array | None
+    smoothness: float | None
     floor: float
     lossy: bool
 

@@ -1,5 +1,6 @@
 """Sparse symmetric systems of texels: solved, and the diagonal of their inverses."""
 
+import abc
 import dataclasses
 import functools
 from typing import Any
@@ -37,9 +38,35 @@ PATIENCE = 150
 """Steps of conjugate gradients that are tried before."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Preconditioned:
+class AbstractSystem(abc.ABC):
     """A positive definite matrix, scaled to a diagonal of 1, and by what."""
+
+    scale: Float[np.ndarray, " n"]
+
+    @abc.abstractmethod
+    def solve(
+        self,
+        right: Float[np.ndarray, "n k"],
+        tolerance: float,
+        free: Bool[np.ndarray, " n"] | None = None,
+    ) -> Float[np.ndarray, "n k"]:
+        """The solution for k right-hand sides.
+
+        **Arguments:** `free`: the others stay 0, as if they were known.
+        """
+
+    @abc.abstractmethod
+    def variances(self) -> Float[np.ndarray, " n"] | None:
+        """The diagonal of the inverse, if the matrix is small enough to be inverted."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Preconditioned(AbstractSystem):
+    """A matrix that is solved by conjugate gradients, or by its factors.
+
+    Few steps do where photographs tell each texel apart; where they do not, factors, if
+    there is room for them.
+    """
 
     matrix: sparse.csr_array
     scale: Float[np.ndarray, " n"]
@@ -55,13 +82,6 @@ class Preconditioned:
         tolerance: float,
         free: Bool[np.ndarray, " n"] | None = None,
     ) -> Float[np.ndarray, "n k"]:
-        """The solution for k right-hand sides.
-
-        By conjugate gradients, of which few steps do where photographs tell each texel
-        apart; where they do not, by factors, if there is room for them.
-
-        **Arguments:** `free`: the others stay 0, as if they were known.
-        """
         count, sides = right.shape
         together = at_once(count)
         if sides > together:
@@ -88,6 +108,11 @@ class Preconditioned:
         if info and direct:
             found = self._direct(scaled, None if whole else kept)
         return found * (self.scale * kept)[:, None]
+
+    def variances(self) -> Float[np.ndarray, " n"] | None:
+        if len(self.scale) > EXACT:
+            return None
+        return np.diag(np.linalg.inv(self.matrix.toarray())) * self.scale**2
 
     def _direct(self, scaled: np.ndarray, kept: np.ndarray | None) -> np.ndarray:
         if kept is None:
@@ -122,10 +147,10 @@ def rescale(matrix: sparse.csr_array, scale: Float[np.ndarray, " n"]) -> None:
 
 
 def inverse_diagonal(
-    system: Preconditioned,
+    system: AbstractSystem,
     grid: AbstractTexels,
     parameters: int,
-    tolerance: float = 1e-3,
+    tolerance: float = 1e-2,
 ) -> Float[np.ndarray, " n"]:
     r"""The diagonal of the inverse: exactly if small, else by probing.
 
@@ -137,9 +162,9 @@ def inverse_diagonal(
         Tang and Saad, *A probing method for computing the diagonal of a matrix
         inverse*, Numer. Linear Algebra Appl. 19(3), 2012.
     """
-    count = len(system.scale)
-    if count <= EXACT:
-        return np.diag(np.linalg.inv(system.matrix.toarray())) * system.scale**2
+    count, exact = len(system.scale), system.variances()
+    if exact is not None:
+        return exact
     own = grid.colours()
     kinds = int(own.max()) + 1
     colour = np.concatenate([own + p * kinds for p in range(parameters)])

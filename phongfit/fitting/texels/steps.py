@@ -25,18 +25,19 @@ from phongfit.fitting.texels.equations import (
     make_matrix,
     right_sides,
     sum_up,
+    with_known,
 )
 from phongfit.fitting.texels.job import EXPONENTS, PRIOR, Job, State
-from phongfit.fitting.texels.solve import Preconditioned, at_once, inverse_diagonal
+from phongfit.fitting.texels.solve import AbstractSystem, at_once, inverse_diagonal
 
 SCAN = np.geomspace(2.0, 700.0, 11)
 """Exponents among which a fit starts, each with the texels that suit it best."""
 
-TOLERANCE = 1e-5
+TOLERANCE = 1e-3
 """Of the sparse solves, relative to their right-hand sides."""
 
 PROBES = 8
-"""Random vectors that the trace of a large matrix is estimated from."""
+"""Random vectors that the trace of a matrix is estimated from, at the most."""
 
 LEAST = 1e-7
 """Eigenvalue of the shared numbers' scaled information that none is identified by."""
@@ -49,7 +50,7 @@ SETTLED = 0.05
 """How far texels' log f would still go where a fit ends: of their standard deviations,
 root mean square."""
 
-START = 4_000_000
+START = 2_000_000
 """Pixels of photographs among which a fit starts, at the most; then one of several."""
 
 
@@ -144,13 +145,13 @@ class System(NamedTuple):
 
 def _matrices(
     job: Job, sums: Sums, damping: np.ndarray | None = None
-) -> Iterator[tuple[int, Preconditioned, bool]]:
+) -> Iterator[tuple[int, AbstractSystem, bool]]:
     """Each system's matrix, and whether it is another than the last system's.
 
     Matrices are what is largest: the last one goes before the next is made, where who
     takes them deletes them.
     """
-    last: list[Preconditioned] = []
+    last: list[AbstractSystem] = []
     for s in range(len(job.systems)):
         new = not is_like_last(sums, s)
         if new:
@@ -175,7 +176,7 @@ def make_system(job: Job, state: State, sigma: float) -> System:
         solved = matrix.solve(mixed, TOLERANCE, own)
         shared = job.of_system(s)
         information[np.ix_(shared, shared)] -= _products(mixed, solved, own)
-        eliminated.append(solved.astype(job.dtype))
+        eliminated.append(solved.astype(job.dtype, copy=False))
         del matrix
     information = (information + information.T) / 2
     freedom = _freedom(job, sums.left, sum(taken))
@@ -225,14 +226,16 @@ def step(
         solved = matrix.solve(mixed, TOLERANCE, free[s])
         shared = job.of_system(s)
         information[np.ix_(shared, shared)] -= _products(mixed, solved, free[s])
-        few_right[shared] -= solved.T @ right[s]
-        eliminated.append(solved.astype(job.dtype))
+        few_right[shared] -= _products(solved, right[s][:, None], free[s])[:, 0]
+        eliminated.append(solved.astype(job.dtype, copy=False))
         del matrix
     information = (information + information.T) / 2
     change = _few_change(job, state, information, few_right)
     vectors = []
     for s, (own, move) in enumerate(zip(job.vectors(state), moves, strict=True)):
-        move -= eliminated[s] @ change[job.of_system(s)]
+        # In the photographs' precision: else a copy is made of what is large.
+        by = change[job.of_system(s)].astype(job.dtype)
+        move -= eliminated[s] @ by
         vectors.append(np.clip(own + move, *job.bounds(state)))
     numbers = {name: value.copy() for name, value in state.numbers.items()}
     for one, by in zip(job.few, change, strict=True):
@@ -259,9 +262,10 @@ def descend(
     Light is not linear in them: a step that would cost more is not taken, and texels
     around which light fits worse are damped, as Levenberg and Marquardt do.
     """
-    before = cost_of(job, state, sigma)
     stepped = step(job, state, sigma, damping=damping)
     assert state.exponents is not None and stepped.state.exponents is not None
+    assert stepped.left.around is not None
+    before = with_known(job, state, stepped.left.cost, stepped.left.around)
     wanted = stepped.state.exponents - state.exponents
     logs = state.exponents + np.clip(wanted, -REACH, REACH)
     tried = state._replace(exponents=logs)
@@ -379,7 +383,7 @@ def _freedom(job: Job, left: Left, taken: float) -> float:
     return max(left.counted - taken - len(job.few), 1.0)
 
 
-def taken_by(job: Job, matrix: Preconditioned) -> float:
+def taken_by(job: Job, matrix: AbstractSystem) -> float:
     """How many numbers the samples determine of one system's texels.
 
     The trace of the hat matrix, by random probes.
@@ -388,14 +392,12 @@ def taken_by(job: Job, matrix: Preconditioned) -> float:
         Hutchinson, *A stochastic estimator of the trace of the influence matrix*,
         Commun. Stat. Simul. Comput. 19(2), 1990.
     """
-    random, size = np.random.default_rng(1), len(matrix.scale)
-    each, known = at_once(size), 0.0
-    for start in range(0, PROBES, each):
-        sides = min(each, PROBES - start)
-        probes = random.choice([-1.0, 1.0], (size, sides))
-        prior = probes / PRIOR[1] ** 2
-        if job.smoothness is not None:
-            by = [expected_differences(job, one) for one in probes.T]
-            prior = prior + np.stack(by, axis=1)
-        known += float((prior * matrix.solve(probes, 1e-3)).sum()) / PROBES
-    return size - known
+    size = len(matrix.scale)
+    # The more texels, the less is left to chance.
+    shape = size, min(PROBES, at_once(size))
+    probes = np.random.default_rng(1).choice([-1.0, 1.0], shape)
+    prior = probes / PRIOR[1] ** 2
+    if job.smoothness is not None:
+        by = [expected_differences(job, one) for one in probes.T]
+        prior += np.stack(by, axis=1)
+    return size - float((prior * matrix.solve(probes, 1e-3)).sum()) / shape[1]

@@ -38,11 +38,25 @@ CORNERS = ((0, 1), (0, 2), (1, 2))
 """Pairs of a triangle's corners: its edges."""
 
 
+class Links(NamedTuple):
+    """Pairs of neighbours, each once.
+
+    - `first`, `second`: their numbers.
+    - `slot`: the row of a block of sums where they stand, at the first.
+    """
+
+    first: Int[np.ndarray, " links"]
+    second: Int[np.ndarray, " links"]
+    slot: Int[np.ndarray, " links"]
+
+
 class AbstractTexels(abc.ABC):
     """Where on a mesh there are numbers to be found, and which are neighbours."""
 
     word: ClassVar[str]
     one: ClassVar[str]
+    regular: ClassVar[bool]
+    """Whether neighbours lie alike everywhere, so that sums are images."""
 
     layers: int
 
@@ -73,9 +87,36 @@ class AbstractTexels(abc.ABC):
     def coarser(self, by: int) -> "AbstractTexels":
         """With fewer texels along each side, where that can be."""
 
+    @property
     @abc.abstractmethod
-    def links(self) -> tuple[np.ndarray, np.ndarray]:
+    def slots(self) -> int:
+        """Rows of a block of sums, of which the first are the texels themselves."""
+
+    @abc.abstractmethod
+    def links(self) -> "Links":
         """Pairs of neighbours."""
+
+    def differences(
+        self, scale: Float[np.ndarray, " texels"]
+    ) -> Float[np.ndarray, "slots texels"]:
+        r"""$\sum (s_i t_i - s_j t_j)^2$ over neighbours, as a block of sums."""
+        first, second, slot = self.links()
+        block = np.zeros((self.slots, self.texels))
+        block[slot, first] = -scale[first] * scale[second]
+        block[0] = np.bincount(first, minlength=self.texels) * scale**2
+        block[0] += np.bincount(second, minlength=self.texels) * scale**2
+        return block
+
+    def from_neighbours(
+        self, texels: Float[np.ndarray, " texels"]
+    ) -> Float[np.ndarray, " texels"]:
+        r"""The gradient of half of $\sum (t_i - t_j)^2$ over neighbours."""
+        first, second, _ = self.links()
+        apart = texels[first] - texels[second]
+        total = np.bincount(first, apart, self.texels)
+        total = total - np.bincount(second, apart, self.texels)
+        # Of no neighbours NumPy counts whole numbers.
+        return total.astype(float, copy=False)
 
     @abc.abstractmethod
     def matrix(
@@ -125,6 +166,7 @@ class Grid(AbstractTexels):
 
     word: ClassVar[str] = "texels"
     one: ClassVar[str] = "texel"
+    regular: ClassVar[bool] = True
 
     layers: int
     rows: int
@@ -216,17 +258,22 @@ class Grid(AbstractTexels):
         down, right = offset
         return np.roll(number, (-down, -right), axis=(1, 2)).ravel()
 
-    def links(self) -> tuple[np.ndarray, np.ndarray]:
-        # Side by side, and one above the other.
-        number = np.arange(self.texels).reshape(self.shape)
+    @property
+    def slots(self) -> int:
+        return len(OFFSETS)
+
+    def links(self) -> Links:
+        number = np.arange(self.texels, dtype=np.int32).reshape(self.shape)
         pairs = []
-        for axis, count in ((2, self.columns), (1, self.rows)):
-            other = np.roll(number, -1, axis=axis)
+        # Side by side, and one above the other.
+        for axis, count, offset in ((2, self.columns, (0, 1)), (1, self.rows, (1, 0))):
             ends = count if self.wrap == "repeat" and count > 2 else count - 1
-            keep = np.arange(max(ends, 0))
-            pairs.append([np.take(one, keep, axis).ravel() for one in (number, other)])
-        first, second = (np.concatenate(part) for part in zip(*pairs, strict=True))
-        return first, second
+            keep = np.arange(ends)
+            first = number.take(keep, axis).ravel()
+            second = self.neighbour(offset).reshape(self.shape).take(keep, axis)
+            slot = np.full(len(first), OFFSETS.index(offset), np.int8)
+            pairs.append((first, second.ravel(), slot))
+        return Links(*(np.concatenate(part) for part in zip(*pairs, strict=True)))
 
 
 class Touched(NamedTuple):
@@ -250,26 +297,26 @@ class Touched(NamedTuple):
 
     def scattered(self, values: np.ndarray, texels: int) -> np.ndarray:
         """The transpose of [`Touched.mean`][]."""
-        total = np.zeros(texels)
-        for k in range(self.number.shape[1]):
-            total += np.bincount(self.number[:, k], self.weight[:, k] * values, texels)
-        return total
+        # All corners at once: each count makes an image anew.
+        both = self.weight * values[:, None]
+        return np.bincount(self.number.ravel(), both.ravel(), texels)
 
     def add_products(self, values: np.ndarray, total: np.ndarray) -> None:
         r"""Add $\sum_i v_i w_{ik} w_{il}$ of neighbours: see [`Touched.offsets`][]."""
         if self.beside is not None:
             flat = total.reshape(-1)
-            for k in range(3):
-                both = values * self.weight[:, k] ** 2
-                total[0] += np.bincount(self.number[:, k], both, len(total[0]))
+            total[0] += self._replace(weight=self.weight**2).scattered(
+                values, len(total[0])
+            )
             for pair, (k, m) in enumerate(CORNERS):
                 both = values * self.weight[:, k] * self.weight[:, m]
                 flat += np.bincount(self.beside[:, pair], both, len(flat))
             return
         for image, pairs in zip(total, PAIRS[: self.offsets], strict=True):
-            for k, m in pairs[: self.number.shape[1]]:
-                both = values * self.weight[:, k] * self.weight[:, m]
-                image += np.bincount(self.number[:, k], both, len(image))
+            first, second = np.transpose(pairs[: self.number.shape[1]])
+            both = self.weight[:, first] * self.weight[:, second]
+            pair = Touched(self.number[:, first], both)
+            image += pair.scattered(values, len(image))
 
     @property
     def offsets(self) -> int:
@@ -288,17 +335,3 @@ def merged(touched: Touched) -> Touched:
         weight[:, one] += np.where(same, weight[:, other], 0)
         weight[same, other] = 0
     return Touched(number, weight)
-
-
-def smoothness_matrix(
-    grid: AbstractTexels, parameters: int, deviation: float
-) -> sparse.csr_array:
-    r"""Of $\sum (t_i - t_j)^2 / \tau^2$ over neighbours."""
-    first, second = grid.links()
-    one = np.full(len(first), 1 / deviation**2)
-    size = grid.texels
-    rows = np.concatenate([first, second, first, second])
-    columns = np.concatenate([first, second, second, first])
-    values = np.concatenate([one, one, -one, -one])
-    block = sparse.coo_array((values, (rows, columns)), (size, size))
-    return sparse.csr_array(sparse.block_diag([block] * parameters))

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import sparse
 from scipy.spatial import KDTree
 
-from phongfit.fitting.texels.sums import CORNERS, AbstractTexels, Touched
+from phongfit.fitting.texels.sums import CORNERS, AbstractTexels, Links, Touched
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.textures import VertexColours
@@ -78,6 +78,7 @@ class Vertices(AbstractTexels):
 
     word: ClassVar[str] = "vertices"
     one: ClassVar[str] = "vertex"
+    regular: ClassVar[bool] = False
 
     layers: int
     points: Float[np.ndarray, "vertices 3"]
@@ -94,7 +95,7 @@ class Vertices(AbstractTexels):
 
     @property
     def slots(self) -> int:
-        """Of a vertex in a block of sums: itself, and the edges that it keeps."""
+        # A vertex itself, and the edges that it keeps.
         return 1 + int(self.edges.slot.max(initial=0))
 
     def check(self, surface: Any) -> None:
@@ -117,17 +118,19 @@ class Vertices(AbstractTexels):
         del by
         return self
 
-    def links(self) -> tuple[np.ndarray, np.ndarray]:
+    def links(self) -> Links:
         start = (np.arange(self.layers) * len(self.points))[:, None]
-        ends = self.edges.owner, self.edges.other
-        return tuple((start + one).ravel() for one in ends)  # pyright: ignore
+        return Links(
+            (start + self.edges.owner).ravel(),
+            (start + self.edges.other).ravel(),
+            np.tile(self.edges.slot, self.layers),
+        )
 
     @functools.cached_property
     def pattern(self) -> Pattern:
         """Of the matrix over all vertices: each beside those of its edges."""
-        owner, other = self.links()
+        owner, other, slot = self.links()
         own = np.arange(self.texels)
-        slot = np.tile(self.edges.slot, self.layers)
         source = np.concatenate([own, *[slot * self.texels + owner] * 2])
         rows = np.concatenate([own, owner, other])
         columns = np.concatenate([own, other, owner])

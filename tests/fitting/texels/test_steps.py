@@ -9,6 +9,8 @@ import phongfit as pf
 from phongfit.fitting import texture_fit
 from phongfit.fitting.texels import equations, steps
 from phongfit.fitting.texels.job import State
+from phongfit.fitting.texels.solve import Preconditioned
+from phongfit.fitting.texels.stencil import Stencil
 from tests.fitting.test_texture_fit import CAMERA, SIZE, photographs
 from tests.helpers import near
 from tests.test_textures import plate
@@ -168,6 +170,27 @@ def test_systems_of_three_channels_are_one_with_exponents(monkeypatch):
     assert (0, 2) not in joint.blocks[0] and (1, 4) not in joint.blocks[0]
     assert all((p, 6) in joint.blocks[0] for p in range(7))
     near(np.stack(apart.right).ravel(), joint.right[0][:-144], 1e-4)
+
+
+def test_a_stencil_is_the_matrix(monkeypatch):
+    """With units, damping and what is expected between neighbours."""
+    job, start, sigma = job_of(monkeypatch, smoothness=0.5)
+    sums = equations.sum_up(job, start, sigma)
+    damping = RNG.uniform(0, 1, job.grid.texels)
+    right = RNG.normal(size=(len(sums.right[0]), 1))
+    matrix = equations.make_matrix(job, sums, 0, damping)
+    assert isinstance(matrix, Preconditioned)
+    monkeypatch.setattr(equations, "DIRECT", 0)
+    stencil = equations.make_matrix(job, sums, 0, damping)
+    assert isinstance(stencil, Stencil)
+    near(stencil.scale, matrix.scale, 1e-5)
+    # In units of what is known of each.
+    solved = (matrix.solve(right, 1e-6) / matrix.scale[:, None])[:, 0]
+    near(
+        stencil.solve(right, 1e-6)[:, 0] / matrix.scale,
+        solved,
+        1e-2 * abs(solved).max(),
+    )
 
 
 def test_exponents_alone_beside_numbers_of_each_material():

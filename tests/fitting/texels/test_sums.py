@@ -1,12 +1,7 @@
 import numpy as np
 import pytest
 
-from phongfit.fitting.texels.sums import (
-    Grid,
-    Touched,
-    merged,
-    smoothness_matrix,
-)
+from phongfit.fitting.texels.sums import AbstractTexels, Grid, Touched, merged
 from phongfit.textures import texels
 from tests.helpers import floats, near
 
@@ -65,16 +60,26 @@ def test_sums_are_those_of_the_whole_matrix(grid, filter):
 @pytest.mark.parametrize("wrap, links", [("repeat", 24), ("clamp", 17)])
 def test_smoothness_is_of_differences_between_neighbours(wrap, links):
     grid = Grid(1, 3, 4, wrap)
-    first, second = grid.links()
+    first, second, _ = grid.links()
     assert (
         len(first)
         == links
         == len({frozenset(p) for p in zip(first, second, strict=True)})
     )
-    matrix = smoothness_matrix(grid, 2, 0.5)
-    texture = RNG.normal(size=24)
-    expected = sum(
-        ((part[first] - part[second]) ** 2).sum() / 0.5**2
-        for part in (texture[:12], texture[12:])
-    )
-    near(texture @ (matrix @ texture), expected, 1e-6)
+    check_differences(grid)
+
+
+@pytest.mark.parametrize("rows, columns", [(2, 2), (1, 3), (1, 1)])
+def test_differences_of_few_texels(rows, columns):
+    check_differences(Grid(2, rows, columns, "repeat"))
+
+
+def check_differences(texels: AbstractTexels) -> None:
+    """As block and as gradient, each pair of neighbours once."""
+    first, second, _ = texels.links()
+    scale, values = RNG.uniform(0.5, 2, texels.texels), RNG.normal(size=texels.texels)
+    matrix = texels.matrix({(0, 0): texels.differences(scale)}, 1)
+    scaled = scale * values
+    expected = ((scaled[first] - scaled[second]) ** 2).sum()
+    near(values @ (matrix @ values), expected, 1e-5)
+    near(scaled @ texels.from_neighbours(scaled), expected, 1e-5)

@@ -16,11 +16,11 @@ from phongfit.files.fits import DataRecord, DataSettings
 from phongfit.files.texture_fits import save_texture_fit
 from phongfit.fitting.texels import solve
 from phongfit.fitting.texels.solve import inverse_diagonal, precondition
-from phongfit.fitting.texels.sums import Touched, smoothness_matrix
+from phongfit.fitting.texels.sums import Touched
 from phongfit.fitting.texels.vertices import RINGS, Vertices
 from phongfit.geometry.surfaces import GBuffer
 from tests.fitting.test_texture_fit import photographs
-from tests.fitting.texels.test_sums import dense, products
+from tests.fitting.texels.test_sums import check_differences, dense, products
 from tests.helpers import floats, near
 
 RNG = np.random.default_rng(0)
@@ -90,20 +90,18 @@ def test_sums_are_those_of_the_whole_matrix(mesh, layers):
 
 def test_neighbours_are_the_ends_of_edges():
     texels = vertices(ICO, 2)
-    first, second = texels.links()
+    first, second, _ = texels.links()
     found = {frozenset(pair) for pair in zip(first, second, strict=True)}
     edges = [*ICO.edges_unique, *(np.asarray(ICO.edges_unique) + len(ICO.vertices))]
     assert found == {frozenset(pair) for pair in edges} and len(found) == len(first)
-    rows = RNG.normal(size=texels.texels)
-    expected = sum((rows[a] - rows[b]) ** 2 for a, b in edges) / 0.5**2
-    near(rows @ (smoothness_matrix(texels, 1, 0.5) @ rows), expected, 1e-6)
+    check_differences(texels)
 
 
 def test_vertices_of_one_colour_are_far_apart():
     texels = vertices(trimesh.creation.icosphere(3), 2)
     colours, count = texels.colours(), len(texels.points)
     assert colours.max() < 120 and (colours[:count] == colours[count:]).all()
-    first, second = (one[: len(one) // 2] for one in texels.links())
+    first, second = (one[: len(one) // 2] for one in texels.links()[:2])
     graph = sparse.csr_array((np.ones(len(first)), (first, second)), (count, count))
     apart = dijkstra(graph, directed=False, unweighted=True)
     same = (colours[:count, None] == colours[:count]) & ~np.eye(count, dtype=bool)
