@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from phongfit.maps.materials.bases import Bases, as_known, held, sought
 from phongfit.maps.materials.reduced import reduce, take_apart
-from phongfit.maps.normals.block import NormalFit, in_blocks, judged, samples_of
+from phongfit.maps.normals.block import NormalFit, judged, samples_of
 from phongfit.maps.normals.search import Found, search
 from phongfit.maps.normals.step import edges_of, free_to_move
 from phongfit.maps.normals.sums import gather, residuals

@@ -99,7 +99,7 @@ def fit_row(
     shared = (*free.shared[:2], jnp.ones_like(free.shared[0]))
     reduced = reduce_sums(end.sums, jnp.zeros_like(scale), free._replace(shared=shared))
     return Row(
-        end.point, end.sums.cost, end.point.specular[0], curvatures(reduced.shared)[2]
+        end.point, end.cost, end.point.specular[0], curvatures(reduced.shared)[2]
     )
 
 
