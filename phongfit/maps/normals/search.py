@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.maps.normals.errors import Profile
 from phongfit.maps.normals.scale import mean_scale, median_scale
@@ -28,6 +28,7 @@ from phongfit.maps.normals.step import (
     make_move,
     moved,
     respond,
+    steadied,
 )
 from phongfit.maps.normals.sums import Sums, gather, no_sums, residuals
 from phongfit.maps.normals.unknowns import Point, Unknowns
@@ -43,7 +44,7 @@ STEPS = (7, 2), (12, 6), (25, 5)
 # And on the way there: where reflectances follow, and at the scale before.
 COLOURED, ROUGHLY = 1, 4
 # At exponents beside the one found.
-FOLLOWED = 7, 2
+FOLLOWED = 7, 3
 # Square of the step, in standard errors, from which on it does not matter.
 ROUGH = 0.1
 FINE = 1e-2
@@ -135,7 +136,8 @@ def descend(
     def step(state: tuple[Array, Descent]) -> tuple[Array, Descent]:
         done, here = state
         sums = gather(here.trial, samples, scale, settings.loss, settings.model, which)
-        cost = sums.cost - adapt_own(here.trial, sums, which, edges).decrement
+        told = steadied(sums, which, edges)
+        cost = sums.cost - adapt_own(here.trial, told, which, edges).decrement
         better = cost <= here.cost * (1 + rounding)
         point, sums, cost = where_pixels(
             better & ~here.settled,
@@ -145,7 +147,7 @@ def descend(
         damping = jnp.maximum(here.damping * jnp.where(better, FALL, RISE), LEAST)
         early = done < alone
         free = held(free_to_move(point, sums, which, edges), early)
-        move = make_move(sums, damping, free)
+        move = make_move(steadied(sums, which, edges), damping, free)
         trial = moved(point, move, viewer, which, edges)
         small = better & (move.decrement <= enough) & (damping < 1) & ~early
         promised = trial, sums.cost - move.decrement
@@ -164,7 +166,8 @@ def descend(
     )
     begin = jnp.zeros((), int), first
     end = jax.lax.while_loop(unfinished, step, begin)[1]
-    adapted = adapt_own(end.point, end.sums, which, edges)
+    told = steadied(end.sums, which, edges)
+    adapted = adapt_own(end.point, told, which, edges)
     point = moved(end.point, adapted, viewer, which, edges)
     return end._replace(point=where_pixels(end.settled, end.point, point))
 
@@ -205,10 +208,13 @@ def search(
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *begins)
     points, costs = jax.lax.map(try_start, stacked)
     best = jnp.argmin(costs, axis=0)
-    gaps, other = _rival(points, costs, best)
+    rivals = _rivals(points, costs, best)
     winner, cost = try_start(_pick(points, best), polished)
     freedom = _count(together) - settings.unknowns(1)
-    near = gaps * jnp.maximum(freedom, 1) <= FAR_OFF * cost
+    close = rivals.gaps * jnp.maximum(freedom, 1)[None] <= FAR_OFF * cost[None]
+    near = jnp.any(close, axis=0)
+    # Another normal matters more than another highlight.
+    other = jnp.where(close[0], *rivals.starts)
     two = winner, _pick(points, other)
     finish = functools.partial(
         _finish, samples=samples, noise=noise, wide=wide, most=most,
@@ -402,12 +408,29 @@ def _pick(stacked: Point, which: Array) -> Point:
 APART = 0.9962
 """Cosine of 5°: normals that are further apart are two."""
 
+ANOTHER = 1.0
+"""Logarithms of exponents that are further apart are two highlights."""
 
-def _rival(
+
+class _Rivals(NamedTuple):
+    """The next best ends, of another normal and of another highlight.
+
+    - `starts`: which they are; `gaps`: by how much they cost more. (2, pixels) each.
+    """
+
+    starts: Int[Array, "2 pixels"]
+    gaps: Float[Array, "2 pixels"]
+
+
+def _rivals(
     points: Point, costs: Float[Array, "starts pixels"], best: Array
-) -> tuple[Float[Array, " pixels"], Array]:
-    """By how much the next best end costs more whose normal is another; which it is."""
-    normal = _pick(points, best).normal
-    cosine = jnp.sum(points.normal * normal[None], axis=1)
-    others = jnp.where(cosine < APART, costs, jnp.inf)
-    return jnp.min(others, axis=0) - jnp.min(costs, axis=0), jnp.argmin(others, axis=0)
+) -> _Rivals:
+    """What else the starts lead to, besides the best."""
+    first = _pick(points, best)
+    cosine = jnp.sum(points.normal * first.normal[None], axis=1)
+    off = jnp.abs(points.log_exponent - first.log_exponent[None])
+    others = jnp.stack(
+        [jnp.where(other, costs, jnp.inf) for other in (cosine < APART, off > ANOTHER)]
+    )
+    gaps = jnp.min(others, axis=1) - jnp.min(costs, axis=0)[None]
+    return _Rivals(jnp.argmin(others, axis=1), gaps)

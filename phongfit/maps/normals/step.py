@@ -177,6 +177,29 @@ def free_to_move(point: Point, sums: Sums, which: Unknowns, edges: Edges) -> Fre
     return Free(own, tuple(shared))
 
 
+def steadied(sums: Sums, which: Unknowns, edges: Edges) -> Sums:
+    """Sums whose steps leave alone what samples do not tell.
+
+    As if each unknown were known to lie where it is, to the width of its box.
+    """
+
+    def more(matrix: Triangle, widths: dict[int, tuple[float, float]]) -> Triangle:
+        return tuple(
+            (*row[:-1], row[-1] + (widths[k][1] - widths[k][0]) ** -2)
+            if k in widths
+            else row
+            for k, row in enumerate(matrix)
+        )
+
+    shared = {}
+    if which.exponent:
+        shared[EXPONENT] = edges.log_exponent
+    if which.one_specular:
+        shared[which.n_shared - 1] = edges.specular
+    own = dict(enumerate(edges.own))
+    return sums._replace(own=more(sums.own, own), shared=more(sums.shared, shared))
+
+
 def adapt_own(point: Point, sums: Sums, which: Unknowns, edges: Edges) -> Move:
     """The step of each channel's own unknowns alone, and how much that gives.
 
