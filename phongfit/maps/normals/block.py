@@ -10,7 +10,6 @@ from phongfit.maps.normals.errors import Profile, standard_errors
 from phongfit.maps.normals.scale import weighed_scale
 from phongfit.maps.normals.search import Found, follow_exponent, search
 from phongfit.maps.normals.step import edges_of
-from phongfit.maps.normals.sums import residuals
 from phongfit.maps.normals.unknowns import Unknowns, unknowns_of
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.pixel import MEDIAN, Outside, PixelFit, most_by_chance
@@ -82,7 +81,7 @@ def judged(
 ) -> tuple[NormalFit, Bool[Array, " pixels"]]:
     """Errors and flags of what was found, and where a thorough search is wanted."""
     point = found.point
-    level, unit, misfit = _noise_left(found, samples, outside, settings, which)
+    level, unit, misfit = _noise_left(found, samples, outside, settings)
     edges = edges_of(settings, which)
     rival = found.rival / unit**2
 
@@ -153,15 +152,13 @@ def _noise_left(
     samples: Samples,
     outside: Outside,
     settings: MapSettings,
-    which: Unknowns,
 ) -> tuple[Array, Array, Array]:
     """The residuals' size, what errors are multiples of, and where noise is too small.
 
     The second is in units of the scale that the search measured residuals in.
     """
     unknowns, noise = settings.unknowns(), outside.noise
-    left = residuals(found.point, samples, settings.model, which)
-    used = samples.share > 0
+    left, used = found.left, samples.share > 0
     count = jnp.sum(used.astype(left.dtype), axis=(0, 1))
     freedom = jnp.maximum(count - unknowns, 1)
     level = jnp.sqrt(jnp.sum(left**2, axis=(0, 1)) / freedom)

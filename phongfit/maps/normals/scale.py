@@ -47,20 +47,6 @@ def median_scale(
     return NORMAL * (low + high) / 2 * jnp.sqrt(count / freedom)
 
 
-def mean_scale(
-    residual: Float[Array, "images channels pixels"],
-    share: Float[Array, "images channels pixels"],
-    unknowns: int,
-) -> Float[Array, " pixels"]:
-    """Standard deviations of pixels from the mean squares of their residuals.
-
-    **Arguments:** as of [`median_scale`][].
-    """
-    count = jnp.sum((share > 0).astype(residual.dtype), axis=(0, 1))
-    square = jnp.sum(residual**2, axis=(0, 1))
-    return jnp.sqrt(square / jnp.maximum(count - unknowns, 1))
-
-
 def weighed_scale(
     residual: Float[Array, "images channels pixels"],
     share: Float[Array, "images channels pixels"],

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.maps.normals.errors import Profile
-from phongfit.maps.normals.scale import mean_scale, median_scale
+from phongfit.maps.normals.scale import median_scale
 from phongfit.maps.normals.starts import greyed, make_starts
 from phongfit.maps.normals.step import (
     Move,
@@ -40,7 +40,7 @@ from phongfit.maps.pixel.settings import MapSettings
 BROAD, SHARP = 8.0, 50.0
 # Points that are looked at from each start, from the best of them, and at the last
 # scale of the residuals: of a thorough search, and of a short one.
-STEPS = (7, 2), (12, 6), (25, 5)
+STEPS = (7, 2), (12, 6), (40, 5)
 # And on the way there: where reflectances follow, and at the scale before.
 COLOURED, ROUGHLY = 1, 4
 # At exponents beside the one found.
@@ -56,7 +56,7 @@ FALL, RISE = 0.1, 8.0
 STUCK = 1e5
 LEAST = 1e-6
 # An end that costs so much more is no rival: its residuals are large at any scale.
-FAR_OFF = 30.0
+FAR_OFF = 16.0
 # What rounding may add to a cost.
 ROUNDED = 20
 
@@ -82,7 +82,7 @@ class Found(NamedTuple):
     """The best that a search has found.
 
     - `cost`: see [`Descent`][].
-    - `scale`: that residuals were measured in.
+    - `scale`: that residuals were measured in; `left`: they, see [`residuals`][].
     - `rival`: (pixels,), by how much another normal is worse, in squared noise.
     - `near`: where another start did nearly as well: a thorough search follows it.
     """
@@ -91,6 +91,7 @@ class Found(NamedTuple):
     sums: Sums
     cost: Float[Array, " pixels"]
     scale: Float[Array, " pixels"]
+    left: Float[Array, "images channels pixels"]
     settled: Bool[Array, " pixels"]
     rival: Float[Array, " pixels"]
     near: Bool[Array, " pixels"]
@@ -236,7 +237,8 @@ def search(
     apart = ~skipped[1] & (cosine < APART)
     rival = jnp.where(apart, jnp.abs(final[1] - final[0]), jnp.inf)
     scale = jnp.where(second, scales[1], scales[0])
-    return Found(end.point, end.sums, end.cost, scale, end.settled, rival, near)
+    left = where_pixels(second, left[1], left[0])
+    return Found(end.point, end.sums, end.cost, scale, left, end.settled, rival, near)
 
 
 def _finish(
@@ -255,20 +257,25 @@ def _finish(
     begin, skipped = start
     unknowns = settings.unknowns(samples.target.shape[1])
 
+    freedom = jnp.maximum(_count(samples) - unknowns, 1)
+
     def left_by(point: Point) -> Array:
         return residuals(point, samples, settings.model, which)
 
-    def measured(left: Array) -> Array:
+    def measured(end: Descent, scale: Array) -> Array:
         if settings.noise_given:
             return jnp.broadcast_to(noise, wide.shape)
-        of = median_scale if settings.loss.robust else mean_scale
-        return _positive(of(left, samples.share, unknowns), samples)
+        if settings.loss.robust:
+            scale = median_scale(left_by(end.point), samples.share, unknowns)
+        else:
+            scale = scale * jnp.sqrt(jnp.maximum(end.cost, 0) / freedom)
+        return _positive(scale, samples)
 
     def go_on() -> tuple[Descent, Array, Array]:
         def again(stage: Array, found: tuple[Descent, Array]) -> tuple[Descent, Array]:
-            end, first = found[0], stage == 0
+            (end, scale), first = found, stage == 0
             # The reflectances of each channel follow at once: they are linear.
-            scale = jnp.where(first, wide, measured(left_by(end.point)))
+            scale = jax.lax.cond(first, lambda: scale, lambda: measured(end, scale))
             last = stage == stages
             steps = jnp.where(first, COLOURED, jnp.where(last, most, ROUGHLY))
             end = descend(
