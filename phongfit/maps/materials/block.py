@@ -4,19 +4,20 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from phongfit.maps.materials.bases import Bases, as_known, held, sought
 from phongfit.maps.materials.reduced import reduce, take_apart
-from phongfit.maps.normals.block import NormalFit, in_blocks, judged, samples_of
+from phongfit.maps.normals.block import NormalFit, judged, samples_of
 from phongfit.maps.normals.search import Found, search
 from phongfit.maps.normals.step import edges_of, free_to_move
-from phongfit.maps.normals.sums import gather, residuals
+from phongfit.maps.normals.sums import gather
 from phongfit.maps.normals.unknowns import unknowns_of
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.pixel import Outside, PixelFit
 from phongfit.maps.pixel.samples import Samples, Tile
 from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.tile import in_blocks
 
 # Share of one material from which on a pixel is told to be of it.
 TOLD = 0.95
@@ -45,20 +46,27 @@ class _Try(NamedTuple):
     """Pixels of one material: what was found, and how likely that is.
 
     - `left`: residuals, in `scale`; `log_det`: see [`Reduced`][].
+    - `unsettled`: where a thorough search is wanted.
     """
 
     fit: NormalFit
     left: Float[Array, "images channels pixels"]
     scale: Float[Array, " pixels"]
     log_det: Float[Array, " pixels"]
+    unsettled: Bool[Array, " pixels"]
 
 
 def fit_shared(tile: Tile, given: Given, settings: MapSettings) -> MaterialFit:
     """The normal, matte light and material of every pixel of a tile, block by block."""
-    return in_blocks(tile, lambda part: _fit_block(part, given, settings))
+    return in_blocks(
+        tile, lambda part, thorough: _fit_block(part, given, thorough, settings)
+    )
 
 
-def _fit_block(tile: Tile, given: Given, settings: MapSettings) -> MaterialFit:
+def _fit_block(
+    tile: Tile, given: Given, thorough: Bool[Array, ""], settings: MapSettings
+) -> tuple[MaterialFit, Bool[Array, " pixels"]]:
+    """As [`phongfit.maps.normals.block.fit_block`][]."""
     outside, bases = given
     own, which = held(settings), sought(settings)
     samples, lost = samples_of(tile, outside, settings)
@@ -66,11 +74,10 @@ def _fit_block(tile: Tile, given: Given, settings: MapSettings) -> MaterialFit:
     def attempt(material: tuple[Array, Array]) -> _Try:
         values, covariance = material
         here = outside._replace(known=as_known(values, outside.known))
-        found = search(samples, here.known, outside.noise, own, which)
-        fit = judged(found, samples, lost, here, own, which)
-        left = residuals(found.point, samples, own.model, which)
+        found = search(samples, here.known, outside.noise, own, which, thorough)
+        fit, unsettled = judged(found, samples, lost, here, own, which, thorough)
         fit, log_det = _inherited(fit, found, samples, covariance, settings)
-        return _Try(fit, left, found.scale, log_det)
+        return _Try(fit, found.left, found.scale, log_det, unsettled)
 
     tries = jax.lax.map(attempt, (bases.values, bases.covariance))
     # One scale for all: that of the best, and of a few samples not below all others'.
@@ -84,7 +91,7 @@ def _fit_block(tile: Tile, given: Given, settings: MapSettings) -> MaterialFit:
     cost = jnp.sum(settings.loss.root(relative) ** 2, axis=(1, 2))
     share = jnp.log(jnp.maximum(bases.shares, jnp.finfo(cost.dtype).tiny))
     odds = jax.nn.softmax(share[:, None] - (cost + log_det) / 2, axis=0)
-    return _chosen(tries.fit, odds)
+    return _chosen(tries.fit, odds), jnp.any(tries.unsettled, axis=0)
 
 
 def _inherited(

@@ -60,7 +60,7 @@ def fit_alone(tile: Tile, outside: Outside, settings: MapSettings) -> Alone:
     samples, _ = samples_of(tile, outside, settings)
     which = unknowns_of(settings)
     found = search(samples, outside.known, outside.noise, settings, which)
-    left = residuals(found.point, samples, settings.model, which)
+    left = found.left
     unknowns = settings.unknowns()
     count = jnp.sum((samples.share > 0).astype(left.dtype), axis=(0, 1))
     if settings.loss.robust:
@@ -99,7 +99,7 @@ def fit_row(
     shared = (*free.shared[:2], jnp.ones_like(free.shared[0]))
     reduced = reduce_sums(end.sums, jnp.zeros_like(scale), free._replace(shared=shared))
     return Row(
-        end.point, end.sums.cost, end.point.specular[0], curvatures(reduced.shared)[2]
+        end.point, end.cost, end.point.specular[0], curvatures(reduced.shared)[2]
     )
 
 

@@ -1,26 +1,22 @@
 """A tile of pixels whose normals are sought: arrays in, arrays out, no state."""
 
-from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from phongfit.maps.normals.errors import Profile, standard_errors
 from phongfit.maps.normals.scale import weighed_scale
 from phongfit.maps.normals.search import Found, follow_exponent, search
 from phongfit.maps.normals.step import edges_of
-from phongfit.maps.normals.sums import residuals
 from phongfit.maps.normals.unknowns import Unknowns, unknowns_of
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.pixel import MEDIAN, Outside, PixelFit, most_by_chance
 from phongfit.maps.pixel.robust import widening
 from phongfit.maps.pixel.samples import Samples, Tile, measured
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.tile import BLOCK
-
-T = TypeVar("T")
+from phongfit.maps.pixel.tile import in_blocks
 
 
 class NormalFit(NamedTuple):
@@ -40,26 +36,25 @@ def fit_normals(tile: Tile, outside: Outside, settings: MapSettings) -> NormalFi
 
     **Arguments:** as of [`fit_tile`][]; the tile's normals are not read.
     """
-    return in_blocks(tile, lambda part: fit_block(part, outside, settings))
+    return in_blocks(
+        tile, lambda part, thorough: fit_block(part, outside, thorough, settings)
+    )
 
 
-def in_blocks(tile: Tile, work: Callable[[Tile], T]) -> T:
-    """What `work` makes of each block of a tile, with all pixels as the first axis."""
-    pixels = tile.normal.shape[0]
+def fit_block(
+    tile: Tile, outside: Outside, thorough: Bool[Array, ""], settings: MapSettings
+) -> tuple[NormalFit, Bool[Array, " pixels"]]:
+    """The same for pixels that are worked on side by side.
 
-    def block(number: Array) -> T:
-        return work(tile.span(number * BLOCK, BLOCK))
+    **Arguments:** `thorough`: whether to do whatever helps.
 
-    found = jax.lax.map(block, jnp.arange(pixels // BLOCK))
-    return jax.tree.map(lambda leaf: leaf.reshape(pixels, *leaf.shape[2:]), found)
-
-
-def fit_block(tile: Tile, outside: Outside, settings: MapSettings) -> NormalFit:
-    """The same for pixels that are worked on side by side."""
+    **Returns:** what was found, and for which pixels the thorough way is wanted.
+    """
     which = unknowns_of(settings)
     samples, lost = samples_of(tile, outside, settings)
-    found = search(samples, outside.known, outside.noise, settings, which)
-    return judged(found, samples, lost, outside, settings, which)
+    known, noise = outside.known, outside.noise
+    found = search(samples, known, noise, settings, which, thorough)
+    return judged(found, samples, lost, outside, settings, which, thorough)
 
 
 def samples_of(
@@ -82,15 +77,18 @@ def judged(
     outside: Outside,
     settings: MapSettings,
     which: Unknowns,
-) -> NormalFit:
-    """Errors and flags of what was found."""
+    thorough: Array | bool = True,
+) -> tuple[NormalFit, Bool[Array, " pixels"]]:
+    """Errors and flags of what was found, and where a thorough search is wanted."""
     point = found.point
-    level, unit, misfit = _noise_left(found, samples, outside, settings, which)
+    level, unit, misfit = _noise_left(found, samples, outside, settings)
     edges = edges_of(settings, which)
     rival = found.rival / unit**2
 
-    def follow(log_exponents: Array) -> Profile:
-        return follow_exponent(found, samples, log_exponents, settings, which)
+    def follow(log_exponents: Array, wanted: Array) -> Profile:
+        return follow_exponent(
+            found, samples, log_exponents, wanted, settings, which, thorough
+        )
 
     errors = standard_errors(
         point, found.sums, unit, samples, rival, which, edges, follow
@@ -144,9 +142,9 @@ def judged(
         count.astype(jnp.int32),
         flags,
     )
-    return NormalFit(
-        material, point.normal.T, jnp.where(identified, errors.normal, jnp.inf)
-    )
+    error = jnp.where(identified, errors.normal, jnp.inf)
+    unsettled = sound & (~found.settled | found.near | ~errors.settled)
+    return NormalFit(material, point.normal.T, error), unsettled & ~thorough
 
 
 def _noise_left(
@@ -154,19 +152,17 @@ def _noise_left(
     samples: Samples,
     outside: Outside,
     settings: MapSettings,
-    which: Unknowns,
 ) -> tuple[Array, Array, Array]:
     """The residuals' size, what errors are multiples of, and where noise is too small.
 
     The second is in units of the scale that the search measured residuals in.
     """
     unknowns, noise = settings.unknowns(), outside.noise
-    left = residuals(found.point, samples, settings.model, which)
-    used = samples.share > 0
+    left, used = found.left, samples.share > 0
     count = jnp.sum(used.astype(left.dtype), axis=(0, 1))
     freedom = jnp.maximum(count - unknowns, 1)
     level = jnp.sqrt(jnp.sum(left**2, axis=(0, 1)) / freedom)
-    unit = jnp.ones_like(level) if settings.noise_given else level
+    unit = jnp.ones_like(level)
     heard = freedom
     if settings.loss.robust:
         level = weighed_scale(left, samples.share, found.scale, settings.loss, unknowns)
@@ -182,7 +178,6 @@ def _noise_left(
         # The sums' weights stand for less than all samples.
         unit = (jnp.maximum(unit, 1) if settings.noise_given else unit) * jnp.sqrt(kept)
     if not settings.noise_given:
-        unit = unit * level / found.scale if settings.loss.robust else unit
-        return level, unit, jnp.zeros(level.shape, bool)
+        return level, unit * level / found.scale, jnp.zeros(level.shape, bool)
     misfit = (level / noise) ** 2 > most_by_chance(heard)
     return level, jnp.where(misfit, unit * level / noise, unit), misfit

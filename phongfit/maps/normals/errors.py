@@ -44,6 +44,7 @@ class Errors(NamedTuple):
     - `own`: of the reflectances that each channel has, (channels, pixels) each.
     - `specular`: of a shared ρ_s, and `exponent`, of f.
     - `dim`, `degenerate`, `in_a_plane`, `ambiguous`, `at_bound`: see [`Flag`][].
+    - `settled`: whether the profile is the best that there is.
     """
 
     normal: Float[Array, " pixels"]
@@ -55,16 +56,19 @@ class Errors(NamedTuple):
     in_a_plane: Bool[Array, " pixels"]
     ambiguous: Bool[Array, " pixels"]
     at_bound: Bool[Array, " pixels"]
+    settled: Bool[Array, " pixels"]
 
 
 class Profile(NamedTuple):
     """The best of all else at two other exponents, one lower and one higher.
 
     - `points`: with a new first axis; `rises`: (2, pixels), by how much they cost more.
+    - `settled`: whether they are the best.
     """
 
     points: Point
     rises: Float[Array, "2 pixels"]
+    settled: Bool[Array, " pixels"]
 
 
 class Spread(NamedTuple):
@@ -82,7 +86,7 @@ def standard_errors(
     rival: Float[Array, " pixels"],
     which: Unknowns,
     edges: Edges,
-    follow: Callable[[Array], Profile],
+    follow: Callable[[Array, Array], Profile],
 ) -> Errors:
     r"""Errors from $\sigma^2 (J^\top W J)^{-1}$, with no unknown held by its bound.
 
@@ -94,7 +98,7 @@ def standard_errors(
     - `point`, `sums`: the solution.
     - `sigma`: what the sums' unit of noise is to be multiplied by.
     - `rival`: by how much another normal is worse.
-    - `follow`: the profile at log exponents, (2, pixels).
+    - `follow`: the profile at log exponents, (2, pixels), of some of the pixels.
     """
     exponent = 2
     everything = _all(sums)
@@ -115,7 +119,7 @@ def standard_errors(
     normal = jnp.rad2deg(turn)
     own = tuple(sigma[None] * error for error in spread.own)
     specular = reach = log_error = jnp.zeros_like(sigma)
-    open_ended = jnp.zeros_like(dim)
+    open_ended, settled = jnp.zeros_like(dim), jnp.ones_like(dim)
     if which.one_specular:
         specular = sigma * spread.shared[-1]
     widths = _Widths(normal, own, specular, reach, open_ended)
@@ -127,14 +131,14 @@ def standard_errors(
         widths = widths._replace(exponent=reach)
         far = FAR * jnp.clip(jnp.where(vague, log_error, VAGUE), 0, LOST)
         both = jnp.clip(jnp.stack([t - far, t + far]), *edges.log_exponent)
-        widths = jax.lax.cond(
-            jnp.any(vague),
-            lambda: _where(
-                vague,
-                _widened(point, follow(both), widths, sigma, which, edges),
-                widths,
-            ),
-            lambda: widths,
+
+        def widened() -> tuple[_Widths, Array]:
+            profile = follow(both, vague)
+            wide = _widened(point, profile, widths, sigma, which, edges)
+            return _where(vague, wide, widths), profile.settled | ~vague
+
+        widths, settled = jax.lax.cond(
+            jnp.any(vague), widened, lambda: (widths, jnp.ones_like(vague))
         )
         normal, specular, reach = widths.normal, widths.specular, widths.exponent
         open_ended = widths.open_ended
@@ -173,6 +177,7 @@ def standard_errors(
         in_a_plane,
         ambiguous & ~in_a_plane,
         at_bound,
+        settled,
     )
 
 

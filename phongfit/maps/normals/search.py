@@ -9,21 +9,26 @@ its standard errors. Robust losses make least squares anew at every step.
     iteratively reweighted least-squares*, Commun. Stat. Theory Methods 6(9), 1977.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.maps.normals.errors import Profile
 from phongfit.maps.normals.scale import median_scale
 from phongfit.maps.normals.starts import greyed, make_starts
 from phongfit.maps.normals.step import (
+    Move,
+    adapt_own,
     edges_of,
     free_to_move,
     held,
     make_move,
     moved,
+    respond,
+    steadied,
 )
 from phongfit.maps.normals.sums import Sums, gather, no_sums, residuals
 from phongfit.maps.normals.unknowns import Point, Unknowns
@@ -33,21 +38,25 @@ from phongfit.maps.pixel.settings import MapSettings
 
 # Exponents to begin from: broad and sharp highlights.
 BROAD, SHARP = 8.0, 50.0
-# Steps from each start, and then at each scale of the residuals.
-FEW_STEPS = 7
-STEPS = 6
-COLOURED = 2
-LAST_STEPS = 25
+# Points that are looked at from each start, from the best of them, and at the last
+# scale of the residuals: of a thorough search, and of a short one.
+STEPS = (7, 2), (12, 6), (40, 5)
+# And on the way there: where reflectances follow, and at the scale before.
+COLOURED, ROUGHLY = 1, 4
+# At exponents beside the one found.
+FOLLOWED = 7, 3
 # Square of the step, in standard errors, from which on it does not matter.
 ROUGH = 0.1
 FINE = 1e-2
+# The same where only the cost is asked for, which steps promise well.
+VAGUELY = 0.5
 # Damping: at first, how it falls and rises, where it says that nothing leads downhill.
-DAMPING = 1e-2
-FALL, RISE = 0.3, 5.0
+DAMPING = 1e-3
+FALL, RISE = 0.1, 8.0
 STUCK = 1e5
 LEAST = 1e-6
 # An end that costs so much more is no rival: its residuals are large at any scale.
-FAR_OFF = 30.0
+FAR_OFF = 16.0
 # What rounding may add to a cost.
 ROUNDED = 20
 
@@ -56,14 +65,15 @@ class Descent(NamedTuple):
     """Where a search stands.
 
     - `point`, `sums`: the best so far; `trial`: what is looked at next.
-    - `decrement`: what the step to there promised, the square of its standard errors.
-    - `settled`: the next step does not matter, or nothing leads downhill.
+    - `cost`: of the best, once each channel's own unknowns have adapted to it.
+    - `settled`: the next step does not matter, or nothing leads downhill. One that does
+        not matter is taken unseen, and its promise believed.
     """
 
     point: Point
     sums: Sums
+    cost: Float[Array, " pixels"]
     trial: Point
-    decrement: Float[Array, " pixels"]
     damping: Float[Array, " pixels"]
     settled: Bool[Array, " pixels"]
 
@@ -71,15 +81,20 @@ class Descent(NamedTuple):
 class Found(NamedTuple):
     """The best that a search has found.
 
-    - `scale`: that residuals were measured in.
+    - `cost`: see [`Descent`][].
+    - `scale`: that residuals were measured in; `left`: they, see [`residuals`][].
     - `rival`: (pixels,), by how much another normal is worse, in squared noise.
+    - `near`: where another start did nearly as well: a thorough search follows it.
     """
 
     point: Point
     sums: Sums
+    cost: Float[Array, " pixels"]
     scale: Float[Array, " pixels"]
+    left: Float[Array, "images channels pixels"]
     settled: Bool[Array, " pixels"]
     rival: Float[Array, " pixels"]
+    near: Bool[Array, " pixels"]
 
 
 def where_pixels(where: Bool[Array, " pixels"], yes, no):
@@ -100,7 +115,7 @@ def descend(
     settings: MapSettings,
     which: Unknowns,
     channels: int = 1,
-    only_own: Array | bool = False,
+    alone: Array | int = 0,
     skipped: Array | bool = False,
 ) -> Descent:
     """Downhill from a point, at a given scale of the residuals.
@@ -109,7 +124,7 @@ def descend(
 
     - `most`: points to be looked at; `enough`: see [`FINE`][].
     - `channels`: whose sum each channel of the samples is.
-    - `only_own`: whether to move each channel's reflectances alone.
+    - `alone`: so many first steps move each channel's reflectances alone.
     - `skipped`: pixels that need not move.
     """
     edges = edges_of(settings, which, channels)
@@ -122,28 +137,40 @@ def descend(
     def step(state: tuple[Array, Descent]) -> tuple[Array, Descent]:
         done, here = state
         sums = gather(here.trial, samples, scale, settings.loss, settings.model, which)
-        better = sums.cost <= here.sums.cost * (1 + rounding)
-        small = (here.decrement <= enough) & (here.damping < 1)
-        point, sums = where_pixels(
-            better & ~here.settled, (here.trial, sums), (here.point, here.sums)
+        told = steadied(sums, which, edges)
+        cost = sums.cost - adapt_own(here.trial, told, which, edges).decrement
+        better = cost <= here.cost * (1 + rounding)
+        point, sums, cost = where_pixels(
+            better & ~here.settled,
+            (here.trial, sums, cost),
+            (here.point, here.sums, here.cost),
         )
-        settled = here.settled | (small & better) | (here.damping > STUCK)
         damping = jnp.maximum(here.damping * jnp.where(better, FALL, RISE), LEAST)
-        free = held(free_to_move(point, sums, which, edges), only_own)
-        move = make_move(sums, damping, free)
+        early = done < alone
+        free = held(free_to_move(point, sums, which, edges), early)
+        move = make_move(steadied(sums, which, edges), damping, free)
         trial = moved(point, move, viewer, which, edges)
-        return done + 1, Descent(point, sums, trial, move.decrement, damping, settled)
+        small = better & (move.decrement <= enough) & (damping < 1) & ~early
+        promised = trial, sums.cost - move.decrement
+        point, cost = where_pixels(small & ~here.settled, promised, (point, cost))
+        settled = here.settled | small | (damping > STUCK)
+        return done + 1, Descent(point, sums, cost, trial, damping, settled)
 
     endless = jnp.full_like(scale, jnp.inf)
     first = Descent(
         point,
-        no_sums(samples, which)._replace(cost=endless),
-        point,
+        no_sums(samples, which),
         endless,
+        point,
         jnp.full_like(scale, DAMPING),
         jnp.broadcast_to(jnp.asarray(skipped), scale.shape),
     )
-    return jax.lax.while_loop(unfinished, step, (jnp.zeros((), int), first))[1]
+    begin = jnp.zeros((), int), first
+    end = jax.lax.while_loop(unfinished, step, begin)[1]
+    told = steadied(end.sums, which, edges)
+    adapted = adapt_own(end.point, told, which, edges)
+    point = moved(end.point, adapted, viewer, which, edges)
+    return end._replace(point=where_pixels(end.settled, end.point, point))
 
 
 def search(
@@ -152,11 +179,15 @@ def search(
     noise: Float[Array, ""],
     settings: MapSettings,
     which: Unknowns,
+    thorough: Array | bool = True,
 ) -> Found:
     """The best normal and material that several starts lead to.
 
     They begin with the channels' sum, whose best end counts; then each channel has its
     own reflectances, and the residuals' scale is found anew.
+
+    **Arguments:** `thorough`: whether to go on until all is settled, and to follow
+    another normal that may be as good.
     """
     channels = samples.target.shape[1]
     together = greyed(samples)
@@ -164,69 +195,35 @@ def search(
     floor = noise if settings.noise_given else jnp.zeros_like(noise)
     wide = _positive(jnp.maximum(starts.matte.scale, floor), together)
     one = _one_channel(which)
-    exponents = _exponents(known, settings)
     begins = [
         _begin(normal, t, starts.matte.diffuse, known, which)
         for normal in starts.normals
-        for t in exponents
+        for t in _exponents(known, settings)
     ]
+    few, polished, most = (jnp.where(thorough, *each) for each in STEPS)
 
-    def try_start(begin: Point) -> tuple[Point, Array]:
-        end = descend(begin, together, wide, FEW_STEPS, ROUGH, settings, one, channels)
-        return end.point, end.sums.cost
+    def try_start(begin: Point, steps: Array = few) -> tuple[Point, Array]:
+        end = descend(begin, together, wide, steps, ROUGH, settings, one, channels)
+        return end.point, end.cost
 
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *begins)
     points, costs = jax.lax.map(try_start, stacked)
     best = jnp.argmin(costs, axis=0)
-    gaps, other = _rival(points, costs, best)
-    unknowns = settings.unknowns(channels)
-
-    def measured(left: Array) -> Array:
-        if settings.noise_given:
-            return jnp.broadcast_to(noise, wide.shape)
-        if not settings.loss.robust:
-            return jnp.ones_like(wide)
-        return _positive(median_scale(left, samples.share, unknowns), samples)
-
-    def left_by(point: Point) -> Array:
-        return residuals(point, samples, settings.model, which)
-
-    remeasured = settings.loss.robust and not settings.noise_given
-    steps = (COLOURED, *((STEPS, STEPS) if remeasured else ()), LAST_STEPS)
-    last = len(steps) - 1
-
-    def finish(start: tuple[Point, Array]) -> tuple[Descent, Array, Array]:
-        begin, skipped = start
-
-        def again(number: Array, found: tuple[Descent, Array]) -> tuple[Descent, Array]:
-            point, first = found[0].point, number == 0
-            # The reflectances of each channel follow at once: they are linear.
-            scale = jnp.where(first, wide, measured(left_by(point)))
-            most = jnp.array(steps)[number]
-            enough = jnp.where(number == last, FINE, ROUGH)
-            end = descend(
-                point,
-                samples,
-                scale,
-                most,
-                enough,
-                settings,
-                which,
-                only_own=first,
-                skipped=skipped,
-            )
-            return end, scale
-
-        nothing = descend(begin, samples, wide, 0, ROUGH, settings, which)
-        end, scale = jax.lax.fori_loop(0, len(steps), again, (nothing, wide))
-        return end, scale, left_by(end.point)
-
-    both = [
-        _coloured(_pick(points, chosen), channels, known, which)
-        for chosen in (best, other)
-    ]
+    rivals = _rivals(points, costs, best)
+    winner, cost = try_start(_pick(points, best), polished)
+    freedom = _count(together) - settings.unknowns(1)
+    close = rivals.gaps * jnp.maximum(freedom, 1)[None] <= FAR_OFF * cost[None]
+    near = jnp.any(close, axis=0)
+    # Another normal matters more than another highlight.
+    other = jnp.where(close[0], *rivals.starts)
+    two = winner, _pick(points, other)
+    finish = functools.partial(
+        _finish, samples=samples, noise=noise, wide=wide, most=most,
+        settings=settings, which=which,
+    )  # fmt: skip
+    both = [_coloured(point, channels, known, which) for point in two]
     begins = jax.tree.map(lambda *leaves: jnp.stack(leaves), *both)
-    skipped = jnp.stack([jnp.zeros_like(gaps, bool), gaps > FAR_OFF])
+    skipped = jnp.stack([jnp.zeros_like(near), ~(near & thorough)])
     ends, scales, left = jax.lax.map(finish, (begins, skipped))
     # Which loss is less is asked at one scale: the smaller of both.
     scale = jnp.where(skipped[1], scales[0], jnp.minimum(scales[0], scales[1]))
@@ -240,25 +237,108 @@ def search(
     apart = ~skipped[1] & (cosine < APART)
     rival = jnp.where(apart, jnp.abs(final[1] - final[0]), jnp.inf)
     scale = jnp.where(second, scales[1], scales[0])
-    return Found(end.point, end.sums, scale, end.settled, rival)
+    left = where_pixels(second, left[1], left[0])
+    return Found(end.point, end.sums, end.cost, scale, left, end.settled, rival, near)
+
+
+def _finish(
+    start: tuple[Point, Bool[Array, " pixels"]],
+    samples: Samples,
+    noise: Float[Array, ""],
+    wide: Float[Array, " pixels"],
+    most: Array,
+    settings: MapSettings,
+    which: Unknowns,
+) -> tuple[Descent, Float[Array, " pixels"], Float[Array, "images channels pixels"]]:
+    """Downhill with each channel by itself: the end, its scale, and its residuals.
+
+    **Arguments:** `start`: a point, and pixels that need not move.
+    """
+    begin, skipped = start
+    unknowns = settings.unknowns(samples.target.shape[1])
+
+    freedom = jnp.maximum(_count(samples) - unknowns, 1)
+
+    def left_by(point: Point) -> Array:
+        return residuals(point, samples, settings.model, which)
+
+    def measured(end: Descent, scale: Array) -> Array:
+        if settings.noise_given:
+            return jnp.broadcast_to(noise, wide.shape)
+        if settings.loss.robust:
+            scale = median_scale(left_by(end.point), samples.share, unknowns)
+        else:
+            scale = scale * jnp.sqrt(jnp.maximum(end.cost, 0) / freedom)
+        return _positive(scale, samples)
+
+    def go_on() -> tuple[Descent, Array, Array]:
+        def again(stage: Array, found: tuple[Descent, Array]) -> tuple[Descent, Array]:
+            (end, scale), first = found, stage == 0
+            # The reflectances of each channel follow at once: they are linear.
+            scale = jax.lax.cond(first, lambda: scale, lambda: measured(end, scale))
+            last = stage == stages
+            steps = jnp.where(first, COLOURED, jnp.where(last, most, ROUGHLY))
+            end = descend(
+                end.point,
+                samples,
+                scale,
+                steps,
+                jnp.where(last, FINE, ROUGH),
+                settings,
+                which,
+                alone=jnp.where(first, COLOURED, 0),
+                skipped=skipped,
+            )
+            return end, scale
+
+        end, scale = jax.lax.fori_loop(0, stages + 1, again, (nothing, wide))
+        return end, scale, left_by(end.point)
+
+    stages = 2 if settings.loss.robust and not settings.noise_given else 1
+    nothing = descend(begin, samples, wide, 0, ROUGH, settings, which)
+    still = nothing, wide, jnp.zeros_like(samples.target)
+    return jax.lax.cond(jnp.all(skipped), lambda: still, go_on)
 
 
 def follow_exponent(
     found: Found,
     samples: Samples,
     log_exponents: Float[Array, "2 pixels"],
+    wanted: Bool[Array, " pixels"],
     settings: MapSettings,
     which: Unknowns,
+    thorough: Array | bool = True,
 ) -> Profile:
-    """The best of all else at other exponents than the one found."""
+    """The best of all else at other exponents than the one found.
+
+    All else sets out from where it would be if the model were linear.
+
+    **Arguments:** `wanted`: for which pixels.
+    """
     fixed = which._replace(exponent=False)
+    edges = edges_of(settings, which)
+    viewer = samples.lamps.to_viewer
+    response = respond(found.sums, free_to_move(found.point, found.sums, which, edges))
+    most = jnp.where(thorough, *FOLLOWED)
 
-    def at(t: Array) -> tuple[Point, Array]:
-        begin = found.point._replace(log_exponent=t)
-        end = descend(begin, samples, found.scale, FEW_STEPS, ROUGH, settings, fixed)
-        return end.point, end.sums.cost - found.sums.cost
+    def at(t: Array) -> tuple[Point, Array, Array]:
+        off = t - found.point.log_exponent
+        own = tuple(off[None] * number for number in response.own)
+        shared = tuple(off * number for number in response.shared)
+        begin = moved(found.point, Move(own, shared, off), viewer, which, edges)
+        begin = begin._replace(log_exponent=t)
+        end = descend(
+            begin, samples, found.scale, most, VAGUELY, settings, fixed, skipped=~wanted
+        )
+        return end.point, end.cost - found.cost, end.settled
 
-    return Profile(*jax.lax.map(at, log_exponents))
+    points, rises, settled = jax.lax.map(at, log_exponents)
+    return Profile(points, rises, jnp.all(settled, axis=0))
+
+
+def _count(samples: Samples) -> Float[Array, " pixels"]:
+    """How many samples are used, as numbers: sums of flags are slow."""
+    return jnp.sum((samples.share > 0).astype(samples.share.dtype), axis=(0, 1))
 
 
 def _positive(scale: Array, samples: Samples) -> Array:
@@ -335,12 +415,29 @@ def _pick(stacked: Point, which: Array) -> Point:
 APART = 0.9962
 """Cosine of 5°: normals that are further apart are two."""
 
+ANOTHER = 1.0
+"""Logarithms of exponents that are further apart are two highlights."""
 
-def _rival(
+
+class _Rivals(NamedTuple):
+    """The next best ends, of another normal and of another highlight.
+
+    - `starts`: which they are; `gaps`: by how much they cost more. (2, pixels) each.
+    """
+
+    starts: Int[Array, "2 pixels"]
+    gaps: Float[Array, "2 pixels"]
+
+
+def _rivals(
     points: Point, costs: Float[Array, "starts pixels"], best: Array
-) -> tuple[Float[Array, " pixels"], Array]:
-    """By how much the next best end costs more whose normal is another; which it is."""
-    normal = _pick(points, best).normal
-    cosine = jnp.sum(points.normal * normal[None], axis=1)
-    others = jnp.where(cosine < APART, costs, jnp.inf)
-    return jnp.min(others, axis=0) - jnp.min(costs, axis=0), jnp.argmin(others, axis=0)
+) -> _Rivals:
+    """What else the starts lead to, besides the best."""
+    first = _pick(points, best)
+    cosine = jnp.sum(points.normal * first.normal[None], axis=1)
+    off = jnp.abs(points.log_exponent - first.log_exponent[None])
+    others = jnp.stack(
+        [jnp.where(other, costs, jnp.inf) for other in (cosine < APART, off > ANOTHER)]
+    )
+    gaps = jnp.min(others, axis=1) - jnp.min(costs, axis=0)[None]
+    return _Rivals(jnp.argmin(others, axis=1), gaps)

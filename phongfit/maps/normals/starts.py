@@ -15,7 +15,7 @@ from phongfit.maps.pixel.samples import Samples
 from phongfit.maps.pixel.small import Numbers, Triangle, factorize, solve
 
 # Rounds of reweighting of a matte surface.
-ROUNDS = 8
+ROUNDS = 5
 
 
 class Matte(NamedTuple):

@@ -17,11 +17,16 @@ from phongfit.maps.pixel.small import (
     Numbers,
     Triangle,
     dot,
+    entry,
     factorize,
     only,
+    optimization_barrier,
     solve,
+    times,
 )
 
+# Place of log f among the unknowns that the channels share.
+EXPONENT = 2
 # No step is longer: in radians, and in log f.
 FARTHEST = 0.3
 LONGEST = 0.7
@@ -62,10 +67,9 @@ class Reduced(NamedTuple):
 
 
 def reduce_sums(sums: Sums, damping: Float[Array, " pixels"], free: Free) -> Reduced:
-    """Eliminate what each channel has of its own."""
+    """Eliminate what each channel has of its own, which is linear: undamped."""
     more = 1 + damping
-    own = only(_damped(sums.own, more[None]), free.own)
-    factors = factorize(own)
+    factors = factorize(only(sums.own, free.own))
     cross = tuple(
         tuple(
             jnp.where(mine & both[None], number, 0)
@@ -73,10 +77,7 @@ def reduce_sums(sums: Sums, damping: Float[Array, " pixels"], free: Free) -> Red
         )
         for row, both in zip(sums.cross, free.shared, strict=True)
     )
-    pulled = tuple(
-        jnp.where(mine, number, 0)
-        for number, mine in zip(sums.pull_own, free.own, strict=True)
-    )
+    pulled = _of_free(sums.pull_own, free.own)
     adapted = tuple(solve(factors, row) for row in cross)
     shared = tuple(
         tuple(
@@ -91,22 +92,41 @@ def reduce_sums(sums: Sums, damping: Float[Array, " pixels"], free: Free) -> Red
             sums.pull_shared, adapted, free.shared, strict=True
         )
     )
-    return Reduced(only(shared, free.shared), pull, factors, adapted, cross)
+    return optimization_barrier(
+        Reduced(only(shared, free.shared), pull, factors, adapted, cross)
+    )
 
 
 def make_move(sums: Sums, damping: Float[Array, " pixels"], free: Free) -> Move:
     """The damped step of all that is free."""
     reduced = reduce_sums(sums, damping, free)
     shared = solve(factorize(reduced.shared), reduced.pull)
-    left = tuple(
-        jnp.where(mine, number, 0)
-        for number, mine in zip(sums.pull_own, free.own, strict=True)
-    )
+    left = _of_free(sums.pull_own, free.own)
     for x, row in zip(shared, reduced.cross, strict=True):
         left = tuple(b - x[None] * c for b, c in zip(left, row, strict=True))
     own = solve(reduced.factors, left)
     promised = over_channels(dot(own, sums.pull_own)) + dot(shared, sums.pull_shared)
-    return Move(own, shared, promised)
+    return optimization_barrier(Move(own, shared, promised))
+
+
+def respond(sums: Sums, free: Free) -> Move:
+    """By how much all else follows where log f goes up by one."""
+    still = jnp.zeros_like(sums.cost)
+    shared = list(free.shared)
+    shared[EXPONENT] = jnp.zeros_like(shared[EXPONENT])
+    pulled = sums._replace(
+        pull_own=tuple(-number for number in sums.cross[EXPONENT]),
+        pull_shared=tuple(
+            -entry(sums.shared, EXPONENT, k) for k in range(len(sums.shared))
+        ),
+    )
+    return make_move(pulled, still, Free(free.own, tuple(shared)))
+
+
+def _of_free(values: Numbers, free: Numbers) -> Numbers:
+    return tuple(
+        jnp.where(mine, number, 0) for number, mine in zip(values, free, strict=True)
+    )
 
 
 def _damped(matrix: Triangle, more: Array) -> Triangle:
@@ -149,12 +169,61 @@ def free_to_move(point: Point, sums: Sums, which: Unknowns, edges: Edges) -> Fre
     always = jnp.ones(point.log_exponent.shape, bool)
     shared = [always, always]
     if which.exponent:
-        pull = sums.pull_shared[2]
+        pull = sums.pull_shared[EXPONENT]
         shared.append(inward(point.log_exponent, pull, edges.log_exponent))
     if which.one_specular:
         pull = sums.pull_shared[-1]
         shared.append(inward(point.specular[0], pull, edges.specular))
     return Free(own, tuple(shared))
+
+
+def steadied(sums: Sums, which: Unknowns, edges: Edges) -> Sums:
+    """Sums whose steps leave alone what samples do not tell.
+
+    As if each unknown were known to lie where it is, to the width of its box.
+    """
+
+    def more(matrix: Triangle, widths: dict[int, tuple[float, float]]) -> Triangle:
+        return tuple(
+            (*row[:-1], row[-1] + (widths[k][1] - widths[k][0]) ** -2)
+            if k in widths
+            else row
+            for k, row in enumerate(matrix)
+        )
+
+    shared = {}
+    if which.exponent:
+        shared[EXPONENT] = edges.log_exponent
+    if which.one_specular:
+        shared[which.n_shared - 1] = edges.specular
+    own = dict(enumerate(edges.own))
+    return sums._replace(own=more(sums.own, own), shared=more(sums.shared, shared))
+
+
+def adapt_own(point: Point, sums: Sums, which: Unknowns, edges: Edges) -> Move:
+    """The step of each channel's own unknowns alone, and how much that gives.
+
+    As far as the box allows, and nothing where the box turns it to a loss: what it
+    gives is exact, since light is linear in them.
+    """
+    free = free_to_move(point, sums, which, edges).own
+    pull = _of_free(sums.pull_own, free)
+    steps = optimization_barrier(solve(factorize(only(sums.own, free)), pull))
+    values = [getattr(point, name) for name in which.own]
+    own = tuple(
+        jnp.clip(value + step, *edge) - value
+        for value, step, edge in zip(values, steps, edges.own, strict=True)
+    )
+    gain = 2 * dot(own, sums.pull_own) - dot(own, times(sums.own, own))
+    better = gain > 0
+    still = tuple(jnp.zeros_like(pull) for pull in sums.pull_shared)
+    return optimization_barrier(
+        Move(
+            tuple(jnp.where(better, step, 0) for step in own),
+            still,
+            over_channels(jnp.where(better, gain, 0)),
+        )
+    )
 
 
 def moved(
@@ -175,7 +244,7 @@ def moved(
         value = jnp.clip(getattr(point, name) + step, low, high)
         found = found._replace(**{name: value})
     if which.exponent:
-        step = jnp.clip(move.shared[2], -LONGEST, LONGEST)
+        step = jnp.clip(move.shared[EXPONENT], -LONGEST, LONGEST)
         t = jnp.clip(point.log_exponent + step, *edges.log_exponent)
         found = found._replace(log_exponent=t)
     if which.one_specular:

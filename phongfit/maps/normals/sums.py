@@ -18,8 +18,6 @@ from phongfit.maps.pixel.samples import Samples
 from phongfit.maps.pixel.small import (
     Numbers,
     Triangle,
-    add_products,
-    no_triangle,
     optimization_barrier,
 )
 from phongfit.reflectance import AbstractSpecular
@@ -175,62 +173,90 @@ def gather(
     which: Unknowns,
 ) -> Sums:
     """All sums at a point, residuals being measured in `scale`."""
-    first, peak = _nothing(samples, which), peak_of(model, point.log_exponent)
+    peak = peak_of(model, point.log_exponent)
 
-    def add(image: Array, sums: Sums) -> Sums:
+    def add(image: Array, totals: _Totals) -> _Totals:
         made = model_image(point, peak, samples.lamps, image, model, which)
         share = samples.share[image] / scale[None]
         residual = share * (samples.target[image] - made.light)
         weight = loss_weights(loss, residual) * share
-        own, shared, residual, weight, share = optimization_barrier(
-            (made.own, made.shared, residual, weight, share)
+        cost = over_channels(loss.root(residual) ** 2)
+        columns, whole, pull, cost = optimization_barrier(
+            ((*made.own, *made.shared), weight * share, weight * residual, cost)
         )
-        whole = weight * share
-        pull = weight * residual
-        weighed_own = tuple(whole * column for column in own)
-        weighed = tuple(whole * column for column in shared)
-        return Sums(
-            add_products(sums.own, weighed_own, own),
-            tuple(
-                tuple(s + w * c for s, c in zip(row, own, strict=True))
-                for row, w in zip(sums.cross, weighed, strict=True)
-            ),
-            add_products(sums.shared, weighed, shared),
-            tuple(s + pull * c for s, c in zip(sums.pull_own, own, strict=True)),
-            tuple(s + pull * c for s, c in zip(sums.pull_shared, shared, strict=True)),
-            sums.cost + loss.root(residual) ** 2,
-        )
+        # Side by side in one array: one program then makes all products of a kind.
+        table = optimization_barrier(jnp.stack(columns))
+        return totals.add(table, whole, pull, cost)
 
     images = samples.target.shape[0]
-    return _joined(jax.lax.fori_loop(0, images, add, first))
+    return jax.lax.fori_loop(0, images, add, _no_totals(samples, which)).sums()
+
+
+class _Totals(NamedTuple):
+    """Sums over samples while they grow, each kind in one array.
+
+    - `own`: products of all columns with those of each channel's own unknowns.
+    - `shared`: products of the shared unknowns' columns, over all channels.
+    - `pull`: of all columns with the residuals; `cost`: as in [`Sums`][].
+    """
+
+    own: Float[Array, "unknowns own channels pixels"]
+    shared: Float[Array, "shared shared pixels"]
+    pull: Float[Array, "unknowns channels pixels"]
+    cost: Float[Array, " pixels"]
+
+    def add(
+        self,
+        columns: Float[Array, "unknowns channels pixels"],
+        weight: Float[Array, "channels pixels"],
+        pull: Float[Array, "channels pixels"],
+        cost: Float[Array, " pixels"],
+    ) -> "_Totals":
+        """With one more image."""
+        own = self.own.shape[1]
+        weighed = weight[None] * columns
+        products = [
+            weighed[own:, None, channel] * columns[None, own:, channel]
+            for channel in range(len(pull))
+        ]
+        return _Totals(
+            self.own + weighed[:, None] * columns[None, :own],
+            self.shared + sum(products[1:], products[0]),
+            self.pull + columns * pull[None],
+            self.cost + cost,
+        )
+
+    def sums(self) -> Sums:
+        """Number by number."""
+        unknowns, own = self.own.shape[:2]
+        shared = range(unknowns - own)
+        return Sums(
+            tuple(tuple(self.own[i, j] for j in range(i + 1)) for i in range(own)),
+            tuple(tuple(self.own[own + i, j] for j in range(own)) for i in shared),
+            tuple(tuple(self.shared[i, j] for j in range(i + 1)) for i in shared),
+            tuple(self.pull[:own]),
+            tuple(over_channels(each) for each in self.pull[own:]),
+            self.cost,
+        )
 
 
 def no_sums(samples: Samples, which: Unknowns) -> Sums:
     """Sums over no samples."""
-    return _joined(_nothing(samples, which))
+    return _no_totals(samples, which).sums()
 
 
-def _nothing(samples: Samples, which: Unknowns) -> Sums:
-    """The same, of each channel apart."""
+def _no_totals(samples: Samples, which: Unknowns) -> _Totals:
     nothing = jnp.zeros_like(samples.target[0])
-    n_own, n_shared = len(which.own), which.n_shared
+    own, shared = len(which.own), which.n_shared
 
-    return Sums(
-        no_triangle(nothing, n_own),
-        tuple(tuple(nothing for _ in range(n_own)) for _ in range(n_shared)),
-        no_triangle(nothing, n_shared),
-        tuple(nothing for _ in range(n_own)),
-        tuple(nothing for _ in range(n_shared)),
-        nothing,
-    )
+    def many(*numbers: int) -> Array:
+        return jnp.broadcast_to(nothing, (*numbers, *nothing.shape))
 
-
-def _joined(sums: Sums) -> Sums:
-    """What the channels share, summed over them."""
-    return sums._replace(
-        shared=jax.tree.map(over_channels, sums.shared),
-        pull_shared=jax.tree.map(over_channels, sums.pull_shared),
-        cost=over_channels(sums.cost),
+    return _Totals(
+        many(own + shared, own),
+        many(shared, shared)[:, :, 0],
+        many(own + shared),
+        nothing[0],
     )
 
 

@@ -71,10 +71,14 @@ def at_pixels(function: Callable[..., T], *vectors: Float[Array, "3 #pixels"]) -
     def of_numbers(*numbers: tuple[Scalar, ...]) -> T:
         return function(*map(jnp.stack, numbers))
 
+    # What is the same for all is worked out once.
+    each = [vector.shape[1] == pixels for vector in vectors]
     rows = [
-        tuple(jnp.broadcast_to(row, (pixels,)) for row in vector) for vector in vectors
+        tuple(vector) if own else tuple(vector[:, 0])
+        for own, vector in zip(each, vectors, strict=True)
     ]
-    return jax.vmap(of_numbers, out_axes=-1)(*rows)
+    axes = tuple(0 if own else None for own in each)
+    return jax.vmap(of_numbers, in_axes=axes, out_axes=-1)(*rows)
 
 
 def grey(lamps: Lamps) -> Lamps:

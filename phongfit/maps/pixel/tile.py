@@ -5,7 +5,7 @@ It holds no state and knows no disk: a cluster can run it as it is.
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -21,11 +21,11 @@ BLOCK = 512
 """Pixels that are worked on together: few enough for the numbers to stay in cache."""
 
 
-def fit_tile(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
-    """The material of every pixel of a tile.
+T = TypeVar("T")
 
-    Block by block in short; the few pixels for which that is not enough are gathered to
-    blocks of their own, and worked on thoroughly: see [`fit_pixels`][].
+
+def fit_tile(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
+    """The material of every pixel of a tile, in short or thoroughly: [`fit_pixels`][].
 
     **Arguments:**
 
@@ -34,13 +34,24 @@ def fit_tile(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
 
     **Returns:** a [`PixelFit`][] whose leaves have the pixels as their first axis.
     """
+    return in_blocks(
+        tile, lambda part, thorough: fit_pixels(part, outside, thorough, settings)
+    )
+
+
+def in_blocks(tile: Tile, fit: Callable[[Tile, Array], tuple[T, Array]]) -> T:
+    """What `fit` makes of each block of a tile, with all pixels as the first axis.
+
+    Block by block in short; the few pixels for which that is not enough are gathered to
+    blocks of their own, and worked on thoroughly.
+
+    **Arguments:** `fit`: from a block, and whether to be thorough, to what it finds,
+    and to where that is wanted.
+    """
     pixels = tile.normal.shape[0]
     blocks = pixels // BLOCK
-
     # Traced once, though it is asked for its shapes first.
-    @jax.jit
-    def fit_block(part: Tile, thorough: Array) -> tuple[PixelFit, Array]:
-        return fit_pixels(part, outside, thorough, settings)
+    fit_block = jax.jit(fit)
 
     def unfinished(state: _Work) -> Array:
         return (state.block < blocks) | ((state.block - blocks) * BLOCK < state.n_left)
@@ -100,7 +111,7 @@ class _Work(NamedTuple):
     """
 
     block: Array
-    found: PixelFit
+    found: Any
     left: Array
     n_left: Array
 
