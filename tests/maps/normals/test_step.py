@@ -110,11 +110,12 @@ def test_all_else_follows_the_exponent(model):
     def off(move: Move) -> Move:
         shared = list(move.shared)
         shared[EXPONENT] = jnp.full(PIXELS, 1.0, DTYPE)
-        return Move(*jax.tree.map(lambda leaf: there * leaf, (move.own, shared)), 0)
+        own = tuple(there * x for x in move.own)
+        return Move(own, tuple(there * x for x in shared), move.decrement)
 
     def added(first: Move, second: Move) -> Move:
-        pairs = (first.own, tuple(first.shared)), (second.own, tuple(second.shared))
-        return Move(*jax.tree.map(jnp.add, *pairs), 0)
+        own, shared = jax.tree.map(jnp.add, first[:2], second[:2])
+        return Move(own, shared, first.decrement)
 
     cost = model.cost(added(best, off(follow)))
     rng = np.random.default_rng(1)
