@@ -195,22 +195,27 @@ def search(
     floor = noise if settings.noise_given else jnp.zeros_like(noise)
     wide = _positive(jnp.maximum(starts.matte.scale, floor), together)
     one = _one_channel(which)
+    exponents = _exponents(known, settings)
     begins = [
         _begin(normal, t, starts.matte.diffuse, known, which)
         for normal in starts.normals
-        for t in _exponents(known, settings)
+        for t in exponents
     ]
     few, polished, most = (jnp.where(thorough, *each) for each in STEPS)
+    # Plain least squares is hardly ever the better matte surface.
+    plain = jnp.arange(len(begins)) < len(exponents)
+    steps = jnp.where(plain & ~jnp.asarray(thorough), 0, few)
 
-    def try_start(begin: Point, steps: Array = few) -> tuple[Point, Array]:
+    def try_start(start: tuple[Point, Array]) -> tuple[Point, Array]:
+        begin, steps = start
         end = descend(begin, together, wide, steps, ROUGH, settings, one, channels)
         return end.point, end.cost
 
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *begins)
-    points, costs = jax.lax.map(try_start, stacked)
+    points, costs = jax.lax.map(try_start, (stacked, steps))
     best = jnp.argmin(costs, axis=0)
     rivals = _rivals(points, costs, best)
-    winner, cost = try_start(_pick(points, best), polished)
+    winner, cost = try_start((_pick(points, best), polished))
     freedom = _count(together) - settings.unknowns(1)
     close = rivals.gaps * jnp.maximum(freedom, 1)[None] <= FAR_OFF * cost[None]
     near = jnp.any(close, axis=0)
