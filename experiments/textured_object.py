@@ -21,9 +21,11 @@ by way of files 1.002, 1.6 errors, 1.021. `--full` by way of files: 1.013, 2.2 e
 1.031, 79 s, 1.05 GB.
 
 `--large` (2048 × 2048 texels, 20 photographs of 2 megapixels) says how much memory it
-takes. It was not run to its end: 4.5 GB where the first equations were summed up. With
-`MALLOC_MMAP_THRESHOLD_=1000000` in the environment, and pictures of noise in place of
-rendered ones, that took 2.7 GB, and 3.0 GB among the solves, where it was ended.
+takes: 24 min of processor time, 3.6 GB while texels are solved for, 4.7 GB when each
+photograph is judged and all is compared (before counts of single photographs were added
+up at once, 0.7 GB). ρ_s and f came out within 1.2 errors; texels of half a pixel are
+finer than the photographs, so that errors are widened 2.1 times and the ninth place
+is off by 1.26 times its noise.
 """
 
 import dataclasses

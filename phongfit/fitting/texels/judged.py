@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from phongfit.codes import coded
 from phongfit.fitting.problem.losses import Linear
@@ -45,7 +45,12 @@ def judge(
         more = np.einsum("ti,ij,tj->t", moved, part, moved, optimize=False)
         variances.append(alone + more)
     freedom = system.freedom
-    images = [_image(job, k, state, sigma) for k in range(len(job.images.given))]
+    seen, images = np.zeros(job.grid.shape), []
+    for k in range(len(job.images.given)):
+        # Of many texels a count for each image would fill the memory.
+        one, looks = _image(job, k, state, sigma)
+        seen += looks
+        images.append(one)
     side = max(tile_side(*one.residual.shape[:2]) for one in images)
     misfit = find_misfit([one.tiles for one in images], side)
     spread, total = 1.0, sum(one.samples for one in images)
@@ -73,7 +78,7 @@ def judge(
         shared.append(Shared(_label(job, one), value, float(error)))
     return TextureFit(
         *textures,
-        sum((one.seen for one in images), np.zeros(job.grid.shape)),
+        seen,
         Material(
             **{name: numbers[name] for name in BASIS},
             shininess=numbers["shininess"][:, None],
@@ -119,15 +124,17 @@ def _label(job: Job, one: Few) -> str:
 
 
 class _Shown(NamedTuple):
-    """Of one image: `samples` that count, and how often each texel is `seen`."""
+    """Of one image: `samples` are those that count."""
 
     residual: np.ndarray
     tiles: Tiles
     samples: int
-    seen: np.ndarray
 
 
-def _image(job: Job, k: int, state: State, sigma: float) -> _Shown:
+def _image(
+    job: Job, k: int, state: State, sigma: float
+) -> tuple[_Shown, Float[np.ndarray, "..."]]:
+    """What is shown of one image, and how often it sees each texel."""
     lit, image, step = job.images.at(k), job.images.image(k), job.images.step(k)
     parts, light = light_of(job, lit, state, lit.touched)
     whole = np.zeros((4, image.size // 3, 3), image.dtype)
@@ -144,12 +151,9 @@ def _image(job: Job, k: int, state: State, sigma: float) -> _Shown:
     fitted = np.clip(light, 0, 1) if job.clamp else light
     # A pixel counts as much as it looks at a texel.
     looks = (lit.weight > 0).any(axis=1).astype(float)
-    return _Shown(
-        np.where(weight > 0, image - fitted, 0),
-        tiles,
-        int(np.count_nonzero(lit.weight)),
-        lit.touched.scattered(looks, job.grid.texels).reshape(job.grid.shape),
-    )
+    residual = np.where(weight > 0, image - fitted, 0)
+    seen = lit.touched.scattered(looks, job.grid.texels).reshape(job.grid.shape)
+    return _Shown(residual, tiles, int(np.count_nonzero(lit.weight))), seen
 
 
 @program("clamp", "side")
