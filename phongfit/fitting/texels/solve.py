@@ -150,7 +150,7 @@ def inverse_diagonal(
     system: AbstractSystem,
     grid: AbstractTexels,
     parameters: int,
-    tolerance: float = 1e-2,
+    tolerance: float = 1e-3,
 ) -> Float[np.ndarray, " n"]:
     r"""The diagonal of the inverse: exactly if small, else by probing.
 
