@@ -183,10 +183,13 @@ def _export_mesh(mesh: Path, options: Options, to: Target) -> str:
 
 
 def _check_maps(folder: Path, options: Options, to: Target) -> None:
-    if to in ("json", "opengl", "usd"):
+    if to in ("json", "opengl"):
         raise ValueError(
-            f"to: expected mtl, gltf, obj or ply for the maps in {folder}, got {to}"
+            f"to: {to} holds one material, {folder} holds maps; mtl and gltf "
+            "know textures"
         )
+    if to == "usd":
+        raise ValueError(f"to: expected mtl, gltf, obj or ply for maps, got {to}")
     if options.scene is not None:
         raise ValueError("scene: expected none, since maps lie on their picture")
 
