@@ -92,8 +92,8 @@ def main(options: Options) -> int:
     roughness = (2 / (f + 2))^(1/4), F0 = 8 rho_s / (f + 2) by KHR_materials_specular,
     metallic 0; the exact numbers stand in its extras. Its highlight differs from
     Blinn's by up to 0.16 of the peak, from GGX's by what Fresnel's law takes of the
-    diffuse light. USD has the same numbers, with F0 as the specular colour. Maps
-    become texture images: beside an .mtl; inside a glTF file, on a rectangle with their
+    diffuse light. USD has the same numbers, with F0 as the specular colour. Maps become
+    texture images: beside an .mtl; inside a glTF file, on a rectangle with their
     normals, or on the mesh of their height (--surface; .obj and .ply always). A
     highlight that is 0 within its error is 0 there, and what a pixel does not identify
     is the median of those that can.

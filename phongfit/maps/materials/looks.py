@@ -12,7 +12,7 @@ from phongfit.fitting.problem.losses import AbstractLoss
 from phongfit.maps.materials.bases import as_known, held, sought
 from phongfit.maps.materials.reduced import reduce, take_apart, turns
 from phongfit.maps.normals.block import samples_of
-from phongfit.maps.normals.scale import weighed_scale
+from phongfit.maps.normals.scale import count_used, weighed_scale
 from phongfit.maps.normals.search import descend, search
 from phongfit.maps.normals.step import (
     Move,
@@ -62,7 +62,7 @@ def fit_alone(tile: Tile, outside: Outside, settings: MapSettings) -> Alone:
     found = search(samples, outside.known, outside.noise, settings, which)
     left = found.left
     unknowns = settings.unknowns()
-    count = jnp.sum((samples.share > 0).astype(left.dtype), axis=(0, 1))
+    count = count_used(samples.share)
     if settings.loss.robust:
         level = weighed_scale(left, samples.share, found.scale, settings.loss, unknowns)
     else:

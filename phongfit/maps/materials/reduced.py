@@ -13,13 +13,13 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from phongfit.maps.normals.step import Free, Move, make_move, reduce_sums
+from phongfit.maps.normals.step import EXPONENT, Free, Move, make_move, reduce_sums
 from phongfit.maps.normals.sums import Sums, over_channels
 from phongfit.maps.normals.unknowns import Unknowns
 from phongfit.maps.pixel.small import Numbers, dot, factorize
 
-EXPONENT, STRENGTH = 2, 3
-"""Places of log f and of a shared ρ_s among the unknowns that the channels share."""
+STRENGTH = EXPONENT + 1
+"""Place of a shared ρ_s among the unknowns that the channels share: after log f."""
 
 
 class Column(NamedTuple):

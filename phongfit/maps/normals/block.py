@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from phongfit.maps.normals.errors import Profile, standard_errors
-from phongfit.maps.normals.scale import weighed_scale
+from phongfit.maps.normals.scale import count_used, weighed_scale
 from phongfit.maps.normals.search import Found, follow_exponent, search
 from phongfit.maps.normals.step import edges_of
 from phongfit.maps.normals.unknowns import Unknowns, unknowns_of
@@ -159,7 +159,7 @@ def _noise_left(
     """
     unknowns, noise = settings.unknowns(), outside.noise
     left, used = found.left, samples.share > 0
-    count = jnp.sum(used.astype(left.dtype), axis=(0, 1))
+    count = count_used(samples.share)
     freedom = jnp.maximum(count - unknowns, 1)
     level = jnp.sqrt(jnp.sum(left**2, axis=(0, 1)) / freedom)
     unit = jnp.ones_like(level)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.uncertainty.identifiability import SEEN
-from phongfit.maps.normals.step import Edges, Free, reduce_sums
+from phongfit.maps.normals.step import EXPONENT, Edges, Free, reduce_sums
 from phongfit.maps.normals.sums import Sums
 from phongfit.maps.normals.unknowns import Point, Unknowns
 from phongfit.maps.pixel.lamps import facing
@@ -100,14 +100,13 @@ def standard_errors(
     - `rival`: by how much another normal is worse.
     - `follow`: the profile at log exponents, (2, pixels), of some of the pixels.
     """
-    exponent = 2
     everything = _all(sums)
     spread = _spread(sums, everything)
     dim = jnp.zeros(sigma.shape, bool)
     if which.exponent:
         # Without a highlight the exponent may be anything.
         shared = list(everything.shared)
-        shared[exponent] = jnp.zeros_like(shared[exponent])
+        shared[EXPONENT] = jnp.zeros_like(shared[EXPONENT])
         apart = _spread(sums, everything._replace(shared=tuple(shared)))
         least, other = (_specular_error(each, sigma, which) for each in (spread, apart))
         seen = point.specular >= SEEN * jnp.minimum(least, other)
@@ -125,7 +124,7 @@ def standard_errors(
     widths = _Widths(normal, own, specular, reach, open_ended)
     t = point.log_exponent
     if which.exponent:
-        log_error = sigma * spread.shared[exponent]
+        log_error = sigma * spread.shared[EXPONENT]
         reach = jnp.exp(t) * log_error
         vague = ~dim & ~(log_error < VAGUE)
         widths = widths._replace(exponent=reach)

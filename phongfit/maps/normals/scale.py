@@ -13,6 +13,13 @@ NORMAL = 1.4826
 HALVINGS = 12
 
 
+def count_used(
+    share: Float[Array, "images channels pixels"],
+) -> Float[Array, " pixels"]:
+    """How many samples of each pixel count, as numbers: sums of flags are slow."""
+    return jnp.sum((share > 0).astype(share.dtype), axis=(0, 1))
+
+
 def median_scale(
     residual: Float[Array, "images channels pixels"],
     share: Float[Array, "images channels pixels"],
@@ -28,10 +35,8 @@ def median_scale(
     - `unknowns`: of a pixel, which took as many degrees of freedom.
     """
     size = jnp.abs(residual)
-    used = share > 0
-    # As numbers: sums of flags are slow.
-    dtype = residual.dtype
-    count = jnp.sum(used.astype(dtype), axis=(0, 1))
+    used, dtype = share > 0, residual.dtype
+    count = count_used(share)
 
     def halve(_: Array, between: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = between
@@ -63,7 +68,7 @@ def weighed_scale(
     """
     used = share > 0
     weight = jnp.where(used, loss_weights(loss, residual / scale[None, None]), 0)
-    count = jnp.sum(used.astype(residual.dtype), axis=(0, 1))
+    count = count_used(share)
     total = jnp.sum(weight, axis=(0, 1))
     square = jnp.sum(weight * residual**2, axis=(0, 1))
     square = square / jnp.where(total > 0, total, 1) / _of_normal(loss)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.maps.normals.errors import Profile
-from phongfit.maps.normals.scale import median_scale
+from phongfit.maps.normals.scale import count_used, median_scale
 from phongfit.maps.normals.starts import greyed, make_starts
 from phongfit.maps.normals.step import (
     Move,
@@ -216,7 +216,7 @@ def search(
     best = jnp.argmin(costs, axis=0)
     rivals = _rivals(points, costs, best)
     winner, cost = try_start((_pick(points, best), polished))
-    freedom = _count(together) - settings.unknowns(1)
+    freedom = count_used(together.share) - settings.unknowns(1)
     close = rivals.gaps * jnp.maximum(freedom, 1)[None] <= FAR_OFF * cost[None]
     near = jnp.any(close, axis=0)
     # Another normal matters more than another highlight.
@@ -262,7 +262,7 @@ def _finish(
     begin, skipped = start
     unknowns = settings.unknowns(samples.target.shape[1])
 
-    freedom = jnp.maximum(_count(samples) - unknowns, 1)
+    freedom = jnp.maximum(count_used(samples.share) - unknowns, 1)
 
     def left_by(point: Point) -> Array:
         return residuals(point, samples, settings.model, which)
@@ -339,11 +339,6 @@ def follow_exponent(
 
     points, rises, settled = jax.lax.map(at, log_exponents)
     return Profile(points, rises, jnp.all(settled, axis=0))
-
-
-def _count(samples: Samples) -> Float[Array, " pixels"]:
-    """How many samples are used, as numbers: sums of flags are slow."""
-    return jnp.sum((samples.share > 0).astype(samples.share.dtype), axis=(0, 1))
 
 
 def _positive(scale: Array, samples: Samples) -> Array:
