@@ -30,6 +30,10 @@ from phongfit.reflectance import AbstractSpecular
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
+BROAD, MANY = 12.0, 0.05
+"""Exponent below which a lobe looks like matte light under some of the lamps; and the
+share of pixels with such a lobe from which on it is said."""
+
 
 class ParameterMaps(NamedTuple):
     """A map of numbers for each parameter of a material."""
@@ -274,7 +278,20 @@ class Maps:
                 "it takes for materials what the model lacks"
             )
             found.append(coded("materials-run-out", words))
+        broad = sought & self._has_broad_highlight()
+        if self.materials is None and broad.sum() > MANY * sought.sum():
+            words = (
+                f"{broad.sum():,} of {sought.sum():,} pixels have a highlight so broad "
+                f"(f below {BROAD:g}), and so little diffuse light beside it, that it "
+                "stands for matte light: their normals may be tens of degrees off"
+            )
+            found.append(coded("broad-highlights", words))
         return tuple(found)
+
+    def _has_broad_highlight(self) -> Bool[np.ndarray, "height width"]:
+        """Where it may stand for the light of a matte surface, seen in part."""
+        strong = self.specular.mean(axis=-1) > 2 * self.diffuse.mean(axis=-1)
+        return strong & (self.shininess.mean(axis=-1) < BROAD)
 
     @checked
     def flagged(self, flag: Flag) -> Bool[np.ndarray, "height width"]:

@@ -37,7 +37,7 @@ def _drawn(
     return {"source": source(figure), "alt": alt, "caption": caption}
 
 
-class Shown(NamedTuple):
+class FittedImage(NamedTuple):
     """One image, its fit and the residual: linear light (H, W, 3)."""
 
     photograph: np.ndarray
@@ -45,13 +45,13 @@ class Shown(NamedTuple):
     residual: np.ndarray
 
 
-def shown(fit: Fit, k: int) -> Shown:
+def shown(fit: Fit, k: int) -> FittedImage:
     """Image `k` of a fit."""
     parts = (fit.photographs, fit.fitted, fit.residuals)
-    return Shown(*(as_tuple(part)[k] for part in parts))
+    return FittedImage(*(as_tuple(part)[k] for part in parts))
 
 
-def trio(image: Shown, name: str, factor: float) -> Panel:
+def trio(image: FittedImage, name: str, factor: float) -> Panel:
     """Photograph, fit and residual of an image, as much brighter as `factor` says."""
     photograph, fitted, residual = image
     of = f" of {name}" if name else ""

@@ -17,7 +17,7 @@ from phongfit.plain import readable
 from phongfit.rendering.render import render
 from phongfit.report.html import fill, row, source
 from phongfit.report.page import full_stop
-from phongfit.report.panels import Panel, Shown, about_pictures, trio
+from phongfit.report.panels import FittedImage, Panel, about_pictures, trio
 from phongfit.report.pictures import Row, comparison
 from phongfit.report.plots import brightening, chosen
 from phongfit.report.scales import TITLES, draw_numbers, draw_scale
@@ -84,7 +84,7 @@ def draw_photographs(found: TextureFit, data: Dataset) -> Figure:
 
 class _Named(NamedTuple):
     name: str
-    shown: Shown
+    shown: FittedImage
 
 
 def _some(found: TextureFit, data: Dataset) -> tuple[list[_Named], float]:
@@ -92,7 +92,7 @@ def _some(found: TextureFit, data: Dataset) -> tuple[list[_Named], float]:
     images = []
     for k in chosen(len(data.images)):
         fitted = np.asarray(render(found.scene(data.scenes[k]), found.material))
-        parts = Shown(data.images[k], fitted, found.residuals[k])
+        parts = FittedImage(data.images[k], fitted, found.residuals[k])
         images.append(_Named(data.names[k], parts))
     return images, brightening(one.shown.photograph for one in images)
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from phongfit.fitting.texels.job import PRIOR, Job, State
-from phongfit.fitting.texels.lit import BASIS, Basis, LitImage, basis, shown
+from phongfit.fitting.texels.job import Job, State
+from phongfit.fitting.texels.lit import BASIS, Basis, LitImage, basis, film_response
 from phongfit.fitting.texels.solve import (
     DIRECT,
     AbstractSystem,
@@ -20,7 +20,7 @@ Blocks = dict[tuple[int, int], np.ndarray]
 """Sums of samples' products for each pair of fields p ≤ q that they couple."""
 
 
-class Left(NamedTuple):
+class ResidualSums(NamedTuple):
     """What the light of a state leaves of the photographs, in standard deviations.
 
     `cost` is the sum of squares, `squares` that of the samples that are not clipped,
@@ -47,7 +47,7 @@ class Sums(NamedTuple):
     mixed: list[np.ndarray]
     dense: np.ndarray
     few_right: np.ndarray
-    left: Left
+    left: ResidualSums
     unit: np.ndarray | None
 
 
@@ -72,7 +72,7 @@ def compare(
     """A photograph with what the film shows of the light of `state`."""
     parts, light = light_of(job, image, state, touched)
     deviation = sigma / np.sqrt(np.where(image.weight > 0, image.weight, 1))
-    film = shown(light, deviation, job.clamp)
+    film = film_response(light, deviation, job.clamp)
     used = image.weight > 0
     left = np.where(used, (image.target - film.mean) / deviation, 0)
     gain = np.where(used, film.slope / deviation, 0)
@@ -128,14 +128,14 @@ def _no_sums(job: Job) -> Sums:
         mixed,
         np.zeros((few, few)),
         np.zeros(few),
-        Left(0.0, 0.0, 0, around),
+        ResidualSums(0.0, 0.0, 0, around),
         None,
     )
 
 
 def _add_image(
     sums: Sums, job: Job, image: LitImage, state: State, touched: Touched, sigma: float
-) -> Left:
+) -> ResidualSums:
     """Add one image's samples to arrays in their place; what is left of all so far."""
     parts, left, gain, free = compare(job, image, state, touched, sigma)
     for c in range(3):
@@ -160,7 +160,7 @@ def _add_image(
     before, squares = sums.left, left**2
     if before.around is not None:
         before.around[:] += _around(touched, squares.sum(axis=1), job.grid.texels)
-    return Left(
+    return ResidualSums(
         before.cost + float(squares.sum()),
         before.squares + float(squares[free].sum()),
         before.counted + int(np.count_nonzero(free)),
@@ -266,12 +266,10 @@ def make_matrix(
 
     **Arguments:** `damping`: of each texel's exponent, relative to its information.
     """
-    fields, prior = len(job.systems[system]), 1 / PRIOR[1] ** 2
+    fields, known = len(job.systems[system]), job.ridges
     blocks, unit = sums.blocks[system], sums.unit
-    if unit is None:
-        known = prior
-    else:
-        known = prior / unit**2
+    if unit is not None:
+        known = known / unit**2
         if damping is not None:
             own = slice((fields - 1) * job.grid.texels, None)
             known[own] += damping * (blocks[fields - 1, fields - 1][0] + known[own])
@@ -313,7 +311,7 @@ def right_sides(job: Job, sums: Sums, state: State) -> list[np.ndarray]:
     """The systems' right-hand sides, with what is known before."""
     each = zip(sums.right, job.vectors(state), job.expected(state), strict=True)
     return [
-        right + (mean - own) / PRIOR[1] ** 2 - expected_differences(job, own)
+        right + (mean - own) * job.ridges - expected_differences(job, own)
         for right, own, mean in each
     ]
 
@@ -349,7 +347,7 @@ def cost_of(job: Job, state: State, sigma: float) -> Cost:
 def with_known(job: Job, state: State, whole: float, around: np.ndarray) -> Cost:
     """Squares of the photographs, with those of what is known before."""
     for own, mean in zip(job.vectors(state), job.expected(state), strict=True):
-        known = ((own - mean) / PRIOR[1]) ** 2 + own * expected_differences(job, own)
+        known = (own - mean) ** 2 * job.ridges + own * expected_differences(job, own)
         whole += float(known.sum())
         around = around + known.reshape(-1, job.grid.texels).sum(axis=0)
     return Cost(whole, around)

@@ -8,12 +8,19 @@ import numpy as np
 from phongfit.fitting.texels.lit import Photographs
 from phongfit.fitting.texels.sums import AbstractTexels
 
-PRIOR = 0.5, 1.0
+PRIOR = 0.5, 3.0
 """Mean and standard deviation of what is known of a reflectance before any image.
 
-Of a texel's log f it is the same deviation, around the exponent that all share where a
-fit starts.
+So little that millions of texels together are not drawn towards the mean either: a
+deviation of 1 moved what they share, and left residuals, by more than their errors.
 """
+
+SPREAD = 1.0
+"""Standard deviation of texels' log f around the exponent that all share where a fit
+starts, before any image."""
+
+IDENTIFIED = 0.5
+"""Standard error of a texel's reflectance, or log f, from which on nothing is known."""
 
 EXPONENTS = 1.0, 1000.0
 """Between which a highlight's is sought."""
@@ -138,6 +145,14 @@ class Job:
         own = np.log(state.numbers["shininess"])[: self.grid.layers]
         logs = np.repeat(own, self.grid.texels // self.grid.layers)
         return [np.concatenate([np.full(state.texels.size, PRIOR[0]), logs])]
+
+    @property
+    def ridges(self) -> float | np.ndarray:
+        """Inverse variances of what is expected, of each system's texels."""
+        if "shininess" not in self.names:
+            return 1 / PRIOR[1] ** 2
+        counts = 3 * len(self.coloured) * self.grid.texels, self.grid.texels
+        return np.repeat((1 / PRIOR[1] ** 2, 1 / SPREAD**2), counts)
 
     def without_exponents(self) -> "Job":
         """The same for the exponents as they stand, for which all is linear."""

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from phongfit.codes import coded
 from phongfit.fitting.problem.losses import Linear
 from phongfit.fitting.texels.equations import light_of
-from phongfit.fitting.texels.job import PRIOR, Few, Job, State
+from phongfit.fitting.texels.job import IDENTIFIED, Few, Job, State
 from phongfit.fitting.texels.lit import BASIS
 from phongfit.fitting.texels.result import CHANNELS, Shared, TextureFit, as_textures
 from phongfit.fitting.texels.steps import LEAST, System
@@ -35,13 +35,13 @@ def judge(
     steps: int,
 ) -> TextureFit:
     """Errors, lack of fit, warnings."""
-    covariance, told = _few_covariance(system.information)
+    covariance, identified = _few_covariance(system.information)
     variances = []
     for s, (alone, moved) in enumerate(
         zip(system.alone, system.eliminated, strict=True)
     ):
         shared = job.of_system(s)
-        part = np.where(told, covariance, 0)[np.ix_(shared, shared)]
+        part = np.where(identified, covariance, 0)[np.ix_(shared, shared)]
         more = np.einsum("ti,ij,tj->t", moved, part, moved, optimize=False)
         variances.append(alone + more)
     freedom = system.freedom
@@ -58,14 +58,15 @@ def judge(
         over = system.left.squares / freedom
         spread = float(np.sqrt(over)) if over > 1 + 5 * np.sqrt(2 / freedom) else 1.0
     inflation = max(misfit.inflation, spread**2)
-    least = (PRIOR[1] / 2) ** 2
-    errors = [np.sqrt(np.where(v < least, v * inflation, np.inf)) for v in variances]
+    errors = [
+        np.sqrt(np.where(v < IDENTIFIED**2, v * inflation, np.inf)) for v in variances
+    ]
     textures = as_textures(job, job.vectors(state)), as_textures(job, errors)
     if "shininess" in job.names:
         values, stderr = textures
         values["shininess"] = np.exp(values["shininess"])
         stderr["shininess"] *= values["shininess"]
-    few_errors = np.sqrt(np.where(np.diag(told), np.diag(covariance), np.inf))
+    few_errors = np.sqrt(np.where(np.diag(identified), np.diag(covariance), np.inf))
     few_errors = few_errors * np.sqrt(inflation)
     numbers = {name: value.copy() for name, value in state.numbers.items()}
     for name in job.names:
@@ -111,8 +112,8 @@ def _few_covariance(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     vague = values < LEAST
     lost = (vectors[:, vague] ** 2).sum(axis=1) > 0.01
     inverse = (vectors / np.where(vague, np.inf, values)) @ vectors.T
-    told = ~lost & there
-    return inverse / np.outer(scale, scale), np.outer(told, told)
+    identified = ~lost & there
+    return inverse / np.outer(scale, scale), np.outer(identified, identified)
 
 
 def _label(job: Job, one: Few) -> str:
@@ -123,7 +124,7 @@ def _label(job: Job, one: Few) -> str:
     )
 
 
-class _Shown(NamedTuple):
+class _ImageFit(NamedTuple):
     """Of one image: `samples` are those that count."""
 
     residual: np.ndarray
@@ -133,7 +134,7 @@ class _Shown(NamedTuple):
 
 def _image(
     job: Job, k: int, state: State, sigma: float
-) -> tuple[_Shown, Float[np.ndarray, "..."]]:
+) -> tuple[_ImageFit, Float[np.ndarray, "..."]]:
     """What is shown of one image, and how often it sees each texel."""
     lit, image, step = job.images.at(k), job.images.image(k), job.images.step(k)
     parts, light = light_of(job, lit, state, lit.touched)
@@ -153,7 +154,7 @@ def _image(
     looks = (lit.weight > 0).any(axis=1).astype(float)
     residual = np.where(weight > 0, image - fitted, 0)
     seen = lit.touched.scattered(looks, job.grid.texels).reshape(job.grid.shape)
-    return _Shown(residual, tiles, int(np.count_nonzero(lit.weight))), seen
+    return _ImageFit(residual, tiles, int(np.count_nonzero(lit.weight))), seen
 
 
 @program("clamp", "side")

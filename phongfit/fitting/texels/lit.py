@@ -188,19 +188,21 @@ def _basis(pixels: PixelTerms, exponents: Array) -> tuple[Array, Array, Array]:
     return light, slope[2], pixels.fog_light()
 
 
-class Shown(NamedTuple):
+class FilmResponse(NamedTuple):
     """What the film makes of light, on average, and how that grows with it."""
 
     mean: Float[np.ndarray, "n 3"]
     slope: Float[np.ndarray, "n 3"]
 
 
-def shown(light: np.ndarray, deviation: np.ndarray, clamp: bool) -> Shown:
+def film_response(
+    light: np.ndarray, deviation: np.ndarray, clamp: bool
+) -> FilmResponse:
     """Light with noise of a standard deviation, as the film shows it."""
     if not clamp:
-        return Shown(light, np.ones_like(light))
+        return FilmResponse(light, np.ones_like(light))
     mean, slope = _clipped(jnp.asarray(light), jnp.asarray(deviation))
-    return Shown(np.asarray(mean, float), np.asarray(slope, float))
+    return FilmResponse(np.asarray(mean, float), np.asarray(slope, float))
 
 
 @program()

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phongfit.fitting.texels.equations import (
-    Left,
+    ResidualSums,
     Sums,
     cost_of,
     costs,
@@ -27,7 +27,7 @@ from phongfit.fitting.texels.equations import (
     sum_up,
     with_known,
 )
-from phongfit.fitting.texels.job import EXPONENTS, PRIOR, Job, State
+from phongfit.fitting.texels.job import EXPONENTS, PRIOR, SPREAD, Job, State
 from phongfit.fitting.texels.solve import AbstractSystem, at_once, inverse_diagonal
 
 SCAN = np.geomspace(2.0, 700.0, 11)
@@ -136,7 +136,7 @@ class System(NamedTuple):
     - `freedom`: samples less the numbers that they determine.
     """
 
-    left: Left
+    left: ResidualSums
     alone: list[np.ndarray]
     eliminated: list[np.ndarray]
     information: np.ndarray
@@ -200,7 +200,7 @@ class Stepped(NamedTuple):
     """
 
     state: State
-    left: Left
+    left: ResidualSums
     taken: float
     known: np.ndarray | None = None
     settled: bool | None = None
@@ -250,7 +250,7 @@ def step(
     following = job.at(vectors, state)._replace(numbers=numbers)
     known = None
     if "shininess" in job.names:
-        known = 1 / PRIOR[1] ** 2 + next(_information(job, sums))[-1]
+        known = 1 / SPREAD**2 + next(_information(job, sums))[-1]
     return Stepped(following, sums.left, _taken(job, sums), known)
 
 
@@ -283,12 +283,12 @@ def descend(
 
 def _taken(job: Job, sums: Sums) -> float:
     """A first estimate: a texel takes a sample away where it has one."""
-    ridge = 1 / PRIOR[1] ** 2
-    return sum(
-        float((own / (own + ridge)).sum(dtype=float))
-        for fields in _information(job, sums)
-        for own in fields
-    )
+    total, texels = 0.0, job.grid.texels
+    for fields in _information(job, sums):
+        ridges = np.broadcast_to(job.ridges, len(fields) * texels).reshape(-1, texels)
+        for own, ridge in zip(fields, ridges, strict=True):
+            total += float((own / (own + ridge)).sum(dtype=float))
+    return total
 
 
 def _information(job: Job, sums: Sums) -> Iterator[list[np.ndarray]]:
@@ -354,7 +354,7 @@ def solve(
     return state, sigma, make_system(job, state, sigma), converged, steps
 
 
-def _left_over(job: Job, state: State, sigma: float) -> tuple[Left, float]:
+def _left_over(job: Job, state: State, sigma: float) -> tuple[ResidualSums, float]:
     """What is left of the photographs, and the samples that determine nothing."""
     sums = sum_up(job, state, sigma)
     taken = []
@@ -372,13 +372,13 @@ def _moved(one: State, other: State) -> float:
     )
 
 
-def _noise(job: Job, left: Left, taken: float, sigma: float) -> float:
+def _noise(job: Job, left: ResidualSums, taken: float, sigma: float) -> float:
     """A first estimate of the samples' standard deviation."""
     freedom = max(left.counted - taken - len(job.few), 0.1 * left.counted, 1.0)
     return max(sigma * float(np.sqrt(left.squares / freedom)), job.floor)
 
 
-def _freedom(job: Job, left: Left, taken: float) -> float:
+def _freedom(job: Job, left: ResidualSums, taken: float) -> float:
     """Samples less the numbers that they determine."""
     return max(left.counted - taken - len(job.few), 1.0)
 
@@ -396,7 +396,7 @@ def taken_by(job: Job, matrix: AbstractSystem) -> float:
     # The more texels, the less is left to chance.
     shape = size, min(PROBES, at_once(size))
     probes = np.random.default_rng(1).choice([-1.0, 1.0], shape)
-    prior = probes / PRIOR[1] ** 2
+    prior = (probes.T * job.ridges).T
     if job.smoothness is not None:
         by = [expected_differences(job, one) for one in probes.T]
         prior += np.stack(by, axis=1)

@@ -109,7 +109,7 @@ def sum_over_tiles(
     left = jax.lax.cond(
         ~(sigma < 0),
         lambda: _leave(measured, light, loss, clamp),
-        lambda: _Left(none > 0, none, none, none, None if step is None else none),
+        lambda: _Scores(none > 0, none, none, none, None if step is None else none),
     )
     used, score = left.used, left.score
 
@@ -140,7 +140,7 @@ def sum_over_tiles(
     )
 
 
-class _Left(NamedTuple):
+class _Scores(NamedTuple):
     """Of each sample what [`Tiles`][] adds up, and the deviation of shared rounding."""
 
     used: Bool[Array, "height width 3"]
@@ -155,7 +155,7 @@ def _leave(
     light: Float[Array, "height width 3"],
     loss: AbstractLoss,
     clamp: bool,
-) -> _Left:
+) -> _Scores:
     image, weight, step, sigma = measured
     used = jnp.broadcast_to(weight > 0, image.shape)
     noise = sigma / jnp.sqrt(jnp.where(weight > 0, weight, 1))
@@ -166,7 +166,7 @@ def _leave(
         shared = jnp.sqrt(shared_rounding_variance(step, noise)) / deviation
         variance = (noise**2 * variance + step**2 / 12) / deviation**2
     residual = jnp.where(used, (image - film.mean) / deviation, 0)
-    return _Left(
+    return _Scores(
         used,
         loss.score(residual)[0] if loss.robust else residual,
         variance,

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 from phongfit.maps.materials.bases import Bases, as_known, held, sought
 from phongfit.maps.materials.reduced import reduce, take_apart
 from phongfit.maps.normals.block import NormalFit, judged, samples_of
-from phongfit.maps.normals.search import Found, search
+from phongfit.maps.normals.search import SearchResult, search
 from phongfit.maps.normals.step import edges_of, free_to_move
 from phongfit.maps.normals.sums import gather
 from phongfit.maps.normals.unknowns import unknowns_of
@@ -96,7 +96,7 @@ def _fit_block(
 
 def _inherited(
     fit: NormalFit,
-    found: Found,
+    found: SearchResult,
     samples: Samples,
     covariance: Float[Array, "unknowns unknowns"],
     settings: MapSettings,

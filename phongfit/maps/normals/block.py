@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from phongfit.maps.normals.errors import Profile, standard_errors
 from phongfit.maps.normals.scale import count_used, weighed_scale
-from phongfit.maps.normals.search import Found, follow_exponent, search
+from phongfit.maps.normals.search import SearchResult, follow_exponent, search
 from phongfit.maps.normals.step import edges_of
 from phongfit.maps.normals.unknowns import Unknowns, unknowns_of
 from phongfit.maps.pixel.flags import Flag
@@ -71,7 +71,7 @@ def samples_of(
 
 
 def judged(
-    found: Found,
+    found: SearchResult,
     samples: Samples,
     lost: Array,
     outside: Outside,
@@ -148,7 +148,7 @@ def judged(
 
 
 def _noise_left(
-    found: Found,
+    found: SearchResult,
     samples: Samples,
     outside: Outside,
     settings: MapSettings,

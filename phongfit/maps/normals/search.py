@@ -78,7 +78,7 @@ class Descent(NamedTuple):
     settled: Bool[Array, " pixels"]
 
 
-class Found(NamedTuple):
+class SearchResult(NamedTuple):
     """The best that a search has found.
 
     - `cost`: see [`Descent`][].
@@ -180,7 +180,7 @@ def search(
     settings: MapSettings,
     which: Unknowns,
     thorough: Array | bool = True,
-) -> Found:
+) -> SearchResult:
     """The best normal and material that several starts lead to.
 
     They begin with the channels' sum, whose best end counts; then each channel has its
@@ -243,7 +243,9 @@ def search(
     rival = jnp.where(apart, jnp.abs(final[1] - final[0]), jnp.inf)
     scale = jnp.where(second, scales[1], scales[0])
     left = where_pixels(second, left[1], left[0])
-    return Found(end.point, end.sums, end.cost, scale, left, end.settled, rival, near)
+    return SearchResult(
+        end.point, end.sums, end.cost, scale, left, end.settled, rival, near
+    )
 
 
 def _finish(
@@ -306,7 +308,7 @@ def _finish(
 
 
 def follow_exponent(
-    found: Found,
+    found: SearchResult,
     samples: Samples,
     log_exponents: Float[Array, "2 pixels"],
     wanted: Bool[Array, " pixels"],

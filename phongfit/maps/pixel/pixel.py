@@ -173,7 +173,7 @@ class _Job:
         return jax.vmap(jax.vmap(function, in_axes=-1), in_axes=1)(*parts)
 
 
-class _Found(NamedTuple):
+class _SearchResult(NamedTuple):
     """The exponents of all groups, and everything else.
 
     - `columns`: of the samples as they were weighed at the end.
@@ -313,7 +313,7 @@ def _less_known(
     return target
 
 
-def _solve(job: _Job, known: Known) -> _Found:
+def _solve(job: _Job, known: Known) -> _SearchResult:
     """The exponents, then everything else."""
     settings, shape = job.settings, (job.groups, job.target.shape[-1])
     columns = job.columns(job.share**2)
@@ -327,7 +327,7 @@ def _solve(job: _Job, known: Known) -> _Found:
         return found._replace(unsettled=found.unsettled | unsettled)
     squares = job.in_groups(job.residual(at, t) ** 2)
     one, still = jnp.ones_like(t), jnp.zeros_like(jnp.stack(at.point))
-    return _Found(at, t, columns, squares, one, one, still, unsettled)
+    return _SearchResult(at, t, columns, squares, one, one, still, unsettled)
 
 
 def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Array]:
@@ -410,7 +410,7 @@ def _one_channel(job: _Job) -> _Job:
     return dataclasses.replace(job, target=job.target[:, :1], share=job.share[:, :1])
 
 
-def _reweighted(job: _Job, at: At, t: Array) -> _Found:
+def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
     r"""Iteratively reweighted least squares from a plain solution.
 
     All that is said of the end rests on its weights w, held: how $\phi$ rises from
@@ -508,7 +508,9 @@ def _reweighted(job: _Job, at: At, t: Array) -> _Found:
     doubtful = ~last.ended | _is_doubtful(job, weight, t)
     if settings.noise_given:
         doubtful |= scale > LARGER * noise
-    return _Found(at, t, columns, squares, scale, wider, jnp.stack(moved), doubtful)
+    return _SearchResult(
+        at, t, columns, squares, scale, wider, jnp.stack(moved), doubtful
+    )
 
 
 def _chosen(which: Array, new: "_Rounds", old: "_Rounds") -> "_Rounds":
@@ -568,7 +570,7 @@ class _Attempts(NamedTuple):
 
 
 def _values(
-    found: _Found, known: Known, settings: MapSettings
+    found: _SearchResult, known: Known, settings: MapSettings
 ) -> tuple[Array, Array, Array, Array]:
     """The four parameters of the solution, (pixels, channels) each."""
     shape = found.at.point[-1].shape

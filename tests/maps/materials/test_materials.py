@@ -76,6 +76,27 @@ def test_more_than_there_are_is_a_warning(maps):
     assert pf.warning_code(warning) == "materials-run-out"
 
 
+def test_lobes_that_stand_for_matte_light_are_a_warning(maps):
+    own = dataclasses.replace(maps, materials=None)
+    assert own.warnings == ()
+    some = np.arange(maps.noise.size).reshape(maps.noise.shape) % 10 == 0
+
+    def with_lobes(exponent: float) -> pf.Maps:
+        return dataclasses.replace(
+            own,
+            diffuse=np.where(some[..., None], 0.01, own.diffuse),
+            specular=np.where(some[..., None], 0.3, own.specular),
+            shininess=np.where(some[..., None], exponent, own.shininess),
+        )
+
+    (warning,) = with_lobes(6.0).warnings
+    assert pf.warning_code(warning) == "broad-highlights"
+    assert f"{some.sum():,} of {some.size:,} pixels" in warning
+    # A polished metal's are none.
+    assert with_lobes(60.0).warnings == ()
+    assert dataclasses.replace(with_lobes(6.0), materials=maps.materials).warnings == ()
+
+
 def test_they_are_kept(two, maps, tmp_path):
     maps.save(tmp_path / "maps.npz")
     again = pf.load_maps(tmp_path / "maps.npz")
