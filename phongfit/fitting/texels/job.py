@@ -8,11 +8,13 @@ import numpy as np
 from phongfit.fitting.texels.lit import Photographs
 from phongfit.fitting.texels.sums import AbstractTexels
 
-PRIOR = 0.5, 3.0
-"""Mean and standard deviation of what is known of a reflectance before any image.
+MIDDLE, RIDGE = 0.5, 1.0
+"""Reflectance that texels start from, and the inverse variance that holds each to where
+it stands in a step: what hardly anything sees goes nowhere.
 
-So little that millions of texels together are not drawn towards the mean either: a
-deviation of 1 moved what they share, and left residuals, by more than their errors.
+To hold them to `MIDDLE` would draw millions of them together: it moved what they share
+by more than its errors, and left residuals that are no noise. So it is done again in
+each step, from where they have come: iterated regularisation.
 """
 
 SPREAD = 1.0
@@ -138,21 +140,26 @@ class Job:
         counts = state.texels.size, self.grid.texels
         return np.repeat((0.0, low), counts), np.repeat((1.0, high), counts)
 
-    def expected(self, state: State) -> list[np.ndarray | float]:
-        """What is known of these before any image."""
+    def expected(self, state: State) -> list[np.ndarray]:
+        """What ridges hold to: reflectances where they are, log f to what all share.
+
+        ??? cite "Source"
+            King and Chillingworth, *Approximation of generalized inverses by iterated
+            regularization*, Numer. Funct. Anal. Optim. 1(5), 1979.
+        """
         if "shininess" not in self.names:
-            return [PRIOR[0]] * len(self.systems)
+            return self.vectors(state)
         own = np.log(state.numbers["shininess"])[: self.grid.layers]
         logs = np.repeat(own, self.grid.texels // self.grid.layers)
-        return [np.concatenate([np.full(state.texels.size, PRIOR[0]), logs])]
+        return [np.concatenate([state.texels.ravel(), logs])]
 
     @property
     def ridges(self) -> float | np.ndarray:
-        """Inverse variances of what is expected, of each system's texels."""
+        """Inverse variances by which each system's texels are held."""
         if "shininess" not in self.names:
-            return 1 / PRIOR[1] ** 2
+            return RIDGE
         counts = 3 * len(self.coloured) * self.grid.texels, self.grid.texels
-        return np.repeat((1 / PRIOR[1] ** 2, 1 / SPREAD**2), counts)
+        return np.repeat((RIDGE, 1 / SPREAD**2), counts)
 
     def without_exponents(self) -> "Job":
         """The same for the exponents as they stand, for which all is linear."""

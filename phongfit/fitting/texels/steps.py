@@ -27,7 +27,7 @@ from phongfit.fitting.texels.equations import (
     sum_up,
     with_known,
 )
-from phongfit.fitting.texels.job import EXPONENTS, PRIOR, SPREAD, Job, State
+from phongfit.fitting.texels.job import EXPONENTS, MIDDLE, SPREAD, Job, State
 from phongfit.fitting.texels.solve import AbstractSystem, at_once, inverse_diagonal
 
 SCAN = np.geomspace(2.0, 700.0, 11)
@@ -79,7 +79,7 @@ def find_start(
 
 def _at_start(job: Job, numbers: dict[str, np.ndarray]) -> State:
     size = len(job.coloured) * job.grid.texels
-    return State(np.full((3, size), PRIOR[0]), numbers)
+    return State(np.full((3, size), MIDDLE), numbers)
 
 
 def _thinned(job: Job) -> Job:

@@ -116,7 +116,7 @@ def test_no_step_costs_more(monkeypatch):
     descend = steps.descend
     monkeypatch.setattr(steps, "descend", watched)
     # Three photographs hardly tell f from ρ_s.
-    fitted(3, noise=0.02)
+    fitted(3, noise=0.005)
     assert len(costs) > 5 and max(costs) <= 0 and min(costs) < -100
     assert not all(taken)
 
