@@ -115,8 +115,8 @@ def test_no_step_costs_more(monkeypatch):
 
     descend = steps.descend
     monkeypatch.setattr(steps, "descend", watched)
-    # Three photographs hardly tell f from ρ_s.
-    fitted(3, noise=0.005)
+    # Two photographs hardly tell f from ρ_s.
+    fitted(2, noise=0.005)
     assert len(costs) > 5 and max(costs) <= 0 and min(costs) < -100
     assert not all(taken)
 
