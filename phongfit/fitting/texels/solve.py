@@ -150,9 +150,13 @@ def inverse_diagonal(
     system: AbstractSystem,
     grid: AbstractTexels,
     parameters: int,
-    tolerance: float = 1e-3,
+    tolerance: float = 1e-2,
 ) -> Float[np.ndarray, " n"]:
     r"""The diagonal of the inverse: exactly if small, else by probing.
+
+    Of 9 216 texels that four samples see each, its roots were 0.3 % off, root mean
+    square, and one in a thousand 2 %; a tolerance of 1e-3 leaves a third of that, for
+    half as many steps more.
 
     Texels far apart are probed at once, with random signs $v$: what the solution $x$
     of $N x = v$ has at each is its own variance, and what is left of the covariance
