@@ -141,13 +141,23 @@ def rounding_steps(image: np.ndarray, film: Film) -> np.ndarray:
     return (high - low).astype(image.dtype)
 
 
+def end_steps(film: Film) -> tuple[float, float]:
+    """Width in linear light of the levels beside black and white; 0 if none."""
+    if film.bits is None:
+        return 0.0, 0.0
+    level = 1 / (2**film.bits - 1)
+    ends = decode(np.array([level, 1 - level]), film.encoding)
+    return float(ends[0]), float(1 - ends[1])
+
+
 def find_film(images: list[np.ndarray]) -> Film:
     """The film that images must have been through, from their values alone.
 
     Values outside [0, 1] were never clamped, unless several are exactly white: those
     were cut off, and what lies below 0 counts as if it had been, too. Values that are
     all multiples of 1/255, or of 1/65535, in one of the encodings were rounded to them:
-    that is no chance in an image. Only error bars rest on this, never the model.
+    that is no chance in an image. Only error bars rest on this, and what the film of
+    textures makes of light near black or white.
     """
     low = min(float(image.min()) for image in images)
     high = max(float(image.max()) for image in images)

@@ -72,7 +72,7 @@ def compare(
     """A photograph with what the film shows of the light of `state`."""
     parts, light = light_of(job, image, state, touched)
     deviation = sigma / np.sqrt(np.where(image.weight > 0, image.weight, 1))
-    film = film_response(light, deviation, job.clamp)
+    film = film_response(light, deviation, job.clamp, image.ends)
     used = image.weight > 0
     left = np.where(used, (image.target - film.mean) / deviation, 0)
     gain = np.where(used, film.slope / deviation, 0)

@@ -10,7 +10,7 @@ from phongfit.codes import coded
 from phongfit.fitting.problem.losses import Linear
 from phongfit.fitting.texels.equations import light_of
 from phongfit.fitting.texels.job import IDENTIFIED, Few, Job, State
-from phongfit.fitting.texels.lit import BASIS
+from phongfit.fitting.texels.lit import BASIS, before_rounding
 from phongfit.fitting.texels.result import CHANNELS, Shared, TextureFit, as_textures
 from phongfit.fitting.texels.steps import LEAST, System
 from phongfit.fitting.uncertainty.misfit import Misfit, find_misfit
@@ -146,8 +146,12 @@ def _image(
     light, diffuse, highlight, weight = whole.reshape(4, *image.shape)
     side = tile_side(*image.shape[:2])
     step = None if step is None else jnp.asarray(step)
-    deviation = jnp.asarray(sigma, light.dtype)
-    measured = Measured(jnp.asarray(image), jnp.asarray(weight), step, deviation)
+    deviation = sigma / np.sqrt(np.where(weight > 0, weight, 1))
+    noise = before_rounding(light, deviation, lit.ends)
+    weight = np.where(weight > 0, (sigma / noise) ** 2, 0).astype(light.dtype)
+    measured = Measured(
+        jnp.asarray(image), jnp.asarray(weight), step, jnp.asarray(sigma, light.dtype)
+    )
     tiles = _tiles(measured, light, diffuse, highlight, job.clamp, side)
     fitted = np.clip(light, 0, 1) if job.clamp else light
     # A pixel counts as much as it looks at a texel.

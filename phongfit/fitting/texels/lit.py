@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from phongfit.fitting.problem.inputs import Observation
-from phongfit.fitting.problem.noise import clipped_moments, rounding_steps
+from phongfit.fitting.problem.noise import clipped_moments, end_steps, rounding_steps
 from phongfit.fitting.texels.sums import AbstractTexels, Touched
 from phongfit.geometry.meshes import Mesh
 from phongfit.memory import give_back
@@ -29,6 +29,10 @@ ROOM = 150_000_000
 """Bytes of what is traced that are kept; the rest is traced again for each sum."""
 
 
+LEFT = 0.01
+"""Share of a variance that is not rounding, at least."""
+
+
 LARGE = 10_000_000
 """Bytes of a photograph around which freed memory is given back: it takes a while."""
 
@@ -38,6 +42,7 @@ class LitImage(NamedTuple):
 
     - `place`: of each pixel in the image, row by row.
     - `target`, `weight`: measured light, and its relative inverse variance.
+    - `ends`: width of the levels beside black and white; 0 if nothing was rounded.
     """
 
     place: Int[np.ndarray, " n"]
@@ -46,6 +51,7 @@ class LitImage(NamedTuple):
     material: Int[np.ndarray, " n"]
     target: Float[np.ndarray, "n 3"]
     weight: Float[np.ndarray, "n 3"]
+    ends: tuple[float, float]
 
     @property
     def bytes(self) -> int:
@@ -134,6 +140,7 @@ def see(
         own,
         _exposed(photograph.image.reshape(-1, 3)[place], film),
         weight[np.unravel_index(place, size)],
+        end_steps(film),
     )
 
 
@@ -196,13 +203,32 @@ class FilmResponse(NamedTuple):
 
 
 def film_response(
-    light: np.ndarray, deviation: np.ndarray, clamp: bool
+    light: np.ndarray,
+    deviation: np.ndarray,
+    clamp: bool,
+    ends: tuple[float, float] = (0.0, 0.0),
 ) -> FilmResponse:
     """Light with noise of a standard deviation, as the film shows it."""
     if not clamp:
         return FilmResponse(light, np.ones_like(light))
+    deviation = before_rounding(light, deviation, ends)
     mean, slope = _clipped(jnp.asarray(light), jnp.asarray(deviation))
     return FilmResponse(np.asarray(mean, float), np.asarray(slope, float))
+
+
+def before_rounding(
+    light: np.ndarray, deviation: np.ndarray, ends: tuple[float, float]
+) -> np.ndarray:
+    r"""The noise that, clipped, leaves the mean of what is clipped and then rounded.
+
+    What is rounded to 0 from above loses $p h^2 / 24$ on average, for the density p of
+    samples at black and steps h, as in the midpoint rule; and a noise that contains
+    that of rounding, $h^2 / 12$, would gain as much. A variance has p / 2 as its slope.
+    """
+    if not any(ends):
+        return deviation
+    step = np.where(light < 0.5, *ends).astype(deviation.dtype)
+    return np.sqrt(np.maximum(deviation**2 - step**2 / 6, LEFT * deviation**2))
 
 
 @program()
