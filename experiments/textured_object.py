@@ -28,7 +28,7 @@ to 1.26 times its noise. Of 54 million samples those in shadow were seen to be o
 5.6 σ, and errors were widened 1.9 times: 8 bits are rounded after they are clipped at
 black, and end up darker than clipped noise by p h² / 12 for steps h and a density p of
 samples at black. Fits know this now, which was seen at 256 × 256 texels with noise of
-one step: 6.1 σ before, 2.7 σ since, pulls 1.00.
+one step: 8.1 σ and pulls 0.37 before, 2.7 σ and 1.00 since.
 """
 
 import dataclasses

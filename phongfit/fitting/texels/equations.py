@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from phongfit.fitting.texels.job import Job, State
+from phongfit.fitting.texels.job import RIDGE, Job, State
 from phongfit.fitting.texels.lit import BASIS, Basis, LitImage, basis, film_response
 from phongfit.fitting.texels.solve import (
     DIRECT,
@@ -266,10 +266,10 @@ def make_matrix(
 
     **Arguments:** `damping`: of each texel's exponent, relative to its information.
     """
-    fields, known = len(job.systems[system]), job.ridges
+    fields, known = len(job.systems[system]), RIDGE
     blocks, unit = sums.blocks[system], sums.unit
     if unit is not None:
-        known = known / unit**2
+        known = RIDGE / unit**2
         if damping is not None:
             own = slice((fields - 1) * job.grid.texels, None)
             known[own] += damping * (blocks[fields - 1, fields - 1][0] + known[own])
@@ -311,7 +311,7 @@ def right_sides(job: Job, sums: Sums, state: State) -> list[np.ndarray]:
     """The systems' right-hand sides, with what is known before."""
     each = zip(sums.right, job.vectors(state), job.expected(state), strict=True)
     return [
-        right + (mean - own) * job.ridges - expected_differences(job, own)
+        right + (mean - own) * RIDGE - expected_differences(job, own)
         for right, own, mean in each
     ]
 
@@ -347,7 +347,7 @@ def cost_of(job: Job, state: State, sigma: float) -> Cost:
 def with_known(job: Job, state: State, whole: float, around: np.ndarray) -> Cost:
     """Squares of the photographs, with those of what is known before."""
     for own, mean in zip(job.vectors(state), job.expected(state), strict=True):
-        known = (own - mean) ** 2 * job.ridges + own * expected_differences(job, own)
+        known = (own - mean) ** 2 * RIDGE + own * expected_differences(job, own)
         whole += float(known.sum())
         around = around + known.reshape(-1, job.grid.texels).sum(axis=0)
     return Cost(whole, around)

@@ -14,12 +14,9 @@ it stands in a step: what hardly anything sees goes nowhere.
 
 To hold them to `MIDDLE` would draw millions of them together: it moved what they share
 by more than its errors, and left residuals that are no noise. So it is done again in
-each step, from where they have come: iterated regularisation.
+each step, from where they have come: iterated regularisation. Of a texel's log f it is
+what is known before any image, around the exponent that all share where a fit starts.
 """
-
-SPREAD = 1.0
-"""Standard deviation of texels' log f around the exponent that all share where a fit
-starts, before any image."""
 
 IDENTIFIED = 0.5
 """Standard error of a texel's reflectance, or log f, from which on nothing is known."""
@@ -152,14 +149,6 @@ class Job:
         own = np.log(state.numbers["shininess"])[: self.grid.layers]
         logs = np.repeat(own, self.grid.texels // self.grid.layers)
         return [np.concatenate([state.texels.ravel(), logs])]
-
-    @property
-    def ridges(self) -> float | np.ndarray:
-        """Inverse variances by which each system's texels are held."""
-        if "shininess" not in self.names:
-            return RIDGE
-        counts = 3 * len(self.coloured) * self.grid.texels, self.grid.texels
-        return np.repeat((RIDGE, 1 / SPREAD**2), counts)
 
     def without_exponents(self) -> "Job":
         """The same for the exponents as they stand, for which all is linear."""

@@ -155,8 +155,7 @@ def inverse_diagonal(
     r"""The diagonal of the inverse: exactly if small, else by probing.
 
     Of 9 216 texels that four samples see each, its roots were 0.3 % off, root mean
-    square, and one in a thousand 2 %; a tolerance of 1e-3 leaves a third of that, for
-    half as many steps more.
+    square, and one in a thousand 2 %; with a tolerance of 1e-3 it is a third of that.
 
     Texels far apart are probed at once, with random signs $v$: what the solution $x$
     of $N x = v$ has at each is its own variance, and what is left of the covariance

@@ -27,7 +27,7 @@ from phongfit.fitting.texels.equations import (
     sum_up,
     with_known,
 )
-from phongfit.fitting.texels.job import EXPONENTS, MIDDLE, SPREAD, Job, State
+from phongfit.fitting.texels.job import EXPONENTS, MIDDLE, RIDGE, Job, State
 from phongfit.fitting.texels.solve import AbstractSystem, at_once, inverse_diagonal
 
 SCAN = np.geomspace(2.0, 700.0, 11)
@@ -250,7 +250,7 @@ def step(
     following = job.at(vectors, state)._replace(numbers=numbers)
     known = None
     if "shininess" in job.names:
-        known = 1 / SPREAD**2 + next(_information(job, sums))[-1]
+        known = RIDGE + next(_information(job, sums))[-1]
     return Stepped(following, sums.left, _taken(job, sums), known)
 
 
@@ -283,12 +283,11 @@ def descend(
 
 def _taken(job: Job, sums: Sums) -> float:
     """A first estimate: a texel takes a sample away where it has one."""
-    total, texels = 0.0, job.grid.texels
-    for fields in _information(job, sums):
-        ridges = np.broadcast_to(job.ridges, len(fields) * texels).reshape(-1, texels)
-        for own, ridge in zip(fields, ridges, strict=True):
-            total += float((own / (own + ridge)).sum(dtype=float))
-    return total
+    return sum(
+        float((own / (own + RIDGE)).sum(dtype=float))
+        for fields in _information(job, sums)
+        for own in fields
+    )
 
 
 def _information(job: Job, sums: Sums) -> Iterator[list[np.ndarray]]:
@@ -396,7 +395,7 @@ def taken_by(job: Job, matrix: AbstractSystem) -> float:
     # The more texels, the less is left to chance.
     shape = size, min(PROBES, at_once(size))
     probes = np.random.default_rng(1).choice([-1.0, 1.0], shape)
-    prior = (probes.T * job.ridges).T
+    prior = RIDGE * probes
     if job.smoothness is not None:
         by = [expected_differences(job, one) for one in probes.T]
         prior += np.stack(by, axis=1)
