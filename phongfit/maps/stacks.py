@@ -1,13 +1,10 @@
 """Stacks of images, read piece by piece: memory need not hold them."""
 
 import abc
-import hashlib
-import json
 import mmap
 import os
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,9 +12,9 @@ from jaxtyping import Float, Int
 
 from phongfit.checks import as_array
 from phongfit.edge import checked
-from phongfit.files.dataset import Photograph, Photographs
+from phongfit.files.dataset import Photographs
 from phongfit.files.images import from_levels
-from phongfit.files.inputs import naming, read_bytes, recording
+from phongfit.files.inputs import naming
 from phongfit.files.photographs import open_photographs
 from phongfit.files.zarrs import (
     Window,
@@ -29,6 +26,7 @@ from phongfit.files.zarrs import (
     place_of,
     read_window,
 )
+from phongfit.maps.spool import Spool
 from phongfit.rendering.film import Encoding, as_encoding
 
 Update = Callable[[bytes | memoryview], None]
@@ -152,8 +150,27 @@ class KeptStack(AbstractStack):
         self._stack.identify(update)
 
 
-class PhotographStack(AbstractStack):
-    """Image files, decoded anew for every tile: one of them is in memory at a time.
+class AbstractPhotographs(AbstractStack):
+    """Photographs that are decoded once, one of which is in memory at a time.
+
+    They are then read from a temporary file, in the folder that TMPDIR names: what
+    becomes of their own files meanwhile does not matter.
+    """
+
+    _spool: Spool
+
+    def take(
+        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
+    ) -> Float[np.ndarray, "images n 3"]:
+        return self._spool.take(pixels, order)
+
+    def identify(self, update: Update) -> None:
+        update(self._spool.checksum)
+
+
+@final
+class PhotographStack(AbstractPhotographs):
+    """Image files.
 
     Where their exposures differ, they are in the light that the shortest let in, and
     what was cut off at white is masked; `notes` says so.
@@ -169,47 +186,28 @@ class PhotographStack(AbstractStack):
         **Raises:** `ValueError` that names the file that cannot be read, has another
         size, or alone states no exposure.
         """
-        self._checksums: dict[Path, str] = {}
-        with recording(self._checksums):
-            self._series = open_photographs(paths, encoding)
-        self.notes = self._series.notes
-        relative = self._series.relative_exposures
-        self._shares = relative.min() / relative
+        series = open_photographs(paths, encoding)
+        relative = series.relative_exposures
+        shares = relative.min() / relative
+        self.notes = series.notes
+        self._shape = len(series), *series.size
+        self._spool = Spool(_float_type())
+        for number, share in enumerate(shares):
+            photo = series.read(number)
+            if (shares == 1).all():
+                self._spool.add(photo.image, photo.usable)
+            else:
+                light = photo.image.dtype.type(share) * photo.image
+                self._spool.add(light, photo.unsaturated)
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        return len(self._series), *self._series.size
-
-    def take(
-        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
-    ) -> Float[np.ndarray, "images n 3"]:
-        taken = np.empty((len(order), len(pixels), 3), _float_type())
-        used = np.empty(taken.shape, bool)
-        for row, k in enumerate(order):
-            image, known = self._read(k)
-            taken[row], used[row] = gather(image, pixels), gather(known, pixels)
-        return taken if used.all() else np.ma.MaskedArray(taken, ~used)
-
-    def identify(self, update: Update) -> None:
-        encoding = self._series.encoding
-        name = encoding if isinstance(encoding, str) else json.dumps(encoding.light)
-        update(name.encode())
-        with recording(self._checksums):
-            for path in self._series.paths:
-                update(read_bytes(path))
-
-    def _read(self, number: int) -> Photograph:
-        # Read many times: it must not change meanwhile.
-        with recording(self._checksums):
-            photo = self._series.read(number)
-        if (self._shares == 1).all():
-            return Photograph(photo.image, photo.usable[..., None])
-        share = photo.image.dtype.type(self._shares[number])
-        return Photograph(share * photo.image, photo.unsaturated)
+        return self._shape
 
 
-class DatasetStack(AbstractStack):
-    """A data set's photographs, decoded anew for every tile: see [`open_dataset`][].
+@final
+class DatasetStack(AbstractPhotographs):
+    """A data set's photographs: see [`open_dataset`][].
 
     Samples that the data set leaves out come masked. `mask` holds the pixels of which
     any is left: the others count as outside if [`fit_maps`][] is told.
@@ -221,47 +219,22 @@ class DatasetStack(AbstractStack):
 
     @checked
     def __init__(self, photographs: Photographs):
-        """Reads every photograph once, to know that all are sound.
-
-        **Arguments:** `photographs`: read again when they are wanted.
+        """**Arguments:** `photographs`: each is read once.
 
         **Raises:** `ValueError` that names the file that is missing or wrong.
         """
         camera = photographs.scenes[0].camera
         self.photographs = photographs
-        self._files: dict[Path, str] = {}
         self.mask = np.zeros((camera.height, camera.width), bool)
-        checksum = hashlib.blake2b(digest_size=16)
+        self._spool = Spool(_float_type())
         for number in range(len(photographs.names)):
-            image, mask = self._photograph(number)
+            image, mask = photographs.read(number)
             self.mask |= mask.reshape(*self.mask.shape, -1).any(axis=-1)
-            for array in (image, mask):
-                checksum.update(f"{array.dtype.str} {array.shape}".encode())
-                checksum.update(np.ascontiguousarray(array).data.cast("B"))
-        self._checksum = checksum.digest()
+            self._spool.add(image, mask)
 
     @property
     def shape(self) -> tuple[int, int, int]:
         return len(self.photographs.names), *self.mask.shape
-
-    def take(
-        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
-    ) -> Float[np.ndarray, "images n 3"]:
-        light = np.empty((len(order), len(pixels), 3), _float_type())
-        used = np.empty(light.shape, bool)
-        for row, k in enumerate(order):
-            image, mask = self._photograph(k)
-            light[row] = gather(image, pixels)
-            used[row] = gather(mask.reshape(*mask.shape[:2], -1), pixels)
-        return np.ma.MaskedArray(light, ~used)
-
-    def identify(self, update: Update) -> None:
-        update(self._checksum)
-
-    def _photograph(self, number: int) -> Photograph:
-        # Read many times: it must not change meanwhile.
-        with recording(self._files):
-            return self.photographs.read(number)
 
 
 class ZarrStack(AbstractStack):

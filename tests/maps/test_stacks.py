@@ -45,7 +45,7 @@ def test_a_data_set_read_piece_by_piece(written):
 
 def test_one_photograph_is_in_memory():
     """However many there are; all of them only when all are asked for."""
-    count, size = 16, 256
+    count, size = 8, 512
     scene = pf.Scene(pf.Sphere(), pf.OrthographicCamera(size, size))
 
     def read(number: int) -> Photograph:
