@@ -67,7 +67,8 @@ class Options:
         out: Folder to make: maps.npz (all maps, errors and flags), pictures of each map
             and its errors with their scales, the same as floating-point TIFF, maps.json
             (settings and versions). Until all is done it holds finished tiles: the same
-            command goes on from there.
+            command goes on from there. A name that ends in .zarr is a store of arrays,
+            for maps that memory does not hold.
         highlight: own: every pixel has its own. shared: one for all, which a fit of one
             material finds first, with all photographs in memory; for few lights or
             sharp highlights, of which a pixel sees one at most.
@@ -77,7 +78,7 @@ class Options:
             has its own.
         passes: With --normals fit: how often. Each pass after the first knows from the
             last where the surface is, how far from near lamps, and what lies in its
-            shadow. Default: 3 with near lamps, else 2; of a zarr array 1 alone.
+            shadow. Default: 3 with near lamps, else 2; from or to zarr 1 alone.
         unknowns: Parameters to be found, of ambient diffuse specular shininess.
             Default: all of them; with --normals fit all but ambient.
         per_channel: Which of them differ between red, green and blue; with shininess,
@@ -128,18 +129,17 @@ def main(options: Options) -> int:
       phongfit maps coin/stack.zarr --normals fit -o out/maps.zarr --dask local:2
 
     DATASET may be a zarr array (light, y, x, channel) on a disk or an object store,
-    with its lights or its scene.json beside it; OUT too, where it ends in .zarr.
+    with its lights or its scene.json beside it. OUT may be such a store, too.
     """
-    if is_store(options.data.dataset):
+    dataset = options.data.dataset
+    if options.dask is not None and not is_store(dataset):
+        raise ValueError(
+            f"dask: {options.dask} wants a zarr array as DATASET, got {dataset}"
+        )
+    if is_store(dataset) or is_store(options.out):
         from phongfit.commands.stored import main as stored
 
         return stored(options)
-    for name, given in (("out", is_store(options.out)), ("dask", options.dask)):
-        if given:
-            raise ValueError(
-                f"{name}: {getattr(options, name)} wants a zarr array as DATASET, got "
-                f"{options.data.dataset}"
-            )
     if not options.overwrite and (options.out / RECORD_FILE).exists():
         raise OSError(f"{options.out}: there are maps in it; {OVERWRITE}")
     with replacing_folder(options.out, replaceable(options)) as folder:

@@ -1,4 +1,4 @@
-"""`phongfit maps` of a zarr array: block by block, perhaps on a Dask cluster."""
+"""`phongfit maps` from or to zarr: block by block, perhaps on a Dask cluster."""
 
 import contextlib
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from phongfit.commands.data import DataOptions
+from phongfit.commands.data import DataOptions, stack_data, tell
 from phongfit.commands.keeping import keeping
 from phongfit.commands.progress import stage
 from phongfit.edge import shown
@@ -39,7 +39,7 @@ from phongfit.geometry.cameras import OrthographicCamera
 from phongfit.geometry.surfaces import AbstractSurface, NormalMap
 from phongfit.maps.cluster import dashboard, dask_client, fit_stored_maps
 from phongfit.maps.folder import RECORD_FILE
-from phongfit.maps.stacks import ZarrStack
+from phongfit.maps.stacks import AbstractStack, ZarrStack
 from phongfit.maps.stored import STORE_FORMAT, StoredMaps, check_place
 from phongfit.plain import readable
 from phongfit.rendering.film import Film
@@ -57,7 +57,7 @@ class _Input(NamedTuple):
     """What is fitted, and arguments of [`fit_stored_maps`][] that go with it."""
 
     scenes: tuple[Scene, ...]
-    stack: ZarrStack
+    stack: AbstractStack
     film: Film
     arguments: dict[str, Any]
     record: DataRecord
@@ -69,26 +69,31 @@ def main(options: "Options") -> int:
 
     if options.highlight == "shared":
         raise ValueError(
-            "highlight: expected own of a zarr array, since a highlight that is shared "
+            "highlight: expected own from or to zarr, since a highlight that is shared "
             "is found with all images in memory, got shared"
         )
     if options.tile_pixels is not None:
         raise ValueError(
-            "tile_pixels: expected none of a zarr array: its chunks or shards say how "
-            "much is in memory at a time"
+            "tile_pixels: expected none from or to zarr: chunks or shards say how much "
+            "is in memory at a time"
         )
     if options.passes not in (None, 1):
         raise ValueError(
-            "passes: expected 1 of a zarr array, whose surface would have to be made "
-            f"whole in memory, got {options.passes}"
+            "passes: expected 1 from or to zarr, since the surface would have to be "
+            f"made whole in memory, got {options.passes}"
         )
-    read = _read(options.data)
+    if is_store(options.data.dataset):
+        read = _read(options.data)
+    else:
+        read = _read_photographs(options.data)
     given = command.arguments(options)
     given.pop("passes")
     out = options.out
     if is_store(out):
         if options.overwrite:
-            _erase(address(out), store_of(read.stack.array))
+            stack = read.stack
+            source = store_of(stack.array) if isinstance(stack, ZarrStack) else None
+            _erase(address(out), source)
         print(_fit(options, read, given, address(out)), flush=True)
         return 0
     _, height, width = read.stack.shape
@@ -135,7 +140,7 @@ def _fit(
             raise
 
 
-def _erase(output: str, images: str) -> None:
+def _erase(output: str, images: str | None) -> None:
     """Make room for other maps, where there are older ones; nothing else is touched.
 
     **Raises:** `OSError` that names what is no store of maps.
@@ -147,6 +152,18 @@ def _erase(output: str, images: str) -> None:
     if attributes(open_group(output)).get("format") != STORE_FORMAT:
         raise OSError(f"{output}: is not replaced, since it holds no maps")
     erase(output)
+
+
+def _read_photographs(options: DataOptions) -> _Input:
+    """A folder's photographs, decoded.
+
+    **Raises:** `ValueError` that names the file or the option.
+    """
+    stack, record = stack_data(options)
+    photographs = stack.photographs
+    tell(photographs.notes)
+    more = {"mask": stack.mask, "film": photographs.films()}
+    return _Input(photographs.scenes, stack, photographs.film, more, record)
 
 
 def _read(options: DataOptions) -> _Input:

@@ -22,11 +22,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from phongfit.files.encodings import describe_encoding
 from phongfit.files.zarrs import (
     Window,
     attributes,
-    fingerprint,
     holds,
     keep_array,
     make_array,
@@ -53,7 +51,13 @@ from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.settings import MAP_PARAMETERS, MapSettings
 from phongfit.maps.result import view_of
 from phongfit.maps.run import as_mesh, fit_job, side_by_side, tile_size, versions
-from phongfit.maps.stacks import ArrayStack, ZarrStack
+from phongfit.maps.stacks import (
+    AbstractStack,
+    ArrayStack,
+    ZarrStack,
+    identify_stack,
+    read_rectangle,
+)
 from phongfit.maps.store import check_job
 from phongfit.maps.stored import (
     GIVEN,
@@ -91,7 +95,8 @@ class Stored(NamedTuple):
 class Plan:
     """What all blocks share, and any worker reads.
 
-    - `images`: where they are; `encoding`: what their numbers are.
+    - `images`: where they are; `encoding`: what their numbers are. `None` for those
+        that this process alone reads.
     - `size`: rows and columns of the image; `block`: of a block.
     - `scenes`: a normal map of theirs has but one pixel: `surface` has the others.
     - `surface`: normals, mask and perhaps positions; `None` for another surface.
@@ -100,8 +105,8 @@ class Plan:
     - `head`: attributes of the output: how its arrays are read.
     """
 
-    images: str
-    encoding: Encoding
+    images: str | None
+    encoding: Encoding | None
     size: tuple[int, int]
     block: tuple[int, int]
     scenes: tuple[Scene, ...]
@@ -123,8 +128,11 @@ class Plan:
         rows, columns = map(slice, first.tolist(), last.tolist())
         return rows, columns
 
-    def job(self, group: "Group", number: int) -> Job:
-        """The job of a block, with padding that no sample is used of."""
+    def job(self, group: "Group", number: int, stack: AbstractStack | None) -> Job:
+        """The job of a block, with padding that no sample is used of.
+
+        **Arguments:** `stack`: the images; `None` for those that the plan names.
+        """
         window, size = self.window(number), self.block
         rows, columns = window
 
@@ -166,7 +174,10 @@ class Plan:
             dataclasses.replace(scene, surface=surface, camera=camera)
             for scene in self.scenes
         ]
-        images = ZarrStack(self.images, self.encoding).read(window, size)
+        if stack is None:
+            assert self.images is not None
+            stack = ZarrStack(self.images, self.encoding)
+        images = read_rectangle(stack, window, size)
         return make_job(
             scenes,
             ArrayStack(images),
@@ -191,8 +202,13 @@ class Place(NamedTuple):
     threads: int | None
 
 
-def fit_block(place: Place, number: int) -> tuple[Counts, bool]:
+def fit_block(
+    place: Place, number: int, stack: AbstractStack | None = None
+) -> tuple[Counts, bool]:
     """See to it that a block is finished.
+
+    **Arguments:** `stack`: images that this process reads; else the plan says where
+    they are.
 
     **Returns:** counts of its pixels, and whether it had to be fitted.
 
@@ -211,7 +227,7 @@ def fit_block(place: Place, number: int) -> tuple[Counts, bool]:
         found = _kept(group, plan, window)
         if found is not None and _checksum(plan, number, found) == noted:
             return _counts(found, plan), False
-    job = plan.job(group, number)
+    job = plan.job(group, number, stack)
     mesh, count = as_mesh(None), len(plan.scenes)
     size, part = tile_size(math.prod(plan.block), count, None, mesh)
     threads = side_by_side(mesh) if place.threads is None else place.threads
@@ -294,7 +310,7 @@ def _counts(arrays: Mapping[str, np.ndarray], plan: Plan) -> Counts:
 
 def make_place(
     scenes: Any,
-    stack: ZarrStack,
+    stack: AbstractStack,
     output: str,
     block: tuple[int, int] | None,
     threads: int | None,
@@ -338,7 +354,7 @@ def make_place(
             "lights": identify_lights(outside),
             "surface": _identify((first.surface, first.camera), masks),
             "noise": _identify((), levels),
-            "images": f"{fingerprint(stack.array)} {describe_encoding(stack.encoding)}",
+            "images": identify_stack(stack),
             "block": f"{block[0]} × {block[1]} pixels",
             "versions": versions(),
         },
@@ -350,9 +366,10 @@ def make_place(
         "arrays": [],
     }
     scenes = tuple(dataclasses.replace(scene, surface=small) for scene in scenes)
+    stored = stack if isinstance(stack, ZarrStack) else None
     plan = Plan(
-        place_of(stack.array),
-        stack.encoding,
+        None if stored is None else place_of(stored.array),
+        None if stored is None else stored.encoding,
         size,
         block,
         scenes,
@@ -470,12 +487,12 @@ def _make_arrays(
         make_array(group, LEDGER, shape, "uint8", chunks, compressed=False)
 
 
-def block_size(stack: ZarrStack, wanted: tuple[int, int] | None) -> tuple[int, int]:
+def block_size(stack: AbstractStack, wanted: tuple[int, int] | None) -> tuple[int, int]:
     """Rows and columns of a block.
 
-    As the shards of the images have them, or chunks where there are none: so many of
-    them that a block holds up to [`BLOCK_BYTES`][] of light, or a part of one that
-    holds more.
+    As the shards of the images have them, or chunks where there are none, or rows of
+    photographs: so many of them that a block holds up to [`BLOCK_BYTES`][] of light, or
+    a part of one that holds more.
     """
     count, height, width = stack.shape
     if wanted is not None:
@@ -483,8 +500,10 @@ def block_size(stack: ZarrStack, wanted: tuple[int, int] | None) -> tuple[int, i
         if rows < 1 or columns < 1:
             raise ValueError(f"block: expected rows and columns ≥ 1, got {wanted}")
         return min(rows, height), min(columns, width)
-    array = stack.array
-    _, *sides, _ = array.chunks if array.shards is None else array.shards
+    sides = [1, width]
+    if isinstance(stack, ZarrStack):
+        array = stack.array
+        _, *sides, _ = array.chunks if array.shards is None else array.shards
     rows, columns = min(sides[0], height), min(sides[1], width)
     most = max(BLOCK_BYTES // (count * 12), 1)
     while rows * columns > most and rows > 1:

@@ -26,7 +26,7 @@ from phongfit.files.zarrs import (
 )
 from phongfit.maps.blocks import Counts, Place, fit_block, make_place
 from phongfit.maps.run import bar
-from phongfit.maps.stacks import ZarrStack
+from phongfit.maps.stacks import AbstractStack, ZarrStack
 from phongfit.maps.stored import StoredMaps, check_place
 from phongfit.scene import Scene
 
@@ -62,11 +62,11 @@ def fit_stored_maps(
 ) -> StoredMaps:
     """[`fit_maps`][] of images that no memory holds, to maps that none need hold.
 
-    Block by block: each is read from one zarr store and written to another, here or by
-    the workers of a Dask cluster, one block at a time and thread. A run that was
-    interrupted, in whatever way, goes on when it is started again, to the same bits:
-    finished blocks are read and compared with their checksums, and not fitted again.
-    Bits are the same on processors of the same kind.
+    Block by block: each is read from one zarr store, or from photographs, and written
+    to another, here or by the workers of a Dask cluster, one block at a time and
+    thread. A run that was interrupted, in whatever way, goes on when it is started
+    again, to the same bits: finished blocks are read and compared with their checksums,
+    and not fitted again. Bits are the same on processors of the same kind.
 
         stack = pf.ZarrStack("dome/stack.zarr")
         with Client("tcp://10.0.0.1:8786") as client:
@@ -75,7 +75,8 @@ def fit_stored_maps(
     **Arguments:**
 
     - `scenes`: as in [`fit_maps`][]. A normal map of one pixel stands for a plane.
-    - `images`: a [`ZarrStack`][], or the path or URL of one.
+    - `images`: a [`ZarrStack`][], or the path or URL of one; or another stack, such as
+        [`DatasetStack`][], whose photographs this process reads: then no workers can.
     - `output`: the path or URL of a zarr store that is new, or of the same job. Its
         chunks are the blocks.
     - `client`: of a Dask cluster; default the one that is current, or else this process
@@ -94,14 +95,20 @@ def fit_stored_maps(
     """
     require("zarr", "fsspec", "cloudpickle")
     untraced("fit_stored_maps is no function that JAX can trace", scenes=scenes)
-    stack = images if isinstance(images, ZarrStack) else ZarrStack(images)
+    stack = images if isinstance(images, AbstractStack) else ZarrStack(images)
+    stored = stack if isinstance(stack, ZarrStack) else None
     output = address(output)
-    client = _current() if client is None else client
+    if stored is None and client is not None:
+        raise ValueError(
+            "client: expected none with photographs that this process reads; workers "
+            "read a zarr array"
+        )
+    client = _current() if client is None and stored is not None else client
     _check_client(client)
     with contextlib.ExitStack() as alone:
         if not is_remote(output):
             output = os.path.abspath(output)
-            check_place(output, store_of(stack.array))
+            check_place(output, None if stored is None else store_of(stored.array))
             Path(output).mkdir(parents=True, exist_ok=True)
             alone.enter_context(alone_in(Path(output)))
         threads = None if client is None else 1
@@ -110,7 +117,7 @@ def fit_stored_maps(
         )
         count = plan.grid[0] * plan.grid[1]
         done = (
-            ((number, fit_block(place, number)) for number in range(count))
+            ((k, fit_block(place, k, None if stored else stack)) for k in range(count))
             if client is None
             else _spread(client, place, count)
         )

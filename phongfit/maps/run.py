@@ -2,7 +2,6 @@
 
 import concurrent.futures
 import functools
-import hashlib
 import importlib.metadata
 import os
 import sys
@@ -32,7 +31,7 @@ from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
 from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps
-from phongfit.maps.stacks import as_stack
+from phongfit.maps.stacks import as_stack, identify_stack
 from phongfit.maps.store import TileStore, tile_store
 from phongfit.material import Material
 from phongfit.rendering.film import Film
@@ -179,10 +178,8 @@ def fit_maps(
     size, part = tile_size(len(job.pixels), count, tile_pixels, mesh)
     if output is None:
         return fit_job(job, mesh, size, part, side_by_side(mesh), None, progress)
-    checksum = hashlib.blake2b(digest_size=16)
-    stack.identify(checksum.update)
     identity = job.identify() | {
-        "images": checksum.hexdigest(),
+        "images": identify_stack(stack),
         "tile": f"{size} pixels on {mesh.size} devices",
         "versions": versions(),
     }

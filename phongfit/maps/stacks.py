@@ -1,6 +1,7 @@
 """Stacks of images, read piece by piece: memory need not hold them."""
 
 import abc
+import hashlib
 import mmap
 import os
 from collections.abc import Callable, Sequence
@@ -304,6 +305,37 @@ def as_stack(images: Any) -> AbstractStack:
     if is_store(images):
         return ZarrStack(images)
     return images if isinstance(images, AbstractStack) else ArrayStack(images)
+
+
+def identify_stack(stack: AbstractStack) -> str:
+    """A checksum of all that the images hold."""
+    checksum = hashlib.blake2b(digest_size=16)
+    stack.identify(checksum.update)
+    return checksum.hexdigest()
+
+
+def read_rectangle(
+    stack: AbstractStack, window: Window, size: tuple[int, int]
+) -> Float[np.ndarray, "images height width 3"]:
+    """Linear light of rows and columns of all images, padded to `size` with 0.
+
+    NumPy's masked array if samples may not be used.
+    """
+    if isinstance(stack, ZarrStack):
+        return stack.read(window, size)
+    rows, columns = (range(side.start, side.stop) for side in window)
+    count, _, width = stack.shape
+    pixels = np.add.outer(width * np.array(rows), np.array(columns))
+    taken = stack.take(pixels.ravel(), range(count))
+    taken = taken.reshape(count, *pixels.shape, 3)
+    if pixels.shape == size:
+        return taken
+    down, along = np.subtract(size, pixels.shape).tolist()
+    around = (0, 0), (0, down), (0, along), (0, 0)
+    light = np.pad(np.ma.getdata(taken), around)
+    if not np.ma.is_masked(taken):
+        return light
+    return np.ma.MaskedArray(light, np.pad(np.ma.getmaskarray(taken), around))
 
 
 def gather(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:

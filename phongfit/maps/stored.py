@@ -68,15 +68,19 @@ class StoreRecord(AbstractRecord):
         return self
 
 
-def check_place(output: str | os.PathLike[str], images: str) -> None:
+def check_place(output: str | os.PathLike[str], images: str | None) -> None:
     """May maps go to a path on a disk? Asked before anything is written there.
 
-    **Arguments:** `images`: the store that they are made of: its path or URL.
+    **Arguments:** `images`: the store that they are made of, if it is one: its path or
+    URL.
 
     **Raises:** `OSError` if the images are there, or what is no part of such a store.
     """
-    place, source = Path(output).resolve(), Path(images).resolve()
-    if place.is_relative_to(source) or source.is_relative_to(place):
+    place = Path(output).resolve()
+    source = None if images is None else Path(images).resolve()
+    if source is not None and (
+        place.is_relative_to(source) or source.is_relative_to(place)
+    ):
         raise OSError(f"{output}: the images are there, expected another place")
     if not place.is_dir():
         return

@@ -1,9 +1,11 @@
 """`phongfit maps` of a zarr array: what lies beside it, and where the maps go."""
 
+import json
 import shutil
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import phongfit as pf
 from phongfit.cli import main
@@ -48,6 +50,28 @@ def test_a_scene_beside_it(stored, tmp_path, capsys):
     same(maps, expected)
     assert set(record.data.inputs) >= {"scene.json", "stack.zarr"}
     assert not (folder / "tiles").exists()
+
+
+def test_photographs_to_a_store(copy, tmp_path, capsys):
+    """The same maps as in a folder; samples that are masked are left out."""
+    hidden = np.full((24, 24), 255, np.uint8)
+    hidden[10:14] = 0
+    Image.fromarray(hidden).save(copy / "mask.png")
+    scene = json.loads((copy / "scene.json").read_text())
+    scene["images"][1]["mask"] = "mask.png"
+    (copy / "scene.json").write_text(json.dumps(scene))
+    folder, store = tmp_path / "maps", tmp_path / "maps.zarr"
+    assert main(["maps", str(copy), "-o", str(folder), *FEW, "--no-pictures"]) == 0
+    expected = load_folder(folder)[0]
+    assert {6, 9} <= {*expected.samples.flat}
+    assert main(["maps", str(copy), "-o", str(store), *FEW]) == 0
+    assert str(store) in capsys.readouterr().out
+    same(pf.StoredMaps(store).load(), expected)
+    # Other photographs are another job.
+    first, second, _ = (copy / image["file"] for image in scene["images"])
+    shutil.copy(first, second)
+    assert main(["maps", str(copy), "-o", str(store), *FEW]) == 2
+    assert "another job (its images differs)" in capsys.readouterr().err
 
 
 def test_a_ball_and_a_list_of_lights(stored, tmp_path):
@@ -99,8 +123,8 @@ def test_a_pinhole_and_a_list_of_lights(capture, tmp_path):
 @pytest.mark.parametrize(
     "words, told",
     [
-        (["--highlight", "shared"], "highlight: expected own of a zarr array"),
-        (["--tile-pixels", "99"], "tile_pixels: expected none of a zarr array"),
+        (["--highlight", "shared"], "highlight: expected own from or to zarr"),
+        (["--tile-pixels", "99"], "tile_pixels: expected none from or to zarr"),
         (["--lights", "some.lp"], "scene.json is a scene, which says this itself"),
         (["--fov", "40"], "scene.json is a scene, which says this itself"),
         (["--normals", "fit"], "lights: expected an .lp or lights.json in"),
@@ -115,7 +139,7 @@ def test_what_is_wrong_is_named(stored, tmp_path, capsys, words, told):
 
 def test_stores_and_folders_are_not_mixed_up(brass, stored, tmp_path, capsys):
     out = str(tmp_path / "maps.zarr")
-    assert main(["maps", str(brass), "-o", out]) == 2
+    assert main(["maps", str(brass), "-o", out, "--dask", "local:1"]) == 2
     assert "wants a zarr array as DATASET" in capsys.readouterr().err
     assert main(["maps", str(tmp_path / "no.zarr"), "-o", out]) == 2
     assert "no.zarr: there is no such zarr array" in capsys.readouterr().err

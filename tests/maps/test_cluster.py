@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import from_levels
 from phongfit.files.zarrs import erase
 from phongfit.maps import blocks
@@ -158,6 +159,30 @@ def test_masks_noise_and_whole_numbers(tmp_path):
     np.testing.assert_array_equal(stored.load().noise_given, expected.noise_given)
     # A stack is a stack wherever else one is taken, too.
     same(pf.fit_maps(STACK.scenes, pf.ZarrStack(path), **options), expected)
+
+
+def test_photographs_that_this_process_reads(maps, tmp_path, counted):
+    """Block by block, and those that are finished are left when it goes on."""
+    hidden = np.zeros(STACK.images.shape[1:3], bool)
+    hidden[:, 40:] = True
+
+    def read(number: int) -> Photograph:
+        return Photograph(STACK.images[number], ~(hidden & (number == 2)))
+
+    names = tuple("abcd")
+    stack = pf.DatasetStack(
+        Photographs("made", STACK.scenes, names, QUICK["film"], read)
+    )
+    masks = [~(hidden & (number == 2)) for number in range(4)]
+    expected = pf.fit_maps(STACK.scenes, STACK.images, mask=masks, **QUICK)
+    out = tmp_path / "maps.zarr"
+    stored = fit_stored_maps(STACK.scenes, stack, out, block=SIZE, **QUICK)
+    same(stored.load(), expected)
+    assert len(counted) == 9
+    fit_stored_maps(STACK.scenes, stack, out, block=SIZE, **QUICK)
+    assert len(counted) == 9
+    with pytest.raises(ValueError, match="client: expected none with photographs"):
+        fit_stored_maps(STACK.scenes, stack, out, client=object(), **QUICK)
 
 
 def test_blocks_are_as_shards_and_chunks_are(tmp_path):
