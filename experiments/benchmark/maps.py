@@ -71,10 +71,10 @@ def _map(folder: str) -> None:
     maps = pf.fit_maps(scenes, images, film=FREE)
     taken = time.perf_counter() - start
     assert maps.identified.mean() > 0.9
-    print(_peak_bytes() / 1e9, taken)
+    print(peak_bytes() / 1e9, taken)
 
 
-def _peak_bytes() -> int:
+def peak_bytes() -> int:
     """Most memory that this process has held."""
     status = Path("/proc/self/status")
     if status.exists():

@@ -22,11 +22,13 @@ from phongfit.maps.pixel.small import Numbers, curvatures, in_groups, of_rank
 # Candidates of a scan are a factor of 2 apart.
 SPACING = np.log(2).item()
 # Rounds of the box problem where it only ranks candidates.
-FEW_ROUNDS = 3
+FEW_ROUNDS = 2
 # No step is longer, in log f: beyond a factor of 2 the slope says little.
 LONGEST = 0.7
 # How far a curvature may be from that of Gauss and Newton to be expected once more.
 BENT = 0.1, 10
+# Share of the way to a point that was too far at which the next may be tried.
+NEAREST = 0.05
 # Share of a value that its rounding may make up, in units of the precision's.
 ROUNDED = 500
 # A search has ended where the next step is shorter than this, or than this share of the
@@ -200,6 +202,9 @@ def refine_exponents(
         bend = secant / jnp.where(at.curvature > 0, at.curvature, jnp.inf)
         bend = jnp.where(measured, jnp.clip(bend, *BENT), search.bend)
         newton = -slope / jnp.where(curvature > 0, curvature, jnp.inf)
+        # Slopes alone stand still before a wall: values, too, tell where the bottom is.
+        between = _cubic(search.slope, at.slope, at.value - search.value, moved)
+        newton = jnp.where(accept, newton, between)
         t = best + jnp.clip(newton, -LONGEST, LONGEST)
         t = jnp.where(t <= left, (best + left) / 2, t)
         t = jnp.where(t >= right, (best + right) / 2, t)
@@ -253,6 +258,25 @@ def refine_exponents(
     # The last step has not been tried: a short one is safe, near the bottom.
     t = jnp.where(jnp.abs(last.step) < 0.1, last.t, last.best)
     return Descent(t, last.value, last.slope, last.curvature, last.bend, ended(last))
+
+
+def _cubic(slope: Array, beyond: Array, rise: Array, step: Array) -> Array:
+    """How far from a point the bottom is of the cubic through it and a higher one.
+
+    Where that is not a good way between them, the middle.
+
+    ??? cite "Source"
+        Nocedal and Wright, *Numerical optimization*, 2006, equation 3.59.
+
+    **Arguments:** `slope`, `beyond`: at both; `rise`, `step`: from one to the other.
+    """
+    length = jnp.where(step != 0, step, 1)
+    first = slope + beyond - 3 * rise / length
+    root = jnp.sqrt(jnp.maximum(first**2 - slope * beyond, 0)) * jnp.sign(length)
+    below = beyond - slope + 2 * root
+    share = 1 - (beyond + root - first) / jnp.where(below != 0, below, jnp.inf)
+    inside = (share > NEAREST) & (share < 1 - NEAREST)
+    return step * jnp.where(inside, share, 0.5)
 
 
 def where_wanted(wanted: Array, compute: Callable[[], T], otherwise: T) -> T:
