@@ -91,7 +91,8 @@ class Options:
         loss: How much a residual counts; all but linear bear outliers, such as shadows
             of which the scene does not know. Default: linear; cauchy with --normals
             fit.
-        tile_pixels: Pixels that are in memory at a time. Default: what 64 MB hold.
+        tile_pixels: Pixels whose light is in memory at a time. Default: what 8 MB a
+            core hold, 64 MB at most.
         dask: With a zarr array: local:N for N workers on this machine, or the address
             of a Dask scheduler, such as tcp://10.0.0.1:8786.
         pictures: Draw the pictures.

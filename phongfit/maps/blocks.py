@@ -50,7 +50,7 @@ from phongfit.maps.layers import Masks, Noise
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.settings import MAP_PARAMETERS, MapSettings
 from phongfit.maps.result import view_of
-from phongfit.maps.run import as_mesh, fit_job, side_by_side, tile_size, versions
+from phongfit.maps.run import as_mesh, fit_job, tile_size, versions
 from phongfit.maps.stacks import (
     AbstractStack,
     ArrayStack,
@@ -193,13 +193,11 @@ class Place(NamedTuple):
     - `output`: the store of the maps.
     - `digest`: of the plan in it, so that nobody else's is run.
     - `versions`: of the programs that planned.
-    - `threads`: how many a block may take; `None` for as many as there are cores.
     """
 
     output: str
     digest: bytes
     versions: str
-    threads: int | None
 
 
 def fit_block(
@@ -229,9 +227,8 @@ def fit_block(
             return _counts(found, plan), False
     job = plan.job(group, number, stack)
     mesh, count = as_mesh(None), len(plan.scenes)
-    size, part = tile_size(math.prod(plan.block), count, None, mesh)
-    threads = side_by_side(mesh) if place.threads is None else place.threads
-    maps = fit_job(job, mesh, size if threads > 1 else part, part, threads)
+    _, part = tile_size(math.prod(plan.block), count, None, mesh)
+    maps = fit_job(job, mesh, part, part, 1)
     rows, columns = (side.stop - side.start for side in window)
     arrays = {
         name: np.ascontiguousarray(array[:rows, :columns])
@@ -313,7 +310,6 @@ def make_place(
     stack: AbstractStack,
     output: str,
     block: tuple[int, int] | None,
-    threads: int | None,
     *,
     mask: Any = None,
     noise: Any = None,
@@ -387,7 +383,7 @@ def make_place(
     made = make_array(group, PLAN, packed.shape, np.uint8, packed.shape)
     write_window(made, (slice(None),), packed)
     digest = hashlib.blake2b(packed.tobytes(), digest_size=DIGEST).digest()
-    return Place(output, digest, versions(), threads), plan
+    return Place(output, digest, versions()), plan
 
 
 class _Given:

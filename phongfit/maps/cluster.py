@@ -5,7 +5,9 @@ to the stores and back. What is finished stands in the output's ledger, not in D
 memory: workers, scheduler and this process may die at any moment.
 """
 
+import concurrent.futures
 import contextlib
+import contextvars
 import importlib.util
 import os
 import sys
@@ -25,7 +27,7 @@ from phongfit.files.zarrs import (
     write_attributes,
 )
 from phongfit.maps.blocks import Counts, Place, fit_block, make_place
-from phongfit.maps.run import bar
+from phongfit.maps.run import as_mesh, bar, side_by_side
 from phongfit.maps.stacks import AbstractStack, ZarrStack
 from phongfit.maps.stored import StoredMaps, check_place
 from phongfit.scene import Scene
@@ -111,13 +113,10 @@ def fit_stored_maps(
             check_place(output, None if stored is None else store_of(stored.array))
             Path(output).mkdir(parents=True, exist_ok=True)
             alone.enter_context(alone_in(Path(output)))
-        threads = None if client is None else 1
-        place, plan = make_place(
-            tuple(scenes), stack, output, block, threads, **options
-        )
+        place, plan = make_place(tuple(scenes), stack, output, block, **options)
         count = plan.grid[0] * plan.grid[1]
         done = (
-            ((k, fit_block(place, k, None if stored else stack)) for k in range(count))
+            _here(place, count, None if stored else stack)
             if client is None
             else _spread(client, place, count)
         )
@@ -126,6 +125,26 @@ def fit_stored_maps(
             total = {name: total.get(name, 0) + n for name, n in counts.items()}
         write_attributes(open_group(output, "r+"), {"counts": total})
     return StoredMaps(output)
+
+
+def _here(
+    place: Place, count: int, stack: AbstractStack | None
+) -> Iterator[tuple[int, tuple[Counts, bool]]]:
+    """Blocks as this process finishes them, as many at a time as it has cores."""
+    if count:
+        # Alone, since the others want what it compiles.
+        yield 0, fit_block(place, 0, stack)
+    with concurrent.futures.ThreadPoolExecutor(side_by_side(as_mesh(None))) as workers:
+        coming = [
+            workers.submit(contextvars.copy_context().run, fit_block, place, k, stack)
+            for k in range(1, count)
+        ]
+        try:
+            for number, done in enumerate(coming, start=1):
+                yield number, done.result()
+        finally:
+            for block in coming:
+                block.cancel()
 
 
 def _current() -> "distributed.Client | None":

@@ -18,6 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemaining
 from phongfit.checks import untraced
 from phongfit.edge import checked, shown
 from phongfit.fitting.problem.losses import AbstractLoss
+from phongfit.maps.ahead import ahead
 from phongfit.maps.job import Fitted, Geometry, Job, check_scenes, make_job
 from phongfit.maps.layers import Noise
 from phongfit.maps.materials.bases import Bases
@@ -38,9 +39,12 @@ from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
 TILE_BYTES = 2**26
-"""How much light a tile holds unless told otherwise: a few of them fit anywhere."""
+"""How much light a tile holds at most, unless told otherwise: a few fit anywhere.
 
-PART_BYTES = 2**24
+On a CPU it is no more than its cores work on at a time, since memory that is asked for
+anew for every tile takes longer than what is done with it."""
+
+PART_BYTES = 2**23
 """How much of it is worked on at a time on a CPU: little enough to stay near its cores,
 and enough that a last block of a few unsettled pixels does not show."""
 
@@ -130,7 +134,8 @@ def fit_maps(
         from, instead of the scan.
     - `min_cosine`: samples that no light reaches at a cosine above this are left out,
         as shadowed; −1 leaves out none.
-    - `tile_pixels`: pixels of a tile; default what 64 MB of light hold.
+    - `tile_pixels`: pixels of a tile; default what 8 MB of light a core hold, 64 MB at
+        most.
     - `devices`: on which tiles are spread; default all local ones.
     - `output`: a folder that keeps finished tiles. A run that was interrupted goes on
         from there, to the same bits. It must be empty, or of the same job.
@@ -227,7 +232,7 @@ def fit_job(
 
         dtype = outside.noise.dtype
         maps = _Canvas(job.geometry.mask.shape, exponents, dtype, kind, shared)
-        for k, tile in bar(_ahead(read, len(tiles)), len(tiles), progress):
+        for k, tile in bar(ahead(read, len(tiles)), len(tiles), progress):
             if isinstance(tile, list):
                 arrays = tile
             else:
@@ -280,15 +285,22 @@ def tile_size(
 ) -> tuple[int, int]:
     """Pixels of a tile and of its parts, multiples of what devices take at a time."""
     unit = BLOCK * mesh.size
+    beside = side_by_side(mesh)
+    most = max(PART_BYTES // (images * 12 * unit), 1)
     if wanted is None:
         wanted = TILE_BYTES // (images * 12)
+        if _on_cpu(mesh):
+            wanted = min(wanted, beside * most * unit)
+        # As many in each tile: the last one takes as long as the others.
+        wanted = -(-pixels // max(round(pixels / max(wanted, 1)), 1))
     elif not isinstance(wanted, int) or wanted < 1:
         raise ValueError(f"tile_pixels: expected a whole number ≥ 1, got {wanted!r}")
     units = -(-min(wanted, pixels) // unit)
     parts = 1
     if _on_cpu(mesh):
-        parts = -(-units // max(PART_BYTES // (images * 12 * unit), 1))
-        parts = max(parts, min(side_by_side(mesh), units))
+        # Alike, too, and none of the cores without one.
+        parts = beside * max(round(units / (beside * most)), 1)
+        parts = min(parts, units)
     part = -(-units // parts) * unit
     return parts * part, part
 
@@ -306,18 +318,6 @@ def versions() -> str:
     """Of the programs that maps rest on."""
     names = ("phongfit", "jax", "jaxlib")
     return " ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
-
-
-def _ahead(read: Any, count: int) -> Iterator[tuple[int, Any]]:
-    """What is read, tile by tile; the next is read while one is worked on."""
-    with concurrent.futures.ThreadPoolExecutor(1) as reader:
-        coming = reader.submit(read, 0) if count else None
-        for k in range(count):
-            assert coming is not None
-            here = coming.result()
-            if k + 1 < count:
-                coming = reader.submit(read, k + 1)
-            yield k, here
 
 
 def bar(

@@ -27,6 +27,7 @@ from phongfit.files.zarrs import (
     place_of,
     read_window,
 )
+from phongfit.maps.ahead import ahead
 from phongfit.maps.spool import Spool
 from phongfit.rendering.film import Encoding, as_encoding
 
@@ -152,7 +153,7 @@ class KeptStack(AbstractStack):
 
 
 class AbstractPhotographs(AbstractStack):
-    """Photographs that are decoded once, one of which is in memory at a time.
+    """Photographs that are decoded once, two of which are in memory at a time.
 
     They are then read from a temporary file, in the folder that TMPDIR names: what
     becomes of their own files meanwhile does not matter.
@@ -193,13 +194,12 @@ class PhotographStack(AbstractPhotographs):
         self.notes = series.notes
         self._shape = len(series), *series.size
         self._spool = Spool(_float_type())
-        for number, share in enumerate(shares):
-            photo = series.read(number)
+        for number, photo in ahead(series.read, len(series)):
             if (shares == 1).all():
                 self._spool.add(photo.image, photo.usable)
             else:
-                light = photo.image.dtype.type(share) * photo.image
-                self._spool.add(light, photo.unsaturated)
+                share = photo.image.dtype.type(shares[number])
+                self._spool.add(share * photo.image, photo.unsaturated)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -228,8 +228,7 @@ class DatasetStack(AbstractPhotographs):
         self.photographs = photographs
         self.mask = np.zeros((camera.height, camera.width), bool)
         self._spool = Spool(_float_type())
-        for number in range(len(photographs.names)):
-            image, mask = photographs.read(number)
+        for _, (image, mask) in ahead(photographs.read, len(photographs.names)):
             self.mask |= mask.reshape(*self.mask.shape, -1).any(axis=-1)
             self._spool.add(image, mask)
 

@@ -342,25 +342,36 @@ def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Array]:
     low, high = (jnp.full_like(t, edge) for edge in (box.lowest, box.highest))
     edges = low, high
     shared = settings.shared and job.target.shape[1] > 1
-    summed = _summed(job) if shared else columns
-    if settings.scanned:
-        t, low, high = scan_exponents(summed, lobes, angles, box, job.groups)
-    t, low, high = optimization_barrier((jnp.clip(t, low, high), low, high))
-    start = refine_exponents(summed, lobes, angles, t, low, high, box, SUMMED_STEPS)
 
     def variance(value: Array) -> Array:
         return _variance(job, columns, value)
 
-    found, bend = start.t, start.bend
-    unsettled = jnp.zeros(t.shape, bool)
-    if settings.scanned and shared:
+    def together() -> tuple[Array, Array, Array]:
+        """From the sum of the channels; and for whom that is not enough."""
+        summed = _summed(job) if shared else columns
+        start, low, high = t, *edges
+        if settings.scanned:
+            start, low, high = scan_exponents(summed, lobes, angles, box, job.groups)
+        start, low, high = optimization_barrier((jnp.clip(start, low, high), low, high))
+        found = refine_exponents(
+            summed, lobes, angles, start, low, high, box, SUMMED_STEPS
+        )
+        if not shared:
+            return found.t, found.bend, nobody
         level = 3 * noise**2 * jnp.ones_like(t)
         if not settings.noise_given:
-            level = _variance(_one_channel(job), summed, start.value)
+            level = _variance(_one_channel(job), summed, found.value)
+        return found.t, found.bend, _is_vague(found, level, box)
+
+    nobody = unsettled = jnp.zeros(t.shape, bool)
+    if settings.scanned and shared:
+        # Whoever deserves more is asked channel by channel in any case.
+        everybody = t, jnp.ones_like(t), ~nobody
+        found, bend, vague = jax.lax.cond(thorough, lambda: everybody, together)
         used = (job.share > 0).astype(t.dtype)
         odd = in_groups(jnp.sum(jnp.abs(used - used[:, :1]), axis=0), 1) > 0
         unlike = odd | _coloured(job.basis.strength)[None]
-        wanted = unlike | _is_vague(start, level, box)
+        wanted = unlike | vague
         # If most pixels beside this one have channels of their own, all do it at once.
         most = jnp.mean(unlike.astype(t.dtype)) > 0.5
         unsettled = wanted & ~(thorough | most)
@@ -371,6 +382,8 @@ def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Array]:
 
         found = where_wanted(wanted, scan, found)
         bend = jnp.where(wanted, 1, bend)
+    else:
+        found, bend, _ = together()
     t, bend = optimization_barrier((found, bend))
     steps = STEPS if shared else 0
     most = jnp.where(thorough, MOST_STEPS, STEPS)
