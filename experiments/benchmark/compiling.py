@@ -42,7 +42,9 @@ def problem(images: int, kind: str, size: int) -> tuple[Any, ...]:
         for a in angles
     ]
     rng = np.random.default_rng(0)
-    light = [np.asarray(pf.render(scene, MATERIAL)) for scene in scenes]
+    # Cut off at white it would be before its exposure, as no film does.
+    film = pf.Film(clamp=False)
+    light = [np.asarray(pf.render(scene, MATERIAL, film=film)) for scene in scenes]
     noisy = [
         strength * one + rng.normal(0, 0.003, one.shape)
         for strength, one in zip(np.linspace(0.6, 0.8, images), light, strict=True)

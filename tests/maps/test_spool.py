@@ -1,6 +1,7 @@
 """Decoded photographs in a temporary file: not a bit is lost, and few are kept."""
 
 import errno
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(3)
 
 
-def photograph(rng, dtype=np.uint8, encoding="srgb") -> np.ndarray:
+def photograph(rng, dtype: Any = np.uint8, encoding: Any = "srgb") -> np.ndarray:
     highest = np.iinfo(dtype).max
     return from_levels(rng.integers(0, highest, SHAPE, dtype, True), encoding)
 
