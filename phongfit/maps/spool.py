@@ -6,7 +6,7 @@ before they were compressed: where light has few values, as that of 8 bits has, 
 tells them, and the file holds their numbers.
 """
 
-import errno
+import contextlib
 import hashlib
 import tempfile
 import threading
@@ -115,7 +115,7 @@ class Spool:
     ) -> None:
         """One image more.
 
-        **Raises:** `OSError` that says where there is no room.
+        **Raises:** `OSError` that says where there should be room.
         """
         light = np.ascontiguousarray(image, self._dtype)
         complete = bool(used.all())
@@ -131,18 +131,20 @@ class Spool:
         self._images.append(kept)
         self._checksum.update(f"{levels.dtype.str} {image.shape}".encode())
         self._checksum.update(levels.data)
+        size = self._end + levels.nbytes
         try:
             self._file.write(levels.data)
             self._file.flush()
         except OSError as error:
-            if error.errno != errno.ENOSPC:
-                raise
+            # What could not be written would be written again before it is closed.
+            with contextlib.suppress(OSError):
+                self._file.close()
             raise OSError(
-                f"{tempfile.gettempdir()}: has no room for photographs once they are "
-                f"decoded, of which each takes {in_words(levels.nbytes)}: free some, "
-                "or set TMPDIR to a folder that has",
+                f"{tempfile.gettempdir()}: cannot be written: {error.strerror}; "
+                f"photographs stand there once they are decoded, {in_words(size)} so "
+                "far: make room, or set TMPDIR to another folder"
             ) from error
-        self._end += levels.nbytes
+        self._end = size
 
     def take(
         self, pixels: Int[np.ndarray, " n"], order: Sequence[int]

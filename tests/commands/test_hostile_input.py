@@ -239,6 +239,11 @@ def test_a_full_disk_below_maps(brass, tmp_path, capsys):
     with _full_disk(2000):
         assert main(args) == 2
     err = capsys.readouterr().err
+    assert "cannot be written: File too large; photographs stand there" in err
+    assert "TMPDIR" in err and not (tmp_path / "out").exists()
+    with _full_disk(6000):
+        assert main(args) == 2
+    err = capsys.readouterr().err
     assert "tile_000000.npz: cannot be written" in err and err.count("\n") == 1
     (tiles,) = (tmp_path / "out").iterdir()
     assert [path.name for path in tiles.iterdir()] == ["maps.json"]

@@ -93,5 +93,7 @@ def test_a_full_disk_says_what_to_do(rng, monkeypatch):
             raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(spool, "_file", Full())
-    with pytest.raises(OSError, match=r"no room for photographs.* 7\.03 KB.*TMPDIR"):
+    with pytest.raises(
+        OSError, match=r"No space left on device; .* 7\.03 KB so far: .*TMPDIR"
+    ):
         spool.add(photograph(rng), np.ones(SHAPE[:2], bool))
