@@ -92,8 +92,10 @@ def test_a_full_disk_says_what_to_do(rng, monkeypatch):
         def write(self, data) -> int:
             raise OSError(errno.ENOSPC, "No space left on device")
 
+        def close(self) -> None:
+            """Nothing is open."""
+
     monkeypatch.setattr(spool, "_file", Full())
-    with pytest.raises(
-        OSError, match=r"No space left on device; .* 7\.03 KB so far: .*TMPDIR"
-    ):
+    said = r"No space left on device; .* 7\.03 KB so far: .*TMPDIR"
+    with pytest.raises(OSError, match=said):
         spool.add(photograph(rng), np.ones(SHAPE[:2], bool))
