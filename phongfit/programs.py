@@ -1,18 +1,16 @@
-"""Compiled programs: in a hurry, ahead, kept, and not waited for."""
+"""Compiled programs: in a hurry, kept, and not waited for."""
 
 import dataclasses
 import functools
 import gc
 import os
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, dataclass_transform, no_type_check
-from weakref import WeakKeyDictionary
 
 import equinox as eqx
 import jax
-import numpy as np
 from jax.extend.core import get_opaque_trace_state
 
 from phongfit.cache import keep_compiled
@@ -72,91 +70,15 @@ def program(*static: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
             traced = get_opaque_trace_state() != _untraced()
             if not traced:
                 _room.make()
-                _ahead.wait(run, args, kwargs)
             try:
                 return (part if traced else whole())(*args, **kwargs)
             except TypeError:
                 # To look for functions beforehand takes as long as to call a program.
                 return careful(*args, **kwargs)
 
-        _ahead.programs[run] = whole
         return run
 
     return decorate
-
-
-def compile_ahead(
-    function: Callable[P, object], *args: P.args, **kwargs: P.kwargs
-) -> None:
-    """Begin to compile a program, beside what else is done, for a call that will come.
-
-    **Arguments:** `function`: a [`program`][]; the others are those of the call, with
-    any numbers.
-    """
-    _ahead.begin(function, args, kwargs)
-
-
-def is_new(*arguments: Any) -> bool:
-    """Whether it is asked for the first time of arguments of this kind.
-
-    What is begun for the first of a kind in a process would be in vain for others.
-    """
-    kind = _kind(None, arguments, {})
-    if kind in _seen:
-        return False
-    _seen.add(kind)
-    return True
-
-
-_seen: set[Any] = set()
-
-
-class _Ahead:
-    """Programs that another thread compiles, until they are called."""
-
-    def __init__(self) -> None:
-        self.programs: WeakKeyDictionary[Callable[..., Any], Callable[[], Any]]
-        self.programs = WeakKeyDictionary()
-        self._coming: dict[Any, Future[None]] = {}
-
-    def begin(self, function: Callable[..., Any], args: Any, kwargs: Any) -> None:
-        """In the other thread, which does one after another."""
-        key = _kind(function, args, kwargs)
-        coming = _beside().submit(_compile, self.programs[function](), args, kwargs)
-        self._coming[key] = coming
-        # Perhaps nobody asks for it.
-        coming.add_done_callback(lambda _: self._coming.pop(key, None))
-
-    def wait(self, function: Callable[..., Any], args: Any, kwargs: Any) -> None:
-        """Until the program of a call is there, if it was begun."""
-        if not self._coming:
-            return
-        coming = self._coming.get(_kind(function, args, kwargs))
-        if coming is not None:
-            # If it failed, the call does, too, and says why.
-            wait([coming])
-
-
-_ahead = _Ahead()
-
-
-@functools.cache
-def _beside() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(1, "compiler")
-
-
-def _compile(whole: Any, args: Any, kwargs: Any) -> None:
-    whole.lower(*args, **kwargs).compile()
-
-
-def _kind(function: Callable[..., Any] | None, args: Any, kwargs: Any) -> Any:
-    """What tells a program apart: what is called, and with which arrays."""
-    leaves, structure = jax.tree.flatten((args, kwargs))
-    kinds = tuple(
-        (np.shape(leaf), leaf.dtype) if hasattr(leaf, "dtype") else leaf
-        for leaf in leaves
-    )
-    return function, structure, kinds, jax.config.read("jax_enable_x64")
 
 
 class _Room:

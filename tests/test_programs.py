@@ -1,6 +1,5 @@
 """Compiled programs, whatever their arguments hold."""
 
-import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,13 +11,7 @@ import pytest
 from jaxtyping import Array
 
 from phongfit import programs
-from phongfit.programs import (
-    HURRY,
-    compile_ahead,
-    compiler_options,
-    is_new,
-    program,
-)
+from phongfit.programs import HURRY, compiler_options, program
 
 
 class Shape(eqx.Module):
@@ -63,45 +56,6 @@ def test_it_is_compiled_once_and_differentiable():
     assert len(traced) == 1
     assert jax.grad(square)(two) == 4
     np.testing.assert_array_equal(jax.vmap(square)(jnp.arange(3.0)), [0, 1, 4])
-
-
-def test_it_is_compiled_beside_other_work_before_it_is_called():
-    threads = []
-
-    @program("count")
-    def power(x: Array, count: int) -> Array:
-        threads.append(threading.current_thread())
-        return x**count
-
-    compile_ahead(power, jnp.ones(3), count=2)
-    np.testing.assert_array_equal(power(2 * jnp.ones(3), count=2), 4)
-    assert len(threads) == 1 and threads[0] is not threading.current_thread()
-    # Another size is another program.
-    np.testing.assert_array_equal(power(2 * jnp.ones(4), count=2), 4)
-    assert len(threads) == 2 and threads[1] is threading.current_thread()
-
-
-def test_what_fails_before_it_is_called_fails_then():
-    @program()
-    def root(x: Array) -> Array:
-        if x.shape != (1,):
-            raise ValueError("x: expected one number")
-        return jnp.sqrt(x)
-
-    compile_ahead(root, jnp.ones(3))
-    with pytest.raises(ValueError, match="x: expected one number"):
-        root(jnp.ones(3))
-    assert root(jnp.full(1, 4.0)) == 2
-
-
-def test_each_kind_of_arguments_is_new_once():
-    class Mine:
-        """Of no other test."""
-
-    assert is_new(Mine, jnp.ones(3), 2)
-    assert not is_new(Mine, jnp.zeros(3), 2)
-    for others in ((jnp.ones(4), 2), (jnp.ones(3), 3), (jnp.ones(3, int), 2)):
-        assert is_new(Mine, *others)
 
 
 @pytest.mark.parametrize("pieces, goes", [(10, False), (10**5, True)])

@@ -42,7 +42,6 @@ from phongfit.fitting.uncertainty.inherited import (
     with_inherited,
     with_samples_of,
 )
-from phongfit.fitting.uncertainty.outliers import find_far
 from phongfit.fitting.uncertainty.statistics import sandwich_sums
 from phongfit.fitting.uncertainty.tiles import (
     Measured,
@@ -51,7 +50,7 @@ from phongfit.fitting.uncertainty.tiles import (
     tile_side,
 )
 from phongfit.material import Material
-from phongfit.programs import compile_ahead, is_new, program
+from phongfit.programs import program
 from phongfit.rendering.film import Film
 from phongfit.rendering.pixels import PixelTerms, resolve_terms
 from phongfit.scene import Scene
@@ -233,10 +232,6 @@ def fit(
     given = {"mask": mask, "weights": weights, "noise": noise}
     # Directions are now relative to where the best of several starts began.
     layout = found.problem.unknowns
-    if is_new(found.problem):
-        compile_ahead(sandwich_sums, found.problem, found.y)
-        if loss.robust:
-            compile_ahead(find_far, found.problem, found.y)
     # JAX computes these side by side, as long as none is looked at.
     in_user_units = in_units(layout, found.y)
     scenes = layout.scenes(in_user_units[0], tuple(source.scene for source in sources))

@@ -18,7 +18,7 @@ from phongfit.fitting.problem.samples import Samples
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.solve.solution import Solution, solve
 from phongfit.fitting.solve.start import choose, scan, scan_bands
-from phongfit.programs import compile_ahead, is_new, program, record
+from phongfit.programs import program, record
 
 # A pass solves with the noise level that the pass before left over.
 MOST_PASSES = 8
@@ -90,12 +90,6 @@ def search(
     level = 1.0 if noise_given else float(np.finfo(y.dtype).eps)
     sigma: Any = np.asarray(level, y.dtype)
     problem = Problem(first, unknowns, sigma, loss, clamp)
-    samples = first if few is None else None
-    if samples is None and is_new(problem, max_steps, noise_given):
-        samples = gather()
-        last = Problem(samples, unknowns, sigma, loss, clamp)
-        begin = _first_state(y, jnp.asarray(sigma))
-        compile_ahead(_settle, last, begin, max_steps, noise_given, near=True)
     if unknowns.of_scene or unknowns.exposed:
         y, unknowns = _best_of_several(problem, noise_given, max_steps)
         problem = Problem(first, unknowns, sigma, loss, clamp)
@@ -106,7 +100,7 @@ def search(
     else:
         state = _begin(problem, y, noise_given)
     if few is not None:
-        samples = gather() if samples is None else samples
+        samples = gather()
         if not (loss.robust or unknowns.of_scene or unknowns.exposed):
             # One pass comes near enough; several starts have come as near.
             state = _settle(problem, state, max_steps, noise_given, True)

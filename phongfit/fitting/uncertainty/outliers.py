@@ -54,7 +54,7 @@ def outlier_words(
     heavy = float(sums.tails) > HEAVY and not bool(sums.exact)
     if not problem.loss.robust and not heavy:
         return ()
-    far, unknowns = find_far(problem, y), problem.unknowns
+    far, unknowns = _far(problem, y), problem.unknowns
     position = np.asarray(y)
     free = (np.asarray(unknowns.lower) < position) & (
         position < np.asarray(unknowns.upper)
@@ -93,8 +93,7 @@ def _shifts(far: _Far, sums: SandwichSums, free: np.ndarray) -> np.ndarray:
 
 
 @program()
-def find_far(problem: Problem, y: Float[Array, " n"]) -> _Far:
-    """Samples that are far off the model at a solution."""
+def _far(problem: Problem, y: Float[Array, " n"]) -> _Far:
     found = linearize(problem, y)
     jacobian, used = found.jacobian, problem.samples.weight > 0
     left, scale = found.at.residual, jnp.ones((), y.dtype)
