@@ -201,12 +201,14 @@ class Place(NamedTuple):
 
 
 def fit_block(
-    place: Place, number: int, stack: AbstractStack | None = None
+    place: Place, number: int, stack: AbstractStack | None = None, threads: int = 1
 ) -> tuple[Counts, bool]:
     """See to it that a block is finished.
 
-    **Arguments:** `stack`: images that this process reads; else the plan says where
-    they are.
+    **Arguments:**
+
+    - `stack`: images that this process reads; else the plan says where they are.
+    - `threads`: how many work on it.
 
     **Returns:** counts of its pixels, and whether it had to be fitted.
 
@@ -227,8 +229,8 @@ def fit_block(
             return _counts(found, plan), False
     job = plan.job(group, number, stack)
     mesh, count = as_mesh(None), len(plan.scenes)
-    _, part = tile_size(math.prod(plan.block), count, None, mesh)
-    maps = fit_job(job, mesh, part, part, 1)
+    size, part = tile_size(math.prod(plan.block), count, None, mesh)
+    maps = fit_job(job, mesh, size if threads > 1 else part, part, threads)
     rows, columns = (side.stop - side.start for side in window)
     arrays = {
         name: np.ascontiguousarray(array[:rows, :columns])

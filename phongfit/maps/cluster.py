@@ -51,6 +51,10 @@ AHEAD = 4
 """Blocks for each thread of a worker that the scheduler knows of at a time."""
 
 
+BESIDE = 8
+"""Blocks that one process works on at a time at most: each takes its memory."""
+
+
 @checked
 def fit_stored_maps(
     scenes: Sequence[Scene],
@@ -130,15 +134,18 @@ def fit_stored_maps(
 def _here(
     place: Place, count: int, stack: AbstractStack | None
 ) -> Iterator[tuple[int, tuple[Counts, bool]]]:
-    """Blocks as this process finishes them, as many at a time as it has cores."""
-    if count:
-        # Alone, since the others want what it compiles.
-        yield 0, fit_block(place, 0, stack)
-    with concurrent.futures.ThreadPoolExecutor(side_by_side(as_mesh(None))) as workers:
-        coming = [
-            workers.submit(contextvars.copy_context().run, fit_block, place, k, stack)
-            for k in range(1, count)
-        ]
+    """Blocks as this process finishes them, some of them side by side."""
+    cores = side_by_side(as_mesh(None))
+    beside = min(cores, BESIDE)
+
+    def begin(number: int, threads: int) -> concurrent.futures.Future[Any]:
+        context = contextvars.copy_context()
+        return workers.submit(context.run, fit_block, place, number, stack, threads)
+
+    with concurrent.futures.ThreadPoolExecutor(beside) as workers:
+        # The first alone, since the others want what it compiles.
+        yield 0, begin(0, cores).result()
+        coming = [begin(number, cores // beside) for number in range(1, count)]
         try:
             for number, done in enumerate(coming, start=1):
                 yield number, done.result()
