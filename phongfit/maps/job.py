@@ -25,6 +25,7 @@ from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MAP_PARAMETERS, MOST_MATERIALS, MapSettings
 from phongfit.maps.stacks import AbstractStack
 from phongfit.material import Material
+from phongfit.reflectance import AbstractSpecular
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
@@ -307,6 +308,16 @@ def _visibility(
     return seen
 
 
+@functools.lru_cache(maxsize=64)
+def _lobe_of(model: AbstractSpecular, dtype: Any) -> tuple[bool, bool]:
+    """Whether a lobe is a power of one cosine, and whether an exponent shapes it.
+
+    Asked once of a model, since every block of a map asks.
+    """
+    del dtype
+    return is_power(model), takes_exponent(model)
+
+
 def make_settings(
     scenes: tuple[Scene, ...],
     unknowns: Sequence[str],
@@ -360,9 +371,9 @@ def make_settings(
         raise ValueError("unknowns: expected at least one that light falls on")
     if "shininess" in names and "specular" not in names:
         raise ValueError("unknowns: expected specular with shininess, which shapes it")
-    model = scenes[0].specular_model
-    power = is_power(model)
-    if "shininess" in names and not takes_exponent(model):
+    model = in_numbers(scenes[0].specular_model)
+    power, shaped = _lobe_of(model, jnp.result_type(float))
+    if "shininess" in names and not shaped:
         raise ValueError(
             f"unknowns: shininess shapes no highlight of this {type(model).__name__}, "
             "whose own numbers are held in maps; leave it out"
@@ -388,7 +399,7 @@ def make_settings(
         names=names,
         bounds=tuple(_bound(name, bounds) for name in MAP_PARAMETERS),
         shared="shininess" not in per_channel,
-        model=in_numbers(model),
+        model=model,
         power=power,
         loss=as_loss(("cauchy" if sought else "linear") if loss is None else loss),
         scanned=start is None,
