@@ -81,10 +81,14 @@ class Geometry:
         def rows(table: np.ndarray) -> np.ndarray:
             return table if len(table) == 1 else table[padded]
 
+        if missing:
+            # A copy, which a whole tile does without.
+            beyond = (0, 0), (0, missing), (0, 0)
+            target, used = np.pad(target, beyond), np.pad(used, beyond)
         seen = self.visibility
         return Tile(
-            np.pad(target, ((0, 0), (0, missing), (0, 0))),
-            np.pad(used, ((0, 0), (0, missing), (0, 0))),
+            target,
+            used,
             self.normal[padded],
             rows(self.position),
             rows(self.to_viewer),
