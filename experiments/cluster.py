@@ -172,7 +172,7 @@ def size_of(path: Path) -> int:
 
 def overhead(client: Any, count: int) -> float:
     """Seconds that a block costs besides its work, by those that have none."""
-    place = Place("", b"", "", None)
+    place = Place("", b"", "")
     start = time.perf_counter()
     done = sum(1 for _ in cluster._spread(client, place, count))
     assert done == count
