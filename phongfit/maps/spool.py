@@ -176,8 +176,8 @@ class Spool:
     def checksum(self) -> bytes:
         """Of all that the images hold."""
         found = self._checksum.copy()
-        tables = [image.levels.table for image in self._images if image.levels]
-        # One table grows from image to image: the last is all of them.
-        for table in tables[-1:]:
-            found.update(table.data)
+        # All that have levels share one table, and the first is among them.
+        levels = self._images[0].levels if self._images else None
+        if levels is not None:
+            found.update(levels.table.data)
         return found.digest()
