@@ -34,6 +34,7 @@ from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
 from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps
 from phongfit.maps.stacks import as_stack, identify_stack
 from phongfit.maps.store import TileStore, tile_store
+from phongfit.maps.warm import WarmMemory
 from phongfit.material import Material
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
@@ -44,9 +45,9 @@ TILE_BYTES = 2**26
 On a CPU it is no more than its cores work on at a time, since memory that is asked for
 anew for every tile takes longer than what is done with it."""
 
-PART_BYTES = 2**23
+PART_BYTES = 2**24
 """How much of it is worked on at a time on a CPU: little enough to stay near its cores,
-and enough that a last block of a few unsettled pixels does not show."""
+and enough that blocks of a few unsettled pixels hardly show."""
 
 
 @checked
@@ -134,7 +135,7 @@ def fit_maps(
         from, instead of the scan.
     - `min_cosine`: samples that no light reaches at a cosine above this are left out,
         as shadowed; −1 leaves out none.
-    - `tile_pixels`: pixels of a tile; default what 8 MB of light a core hold, 64 MB at
+    - `tile_pixels`: pixels of a tile; default what 16 MB of light a core hold, 64 MB at
         most.
     - `devices`: on which tiles are spread; default all local ones.
     - `output`: a folder that keeps finished tiles. A run that was interrupted goes on
@@ -226,8 +227,10 @@ def fit_job(
             shared = _materials(job, workers, store, len(tiles))
             among = Given(outside, shared.bases)
         run = compiled(settings, mesh, _FITS[kind])
+        warm = WarmMemory()
 
         def work(part: Tile) -> list[np.ndarray]:
+            part = part._replace(target=warm.copy(part.target))
             return [np.asarray(leaf) for leaf in jax.tree.leaves(run(part, among))]
 
         dtype = outside.noise.dtype

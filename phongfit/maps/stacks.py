@@ -99,6 +99,11 @@ class ArrayStack(AbstractStack):
                     f"{array.shape}"
                 )
         self._arrays = tuple(arrays)
+        # Where there is one array of all of them, in memory as it is needed.
+        self._whole = None
+        plain = type(images) is np.ndarray and images.flags.c_contiguous
+        if plain and images.dtype == _float_type():
+            self._whole = images.reshape(len(images), -1, 3)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -108,6 +113,9 @@ class ArrayStack(AbstractStack):
     def take(
         self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
     ) -> Float[np.ndarray, "images n 3"]:
+        in_order = list(order) == list(range(len(self._arrays)))
+        if self._whole is not None and in_order and is_run(pixels):
+            return self._whole[:, pixels[0] : pixels[-1] + 1]
         taken = np.empty((len(order), len(pixels), 3), _float_type())
         if any(map(np.ma.is_masked, self._arrays)):
             taken = np.ma.MaskedArray(taken, np.zeros(taken.shape, bool))
@@ -341,12 +349,17 @@ def gather(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """Some pixels of an image, by their flat indices, row by row."""
     height, width = image.shape[:2]
     whole = image.flags.c_contiguous
-    if len(pixels) and pixels[-1] - pixels[0] + 1 == len(pixels) and whole:
-        # A run: nothing need be looked up.
+    if whole and is_run(pixels):
+        # Nothing need be looked up.
         return image.reshape(height * width, -1)[pixels[0] : pixels[-1] + 1]
     if whole:
         return image.reshape(height * width, -1)[pixels]
     return image[pixels // width, pixels % width]
+
+
+def is_run(numbers: np.ndarray) -> bool:
+    """Whether rising numbers follow one another."""
+    return bool(len(numbers) and numbers[-1] - numbers[0] + 1 == len(numbers))
 
 
 def _let_go(array: np.ndarray) -> None:

@@ -9,6 +9,8 @@ import pytest
 
 import phongfit as pf
 from phongfit.files.dataset import Photograph, Photographs
+from phongfit.maps.stacks import ArrayStack
+from tests.helpers import floats
 from tests.maps.synthetic import DTYPE, Stack, make_stack, same, write_diligent
 
 QUICK: dict[str, Any] = {"unknowns": ("diffuse",), "tile_pixels": 512}
@@ -94,3 +96,21 @@ def test_a_broken_photograph_is_named_at_once(written, tmp_path):
     (tmp_path / "007.png").write_bytes(b"junk")
     with pytest.raises(ValueError, match=r"007\.png: is broken"):
         pf.DatasetStack(pf.open_dataset(tmp_path))
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2, 3), (0, 2, 1, 3), (1, 2)])
+@pytest.mark.parametrize("pixels", [range(7, 21), (3, 4, 9)])
+def test_an_array_gives_the_same_whether_it_is_copied_or_not(order, pixels):
+    """One array in memory is not: others are, and those that are read in pieces."""
+    rng = np.random.default_rng(0)
+    whole = np.asarray(floats(rng.random((4, 5, 6, 3))))
+    pixels = np.array(pixels)
+    expected = whole.reshape(4, 30, 3)[np.array(order)[:, None], pixels]
+    turned = np.asfortranarray(whole)
+    for images in (whole, list(whole), turned, whole.astype(np.float16)):
+        taken = ArrayStack(images).take(pixels, order)
+        coarse = np.asarray(images).dtype == np.float16
+        np.testing.assert_allclose(taken, expected, atol=1e-3 if coarse else 0)
+    run = len(pixels) > 3 and len(order) == 4 and order[1] == 1
+    taken = ArrayStack(whole).take(pixels, order)
+    assert np.shares_memory(taken, whole) == run

@@ -59,7 +59,7 @@ class _Try(NamedTuple):
 def fit_shared(tile: Tile, given: Given, settings: MapSettings) -> MaterialFit:
     """The normal, matte light and material of every pixel of a tile, block by block."""
     return in_blocks(
-        tile, lambda part, thorough: _fit_block(part, given, thorough, settings)
+        tile, lambda part, effort: _fit_block(part, given, effort > 0, settings)
     )
 
 

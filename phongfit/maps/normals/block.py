@@ -37,7 +37,7 @@ def fit_normals(tile: Tile, outside: Outside, settings: MapSettings) -> NormalFi
     **Arguments:** as of [`fit_tile`][]; the tile's normals are not read.
     """
     return in_blocks(
-        tile, lambda part, thorough: fit_block(part, outside, thorough, settings)
+        tile, lambda part, effort: fit_block(part, outside, effort > 0, settings)
     )
 
 

@@ -36,9 +36,10 @@ from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import in_groups, of_rank, optimization_barrier
 
 # Steps on the sum of the channels, which are a third of the price, then on all; and of
-# those at most, where it takes longer.
-SUMMED_STEPS = 3
+# those at most, with more effort and with the most.
+SUMMED_STEPS = 2
 STEPS = 2
+MORE_STEPS = 4
 MOST_STEPS = 16
 # Rounds of reweighting of a robust loss; and where it takes longer.
 REWEIGHTED = 10
@@ -118,8 +119,13 @@ class _Job:
     basis: Basis
     box: Box
     noise: Float[Array, ""]
-    thorough: Bool[Array, ""]
+    effort: Int[Array, ""]
     settings: MapSettings
+
+    @property
+    def thorough(self) -> Bool[Array, ""]:
+        """Whether to do whatever helps."""
+        return self.effort > 0
 
     @property
     def groups(self) -> int:
@@ -194,17 +200,18 @@ class _SearchResult(NamedTuple):
 
 
 def fit_pixels(
-    tile: Tile, outside: Outside, thorough: Bool[Array, ""], settings: MapSettings
+    tile: Tile, outside: Outside, effort: Int[Array, ""], settings: MapSettings
 ) -> tuple[PixelFit, Bool[Array, " pixels"]]:
     """The materials of pixels, of each from its own samples alone.
 
     What a few pixels need all beside them pay for. So there are two ways, one short and
     one thorough, and a pixel that is settled by the short one gets the same from both.
 
-    **Arguments:** `thorough`: whether to do whatever helps.
+    **Arguments:** `effort`: 0 for the short way, 1 for the thorough one, 2 for that
+    with more steps, which one pixel in a hundred needs.
 
     **Returns:** the materials, whose leaves have the pixels as their first axis, and
-    for which of them the thorough way is wanted.
+    for which of them more effort is wanted.
     """
     samples, lost = measured(tile, outside.lighting, settings)
     basis, lit = make_basis(tile, outside.lighting, samples.lamps, settings)
@@ -212,7 +219,7 @@ def fit_pixels(
     known = Known(*(leaf[:, None] for leaf in outside.known))
     target = optimization_barrier(_less_known(samples.target, basis, known, settings))
     noise = outside.noise
-    job = _Job(target, share, basis, _box(settings), noise, thorough, settings)
+    job = _Job(target, share, basis, _box(settings), noise, effort, settings)
     found = optimization_barrier(_solve(job, known))
 
     share_of_group = job.count()
@@ -246,7 +253,7 @@ def fit_pixels(
             found.moved,
             basis.angles,
             job.box,
-            thorough,
+            job.thorough,
             settings,
         )
     )
@@ -270,8 +277,10 @@ def fit_pixels(
     values = _values(found, known, settings)
     deviations = _leaves(errors, identified, settings)
     fit = PixelFit(*values, deviations, level, count, flags)
-    unsettled = some(found.unsettled | errors.vague | errors.moving)
-    return fit, identified & unsettled & ~thorough
+    unsettled = found.unsettled & (not settings.loss.robust)
+    doubtful = found.unsettled | errors.vague | errors.moving
+    wanted = some(jnp.where(job.thorough, unsettled, doubtful))
+    return fit, identified & wanted
 
 
 def most_by_chance(freedom: Array) -> Array:
@@ -386,7 +395,9 @@ def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Array]:
         found, bend, _ = together()
     t, bend = optimization_barrier((found, bend))
     steps = STEPS if shared else 0
-    most = jnp.where(thorough, MOST_STEPS, STEPS)
+    # Of all that a robust loss does with them these are the least.
+    more = MOST_STEPS if settings.loss.robust else MORE_STEPS
+    most = jnp.asarray([STEPS, more, MOST_STEPS])[job.effort]
     end = refine_exponents(
         columns, lobes, angles, t, *edges, box, steps, bend, most, variance
     )

@@ -29,6 +29,9 @@ LONGEST = 0.7
 BENT = 0.1, 10
 # Share of the way to a point that was too far at which the next may be tried.
 NEAREST = 0.05
+# Points so near in log f have slopes whose difference may be rounding, in units of the
+# root of the precision.
+CLOSE = 30
 # Share of a value that its rounding may make up, in units of the precision's.
 ROUNDED = 500
 # A search has ended where the next step is shorter than this, or than this share of the
@@ -182,7 +185,8 @@ def refine_exponents(
     - `most`: so many are made at most where the bottom is not reached sooner.
     - `variance`: from $\phi$ to the variance of a sample, by which that is judged.
     """
-    rounding = ROUNDED * jnp.finfo(start.dtype).eps
+    precision = jnp.finfo(start.dtype).eps
+    rounding, close = ROUNDED * precision, CLOSE * precision**0.5
 
     def step(search: _Search) -> _Search:
         at = evaluate(columns, lobes, angles, search.t, box)
@@ -197,7 +201,7 @@ def refine_exponents(
         upward = jnp.where(accept, at.slope, moved)
         left = jnp.where(upward < 0, search.t, search.left)
         right = jnp.where(upward > 0, search.t, search.right)
-        measured = (moved != 0) & (secant > 0)
+        measured = (jnp.abs(moved) > close) & (secant > 0)
         curvature = jnp.where(measured, secant, search.bend * at.curvature)
         bend = secant / jnp.where(at.curvature > 0, at.curvature, jnp.inf)
         bend = jnp.where(measured, jnp.clip(bend, *BENT), search.bend)

@@ -20,12 +20,20 @@ from phongfit.maps.pixel.settings import MapSettings
 BLOCK = 512
 """Pixels that are worked on together: few enough for the numbers to stay in cache."""
 
+MOST = 2
+"""The most effort; less is for many, since a block takes as long as its last pixel."""
+
+FEW = 4
+"""So many blocks are worked on with the most effort at once."""
+
 
 T = TypeVar("T")
 
 
 def fit_tile(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
-    """The material of every pixel of a tile, in short or thoroughly: [`fit_pixels`][].
+    """The material of every pixel of a tile, with as much effort as it takes.
+
+    See [`fit_pixels`][].
 
     **Arguments:**
 
@@ -35,7 +43,7 @@ def fit_tile(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
     **Returns:** a [`PixelFit`][] whose leaves have the pixels as their first axis.
     """
     return in_blocks(
-        tile, lambda part, thorough: fit_pixels(part, outside, thorough, settings)
+        tile, lambda part, effort: fit_pixels(part, outside, effort, settings)
     )
 
 
@@ -43,58 +51,58 @@ def in_blocks(tile: Tile, fit: Callable[[Tile, Array], tuple[T, Array]]) -> T:
     """What `fit` makes of each block of a tile, with all pixels as the first axis.
 
     Block by block in short; the few pixels for which that is not enough are gathered to
-    blocks of their own, and worked on thoroughly.
+    blocks of their own, and worked on with more effort; and so on.
 
-    **Arguments:** `fit`: from a block, and whether to be thorough, to what it finds,
-    and to where that is wanted.
+    **Arguments:** `fit`: from a block and the effort, 0 to [`MOST`][], to what it
+    finds, and to where more is wanted. With the most nothing is.
     """
     pixels = tile.normal.shape[0]
-    blocks = pixels // BLOCK
+    room = (MOST + 1) * pixels
     # Traced once, though it is asked for its shapes first.
     fit_block = jax.jit(fit)
 
-    def unfinished(state: _Work) -> Array:
-        return (state.block < blocks) | ((state.block - blocks) * BLOCK < state.n_left)
-
     def work(state: _Work) -> _Work:
-        again = state.block >= blocks
         start = state.block * BLOCK
-        # What stands beyond the end of those left is worked on, and never read.
-        left = jax.lax.dynamic_slice_in_dim(state.left, start - pixels, BLOCK)
+        these = jax.lax.dynamic_slice_in_dim(state.queue, start, BLOCK)
         part = jax.lax.cond(
-            again, lambda: tile.rows(left), lambda: tile.span(start, BLOCK)
+            state.effort > 0,
+            lambda: tile.rows(these),
+            lambda: tile.span(start, BLOCK),
         )
-        found, unsettled = fit_block(part, again)
-        unsettled &= ~again
-        (which,) = jnp.nonzero(unsettled, size=BLOCK, fill_value=0)
-        longer = _put(state.left, start + which, state.n_left)
+        found, unsettled = fit_block(part, state.effort)
+        unsettled &= (these < pixels) & (state.effort < MOST)
+        (which,) = jnp.nonzero(unsettled, size=BLOCK, fill_value=BLOCK)
+        more = jnp.take(these, which, mode="fill", fill_value=pixels)
+        length = state.length + jnp.sum(unsettled).astype(state.length.dtype)
+        # After the last of an effort the next one begins, in a block of its own.
+        last = start + BLOCK == state.end
+        full = -(-length // BLOCK) * BLOCK
+        jump = jnp.where(full - state.end > FEW * BLOCK, 1, MOST - state.effort)
         return _Work(
             state.block + 1,
-            jax.tree.map(
-                lambda all, some: _put(all, some, start),
-                state.found,
-                found,
-            ),
-            jnp.where(again, state.left, longer),
-            state.n_left + jnp.sum(unsettled).astype(state.n_left.dtype),
+            jax.tree.map(lambda all, some: _put(all, some, start), state.found, found),
+            _put(state.queue, more, state.length),
+            jnp.where(last, full, length),
+            jnp.where(last, full, state.end),
+            jnp.where(last, state.effort + jump, state.effort),
         )
 
     zero = jnp.zeros((), int)
-    whole = tile.span(zero, BLOCK)
-    shapes, _ = jax.eval_shape(fit_block, whole, jnp.zeros((), bool))
+    shapes, _ = jax.eval_shape(fit_block, tile.span(zero, BLOCK), zero)
+    order = jnp.arange(room + BLOCK)
     first = _Work(
         zero,
         jax.tree.map(
-            lambda leaf: jnp.zeros((2 * pixels, *leaf.shape[1:]), leaf.dtype), shapes
+            lambda leaf: jnp.zeros((room, *leaf.shape[1:]), leaf.dtype), shapes
         ),
-        jnp.zeros(pixels + BLOCK, zero.dtype),
+        jnp.minimum(order, pixels),
+        zero + pixels,
+        zero + pixels,
         zero,
     )
-    last = jax.lax.while_loop(unfinished, work, first)
+    last = jax.lax.while_loop(lambda s: s.block * BLOCK < s.end, work, first)
     # Where a pixel's last word stands.
-    order = jnp.arange(pixels)
-    at = jnp.where(order < last.n_left, last.left[:pixels], pixels)
-    at = order.at[at].set(pixels + order, mode="drop")
+    at = jnp.zeros(pixels, int).at[last.queue].max(order, mode="drop")
     return jax.tree.map(lambda leaf: leaf[at], last.found)
 
 
@@ -105,15 +113,21 @@ def _put(all: Array, some: Array, start: Array) -> Array:
 class _Work(NamedTuple):
     """Where the work on a tile stands.
 
-    - `block`: the next; those after the tile's own are of pixels that were left.
+    - `block`: the next, of the queue's pixels.
     - `found`: of all blocks, one after another.
-    - `left`, `n_left`: the pixels that were left, and how many.
+    - `queue`: all pixels, then those that want more, each effort's from a multiple of
+        [`BLOCK`][] on; the number of pixels where none is.
+    - `length`: where the next that wants more goes.
+    - `end`: of the pixels of this effort.
+    - `effort`: of the next block.
     """
 
     block: Array
     found: Any
-    left: Array
-    n_left: Array
+    queue: Array
+    length: Array
+    end: Array
+    effort: Array
 
 
 # On a CPU, XLA removes barriers before it fuses: then they would be in vain.
