@@ -74,17 +74,12 @@ class Geometry:
     def tile(
         self, pixels: np.ndarray, target: np.ndarray, used: np.ndarray, size: int
     ) -> Tile:
-        """The tile of some pixels, padded to `size` with pixels that are not used."""
-        missing = size - len(pixels)
-        padded = np.pad(pixels, (0, missing), mode="edge")
+        """The tile of some pixels, and of others up to `size` without any light."""
+        padded = np.pad(pixels, (0, size - len(pixels)), mode="edge")
 
         def rows(table: np.ndarray) -> np.ndarray:
             return table if len(table) == 1 else table[padded]
 
-        if missing:
-            # A copy, which a whole tile does without.
-            beyond = (0, 0), (0, missing), (0, 0)
-            target, used = np.pad(target, beyond), np.pad(used, beyond)
         seen = self.visibility
         return Tile(
             target,
@@ -118,7 +113,7 @@ class Job:
         return np.flatnonzero(self.geometry.mask & self.masks.anywhere())
 
     def tile(self, pixels: np.ndarray, size: int) -> Tile:
-        """The tile of some pixels, padded to `size` with pixels that are not used."""
+        """The tile of some pixels, and of others up to `size`: see [`filled`][]."""
         order = self.outside.lighting.order
         target = self.stack.take(pixels, order)
         used = self.masks.take(pixels, order) & ~np.ma.getmask(target)

@@ -34,7 +34,7 @@ from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
 from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps
 from phongfit.maps.stacks import as_stack, identify_stack
 from phongfit.maps.store import TileStore, tile_store
-from phongfit.maps.warm import WarmMemory
+from phongfit.maps.warm import WarmMemory, filled
 from phongfit.material import Material
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
@@ -230,8 +230,8 @@ def fit_job(
         warm = WarmMemory()
 
         def work(part: Tile) -> list[np.ndarray]:
-            part = part._replace(target=warm.copy(part.target))
-            return [np.asarray(leaf) for leaf in jax.tree.leaves(run(part, among))]
+            found = run(filled(part, warm), among)
+            return [np.asarray(leaf) for leaf in jax.tree.leaves(found)]
 
         dtype = outside.noise.dtype
         maps = _Canvas(job.geometry.mask.shape, exponents, dtype, kind, shared)
@@ -267,7 +267,7 @@ def _materials(
     if done is None:
         sample = choose_sample(job.pixels, len(job.scenes))
         size = -(-len(sample) // BLOCK) * BLOCK
-        tile = job.tile(sample, size)
+        tile = filled(job.tile(sample, size), WarmMemory())
         found = find_materials(tile, len(sample), job.outside, job.settings, workers)
         done = [np.asarray(leaf) for leaf in jax.tree.leaves(found)]
         if store is not None:
