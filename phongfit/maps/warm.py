@@ -40,7 +40,6 @@ class WarmMemory(threading.local):
 def filled(tile: Tile, memory: WarmMemory) -> Tile:
     """A tile, or a part of one, whose light ended before its pixels, with zeros there.
 
-
     What was missing is not used. The light lies in `memory`.
     """
     pixels = len(tile.normal)
