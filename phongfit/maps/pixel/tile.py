@@ -24,8 +24,7 @@ MOST = 2
 """The most effort; less is for many, since a block takes as long as its last pixel."""
 
 FEW = 4
-"""So many blocks are worked on with the most effort at once."""
-
+"""So many blocks are not worth it to go through the efforts one by one."""
 
 T = TypeVar("T")
 
@@ -50,8 +49,9 @@ def fit_tile(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
 def in_blocks(tile: Tile, fit: Callable[[Tile, Array], tuple[T, Array]]) -> T:
     """What `fit` makes of each block of a tile, with all pixels as the first axis.
 
-    Block by block in short; the few pixels for which that is not enough are gathered to
-    blocks of their own, and worked on with more effort; and so on.
+    Block by block in short; the pixels for which that is not enough are gathered to
+    blocks of their own, and worked on with more effort, and so on; where they fill no
+    more than [`FEW`][] blocks, with the most at once.
 
     **Arguments:** `fit`: from a block and the effort, 0 to [`MOST`][], to what it
     finds, and to where more is wanted. With the most nothing is.
