@@ -102,7 +102,7 @@ class ArrayStack(AbstractStack):
         # Where there is one array of all of them, in memory as it is needed.
         self._whole = None
         plain = type(images) is np.ndarray and images.flags.c_contiguous
-        if plain and images.dtype == _float_type():
+        if plain and images.dtype == _float_type() and _mapping(images) is None:
             self._whole = images.reshape(len(images), -1, 3)
 
     @property
@@ -364,13 +364,19 @@ def is_run(numbers: np.ndarray) -> bool:
 
 def _let_go(array: np.ndarray) -> None:
     """Drop pages of a memory-mapped array that have been read: they can be again."""
+    mapping = _mapping(array)
+    if mapping is not None and hasattr(mmap, "MADV_DONTNEED"):
+        mapping.madvise(mmap.MADV_DONTNEED)
+
+
+def _mapping(array: np.ndarray) -> mmap.mmap | None:
+    """The file in memory that an array is a view of, unless it is written elsewhere."""
     base: Any = array
     while isinstance(base, np.ndarray):
         if isinstance(base, np.memmap) and base.mode not in ("r", "r+"):
-            return
+            return None
         base = base.base
-    if isinstance(base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
-        base.madvise(mmap.MADV_DONTNEED)
+    return base if isinstance(base, mmap.mmap) else None
 
 
 def _float_type() -> np.dtype:

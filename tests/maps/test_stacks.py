@@ -114,3 +114,12 @@ def test_an_array_gives_the_same_whether_it_is_copied_or_not(order, pixels):
     run = len(pixels) > 3 and len(order) == 4 and order[1] == 1
     taken = ArrayStack(whole).take(pixels, order)
     assert np.shares_memory(taken, whole) == run
+
+
+def test_pages_of_a_file_are_let_go_whatever_an_array_is_called(tmp_path):
+    """Read in place they would stay: they are copied, as the file's own array is."""
+    np.save(tmp_path / "stack.npy", np.asarray(floats(np.ones((2, 3, 4, 3)))))
+    mapped = np.load(tmp_path / "stack.npy", mmap_mode="r")
+    for images in (mapped, np.asarray(mapped)):
+        taken = ArrayStack(images).take(np.arange(5), (0, 1))
+        assert not np.shares_memory(taken, mapped) and (taken == 1).all()

@@ -21,6 +21,8 @@ class Tile(NamedTuple):
     - `normal`: (pixels, 3).
     - `position`, `to_viewer`: (pixels, 3), or (1, 3) where they are the same for all.
     - `visibility`: (images, lobes, pixels), or `None` without shadows.
+
+    As it is read, `target` and `used` lack the padding: see [`filled`][].
     """
 
     target: Float[Any, "images pixels 3"]
