@@ -30,8 +30,9 @@ ROBUST_PASSES = 3
 STARTS = 16
 # Directions that are moved one by one, to get out of valleys that others are not in.
 MOST_MOVED = 8
-
-
+# Samples above which a pass over a few of them comes first: below, it would save no
+# time, and cost that of one more program, a quarter of a first fit's.
+MANY = 2**14
 # Share of the residuals' size that a pass may leave to the next one to find, where
 # there is so much more noise than rounding.
 NEAR, NOISY = 3e-4, 1e3
@@ -99,13 +100,16 @@ def search(
         state = _look(problem, y, noise_given)
     else:
         state = _begin(problem, y, noise_given)
+    near = False
     if few is not None:
         samples = gather()
-        if not (loss.robust or unknowns.of_scene or unknowns.exposed):
-            # One pass comes near enough; several starts have come as near.
+        # Of several starts, the best has come near.
+        near = bool(loss.robust or unknowns.of_scene or unknowns.exposed)
+        if not near and samples.image.size > MANY:
             state = _settle(problem, state, max_steps, noise_given, True)
+            near = True
         problem = Problem(samples, unknowns, sigma, loss, clamp)
-    return _end(problem, state, max_steps, noise_given, few is not None)
+    return _end(problem, state, max_steps, noise_given, near)
 
 
 def search_on(
