@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-CASES = 2000
+CASES = 1000
 FAULTS = {
     "taken": None,
     "refused": None,

@@ -5,6 +5,7 @@ vector is a tuple of numbers here and a symmetric matrix a tuple of the rows of 
 lower triangle: batched, each entry is one array with the pixels side by side.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
@@ -275,7 +276,7 @@ def sum_over_images(add: Callable[[T, Any], T], none: T, images: Any) -> T:
     def run(start: Array | int, length: int, sums: T) -> T:
         part = none
         for k in range(length):
-            part = add(part, jax.tree.map(lambda each, k=k: each[start + k], images))
+            part = add(part, jax.tree.map(functools.partial(_of_image, start + k), images))
         return jax.tree.map(jnp.add, sums, part)
 
     runs, rest = divmod(len(jax.tree.leaves(images)[0]), RUN)
@@ -283,3 +284,10 @@ def sum_over_images(add: Callable[[T, Any], T], none: T, images: Any) -> T:
     if runs:
         sums = jax.lax.fori_loop(0, runs, lambda k, sums: run(k * RUN, RUN, sums), sums)
     return run(runs * RUN, rest, sums) if rest else sums
+
+
+def _of_image(index: Array | int, values: Array) -> Array:
+    """`values[index]`, by a third of the instructions: no index is negative."""
+    return jax.lax.dynamic_index_in_dim(
+        values, index, keepdims=False, allow_negative_indices=False
+    )
