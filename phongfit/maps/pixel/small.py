@@ -20,7 +20,7 @@ Triangle: TypeAlias = tuple[Numbers, ...]
 T = TypeVar("T")
 
 # Images of a run.
-RUN = 8
+RUN = 4
 
 
 def optimization_barrier(values: T) -> T:
