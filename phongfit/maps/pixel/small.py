@@ -5,7 +5,6 @@ vector is a tuple of numbers here and a symmetric matrix a tuple of the rows of 
 lower triangle: batched, each entry is one array with the pixels side by side.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
@@ -276,7 +275,7 @@ def sum_over_images(add: Callable[[T, Any], T], none: T, images: Any) -> T:
     def run(start: Array | int, length: int, sums: T) -> T:
         part = none
         for k in range(length):
-            part = add(part, jax.tree.map(functools.partial(_of_image, start + k), images))
+            part = add(part, of_image(images, start + k))
         return jax.tree.map(jnp.add, sums, part)
 
     runs, rest = divmod(len(jax.tree.leaves(images)[0]), RUN)
@@ -286,8 +285,14 @@ def sum_over_images(add: Callable[[T, Any], T], none: T, images: Any) -> T:
     return run(runs * RUN, rest, sums) if rest else sums
 
 
-def _of_image(index: Array | int, values: Array) -> Array:
-    """`values[index]`, by a third of the instructions: no index is negative."""
-    return jax.lax.dynamic_index_in_dim(
-        values, index, keepdims=False, allow_negative_indices=False
+def of_image(arrays: T, index: Array | int) -> T:
+    """`array[index]` of each: an index may not be negative.
+
+    Whether it is would be asked for every number that is read: a quarter of the time.
+    """
+    return jax.tree.map(
+        lambda array: jax.lax.dynamic_index_in_dim(
+            array, index, keepdims=False, allow_negative_indices=False
+        ),
+        arrays,
     )
