@@ -18,7 +18,6 @@ from phongfit.maps.pixel.samples import Samples
 from phongfit.maps.pixel.small import (
     Numbers,
     Triangle,
-    of_image,
     optimization_barrier,
 )
 from phongfit.reflectance import AbstractSpecular
@@ -136,9 +135,8 @@ def model_image(
     """Light of one image at a point, and its derivatives in all unknowns."""
     nothing = jnp.zeros_like(point.diffuse)
     total = Shade(*[nothing] * 7)
-    diffuse, specular, lights, ambient = of_image(
-        (lamps.diffuse, lamps.specular, lamps.to_light, lamps.ambient), image
-    )
+    diffuse, specular = lamps.diffuse[image], lamps.specular[image]
+    lights = lamps.to_light[image]
     for j in range(lights.shape[0]):
         one = shade(
             model, point.normal, point.log_exponent, peak, lights[j], lamps.to_viewer
@@ -151,7 +149,7 @@ def model_image(
                 for sum_, each, shape in zip(total, strength, one, strict=True)
             )
         )
-    ambient = ambient + nothing
+    ambient = lamps.ambient[image] + nothing
     light = point.ambient * ambient + point.diffuse * total.d + point.specular * total.s
     basis = {"ambient": ambient, "diffuse": total.d, "specular": total.s}
     shared = [
@@ -179,9 +177,8 @@ def gather(
 
     def add(image: Array, totals: _Totals) -> _Totals:
         made = model_image(point, peak, samples.lamps, image, model, which)
-        share, target = of_image((samples.share, samples.target), image)
-        share = share / scale[None]
-        residual = share * (target - made.light)
+        share = samples.share[image] / scale[None]
+        residual = share * (samples.target[image] - made.light)
         weight = loss_weights(loss, residual) * share
         cost = over_channels(loss.root(residual) ** 2)
         columns, whole, pull, cost = optimization_barrier(
@@ -280,7 +277,6 @@ def residuals(
 
     def image(_: None, number: Array) -> tuple[None, Array]:
         made = model_image(point, peak, samples.lamps, number, model, which)
-        share, target = of_image((samples.share, samples.target), number)
-        return None, share * (target - made.light)
+        return None, samples.share[number] * (samples.target[number] - made.light)
 
     return jax.lax.scan(image, None, jnp.arange(samples.target.shape[0]))[1]

@@ -275,7 +275,7 @@ def sum_over_images(add: Callable[[T, Any], T], none: T, images: Any) -> T:
     def run(start: Array | int, length: int, sums: T) -> T:
         part = none
         for k in range(length):
-            part = add(part, of_image(images, start + k))
+            part = add(part, _of_image(images, start + k))
         return jax.tree.map(jnp.add, sums, part)
 
     runs, rest = divmod(len(jax.tree.leaves(images)[0]), RUN)
@@ -285,10 +285,10 @@ def sum_over_images(add: Callable[[T, Any], T], none: T, images: Any) -> T:
     return run(runs * RUN, rest, sums) if rest else sums
 
 
-def of_image(arrays: T, index: Array | int) -> T:
+def _of_image(arrays: T, index: Array | int) -> T:
     """`array[index]` of each: an index may not be negative.
 
-    Whether it is would be asked for every number that is read: a quarter of the time.
+    Whether it is would be asked for every number read: up to a quarter of a map's time.
     """
     return jax.tree.map(
         lambda array: jax.lax.dynamic_index_in_dim(
