@@ -238,7 +238,7 @@ Found = list[tuple[Sweep, list[Spread]]]
 
 def measure(small: bool) -> Found:
     """All sweeps; every setting has noise of its own."""
-    draws, seed, found = 24 if small else 200, 0, []
+    draws, seed, found = 40 if small else 200, 0, []
     for sweep in sweeps(small):
         seeds = range(seed, seed + len(sweep.settings))
         seed += len(seeds)
