@@ -100,14 +100,10 @@ ALTERNATE = {
     "test_recovery",
     "test_robust",
     "test_scenes",
-    "test_scores",
     "test_shapes",
     "test_statistics",
     "test_surroundings",
     "test_texture_fit",
-    "test_textures",
-    "test_uncertain",
-    "test_vertices",
     "test_warnings",
 }
 

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-CASES = 1000
+CASES = 2000
 FAULTS = {
     "taken": None,
     "refused": None,
