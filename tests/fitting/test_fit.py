@@ -6,6 +6,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.files.outputs import write_json
+from phongfit.fitting.solve import search
 from tests.fitting.scenes import SIZE, TRUTH, as_vector, ball, photograph
 from tests.helpers import EPS, near, only
 
@@ -89,6 +90,26 @@ def test_the_least_cost():
         other = pf.Material(values[3:6], values[6:9], values[9], values[:3])
         off = np.asarray(pf.render(SCENE, other), float) - NOISY
         assert np.sum(off[MASK] ** 2) / NOISE**2 >= fit.chi_squared * (1 - 1e-5)
+
+
+def test_of_many_samples_a_few_come_first(monkeypatch):
+    """And lead to where all lead that are solved for at once."""
+    scene = ball(size=48)
+    image = photograph(scene, TRUTH, noise=NOISE)
+    passes, settle = [], search._settle
+
+    def counted(*args, **kwargs):
+        passes.append(len(args[0].samples.image))
+        return settle(*args, **kwargs)
+
+    monkeypatch.setattr(search, "_settle", counted)
+    at_once = pf.fit(scene, image)
+    assert len(passes) == 1
+    monkeypatch.setattr(search, "MANY", 1024)
+    after_a_few = pf.fit(scene, image)
+    assert passes == [passes[0], 1024, passes[0]] and passes[0] > 1024
+    assert np.all(np.abs(after_a_few.values - at_once.values) < 0.01 * at_once.errors)
+    near(after_a_few.errors, at_once.errors, 1e-3)
 
 
 def test_shared_and_per_channel():

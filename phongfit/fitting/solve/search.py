@@ -103,11 +103,11 @@ def search(
     near = False
     if few is not None:
         samples = gather()
-        # Of several starts, the best has come near.
-        near = bool(loss.robust or unknowns.of_scene or unknowns.exposed)
-        if not near and samples.image.size > MANY:
+        several = bool(loss.robust or unknowns.of_scene or unknowns.exposed)
+        near = several or samples.image.size > MANY
+        if near and not several:
+            # One pass comes near enough; several starts have come as near.
             state = _settle(problem, state, max_steps, noise_given, True)
-            near = True
         problem = Problem(samples, unknowns, sigma, loss, clamp)
     return _end(problem, state, max_steps, noise_given, near)
 
