@@ -1,5 +1,6 @@
 """Outlines of spheres in an edge map: found, and placed to a fraction of a pixel."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -67,10 +68,15 @@ def place(
     - `stretch`: of an ellipse's longer axis: see `stretch` of `outlines`.
     - `mirrors`: whether it is a chrome sphere.
     """
-    outline = np.asarray(outline, float)
     stretch = np.zeros(2) if stretch is None else np.asarray(stretch)
-    reach = min(reach, outline[2] / 3)
-    angles, offsets, weights = _edge_points(photographs, outline, stretch, reach)
+    ring = _ring(np.asarray(outline, float), stretch, reach)
+    return _placed(ring, _edge_points(photographs, [ring])[0], mirrors)
+
+
+def _placed(ring: "_Ring", points: "_EdgePoints", mirrors: bool = False) -> Placed:
+    """The circle where most of these points agree."""
+    outline, reach = ring.outline, ring.reach
+    angles, offsets, weights = points.angle, points.offset, points.weight
     away = np.stack([np.cos(angles), np.sin(angles), np.ones_like(angles)], 1)
     best, highest = np.zeros(3), -np.inf
     for start in np.arange(-reach, reach + 0.1, 0.5):
@@ -98,23 +104,29 @@ def place(
     covariance = max(spread, 0.05**2) * np.linalg.pinv(normal + 1e-9 * np.eye(3))
     sector = np.floor(angles * SECTORS / (2 * np.pi)).astype(int)
     close = weights * (np.abs(rest) < 0.75)
-    shown = np.bincount(sector, close, SECTORS) / (len(photographs) * _count(outline))
+    shown = np.bincount(sector, close, SECTORS) / (points.count * len(ring.away))
     coverage = np.mean(shown * SECTORS > CLEARLY)
     return Placed(outline + best, covariance, float(coverage))
 
 
-def _count(outline: np.ndarray) -> int:
-    """How many radii are looked at."""
-    return int(np.clip(2 * np.pi * outline[2], 48, 1000))
+class _Ring(NamedTuple):
+    """Where edges are looked for: along radii, up to `reach` pixels from an outline.
+
+    - `away`: unit vectors along the radii.
+    - `offsets`: steps along each, pixels from the outline.
+    - `where`: rows and columns of these steps, counted from the first pixel's centre.
+    """
+
+    outline: Float[np.ndarray, "3"]
+    reach: float
+    away: Float[np.ndarray, "radii 2"]
+    offsets: Float[np.ndarray, " steps"]
+    where: Float[np.ndarray, "2 radii steps"]
 
 
-def _edge_points(
-    photographs: np.ndarray, outline: np.ndarray, stretch: np.ndarray, reach: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Possible places of the outline: angle, distance from it in pixels, weight."""
-    from scipy import ndimage
-
-    count = _count(outline)
+def _ring(outline: np.ndarray, stretch: np.ndarray, reach: float) -> _Ring:
+    reach = min(reach, outline[2] / 3)
+    count = int(np.clip(2 * np.pi * outline[2], 48, 1000))
     angles = np.arange(count) * (2 * np.pi / count)
     away = np.stack([np.cos(angles), np.sin(angles)], 1)
     # To first order an ellipse of the same area: longer by half the stretch along it.
@@ -125,30 +137,55 @@ def _edge_points(
     at = outline[:2] + (radius[:, None] + offsets)[..., None] * away[:, None]
     # Pixel centres are at half integers.
     where = np.moveaxis(at[..., ::-1], -1, 0) - 0.5
-    found = []
+    return _Ring(outline, reach, away, offsets, where)
+
+
+class _EdgePoints(NamedTuple):
+    """Possible places of an outline, of `count` photographs.
+
+    - `angle`: of the radius.
+    - `offset`: pixels outward from the ring's outline.
+    - `weight`: in [0, 1), as of [`Edges`][].
+    """
+
+    angle: Float[np.ndarray, " points"]
+    offset: Float[np.ndarray, " points"]
+    weight: Float[np.ndarray, " points"]
+    count: int
+
+
+def _edge_points(
+    photographs: Float[np.ndarray, "count height width"], rings: Sequence[_Ring]
+) -> list[_EdgePoints]:
+    """Those of each ring; a photograph's gradient is that of all of them."""
+    found: list[list[np.ndarray]] = [[] for _ in rings]
     for light in photographs:
-        image = np.sqrt(np.maximum(light, 0))
-        across, down = gradient(image, FINE)
-        noise = max(np.median(across**2 + down**2) / 1.18**2, 1e-8)
-        # Across the outline: an edge that runs along a radius is not its own.
-        towards = np.stack(
-            [ndimage.map_coordinates(part, where, order=1) for part in (across, down)],
-            axis=-1,
-        )
-        radial = np.einsum("aoc,ac->ao", towards, away)
-        height = radial**2 / (radial**2 + CLEAR**2 * noise)
-        left, middle, right = height[:, :-2], height[:, 1:-1], height[:, 2:]
-        row, column = np.nonzero(
-            (middle >= left) & (middle > right) & (middle > MARKED)
-        )
-        a, b, c = (part[row, column] for part in (left, middle, right))
-        shift = 0.5 * (a - c) / np.minimum(a - 2 * b + c, -1e-12)
-        place = offsets[column + 1] + 0.25 * np.clip(shift, -1, 1)
-        found.append((angles[row], place, b))
-    angle, offset, weight = (
-        np.concatenate(parts) for parts in zip(*found, strict=True)
-    )
-    return angle, offset, weight
+        slopes = gradient(np.sqrt(np.maximum(light, 0)), FINE)
+        noise = max(np.median(slopes[0] ** 2 + slopes[1] ** 2) / 1.18**2, 1e-8)
+        for ring, points in zip(rings, found, strict=True):
+            points.append(_along(ring, slopes, noise))
+    return [
+        _EdgePoints(*np.concatenate(points, axis=1), len(photographs))
+        for points in found
+    ]
+
+
+def _along(
+    ring: _Ring, slopes: tuple[np.ndarray, np.ndarray], noise: float
+) -> Float[np.ndarray, "3 points"]:
+    """A photograph's: angle, offset, weight."""
+    from scipy import ndimage
+
+    # Across the outline: an edge that runs along a radius is not its own.
+    towards = [ndimage.map_coordinates(part, ring.where, order=1) for part in slopes]
+    radial = towards[0] * ring.away[:, :1] + towards[1] * ring.away[:, 1:]
+    height = radial**2 / (radial**2 + CLEAR**2 * noise)
+    left, middle, right = height[:, :-2], height[:, 1:-1], height[:, 2:]
+    row, column = np.nonzero((middle >= left) & (middle > right) & (middle > MARKED))
+    a, b, c = (part[row, column] for part in (left, middle, right))
+    shift = 0.5 * (a - c) / np.minimum(a - 2 * b + c, -1e-12)
+    offset = ring.offsets[column + 1] + 0.25 * np.clip(shift, -1, 1)
+    return np.stack([row * (2 * np.pi / len(ring.away)), offset, b])
 
 
 def find_circles(
@@ -167,13 +204,13 @@ def find_circles(
     edges = find_edges(photographs)
     height, width = edges.strength.shape
     shrink = max(1, round(max(height, width) / 480))
-    found: list[Placed] = []
-    for outline in _vote(edges, shrink):
-        x, y, radius = outline
-        inside = radius < x < width - radius and radius < y < height - radius
-        placed = place(photographs, outline, reach=2.0 * shrink + 2)
-        if inside and placed.coverage >= FOUND:
-            found.append(placed)
+    rings = [
+        _ring(np.array([x, y, radius]), np.zeros(2), reach=2.0 * shrink + 2)
+        for x, y, radius in _vote(edges, shrink)
+        if radius < x < width - radius and radius < y < height - radius
+    ]
+    candidates = map(_placed, rings, _edge_points(photographs, rings))
+    found = [placed for placed in candidates if placed.coverage >= FOUND]
     found.sort(key=lambda placed: -placed.outline[2])
     outermost: list[Placed] = []
     for placed in found:

@@ -9,13 +9,14 @@ that E is the lamp's strength there. The fall-off κ is 1 for a bulb, less for a
 with a reflector or a lens, and 0 for distant lamps.
 """
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from phongfit.calibration.outlines import View, across, seen, unit
+from phongfit.calibration.outlines import Seen, View, across, seen, unit
 from phongfit.rendering.film import Film, decode, encode
 from phongfit.rendering.jpeg import compressed
 
@@ -172,19 +173,18 @@ def shaded_directions(matte: Matte) -> Float[np.ndarray, "count 3"]:
 
 
 def _model(
-    matte: Matte,
-    pixels: np.ndarray,
-    place: Place,
+    at: Seen,
+    reference: np.ndarray,
+    falloff: float,
     direction: np.ndarray,
     inverse: float,
 ) -> Float[np.ndarray, " points"]:
-    """Light of a lamp of strength 1 in the pixels, ambient light apart."""
-    at = seen(pixels, place.outline, matte.view, place.radius)
-    offset = inverse * (matte.reference - at.position) + direction
+    """Light of a lamp of strength 1 on a surface, ambient light apart."""
+    offset = inverse * (reference - at.position) + direction
     # Distances are in units of the lamp's own from the reference point.
-    squared = np.sum(offset**2, axis=-1)
-    cosine = np.sum(at.normal * offset, axis=-1) / np.sqrt(squared)
-    return np.maximum(cosine, 0) / (1 - place.falloff + place.falloff * squared)
+    squared = np.vecdot(offset, offset)
+    cosine = np.vecdot(at.normal, offset) / np.sqrt(squared)
+    return np.maximum(cosine, 0) / (1 - falloff + falloff * squared)
 
 
 class _Line(NamedTuple):
@@ -218,19 +218,25 @@ def _line(light: np.ndarray, columns: np.ndarray, block: np.ndarray) -> _Line:
 
 
 def _about(
-    matte: Matte, points: _Points, direction: np.ndarray, inverse: float
-) -> Callable[[np.ndarray], np.ndarray]:
-    """A lamp's [`_model`][] by a step from here.
+    matte: Matte, points: _Points
+) -> Callable[[np.ndarray, float, np.ndarray], np.ndarray]:
+    """A lamp's [`_model`][] by its direction, inverse distance and a step from both.
 
     The step has two turns along `across(direction)`, a change of the inverse distance,
-    and, where it is longer, what moves the sphere's place.
+    and what moves the sphere's place.
     """
-    tangent = across(direction)
 
-    def model(step: np.ndarray) -> np.ndarray:
-        place = matte.place.moved(step[3:]) if len(step) > 3 else matte.place
-        turned = unit(direction + step[:2] @ tangent)
-        return _model(matte, points.pixel, place, turned, inverse + step[2])
+    # The same few for all lamps.
+    @functools.cache
+    def surface(*moves: float) -> tuple[Seen, float]:
+        place = matte.place.moved(np.array(moves))
+        at = seen(points.pixel, place.outline, matte.view, place.radius)
+        return at, place.falloff
+
+    def model(direction: np.ndarray, inverse: float, step: np.ndarray) -> np.ndarray:
+        at, falloff = surface(*step[3:])
+        turned = unit(direction + step[:2] @ across(direction))
+        return _model(at, matte.reference, falloff, turned, inverse + step[2])
 
     return model
 
@@ -245,8 +251,9 @@ def shade(
     information = np.zeros((len(directions), 8, 8))
     pull = np.zeros((len(directions), 8))
     steps = np.diag([1e-4, 1e-4, 1e-5, 1e-2, 1e-2, 1e-2, 1e-3, 1e-3])
+    about = _about(matte, points)
     for number, light in enumerate(points.light.mean(axis=-1)):
-        at = _about(matte, points, directions[number], inverse_distances[number])
+        at = functools.partial(about, directions[number], inverse_distances[number])
         here = at(np.zeros(8))
         lit = (here > LIT) & ~points.white[number].any(axis=-1)
         if lit.sum() < ENOUGH:
@@ -301,9 +308,9 @@ def find_strengths(
     points, count = _points(matte), len(directions)
     intensity, noise, by_room = (np.full((count, 3), np.nan) for _ in range(3))
     slopes = np.zeros((count, 3, 3 * count + 5))
-    small = 1e-4 * np.eye(8)
+    small, about = 1e-4 * np.eye(8), _about(matte, points)
     for number, direction in enumerate(directions):
-        at = _about(matte, points, direction, inverse_distances[number])
+        at = functools.partial(about, direction, inverse_distances[number])
         here = at(np.zeros(8))
         # The same for all channels.
         beside = [(at(step), at(-step)) for step in small]
@@ -382,10 +389,11 @@ def rounding(
     inside = apart < WITHIN * matte.place.outline[2]
     around = matte.light[:, ::stride, ::stride]
     rng, errors = np.random.default_rng(0), np.zeros((DRAWS, len(strengths), 3))
-    models = []
+    place, models = matte.place, []
+    at = seen(pixels[disc], place.outline, matte.view, place.radius)
     for direction, inverse in zip(directions, inverse_distances, strict=True):
         shade = np.zeros(disc.shape)
-        shade[disc] = _model(matte, pixels[disc], matte.place, direction, inverse)
+        shade[disc] = _model(at, matte.reference, place.falloff, direction, inverse)
         models.append(shade)
     for draw in errors:
         widest = 1.0 if film.jpeg is None else film.jpeg.widest

@@ -57,13 +57,13 @@ class View:
 
 def unit(vectors: Vectors) -> Vectors:
     """Vectors of length 1; a zero vector stays zero."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    length = np.sqrt(dots(vectors, vectors))
     return vectors / np.where(length > 0, length, 1)
 
 
 def dots(a: Vectors, b: Vectors) -> Float[np.ndarray, "... 1"]:
     """Scalar products along the last axis, which stays."""
-    return np.sum(a * b, axis=-1, keepdims=True)
+    return np.vecdot(a, b)[..., None]
 
 
 def sphere_behind(outline: Outlines, view: View, radius: float) -> Vectors:
@@ -92,10 +92,12 @@ def sphere_behind(outline: Outlines, view: View, radius: float) -> Vectors:
     shrink = np.ones_like(distance)
     cos2, sin2 = 1 / (1 + distance**2), np.minimum(size**2, 0.5)
     for _ in range(20):
-        room = np.maximum(cos2 - sin2, 1e-6)
+        before, room = shrink, np.maximum(cos2 - sin2, 1e-6)
         shrink = room / cos2
         cos2 = 1 / (1 + (distance * shrink) ** 2)
         sin2 = np.minimum(size**2 * room**1.5 / np.sqrt(1 - sin2), 0.5)
+        if np.all(np.abs(shrink - before) < 1e-15):
+            break
     axis = np.concatenate([across * shrink, -np.ones_like(distance)], axis=-1)
     return unit(axis) * radius / np.sqrt(sin2)
 

@@ -74,7 +74,10 @@ STIFF = 1e4
 """How much smoother a curve is to be to begin with."""
 
 ROUNDS, STEPS = 10, 3
-"""How often samples are weighed anew, and steps of the solver in between."""
+"""How often samples are weighed anew, and most steps of the solver in between."""
+
+SMALL = 1e-6
+"""A step that changes no slope of the curve by a larger share is the last."""
 
 FITS = 4.0
 """An encoding that is fewer standard deviations off fits."""
@@ -350,7 +353,11 @@ class _Solver:
     def __init__(self, samples: _Samples):
         from scipy.interpolate import BSpline
 
-        self.samples = samples
+        # In the order of their numbers, in which they are looked up several times
+        # faster.
+        order = np.argsort(samples.number)
+        *arrays, room = samples
+        self.samples = samples = _Samples(*(array[order] for array in arrays), room)
         number = samples.number
         self.grid = np.linspace(0, 1, 8 * (SAMPLES - 1) + 1)
         inner = np.linspace(0, 1, SPLINES - 2)
@@ -397,7 +404,8 @@ class _Solver:
     def response(self) -> Response:
         """The curve that explains the samples best, and what is known of it."""
         theta = self._solve()
-        rest, jacobian = self.errors(self.curve(theta)[0]), self._jacobian(theta)
+        rest = self.errors(self.curve(theta)[0])
+        jacobian = self._jacobian(theta, rest)
         data = jacobian.T @ (self.used[:, None] * jacobian)
         bread = np.linalg.inv(data + self._held())
         # Of scores by blocks: neighbours err together.
@@ -449,7 +457,9 @@ class _Solver:
             # a step in light and light of the room look alike.
             self.stiff = max(STIFF / 4**number, 1.0)
             for _ in range(STEPS):
-                theta = self._step(theta)
+                before, theta = theta, self._step(theta)
+                if np.abs(theta - before).max() < SMALL:
+                    break
             light, slope = self.curve(theta)
             rest = self.errors(light)
             told = self.samples.number - rest
@@ -482,8 +492,9 @@ class _Solver:
             starts.append((float(np.median(rest)), theta))
         return min(starts, key=lambda start: start[0])[1]
 
-    def _jacobian(self, theta: np.ndarray) -> np.ndarray:
-        here, step = self.errors(self.curve(theta)[0]), 1e-4
+    def _jacobian(self, theta: np.ndarray, here: np.ndarray) -> np.ndarray:
+        """Of errors that are `here` at these numbers."""
+        step = 1e-4
         moved = [
             self.errors(self.curve(theta + one)[0]) for one in step * np.eye(SPLINES)
         ]
@@ -495,19 +506,20 @@ class _Solver:
     def _step(self, theta: np.ndarray) -> np.ndarray:
         """A step of Gauss and Newton's, halved until it leads downwards."""
 
-        def cost(at: np.ndarray) -> float:
-            rest = self.errors(self.curve(at)[0])
+        def cost(at: np.ndarray, rest: np.ndarray) -> float:
             return float(np.sum(self.used * rest**2) + at @ self._held() @ at)
 
-        rows, rest = self._jacobian(theta), self.errors(self.curve(theta)[0])
+        rest = self.errors(self.curve(theta)[0])
+        rows = self._jacobian(theta, rest)
         weighted = self.used[:, None] * rows
         right = weighted.T @ rest + self._held() @ theta
         step = -np.linalg.solve(rows.T @ weighted + self._held(), right)
         step = step / max(np.abs(step).max(), 1)
-        before = cost(theta)
+        before = cost(theta, rest)
         for _ in range(10):
-            if cost(theta + step) <= before:
-                return theta + step
+            there = theta + step
+            if cost(there, self.errors(self.curve(there)[0])) <= before:
+                return there
             step = step / 2
         return theta
 

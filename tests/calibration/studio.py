@@ -4,6 +4,7 @@ Nothing of the package draws them: each pixel's ray is followed here, with formu
 its own, on a finer grid whose means are the pixels.
 """
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,18 +60,12 @@ class Studio:
         self, lamp, strength=1.0, *, near=False, ambient=0.0, noise=0.003, seed=0
     ) -> np.ndarray:
         """Linear light, (height, width, 3), under one lamp: a direction, or a place."""
-        image = np.zeros((self.height, self.width))
-        lamp = np.asarray(lamp, float)
-        steps = (np.arange(FINER) + 0.5) / FINER
-        for down in steps:
-            for right in steps:
-                image += self._ray_traced(right, down, lamp, near, ambient)
-        image = image / FINER**2 * np.where(image > 0, 1, 1)
+        image = _image(self, tuple(np.asarray(lamp, float)), near, ambient)
         light = np.clip(strength * image, 0, 1)[..., None] * np.array([1, 0.9, 0.8])
         random = np.random.default_rng(seed)
         return np.clip(light + random.normal(0, noise, light.shape), 0, 1)
 
-    def _ray_traced(self, right, down, lamp, near, ambient) -> np.ndarray:
+    def ray_traced(self, right, down, lamp, near, ambient) -> np.ndarray:
         x = np.arange(self.width) + right - self.width / 2
         y = self.height / 2 - np.arange(self.height) - down
         x, y = np.broadcast_arrays(x[None, :], y[:, None])
@@ -113,6 +108,17 @@ class Studio:
 
     def _reference(self, lamp) -> float:
         return float(np.linalg.norm(lamp - np.array([0, 0, -10.0])))
+
+
+@functools.cache
+def _image(studio: Studio, lamp, near, ambient) -> np.ndarray:
+    """Without noise; many tests have the same lamps."""
+    image = np.zeros((studio.height, studio.width))
+    steps = (np.arange(FINER) + 0.5) / FINER
+    for down in steps:
+        for right in steps:
+            image += studio.ray_traced(right, down, np.array(lamp), near, ambient)
+    return image / FINER**2
 
 
 def directions(count: int) -> np.ndarray:
