@@ -1,8 +1,8 @@
 """`python -m tests [pytest's arguments]`: the suite in float32 and in float64.
 
 What takes long and gains little runs in one of them only (see `conftest.py`), unless
-`--both` is among the arguments. Parts are processes of their own, side by side: the
-precision is fixed when JAX starts, and each waits for its own children and browsers.
+`--both` is among the arguments. Parts are processes of their own, two of them side by
+side, since the precision is fixed when JAX starts.
 
 Most of their time is compilation of what runs once, so XLA compiles in a hurry, unless
 `XLA_FLAGS` says otherwise, and what it has compiled is kept for the next run: below
@@ -19,9 +19,9 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from importlib.metadata import version
 from pathlib import Path
 
-# Machine code as it comes, by one thread: other processes are at work already. The
-# others are of XLA's inner life, which not all have: what takes long to write, and
-# products that round otherwise from one triangle to the next.
+# Machine code as it comes, by one thread: two processes are at work already. The others
+# are of XLA's inner life, which not all have: what takes long to write, and products
+# that round otherwise from one triangle to the next.
 QUICK = (
     "--xla_backend_optimization_level=0",
     "--xla_cpu_parallel_codegen_split_count=1",
@@ -31,10 +31,8 @@ QUICK = (
 # Bytes of compiled programs, above which all are compiled anew: a run leaves a quarter
 # of it, and what changes in the code adds to it.
 MOST = 2**29
-# Folders that make the second part in float32, so that all parts take equally long.
-SECOND = (
-    "calibration", "commands", "experiments", "lab", "maps", "rendering", "report"
-)  # fmt: skip
+# Folders that make the second part in float32.
+LATE = ("calibration", "lab", "maps", "rendering", "report")
 
 
 def main() -> int:
@@ -42,7 +40,7 @@ def main() -> int:
     asked = sys.argv[1:]
     parts = in_parts() if not asked else [("float64", asked), ("float32", asked)]
     environment = {"XLA_FLAGS": quick_flags()} | os.environ
-    with ThreadPoolExecutor(len(parts)) as pool:
+    with ThreadPoolExecutor(2) as pool:
         running = [pool.submit(run, *part, environment) for part in parts]
         for done in as_completed(running):
             print(done.result().stdout, flush=True)
@@ -67,13 +65,16 @@ def run(
 
 
 def in_parts() -> list[tuple[str, list[str]]]:
-    """All tests; in float32 what is annotated is checked while they run."""
-    second = [f"tests/{name}" for name in SECOND]
+    """All tests; in float32 what is annotated is checked while they run.
+
+    The longest come first.
+    """
+    late = [f"tests/{name}" for name in LATE]
     typed = ["-p", "tests.annotations"]
     return [
         ("float64", []),
-        ("float32", [*typed, *(f"--ignore={path}" for path in second)]),
-        ("float32, second part", [*typed, *second]),
+        ("float32", [*typed, *(f"--ignore={path}" for path in late)]),
+        ("float32, second part", [*typed, *late]),
     ]
 
 

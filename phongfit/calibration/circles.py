@@ -161,7 +161,8 @@ def _edge_points(
     found: list[list[np.ndarray]] = [[] for _ in rings]
     for light in photographs:
         slopes = gradient(np.sqrt(np.maximum(light, 0)), FINE)
-        noise = max(np.median(slopes[0] ** 2 + slopes[1] ** 2) / 1.18**2, 1e-8)
+        squared = slopes[0] ** 2 + slopes[1] ** 2
+        noise = max(float(np.median(squared)) / 1.18**2, 1e-8)
         for ring, points in zip(rings, found, strict=True):
             points.append(_along(ring, slopes, noise))
     return [
