@@ -14,6 +14,10 @@ from phongfit.rendering.film import Film
 from phongfit.rendering.pixels import pixel_terms
 from phongfit.scene import Scene
 
+PLAIN = Film()
+"""Where none is given; one that is made anew takes a program as long to take as to run
+on a small image."""
+
 
 @checked
 def render(
@@ -52,7 +56,7 @@ def render(
         camera = scene.camera.finer(times)
         scene = dataclasses.replace(scene, camera=camera)
     gbuffer = scene.trace() if gbuffer is None else gbuffer
-    film = Film() if film is None else film
+    film = PLAIN if film is None else film
     return _shade(scene, material, film, gbuffer, times)
 
 
