@@ -47,6 +47,35 @@ class Placed(NamedTuple):
     coverage: float
 
 
+class _Ring(NamedTuple):
+    """Where edges are looked for: along radii, up to `reach` pixels from an outline.
+
+    - `away`: unit vectors along the radii.
+    - `offsets`: steps along each, pixels from the outline.
+    - `where`: rows and columns of these steps, counted from the first pixel's centre.
+    """
+
+    outline: Float[np.ndarray, "3"]
+    reach: float
+    away: Float[np.ndarray, "radii 2"]
+    offsets: Float[np.ndarray, " steps"]
+    where: Float[np.ndarray, "2 radii steps"]
+
+
+class _EdgePoints(NamedTuple):
+    """Possible places of an outline, in so many `photographs`.
+
+    - `angle`: of the radius.
+    - `offset`: pixels outward from the ring's outline.
+    - `weight`: in [0, 1), as of [`Edges`][].
+    """
+
+    angle: Float[np.ndarray, " points"]
+    offset: Float[np.ndarray, " points"]
+    weight: Float[np.ndarray, " points"]
+    photographs: int
+
+
 def place(
     photographs: Float[np.ndarray, "count height width"],
     outline: Float[np.ndarray, "3"],
@@ -73,7 +102,7 @@ def place(
     return _placed(ring, _edge_points(photographs, [ring])[0], mirrors)
 
 
-def _placed(ring: "_Ring", points: "_EdgePoints", mirrors: bool = False) -> Placed:
+def _placed(ring: _Ring, points: _EdgePoints, mirrors: bool = False) -> Placed:
     """The circle where most of these points agree."""
     outline, reach = ring.outline, ring.reach
     angles, offsets, weights = points.angle, points.offset, points.weight
@@ -104,24 +133,9 @@ def _placed(ring: "_Ring", points: "_EdgePoints", mirrors: bool = False) -> Plac
     covariance = max(spread, 0.05**2) * np.linalg.pinv(normal + 1e-9 * np.eye(3))
     sector = np.floor(angles * SECTORS / (2 * np.pi)).astype(int)
     close = weights * (np.abs(rest) < 0.75)
-    shown = np.bincount(sector, close, SECTORS) / (points.count * len(ring.away))
+    shown = np.bincount(sector, close, SECTORS) / (points.photographs * len(ring.away))
     coverage = np.mean(shown * SECTORS > CLEARLY)
     return Placed(outline + best, covariance, float(coverage))
-
-
-class _Ring(NamedTuple):
-    """Where edges are looked for: along radii, up to `reach` pixels from an outline.
-
-    - `away`: unit vectors along the radii.
-    - `offsets`: steps along each, pixels from the outline.
-    - `where`: rows and columns of these steps, counted from the first pixel's centre.
-    """
-
-    outline: Float[np.ndarray, "3"]
-    reach: float
-    away: Float[np.ndarray, "radii 2"]
-    offsets: Float[np.ndarray, " steps"]
-    where: Float[np.ndarray, "2 radii steps"]
 
 
 def _ring(outline: np.ndarray, stretch: np.ndarray, reach: float) -> _Ring:
@@ -140,20 +154,6 @@ def _ring(outline: np.ndarray, stretch: np.ndarray, reach: float) -> _Ring:
     return _Ring(outline, reach, away, offsets, where)
 
 
-class _EdgePoints(NamedTuple):
-    """Possible places of an outline, of `count` photographs.
-
-    - `angle`: of the radius.
-    - `offset`: pixels outward from the ring's outline.
-    - `weight`: in [0, 1), as of [`Edges`][].
-    """
-
-    angle: Float[np.ndarray, " points"]
-    offset: Float[np.ndarray, " points"]
-    weight: Float[np.ndarray, " points"]
-    count: int
-
-
 def _edge_points(
     photographs: Float[np.ndarray, "count height width"], rings: Sequence[_Ring]
 ) -> list[_EdgePoints]:
@@ -165,9 +165,10 @@ def _edge_points(
         noise = max(float(np.median(squared)) / 1.18**2, 1e-8)
         for ring, points in zip(rings, found, strict=True):
             points.append(_along(ring, slopes, noise))
+    together = [np.concatenate(points, axis=1) for points in found]
     return [
-        _EdgePoints(*np.concatenate(points, axis=1), len(photographs))
-        for points in found
+        _EdgePoints(angle, offset, weight, len(photographs))
+        for angle, offset, weight in together
     ]
 
 

@@ -356,8 +356,12 @@ class _Solver:
         # In the order of their numbers, in which they are looked up several times
         # faster.
         order = np.argsort(samples.number)
-        *arrays, room = samples
-        self.samples = samples = _Samples(*(array[order] for array in arrays), room)
+        self.samples = samples = samples._replace(
+            number=samples.number[order],
+            share=samples.share[order],
+            group=samples.group[order],
+            block=samples.block[order],
+        )
         number = samples.number
         self.grid = np.linspace(0, 1, 8 * (SAMPLES - 1) + 1)
         inner = np.linspace(0, 1, SPLINES - 2)

@@ -118,7 +118,13 @@ class Job:
         target = self.stack.take(pixels, order)
         used = self.masks.take(pixels, order) & ~np.ma.getmask(target)
         used = self.noise.weigh(used, pixels, order)
-        return self.geometry.tile(pixels, np.ma.getdata(target), used, size)
+        tile = self.geometry.tile(pixels, np.ma.getdata(target), used, size)
+        if tile.visibility is None and self.settings.normals == "fit":
+            # Later passes know shadows: one program serves all of them.
+            shape = len(order), self.outside.lighting.lobes, size
+            everything = np.broadcast_to(np.ones((), tile.normal.dtype), shape)
+            tile = tile._replace(visibility=everything)
+        return tile
 
     def identify(self) -> dict[str, str]:
         """Checksums of all that the result rests on, save for the images."""

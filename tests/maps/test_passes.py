@@ -2,11 +2,13 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 
 import phongfit as pf
 from data_synth.lights import spread_directions
+from phongfit.maps.job import make_job
 from phongfit.maps.passes import find_offset, moved
 from phongfit.maps.stacks import ArrayStack, KeptStack
 from tests.maps.hills import CAMERA, SIZE, bumps
@@ -101,6 +103,20 @@ def test_shadows_are_left_out():
     # As many as there are, but for the rims of shadows.
     assert abs(lost.sum() / dark.sum() - 1) < 0.15
     assert np.all(lost[(dark | ~lit).sum(axis=0) == 0] <= 2)
+
+
+@pytest.mark.parametrize("lamps", [1, 2])
+def test_one_program_serves_all_passes(lamps):
+    """It is compiled for what tiles are made of, whether there is a shadow or not."""
+    scenes, images, _, true = hills(near=False)
+    tiles = []
+    for known in (scenes, true):
+        lit = [dataclasses.replace(s, lights=s.lights * lamps) for s in known]
+        job = make_job(lit, ArrayStack(images), normals="fit", film=FREE)
+        tiles.append(job.tile(job.pixels[::20], 80))
+    first, later = (jax.tree.map(lambda a: (a.shape, a.dtype), tile) for tile in tiles)
+    assert first == later and first.visibility[0] == (12, lamps, 80)
+    assert np.all(tiles[0].visibility == 1) and np.any(tiles[1].visibility == 0)
 
 
 def test_a_pinhole_sees_a_surface_moved_as_a_larger_or_smaller_one():

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from phongfit.maps.normals.errors import Profile, standard_errors
@@ -61,10 +62,16 @@ def samples_of(
     tile: Tile, outside: Outside, settings: MapSettings
 ) -> tuple[Samples, Float[Array, "images channels pixels"]]:
     """What pixels measure, and which of their samples are no numbers."""
+    seen = tile.visibility
+    if seen is not None and seen.shape[1] == 1:
+        # One lamp's light arrives or does not: its shadow need not be in the light.
+        tile = tile._replace(visibility=None)
     samples, lost = measured(tile, outside.lighting, settings)
-    if tile.visibility is not None:
+    if seen is not None:
         # In shadow there is only what bounced, of which no model knows.
-        reached = jnp.any(samples.lamps.diffuse > 0, axis=(1, 2))[:, None]
+        directed = outside.lighting.directed[..., None]
+        reached = jnp.any(directed & (seen > 0), axis=1, keepdims=True)
+        reached = reached | ~np.any(directed, axis=1, keepdims=True)
         target, share = (jnp.where(reached, one, 0) for one in samples[:2])
         samples = samples._replace(target=target, share=share)
     return samples, lost
