@@ -305,10 +305,10 @@ def _visibility(
     # As flags, a quarter of what numbers take: there is one for each sample.
     seen = np.ones((len(scenes), lighting.lobes, size[0] * size[1]), bool)
     for row, k in enumerate(lighting.order):
-        if scenes[k].shadows:
+        lights = len(scenes[k].lights)
+        if scenes[k].shadows and lights:
             traced = scenes[k].trace().visibility
             assert traced is not None
-            lights = len(scenes[k].lights)
             seen[row, :lights] = np.asarray(traced).reshape(-1, lights).T > 0
     return seen
 

@@ -15,8 +15,8 @@ from phongfit.rendering.pixels import pixel_terms
 from phongfit.scene import Scene
 
 PLAIN = Film()
-"""Where none is given; one that is made anew takes a program as long to take as to run
-on a small image."""
+"""Where none is given. Made once: to make and hand over a new one takes longer than to
+render a small image."""
 
 
 @checked

@@ -9,6 +9,7 @@ import pytest
 import phongfit as pf
 from data_synth.lights import spread_directions
 from phongfit.maps.job import make_job
+from phongfit.maps.normals.block import samples_of
 from phongfit.maps.passes import find_offset, moved
 from phongfit.maps.stacks import ArrayStack, KeptStack
 from tests.maps.hills import CAMERA, SIZE, bumps
@@ -117,6 +118,25 @@ def test_one_program_serves_all_passes(lamps):
     first, later = (jax.tree.map(lambda a: (a.shape, a.dtype), tile) for tile in tiles)
     assert first == later and first.visibility[0] == (12, lamps, 80)
     assert np.all(tiles[0].visibility == 1) and np.any(tiles[1].visibility == 0)
+
+
+@pytest.mark.parametrize("lamps", [1, 2])
+def test_only_what_lies_in_shadow_is_left_out(lamps):
+    """Of an image that no lamp lights, nothing does."""
+    _, images, _, true = hills(near=False)
+    lit = [dataclasses.replace(s, lights=s.lights * lamps) for s in true]
+    scenes = [*lit, dataclasses.replace(true[0], lights=(), ambient=0.3)]
+    stack = ArrayStack(np.concatenate([images, np.full_like(images[:1], 0.1)]))
+    job = make_job(scenes, stack, normals="fit", film=FREE)
+    tile = jax.tree.map(jax.numpy.asarray, job.tile(job.pixels, len(job.pixels)))
+    samples, _ = jax.jit(samples_of, static_argnums=2)(tile, job.outside, job.settings)
+    seen = np.stack([np.asarray(s.trace().visibility)[..., 0] > 0 for s in true])
+    expected = np.concatenate([seen, np.ones_like(seen[:1])])[
+        [*job.outside.lighting.order]
+    ]
+    used = np.asarray(samples.share)[:, 0] > 0
+    np.testing.assert_array_equal(used, expected.reshape(13, -1)[:, job.pixels])
+    assert not expected.all()
 
 
 def test_a_pinhole_sees_a_surface_moved_as_a_larger_or_smaller_one():
