@@ -217,13 +217,14 @@ class Mesh(AbstractSurface):
 
     @checked
     def trace(self, camera: AbstractCamera) -> GBuffer:
-        rays, seen, inside = _aim(self, camera)
+        corners = self.vertices, self.faces
+        rays, seen, inside = _aim(*corners, camera, self.two_sided)
         inside = jax.lax.stop_gradient(inside)
         if isinstance(inside, Tracer):
             seen = eqx.error_if(seen, inside, "camera: its position lies in a face")
         elif inside:
             raise ValueError(f"camera: its position {camera.position} lies in a face")
-        face = first_faces(self.vertices, self.faces, seen, rays)
+        face = first_faces(*corners, seen, rays)
         if not isinstance(face, Tracer) and not np.any(np.asarray(face) >= 0):
             warn(
                 "nothing-seen",
@@ -240,8 +241,10 @@ class Mesh(AbstractSurface):
         to_light: Float[Array, "*batch 3"],
         distance: Float[Array, "*batch"],
     ) -> Bool[Array, "*batch"]:
-        rays, distance = _off_the_face(self, position, normal, to_light, distance)
-        return ~blocked(self.vertices, self.faces, rays, distance)
+        corners = self.vertices, self.faces
+        ray = Ray(position, to_light)
+        rays, distance = _off_the_face(*corners, normal, ray, distance)
+        return ~blocked(*corners, rays, distance)
 
 
 def _as_uv(value: Any, faces: int) -> Float[Array, "faces 3 2"] | None:
@@ -280,23 +283,25 @@ def _as_textures(
 
 @program()
 def _off_the_face(
-    mesh: Mesh,
-    position: Float[Array, "*batch 3"],
+    vertices: Float[Array, "vertices 3"],
+    faces: Int[Array, "faces 3"],
     normal: Float[Array, "*batch 3"],
-    to_light: Float[Array, "*batch 3"],
+    ray: Ray,
     distance: Float[Array, "*batch"],
 ) -> tuple[Ray, Float[Array, "*batch"]]:
     """Rays that start on the side of the light: a face is never in its own shadow."""
-    precision = float(jnp.finfo(position.dtype).eps)
-    furthest = jnp.max(jnp.abs(mesh.vertices[mesh.faces.ravel()]))
-    lift = LIFT * _size(mesh) + ROUNDINGS * precision * furthest
-    side = jnp.sum(normal * to_light, axis=-1, keepdims=True)
-    origin = position + jnp.where(side < 0, -lift, lift) * normal
-    return Ray(origin, to_light), distance - lift
+    precision = float(jnp.finfo(normal.dtype).eps)
+    furthest = jnp.max(jnp.abs(vertices[faces.ravel()]))
+    lift = LIFT * _size(vertices, faces) + ROUNDINGS * precision * furthest
+    side = jnp.sum(normal * ray.direction, axis=-1, keepdims=True)
+    origin = ray.origin + jnp.where(side < 0, -lift, lift) * normal
+    return Ray(origin, ray.direction), distance - lift
 
 
-def _size(mesh: Mesh) -> Float[Array, ""]:
-    used = mesh.vertices[mesh.faces.ravel()]
+def _size(
+    vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"]
+) -> Float[Array, ""]:
+    used = vertices[faces.ravel()]
     return jnp.max(jnp.max(used, axis=0) - jnp.min(used, axis=0))
 
 
@@ -311,16 +316,19 @@ def _in_face(point: Vec3, a: Vec3, b: Vec3, c: Vec3, slack: Array) -> Bool[Array
     return in_plane & jnp.all(jnp.stack(inward)) & jnp.any(normal != 0)
 
 
-@program()
+@program("two_sided")
 def _aim(
-    mesh: Mesh, camera: AbstractCamera
+    vertices: Float[Array, "vertices 3"],
+    faces: Int[Array, "faces 3"],
+    camera: AbstractCamera,
+    two_sided: bool,
 ) -> tuple[Ray, Bool[Array, " faces"], Bool[Array, ""]]:
     """The camera's rays, which faces they can meet, and whether it sits in a face."""
-    a, b, c = jnp.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    a, b, c = jnp.moveaxis(vertices[faces], 1, 0)
     to_viewer = jax.vmap(camera.to_viewer)(a)
     toward = jnp.sum(jax.vmap(face_normal)(a, b, c) * to_viewer, axis=-1)
-    seen = (toward != 0) if mesh.two_sided else (toward > 0)
-    slack = 1e-6 * _size(mesh)
+    seen = (toward != 0) if two_sided else (toward > 0)
+    slack = 1e-6 * _size(vertices, faces)
     inside = jax.vmap(_in_face, in_axes=(None, 0, 0, 0, None))
     return camera.rays(), seen, jnp.any(inside(camera.position, a, b, c, slack))
 

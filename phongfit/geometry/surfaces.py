@@ -36,6 +36,7 @@ class GBuffer(eqx.Module):
     uv: Float[Array, "*pixels 2"] | None = None
     visibility: Float[Array, "*points lights"] | None = None
 
+    @program()
     def select(self, pixels: Int[Array, " n"]) -> "GBuffer":
         """The same for some pixels of an image: (n,) takes the place of (H, W).
 

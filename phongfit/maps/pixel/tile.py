@@ -155,7 +155,7 @@ def compiled(settings: MapSettings, mesh: Mesh, fit: Callable[..., Any] = fit_ti
         )
 
     @functools.partial(jax.jit, compiler_options=SETTLED)
-    def run(tile: Tile, outside: Outside) -> Any:
+    def run(tile: Tile, outside: Any) -> Any:
         spread = jax.shard_map(
             lambda tile, outside: fit(tile, outside, settings),
             mesh=mesh,

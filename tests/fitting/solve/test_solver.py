@@ -46,6 +46,16 @@ def minimize(residual, start, lower, upper, max_steps=500, rtol=RTOL):
     return _run(residual, start, lower, upper, max_steps, rtol)
 
 
+@eqx.filter_jit
+def _at_a_pace(start, end, pace):
+    solver = BoundedLevenbergMarquardt(
+        1e-5, 1e-5, end - 9, end + 9, foresee=True, pace=pace
+    )
+    return optx.least_squares(
+        lambda y, args: rosenbrock(y, jnp), solver, start, max_steps=99, throw=False
+    )
+
+
 PROBLEMS = [
     (rosenbrock, (-1.2, 1), INFINITE),
     (rosenbrock, (-1.2, 1), ((-5, -5), (0.5, 5))),
@@ -272,12 +282,6 @@ def test_start_on_a_bound_and_fixed_unknowns():
 def test_an_earlier_pace_is_trusted_no_further_than_it_holds(far):
     """Near where an earlier run ended one evaluation does; from afar it goes on."""
     end = floats([1.0, 1.0])
-    start = end + far * floats([1.0, -1.0])
-    solver = BoundedLevenbergMarquardt(
-        1e-5, 1e-5, end - 9, end + 9, foresee=True, pace=floats([2000.0, 1.0])
-    )
-    found = optx.least_squares(
-        lambda y, args: rosenbrock(y, jnp), solver, start, max_steps=99, throw=False
-    )
+    found = _at_a_pace(end + far * floats([1.0, -1.0]), end, floats([2000.0, 1.0]))
     assert (int(found.stats["num_steps"]) == 1) == (far < 1e-3)
     np.testing.assert_allclose(found.value, end, atol=1e-4)
