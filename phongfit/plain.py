@@ -39,7 +39,7 @@ def readable(name: str) -> str:
 
 def _plain_array(array: np.ndarray) -> Any:
     if array.ndim > 0:
-        return [_plain_array(np.asarray(item)) for item in array]
+        return [plain(item) for item in array]
     if array.dtype.kind != "f":
         return plain(array.item())
     # By way of its shortest text, 0.1 of single precision is 0.1 and not

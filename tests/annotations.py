@@ -18,6 +18,7 @@ from beartype.roar import (
     BeartypeCallHintParamViolation,
     BeartypeCallHintReturnViolation,
 )
+from jaxtyping import jaxtyped
 from pydantic import ValidationInfo
 
 Function = Callable[..., Any]
@@ -57,7 +58,7 @@ def checked(function: FunctionType) -> Function:
     @functools.wraps(function)
     def run(*args: Any, **kwargs: Any) -> Any:
         __tracebackhide__ = True
-        with jaxtyping.jaxtyped("context"):
+        with jaxtyped("context"):
             try:
                 return typed()(*args, **kwargs)
             except BeartypeCallHintParamViolation as wrong:
@@ -73,15 +74,13 @@ def _typed_as_known(function: FunctionType) -> FunctionType:
     """With checks of all annotations but those that only a type checker can read."""
     written, names = function.__annotations__, function.__globals__
 
-    def known(hint: Any) -> bool:
+    def read(hint: Any) -> Any:
         try:
-            return not isinstance(hint, str) or eval(hint, names) is not None
+            return eval(hint, names) if isinstance(hint, str) else hint
         except NameError:
-            return False
+            return Any
 
-    function.__annotations__ = {
-        name: hint if known(hint) else Any for name, hint in written.items()
-    }
+    function.__annotations__ = {name: read(hint) for name, hint in written.items()}
     typed = _typed(function)
     function.__annotations__ = written
     return typed
@@ -111,31 +110,27 @@ def _checks_of_first(function: FunctionType) -> Function:
 def _checked_class(made: type) -> type:
     """A class, whose `__init__` is checked if a dataclass wrote it."""
     start: Any = made.__init__
-    ours = "__wrapped__" in vars(start) if isinstance(start, FunctionType) else True
+    plain = isinstance(start, FunctionType) and not hasattr(start, "__wrapped__")
     left_out = getattr(start, "__no_type_check__", False)
-    if dataclasses.is_dataclass(made) and not (ours or left_out):
+    if dataclasses.is_dataclass(made) and plain and not left_out:
         made.__init__ = checked(start)
     return made
 
 
-def _decorate(what: Any = None, **_: Any) -> Any:
-    """What jaxtyping's hook puts before each function and class, in place of its own.
+def _decorator(*, typechecker: Any) -> Callable[[Any], Any]:
+    """What the hook puts before each function and class, in place of jaxtyping's own.
 
-    Its own looks up for each call which argument is which, to name it in an error, and
+    That looks up for each call which argument is which, to name it in an error, and
     takes several times as long.
     """
-    if what is None:
-        return _decorate
-    if what == "context":
-        return _jaxtyped(what)
-    return _checked_class(what) if isinstance(what, type) else checked(what)
-
-
-_jaxtyped = jaxtyping.jaxtyped
+    del typechecker
+    return lambda made: (
+        _checked_class(made) if isinstance(made, type) else checked(made)
+    )
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_load_initial_conftests() -> None:
     """Before any test, or what prepares it, imports phongfit."""
-    jaxtyping.jaxtyped = _decorate
+    jaxtyping.jaxtyped = _decorator
     jaxtyping.install_import_hook("phongfit", None)

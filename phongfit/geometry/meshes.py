@@ -217,14 +217,14 @@ class Mesh(AbstractSurface):
 
     @checked
     def trace(self, camera: AbstractCamera) -> GBuffer:
-        corners = self.vertices, self.faces
-        rays, seen, inside = _aim(*corners, camera, self.two_sided)
+        triangles = self.vertices, self.faces
+        rays, seen, inside = _aim(*triangles, camera, self.two_sided)
         inside = jax.lax.stop_gradient(inside)
         if isinstance(inside, Tracer):
             seen = eqx.error_if(seen, inside, "camera: its position lies in a face")
         elif inside:
             raise ValueError(f"camera: its position {camera.position} lies in a face")
-        face = first_faces(*corners, seen, rays)
+        face = first_faces(*triangles, seen, rays)
         if not isinstance(face, Tracer) and not np.any(np.asarray(face) >= 0):
             warn(
                 "nothing-seen",
@@ -241,10 +241,10 @@ class Mesh(AbstractSurface):
         to_light: Float[Array, "*batch 3"],
         distance: Float[Array, "*batch"],
     ) -> Bool[Array, "*batch"]:
-        corners = self.vertices, self.faces
+        triangles = self.vertices, self.faces
         ray = Ray(position, to_light)
-        rays, distance = _off_the_face(*corners, normal, ray, distance)
-        return ~blocked(*corners, rays, distance)
+        rays, distance = _off_the_face(*triangles, normal, ray, distance)
+        return ~blocked(*triangles, rays, distance)
 
 
 def _as_uv(value: Any, faces: int) -> Float[Array, "faces 3 2"] | None:

@@ -28,8 +28,8 @@ INFINITE = (-np.inf, np.inf)
 
 
 @eqx.filter_jit
-def _run(residual, start, lower, upper, max_steps, rtol):
-    solver = BoundedLevenbergMarquardt(rtol=rtol, atol=rtol, lower=lower, upper=upper)
+def _run(residual, start, lower, upper, max_steps, rtol, **options):
+    solver = BoundedLevenbergMarquardt(rtol, rtol, lower, upper, **options)
     return optx.least_squares(
         lambda y, args: residual(y),
         solver,
@@ -39,21 +39,11 @@ def _run(residual, start, lower, upper, max_steps, rtol):
     )
 
 
-def minimize(residual, start, lower, upper, max_steps=500, rtol=RTOL):
+def minimize(residual, start, lower, upper, max_steps=500, rtol=RTOL, **options):
     """The solver's answer from a start; bounds are numbers or of the start's shape."""
     start = floats(start)
     lower, upper = (jnp.broadcast_to(floats(b), start.shape) for b in (lower, upper))
-    return _run(residual, start, lower, upper, max_steps, rtol)
-
-
-@eqx.filter_jit
-def _at_a_pace(start, end, pace):
-    solver = BoundedLevenbergMarquardt(
-        1e-5, 1e-5, end - 9, end + 9, foresee=True, pace=pace
-    )
-    return optx.least_squares(
-        lambda y, args: rosenbrock(y, jnp), solver, start, max_steps=99, throw=False
-    )
+    return _run(residual, start, lower, upper, max_steps, rtol, **options)
 
 
 PROBLEMS = [
@@ -282,6 +272,10 @@ def test_start_on_a_bound_and_fixed_unknowns():
 def test_an_earlier_pace_is_trusted_no_further_than_it_holds(far):
     """Near where an earlier run ended one evaluation does; from afar it goes on."""
     end = floats([1.0, 1.0])
-    found = _at_a_pace(end + far * floats([1.0, -1.0]), end, floats([2000.0, 1.0]))
+    start = end + far * floats([1.0, -1.0])
+    pace = floats([2000.0, 1.0])
+    found = minimize(
+        rosenbrock, start, end - 9, end + 9, 99, 1e-5, foresee=True, pace=pace
+    )
     assert (int(found.stats["num_steps"]) == 1) == (far < 1e-3)
     np.testing.assert_allclose(found.value, end, atol=1e-4)
