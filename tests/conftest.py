@@ -6,7 +6,9 @@ a checksum of a test's name chooses, whatever stands before it. Its parameters h
 part in that: they share what is compiled.
 """
 
+import functools
 import gc
+import itertools
 import shutil
 import zlib
 from pathlib import Path
@@ -15,6 +17,7 @@ import jax
 import matplotlib
 import pytest
 from hypothesis import settings
+from jax._src.interpreters import mlir
 
 from phongfit.programs import MOST_PIECES, pieces_of_memory
 
@@ -31,6 +34,20 @@ settings.load_profile("phongfit")
 gc.set_threshold(100_000, 10, 10)
 # Nobody reads which line an instruction came from: a seventh of tracing and lowering.
 jax.config.update("jax_traceback_in_locations_limit", 0)
+
+
+def _shared_contexts(make):
+    """MLIR's contexts, each for a few hundred programs in place of one alone.
+
+    To make one and to fill it anew is a quarter of a small program's time, and each
+    program keeps its own: half of the memory of all tests.
+    """
+    numbers = itertools.count()
+    of_many = functools.lru_cache(maxsize=1)(lambda number: make())
+    return lambda: of_many(next(numbers) // 200)
+
+
+mlir.make_ir_context = _shared_contexts(mlir.make_ir_context)
 
 
 @pytest.fixture(autouse=True, scope="module")
