@@ -6,10 +6,9 @@ a checksum of a test's name chooses, whatever stands before it. Its parameters h
 part in that: they share what is compiled.
 """
 
-import functools
 import gc
-import itertools
 import shutil
+import threading
 import zlib
 from pathlib import Path
 
@@ -18,6 +17,7 @@ import matplotlib
 import pytest
 from hypothesis import settings
 from jax._src.interpreters import mlir
+from jaxlib.mlir import ir
 
 from phongfit.programs import MOST_PIECES, pieces_of_memory
 
@@ -37,14 +37,23 @@ jax.config.update("jax_traceback_in_locations_limit", 0)
 
 
 def _shared_contexts(make):
-    """MLIR's contexts, each for a few hundred programs in place of one alone.
+    """MLIR's contexts, each for a few hundred programs of a thread in place of one.
 
     To make one and to fill it anew is a quarter of a small program's time, and each
-    program keeps its own: half of the memory of all tests.
+    program keeps its own: half of the memory of all tests. What is lowered while
+    something else is, as solvers of lineax have it, does need its own.
     """
-    numbers = itertools.count()
-    of_many = functools.lru_cache(maxsize=1)(lambda number: make())
-    return lambda: of_many(next(numbers) // 200)
+    here = threading.local()
+
+    def context():
+        if ir.Context.current is not None:
+            return make()
+        here.count = getattr(here, "count", -1) + 1
+        if here.count % 200 == 0:
+            here.shared = make()
+        return here.shared
+
+    return context
 
 
 mlir.make_ir_context = _shared_contexts(mlir.make_ir_context)
