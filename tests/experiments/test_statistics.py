@@ -17,14 +17,30 @@ def test_few_draws(tmp_path, capsys):
     # The one on its bound is not judged; the others are.
     assert "ambient.red" not in found["a bound binds"]["labels"]
     assert len(found["a bound binds"]["labels"]) == 9
+    # What trades with it is one-sided where it binds; nothing else is.
+    binds = found["a bound binds"]
+    one_sided = np.array(binds["labels"])[binds["one_sided"]]
+    assert list(one_sided) == ["diffuse.red"]
+    assert not any(found["all free"]["one_sided"])
     assert len(found["global"]["excess"]) == 2
 
 
 def test_wrong_error_bars_are_seen():
     labels = ("good", "too narrow", "never inside")
     ratio, coverage = np.array([1.01, 1.2, 1.0]), np.array([0.95, 0.95, 0.5])
-    assert Spread(labels, ratio, coverage, 4000).wrong() == list(labels[1:])
-    assert Spread(labels, ratio, coverage, 40).wrong() == ["never inside"]
+    two_sided = np.zeros(3, bool)
+    assert Spread(labels, ratio, coverage, two_sided, 4000).wrong() == list(labels[1:])
+    assert Spread(labels, ratio, coverage, two_sided, 40).wrong() == ["never inside"]
+
+
+def test_one_sided_errors_may_be_wide_and_not_narrow():
+    labels, coverage = (
+        ("wide", "wide, one-sided", "narrow, one-sided"),
+        np.full(3, 0.95),
+    )
+    one_sided = np.array([False, True, True])
+    spread = Spread(labels, np.array([0.87, 0.87, 1.1]), coverage, one_sided, 4000)
+    assert spread.wrong() == ["wide", "narrow, one-sided"]
 
 
 def test_the_bound_binds():
