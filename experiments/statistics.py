@@ -10,8 +10,8 @@ Three answers, each by brute force:
 
 The exit status is 1 if a ratio leaves [0.95, 1.05], a share of intervals leaves
 93.5-96.5 %, or a fit's cost lies more than 1e-4 above the best. Fewer draws are judged
-by what chance does to so few. An error that another's bound makes one-sided is the larger
-of two sides: of its ratio only the upper limit is asked.
+by what chance does to so few. An error that another's bound makes one-sided is the
+larger of two sides: of its ratio only the upper limit is asked.
 """
 
 import dataclasses
