@@ -1,7 +1,8 @@
-"""`python -m experiments.conformance FOLDER…`: do others see what phongfit does?
+"""`python -m experiments.conformance [FOLDER…]`: do others see what phongfit does?
 
-Every scene of the folders (see `experiments.references` for their files) is rendered
-and compared with the image that OpenGL or POV-Ray made of it. It agrees where
+Every scene of the folders (see `experiments.references` for their files; by default
+those that come with the project, 6 by Mesa and 2 by POV-Ray) is rendered and compared
+with the image that OpenGL or POV-Ray made of it. It agrees where
 
 - light at the vertices, if the reference has it, is the same to 1e-5;
 - 99.9 % of the pixels that both cover differ by no more than 1e-4 (OpenGL), or 2/255
@@ -23,7 +24,13 @@ import numpy as np
 import tyro
 
 import phongfit as pf
-from experiments.references import Reference, find_references, read_reference, seen
+from experiments.references import (
+    KEPT,
+    Reference,
+    find_references,
+    read_reference,
+    seen,
+)
 from phongfit.cli import run
 from phongfit.files.outputs import check_file, write_json
 
@@ -118,8 +125,8 @@ def _vertex_error(reference: Reference, gbuffer: pf.GBuffer) -> float | None:
 @dataclass(frozen=True)
 class Options:
     folders: Annotated[
-        tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FOLDER…")
-    ]
+        tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[FOLDER…]")
+    ] = KEPT
     """Each with the NAME.json and NAME.npz of any number of scenes."""
 
     json: Path | None = None
@@ -136,8 +143,6 @@ def main(options: Options) -> int:
     both cover or both leave. Exits with 1 if a scene falls short, and with 2 if a
     folder cannot be read.
     """
-    if not options.folders:
-        raise ValueError("FOLDER: expected at least one, got none")
     if options.json is not None:
         check_file(options.json)
     paths = [path for folder in options.folders for path in find_references(folder)]

@@ -6,6 +6,7 @@ and those of a ray tracer (POV-Ray).
 """
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +20,10 @@ from phongfit.files.inputs import naming, read_text
 from phongfit.files.opengl import material_from_opengl
 
 Arrays = dict[str, np.ndarray]
+
+# Folders of those that come with the project, as one here would name them.
+REFERENCES = Path(os.path.relpath(Path(__file__).parents[1] / "tests/data/references"))
+KEPT = (REFERENCES / "opengl", REFERENCES / "povray")
 
 OPENGL_STATE = (
     "light_model",

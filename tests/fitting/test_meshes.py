@@ -1,14 +1,11 @@
 """Fits of meshes: every shading method, fog, shadows, several materials."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import phongfit as pf
-from experiments.references import read_reference
+from experiments.references import REFERENCES, read_reference
 
-REFERENCES = Path(__file__).parents[1] / "data" / "references"
 TRUTH = pf.Material((0.4, 0.3, 0.2), 0.5, 40.0, 0.3)
 BALL = pf.shapes.Ball().mesh(48, 24)
 
