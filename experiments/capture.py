@@ -91,7 +91,8 @@ def main(pictures: Path = Path("out/capture")) -> int:
     figure = comparison(rows, ("photograph", "fit"), brighten=1.5, blocks=len(rows))
     save_picture(pictures / "photograph_and_fit.jpg", figure)
     strengths = np.array(fit.exposure)
-    print("lamps' strengths:", (strengths / strengths.mean()).round(3).tolist())
+    shares = " ".join(f"{share:.3f}" for share in strengths / strengths.mean())
+    print(f"lamps' strengths: {shares}")
     return 0
 
 

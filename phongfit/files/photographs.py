@@ -270,8 +270,8 @@ def relative_exposures(
         )
     elif all(exposure.time is None for exposure in exposures) and len(names) > 1:
         notes.append(
-            "no exposure times are stated: taken as alike, or lamps' strengths are "
-            "times those"
+            "no exposure times are stated: taken to be the same in all photographs; "
+            "where they differ, lamps' strengths contain them"
         )
     return relative, tuple(notes)
 
