@@ -288,6 +288,9 @@ def _local(count: int) -> "Iterator[distributed.Client]":
         "distributed.nanny.pre-spawn-environ": environment,
         # Which worker dies has nothing to do with its block.
         "distributed.scheduler.allowed-failures": DEATHS - 1,
+        # Dask looks at itself on the cores that work: so often is enough for its page.
+        "distributed.worker.profile.interval": "200ms",
+        "distributed.admin.system-monitor.interval": "2s",
     }
     with (
         dask.config.set(settings),
