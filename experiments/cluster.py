@@ -232,7 +232,7 @@ def measure(folder: Path, small: bool, every: float) -> dict[str, Any]:
     seconds: dict[int, float] = {}
     work: dict[int, float] = {}
     # In turns, of which the shortest counts: other work on the machine only adds.
-    for workers in (1, 2) if small else (1, 2, 1, 2):
+    for workers in (1, 2, 1, 2):
         console.print(f"{workers} of one core …")
         with cluster.dask_client(f"local:{workers}") as client:
             stack = folder / f"{grid[0]}x{grid[1]}.zarr"
