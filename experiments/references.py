@@ -21,9 +21,9 @@ from phongfit.files.opengl import material_from_opengl
 
 Arrays = dict[str, np.ndarray]
 
-# Folders of those that come with the project, as one here would name them.
-REFERENCES = Path(os.path.relpath(Path(__file__).parents[1] / "tests/data/references"))
-KEPT = (REFERENCES / "opengl", REFERENCES / "povray")
+# Folders of those that come with the project; `KEPT` as one here would name them.
+REFERENCES = Path(__file__).parents[1] / "tests" / "data" / "references"
+KEPT = tuple(Path(os.path.relpath(REFERENCES / by)) for by in ("opengl", "povray"))
 
 OPENGL_STATE = (
     "light_model",

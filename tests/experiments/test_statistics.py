@@ -34,12 +34,9 @@ def test_wrong_error_bars_are_seen():
 
 
 def test_one_sided_errors_may_be_wide_and_not_narrow():
-    labels, coverage = (
-        ("wide", "wide, one-sided", "narrow, one-sided"),
-        np.full(3, 0.95),
-    )
-    one_sided = np.array([False, True, True])
-    spread = Spread(labels, np.array([0.87, 0.87, 1.1]), coverage, one_sided, 4000)
+    labels = ("wide", "wide, one-sided", "narrow, one-sided")
+    ratio, coverage = np.array([0.87, 0.87, 1.1]), np.full(3, 0.95)
+    spread = Spread(labels, ratio, coverage, np.array([False, True, True]), 4000)
     assert spread.wrong() == ["wide", "narrow, one-sided"]
 
 

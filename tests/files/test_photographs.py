@@ -213,7 +213,8 @@ def test_exposures_that_are_alike_or_not_stated():
     ratios, notes = relative_exposures(names, [Exposure(), Exposure()])
     assert ratios.tolist() == [1, 1]
     (note,) = notes
-    assert note.startswith("no exposure times are stated: taken to be the same")
+    assert note.startswith("no exposure times are stated: taken to be the same in all")
+    assert note.endswith("where they differ, lamps' strengths contain them")
     _, notes = relative_exposures(names, [alike, alike._replace(time=None)])
     assert notes[0].startswith("b does not state an exposure time: taken as")
     with pytest.raises(ValueError, match=r"c: expected an exposure time.*; a states"):
