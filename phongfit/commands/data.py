@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 
 from phongfit.commands.options import EncodingName, optional
 from phongfit.files.capture_data import open_captured
+from phongfit.files.coded import Coded
 from phongfit.files.dataset import Dataset, Photograph, Photographs
 from phongfit.files.datasets import open_dataset
 from phongfit.files.diligent import is_diligent
@@ -217,9 +218,9 @@ def in_a_room(data: Photographs, light: float) -> Photographs:
     """Photographs of DiLiGenT with ambient light that their layout does not know."""
 
     def read(number: int) -> Photograph:
-        image, mask = data.read(number)
+        coded, mask = data.read(number)
         # Where one channel is saturated, its neighbours are blurred by it.
-        return Photograph(image, np.asarray(mask.all(axis=-1)))
+        return Photograph(coded, np.asarray(mask.all(axis=-1)))
 
     room = (dataclasses.replace(scene, ambient=light) for scene in data.scenes)
     return dataclasses.replace(data, scenes=tuple(room), read=read)
@@ -262,7 +263,7 @@ def _read_single(options: DataOptions) -> Photographs:
             # No one else's numbers tell that a curve has rounded them.
             curved = isinstance(encoding, ResponseCurve)
             film = read_film(path, encoding) if curved else find_film([image])
-    photograph = Photograph(image, mask & usable)
+    photograph = Photograph(Coded(image), mask & usable)
     return Photographs(path.stem, (scene,), (path.name,), film, lambda _: photograph)
 
 

@@ -110,7 +110,7 @@ def open_captured(
     def read(number: int) -> Photograph:
         photo = series.read(number)
         lit = _lit(scenes[number], min_cosine) if known and not sought else True
-        return Photograph(photo.image, used & photo.usable & lit)
+        return Photograph(photo.coded, used & photo.usable & lit)
 
     def film_of(number: int) -> Film:
         return read_film(series.paths[number], series.encoding)

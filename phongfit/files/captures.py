@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from phongfit.edge import checked
+from phongfit.files.coded import Coded
 from phongfit.files.dataset import Photograph
 from phongfit.files.images import read_film
 from phongfit.files.lp import LightList, base_name, read_lp
@@ -97,8 +98,9 @@ class Capture(AbstractImages):
 
     def image(self, number: int) -> Float[np.ndarray, "height width 3"]:
         """The photograph of a number; samples that were cut off at white are 1."""
-        image, known = self.read(number)
-        return np.where(known, image, np.maximum(image, 1))
+        photograph = self.read(number)
+        image = photograph.image
+        return np.where(photograph.mask, image, np.maximum(image, 1))
 
     def read(self, number: int) -> Photograph:
         """The photograph of a number, from 0 on, and which samples of it are known.
@@ -107,21 +109,23 @@ class Capture(AbstractImages):
 
         **Raises:** `ValueError` that names the file.
         """
-        image, known = _in_light_of(self.series, number, self.series)
+        photograph = _in_light_of(self.series, number, self.series)
+        image, known = photograph.image, photograph.mask
         if self.ambient is not None:
             image = np.maximum(image - self.ambient.image, 0)
             known &= self.ambient.mask
         if self.flat is not None:
             image = image / self.flat.image
             known &= self.flat.mask
-        return Photograph(image, known)
+        return Photograph(Coded(image), known)
 
 
 def _in_light_of(series: PhotoSeries, number: int, capture: PhotoSeries) -> Photograph:
     """A photograph in the light that a capture's shortest exposure let in."""
     photo = series.read(number)
     known, least = photo.unsaturated, capture.relative_exposures.min()
-    return Photograph(photo.common_light * photo.image.dtype.type(least), known)
+    light = photo.common_light
+    return Photograph(Coded(light * light.dtype.type(least)), known)
 
 
 @checked
@@ -256,4 +260,4 @@ def _flat(path: Path, series: PhotoSeries) -> Photograph:
         raise ValueError(
             f"{path}: expected light everywhere on a flat, got black pixels"
         )
-    return Photograph(image / middle, known)
+    return Photograph(Coded(image / middle), known)

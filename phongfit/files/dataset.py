@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from phongfit.files.coded import Coded
 from phongfit.material import Material
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
@@ -73,10 +74,15 @@ class Dataset:
 
 
 class Photograph(NamedTuple):
-    """Linear light of one image, and where it may be used."""
+    """Linear light of one image, as its file has it, and where it may be used."""
 
-    image: Float[np.ndarray, "height width 3"]
+    coded: Coded
     mask: Bool[np.ndarray, "height width *channel"]
+
+    @property
+    def image(self) -> Float[np.ndarray, "height width 3"]:
+        """Its light."""
+        return self.coded.light
 
 
 @dataclass(frozen=True)
@@ -116,8 +122,8 @@ class Photographs:
         return Dataset(
             self.name,
             self.scenes,
-            tuple(image for image, _ in read),
-            tuple(mask for _, mask in read),
+            tuple(photograph.image for photograph in read),
+            tuple(photograph.mask for photograph in read),
             self.names,
             film,
             self.truth,

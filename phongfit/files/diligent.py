@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from phongfit.files.budget import afford
+from phongfit.files.coded import Coded
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import read_image, read_mask
 from phongfit.files.inputs import (
@@ -79,7 +80,8 @@ def open_diligent(
         cosine = normals @ (direction / np.linalg.norm(direction))
         # Divided, 65535 is a different number in each channel, so this comes first.
         mask = (used & (cosine > min_cosine))[..., None] & (image < 1)
-        return Photograph(image / intensities[number].astype(image.dtype), mask)
+        light = image / intensities[number].astype(image.dtype)
+        return Photograph(Coded(light), mask)
 
     return Photographs(
         folder.resolve().name,

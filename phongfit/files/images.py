@@ -15,6 +15,7 @@ from phongfit.checks import as_array
 from phongfit.codes import warn
 from phongfit.edge import checked
 from phongfit.files.budget import afford
+from phongfit.files.coded import Coded
 from phongfit.files.formats import (
     PNG_START,
     READERS,
@@ -107,6 +108,14 @@ class Light(NamedTuple):
     clamped: bool
 
 
+class CodedLight(NamedTuple):
+    """The same, its light as the file has it where a table tells what that is."""
+
+    coded: Coded
+    usable: Bool[np.ndarray, "height width"]
+    clamped: bool
+
+
 def read_light(
     path: str | os.PathLike[str],
     encoding: Encoding,
@@ -117,6 +126,17 @@ def read_light(
 
     The mask is false where a saturated channel was mixed into others.
     """
+    coded, usable, clamped = read_coded(path, encoding, max_pixels=max_pixels)
+    return Light(coded.light, usable, clamped)
+
+
+def read_coded(
+    path: str | os.PathLike[str],
+    encoding: Encoding,
+    *,
+    max_pixels: int | None = None,
+) -> CodedLight:
+    """As [`read_light`][], for those who want light of a few samples at a time."""
     path = Path(path)
     encoding = as_encoding(encoding)
     read = _read_numbers(path, max_pixels)
@@ -128,24 +148,25 @@ def read_light(
         )
     with naming(str(path)), refusing():
         profile = find_profile(read.metadata.profile, encoding)
-        image = _light(values, encoding, profile)
-    if values.dtype.kind == "f" and not np.isfinite(image).all():
+        coded = _coded(values, encoding, profile)
+    if values.dtype.kind == "f" and not np.isfinite(coded.numbers).all():
         raise ValueError(f"{path}: has NaN or infinite pixels")
     usable = np.ascontiguousarray(read.usable)
     if profile is not None and profile.mixes and values.shape[-1] == 3:
         usable &= ~saturated(values)
+    numbers = coded.numbers
+    grey = numbers.shape[-1] == 1
+    numbers = np.repeat(numbers, 3, axis=-1) if grey else np.ascontiguousarray(numbers)
     clamped = values.dtype.kind != "f"
-    if image.shape[-1] == 1:
-        return Light(np.repeat(image, 3, axis=-1), usable, clamped)
-    return Light(np.ascontiguousarray(image), usable, clamped)
+    return CodedLight(Coded(numbers, coded.table), usable, clamped)
 
 
-def _light(values: np.ndarray, encoding: Encoding, profile: Profile | None) -> Any:
+def _coded(values: np.ndarray, encoding: Encoding, profile: Profile | None) -> Coded:
     if profile is not None:
-        return profile.light(values, _float_type())
+        return Coded(profile.light(values, _float_type()))
     if values.dtype.kind == "f":
-        return values.astype(_float_type(), copy=False)
-    return from_levels(values, encoding)
+        return Coded(values.astype(_float_type(), copy=False))
+    return Coded(values, level_table(values.dtype, encoding))
 
 
 @checked
@@ -317,18 +338,16 @@ def from_levels(
     levels: UInt[np.ndarray, "..."], encoding: Encoding
 ) -> Float[np.ndarray, "..."]:
     """The whole numbers of an image file as linear light: the inverse of the above."""
-    highest = np.iinfo(levels.dtype).max
-    # A table, since there are fewer levels than pixels.
+    return Coded(levels, level_table(levels.dtype, encoding)).light
+
+
+def level_table(dtype: Any, encoding: Encoding) -> Float[np.ndarray, " levels"]:
+    """The light of each whole number of 8 or 16 bits: there are fewer than pixels."""
+    highest = np.iinfo(dtype).max
     with jax.enable_x64(True):
         encoded = jnp.asarray(np.arange(highest + 1) / highest)
         table = np.asarray(decode(encoded, as_encoding(encoding)))
-    table = table.astype(_float_type())
-    light = np.empty(levels.shape, table.dtype)
-    # Piece by piece, since NumPy looks up in a copy of eight bytes a number.
-    rows = max(2**20 // max(levels[:1].size, 1), 1)
-    for start in range(0, len(levels), rows):
-        light[start : start + rows] = table[levels[start : start + rows]]
-    return light
+    return table.astype(_float_type())
 
 
 def _float_type() -> np.dtype:

@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+import functools
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +12,8 @@ from typing import overload
 import numpy as np
 from jaxtyping import Bool, Float
 
-from phongfit.files.images import SUFFIXES, Head, read_film, read_head, read_light
+from phongfit.files.coded import Coded
+from phongfit.files.images import SUFFIXES, Head, read_coded, read_film, read_head
 from phongfit.files.metadata import Exposure
 from phongfit.rendering.film import Encoding, Film, as_encoding
 
@@ -27,7 +29,7 @@ class Photo:
 
     - `path`: its file.
     - `encoding`: of its numbers.
-    - `image`: 1 is white; what is saturated is 1.
+    - `coded`: its light as the file has it; 1 is white, and what is saturated is 1.
     - `usable`: false where a saturated channel was mixed into others, when colours
         became those of sRGB.
     - `clamped`: whether it ends at white; floating-point images do not.
@@ -38,7 +40,7 @@ class Photo:
 
     path: Path
     encoding: Encoding
-    image: Float[np.ndarray, "height width 3"]
+    coded: Coded
     usable: Bool[np.ndarray, "height width"]
     clamped: bool
     exposure: Exposure
@@ -48,6 +50,11 @@ class Photo:
     def name(self) -> str:
         """Of its file."""
         return self.path.name
+
+    @functools.cached_property
+    def image(self) -> Float[np.ndarray, "height width 3"]:
+        """Its light."""
+        return self.coded.light
 
     @property
     def film(self) -> Film:
@@ -84,7 +91,7 @@ def read_photograph(path: str | os.PathLike[str], encoding: Encoding) -> Photo:
 
 
 def _read(path: Path, encoding: Encoding, exposure: Exposure, relative: float) -> Photo:
-    light = read_light(path, encoding)
+    light = read_coded(path, encoding)
     return Photo(path, encoding, *light, exposure, relative)
 
 
@@ -128,7 +135,7 @@ class PhotoSeries:
         """
         path, relative = self.paths[number], float(self.relative_exposures[number])
         photo = _read(path, self.encoding, self.exposures[number], relative)
-        if photo.image.shape[:2] != self.size:
+        if photo.usable.shape != self.size:
             raise ValueError(f"{path}: has changed since it was read before")
         return photo
 

@@ -14,7 +14,7 @@ from phongfit.files.arrays import write_array
 from phongfit.files.budget import afford
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.encodings import describe_encoding
-from phongfit.files.images import read_light, read_mask, with_jpeg, write_image
+from phongfit.files.images import read_coded, read_mask, with_jpeg, write_image
 from phongfit.files.inputs import check_spared, inside, naming, naming_field
 from phongfit.files.outputs import write_json
 from phongfit.files.records import read_record
@@ -240,15 +240,15 @@ def _read_entry(
     with naming(f"{path}: images[{at}]"):
         file = inside(path.parent, entry.file)
         mask_file = None if entry.mask is None else inside(path.parent, entry.mask)
-    image, usable, _ = read_light(file, record.encoding or "linear")
+    coded, usable, _ = read_coded(file, record.encoding or "linear")
     mask = np.ones(size, bool) if mask_file is None else read_mask(mask_file)
-    for source, shape in ((file, image.shape[:2]), (mask_file, mask.shape)):
+    for source, shape in ((file, coded.numbers.shape[:2]), (mask_file, mask.shape)):
         if shape != size:
             raise ValueError(
                 f"{source}: expected {size[1]} × {size[0]} pixels, as the camera in "
                 f"{path.name} has, got {shape[1]} × {shape[0]}"
             )
-    return Photograph(image, mask & usable)
+    return Photograph(coded, mask & usable)
 
 
 def with_lights(scene: Scene, on: Sequence[int] | None) -> Scene:

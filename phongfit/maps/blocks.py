@@ -53,7 +53,7 @@ from phongfit.maps.result import view_of
 from phongfit.maps.run import as_mesh, fit_job, tile_size, versions
 from phongfit.maps.stacks import (
     AbstractStack,
-    ArrayStack,
+    RectangleStack,
     ZarrStack,
     identify_stack,
     read_rectangle,
@@ -74,7 +74,7 @@ if TYPE_CHECKING:
     from phongfit.files.zarrs import Array, Group
 
 BLOCK_BYTES = 2**26
-"""How much light a block holds unless told otherwise."""
+"""How much a block holds of the images, as they have it, unless told otherwise."""
 
 DIGEST = 16
 
@@ -180,7 +180,7 @@ class Plan:
         images = read_rectangle(stack, window, size)
         return make_job(
             scenes,
-            ArrayStack(images),
+            RectangleStack(images),
             mask=used(layer(self.layers["mask"])),
             noise=known(layer(self.layers["noise"])),
             **self.options,
@@ -295,12 +295,13 @@ def _kept(group: "Group", plan: Plan, window: Window) -> dict[str, np.ndarray] |
 def _checksum(plan: Plan, number: int, arrays: Mapping[str, np.ndarray]) -> bytes:
     """Of the job, the block's number and its maps: no other block will do."""
     job = json.dumps(plan.head["job"], sort_keys=True)
-    found = hashlib.blake2b(f"{job} {number}".encode(), digest_size=DIGEST)
+    # Processors have instructions for this one.
+    found = hashlib.sha256(f"{job} {number}".encode())
     for name in sorted(arrays):
         array = arrays[name]
         found.update(f"{name} {array.dtype.str} {array.shape}".encode())
-        found.update(np.ascontiguousarray(array).tobytes())
-    return found.digest()
+        found.update(np.ascontiguousarray(array).data.cast("B"))
+    return found.digest()[:DIGEST]
 
 
 def _counts(arrays: Mapping[str, np.ndarray], plan: Plan) -> Counts:
@@ -489,8 +490,8 @@ def block_size(stack: AbstractStack, wanted: tuple[int, int] | None) -> tuple[in
     """Rows and columns of a block.
 
     As the shards of the images have them, or chunks where there are none, or rows of
-    photographs: so many of them that a block holds up to [`BLOCK_BYTES`][] of light, or
-    a part of one that holds more.
+    photographs: so many of them that a block holds up to [`BLOCK_BYTES`][], or a part
+    of one that holds more.
     """
     count, height, width = stack.shape
     if wanted is not None:
@@ -503,7 +504,7 @@ def block_size(stack: AbstractStack, wanted: tuple[int, int] | None) -> tuple[in
         array = stack.array
         _, *sides, _ = array.chunks if array.shards is None else array.shards
     rows, columns = min(sides[0], height), min(sides[1], width)
-    most = max(BLOCK_BYTES // (count * 12), 1)
+    most = max(BLOCK_BYTES // (3 * count * stack.itemsize), 1)
     while rows * columns > most and rows > 1:
         rows = -(-rows // 2)
     while rows * columns > most and columns > 1:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from phongfit.edge import shown
+from phongfit.files.coded import Coded
 from phongfit.fitting.problem.losses import as_loss
 from phongfit.fitting.problem.parameters import DEFAULT_BOUNDS
 from phongfit.fitting.problem.shapes import takes_exponent
@@ -61,18 +62,20 @@ class Geometry:
         """
         camera, inside = scene.camera, self.mask
         world = self.normal if found is None else found
-        normals = world.reshape(*inside.shape, 3) @ np.asarray(camera.rotation)
+        # Not by BLAS, whose threads would wait for more, and keep cores from others.
+        axes = np.asarray(camera.rotation)
+        normals = np.einsum("...i,ij", world.reshape(*inside.shape, 3), axes)
         depth = np.full(inside.shape, np.nan, normals.dtype)
         if not (
             isinstance(scene.surface, NormalMap) and scene.surface.positions is None
         ):
             offset = np.asarray(camera.position) - self.position
-            along = offset @ np.asarray(camera.rotation)[:, 2]
+            along = np.einsum("...i,i", offset, axes[:, 2])
             depth[inside] = np.broadcast_to(along, inside.size)[inside.ravel()]
         return np.where(inside[..., None], normals, 0), depth
 
     def tile(
-        self, pixels: np.ndarray, target: np.ndarray, used: np.ndarray, size: int
+        self, pixels: np.ndarray, target: Coded, used: np.ndarray, size: int
     ) -> Tile:
         """The tile of some pixels, and of others up to `size` without any light."""
         padded = np.pad(pixels, (0, size - len(pixels)), mode="edge")
@@ -82,12 +85,13 @@ class Geometry:
 
         seen = self.visibility
         return Tile(
-            target,
+            target.numbers,
             used,
             self.normal[padded],
             rows(self.position),
             rows(self.to_viewer),
             None if seen is None else seen[..., padded].astype(self.normal.dtype),
+            target.table,
         )
 
 
@@ -115,10 +119,12 @@ class Job:
     def tile(self, pixels: np.ndarray, size: int) -> Tile:
         """The tile of some pixels, and of others up to `size`: see [`filled`][]."""
         order = self.outside.lighting.order
-        target = self.stack.take(pixels, order)
-        used = self.masks.take(pixels, order) & ~np.ma.getmask(target)
+        target = self.stack.take_coded(pixels, order)
+        hidden = np.ma.getmask(target.numbers)
+        used = self.masks.take(pixels, order) & ~hidden
         used = self.noise.weigh(used, pixels, order)
-        tile = self.geometry.tile(pixels, np.ma.getdata(target), used, size)
+        target = target._replace(numbers=np.ma.getdata(target.numbers))
+        tile = self.geometry.tile(pixels, target, used, size)
         if tile.visibility is None and self.settings.normals == "fit":
             # Later passes know shadows: one program serves all of them.
             shape = len(order), self.outside.lighting.lobes, size

@@ -2,8 +2,7 @@
 
 A stack of them is larger than memory, and a tile wants a few pixels of each. So they
 stand in a temporary file, without the loss of a bit, and as small as the files were
-before they were compressed: where light has few values, as that of 8 bits has, a table
-tells them, and the file holds their numbers.
+before they were compressed: as their numbers, where a table tells the light of each.
 """
 
 import contextlib
@@ -15,83 +14,25 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Int
 
 from phongfit.files.budget import in_words
-
-LOW_BITS = 13
-"""Bits of a single-precision number that may tell no two values apart: values differ by
-a thousandth at least, as those of 8 bits do in any encoding."""
-
-PIECE = 2**14
-"""Numbers that are looked up at a time: few enough to stay in cache."""
-
-
-class Levels:
-    """The few values that numbers have; NaN may be one."""
-
-    def __init__(self, dtype: Any):
-        """**Arguments:** `dtype`: of the numbers, a float."""
-        self.dtype = np.dtype(dtype)
-        self._bits = np.dtype(f"u{self.dtype.itemsize}")
-        keys = 2 ** (32 - LOW_BITS)
-        self._value = np.zeros(keys, self.dtype)
-        self._level = np.full(keys, -1, np.int32)
-        self._table: list[float] = []
-
-    @property
-    def table(self) -> Float[np.ndarray, " levels"]:
-        """The value of each level."""
-        return np.array(self._table, self.dtype)
-
-    def encode(
-        self, numbers: Float[np.ndarray, " n"]
-    ) -> Shaped[np.ndarray, " n"] | None:
-        """The level of each number; `None` if there are too many values, too close."""
-        levels = np.empty(numbers.shape, np.uint16)
-        for start in range(0, numbers.size, PIECE):
-            part = slice(start, start + PIECE)
-            single = numbers[part].astype(np.float32, copy=False)
-            keys = (single.view(np.uint32) >> LOW_BITS).astype(int)
-            if not self._know(numbers[part], keys):
-                return None
-            levels[part] = self._level.take(keys)
-        return levels.astype(np.uint8) if len(self._table) <= 256 else levels
-
-    def _know(self, values: np.ndarray, keys: np.ndarray) -> bool:
-        """Learn values that are new; false if two of them are too close."""
-        new = self._level.take(keys) < 0
-        if new.any():
-            fresh, first = np.unique(keys[new], return_index=True)
-            count = len(self._table)
-            if count + len(fresh) > np.iinfo(np.uint16).max:
-                return False
-            self._value[fresh] = values[new][first]
-            self._level[fresh] = np.arange(count, count + len(fresh))
-            self._table.extend(self._value[fresh].tolist())
-        known = self._value.take(keys)
-        return bool((known.view(self._bits) == values.view(self._bits)).all())
-
-    def decode(self, levels: Shaped[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """The number of each level."""
-        table, numbers = self.table, np.empty(levels.shape, self.dtype)
-        for start in range(0, levels.size, PIECE):
-            part = slice(start, start + PIECE)
-            np.take(table, levels[part], out=numbers[part], mode="clip")
-        return numbers
+from phongfit.files.coded import Coded
 
 
 class _Image(NamedTuple):
     """Where an image stands in the file, and what its numbers are.
 
-    - `levels`: whose numbers they are; `None` for light itself.
-    - `complete`: whether all samples may be used.
+    - `table`: which of the spool's; `None` for light itself.
+    - `mask`: where the bits of its mask stand; `None` if all samples may be used.
+    - `channels`: of the mask.
     """
 
     offset: int
     dtype: np.dtype
-    levels: Levels | None
-    complete: bool
+    table: int | None
+    mask: int | None
+    channels: int
 
 
 class Spool:
@@ -100,40 +41,45 @@ class Spool:
     def __init__(self, dtype: Any):
         """**Arguments:** `dtype`: of linear light."""
         self._dtype = np.dtype(dtype)
-        self._levels: Levels | None = Levels(dtype)
+        self._tables: list[np.ndarray] = []
         self._images: list[_Image] = []
         self._end = 0
-        self._checksum = hashlib.blake2b(digest_size=16)
+        self._checksum = hashlib.sha256()
         self._lock = threading.Lock()
         self._file = tempfile.TemporaryFile(prefix="phongfit-")
         weakref.finalize(self, self._file.close)
 
     def add(
-        self,
-        image: Float[np.ndarray, "height width 3"],
-        used: Bool[np.ndarray, "height width *channel"],
+        self, image: Coded, used: Bool[np.ndarray, "height width *channel"]
     ) -> None:
-        """One image more.
+        """One image more, (height, width, 3).
 
         **Raises:** `OSError` that says where there should be room.
         """
-        light = np.ascontiguousarray(image, self._dtype)
-        complete = bool(used.all())
-        if not complete:
-            used = used.reshape(*used.shape[:2], -1)
-            light = np.where(used, light, light.dtype.type(np.nan))
-        light = light.reshape(-1)
-        levels = None if self._levels is None else self._levels.encode(light)
-        if levels is None:
-            # Those that are there keep their table.
-            self._levels, levels = None, light
-        kept = _Image(self._end, levels.dtype, self._levels, complete)
-        self._images.append(kept)
-        self._checksum.update(f"{levels.dtype.str} {image.shape}".encode())
-        self._checksum.update(levels.data)
-        size = self._end + levels.nbytes
+        numbers, table = image
+        if table is None:
+            numbers = numbers.astype(self._dtype, copy=False)
+        numbers = np.ascontiguousarray(numbers)
+        self._checksum.update(f"{numbers.dtype.str} {numbers.shape}".encode())
+        if table is not None:
+            self._checksum.update(np.ascontiguousarray(table).data)
+        offset, mask, channels = self._end, None, np.shape(used)[2:]
+        self._write(numbers)
+        if not used.all():
+            bits = np.packbits(used)
+            self._checksum.update(f"{channels}".encode())
+            mask = self._end
+            self._write(bits)
+        number = None if table is None else self._number(table)
+        self._images.append(
+            _Image(offset, numbers.dtype, number, mask, *(channels or (1,)))
+        )
+
+    def _write(self, array: np.ndarray) -> None:
+        self._checksum.update(array.data.cast("B"))
+        size = self._end + array.nbytes
         try:
-            self._file.write(levels.data)
+            self._file.write(array.data)
             self._file.flush()
         except OSError as error:
             # What could not be written would be written again before it is closed.
@@ -146,38 +92,73 @@ class Spool:
             ) from error
         self._end = size
 
-    def take(
-        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
-    ) -> Float[np.ndarray, "images n 3"]:
-        """Linear light of some pixels: see [`AbstractStack`][]."""
-        taken = np.empty((len(order), len(pixels), 3), self._dtype)
-        first, last = (pixels[0], pixels[-1] + 1) if len(pixels) else (0, 0)
-        run = last - first == len(pixels)
-        for row, number in enumerate(order):
-            light = self._read(number, int(first), int(last))
-            taken[row] = light if run else light[pixels - first]
-        if all(self._images[number].complete for number in order):
-            return taken
-        hidden = np.isnan(taken)
-        taken[hidden] = 0
-        return np.ma.MaskedArray(taken, hidden)
+    def _number(self, table: np.ndarray) -> int:
+        """Of a table; one that is known already is kept once."""
+        for number, known in enumerate(self._tables):
+            if np.array_equal(known, table):
+                return number
+        self._tables.append(table)
+        return len(self._tables) - 1
 
-    def _read(self, number: int, first: int, last: int) -> Float[np.ndarray, "n 3"]:
-        """Pixels of an image, row by row; NaN where a sample may not be used."""
-        image = self._images[number]
-        numbers = np.empty(3 * (last - first), image.dtype)
+    @property
+    def itemsize(self) -> int:
+        """Bytes of a sample as it is taken."""
+        one = self._images[0] if self._images else None
+        return one.dtype.itemsize if one and self._alike() else self._dtype.itemsize
+
+    def _alike(self) -> bool:
+        """Whether images are taken as numbers: all of one kind, and of small tables."""
+        kinds = {(image.dtype, image.table is None) for image in self._images}
+        bytes_alone = all(image.dtype.itemsize == 1 for image in self._images)
+        return len(kinds) == 1 and (bytes_alone or len(self._tables) == 1)
+
+    def take(self, pixels: Int[np.ndarray, " n"], order: Sequence[int]) -> Coded:
+        """Some pixels: see [`AbstractStack`][]."""
+        alike = self._alike()
+        images = [self._images[number] for number in order]
+        dtype = images[0].dtype if alike and images else self._dtype
+        taken = np.empty((len(order), len(pixels), 3), dtype)
+        first, last = (int(pixels[0]), int(pixels[-1]) + 1) if len(pixels) else (0, 0)
+        run = last - first == len(pixels)
+        hidden = None
+        for row, image in enumerate(images):
+            numbers = self._read(image.offset, image.dtype, 3 * first, 3 * last)
+            numbers = numbers.reshape(-1, 3)
+            numbers = numbers if run else numbers[pixels - first]
+            if not alike and image.table is not None:
+                numbers = self._tables[image.table][numbers]
+            taken[row] = numbers
+            if image.mask is None:
+                continue
+            if hidden is None:
+                hidden = np.zeros(taken.shape, bool)
+            used = self._bits(image.mask, image.channels * first, image.channels * last)
+            used = used.reshape(-1, image.channels)
+            hidden[row] = ~(used if run else used[pixels - first])
+        if hidden is not None and hidden.any():
+            taken = np.ma.MaskedArray(taken, hidden)
+        tables = [
+            self._tables[k] for k in (one.table for one in images) if k is not None
+        ]
+        if not alike or not tables:
+            return Coded(taken)
+        return Coded(taken, tables[0] if len(self._tables) == 1 else np.stack(tables))
+
+    def _read(self, offset: int, dtype: np.dtype, first: int, last: int) -> np.ndarray:
+        """So many numbers of those that stand in a place."""
+        numbers = np.empty(last - first, dtype)
         with self._lock:
-            self._file.seek(image.offset + 3 * first * image.dtype.itemsize)
+            self._file.seek(offset + first * dtype.itemsize)
             self._file.readinto(numbers.data)
-        levels = image.levels
-        return (numbers if levels is None else levels.decode(numbers)).reshape(-1, 3)
+        return numbers
+
+    def _bits(self, offset: int, first: int, last: int) -> np.ndarray:
+        """The same of bits."""
+        start = first // 8
+        found = self._read(offset, np.dtype(np.uint8), start, -(-last // 8))
+        return np.unpackbits(found)[first - 8 * start : last - 8 * start].astype(bool)
 
     @property
     def checksum(self) -> bytes:
         """Of all that the images hold."""
-        found = self._checksum.copy()
-        # All that have levels share one table, and the first is among them.
-        levels = self._images[0].levels if self._images else None
-        if levels is not None:
-            found.update(levels.table.data)
-        return found.digest()
+        return self._checksum.digest()

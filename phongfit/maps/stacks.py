@@ -13,8 +13,9 @@ from jaxtyping import Float, Int
 
 from phongfit.checks import as_array
 from phongfit.edge import checked
+from phongfit.files.coded import Coded
 from phongfit.files.dataset import Photographs
-from phongfit.files.images import from_levels
+from phongfit.files.images import level_table
 from phongfit.files.inputs import naming
 from phongfit.files.photographs import open_photographs
 from phongfit.files.zarrs import (
@@ -57,6 +58,15 @@ class AbstractStack(abc.ABC):
 
         **Raises:** `ValueError` that names the file that is missing or broken.
         """
+
+    def take_coded(self, pixels: Int[np.ndarray, " n"], order: Sequence[int]) -> Coded:
+        """The same as the images have it: with a table if their numbers are whole."""
+        return Coded(self.take(pixels, order))
+
+    @property
+    def itemsize(self) -> int:
+        """Bytes of a sample as the images have it."""
+        return _float_type().itemsize
 
     @abc.abstractmethod
     def identify(self, update: Update) -> None:
@@ -135,32 +145,77 @@ class ArrayStack(AbstractStack):
             _let_go(array)
 
 
-class KeptStack(AbstractStack):
+class AbstractCodedStack(AbstractStack):
+    """Images that are taken as they are, and turned into light for who asks for it."""
+
+    def take(
+        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
+    ) -> Float[np.ndarray, "images n 3"]:
+        return self.take_coded(pixels, order).light
+
+    @abc.abstractmethod
+    def take_coded(
+        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
+    ) -> Coded: ...
+
+
+@final
+class RectangleStack(AbstractCodedStack):
+    """A rectangle of other images, in memory."""
+
+    def __init__(self, images: Coded):
+        """**Arguments:** `images`: (L, H, W, 3)."""
+        self._images = images
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        count, height, width, _ = self._images.numbers.shape
+        return count, height, width
+
+    def take_coded(self, pixels: Int[np.ndarray, " n"], order: Sequence[int]) -> Coded:
+        numbers, table = self._images
+        numbers = numbers.reshape(len(numbers), -1, 3)
+        # What is together stays where it is.
+        run = slice(pixels[0], pixels[-1] + 1) if is_run(pixels) else pixels
+        numbers = numbers[:, run]
+        if list(order) != list(range(len(numbers))):
+            numbers = numbers[list(order)]
+            table = table if table is None or table.ndim == 1 else table[list(order)]
+        return Coded(numbers, table)
+
+    def identify(self, update: Update) -> None:
+        numbers, table = self._images
+        for array in (np.ma.getdata(numbers), np.ma.getmaskarray(numbers), table):
+            if array is not None:
+                update(f"{array.dtype.str} {array.shape}".encode())
+                update(np.ascontiguousarray(array).data.cast("B"))
+
+
+@final
+class KeptStack(AbstractCodedStack):
     """Another stack, of which what was asked for last stays in memory."""
 
     def __init__(self, stack: AbstractStack):
         """**Arguments:** `stack`: of which the same pixels are wanted again."""
         self._stack = stack
         self._asked: tuple[bytes, tuple[int, ...]] | None = None
-        self._taken = np.zeros(0)
+        self._taken = Coded(np.zeros(0))
 
     @property
     def shape(self) -> tuple[int, int, int]:
         return self._stack.shape
 
-    def take(
-        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
-    ) -> Float[np.ndarray, "images n 3"]:
+    def take_coded(self, pixels: Int[np.ndarray, " n"], order: Sequence[int]) -> Coded:
         asked = pixels.tobytes(), tuple(order)
         if asked != self._asked:
-            self._asked, self._taken = asked, self._stack.take(pixels, order)
+            self._asked, self._taken = asked, self._stack.take_coded(pixels, order)
         return self._taken
 
     def identify(self, update: Update) -> None:
         self._stack.identify(update)
 
 
-class AbstractPhotographs(AbstractStack):
+class AbstractPhotographs(AbstractCodedStack):
     """Photographs that are decoded once, two of which are in memory at a time.
 
     They are then read from a temporary file, in the folder that TMPDIR names: what
@@ -169,10 +224,12 @@ class AbstractPhotographs(AbstractStack):
 
     _spool: Spool
 
-    def take(
-        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
-    ) -> Float[np.ndarray, "images n 3"]:
+    def take_coded(self, pixels: Int[np.ndarray, " n"], order: Sequence[int]) -> Coded:
         return self._spool.take(pixels, order)
+
+    @property
+    def itemsize(self) -> int:
+        return self._spool.itemsize
 
     def identify(self, update: Update) -> None:
         update(self._spool.checksum)
@@ -204,10 +261,9 @@ class PhotographStack(AbstractPhotographs):
         self._spool = Spool(_float_type())
         for number, photo in ahead(series.read, len(series)):
             if (shares == 1).all():
-                self._spool.add(photo.image, photo.usable)
+                self._spool.add(photo.coded, photo.usable)
             else:
-                share = photo.image.dtype.type(shares[number])
-                self._spool.add(share * photo.image, photo.unsaturated)
+                self._spool.add(photo.coded.times(shares[number]), photo.unsaturated)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -236,16 +292,16 @@ class DatasetStack(AbstractPhotographs):
         self.photographs = photographs
         self.mask = np.zeros((camera.height, camera.width), bool)
         self._spool = Spool(_float_type())
-        for _, (image, mask) in ahead(photographs.read, len(photographs.names)):
+        for _, (coded, mask) in ahead(photographs.read, len(photographs.names)):
             self.mask |= mask.reshape(*self.mask.shape, -1).any(axis=-1)
-            self._spool.add(image, mask)
+            self._spool.add(coded, mask)
 
     @property
     def shape(self) -> tuple[int, int, int]:
         return len(self.photographs.names), *self.mask.shape
 
 
-class ZarrStack(AbstractStack):
+class ZarrStack(AbstractCodedStack):
     """Images of a zarr array, version 3, on a disk or an object store.
 
     Shape (light, y, x, 3): linear floats where white is 1, or whole numbers of 8 or 16
@@ -287,21 +343,29 @@ class ZarrStack(AbstractStack):
         self, window: Window, size: tuple[int, int]
     ) -> Float[np.ndarray, "images height width 3"]:
         """Linear light of rows and columns of all images, padded to `size` with 0."""
+        return self.read_coded(window, size).light
+
+    def read_coded(self, window: Window, size: tuple[int, int]) -> Coded:
+        """The same as the array has it."""
         numbers = read_window(self.array, window, size, first=1)
         if numbers.dtype.kind == "f":
             light = numbers.astype(_float_type(), copy=False)
             if not np.isfinite(light).all():
                 raise ValueError(f"{place_of(self.array)}: has NaN or infinite pixels")
-            return light
-        return from_levels(numbers, self.encoding)
+            return Coded(light)
+        return Coded(numbers, level_table(numbers.dtype, self.encoding))
 
-    def take(
-        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
-    ) -> Float[np.ndarray, "images n 3"]:
+    def take_coded(self, pixels: Int[np.ndarray, " n"], order: Sequence[int]) -> Coded:
         width = self.array.shape[2]
         first, last = int(pixels[0]) // width, int(pixels[-1]) // width + 1
-        rows = self.read((slice(first, last), slice(0, width)), (last - first, width))
-        return np.stack([gather(rows[k], pixels - first * width) for k in order])
+        window, size = (slice(first, last), slice(0, width)), (last - first, width)
+        rows = RectangleStack(self.read_coded(window, size))
+        return rows.take_coded(pixels - first * width, order)
+
+    @property
+    def itemsize(self) -> int:
+        whole = self.array.dtype.kind != "f"
+        return self.array.dtype.itemsize if whole else _float_type().itemsize
 
     def identify(self, update: Update) -> None:
         update(f"{fingerprint(self.array)} {self.encoding}".encode())
@@ -323,26 +387,24 @@ def identify_stack(stack: AbstractStack) -> str:
 
 def read_rectangle(
     stack: AbstractStack, window: Window, size: tuple[int, int]
-) -> Float[np.ndarray, "images height width 3"]:
-    """Linear light of rows and columns of all images, padded to `size` with 0.
-
-    NumPy's masked array if samples may not be used.
-    """
+) -> Coded:
+    """Rows and columns of all images, padded to `size` with 0: (L, H, W, 3)."""
     if isinstance(stack, ZarrStack):
-        return stack.read(window, size)
+        return stack.read_coded(window, size)
     rows, columns = (range(side.start, side.stop) for side in window)
     count, _, width = stack.shape
     pixels = np.add.outer(width * np.array(rows), np.array(columns))
-    taken = stack.take(pixels.ravel(), range(count))
-    taken = taken.reshape(count, *pixels.shape, 3)
+    numbers, table = stack.take_coded(pixels.ravel(), range(count))
+    numbers = numbers.reshape(count, *pixels.shape, 3)
     if pixels.shape == size:
-        return taken
+        return Coded(numbers, table)
     down, along = np.subtract(size, pixels.shape).tolist()
     around = (0, 0), (0, down), (0, along), (0, 0)
-    light = np.pad(np.ma.getdata(taken), around)
-    if not np.ma.is_masked(taken):
-        return light
-    return np.ma.MaskedArray(light, np.pad(np.ma.getmaskarray(taken), around))
+    padded = np.pad(np.ma.getdata(numbers), around)
+    if np.ma.is_masked(numbers):
+        mask = np.pad(np.ma.getmaskarray(numbers), around)
+        padded = np.ma.MaskedArray(padded, mask)
+    return Coded(padded, table)
 
 
 def gather(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:

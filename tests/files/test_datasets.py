@@ -236,9 +236,9 @@ def test_photographs_are_read_when_they_are_wanted(layout, request):
     folder = request.getfixturevalue(layout)
     data, loaded = open_dataset(folder), read_dataset(folder)
     (folder / "002.png").unlink()
-    image, mask = data.read(0)
-    assert np.array_equal(image, loaded.images[0])
-    assert np.array_equal(mask, loaded.masks[0])
+    photograph = data.read(0)
+    assert np.array_equal(photograph.image, loaded.images[0])
+    assert np.array_equal(photograph.mask, loaded.masks[0])
     for read in (lambda: data.read(1), data.load):
         with pytest.raises(ValueError, match=r"002\.png: cannot be read"):
             read()

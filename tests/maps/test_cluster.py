@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.files.coded import Coded
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import from_levels
 from phongfit.files.zarrs import erase
@@ -167,7 +168,7 @@ def test_photographs_that_this_process_reads(maps, tmp_path, counted):
     hidden[:, 40:] = True
 
     def read(number: int) -> Photograph:
-        return Photograph(STACK.images[number], ~(hidden & (number == 2)))
+        return Photograph(Coded(STACK.images[number]), ~(hidden & (number == 2)))
 
     names = tuple("abcd")
     stack = pf.DatasetStack(
@@ -186,18 +187,19 @@ def test_photographs_that_this_process_reads(maps, tmp_path, counted):
 
 
 def test_blocks_are_as_shards_and_chunks_are(tmp_path):
-    def block(shape, **layout):
+    def block(shape, dtype="uint8", **layout):
         path = tmp_path / f"{len(list(tmp_path.iterdir()))}.zarr"
-        zarr.create_array(path, shape=shape, dtype="uint8", **layout)
+        zarr.create_array(path, shape=shape, dtype=dtype, **layout)
         return block_size(pf.ZarrStack(path), None)
 
-    # 24 images: 233 016 pixels make 64 MB.
-    assert block((24, 9000, 9000, 3), chunks=(1, 512, 512, 3)) == (256, 512)
-    assert block((24, 9000, 9000, 3), chunks=(1, 256, 256, 3)) == (256, 512)
-    shards = {"shards": (24, 384, 384, 3), "chunks": (1, 64, 64, 3)}
-    assert block((24, 9000, 9000, 3), **shards) == (384, 384)
-    assert block((24, 100, 130, 3), chunks=(1, 64, 64, 3)) == (100, 130)
-    assert block((1000, 9000, 9000, 3), chunks=(1, 4096, 4096, 3)) == (1, 4096)
+    # 96 images of 8 bits: 233 016 pixels make 64 MB.
+    assert block((96, 9000, 9000, 3), chunks=(1, 512, 512, 3)) == (256, 512)
+    assert block((48, 9000, 9000, 3), "uint16", chunks=(1, 512, 512, 3)) == (256, 512)
+    assert block((96, 9000, 9000, 3), chunks=(1, 256, 256, 3)) == (256, 512)
+    shards = {"shards": (96, 384, 384, 3), "chunks": (1, 64, 64, 3)}
+    assert block((96, 9000, 9000, 3), **shards) == (384, 384)
+    assert block((96, 100, 130, 3), chunks=(1, 64, 64, 3)) == (100, 130)
+    assert block((4000, 9000, 9000, 3), chunks=(1, 4096, 4096, 3)) == (1, 4096)
 
 
 def test_what_is_wrong_is_named(images, tmp_path, monkeypatch):

@@ -6,11 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phongfit.files.images import from_levels
-from phongfit.maps.spool import Levels, Spool
+from phongfit.files.coded import Coded
+from phongfit.files.images import level_table
+from phongfit.maps.spool import Spool
 from tests.maps.synthetic import DTYPE
 
 SHAPE = 40, 60, 3
+SIZE = SHAPE[0] * SHAPE[1]
 
 
 @pytest.fixture
@@ -18,50 +20,84 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(3)
 
 
-def photograph(rng, dtype: Any = np.uint8, encoding: Any = "srgb") -> np.ndarray:
-    highest = np.iinfo(dtype).max
-    return from_levels(rng.integers(0, highest, SHAPE, dtype, True), encoding)
+def photograph(rng, dtype: Any = np.uint8, encoding: Any = "srgb") -> Coded:
+    numbers = rng.integers(0, np.iinfo(dtype).max, SHAPE, dtype, True)
+    return Coded(numbers, level_table(dtype, encoding))
 
 
-def everything(spool: Spool, count: int) -> np.ma.MaskedArray:
-    return np.ma.asarray(spool.take(np.arange(SHAPE[0] * SHAPE[1]), range(count)))
-
-
-@pytest.mark.parametrize("encoding", ["srgb", "linear"])
-@pytest.mark.parametrize("strength", [1.0, 0.317, 3.7])
-def test_light_of_8_bits_takes_a_byte_a_sample(rng, encoding, strength):
-    light = photograph(rng, encoding=encoding) * DTYPE.type(strength)
-    levels = Levels(DTYPE)
-    found = levels.encode(light.ravel())
-    assert found is not None and found.dtype == np.uint8 and len(levels.table) == 256
-    assert np.array_equal(levels.decode(found), light.ravel())
-
-
-def test_images_of_all_kinds_come_back_bit_for_bit(rng):
-    """8 bits, each of other values, then 16, then 8 again, and samples left out."""
-    images = [photograph(rng) / DTYPE.type(1 + k) for k in range(3)]
-    images += [photograph(rng, np.uint16), photograph(rng)]
-    masks = [rng.random(SHAPE[:2]) < 0.7, *(rng.random(SHAPE) < 0.7 for _ in range(4))]
+def spool_of(images: list[Coded], masks: list[np.ndarray]) -> Spool:
     spool = Spool(DTYPE)
     for image, mask in zip(images, masks, strict=True):
         spool.add(image, mask)
-    found = everything(spool, 5)
-    for light, image, mask in zip(found, images, masks, strict=True):
-        used = np.broadcast_to(mask.reshape(*SHAPE[:2], -1), SHAPE).reshape(-1, 3)
-        assert np.array_equal(np.ma.getmaskarray(light), ~used)
-        assert np.array_equal(light.data[used], image.reshape(-1, 3)[used])
-    some = np.array([3, 40, 41, 2000])
-    part = spool.take(some, [4, 0])
-    expected = found[[4, 0]][:, some]
-    assert np.ma.getmaskarray(part).any() and not np.ma.getmaskarray(part).all()
-    assert np.array_equal(np.ma.getmaskarray(part), np.ma.getmaskarray(expected))
-    assert np.array_equal(np.ma.filled(part, 0), np.ma.filled(expected, 0))
+    return spool
+
+
+def check(spool: Spool, images: list[Coded], masks: list[np.ndarray]) -> None:
+    """All of it, and some pixels of some images."""
+    count = len(images)
+    every = np.arange(SIZE)
+    for order in (list(range(count)), list(range(count))[::-2]):
+        for pixels in (every, every[417:903], np.array([3, 40, 41, 2000])):
+            light = np.ma.asarray(spool.take(pixels, order).light)
+            for row, k in zip(light, order, strict=True):
+                used = np.broadcast_to(masks[k].reshape(*SHAPE[:2], -1), SHAPE)
+                used = used.reshape(-1, 3)[pixels]
+                image = images[k].light.reshape(-1, 3)[pixels]
+                assert np.array_equal(np.ma.getmaskarray(row), ~used)
+                assert np.array_equal(np.ma.getdata(row)[used], image[used])
+
+
+def masks_of(rng, count: int) -> list[np.ndarray]:
+    """Of pixels, of channels, and none."""
+    kinds = (
+        rng.random(SHAPE[:2]) < 0.7,
+        rng.random(SHAPE) < 0.7,
+        np.ones(SHAPE[:2], bool),
+    )
+    return [kinds[k % 3] for k in range(count)]
+
+
+@pytest.mark.parametrize("encoding", ["srgb", "linear"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_whole_numbers_stay_whole(rng, encoding, dtype):
+    images, masks = (
+        [photograph(rng, dtype, encoding) for _ in range(3)],
+        masks_of(rng, 3),
+    )
+    spool = spool_of(images, masks)
+    taken = spool.take(np.arange(9), [0, 2])
+    assert taken.numbers.dtype == dtype and spool.itemsize == np.dtype(dtype).itemsize
+    assert np.shape(taken.table) == (2 ** (8 * spool.itemsize),)
+    check(spool, images, masks)
+
+
+def test_each_of_its_own_exposure(rng):
+    """A byte a sample, and a table for each; of 16 bits tables would be the larger."""
+    shares = 1.0, 0.317, 3.7, 1.0
+    images, masks = [photograph(rng).times(share) for share in shares], masks_of(rng, 4)
+    spool = spool_of(images, masks)
+    taken = spool.take(np.arange(9), [1, 3])
+    assert taken.numbers.dtype == np.uint8 and np.shape(taken.table) == (2, 256)
+    check(spool, images, masks)
+    images = [photograph(rng, np.uint16).times(share) for share in shares]
+    spool = spool_of(images, masks)
+    assert spool.take(np.arange(9), [1, 3]).table is None
+    check(spool, images, masks)
+
+
+def test_images_of_all_kinds_come_back_bit_for_bit(rng):
+    """8 bits, 16, light itself, then 8 again, and samples left out."""
+    images = [photograph(rng), photograph(rng, np.uint16)]
+    images += [Coded(rng.random(SHAPE).astype(DTYPE)), photograph(rng).times(0.5)]
+    masks = masks_of(rng, 4)
+    spool = spool_of(images, masks)
+    assert spool.itemsize == DTYPE.itemsize
+    check(spool, images, masks)
 
 
 def test_nothing_is_masked_where_all_may_be_used(rng):
-    spool = Spool(DTYPE)
-    spool.add(photograph(rng), np.ones(SHAPE[:2], bool))
-    assert not isinstance(spool.take(np.arange(9), [0]), np.ma.MaskedArray)
+    spool = spool_of([photograph(rng)], [np.ones(SHAPE[:2], bool)])
+    assert not isinstance(spool.take(np.arange(9), [0]).numbers, np.ma.MaskedArray)
 
 
 def test_the_checksum_tells_images_and_masks_apart(rng):
@@ -69,20 +105,19 @@ def test_the_checksum_tells_images_and_masks_apart(rng):
     but_one = all_of_it.copy()
     but_one[3, 5] = False
 
-    def checksum(image: np.ndarray, mask: np.ndarray) -> bytes:
-        spool = Spool(DTYPE)
-        spool.add(image, mask)
-        return spool.checksum
+    def checksum(image: Coded, mask: np.ndarray) -> bytes:
+        return spool_of([image], [mask]).checksum
 
     first = checksum(image, all_of_it)
-    assert checksum(image.copy(), all_of_it) == first
+    assert checksum(Coded(image.numbers.copy(), image.table), all_of_it) == first
     others = [
         checksum(image, but_one),
-        checksum(image[::-1], all_of_it),
-        # The same levels of another table.
-        checksum(image * DTYPE.type(0.5), all_of_it),
+        checksum(Coded(image.numbers[::-1], image.table), all_of_it),
+        # The same numbers of another table.
+        checksum(image.times(0.5), all_of_it),
+        checksum(Coded(image.light), all_of_it),
     ]
-    assert len({first, *others}) == 4
+    assert len({first, *others}) == 5
 
 
 def test_a_full_disk_says_what_to_do(rng, monkeypatch):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.files.coded import Coded
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.maps.stacks import ArrayStack
 from tests.helpers import floats
@@ -53,7 +54,7 @@ def test_two_photographs_are_in_memory():
 
     def read(number: int) -> Photograph:
         image = np.full((size, size, 3), number / count, DTYPE)
-        return Photograph(image, np.ones((size, size), bool))
+        return Photograph(Coded(image), np.ones((size, size), bool))
 
     names = tuple(str(number) for number in range(count))
     data = Photographs("made", (scene,) * count, names, pf.Film(), read)

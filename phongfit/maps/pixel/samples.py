@@ -10,27 +10,32 @@ from jaxtyping import Array, Float, Int, Shaped
 from phongfit.maps.pixel.lamps import Lamps, make_lamps
 from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.small import optimization_barrier
 
 
 class Tile(NamedTuple):
     """Geometry and measured light of pixels; of padding nothing is used.
 
-    - `target`: (images, pixels, 3), in the order of the lighting's rows.
+    - `target`: (images, pixels, 3), in the order of the lighting's rows: light, or
+        whole numbers that stand for it.
     - `used`: the same or (1, pixels, 3) or (1, pixels, 1): which samples count, or how
         much: 1, or the inverse of the sample's noise; 0 where it is left out.
     - `normal`: (pixels, 3).
     - `position`, `to_viewer`: (pixels, 3), or (1, 3) where they are the same for all.
     - `visibility`: (images, lobes, pixels), or `None` without shadows.
+    - `table`: (levels,) or (images, levels), the light of each whole number; `None`
+        where the target is light.
 
     As it is read, `target` and `used` lack the padding: see [`filled`][].
     """
 
-    target: Float[Any, "images pixels 3"]
+    target: Shaped[Any, "images pixels 3"]
     used: Shaped[Any, "some_images pixels some_channels"]
     normal: Float[Any, "pixels 3"]
     position: Float[Any, "some_pixels 3"]
     to_viewer: Float[Any, "some_pixels 3"]
     visibility: Any = None
+    table: Any = None
 
     def parts(self, size: int) -> "list[Tile]":
         """The tile in parts of `size` pixels, without copies."""
@@ -46,6 +51,7 @@ class Tile(NamedTuple):
                 rows(self.position, part),
                 rows(self.to_viewer, part),
                 None if self.visibility is None else self.visibility[..., part],
+                self.table,
             )
             for start in range(0, len(self.normal), size)
             for part in [slice(start, start + size)]
@@ -72,6 +78,7 @@ class Tile(NamedTuple):
             unless_one(self.position),
             unless_one(self.to_viewer),
             None if self.visibility is None else take(self.visibility, 2),
+            self.table,
         )
 
 
@@ -93,15 +100,13 @@ def measured(
     tile: Tile, lighting: Lighting, settings: MapSettings
 ) -> tuple[Samples, Float[Array, "images channels pixels"]]:
     """What pixels measure, and 1 for those of their samples that are no numbers."""
-    target = pixels_last(tile.target)
+    target = _light(pixels_last(tile.target), tile.table)
     finite = jnp.isfinite(target)
     if settings.exactly:
         sound = finite & (target != settings.cutoff)
     else:
         sound = finite & (target < settings.cutoff)
-    given = jnp.broadcast_to(
-        pixels_last(tile.used.astype(tile.target.dtype)), target.shape
-    )
+    given = jnp.broadcast_to(pixels_last(tile.used.astype(target.dtype)), target.shape)
     share = jnp.where(sound, given, 0)
     lamps = make_lamps(lighting, tile.position, tile.to_viewer, tile.visibility)
     light = jnp.where(share > 0, target - lamps.veil, 0)
@@ -110,6 +115,20 @@ def measured(
     return Samples(light, share, lamps), lost
 
 
-def pixels_last(values: Float[Array, "*images pixels channels"]) -> Array:
+def _light(
+    target: Array, table: Array | None
+) -> Float[Array, "images channels pixels"]:
+    """What whole numbers stand for."""
+    if table is None:
+        return target
+    if table.ndim == 2:
+        # A row of the table for each image.
+        target = target + table.shape[1] * jnp.arange(len(table))[:, None, None]
+    light = table.reshape(-1).at[target].get(mode="promise_in_bounds")
+    # Else it is looked up again by all that want it.
+    return optimization_barrier(light)
+
+
+def pixels_last(values: Shaped[Array, "*images pixels channels"]) -> Array:
     """(…, channels, pixels), in that order in memory."""
     return jnp.stack([values[..., k] for k in range(values.shape[-1])], axis=-2)

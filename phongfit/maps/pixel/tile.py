@@ -152,6 +152,7 @@ def compiled(settings: MapSettings, mesh: Mesh, fit: Callable[..., Any] = fit_ti
             unless_one(tile.position),
             unless_one(tile.to_viewer),
             None if tile.visibility is None else PartitionSpec(None, None, axis),
+            None if tile.table is None else PartitionSpec(),
         )
 
     @functools.partial(jax.jit, compiler_options=SETTLED)

@@ -175,9 +175,10 @@ def _sphere(folder: Path) -> None:
         photos = folder / "photos"
         found = open_captured(photos, sphere=BALL, mask=photos / "mask.png")
         for number in range(len(found.scenes)):
-            image, mask = found.read(number)
-            _check_image(image)
-            if mask.shape[:2] != image.shape[:2]:
+            photograph = found.read(number)
+            _check_image(photograph.image)
+            mask = photograph.mask
+            if mask.shape[:2] != photograph.image.shape[:2]:
                 raise Wrong(f"a mask of shape {mask.shape}")
 
 

@@ -1,0 +1,51 @@
+"""Light as files have it: whole numbers, and a table of what each of them stands for.
+
+An image of 8 bits takes a quarter of the memory that its light takes, and is turned
+into light where that is needed, a few samples at a time.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+PIECE = 2**20
+"""Samples that are looked up at a time: NumPy copies their numbers, 8 bytes each."""
+
+
+class Coded(NamedTuple):
+    """Linear light, or numbers that stand for it.
+
+    - `numbers`: light itself, or whole numbers from 0 on; NumPy's masked array where
+        some may not be used.
+    - `table`: the light of each whole number; a row for each of the first axis of
+        `numbers` where it differs among them. `None` where they are light.
+    """
+
+    numbers: Shaped[np.ndarray, "..."]
+    table: Float[np.ndarray, "*images levels"] | None = None
+
+    @property
+    def light(self) -> Float[np.ndarray, "..."]:
+        """All of it as light; NumPy's masked array where some may not be used."""
+        if self.table is None:
+            return self.numbers
+        numbers = np.ma.getdata(self.numbers)
+        light = np.empty(numbers.shape, self.table.dtype)
+        rows = max(PIECE // max(numbers[:1].size, 1), 1)
+        for start in range(0, len(numbers), rows):
+            some = slice(start, start + rows)
+            if self.table.ndim == 1:
+                light[some] = self.table[numbers[some]]
+                continue
+            for image in range(len(numbers))[some]:
+                light[image] = self.table[image][numbers[image]]
+        if not np.ma.is_masked(self.numbers):
+            return light
+        return np.ma.MaskedArray(light, np.ma.getmaskarray(self.numbers))
+
+    def times(self, share: float) -> "Coded":
+        """So many times the light."""
+        if self.table is None:
+            return Coded(self.numbers * self.numbers.dtype.type(share))
+        return Coded(self.numbers, self.table * self.table.dtype.type(share))
