@@ -162,7 +162,8 @@ def _read_photographs(options: DataOptions) -> _Input:
     stack, record = stack_data(options)
     photographs = stack.photographs
     tell(photographs.notes)
-    more = {"mask": stack.mask, "film": photographs.films()}
+    mask = None if stack.mask.all() else stack.mask
+    more = {"mask": mask, "film": photographs.films()}
     return _Input(photographs.scenes, stack, photographs.film, more, record)
 
 

@@ -34,6 +34,9 @@ from phongfit.rendering.film import Encoding, as_encoding
 
 Update = Callable[[bytes | memoryview], None]
 
+DECODED = 2
+"""Photographs that are decoded at a time, while another is put away."""
+
 
 class AbstractStack(abc.ABC):
     """Images of one size, asked for some of their pixels at a time."""
@@ -216,7 +219,7 @@ class KeptStack(AbstractCodedStack):
 
 
 class AbstractPhotographs(AbstractCodedStack):
-    """Photographs that are decoded once, two of which are in memory at a time.
+    """Photographs that are decoded once, a few of which are in memory at a time.
 
     They are then read from a temporary file, in the folder that TMPDIR names: what
     becomes of their own files meanwhile does not matter.
@@ -259,7 +262,7 @@ class PhotographStack(AbstractPhotographs):
         self.notes = series.notes
         self._shape = len(series), *series.size
         self._spool = Spool(_float_type())
-        for number, photo in ahead(series.read, len(series)):
+        for number, photo in ahead(series.read, len(series), DECODED):
             if (shares == 1).all():
                 self._spool.add(photo.coded, photo.usable)
             else:
@@ -292,8 +295,9 @@ class DatasetStack(AbstractPhotographs):
         self.photographs = photographs
         self.mask = np.zeros((camera.height, camera.width), bool)
         self._spool = Spool(_float_type())
-        for _, (coded, mask) in ahead(photographs.read, len(photographs.names)):
-            self.mask |= mask.reshape(*self.mask.shape, -1).any(axis=-1)
+        count = len(photographs.names)
+        for _, (coded, mask) in ahead(photographs.read, count, DECODED):
+            self.mask |= mask if mask.ndim == 2 else mask.any(axis=-1)
             self._spool.add(coded, mask)
 
     @property

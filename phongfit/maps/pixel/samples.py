@@ -101,7 +101,8 @@ def measured(
 ) -> tuple[Samples, Float[Array, "images channels pixels"]]:
     """What pixels measure, and 1 for those of their samples that are no numbers."""
     target = _light(pixels_last(tile.target), tile.table)
-    finite = jnp.isfinite(target)
+    # A table has finite numbers alone.
+    finite = jnp.isfinite(target) if tile.table is None else jnp.array(True)
     if settings.exactly:
         sound = finite & (target != settings.cutoff)
     else:
