@@ -14,8 +14,10 @@ import pytest
 from PIL import Image
 
 from phongfit import Film, JpegCompression
+from phongfit.files.coded import Coded
 from phongfit.files.images import (
     from_levels,
+    level_table,
     read_film,
     read_image,
     read_mask,
@@ -68,6 +70,24 @@ def test_every_level_survives(encoding, dtype, bits):
     levels = np.arange(2**bits).astype(dtype)
     light = from_levels(levels, encoding)
     assert np.array_equal(to_levels(light, encoding, bits), levels)
+
+
+def test_light_that_is_looked_up_later():
+    """One table for all images, or one for each; what is masked stays so."""
+    rng = np.random.default_rng(0)
+    numbers = rng.integers(0, 256, (2, 5, 7, 3), np.uint8)
+    one = level_table(np.uint8, "srgb")
+    light = Coded(numbers, one).light
+    assert np.array_equal(light, from_levels(numbers, "srgb"))
+    assert np.array_equal(Coded(light).light, light)
+    half = Coded(numbers[1], one).times(0.5)
+    assert np.array_equal(half.light, light[1] * light.dtype.type(0.5))
+    assert np.array_equal(Coded(light[1]).times(0.5).light, half.light)
+    hidden = rng.random(numbers.shape) < 0.5
+    assert half.table is not None
+    both = Coded(np.ma.MaskedArray(numbers, hidden), np.stack([one, half.table])).light
+    assert np.array_equal(np.ma.getmaskarray(both), hidden)
+    assert np.array_equal(np.ma.getdata(both), np.stack([light[0], half.light]))
 
 
 def test_film_and_file_agree(picture):

@@ -196,7 +196,7 @@ def test_blocks_are_as_shards_and_chunks_are(tmp_path):
     assert block((96, 9000, 9000, 3), chunks=(1, 512, 512, 3)) == (256, 512)
     assert block((48, 9000, 9000, 3), "uint16", chunks=(1, 512, 512, 3)) == (256, 512)
     assert block((96, 9000, 9000, 3), chunks=(1, 256, 256, 3)) == (256, 512)
-    shards = {"shards": (96, 384, 384, 3), "chunks": (1, 64, 64, 3)}
+    shards: Any = {"shards": (96, 384, 384, 3), "chunks": (1, 64, 64, 3)}
     assert block((96, 9000, 9000, 3), **shards) == (384, 384)
     assert block((96, 100, 130, 3), chunks=(1, 64, 64, 3)) == (100, 130)
     assert block((4000, 9000, 9000, 3), chunks=(1, 4096, 4096, 3)) == (1, 4096)

@@ -10,7 +10,8 @@ import pytest
 import phongfit as pf
 from phongfit.files.coded import Coded
 from phongfit.files.dataset import Photograph, Photographs
-from phongfit.maps.stacks import ArrayStack
+from phongfit.maps.ahead import ahead
+from phongfit.maps.stacks import ArrayStack, RectangleStack
 from tests.helpers import floats
 from tests.maps.synthetic import DTYPE, Stack, make_stack, same, write_diligent
 
@@ -115,6 +116,52 @@ def test_an_array_gives_the_same_whether_it_is_copied_or_not(order, pixels):
     run = len(pixels) > 3 and len(order) == 4 and order[1] == 1
     taken = ArrayStack(whole).take(pixels, order)
     assert np.shares_memory(taken, whole) == run
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2, 3), (2, 0)])
+@pytest.mark.parametrize("pixels", [range(7, 21), (3, 4, 9)])
+def test_a_rectangle_keeps_whole_numbers(order, pixels):
+    """With the table that belongs to each image, and what may not be used."""
+    rng = np.random.default_rng(0)
+    numbers = rng.integers(0, 256, (4, 5, 6, 3), np.uint8)
+    masked = np.ma.MaskedArray(numbers, rng.random(numbers.shape) < 0.5)
+    tables = np.asarray(floats(rng.random((4, 256))))
+    pixels, rows = np.array(pixels), np.array(order)[:, None]
+    for table in (tables, tables[0]):
+        images = Coded(masked, table)
+        taken = RectangleStack(images).take_coded(pixels, order)
+        assert taken.numbers.dtype == np.uint8
+        expected = images.light.reshape(4, 30, 3)[rows, pixels]
+        assert np.array_equal(np.ma.getdata(taken.light), np.ma.getdata(expected))
+        hidden = np.ma.getmaskarray(taken.numbers)
+        assert np.array_equal(hidden, np.ma.getmaskarray(expected))
+    checksums = set()
+    for one in (images, Coded(numbers, table), Coded(masked, table + 1)):
+        parts: list[bytes] = []
+        RectangleStack(one).identify(lambda part, to=parts: to.append(bytes(part)))
+        checksums.add(b"".join(parts))
+    assert len(checksums) == 3
+
+
+def test_reading_ahead_is_in_order_and_ends_with_an_error():
+    begun = []
+
+    def read(number: int) -> int:
+        begun.append(number)
+        if number == 5:
+            raise ValueError("5: is broken")
+        return number**2
+
+    for beside in (1, 3):
+        begun.clear()
+        found = []
+        with pytest.raises(ValueError, match="5: is broken"):
+            for number, here in ahead(read, 40, beside):
+                assert here == number**2 and max(begun) <= number + beside
+                found.append(number)
+        assert found == [0, 1, 2, 3, 4] and len(begun) <= 5 + beside
+    assert list(ahead(read, 0)) == []
+    assert list(ahead(read, 2, 3)) == [(0, 0), (1, 1)]
 
 
 def test_pages_of_a_file_are_let_go_whatever_an_array_is_called(tmp_path):

@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 import phongfit as pf
-from phongfit.files.images import write_image
+from phongfit.files.images import to_levels, write_image
 from phongfit.maps.stacks import ArrayStack
 from tests.files.test_photographs import exif
 from tests.maps.synthetic import make_stack, same
@@ -54,6 +54,7 @@ def test_photographs_one_at_a_time(tmp_path):
         for images in (stack, read)
     )
     same(found, expected)
+    assert stack.itemsize == 2
     with pytest.raises(ValueError, match="gone.png"):
         pf.PhotographStack([tmp_path / "gone.png"], "linear")
 
@@ -79,6 +80,25 @@ def test_exposures_that_differ_come_to_the_light_of_the_shortest(tmp_path):
     Image.fromarray(levels).save(paths[-1])
     with pytest.raises(ValueError, match="3.png: expected an exposure time"):
         pf.PhotographStack(paths, "linear")
+
+
+def test_each_exposure_has_a_table_of_its_own(tmp_path):
+    """Samples of 8 bits are fitted as their light is, to the last bit."""
+    paths = [tmp_path / f"{k}.png" for k in range(4)]
+    for k, (path, image) in enumerate(zip(paths, STACK.images, strict=True)):
+        levels = to_levels(image / 2 * (1 + k % 2), "srgb", 8)
+        Image.fromarray(levels).save(path, exif=exif(time=0.5 * (1 + k % 2)))
+    stack = pf.PhotographStack(paths, "srgb")
+    light = stack.take(np.arange(48 * 64), range(4)).reshape(4, 48, 64, 3)
+    coded = stack.take_coded(np.arange(5), [3, 0])
+    assert coded.table is not None
+    assert coded.numbers.dtype == np.uint8 and coded.table.shape == (2, 256)
+    found, expected = (
+        pf.fit_maps(STACK.scenes, images, tile_pixels=SIZE, **QUICK)
+        for images in (stack, light)
+    )
+    same(found, expected)
+    assert found.identified.any()
 
 
 def test_a_stack_that_breaks_and_finished_tiles_stay(tmp_path):

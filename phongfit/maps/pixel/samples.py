@@ -124,7 +124,8 @@ def _light(
         return target
     if table.ndim == 2:
         # A row of the table for each image.
-        target = target + table.shape[1] * jnp.arange(len(table))[:, None, None]
+        first = table.shape[1] * jnp.arange(len(table), dtype=jnp.int32)
+        target = target.astype(jnp.int32) + first[:, None, None]
     light = table.reshape(-1).at[target].get(mode="promise_in_bounds")
     # Else it is looked up again by all that want it.
     return optimization_barrier(light)
