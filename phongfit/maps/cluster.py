@@ -88,7 +88,7 @@ def fit_stored_maps(
     - `client`: of a Dask cluster; default the one that is current, or else this process
         does the work. Workers want one thread each: see the guide.
     - `block`: rows and columns of a block. Default: as the images' shards or chunks
-        have them, as many together as 64 MB of light hold.
+        have them, as many together as 64 MB of their numbers hold.
     - `progress`: show a bar on a terminal, elsewhere a line now and then.
     - `options`: those of [`fit_maps`][]: `unknowns`, `per_channel`, `known`, `bounds`,
         `mask`, `noise`, `film`, `loss`, `normals`, `start` and `min_cosine`.
