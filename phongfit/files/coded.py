@@ -27,7 +27,7 @@ class Coded(NamedTuple):
 
     @property
     def light(self) -> Float[np.ndarray, "..."]:
-        """All of it as light; NumPy's masked array where some may not be used."""
+        """All of it as light; NumPy's masked array, and 0, where it may not be used."""
         if self.table is None:
             return self.numbers
         numbers = np.ma.getdata(self.numbers)
@@ -42,7 +42,9 @@ class Coded(NamedTuple):
                 light[image] = self.table[image][numbers[image]]
         if not np.ma.is_masked(self.numbers):
             return light
-        return np.ma.MaskedArray(light, np.ma.getmaskarray(self.numbers))
+        hidden = np.ma.getmaskarray(self.numbers)
+        light[hidden] = 0
+        return np.ma.MaskedArray(light, hidden)
 
     def times(self, share: float) -> "Coded":
         """So many times the light."""

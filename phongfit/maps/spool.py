@@ -136,6 +136,7 @@ class Spool:
             used = used.reshape(-1, image.channels)
             hidden[row] = ~(used if run else used[pixels - first])
         if hidden is not None and hidden.any():
+            taken[hidden] = 0
             taken = np.ma.MaskedArray(taken, hidden)
         tables = [
             self._tables[k] for k in (one.table for one in images) if k is not None
