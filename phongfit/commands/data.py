@@ -245,7 +245,8 @@ def _read_single(options: DataOptions) -> Photographs:
             f"encoding: expected --encoding linear or srgb, since {options.scene} does "
             "not say it"
         )
-    image, usable, _ = read_light(path, encoding)
+    light = read_light(path, encoding)
+    image = light.image
     mask = np.ones(image.shape[:2], bool)
     if options.mask is not None:
         mask = read_mask(options.mask)
@@ -263,7 +264,7 @@ def _read_single(options: DataOptions) -> Photographs:
             # No one else's numbers tell that a curve has rounded them.
             curved = isinstance(encoding, ResponseCurve)
             film = read_film(path, encoding) if curved else find_film([image])
-    photograph = Photograph(Coded(image), mask & usable)
+    photograph = Photograph(Coded(image), mask & light.usable)
     return Photographs(path.stem, (scene,), (path.name,), film, lambda _: photograph)
 
 

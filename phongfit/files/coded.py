@@ -32,14 +32,14 @@ class Coded(NamedTuple):
             return self.numbers
         numbers = np.ma.getdata(self.numbers)
         light = np.empty(numbers.shape, self.table.dtype)
-        rows = max(PIECE // max(numbers[:1].size, 1), 1)
-        for start in range(0, len(numbers), rows):
-            some = slice(start, start + rows)
-            if self.table.ndim == 1:
+        if self.table.ndim == 2:
+            for k, (image, table) in enumerate(zip(numbers, self.table, strict=True)):
+                light[k] = Coded(image, table).light
+        else:
+            rows = max(PIECE // max(numbers[:1].size, 1), 1)
+            for start in range(0, len(numbers), rows):
+                some = slice(start, start + rows)
                 light[some] = self.table[numbers[some]]
-                continue
-            for image in range(len(numbers))[some]:
-                light[image] = self.table[image][numbers[image]]
         if not np.ma.is_masked(self.numbers):
             return light
         hidden = np.ma.getmaskarray(self.numbers)

@@ -87,8 +87,8 @@ def read_image(
     whose profile mixes channels, so that the others are wrong: [`read_photograph`][]
     has a mask of such pixels.
     """
-    image, usable, _ = read_light(path, encoding, max_pixels=max_pixels)
-    lost = np.count_nonzero(~usable)
+    light = read_light(path, encoding, max_pixels=max_pixels)
+    lost = np.count_nonzero(~light.usable)
     if lost:
         warn(
             "saturated",
@@ -96,24 +96,21 @@ def read_image(
             "colours become those of sRGB",
             stacklevel=2,
         )
-    return image
+    return light.image
 
 
 class Light(NamedTuple):
-    """Linear light of an image, where all of its channels can be believed, and whether
-    the file's format ends at white."""
-
-    image: Float[np.ndarray, "height width 3"]
-    usable: Bool[np.ndarray, "height width"]
-    clamped: bool
-
-
-class CodedLight(NamedTuple):
-    """The same, its light as the file has it where a table tells what that is."""
+    """Linear light of an image, as its file has it, where all of its channels can be
+    believed, and whether the file's format ends at white."""
 
     coded: Coded
     usable: Bool[np.ndarray, "height width"]
     clamped: bool
+
+    @property
+    def image(self) -> Float[np.ndarray, "height width 3"]:
+        """The light."""
+        return self.coded.light
 
 
 def read_light(
@@ -126,17 +123,6 @@ def read_light(
 
     The mask is false where a saturated channel was mixed into others.
     """
-    coded, usable, clamped = read_coded(path, encoding, max_pixels=max_pixels)
-    return Light(coded.light, usable, clamped)
-
-
-def read_coded(
-    path: str | os.PathLike[str],
-    encoding: Encoding,
-    *,
-    max_pixels: int | None = None,
-) -> CodedLight:
-    """As [`read_light`][], for those who want light of a few samples at a time."""
     path = Path(path)
     encoding = as_encoding(encoding)
     read = _read_numbers(path, max_pixels)
@@ -158,7 +144,7 @@ def read_coded(
     grey = numbers.shape[-1] == 1
     numbers = np.repeat(numbers, 3, axis=-1) if grey else np.ascontiguousarray(numbers)
     clamped = values.dtype.kind != "f"
-    return CodedLight(Coded(numbers, coded.table), usable, clamped)
+    return Light(Coded(numbers, coded.table), usable, clamped)
 
 
 def _coded(values: np.ndarray, encoding: Encoding, profile: Profile | None) -> Coded:

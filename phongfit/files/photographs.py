@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from phongfit.files.coded import Coded
-from phongfit.files.images import SUFFIXES, Head, read_coded, read_film, read_head
+from phongfit.files.images import SUFFIXES, Head, read_film, read_head, read_light
 from phongfit.files.metadata import Exposure
 from phongfit.rendering.film import Encoding, Film, as_encoding
 
@@ -91,7 +91,7 @@ def read_photograph(path: str | os.PathLike[str], encoding: Encoding) -> Photo:
 
 
 def _read(path: Path, encoding: Encoding, exposure: Exposure, relative: float) -> Photo:
-    light = read_coded(path, encoding)
+    light = read_light(path, encoding)
     return Photo(path, encoding, *light, exposure, relative)
 
 

@@ -14,7 +14,7 @@ from phongfit.files.arrays import write_array
 from phongfit.files.budget import afford
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.encodings import describe_encoding
-from phongfit.files.images import read_coded, read_mask, with_jpeg, write_image
+from phongfit.files.images import read_light, read_mask, with_jpeg, write_image
 from phongfit.files.inputs import check_spared, inside, naming, naming_field
 from phongfit.files.outputs import write_json
 from phongfit.files.records import read_record
@@ -240,7 +240,7 @@ def _read_entry(
     with naming(f"{path}: images[{at}]"):
         file = inside(path.parent, entry.file)
         mask_file = None if entry.mask is None else inside(path.parent, entry.mask)
-    coded, usable, _ = read_coded(file, record.encoding or "linear")
+    coded, usable, _ = read_light(file, record.encoding or "linear")
     mask = np.ones(size, bool) if mask_file is None else read_mask(mask_file)
     for source, shape in ((file, coded.numbers.shape[:2]), (mask_file, mask.shape)):
         if shape != size:

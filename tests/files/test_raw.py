@@ -93,7 +93,8 @@ def test_the_light_of_a_raw_photograph(tmp_path, rawpy):
     path = tmp_path / "a.dng"
     # White balance: red is seen at a half, blue at four fifths.
     path.write_bytes(dng(seen(0.1, 0.2, 0.24)))
-    image, usable, _ = read_light(path, "linear")
+    coded, usable, _ = read_light(path, "linear")
+    image = coded.light
     assert image.shape == (32, 48, 3) and usable.all()
     expected = np.broadcast_to([0.2, 0.2, 0.3], image.shape)
     np.testing.assert_allclose(image, expected, atol=3e-4)
@@ -138,7 +139,8 @@ def test_saturated_and_turned(tmp_path, rawpy):
     path = tmp_path / "a.dng"
     path.write_bytes(dng(mosaic, orientation=6))
     assert read_head(path).size == (32, 48)
-    image, usable, _ = read_light(path, "linear")
+    coded, usable, _ = read_light(path, "linear")
+    image = coded.light
     assert image.shape == (48, 32, 3)
     # The file's upper left corner has come to the right.
     assert not usable[:8, -8:].any() and usable[12:].all() and usable[:, :20].all()
