@@ -57,13 +57,18 @@ def test_photographs_to_a_store(copy, tmp_path, capsys):
     hidden = np.full((24, 24), 255, np.uint8)
     hidden[10:14] = 0
     Image.fromarray(hidden).save(copy / "mask.png")
+    # Two by two pixels are left out of all of them: they are outside.
+    hidden[:], hidden[11:13, 11:13] = 255, 0
+    Image.fromarray(hidden).save(copy / "hole.png")
     scene = json.loads((copy / "scene.json").read_text())
-    scene["images"][1]["mask"] = "mask.png"
+    for image, mask in zip(scene["images"], ("hole", "mask", "hole"), strict=True):
+        image["mask"] = f"{mask}.png"
     (copy / "scene.json").write_text(json.dumps(scene))
     folder, store = tmp_path / "maps", tmp_path / "maps.zarr"
     assert main(["maps", str(copy), "-o", str(folder), *FEW, "--no-pictures"]) == 0
     expected = load_folder(folder)[0]
     assert {6, 9} <= {*expected.samples.flat}
+    assert (expected.flags[11:13, 11:13] == pf.Flag.OUTSIDE).all()
     assert main(["maps", str(copy), "-o", str(store), *FEW]) == 0
     assert str(store) in capsys.readouterr().out
     same(pf.StoredMaps(store).load(), expected)
