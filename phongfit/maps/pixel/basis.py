@@ -24,15 +24,15 @@ class Basis(NamedTuple):
     - `angles`: what each highlight's lobe takes: see [`AbstractLobes`][].
     """
 
-    ambient: Float[Array, "images channels #pixels"]
-    diffuse: Float[Array, "images channels pixels"]
-    strength: Float[Array, "images lobes channels #pixels"]
+    ambient: Float[Array, "images #channels #pixels"]
+    diffuse: Float[Array, "images #channels pixels"]
+    strength: Float[Array, "images lobes #channels #pixels"]
     angles: Angles
 
     def grey(self) -> "Basis":
-        """The sum of the channels, as one."""
-        ambient, diffuse, strength = (in_groups(one, 1) for one in self[:3])
-        return Basis(ambient, diffuse, strength, self.angles)
+        """The mean of the channels, as one."""
+        means = (in_groups(one, 1) / one.shape[-2] for one in self[:3])
+        return Basis(*means, self.angles)
 
     def specular(
         self, lobes: AbstractLobes, t: Float[Array, "groups #pixels"]

@@ -21,6 +21,7 @@ from phongfit.maps.pixel.small import (
     Triangle,
     add_products,
     factorize,
+    in_groups,
     no_triangle,
     optimization_barrier,
     solve,
@@ -37,7 +38,8 @@ class Columns(NamedTuple):
 
     - `gram`: $C^\top W C$.
     - `start`: $x_0$, the solution without a highlight and without bounds.
-    - `moments`: rows $W \sigma_j C_k$ for each column, and last $W \sigma_j y_\perp$.
+    - `cross`: rows $W \sigma_j C_k$ for each column.
+    - `moments`: $W \sigma_j y_\perp$.
     - `squares`: $W \sigma_j \sigma_k$ for each of [`pairs`][]; twice that where
         $j \ne k$, for (k, j) is no pair of its own.
     - `rest`: $y_\perp^\top W y_\perp$, what is left without a highlight.
@@ -45,18 +47,22 @@ class Columns(NamedTuple):
 
     gram: Triangle
     start: Numbers
-    moments: Float[Array, "images lobes rows channels pixels"]
-    squares: Float[Array, "images pairs channels pixels"]
+    cross: Float[Array, "images lobes columns #channels pixels"]
+    moments: Float[Array, "images lobes channels pixels"]
+    squares: Float[Array, "images pairs #channels pixels"]
     rest: Float[Array, "channels pixels"]
 
 
 def make_columns(
-    columns: tuple[Float[Array, "images channels #pixels"], ...],
+    columns: tuple[Float[Array, "images #channels #pixels"], ...],
     target: Float[Array, "images channels pixels"],
-    weight: Float[Array, "images channels pixels"],
-    strength: Float[Array, "images lobes channels #pixels"],
+    weight: Float[Array, "images #channels pixels"],
+    strength: Float[Array, "images lobes #channels #pixels"],
 ) -> Columns:
-    """Of all channels; where `weight` is 0, the others are only finite."""
+    """Of all channels; where `weight` is 0, the others are only finite.
+
+    What is the same for all channels may have one, in all but the target.
+    """
     nothing = jnp.zeros(target.shape[1:], target.dtype)
     size = len(columns)
 
@@ -69,7 +75,8 @@ def make_columns(
 
     start, gram = (), ()
     if columns:
-        none = no_triangle(nothing, size), (nothing,) * size
+        alike = jnp.zeros(weight.shape[1:], weight.dtype)
+        none = no_triangle(alike, size), (nothing,) * size
         each = columns, target, weight
         gram, moments = sum_over_images(project, none, each)
         start = optimization_barrier(solve(factorize(gram), moments))
@@ -81,16 +88,44 @@ def make_columns(
             left = left - x * column
         left = optimization_barrier(left)
         weighed = optimization_barrier(weight[None] * strength)
-        moments = [weighed * row[None] for row in (*columns, left)]
-        squares = pairs(weighed, strength, 2)
+        cross = [weighed * column[None] for column in columns]
+        moments, squares = weighed * left[None], pairs(weighed, strength, 2)
         # Else they are computed while they are written, number by number.
-        moments, squares = optimization_barrier((moments, squares))
-        kept = jnp.stack(moments, axis=1), jnp.stack(squares)
-        return rest + weight * left**2, kept
+        cross, moments, squares = optimization_barrier((cross, moments, squares))
+        none = jnp.zeros((len(weighed), 0, *weighed.shape[1:]), weighed.dtype)
+        crossed = jnp.stack(cross, axis=1) if cross else none
+        return rest + weight * left**2, (crossed, moments, jnp.stack(squares))
 
     each = columns, target, weight, strength
-    rest, (moments, squares) = jax.lax.scan(free, nothing, each)
-    return optimization_barrier(Columns(gram, start, moments, squares, rest))
+    rest, (cross, moments, squares) = jax.lax.scan(free, nothing, each)
+    return optimization_barrier(Columns(gram, start, cross, moments, squares, rest))
+
+
+def mean_columns(
+    columns: Columns,
+    fixed: tuple[Float[Array, "images #channels #pixels"], ...],
+    target: Float[Array, "images 1 pixels"],
+    weight: Float[Array, "images 1 pixels"],
+) -> Columns:
+    """Columns of the mean of channels that share all else.
+
+    **Arguments:** `columns`: theirs; `fixed`, `weight`: as they were made from;
+    `target`: the mean.
+    """
+    start, moments = (
+        jax.tree.map(lambda one: in_groups(one, 1) / one.shape[-2], all)
+        for all in (columns.start, columns.moments)
+    )
+
+    def free(rest: Array, image: tuple) -> Array:
+        columns, target, weight = image
+        for x, column in zip(start, columns, strict=True):
+            target = target - x * column
+        return rest + weight * target**2
+
+    rest = sum_over_images(free, jnp.zeros_like(target[0]), (fixed, target, weight))
+    found = columns._replace(start=start, moments=moments, rest=rest)
+    return optimization_barrier(found)
 
 
 def pairs(

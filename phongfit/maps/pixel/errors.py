@@ -58,7 +58,7 @@ def standard_errors(
     moved: Float[Array, "unknowns channels pixels"],
     angles: Angles,
     box: Box,
-    thorough: Bool[Array, ""],
+    thorough: Bool[Array, ""] | bool,
     settings: MapSettings,
 ) -> Errors:
     r"""Errors from $\sigma^2 (J^\top J)^{-1}$, with no unknown held by its bound.
@@ -74,7 +74,8 @@ def standard_errors(
     - `sigma`: standard deviation of a sample.
     - `moved`: by how much the reflectances last moved, where weights move them.
     - `angles`: as in [`Basis`][].
-    - `thorough`: whether to follow the profile where it is wanted.
+    - `thorough`: whether to follow the profile where it is wanted; where it is `False`
+        there is no program for it.
     """
     groups = len(t)
     inner = (t > box.lowest) & (t < box.highest)
@@ -98,6 +99,8 @@ def standard_errors(
         optimization_barrier(jnp.stack([sigma * _root_inverse(c) for c in curvature]))
         for curvature in (shared, apart)
     )
+    if not settings.searched:
+        error = jnp.broadcast_to(error, (len(error), *at.point[-1].shape))
     # Without a highlight the exponent may be anything: ρ_s is identified if it is for
     # all.
     seen = at.point[-1] >= SEEN * jnp.minimum(error[-1], error_apart[-1])
@@ -114,8 +117,10 @@ def standard_errors(
             return (_widest(at, profile, sigma), *_ends(at, profile, t, sigma, box))
 
         vague = dim | ~inner | ~(log_error < VAGUE)
-        nowhere = (jnp.zeros_like(error), t, t)
-        wider, low, high = where_wanted(vague & thorough, follow, nowhere)
+        wider, low, high = jnp.zeros_like(error), t, t
+        if thorough is not False:
+            nowhere = wider, low, high
+            wider, low, high = where_wanted(vague & thorough, follow, nowhere)
         error = jnp.maximum(error, wider)
         reach = jnp.maximum(log_error, (high - t) / FAR)
         below = (t - low) / FAR

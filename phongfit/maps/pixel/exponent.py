@@ -104,19 +104,20 @@ def sum_images(
     """The sums of all channels: see [`Sums`][]."""
     height = lobes.at(t)
 
-    def add(sums: tuple[Array, Array], image: tuple) -> tuple:
-        angles, moments, squares = image
+    def add(sums: tuple[Array, Array, Array], image: tuple) -> tuple:
+        angles, cross, moments, squares = image
         heights = [height(one)[0] for one in _lights(angles, t.ndim)]
         products = optimization_barrier(pairs(heights, heights))
         along = [one[..., None, :, :] for one in heights]
-        return _plus(sums[0], moments, along), _plus(sums[1], squares, products)
+        return (
+            _plus(sums[0], cross, along),
+            _plus(sums[1], moments, heights),
+            _plus(sums[2], squares, products),
+        )
 
-    batch, rows = t.shape[:-2], columns.moments.shape[2:]
-    none = jnp.zeros((*batch, *rows), t.dtype), jnp.zeros((*batch, *rows[1:]), t.dtype)
-    each = angles, columns.moments, columns.squares
-    moments, own = sum_over_images(add, none, each)
-    *cross, moment = jnp.moveaxis(moments, -3, 0)
-    return Sums(tuple(cross), own, moment)
+    none = _no_sums(columns, t.shape[:-2])
+    cross, moment, own = sum_over_images(add, none, (angles, *columns[2:5]))
+    return Sums(tuple(jnp.moveaxis(cross, -3, 0)), own, moment)
 
 
 def sum_with_slopes(
@@ -128,8 +129,8 @@ def sum_with_slopes(
     """The same with [`Slopes`][]."""
     height = lobes.at(t)
 
-    def add(sums: tuple[Array, Array, Array], image: tuple) -> tuple:
-        angles, moments, squares = image
+    def add(sums: tuple[Array, ...], image: tuple) -> tuple:
+        angles, cross, moments, squares = image
         both = [height(one) for one in _lights(angles, t.ndim)]
         heights, rises = ([one[k] for one in both] for k in (0, 1))
         products = zip(
@@ -140,19 +141,30 @@ def sum_with_slopes(
         )
         products = optimization_barrier([jnp.stack(three) for three in products])
         return (
-            _plus(sums[0], moments, heights),
-            _plus(sums[1], moments, rises),
-            _plus(sums[2], squares, products),
+            _plus(sums[0], cross, heights),
+            _plus(sums[1], cross, rises),
+            _plus(sums[2], moments, heights),
+            _plus(sums[3], moments, rises),
+            _plus(sums[4], squares, products),
         )
 
-    rows = columns.moments.shape[2:]
-    nothing = jnp.zeros(rows, t.dtype)
-    none = nothing, nothing, jnp.zeros((3, *rows[1:]), t.dtype)
-    each = angles, columns.moments, columns.squares
-    moments, turned, squares = sum_over_images(add, none, each)
-    (*cross, moment), (*crossed, slope), (own, mixed, steep) = moments, turned, squares
+    cross, moment, own = _no_sums(columns)
+    none = cross, cross, moment, moment, jnp.stack([own] * 3)
+    found = sum_over_images(add, none, (angles, *columns[2:5]))
+    cross, crossed, moment, slope, (own, mixed, steep) = found
     sums = Sums(tuple(cross), own, moment)
     return sums, Slopes(tuple(crossed), mixed, steep, slope)
+
+
+def _no_sums(columns: Columns, batch: tuple[int, ...] = ()) -> tuple:
+    return tuple(
+        jnp.zeros((*batch, *rows), columns.rest.dtype)
+        for rows in (
+            columns.cross.shape[2:],
+            columns.moments.shape[2:],
+            columns.squares.shape[2:],
+        )
+    )
 
 
 def _lights(angles: PyTree[Float[Array, "lobes pixels"]], rank: int) -> list[PyTree]:
@@ -180,7 +192,7 @@ def _mixed_pairs(left: list[Array], right: list[Array]) -> list[Array]:
 def best_reflectances(columns: Columns, sums: Sums, box: Box, rounds: int) -> Boxed:
     """The best ρ of every channel for given sums."""
     matrix = full_gram(columns, sums)
-    zero = jnp.zeros_like(sums.own)
+    zero = jnp.zeros_like(sums.moment)
     vector = (*(zero for _ in columns.start), sums.moment)
     start = (*of_rank(columns.start, zero.ndim), zero)
     lower = tuple(edge - x for edge, x in zip(box.lower, start, strict=True))

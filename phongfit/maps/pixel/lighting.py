@@ -54,11 +54,16 @@ class Lighting(eqx.Module):
             first = last
         return directed
 
+    @property
+    def surrounds(self) -> bool:
+        """Whether any light comes from all around."""
+        return not all(light.directed for kind in self.kinds for light in kind.lights)
+
     def around(
         self, position: Float[Array, "#pixels 3"], normal: Float[Array, "pixels 3"]
     ) -> Float[Array, "images 3 pixels"] | None:
         """Diffuse light from all around, `None` where no light gives any."""
-        if all(light.directed for kind in self.kinds for light in kind.lights):
+        if not self.surrounds:
             return None
 
         def point(kind: _Alike, position: Vec3, normal: Vec3) -> Vec3:

@@ -18,13 +18,19 @@ from phongfit.fitting.problem.losses import Huber
 from phongfit.fitting.problem.noise import median_deviation
 from phongfit.fitting.uncertainty.misfit import SIGNIFICANT
 from phongfit.maps.pixel.basis import Basis, make_basis
-from phongfit.maps.pixel.columns import Columns, make_columns
+from phongfit.maps.pixel.columns import Columns, make_columns, mean_columns
 from phongfit.maps.pixel.errors import VAGUE, Errors, standard_errors
 from phongfit.maps.pixel.exponent import At, Box, evaluate
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.robust import loss_weights, widening
-from phongfit.maps.pixel.samples import Tile, measured
+from phongfit.maps.pixel.samples import (
+    Samples,
+    Tile,
+    differing_channels,
+    measured,
+    of_one_channel,
+)
 from phongfit.maps.pixel.search import (
     SHORTEST,
     Descent,
@@ -35,9 +41,9 @@ from phongfit.maps.pixel.search import (
 from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import in_groups, of_rank, optimization_barrier
 
-# Steps on the sum of the channels, which are a third of the price, then on all; and of
+# Steps on the mean of the channels, which are a third of the price, then on all; and of
 # those at most, with more effort and with the most.
-SUMMED_STEPS = 2
+MEAN_STEPS = 2
 STEPS = 2
 MORE_STEPS = 4
 MOST_STEPS = 16
@@ -56,6 +62,8 @@ LARGER = 1.3
 # Efficiency of a median of absolute values as a measure of scale: Hampel, *The
 # influence curve and its role in robust estimation*, J. Am. Stat. Assoc. 69(346), 1974.
 MEDIAN = 0.37
+# Share of pixels from which on what they need is done for all beside them.
+MANY = 0.5
 # By how much channels may differ in how the lights share them, over their sum.
 COLOURED = 0.1
 
@@ -110,38 +118,48 @@ class Outside(NamedTuple):
 class _Job:
     """What pixels measure, and of what.
 
-    - `target`: linear light of the unknowns; `share`: as in [`Samples`][].
+    - `target`: linear light of the unknowns; `share`: as in [`Samples`][], of one
+        channel where all share it and their basis.
     - `box`: what bounds the unknowns.
     """
 
     target: Float[Array, "images channels pixels"]
-    share: Float[Array, "images channels pixels"]
+    share: Float[Array, "images #channels pixels"]
     basis: Basis
     box: Box
     noise: Float[Array, ""]
-    effort: Int[Array, ""]
+    effort: Int[Array, ""] | int
     settings: MapSettings
 
     @property
-    def thorough(self) -> Bool[Array, ""]:
+    def thorough(self) -> Bool[Array, ""] | bool:
         """Whether to do whatever helps."""
         return self.effort > 0
+
+    @property
+    def one_basis(self) -> bool:
+        """Whether all channels have the same basis and weights."""
+        return self.share.shape[1] < self.target.shape[1]
 
     @property
     def groups(self) -> int:
         """Of channels that share an exponent."""
         return 1 if self.settings.shared else self.target.shape[1]
 
-    def columns(self, weight: Float[Array, "images channels pixels"]) -> Columns:
+    @property
+    def fixed(self) -> tuple[Float[Array, "images #channels #pixels"], ...]:
+        """The basis that no exponent changes."""
+        return tuple(getattr(self.basis, name) for name in self.settings.columns)
+
+    def columns(self, weight: Float[Array, "images #channels pixels"]) -> Columns:
         """Columns of all channels for such weights."""
-        fixed = tuple(getattr(self.basis, name) for name in self.settings.columns)
-        return make_columns(fixed, self.target, weight, self.basis.strength)
+        return make_columns(self.fixed, self.target, weight, self.basis.strength)
 
     def at(self, columns: Columns, t: Float[Array, "groups pixels"]) -> At:
         """The solution at t. A highlight that is known, or none, has 0 strength."""
         if not self.settings.shiny:
-            nothing = jax.tree.map(jnp.zeros_like, (columns.moments, columns.squares))
-            columns = columns._replace(moments=nothing[0], squares=nothing[1])
+            cross, moments, squares = map(jnp.zeros_like, columns[2:5])
+            columns = columns._replace(cross=cross, moments=moments, squares=squares)
         lobes, angles = self.settings.lobes, self.basis.angles
         return evaluate(columns, lobes, angles, t, self.box)
 
@@ -162,7 +180,8 @@ class _Job:
 
     def count(self) -> Float[Array, "groups pixels"]:
         """How many samples may be used."""
-        return self.in_groups((self.share > 0).astype(self.share.dtype))
+        used = self.in_groups((self.share > 0).astype(self.share.dtype))
+        return used * (self.target.shape[1] // self.share.shape[1])
 
     def deviation(
         self, residual: Float[Array, "images channels pixels"]
@@ -214,6 +233,34 @@ def fit_pixels(
     for which of them more effort is wanted.
     """
     samples, lost = measured(tile, outside.lighting, settings)
+
+    def fit(samples: Samples, effort: Int[Array, ""] | int) -> tuple[PixelFit, Array]:
+        return _fit_samples(tile, samples, lost, outside, effort, settings)
+
+    if not settings.shared or settings.loss.robust or outside.lighting.surrounds:
+        return fit(samples, effort)
+    # White light, of which all channels use the same samples: half the sums do.
+    unlike = differing_channels(samples)
+
+    def with_one_basis() -> tuple[PixelFit, Array]:
+        found, wanted = fit(of_one_channel(samples), 0)
+        return found, wanted | unlike
+
+    few = jnp.mean(unlike.astype(samples.target.dtype)) <= MANY
+    return jax.lax.cond(
+        (effort == 0) & few, with_one_basis, lambda: fit(samples, effort)
+    )
+
+
+def _fit_samples(
+    tile: Tile,
+    samples: Samples,
+    lost: Float[Array, "#images #channels #pixels"],
+    outside: Outside,
+    effort: Int[Array, ""] | int,
+    settings: MapSettings,
+) -> tuple[PixelFit, Bool[Array, " pixels"]]:
+    """As [`fit_pixels`][]; channels that share light and samples may be one there."""
     basis, lit = make_basis(tile, outside.lighting, samples.lamps, settings)
     share = optimization_barrier(samples.share * lit[:, None])
     known = Known(*(leaf[:, None] for leaf in outside.known))
@@ -342,7 +389,7 @@ def _solve(job: _Job, known: Known) -> _SearchResult:
 def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Array]:
     """The exponents, and whether the search was cut short.
 
-    Where channels share one, their sum is enough to start from, as if ρ were grey,
+    Where channels share one, their mean is enough to start from, as if ρ were grey,
     where they have the same samples in the same light. Where they do not, or where the
     exponent stays vague, each of them is asked.
     """
@@ -356,24 +403,22 @@ def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Array]:
         return _variance(job, columns, value)
 
     def together() -> tuple[Array, Array, Array]:
-        """From the sum of the channels; and for whom that is not enough."""
-        summed = _summed(job) if shared else columns
+        """From the mean of the channels; and for whom that is not enough."""
+        mean = _averaged(job, columns) if shared else columns
         start, low, high = t, *edges
         if settings.scanned:
-            start, low, high = scan_exponents(summed, lobes, angles, box, job.groups)
+            start, low, high = scan_exponents(mean, lobes, angles, box, job.groups)
         start, low, high = optimization_barrier((jnp.clip(start, low, high), low, high))
-        found = refine_exponents(
-            summed, lobes, angles, start, low, high, box, SUMMED_STEPS
-        )
+        found = refine_exponents(mean, lobes, angles, start, low, high, box, MEAN_STEPS)
         if not shared:
             return found.t, found.bend, nobody
-        level = 3 * noise**2 * jnp.ones_like(t)
+        level = noise**2 / job.target.shape[1] * jnp.ones_like(t)
         if not settings.noise_given:
-            level = _variance(_one_channel(job), summed, found.value)
+            level = _variance(_one_channel(job), mean, found.value)
         return found.t, found.bend, _is_vague(found, level, box)
 
     nobody = unsettled = jnp.zeros(t.shape, bool)
-    if settings.scanned and shared:
+    if settings.scanned and shared and not job.one_basis:
         # Whoever deserves more is asked channel by channel in any case.
         everybody = t, jnp.ones_like(t), ~nobody
         found, bend, vague = jax.lax.cond(thorough, lambda: everybody, together)
@@ -382,7 +427,7 @@ def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Array]:
         unlike = odd | _coloured(job.basis.strength)[None]
         wanted = unlike | vague
         # If most pixels beside this one have channels of their own, all do it at once.
-        most = jnp.mean(unlike.astype(t.dtype)) > 0.5
+        most = jnp.mean(unlike.astype(t.dtype)) > MANY
         unsettled = wanted & ~(thorough | most)
         wanted = wanted & (thorough | most)
 
@@ -392,7 +437,8 @@ def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Array]:
         found = where_wanted(wanted, scan, found)
         bend = jnp.where(wanted, 1, bend)
     else:
-        found, bend, _ = together()
+        found, bend, vague = together()
+        unsettled = vague if settings.scanned else nobody
     t, bend = optimization_barrier((found, bend))
     steps = STEPS if shared else 0
     # Of all that a robust loss does with them these are the least.
@@ -409,7 +455,7 @@ def _variance(job: _Job, columns: Columns, value: Array) -> Array:
     if job.settings.noise_given:
         return job.noise**2 * jnp.ones_like(value)
     groups = len(value)
-    channels = job.share.shape[1] // groups
+    channels = job.target.shape[1] // groups
     unknowns = channels * (len(columns.start) + 1) + 1
     freedom = jnp.maximum(job.count() - unknowns, 1)
     return jnp.maximum(in_groups(columns.rest, groups) + value, 0) / freedom
@@ -422,11 +468,14 @@ def _is_vague(found: Descent, variance: Array, box: Box) -> Array:
     return ~steep | (found.t <= box.lowest) | (found.t >= box.highest)
 
 
-def _summed(job: _Job) -> Columns:
-    """Columns of the channels' sum, as if ρ were grey: enough to start from."""
-    target, basis = in_groups(job.target, 1), optimization_barrier(job.basis.grey())
-    together = dataclasses.replace(_one_channel(job), target=target, basis=basis)
-    return together.columns(together.share**2)
+def _averaged(job: _Job, columns: Columns) -> Columns:
+    """Columns of the channels' mean, as if ρ were grey: enough to start from."""
+    target = in_groups(job.target, 1) / job.target.shape[1]
+    if job.one_basis:
+        return mean_columns(columns, job.fixed, target, job.share**2)
+    basis = optimization_barrier(job.basis.grey())
+    mean = dataclasses.replace(_one_channel(job), target=target, basis=basis)
+    return mean.columns(mean.share**2)
 
 
 def _one_channel(job: _Job) -> _Job:

@@ -5,12 +5,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from phongfit.maps.pixel.lamps import Lamps, make_lamps
 from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.small import optimization_barrier
+from phongfit.maps.pixel.small import in_groups, optimization_barrier
 
 
 class Tile(NamedTuple):
@@ -92,16 +92,15 @@ class Samples(NamedTuple):
     """
 
     target: Float[Array, "images channels pixels"]
-    share: Float[Array, "images channels pixels"]
+    share: Float[Array, "images #channels pixels"]
     lamps: Lamps
 
 
 def measured(
     tile: Tile, lighting: Lighting, settings: MapSettings
-) -> tuple[Samples, Float[Array, "images channels pixels"]]:
+) -> tuple[Samples, Float[Array, "#images #channels #pixels"]]:
     """What pixels measure, and 1 for those of their samples that are no numbers."""
     target = _light(pixels_last(tile.target), tile.table)
-    # A table has finite numbers alone.
     finite = jnp.isfinite(target) if tile.table is None else jnp.array(True)
     if settings.exactly:
         sound = finite & (target != settings.cutoff)
@@ -111,9 +110,39 @@ def measured(
     share = jnp.where(sound, given, 0)
     lamps = make_lamps(lighting, tile.position, tile.to_viewer, tile.visibility)
     light = jnp.where(share > 0, target - lamps.veil, 0)
-    # As numbers: sums of flags are slow.
-    lost = jnp.where(finite | (given <= 0), 0.0, 1.0).astype(light.dtype)
+    # A table has finite numbers alone.
+    lost = jnp.zeros((1, 1, 1), light.dtype)
+    if tile.table is None:
+        # As numbers: sums of flags are slow.
+        lost = jnp.where(finite | (given <= 0), 0.0, 1.0).astype(light.dtype)
     return Samples(light, share, lamps), lost
+
+
+def differing_channels(samples: Samples) -> Bool[Array, " #pixels"]:
+    """Where channels get other light than the first, or do not use the same samples.
+
+    Where they do, they share all that an exponent is weighed against.
+    """
+
+    def off(values: Float[Array, "images *lights channels #pixels"]) -> Array:
+        # As numbers, and an axis at a time: other sums are slow.
+        unlike = in_groups(jnp.sum(jnp.abs(values - values[..., :1, :]), axis=0), 1)
+        return jnp.sum(unlike.reshape(-1, unlike.shape[-1]), axis=0)
+
+    lamps = samples.lamps
+    light = off(lamps.diffuse) + off(lamps.specular) + off(lamps.ambient)
+    return light + off(samples.share) > 0
+
+
+def of_one_channel(samples: Samples) -> Samples:
+    """The same, with light and use of the first channel alone, for all of them."""
+    lamps = samples.lamps
+    first = lamps._replace(
+        diffuse=lamps.diffuse[:, :, :1],
+        specular=lamps.specular[:, :, :1],
+        ambient=lamps.ambient[:, :1],
+    )
+    return samples._replace(share=samples.share[:, :1], lamps=first)
 
 
 def _light(
