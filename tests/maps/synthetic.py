@@ -33,6 +33,7 @@ def make_stack(
     noise: float = 0.01,
     seed: int = 0,
     model: pf.AbstractSpecular | None = None,
+    color: tuple[float, float, float] = (1.0, 0.9, 0.8),
 ) -> Stack:
     """All materials are random and inside their box; highlights reach every pixel."""
     rng = np.random.default_rng(seed)
@@ -52,7 +53,7 @@ def make_stack(
         pf.Scene(
             surface,
             camera,
-            pf.DirectionalLight(direction, (1.0, 0.9, 0.8)),
+            pf.DirectionalLight(direction, color),
             ambient=ambient,
             specular_model=model,
         )

@@ -2,11 +2,14 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.maps.pixel import pixel
 from phongfit.maps.pixel.flags import Flag
+from phongfit.maps.pixel.tile import compiled
 from tests.maps.synthetic import DTYPE, Stack, make_stack, pulls
 
 PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
@@ -123,6 +126,43 @@ def test_no_highlight_and_no_light_are_told(stack):
     pull = (found.diffuse - np.asarray(truth.diffuse)) / found.stderr.diffuse
     assert np.median(np.abs(pull[dim])) < 1
     assert found.noise_given == 0.01
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {},
+        {"noise": 0.01, "start": pf.Material(0.3, 0.3, 20.0, 0.3)},
+        {"unknowns": ("diffuse", "specular"), "known": pf.Material(0, 0, 12.0, 0.4)},
+        {"unknowns": ("diffuse",), "known": pf.Material(0, 0.3, 12.0, 0.4)},
+    ],
+    ids=["all", "started", "exponent known", "highlight known"],
+)
+def test_white_light_changes_no_number(asked, monkeypatch):
+    """What channels share is summed once, save where they use other samples."""
+    white = make_stack(color=(1.0, 1.0, 1.0))
+    images = white.images.copy()
+    # A matte row, whose exponent is vague, and clouded samples of single channels.
+    images[:, 0] = images[:, 0].min(axis=0)
+    images[2:5, 3:6, :, 1] = np.nan
+    images[0, 7, ::2, 0] = np.nan
+    maps = pf.fit_maps(white.scenes, images, film=FREE, **asked)
+    monkeypatch.setattr(
+        pixel, "differing_channels", lambda s: jnp.ones(s.target.shape[-1], bool)
+    )
+    compiled.cache_clear()
+    apart = pf.fit_maps(white.scenes, images, film=FREE, **asked)
+    compiled.cache_clear()
+    for name in PARAMETERS:
+        error, other = (np.asarray(getattr(m.stderr, name)) for m in (maps, apart))
+        assert np.array_equal(np.isfinite(error), np.isfinite(other)), name
+        known = np.isfinite(error) & (error > 0)
+        np.testing.assert_allclose(error[known], other[known], rtol=0.01)
+        off = np.abs(getattr(maps, name) - getattr(apart, name))
+        assert (off[known] < 0.01 * error[known]).all(), name
+        assert known.mean() > 0.8 or name not in maps.unknowns
+    for name in ("flags", "samples"):
+        assert np.array_equal(getattr(maps, name), getattr(apart, name))
 
 
 def test_some_leaves_may_be_known(stack):

@@ -443,7 +443,7 @@ def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Array]:
     steps = STEPS if shared else 0
     # Of all that a robust loss does with them these are the least.
     more = MOST_STEPS if settings.loss.robust else MORE_STEPS
-    most = jnp.asarray([STEPS, more, MOST_STEPS])[job.effort]
+    most = jnp.asarray([STEPS, more, MOST_STEPS], jnp.int32)[job.effort]
     end = refine_exponents(
         columns, lobes, angles, t, *edges, box, steps, bend, most, variance
     )
