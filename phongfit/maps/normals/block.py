@@ -60,8 +60,8 @@ def fit_block(
 
 def samples_of(
     tile: Tile, outside: Outside, settings: MapSettings
-) -> tuple[Samples, Float[Array, "images channels pixels"]]:
-    """What pixels measure, and which of their samples are no numbers."""
+) -> tuple[Samples, Float[Array, "#images #pixels"]]:
+    """What pixels measure, and how many samples in an image are no numbers."""
     seen = tile.visibility
     if seen is not None and seen.shape[1] == 1:
         # One lamp's light arrives or does not: its shadow need not be in the light.
@@ -107,7 +107,7 @@ def judged(
     sound = enough & ~black
     flags = jnp.where(black, Flag.BLACK, 0)
     for flag, where in (
-        (Flag.NOT_FINITE, jnp.any(lost, axis=(0, 1))),
+        (Flag.NOT_FINITE, jnp.any(lost, axis=0)),
         (Flag.TOO_FEW, ~enough),
         (Flag.NOT_CONVERGED, sound & ~found.settled),
         (Flag.NO_HIGHLIGHT, sound & errors.dim),

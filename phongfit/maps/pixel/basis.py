@@ -31,8 +31,10 @@ class Basis(NamedTuple):
 
     def grey(self) -> "Basis":
         """The mean of the channels, as one."""
-        means = (in_groups(one, 1) / one.shape[-2] for one in self[:3])
-        return Basis(*means, self.angles)
+        ambient, diffuse, strength = (
+            in_groups(one, 1) / one.shape[-2] for one in self[:3]
+        )
+        return Basis(ambient, diffuse, strength, self.angles)
 
     def specular(
         self, lobes: AbstractLobes, t: Float[Array, "groups #pixels"]

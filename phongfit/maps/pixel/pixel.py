@@ -255,7 +255,7 @@ def fit_pixels(
 def _fit_samples(
     tile: Tile,
     samples: Samples,
-    lost: Float[Array, "#images #channels #pixels"],
+    lost: Float[Array, "#images #pixels"],
     outside: Outside,
     effort: Int[Array, ""] | int,
     settings: MapSettings,
@@ -308,7 +308,8 @@ def _fit_samples(
     def some(of_groups: Bool[Array, "groups pixels"]) -> Bool[Array, " pixels"]:
         return jnp.any(of_groups, axis=0)
 
-    lost = in_groups(jnp.sum(lost * lit[:, None], axis=0), 1)[0] > 0
+    # Not as a product: compilers take sums of those to others, which are slower here.
+    lost = jnp.sum(jnp.where(lit > 0, lost, 0), axis=0) > 0
     flags = (
         jnp.where(black, Flag.BLACK, 0)
         | jnp.where(lost, Flag.NOT_FINITE, 0)

@@ -98,8 +98,8 @@ class Samples(NamedTuple):
 
 def measured(
     tile: Tile, lighting: Lighting, settings: MapSettings
-) -> tuple[Samples, Float[Array, "#images #channels #pixels"]]:
-    """What pixels measure, and 1 for those of their samples that are no numbers."""
+) -> tuple[Samples, Float[Array, "#images #pixels"]]:
+    """What pixels measure, and how many of their samples in an image are no numbers."""
     target = _light(pixels_last(tile.target), tile.table)
     finite = jnp.isfinite(target) if tile.table is None else jnp.array(True)
     if settings.exactly:
@@ -111,10 +111,11 @@ def measured(
     lamps = make_lamps(lighting, tile.position, tile.to_viewer, tile.visibility)
     light = jnp.where(share > 0, target - lamps.veil, 0)
     # A table has finite numbers alone.
-    lost = jnp.zeros((1, 1, 1), light.dtype)
+    lost = jnp.zeros((1, 1), light.dtype)
     if tile.table is None:
         # As numbers: sums of flags are slow.
-        lost = jnp.where(finite | (given <= 0), 0.0, 1.0).astype(light.dtype)
+        unused = jnp.where(finite | (given <= 0), 0.0, 1.0).astype(light.dtype)
+        lost = in_groups(unused, 1)[:, 0]
     return Samples(light, share, lamps), lost
 
 
