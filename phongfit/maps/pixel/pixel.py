@@ -226,6 +226,9 @@ def fit_pixels(
     What a few pixels need all beside them pay for. So there are two ways, one short and
     one thorough, and a pixel that is settled by the short one gets the same from both.
 
+    The short one sums once what channels share that get the same light and use the same
+    samples; the few pixels of a block whose channels do not go on to the thorough one.
+
     **Arguments:** `effort`: 0 for the short way, 1 for the thorough one, 2 for that
     with more steps, which one pixel in a hundred needs.
 
@@ -239,7 +242,6 @@ def fit_pixels(
 
     if not settings.shared or settings.loss.robust or outside.lighting.surrounds:
         return fit(samples, effort)
-    # White light, of which all channels use the same samples: half the sums do.
     unlike = differing_channels(samples)
 
     def with_one_basis() -> tuple[PixelFit, Array]:
