@@ -52,6 +52,11 @@ class Columns(NamedTuple):
     squares: Float[Array, "images pairs #channels pixels"]
     rest: Float[Array, "channels pixels"]
 
+    @property
+    def rows(self) -> tuple[Array, Array, Array]:
+        """What heights are summed with: `cross`, `moments`, and their products'."""
+        return self.cross, self.moments, self.squares
+
 
 def make_columns(
     columns: tuple[Float[Array, "images #channels #pixels"], ...],
@@ -75,8 +80,8 @@ def make_columns(
 
     start, gram = (), ()
     if columns:
-        alike = jnp.zeros(weight.shape[1:], weight.dtype)
-        none = no_triangle(alike, size), (nothing,) * size
+        no_weight = jnp.zeros(weight.shape[1:], weight.dtype)
+        none = no_triangle(no_weight, size), (nothing,) * size
         each = columns, target, weight
         gram, moments = sum_over_images(project, none, each)
         start = optimization_barrier(solve(factorize(gram), moments))
@@ -113,8 +118,8 @@ def mean_columns(
     `target`: the mean.
     """
     start, moments = (
-        jax.tree.map(lambda one: in_groups(one, 1) / one.shape[-2], all)
-        for all in (columns.start, columns.moments)
+        jax.tree.map(lambda one: in_groups(one, 1) / one.shape[-2], each)
+        for each in (columns.start, columns.moments)
     )
 
     def free(rest: Array, image: tuple) -> Array:

@@ -116,7 +116,7 @@ def sum_images(
         )
 
     none = _no_sums(columns, t.shape[:-2])
-    cross, moment, own = sum_over_images(add, none, (angles, *columns[2:5]))
+    cross, moment, own = sum_over_images(add, none, (angles, *columns.rows))
     return Sums(tuple(jnp.moveaxis(cross, -3, 0)), own, moment)
 
 
@@ -150,21 +150,20 @@ def sum_with_slopes(
 
     cross, moment, own = _no_sums(columns)
     none = cross, cross, moment, moment, jnp.stack([own] * 3)
-    found = sum_over_images(add, none, (angles, *columns[2:5]))
+    found = sum_over_images(add, none, (angles, *columns.rows))
     cross, crossed, moment, slope, (own, mixed, steep) = found
     sums = Sums(tuple(cross), own, moment)
     return sums, Slopes(tuple(crossed), mixed, steep, slope)
 
 
-def _no_sums(columns: Columns, batch: tuple[int, ...] = ()) -> tuple:
-    return tuple(
-        jnp.zeros((*batch, *rows), columns.rest.dtype)
-        for rows in (
-            columns.cross.shape[2:],
-            columns.moments.shape[2:],
-            columns.squares.shape[2:],
-        )
+def _no_sums(
+    columns: Columns, batch: tuple[int, ...] = ()
+) -> tuple[Array, Array, Array]:
+    """Sums over no image of heights, and of their products, with the rows."""
+    cross, moments, squares = (
+        jnp.zeros((*batch, *rows.shape[2:]), rows.dtype) for rows in columns.rows
     )
+    return cross, moments, squares
 
 
 def _lights(angles: PyTree[Float[Array, "lobes pixels"]], rank: int) -> list[PyTree]:

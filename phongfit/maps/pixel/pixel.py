@@ -158,7 +158,7 @@ class _Job:
     def at(self, columns: Columns, t: Float[Array, "groups pixels"]) -> At:
         """The solution at t. A highlight that is known, or none, has 0 strength."""
         if not self.settings.shiny:
-            cross, moments, squares = map(jnp.zeros_like, columns[2:5])
+            cross, moments, squares = map(jnp.zeros_like, columns.rows)
             columns = columns._replace(cross=cross, moments=moments, squares=squares)
         lobes, angles = self.settings.lobes, self.basis.angles
         return evaluate(columns, lobes, angles, t, self.box)
