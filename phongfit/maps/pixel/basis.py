@@ -11,7 +11,7 @@ from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.lobes import AbstractLobes, Angles
 from phongfit.maps.pixel.samples import Tile, pixels_last
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.small import Numbers, in_groups, optimization_barrier
+from phongfit.maps.pixel.small import Numbers, channel_mean, optimization_barrier
 from phongfit.reflectance import lambert
 from phongfit.vectors import Scalar, Vec3, dot
 
@@ -31,9 +31,7 @@ class Basis(NamedTuple):
 
     def grey(self) -> "Basis":
         """The mean of the channels, as one."""
-        ambient, diffuse, strength = (
-            in_groups(one, 1) / one.shape[-2] for one in self[:3]
-        )
+        ambient, diffuse, strength = map(channel_mean, self[:3])
         return Basis(ambient, diffuse, strength, self.angles)
 
     def specular(

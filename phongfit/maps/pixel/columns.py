@@ -20,8 +20,8 @@ from phongfit.maps.pixel.small import (
     Numbers,
     Triangle,
     add_products,
+    channel_mean,
     factorize,
-    in_groups,
     no_triangle,
     optimization_barrier,
     solve,
@@ -118,8 +118,8 @@ def mean_columns(
     `target`: the mean.
     """
     start, moments = (
-        jax.tree.map(lambda one: in_groups(one, 1) / one.shape[-2], each)
-        for each in (columns.start, columns.moments)
+        tuple(map(channel_mean, columns.start)),
+        channel_mean(columns.moments),
     )
 
     def free(rest: Array, image: tuple) -> Array:

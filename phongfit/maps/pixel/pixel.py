@@ -39,7 +39,12 @@ from phongfit.maps.pixel.search import (
     where_wanted,
 )
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.small import in_groups, of_rank, optimization_barrier
+from phongfit.maps.pixel.small import (
+    channel_mean,
+    in_groups,
+    of_rank,
+    optimization_barrier,
+)
 
 # Steps on the mean of the channels, which are a third of the price, then on all; and of
 # those at most, with more effort and with the most.
@@ -473,7 +478,7 @@ def _is_vague(found: Descent, variance: Array, box: Box) -> Array:
 
 def _averaged(job: _Job, columns: Columns) -> Columns:
     """Columns of the channels' mean, as if ρ were grey: enough to start from."""
-    target = in_groups(job.target, 1) / job.target.shape[1]
+    target = channel_mean(job.target)
     if job.one_basis:
         return mean_columns(columns, job.fixed, target, job.share**2)
     basis = optimization_barrier(job.basis.grey())

@@ -122,7 +122,7 @@ def measured(
 def differing_channels(samples: Samples) -> Bool[Array, " #pixels"]:
     """Where channels get other light than the first, or do not use the same samples.
 
-    Where they do, they share all that an exponent is weighed against.
+    Elsewhere all channels share what an exponent is weighed against.
     """
 
     def off(values: Float[Array, "images *lights channels #pixels"]) -> Array:
