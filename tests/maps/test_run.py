@@ -128,6 +128,7 @@ def test_no_highlight_and_no_light_are_told(stack):
     assert found.noise_given == 0.01
 
 
+@pytest.mark.parametrize("clouded", [False, True], ids=["clear", "clouded"])
 @pytest.mark.parametrize(
     "asked",
     [
@@ -138,14 +139,15 @@ def test_no_highlight_and_no_light_are_told(stack):
     ],
     ids=["all", "started", "exponent known", "highlight known"],
 )
-def test_white_light_changes_no_number(asked, monkeypatch):
+def test_white_light_changes_no_number(asked, clouded, monkeypatch):
     """What channels share is summed once, save where they use other samples."""
     white = make_stack(color=(1.0, 1.0, 1.0))
     images = white.images.copy()
     # A matte row, whose exponent is vague, and clouded samples of single channels.
     images[:, 0] = images[:, 0].min(axis=0)
-    images[2:5, 3:6, :, 1] = np.nan
-    images[0, 7, ::2, 0] = np.nan
+    if clouded:
+        images[2:5, 3:6, :, 1] = np.nan
+        images[0, 7, ::2, 0] = np.nan
     maps = pf.fit_maps(white.scenes, images, film=FREE, **asked)
     monkeypatch.setattr(
         pixel, "differing_channels", lambda s: jnp.ones(s.target.shape[-1], bool)

@@ -1,6 +1,7 @@
 """From sums at the solution to standard errors, and to what they cannot say."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -11,15 +12,18 @@ from phongfit.fitting.uncertainty.identifiability import SEEN
 from phongfit.maps.pixel.columns import Columns
 from phongfit.maps.pixel.exponent import At, Box, full_gram, slope_gram
 from phongfit.maps.pixel.lobes import Angles
-from phongfit.maps.pixel.search import Profile, survey, where_wanted
+from phongfit.maps.pixel.search import Profile, survey
 from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import (
     Triangle,
     curvatures,
     factorize,
     in_groups,
+    of_rank,
     optimization_barrier,
 )
+
+T = TypeVar("T")
 
 # A search has ended where the next step would be less than this share of the error.
 SETTLED = 0.1
@@ -58,8 +62,9 @@ def standard_errors(
     moved: Float[Array, "unknowns channels pixels"],
     angles: Angles,
     box: Box,
-    thorough: Bool[Array, ""] | bool,
+    thorough: Bool[Array, ""],
     settings: MapSettings,
+    profile: Profile | None = None,
 ) -> Errors:
     r"""Errors from $\sigma^2 (J^\top J)^{-1}$, with no unknown held by its bound.
 
@@ -74,8 +79,8 @@ def standard_errors(
     - `sigma`: standard deviation of a sample.
     - `moved`: by how much the reflectances last moved, where weights move them.
     - `angles`: as in [`Basis`][].
-    - `thorough`: whether to follow the profile where it is wanted; where it is `False`
-        there is no program for it.
+    - `thorough`: whether to follow the profile where it is wanted.
+    - `profile`: of these columns; `None` for one that is made where it is wanted.
     """
     groups = len(t)
     inner = (t > box.lowest) & (t < box.highest)
@@ -113,14 +118,15 @@ def standard_errors(
         error = jnp.where(dim[None], error_apart, error)
 
         def follow() -> tuple[Array, Array, Array]:
-            profile = survey(columns, settings.lobes, angles, box, groups)
-            return (_widest(at, profile, sigma), *_ends(at, profile, t, sigma, box))
+            known = profile
+            if known is None:
+                known = survey(columns, settings.lobes, angles, box, groups)
+            wider = _widest(at, known, columns, sigma)
+            return (wider, *_ends(at, known, t, sigma, box))
 
         vague = dim | ~inner | ~(log_error < VAGUE)
-        wider, low, high = jnp.zeros_like(error), t, t
-        if thorough is not False:
-            nowhere = wider, low, high
-            wider, low, high = where_wanted(vague & thorough, follow, nowhere)
+        nowhere = jnp.zeros_like(error), t, t
+        wider, low, high = _where_wanted(vague & thorough, follow, nowhere)
         error = jnp.maximum(error, wider)
         reach = jnp.maximum(log_error, (high - t) / FAR)
         below = (t - low) / FAR
@@ -153,21 +159,22 @@ def standard_errors(
 
 
 def _widest(
-    at: At, profile: Profile, sigma: Array
+    at: At, profile: Profile, columns: Columns, sigma: Array
 ) -> Float[Array, "unknowns channels pixels"]:
     r"""Half of the interval that the profile allows at two standard errors.
 
     For an exponent that costs $\Delta\phi$, a reflectance there may lie
-    $\sqrt{(4 \sigma^2 - \Delta\phi) v}$ from the best.
+    $\sqrt{(4 \sigma^2 - \Delta\phi) v}$ from the best, with the variance $v$ of noise
+    1 where no bound holds anything.
     """
     left = FAR**2 - _rise(at, profile, sigma)
     allowed = left >= 0
     left = jnp.sqrt(jnp.maximum(left, 0))
     found = []
-    for here, points, variances in zip(
-        at.point, profile.point, profile.variance, strict=True
-    ):
-        off = jnp.abs(points - here[None]) + left * sigma[None] * jnp.sqrt(variances)
+    alone = curvatures(full_gram(columns, profile.sums))
+    for here, points, curvature in zip(at.point, profile.point, alone, strict=True):
+        spread = left * sigma[None] * _root_inverse(curvature)
+        off = jnp.abs(points - here[None]) + spread
         # Infinity times 0 is nothing here: such an exponent costs all there is.
         off = jnp.where(allowed, jnp.where(jnp.isnan(off), jnp.inf, off), 0)
         found.append(jnp.max(off, axis=0) / FAR)
@@ -217,3 +224,19 @@ def _root_inverse(curvature: Array) -> Array:
     positive = curvature > 0
     root = jax.lax.rsqrt(jnp.where(positive, curvature, 1))
     return jnp.where(positive, root, jnp.inf)
+
+
+def _where_wanted(wanted: Array, compute: Callable[[], T], otherwise: T) -> T:
+    """`compute()` where it is wanted, else `otherwise`; not at all if nobody wants it.
+
+    The last axes of all leaves are those of `wanted`.
+    """
+
+    def some() -> T:
+        return jax.tree.map(
+            lambda new, old: jnp.where(of_rank(wanted, new.ndim), new, old),
+            compute(),
+            otherwise,
+        )
+
+    return jax.lax.cond(jnp.any(wanted), some, lambda: otherwise)

@@ -34,9 +34,11 @@ from phongfit.maps.pixel.samples import (
 from phongfit.maps.pixel.search import (
     SHORTEST,
     Descent,
+    Profile,
+    best_candidate,
     refine_exponents,
     scan_exponents,
-    where_wanted,
+    survey,
 )
 from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import (
@@ -133,11 +135,11 @@ class _Job:
     basis: Basis
     box: Box
     noise: Float[Array, ""]
-    effort: Int[Array, ""] | int
+    effort: Int[Array, ""]
     settings: MapSettings
 
     @property
-    def thorough(self) -> Bool[Array, ""] | bool:
+    def thorough(self) -> Bool[Array, ""]:
         """Whether to do whatever helps."""
         return self.effort > 0
 
@@ -211,6 +213,7 @@ class _SearchResult(NamedTuple):
     - `widening`: factor on the errors of samples so weighed.
     - `moved`: by how much the last weights moved the reflectances.
     - `unsettled`: whether the search for the exponent was cut short.
+    - `profile`: of these columns, if the search made it.
     """
 
     at: At
@@ -221,6 +224,7 @@ class _SearchResult(NamedTuple):
     widening: Array
     moved: Array
     unsettled: Array
+    profile: Profile | None = None
 
 
 def fit_pixels(
@@ -231,8 +235,9 @@ def fit_pixels(
     What a few pixels need all beside them pay for. So there are two ways, one short and
     one thorough, and a pixel that is settled by the short one gets the same from both.
 
-    The short one sums once what channels share that get the same light and use the same
-    samples; the few pixels of a block whose channels do not go on to the thorough one.
+    Both sum once what channels share that get the same light and use the same samples.
+    The few pixels of a block whose channels do not go on to the thorough way; there, a
+    block with any of them has sums for each channel.
 
     **Arguments:** `effort`: 0 for the short way, 1 for the thorough one, 2 for that
     with more steps, which one pixel in a hundred needs.
@@ -242,21 +247,20 @@ def fit_pixels(
     """
     samples, lost = measured(tile, outside.lighting, settings)
 
-    def fit(samples: Samples, effort: Int[Array, ""] | int) -> tuple[PixelFit, Array]:
+    def fit(samples: Samples) -> tuple[PixelFit, Array]:
         return _fit_samples(tile, samples, lost, outside, effort, settings)
 
     if not settings.shared or settings.loss.robust or outside.lighting.surrounds:
-        return fit(samples, effort)
+        return fit(samples)
     unlike = differing_channels(samples)
 
     def with_one_basis() -> tuple[PixelFit, Array]:
-        found, wanted = fit(of_one_channel(samples), 0)
+        found, wanted = fit(of_one_channel(samples))
         return found, wanted | unlike
 
-    few = jnp.mean(unlike.astype(samples.target.dtype)) <= MANY
-    return jax.lax.cond(
-        (effort == 0) & few, with_one_basis, lambda: fit(samples, effort)
-    )
+    few = jnp.where(effort > 0, 0, MANY)
+    alike = jnp.mean(unlike.astype(samples.target.dtype)) <= few
+    return jax.lax.cond(alike, with_one_basis, lambda: fit(samples))
 
 
 def _fit_samples(
@@ -264,7 +268,7 @@ def _fit_samples(
     samples: Samples,
     lost: Float[Array, "#images #pixels"],
     outside: Outside,
-    effort: Int[Array, ""] | int,
+    effort: Int[Array, ""],
     settings: MapSettings,
 ) -> tuple[PixelFit, Bool[Array, " pixels"]]:
     """As [`fit_pixels`][]; channels that share light and samples may be one there."""
@@ -309,6 +313,7 @@ def _fit_samples(
             job.box,
             job.thorough,
             settings,
+            found.profile,
         )
     )
 
@@ -382,20 +387,22 @@ def _solve(job: _Job, known: Known) -> _SearchResult:
     settings, shape = job.settings, (job.groups, job.target.shape[-1])
     columns = job.columns(job.share**2)
     t = jnp.broadcast_to(jnp.log(known.shininess), shape)
-    unsettled = jnp.zeros(shape, bool)
+    unsettled, profile = jnp.zeros(shape, bool), None
     if settings.searched:
-        t, unsettled = _search(job, columns, t)
+        t, unsettled, profile = _search(job, columns, t)
     at = job.at(columns, t)
     if settings.loss.robust:
         found = _reweighted(job, at, t)
         return found._replace(unsettled=found.unsettled | unsettled)
     squares = job.in_groups(job.residual(at, t) ** 2)
     one, still = jnp.ones_like(t), jnp.zeros_like(jnp.stack(at.point))
-    return _SearchResult(at, t, columns, squares, one, one, still, unsettled)
+    return _SearchResult(at, t, columns, squares, one, one, still, unsettled, profile)
 
 
-def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Array]:
-    """The exponents, and whether the search was cut short.
+def _search(
+    job: _Job, columns: Columns, t: Array
+) -> tuple[Array, Array, Profile | None]:
+    """The exponents, whether the search was cut short, and the profile if it was made.
 
     Where channels share one, their mean is enough to start from, as if ρ were grey,
     where they have the same samples in the same light. Where they do not, or where the
@@ -426,27 +433,28 @@ def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Array]:
         return found.t, found.bend, _is_vague(found, level, box)
 
     nobody = unsettled = jnp.zeros(t.shape, bool)
-    if settings.scanned and shared and not job.one_basis:
+    profile = None
+    if settings.scanned and shared:
         # Whoever deserves more is asked channel by channel in any case.
         everybody = t, jnp.ones_like(t), ~nobody
         found, bend, vague = jax.lax.cond(thorough, lambda: everybody, together)
-        used = (job.share > 0).astype(t.dtype)
-        odd = in_groups(jnp.sum(jnp.abs(used - used[:, :1]), axis=0), 1) > 0
-        unlike = odd | _coloured(job.basis.strength)[None]
+        unlike = nobody if job.one_basis else _unlike(job)
         wanted = unlike | vague
         # If most pixels beside this one have channels of their own, all do it at once.
-        most = jnp.mean(unlike.astype(t.dtype)) > MANY
-        unsettled = wanted & ~(thorough | most)
-        wanted = wanted & (thorough | most)
+        now = thorough | (jnp.mean(unlike.astype(t.dtype)) > MANY)
+        unsettled, wanted = wanted & ~now, wanted & now
 
-        def scan() -> Array:
-            return scan_exponents(columns, lobes, angles, box, job.groups).t
+        def ask() -> Profile:
+            return survey(columns, lobes, angles, box, job.groups)
 
-        found = where_wanted(wanted, scan, found)
+        none = jax.tree.map(
+            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(ask)
+        )
+        profile = jax.lax.cond(jnp.any(wanted), ask, lambda: none)
+        found = jnp.where(wanted, best_candidate(profile, box).t, found)
         bend = jnp.where(wanted, 1, bend)
     else:
-        found, bend, vague = together()
-        unsettled = vague if settings.scanned else nobody
+        found, bend, unsettled = together()
     t, bend = optimization_barrier((found, bend))
     steps = STEPS if shared else 0
     # Of all that a robust loss does with them these are the least.
@@ -455,7 +463,14 @@ def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Array]:
     end = refine_exponents(
         columns, lobes, angles, t, *edges, box, steps, bend, most, variance
     )
-    return end.t, unsettled | ~end.ended
+    return end.t, unsettled | ~end.ended, profile
+
+
+def _unlike(job: _Job) -> Array:
+    """Whose channels do not have the same samples in the same light."""
+    used = (job.share > 0).astype(job.share.dtype)
+    odd = in_groups(jnp.sum(jnp.abs(used - used[:, :1]), axis=0), 1) > 0
+    return odd | _coloured(job.basis.strength)[None]
 
 
 def _variance(job: _Job, columns: Columns, value: Array) -> Array:

@@ -1,7 +1,7 @@
 r"""The best exponents of pixels: a scan over log f, then steps of Newton's kind."""
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,13 +11,13 @@ from jaxtyping import Array, Float, Int
 from phongfit.maps.pixel.columns import Columns
 from phongfit.maps.pixel.exponent import (
     Box,
+    Sums,
     best_reflectances,
     evaluate,
-    full_gram,
     sum_images,
 )
 from phongfit.maps.pixel.lobes import AbstractLobes, Angles
-from phongfit.maps.pixel.small import Numbers, curvatures, in_groups, of_rank
+from phongfit.maps.pixel.small import Numbers, in_groups
 
 # Candidates of a scan are a factor of 2 apart.
 SPACING = np.log(2).item()
@@ -39,8 +39,6 @@ ROUNDED = 500
 SHORTEST = 1e-3
 SETTLED = 0.05
 
-T = TypeVar("T")
-
 
 class Scan(NamedTuple):
     """The best of a few exponents, refined by a parabola, and its neighbours."""
@@ -57,23 +55,13 @@ class Profile(NamedTuple):
     - `value`: (candidates, groups, pixels) $\phi$ less a constant.
     - `point`: for each unknown (candidates, channels, pixels), the columns' and last
         that of ρ_s.
-    - `variance`: the same, of noise 1 and for this exponent; no bound holds anything.
+    - `sums`: of the images.
     """
 
     t: Array
     value: Array
     point: Numbers
-    variance: Numbers
-
-
-def scan_exponents(
-    columns: Columns, lobes: AbstractLobes, angles: Angles, box: Box, groups: int
-) -> Scan:
-    """The best of all candidates, (groups, pixels)."""
-    t = jnp.asarray(_candidates(box), columns.rest.dtype)
-    sums = sum_images(columns, lobes, angles, t[:, None, None])
-    value = best_reflectances(columns, sums, box, FEW_ROUNDS).value
-    return _lowest(in_groups(value, groups), box)
+    sums: Sums
 
 
 def survey(
@@ -81,13 +69,28 @@ def survey(
 ) -> Profile:
     """The best at all candidates, and at the end of the range."""
     t = jnp.asarray([*_candidates(box), box.highest], columns.rest.dtype)
+    return _profile(columns, lobes, angles, t, box, groups)
+
+
+def scan_exponents(
+    columns: Columns, lobes: AbstractLobes, angles: Angles, box: Box, groups: int
+) -> Scan:
+    """The best of all candidates, (groups, pixels)."""
+    t = jnp.asarray(_candidates(box), columns.rest.dtype)
+    return best_candidate(_profile(columns, lobes, angles, t, box, groups), box)
+
+
+def _profile(
+    columns: Columns,
+    lobes: AbstractLobes,
+    angles: Angles,
+    t: Float[Array, " candidates"],
+    box: Box,
+    groups: int,
+) -> Profile:
     sums = sum_images(columns, lobes, angles, t[:, None, None])
     best = best_reflectances(columns, sums, box, FEW_ROUNDS)
-    variance = tuple(
-        jnp.where(c > 0, 1 / jnp.where(c > 0, c, 1), jnp.inf)
-        for c in curvatures(full_gram(columns, sums))
-    )
-    return Profile(t, 2 * in_groups(best.value, groups), best.point, variance)
+    return Profile(t, 2 * in_groups(best.value, groups), best.point, sums)
 
 
 def _candidates(box: Box) -> Float[np.ndarray, " candidates"]:
@@ -96,9 +99,10 @@ def _candidates(box: Box) -> Float[np.ndarray, " candidates"]:
     return box.lowest + SPACING * np.arange(count)
 
 
-def _lowest(value: Float[Array, "candidates groups pixels"], box: Box) -> Scan:
+def best_candidate(profile: Profile, box: Box) -> Scan:
     """The candidate with the least value, between its neighbours."""
-    count = value.shape[0]
+    count = len(_candidates(box))
+    value = profile.value[:count]
     best = jnp.argmin(value, axis=0)
     t = box.lowest + SPACING * best.astype(value.dtype)
     low = jnp.maximum(t - SPACING, box.lowest)
@@ -281,19 +285,3 @@ def _cubic(slope: Array, beyond: Array, rise: Array, step: Array) -> Array:
     share = 1 - (beyond + root - first) / jnp.where(below != 0, below, jnp.inf)
     inside = (share > NEAREST) & (share < 1 - NEAREST)
     return step * jnp.where(inside, share, 0.5)
-
-
-def where_wanted(wanted: Array, compute: Callable[[], T], otherwise: T) -> T:
-    """`compute()` where it is wanted, else `otherwise`; not at all if nobody wants it.
-
-    The last axes of all leaves are those of `wanted`.
-    """
-
-    def some() -> T:
-        return jax.tree.map(
-            lambda new, old: jnp.where(of_rank(wanted, new.ndim), new, old),
-            compute(),
-            otherwise,
-        )
-
-    return jax.lax.cond(jnp.any(wanted), some, lambda: otherwise)
