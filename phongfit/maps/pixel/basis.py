@@ -1,5 +1,6 @@
 r"""What the light of pixels is made of: $I = \rho_a A + \rho_d D + \rho_s S(f)$."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -38,17 +39,7 @@ class Basis(NamedTuple):
         self, lobes: AbstractLobes, t: Float[Array, "groups #pixels"]
     ) -> Float[Array, "images channels pixels"]:
         """S at exponent e^t."""
-        height = lobes.at(t)
-
-        def image(each: tuple) -> Array:
-            strength, angles = each
-            light = jnp.zeros((strength.shape[1], t.shape[1]), t.dtype)
-            for j, one in enumerate(strength):
-                angle = jax.tree.map(lambda a, j=j: a[j][None], angles)
-                light = light + one * height(angle)[0]
-            return light
-
-        return jax.lax.map(image, (self.strength, self.angles))
+        return jax.lax.map(self._highlight(lobes, t), (self.strength, self.angles))
 
     def light(
         self,
@@ -58,12 +49,43 @@ class Basis(NamedTuple):
         t: Float[Array, "groups pixels"],
     ) -> Float[Array, "images channels pixels"]:
         """Of the reflectances of `columns`, and last ρ_s unless `lobes` is `None`."""
-        light = jnp.zeros_like(self.diffuse)
-        for name, x in zip(columns, point, strict=False):
-            light = light + x[None] * getattr(self, name)
-        if lobes is None:
+        return jax.lax.map(self.light_of_image(columns, point, lobes, t), self)
+
+    def light_of_image(
+        self,
+        columns: tuple[str, ...],
+        point: Numbers,
+        lobes: AbstractLobes | None,
+        t: Float[Array, "groups pixels"],
+    ) -> "Callable[[Basis], Float[Array, 'channels pixels']]":
+        """The same, from what one image has of the basis."""
+        highlight = None if lobes is None else self._highlight(lobes, t)
+
+        def light(image: Basis) -> Array:
+            total = jnp.zeros_like(image.diffuse)
+            for name, x in zip(columns, point, strict=False):
+                total = total + x * getattr(image, name)
+            if highlight is None:
+                return total
+            return total + point[-1] * highlight((image.strength, image.angles))
+
+        return light
+
+    def _highlight(
+        self, lobes: AbstractLobes, t: Float[Array, "groups #pixels"]
+    ) -> Callable[[tuple], Array]:
+        """S of an image, from its strengths and angles."""
+        height = lobes.at(t)
+
+        def highlight(image: tuple) -> Array:
+            strength, angles = image
+            light = jnp.zeros((strength.shape[1], t.shape[1]), t.dtype)
+            for j, one in enumerate(strength):
+                angle = jax.tree.map(lambda a, j=j: a[j][None], angles)
+                light = light + one * height(angle)[0]
             return light
-        return light + point[-1][None] * self.specular(lobes, t)
+
+        return highlight
 
 
 def make_basis(

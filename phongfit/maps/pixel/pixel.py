@@ -42,10 +42,12 @@ from phongfit.maps.pixel.search import (
 )
 from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import (
+    any_sample,
     channel_mean,
     in_groups,
     of_rank,
     optimization_barrier,
+    sum_over_images,
 )
 
 # Steps on the mean of the channels, which are a third of the price, then on all; and of
@@ -179,6 +181,22 @@ class _Job:
         light = self.basis.light(settings.columns, at.point, lobes, t)
         return optimization_barrier(self.share * (light - self.target))
 
+    def squares(
+        self, at: At, t: Float[Array, "groups pixels"]
+    ) -> Float[Array, "groups pixels"]:
+        """The sum of squares of [`residual`][], which are not kept."""
+        settings = self.settings
+        lobes = settings.lobes if settings.shiny else None
+        light = self.basis.light_of_image(settings.columns, at.point, lobes, t)
+
+        def add(sum: Array, image: tuple) -> Array:
+            share, target, basis = image
+            return sum + (share * (light(basis) - target)) ** 2
+
+        none = jnp.zeros_like(self.target[0])
+        each = self.share, self.target, self.basis
+        return in_groups(sum_over_images(add, none, each), self.groups)
+
     def in_groups(
         self, values: Float[Array, "images channels pixels"]
     ) -> Float[Array, "groups pixels"]:
@@ -290,7 +308,7 @@ def _fit_samples(
         # Each group's own scale, which outliers do not reach.
         squares = share_of_group * found.scale**2
     level = jnp.sqrt(in_groups(squares, 1)[0] / freedom)
-    black = in_groups(jnp.sum(jnp.abs(share * samples.target), axis=0), 1)[0] == 0
+    black = ~any_sample((share > 0) & (samples.target != 0))[0]
     identified = ~black & (enough | (settings.noise_given & (count >= unknowns)))
 
     misfit = jnp.zeros(level.shape, bool)
@@ -320,8 +338,7 @@ def _fit_samples(
     def some(of_groups: Bool[Array, "groups pixels"]) -> Bool[Array, " pixels"]:
         return jnp.any(of_groups, axis=0)
 
-    # Not as a product: compilers take sums of those to others, which are slower here.
-    lost = jnp.sum(jnp.where(lit > 0, lost, 0), axis=0) > 0
+    lost = any_sample(((lit > 0) & (lost > 0))[:, None])[0]
     flags = (
         jnp.where(black, Flag.BLACK, 0)
         | jnp.where(lost, Flag.NOT_FINITE, 0)
@@ -394,7 +411,7 @@ def _solve(job: _Job, known: Known) -> _SearchResult:
     if settings.loss.robust:
         found = _reweighted(job, at, t)
         return found._replace(unsettled=found.unsettled | unsettled)
-    squares = job.in_groups(job.residual(at, t) ** 2)
+    squares = job.squares(at, t)
     one, still = jnp.ones_like(t), jnp.zeros_like(jnp.stack(at.point))
     return _SearchResult(at, t, columns, squares, one, one, still, unsettled, profile)
 
@@ -468,8 +485,8 @@ def _search(
 
 def _unlike(job: _Job) -> Array:
     """Whose channels do not have the same samples in the same light."""
-    used = (job.share > 0).astype(job.share.dtype)
-    odd = in_groups(jnp.sum(jnp.abs(used - used[:, :1]), axis=0), 1) > 0
+    used = job.share > 0
+    odd = any_sample(used != used[:, :1])
     return odd | _coloured(job.basis.strength)[None]
 
 
@@ -600,7 +617,7 @@ def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
         # No loss says more of noise that is known than least squares.
         wider = jnp.maximum(wider, 1)
     wider = wider * jnp.sqrt(kept / jnp.maximum(count, 1))
-    squares = job.in_groups(job.residual(at, t) ** 2)
+    squares = job.squares(at, t)
     doubtful = ~last.ended | _is_doubtful(job, weight, t)
     if settings.noise_given:
         doubtful |= scale > LARGER * noise

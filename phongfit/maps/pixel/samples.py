@@ -10,7 +10,11 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 from phongfit.maps.pixel.lamps import Lamps, make_lamps
 from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.small import in_groups, optimization_barrier
+from phongfit.maps.pixel.small import (
+    any_sample,
+    in_groups,
+    optimization_barrier,
+)
 
 
 class Tile(NamedTuple):
@@ -126,13 +130,12 @@ def differing_channels(samples: Samples) -> Bool[Array, " #pixels"]:
     """
 
     def off(values: Float[Array, "images *lights channels #pixels"]) -> Array:
-        # As numbers, and an axis at a time: other sums are slow.
-        unlike = in_groups(jnp.sum(jnp.abs(values - values[..., :1, :]), axis=0), 1)
-        return jnp.sum(unlike.reshape(-1, unlike.shape[-1]), axis=0)
+        unlike = any_sample(values != values[..., :1, :])
+        return jnp.any(unlike.reshape(-1, unlike.shape[-1]), axis=0)
 
     lamps = samples.lamps
-    light = off(lamps.diffuse) + off(lamps.specular) + off(lamps.ambient)
-    return light + off(samples.share) > 0
+    light = off(lamps.diffuse) | off(lamps.specular) | off(lamps.ambient)
+    return light | off(samples.share)
 
 
 def of_one_channel(samples: Samples) -> Samples:

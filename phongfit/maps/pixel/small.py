@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 Numbers: TypeAlias = tuple[Array, ...]
 Triangle: TypeAlias = tuple[Numbers, ...]
@@ -261,6 +261,18 @@ def in_groups(
     for k in range(1, values.shape[-2]):
         total = total + values[..., k : k + 1, :]
     return total
+
+
+def any_sample(
+    flags: Bool[Array, "images *batch channels #pixels"],
+) -> Bool[Array, "*batch 1 #pixels"]:
+    """Whether it holds for any image and channel. Sums of flags are slow."""
+
+    def add(sums: Array, one: Array) -> Array:
+        return sums + jnp.where(one, 1, 0).astype(sums.dtype)
+
+    none = jnp.zeros(flags.shape[1:], jnp.float32)
+    return in_groups(sum_over_images(add, none, flags), 1) > 0
 
 
 def channel_mean(
