@@ -41,16 +41,6 @@ class Basis(NamedTuple):
         """S at exponent e^t."""
         return jax.lax.map(self._highlight(lobes, t), (self.strength, self.angles))
 
-    def light(
-        self,
-        columns: tuple[str, ...],
-        point: Numbers,
-        lobes: AbstractLobes | None,
-        t: Float[Array, "groups pixels"],
-    ) -> Float[Array, "images channels pixels"]:
-        """Of the reflectances of `columns`, and last ρ_s unless `lobes` is `None`."""
-        return jax.lax.map(self.light_of_image(columns, point, lobes, t), self)
-
     def light_of_image(
         self,
         columns: tuple[str, ...],
@@ -58,7 +48,10 @@ class Basis(NamedTuple):
         lobes: AbstractLobes | None,
         t: Float[Array, "groups pixels"],
     ) -> "Callable[[Basis], Float[Array, 'channels pixels']]":
-        """The same, from what one image has of the basis."""
+        """From what one image has of the basis to its light.
+
+        Of the reflectances of `columns`, and last ρ_s unless `lobes` is `None`.
+        """
         highlight = None if lobes is None else self._highlight(lobes, t)
 
         def light(image: Basis) -> Array:

@@ -176,26 +176,38 @@ class _Job:
         self, at: At, t: Float[Array, "groups pixels"]
     ) -> Float[Array, "images channels pixels"]:
         """(model − measured) · share."""
-        settings = self.settings
-        lobes = settings.lobes if settings.shiny else None
-        light = self.basis.light(settings.columns, at.point, lobes, t)
-        return optimization_barrier(self.share * (light - self.target))
+        return optimization_barrier(jax.lax.map(self._left(at, t), self._images))
 
     def squares(
         self, at: At, t: Float[Array, "groups pixels"]
     ) -> Float[Array, "groups pixels"]:
         """The sum of squares of [`residual`][], which are not kept."""
+        left = self._left(at, t)
+
+        def add(sum: Array, image: tuple) -> Array:
+            return sum + left(image) ** 2
+
+        none = jnp.zeros_like(self.target[0])
+        return in_groups(sum_over_images(add, none, self._images), self.groups)
+
+    @property
+    def _images(self) -> tuple[Array, Array, Basis]:
+        """What residuals are made from, image by image."""
+        return self.share, self.target, self.basis
+
+    def _left(
+        self, at: At, t: Float[Array, "groups pixels"]
+    ) -> Callable[[tuple], Array]:
+        """The residuals of one of the images."""
         settings = self.settings
         lobes = settings.lobes if settings.shiny else None
         light = self.basis.light_of_image(settings.columns, at.point, lobes, t)
 
-        def add(sum: Array, image: tuple) -> Array:
+        def left(image: tuple) -> Array:
             share, target, basis = image
-            return sum + (share * (light(basis) - target)) ** 2
+            return share * (light(basis) - target)
 
-        none = jnp.zeros_like(self.target[0])
-        each = self.share, self.target, self.basis
-        return in_groups(sum_over_images(add, none, each), self.groups)
+        return left
 
     def in_groups(
         self, values: Float[Array, "images channels pixels"]

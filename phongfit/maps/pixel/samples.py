@@ -10,11 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 from phongfit.maps.pixel.lamps import Lamps, make_lamps
 from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.small import (
-    any_sample,
-    in_groups,
-    optimization_barrier,
-)
+from phongfit.maps.pixel.small import any_sample, in_groups, optimization_barrier
 
 
 class Tile(NamedTuple):
