@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, UInt
@@ -314,10 +313,9 @@ def to_levels(
 ) -> UInt[np.ndarray, "..."]:
     """Linear light, of any shape, as the whole numbers of 8 or 16 bits in a file."""
     # In double precision: the curve of sRGB has to give all 65536 levels back.
-    with jax.enable_x64(True):
-        shown = jnp.clip(jnp.asarray(np.asarray(light, np.float64)), 0, 1)
-        levels = jnp.round(encode(shown, as_encoding(encoding)) * (2**bits - 1))
-        return np.asarray(levels).astype(np.uint8 if bits == 8 else np.uint16)
+    shown = np.clip(np.asarray(light, np.float64), 0, 1)
+    levels = np.round(encode(shown, as_encoding(encoding)) * (2**bits - 1))
+    return levels.astype(np.uint8 if bits == 8 else np.uint16)
 
 
 def from_levels(
@@ -330,10 +328,8 @@ def from_levels(
 def level_table(dtype: Any, encoding: Encoding) -> Float[np.ndarray, " levels"]:
     """The light of each whole number of 8 or 16 bits: there are fewer than pixels."""
     highest = np.iinfo(dtype).max
-    with jax.enable_x64(True):
-        encoded = jnp.asarray(np.arange(highest + 1) / highest)
-        table = np.asarray(decode(encoded, as_encoding(encoding)))
-    return table.astype(_float_type())
+    encoded = np.arange(highest + 1) / highest
+    return decode(encoded, as_encoding(encoding)).astype(_float_type())
 
 
 def _float_type() -> np.dtype:
