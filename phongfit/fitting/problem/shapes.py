@@ -34,9 +34,8 @@ def moves_cosine(model: AbstractSpecular) -> bool:
 
 def takes_exponent(model: AbstractSpecular) -> bool:
     """Whether the lobe depends on the material's exponent."""
-    cosine = model.cosine(*_vectors())
-    exponent = jnp.ones((), jnp.result_type(float))
-    return _depends(lambda shininess: model.lobe(cosine, shininess), exponent)
+    exponent = np.ones((), jnp.result_type(float))
+    return _depends(lambda f: model.lobe(model.cosine(*_vectors()), f), exponent)
 
 
 def check_shape(unknowns: Sequence[str], model: AbstractSpecular) -> None:
