@@ -82,6 +82,28 @@ def opened_jpeg(data: bytes) -> Iterator[Image.Image]:
             yield image
 
 
+# Of 16 MB each: four photographs of 60 megapixels.
+_BLOCKS = 64
+_KEPT = Image.core.get_blocks_max()
+
+
+@contextlib.contextmanager
+def pooled_memory() -> Iterator[None]:
+    """Photographs that the block decodes take the memory of those before them.
+
+    Pillow gives it back after each one, unless told otherwise, and fresh pages take as
+    long as decoding. No more is kept than was in use at a time.
+
+    ??? cite "Source"
+        Pillow's documentation, *Block allocator*.
+    """
+    Image.core.set_blocks_max(_BLOCKS)
+    try:
+        yield
+    finally:
+        Image.core.set_blocks_max(_KEPT)
+
+
 def _read_jpeg(data: bytes, path: Path, room: Room) -> np.ndarray:
     del path
     with opened_jpeg(data) as image:

@@ -50,9 +50,11 @@ class Spool:
         weakref.finalize(self, self._file.close)
 
     def add(
-        self, image: Coded, used: Bool[np.ndarray, "height width *channel"]
+        self, image: Coded, used: Bool[np.ndarray, "height width *channel"] | None
     ) -> None:
         """One image more, (height, width, 3).
+
+        **Arguments:** `used`: where it may be; `None` for everywhere.
 
         **Raises:** `OSError` that says where there should be room.
         """
@@ -63,13 +65,12 @@ class Spool:
         self._checksum.update(f"{numbers.dtype.str} {numbers.shape}".encode())
         if table is not None:
             self._checksum.update(np.ascontiguousarray(table).data)
-        offset, mask, channels = self._end, None, np.shape(used)[2:]
+        offset, mask, channels = self._end, None, ()
         self._write(numbers)
-        if not used.all():
-            bits = np.packbits(used)
+        if used is not None:
+            channels, mask = used.shape[2:], self._end
             self._checksum.update(f"{channels}".encode())
-            mask = self._end
-            self._write(bits)
+            self._write(np.packbits(used))
         number = None if table is None else self._number(table)
         self._images.append(
             _Image(offset, numbers.dtype, number, mask, *(channels or (1,)))
@@ -122,12 +123,16 @@ class Spool:
         run = last - first == len(pixels)
         hidden = None
         for row, image in enumerate(images):
-            numbers = self._read(image.offset, image.dtype, 3 * first, 3 * last)
-            numbers = numbers.reshape(-1, 3)
-            numbers = numbers if run else numbers[pixels - first]
-            if not alike and image.table is not None:
-                numbers = self._tables[image.table][numbers]
-            taken[row] = numbers
+            start = image.offset + 3 * first * image.dtype.itemsize
+            if run and image.dtype == dtype:
+                self._read(start, taken[row])
+            else:
+                numbers = np.empty((last - first, 3), image.dtype)
+                self._read(start, numbers)
+                numbers = numbers if run else numbers[pixels - first]
+                if not alike and image.table is not None:
+                    numbers = self._tables[image.table][numbers]
+                taken[row] = numbers
             if image.mask is None:
                 continue
             if hidden is None:
@@ -145,18 +150,17 @@ class Spool:
             return Coded(taken)
         return Coded(taken, tables[0] if len(self._tables) == 1 else np.stack(tables))
 
-    def _read(self, offset: int, dtype: np.dtype, first: int, last: int) -> np.ndarray:
-        """So many numbers of those that stand in a place."""
-        numbers = np.empty(last - first, dtype)
+    def _read(self, offset: int, numbers: np.ndarray) -> None:
+        """So many of those that stand in a place."""
         with self._lock:
-            self._file.seek(offset + first * dtype.itemsize)
+            self._file.seek(offset)
             self._file.readinto(numbers.data)
-        return numbers
 
     def _bits(self, offset: int, first: int, last: int) -> np.ndarray:
         """The same of bits."""
         start = first // 8
-        found = self._read(offset, np.dtype(np.uint8), start, -(-last // 8))
+        found = np.empty(-(-last // 8) - start, np.uint8)
+        self._read(offset + start, found)
         return np.unpackbits(found)[first - 8 * start : last - 8 * start].astype(bool)
 
     @property

@@ -4,8 +4,8 @@ import abc
 import hashlib
 import mmap
 import os
-from collections.abc import Callable, Sequence
-from typing import Any, final
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar, final
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +15,7 @@ from phongfit.checks import as_array
 from phongfit.edge import checked
 from phongfit.files.coded import Coded
 from phongfit.files.dataset import Photographs
+from phongfit.files.formats import pooled_memory
 from phongfit.files.images import level_table
 from phongfit.files.inputs import naming
 from phongfit.files.photographs import open_photographs
@@ -31,6 +32,8 @@ from phongfit.files.zarrs import (
 from phongfit.maps.ahead import ahead
 from phongfit.maps.spool import Spool
 from phongfit.rendering.film import Encoding, as_encoding
+
+T = TypeVar("T")
 
 Update = Callable[[bytes | memoryview], None]
 
@@ -178,9 +181,11 @@ class RectangleStack(AbstractCodedStack):
     def take_coded(self, pixels: Int[np.ndarray, " n"], order: Sequence[int]) -> Coded:
         numbers, table = self._images
         numbers = numbers.reshape(len(numbers), -1, 3)
-        # What is together stays where it is.
-        run = slice(pixels[0], pixels[-1] + 1) if is_run(pixels) else pixels
-        numbers = numbers[:, run]
+        if is_run(pixels):
+            # What is together stays where it is.
+            numbers = numbers[:, pixels[0] : pixels[-1] + 1]
+        else:
+            numbers = numbers.take(pixels, axis=1)
         if list(order) != list(range(len(numbers))):
             numbers = numbers[list(order)]
             table = table if table is None or table.ndim == 1 else table[list(order)]
@@ -262,11 +267,12 @@ class PhotographStack(AbstractPhotographs):
         self.notes = series.notes
         self._shape = len(series), *series.size
         self._spool = Spool(_float_type())
-        for number, photo in ahead(series.read, len(series), DECODED):
+        for number, photo in _decoded(series.read, len(series)):
             if (shares == 1).all():
-                self._spool.add(photo.coded, photo.usable)
+                coded, mask = photo.coded, photo.usable
             else:
-                self._spool.add(photo.coded.times(shares[number]), photo.unsaturated)
+                coded, mask = photo.coded.times(shares[number]), photo.unsaturated
+            self._spool.add(coded, _unless_whole(mask))
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -296,8 +302,9 @@ class DatasetStack(AbstractPhotographs):
         self.mask = np.zeros((camera.height, camera.width), bool)
         self._spool = Spool(_float_type())
         count = len(photographs.names)
-        for _, (coded, mask) in ahead(photographs.read, count, DECODED):
-            self.mask |= mask if mask.ndim == 2 else mask.any(axis=-1)
+        for _, (coded, mask) in _decoded(photographs.read, count):
+            mask = _unless_whole(mask)
+            self.mask |= True if mask is None else np.atleast_3d(mask).any(axis=-1)
             self._spool.add(coded, mask)
 
     @property
@@ -426,6 +433,17 @@ def gather(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 def is_run(numbers: np.ndarray) -> bool:
     """Whether rising numbers follow one another."""
     return bool(len(numbers) and numbers[-1] - numbers[0] + 1 == len(numbers))
+
+
+def _decoded(read: Callable[[int], T], count: int) -> Iterator[tuple[int, T]]:
+    """Numbers from 0 on, and the photograph of each."""
+    with pooled_memory():
+        yield from ahead(read, count, DECODED)
+
+
+def _unless_whole(mask: np.ndarray) -> np.ndarray | None:
+    """`None` for a mask that leaves out nothing."""
+    return None if mask.all() else mask
 
 
 def _let_go(array: np.ndarray) -> None:
