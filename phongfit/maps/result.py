@@ -150,9 +150,11 @@ class Maps:
 
         None that lies outside, and none that has not converged.
         """
+        # Channel by channel: to ask along an axis of three is slow.
         finite = [
-            np.isfinite(getattr(self.stderr, name)).all(axis=-1)
+            np.isfinite(channel)
             for name in self.unknowns
+            for channel in np.moveaxis(getattr(self.stderr, name), -1, 0)
         ]
         not_fitted = self.flagged(Flag.OUTSIDE | Flag.NOT_CONVERGED)
         return np.logical_and.reduce(finite) & ~not_fitted

@@ -32,7 +32,7 @@ from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
 from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps
-from phongfit.maps.stacks import as_stack, identify_stack
+from phongfit.maps.stacks import as_stack, identify_stack, is_run
 from phongfit.maps.store import TileStore, tile_store
 from phongfit.maps.warm import WarmMemory, filled
 from phongfit.material import Material
@@ -400,19 +400,21 @@ class _Canvas:
         `arrays` are the leaves of what tiles of this kind are.
         """
         tile: Any = jax.tree.unflatten(_TREES[self._kind], arrays)
+        # One after another they need not be looked up.
+        place = slice(pixels[0], pixels[-1] + 1) if is_run(pixels) else pixels
         if self._kind == "shared":
-            self._weights[pixels], tile = tile.weights, tile.pixel
+            self._weights[place], tile = tile.weights, tile.pixel
         if self._normals is not None:
-            self._normals[pixels], self._turned[pixels] = tile.normal, tile.error
+            self._normals[place], self._turned[place] = tile.normal, tile.error
             tile = tile.material
         leaves = (tile.ambient, tile.diffuse, tile.specular, tile.shininess)
         for canvas, values in zip(self._values, leaves, strict=True):
-            canvas[pixels] = values
+            canvas[place] = values
         for canvas, values in zip(self._errors, tile.errors, strict=True):
-            canvas[pixels] = values
-        self._noise[pixels] = tile.noise
-        self._samples[pixels] = tile.samples
-        self._flags[pixels] = tile.flags
+            canvas[place] = values
+        self._noise[place] = tile.noise
+        self._samples[place] = tile.samples
+        self._flags[place] = tile.flags
 
     def finished(
         self,
