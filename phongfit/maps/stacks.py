@@ -303,9 +303,8 @@ class DatasetStack(AbstractPhotographs):
         self._spool = Spool(_float_type())
         count = len(photographs.names)
         for _, (coded, mask) in _decoded(photographs.read, count):
-            mask = _unless_whole(mask)
-            self.mask |= True if mask is None else np.atleast_3d(mask).any(axis=-1)
-            self._spool.add(coded, mask)
+            self._spool.add(coded, _unless_whole(mask))
+            self.mask |= mask if mask.ndim == 2 else mask.any(axis=-1)
 
     @property
     def shape(self) -> tuple[int, int, int]:
