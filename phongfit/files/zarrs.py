@@ -237,7 +237,7 @@ def make_array(
     from zarr.codecs import BloscCodec
 
     # It puts the high bytes of numbers together, of which noise changes few: maps take
-    # less room than by zstd alone, in a quarter of the time.
+    # about as much room as by zstd alone, in a quarter of the time.
     compressor = BloscCodec(cname="lz4", clevel=1) if compressed else None
     with _blaming(str(group.store_path), "written"):
         return group.create_array(
