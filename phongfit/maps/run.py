@@ -32,7 +32,7 @@ from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
 from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps
-from phongfit.maps.stacks import as_stack, identify_stack, is_run
+from phongfit.maps.stacks import as_index, as_stack, identify_stack
 from phongfit.maps.store import TileStore, tile_store
 from phongfit.maps.warm import WarmMemory, filled
 from phongfit.material import Material
@@ -400,8 +400,7 @@ class _Canvas:
         `arrays` are the leaves of what tiles of this kind are.
         """
         tile: Any = jax.tree.unflatten(_TREES[self._kind], arrays)
-        # One after another they need not be looked up.
-        place = slice(pixels[0], pixels[-1] + 1) if is_run(pixels) else pixels
+        place = as_index(pixels)
         if self._kind == "shared":
             self._weights[place], tile = tile.weights, tile.pixel
         if self._normals is not None:

@@ -50,11 +50,9 @@ class Spool:
         weakref.finalize(self, self._file.close)
 
     def add(
-        self, image: Coded, used: Bool[np.ndarray, "height width *channel"] | None
+        self, image: Coded, used: Bool[np.ndarray, "height width *channel"]
     ) -> None:
         """One image more, (height, width, 3).
-
-        **Arguments:** `used`: where it may be; `None` for everywhere.
 
         **Raises:** `OSError` that says where there should be room.
         """
@@ -67,7 +65,7 @@ class Spool:
             self._checksum.update(np.ascontiguousarray(table).data)
         offset, mask, channels = self._end, None, ()
         self._write(numbers)
-        if used is not None:
+        if not used.all():
             channels, mask = used.shape[2:], self._end
             self._checksum.update(f"{channels}".encode())
             self._write(np.packbits(used))

@@ -269,10 +269,9 @@ class PhotographStack(AbstractPhotographs):
         self._spool = Spool(_float_type())
         for number, photo in _decoded(series.read, len(series)):
             if (shares == 1).all():
-                coded, mask = photo.coded, photo.usable
+                self._spool.add(photo.coded, photo.usable)
             else:
-                coded, mask = photo.coded.times(shares[number]), photo.unsaturated
-            self._spool.add(coded, _unless_whole(mask))
+                self._spool.add(photo.coded.times(shares[number]), photo.unsaturated)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -303,8 +302,8 @@ class DatasetStack(AbstractPhotographs):
         self._spool = Spool(_float_type())
         count = len(photographs.names)
         for _, (coded, mask) in _decoded(photographs.read, count):
-            self._spool.add(coded, _unless_whole(mask))
             self.mask |= mask if mask.ndim == 2 else mask.any(axis=-1)
+            self._spool.add(coded, mask)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -420,13 +419,14 @@ def read_rectangle(
 def gather(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """Some pixels of an image, by their flat indices, row by row."""
     height, width = image.shape[:2]
-    whole = image.flags.c_contiguous
-    if whole and is_run(pixels):
-        # Nothing need be looked up.
-        return image.reshape(height * width, -1)[pixels[0] : pixels[-1] + 1]
-    if whole:
-        return image.reshape(height * width, -1)[pixels]
+    if image.flags.c_contiguous:
+        return image.reshape(height * width, -1)[as_index(pixels)]
     return image[pixels // width, pixels % width]
+
+
+def as_index(pixels: np.ndarray) -> np.ndarray | slice:
+    """The same; a slice where they follow one another: then none is looked up."""
+    return slice(pixels[0], pixels[-1] + 1) if is_run(pixels) else pixels
 
 
 def is_run(numbers: np.ndarray) -> bool:
@@ -438,11 +438,6 @@ def _decoded(read: Callable[[int], T], count: int) -> Iterator[tuple[int, T]]:
     """Numbers from 0 on, and the photograph of each."""
     with pooled_memory():
         yield from ahead(read, count, DECODED)
-
-
-def _unless_whole(mask: np.ndarray) -> np.ndarray | None:
-    """`None` for a mask that leaves out nothing."""
-    return None if mask.all() else mask
 
 
 def _let_go(array: np.ndarray) -> None:

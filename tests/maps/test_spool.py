@@ -28,7 +28,7 @@ def photograph(rng, dtype: Any = np.uint8, encoding: Any = "srgb") -> Coded:
 def spool_of(images: list[Coded], masks: list[np.ndarray]) -> Spool:
     spool = Spool(DTYPE)
     for image, mask in zip(images, masks, strict=True):
-        spool.add(image, None if mask.all() else mask)
+        spool.add(image, mask)
     return spool
 
 

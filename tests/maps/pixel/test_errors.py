@@ -29,11 +29,10 @@ def errors_at(t, moved, specular=SPECULAR):
     one = floats(np.ones((IMAGES, 1, 1)))
     target = DIFFUSE * diffuse + specular * jnp.exp(EXPONENT * angles)
     columns = make_columns((diffuse,), target, one, one[:, None])
-    settings, box = SETTINGS, BOX
     t, moved = t.reshape(1, 1), moved.reshape(2, 1, 1)
-    at = evaluate(columns, settings.lobes, angles, t, box)
+    at = evaluate(columns, SETTINGS.lobes, angles, t, BOX)
     whole, noise = jnp.ones((), bool), floats([[NOISE]])
-    return standard_errors(at, columns, t, noise, moved, angles, box, whole, settings)
+    return standard_errors(at, columns, t, noise, moved, angles, BOX, whole, SETTINGS)
 
 
 STILL = np.zeros((1, 2))
