@@ -1,77 +1,101 @@
-"""The suite runs once in float32 and once in float64: see `python -m tests`.
+"""Precision, compilation and shared fixtures of the tests.
 
-Some tests run in one of the two, unless `--both` is asked for: those with the mark
-`float64`; those of the folders in `SINGLE`, in float32; and those in `ALTERNATE`, where
-a checksum of a test's name chooses, whatever stands before it. Its parameters have no
-part in that: they share what is compiled.
+Each test runs in one precision: float32, the default of users, where files, commands,
+pages and maps are the subject, float64 everywhere else. A test that uses the fixture
+`precision` runs in both. Modules that several test files import hold no JAX arrays at
+module level, since their precision would be that of the first importer.
 """
 
-import gc
+import os
 import shutil
-import threading
-import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+
+# Most programs run once: unoptimised, they compile in half the time. XLA reads this
+# when it starts, thus before the import of JAX.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 
 import jax
 import matplotlib
 import pytest
 from hypothesis import settings
-from jax._src.interpreters import mlir
-from jaxlib.mlir import ir
-
-from phongfit.programs import MOST_PIECES, pieces_of_memory
 
 ROOT = Path(__file__).parent
+# What the last run compiled; kept out of the user's own cache.
+COMPILED = ROOT.parent / ".pytest_cache" / "compiled"
+MOST_BYTES = 2**30
+SINGLE = {
+    "campaign",
+    "commands",
+    "data_synth",
+    "experiments",
+    "files",
+    "lab",
+    "maps",
+    "report",
+}
 
 matplotlib.use("agg")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
-# Compilation makes the first example slow, which says nothing about the code.
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    jax.config.update("jax_compilation_cache_dir", str(COMPILED))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+# The first example includes compilation, so a deadline would be arbitrary.
 settings.register_profile("phongfit", deadline=None, derandomize=True)
 settings.load_profile("phongfit")
-# JAX makes objects by the million while it traces, nearly all of which stay: to look
-# through them every 700 takes a tenth of the time of all tests.
-gc.set_threshold(100_000, 10, 10)
-# Nobody reads which line an instruction came from: a seventh of tracing and lowering.
-jax.config.update("jax_traceback_in_locations_limit", 0)
 
 
-def _shared_contexts(make):
-    """MLIR's contexts, each for a few hundred programs of a thread in place of one.
-
-    To make one and to fill it anew is a quarter of a small program's time, and each
-    program keeps its own: half of the memory of all tests. What is lowered while
-    something else is, as solvers of lineax have it, does need its own.
-    """
-    here = threading.local()
-
-    def context():
-        if ir.Context.current is not None:
-            return make()
-        here.count = getattr(here, "count", -1) + 1
-        if here.count % 200 == 0:
-            here.shared = make()
-        return here.shared
-
-    return context
+def pytest_configure(config: pytest.Config) -> None:
+    """Delete compiled programs once they take more than a gigabyte."""
+    is_worker = hasattr(config, "workerinput")
+    if not is_worker and COMPILED.is_dir():
+        size = sum(path.stat().st_size for path in COMPILED.iterdir())
+        if size > MOST_BYTES:
+            shutil.rmtree(COMPILED)
 
 
-mlir.make_ir_context = _shared_contexts(mlir.make_ir_context)
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector):
+    """Import a test module in the precision that its tests run in."""
+    path = getattr(collector, "path", ROOT)
+    with in_precision(precision_of(path)):
+        return (yield)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _settled_memory():
-    """What JAX has compiled stays: the collector need not look at it again.
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item):
+    """Run a test, its fixtures included, in its precision."""
+    asked = getattr(item, "callspec", None)
+    name = asked.params.get("precision") if asked is not None else None
+    with in_precision(name or precision_of(item.path)):
+        return (yield)
 
-    Until there is so much of it that the system runs out of pieces of memory: what is
-    frozen would not go by itself.
-    """
-    yield
-    if pieces_of_memory() > MOST_PIECES:
-        jax.clear_caches()
-        gc.unfreeze()
-        gc.collect()
-    gc.freeze()
+
+def precision_of(path: Path) -> str:
+    """The precision that the tests of a file run in."""
+    inside = path.relative_to(ROOT).parts if path.is_relative_to(ROOT) else ()
+    folder = inside[0] if inside else ""
+    return "float32" if folder in SINGLE and "pixel" not in inside else "float64"
+
+
+@contextmanager
+def in_precision(name: str) -> Iterator[None]:
+    """Set JAX's precision, in all threads, and restore it afterwards."""
+    before = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+    jax.config.update("jax_enable_x64", name == "float64")
+    try:
+        yield
+    finally:
+        jax.config.update("jax_enable_x64", before)
+
+
+@pytest.fixture(params=["float32", "float64"])
+def precision(request: pytest.FixtureRequest) -> str:
+    """Run the test in both precisions."""
+    return request.param
 
 
 @pytest.fixture(scope="module")
@@ -95,94 +119,3 @@ def browser():
         )
         yield chromium
         chromium.close()
-
-
-# Of files and words, or as commands and experiments are run, or of the precision that
-# maps are made in: float32 alone. The arithmetic of a map's pixel runs in both.
-SINGLE = {"campaign", "commands", "data_synth", "experiments", "files", "maps"}
-# Whole fits and pictures, which take long to compile: about a third of them in float32,
-# where all of `SINGLE` runs, the others in float64. The parts of a fit run in both.
-ALTERNATE = {
-    # Computed by NumPy, in double precision.
-    "calibration",
-    "geometry",
-    "lab",
-    "rendering",
-    "report",
-    "test_edges",
-    "test_fit",
-    "test_rejected",
-    "test_identifiability",
-    "test_implicit",
-    "test_intervals",
-    "test_jpeg",
-    "test_meshes",
-    "test_microfacets",
-    "test_misfit",
-    "test_outliers",
-    "test_poses",
-    "test_predict",
-    "test_profile",
-    "test_recovery",
-    "test_robust",
-    "test_scenes",
-    "test_shapes",
-    "test_statistics",
-    "test_surroundings",
-    "test_texture_fit",
-    "test_warnings",
-}
-
-
-def pytest_addoption(parser):
-    parser.addoption(
-        "--both",
-        action="store_true",
-        help="run in both precisions what runs in one of them otherwise",
-    )
-
-
-def pytest_ignore_collect(collection_path, config):
-    """What float64 has no part in need not even be imported there."""
-    if _double() and not config.getoption("--both") and collection_path.is_file():
-        return _is_single(collection_path) or None
-    return None
-
-
-def pytest_collection_modifyitems(config, items):
-    """What need not run in both precisions runs in one."""
-    double = _double()
-    once = pytest.mark.skip(reason=f"runs in float{32 if double else 64} alone")
-    for item in items:
-        if item.get_closest_marker("float64"):
-            if _is_single(item.path):
-                raise pytest.UsageError(f"{item.nodeid}: float64 is not run there")
-            home = True
-        elif config.getoption("--both"):
-            continue
-        else:
-            home = _home(item.path, getattr(item, "originalname", item.name))
-        if home not in (None, double):
-            item.add_marker(once)
-
-
-def _double() -> bool:
-    return jax.numpy.result_type(float) == jax.numpy.float64
-
-
-def _folder(path: Path) -> str:
-    """The folder or file of `tests` that a path is or lies in."""
-    return path.relative_to(ROOT).parts[0] if path != ROOT else ""
-
-
-def _is_single(path: Path) -> bool:
-    return _folder(path) in SINGLE and path.parent.name != "pixel"
-
-
-def _home(path: Path, name: str) -> bool | None:
-    """Whether the test of this name in a file is for float64; `None`: for both."""
-    if _is_single(path):
-        return False
-    if ALTERNATE.isdisjoint({_folder(path), path.stem}):
-        return None
-    return zlib.crc32(f"{path.stem}.{name}".encode()) % 3 != 0

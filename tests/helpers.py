@@ -17,14 +17,25 @@ from phongfit.lights import AbstractLight
 from phongfit.reflectance import AbstractSpecular
 from phongfit.testing import check_gradients
 
-EPS = float(jnp.finfo(jnp.result_type(float)).eps)
 T = TypeVar("T")
-# Some hundred roundings in the precision of this run: 1e-5 or 1e-14.
-CLOSE = 100 * EPS
 
 
-def near(actual, expected, tolerance: float = CLOSE) -> None:
-    """Equal up to `tolerance`, absolutely and relatively."""
+def eps() -> float:
+    """Relative rounding error of the precision that is set: 1.2e-7 or 2.2e-16."""
+    return float(jnp.finfo(jnp.result_type(float)).eps)
+
+
+def close() -> float:
+    """A hundred rounding errors: 1e-5 or 2e-14."""
+    return 100 * eps()
+
+
+def near(actual, expected, tolerance: float | None = None) -> None:
+    """Assert that two arrays agree to `tolerance`, default `close()`.
+
+    The tolerance is absolute and relative.
+    """
+    tolerance = close() if tolerance is None else tolerance
     np.testing.assert_allclose(actual, expected, rtol=tolerance, atol=tolerance)
 
 
@@ -81,7 +92,7 @@ def check_specular(
         return cosines, model.lobe(cosines, exponent)
 
     cosines, lobes = map(np.asarray, heights(normals, to_light, to_viewer))
-    assert np.all(np.abs(cosines) <= 1 + CLOSE)
+    assert np.all(np.abs(cosines) <= 1 + close())
     assert np.all(np.isfinite(lobes)) and np.all(lobes >= 0)
     behind = np.sum(normals * to_light, axis=1) < 0
     assert behind.any() and np.any(lobes[~behind] > 0)
@@ -139,7 +150,7 @@ def check_light(light: AbstractLight) -> None:
     axis = np.asarray(getattr(light, "axis", [1.0, 2.0, 3.0]))
     away = np.linspace(0.1, 10, 30)[:, None] * axis
     along = illuminate(light, floats(np.asarray(place) + away))
-    assert np.all(np.diff(along.intensity, axis=0) <= CLOSE)
+    assert np.all(np.diff(along.intensity, axis=0) <= close())
 
     @eqx.filter_jit
     def here(light, place):

@@ -38,7 +38,6 @@ def test_python_silences_them_by_code():
     assert pf.warning_code(said[0].message) == "part-unused"
 
 
-@pytest.mark.float64
 def test_a_warning_is_where_it_was_called():
     """Where annotations are checked, in float32, a frame that does so is between."""
     with pytest.warns(UserWarning, match="b.mtl.* missing") as said:

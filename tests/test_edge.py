@@ -201,7 +201,6 @@ def test_the_argument_is_named(call, name):
         call()
 
 
-@pytest.mark.float64
 def test_a_flag_is_named():
     """Where annotations are checked, in float32, these forbid it first."""
     for call, name in (

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from tests.helpers import EPS, floats, near
+from tests.helpers import eps, floats, near
 
 # Some rows of the table, as they stand in it: ambient, diffuse, specular, shininess.
 CLASSICS = {
@@ -37,10 +37,10 @@ COLOURS = ("black", "cyan", "green", "red", "white", "yellow")
 @pytest.mark.parametrize("name", CLASSICS)
 def test_classic_materials(name):
     material, (ambient, diffuse, specular, shininess) = pf.preset(name), CLASSICS[name]
-    near(material.ambient, ambient, EPS)
-    near(material.diffuse, diffuse, EPS)
-    near(material.specular, specular, EPS)
-    near(material.shininess, shininess, EPS)
+    near(material.ambient, ambient, eps())
+    near(material.diffuse, diffuse, eps())
+    near(material.specular, specular, eps())
+    near(material.shininess, shininess, eps())
     near(material.emission, 0)
 
 

@@ -209,7 +209,6 @@ def test_wrong_numbers(numbers):
         pf.Ward(2.0)
 
 
-@pytest.mark.float64
 @pytest.mark.parametrize("model", (pf.GGX(0.5), pf.GGX(), pf.Ward(0.4)))
 def test_derivatives(model):
     def lobe(at):

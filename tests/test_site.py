@@ -12,7 +12,6 @@ from phongfit.codes import REMEDIES
 
 pytest.importorskip("material", reason="mkdocs-material is not installed here")
 # Words and pictures are the same in both precisions.
-pytestmark = pytest.mark.float64
 
 ROOT = Path(__file__).parents[1]
 PAGES = ("index", "gallery", "how-to/capture", "explanation/model", "reference/formats")

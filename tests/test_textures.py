@@ -80,7 +80,6 @@ def test_what_textures_do_not_take():
             pf.VertexColours(values)
 
 
-@pytest.mark.float64
 def test_normals_are_a_texture():
     """Where annotations are checked, in float32, these forbid it first."""
     with pytest.raises(ValueError, match="normal: expected a Texture, got"):

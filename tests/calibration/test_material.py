@@ -120,7 +120,6 @@ def test_errors_contain_those_of_the_lamps(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.float64
 def test_errors_hold_over_captures(tmp_path_factory):
     captures = [*SLOW, (0.003, 95, "distant"), (0.003, 95, "near")]
     found = [

@@ -12,7 +12,7 @@ import pytest
 import phongfit as pf
 from phongfit.files.colmap import MODELS
 from tests.geometry.test_conventions import HEIGHT, OTHERS, PIXELS, VIEWS, WIDTH
-from tests.helpers import CLOSE, floats, near, random_rotation
+from tests.helpers import close, floats, near, random_rotation
 
 POINTS = np.array(OTHERS["opencv"]["points"])
 # One with each of COLMAP's models that OpenCV knows.
@@ -302,4 +302,4 @@ def test_a_scene_file_keeps_a_camera_with_its_lens(tmp_path):
     again = pf.load_scene(tmp_path / "s.json").camera
     assert type(again) is type(camera)
     for one, other in zip(jax.tree.leaves(again), jax.tree.leaves(camera), strict=True):
-        near(one, other, CLOSE)
+        near(one, other, close())

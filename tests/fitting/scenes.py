@@ -50,12 +50,14 @@ def ball(
     )
 
 
-TRUTH = pf.Material(
-    diffuse=(0.6, 0.3, 0.2),
-    specular=(0.3, 0.25, 0.35),
-    shininess=20.0,
-    ambient=(0.5, 0.4, 0.3),
-)
+def truth() -> pf.Material:
+    """The material of most made-up photographs, in the precision that is set."""
+    return pf.Material(
+        diffuse=(0.6, 0.3, 0.2),
+        specular=(0.3, 0.25, 0.35),
+        shininess=20.0,
+        ambient=(0.5, 0.4, 0.3),
+    )
 
 
 def as_vector(material: pf.Material) -> np.ndarray:

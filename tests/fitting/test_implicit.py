@@ -10,8 +10,10 @@ import pytest
 
 import phongfit as pf
 from phongfit.testing import check_gradients
-from tests.fitting.scenes import TRUTH, ball, photograph
+from tests.fitting.scenes import ball, photograph, truth
 from tests.helpers import floats, near
+
+TRUTH = truth()
 
 SCENE = ball(size=16)
 IMAGE = photograph(SCENE, TRUTH, noise=0.01)
@@ -31,7 +33,6 @@ def shone(*numbers: jax.Array) -> pf.Scene:
     return eqx.tree_at(of_light, SCENE, numbers)
 
 
-@pytest.mark.float64
 @pytest.mark.parametrize(
     "loss", ["linear", pytest.param("cauchy", marks=pytest.mark.slow)]
 )
@@ -49,7 +50,6 @@ def test_derivatives_are_those_of_whole_fits(loss):
     check_gradients(refitted, point, order=1, rtol=1e-4)
 
 
-@pytest.mark.float64
 def test_at_a_bound_there_is_no_derivative():
     fit = pf.fit(SCENE, IMAGE, bounds={"diffuse": (0, 0.5)})
     assert np.flatnonzero(fit.at_bound).tolist() == [3]

@@ -12,8 +12,10 @@ from phongfit.fitting.problem.samples import seen_pixels
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.solve.start import choose_few
 from phongfit.fitting.uncertainty import scatter
-from tests.fitting.scenes import PARAMETERS, TRUTH, as_vector, ball, photograph
+from tests.fitting.scenes import PARAMETERS, as_vector, ball, photograph, truth
 from tests.helpers import known, near
+
+TRUTH = truth()
 
 SCENE = ball()
 NOISE = 0.01

@@ -8,17 +8,19 @@ import pytest
 import phongfit as pf
 from tests.fitting.scenes import (
     SIZE,
-    TRUTH,
     Case,
     as_vector,
     ball,
     photograph,
     random_case,
+    truth,
     two_lights,
 )
-from tests.helpers import EPS
+from tests.helpers import eps
 
-DOUBLE = EPS < 1e-10
+TRUTH = truth()
+
+DOUBLE = eps() < 1e-10
 EXPONENTS = (1.0, 2.0, 5.0, 20.0, 60.0, 200.0)
 KINDS = ("directional", "point", "spot")
 
@@ -34,7 +36,7 @@ def check_exact(scene: pf.Scene, truth: pf.Material) -> None:
     )
     # Its error says so too: rounding of the arithmetic is all there is.
     assert np.all(fit.errors < (1e-8 if DOUBLE else 1e-2) * fit.values)
-    assert fit.noise < 64 * EPS
+    assert fit.noise < 64 * eps()
 
 
 def with_exponent(shininess: float, height: float = 1.0) -> pf.Material:

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from tests.fitting.scenes import TRUTH, as_vector, ball, photograph
+from tests.fitting.scenes import as_vector, ball, photograph, truth
+
+TRUTH = truth()
 
 SIZE = 64
 SCENE = ball(size=SIZE)

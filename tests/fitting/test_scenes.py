@@ -8,13 +8,15 @@ import phongfit as pf
 from phongfit.fitting.problem.parameters import scene_arrays
 from tests.fitting.scenes import (
     PARAMETERS,
-    TRUTH,
     as_vector,
     ball,
     photograph,
+    truth,
     two_lights,
 )
 from tests.helpers import floats, near, only
+
+TRUTH = truth()
 
 NOISE = 0.01
 COLOURS = ("red", "green", "blue")

@@ -12,9 +12,9 @@ import scipy.optimize
 
 from phongfit.fitting.solve.solver import BoundedLevenbergMarquardt
 from tests.fitting.standard_problems import PROBLEMS, Problem
-from tests.helpers import EPS, floats
+from tests.helpers import eps, floats
 
-DOUBLE = EPS < 1e-10
+DOUBLE = eps() < 1e-10
 # SciPy's own in float64, some hundred roundings in float32.
 TOLERANCE = 1e-12 if DOUBLE else 1e-5
 
@@ -120,7 +120,7 @@ def _unavoidable(problem: Problem, ours: Answer) -> float:
     """How long a residual the rounding of the unknowns and of itself can leave."""
     x = ours.point.astype(float)
     residual = problem.residual(x, np)
-    of_unknowns = EPS * (np.abs(_jacobian(problem, x)) @ np.abs(x) + np.abs(residual))
+    of_unknowns = eps() * (np.abs(_jacobian(problem, x)) @ np.abs(x) + np.abs(residual))
     of_residual = ours.residual[: residual.size].astype(float) - residual
     return float(np.linalg.norm(of_unknowns) + np.linalg.norm(of_residual))
 

@@ -6,7 +6,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.geometry.cameras import WindowCamera
-from tests.helpers import CLOSE, check_camera, floats, known, near, random_rotation
+from tests.helpers import check_camera, close, floats, known, near, random_rotation
 
 ROTATION = random_rotation(7)
 
@@ -158,7 +158,7 @@ def test_cameras_are_batched_by_vmap():
     directions = jax.vmap(middle)(floats([30.0, 60.0]))
     # The upper row of three lies two thirds up.
     heights = 2 / 3 * np.tan(np.radians([15, 30]))
-    near(directions[:, 1] / -directions[:, 2], heights, 2 * CLOSE)
+    near(directions[:, 1] / -directions[:, 2], heights, 2 * close())
 
 
 def test_a_window_sees_what_the_whole_does_there():

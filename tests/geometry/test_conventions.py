@@ -9,14 +9,14 @@ import pytest
 import phongfit as pf
 from phongfit.geometry.conventions import AXES
 from tests.geometry.others_cameras import FILE
-from tests.helpers import CLOSE, EPS, floats, near, random_rotation
+from tests.helpers import close, eps, floats, near, random_rotation
 
 OTHERS = json.loads(FILE.read_text())
 WIDTH, HEIGHT = OTHERS["size"]
 POINTS = np.array(OTHERS["opencv"]["points"])
 VIEWS = OTHERS["opencv"]["views"]
 # Of some hundred pixels, in the run's precision.
-PIXELS = 1e-3 if EPS > 1e-10 else 1e-9
+PIXELS = 1e-3 if eps() > 1e-10 else 1e-9
 
 
 def projected(camera, points=POINTS):
@@ -179,4 +179,4 @@ def test_rounded_axes_become_exact():
     matrix = np.eye(4)
     matrix[:3, :3] = random_rotation(5).round(4)
     _, rotation = pf.camera_pose(matrix, "nerf")
-    near(rotation.T @ rotation, np.eye(3), CLOSE)
+    near(rotation.T @ rotation, np.eye(3), close())

@@ -40,7 +40,6 @@ def test_a_ball_is_the_sphere():
         near(jnp.where(mask, one, 0), jnp.where(mask, other, 0), 1e-5)
 
 
-@pytest.mark.float64
 def test_derivatives_of_where_a_ray_meets_the_surface():
     """Of z = c √(1 − x²/a² − y²/b²), to third order."""
     surface = pf.ImplicitSurface(Ellipsoid(floats([0.9, 0.7, 0.8])))

@@ -7,7 +7,7 @@ import phongfit as pf
 from phongfit.geometry.normals import implicit_normal
 from phongfit.geometry.shapes import Ball, Cylinder, HeightField, Torus, plane
 from phongfit.testing import check_gradients
-from tests.helpers import CLOSE, check_surface, floats, known, near
+from tests.helpers import check_surface, close, floats, known, near
 
 
 def waves(x, y):
@@ -33,9 +33,9 @@ def test_both_ways_to_write_it_down_are_the_same_surface(shape):
         return jax.vmap(shape.implicit)(points), normals
 
     on_it, expected = implicit(mesh.vertices)
-    near(on_it, 0, 10 * CLOSE)
+    near(on_it, 0, 10 * close())
     corner = np.asarray(shape.corner())
-    assert np.all(abs(np.asarray(mesh.vertices)) <= corner + CLOSE)
+    assert np.all(abs(np.asarray(mesh.vertices)) <= corner + close())
     # Exact normals, outwards and the same both ways: at the poles of a ball, almost.
     near(mesh.normals, expected, 1e-3 if floats(0).dtype == np.float32 else 1e-7)
     # The faces look the same way as their corners.

@@ -7,7 +7,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.geometry.cameras import Ray
-from tests.helpers import EPS, check_surface, floats, near, random_units
+from tests.helpers import check_surface, eps, floats, near, random_units
 
 
 def map_like(height=2, width=3, seed=0):
@@ -108,7 +108,7 @@ def test_far_away_in_single_precision(distance):
     fov = 2 * math.degrees(math.atan(1.1 / (distance + 5)))
     buffer = pf.trace(sphere, pf.PerspectiveCamera(11, 11, fov_y=fov))
     # The pinhole sees it a little from the side, and rounding turns each ray a little.
-    tolerance = 2 / distance + 2 * EPS * distance
+    tolerance = 2 / distance + 2 * eps() * distance
     near(buffer.normal[5, 8], (0.6, 0, 0.8), tolerance)
 
 

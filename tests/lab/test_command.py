@@ -45,7 +45,6 @@ def test_what_it_needs_is_missing(monkeypatch, capsys):
     )
 
 
-@pytest.mark.float64
 @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
 def test_it_starts_and_stops(monkeypatch, capsys, host):
     """The page's address, a word if others can reach it, and no error in Ctrl-C."""

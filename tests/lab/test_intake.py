@@ -15,8 +15,6 @@ from phongfit.lab import intake
 from phongfit.lab.uploads import MAX_BYTES
 from tests.lab.conftest import serving
 
-pytestmark = pytest.mark.float64
-
 UPLOAD = "/api/photograph?name=a.png&encoding=srgb"
 
 

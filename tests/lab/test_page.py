@@ -12,8 +12,6 @@ import phongfit as pf
 from phongfit.lab.session import Session
 from tests.lab.conftest import serving
 
-pytestmark = pytest.mark.float64
-
 # The mean colour of the picture.
 MEAN = """async () => {
   const image = document.querySelector("#picture img");

@@ -9,8 +9,6 @@ from phongfit.lab.server import ASSETS
 from phongfit.lab.uploads import MAX_BYTES
 from tests.helpers import said
 
-pytestmark = pytest.mark.float64
-
 
 def _ask(port, path, body=None, method=None, **headers):
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)

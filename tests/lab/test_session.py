@@ -22,8 +22,6 @@ from phongfit.lab.settings import (
 from phongfit.rendering.film import decode
 from tests.lab.conftest import SIZE
 
-pytestmark = pytest.mark.float64
-
 TURNED = Settings(azimuth=-20.0, shininess=9.0)
 
 

@@ -13,7 +13,10 @@ from data_synth.lights import spread_directions
 from phongfit.files.images import write_image
 from phongfit.maps.result import PLAIN
 
-DTYPE = np.dtype(jnp.result_type(float))
+
+def dtype() -> np.dtype:
+    """The type of floats in the precision that is set."""
+    return np.dtype(jnp.result_type(float))
 
 
 class Stack(NamedTuple):
@@ -64,7 +67,7 @@ def make_stack(
     clean = [pf.render(s, truth, film=film, gbuffer=gbuffer) for s in scenes]
     images = np.stack([np.asarray(image) for image in clean])
     images = images + noise * rng.normal(size=images.shape)
-    return Stack(scenes, images.astype(DTYPE), truth)
+    return Stack(scenes, images.astype(dtype()), truth)
 
 
 def pulls(maps: pf.Maps, truth: pf.Material, name: str) -> np.ndarray:

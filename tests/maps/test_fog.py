@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from tests.maps.synthetic import DTYPE
+from tests.maps.synthetic import dtype
 
 SIZE = 20
 QUICK: dict[str, Any] = {
@@ -26,7 +26,7 @@ def make(*fogs: pf.Fog | None) -> tuple[list[pf.Scene], list[np.ndarray], pf.Mat
         for place, fog in zip(rng.uniform(2, 4, (len(fogs), 3)), fogs, strict=True)
     ]
     film = pf.Film(clamp=False)
-    images = [np.asarray(pf.render(s, truth, film=film), DTYPE) for s in scenes]
+    images = [np.asarray(pf.render(s, truth, film=film), dtype()) for s in scenes]
     return scenes, images, truth
 
 

@@ -8,7 +8,7 @@ import pytest
 import scipy.stats
 
 import phongfit as pf
-from tests.maps.synthetic import DTYPE, Stack, make_stack, pulls, same
+from tests.maps.synthetic import Stack, dtype, make_stack, pulls, same
 
 LIGHTS, NOISE = 24, 0.01
 PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
@@ -74,7 +74,7 @@ def test_a_saturated_channel():
     clean = np.stack([np.asarray(pf.render(s, truth, film=free)) for s in usual.scenes])
     images = np.minimum(clean + NOISE * rng.normal(size=clean.shape), 1)
     assert np.mean(images[..., 0] == 1) > 0.25 and np.all(images[..., 1:] < 1)
-    maps = fitted(usual, [EVERY] * LIGHTS, images.astype(DTYPE))
+    maps = fitted(usual, [EVERY] * LIGHTS, images.astype(dtype()))
     for name in PARAMETERS:
         assert 0.92 < coverage(maps, truth, name) < 0.98, name
     assert np.mean(maps.chi_squared > 1.8) < 0.01
@@ -99,7 +99,7 @@ def test_pixels_at_a_bound(stack):
     )
     free = pf.Film(clamp=False)
     clean = np.stack([np.asarray(pf.render(s, truth, film=free)) for s in stack.scenes])
-    images = (clean + NOISE * rng.normal(size=clean.shape)).astype(DTYPE)
+    images = (clean + NOISE * rng.normal(size=clean.shape)).astype(dtype())
     # Of a mosaic: what few samples tell is more correlated.
     maps = fitted(stack, mosaic(), images)
     bound = maps.flagged(pf.Flag.AT_BOUND)
@@ -140,7 +140,7 @@ def test_lamps_of_several_colours():
     )
     free = pf.Film(clamp=False)
     clean = np.stack([np.asarray(pf.render(s, truth, film=free)) for s in scenes])
-    images = (clean + NOISE * rng.normal(size=clean.shape)).astype(DTYPE)
+    images = (clean + NOISE * rng.normal(size=clean.shape)).astype(dtype())
     maps = fitted(Stack(scenes, images, truth), [EVERY] * LIGHTS)
     assert np.mean(maps.chi_squared > 1.8) < 0.005
     assert np.mean(np.abs(pulls(maps, truth, "shininess")) > 5) == 0
@@ -149,7 +149,7 @@ def test_lamps_of_several_colours():
 def test_a_wrong_model_is_said_and_widens_errors(stack, tmp_path):
     """A shadow that no scene knows of, over half of the picture."""
     shadow = stack.images.copy()
-    shadow[:4, :, :10] *= DTYPE.type(0.5)
+    shadow[:4, :, :10] *= dtype().type(0.5)
     right, wrong = (
         fitted(stack, [EVERY] * LIGHTS, images) for images in (stack.images, shadow)
     )

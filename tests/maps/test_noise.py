@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from tests.maps.synthetic import DTYPE, Stack, make_stack, pulls, same
+from tests.maps.synthetic import Stack, dtype, make_stack, pulls, same
 
 FREE = pf.Film(clamp=False)
 MATTE: dict[str, Any] = {
@@ -30,7 +30,7 @@ def matte(clean: Stack) -> np.ndarray:
 
 def noisy(images: np.ndarray, noise: np.ndarray) -> np.ndarray:
     draws = np.random.default_rng(3).normal(size=images.shape)
-    return (images + noise * draws).astype(DTYPE)
+    return (images + noise * draws).astype(dtype())
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from phongfit.maps.normals.block import samples_of
 from phongfit.maps.passes import find_offset, moved
 from phongfit.maps.stacks import ArrayStack, KeptStack
 from tests.maps.hills import CAMERA, SIZE, bumps
-from tests.maps.synthetic import DTYPE
+from tests.maps.synthetic import dtype
 
 FREE = pf.Film(clamp=False)
 TRUTH = pf.Material((0.4, 0.3, 0.2), 0.3, 20.0, 0.0)
@@ -37,7 +37,7 @@ def hills(near: bool, camera: pf.AbstractCamera = CAMERA) -> tuple:
     true = [pf.Scene(surface, camera, lamp, shadows=True) for lamp in lamps]
     images = np.stack([np.asarray(pf.render(s, TRUTH, film=FREE)) for s in true])
     rng = np.random.default_rng(0)
-    images = (images + 0.003 * rng.normal(size=images.shape)).astype(DTYPE)
+    images = (images + 0.003 * rng.normal(size=images.shape)).astype(dtype())
     plane = pf.NormalMap(np.broadcast_to([0.0, 0, 1], normals.shape), positions=rays)
     flat = [dataclasses.replace(s, surface=plane, shadows=False) for s in true]
     return flat, images, surface, true

@@ -10,7 +10,7 @@ import phongfit as pf
 from phongfit.maps.pixel import pixel
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.tile import compiled
-from tests.maps.synthetic import DTYPE, Stack, make_stack, pulls
+from tests.maps.synthetic import Stack, dtype, make_stack, pulls
 
 PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 FREE = pf.Film(clamp=False)
@@ -49,7 +49,7 @@ def test_under_a_sky_as_well(stack):
     white = pf.Material(1.0, 0.0, 10.0, 0.0)
     around = np.asarray(pf.render(alone, white, film=FREE))
     images = stack.images + np.asarray(stack.truth.diffuse) * around
-    found = pf.fit_maps(scenes, images.astype(DTYPE), film=FREE)
+    found = pf.fit_maps(scenes, images.astype(dtype()), film=FREE)
     pull = pulls(found, stack.truth, "diffuse")
     assert abs(pull.mean()) < 6 / np.sqrt(pull.size) + 0.03
     assert 0.9 < np.diff(np.quantile(pull, [0.1587, 0.8413]))[0] / 2 < 1.1
@@ -117,7 +117,7 @@ def test_no_highlight_and_no_light_are_told(stack):
         [np.asarray(pf.render(s, truth, film=FREE)) for s in matte.scenes]
     )
     images = images + 0.01 * np.random.default_rng(1).normal(size=images.shape)
-    found = pf.fit_maps(matte.scenes, images.astype(DTYPE), film=FREE, noise=0.01)
+    found = pf.fit_maps(matte.scenes, images.astype(dtype()), film=FREE, noise=0.01)
     dim = found.flagged(pf.Flag.NO_HIGHLIGHT)
     assert dim.mean() > 0.9
     assert np.isinf(found.stderr.shininess[dim]).all()
@@ -188,7 +188,7 @@ def test_an_outlier_in_the_highlight():
     stack = make_stack(30, 40, 16, noise=0.01)
     rng = np.random.default_rng(5)
     hit = rng.random(stack.images.shape) < 0.1
-    spoilt = np.where(hit, rng.random(stack.images.shape), stack.images).astype(DTYPE)
+    spoilt = np.where(hit, rng.random(stack.images.shape), stack.images).astype(dtype())
     maps = pf.fit_maps(stack.scenes, spoilt, loss="tukey", noise=0.01)
     trusted = maps.identified & ~maps.flagged(Flag.MISFIT)
     assert trusted.mean() > 0.95
@@ -202,7 +202,7 @@ def test_a_robust_loss_says_misfit():
     """Where most samples are not as the model has them, a loss cannot reject them."""
     stack = make_stack(8, 10, 16, noise=0.01)
     wrong = stack.images.copy()
-    wrong[::2, :4] *= DTYPE.type(0.5)
+    wrong[::2, :4] *= dtype().type(0.5)
     maps = pf.fit_maps(stack.scenes, wrong, loss="cauchy", noise=0.01)
     misfit = maps.flagged(Flag.MISFIT)
     assert misfit[:4].mean() > 0.9 and not misfit[4:].any()
@@ -213,7 +213,7 @@ def test_robust_loss_ignores_outliers():
     rng = np.random.default_rng(5)
     # One image in eight lies in a cast shadow that no scene knows of.
     dark = rng.random(stack.images.shape[:3]) < 1 / 8
-    images = np.where(dark[..., None], 0.02, stack.images).astype(DTYPE)
+    images = np.where(dark[..., None], 0.02, stack.images).astype(dtype())
     plain, robust = (
         pf.fit_maps(stack.scenes, images, film=FREE, loss=loss)
         for loss in ("linear", "cauchy")

@@ -9,7 +9,7 @@ import pytest
 from phongfit.files.coded import Coded
 from phongfit.files.images import level_table
 from phongfit.maps.spool import Spool
-from tests.maps.synthetic import DTYPE
+from tests.maps.synthetic import dtype
 
 SHAPE = 40, 60, 3
 SIZE = SHAPE[0] * SHAPE[1]
@@ -26,7 +26,7 @@ def photograph(rng, dtype: Any = np.uint8, encoding: Any = "srgb") -> Coded:
 
 
 def spool_of(images: list[Coded], masks: list[np.ndarray]) -> Spool:
-    spool = Spool(DTYPE)
+    spool = Spool(dtype())
     for image, mask in zip(images, masks, strict=True):
         spool.add(image, mask)
     return spool
@@ -90,10 +90,10 @@ def test_each_of_its_own_exposure(rng):
 def test_images_of_all_kinds_come_back_bit_for_bit(rng):
     """8 bits, 16, light itself, then 8 again, and samples left out."""
     images = [photograph(rng), photograph(rng, np.uint16)]
-    images += [Coded(rng.random(SHAPE).astype(DTYPE)), photograph(rng).times(0.5)]
+    images += [Coded(rng.random(SHAPE).astype(dtype())), photograph(rng).times(0.5)]
     masks = masks_of(rng, 4)
     spool = spool_of(images, masks)
-    assert spool.itemsize == DTYPE.itemsize
+    assert spool.itemsize == dtype().itemsize
     check(spool, images, masks)
 
 
@@ -123,7 +123,7 @@ def test_the_checksum_tells_images_and_masks_apart(rng):
 
 
 def test_a_full_disk_says_what_to_do(rng, monkeypatch):
-    spool = Spool(DTYPE)
+    spool = Spool(dtype())
 
     class Full:
         def write(self, data) -> int:

@@ -14,7 +14,7 @@ from phongfit.files.dataset import Photograph, Photographs
 from phongfit.maps.ahead import ahead
 from phongfit.maps.stacks import ArrayStack, RectangleStack
 from tests.helpers import floats
-from tests.maps.synthetic import DTYPE, Stack, make_stack, same, write_diligent
+from tests.maps.synthetic import Stack, dtype, make_stack, same, write_diligent
 
 QUICK: dict[str, Any] = {"unknowns": ("diffuse",), "tile_pixels": 512}
 
@@ -70,12 +70,12 @@ def test_two_photographs_are_in_memory():
     scene = pf.Scene(pf.Sphere(), pf.OrthographicCamera(size, size))
 
     def read(number: int) -> Photograph:
-        image = np.full((size, size, 3), number / count, DTYPE)
+        image = np.full((size, size, 3), number / count, dtype())
         return Photograph(Coded(image), np.ones((size, size), bool))
 
     names = tuple(str(number) for number in range(count))
     data = Photographs("made", (scene,) * count, names, pf.Film(), read)
-    one = size * size * 3 * DTYPE.itemsize
+    one = size * size * 3 * dtype().itemsize
     tracemalloc.start()
     try:
         pf.DatasetStack(data).take(np.arange(64), range(count))

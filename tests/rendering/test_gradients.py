@@ -47,7 +47,6 @@ def rendered(both):
     return pf.render(*both)
 
 
-@pytest.mark.float64
 @pytest.mark.parametrize(
     "camera, specular, lights",
     [
@@ -70,7 +69,6 @@ def test_every_leaf(camera, specular, lights):
     check_gradients(rendered, (scene, MATERIAL))
 
 
-@pytest.mark.float64
 def test_every_leaf_of_a_normal_map():
     rng = np.random.default_rng(0)
     normals = rng.uniform(-0.4, 0.4, (2, 2, 3)) + np.array([0, 0, 1])
@@ -85,7 +83,6 @@ def test_every_leaf_of_a_normal_map():
     check_gradients(rendered, (scene, MATERIAL))
 
 
-@pytest.mark.float64
 def test_a_material_map():
     scene = pf.Scene(BALL, pf.OrthographicCamera(2, 2, view_height=1), SUN, 0.2)
     maps = np.random.default_rng(0).uniform(0.1, 0.9, (2, 2, 3))
@@ -178,20 +175,17 @@ def names(model):
     return f"{type(model).__name__}, gate={model.gate}"
 
 
-@pytest.mark.float64
 @pytest.mark.parametrize("model", MODELS, ids=names)
 def test_awkward_points(model):
     check_gradients(lambda p: lit(model, Film(clamp=False), p), points(SMOOTH))
 
 
-@pytest.mark.float64
 @pytest.mark.parametrize("model", MODELS[:2], ids=names)
 def test_sharpest_highlights(model):
     sharp = points(SHARP)
     check_gradients(lambda p: lit(model, Film(clamp=False), p), sharp, rtol=1e-3)
 
 
-@pytest.mark.float64
 @pytest.mark.parametrize("model", MODELS, ids=names)
 def test_on_the_kinks(model):
     check_gradients(
@@ -201,7 +195,6 @@ def test_on_the_kinks(model):
     )
 
 
-@pytest.mark.float64
 def test_the_clamp():
     """Highlights that end just below white, just above, and on it."""
     row = (RIGHT, LEFT, UP, 0.4, 10)

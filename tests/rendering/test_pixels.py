@@ -10,7 +10,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.testing import check_gradients
-from tests.helpers import CLOSE, floats, near
+from tests.helpers import close, floats, near
 
 # A bumpy sheet of three materials, its vertices shared between them.
 BASE = pf.shapes.HeightField(lambda x, y: 0.2 * jnp.sin(4 * x) * jnp.cos(3 * y)).mesh(
@@ -81,7 +81,7 @@ def test_linear_in_the_reflectances(shading):
     expected = floats(0.3) * radiance(pixels, one) + floats(0.6) * radiance(
         pixels, other
     )
-    near(radiance(pixels, mixed(0.3, 0.6)), expected, 5 * CLOSE)
+    near(radiance(pixels, mixed(0.3, 0.6)), expected, 5 * close())
 
 
 @each_shading
@@ -182,7 +182,7 @@ def test_where_the_viewer_is_for_the_light(shading, local_viewer, kind):
             np.sum(to_light * normal, axis=1) > 0
         )
         found = np.asarray(pf.terms(scene, gbuffer).cosine)[..., i].ravel()
-        near(found, expected, 5 * CLOSE)
+        near(found, expected, 5 * close())
 
 
 def test_materials_per_pixel_of_a_normal_map():

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from tests.fitting.scenes import SIZE, TRUTH, ball, photograph
+from tests.fitting.scenes import SIZE, ball, photograph, truth
+
+TRUTH = truth()
 
 NOISE = 0.01
 # Of everything that can be asked of one image, something.

@@ -8,8 +8,10 @@ import pytest
 import phongfit as pf
 from phongfit.fitting.problem.specification import Specification
 from phongfit.report.repeat import call, names
-from tests.fitting.scenes import SIZE, TRUTH, ball, photograph
+from tests.fitting.scenes import SIZE, ball, photograph, truth
 from tests.report.conftest import NOISE, SETTINGS
+
+TRUTH = truth()
 
 
 def run(text: str, **names) -> pf.Fit:

@@ -6,7 +6,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.problem.losses import LOSSES, as_loss
-from tests.helpers import EPS, floats, near
+from tests.helpers import eps, floats, near
 
 ROBUST = tuple(name for name in LOSSES if name != "linear")
 
@@ -66,7 +66,7 @@ def test_how_much_of_a_sample_is_accepted(loss, residual, expected):
 @pytest.mark.parametrize("name", LOSSES)
 def test_small_residuals_are_as_they_are(name):
     small = floats([-1e-3, -1e-6, 0.0, 1e-30, 1e-4])
-    near(root(LOSSES[name], small), small, max(1e-8, EPS))
+    near(root(LOSSES[name], small), small, max(1e-8, eps()))
 
 
 @pytest.mark.parametrize("name", LOSSES)
@@ -74,7 +74,7 @@ def test_cost_never_falls_and_pull_is_bounded(name):
     residual = np.asarray(floats(np.linspace(0, 40, 401)))
     cost = np.asarray(root(LOSSES[name], floats(residual))) ** 2
     assert np.all(np.diff(cost) >= -1e-5)
-    assert np.all(cost <= residual**2 * (1 + 10 * EPS))
+    assert np.all(cost <= residual**2 * (1 + 10 * eps()))
     pull = np.diff(cost[-2:])[0] / 0.1 / 2
     limits = {"linear": 40, "huber": 1.345, "soft_l1": 1.345, "cauchy": 0.15}
     assert pull <= 1.01 * limits.get(name, 1e-4)
@@ -85,7 +85,7 @@ def test_cost_never_falls_and_pull_is_bounded(name):
 def test_derivatives_are_finite_and_start_at_one(name):
     loss = LOSSES[name]
     k = getattr(loss, "k", 1.0)
-    points = floats([0.0, 1e-5, 1e-20, EPS**0.5, -1e-3, 1.0, k, -k, 2 * k, 1e4])
+    points = floats([0.0, 1e-5, 1e-20, eps() ** 0.5, -1e-3, 1.0, k, -k, 2 * k, 1e4])
 
     @jax.jit
     @jax.vmap

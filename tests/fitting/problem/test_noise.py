@@ -10,7 +10,7 @@ import phongfit as pf
 from phongfit.fitting.problem import noise
 from phongfit.fitting.problem.noise import find_film, rounding_steps
 from tests.fitting.scenes import developed
-from tests.helpers import EPS, floats, near
+from tests.helpers import eps, floats, near
 
 clipped_mean, clipped_moments, shared_rounding_variance = map(
     jax.jit,
@@ -160,11 +160,11 @@ def test_shared_rounding_never_exceeds_all_of_it():
     shared = np.asarray(shared_rounding_variance(floats(np.ones(301)), floats(ratios)))
     near(shared[0], 1 / 12)
     assert np.all(np.diff(shared) <= 1e-3 / 12)
-    assert np.all(shared <= (1 + EPS) / 12) and shared[-1] == pytest.approx(0)
+    assert np.all(shared <= (1 + eps()) / 12) and shared[-1] == pytest.approx(0)
     # What was never rounded shares nothing, noise or not.
     assert not np.any(shared_rounding_variance(floats([0, 0]), floats([0.0, 0.1])))
 
 
 def test_precision_of_the_run():
     assert clipped_mean(floats(0.5), floats(0.1)).dtype == jnp.result_type(float)
-    near(clipped_mean(floats(0.5), floats(0.01)), 0.5, 2 * EPS)
+    near(clipped_mean(floats(0.5), floats(0.01)), 0.5, 2 * eps())

@@ -13,8 +13,10 @@ from phongfit.fitting.problem.samples import (
     stacked_lit,
 )
 from phongfit.rendering.pixels import resolve
-from tests.fitting.scenes import SIZE, TRUTH, ball
+from tests.fitting.scenes import SIZE, ball, truth
 from tests.helpers import floats, near
+
+TRUTH = truth()
 
 SHAPE = (SIZE, SIZE, 3)
 SCENE = ball()

@@ -6,7 +6,9 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.problem.specification import Specification
-from tests.fitting.scenes import TRUTH, ball, photograph
+from tests.fitting.scenes import ball, photograph, truth
+
+TRUTH = truth()
 
 OPTIONS = {
     "unknowns": ["diffuse", "shininess"],

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from phongfit.fitting.solve.box import minimize_in_box
-from tests.helpers import EPS, floats, near
+from tests.helpers import eps, floats, near
 
 SIZE = 6
 solve = jax.jit(minimize_in_box)
@@ -39,7 +39,7 @@ def test_against_scipy(seed):
         matrix.astype(float), target, (lower, upper), method="bvls", tol=1e-14
     )
     point = answer(matrix, target, lower, upper)
-    near(point, expected.x, 2000 * EPS)
+    near(point, expected.x, 2000 * eps())
     # Where SciPy's answer is on a bound, so is this one, to the last bit.
     bound = np.where(expected.active_mask < 0, lower, upper)
     active = expected.active_mask != 0
@@ -73,7 +73,7 @@ def test_singular(seed, rank):
 
 def test_opposite_columns_with_noise():
     # Rounding makes this matrix indefinite: a Cholesky factor of it does not exist.
-    hessian = floats([[1, 1 + 4 * EPS], [1 + 4 * EPS, 1]])
+    hessian = floats([[1, 1 + 4 * eps()], [1 + 4 * eps(), 1]])
     point = solve(
         jnp.pad(hessian, (0, SIZE - 2)) + jnp.diag(floats([0, 0, 1, 1, 1, 1])),
         floats([-1, -1, 0, 0, 0, 0]),
@@ -101,7 +101,7 @@ def test_one_unknown(gradient, lower, upper, expected):
     box = [np.full(SIZE, edge) for edge in (gradient, lower, upper)]
     point = solve(floats(np.eye(SIZE)), *map(floats, box))
     # An infinitesimal ridge may take part, a bound is a bound.
-    near(point, expected, 200 * EPS)
+    near(point, expected, 200 * eps())
     if expected in (lower, upper):
         assert np.all(point == floats(expected))
 
@@ -115,7 +115,7 @@ def test_a_bound_is_left_again():
     lower, upper = np.full(SIZE, -7), np.array([1, 0.1, 1, 1, 1, 1])
     point = solve(*map(floats, (hessian, gradient, lower, upper)))
     assert point[0] == 1
-    near(point, [1, -6.1, 0, 0, 0, 0], 500 * EPS)
+    near(point, [1, -6.1, 0, 0, 0, 0], 500 * eps())
 
 
 def test_huge_and_tiny_units():
@@ -124,4 +124,4 @@ def test_huge_and_tiny_units():
         matrix, target, lower, upper = boxed_problem(seed)
         expected = answer(matrix, target, lower, upper)
         scaled = answer(matrix * scale, target, lower / scale, upper / scale)
-        near(scaled * scale, expected, 2000 * EPS)
+        near(scaled * scale, expected, 2000 * eps())

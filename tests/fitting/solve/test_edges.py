@@ -7,7 +7,9 @@ import phongfit as pf
 from phongfit.fitting.fit import set_up
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.solve.edges import edges_of, near
-from tests.fitting.scenes import SIZE, TRUTH, photograph
+from tests.fitting.scenes import SIZE, photograph, truth
+
+TRUTH = truth()
 
 NOISE = 0.002
 LAMP = pf.DirectionalLight((1, 1, 2), 0.5)

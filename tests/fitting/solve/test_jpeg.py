@@ -10,7 +10,9 @@ import pytest
 
 import phongfit as pf
 from phongfit.files.images import from_levels, to_levels
-from tests.fitting.scenes import TRUTH, as_vector, ball
+from tests.fitting.scenes import as_vector, ball, truth
+
+TRUTH = truth()
 
 SIZE, NOISE, DRAWS = 64, 0.003, 6
 

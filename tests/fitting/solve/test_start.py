@@ -8,7 +8,9 @@ from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.samples import Source, gather, seen_pixels
 from phongfit.fitting.solve.start import CANDIDATES, SUBSET, choose_few, scan
 from phongfit.rendering.pixels import resolve_terms
-from tests.fitting.scenes import TRUTH, ball, photograph, unknowns_of
+from tests.fitting.scenes import ball, photograph, truth, unknowns_of
+
+TRUTH = truth()
 
 DARK = pf.Material(0.0, 0.0, 32.0, 0.0)
 DEFAULTS = (MATERIAL_PARAMETERS[:-1], ("ambient", "diffuse", "specular"), DARK, {})

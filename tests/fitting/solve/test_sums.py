@@ -18,8 +18,10 @@ from phongfit.fitting.problem.samples import gather, seen_pixels
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.solve.solution import _unit, few_residuals, solve
 from phongfit.fitting.solve.sums import colours, linearize, sums
-from tests.fitting.scenes import TRUTH, as_vector, ball, photograph, unknowns_of
-from tests.helpers import EPS, floats
+from tests.fitting.scenes import as_vector, ball, photograph, truth, unknowns_of
+from tests.helpers import eps, floats
+
+TRUTH = truth()
 
 NOISE = 0.03
 SCENE = ball(size=16)
@@ -108,45 +110,47 @@ def test_sums_are_those_of_the_whole_jacobian(kind):
     residual, jacobian, gradient = (np.asarray(a, float) for a in dense(problem, y))
     total, sparse, few, left, slope = ours(problem, y)
     size = np.sqrt(np.sum(jacobian**2, axis=0))
-    tolerance = 3e3 * EPS * np.sqrt(np.sum(residual**2))
+    tolerance = 3e3 * eps() * np.sqrt(np.sum(residual**2))
     assert np.all(size > 0)
     np.testing.assert_allclose(total.gradient / size, gradient / size, atol=tolerance)
     if kind == "tukey":
         return
-    np.testing.assert_allclose(total.cost, np.sum(residual**2), rtol=1e3 * EPS)
+    np.testing.assert_allclose(total.cost, np.sum(residual**2), rtol=1e3 * eps())
     unit = np.outer(size, size)
     hessian = jacobian.T @ jacobian
-    np.testing.assert_allclose(total.hessian / unit, hessian / unit, atol=1e3 * EPS)
+    np.testing.assert_allclose(total.hessian / unit, hessian / unit, atol=1e3 * eps())
     columns = sparse.columns()
     samples = jacobian[: problem.samples.target.size].T.reshape(columns.shape)
-    np.testing.assert_allclose(columns, samples, atol=1e3 * EPS * np.abs(samples).max())
+    np.testing.assert_allclose(
+        columns, samples, atol=1e3 * eps() * np.abs(samples).max()
+    )
 
     # Weighted, beside what is not.
     weight = np.random.default_rng(1).random(problem.samples.target.shape)
     plain, weighted = eqx.filter_jit(sparse.grams)(None, floats(weight))
     whole = np.einsum("icn,cn,jcn->ij", columns, weight, columns)
-    np.testing.assert_allclose(weighted / unit, whole / unit, atol=1e3 * EPS)
+    np.testing.assert_allclose(weighted / unit, whole / unit, atol=1e3 * eps())
     unweighted = np.einsum("icn,jcn->ij", columns, columns)
-    np.testing.assert_allclose(plain / unit, unweighted / unit, atol=1e3 * EPS)
+    np.testing.assert_allclose(plain / unit, unweighted / unit, atol=1e3 * eps())
 
     # What the noise level follows from.
     at = evaluate(problem, y)
     squares = np.asarray(at.difference, float) ** 2 * np.asarray(problem.samples.weight)
-    np.testing.assert_allclose(left.squares, squares.sum(), rtol=1e3 * EPS)
+    np.testing.assert_allclose(left.squares, squares.sum(), rtol=1e3 * eps())
     shares = np.asarray(at.variance_share, float)
     assert 0 < shares.sum() < np.sum(np.asarray(problem.samples.weight) > 0)
-    np.testing.assert_allclose(left.share, shares.sum(), rtol=1e3 * EPS)
+    np.testing.assert_allclose(left.share, shares.sum(), rtol=1e3 * eps())
 
     # A few residuals that no solver can tell from all of them.
     few, slope = np.asarray(few, float), np.asarray(slope, float)
     count = float(_unit(problem)) ** 2
     assert few.shape == (len(y) + 1,)
-    np.testing.assert_allclose(count * few @ few, np.sum(residual**2), rtol=3e3 * EPS)
+    np.testing.assert_allclose(count * few @ few, np.sum(residual**2), rtol=3e3 * eps())
     np.testing.assert_allclose(
         count * slope.T @ few / size, gradient / size, atol=10 * tolerance
     )
     np.testing.assert_allclose(
-        count * slope.T @ slope / unit, hessian / unit, atol=1e4 * EPS
+        count * slope.T @ slope / unit, hessian / unit, atol=1e4 * eps()
     )
 
 

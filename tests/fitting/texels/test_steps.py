@@ -135,7 +135,6 @@ def job_of(monkeypatch, **options):
     return found[0]
 
 
-@pytest.mark.float64
 def test_the_right_side_is_the_slope_of_what_is_minimised(monkeypatch):
     job, start, sigma = job_of(monkeypatch, smoothness=0.5)
     rng = np.random.default_rng(1)

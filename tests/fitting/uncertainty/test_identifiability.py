@@ -5,8 +5,10 @@ import pytest
 
 import phongfit as pf
 from phongfit.codes import coded
-from tests.fitting.scenes import SIZE, TRUTH, as_vector, ball, photograph
+from tests.fitting.scenes import SIZE, as_vector, ball, photograph, truth
 from tests.helpers import near
+
+TRUTH = truth()
 
 NOISES = pytest.mark.parametrize("noise", [0.0, 0.01])
 PLATE = pf.Scene(

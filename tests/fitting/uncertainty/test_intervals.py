@@ -7,8 +7,10 @@ from scipy.optimize import minimize
 import phongfit as pf
 from phongfit.fitting.uncertainty.intervals import Quadratic
 from phongfit.fitting.uncertainty.quantiles import chi_squared_reach, two_for_one
-from tests.fitting.scenes import SIZE, TRUTH, as_vector, ball, photograph
+from tests.fitting.scenes import SIZE, as_vector, ball, photograph, truth
 from tests.helpers import near
+
+TRUTH = truth()
 
 LEVEL = 3.84
 

@@ -11,7 +11,9 @@ from phongfit.fitting.uncertainty.misfit import (
     variance_inflation,
 )
 from phongfit.fitting.uncertainty.tiles import Measured, sum_over_tiles, tile_side
-from tests.fitting.scenes import TRUTH, ball, photograph
+from tests.fitting.scenes import ball, photograph, truth
+
+TRUTH = truth()
 
 SIDE = 2
 SIZE = 64

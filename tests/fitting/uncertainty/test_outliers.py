@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from tests.fitting.scenes import TRUTH, ball, photograph
+from tests.fitting.scenes import ball, photograph, truth
+
+TRUTH = truth()
 
 # As in `test_rejected`, whose losses are compiled by then.
 SIZE = 64

@@ -10,7 +10,9 @@ import scipy.stats
 
 import phongfit as pf
 from phongfit.fitting.uncertainty.profile import LEVELS
-from tests.fitting.scenes import TRUTH, ball, photograph
+from tests.fitting.scenes import ball, photograph, truth
+
+TRUTH = truth()
 
 SCENE = ball()
 NOISE = 0.01

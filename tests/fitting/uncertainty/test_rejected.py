@@ -5,8 +5,10 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.uncertainty.rejected import rejected_highlights
-from tests.fitting.scenes import TRUTH, ball, photograph
+from tests.fitting.scenes import ball, photograph, truth
 from tests.helpers import photographs
+
+TRUTH = truth()
 
 SIZE = 64
 SCENE = ball(size=SIZE)

@@ -4,8 +4,10 @@ import pytest
 import phongfit as pf
 from phongfit.fitting.problem.losses import LOSSES
 from phongfit.fitting.uncertainty.misfit import SIGNIFICANT
-from tests.fitting.scenes import TRUTH, ball, photograph
+from tests.fitting.scenes import ball, photograph, truth
 from tests.helpers import floats
+
+TRUTH = truth()
 
 LINEAR = ("ambient", "diffuse", "specular")
 

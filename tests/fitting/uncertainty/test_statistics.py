@@ -14,13 +14,15 @@ from phongfit.fitting.uncertainty.identifiability import (
     linked_groups,
 )
 from tests.fitting.scenes import (
-    TRUTH,
     as_vector,
     ball,
     developed,
     photograph,
+    truth,
     unknowns_of,
 )
+
+TRUTH = truth()
 
 SCENE = ball()
 DRAWS = 250

@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from tests.fitting.scenes import TRUTH, ball, photograph
+from tests.fitting.scenes import ball, photograph, truth
+
+TRUTH = truth()
 
 SCENE = ball()
 NOISE = 0.01

@@ -8,7 +8,7 @@ import numpy as np
 
 import phongfit as pf
 from data_synth.lights import spread_directions
-from tests.maps.synthetic import DTYPE
+from tests.maps.synthetic import dtype
 
 FREE = pf.Film(clamp=False)
 NOISE = 0.01
@@ -100,7 +100,7 @@ def hide(
     images = images + NOISE * rng.normal(size=images.shape)
     return Hidden(
         [dataclasses.replace(scene, surface=flat) for scene in scenes],
-        images.astype(DTYPE),
+        images.astype(dtype()),
         truth,
         np.asarray(seen.normal, float),
     )

@@ -20,7 +20,7 @@ from phongfit.maps.normals.step import (
 from phongfit.maps.normals.sums import Sums
 from phongfit.maps.normals.unknowns import Point, unknowns_of
 from phongfit.maps.pixel.settings import MapSettings
-from tests.maps.synthetic import DTYPE
+from tests.maps.synthetic import dtype
 
 SETTINGS = MapSettings(names=("diffuse", "specular", "shininess"), normals="fit")
 WHICH = unknowns_of(SETTINGS)
@@ -41,9 +41,9 @@ class Linear:
     def sums(self) -> Sums:
         """What `gather` makes of it."""
         columns, residual = self.columns, self.residual
-        whole = np.einsum("iacp,ibcp->abcp", columns, columns).astype(DTYPE)
-        pull = np.einsum("iacp,icp->acp", columns, residual).astype(DTYPE)
-        cost = np.einsum("icp,icp->p", residual, residual).astype(DTYPE)
+        whole = np.einsum("iacp,ibcp->abcp", columns, columns).astype(dtype())
+        pull = np.einsum("iacp,icp->acp", columns, residual).astype(dtype())
+        cost = np.einsum("icp,icp->p", residual, residual).astype(dtype())
         shared = jnp.asarray(whole[OWN:, OWN:].sum(axis=2))
         own, pulls = jnp.asarray(whole[:, :OWN]), jnp.asarray(pull)
         return Sums(
@@ -75,9 +75,9 @@ def model() -> Linear:
 
 def at(value: float) -> Point:
     """A point whose reflectances are all alike."""
-    all_alike = jnp.full((CHANNELS, PIXELS), value, DTYPE)
-    normal = jnp.zeros((3, PIXELS), DTYPE).at[2].set(1)
-    t = jnp.full(PIXELS, 3.0, DTYPE)
+    all_alike = jnp.full((CHANNELS, PIXELS), value, dtype())
+    normal = jnp.zeros((3, PIXELS), dtype()).at[2].set(1)
+    t = jnp.full(PIXELS, 3.0, dtype())
     return Point(normal, t, all_alike, all_alike, all_alike)
 
 
@@ -104,12 +104,12 @@ def test_all_else_follows_the_exponent(model):
     """No other move with the same step of log f costs less."""
     sums = model.sums()
     follow = jax.jit(lambda: respond(sums, free()))()
-    best = jax.jit(lambda: make_move(sums, jnp.zeros(PIXELS, DTYPE), free()))()
+    best = jax.jit(lambda: make_move(sums, jnp.zeros(PIXELS, dtype()), free()))()
     there = 0.2
 
     def off(move: Move) -> Move:
         shared = list(move.shared)
-        shared[EXPONENT] = jnp.full(PIXELS, 1.0, DTYPE)
+        shared[EXPONENT] = jnp.full(PIXELS, 1.0, dtype())
         own = tuple(there * x for x in move.own)
         return Move(own, tuple(there * x for x in shared), move.decrement)
 
@@ -132,7 +132,7 @@ def test_what_samples_hardly_tell_stays(model):
     columns[:, 1] *= 1e-4
     dark = dataclasses.replace(model, columns=columns)
     sums = dark.sums()
-    point, still = at(0.5), jnp.zeros(PIXELS, DTYPE)
+    point, still = at(0.5), jnp.zeros(PIXELS, dtype())
 
     def moved_by(sums: Sums) -> float:
         (_, specular), _, _ = make_move(sums, still, free())
