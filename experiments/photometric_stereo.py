@@ -156,6 +156,8 @@ def compare(
         mask=masks,
         film=loaded.films,
         normals="fit",
+        # As single-pass methods, which the table compares.
+        passes=1,
         unknowns=("diffuse", "specular", "shininess"),
         # A highlight has the lamp's colour: one ρ_s, which few lamps can tell.
         per_channel=("diffuse",),

@@ -97,6 +97,7 @@ def rows(pixels: int = 16_000, lights: int = 49) -> list[Row]:
             stack.images,
             film=FREE,
             normals="fit",
+            passes=1,
             loss="linear",
             progress=False,
         )

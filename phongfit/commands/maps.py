@@ -32,7 +32,7 @@ from phongfit.maps.folder import (
     MapSettings,
     save_folder,
 )
-from phongfit.maps.passes import near_lamps
+from phongfit.maps.passes import usual_passes
 from phongfit.maps.result import MAP_PARAMETERS, Maps
 from phongfit.maps.run import fit_maps
 from phongfit.maps.stacks import DatasetStack
@@ -48,9 +48,6 @@ OURS = {
     *(f"{name}.{suffix}" for name in MAP_PARAMETERS for suffix in ("png", "tif")),
     *(f"stderr_{name}.tif" for name in MAP_PARAMETERS),
 }
-PASSES = {False: 2, True: 3}
-"""Of normals: shadows are known in the second; with near lamps (`True`) each finds the
-surface's place better."""
 SHARED = ("ambient", "diffuse")
 """What each pixel still identifies where the highlight is one for all of them."""
 HELD = (
@@ -148,7 +145,7 @@ def main(options: Options) -> int:
         stack, read = stack_data(options.data)
         tell(stack.photographs.notes)
         if options.passes is None and options.data.sought:
-            given["passes"] = PASSES[bool(near_lamps(stack.photographs.scenes))]
+            given["passes"] = usual_passes(stack.photographs.scenes)
         if options.highlight == "shared":
             known = _shared(stack.photographs, given)
             given |= {"known": known, "unknowns": SHARED}

@@ -42,7 +42,7 @@ def fit_in_passes(
 
     **Arguments:**
 
-    - `once`: [`fit_maps`][] with all chosen but scenes, images, `output`, `progress`.
+    - `once`: one pass with all chosen but scenes, images, `output` and `progress`.
     - `output`: where finished tiles of the first pass are kept; those of later ones in
         folders inside.
     """
@@ -57,7 +57,7 @@ def fit_in_passes(
         inner = None if output is None else Path(output) / f"pass_{number}"
         scenes = on_surface(scenes, field, field.mask, offset, shadows=True)
         maps = once(scenes, stack, output=inner, progress=progress)
-    return maps
+    return dataclasses.replace(maps, misplacement=misplacement(maps, scenes))
 
 
 def find_offset(
@@ -97,6 +97,39 @@ def find_offset(
         noise, bounds=around, method="bounded", options=options
     )
     return near * float(found.x if found.fun < levels[best] else places[best])
+
+
+def usual_passes(scenes: Sequence[Scene]) -> int:
+    """Number of passes where normals are sought and none is given.
+
+    Shadows are known from the second pass on; with near lamps each pass improves the
+    surface's position as well.
+    """
+    return 3 if near_lamps(scenes) else 2
+
+
+def misplacement(maps: Maps, scenes: Sequence[Scene]) -> float:
+    """Error of the directions to near lamps from where pixels were taken to lie.
+
+    The scenes' positions are compared with the surface that the fitted normals belong
+    to, moved as a whole to the scenes' distance.
+
+    **Returns:** root mean square over the pixels, degrees; 0 for distant lamps.
+    """
+    lamps = near_lamps(scenes)
+    if not lamps:
+        return 0.0
+    field = maps.height()
+    camera = field.camera
+    assumed = camera.position @ np.asarray(camera.rotation, float)[:, 2] - maps.depth
+    inside = field.mask & np.isfinite(assumed)
+    if not inside.any():
+        return 0.0
+    off = (field.height - assumed)[inside]
+    off -= np.median(off)
+    middle = np.median(field.positions()[inside], axis=0)
+    near = np.linalg.norm(np.stack(lamps) - middle, axis=-1).min()
+    return math.degrees(math.sqrt(np.mean(off**2)) / near)
 
 
 def near_lamps(scenes: Sequence[Scene]) -> list[Float[np.ndarray, "3"]]:

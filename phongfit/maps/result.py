@@ -35,6 +35,11 @@ BROAD, MANY = 12.0, 0.05
 share of pixels with such a lobe from which on it is said."""
 
 
+MISPLACED = 3.0
+"""Errors of directions to near lamps that are reported, in median standard errors of
+the normals."""
+
+
 class ParameterMaps(NamedTuple):
     """A map of numbers for each parameter of a material."""
 
@@ -138,6 +143,7 @@ class Maps:
     specular_model: AbstractSpecular | None = None
     ambient_light: tuple[float, float, float] = (0.0, 0.0, 0.0)
     materials: BasisMaterials | None = None
+    misplacement: float = 0.0
 
     @property
     def material(self) -> Material:
@@ -288,6 +294,15 @@ class Maps:
                 "stands for matte light: their normals may be tens of degrees off"
             )
             found.append(coded("broad-highlights", words))
+        stated = np.median(self.normals_stderr[sought]) if sought.any() else np.inf
+        if self.misplacement > MISPLACED * stated:
+            words = (
+                "directions to the near lamps are off by "
+                f"{self.misplacement:.1f}° (root mean square), since pixels were taken "
+                "to lie elsewhere than on the surface of these normals: normals and "
+                "ρ_s are wrong by more than their errors"
+            )
+            found.append(coded("pixels-misplaced", words))
         return tuple(found)
 
     def _has_broad_highlight(self) -> Bool[np.ndarray, "height width"]:
@@ -327,6 +342,7 @@ class Maps:
                 allow_pickle=False,
                 version=np.array(MAPS_VERSION),
                 unknowns=np.array(self.unknowns),
+                misplacement=np.array(self.misplacement),
                 view=np.array(
                     json.dumps(
                         view_of(self.camera, self.specular_model, self.ambient_light)
@@ -420,6 +436,9 @@ Maps.__init__.__doc__ = """**Arguments:**
 - `camera`, `specular_model`: those of the scenes; `None` in files of older versions.
 - `ambient_light`: I_a of the first scene, RGB.
 - `materials`: those that the pixels share, if they do: see [`BasisMaterials`][].
+- `misplacement`: with near lamps and normals that were sought, by how much directions
+    to the lamps are off, since pixels were taken to lie elsewhere than on the surface
+    of the normals that were found: root mean square, degrees.
 """
 
 PLAIN = ("noise", "samples", "flags", "normals", "normals_stderr", "depth")
@@ -503,6 +522,9 @@ def checked_maps(arrays: dict[str, np.ndarray]) -> Maps:
         )
     if given.ndim == 0:
         given = None if np.isnan(given) else float(given)
+    misplacement = arrays.get("misplacement", np.array(0.0))
+    if misplacement.shape != () or not misplacement >= 0:
+        raise ValueError(f"misplacement: expected an angle ≥ 0, got {misplacement}")
     shape = _checked_shape(arrays, size)
     maps: Any = {name: arrays[name] for name in MAP_PARAMETERS}
     stderr: Any = {name: arrays[f"stderr_{name}"] for name in MAP_PARAMETERS}
@@ -515,6 +537,7 @@ def checked_maps(arrays: dict[str, np.ndarray]) -> Maps:
         unknowns=tuple(unknowns.tolist()),
         noise_given=given,
         materials=_checked_materials(arrays, size),
+        misplacement=float(misplacement),
         **shape,
     )
 

@@ -25,14 +25,14 @@ from phongfit.maps.materials.bases import Bases
 from phongfit.maps.materials.block import Given, MaterialFit, fit_shared
 from phongfit.maps.materials.finding import Materials, choose_sample, find_materials
 from phongfit.maps.normals.block import NormalFit, fit_normals
-from phongfit.maps.passes import fit_in_passes
+from phongfit.maps.passes import fit_in_passes, usual_passes
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.pixel import PixelFit
 from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
 from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps
-from phongfit.maps.stacks import as_index, as_stack, identify_stack
+from phongfit.maps.stacks import AbstractStack, as_index, as_stack, identify_stack
 from phongfit.maps.store import TileStore, tile_store
 from phongfit.maps.warm import WarmMemory, filled
 from phongfit.material import Material
@@ -65,7 +65,7 @@ def fit_maps(
     loss: str | AbstractLoss | None = None,
     normals: Literal["given", "fit"] = "given",
     materials: int | Literal["auto"] | None = None,
-    passes: int = 1,
+    passes: int | None = None,
     start: Material | Fitted | None = None,
     min_cosine: float = 0.0,
     tile_pixels: int | None = None,
@@ -115,8 +115,7 @@ def fit_maps(
         that bounced are outliers.
     - `normals`: `"given"` by the scenes' surface. `"fit"`: sought for each pixel, with
         errors in degrees; the surface then only tells where pixels are, for near lamps
-        and a perspective camera, and which see it. Where near lamps are, ρ_s rests on
-        that: see `passes`. At least 3 images for a matte surface, 5 for one with a
+        and a perspective camera, and which see it: see `passes`. At least 3 images for a matte surface, 5 for one with a
         highlight, whose lobe must be a power of one cosine, as Phong's and Blinn's is.
         `ambient` asks for ambient light in the scenes; if `specular` is not in
         `per_channel`, the channels share one ρ_s.
@@ -127,10 +126,11 @@ def fit_maps(
         their errors go into those of the pixels: see [`BasisMaterials`][]. A dozen
         lamps hardly tell ρ_s and f of one pixel; they do tell which it is of a few.
         With `normals="fit"`.
-    - `passes`: with `normals="fit"`, how often. Each pass after the first takes pixels
-        to lie on the surface that the last one's normals make, and leaves samples out
-        that lie in its shadow; near lamps tell how far away it is, since there the
-        noise is least. `output` keeps the tiles of all of them.
+    - `passes`: with `normals="fit"`, how often pixels are fitted; default 3 with near
+        lamps, 2 with distant ones. Each pass after the first takes pixels to lie on the
+        surface that the last one's normals make, moved to where near lamps leave the
+        least noise, and leaves out samples in its shadow. `output` keeps the tiles of
+        all passes.
     - `start`: a fit of one material, or a material, whose exponent each pixel starts
         from, instead of the scan.
     - `min_cosine`: samples that no light reaches at a cosine above this are left out,
@@ -166,17 +166,40 @@ def fit_maps(
         "start": start,
         "min_cosine": min_cosine,
     }
-    if passes != 1:
-        if passes < 1 or normals != "fit":
-            raise ValueError(
-                "passes: expected 1, or more where normals are sought, got "
-                f"{shown(passes)}"
-            )
-        placed = {"tile_pixels": tile_pixels, "devices": devices}
-        once = functools.partial(fit_maps, **asked, **placed)
+    if passes is not None and (passes < 1 or (passes > 1 and normals != "fit")):
+        raise ValueError(
+            "passes: expected 1, or more where normals are sought, got "
+            f"{shown(passes)}"
+        )
+    if normals == "fit":
         scenes = check_scenes(scenes)
+        passes = usual_passes(scenes) if passes is None else passes
+        placed = {"tile_pixels": tile_pixels, "devices": devices}
+        once = functools.partial(_fit_once, **asked, **placed)
         return fit_in_passes(once, scenes, stack, passes, output, progress)
-    job = make_job(scenes, stack, **asked)
+    return _fit_once(
+        scenes,
+        stack,
+        tile_pixels=tile_pixels,
+        devices=devices,
+        output=output,
+        progress=progress,
+        **asked,
+    )
+
+
+def _fit_once(
+    scenes: Sequence[Scene],
+    images: AbstractStack,
+    *,
+    tile_pixels: int | None,
+    devices: Sequence[Any] | None,
+    output: str | os.PathLike[str] | None,
+    progress: bool,
+    **asked: Any,
+) -> Maps:
+    """One pass of [`fit_maps`][], whose arguments these are."""
+    job = make_job(scenes, images, **asked)
     if not len(job.pixels):
         raise ValueError("mask: it leaves no pixel that sees the surface")
     mesh = as_mesh(devices)
@@ -185,7 +208,7 @@ def fit_maps(
     if output is None:
         return fit_job(job, mesh, size, part, side_by_side(mesh), None, progress)
     identity = job.identify() | {
-        "images": identify_stack(stack),
+        "images": identify_stack(images),
         "tile": f"{size} pixels on {mesh.size} devices",
         "versions": versions(),
     }
