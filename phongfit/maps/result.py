@@ -32,7 +32,10 @@ from phongfit.scene import Scene
 
 BROAD, MANY = 12.0, 0.05
 """Exponent below which a lobe looks like matte light under some of the lamps; and the
-share of pixels with such a lobe from which on it is said."""
+fraction of pixels with such a lobe above which there is a warning."""
+
+BROADEST = 3.0
+"""Exponent below which a lobe that pixels share looks like matte light."""
 
 
 MISPLACED = 3.0
@@ -57,6 +60,7 @@ class BasisMaterials:
     shininess: Float[np.ndarray, " materials"]
     stderr_specular: Float[np.ndarray, "materials 3"]
     stderr_shininess: Float[np.ndarray, " materials"]
+    at_bound: Bool[np.ndarray, " materials"]
     weights: Float[np.ndarray, "height width materials"]
     criterion: Float[np.ndarray, " tried"]
     sample: int
@@ -77,6 +81,34 @@ class BasisMaterials:
         """Whether the most materials that are tried explain the pixels best."""
         tried = len(self.criterion)
         return tried == MOST_MATERIALS and int(self.criterion.argmin()) == tried - 1
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Materials whose highlight is at a bound, or stands for matte light."""
+        found = []
+        for number, exponent in enumerate(self.shininess, 1):
+            if exponent < BROADEST:
+                words = (
+                    f"the highlight of material {number} is so broad (f = "
+                    f"{exponent:.2g}) that it stands for matte light: normals and ρ_d "
+                    "may be far off"
+                )
+                remedy = (
+                    'Leave the highlight out (unknowns=("diffuse",)) if the object is '
+                    "matte, or bound shininess from 15 if it is glossy"
+                )
+                found.append(coded("broad-highlights", words, remedy))
+            elif self.at_bound[number - 1]:
+                words = (
+                    f"shininess of material {number} lies at its bound {exponent:.4g}: "
+                    "its error is one-sided, and the highlight may be a few outliers"
+                )
+                remedy = (
+                    "Bound it elsewhere (bounds), check the lamps' strengths, or leave "
+                    'the highlight out (unknowns=("diffuse",)) if the object is matte'
+                )
+                found.append(coded("at-bound", words, remedy))
+        return tuple(found)
 
     def __str__(self) -> str:
         lines = ["  material   share        ρ_s                      f"]
@@ -109,6 +141,7 @@ BasisMaterials.__init__.__doc__ = r"""**Arguments:**
 - `stderr_specular`, `stderr_shininess`: their standard errors, infinite where a
     material has no highlight that would show an exponent. They rest on how the sample's
     pixels spread (the sandwich formula), not on a noise that is assumed.
+- `at_bound`: (K,), whether the exponent lies at one of its bounds.
 - `weights`: (H, W, K), the probability that a pixel is of each; 0 outside.
 - `criterion`: BIC of 1, 2, … materials, as many as were tried:
     $-2 \log L + p \log n$ with p numbers of the materials and n pixels. Less is
@@ -286,6 +319,8 @@ class Maps:
                 "it takes for materials what the model lacks"
             )
             found.append(coded("materials-run-out", words))
+        if self.materials is not None:
+            found += self.materials.warnings
         broad = sought & self._has_broad_highlight()
         if self.materials is None and broad.sum() > MANY * sought.sum():
             words = (
@@ -555,6 +590,10 @@ def _checked_materials(
     if not 1 <= count[0] <= MOST_MATERIALS:
         raise ValueError(f"materials_weights: expected 1 to {MOST_MATERIALS} materials")
     tried = arrays["materials_criterion"].shape[:1]
+    # Files before version 0.2 do not state it.
+    at_bound = arrays.get("materials_at_bound", np.zeros(count, bool))
+    if at_bound.shape != count or at_bound.dtype != bool:
+        raise ValueError(f"materials_at_bound: expected {count[0]} truth values")
     fields: dict[str, Any] = {}
     for name, wanted in (
         ("specular", (*count, 3)),
@@ -578,7 +617,7 @@ def _checked_materials(
     sample = arrays["materials_sample"]
     if sample.shape != () or sample.dtype.kind not in "iu" or sample < 1:
         raise ValueError("materials_sample: expected a whole number ≥ 1")
-    return BasisMaterials(**fields, sample=int(sample))
+    return BasisMaterials(**fields, at_bound=at_bound, sample=int(sample))
 
 
 def _checked_shape(

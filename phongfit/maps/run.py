@@ -19,8 +19,7 @@ from phongfit.checks import untraced
 from phongfit.edge import checked, shown
 from phongfit.fitting.problem.losses import AbstractLoss
 from phongfit.maps.ahead import ahead
-from phongfit.maps.job import Fitted, Geometry, Job, check_scenes, make_job
-from phongfit.maps.layers import Noise
+from phongfit.maps.job import Fitted, Job, check_scenes, make_job
 from phongfit.maps.materials.bases import Bases
 from phongfit.maps.materials.block import Given, MaterialFit, fit_shared
 from phongfit.maps.materials.finding import Materials, choose_sample, find_materials
@@ -115,8 +114,9 @@ def fit_maps(
         that bounced are outliers.
     - `normals`: `"given"` by the scenes' surface. `"fit"`: sought for each pixel, with
         errors in degrees; the surface then only tells where pixels are, for near lamps
-        and a perspective camera, and which see it: see `passes`. At least 3 images for a matte surface, 5 for one with a
-        highlight, whose lobe must be a power of one cosine, as Phong's and Blinn's is.
+        and a perspective camera, and which see it: see `passes`. At least 3 images for
+        a matte surface, 5 for one with a highlight, whose lobe must be a power of one
+        cosine, as Phong's and Blinn's is.
         `ambient` asks for ambient light in the scenes; if `specular` is not in
         `per_channel`, the channels share one ρ_s.
     - `materials`: how many materials the pixels share, or `"auto"` to find out (up to
@@ -168,8 +168,7 @@ def fit_maps(
     }
     if passes is not None and (passes < 1 or (passes > 1 and normals != "fit")):
         raise ValueError(
-            "passes: expected 1, or more where normals are sought, got "
-            f"{shown(passes)}"
+            f"passes: expected 1, or more where normals are sought, got {shown(passes)}"
         )
     if normals == "fit":
         scenes = check_scenes(scenes)
@@ -268,15 +267,7 @@ def fit_job(
                 if store is not None:
                     store.save(k, arrays)
             maps.paint(tiles[k], arrays)
-    # No ambient light: nothing is identified, and nothing was looked for.
-    hidden = tuple(name for name in job.unknowns if name not in settings.names)
-    return maps.finished(
-        tuple(name for name in MAP_PARAMETERS if name in job.unknowns),
-        hidden,
-        job.noise,
-        job.scenes[0],
-        job.geometry,
-    )
+    return maps.finished(job)
 
 
 def _materials(
@@ -438,14 +429,11 @@ class _Canvas:
         self._samples[place] = tile.samples
         self._flags[place] = tile.flags
 
-    def finished(
-        self,
-        unknowns: tuple[str, ...],
-        hidden: tuple[str, ...],
-        noise: Noise,
-        scene: Scene,
-        geometry: Geometry,
-    ) -> Maps:
+    def finished(self, job: Job) -> Maps:
+        """All maps, once every tile is painted."""
+        settings, scene = job.settings, job.scenes[0]
+        # Without ambient light ρ_a is not identified, and was left out of the fit.
+        hidden = [name for name in job.unknowns if name not in settings.names]
         for name in hidden:
             self._errors[MAP_PARAMETERS.index(name)][:] = np.inf
         shape = self._size
@@ -458,13 +446,13 @@ class _Canvas:
             }
             for leaves in (self._values, self._errors)
         )
-        given: Any = noise.given()
+        given: Any = job.noise.given()
         left = self._noise.reshape(shape)
-        if noise.varies:
+        if job.noise.varies:
             # Each sample was measured by its own noise.
             left = left * given
-        normals, depth = geometry.seen(scene, self._normals)
-        turned = np.where(geometry.mask, 0, np.inf).astype(normals.dtype)
+        normals, depth = job.geometry.seen(scene, self._normals)
+        turned = np.where(job.geometry.mask, 0, np.inf).astype(normals.dtype)
         if self._normals is not None:
             turned = self._turned.reshape(shape)
         return Maps(
@@ -473,7 +461,7 @@ class _Canvas:
             noise=left,
             samples=self._samples.reshape(shape),
             flags=self._flags.reshape(shape),
-            unknowns=tuple(name for name in unknowns if name not in hidden),
+            unknowns=tuple(name for name in MAP_PARAMETERS if name in settings.names),
             noise_given=given,
             normals=normals,
             normals_stderr=turned,
@@ -481,11 +469,14 @@ class _Canvas:
             camera=scene.camera,
             specular_model=scene.specular_model,
             ambient_light=tuple(np.asarray(scene.ambient).tolist()),
-            materials=self._basis(),
+            materials=self._basis(settings.log_bounds),
         )
 
-    def _basis(self) -> BasisMaterials | None:
-        """The materials, if pixels share them."""
+    def _basis(self, log_bounds: tuple[float, float]) -> BasisMaterials | None:
+        """The materials, if pixels share them.
+
+        **Arguments:** `log_bounds`: of log f.
+        """
         if self._shared is None:
             return None
         bases = self._shared.bases
@@ -493,11 +484,13 @@ class _Canvas:
         errors = np.sqrt(np.diagonal(np.asarray(bases.covariance, float), 0, 1, 2))
         shape = (len(values), 3)
         shininess = np.exp(values[:, 0])
+        gap = np.abs(values[:, :1] - np.array(log_bounds)).min(axis=1)
         return BasisMaterials(
             specular=np.broadcast_to(values[:, 1:], shape).copy(),
             shininess=shininess,
             stderr_specular=np.broadcast_to(errors[:, 1:], shape).copy(),
             stderr_shininess=shininess * errors[:, 0],
+            at_bound=gap < 1e-5,
             weights=self._weights.reshape(*self._size, -1),
             criterion=np.asarray(self._shared.criterion, float),
             sample=int(self._shared.sample),
