@@ -31,6 +31,7 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "prior-conflict": "Widen the prior, or look for what else is wrong",
         "lack-of-fit": "Look at plot_residuals(); mask what does not belong, try "
         "another specular model, or make what may be wrong unknown",
+        "encoding-doubtful": "Read the photograph with the other encoding",
         "jpeg-blocks": "Fit the photograph as it lies in its file, with "
         "film=pf.read_film(path, encoding)",
         "jpeg-texels": "Take photographs without loss: PNG, TIFF or raw",
