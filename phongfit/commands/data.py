@@ -48,11 +48,14 @@ class DataOptions:
             normals, and positions and mask if there are, or an .npy. fit: they are
             sought, by `phongfit maps`, under known lights.
         lights: With photographs: their lights, as `phongfit calibrate` writes them, or
-            an .lp. Default: those in the folder; else the fit finds them.
+            an .lp, of which one photograph takes the lamp of its name. Default: those
+            in the folder; else the fit finds them.
         fov: With photographs: the camera's angle of view, from the lower to the upper
             edge. Default: what a calibration's lights say, else parallel rays, as of a
             long lens from far away.
-        mask: With an image or photographs: white where a pixel may be used.
+        mask: With an image or photographs: white where a pixel may be used. Default,
+            with a folder of photographs: the mask in it, mask.png or NAME.mask.png, if
+            there is one.
         encoding: With an image or photographs: what their numbers are, or the file of
             a response curve, as `phongfit response` writes it. Default: what the scene
             file says, and srgb for JPEG.

@@ -86,7 +86,8 @@ class Options:
         ambient: The ambient light: a number, or three.
         encoding: With a photograph: what its numbers are, or the file of a response
             curve. Default: srgb for JPEG.
-        mask: With a folder: an image in it, white where pixels may be used.
+        mask: With a folder: an image in it, white where pixels may be used. Default:
+            the mask in it, mask.png or NAME.mask.png, if there is one.
         overwrite: Replace an older scene file.
     """
 
@@ -427,7 +428,7 @@ def _lights_of(
 
 
 def _images(options: Options, capture: Capture) -> list[ImageRecord]:
-    mask = None
+    mask = None if capture.mask is None else capture.mask.name
     if options.mask is not None:
         if options.mask.resolve().parent != capture.folder.resolve():
             raise ValueError(

@@ -19,6 +19,7 @@ from phongfit.files.photographs import (
     AbstractImages,
     PhotoSeries,
     images_in,
+    is_mask,
     open_photographs,
     read_photograph,
 )
@@ -62,6 +63,12 @@ class Capture(AbstractImages):
     def names(self) -> tuple[str, ...]:
         """Of their files."""
         return tuple(path.name for path in self.series.paths)
+
+    @property
+    def mask(self) -> Path | None:
+        """The mask beside the photographs, such as mask.png, if there is just one."""
+        masks = [name for name in self.others if is_mask(Path(name))]
+        return self.folder / masks[0] if len(masks) == 1 else None
 
     @property
     def encoding(self) -> Encoding:

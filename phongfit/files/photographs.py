@@ -203,17 +203,18 @@ def list_photographs(
     than `at_least` in it.
     """
     folder = Path(folder)
-    found = sorted(
-        path
-        for path in images_in(folder)
-        if path.stem.lower().rpartition(".")[2] != "mask"
-    )
+    found = sorted(path for path in images_in(folder) if not is_mask(path))
     if len(found) < at_least:
         names = ", ".join(path.name for path in found) or "none"
         raise ValueError(
             f"{folder}: expected at least {at_least} photographs, got {names}"
         )
     return tuple(found)
+
+
+def is_mask(path: Path) -> bool:
+    """Whether an image is a mask by its name, such as mask.png or ball.mask.png."""
+    return path.stem.lower().rpartition(".")[2] == "mask"
 
 
 def images_in(folder: Path) -> list[Path]:

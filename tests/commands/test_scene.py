@@ -133,7 +133,7 @@ def test_normals_are_a_surface(tmp_path, capsys):
         (["--size", "8", "6", "-o", "a.json"], "sphere: expected one of"),
         (
             ["--size", "8", "6", "--sphere", "80", "3", "2", "-o", "a.json"],
-            "sphere: expected a circle in the 8 × 6 pixels",
+            "sphere: expected a sphere that lies wholly in the 8 × 6 pixels",
         ),
         (
             ["--size", "8", "6", "--sphere", "4", "3", "2", "--light", "0", "0", "0"]
