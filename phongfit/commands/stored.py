@@ -21,7 +21,7 @@ from phongfit.files.capture_data import (
 from phongfit.files.encodings import parse_encoding
 from phongfit.files.fits import DataRecord
 from phongfit.files.inputs import naming, recording
-from phongfit.files.lp import base_name, read_lp
+from phongfit.files.lp import base_name, read_camera_lp
 from phongfit.files.outputs import OVERWRITE, replacing_folder
 from phongfit.files.scenes import SCENE_FILE, load_views
 from phongfit.files.seen import SOUGHT, camera_of, seen_in
@@ -229,7 +229,7 @@ def _captured(
             raise ValueError(
                 f"lights: expected an .lp or lights.json in {folder}, or given"
             )
-        listed = read_lp(found)
+        listed = read_camera_lp(found)
         known = [*listed.names]
     told: Any = attributes(stack.array).get("names", known)
     if not isinstance(told, list):

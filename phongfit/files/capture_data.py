@@ -16,7 +16,7 @@ from phongfit.files.captures import Capture, encoding_of, open_capture
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import read_film, read_mask
 from phongfit.files.inputs import naming
-from phongfit.files.lp import LightList, base_name, read_lp
+from phongfit.files.lp import LightList, base_name, read_camera_lp
 from phongfit.files.photographs import open_photographs
 from phongfit.files.seen import SOUGHT, seen_in
 from phongfit.lights import AbstractLight, DirectionalLight, PointLight
@@ -148,7 +148,7 @@ def one_photograph(
     encoding = encoding_of(path.parent, [path.name], encoding)
     listed = None
     if lights is not None:
-        every = read_lp(lights)
+        every = read_camera_lp(lights)
         with naming(str(lights)):
             listed = every.only([path.name])
     return Capture(open_photographs([path], encoding), lights=listed)

@@ -14,7 +14,7 @@ from phongfit.edge import checked
 from phongfit.files.coded import Coded
 from phongfit.files.dataset import Photograph
 from phongfit.files.images import read_film
-from phongfit.files.lp import LightList, base_name, read_lp
+from phongfit.files.lp import LightList, base_name, read_camera_lp
 from phongfit.files.photographs import (
     AbstractImages,
     PhotoSeries,
@@ -204,12 +204,12 @@ def _is_no_photograph(name: str) -> bool:
 
 def _list_in(folder: Path, lights: str | os.PathLike[str] | None) -> LightList | None:
     if lights is not None:
-        return read_lp(lights)
+        return read_camera_lp(lights)
     lists = sorted(folder.glob("*.lp"))
     if len(lists) > 1:
         found = ", ".join(path.name for path in lists)
         raise ValueError(f"{folder}: expected one list of lights, got {found}")
-    return read_lp(lists[0]) if lists else None
+    return read_camera_lp(lists[0]) if lists else None
 
 
 def _matched(folder: Path, images: Sequence[str], listed: LightList) -> list[str]:
