@@ -173,6 +173,10 @@ def _read(options: DataOptions) -> _Input:
     **Raises:** `ValueError` that names the file or the option.
     """
     path = address(options.dataset)
+    if options.white is not None:
+        raise ValueError(
+            f"white: expected it of photographs' files alone, got it with {path}"
+        )
     with recording() as checksums:
         stack = ZarrStack(path, parse_encoding(options.encoding))
         shaped = options.sphere is not None or options.normals is not None

@@ -45,6 +45,7 @@ def open_captured(
     min_cosine: float = 0.05,
     min_facing: float = 0.15,
     room_light: float = 1.0,
+    white: int | None = None,
 ) -> Photographs:
     """Photographs of an object of known shape, whose lights need not be known.
 
@@ -69,6 +70,7 @@ def open_captured(
     - `min_facing`: pixels with n·v up to this are left out: a rim's pixel averages over
         many normals.
     - `room_light`: ambient light that stands for all that came by way of the room.
+    - `white`: the number that is white in the files: see [`read_image`][].
 
     Where exposures differ, photographs stay as they are, and the lights of their scenes
     are as much stronger or weaker. Those that the calibration left out are left out.
@@ -77,9 +79,9 @@ def open_captured(
     """
     path = Path(photographs)
     if path.is_dir():
-        capture = open_capture(path, encoding, lights=list_of(lights))
+        capture = open_capture(path, encoding, lights=list_of(lights), white=white)
     else:
-        capture = one_photograph(path, encoding, lights=list_of(lights))
+        capture = one_photograph(path, encoding, lights=list_of(lights), white=white)
     source = calibration_of(path, lights)
     if source is not None:
         capture = capture.without(source.left_out.keys())
@@ -119,7 +121,7 @@ def open_captured(
         return Photograph(photo.coded, used & photo.usable & lit)
 
     def film_of(number: int) -> Film:
-        return read_film(series.paths[number], series.encoding)
+        return read_film(series.paths[number], series.encoding, white=white)
 
     film = film_of(0)
     film = film if film.jpeg is None else Film(encoding=capture.encoding)
@@ -137,11 +139,18 @@ def open_captured(
 
 
 def one_photograph(
-    path: Path, encoding: Encoding | None, *, lights: Path | None = None
+    path: Path,
+    encoding: Encoding | None,
+    *,
+    lights: Path | None = None,
+    white: int | None = None,
 ) -> Capture:
     """A single photograph as a capture of one.
 
-    **Arguments:** `lights`: an .lp file, of which the photograph takes its own lamp.
+    **Arguments:**
+
+    - `lights`: an .lp file, of which the photograph takes its own lamp.
+    - `white`: as of [`read_image`][].
 
     **Raises:** `ValueError` that names the file, if the list does not have it.
     """
@@ -151,7 +160,8 @@ def one_photograph(
         every = read_camera_lp(lights)
         with naming(str(lights)):
             listed = every.only([path.name])
-    return Capture(open_photographs([path], encoding), lights=listed)
+    series = open_photographs([path], encoding, white=white)
+    return Capture(series, lights=listed)
 
 
 def list_of(lights: str | os.PathLike[str] | None) -> Path | None:

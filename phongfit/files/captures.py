@@ -78,7 +78,8 @@ class Capture(AbstractImages):
     @property
     def film(self) -> Film:
         """How light became the numbers of the first file."""
-        return read_film(self.series.paths[0], self.series.encoding)
+        series = self.series
+        return read_film(series.paths[0], series.encoding, white=series.white)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -143,6 +144,7 @@ def open_capture(
     lights: str | os.PathLike[str] | None = None,
     ambient: str | os.PathLike[str] | None = None,
     flat: str | os.PathLike[str] | None = None,
+    white: int | None = None,
 ) -> Capture:
     """A folder of photographs.
 
@@ -158,6 +160,7 @@ def open_capture(
     - `lights`: the `.lp` file; default the one in the folder.
     - `ambient`: a photograph without a lamp, taken from each.
     - `flat`: one of a white card in the object's place, divided out.
+    - `white`: the number that is white in all of them: see [`read_image`][].
 
     **Raises:** `ValueError` that names the folder, the file or the argument.
     """
@@ -179,7 +182,7 @@ def open_capture(
     paths = [folder / name for name in names]
     # Together, so that its exposure counts next to theirs.
     every = open_photographs(
-        [*paths, *([] if ambient is None else [ambient])], encoding
+        [*paths, *([] if ambient is None else [ambient])], encoding, white=white
     )
     series = every.only(range(len(paths)))
     return Capture(
@@ -250,7 +253,7 @@ def encoding_of(
 
 
 def _flat(path: Path, series: PhotoSeries) -> Photograph:
-    photo = read_photograph(path, series.encoding)
+    photo = read_photograph(path, series.encoding, white=series.white)
     image, known = photo.image, photo.unsaturated
     if image.shape[:2] != series.size:
         raise ValueError(

@@ -131,6 +131,7 @@ class DataSettings(AbstractRecord):
     normals: str | None = None
     lights: str | None = None
     fov: Annotated[float, Field(gt=0, lt=180)] | None = None
+    white: Annotated[int, Field(ge=1, le=65535)] | None = None
 
 
 class DataRecord(AbstractRecord):

@@ -50,6 +50,15 @@ def test_noise_given_right_beside_outliers():
     assert not said(pf.fit(SCENE, image, noise=NOISE, loss="tukey"), "noise that was")
 
 
+def test_images_that_were_cut_off_below_white():
+    cut = np.minimum(NOISY, 0.6 * NOISY.max())
+    fit = pf.fit(SCENE, np.round(cut * 65535) / 65535)
+    value = round(0.6 * NOISY.max() * 65535)
+    assert said(fit, f"(the number {value} of 65535), and few lie just below it")
+    assert "low-white" in map(pf.warning_code, fit.warnings)
+    assert not said(pf.fit(SCENE, np.round(NOISY * 65535) / 65535), "largest value")
+
+
 def test_a_bound_that_decides():
     fit = pf.fit(SCENE, NOISY, bounds={"shininess": (1, 15)})
     assert said(fit, "shininess lies at its upper bound 15: its error is one-sided")
