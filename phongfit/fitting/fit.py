@@ -144,7 +144,7 @@ def fit(
     `warnings`; nothing is raised.
 
     **Raises:** `ValueError` that names the argument: wrong shapes, NaN or infinite
-    pixels, a mask that leaves nothing, fewer samples than unknowns, ambient and
+    pixels, a mask that leaves nothing, no more samples than unknowns, ambient and
     emission both unknown where they are degenerate; arrays that JAX traces
     (see [`refit`][] for derivatives of a fit).
     """

@@ -70,7 +70,8 @@ def plateau_words(plateau: Plateau | None, film: Film) -> tuple[str, ...]:
 
 def clipped_words(sums: SandwichSums, effective: int, samples: int) -> tuple[str, ...]:
     """Where the noise level is estimated from samples that hardly know it."""
-    if effective >= max(FEW, FEW_SHARE * samples) and not _drifts(sums, effective):
+    enough = effective >= max(FEW, FEW_SHARE * samples)
+    if effective == samples or (enough and not _drifts(sums, effective)):
         return ()
     return (
         coded(

@@ -86,8 +86,12 @@ def test_noise_that_few_samples_know():
     truth = pf.Material((0.6, 0.5, 0.4), 0.3, 10.0, 0.5)
     image = photograph(bright, truth, noise=0.1)
     assert np.mean(image[8:24, 8:24] == 1) > 0.9
+    few = np.zeros(NOISY.shape[:2], bool)
+    few[13:17, 14:17] = True
     assert said(pf.fit(bright, image), "samples are clipped: the noise is estimated")
     assert not said(pf.fit(bright, image, noise=0.1), "samples are clipped")
+    # Few samples, of which none is clipped.
+    assert not said(pf.fit(SCENE, NOISY, mask=few), "samples are clipped")
     # Where all is white another warning says so.
     assert not said(pf.fit(bright, np.ones_like(image)), "samples are clipped")
 
