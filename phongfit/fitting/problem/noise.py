@@ -179,11 +179,11 @@ class Plateau(NamedTuple):
     """Samples that were cut off at one value.
 
     - `value`: the largest of the images.
-    - `count`: how many samples have it.
+    - `n_samples`: how many have it.
     """
 
     value: float
-    count: int
+    n_samples: int
 
 
 def find_plateau(images: list[np.ndarray]) -> Plateau | None:
