@@ -36,6 +36,8 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "film=pf.read_film(path, encoding)",
         "jpeg-texels": "Take photographs without loss: PNG, TIFF or raw",
         "noise-level": "Give the noise as it is, or leave it to be estimated",
+        "low-white": "State the number that is white (read_image(white=…), or "
+        "--white), or mask these samples",
         "few-unclipped": "Give noise, or expose less",
         "outliers": "Leave them out by a mask, or try a robust loss",
         # Of a prediction.

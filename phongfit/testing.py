@@ -52,13 +52,16 @@ def check_gradients(
 
     **Raises:** `AssertionError` that names the worst entry by its path, such as
     `.lights[0].position[2]`, with the numbers; `ValueError` that names the argument if
-    there is nothing to differentiate.
+    there is nothing to differentiate, or
+    where arrays that `function` closes over keep it from float64.
     """
     if order not in (1, 2):
         raise ValueError(f"order: expected 1 or 2, got {order!r}")
     with jax.enable_x64(True):
         leaves, rebuild = _as_vector_space(point)
         start = np.concatenate([leaf.ravel() for _, leaf in leaves])
+
+        _check_precision(function, rebuild, start)
 
         def contracted(vector: Float[Array, " n"]) -> Scalar:
             return _contract(function(rebuild(vector)))
@@ -82,6 +85,26 @@ def check_gradients(
             return f"{name(row)} and {name(column)}"
 
         _compare("second derivative", second, pair, rtol, atol)
+
+
+def _check_precision(
+    function: Callable[[Any], Array], rebuild: Callable[[Array], PyTree], start: Any
+) -> None:
+    """That a function can be traced in float64.
+
+    **Raises:** `ValueError` that says what keeps it from that: mostly arrays of single
+    precision that it closes over.
+    """
+    try:
+        jax.eval_shape(lambda vector: function(rebuild(vector)), start)
+    except (TypeError, ValueError) as error:
+        if not all(name in str(error) for name in ("float32", "float64")):
+            raise
+        raise ValueError(
+            "function: expected one that computes in float64, got float32 and float64 "
+            "together: hand over the arrays and scenes that it closes over in point, "
+            "or make them inside"
+        ) from error
 
 
 Leaves = list[tuple[str, np.ndarray]]

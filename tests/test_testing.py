@@ -24,6 +24,19 @@ def test_works_in_double_whatever_the_setting():
     assert jax.config.jax_enable_x64 == before  # pyright: ignore
 
 
+def test_single_precision_that_is_closed_over():
+    with jax.enable_x64(False):
+        kept = jnp.zeros(2)
+
+    def total(x):
+        return jax.lax.scan(lambda sum, a: (sum + a * x, None), kept, jnp.ones(3))[0]
+
+    with pytest.raises(ValueError, match="function: .* closes over in point"):
+        check_gradients(total, np.array(1.5))
+    with pytest.raises(TypeError, match="unsupported operand"):
+        check_gradients(lambda x: x + "float", np.array(1.5))
+
+
 @jax.custom_jvp
 def wrong_slope(x):
     return x**2

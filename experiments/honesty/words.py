@@ -27,6 +27,7 @@ SUBJECTS = {
     "jpeg-blocks": Subject.FIT,
     "jpeg-texels": Subject.FIT,
     "noise-level": Subject.FIT,
+    "low-white": Subject.FIT,
     "few-unclipped": Subject.FIT,
     "outliers": Subject.FIT,
     "prior-conflict": Subject.FIT,

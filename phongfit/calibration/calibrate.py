@@ -27,7 +27,13 @@ from phongfit.calibration.matte import (
     room_light,
     shaded_directions,
 )
-from phongfit.calibration.outlines import View, across, as_circle, sphere_behind
+from phongfit.calibration.outlines import (
+    SMALLEST,
+    View,
+    across,
+    as_circle,
+    sphere_behind,
+)
 from phongfit.calibration.result import CalibratedSphere, Calibration, Lamp
 from phongfit.calibration.spheres import (
     SEEN,
@@ -163,11 +169,11 @@ def _outlines(
         shown = [one for one in found if one[0] == "chrome"]
         return shown + [("matte", outline) for outline in mattes[:1]]
     given: list[tuple[Kind, Outline]] = [
-        ("chrome", as_circle(f"chrome[{n}]", circle, view, whole=True))
+        ("chrome", as_circle(f"chrome[{n}]", circle, view, least=SMALLEST))
         for n, circle in enumerate(chrome or ())
     ]
     if matte is not None:
-        given.append(("matte", as_circle("matte", matte, view, whole=True)))
+        given.append(("matte", as_circle("matte", matte, view, least=SMALLEST)))
     return given
 
 

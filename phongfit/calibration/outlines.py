@@ -119,12 +119,11 @@ def stretch(outline: Float[np.ndarray, "3"], view: View) -> Float[np.ndarray, "2
 
 
 def as_circle(
-    name: str, value: Any, view: View, *, whole: bool = False
+    name: str, value: Any, view: View, *, least: float = 0.0
 ) -> Float[np.ndarray, "3"]:
-    """A circle that was given: x, y and radius in pixels.
+    """A circle that was given: x, y and radius in pixels, wholly in the photograph.
 
-    **Arguments:** `whole`: all of the sphere is to lie in the photograph, and to be
-    large enough to be looked at; else some of it may be.
+    **Arguments:** `least`: the smallest radius that is accepted.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -132,7 +131,6 @@ def as_circle(
         circle = np.array(value, float)
     except (TypeError, ValueError):
         circle = np.zeros(0)
-    least = SMALLEST if whole else 0.0
     if circle.shape != (3,) or not np.isfinite(circle).all() or circle[2] <= 0:
         raise ValueError(
             f"{name}: expected x, y and radius in pixels, got {shown(value)}"
@@ -142,12 +140,12 @@ def as_circle(
         raise ValueError(
             f"{name}: expected a radius of at least {least:g} pixels, got {radius:g}"
         )
-    reach = radius - SLACK if whole else -radius
+    reach = radius - SLACK
     if not (reach < x < view.width - reach and reach < y < view.height - reach):
-        lies = "a sphere that lies wholly" if whole else "a circle"
         raise ValueError(
-            f"{name}: expected {lies} in the {view.width} × {view.height} pixels of "
-            f"the photographs, got x {x:g}, y {y:g}, radius {radius:g}"
+            f"{name}: expected a sphere that lies wholly in the {view.width} × "
+            f"{view.height} pixels of the photographs, got x {x:g}, y {y:g}, radius "
+            f"{radius:g}"
         )
     return circle
 

@@ -11,7 +11,7 @@ from phongfit.calibration.calibrate import calibrate
 from phongfit.calibration.result import Calibration
 from phongfit.commands.data import tell
 from phongfit.commands.keeping import keeping
-from phongfit.commands.options import EncodingName, OutFolder, optional
+from phongfit.commands.options import EncodingName, OutFolder, WhiteLevel, optional
 from phongfit.commands.progress import stage
 from phongfit.files.calibrations import LIGHTS_FILE, save_calibration
 from phongfit.files.captures import Capture, open_capture
@@ -44,6 +44,8 @@ class Options:
             two spheres.
         encoding: What the photographs' numbers are, or the file of a response curve, as
             `phongfit response` writes it. Default: srgb for JPEG.
+        white: The number in the photographs that is white, such as 4095 of 12 bits in
+            PNGs of 16. Default: the largest of the format.
         ambient: A photograph without a lamp, which is taken from all.
         flat: A photograph of a white card, by which all are divided.
         overwrite: Replace an older calibration in OUT.
@@ -68,6 +70,8 @@ class Options:
     lamps: Literal["distant", "near"] = "distant"
 
     encoding: EncodingName = None
+
+    white: WhiteLevel = None
 
     ambient: Annotated[Path | None, optional("PHOTO")] = None
 
@@ -97,6 +101,7 @@ def main(options: Options) -> int:
             parse_encoding(options.encoding),
             ambient=options.ambient,
             flat=options.flat,
+            white=options.white,
         )
         tell(capture.notes)
         with stage("looking at the photographs"):

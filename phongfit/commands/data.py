@@ -9,7 +9,7 @@ from typing import Annotated, TypeVar
 import numpy as np
 from tyro.conf import Positional, arg
 
-from phongfit.commands.options import EncodingName, optional
+from phongfit.commands.options import EncodingName, WhiteLevel, optional
 from phongfit.files.capture_data import open_captured
 from phongfit.files.coded import Coded
 from phongfit.files.dataset import Dataset, Photograph, Photographs
@@ -48,14 +48,20 @@ class DataOptions:
             normals, and positions and mask if there are, or an .npy. fit: they are
             sought, by `phongfit maps`, under known lights.
         lights: With photographs: their lights, as `phongfit calibrate` writes them, or
-            an .lp. Default: those in the folder; else the fit finds them.
+            an .lp, of which one photograph takes the lamp of its name. Default: those
+            in the folder; else the fit finds them.
         fov: With photographs: the camera's angle of view, from the lower to the upper
             edge. Default: what a calibration's lights say, else parallel rays, as of a
             long lens from far away.
-        mask: With an image or photographs: white where a pixel may be used.
+        mask: With an image or photographs: white where a pixel may be used. Default,
+            with a folder of photographs: the mask in it, mask.png or NAME.mask.png, if
+            there is one.
         encoding: With an image or photographs: what their numbers are, or the file of
             a response curve, as `phongfit response` writes it. Default: what the scene
             file says, and srgb for JPEG.
+        white: With an image or photographs: the number in the files that is white, such
+            as 4095 of 12 bits in PNGs of 16. Default: what the scene file says, and the
+            largest of the format.
         min_cosine: Not of our own data sets: samples with n·l up to this are left out,
             where light that bounced counts for more.
         min_facing: Likewise: pixels with n·v up to this are left out: a rim's pixel
@@ -80,6 +86,8 @@ class DataOptions:
 
     encoding: EncodingName = None
 
+    white: WhiteLevel = None
+
     min_cosine: Annotated[float, arg(metavar="X")] = 0.05
 
     min_facing: Annotated[float, arg(metavar="X")] = 0.15
@@ -97,6 +105,7 @@ class DataOptions:
             normals=None if self.normals is None else str(self.normals),
             lights=None if self.lights is None else str(self.lights),
             fov=self.fov,
+            white=self.white,
         )
 
     def like(self, reading: DataSettings) -> "DataOptions":
@@ -179,12 +188,13 @@ def _open_captured(options: DataOptions) -> Photographs:
         min_cosine=options.min_cosine,
         min_facing=options.min_facing,
         room_light=options.room_light,
+        white=options.white,
     )
 
 
 def _open_sought(options: DataOptions) -> Photographs:
     """A data set whose normals are left aside: none says what is lit or aslant."""
-    for name in ("scene", "sphere", "lights", "fov", "mask", "encoding"):
+    for name in ("scene", "sphere", "lights", "fov", "mask", "encoding", "white"):
         if getattr(options, name) is not None:
             raise ValueError(
                 f"{name}: {options.dataset} is a data set, which says this itself"
@@ -199,7 +209,7 @@ def _open_folder(options: DataOptions) -> Photographs:
             f"{folder}: expected --sphere or --normals, the shape that its photographs "
             "show, since it is no data set with a scene.json or a filenames.txt"
         )
-    for name in ("scene", "fov", "mask", "encoding"):
+    for name in ("scene", "fov", "mask", "encoding", "white"):
         if getattr(options, name) is not None:
             raise ValueError(f"{name}: {folder} is a folder, which says this itself")
     photographs = open_dataset(
@@ -245,7 +255,8 @@ def _read_single(options: DataOptions) -> Photographs:
             f"encoding: expected --encoding linear or srgb, since {options.scene} does "
             "not say it"
         )
-    light = read_light(path, encoding)
+    white = record.white if options.white is None else options.white
+    light = read_light(path, encoding, white=white)
     image = light.image
     mask = np.ones(image.shape[:2], bool)
     if options.mask is not None:
@@ -261,9 +272,12 @@ def _read_single(options: DataOptions) -> Photographs:
     if film.clamp:
         film = with_jpeg(Film(encoding=encoding), path)
         if film.jpeg is None:
-            # No one else's numbers tell that a curve has rounded them.
+            # Numbers alone do not show that a curve, or another white, rounded them.
             curved = isinstance(encoding, ResponseCurve)
-            film = read_film(path, encoding) if curved else find_film([image])
+            stated = curved or white is not None
+            film = find_film([image])
+            if stated:
+                film = read_film(path, encoding, white=white)
     photograph = Photograph(Coded(image), mask & light.usable)
     return Photographs(path.stem, (scene,), (path.name,), film, lambda _: photograph)
 

@@ -30,7 +30,7 @@ from phongfit.maps.folder import RECORD_FILE
 from phongfit.material import Material, unstack_materials
 from phongfit.reflectance import AbstractSpecular, BlinnPhong
 
-Target = Literal["mtl", "gltf", "usd", "json", "opengl", "obj", "ply"]
+Target = Literal["mtl", "gltf", "usd", "json", "opengl", "obj", "ply", "stl"]
 
 BY_SUFFIX: dict[str, Target] = {
     ".mtl": "mtl",
@@ -41,6 +41,7 @@ BY_SUFFIX: dict[str, Target] = {
     ".c": "opengl",
     ".obj": "obj",
     ".ply": "ply",
+    ".stl": "stl",
     **dict.fromkeys(SUFFIXES, "usd"),
 }
 
@@ -61,10 +62,10 @@ class Options:
         to: mtl: Wavefront's .mtl. gltf: glTF 2.0, on the scene's mesh. usd: the same as
             UsdPreviewSurface (pip install 'phongfit[usd]'). json: what phongfit reads
             again. opengl: C lines of glMaterialfv. Of a mesh gltf, usd and obj, with an
-            .mtl and textures beside it. Of maps mtl, gltf, obj: the mesh of their
-            height, likewise, and ply: the mesh with colours. Default: what the file's
-            suffix says (.mtl; .glb, .gltf; .usda, .usd, .usdc, .usdz; .json; .h, .c;
-            .obj; .ply).
+            .mtl and textures beside it, and stl: its triangles alone (--nearest). Of
+            maps mtl, gltf, obj: the mesh of their height, likewise, ply: the mesh with
+            colours, and stl: its triangles. Default: what the file's suffix says (.mtl;
+            .glb, .gltf; .usda, .usd, .usdc, .usdz; .json; .h, .c; .obj; .ply; .stl).
         scene: For gltf and usd: a scene file whose mesh, or sphere, gets the material.
             Default: a sphere.
         nearest: Where the format cannot hold the material (colours above 1, an exponent
@@ -77,7 +78,9 @@ class Options:
 
     fit: Annotated[Positional[str], arg(metavar="FIT")]
     out: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
-    to: Annotated[Target | None, optional("mtl|gltf|usd|json|opengl|obj|ply")] = None
+    to: Annotated[Target | None, optional("mtl|gltf|usd|json|opengl|obj|ply|stl")] = (
+        None
+    )
     scene: Annotated[Path | None, optional("FILE")] = None
     nearest: bool = False
     surface: bool = False
@@ -94,7 +97,7 @@ def main(options: Options) -> int:
     Blinn's by up to 0.16 of the peak, from GGX's by what Fresnel's law takes of the
     diffuse light. USD has the same numbers, with F0 as the specular colour. Maps become
     texture images: beside an .mtl; inside a glTF file, on a rectangle with their
-    normals, or on the mesh of their height (--surface; .obj and .ply always). A
+    normals, or on the mesh of their height (--surface; .obj, .ply, .stl always). A
     highlight that is 0 within its error is 0 there, and what a pixel does not identify
     is the median of those that can.
 
@@ -142,7 +145,7 @@ def _export(options: Options, to: Target) -> str:
     if mesh is not None:
         return _export_mesh(mesh, options, to)
     if not (folder / RECORD_FILE).is_file():
-        if to in ("obj", "ply") or options.surface:
+        if to in ("obj", "ply", "stl") or options.surface:
             raise ValueError(
                 f"{options.fit}: expected the folder of `phongfit maps` for a surface: "
                 "a material has none"
@@ -175,8 +178,8 @@ def _export_mesh(mesh: Path, options: Options, to: Target) -> str:
     for name in ("scene", "surface", "distance"):
         if getattr(options, name):
             raise ValueError(f"{name}: expected none, since {mesh} is a mesh")
-    if to not in ("gltf", "usd", "obj"):
-        raise ValueError(f"to: expected gltf, usd or obj for a mesh, got {to}")
+    if to not in ("gltf", "usd", "obj", "stl"):
+        raise ValueError(f"to: expected gltf, usd, obj or stl for a mesh, got {to}")
     loaded = load_mesh(mesh)
     save_mesh(options.out, *loaded, nearest=options.nearest)
     return f"{mesh.name}, {len(loaded.names)} materials"
@@ -189,7 +192,7 @@ def _check_maps(folder: Path, options: Options, to: Target) -> None:
             "know textures"
         )
     if to == "usd":
-        raise ValueError(f"to: expected mtl, gltf, obj or ply for maps, got {to}")
+        raise ValueError(f"to: expected mtl, gltf, obj, ply or stl for maps, got {to}")
     if options.scene is not None:
         raise ValueError("scene: expected none, since maps lie on their picture")
 

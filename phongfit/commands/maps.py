@@ -28,6 +28,7 @@ from phongfit.fitting.fit import fit
 from phongfit.maps.folder import (
     ARRAYS_FILE,
     NORMALS_FILE,
+    NORMALS_PICTURE,
     RECORD_FILE,
     MapSettings,
     save_folder,
@@ -44,7 +45,7 @@ from phongfit.scene import Scene
 TILES = "tiles"
 FLAGS_FILE = "flags.png"
 OURS = {
-    *(RECORD_FILE, ARRAYS_FILE, NORMALS_FILE, FLAGS_FILE),
+    *(RECORD_FILE, ARRAYS_FILE, NORMALS_FILE, NORMALS_PICTURE, FLAGS_FILE),
     *(f"{name}.{suffix}" for name in MAP_PARAMETERS for suffix in ("png", "tif")),
     *(f"stderr_{name}.tif" for name in MAP_PARAMETERS),
 }
@@ -62,8 +63,9 @@ class Options:
 
     Args:
         out: Folder to make: maps.npz (all maps, errors and flags), pictures of each map
-            and its errors with their scales, the same as floating-point TIFF, maps.json
-            (settings and versions). Until all is done it holds finished tiles: the same
+            and its errors with their scales, the same as floating-point TIFF, normals
+            as numbers and as a picture (normals.npy, .png), maps.json (settings and
+            versions). Until all is done it holds finished tiles: the same
             command goes on from there. A name that ends in .zarr is a store of arrays,
             for maps that memory does not hold.
         highlight: own: every pixel has its own. shared: one for all, which a fit of one

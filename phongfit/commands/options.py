@@ -31,6 +31,7 @@ Words = tuple[str, ...]
 OutFolder = Annotated[Path, arg(aliases=["-o"], metavar="OUT")]
 MaterialName = Annotated[str, arg(metavar="preset:NAME|FILE")]
 EncodingName = Annotated[str | None, optional("linear|srgb|FILE")]
+WhiteLevel = Annotated[int | None, optional("LEVEL")]
 JsonFile = Annotated[Path | None, optional("FILE")]
 
 

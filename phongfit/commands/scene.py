@@ -9,7 +9,7 @@ import numpy as np
 from tyro.conf import Positional, UseAppendAction, arg
 
 from phongfit.calibration.result import Calibration
-from phongfit.commands.options import EncodingName, optional
+from phongfit.commands.options import EncodingName, WhiteLevel, optional
 from phongfit.commands.views import find_views
 from phongfit.files.calibrations import load_calibration
 from phongfit.files.capture_data import (
@@ -22,7 +22,6 @@ from phongfit.files.capture_data import (
 )
 from phongfit.files.captures import Capture, open_capture
 from phongfit.files.encodings import parse_encoding
-from phongfit.files.images import read_film
 from phongfit.files.inputs import naming, sparing
 from phongfit.files.lp import read_lp
 from phongfit.files.outputs import check_file
@@ -86,7 +85,10 @@ class Options:
         ambient: The ambient light: a number, or three.
         encoding: With a photograph: what its numbers are, or the file of a response
             curve. Default: srgb for JPEG.
-        mask: With a folder: an image in it, white where pixels may be used.
+        white: With a photograph: the number in its file that is white, such as 4095 of
+            12 bits in PNGs of 16. Default: the largest of the format.
+        mask: With a folder: an image in it, white where pixels may be used. Default:
+            the mask in it, mask.png or NAME.mask.png, if there is one.
         overwrite: Replace an older scene file.
     """
 
@@ -127,6 +129,8 @@ class Options:
 
     encoding: EncodingName = None
 
+    white: WhiteLevel = None
+
     mask: Annotated[Path | None, optional("FILE")] = None
 
     overwrite: bool = False
@@ -153,7 +157,12 @@ def main(options: Options) -> int:
         made = _make(options)
         check_size(made.scene)
         save_scene(
-            out, made.scene, film=made.film, images=made.images, cameras=made.cameras
+            out,
+            made.scene,
+            film=made.film,
+            images=made.images,
+            cameras=made.cameras,
+            white=options.white,
         )
     print(f"{out}: {_words(made)}")
     for note in made.notes:
@@ -219,7 +228,8 @@ def _make_views(options: Options) -> _Made:
             raise ValueError(f"{name}: {cameras} tells what is seen from where")
     if options.mask is not None:
         raise ValueError("mask: is of photographs from one place")
-    views = find_views(folder, cameras, parse_encoding(options.encoding))
+    encoding = parse_encoding(options.encoding)
+    views = find_views(folder, cameras, encoding, options.white)
     images = views.images
     if options.lights is None:
         lights, notes = _given_lights(options)
@@ -267,14 +277,14 @@ def _own_lights(
 
 def _film(capture: Capture) -> Film:
     """How light became the photographs' numbers; what JPEG lost, each says itself."""
-    film = read_film(capture.folder / capture.names[0], capture.encoding)
+    film = capture.film
     return Film(film.clamp, film.encoding, film.bits)
 
 
 def _capture(options: Options) -> Capture | None:
     path = options.photograph
     if path is None:
-        for name in ("encoding", "mask"):
+        for name in ("encoding", "white", "mask"):
             if getattr(options, name) is not None:
                 raise ValueError(f"{name}: is of photographs, and none is given")
         return None
@@ -282,10 +292,12 @@ def _capture(options: Options) -> Capture | None:
         raise ValueError(f"{path}: there is no such file or folder")
     encoding = parse_encoding(options.encoding)
     if path.is_dir():
-        return open_capture(path, encoding, lights=list_of(options.lights))
+        return open_capture(
+            path, encoding, lights=list_of(options.lights), white=options.white
+        )
     if options.mask is not None:
         raise ValueError("mask: is of a folder; give it to `phongfit fit` instead")
-    return one_photograph(path, encoding)
+    return one_photograph(path, encoding, white=options.white)
 
 
 def _size(options: Options, capture: Capture | None) -> tuple[int, int]:
@@ -427,7 +439,7 @@ def _lights_of(
 
 
 def _images(options: Options, capture: Capture) -> list[ImageRecord]:
-    mask = None
+    mask = None if capture.mask is None else capture.mask.name
     if options.mask is not None:
         if options.mask.resolve().parent != capture.folder.resolve():
             raise ValueError(

@@ -21,7 +21,7 @@ from phongfit.files.capture_data import (
 from phongfit.files.encodings import parse_encoding
 from phongfit.files.fits import DataRecord
 from phongfit.files.inputs import naming, recording
-from phongfit.files.lp import base_name, read_lp
+from phongfit.files.lp import base_name, read_camera_lp
 from phongfit.files.outputs import OVERWRITE, replacing_folder
 from phongfit.files.scenes import SCENE_FILE, load_views
 from phongfit.files.seen import SOUGHT, camera_of, seen_in
@@ -173,6 +173,10 @@ def _read(options: DataOptions) -> _Input:
     **Raises:** `ValueError` that names the file or the option.
     """
     path = address(options.dataset)
+    if options.white is not None:
+        raise ValueError(
+            f"white: expected it of photographs' files alone, got it with {path}"
+        )
     with recording() as checksums:
         stack = ZarrStack(path, parse_encoding(options.encoding))
         shaped = options.sphere is not None or options.normals is not None
@@ -229,7 +233,7 @@ def _captured(
             raise ValueError(
                 f"lights: expected an .lp or lights.json in {folder}, or given"
             )
-        listed = read_lp(found)
+        listed = read_camera_lp(found)
         known = [*listed.names]
     told: Any = attributes(stack.array).get("names", known)
     if not isinstance(told, list):

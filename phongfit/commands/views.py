@@ -25,11 +25,16 @@ class Views(NamedTuple):
     notes: list[str]
 
 
-def find_views(folder: Path, cameras: Path, encoding: Encoding | None) -> Views:
+def find_views(
+    folder: Path, cameras: Path, encoding: Encoding | None, white: int | None = None
+) -> Views:
     """The photographs in a folder that files of others tell the cameras of.
 
-    **Arguments:** `cameras`: as of [`load_cameras`][]. Photographs are found by the
-    names in it, below the folder, or in it without the folders that stand before them.
+    **Arguments:**
+
+    - `cameras`: as of [`load_cameras`][]. Photographs are found by the names in it,
+        below the folder, or in it without the folders that stand before them.
+    - `white`: as of [`read_image`][].
 
     **Raises:** `ValueError` that names the file or the option.
     """
@@ -69,7 +74,7 @@ def find_views(folder: Path, cameras: Path, encoding: Encoding | None) -> Views:
     if others:
         told.append(f"no camera of {_few(sorted(others))}: left out")
     known = encoding_of(folder, names, encoding)
-    film = read_film(folder / names[0], known)
+    film = read_film(folder / names[0], known, white=white)
     return Views(
         [ImageRecord(file=name) for name in names],
         list(found.values()),

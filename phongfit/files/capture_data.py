@@ -15,7 +15,8 @@ from phongfit.files.calibrations import LIGHTS_FILE, load_calibration
 from phongfit.files.captures import Capture, encoding_of, open_capture
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import read_film, read_mask
-from phongfit.files.lp import LightList, base_name
+from phongfit.files.inputs import naming
+from phongfit.files.lp import LightList, base_name, read_camera_lp
 from phongfit.files.photographs import open_photographs
 from phongfit.files.seen import SOUGHT, seen_in
 from phongfit.lights import AbstractLight, DirectionalLight, PointLight
@@ -44,6 +45,7 @@ def open_captured(
     min_cosine: float = 0.05,
     min_facing: float = 0.15,
     room_light: float = 1.0,
+    white: int | None = None,
 ) -> Photographs:
     """Photographs of an object of known shape, whose lights need not be known.
 
@@ -62,11 +64,13 @@ def open_captured(
         or lights.json in the folder, else the lights are unknown.
     - `fov`: the camera's angle from the lower to the upper edge, degrees. Default: that
         of the calibration, else parallel rays.
-    - `mask`: an image, white where pixels may be used.
+    - `mask`: an image, white where pixels may be used. Default: the mask in the folder,
+        mask.png or NAME.mask.png, if there is one; `notes` says so.
     - `min_cosine`: samples with n·l up to this are left out, where a light is known.
     - `min_facing`: pixels with n·v up to this are left out: a rim's pixel averages over
         many normals.
     - `room_light`: ambient light that stands for all that came by way of the room.
+    - `white`: the number that is white in the files: see [`read_image`][].
 
     Where exposures differ, photographs stay as they are, and the lights of their scenes
     are as much stronger or weaker. Those that the calibration left out are left out.
@@ -75,9 +79,9 @@ def open_captured(
     """
     path = Path(photographs)
     if path.is_dir():
-        capture = open_capture(path, encoding, lights=list_of(lights))
+        capture = open_capture(path, encoding, lights=list_of(lights), white=white)
     else:
-        capture = one_photograph(path, encoding)
+        capture = one_photograph(path, encoding, lights=list_of(lights), white=white)
     source = calibration_of(path, lights)
     if source is not None:
         capture = capture.without(source.left_out.keys())
@@ -104,6 +108,10 @@ def open_captured(
     used = np.ones((height, width), bool)
     if not sought:
         used = facing(scenes[0], min_facing)
+    told: tuple[str, ...] = ()
+    if mask is None and capture.mask is not None:
+        mask = capture.mask
+        told = (f"pixels that are black in {capture.mask.name} are left out",)
     if mask is not None:
         used &= masked(Path(mask), used.shape)
 
@@ -113,7 +121,7 @@ def open_captured(
         return Photograph(photo.coded, used & photo.usable & lit)
 
     def film_of(number: int) -> Film:
-        return read_film(series.paths[number], series.encoding)
+        return read_film(series.paths[number], series.encoding, white=white)
 
     film = film_of(0)
     film = film if film.jpeg is None else Film(encoding=capture.encoding)
@@ -125,15 +133,35 @@ def open_captured(
         read,
         film_of=film_of,
         unknown=unknown,
-        notes=series.notes,
+        notes=(*series.notes, *told),
         uncertain=_uncertain(capture, source),
     )
 
 
-def one_photograph(path: Path, encoding: Encoding | None) -> Capture:
-    """A single photograph as a capture of one."""
+def one_photograph(
+    path: Path,
+    encoding: Encoding | None,
+    *,
+    lights: Path | None = None,
+    white: int | None = None,
+) -> Capture:
+    """A single photograph as a capture of one.
+
+    **Arguments:**
+
+    - `lights`: an .lp file, of which the photograph takes its own lamp.
+    - `white`: as of [`read_image`][].
+
+    **Raises:** `ValueError` that names the file, if the list does not have it.
+    """
     encoding = encoding_of(path.parent, [path.name], encoding)
-    return Capture(open_photographs([path], encoding))
+    listed = None
+    if lights is not None:
+        every = read_camera_lp(lights)
+        with naming(str(lights)):
+            listed = every.only([path.name])
+    series = open_photographs([path], encoding, white=white)
+    return Capture(series, lights=listed)
 
 
 def list_of(lights: str | os.PathLike[str] | None) -> Path | None:

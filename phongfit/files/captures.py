@@ -14,11 +14,12 @@ from phongfit.edge import checked
 from phongfit.files.coded import Coded
 from phongfit.files.dataset import Photograph
 from phongfit.files.images import read_film
-from phongfit.files.lp import LightList, base_name, read_lp
+from phongfit.files.lp import LightList, base_name, read_camera_lp
 from phongfit.files.photographs import (
     AbstractImages,
     PhotoSeries,
     images_in,
+    is_mask,
     open_photographs,
     read_photograph,
 )
@@ -64,6 +65,12 @@ class Capture(AbstractImages):
         return tuple(path.name for path in self.series.paths)
 
     @property
+    def mask(self) -> Path | None:
+        """The mask beside the photographs, such as mask.png, if there is just one."""
+        masks = [name for name in self.others if is_mask(Path(name))]
+        return self.folder / masks[0] if len(masks) == 1 else None
+
+    @property
     def encoding(self) -> Encoding:
         """What their numbers are."""
         return self.series.encoding
@@ -71,7 +78,8 @@ class Capture(AbstractImages):
     @property
     def film(self) -> Film:
         """How light became the numbers of the first file."""
-        return read_film(self.series.paths[0], self.series.encoding)
+        series = self.series
+        return read_film(series.paths[0], series.encoding, white=series.white)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -136,6 +144,7 @@ def open_capture(
     lights: str | os.PathLike[str] | None = None,
     ambient: str | os.PathLike[str] | None = None,
     flat: str | os.PathLike[str] | None = None,
+    white: int | None = None,
 ) -> Capture:
     """A folder of photographs.
 
@@ -151,6 +160,7 @@ def open_capture(
     - `lights`: the `.lp` file; default the one in the folder.
     - `ambient`: a photograph without a lamp, taken from each.
     - `flat`: one of a white card in the object's place, divided out.
+    - `white`: the number that is white in all of them: see [`read_image`][].
 
     **Raises:** `ValueError` that names the folder, the file or the argument.
     """
@@ -172,7 +182,7 @@ def open_capture(
     paths = [folder / name for name in names]
     # Together, so that its exposure counts next to theirs.
     every = open_photographs(
-        [*paths, *([] if ambient is None else [ambient])], encoding
+        [*paths, *([] if ambient is None else [ambient])], encoding, white=white
     )
     series = every.only(range(len(paths)))
     return Capture(
@@ -197,12 +207,12 @@ def _is_no_photograph(name: str) -> bool:
 
 def _list_in(folder: Path, lights: str | os.PathLike[str] | None) -> LightList | None:
     if lights is not None:
-        return read_lp(lights)
+        return read_camera_lp(lights)
     lists = sorted(folder.glob("*.lp"))
     if len(lists) > 1:
         found = ", ".join(path.name for path in lists)
         raise ValueError(f"{folder}: expected one list of lights, got {found}")
-    return read_lp(lists[0]) if lists else None
+    return read_camera_lp(lists[0]) if lists else None
 
 
 def _matched(folder: Path, images: Sequence[str], listed: LightList) -> list[str]:
@@ -243,7 +253,7 @@ def encoding_of(
 
 
 def _flat(path: Path, series: PhotoSeries) -> Photograph:
-    photo = read_photograph(path, series.encoding)
+    photo = read_photograph(path, series.encoding, white=series.white)
     image, known = photo.image, photo.unsaturated
     if image.shape[:2] != series.size:
         raise ValueError(

@@ -131,6 +131,7 @@ class DataSettings(AbstractRecord):
     normals: str | None = None
     lights: str | None = None
     fov: Annotated[float, Field(gt=0, lt=180)] | None = None
+    white: Annotated[int, Field(ge=1, le=65535)] | None = None
 
 
 class DataRecord(AbstractRecord):
@@ -250,7 +251,8 @@ def write_fit_record(
     **Raises:** `OSError` that names the file.
     """
     numbers = fit.to_dict()
-    for name in ("model", "loss"):
+    # The model is described below, the loss is a setting, and rows are columns here.
+    for name in ("model", "loss", "parameters"):
         del numbers[name]
     scene = fit.scene if isinstance(fit.scene, Scene) else fit.scene[0]
     content: dict[str, Any] = {

@@ -53,6 +53,7 @@ def read_image(
     path: str | os.PathLike[str],
     encoding: Encoding,
     *,
+    white: int | None = None,
     max_pixels: int | None = None,
 ) -> Float[np.ndarray, "height width 3"]:
     """An image as linear light, where 1 is the largest number of an integer format.
@@ -74,19 +75,22 @@ def read_image(
         file are. A fit in the wrong one is wrong, so it is never guessed.
         Floating-point formats and RAW are linear. With a profile `"srgb"` stands for
         any curve that the profile tells.
+    - `white`: the number in a PNG or TIFF of whole numbers that is white, and what lies
+        above it, too: 4095 for a camera's 12 bits in a file of 16. Default: the largest
+        of the format.
     - `max_pixels`: images with more are refused before they are decoded: a small file
         can hold an image that fills the memory. Default: what one file may take of it
         (1 GB, or `PHONGFIT_MAX_MEMORY`), which is some 50 million pixels.
 
     **Raises:** `ValueError` that names the file: it is missing, broken, of an unknown
     format, too large, partly transparent, of colours that are not understood, or holds
-    NaN or infinity.
+    NaN or infinity. That names `white`, where the format does not have that number.
 
     **Warns:** where EXIF data is broken; and where a channel is saturated in a file
     whose profile mixes channels, so that the others are wrong: [`read_photograph`][]
     has a mask of such pixels.
     """
-    light = read_light(path, encoding, max_pixels=max_pixels)
+    light = read_light(path, encoding, white=white, max_pixels=max_pixels)
     lost = np.count_nonzero(~light.usable)
     if lost:
         warn(
@@ -116,6 +120,7 @@ def read_light(
     path: str | os.PathLike[str],
     encoding: Encoding,
     *,
+    white: int | None = None,
     max_pixels: int | None = None,
 ) -> Light:
     """As [`read_image`][], with a mask instead of a warning.
@@ -125,7 +130,7 @@ def read_light(
     path = Path(path)
     encoding = as_encoding(encoding)
     read = _read_numbers(path, max_pixels)
-    values = _opaque(path, read.values)
+    values = _to_white(path, _opaque(path, read.values), white)
     if read.linear and encoding != "linear":
         raise ValueError(
             f"{path}: expected encoding 'linear', as {read.linear} have, got "
@@ -146,6 +151,25 @@ def read_light(
     return Light(Coded(numbers, coded.table), usable, clamped)
 
 
+def _to_white(path: Path, values: np.ndarray, white: int | None) -> np.ndarray:
+    """Numbers of a file so that its white is the largest of 16 bits.
+
+    **Raises:** `ValueError` that names the file and `white`.
+    """
+    if white is None:
+        return values
+    if values.dtype.kind == "f" or path.suffix.lower() in JPEG:
+        raise ValueError(
+            f"{path}: white: expected it of a PNG or TIFF of whole numbers alone, got "
+            f"{white}"
+        )
+    highest = np.iinfo(values.dtype).max
+    if not 1 <= white <= highest:
+        raise ValueError(f"{path}: white: expected 1 … {highest}, got {white}")
+    levels = np.minimum(np.arange(highest + 1) / white, 1) * np.iinfo(np.uint16).max
+    return np.round(levels).astype(np.uint16)[values]
+
+
 def _coded(values: np.ndarray, encoding: Encoding, profile: Profile | None) -> Coded:
     if profile is not None:
         return Coded(profile.light(values, _float_type()))
@@ -155,7 +179,9 @@ def _coded(values: np.ndarray, encoding: Encoding, profile: Profile | None) -> C
 
 
 @checked
-def read_film(path: str | os.PathLike[str], encoding: Encoding) -> Film:
+def read_film(
+    path: str | os.PathLike[str], encoding: Encoding, *, white: int | None = None
+) -> Film:
     """How light became the numbers of an image file, for [`fit`][].
 
         image = pf.read_image("ball.jpg", "srgb")
@@ -185,7 +211,10 @@ def read_film(path: str | os.PathLike[str], encoding: Encoding) -> Film:
         converted = find_profile(read.metadata.profile, film.encoding) is not None
     if converted or read.linear:
         return film
-    return Film(encoding=film.encoding, bits=8 * read.values.dtype.itemsize)
+    bits = 8 * read.values.dtype.itemsize
+    # Of as many levels as there are up to white, or a few less: only errors go by it.
+    bits = bits if white is None else int(np.log2(white + 1))
+    return Film(encoding=film.encoding, bits=bits)
 
 
 JPEG = (".jpg", ".jpeg")

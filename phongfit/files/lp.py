@@ -90,6 +90,22 @@ def read_lp(path: str | os.PathLike[str]) -> LightList:
     return LightList(tuple(names), np.array(vectors).reshape(-1, 3))
 
 
+def read_camera_lp(path: str | os.PathLike[str]) -> LightList:
+    """A list of lights in the axes of a standing camera, x right, y up, z towards it.
+
+    **Raises:** `ValueError` as [`read_lp`][] does, and where all of several lamps lie
+    behind what the camera sees: other programs let z point away from it.
+    """
+    listed = read_lp(path)
+    if len(listed.names) > 1 and (listed.vectors[:, 2] < 0).all():
+        raise ValueError(
+            f"{path}: expected lamps on the camera's side (z > 0), got all "
+            f"{len(listed.names)} behind the surface (z < 0): turn the sign of z, and "
+            "that of y too if y points down (OpenCV's axes)"
+        )
+    return listed
+
+
 def _count(line: str) -> int:
     words = line.split()
     if len(words) != 1 or not words[0].isdecimal() or int(words[0]) < 1:

@@ -26,7 +26,7 @@ from phongfit.files.gltf_records import COLOURS as ATTRIBUTES
 from phongfit.files.gltf_tangents import mirrored, vertex_tangents
 from phongfit.files.images import to_levels
 from phongfit.files.limits import exponent, limited, lost
-from phongfit.files.mesh_writing import lines, write_ply
+from phongfit.files.mesh_writing import lines, write_ply, write_stl
 from phongfit.files.mtl import COLOURS, mtl_block
 from phongfit.files.outputs import replacing_files
 from phongfit.files.usd import SUFFIXES, write_usd
@@ -67,14 +67,14 @@ def save_mesh(
     rounding of 16-bit pictures. glTF has no place for ambient light: textures of it are
     left out, and the numbers stand in `extras`. Of vertices it has all: colours, which
     others show, and in attributes of our own the rest. OBJ has colours of vertices that
-    multiply ρ_d and ρ_a alike. PLY has nothing but such colours: they are ρ_d. USD is
-    for others: [`load_mesh`][] does not read it.
+    multiply ρ_d and ρ_a alike. PLY has nothing but such colours: they are ρ_d. STL
+    has triangles alone. USD is for others: [`load_mesh`][] does not read it.
 
     **Arguments:**
 
-    - `path`: `.obj`, which gets an `.mtl` and the pictures beside it, `.glb`, `.gltf`
-        or `.ply`; with `pip install 'phongfit[usd]'` also `.usda`, `.usd`, `.usdc`,
-        with pictures beside them, or `.usdz`.
+    - `path`: `.obj`, which gets an `.mtl` and the pictures beside it, `.glb`, `.gltf`,
+        `.ply` or `.stl`; with `pip install 'phongfit[usd]'` also `.usda`, `.usd`,
+        `.usdc`, with pictures beside them, or `.usdz`.
     - `material`: of all faces, or with a row for each of the mesh's materials. Textures
         of the mesh multiply it.
     - `names`: of the materials; default `material0`, `material1`, …
@@ -86,15 +86,18 @@ def save_mesh(
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix not in (".obj", ".glb", ".gltf", ".ply", *SUFFIXES):
+    if suffix not in (".obj", ".glb", ".gltf", ".ply", ".stl", *SUFFIXES):
         raise ValueError(
-            f"{path}: expected .obj, .glb, .gltf, .ply or .usda, got {suffix!r}"
+            f"{path}: expected .obj, .glb, .gltf, .ply, .stl or .usda, got {suffix!r}"
         )
     own = _apart(mesh, material, names)
     if suffix == ".obj":
         _write_obj(path, mesh, own, nearest)
     elif suffix == ".ply":
         _write_ply(path, mesh, own, nearest)
+    elif suffix == ".stl":
+        lost("material: STL has triangles alone", nearest)
+        write_stl(path, Part(np.asarray(mesh.vertices), np.asarray(mesh.faces)))
     else:
         parts = [(_part(mesh, one), _gltf_material(one, nearest)) for one in own]
         if suffix in SUFFIXES:

@@ -1,4 +1,4 @@
-"""Triangles as files: OBJ, beside an .mtl, and PLY with a colour for each vertex."""
+"""Triangles as files: OBJ, beside an .mtl, PLY with colours of vertices, and STL."""
 
 import os
 from typing import Any
@@ -45,17 +45,26 @@ def write_ply(
 
     **Raises:** `OSError` that names `path`.
     """
+    mesh = _triangles(part, vertex_normals=part.normals, vertex_colors=colours)
+    _write(path, mesh.export(file_type="ply", vertex_normal=True))
+
+
+def write_stl(path: str | os.PathLike[str], part: Part) -> None:
+    """A binary .stl of a part's triangles, which is all that it holds, in one piece.
+
+    **Raises:** `OSError` that names `path`.
+    """
+    _write(path, _triangles(part).export(file_type="stl"))
+
+
+def _triangles(part: Part, **more: Any) -> Any:
     # Here, since trimesh takes long to import.
     import trimesh
 
-    mesh = trimesh.Trimesh(
-        part.positions,
-        part.faces,
-        vertex_normals=part.normals,
-        vertex_colors=colours,
-        process=False,
-    )
-    content = mesh.export(file_type="ply", vertex_normal=True)
+    return trimesh.Trimesh(part.positions, part.faces, process=False, **more)
+
+
+def _write(path: str | os.PathLike[str], content: Any) -> None:
     assert isinstance(content, bytes)
     with replacing(path) as temporary:
         temporary.write_bytes(content)

@@ -29,6 +29,7 @@ class Photo:
 
     - `path`: its file.
     - `encoding`: of its numbers.
+    - `white`: as of [`read_image`][].
     - `coded`: its light as the file has it; 1 is white, and what is saturated is 1.
     - `usable`: false where a saturated channel was mixed into others, when colours
         became those of sRGB.
@@ -45,6 +46,7 @@ class Photo:
     clamped: bool
     exposure: Exposure
     relative_exposure: float = 1.0
+    white: int | None = None
 
     @property
     def name(self) -> str:
@@ -59,7 +61,7 @@ class Photo:
     @property
     def film(self) -> Film:
         """How light became the file's numbers: see [`read_film`][]."""
-        return read_film(self.path, self.encoding)
+        return read_film(self.path, self.encoding, white=self.white)
 
     @property
     def unsaturated(self) -> Bool[np.ndarray, "height width 3"]:
@@ -78,7 +80,9 @@ class Photo:
         return self.image / np.asarray(self.relative_exposure, self.image.dtype)
 
 
-def read_photograph(path: str | os.PathLike[str], encoding: Encoding) -> Photo:
+def read_photograph(
+    path: str | os.PathLike[str], encoding: Encoding, *, white: int | None = None
+) -> Photo:
     """A photograph with its film, its exposure, and a mask.
 
     **Arguments:** as of [`read_image`][], which says what becomes of orientation and
@@ -87,12 +91,18 @@ def read_photograph(path: str | os.PathLike[str], encoding: Encoding) -> Photo:
     **Raises:** `ValueError` that names the file.
     """
     path = Path(path)
-    return _read(path, encoding, read_head(path).exposure, 1.0)
+    return _read(path, encoding, read_head(path).exposure, 1.0, white)
 
 
-def _read(path: Path, encoding: Encoding, exposure: Exposure, relative: float) -> Photo:
-    light = read_light(path, encoding)
-    return Photo(path, encoding, *light, exposure, relative)
+def _read(
+    path: Path,
+    encoding: Encoding,
+    exposure: Exposure,
+    relative: float,
+    white: int | None,
+) -> Photo:
+    light = read_light(path, encoding, white=white)
+    return Photo(path, encoding, *light, exposure, relative, white)
 
 
 @dataclass(frozen=True)
@@ -106,6 +116,7 @@ class PhotoSeries:
     - `relative_exposures`: t · ISO / N² of each, next to that of the first. Cameras
         state rounded numbers, 1/125 s for 1/128: they are right to some 5 %.
     - `notes`: what was assumed, in sentences.
+    - `white`: as of [`read_image`][], of all of them.
     """
 
     paths: tuple[Path, ...]
@@ -114,6 +125,7 @@ class PhotoSeries:
     exposures: tuple[Exposure, ...]
     relative_exposures: Float[np.ndarray, " photographs"]
     notes: tuple[str, ...]
+    white: int | None = None
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -134,21 +146,28 @@ class PhotoSeries:
         **Raises:** `ValueError` that names the file.
         """
         path, relative = self.paths[number], float(self.relative_exposures[number])
-        photo = _read(path, self.encoding, self.exposures[number], relative)
+        exposure = self.exposures[number]
+        photo = _read(path, self.encoding, exposure, relative, self.white)
         if photo.usable.shape != self.size:
             raise ValueError(f"{path}: has changed since it was read before")
         return photo
 
 
 def open_photographs(
-    paths: Sequence[str | os.PathLike[str]], encoding: Encoding
+    paths: Sequence[str | os.PathLike[str]],
+    encoding: Encoding,
+    *,
+    white: int | None = None,
 ) -> PhotoSeries:
     """Photographs of one camera that stands still, in one encoding.
 
     Where exposures differ, t · ISO / N² of time t and f-number N tells how much.
 
-    **Arguments:** `paths`: the files, in the order they are wanted; of a folder:
-    [`list_photographs`][].
+    **Arguments:**
+
+    - `paths`: the files, in the order they are wanted; of a folder:
+        [`list_photographs`][].
+    - `white`: as of [`read_image`][].
 
     **Raises:** `ValueError` that names the files: one cannot be read, they differ in
     size, or in the white balance of RAW files, or some alone state an exposure.
@@ -173,7 +192,7 @@ def open_photographs(
     exposures = tuple(head.exposure for head in heads)
     relative, notes = relative_exposures([path.name for path in files], exposures)
     size = first.size[1], first.size[0]
-    return PhotoSeries(files, encoding, size, exposures, relative, notes)
+    return PhotoSeries(files, encoding, size, exposures, relative, notes, white)
 
 
 class AbstractImages(Sequence[np.ndarray]):
@@ -203,17 +222,18 @@ def list_photographs(
     than `at_least` in it.
     """
     folder = Path(folder)
-    found = sorted(
-        path
-        for path in images_in(folder)
-        if path.stem.lower().rpartition(".")[2] != "mask"
-    )
+    found = sorted(path for path in images_in(folder) if not is_mask(path))
     if len(found) < at_least:
         names = ", ".join(path.name for path in found) or "none"
         raise ValueError(
             f"{folder}: expected at least {at_least} photographs, got {names}"
         )
     return tuple(found)
+
+
+def is_mask(path: Path) -> bool:
+    """Whether an image is a mask by its name, such as mask.png or ball.mask.png."""
+    return path.stem.lower().rpartition(".")[2] == "mask"
 
 
 def images_in(folder: Path) -> list[Path]:

@@ -73,6 +73,7 @@ def save_scene(
     film: Film | None = None,
     images: Sequence[ImageRecord] = (),
     cameras: Sequence[AbstractCamera] = (),
+    white: int | None = None,
 ) -> None:
     """Write a scene so that [`load_scene`][] gives it back.
 
@@ -84,6 +85,7 @@ def save_scene(
     - `film`: how light became the numbers of `images`; needed with them.
     - `images`: for a data set, what was photographed.
     - `cameras`: one for each image, where it is not the scene's.
+    - `white`: the number that is white in the images' files: see [`read_image`][].
 
     **Raises:** `ValueError` for a part that scene files do not know, `OSError` if a
     file cannot be written.
@@ -96,6 +98,7 @@ def save_scene(
         data["encoding"] = describe_encoding(film.encoding)
         data["clamped"] = film.clamp
         data |= {} if film.bits is None else {"bits": film.bits}
+        data |= {} if white is None else {"white": white}
     if images:
         data["images"] = [image.model_dump(exclude_none=True) for image in images]
         own = cameras or [None] * len(images)
@@ -240,7 +243,8 @@ def _read_entry(
     with naming(f"{path}: images[{at}]"):
         file = inside(path.parent, entry.file)
         mask_file = None if entry.mask is None else inside(path.parent, entry.mask)
-    coded, usable, _ = read_light(file, record.encoding or "linear")
+    encoding = record.encoding or "linear"
+    coded, usable, _ = read_light(file, encoding, white=record.white)
     mask = usable if mask_file is None else read_mask(mask_file)
     for source, shape in ((file, coded.numbers.shape[:2]), (mask_file, mask.shape)):
         if shape != size:

@@ -204,6 +204,7 @@ class SceneRecord(Arguments):
     encoding: EncodingField | None = None
     bits: Annotated[int, Field(ge=1, le=16)] | None = None
     clamped: bool = True
+    white: Annotated[int, Field(ge=1, le=65535)] | None = None
     images: Many[ImageRecord] = []
 
     def film(self) -> Film:

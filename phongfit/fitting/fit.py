@@ -14,6 +14,7 @@ from phongfit.fitting.problem.inputs import (
     is_number,
 )
 from phongfit.fitting.problem.losses import AbstractLoss
+from phongfit.fitting.problem.noise import find_plateau
 from phongfit.fitting.problem.posing import FitData, set_up
 from phongfit.fitting.problem.samples import gather, seen_pixels
 from phongfit.fitting.problem.specification import (
@@ -143,7 +144,7 @@ def fit(
     `warnings`; nothing is raised.
 
     **Raises:** `ValueError` that names the argument: wrong shapes, NaN or infinite
-    pixels, a mask that leaves nothing, fewer samples than unknowns, ambient and
+    pixels, a mask that leaves nothing, no more samples than unknowns, ambient and
     emission both unknown where they are degenerate; arrays that JAX traces
     (see [`refit`][] for derivatives of a fit).
     """
@@ -184,6 +185,7 @@ def fit(
         specification, scene, image, mask=mask, weights=weights, noise=noise
     )
     layout, sources, films = setting.unknowns, setting.sources, setting.films
+    plateau = find_plateau([source.used() for source in sources])
     seen, loss = seen_pixels(sources), specification.loss
     near, most = (ROBUST_NEAR, ROBUST_SUBSET) if loss.robust else (NEAR, SUBSET)
     few = choose_few(sources, seen, near, most)
@@ -257,6 +259,7 @@ def fit(
         noise_given=noise_given,
         arrays=tuple(name for name, value in given.items() if not is_number(value)),
         at_edges=at_edges,
+        plateau=plateau,
         drawn=None if restored is None else restored.drawn,
     )
 

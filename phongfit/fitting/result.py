@@ -1,6 +1,7 @@
 """What a fit gives back."""
 
 import dataclasses
+import importlib
 import math
 import os
 import textwrap
@@ -172,7 +173,7 @@ class Fit:
         samples there are fewer, or none.
         """
         identified = np.flatnonzero(self.identified)
-        free = self.problem.unknowns.y_labels
+        free = self.problem.unknowns.free_labels
         chosen = choose_profiles([self.labels[k] for k in identified], free)
         few = MOST_PROFILES * MOST_SAMPLES // self.n_samples
         convergence = trace_convergence(self.solution) if few else None
@@ -272,6 +273,7 @@ class Fit:
             "tied": self.tied,
             "bounds": self.bounds,
             "intervals": self.intervals(),
+            "parameters": self._rows(),
             "exposure": self.exposure,
             "noise": self.noise,
             "noise_given": self.noise_given,
@@ -291,6 +293,38 @@ class Fit:
             "warnings": list(self.warnings),
         }
         return plain(numbers)
+
+    def to_dataframe(self) -> Any:
+        """A row for each parameter, as a `pandas.DataFrame` with their labels as index.
+
+        Columns: `value`, `error` (one standard error), `low` and `high` (the interval
+        that holds the truth with a chance of 95 %), `at_bound`, `unidentified`, `tied`.
+
+        **Raises:** `ImportError` if pandas is not installed.
+        """
+        try:
+            pandas = importlib.import_module("pandas")
+        except ImportError as error:
+            raise ImportError(
+                "to_dataframe: pandas is not installed: pip install pandas; "
+                'to_dict()["parameters"] has the same rows'
+            ) from error
+        return pandas.DataFrame(self._rows()).set_index("label")
+
+    def _rows(self) -> list[dict[str, Any]]:
+        columns = {
+            "label": self.labels,
+            "value": self.values,
+            "error": self.errors,
+            "low": self.intervals()[:, 0],
+            "high": self.intervals()[:, 1],
+            "at_bound": self.at_bound,
+            "unidentified": self.unidentified,
+            "tied": self.tied,
+        }
+        lists = (np.asarray(column).tolist() for column in columns.values())
+        rows = zip(*lists, strict=True)
+        return [dict(zip(columns, row, strict=True)) for row in rows]
 
     @checked
     def save(self, path: str | os.PathLike[str]) -> None:

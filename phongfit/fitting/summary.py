@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from phongfit.codes import coded
+from phongfit.fitting.problem.noise import Plateau
 from phongfit.fitting.problem.parameters import EXPOSURE
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.specification import Specification
@@ -33,6 +34,7 @@ from phongfit.fitting.uncertainty.warnings import (
     clipped_words,
     grid_words,
     misfit_words,
+    plateau_words,
     prior_words,
     spread_words,
 )
@@ -66,6 +68,7 @@ def summarize(
     noise_given: bool,
     arrays: tuple[str, ...],
     at_edges: tuple[str, ...],
+    plateau: Plateau | None,
     drawn: Sequence[Drawn] | None = None,
 ) -> Fit:
     """The result of a fit.
@@ -84,6 +87,7 @@ def summarize(
     - `noise_given`: whether the noise level was known.
     - `arrays`: which arguments came as arrays.
     - `at_edges`: what there is to warn of pixels at edges that move.
+    - `plateau`: where the images were cut off, if that is not at white.
     - `drawn`: sums over tiles of residuals that are drawn: see [`find_misfit`][].
     """
     problem, unknowns = found.problem, found.problem.unknowns
@@ -162,6 +166,7 @@ def summarize(
             *(() if converged else (coded("not-converged", f"{_UNDONE}: {_STOPPED}"),)),
             *estimated.reasons,
             *at_edges,
+            *plateau_words(plateau, films[0]),
             *bound_words(estimated, unknowns),
             *prior_words(estimated, unknowns, misfit.inflation),
             # Where all is white there is nothing to describe.

@@ -49,7 +49,8 @@ class AbstractCamera(eqx.Module):
     def project(self, position: Vec3) -> Place:
         """Image of a point of the scene, (x, y) in pixels from the top left corner.
 
-        The inverse of `ray`. A point behind a pinhole has no image: NaN.
+        The inverse of `ray`. A point behind a pinhole has no image, nor has one past
+        the edge where a lens's formula folds the image back on itself: NaN.
         """
 
     @abc.abstractmethod

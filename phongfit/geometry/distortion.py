@@ -20,6 +20,8 @@ Place = Float[Array, "2"]
 # Steps of Newton's method: some follow the place from the centre outwards, so that what
 # is found is on the branch that starts there, the others double the digits each.
 OUTWARDS, ROUNDS = 6, 14
+# How far a place may come back from where it was, next to 1 and its own distance.
+MISS = 1e-3
 
 
 class AbstractDistortion(eqx.Module):
@@ -41,8 +43,13 @@ class AbstractDistortion(eqx.Module):
         """The direction, of any length, whose image without distortion this is."""
 
     def place(self, direction: Vec3) -> Place:
-        """Image of a direction, of any length."""
-        return self.bend(self.ideal(direction))
+        """Image of a direction, of any length.
+
+        NaN past the edge where the formula folds the image back on itself, and where
+        there is none without distortion either.
+        """
+        ideal = self.ideal(direction)
+        return jnp.where(_is_unfolded(self, ideal), self.bend(ideal), jnp.nan)
 
     def direction(self, place: Place) -> tuple[Vec3, Bool[Array, ""]]:
         """The direction that a place shows, of any length, and whether there is one.
@@ -58,7 +65,24 @@ def _straightened(
     distortion: AbstractDistortion, place: Place
 ) -> tuple[Place, Bool[Array, ""]]:
     """The inverse of `bend`, by Newton's method, and whether there is one."""
-    still, end = jax.lax.stop_gradient((distortion, place))
+    at, found = _search(*jax.lax.stop_gradient((distortion, place)))
+    # Two more steps, from a known start, carry derivatives to second order.
+    for _ in range(2):
+        move, _ = _newton(distortion, at, place)
+        at = at + jnp.where(found, move, 0)
+    return at, found
+
+
+def _is_unfolded(distortion: AbstractDistortion, ideal: Place) -> Bool[Array, ""]:
+    """Whether the bent image of a place shows that place, and not one nearer to the
+    centre: past the fold both have the same image."""
+    still, at = jax.lax.stop_gradient((distortion, ideal))
+    back, found = _search(still, still.bend(at))
+    return found & (norm(back - at) <= MISS * (1 + norm(at)))
+
+
+def _search(still: AbstractDistortion, end: Place) -> tuple[Place, Bool[Array, ""]]:
+    """The inverse of `bend` without derivatives, and whether there is one."""
 
     def step(number: Array, state: tuple[Place, Array]) -> tuple[Place, Array]:
         at, sound = state
@@ -70,12 +94,7 @@ def _straightened(
     start = jnp.zeros_like(end), jnp.array(True)
     at, found = jax.lax.fori_loop(0, ROUNDS, step, start)
     tolerance = 100 * float(jnp.finfo(end.dtype).eps) * (1 + norm(end))
-    found = found & (norm(still.bend(at) - end) < tolerance)
-    # Two more steps, from a known start, carry derivatives to second order.
-    for _ in range(2):
-        move, _ = _newton(distortion, at, place)
-        at = at + jnp.where(found, move, 0)
-    return at, found
+    return at, found & (norm(still.bend(at) - end) < tolerance)
 
 
 def _newton(

@@ -78,7 +78,8 @@ def integrate_normals(
         length; 0 is outside.
     - `camera`: default an orthographic one, whose view is as wide as its pixels are
         many: heights are in pixels.
-    - `mask`: (H, W), true inside; default where there are normals.
+    - `mask`: (H, W), true inside; default where there are normals. Outside of it
+        normals may be NaN.
     - `stderr`: (H, W), standard errors of the normals in degrees; pairs of neighbours
         count by them. Where it is infinite, the surface follows its neighbours.
     - `depth`: (H, W), known distances along the camera's axis, world units, NaN where
@@ -92,6 +93,12 @@ def integrate_normals(
     """
     field = _as_normals(normals)
     size = field.shape[:2]
+    inside = np.any(field != 0, axis=-1)
+    if mask is not None:
+        inside = _of_size("mask", mask, size).astype(bool)
+    if not np.isfinite(field[inside]).all():
+        raise ValueError("normals: expected finite numbers")
+    field = np.where(inside[..., None], field, 0)
     if camera is None:
         camera = OrthographicCamera(size[1], size[0], view_height=float(size[0]))
     if size != (camera.height, camera.width):
@@ -100,9 +107,6 @@ def integrate_normals(
             f"camera has pixels, got {field.shape}"
         )
     length = np.linalg.norm(field, axis=-1)
-    inside = length > 0
-    if mask is not None:
-        inside = _of_size("mask", mask, size).astype(bool)
     if not inside.any():
         raise ValueError("mask: expected at least one pixel with a normal, got none")
     weight = np.ones(size)
@@ -336,8 +340,8 @@ def _as_normals(normals: Any) -> Float[np.ndarray, "height width 3"]:
         raise ValueError(
             f"normals: expected shape (height, width, 3), got {field.shape}"
         )
-    if field.dtype.kind not in "fiu" or not np.isfinite(field).all():
-        raise ValueError("normals: expected finite numbers")
+    if field.dtype.kind not in "fiu":
+        raise ValueError(f"normals: expected numbers, got {field.dtype}")
     return field.astype(float)
 
 

@@ -13,7 +13,7 @@ from phongfit.checks import as_floats
 from phongfit.edge import checked
 from phongfit.geometry.cameras import PinholeCamera, over_pixels
 from phongfit.programs import program
-from phongfit.vectors import Scalar, norm
+from phongfit.vectors import Scalar
 
 
 class Undistorted(NamedTuple):
@@ -80,20 +80,15 @@ def _resampled(
     lens = camera.distortion
     assert lens is not None
 
-    def source(x: Scalar, y: Scalar) -> tuple[Scalar, Scalar, Array]:
+    def source(x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
         place = camera.place_of(x, y)
         direction = jnp.append(place, jnp.ones_like(x))
         bent = lens.place(direction)
-        # Past the fold of a lens a place shows another direction.
-        back, found = lens.direction(bent)
-        miss = norm(back[:2] - back[2] * place)
-        found = found & (back[2] > 0) & (miss <= 1e-3 * back[2] * (1 + norm(place)))
         column, row = camera.pixel_of(bent)
-        return row - 0.5, column - 0.5, found
+        return row - 0.5, column - 0.5
 
-    row, column, found = over_pixels(source, camera)
-    # Also where they are no numbers.
-    row, column = (jnp.where(found, at, -2.0) for at in (row, column))
+    # Past the fold of a lens they are no numbers.
+    row, column = (jnp.nan_to_num(at, nan=-2.0) for at in over_pixels(source, camera))
     known = _between((~usable).astype(image.dtype), row, column, 1.0) == 0
     image = jnp.where(usable[..., None], image, 0)
     channels = jax.vmap(lambda channel: _between(channel, row, column, 0.0), -1, -1)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from phongfit.files.gltf import Part, pbr_material, write_gltf
 from phongfit.files.images import to_levels
-from phongfit.files.mesh_writing import obj_text, write_ply
+from phongfit.files.mesh_writing import obj_text, write_ply, write_stl
 from phongfit.files.mtl import MAX_NS
 from phongfit.files.outputs import replacing_files
 from phongfit.geometry.grids import faces_within
@@ -39,7 +39,7 @@ def export_maps(
     **Arguments:**
 
     - `path`: the file to write; the textures of an `.mtl` go beside it.
-    - `to`: `"mtl"`, `"gltf"`, or `"obj"` and `"ply"`, which hold a mesh.
+    - `to`: `"mtl"`, `"gltf"`, or `"obj"`, `"ply"` and `"stl"`, which hold a mesh.
     - `nearest`: where the format cannot hold an exponent, write the nearest it holds.
     - `surface`: for glTF the mesh of the maps' height, in place of a rectangle.
     - `distance`: as of [`Maps`][]`.height`.
@@ -56,7 +56,7 @@ def export_maps(
     words = _filled_words(textured)
     if to == "mtl":
         return _write_mtl(path, name, textured, nearest) + words
-    if to in ("obj", "ply") or surface:
+    if to in ("obj", "ply", "stl") or surface:
         field = maps.height(distance=distance)
         part = relief(field, maps.normals)
         warned = "".join(f"; {warning}" for warning in field.warnings)
@@ -66,6 +66,9 @@ def export_maps(
         if to == "ply":
             write_ply(path, part, to_levels(textured.diffuse, "srgb", 8)[field.mask])
             return name + words
+        if to == "stl":
+            write_stl(path, part)
+            return f"{name}, the shape alone{words}"
         # Each texel is a vertex, with a normal of its own.
         textures = gltf_textures(textured, normals)._replace(normal=None)
     else:

@@ -12,6 +12,7 @@ from phongfit.files.arrays import read_array, write_array
 from phongfit.files.encodings import EncodingField, describe_encoding
 from phongfit.files.fits import DataRecord, Edges, LossName, made_with
 from phongfit.files.formats import WRITERS
+from phongfit.files.images import write_image
 from phongfit.files.inputs import inside, naming
 from phongfit.files.outputs import replacing, write_json
 from phongfit.files.records import AbstractRecord, Colour, Many, read_record
@@ -25,6 +26,7 @@ MAPS_FORMAT = "phongfit maps"
 RECORD_FILE = "maps.json"
 ARRAYS_FILE = "maps.npz"
 NORMALS_FILE = "normals.npy"
+NORMALS_PICTURE = "normals.png"
 
 
 class MapSettings(AbstractRecord):
@@ -82,7 +84,8 @@ def save_folder(
 ) -> None:
     """Write maps into a folder that is there.
 
-    A TIFF for each map and one for its errors, infinite where a pixel is unidentified.
+    A TIFF for each map and one for its errors, infinite where a pixel is unidentified;
+    normals as numbers, and as a picture of (n + 1) / 2.
 
     **Arguments:** `encoding`: that of the photographs.
 
@@ -90,6 +93,9 @@ def save_folder(
     """
     maps.save(folder / ARRAYS_FILE)
     write_array(folder / NORMALS_FILE, maps.normals)
+    # As other programs have normal maps; outside black, which is no normal.
+    coloured = np.where(maps.normals.any(axis=-1, keepdims=True), maps.normals, -1)
+    write_image(folder / NORMALS_PICTURE, (coloured + 1) / 2, "linear", 16)
     for name in maps.unknowns:
         _write_tiff(folder / f"{name}.tif", getattr(maps, name))
         _write_tiff(folder / f"stderr_{name}.tif", getattr(maps.stderr, name))

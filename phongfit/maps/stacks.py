@@ -252,16 +252,22 @@ class PhotographStack(AbstractPhotographs):
     """
 
     @checked
-    def __init__(self, paths: Sequence[str | os.PathLike[str]], encoding: Encoding):
+    def __init__(
+        self,
+        paths: Sequence[str | os.PathLike[str]],
+        encoding: Encoding,
+        *,
+        white: int | None = None,
+    ):
         """**Arguments:**
 
         - `paths`: one file for each image.
-        - `encoding`: see [`read_image`][].
+        - `encoding`, `white`: see [`read_image`][].
 
         **Raises:** `ValueError` that names the file that cannot be read, has another
         size, or alone states no exposure.
         """
-        series = open_photographs(paths, encoding)
+        series = open_photographs(paths, encoding, white=white)
         relative = series.relative_exposures
         shares = relative.min() / relative
         self.notes = series.notes

@@ -121,7 +121,7 @@ def profiles(fit: Fit, found: Diagnostics | None) -> tuple[list[Panel], str]:
             f"Profile of {one.label}: it lies between {low:.4g} and {high:.4g} (68 %)."
         )
         shown.append(_drawn(lambda axes, p=one: draw_profile(axes, fit, p), alt))
-    free = fit.problem.unknowns.y_labels
+    free = fit.problem.unknowns.free_labels
     left = sum(free.count(label) == 1 for label in free) - len(labels)
     others = [label for label in free if label not in labels]
     other = next((label for label in wanted if label in others), *others[:1] or wanted)

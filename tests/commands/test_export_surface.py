@@ -1,4 +1,4 @@
-"""`phongfit export` of maps as a mesh: OBJ, PLY, and glTF on the surface."""
+"""`phongfit export` of maps as a mesh: OBJ, PLY, STL, and glTF on the surface."""
 
 import numpy as np
 import pytest
@@ -57,8 +57,24 @@ def test_a_mesh(hills, tmp_path, capsys, name):
         assert "map_Kd a_Kd.png" in (tmp_path / "a.mtl").read_text()
 
 
+def test_triangles_alone(hills, tmp_path, capsys):
+    """Of maps, and of a mesh where its material may be lost."""
+    one, two = tmp_path / "a.stl", tmp_path / "b.stl"
+    assert main(["export", str(hills), "-o", str(one)]) == 0
+    assert "the shape alone; 2,418 triangles" in capsys.readouterr().out
+    assert main(["export", str(hills), "-o", str(tmp_path / "a.obj")]) == 0
+    call = ["export", str(tmp_path / "a.obj"), "-o", str(two)]
+    assert main(call) == 2
+    assert "STL has triangles alone (--nearest" in capsys.readouterr().err
+    assert main([*call, "--nearest"]) == 0
+    for path in (one, two):
+        mesh = pf.load_mesh(path).mesh
+        assert len(mesh.faces) == 2418
+        assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(np.ptp(bumps()), rel=0.1)
+
+
 def test_a_material_has_no_surface(tmp_path, capsys):
-    for name in ("a.obj", "a.ply"):
+    for name in ("a.obj", "a.ply", "a.stl"):
         assert main(["export", "preset:gold", "-o", f"{tmp_path}/{name}"]) == 2
         told = capsys.readouterr().err
         assert "a material has none" in told and told.count("\n") == 1

@@ -88,6 +88,10 @@ def test_a_stopped_run_goes_on_where_it_was(brass, tmp_path, monkeypatch, capsys
     assert main([*args, "--no-pictures"]) == 0
     names = {path.name for path in out.iterdir()}
     assert {"maps.npz", "maps.json", "normals.npy", "diffuse.tif"} <= names
+    normals, shown = np.load(out / "normals.npy"), out / "normals.png"
+    inside = normals.any(axis=-1, keepdims=True)
+    expected = np.where(inside, (normals + 1) / 2, 0)
+    np.testing.assert_allclose(pf.read_image(shown, "linear"), expected, atol=1e-5)
     assert "tiles" not in names and "diffuse.png" not in names
     # Finished maps stay, unless told otherwise.
     capsys.readouterr()

@@ -1,12 +1,15 @@
 """`phongfit scene`: files that are written so that nobody writes JSON by hand."""
 
+import dataclasses
 import json
 
+import imagecodecs
 import numpy as np
 import pytest
 
 import phongfit as pf
 from phongfit.cli import main
+from phongfit.commands.data import DataOptions, read_data
 from phongfit.files.scenes import save_truth
 from tests.calibration.studio import directions
 
@@ -114,6 +117,29 @@ def test_one_photograph_takes_its_own_light(capture, tmp_path, capsys):
     assert towards(light) == pytest.approx(LAMPS[1], abs=1e-6)
 
 
+def test_white_is_kept_with_the_scene(capture, tmp_path, capsys):
+    """Of 12 bits in 16: in a data set, and for one of its photographs."""
+    for path in capture.glob("*.png"):
+        light = np.asarray(pf.read_image(path, "srgb"))
+        levels = np.round(4095 * light).astype(np.uint16)
+        path.write_bytes(imagecodecs.png_encode(levels))
+    pf.write_lp(capture / "lights.lp", ["1.png", "2.png", "3.png"], LAMPS)
+    light = imagecodecs.imread(capture / "2.png") / 4095
+    how = ["--encoding", "linear", "--sphere", *CIRCLE]
+    made(capsys, capture, *how, "--white", 4095)
+    data = pf.read_dataset(capture)
+    assert data.images[1] == pytest.approx(light, abs=1e-5)
+    assert data.film == pf.Film(bits=12)
+    one = DataOptions(capture / "2.png", scene=capture / "scene.json")
+    for options in (one, DataOptions(one.dataset, sphere=(27, 16, 12), white=4095)):
+        options = dataclasses.replace(options, encoding="linear")
+        data, record = read_data(options)
+        assert data.images[0].max() > 0.2 and data.film == pf.Film(bits=12)
+        assert options.like(record.reading).white == options.white
+    with pytest.raises(ValueError, match="white: .* which says this itself"):
+        read_data(DataOptions(capture, white=4095))
+
+
 def test_normals_are_a_surface(tmp_path, capsys):
     normals = np.zeros((6, 8, 3))
     normals[1:5, 2:6] = (0, 0, 1)
@@ -133,7 +159,7 @@ def test_normals_are_a_surface(tmp_path, capsys):
         (["--size", "8", "6", "-o", "a.json"], "sphere: expected one of"),
         (
             ["--size", "8", "6", "--sphere", "80", "3", "2", "-o", "a.json"],
-            "sphere: expected a circle in the 8 × 6 pixels",
+            "sphere: expected a sphere that lies wholly in the 8 × 6 pixels",
         ),
         (
             ["--size", "8", "6", "--sphere", "4", "3", "2", "--light", "0", "0", "0"]

@@ -1,6 +1,7 @@
 """Photographs of known shape as a data set, with lights known or not."""
 
 import dataclasses
+import shutil
 
 import numpy as np
 import pytest
@@ -73,6 +74,35 @@ def test_a_list_of_lights_in_the_order_of_the_list(folder, tmp_path):
         assert isinstance(light, pf.DirectionalLight)
         lights.append(np.asarray(light.direction))
     assert np.stack(lights) == pytest.approx(LAMPS[[2, 0, 1]], abs=1e-6)
+
+
+def test_one_photograph_takes_its_lamp_from_a_list(folder, tmp_path):
+    pf.write_lp(tmp_path / "a.lp", ["1.png", "dome/2.png"], LAMPS[:2])
+    one = {"sphere": CIRCLE, "lights": tmp_path / "a.lp"}
+    data = open_captured(folder / "2.png", "srgb", **one)
+    assert data.unknown == ()
+    light = data.scenes[0].lights[0]
+    assert isinstance(light, pf.DirectionalLight)
+    assert np.asarray(light.direction) == pytest.approx(LAMPS[1], abs=1e-6)
+    with pytest.raises(ValueError, match=r"a.lp: lights: expected .* none for 3.png"):
+        open_captured(folder / "3.png", "srgb", **one)
+
+
+@pytest.mark.parametrize("name", ["mask.png", "ball.Mask.png"])
+def test_a_mask_beside_the_photographs_is_used(folder, tmp_path, name):
+    shutil.copytree(folder, tmp_path / "photos")
+    pf.write_lp(tmp_path / "photos/a.lp", ["1.png", "2.png", "3.png"], LAMPS)
+    white = np.zeros((HEIGHT, WIDTH))
+    white[:, :30] = 1
+    pf.write_image(tmp_path / "photos" / name, white, "linear")
+    data = open_captured(tmp_path / "photos", "srgb", sphere=CIRCLE)
+    assert f"pixels that are black in {name} are left out" in data.notes
+    mask = data.read(0).mask
+    assert mask[:, :30].any() and not mask[:, 30:].any()
+    # Two could be of anything.
+    pf.write_image(tmp_path / "photos/cat.mask.png", white, "linear")
+    data = open_captured(tmp_path / "photos", "srgb", sphere=CIRCLE)
+    assert data.read(0).mask[:, 30:].any()
 
 
 def test_exposures_that_differ_are_lights_that_do(tmp_path):
@@ -235,7 +265,8 @@ def test_normals_from_a_file(folder, tmp_path):
     [
         ({}, "sphere: expected the shape .* got neither"),
         ({"sphere": (1, 2)}, "sphere: expected x, y and radius"),
-        ({"sphere": (1000, 2, 5)}, "sphere: expected a circle in the 48 × 36 pixels"),
+        ({"sphere": (1000, 2, 5)}, "sphere: expected a sphere .* 48 × 36 pixels"),
+        ({"sphere": (27, 16, 19)}, "sphere: expected a sphere .* radius 19"),
         ({"sphere": 5}, "sphere: expected a list, each entry a number"),
         ({"sphere": CIRCLE, "lights": "nowhere"}, "nowhere: cannot be read"),
     ],

@@ -124,6 +124,16 @@ def test_bad_folders(folder, tmp_path):
         pf.open_capture(folder, lights=folder / "b.lp")
 
 
+def test_lamps_behind_the_surface_have_a_wrong_z(folder):
+    names, vectors = ["img1.jpg", "IMG10.JPG"], np.array([(0.3, 0.1, 1), (0, 1, 0.5)])
+    pf.write_lp(folder / "a.lp", names, vectors * (1, -1, -1))
+    with pytest.raises(ValueError, match=r"a.lp: .* behind .*: turn the sign of z"):
+        pf.open_capture(folder, "srgb")
+    # One may well shine from behind.
+    pf.write_lp(folder / "a.lp", names, vectors * ((1, 1, 1), (1, 1, -1)))
+    assert len(pf.open_capture(folder, "srgb")) == 2
+
+
 def test_the_encoding_is_not_guessed(tmp_path):
     for number in (1, 2):
         photograph(tmp_path / f"{number}.png")

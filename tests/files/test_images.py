@@ -24,6 +24,7 @@ from phongfit.files.images import (
     to_levels,
     write_image,
 )
+from phongfit.files.photographs import read_photograph
 from tests.helpers import said
 
 FORMATS = [
@@ -114,6 +115,29 @@ def test_all_16_bits_of_a_png(tmp_path):
     path.write_bytes(imagecodecs.png_encode(levels))
     light = read_image(path, "linear")
     assert np.array_equal(np.round(light.astype(float) * 65535), levels)
+
+
+@pytest.mark.parametrize("suffix, write", [(".png", "png"), (".tif", "tiff")])
+def test_white_below_the_largest_number(tmp_path, suffix, write):
+    """12 bits in 16: 4095 is white, and so is what lies above it."""
+    path = tmp_path / f"a{suffix}"
+    levels = np.array([[0, 1, 2048, 4094, 4095, 5000]], np.uint16)
+    path.write_bytes(getattr(imagecodecs, f"{write}_encode")(levels))
+    light = read_image(path, "linear", white=4095)
+    expected = np.minimum(levels / 4095, 1)
+    np.testing.assert_allclose(light[..., 0], expected, atol=0.5 / 65535)
+    assert (light[0, 3] < 1).all() and (light[0, 4:] == 1).all()
+    photo = read_photograph(path, "srgb", white=4095)
+    assert photo.unsaturated[0, :, 0].tolist() == [True] * 4 + [False] * 2
+    assert photo.film == read_film(path, "srgb", white=4095) == Film(True, "srgb", 12)
+    np.testing.assert_allclose(photo.image[0, 2, 0], 0.2140, atol=2e-4)
+    with pytest.raises(ValueError, match=f"a{suffix}: white: expected 1 … 65535"):
+        read_image(path, "linear", white=0)
+    write_image(tmp_path / "a.exr", light, "linear")
+    write_image(tmp_path / "a.jpg", light, "linear")
+    for name in ("a.exr", "a.jpg"):
+        with pytest.raises(ValueError, match=f"{name}: white: expected it of a PNG"):
+            read_image(tmp_path / name, "linear", white=4095)
 
 
 def test_other_bit_depths_and_greys_of_a_png(tmp_path):

@@ -644,7 +644,8 @@ def test_tangents_where_an_image_is_mirrored_or_lost():
 def test_what_is_not_saved(tmp_path):
     mesh = pf.Mesh(BOX.vertices, BOX.faces, uv=np.zeros((12, 3, 2)))
     for path, words in (
-        ("a.stl", "expected .obj, .glb, .gltf, .ply or .usda"),
+        ("a.off", "expected .obj, .glb, .gltf, .ply, .stl or .usda"),
+        ("a.stl", "material: STL has triangles alone"),
         ("a b.obj", "blanks"),
     ):
         with pytest.raises(ValueError, match=words):

@@ -1,5 +1,7 @@
 import dataclasses
 import json
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -178,9 +180,32 @@ def test_json(tmp_path):
     assert read["values"] == [0.5, 0.25, 0.125, 40.0]
     assert read["errors"] == [0.01, 0.01, 0.02, None]
     assert read["labels"] == list(LABELS)
+    assert [row["label"] for row in read["parameters"]] == list(LABELS)
+    low, high = read["intervals"][0]
+    assert read["parameters"][0] == {
+        **{"label": LABELS[0], "value": 0.5, "error": 0.01, "low": low, "high": high},
+        **{"at_bound": False, "unidentified": False, "tied": False},
+    }
+    assert read["parameters"][3]["error"] is None
+
     assert read["material"]["diffuse"] == [0.5, 0.25, 0.0]
     assert read["unidentified"] == [False, False, False, True]
     assert read["warnings"] == list(fit.warnings)
     assert read["converged"] is True and read["steps"] == 7
     assert read["covariance"][0][:3] == [0.0001, -0.00005, 0]
     assert not {"photographs", "fitted", "residuals"} & set(read)
+
+
+def test_a_data_frame(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ImportError, match="to_dataframe: .*pip install pandas"):
+        result().to_dataframe()
+
+    class DataFrame(list):
+        def set_index(self, name):
+            return {row.pop(name): row for row in self}
+
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=DataFrame))
+    rows = result().to_dataframe()
+    assert list(rows) == list(LABELS) and rows[LABELS[1]]["value"] == 0.25
+    assert rows[LABELS[3]]["error"] == np.inf

@@ -48,7 +48,7 @@ def test_a_place_shows_the_direction_whose_image_it_is(lens):
         (pf.BrownDistortion(k3=0.1), (0, 2, 1), (0, 2 * 7.4)),
         (pf.BrownDistortion(p1=0.1), (1, 1, 1), (1.2, 1.4)),
         (pf.BrownDistortion(p2=0.1), (1, 1, 1), (1.4, 1.2)),
-        (pf.BrownDistortion(k4=1.0), (1, 0, 1), (0.5, 0)),
+        (pf.BrownDistortion(k4=1.0), (1, 0, 2), (0.4, 0)),
         (pf.FisheyeDistortion(), (1, 0, 1), (np.pi / 4, 0)),
         (pf.FisheyeDistortion(), (0, 3, 0), (0, np.pi / 2)),
         (pf.FisheyeDistortion(), (0, -1, -1), (0, -3 * np.pi / 4)),
@@ -86,3 +86,17 @@ def test_past_the_fold_there_is_no_direction():
     lens = pf.BrownDistortion(-1 / 3)
     _, some = jax.vmap(lens.direction)(floats([(0.66, 0), (0.67, 0), (5, 5)]))
     assert some.tolist() == [True, False, False]
+
+
+def test_past_the_fold_there_is_no_image():
+    """Also where it is folded twice, and back into the picture."""
+    lens = pf.BrownDistortion(-0.9)
+    x = [0.3, 0.6, 0.62, 1.0, 1.5]
+    places = jax.vmap(lens.place)(floats([(each, 0, 1) for each in x]))
+    assert np.isfinite(places).all(axis=1).tolist() == [True] * 2 + [False] * 3
+    matrix = np.array([[820.0, 0, 331], [0, 790, 219], [0, 0, 1]])
+    camera = pf.camera_from_opencv(
+        matrix, width=640, height=480, distortion=(-0.9, 0, 0, 0)
+    )
+    assert np.isnan(camera.project(floats((1.0, 0, 1)))).all()
+    near(camera.project(floats((0.3, 0, 1))), (331.5 + 820 * 0.2757, 219.5), 1e-5)

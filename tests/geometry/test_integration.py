@@ -130,6 +130,9 @@ def test_a_single_pixel():
     assert found.height[3, 4] == 0 and np.isnan(found.height).sum() == 32 * 40 - 1
     with pytest.raises(ValueError, match="neighbouring pixels"):
         found.mesh()
+    outside = np.where(mask[..., None], [0.0, 0, 1], np.nan)
+    again = pf.integrate_normals(outside, PARALLEL, mask)
+    np.testing.assert_array_equal(again.height, found.height)
 
 
 @pytest.mark.parametrize(

@@ -129,12 +129,12 @@ def _photograph(
             )
         weight = weight * values.astype(bool)
     if weights is not None:
-        values = _per_sample(f"weights{which}", weights, shape)
+        values = _where_used(f"weights{which}", weights, weight, shape)
         if not np.all(np.isfinite(values) & (values >= 0)):
             raise ValueError(f"weights{which}: expected finite numbers ≥ 0")
         weight = weight * values
     if noise is not None:
-        values = _per_sample(f"noise{which}", noise, shape)
+        values = _where_used(f"noise{which}", noise, weight, shape)
         if not np.all(is_noise(values)):
             low, high = NOISE
             raise ValueError(
@@ -155,6 +155,14 @@ def _photograph(
             f"first in row {y}, column {x}, channel {c}; mask them out"
         )
     return Observation(f"image{which}", scene, np.where(finite, pixels, 0), weight)
+
+
+def _where_used(
+    name: str, given: Any, weight: np.ndarray, shape: tuple[int, ...]
+) -> np.ndarray:
+    """As `_per_sample`; 1 where a sample has no weight, whatever was given there."""
+    values = _per_sample(name, given, shape)
+    return values if weight.all() else np.where(weight > 0, values, 1)
 
 
 def _per_sample(name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -24,6 +24,11 @@ Values = Float[Array, "..."]
 FAR = 10
 # Values of exactly 1 that are no chance where noise goes on below 0.
 CUT_OFF = 3
+# Samples of one value that may be a plateau; the range below it, as a share of it, in
+# which there are so many times fewer samples if it was cut off there.
+LEAST_PLATEAU = 20
+BESIDE = 0.97
+STEEP = 3
 # Halvings in the search for a median: as many digits as a scale needs.
 HALVINGS = 16
 
@@ -168,6 +173,37 @@ def find_film(images: list[np.ndarray]) -> Film:
             if all(_is_rounded(image, encoding, bits) for image in images):
                 return Film(encoding=encoding, bits=bits)
     return Film()
+
+
+class Plateau(NamedTuple):
+    """Samples that were cut off at one value.
+
+    - `value`: the largest of the images.
+    - `n_samples`: how many have it.
+    """
+
+    value: float
+    n_samples: int
+
+
+def find_plateau(images: list[np.ndarray]) -> Plateau | None:
+    """The value below white at which images were cut off, by their values alone.
+
+    Images of 12 bits in files of 16 are: their white is 4095 of 65535. At a maximum
+    that was not cut off about as many samples have the largest value as the next; a
+    surface of one brightness has no gradual slope to its largest value.
+    """
+    top = max((float(image.max()) for image in images if image.size), default=1.0)
+    if top == 1 or top <= 0:
+        return None
+    count = sum(int(np.count_nonzero(image == top)) for image in images)
+    if count < LEAST_PLATEAU:
+        return None
+    below = [image[(image > BESIDE * top) & (image < top)] for image in images]
+    beside = np.concatenate(below)
+    if count <= STEEP * beside.size or len(np.unique(beside)) < CUT_OFF:
+        return None
+    return Plateau(top, count)
 
 
 def _whites(images: list[np.ndarray]) -> int:

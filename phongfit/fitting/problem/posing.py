@@ -41,7 +41,8 @@ def make_problem(
     A [`Problem`][] is a function of a vector of unknowns: `residual(y)`,
     `log_likelihood(y)`, `log_prior(y)` and `material(y)` are pure, and go through
     `jax.jit`, `jax.vmap` and `jax.grad`. What is known about the unknowns stands in
-    `unknowns`: `y_labels`, `start`, `lower` and `upper`.
+    `unknowns`: `y_labels`, `start`, `lower` and `upper`. An exponent is a logarithm
+    there: the number called `log_shininess` is $\\log f$.
 
     **Arguments:**
 

@@ -177,6 +177,11 @@ class Source:
     weight: Float[Array, "height width channels"]
     step: np.ndarray | None
 
+    def used(self) -> np.ndarray:
+        """Values of the samples that have any weight."""
+        image, used = np.asarray(self.image), np.asarray(self.weight) > 0
+        return image[np.broadcast_to(used, image.shape)]
+
     def count(self) -> int:
         """How many samples have any weight."""
         used = np.count_nonzero(np.asarray(self.weight) > 0)

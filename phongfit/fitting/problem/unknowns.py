@@ -186,7 +186,17 @@ class Unknowns:
 
     @functools.cached_property
     def y_labels(self) -> tuple[str, ...]:
-        """A name for every number of y; both of a direction have the direction's."""
+        """A name for every number of y, `log_shininess` where it is a logarithm."""
+        return tuple(
+            f"log_{label}" if logarithmic else label
+            for label, logarithmic in zip(
+                self.free_labels, self.logarithmic, strict=True
+            )
+        )
+
+    @functools.cached_property
+    def free_labels(self) -> tuple[str, ...]:
+        """What every number of y is of; both of a direction have the direction's."""
         labels, forms = self.entry_labels, self.forms
         return tuple(
             labels[entry].removesuffix(".x")

@@ -184,7 +184,7 @@ def _reasons(
     unseen: Bool[np.ndarray, " n"],
 ) -> list[str]:
     """Why the Jacobian does not leave these open, but the data do."""
-    labels = np.array(unknowns.y_labels)
+    labels = np.array(unknowns.free_labels)
     parameters, materials = unknowns.y_parameter, unknowns.y_material
     hiding = (parameters == "specular") & np.isin(materials, materials[unseen])
     hidden = "some exponents would hide the highlight where no pixel is used"

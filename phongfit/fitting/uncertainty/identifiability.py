@@ -63,7 +63,7 @@ def find_unidentified(
     bread: np.ndarray, unknowns: Unknowns, position: np.ndarray, resolution: float
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Which unknowns the Jacobian leaves open, and why, in words."""
-    labels = np.array(unknowns.y_labels)
+    labels = np.array(unknowns.free_labels)
     parameters = unknowns.y_parameter
     silent = unfelt(bread, unknowns, position, resolution)
     reasons = [

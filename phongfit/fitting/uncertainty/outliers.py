@@ -72,7 +72,8 @@ def outlier_words(
             "outliers",
             f"outliers: {count} samples ({share:.2g} %) lie more than {FAR:g} standard "
             "deviations off the model and pull the estimates, "
-            f"{unknowns.y_labels[most]} by {shifts[most]:.1f} of its standard errors",
+            f"{unknowns.free_labels[most]} by {shifts[most]:.1f} of its standard "
+            "errors",
             f"Leave them out by a mask, or try loss={other}",
         ),
     )

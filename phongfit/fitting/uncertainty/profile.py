@@ -253,7 +253,7 @@ class _Held:
 
 
 def _index(unknowns: Unknowns, argument: str, label: str) -> int:
-    labels = list(unknowns.y_labels)
+    labels = list(unknowns.free_labels)
     free = [one for one in labels if labels.count(one) == 1]
     if label not in free:
         there = ", ".join(free)

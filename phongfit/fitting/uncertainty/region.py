@@ -11,6 +11,9 @@ from jaxtyping import Bool, Float, Int
 from phongfit.fitting.uncertainty.intervals import Quadratic
 from phongfit.fitting.uncertainty.quantiles import two_for_one
 
+# Share of a number by which single precision may keep an end from its bound.
+ROUNDED = 1e-6
+
 
 class Part(NamedTuple):
     """Unknowns that share no sample with others, and quadratics that cover their box.
@@ -91,4 +94,6 @@ class Region:
         shares = np.where(logarithmic, moved / np.where(logarithmic, values, 1), 0)
         ends = np.where(logarithmic, values * np.exp(shares), values + moved)
         ends = np.where(self.open_ended[:, None], self.bounds, ends)
+        slack = ROUNDED * (np.abs(values) + np.abs(self.bounds))
+        ends = np.where(np.abs(ends - self.bounds) <= slack, self.bounds, ends)
         return np.clip(ends, self.bounds[:, :1], self.bounds[:, 1:])

@@ -6,12 +6,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from phongfit.codes import coded
+from phongfit.fitting.problem.noise import Plateau
 from phongfit.fitting.problem.parameters import REFLECTANCES
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.uncertainty.estimate import Estimates
 from phongfit.fitting.uncertainty.grid import SIDE, SIGNIFICANT
 from phongfit.fitting.uncertainty.misfit import CORRELATED, Misfit
 from phongfit.fitting.uncertainty.statistics import SandwichSums
+from phongfit.rendering.film import Film, encode
 
 # Samples from which a noise level is estimated well enough.
 FEW = 50
@@ -48,9 +50,28 @@ def misfit_words(misfit: Misfit, images: int) -> tuple[str, ...]:
     )
 
 
+def plateau_words(plateau: Plateau | None, film: Film) -> tuple[str, ...]:
+    """Images that were cut off below the white that they are read with."""
+    if plateau is None:
+        return ()
+    value = f"{plateau.value:.4g}"
+    if film.bits is not None:
+        highest = 2**film.bits - 1
+        level = float(encode(np.float64(plateau.value), film.encoding)) * highest
+        value += f" (the number {level:.0f} of {highest})"
+    return (
+        coded(
+            "low-white",
+            f"{plateau.n_samples:,} samples share the largest value, {value}, and few lie "
+            "just below it: they are saturated, and white is not 1",
+        ),
+    )
+
+
 def clipped_words(sums: SandwichSums, effective: int, samples: int) -> tuple[str, ...]:
     """Where the noise level is estimated from samples that hardly know it."""
-    if effective >= max(FEW, FEW_SHARE * samples) and not _drifts(sums, effective):
+    enough = effective >= max(FEW, FEW_SHARE * samples)
+    if effective == samples or (enough and not _drifts(sums, effective)):
         return ()
     return (
         coded(

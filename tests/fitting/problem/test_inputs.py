@@ -224,6 +224,17 @@ def test_broken_pixels_may_be_masked():
     assert np.array_equal(weighted.weight, mask)
 
 
+@pytest.mark.parametrize("name", ["noise", "weights"])
+def test_noise_and_weights_count_where_pixels_do(name):
+    known = np.where(CENTRE, 0.1, np.nan)
+    given = {"mask": CENTRE, "weights": None, "noise": None}
+    (one,) = as_photographs(SCENE, GREY, **(given | {name: known}))
+    (other,) = as_photographs(SCENE, GREY, **(given | {name: 0.1}))
+    assert np.array_equal(one.weight, np.broadcast_to(other.weight, SHAPE))
+    with pytest.raises(ValueError, match=f"^{name}: expected finite"):
+        as_photographs(SCENE, GREY, **(given | {"mask": None, name: known}))
+
+
 def test_several():
     masks, noises = [CENTRE, ~CENTRE], [0.5, np.full(SHAPE, 0.25)]
     photographs = as_photographs(

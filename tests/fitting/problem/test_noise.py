@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 import phongfit as pf
 from phongfit.fitting.problem import noise
-from phongfit.fitting.problem.noise import find_film, rounding_steps
+from phongfit.fitting.problem.noise import find_film, find_plateau, rounding_steps
 from tests.fitting.scenes import developed
 from tests.helpers import eps, floats, near
 
@@ -142,6 +142,24 @@ def test_find_film_of_several_images_is_what_fits_all():
     below = np.concatenate([cut.ravel(), [-0.1]])
     assert find_film([below]) == pf.Film()
     assert find_film([np.array([-0.1, 0.5, 1.0])]) == pf.Film(clamp=False)
+
+
+def test_find_plateau():
+    """Where many samples lie at the top, and few just below it."""
+    x = np.linspace(-1, 1, 40)
+    peak = 0.1 * np.exp(-4 * ((x[:, None] - 0.03) ** 2 + (x - 0.017) ** 2))
+    assert find_plateau([peak]) is None
+    cut = np.minimum(peak, 0.06)
+    assert find_plateau([peak / 4, cut]) == (0.06, np.count_nonzero(cut == 0.06))
+    # White is white; and what has one brightness need not have been cut off.
+    assert find_plateau([cut / 0.06]) is None
+    assert find_plateau([np.where(peak > 0.06, 0.5, 0.2)]) is None
+    rounded = np.round(255 * (0.8 * np.minimum(peak / 0.1, 0.9))) / 255
+    noisy = np.round(255 * 0.7 + np.random.default_rng(0).normal(0, 0.3, (40, 40)))
+    assert find_plateau([np.round(peak * 2550) / 2550]) is None
+    assert find_plateau([noisy / 255]) is None
+    assert find_plateau([rounded]) is not None
+    assert find_plateau([np.zeros(0)]) is None
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.05, 0.1, 0.2, 0.35, 0.6])

@@ -61,10 +61,17 @@ def test_its_functions_go_through_jax(problem):
     assert np.isfinite(slope(problem, ys[0])).all()
 
 
+def test_an_exponent_is_called_a_logarithm(problem):
+    labels = problem.unknowns.y_labels
+    assert labels[:1] == problem.unknowns.labels[:1]
+    assert labels[-1] == "log_shininess" and problem.unknowns.labels[-1] == "shininess"
+
+
 def test_priors_are_normal():
     priors = {"shininess": (30.0, 3.0)}
     problem = pf.make_problem(SCENE, IMAGE, NOISE, priors=priors)
-    at = {label: k for k, label in enumerate(problem.unknowns.y_labels)}["shininess"]
+    at = {label: k for k, label in enumerate(problem.unknowns.y_labels)}
+    at = at["log_shininess"]
     y = problem.unknowns.start.at[at].set(jnp.log(36.0))
     np.testing.assert_allclose(problem.log_prior(y), -(2.0**2) / 2, rtol=1e-4)
 

@@ -7,6 +7,7 @@ from scipy.optimize import minimize
 import phongfit as pf
 from phongfit.fitting.uncertainty.intervals import Quadratic
 from phongfit.fitting.uncertainty.quantiles import chi_squared_reach, two_for_one
+from phongfit.fitting.uncertainty.region import Part, Region
 from tests.fitting.scenes import SIZE, as_vector, ball, photograph, truth
 from tests.helpers import near
 
@@ -170,3 +171,18 @@ def test_an_interval_follows_the_exponent():
     assert high - fit.values[9] > 1.2 * (fit.values[9] - low)
     profile = fit.profile("shininess", levels=(level,)).intervals[level]
     near([low, high], profile, 0.05)
+
+
+def test_ends_lie_on_their_bounds():
+    """An end that single precision leaves a digit short of one is on it."""
+    low, high = (np.log([end / 2]) for end in (1.0000001, 999.9999))
+    flat = Quadratic(np.array([[1e-6]]), np.zeros(1), low, high, 0.0, np.zeros(1))
+    region = Region(
+        values=np.array([2.0]),
+        slope=np.array([[2.0]]),
+        logarithmic=np.array([True]),
+        bounds=np.array([[1.0, 1000.0]]),
+        open_ended=np.array([False]),
+        make=lambda: (Part(np.array([0]), (flat,)),),
+    )
+    assert region.ends(LEVEL).tolist() == [[1.0, 1000.0]]

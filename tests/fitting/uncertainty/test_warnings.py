@@ -52,6 +52,15 @@ def test_noise_given_right_beside_outliers():
     assert not said(pf.fit(SCENE, image, noise=NOISE, loss="tukey"), "noise that was")
 
 
+def test_images_that_were_cut_off_below_white():
+    cut = np.minimum(NOISY, 0.6 * NOISY.max())
+    fit = pf.fit(SCENE, np.round(cut * 65535) / 65535)
+    value = round(0.6 * NOISY.max() * 65535)
+    assert said(fit, f"(the number {value} of 65535), and few lie just below it")
+    assert "low-white" in map(pf.warning_code, fit.warnings)
+    assert not said(pf.fit(SCENE, np.round(NOISY * 65535) / 65535), "largest value")
+
+
 def test_a_bound_that_decides():
     fit = pf.fit(SCENE, NOISY, bounds={"shininess": (1, 15)})
     assert said(fit, "shininess lies at its upper bound 15: its error is one-sided")
@@ -79,8 +88,12 @@ def test_noise_that_few_samples_know():
     truth = pf.Material((0.6, 0.5, 0.4), 0.3, 10.0, 0.5)
     image = photograph(bright, truth, noise=0.1)
     assert np.mean(image[8:24, 8:24] == 1) > 0.9
+    few = np.zeros(NOISY.shape[:2], bool)
+    few[13:17, 14:17] = True
     assert said(pf.fit(bright, image), "samples are clipped: the noise is estimated")
     assert not said(pf.fit(bright, image, noise=0.1), "samples are clipped")
+    # Few samples, of which none is clipped.
+    assert not said(pf.fit(SCENE, NOISY, mask=few), "samples are clipped")
     # Where all is white another warning says so.
     assert not said(pf.fit(bright, np.ones_like(image)), "samples are clipped")
 
