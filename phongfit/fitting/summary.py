@@ -15,7 +15,7 @@ from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.result import Fit, as_materials
 from phongfit.fitting.solve.jpeg import Drawn
-from phongfit.fitting.solve.search import SearchResult
+from phongfit.fitting.solve.search import Rival, SearchResult
 from phongfit.fitting.uncertainty.estimate import estimates
 from phongfit.fitting.uncertainty.grid import grid_significance
 from phongfit.fitting.uncertainty.misfit import (
@@ -34,6 +34,7 @@ from phongfit.fitting.uncertainty.warnings import (
     grid_words,
     misfit_words,
     prior_words,
+    rival_words,
     spread_words,
 )
 from phongfit.rendering.film import Film
@@ -67,6 +68,7 @@ def summarize(
     arrays: tuple[str, ...],
     at_edges: tuple[str, ...],
     drawn: Sequence[Drawn] | None = None,
+    rival: Rival | None = None,
 ) -> Fit:
     """The result of a fit.
 
@@ -85,6 +87,7 @@ def summarize(
     - `arrays`: which arguments came as arrays.
     - `at_edges`: what there is to warn of pixels at edges that move.
     - `drawn`: sums over tiles of residuals that are drawn: see [`find_misfit`][].
+    - `rival`: another minimum that the search ended in.
     """
     problem, unknowns = found.problem, found.problem.unknowns
     # Meanwhile JAX is at work on the images and on the sums.
@@ -164,6 +167,7 @@ def summarize(
             *at_edges,
             *bound_words(estimated, unknowns),
             *prior_words(estimated, unknowns, misfit.inflation),
+            *rival_words(estimated, unknowns, rival, misfit.inflation),
             # Where all is white there is nothing to describe.
             *(misfit_words(misfit, len(images)) if np.any(sums.inside) else ()),
             *grid_words(blocks),
