@@ -29,6 +29,8 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "bound-decides": "Look for light that is missing from the image, or too much "
         "of it in the scene",
         "prior-conflict": "Widen the prior, or look for what else is wrong",
+        "two-solutions": "Hold a number in which they differ (fixed), give one a "
+        "prior, or add an image under another light",
         "lack-of-fit": "Look at plot_residuals(); mask what does not belong, try "
         "another specular model, or make what may be wrong unknown",
         "encoding-doubtful": "Read the photograph with the other encoding",

@@ -33,6 +33,7 @@ SUBJECTS = {
     "prior-conflict": Subject.FIT,
     "moving-edge": Subject.FIT,
     "bound-decides": Subject.FIT,
+    "two-solutions": Subject.FIT,
     # A highlight thrown away is no gap in the data, but a doubt about the fit.
     "rejected-highlight": Subject.FIT,
     "at-bound": Subject.BOUND,

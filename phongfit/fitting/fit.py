@@ -27,6 +27,7 @@ from phongfit.fitting.problem.specification import (
 from phongfit.fitting.problem.unknowns import Unknowns, in_units
 from phongfit.fitting.result import Fit
 from phongfit.fitting.solve.edges import keep_off_edges
+from phongfit.fitting.solve.guesses import guess_places, look, moves_lights
 from phongfit.fitting.solve.jpeg import Restored, restore
 from phongfit.fitting.solve.search import SearchResult, search
 from phongfit.fitting.solve.start import (
@@ -188,7 +189,12 @@ def fit(
     plateau = find_plateau([source.used() for source in sources])
     seen, loss = seen_pixels(sources), specification.loss
     near, most = (ROBUST_NEAR, ROBUST_SUBSET) if loss.robust else (NEAR, SUBSET)
-    few = choose_few(sources, seen, near, most)
+    looks = guesses = None
+    if moves_lights(layout):
+        looks = [look(*one) for one in zip(sources, seen, strict=True)]
+        guesses = guess_places(layout, looks, sources)
+    bright = None if looks is None else [one.excess for one in looks]
+    few = choose_few(sources, seen, near, most, bright)
     found = search(
         None if few is None else gather(sources, few),
         lambda: gather(sources, seen),
@@ -197,7 +203,9 @@ def fit(
         films[0].clamp,
         noise is not None,
         max_steps,
+        guesses,
     )
+    rival = found.rival
     found, sources, at_edges = keep_off_edges(
         found, sources, seen, noise is not None, max_steps
     )
@@ -261,6 +269,7 @@ def fit(
         at_edges=at_edges,
         plateau=plateau,
         drawn=None if restored is None else restored.drawn,
+        rival=rival,
     )
 
 

@@ -16,7 +16,7 @@ from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.result import Fit, as_materials
 from phongfit.fitting.solve.jpeg import Drawn
-from phongfit.fitting.solve.search import SearchResult
+from phongfit.fitting.solve.search import Rival, SearchResult
 from phongfit.fitting.uncertainty.estimate import estimates
 from phongfit.fitting.uncertainty.grid import grid_significance
 from phongfit.fitting.uncertainty.misfit import (
@@ -36,6 +36,7 @@ from phongfit.fitting.uncertainty.warnings import (
     misfit_words,
     plateau_words,
     prior_words,
+    rival_words,
     spread_words,
 )
 from phongfit.rendering.film import Film
@@ -70,6 +71,7 @@ def summarize(
     at_edges: tuple[str, ...],
     plateau: Plateau | None,
     drawn: Sequence[Drawn] | None = None,
+    rival: Rival | None = None,
 ) -> Fit:
     """The result of a fit.
 
@@ -89,6 +91,7 @@ def summarize(
     - `at_edges`: what there is to warn of pixels at edges that move.
     - `plateau`: where the images were cut off, if that is not at white.
     - `drawn`: sums over tiles of residuals that are drawn: see [`find_misfit`][].
+    - `rival`: another minimum that the search ended in.
     """
     problem, unknowns = found.problem, found.problem.unknowns
     # Meanwhile JAX is at work on the images and on the sums.
@@ -169,6 +172,7 @@ def summarize(
             *plateau_words(plateau, films[0]),
             *bound_words(estimated, unknowns),
             *prior_words(estimated, unknowns, misfit.inflation),
+            *rival_words(estimated, unknowns, rival, misfit.inflation),
             # Where all is white there is nothing to describe.
             *(misfit_words(misfit, len(images)) if np.any(sums.inside) else ()),
             *grid_words(blocks),

@@ -13,6 +13,7 @@ from experiments.honesty.situations.base import (
     SMALL,
     Image,
     Situation,
+    Subject,
     ball,
     changed,
     clamped,
@@ -75,6 +76,16 @@ def of_scenes() -> list[Situation]:
                 seen,
                 noisy(),
                 fitted=small(lamp(tilted(120.0))),
+                unknowns=(*USUAL, "scene.lights[0].direction"),
+            ),
+        ),
+        Situation(
+            "the lamp unknown, a weak and narrow highlight",
+            "right",
+            fits(
+                faintly_glossy,
+                noisy(0.005),
+                fitted=small(lamp((0, 0, 1))),
                 unknowns=(*USUAL, "scene.lights[0].direction"),
             ),
         ),
@@ -164,6 +175,14 @@ def of_scenes() -> list[Situation]:
             ),
         ),
     ]
+
+
+def faintly_glossy(rng: np.random.Generator) -> Subject:
+    """A ball whose highlight is weak and a few pixels wide, the lamp anywhere above."""
+    angle, tilt = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(10, 70))
+    way = np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), np.cos(tilt)
+    gloss = pf.Material((0.4, 0.3, 0.2), 0.06, 400.0, 0.1)
+    return usual(gloss, small(lamp(way)))
 
 
 def tilted(degrees: float) -> np.ndarray:

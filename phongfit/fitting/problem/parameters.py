@@ -105,6 +105,12 @@ def is_of_model(name: str) -> bool:
     return name.startswith(OF_MODEL)
 
 
+def scales_light(name: str) -> bool:
+    """Whether light is linear in a parameter: a reflectance, a colour, an exposure."""
+    last = name.rpartition(".")[2]
+    return name in (*REFLECTANCES, EXPOSURE) or (is_of_scene(name) and last in _COLOURS)
+
+
 def moves_geometry(name: str) -> bool:
     """Whether rays must be traced again when it changes."""
     return name.startswith(("scene.surface", "scene.camera"))

@@ -261,7 +261,7 @@ class Unknowns:
         # What is no logarithm could overflow.
         powers = jnp.exp(jnp.where(logarithm, numbers, 0))
         own = jnp.where(logarithm, powers, self.scale * numbers)
-        first = self._directions
+        first = self.direction_entries
         if first.size:
             index = np.array(self.y_index)[first]
             there = jax.vmap(on_sphere)(
@@ -271,7 +271,7 @@ class Unknowns:
         return self.offset + self.factor * own[np.array(self.source)]
 
     @functools.cached_property
-    def _directions(self) -> np.ndarray:
+    def direction_entries(self) -> np.ndarray:
         """The first entries of all directions."""
         return np.flatnonzero(self.forms == "direction")[::3]
 

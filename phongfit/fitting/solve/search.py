@@ -12,10 +12,15 @@ from jaxtyping import Array, Bool, Float, Int
 from phongfit.fitting.problem.charts import spread_directions, tangents
 from phongfit.fitting.problem.losses import AbstractLoss
 from phongfit.fitting.problem.noise import median_deviation
-from phongfit.fitting.problem.parameters import MATERIAL_PARAMETERS, moves_geometry
+from phongfit.fitting.problem.parameters import (
+    MATERIAL_PARAMETERS,
+    moves_geometry,
+    scales_light,
+)
 from phongfit.fitting.problem.problem import Evaluation, Problem, evaluate
 from phongfit.fitting.problem.samples import Samples
 from phongfit.fitting.problem.unknowns import Unknowns
+from phongfit.fitting.solve.guesses import Guesses
 from phongfit.fitting.solve.solution import Solution, solve
 from phongfit.fitting.solve.start import choose, scan, scan_bands
 from phongfit.programs import program, record
@@ -28,6 +33,12 @@ CLIPPED = 1e-4
 ROBUST_PASSES = 3
 # Where numbers of the scenes are unknown, the cost can have several valleys.
 STARTS = 16
+# From each guess of where lights are one start with a wide highlight and one with a
+# narrow one: shares of the range of log f.
+BANDS = (0.0, 0.5), (0.5, 1.0)
+# Ends of starts that are solved for all samples; none whose cost on a few is so many
+# times that of the best; and by how much, in the solver's units, they must differ.
+MOST_POLISHED, WORSE, DIFFERENT = 3, 2.0, 0.05
 # Directions that are moved one by one, to get out of valleys that others are not in.
 MOST_MOVED = 8
 # Samples above which a pass over a few of them comes first: below, it would save no
@@ -40,12 +51,26 @@ NEAR, NOISY = 3e-4, 1e3
 
 @record
 class SearchResult:
-    """The solution, the problem with its final noise level, and how it ended."""
+    """The solution, the problem with its final noise level, and how it ended.
+
+    `rival` is the best other minimum that the search ended in, if there was one.
+    """
 
     problem: Problem
     y: Float[Array, " n"]
     converged: Bool[Array, ""]
     steps: Int[Array, ""]
+    rival: "Rival | None" = None
+
+
+class Rival(NamedTuple):
+    """Another minimum: its entries in the user's units, and by how much it costs more.
+
+    The cost is χ², at the noise level of the solution.
+    """
+
+    entries: Float[Array, " entries"]
+    excess: Float[Array, ""]
 
 
 class _SearchState(NamedTuple):
@@ -74,6 +99,7 @@ def search(
     clamp: bool,
     noise_given: bool,
     max_steps: int,
+    guesses: Guesses | None = None,
 ) -> SearchResult:
     """The least cost, without a starting guess of the material.
 
@@ -83,6 +109,7 @@ def search(
 
     - `few`: of the samples, where a share is enough to begin with.
     - `gather`: gives all of them; asked while JAX is at work on the few.
+    - `guesses`: see [`guess_places`][].
     """
     first = gather() if few is None else few
     y = unknowns.start
@@ -91,25 +118,63 @@ def search(
     level = 1.0 if noise_given else float(np.finfo(y.dtype).eps)
     sigma: Any = np.asarray(level, y.dtype)
     problem = Problem(first, unknowns, sigma, loss, clamp)
-    if unknowns.of_scene or unknowns.exposed:
-        y, unknowns = _best_of_several(problem, noise_given, max_steps)
-        problem = Problem(first, unknowns, sigma, loss, clamp)
-    if loss.robust:
-        state = _best_valley(problem, y, noise_given, min(max_steps, 50))
-    elif unknowns.of_scene or unknowns.exposed:
-        state = _look(problem, y, noise_given)
-    else:
-        state = _begin(problem, y, noise_given)
-    near = False
+    several = unknowns.of_scene or unknowns.exposed
+    ways = [(problem, y)]
+    if several:
+        ways = _best_of_several(problem, noise_given, max_steps, guesses or {})
+    states = [_first_look(*way, noise_given, several, max_steps) for way in ways]
+    near, samples = False, first
     if few is not None:
         samples = gather()
-        several = bool(loss.robust or unknowns.of_scene or unknowns.exposed)
-        near = several or samples.image.size > MANY
-        if near and not several:
+        near = bool(loss.robust or several) or samples.image.size > MANY
+        if near and not (loss.robust or several):
             # One pass comes near enough; several starts have come as near.
-            state = _settle(problem, state, max_steps, noise_given, True)
-        problem = Problem(samples, unknowns, sigma, loss, clamp)
-    return _end(problem, state, max_steps, noise_given, near)
+            states = [_settle(problem, states[0], max_steps, noise_given, True)]
+    ends = [
+        _end(
+            Problem(samples, here.unknowns, sigma, loss, clamp),
+            state,
+            max_steps,
+            noise_given,
+            near,
+        )
+        for (here, _), state in zip(ways, states, strict=True)
+    ]
+    return ends[0] if len(ends) == 1 else _best_end(ends)
+
+
+def _first_look(
+    problem: Problem,
+    y: Float[Array, " n"],
+    noise_given: bool,
+    several: bool,
+    max_steps: int,
+) -> _SearchState:
+    """Where all samples take over."""
+    if problem.loss.robust:
+        return _best_valley(problem, y, noise_given, min(max_steps, 50))
+    if several:
+        return _look(problem, y, noise_given)
+    return _begin(problem, y, noise_given)
+
+
+def _best_end(ends: list[SearchResult]) -> SearchResult:
+    """The end that costs least, at the smallest noise level of all, and its rival."""
+    sigma = min((end.problem.sigma for end in ends), key=float)
+    costs = [_cost(end.problem, end.y, sigma) for end in ends]
+    first, second = np.argsort(np.nan_to_num(np.array(costs, float), nan=np.inf))[:2]
+    entries = ends[second].problem.unknowns.entries(ends[second].y)
+    rival = Rival(entries, costs[second] - costs[first])
+    return dataclasses.replace(ends[first], rival=rival)
+
+
+@program()
+def _cost(
+    problem: Problem, y: Float[Array, " n"], sigma: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Of samples and priors, at a noise level."""
+    problem = dataclasses.replace(problem, sigma=sigma)
+    return jnp.sum(problem.costs(y)) - 2 * problem.log_prior(y)
 
 
 def search_on(
@@ -139,62 +204,127 @@ def _end(
 
 
 def _best_of_several(
-    problem: Problem, noise_given: bool, max_steps: int
-) -> tuple[Float[Array, " n"], Unknowns]:
-    """The best end of several starts, for a noise that blurs small valleys away.
+    problem: Problem, noise_given: bool, max_steps: int, guesses: Guesses
+) -> list[tuple[Problem, Float[Array, " n"]]]:
+    """The best ends of several starts, for a noise that blurs small valleys away.
 
-    **Returns:** also the unknowns, with directions relative to where that one started.
+    **Returns:** ends in different valleys, the best one first. The unknowns of their
+    problems have directions relative to where each started.
     """
+    blurred = problem
     if not noise_given:
-        problem = dataclasses.replace(problem, sigma=jnp.full_like(problem.sigma, 0.05))
+        blurred = dataclasses.replace(problem, sigma=jnp.full_like(problem.sigma, 0.05))
     unknowns, steps = problem.unknowns, min(max_steps, 50)
-    best = _best_end(problem, spread_starts(unknowns, STARTS), steps)
+    ends = _ends(blurred, spread_starts(unknowns, STARTS, guesses), steps)
     # Started together, some end right and some do not: those can still be moved.
     several = 1 < len(unknowns.base) <= MOST_MOVED
     for which in range(len(unknowns.base) if several else 0):
-        best = _best_end(problem, _moved(unknowns, best, which), steps)
-    return best.y, unknowns.aimed(best.base, best.across)
+        start = jax.tree.map(lambda of_all: of_all[0], ends.starts)
+        moved = _ends(blurred, _moved(unknowns, start, which, guesses), steps)
+        ends = _sorted(jax.tree.map(lambda *both: np.concatenate(both), ends, moved))
+    ways = []
+    for k in _valleys(unknowns, ends):
+        y, base, across = (jnp.asarray(of_all[k]) for of_all in ends.starts[:3])
+        here = dataclasses.replace(problem, unknowns=unknowns.aimed(base, across))
+        ways.append((here, y))
+    return ways
 
 
 class Starts(NamedTuple):
-    """Points to start from, each with directions relative to its own bases."""
+    """Points to start from, each with directions relative to its own bases.
+
+    `band` is where each looks for exponents: see [`scan`][].
+    """
 
     y: Float[Array, "*starts n"]
     base: Float[Array, "*starts directions 3"]
     across: Float[Array, "*starts directions 2 3"]
+    band: Float[Array, "*starts 2"]
+
+
+class _Ends(NamedTuple):
+    """Where starts lead to: those with these points, what they stand for, and cost."""
+
+    starts: Starts
+    entries: Float[Array, "*starts entries"]
+    cost: Float[Array, "*starts"]
+
+
+def _ends(problem: Problem, starts: Starts, steps: int) -> _Ends:
+    """Where each of these starts leads to, the cheapest first."""
+    return _sorted(jax.tree.map(np.asarray, _solved(problem, starts, steps)))
+
+
+def _sorted(ends: _Ends) -> _Ends:
+    """The same ends, the cheapest first."""
+    order = np.argsort(np.where(np.isfinite(ends.cost), ends.cost, np.inf))
+    return jax.tree.map(lambda of_all: of_all[order], ends)
 
 
 @program("steps")
-def _best_end(problem: Problem, starts: Starts, steps: int) -> Starts:
-    """The best of where these starts lead to."""
+def _solved(problem: Problem, starts: Starts, steps: int) -> _Ends:
+    """Where each of these starts leads to, in their order."""
 
-    def end(start: Starts) -> Solution:
+    def end(start: Starts) -> _Ends:
         unknowns = problem.unknowns.aimed(start.base, start.across)
         here = dataclasses.replace(problem, unknowns=unknowns)
-        return solve(here, scan(here, start.y), steps)
+        solution = solve(here, scan(here, start.y, start.band), steps)
+        entries = unknowns.entries(solution.y)
+        return _Ends(start._replace(y=solution.y), entries, solution.cost)
 
     # One after another: each takes its own number of steps, and compiles like one.
-    ends = jax.lax.map(end, starts)
-    best = jnp.argmin(jnp.where(jnp.isfinite(ends.cost), ends.cost, jnp.inf))
-    return Starts(ends.y[best], starts.base[best], starts.across[best])
+    return jax.lax.map(end, starts)
 
 
-def _moved(unknowns: Unknowns, start: Starts, which: int) -> Starts:
-    """A point, and the same with one direction all over the sphere."""
-    y, base = (np.repeat(np.asarray(a, float)[None], STARTS, axis=0) for a in start[:2])
+def _valleys(unknowns: Unknowns, ends: _Ends) -> list[int]:
+    """The cheapest ends that are not the same minimum.
+
+    Strengths of reflections and lights do not count: light is linear in each of them,
+    so that they make no minima of their own.
+    """
+    strength = np.array([scales_light(name) for name in unknowns.entry_parameter])
+    logarithm = unknowns.forms == "logarithm"
+    scaled = ends.entries / np.asarray(unknowns.scale)
+    scaled = np.where(logarithm, np.log(np.where(logarithm, ends.entries, 1)), scaled)
+    scaled = scaled[:, ~strength]
+    chosen = [0]
+    for k in np.flatnonzero(ends.cost <= WORSE * ends.cost[0]):
+        off = np.abs(scaled[chosen] - scaled[k]).max(axis=1, initial=0)
+        if len(chosen) < MOST_POLISHED and (off > DIFFERENT).all():
+            chosen.append(int(k))
+    return chosen
+
+
+def _moved(unknowns: Unknowns, start: Starts, which: int, guesses: Guesses) -> Starts:
+    """A point, and the same with one direction all over the sphere, or as guessed."""
+    own = guesses.get(int(unknowns.direction_entries[which]), np.zeros((0, 3)))
+    own = np.repeat(own, len(BANDS), axis=0)
+    count = STARTS + len(BANDS) * max(map(len, guesses.values()), default=0)
+    spread = spread_directions(count - 1 - len(own))
+    y, base = (np.repeat(np.asarray(a, float)[None], count, axis=0) for a in start[:2])
     index = unknowns.direction_indices[which]
     y[1:, index : index + 2] = 0
-    base[1:, which] = spread_directions(STARTS - 1)
-    return _starts(unknowns, y, base)
+    base[1:, which] = np.concatenate([spread, own])
+    return _starts(unknowns, y, base, len(own) // len(BANDS))
 
 
-def _starts(unknowns: Unknowns, y: np.ndarray, base: np.ndarray) -> Starts:
+def _starts(
+    unknowns: Unknowns, y: np.ndarray, base: np.ndarray, guesses: int
+) -> Starts:
+    """Starts of which the last ones are guesses, each with every band of exponents."""
+    band = np.tile([0.0, 1.0], (len(y), 1))
+    if guesses:
+        band[-guesses * len(BANDS) :] = np.tile(BANDS, (guesses, 1))
     kind = unknowns.start.dtype
-    return Starts(*(jnp.asarray(a.astype(kind)) for a in (y, base, tangents(base))))
+    arrays = (y, base, tangents(base), band)
+    return Starts(*(jnp.asarray(a.astype(kind)) for a in arrays))
 
 
-def spread_starts(unknowns: Unknowns, count: int) -> Starts:
-    """What the scenes say, and points around it, in the box; directions anywhere."""
+def spread_starts(unknowns: Unknowns, count: int, guesses: Guesses) -> Starts:
+    """What the scenes say, and points around it, in the box; directions anywhere.
+
+    After these `count` come guesses of where lights are.
+    """
     rng = np.random.default_rng(0)
     first = np.asarray(unknowns.start, float)
     shape = (count, len(first))
@@ -216,7 +346,27 @@ def spread_starts(unknowns: Unknowns, count: int) -> Starts:
     base = np.repeat(np.asarray(unknowns.base, float)[None], count, axis=0)
     for k in range(base.shape[1]):
         base[1:, k] = rng.permutation(spread_directions(count - 1))
-    return _starts(unknowns, starts, base)
+    guessed = _guessed(unknowns, guesses)
+    starts, base = (
+        np.concatenate([one, np.repeat(more, len(BANDS), axis=0)])
+        for one, more in zip((starts, base), guessed, strict=True)
+    )
+    return _starts(unknowns, starts, base, len(guessed[0]))
+
+
+def _guessed(unknowns: Unknowns, guesses: Guesses) -> tuple[np.ndarray, np.ndarray]:
+    """What the scenes say, with lights where they are guessed to be: y and bases."""
+    count = max(map(len, guesses.values()), default=0)
+    base = np.repeat(np.asarray(unknowns.base, float)[None], count, axis=0)
+    entries = np.asarray(unknowns.entries(unknowns.start), float)
+    entries = np.repeat(entries[None], count, axis=0)
+    directions = unknowns.direction_entries.tolist()
+    for entry, places in guesses.items():
+        entries[:, entry : entry + 3] = places
+        if entry in directions:
+            base[:, directions.index(entry)] = places
+    y = [unknowns.position(one) for one in entries]
+    return np.reshape(y, (count, len(unknowns.start))), base
 
 
 @program("noise_given")

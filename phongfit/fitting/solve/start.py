@@ -4,6 +4,8 @@ A scan over log f solves it for each candidate, in the box, and takes the best. 
 numbers a sample (A, D and S(f)) enter only through their sums of products.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -31,6 +33,7 @@ def choose_few(
     seen: list[np.ndarray],
     near: float = NEAR,
     most: int = SUBSET,
+    bright: Sequence[Float[np.ndarray, " pixels"]] | None = None,
 ) -> list[np.ndarray] | None:
     """A thousand samples or two: evenly spread ones, and the nearest to highlights.
 
@@ -41,24 +44,33 @@ def choose_few(
     - `seen`: of each image the pixels that may be taken.
     - `near`: share of those that are nearest to highlights.
     - `most`: how many, in all.
+    - `bright`: of each image how likely each pixel shows a highlight, where the scenes
+        do not know their lights; default its nearness to the highlights of the scene.
 
     **Returns:** of each image those taken; `None` if that were all.
     """
     if sum(map(len, seen)) <= most:
         return None
     share = max(most // len(sources), 32)
+    bright = [None] * len(sources) if bright is None else bright
     return [
-        _few(source.pixels, pixels, share, int(near * share))
-        for source, pixels in zip(sources, seen, strict=True)
+        _few(source.pixels, pixels, share, int(near * share), own)
+        for source, pixels, own in zip(sources, seen, bright, strict=True)
     ]
 
 
-def _few(view: PixelTerms, seen: np.ndarray, count: int, near: int) -> np.ndarray:
+def _few(
+    view: PixelTerms,
+    seen: np.ndarray,
+    count: int,
+    near: int,
+    bright: Float[np.ndarray, " pixels"] | None,
+) -> np.ndarray:
     if len(seen) <= count:
         return seen
     even = seen[np.linspace(0, len(seen) - 1, count - near).astype(int)]
-    bright = seen[_largest(_nearness(view)[seen], near)]
-    return np.concatenate([even, bright])
+    bright = _nearness(view) if bright is None else bright
+    return np.concatenate([even, seen[_largest(bright[seen], near)]])
 
 
 def _largest(values: np.ndarray, count: int) -> np.ndarray:
@@ -89,12 +101,17 @@ def _nearest(cosine: Array, strength: Array) -> Array:
 
 
 @program()
-def scan(problem: Problem, y: Float[Array, " n"]) -> Float[Array, " n"]:
+def scan(
+    problem: Problem, y: Float[Array, " n"], band: Float[Array, "2"] | None = None
+) -> Float[Array, " n"]:
     """`y` with the best material for its scenes, over a grid of exponents.
 
     Where exponents differ between channels or materials, each takes its own best.
+
+    **Arguments:** `band`: where the grid begins and ends, as shares of the range of the
+    logarithm; default 0 and 1.
     """
-    return choose(problem.unknowns, y, *_candidates(problem, y))
+    return choose(problem.unknowns, y, *_candidates(problem, y, band))
 
 
 @program()
@@ -108,7 +125,7 @@ def scan_bands(problem: Problem, y: Float[Array, " n"]) -> Float[Array, "bands n
 
 
 def _candidates(
-    problem: Problem, y: Float[Array, " n"]
+    problem: Problem, y: Float[Array, " n"], band: Float[Array, "2"] | None = None
 ) -> tuple[Float[Array, "candidates n"], Float[Array, "candidates materials 3"]]:
     """For each exponent of a grid the best vector, and what it costs."""
     unknowns = problem.unknowns
@@ -118,7 +135,9 @@ def _candidates(
     if logarithm.any():
         first = int(np.argmax(logarithm))
         low, high = unknowns.lower[first], unknowns.upper[first]
-        grid = low + (high - low) * jnp.linspace(0, 1, CANDIDATES, dtype=low.dtype)
+        share = jnp.linspace(0, 1, CANDIDATES, dtype=low.dtype)
+        share = share if band is None else band[0] + (band[1] - band[0]) * share
+        grid = low + (high - low) * share
         exponents = jnp.exp(grid)
     else:
         grid = jnp.zeros((1,), y.dtype)

@@ -9,6 +9,7 @@ from phongfit.codes import coded
 from phongfit.fitting.problem.noise import Plateau
 from phongfit.fitting.problem.parameters import REFLECTANCES
 from phongfit.fitting.problem.unknowns import Unknowns
+from phongfit.fitting.solve.search import Rival
 from phongfit.fitting.uncertainty.estimate import Estimates
 from phongfit.fitting.uncertainty.grid import SIDE, SIGNIFICANT
 from phongfit.fitting.uncertainty.misfit import CORRELATED, Misfit
@@ -23,6 +24,9 @@ FEW_SHARE = 0.1
 MOVED = 0.25
 # Standard deviations between the images and a prior, or a bound, that are no chance.
 CONTRADICTION = 4.0
+# Standard deviations that tell two minima apart, standard errors that must lie between
+# them to be two, and numbers that are named.
+SEPARATE, DISTANT, NAMED = 3.0, 5.0, 3
 
 
 def misfit_words(misfit: Misfit, images: int) -> tuple[str, ...]:
@@ -150,6 +154,30 @@ def bound_words(estimated: Estimates, unknowns: Unknowns) -> Iterator[str]:
             remedy = f"If it may lie beyond, try bounds={{'{label}': ({low:g}, "
             remedy += f"{high:g})}}, or --bounds {label}={low:g}:{high:g}"
         yield coded(code, words, remedy)
+
+
+def rival_words(
+    estimated: Estimates, unknowns: Unknowns, rival: Rival | None, inflation: float
+) -> Iterator[str]:
+    """Another minimum that the images do not exclude."""
+    excess = 0.0 if rival is None else float(rival.excess) / inflation
+    if rival is None or not excess < SEPARATE**2:
+        return
+    other = np.asarray(rival.entries, float)[unknowns.reported]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.nan_to_num(np.abs(other - estimated.values) / estimated.errors)
+    if off.max(initial=0) <= DISTANT:
+        return
+    named = [k for k in np.argsort(-off)[:NAMED] if off[k] > DISTANT]
+    shown = ", ".join(
+        f"{unknowns.labels[k]} {other[k]:.4g} in place of {estimated.values[k]:.4g} "
+        f"({off[k]:.2g} standard errors)"
+        for k in named
+    )
+    yield coded(
+        "two-solutions",
+        f"another solution fits as well (its χ² is larger by {excess:.2g}): {shown}",
+    )
 
 
 def prior_words(

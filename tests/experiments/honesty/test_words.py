@@ -11,6 +11,7 @@ SENTENCES = {
     coded("not-converged", "the solver did not converge"): Subject.FIT,
     coded("lack-of-fit", "residuals are not noise"): Subject.FIT,
     coded("rejected-highlight", "specular.red is not identifiable"): Subject.FIT,
+    coded("two-solutions", "another solution fits as well"): Subject.FIT,
     coded("bound-decides", "shininess lies at its upper bound"): Subject.FIT,
     coded("at-bound", "ambient.red lies at its lower bound"): Subject.BOUND,
     coded("not-identifiable", "ambient.red is not identifiable"): Subject.OPEN,
