@@ -62,8 +62,8 @@ def plateau_words(plateau: Plateau | None, film: Film) -> tuple[str, ...]:
     return (
         coded(
             "low-white",
-            f"{plateau.n_samples:,} samples share the largest value, {value}, and few lie "
-            "just below it: they are saturated, and white is not 1",
+            f"{plateau.n_samples:,} samples share the largest value, {value}, and few "
+            "lie just below it: they are saturated, and white is not 1",
         ),
     )
 
