@@ -1,7 +1,6 @@
 """What a fit gives back."""
 
 import dataclasses
-import importlib
 import math
 import os
 import textwrap
@@ -303,7 +302,7 @@ class Fit:
         **Raises:** `ImportError` if pandas is not installed.
         """
         try:
-            pandas = importlib.import_module("pandas")
+            import pandas  # pyright: ignore[reportMissingImports]
         except ImportError as error:
             raise ImportError(
                 "to_dataframe: pandas is not installed: pip install pandas; "

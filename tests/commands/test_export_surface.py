@@ -1,5 +1,7 @@
 """`phongfit export` of maps as a mesh: OBJ, PLY, STL, and glTF on the surface."""
 
+import warnings
+
 import numpy as np
 import pytest
 import trimesh
@@ -62,15 +64,20 @@ def test_triangles_alone(hills, tmp_path, capsys):
     one, two = tmp_path / "a.stl", tmp_path / "b.stl"
     assert main(["export", str(hills), "-o", str(one)]) == 0
     assert "the shape alone; 2,418 triangles" in capsys.readouterr().out
-    assert main(["export", str(hills), "-o", str(tmp_path / "a.obj")]) == 0
-    call = ["export", str(tmp_path / "a.obj"), "-o", str(two)]
+    mesh = pf.load_mesh(one).mesh
+    assert len(mesh.faces) == 2418
+    assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(np.ptp(bumps()), rel=0.1)
+    trimesh.creation.box((1, 2, 3)).export(tmp_path / "box.ply")
+    call = ["export", str(tmp_path / "box.ply"), "-o", str(two)]
     assert main(call) == 2
     assert "STL has triangles alone (--nearest" in capsys.readouterr().err
-    assert main([*call, "--nearest"]) == 0
-    for path in (one, two):
-        mesh = pf.load_mesh(path).mesh
-        assert len(mesh.faces) == 2418
-        assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(np.ptp(bumps()), rel=0.1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        assert main([*call, "--nearest"]) == 0
+    assert "STL has triangles alone; the nearest is taken" in capsys.readouterr().err
+    box = pf.load_mesh(two).mesh
+    assert len(box.faces) == 12
+    assert np.ptp(box.vertices, axis=0).tolist() == [1, 2, 3]
 
 
 def test_a_material_has_no_surface(tmp_path, capsys):

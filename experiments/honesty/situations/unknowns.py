@@ -13,7 +13,6 @@ from experiments.honesty.situations.base import (
     SMALL,
     Image,
     Situation,
-    Subject,
     ball,
     changed,
     clamped,
@@ -83,7 +82,10 @@ def of_scenes() -> list[Situation]:
             "the lamp unknown, a weak and narrow highlight",
             "right",
             fits(
-                faintly_glossy,
+                usual(
+                    pf.Material((0.4, 0.3, 0.2), 0.06, 400.0, 0.1),
+                    small(lamp((-0.6, -0.2, 0.75))),
+                ),
                 noisy(0.005),
                 fitted=small(lamp((0, 0, 1))),
                 unknowns=(*USUAL, "scene.lights[0].direction"),
@@ -175,14 +177,6 @@ def of_scenes() -> list[Situation]:
             ),
         ),
     ]
-
-
-def faintly_glossy(rng: np.random.Generator) -> Subject:
-    """A ball whose highlight is weak and a few pixels wide, the lamp anywhere above."""
-    angle, tilt = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(10, 70))
-    way = np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), np.cos(tilt)
-    gloss = pf.Material((0.4, 0.3, 0.2), 0.06, 400.0, 0.1)
-    return usual(gloss, small(lamp(way)))
 
 
 def tilted(degrees: float) -> np.ndarray:
