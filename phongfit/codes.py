@@ -59,6 +59,7 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "show their backs",
         # Of files.
         "saturated": "Leave these pixels out, with read_photograph's mask",
+        "list-count": "Check that no line of the list is missing",
         "exif-broken": "Save it anew if it lies on its side",
         "jpeg-turned": "Turn it without loss first (jpegtran -trim)",
         "part-unused": "Put what is missing beside the file, bake what is not used "

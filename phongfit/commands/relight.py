@@ -17,7 +17,8 @@ from phongfit.files.fits import DataRecord
 from phongfit.files.formats import WRITERS
 from phongfit.files.images import write_image
 from phongfit.files.inputs import naming
-from phongfit.files.lp import base_name, read_lp
+from phongfit.files.lp import read_lp
+from phongfit.files.matching import base_name
 from phongfit.files.outputs import replacing_folder
 from phongfit.files.zarrs import is_store
 from phongfit.lights import AbstractLight, DirectionalLight

@@ -21,7 +21,8 @@ from phongfit.files.capture_data import (
 from phongfit.files.encodings import parse_encoding
 from phongfit.files.fits import DataRecord
 from phongfit.files.inputs import naming, recording
-from phongfit.files.lp import base_name, read_camera_lp
+from phongfit.files.lp import read_camera_lp
+from phongfit.files.matching import base_name
 from phongfit.files.outputs import OVERWRITE, replacing_folder
 from phongfit.files.scenes import SCENE_FILE, load_views
 from phongfit.files.seen import SOUGHT, camera_of, seen_in

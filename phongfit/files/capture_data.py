@@ -1,5 +1,6 @@
 """A capture as a data set: photographs with a surface, a camera and lights."""
 
+import dataclasses
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +17,8 @@ from phongfit.files.captures import Capture, encoding_of, open_capture
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import read_film, read_mask
 from phongfit.files.inputs import naming
-from phongfit.files.lp import LightList, base_name, read_camera_lp
+from phongfit.files.lp import LightList, read_camera_lp
+from phongfit.files.matching import base_name, match_names
 from phongfit.files.photographs import open_photographs
 from phongfit.files.seen import SOUGHT, seen_in
 from phongfit.lights import AbstractLight, DirectionalLight, PointLight
@@ -83,7 +85,9 @@ def open_captured(
     else:
         capture = one_photograph(path, encoding, lights=list_of(lights), white=white)
     source = calibration_of(path, lights)
+    told: tuple[str, ...] = ()
     if source is not None:
+        source, told = renamed(source, capture.names)
         capture = capture.without(source.left_out.keys())
     if (sphere is None) == (normals is None):
         raise ValueError(
@@ -108,10 +112,9 @@ def open_captured(
     used = np.ones((height, width), bool)
     if not sought:
         used = facing(scenes[0], min_facing)
-    told: tuple[str, ...] = ()
     if mask is None and capture.mask is not None:
         mask = capture.mask
-        told = (f"pixels that are black in {capture.mask.name} are left out",)
+        told += (f"pixels that are black in {capture.mask.name} are left out",)
     if mask is not None:
         used &= masked(Path(mask), used.shape)
 
@@ -275,6 +278,32 @@ def lamps_of(
         ], strength
     lamps: list[AbstractLight] = [DirectionalLight(START) for _ in names]
     return lamps, (DIRECTION, *strength)
+
+
+def renamed(
+    calibration: Calibration, names: Sequence[str]
+) -> tuple[Calibration, tuple[str, ...]]:
+    """A calibration by the names of other photographs under the same lamps.
+
+    **Returns:** also a note of how they were matched, unless the names agree.
+    """
+    lamps, left_out = calibration.lamps, calibration.left_out
+    listed = [*(lamp.photograph for lamp in lamps), *left_out]
+    match = match_names(names, listed)
+    if not match.note:
+        return calibration, ()
+    pairs = zip(names, match.places, strict=True)
+    partner = {listed[place]: name for name, place in pairs if place is not None}
+    return dataclasses.replace(
+        calibration,
+        lamps=tuple(
+            dataclasses.replace(
+                lamp, photograph=partner.get(lamp.photograph, lamp.photograph)
+            )
+            for lamp in lamps
+        ),
+        left_out={partner.get(name, name): why for name, why in left_out.items()},
+    ), (match.note,)
 
 
 def _order(names: Sequence[str], calibration: Calibration) -> list[int]:

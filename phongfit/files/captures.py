@@ -14,7 +14,8 @@ from phongfit.edge import checked
 from phongfit.files.coded import Coded
 from phongfit.files.dataset import Photograph
 from phongfit.files.images import read_film
-from phongfit.files.lp import LightList, base_name, read_camera_lp
+from phongfit.files.lp import LightList, read_camera_lp
+from phongfit.files.matching import match_names
 from phongfit.files.photographs import (
     AbstractImages,
     PhotoSeries,
@@ -169,10 +170,11 @@ def open_capture(
     images = [path.name for path in images_in(folder) if path.resolve() not in beside]
     images.sort(key=_by_number)
     listed = _list_in(folder, lights)
+    note = ""
     if listed is None:
         names = [name for name in images if not _is_no_photograph(name)]
     else:
-        names = _matched(folder, images, listed)
+        names, note = _matched(folder, images, listed)
     if len(names) < 2:
         raise ValueError(
             f"{folder}: expected several photographs, each under its own lamp, got "
@@ -185,6 +187,8 @@ def open_capture(
         [*paths, *([] if ambient is None else [ambient])], encoding, white=white
     )
     series = every.only(range(len(paths)))
+    if note:
+        series = dataclasses.replace(series, notes=(*series.notes, note))
     return Capture(
         series,
         None if ambient is None else _in_light_of(every, len(paths), series),
@@ -215,21 +219,27 @@ def _list_in(folder: Path, lights: str | os.PathLike[str] | None) -> LightList |
     return read_camera_lp(lists[0]) if lists else None
 
 
-def _matched(folder: Path, images: Sequence[str], listed: LightList) -> list[str]:
-    """The photographs that a list names, by their base names."""
-    exact = {base_name(name): name for name in images}
-    lower = {name.lower(): name for name in images}
-    found, missing = [], []
-    for name in listed.base_names:
-        match = exact.get(name, lower.get(name.lower()))
-        (missing if match is None else found).append(name if match is None else match)
+def _matched(
+    folder: Path, images: Sequence[str], listed: LightList
+) -> tuple[list[str], str]:
+    """The photographs of a list's lamps, and how they were matched."""
+    candidates = list(images)
+    if not {name.lower() for name in listed.base_names} & {x.lower() for x in images}:
+        candidates = [name for name in images if not _is_no_photograph(name)]
+    match = match_names(listed.names, candidates)
+    found = [candidates[place] for place in match.places if place is not None]
+    missing = [
+        name
+        for name, place in zip(listed.base_names, match.places, strict=True)
+        if place is None
+    ]
     if missing:
         there = ", ".join(images[:3]) + (" …" if len(images) > 3 else "")
         raise ValueError(
             f"{folder}: {len(missing)} of the {len(listed.names)} photographs in the "
-            f"list of lights are not there, {missing[0]} first; there are {there}"
+            f"list of lights are missing, {missing[0]} first; there are {there}"
         )
-    return found
+    return found, match.note
 
 
 def encoding_of(

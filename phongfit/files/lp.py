@@ -9,15 +9,17 @@ x right, y up, z to the camera. RTIBuilder and the controllers of domes write it
 
 import os
 from collections.abc import Sequence
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from phongfit.checks import as_array
+from phongfit.codes import warn
 from phongfit.edge import checked, shown
 from phongfit.files.inputs import naming, read_text
+from phongfit.files.matching import base_name, match_names
 from phongfit.files.outputs import replacing
 
 
@@ -37,22 +39,18 @@ class LightList(NamedTuple):
         return tuple(base_name(name) for name in self.names)
 
     def only(self, names: Sequence[str]) -> "LightList":
-        """The lights of some photographs, by their base names, in that order.
+        """The lights of some photographs, in their order: see [`match_names`][].
 
         **Raises:** `ValueError` for a photograph that the list does not name.
         """
-        at = {name: k for k, name in enumerate(self.base_names)}
-        missing = [name for name in names if name not in at]
-        if missing:
-            raise ValueError(
-                f"lights: expected one for each image, got none for {missing[0]}"
-            )
-        return LightList(tuple(names), self.vectors[[at[name] for name in names]])
-
-
-def base_name(name: str) -> str:
-    """A file's name without its folder, of whatever system."""
-    return PureWindowsPath(PurePosixPath(name).name).name
+        places = []
+        for name, place in zip(names, match_names(names, self.names)[0], strict=True):
+            if place is None:
+                raise ValueError(
+                    f"lights: expected one for each image, got none for {name}"
+                )
+            places.append(place)
+        return LightList(tuple(names), self.vectors[places])
 
 
 @checked
@@ -61,8 +59,10 @@ def read_lp(path: str | os.PathLike[str]) -> LightList:
 
     Names may hold spaces; decimal commas are read as points.
 
-    **Raises:** `ValueError` that names the file and the line: no count, another number
-    of lines than it says, a vector that is none or zero, a name that comes twice.
+    A count that differs from the number of lights is a warning.
+
+    **Raises:** `ValueError` that names the file and the line: no count, a vector that
+    is missing or zero, a name that comes twice.
     """
     path = Path(path)
     lines = [
@@ -84,9 +84,8 @@ def read_lp(path: str | os.PathLike[str]) -> LightList:
         there.add(base_name(name))
         vectors.append(vector)
     if len(names) != count:
-        raise ValueError(
-            f"{path}: expected {count} lights, as its first line says, got {len(names)}"
-        )
+        words = f"{path}: its first line counts {count} lights, and {len(names)} follow"
+        warn("list-count", words, stacklevel=2)
     return LightList(tuple(names), np.array(vectors).reshape(-1, 3))
 
 

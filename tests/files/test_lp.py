@@ -52,7 +52,6 @@ def test_as_people_send_them(tmp_path):
     [
         ("", "expected a count and as many lights, got nothing"),
         ("a.jpg 0 0 1\n", "line 1: expected the number of lights"),
-        ("2\na.jpg 0 0 1\n", "expected 2 lights, as its first line says, got 1"),
         ("1\na.jpg 0 0 0\n", "line 2: a.jpg: expected a vector to the lamp, got zeros"),
         (
             "1\na.jpg 0 1\n",
@@ -65,3 +64,10 @@ def test_as_people_send_them(tmp_path):
 def test_what_is_wrong_is_said(tmp_path, text, message):
     with pytest.raises(ValueError, match=message):
         pf.read_lp(written(tmp_path, text))
+
+
+def test_a_wrong_count_is_a_warning(tmp_path):
+    path = tmp_path / "dome.lp"
+    path.write_text("2\na.jpg 0 0 1\n")
+    with pytest.warns(UserWarning, match=r"counts 2 lights, and 1 follow.*list-count"):
+        assert pf.read_lp(path).names == ("a.jpg",)
