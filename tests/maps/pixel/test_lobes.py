@@ -66,6 +66,7 @@ def test_maps(model):
         assert 0.8 < np.sqrt(np.mean(off**2)) < 1.2, (name, maps)
 
 
+@pytest.mark.extended
 def test_maps_with_the_shape_known():
     """A model's own numbers are held; the rest is linear."""
     stack = make_stack(model=pf.GGX(0.5, f0=0.5), lights=16)

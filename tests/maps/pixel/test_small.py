@@ -69,7 +69,7 @@ def test_what_rounding_hides_is_not_identified():
     assert not np.any(x[1])
 
 
-@pytest.mark.parametrize("size", [1, 2, 3])
+@pytest.mark.parametrize("size", [1, pytest.param(2, marks=pytest.mark.extended), 3])
 def test_minimum_in_a_box(size):
     columns, target, gram, vector = problems(size, seed=3)
     lower, upper = np.zeros((COUNT, size)), np.full((COUNT, size), 0.2)
