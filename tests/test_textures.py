@@ -5,6 +5,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.textures import texels
+from tests.fitting.texels.scenes import plate
 from tests.helpers import floats, near
 
 # Two rows of three texels.
@@ -84,14 +85,6 @@ def test_normals_are_a_texture():
     """Where annotations are checked, in float32, these forbid it first."""
     with pytest.raises(ValueError, match="normal: expected a Texture, got"):
         pf.Textures(normal=pf.VertexColours(np.ones((4, 3))))  # pyright: ignore
-
-
-def plate(textures=None, **changes) -> pf.Mesh:
-    """A square from −1 to 1 that faces +z, covered by one texture, upright."""
-    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], float)[faces]
-    return pf.Mesh(corners, faces, uv=uv, textures=textures, **changes)
 
 
 CAMERA = pf.OrthographicCamera(8, 8, view_height=2)

@@ -66,45 +66,64 @@ class Studio:
         return np.clip(light + random.normal(0, noise, light.shape), 0, 1)
 
     def ray_traced(self, right, down, lamp, near, ambient) -> np.ndarray:
+        origin, ray = self._rays(right, down)
+        # A wall, a little aslant, behind everything.
+        light = 0.25 + 0.1 * ray[..., 0] - 0.1 * ray[..., 1] + 0.2 * lamp[0] * 0.1
+        nearest = np.full(light.shape, np.inf)
+        for ball in self.balls:
+            # No ray beside a ball's outline hits it.
+            x, y, radius = self.pixel(ball)
+            rows, columns = (
+                slice(max(int(at - 1.2 * radius), 0), int(at + 1.2 * radius) + 1)
+                for at in (y, x)
+            )
+            window = rows, columns
+            shade, distance = self._seen(
+                ball, origin[window], ray[window], lamp, near, ambient
+            )
+            hit = distance < nearest[window]
+            light[window] = np.where(hit, shade, light[window])
+            nearest[window] = np.where(hit, distance, nearest[window])
+        return np.minimum(light, 1.3)
+
+    def _rays(self, right: float, down: float) -> tuple[np.ndarray, np.ndarray]:
+        """Where rays start and point, of each pixel's point this far in it."""
         x = np.arange(self.width) + right - self.width / 2
         y = self.height / 2 - np.arange(self.height) - down
         x, y = np.broadcast_arrays(x[None, :], y[:, None])
         if self.fov is None:
             scale = self._scale(1.0)
             origin = np.stack([x / scale, y / scale, 0 * x], -1)
-            ray = np.broadcast_to([0.0, 0.0, -1.0], origin.shape)
+            return origin, np.broadcast_to([0.0, 0.0, -1.0], origin.shape)
+        focal = self._scale(1.0)
+        ray = np.stack([x / focal, y / focal, -np.ones_like(x)], -1)
+        ray = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+        return np.zeros_like(ray), ray
+
+    def _seen(
+        self, ball: Ball, origin, ray, lamp, near, ambient
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Light of a ball's points, and how far they are; infinite beside it."""
+        offset = origin - np.array(ball.centre)
+        along = np.sum(offset * ray, -1)
+        root = along**2 - np.sum(offset**2, -1) + ball.radius**2
+        distance = -along - np.sqrt(np.maximum(root, 0))
+        point = origin + distance[..., None] * ray
+        normal = (point - np.array(ball.centre)) / ball.radius
+        to_lamp = lamp - point if near else np.broadcast_to(lamp, point.shape)
+        far = np.linalg.norm(to_lamp, axis=-1)
+        to_lamp = to_lamp / far[..., None]
+        if ball.kind == "matte":
+            fall = (self._reference(lamp) / far) ** 2 if near else 1.0
+            shade = 0.6 * np.maximum(np.sum(normal * to_lamp, -1), 0) * fall
+            shade = shade + ambient
         else:
-            focal = self._scale(1.0)
-            ray = np.stack([x / focal, y / focal, -np.ones_like(x)], -1)
-            ray = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
-            origin = np.zeros_like(ray)
-        # A wall, a little aslant, behind everything.
-        light = 0.25 + 0.1 * ray[..., 0] - 0.1 * ray[..., 1] + 0.2 * lamp[0] * 0.1
-        nearest = np.full(x.shape, np.inf)
-        for ball in self.balls:
-            offset = origin - np.array(ball.centre)
-            along = np.sum(offset * ray, -1)
-            root = along**2 - np.sum(offset**2, -1) + ball.radius**2
-            distance = -along - np.sqrt(np.maximum(root, 0))
-            hit = (root > 0) & (distance < nearest)
-            point = origin + distance[..., None] * ray
-            normal = (point - np.array(ball.centre)) / ball.radius
-            to_lamp = lamp - point if near else np.broadcast_to(lamp, point.shape)
-            far = np.linalg.norm(to_lamp, axis=-1)
-            to_lamp = to_lamp / far[..., None]
-            if ball.kind == "matte":
-                fall = (self._reference(lamp) / far) ** 2 if near else 1.0
-                shade = 0.6 * np.maximum(np.sum(normal * to_lamp, -1), 0) * fall
-                shade = shade + ambient
-            else:
-                back = ray - 2 * np.sum(ray * normal, -1)[..., None] * normal
-                angle = np.arccos(np.clip(np.sum(back * to_lamp, -1), -1, 1))
-                # Darkness in front, the wall at the rim.
-                shade = np.where(back[..., 2] > -0.2, 0.02, 0.3)
-                shade = np.where(angle < LAMP_SIZE, 5.0, shade)
-            light = np.where(hit, shade, light)
-            nearest = np.where(hit, distance, nearest)
-        return np.minimum(light, 1.3)
+            back = ray - 2 * np.sum(ray * normal, -1)[..., None] * normal
+            angle = np.arccos(np.clip(np.sum(back * to_lamp, -1), -1, 1))
+            # Darkness in front, the wall at the rim.
+            shade = np.where(back[..., 2] > -0.2, 0.02, 0.3)
+            shade = np.where(angle < LAMP_SIZE, 5.0, shade)
+        return shade, np.where(root > 0, distance, np.inf)
 
     def _reference(self, lamp) -> float:
         return float(np.linalg.norm(lamp - np.array([0, 0, -10.0])))

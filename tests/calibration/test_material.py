@@ -111,6 +111,7 @@ def pulls(folder, *of):
     return off / errors
 
 
+@pytest.mark.extended
 def test_errors_contain_those_of_the_lamps(tmp_path):
     off, errors = fitted(tmp_path, 25, 0.003, None, "near")
     assert np.sqrt(np.mean((off / errors) ** 2)) < 1.8

@@ -15,7 +15,7 @@ from phongfit.commands import lab
 from phongfit.files.schema import ImageRecord
 from tests.calibration.studio import Ball, Studio, directions
 from tests.calibration.test_response import EXPOSURES, patches
-from tests.fitting.test_texture_fit import scenes
+from tests.fitting.texels.scenes import scenes
 
 # What an extra installs, which whoever has not got it need not miss.
 ZARR = importlib.util.find_spec("zarr") is not None

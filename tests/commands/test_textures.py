@@ -10,8 +10,8 @@ import pytest
 import phongfit as pf
 from phongfit.cli import main
 from phongfit.files.schema import ImageRecord
-from tests.fitting.test_texture_fit import NOISE, SHINY, SIZE, TRUE, painted, scenes
-from tests.fitting.texels import test_steps as shiny, test_vertices as ball
+from tests.fitting.texels import ball, checkers
+from tests.fitting.texels.scenes import NOISE, SIZE, TRUE, painted, scenes, shiny
 from tests.helpers import known as present, near
 
 ASKED = ["--unknowns", "diffuse.texture", "specular", "shininess"]
@@ -38,7 +38,7 @@ def photographs(tmp_path_factory):
     """A folder with the photographs of a plate, as `phongfit scene` lists them."""
     folder = tmp_path_factory.mktemp("texels") / "photographs"
     folder.mkdir()
-    write(folder, painted(diffuse=TRUE), SHINY, scenes()[0], "srgb", seed=3)
+    write(folder, painted(diffuse=TRUE), shiny(), scenes()[0], "srgb", seed=3)
     return folder
 
 
@@ -62,7 +62,7 @@ def test_from_photographs_to_a_mesh_for_others(photographs, tmp_path, capsys):
     assert record["labels"] == ["specular", "shininess"]
     # The mesh is the scene again, and so it is in other formats.
     seen = np.asarray(scenes()[0].trace().mask)
-    expected = np.asarray(pf.render(painted(diffuse=TRUE)[0], SHINY))
+    expected = np.asarray(pf.render(painted(diffuse=TRUE)[0], shiny()))
     again = tmp_path / "again.obj"
     assert main(["export", str(out), "-o", str(again)]) == 0
     for file in (out / "mesh.glb", again):
@@ -181,16 +181,16 @@ def test_exponents_of_texels_by_way_of_files(model, names, scale, tmp_path, caps
     folder.mkdir()
     plain = np.full((*SIZE, 3), 0.4)
     painted = {
-        "diffuse": shiny.DIFFUSE,
+        "diffuse": checkers.DIFFUSE,
         "specular": scale * plain,
-        "shininess": shiny.EXPONENT,
+        "shininess": checkers.EXPONENT,
     }
     views = [
         dataclasses.replace(one, specular_model=model)
-        for one in shiny.painted(6, **painted)
+        for one in checkers.painted(6, **painted)
     ]
-    bare = dataclasses.replace(shiny.scenes()[0], specular_model=model)
-    write(folder, views, shiny.UNIT, bare, "linear", seed=5)
+    bare = dataclasses.replace(checkers.scenes()[0], specular_model=model)
+    write(folder, views, checkers.unit(), bare, "linear", seed=5)
     asked = [f"{name}.texture" if name in names else name for name in painted]
     words = ["fit", str(folder), "-o", str(out), "--unknowns", *asked]
     report = "full" if scale == 1 else "none"
@@ -200,7 +200,7 @@ def test_exponents_of_texels_by_way_of_files(model, names, scale, tmp_path, caps
     f, errors = arrays["shininess"], arrays["stderr_shininess"]
     assert f.shape == errors.shape == (1, *SIZE, 1)
     known = np.isfinite(errors)
-    pulls = ((np.log(f) - np.log(shiny.EXPONENT)) * f / errors)[known]
+    pulls = ((np.log(f) - np.log(checkers.EXPONENT)) * f / errors)[known]
     assert known.mean() > 0.95 and 0.85 < np.sqrt(np.mean(pulls**2)) < 1.15
     record = json.loads((out / "textures.json").read_text())
     assert record["identified"]["shininess"] == known[..., 0].sum()
@@ -217,7 +217,9 @@ def test_exponents_of_texels_by_way_of_files(model, names, scale, tmp_path, caps
         for view in views[:3]:
             scene = pf.Scene(mesh, view.camera, view.lights)
             seen = np.asarray(scene.trace().mask)
-            left = np.asarray(pf.render(scene, material) - pf.render(view, shiny.UNIT))
+            left = np.asarray(
+                pf.render(scene, material) - pf.render(view, checkers.unit())
+            )
             assert np.sqrt(np.mean(left[seen] ** 2)) < 2 * NOISE
     if report == "full":
         assert (out / "shininess.png").is_file()

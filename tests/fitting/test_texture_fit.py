@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import weakref
 
-import jax
 import numpy as np
 import pytest
 
@@ -13,42 +12,20 @@ from phongfit.fitting import texture_fit
 from phongfit.fitting.texels import equations, lit, steps
 from phongfit.fitting.texels.job import RIDGE
 from phongfit.fitting.texels.lit import Photographs
+from phongfit.textures import texels
+from tests.fitting.texels.scenes import (
+    NOISE,
+    SIZE,
+    TRUE,
+    camera_at,
+    matte,
+    painted,
+    photographs,
+    plate,
+    scenes,
+    shiny,
+)
 from tests.helpers import near
-from tests.test_textures import plate
-
-SIZE = 12, 12
-CAMERA = pf.PerspectiveCamera.look_at((0.5, -0.3, 4), width=32, height=32, fov_y=32)
-ASIDE = pf.PerspectiveCamera.look_at((-1.5, 0.6, 3.5), width=32, height=32, fov_y=32)
-LAMPS = ((0.3, 0.2, 1), (-0.5, 0.4, 1), (0.1, -0.6, 1))
-TRUE = np.random.default_rng(0).uniform(0.1, 0.8, (*SIZE, 3))
-NOISE = 0.005
-
-
-def scenes(mesh=None) -> list[pf.Scene]:
-    mesh = plate() if mesh is None else mesh
-    places = (CAMERA, ASIDE, CAMERA)
-    return [
-        pf.Scene(mesh, camera, pf.DirectionalLight(lamp), ambient=0.2)
-        for camera, lamp in zip(places, LAMPS, strict=True)
-    ]
-
-
-def photographs(painted: list[pf.Scene], material, noise=NOISE, seed=0):
-    light = [pf.render(scene, material, film=pf.Film(False)) for scene in painted]
-    keys = jax.random.split(jax.random.key(seed), len(light))
-    return [
-        np.asarray(one + noise * jax.random.normal(key, one.shape))
-        for one, key in zip(light, keys, strict=True)
-    ]
-
-
-def painted(**textures) -> list[pf.Scene]:
-    named = {name: pf.Texture(values) for name, values in textures.items()}
-    return scenes(plate(pf.Textures(**named)))
-
-
-MATTE = pf.Material(1.0, 0.0, 20.0, 0.0)
-SHINY = pf.Material(1.0, 0.3, 20.0, 0.0)
 
 
 def fitted(images, **options):
@@ -56,8 +33,20 @@ def fitted(images, **options):
     return pf.fit_texture(scenes(), images, size=SIZE, **(given | options))
 
 
+@pytest.fixture(scope="module")
+def images() -> list[np.ndarray]:
+    """Photographs of a plate with a highlight."""
+    return photographs(painted(diffuse=TRUE), shiny())
+
+
+@pytest.fixture(scope="module")
+def kept(images) -> pf.TextureFit:
+    return fitted(images)
+
+
+@pytest.mark.usefixtures("precision")
 def test_texels_and_a_shared_highlight():
-    fit = fitted(photographs(painted(diffuse=TRUE), SHINY))
+    fit = fitted(photographs(painted(diffuse=TRUE), shiny()))
     assert fit.converged and not fit.warnings, fit
     errors = fit.stderr["diffuse"][0]
     known = np.isfinite(errors)
@@ -73,19 +62,21 @@ def test_texels_and_a_shared_highlight():
     # What was found is a scene again.
     again = pf.render(fit.scene(scenes()[0]), fit.material)
     near(
-        np.asarray(again), np.asarray(pf.render(painted(diffuse=TRUE)[0], SHINY)), 0.03
+        np.asarray(again),
+        np.asarray(pf.render(painted(diffuse=TRUE)[0], shiny())),
+        0.03,
     )
 
 
 def test_jpeg_files_are_said_to_err_alike():
-    images = photographs(painted(diffuse=TRUE), MATTE)
+    images = photographs(painted(diffuse=TRUE), matte())
     film = pf.Film(jpeg=pf.JpegCompression.at_quality(90))
     fit = fitted(images, unknowns=(), film=film)
     assert [pf.warning_code(words) for words in fit.warnings] == ["jpeg-texels"]
 
 
 def test_images_without_noise():
-    fit = fitted(photographs(painted(diffuse=TRUE), SHINY, 0.0))
+    fit = fitted(photographs(painted(diffuse=TRUE), shiny(), 0.0))
     assert fit.converged and fit.steps < 15, fit
     errors = fit.stderr["diffuse"][0]
     known = np.isfinite(errors)
@@ -96,20 +87,19 @@ def test_images_without_noise():
 
 
 def test_texels_are_those_of_dense_least_squares():
-    images = photographs(painted(diffuse=TRUE), MATTE)
+    images = photographs(painted(diffuse=TRUE), matte())
     fit = fitted(images, unknowns=(), noise=NOISE)
     rows, light = [], []
     for scene, image in zip(scenes(), images, strict=True):
         buffer = scene.trace()
         assert buffer.uv is not None
         mask = np.asarray(buffer.mask)
-        basis = np.asarray(pf.pixel_terms(scene, buffer).basis(MATTE.shininess))
-        identity = np.eye(SIZE[0] * SIZE[1]).reshape(-1, *SIZE)
-        seen = [
-            np.asarray(pf.Texture(one[..., None]).at(buffer.uv))[mask][:, 0]
-            for one in identity
-        ]
-        rows.append(np.stack(seen, axis=1) * basis[mask][:, 0, 1][:, None])
+        basis = np.asarray(pf.pixel_terms(scene, buffer).basis(matte().shininess))
+        index, weight = map(np.asarray, texels(buffer.uv, SIZE, "bilinear", "repeat"))
+        seen = np.zeros((mask.sum(), SIZE[0] * SIZE[1]))
+        for k in range(4):
+            seen[np.arange(len(seen)), index[mask][:, k]] += weight[mask][:, k]
+        rows.append(seen * basis[mask][:, 0, 1][:, None])
         light.append(image[mask])
     matrix, target = np.concatenate(rows), np.concatenate(light)
     # Nothing draws texels; errors know that each step holds them a little.
@@ -145,13 +135,13 @@ def test_two_textures_and_a_smoothness():
 def test_texels_that_nothing_sees():
     half = np.zeros((32, 32), bool)
     half[:, :16] = True
-    images = photographs(painted(diffuse=TRUE), MATTE)[:1]
+    images = photographs(painted(diffuse=TRUE), matte())[:1]
     fit = pf.fit_texture(
         scenes()[0],
         images[0],
         size=SIZE,
         unknowns=(),
-        known=MATTE,
+        known=matte(),
         mask=half,
     )
     errors, seen = fit.stderr["diffuse"][0], fit.seen[0]
@@ -169,10 +159,10 @@ def test_each_material_has_its_own_texture():
     other = 1 - TRUE
     textures = [pf.Textures(diffuse=pf.Texture(one)) for one in (TRUE, other)]
     mesh = plate(textures, material_index=[0, 1])
-    images = photographs(scenes(mesh), MATTE, 0.0005)
+    images = photographs(scenes(mesh), matte(), 0.0005)
     bare = scenes(mesh)
     fit = pf.fit_texture(
-        bare, images, size=SIZE, unknowns=(), known=MATTE, separate=True
+        bare, images, size=SIZE, unknowns=(), known=matte(), separate=True
     )
     for layer, true in enumerate((TRUE, other)):
         known = np.isfinite(fit.stderr["diffuse"][layer])
@@ -180,16 +170,16 @@ def test_each_material_has_its_own_texture():
         off = abs(fit.values["diffuse"][layer] - true) / fit.stderr["diffuse"][layer]
         assert off[known].max() < 6
     image = pf.render(fit.scene(bare[0]), fit.material)
-    near(np.asarray(image), np.asarray(pf.render(bare[0], MATTE)), 0.02)
+    near(np.asarray(image), np.asarray(pf.render(bare[0], matte())), 0.02)
 
 
 def test_each_material_has_its_own_highlight():
-    shiny = pf.Material(1.0, [[0.3], [0.15]], [[20.0], [6.0]], 0.0)
+    glossy = pf.Material(1.0, [[0.3], [0.15]], [[20.0], [6.0]], 0.0)
     textures = pf.Textures(diffuse=pf.Texture(TRUE))
     of = {"material_index": [0, 1]}
-    images = photographs(scenes(plate(textures, **of)), shiny, 0.002)
+    images = photographs(scenes(plate(textures, **of)), glossy, 0.002)
     fit = pf.fit_texture(
-        scenes(plate(**of)), images, size=SIZE, per_channel=(), known=MATTE
+        scenes(plate(**of)), images, size=SIZE, per_channel=(), known=matte()
     )
     labels = ["specular[0]", "specular[1]", "shininess[0]", "shininess[1]"]
     assert [one.label for one in fit.shared] == labels
@@ -208,9 +198,7 @@ class Counted(Photographs):
         return super().at(k)
 
 
-def test_photographs_that_are_not_kept_are_traced_again(monkeypatch):
-    images = photographs(painted(diffuse=TRUE), SHINY)
-    kept = fitted(images)
+def test_photographs_that_are_not_kept_are_traced_again(images, kept, monkeypatch):
     # Some 750 pixels of each see the plate, which take 80 kB.
     made = functools.partial(Counted, room=120_000)
     monkeypatch.setattr(texture_fit, "Photographs", made)
@@ -221,8 +209,8 @@ def test_photographs_that_are_not_kept_are_traced_again(monkeypatch):
     near(again.stderr["diffuse"], kept.stderr["diffuse"], 0)
 
 
-def test_memory_goes_back_around_large_photographs_alone(monkeypatch):
-    images, calls = photographs(painted(diffuse=TRUE), SHINY), []
+def test_memory_goes_back_around_large_photographs_alone(images, monkeypatch):
+    calls = []
     monkeypatch.setattr(lit, "give_back", lambda: calls.append(0))
     fitted(images, max_steps=1)
     assert not calls
@@ -231,7 +219,7 @@ def test_memory_goes_back_around_large_photographs_alone(monkeypatch):
     assert len(calls) == 2 * len(images)
 
 
-def test_one_matrix_is_there_at_a_time(monkeypatch):
+def test_one_matrix_is_there_at_a_time(images, monkeypatch):
     make, made = steps.make_matrix, []
 
     def alone(*args):
@@ -243,12 +231,11 @@ def test_one_matrix_is_there_at_a_time(monkeypatch):
     monkeypatch.setattr(steps, "make_matrix", alone)
     # As of lamps that differ in colour.
     monkeypatch.setattr(steps, "is_like_last", lambda *args: False)
-    fitted(photographs(painted(diffuse=TRUE), SHINY))
+    fitted(images)
     assert len(made) > 3
 
 
-def test_many_texels_are_found_as_few_are(monkeypatch):
-    images = photographs(painted(diffuse=TRUE), SHINY)
+def test_many_texels_are_found_as_few_are(images, monkeypatch):
     few = fitted(images, smoothness=0.2)
     monkeypatch.setattr(equations, "DIRECT", 0)
     many = fitted(images, smoothness=0.2)
@@ -261,27 +248,25 @@ def test_many_texels_are_found_as_few_are(monkeypatch):
         near(one.stderr, other.stderr, 0.01 * other.stderr)
 
 
-def test_a_fit_starts_from_some_of_many_pixels(monkeypatch):
-    images = photographs(painted(diffuse=TRUE), SHINY)
-    whole = fitted(images)
+@pytest.mark.extended
+def test_a_fit_starts_from_some_of_many_pixels(images, kept, monkeypatch):
     monkeypatch.setattr(steps, "START", 32 * 32)
     fit = fitted(images)
     assert fit.converged
-    for one, other in zip(fit.shared, whole.shared, strict=True):
+    for one, other in zip(fit.shared, kept.shared, strict=True):
         assert abs(one.value - other.value) < 0.1 * one.stderr
 
 
-def test_a_wrong_model_is_said_to_be_wrong():
-    images = photographs(painted(diffuse=TRUE), SHINY)
+def test_a_wrong_model_is_said_to_be_wrong(images):
     fit = fitted(images, unknowns=())
     assert any("residuals are not noise" in words for words in fit.warnings)
     # Without light from elsewhere the ambient reflectance means nothing.
     dark = [dataclasses.replace(scene, ambient=0.0) for scene in scenes()]
     images = photographs(
         [dataclasses.replace(scene, ambient=0.0) for scene in painted(diffuse=TRUE)],
-        MATTE,
+        matte(),
     )
-    fit = pf.fit_texture(dark, images, size=SIZE, unknowns=("ambient",), known=MATTE)
+    fit = pf.fit_texture(dark, images, size=SIZE, unknowns=("ambient",), known=matte())
     assert all(np.isinf(one.stderr) for one in fit.shared)
     assert any("ambient.red, ambient.green" in words for words in fit.warnings)
 
@@ -307,5 +292,5 @@ def test_wrong_arguments_are_named(options, words):
 
 def test_a_surface_without_uv_is_refused():
     with pytest.raises(ValueError, match="scene: expected a Mesh with uv"):
-        scene = pf.Scene(pf.Sphere(), CAMERA)
+        scene = pf.Scene(pf.Sphere(), camera_at(0, 0, 4))
         pf.fit_texture(scene, np.zeros((32, 32, 3)), size=SIZE)

@@ -1,34 +1,44 @@
 """What is wrong is said by name, before anything is fitted."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
 
 import phongfit as pf
-from tests.maps.synthetic import make_stack
+from data_synth.lights import spread_directions
 
-STACK = make_stack(4, 6, 5, ambient=0.2)
+IMAGES = np.full((5, 4, 6, 3), 0.3, np.float32)
 
 
-def fit(scenes=STACK.scenes, images=STACK.images, **options):
-    return pf.fit_maps(scenes, images, **options)
+@functools.cache
+def lit() -> tuple[pf.Scene, ...]:
+    """A plane under five lights."""
+    surface = pf.NormalMap(np.broadcast_to([0.0, 0, 1], (4, 6, 3)))
+    camera = pf.OrthographicCamera(6, 4)
+    lights = map(pf.DirectionalLight, spread_directions(5))
+    return tuple(pf.Scene(surface, camera, light, ambient=0.2) for light in lights)
+
+
+def fit(scenes=None, images=IMAGES, **options):
+    return pf.fit_maps(lit() if scenes is None else scenes, images, **options)
 
 
 @pytest.mark.parametrize(
     "options, words",
     [
         (
-            {"images": STACK.images[:4]},
+            {"images": IMAGES[:4]},
             "images: expected 5, one for each of scenes, got 4",
         ),
         (
-            {"images": [*STACK.images[:4], STACK.images[4, :3]]},
+            {"images": [*IMAGES[:4], IMAGES[4, :3]]},
             r"images\[4\]: expected shape",
         ),
-        ({"images": STACK.images[:, :3]}, "the scenes' camera has"),
+        ({"images": IMAGES[:, :3]}, "the scenes' camera has"),
         (
-            {"images": (255 * STACK.images).astype(np.uint8)},
+            {"images": (255 * IMAGES).astype(np.uint8)},
             r"images\[0\]: expected .*, got uint8",
         ),
         ({"images": []}, "images: expected at least one, got none"),
@@ -83,9 +93,9 @@ def test_too_few_images_say_what_they_can_tell():
     with pytest.raises(
         ValueError, match=r"images: expected at least 4.*, got 2.*'diffuse'"
     ):
-        fit(STACK.scenes[:2], STACK.images[:2])
+        fit(lit()[:2], IMAGES[:2])
     with pytest.raises(ValueError, match="one material for all pixels"):
-        fit(STACK.scenes[:1], STACK.images[:1])
+        fit(lit()[:1], IMAGES[:1])
 
 
 @pytest.mark.parametrize(
@@ -97,7 +107,7 @@ def test_too_few_images_say_what_they_can_tell():
     ],
 )
 def test_scenes_differ_in_lights_only(change, words):
-    first, second, *rest = STACK.scenes
+    first, second, *rest = lit()
     second = dataclasses.replace(second, **change)
     with pytest.raises(ValueError, match=words):
         fit((first, second, *rest))
@@ -117,6 +127,6 @@ class Wobbly(pf.AbstractSpecular):
 
 
 def test_lobes_must_be_powers_where_normals_are_sought():
-    scenes = [dataclasses.replace(s, specular_model=Wobbly()) for s in STACK.scenes]
+    scenes = [dataclasses.replace(s, specular_model=Wobbly()) for s in lit()]
     with pytest.raises(ValueError, match="power of one cosine.*got Wobbly"):
         fit(scenes, normals="fit")

@@ -1,6 +1,7 @@
 """Maps from zarr to zarr: the same bits, here or on workers, whoever dies meanwhile."""
 
 import errno
+import functools
 import importlib.util
 import os
 import shutil
@@ -22,29 +23,38 @@ from phongfit.maps import blocks
 from phongfit.maps.blocks import block_size
 from phongfit.maps.cluster import dask_client, fit_stored_maps
 from phongfit.maps.pixel.tile import BLOCK
-from tests.maps.synthetic import make_stack, same
+from tests.maps.synthetic import Stack, make_stack, same
 
 zarr = pytest.importorskip("zarr")
-pytest.importorskip("distributed")
+pytestmark = [
+    pytest.mark.extended,
+    pytest.mark.skipif(
+        importlib.util.find_spec("distributed") is None, reason="Dask is not installed"
+    ),
+]
 
 QUICK: Any = {"unknowns": ("diffuse",), "film": pf.Film(clamp=False)}
-STACK = make_stack(48, 64, 4, ambient=0.0)
 SIZE = (20, 26)
 """A block's: none at the lower and right edges is whole."""
+
+
+@functools.cache
+def made() -> Stack:
+    return make_stack(48, 64, 4, ambient=0.0)
 
 
 @pytest.fixture
 def images(tmp_path):
     """The stack on disk."""
     path = tmp_path / "stack.zarr"
-    array = zarr.create_array(path, data=STACK.images, chunks=(1, 16, 16, 3))
+    array = zarr.create_array(path, data=made().images, chunks=(1, 16, 16, 3))
     assert array.metadata.zarr_format == 3
     return path
 
 
 @pytest.fixture(scope="module")
 def maps() -> pf.Maps:
-    return pf.fit_maps(STACK.scenes, STACK.images, tile_pixels=BLOCK, **QUICK)
+    return pf.fit_maps(made().scenes, made().images, tile_pixels=BLOCK, **QUICK)
 
 
 @pytest.fixture
@@ -60,7 +70,7 @@ def counted(monkeypatch):
 
 def test_there_and_back(maps, images, tmp_path, counted):
     stored = fit_stored_maps(
-        STACK.scenes, images, tmp_path / "maps.zarr", block=SIZE, **QUICK
+        made().scenes, images, tmp_path / "maps.zarr", block=SIZE, **QUICK
     )
     same(stored.load(), maps)
     assert stored.counts == maps.counts() and stored.shape == (48, 64)
@@ -76,7 +86,7 @@ def test_a_finished_block_is_not_fitted_again_and_a_broken_one_is(
 ):
     out = tmp_path / "maps.zarr"
     options: Any = {"block": SIZE, "progress": False} | QUICK
-    fit_stored_maps(STACK.scenes, images, out, **options)
+    fit_stored_maps(made().scenes, images, out, **options)
     counted.clear()
     # A chunk of another block, one that was cut off, one that is gone; a ledger's
     # entry that was cut off, and one that never was written.
@@ -88,30 +98,30 @@ def test_a_finished_block_is_not_fitted_again_and_a_broken_one_is(
     ledger = out / "ledger" / "c"
     (ledger / "2" / "0" / "0").write_bytes(b"cut")
     (ledger / "2" / "1" / "0").unlink()
-    same(fit_stored_maps(STACK.scenes, images, out, **options).load(), maps)
+    same(fit_stored_maps(made().scenes, images, out, **options).load(), maps)
     assert len(counted) == 5
 
 
 def test_another_job_is_refused(images, tmp_path):
     out = tmp_path / "maps.zarr"
-    options: Any = {"block": (48, 64), "progress": False} | QUICK
-    fit_stored_maps(STACK.scenes, images, out, **options)
+    options: Any = {"block": SIZE, "progress": False} | QUICK
+    fit_stored_maps(made().scenes, images, out, **options)
     with pytest.raises(ValueError, match="another job .*settings differs"):
-        fit_stored_maps(STACK.scenes, images, out, min_cosine=0.1, **options)
+        fit_stored_maps(made().scenes, images, out, min_cosine=0.1, **options)
     with pytest.raises(ValueError, match="another job .*block differs"):
-        fit_stored_maps(STACK.scenes, images, out, **options | {"block": (48, 32)})
+        fit_stored_maps(made().scenes, images, out, **options | {"block": (48, 32)})
     turned = [
-        pf.Scene(scene.surface, scene.camera, STACK.scenes[0].lights)
-        for scene in STACK.scenes
+        pf.Scene(scene.surface, scene.camera, made().scenes[0].lights)
+        for scene in made().scenes
     ]
     with pytest.raises(ValueError, match="another job .*lights differs"):
         fit_stored_maps(turned, images, out, **options)
     with pytest.raises(ValueError, match="another job .*surface differs"):
         mask = np.ones((48, 64), bool)
-        fit_stored_maps(STACK.scenes, images, out, mask=mask, **options)
+        fit_stored_maps(made().scenes, images, out, mask=mask, **options)
     zarr.open_array(images, mode="r+")[0, 0, 0, 0] = 0.5
     with pytest.raises(ValueError, match="another job .*images differs"):
-        fit_stored_maps(STACK.scenes, images, out, **options)
+        fit_stored_maps(made().scenes, images, out, **options)
 
 
 def test_a_disk_that_is_full(maps, images, tmp_path, monkeypatch):
@@ -130,20 +140,20 @@ def test_a_disk_that_is_full(maps, images, tmp_path, monkeypatch):
     monkeypatch.setattr(_local, "_put", put)
     options: Any = {"block": SIZE, "progress": False} | QUICK
     with pytest.raises(OSError, match="diffuse: cannot be written: No space left"):
-        fit_stored_maps(STACK.scenes, images, out, **options)
+        fit_stored_maps(made().scenes, images, out, **options)
     with pytest.raises(ValueError, match="not complete"):
         pf.StoredMaps(out)
-    same(fit_stored_maps(STACK.scenes, images, out, **options).load(), maps)
+    same(fit_stored_maps(made().scenes, images, out, **options).load(), maps)
 
 
 def test_masks_noise_and_whole_numbers(tmp_path):
     """What is given for each pixel goes to the workers by way of the store."""
-    levels = np.clip(STACK.images * 40_000, 0, 65_535).astype(np.uint16)
+    levels = np.clip(made().images * 40_000, 0, 65_535).astype(np.uint16)
     path = tmp_path / "stack.zarr"
-    made = zarr.create_array(
+    written = zarr.create_array(
         path, name="images", data=levels, shards=(4, 32, 32, 3), chunks=(1, 16, 16, 3)
     )
-    made.attrs["encoding"] = "linear"
+    written.attrs["encoding"] = "linear"
     rng = np.random.default_rng(2)
     mask = rng.uniform(size=(48, 64)) > 0.3
     options: Any = QUICK | {
@@ -151,39 +161,40 @@ def test_masks_noise_and_whole_numbers(tmp_path):
         "noise": rng.uniform(0.01, 0.02, (48, 64)),
     }
     stored = fit_stored_maps(
-        STACK.scenes, path, tmp_path / "maps.zarr", progress=False, **options
+        made().scenes, path, tmp_path / "maps.zarr", progress=False, **options
     )
     expected = pf.fit_maps(
-        STACK.scenes, from_levels(levels, "linear"), tile_pixels=BLOCK, **options
+        made().scenes, from_levels(levels, "linear"), tile_pixels=BLOCK, **options
     )
     same(stored.load(), expected)
     np.testing.assert_array_equal(stored.load().noise_given, expected.noise_given)
     # A stack is a stack wherever else one is taken, too.
-    same(pf.fit_maps(STACK.scenes, pf.ZarrStack(path), **options), expected)
+    same(pf.fit_maps(made().scenes, pf.ZarrStack(path), **options), expected)
 
 
 def test_photographs_that_this_process_reads(maps, tmp_path, counted):
     """Block by block, and those that are finished are left when it goes on."""
-    hidden = np.zeros(STACK.images.shape[1:3], bool)
+    hidden = np.zeros(made().images.shape[1:3], bool)
     hidden[:, 40:] = True
 
     def read(number: int) -> Photograph:
-        return Photograph(Coded(STACK.images[number]), ~(hidden & (number == 2)))
+        return Photograph(Coded(made().images[number]), ~(hidden & (number == 2)))
 
     names = tuple("abcd")
     stack = pf.DatasetStack(
-        Photographs("made", STACK.scenes, names, QUICK["film"], read)
+        Photographs("made", made().scenes, names, QUICK["film"], read)
     )
     masks = [~(hidden & (number == 2)) for number in range(4)]
-    expected = pf.fit_maps(STACK.scenes, STACK.images, mask=masks, **QUICK)
+    options: Any = QUICK | {"mask": masks, "tile_pixels": BLOCK}
+    expected = pf.fit_maps(made().scenes, made().images, **options)
     out = tmp_path / "maps.zarr"
-    stored = fit_stored_maps(STACK.scenes, stack, out, block=SIZE, **QUICK)
+    stored = fit_stored_maps(made().scenes, stack, out, block=SIZE, **QUICK)
     same(stored.load(), expected)
     assert len(counted) == 9
-    fit_stored_maps(STACK.scenes, stack, out, block=SIZE, **QUICK)
+    fit_stored_maps(made().scenes, stack, out, block=SIZE, **QUICK)
     assert len(counted) == 9
     with pytest.raises(ValueError, match="client: expected none with photographs"):
-        fit_stored_maps(STACK.scenes, stack, out, client=object(), **QUICK)
+        fit_stored_maps(made().scenes, stack, out, client=object(), **QUICK)
 
 
 def test_blocks_are_as_shards_and_chunks_are(tmp_path):
@@ -207,14 +218,14 @@ def test_what_is_wrong_is_named(images, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="gone.zarr: there is no such zarr array"):
         pf.ZarrStack(tmp_path / "gone.zarr")
     with pytest.raises(ValueError, match=r"images: expected 3, one for each of scenes"):
-        fit_stored_maps(STACK.scenes[:3], images, out, **QUICK)
+        fit_stored_maps(made().scenes[:3], images, out, **QUICK)
     eight = tmp_path / "eight.zarr"
-    zarr.create_array(eight, data=np.concatenate([STACK.images] * 2))
+    zarr.create_array(eight, data=np.concatenate([made().images] * 2))
     with pytest.raises(ValueError, match="materials: expected none"):
-        scenes = STACK.scenes * 2
+        scenes = made().scenes * 2
         fit_stored_maps(scenes, eight, out, materials=2, normals="fit")
     with pytest.raises(ValueError, match="block: expected rows and columns"):
-        fit_stored_maps(STACK.scenes, images, out, block=(0, 5), **QUICK)
+        fit_stored_maps(made().scenes, images, out, block=(0, 5), **QUICK)
     flat = zarr.create_array(tmp_path / "flat.zarr", shape=(3, 4), dtype="f4")
     assert flat.ndim == 2
     with pytest.raises(ValueError, match=r"expected images of shape \(light, y, x, 3"):
@@ -222,7 +233,7 @@ def test_what_is_wrong_is_named(images, tmp_path, monkeypatch):
     spoilt = tmp_path / "spoilt.zarr"
     zarr.create_array(spoilt, data=np.full((4, 48, 64, 3), np.nan, "f4"))
     with pytest.raises(ValueError, match="has NaN"):
-        fit_stored_maps(STACK.scenes, spoilt, out, progress=False, **QUICK)
+        fit_stored_maps(made().scenes, spoilt, out, progress=False, **QUICK)
     (tmp_path / "bad.zarr").mkdir()
     (tmp_path / "bad.zarr" / "zarr.json").write_text("{")
     with pytest.raises(ValueError, match="bad.zarr: cannot be read"):
@@ -267,7 +278,7 @@ def test_workers_one_of_which_is_killed(client, maps, images, tmp_path):
     thread = threading.Thread(target=kill, daemon=True)
     thread.start()
     stored = fit_stored_maps(
-        STACK.scenes,
+        made().scenes,
         images,
         tmp_path / "maps.zarr",
         client=client,
@@ -298,12 +309,12 @@ def test_a_scheduler_that_is_gone(maps, images, tmp_path, counted):
         thread = threading.Thread(target=end, daemon=True)
         thread.start()
         with pytest.raises(OSError, match="client: the cluster is gone; finished"):
-            fit_stored_maps(STACK.scenes, images, out, client=client, **options)
+            fit_stored_maps(made().scenes, images, out, client=client, **options)
         thread.join()
     # The last that was begun may have been finished, or not.
     begun = len(counted)
     assert 2 < begun < 9
-    same(fit_stored_maps(STACK.scenes, images, out, **options).load(), maps)
+    same(fit_stored_maps(made().scenes, images, out, **options).load(), maps)
     assert 9 <= len(counted) <= 10
 
 
@@ -333,11 +344,11 @@ def bucket(client, monkeypatch):
 
 
 def test_an_object_store(bucket, client, maps, counted):
-    array = zarr.create_array(f"{bucket}/a/stack.zarr", data=STACK.images)
+    array = zarr.create_array(f"{bucket}/a/stack.zarr", data=made().images)
     out = f"{bucket}/a/maps.zarr"
     options: Any = {"block": SIZE, "progress": False} | QUICK
     stored = fit_stored_maps(
-        STACK.scenes,
+        made().scenes,
         pf.ZarrStack(f"{bucket}/a/stack.zarr"),
         out,
         client=client,
@@ -349,13 +360,13 @@ def test_an_object_store(bucket, client, maps, counted):
 
     fsspec.filesystem("s3").rm("coins/a/maps.zarr/noise/c/1/1")
     same(
-        fit_stored_maps(STACK.scenes, f"{bucket}/a/stack.zarr", out, **options).load(),
+        fit_stored_maps(made().scenes, f"{bucket}/a/stack.zarr", out, **options).load(),
         maps,
     )
     assert len(counted) == 1
     array[0, 0, 0, 0] = 0.25
     with pytest.raises(ValueError, match="another job .*images differs"):
-        fit_stored_maps(STACK.scenes, f"{bucket}/a/stack.zarr", out, **options)
+        fit_stored_maps(made().scenes, f"{bucket}/a/stack.zarr", out, **options)
     with pytest.raises(ValueError, match="s3://coins/no.zarr: there is no such"):
         pf.ZarrStack(f"{bucket}/no.zarr")
     erase(out)

@@ -10,6 +10,8 @@ import scipy.stats
 import phongfit as pf
 from tests.maps.synthetic import Stack, dtype, make_stack, pulls, same
 
+pytestmark = pytest.mark.extended
+
 LIGHTS, NOISE = 24, 0.01
 PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 EVERY = np.ones((20, 20, 3), bool)

@@ -55,6 +55,7 @@ def test_shot_noise(clean):
     )
 
 
+@pytest.mark.extended
 def test_noisy_images_count_for_less(clean):
     """A number for each image: the better ones decide, and errors say how well."""
     levels = np.where(np.arange(16) % 2, 0.003, 0.06)
@@ -75,6 +76,7 @@ def test_noisy_images_count_for_less(clean):
     )
 
 
+@pytest.mark.extended
 def test_the_same_noise_everywhere(clean, tmp_path):
     """A map of one number says what the number says, and is kept with the maps."""
     images = noisy(matte(clean), np.array(0.01))
@@ -95,19 +97,3 @@ def test_the_same_noise_everywhere(clean, tmp_path):
     same(read, maps)
     np.testing.assert_array_equal(read.noise_given, maps.noise_given)
     np.testing.assert_array_equal(read.chi_squared, maps.chi_squared)
-
-
-def test_tiles_of_a_run_with_noise(clean, tmp_path):
-    """Cut and resumed to the same bits; other noise is another job."""
-    noise = np.random.default_rng(0).uniform(0.005, 0.02, clean.images.shape)
-    images = noisy(matte(clean), noise)
-    options: dict[str, Any] = MATTE | {"noise": list(noise)}
-    uncut: dict[str, Any] = options | {"tile_pixels": 1024}
-    whole = pf.fit_maps(clean.scenes, images, **uncut)
-    out: dict[str, Any] = {"output": tmp_path / "out"}
-    same(pf.fit_maps(clean.scenes, images, **options, **out), whole)
-    (tmp_path / "out" / "tile_000001.npz").unlink()
-    same(pf.fit_maps(clean.scenes, images, **options, **out), whole)
-    with pytest.raises(ValueError, match="another job .*its noise differs"):
-        options["noise"] = 2 * noise
-        pf.fit_maps(clean.scenes, images, **options, **out)

@@ -31,6 +31,7 @@ def written(stack, tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.extended
 def test_a_data_set_read_piece_by_piece(written):
     """The same bits as with all of it in memory, saturated samples left out."""
     limits = {"min_cosine": 0.3, "min_facing": 0.88}

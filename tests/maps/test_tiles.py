@@ -1,6 +1,7 @@
 """Tiles: the same bits however they are cut, read, interrupted or spread."""
 
 import dataclasses
+import functools
 import os
 import signal
 import subprocess
@@ -15,46 +16,60 @@ from PIL import Image
 
 import phongfit as pf
 from phongfit.files.images import to_levels, write_image
+from phongfit.maps.job import make_job
 from phongfit.maps.stacks import ArrayStack
 from tests.files.test_photographs import exif
-from tests.maps.synthetic import make_stack, same
+from tests.maps.synthetic import Stack, make_stack, same
 
 # The plumbing is the same for every fit: the fewest unknowns compile fastest.
-QUICK = {"unknowns": ("diffuse",), "film": pf.Film(clamp=False)}
-STACK = make_stack(48, 64, 4, ambient=0.0)
 SIZE = 512
+QUICK = {
+    "unknowns": ("diffuse",),
+    "film": pf.Film(clamp=False),
+    "tile_pixels": SIZE,
+}
+
+
+@functools.cache
+def stack() -> Stack:
+    """Six tiles."""
+    return make_stack(48, 64, 4, ambient=0.0)
+
+
+def fitted(images: Any = None, **options: Any) -> pf.Maps:
+    """Maps of the stack, or of other images of its scenes."""
+    images = stack().images if images is None else images
+    return pf.fit_maps(stack().scenes, images, **(QUICK | options))
 
 
 @pytest.fixture(scope="module")
 def maps() -> pf.Maps:
-    return pf.fit_maps(STACK.scenes, STACK.images, tile_pixels=SIZE, **QUICK)
+    return fitted()
 
 
 def test_tiles_of_any_size(maps):
-    same(pf.fit_maps(STACK.scenes, STACK.images, tile_pixels=2 * SIZE, **QUICK), maps)
+    same(fitted(tile_pixels=2 * SIZE), maps)
 
 
 def test_sources(maps, tmp_path):
     """Memory-mapped, a list, another memory order."""
-    np.save(tmp_path / "stack.npy", STACK.images)
+    np.save(tmp_path / "stack.npy", stack().images)
     mapped = np.load(tmp_path / "stack.npy", mmap_mode="r")
-    turned = [np.asfortranarray(image) for image in STACK.images]
-    for images in (mapped, list(STACK.images), turned):
-        same(pf.fit_maps(STACK.scenes, images, tile_pixels=SIZE, **QUICK), maps)
+    turned = [np.asfortranarray(image) for image in stack().images]
+    for images in (mapped, list(stack().images), turned):
+        same(fitted(images), maps)
 
 
+@pytest.mark.extended
 def test_photographs_one_at_a_time(tmp_path):
     paths = [tmp_path / f"{k}.png" for k in range(4)]
-    for path, image in zip(paths, STACK.images, strict=True):
+    for path, image in zip(paths, stack().images, strict=True):
         write_image(path, image, "linear", 16)
-    stack = pf.PhotographStack(paths, "linear")
+    photographs = pf.PhotographStack(paths, "linear")
     read = [pf.read_image(path, "linear") for path in paths]
-    found, expected = (
-        pf.fit_maps(STACK.scenes, images, tile_pixels=SIZE, **QUICK)
-        for images in (stack, read)
-    )
+    found, expected = (fitted(images) for images in (photographs, read))
     same(found, expected)
-    assert stack.itemsize == 2
+    assert photographs.itemsize == 2
     with pytest.raises(ValueError, match="gone.png"):
         pf.PhotographStack([tmp_path / "gone.png"], "linear")
 
@@ -66,12 +81,12 @@ def test_exposures_that_differ_come_to_the_light_of_the_shortest(tmp_path):
         levels = np.round(255 * np.clip(2 * time * light, 0, 1)).astype(np.uint8)
         Image.fromarray(levels).save(tmp_path / name, exif=exif(time=time))
     paths = [tmp_path / "1.png", tmp_path / "2.png"]
-    stack = pf.PhotographStack(paths, "linear")
-    assert stack.notes == (
+    photographs = pf.PhotographStack(paths, "linear")
+    assert photographs.notes == (
         "1.png 0.5 s, 2.png 1 s: brought to common light, to some 5 %, as cameras "
         "state rounded numbers",
     )
-    taken = stack.take(np.arange(24), [0, 1])
+    taken = photographs.take(np.arange(24), [0, 1])
     hidden = np.ma.getmaskarray(taken)
     # The lamp of the longer one is cut off at white.
     assert hidden[1, 0].all() and hidden.sum() == 3
@@ -82,21 +97,19 @@ def test_exposures_that_differ_come_to_the_light_of_the_shortest(tmp_path):
         pf.PhotographStack(paths, "linear")
 
 
+@pytest.mark.extended
 def test_each_exposure_has_a_table_of_its_own(tmp_path):
     """Samples of 8 bits are fitted as their light is, to the last bit."""
     paths = [tmp_path / f"{k}.png" for k in range(4)]
-    for k, (path, image) in enumerate(zip(paths, STACK.images, strict=True)):
+    for k, (path, image) in enumerate(zip(paths, stack().images, strict=True)):
         levels = to_levels(image / 2 * (1 + k % 2), "srgb", 8)
         Image.fromarray(levels).save(path, exif=exif(time=0.5 * (1 + k % 2)))
-    stack = pf.PhotographStack(paths, "srgb")
-    light = stack.take(np.arange(48 * 64), range(4)).reshape(4, 48, 64, 3)
-    coded = stack.take_coded(np.arange(5), [3, 0])
+    photographs = pf.PhotographStack(paths, "srgb")
+    light = photographs.take(np.arange(48 * 64), range(4)).reshape(4, 48, 64, 3)
+    coded = photographs.take_coded(np.arange(5), [3, 0])
     assert coded.table is not None
     assert coded.numbers.dtype == np.uint8 and coded.table.shape == (2, 256)
-    found, expected = (
-        pf.fit_maps(STACK.scenes, images, tile_pixels=SIZE, **QUICK)
-        for images in (stack, light)
-    )
+    found, expected = (fitted(images) for images in (photographs, light))
     same(found, expected)
     assert found.identified.any()
 
@@ -114,67 +127,64 @@ def test_a_stack_that_breaks_and_finished_tiles_stay(tmp_path):
             return super().take(pixels, order)
 
     out = tmp_path / "out"
-    options = QUICK | {"tile_pixels": SIZE, "output": out}
     with pytest.raises(ValueError, match=r"2\.png: cannot be read"):
-        pf.fit_maps(STACK.scenes, Breaking(STACK.images), **options)
+        fitted(Breaking(stack().images), output=out)
     done = sorted(out.glob("tile_*.npz"))
     assert len(done) == 2
     stamps = [path.stat().st_mtime_ns for path in done]
-    found = pf.fit_maps(STACK.scenes, STACK.images, **options)
+    found = fitted(output=out)
     assert [path.stat().st_mtime_ns for path in done] == stamps
-    expected = pf.fit_maps(STACK.scenes, STACK.images, **QUICK, tile_pixels=SIZE)
+    expected = fitted()
     same(found, expected)
 
 
 def test_a_broken_tile_is_done_again(maps, tmp_path):
-    options = QUICK | {"tile_pixels": SIZE, "output": tmp_path / "out"}
-    pf.fit_maps(STACK.scenes, STACK.images, **options)
-    path = tmp_path / "out" / "tile_000001.npz"
+    out = tmp_path / "out"
+    fitted(output=out)
+    path = out / "tile_000001.npz"
     path.write_bytes(path.read_bytes()[:1000])
-    same(pf.fit_maps(STACK.scenes, STACK.images, **options), maps)
+    same(fitted(output=out), maps)
 
 
 def test_a_tile_that_is_another_or_blank_is_done_again(maps, tmp_path):
     out = tmp_path / "out"
-    options = QUICK | {"tile_pixels": SIZE, "output": out}
-    pf.fit_maps(STACK.scenes, STACK.images, **options)
+    fitted(output=out)
     tiles = [out / f"tile_{k:06d}.npz" for k in range(3)]
     tiles[0].write_bytes(tiles[1].read_bytes())
     with np.load(tiles[2]) as arrays:
         blank = {name: np.zeros_like(arrays[name]) for name in arrays}
     np.savez(tiles[2], allow_pickle=False, **blank)
-    same(pf.fit_maps(STACK.scenes, STACK.images, **options), maps)
+    same(fitted(output=out), maps)
 
 
 @pytest.mark.parametrize("text", ["[]", "7", "{", '{"a": 1, "a": 1}'])
 def test_a_broken_manifest(tmp_path, text):
     (tmp_path / "maps.json").write_text(text)
-    options = QUICK | {"tile_pixels": SIZE, "output": tmp_path}
+    out = tmp_path
     with pytest.raises(ValueError, match=r"^output: .*(another job|is no JSON|once)"):
-        pf.fit_maps(STACK.scenes, STACK.images, **options)
+        fitted(output=out)
 
 
+@pytest.mark.extended
 def test_photographs_that_change_meanwhile_do_not_matter(tmp_path):
     paths = [tmp_path / f"{k}.png" for k in range(4)]
-    for path, image in zip(paths, STACK.images, strict=True):
+    for path, image in zip(paths, stack().images, strict=True):
         write_image(path, image, "linear", 16)
     before = pf.PhotographStack(paths, "linear")
     read = [pf.read_image(path, "linear") for path in paths]
-    write_image(paths[1], STACK.images[2], "linear", 16)
+    write_image(paths[1], stack().images[2], "linear", 16)
     paths[2].unlink()
-    found, expected = (
-        pf.fit_maps(STACK.scenes, images, tile_pixels=SIZE, **QUICK)
-        for images in (before, read)
-    )
+    found, expected = (fitted(images) for images in (before, read))
     same(found, expected)
 
 
+@pytest.mark.extended
 def test_masked_arrays_keep_their_masks(maps):
-    hidden = np.zeros(STACK.images.shape, bool)
+    hidden = np.zeros(stack().images.shape, bool)
     hidden[0, :, ::2] = True
-    spoilt = np.where(hidden, 0.9, STACK.images)
+    spoilt = np.where(hidden, 0.9, stack().images)
     found, wanted = (
-        pf.fit_maps(STACK.scenes, images, tile_pixels=SIZE, mask=mask, **QUICK)
+        fitted(images, mask=mask)
         for images, mask in (
             (np.ma.MaskedArray(spoilt, hidden), None),
             (spoilt, list(~hidden)),
@@ -184,27 +194,35 @@ def test_masked_arrays_keep_their_masks(maps):
 
 
 def test_another_job_is_refused(tmp_path):
-    options = QUICK | {"tile_pixels": SIZE, "output": tmp_path / "out"}
-    pf.fit_maps(STACK.scenes, STACK.images, **options)
+    out = tmp_path / "out"
+    fitted(output=out)
     with pytest.raises(ValueError, match="another job .*images differs"):
-        pf.fit_maps(STACK.scenes, STACK.images * 2, **options)
+        fitted(2 * stack().images, output=out)
     with pytest.raises(ValueError, match="another job .*settings differs"):
-        pf.fit_maps(STACK.scenes, STACK.images, **options, min_cosine=0.1)
+        fitted(output=out, min_cosine=0.1)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "a.txt").write_text("a")
     with pytest.raises(ValueError, match="other files"):
-        pf.fit_maps(
-            STACK.scenes, STACK.images, **options | {"output": tmp_path / "full"}
-        )
+        fitted(output=tmp_path / "full")
+
+
+def test_other_noise_is_another_job():
+    """How large it is, not only whether it is known."""
+    images = ArrayStack(stack().images)
+    one, other = (
+        make_job(stack().scenes, images, noise=np.full((48, 64), level)).identify()
+        for level in (0.01, 0.02)
+    )
+    assert {name for name in one if one[name] != other[name]} == {"noise"}
 
 
 def test_saved_and_loaded(maps, tmp_path):
     maps.save(tmp_path / "maps.npz")
     read = pf.load_maps(tmp_path / "maps.npz")
     same(read, maps)
-    assert eqx.tree_equal(read.camera, STACK.scenes[0].camera)
+    assert eqx.tree_equal(read.camera, stack().scenes[0].camera)
     assert eqx.tree_equal(read.specular_model, pf.BlinnPhong())
-    normals = np.asarray(STACK.scenes[0].trace().normal)
+    normals = np.asarray(stack().scenes[0].trace().normal)
     np.testing.assert_allclose(read.normals, normals, atol=1e-6)
     # Normals that were given are known; a normal map does not know how far it is.
     assert not read.normals_stderr.any() and np.isnan(read.depth).all()
@@ -287,11 +305,12 @@ def test_a_camera_that_files_do_not_know(maps, tmp_path):
     assert read.camera is None and read.specular_model is not None
 
 
+@pytest.mark.extended
 def test_shape_in_the_axes_of_the_camera():
     """A sphere before a turned camera: normals and depth as the camera has them."""
     camera = pf.PerspectiveCamera.look_at((4, 0, 3), width=64, height=48, fov_y=30.0)
-    scenes = [pf.Scene(pf.Sphere(), camera, s.lights) for s in STACK.scenes]
-    maps = pf.fit_maps(scenes, STACK.images, **QUICK)
+    scenes = [pf.Scene(pf.Sphere(), camera, s.lights) for s in stack().scenes]
+    maps = pf.fit_maps(scenes, stack().images, **QUICK)
     seen = maps.normals.any(axis=-1)
     np.testing.assert_array_equal(seen, ~maps.flagged(pf.Flag.OUTSIDE))
     np.testing.assert_array_equal(np.isfinite(maps.depth), seen)
@@ -310,8 +329,9 @@ import sys
 from pathlib import Path
 
 import phongfit as pf
+from phongfit.maps.job import make_job
 from phongfit.maps.stacks import ArrayStack
-from tests.maps.test_tiles import QUICK, SIZE, STACK
+from tests.maps.test_tiles import fitted, stack
 
 out, file, last = sys.argv[1:]
 
@@ -334,9 +354,8 @@ class Killed(pf.AbstractStack):
         return self.inner.take(pixels, order)
 
 
-stack = Killed(ArrayStack(STACK.images))
-maps = pf.fit_maps(STACK.scenes, stack, tile_pixels=SIZE, output=out or None, **QUICK)
-maps.save(file)
+images = Killed(ArrayStack(stack().images))
+fitted(images, output=out or None).save(file)
 """
 
 
@@ -349,6 +368,7 @@ def run(*arguments: str, **environment: str) -> int:
     ).returncode
 
 
+@pytest.mark.extended
 def test_killed_and_run_again(maps, tmp_path):
     """kill -9 in the middle: the second run ends with the bits of a quiet one."""
     out, file = tmp_path / "out", tmp_path / "maps.npz"
@@ -359,6 +379,7 @@ def test_killed_and_run_again(maps, tmp_path):
     same(pf.load_maps(file), maps)
 
 
+@pytest.mark.extended
 def test_four_devices_give_what_one_gives(maps, tmp_path):
     file = tmp_path / "maps.npz"
     flags = "--xla_force_host_platform_device_count=4"

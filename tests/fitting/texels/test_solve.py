@@ -45,7 +45,7 @@ def test_systems_are_solved():
     near(solved[free], np.linalg.solve(inner, right[free]), 1e-6)
 
 
-@pytest.mark.parametrize("parameters", [1, 2])
+@pytest.mark.parametrize("parameters", [1, pytest.param(2, marks=pytest.mark.extended)])
 def test_variances_are_those_of_the_inverse(parameters, monkeypatch):
     whole = matrix(parameters)
     exact = np.diag(np.linalg.inv(whole.toarray()))

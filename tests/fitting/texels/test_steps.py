@@ -11,46 +11,30 @@ from phongfit.fitting.texels import equations, steps
 from phongfit.fitting.texels.job import State
 from phongfit.fitting.texels.solve import Preconditioned
 from phongfit.fitting.texels.stencil import Stencil
-from tests.fitting.test_texture_fit import CAMERA, SIZE, photographs
+from tests.fitting.texels.checkers import (
+    DIFFUSE,
+    EXPONENT,
+    INSIDE,
+    SPECULAR,
+    painted,
+    scenes,
+    unit,
+)
+from tests.fitting.texels.scenes import SIZE, photographs, plate
 from tests.helpers import near
-from tests.test_textures import plate
 
-RNG = np.random.default_rng(0)
-CHECKS = (np.indices(SIZE) // 3).sum(axis=0)[..., None] % 2
-EXPONENT = np.where(CHECKS, 80.0, 20.0)
-DIFFUSE = RNG.uniform(0.1, 0.6, (*SIZE, 3))
-SPECULAR = np.repeat(RNG.uniform(0.3, 0.5, (*SIZE, 1)), 3, axis=-1)
-# Matte, where only texels beside it have a highlight.
-SPECULAR[3:9, 3:9] = 0
-INSIDE = np.zeros(SIZE, bool)
-INSIDE[4:8, 4:8] = True
-ASIDE = pf.PerspectiveCamera.look_at((-0.8, 0.6, 3.8), width=32, height=32, fov_y=32)
-UNIT = pf.Material(1.0, 1.0, 1.0, 0.0)
 ALL = ("diffuse", "specular", "shininess")
-BARE = pf.Material(0.0, 0.0, 32.0, 0.0)
 
 
-def scenes(count: int = 12, mesh=None) -> list[pf.Scene]:
-    """Lamps from near the mirror direction to far from it, seen from two places."""
-    aside = 0.05 + 0.75 * (np.arange(count) + 0.5) / count
-    angle = 2.4 * np.arange(count)
-    lamps = np.stack([aside * np.cos(angle), aside * np.sin(angle), np.ones(count)], 1)
-    mesh = plate() if mesh is None else mesh
-    return [
-        pf.Scene(mesh, (CAMERA, ASIDE)[k % 2], pf.DirectionalLight(lamp))
-        for k, lamp in enumerate(lamps)
-    ]
-
-
-def painted(count: int = 12, **textures) -> list[pf.Scene]:
-    named = {name: pf.Texture(values) for name, values in textures.items()}
-    return scenes(count, plate(pf.Textures(**named)))
+def bare() -> pf.Material:
+    """Of which nothing is known."""
+    return pf.Material(0.0, 0.0, 32.0, 0.0)
 
 
 def fitted(count: int = 12, noise: float = 0.01, **options) -> pf.TextureFit:
     truth = painted(count, diffuse=DIFFUSE, specular=SPECULAR, shininess=EXPONENT)
-    images = photographs(truth, UNIT, noise)
-    given = {"textures": ALL, "unknowns": (), "known": BARE}
+    images = photographs(truth, unit(), noise)
+    given = {"textures": ALL, "unknowns": (), "known": bare()}
     return pf.fit_texture(scenes(count), images, size=SIZE, **(given | options))
 
 
@@ -94,15 +78,16 @@ def test_checkered_exponents(fit):
 
 def test_what_was_found_is_a_scene(fit):
     truth = painted(diffuse=DIFFUSE, specular=SPECULAR, shininess=EXPONENT)
-    for bare, true in list(zip(scenes(), truth, strict=True))[:4]:
-        again = pf.render(fit.scene(bare), fit.material)
-        near(np.asarray(again), np.asarray(pf.render(true, UNIT)), 0.04)
+    for plain, true in list(zip(scenes(), truth, strict=True))[:4]:
+        again = pf.render(fit.scene(plain), fit.material)
+        near(np.asarray(again), np.asarray(pf.render(true, unit())), 0.04)
     # What is not identified is filled from the nearest that is.
     filled = fit.filled("shininess")[0, ..., 0]
     known = np.isfinite(fit.stderr["shininess"][0, ..., 0])
     assert np.isin(filled[~known], filled[known]).all()
 
 
+@pytest.mark.extended
 def test_no_step_costs_more(monkeypatch):
     costs, taken = [], []
 
@@ -175,8 +160,9 @@ def test_a_stencil_is_the_matrix(monkeypatch):
     """With units, damping and what is expected between neighbours."""
     job, start, sigma = job_of(monkeypatch, smoothness=0.5)
     sums = equations.sum_up(job, start, sigma)
-    damping = RNG.uniform(0, 1, job.grid.texels)
-    right = RNG.normal(size=(len(sums.right[0]), 1))
+    rng = np.random.default_rng(0)
+    damping = rng.uniform(0, 1, job.grid.texels)
+    right = rng.normal(size=(len(sums.right[0]), 1))
     matrix = equations.make_matrix(job, sums, 0, damping)
     assert isinstance(matrix, Preconditioned)
     monkeypatch.setattr(equations, "DIRECT", 0)
@@ -203,7 +189,7 @@ def test_exponents_alone_beside_numbers_of_each_material():
         textures=("shininess",),
         unknowns=("diffuse", "specular"),
         per_channel=("diffuse",),
-        known=BARE,
+        known=bare(),
     )
     assert fit.converged, fit
     for one, true in zip(fit.shared, (*diffuse, specular), strict=True):
@@ -212,6 +198,7 @@ def test_exponents_alone_beside_numbers_of_each_material():
     assert len(found) > 130 and 0.85 < np.sqrt(np.mean(found**2)) < 1.15
 
 
+@pytest.mark.extended
 def test_exponents_of_each_material():
     true = [np.full((*SIZE, 1), f) for f in (15.0, 150.0)]
     mesh = plate(
@@ -236,11 +223,11 @@ def test_exponents_of_each_material():
 
 def test_what_exponents_do_not_go_with():
     images = np.zeros((2, 32, 32, 3))
-    bare = [
+    shaded = [
         dataclasses.replace(scene, shading=pf.GouraudShading()) for scene in scenes(2)
     ]
-    given = {"size": SIZE, "textures": ("shininess",), "known": BARE}
+    given = {"size": SIZE, "textures": ("shininess",), "known": bare()}
     with pytest.raises(ValueError, match="exponent needs Phong shading, got Gouraud"):
-        pf.fit_texture(bare, images, unknowns=(), **given)
+        pf.fit_texture(shaded, images, unknowns=(), **given)
     with pytest.raises(ValueError, match="unknowns: shininess has a texture"):
         pf.fit_texture(scenes(2), images, unknowns=("shininess",), **given)

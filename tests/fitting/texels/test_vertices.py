@@ -1,7 +1,6 @@
 """Numbers at vertices: their sums, and fits of them against the truth."""
 
 import dataclasses
-import functools
 from typing import Any
 
 import jax.numpy as jnp
@@ -19,7 +18,9 @@ from phongfit.fitting.texels.solve import inverse_diagonal, precondition
 from phongfit.fitting.texels.sums import Touched
 from phongfit.fitting.texels.vertices import RINGS, Vertices
 from phongfit.geometry.surfaces import GBuffer
-from tests.fitting.test_texture_fit import photographs
+from tests.fitting.texels import ball
+from tests.fitting.texels.ball import BALL, NOISE, TRUE, painted, scenes
+from tests.fitting.texels.scenes import photographs, shiny
 from tests.fitting.texels.test_sums import check_differences, dense, products
 from tests.helpers import floats, near
 
@@ -122,45 +123,15 @@ def test_variances_are_those_of_the_inverse(monkeypatch):
     assert np.quantile(abs(ratio - 1), 0.9) < 0.1
 
 
-BALL = trimesh.creation.icosphere(2)
-BARE = pf.Mesh(BALL.vertices, BALL.faces)
-TRUE = np.random.default_rng(0).uniform(0.1, 0.8, (len(BALL.vertices), 3))
-VIEWS = ((0, 0, 4), (3.5, 0, -2), (-3, 1, -2.5))
-LAMPS = ((1, 1, 0), (-1, 0.5, 0.5), (0.3, -1.5, 1))
-NOISE = 0.01
-SHINY = pf.Material(1.0, 0.3, 20.0, 0.0)
-
-
-def scenes(mesh: pf.Mesh = BARE) -> list[pf.Scene]:
-    """A ball from three sides, under three lamps each."""
-    return [
-        pf.Scene(
-            mesh,
-            pf.PerspectiveCamera.look_at(view, width=32, height=32, fov_y=32),
-            pf.DirectionalLight(np.array(view) + lamp),
-            ambient=0.1,
-        )
-        for view in VIEWS
-        for lamp in LAMPS
-    ]
-
-
-def painted(**rows) -> list[pf.Scene]:
-    named: Any = {name: pf.VertexColours(values) for name, values in rows.items()}
-    return scenes(BARE.with_textures(pf.Textures(**named)))
-
-
-@functools.cache
+@pytest.fixture(scope="module")
 def images() -> list[np.ndarray]:
-    """Photographs of the painted ball."""
-    return photographs(painted(diffuse=TRUE), SHINY, NOISE)
+    return ball.images()
 
 
-ASKED: dict[str, Any] = {
-    "size": "vertices",
-    "per_channel": (),
-    "known": pf.Material(ambient=0.0),
-}
+def fitted(scene, image, **options) -> pf.TextureFit:
+    known = pf.Material(ambient=0.0)
+    given: Any = {"size": "vertices", "per_channel": (), "known": known}
+    return pf.fit_texture(scene, image, **(given | options))
 
 
 def pulls(fit: pf.TextureFit, true=TRUE) -> np.ndarray:
@@ -171,8 +142,8 @@ def pulls(fit: pf.TextureFit, true=TRUE) -> np.ndarray:
     return ((fit.values["diffuse"][0] - true) / errors)[told]
 
 
-def test_numbers_at_vertices_and_a_shared_highlight(tmp_path):
-    fit = pf.fit_texture(scenes(), images(), **ASKED)
+def test_numbers_at_vertices_and_a_shared_highlight(images, tmp_path):
+    fit = fitted(scenes(), images)
     assert fit.converged and not fit.warnings, fit
     assert fit.values["diffuse"].shape == (1, *TRUE.shape)
     assert 0.9 < np.sqrt(np.mean(pulls(fit) ** 2)) < 1.1
@@ -183,7 +154,7 @@ def test_numbers_at_vertices_and_a_shared_highlight(tmp_path):
     # What was found is a scene again, and a file.
     found = fit.scene(scenes()[0])
     assert isinstance(found.surface, pf.Mesh)
-    truth = np.asarray(pf.render(painted(diffuse=TRUE)[0], SHINY))
+    truth = np.asarray(pf.render(painted(diffuse=TRUE)[0], shiny()))
     image = np.asarray(pf.render(found, fit.material))
     assert np.sqrt(np.mean((image - truth) ** 2)) < NOISE
     for suffix in ("glb", "obj"):
@@ -193,9 +164,9 @@ def test_numbers_at_vertices_and_a_shared_highlight(tmp_path):
         near(again, image, 1e-4)
 
 
-def test_vertices_that_nothing_sees():
+def test_vertices_that_nothing_sees(images):
     """One photograph: the far side is marked, and filled for others alone."""
-    fit = pf.fit_texture(scenes()[0], images()[0], **{**ASKED, "unknowns": ()})
+    fit = fitted(scenes()[0], images[0], unknowns=())
     errors, seen = fit.stderr["diffuse"][0], fit.seen[0]
     far = np.asarray(BALL.vertices)[:, 2] < -0.2
     assert (seen[far] == 0).all() and np.isinf(errors[seen == 0]).all()
@@ -207,37 +178,20 @@ def test_vertices_that_nothing_sees():
     assert filled[back, 0] in filled[told & (apart < apart[told].min() + 1e-6), 0]
 
 
-def test_two_parameters_and_a_smoothness():
-    strong = np.repeat(0.3 + 0.1 * np.asarray(BALL.vertices)[:, :1], 3, axis=1)
-    light = photographs(
-        painted(diffuse=TRUE, specular=strong), pf.Material(1.0, 1.0, 20.0, 0.0), 0.002
-    )
-    asked = ASKED | {"textures": ("diffuse", "specular"), "unknowns": ("shininess",)}
-    fit = pf.fit_texture(scenes(), light, **asked)
-    assert 0.9 < np.sqrt(np.mean(pulls(fit) ** 2)) < 1.1
-    errors = fit.stderr["specular"][0]
-    told = np.isfinite(errors)
-    away = ((fit.values["specular"][0] - strong) / errors)[told]
-    assert told.mean() > 0.5 and 0.8 < np.sqrt(np.mean(away**2)) < 1.2
-    drawn = pf.fit_texture(scenes(), light, **asked, smoothness=0.1)
-    assert (drawn.stderr["specular"][0][told] <= 1.01 * errors[told]).all()
-
-
-@pytest.mark.parametrize("normalized", [False, True])
-def test_exponents_of_vertices_by_way_of_files(normalized, tmp_path):
+@pytest.mark.extended
+def test_exponents_of_vertices_by_way_of_files(tmp_path):
     """Half of the ball is sharper; a mesh file looks as the photographs do."""
     right = np.asarray(BALL.vertices)[:, :1] > 0
-    f, model = np.where(right, 30.0, 12.0), pf.BlinnPhong(normalized=normalized)
-    rho = np.full(TRUE.shape, 0.04 if normalized else 0.4)
+    f, model = np.where(right, 30.0, 12.0), pf.BlinnPhong(normalized=True)
+    rho = np.full(TRUE.shape, 0.04)
     views = [
         dataclasses.replace(one, specular_model=model)
         for one in painted(diffuse=TRUE, specular=rho, shininess=f)
     ]
-    bare = [dataclasses.replace(one, surface=BARE) for one in views]
+    bare = [dataclasses.replace(one, surface=ball.bare()) for one in views]
     light = photographs(views, pf.Material(1.0, 1.0, 1.0, 0.0), 0.0)
     names = ("diffuse", "specular", "shininess")
-    asked = ASKED | {"textures": names, "unknowns": ()}
-    fit = pf.fit_texture(bare, light, **asked)
+    fit = fitted(bare, light, textures=names, unknowns=())
     errors = fit.stderr["shininess"][0]
     assert errors.shape == f.shape and np.isfinite(errors).mean() > 0.5
     data = DataRecord(name="ball", reading=DataSettings(), inputs={})
@@ -247,25 +201,6 @@ def test_exponents_of_vertices_by_way_of_files(normalized, tmp_path):
         scene = pf.Scene(mesh, view.camera, view.lights)
         image = np.asarray(pf.render(scene, material))
         assert np.sqrt(np.mean((image - np.clip(seen, 0, 1)) ** 2)) < 0.005
-
-
-def test_each_material_has_numbers_of_its_own():
-    index = (np.asarray(BALL.triangles_center)[:, 0] > 0).astype(int)
-    bare = pf.Mesh(BALL.vertices, BALL.faces, None, index)
-    both = TRUE, 1 - TRUE
-    each = [pf.Textures(diffuse=pf.VertexColours(one)) for one in both]
-    light = photographs(scenes(bare.with_textures(each)), SHINY, 0.001)
-    known = {"unknowns": (), "known": SHINY}
-    fit = pf.fit_texture(scenes(bare), light, **{**ASKED, **known}, separate=True)
-    for layer, true in enumerate(both):
-        errors = fit.stderr["diffuse"][layer]
-        told = np.isfinite(errors)
-        # A half, and the border that both share.
-        assert 0.4 < told.mean() < 0.7
-        away = ((fit.values["diffuse"][layer] - true) / errors)[told]
-        assert np.sqrt(np.mean(away**2)) < 1.2
-    image = pf.render(fit.scene(scenes(bare)[0]), fit.material)
-    near(np.asarray(image), np.clip(light[0], 0, 1), 0.02)
 
 
 @pytest.mark.parametrize(

@@ -47,26 +47,44 @@ def check_truth(hidden: Hidden, maps: pf.Maps, shared: tuple) -> None:
 
 
 @pytest.fixture(scope="module")
-def two() -> Hidden:
-    return hide(lights=12, shared=BLINN[:2])
+def one() -> Hidden:
+    return hide(lights=12, shared=BLINN[2:3])
 
 
 @pytest.fixture(scope="module")
-def maps(two: Hidden, tmp_path_factory) -> pf.Maps:
-    return found(two, output=tmp_path_factory.mktemp("two") / "tiles")
+def maps(one: Hidden, tmp_path_factory) -> pf.Maps:
+    return found(one, materials=1, output=tmp_path_factory.mktemp("one") / "tiles")
 
 
-def test_two_materials(two, maps):
-    check_truth(two, maps, BLINN[:2])
-    # Which is which, of 384 pixels under 12 lamps, and all that follows from it.
-    right = abs(maps.specular - two.truth.specular) < 0.05
-    assert right.mean() > 0.97
-    assert two.angles(maps).mean() < 0.45
-    assert maps.materials is not None
-    assert maps.materials.criterion.argmin() == 1
-    assert "materials by BIC" in str(maps)
-    told = maps.materials.weights_stderr.max(axis=-1) < 0.22
-    np.testing.assert_array_equal(told, ~maps.flagged(pf.Flag.SEVERAL_MATERIALS))
+def test_one_for_all(one, maps):
+    """A number that is given is believed; the criterion tells of what it leaves."""
+    check_truth(one, maps, BLINN[2:3])
+    assert one.angles(maps).mean() < 0.5
+    np.testing.assert_allclose(np.linalg.norm(maps.normals, axis=-1), 1, rtol=1e-5)
+    assert maps.materials is not None and maps.materials.weights.min() == 1
+    assert np.ptp(maps.shininess) == 0
+
+
+def test_bad_samples_are_marked_and_disturb_none(one, maps):
+    """NaN, what no lamp reaches, what is masked."""
+    images = one.images.copy()
+    images[3, 0, 0, 1] = np.nan
+    images[:, 2, 3] = 0
+    mask = np.ones((16, 24), bool)
+    mask[12:14] = mask[:, 20] = False
+    seen = found(one._replace(images=images), materials=1, mask=mask)
+    assert seen.flagged(pf.Flag.NOT_FINITE)[0, 0] and seen.samples[0, 0] == 35
+    assert seen.flagged(pf.Flag.BLACK)[2, 3] and not seen.identified[2, 3]
+    assert np.isinf(seen.normals_stderr[2, 3])
+    assert np.isinf(seen.stderr.diffuse[2, 3]).all()
+    assert (seen.flags[~mask] == pf.Flag.OUTSIDE).all()
+    assert not seen.normals[~mask].any() and np.isinf(seen.normals_stderr[~mask]).all()
+    calm = mask.copy()
+    calm[[0, 2], [0, 3]] = False
+    # The material is found without them, too, and moves the others by little.
+    moved = np.abs(seen.diffuse - maps.diffuse) / maps.stderr.diffuse
+    assert np.median(moved[calm]) < 0.1
+    assert one.angles(seen)[calm].mean() < 0.5
 
 
 def test_more_than_there_are_is_a_warning(maps):
@@ -97,48 +115,64 @@ def test_lobes_that_stand_for_matte_light_are_a_warning(maps):
     assert dataclasses.replace(with_lobes(6.0), materials=maps.materials).warnings == ()
 
 
-def test_they_are_kept(two, maps, tmp_path):
+def test_they_are_kept(one, maps, tmp_path):
     maps.save(tmp_path / "maps.npz")
     again = pf.load_maps(tmp_path / "maps.npz")
+    for name in ("normals", "normals_stderr"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(maps, name))
     assert maps.materials is not None and again.materials is not None
     for name in ("specular", "stderr_shininess", "weights", "criterion"):
         ours = getattr(again.materials, name)
         np.testing.assert_array_equal(ours, getattr(maps.materials, name))
-    assert again.materials.sample == maps.materials.sample == two.images[0, ..., 0].size
+    assert again.materials.sample == maps.materials.sample == one.images[0, ..., 0].size
     # As a folder: the record says what they are, and by how much.
-    data = DataRecord(name="two", reading=DataSettings(), inputs={})
+    data = DataRecord(name="one", reading=DataSettings(), inputs={})
     save_folder(
         tmp_path,
         maps,
         data=data,
-        settings=MapSettings(normals="fit", materials="auto"),
+        settings=MapSettings(normals="fit", materials=1),
         model=pf.BlinnPhong(),
         encoding="linear",
     )
     _, record, _ = load_folder(tmp_path)
-    assert record.settings.materials == "auto"
+    assert record.settings.materials == 1
     assert record.materials is not None and record.criterion is not None
-    assert [one.shininess for one in record.materials] == list(maps.materials.shininess)
-    assert len(record.criterion) == 4
-    # A run that goes on has the same materials; of another number it is another job.
+    assert [x.shininess for x in record.materials] == list(maps.materials.shininess)
+    assert len(record.criterion) == 1
+
+
+def test_a_run_that_goes_on_has_the_same_materials(one, maps, tmp_path):
+    """Of another number it is another job."""
     folder = tmp_path / "tiles"
-    first = found(two, output=folder, materials=1)
-    for path in folder.glob("tile_000000.npz"):
-        path.unlink()
-    second = found(two, output=folder, materials=1)
+    first = found(one, output=folder, materials=1)
+    np.testing.assert_array_equal(first.normals, maps.normals)
+    (folder / "tile_000000.npz").unlink()
+    second = found(one, output=folder, materials=1)
     np.testing.assert_array_equal(first.normals, second.normals)
     with pytest.raises(ValueError, match="tiles of another job"):
-        found(two, output=folder, materials=2)
+        found(one, output=folder, materials=2)
 
 
-def test_one_for_all(two):
-    """A number that is given is believed; the criterion tells of what it leaves."""
-    one = hide(lights=12, shared=BLINN[2:3])
-    maps = found(one, materials=1)
-    check_truth(one, maps, BLINN[2:3])
-    assert maps.materials is not None and maps.materials.weights.min() == 1
-    assert np.ptp(maps.shininess) == 0
-    # Matte pixels are a material as well, and show no exponent.
+@pytest.mark.extended
+def test_two_materials():
+    two = hide(lights=12, shared=BLINN[:2])
+    maps = found(two)
+    check_truth(two, maps, BLINN[:2])
+    # Which is which, of 384 pixels under 12 lamps, and all that follows from it.
+    right = abs(maps.specular - two.truth.specular) < 0.05
+    assert right.mean() > 0.97
+    assert two.angles(maps).mean() < 0.45
+    assert maps.materials is not None
+    assert maps.materials.criterion.argmin() == 1
+    assert len(maps.materials.criterion) == 4
+    assert "materials by BIC" in str(maps)
+    told = maps.materials.weights_stderr.max(axis=-1) < 0.22
+    np.testing.assert_array_equal(told, ~maps.flagged(pf.Flag.SEVERAL_MATERIALS))
+
+
+@pytest.mark.extended
+def test_matte_pixels_are_a_material_and_show_no_exponent():
     matte = found(hide(lights=12, shared=((0.0, 10.0), BLINN[1])), materials=2)
     assert matte.materials is not None
     dim = int(matte.materials.specular[:, 0].argmin())
@@ -157,10 +191,10 @@ def test_one_for_all(two):
         ({"start": pf.Material(0.2, 0.2, 9.0)}, "materials: expected it or start"),
     ],
 )
-def test_wrong_arguments_are_named(two, options, words):
+def test_wrong_arguments_are_named(one, options, words):
     given = {"materials": 2, "normals": "fit"} | options
     with pytest.raises(ValueError, match=words):
-        pf.fit_maps(two.scenes, two.images, **given)
+        pf.fit_maps(one.scenes, one.images, **given)
 
 
 @pytest.mark.slow

@@ -16,7 +16,9 @@ from phongfit.maps.pixel.settings import MapSettings
 from tests.maps.synthetic import dtype
 
 
-@pytest.mark.parametrize("one_specular", [False, True])
+@pytest.mark.parametrize(
+    "one_specular", [pytest.param(False, marks=pytest.mark.extended), True]
+)
 def test_pulls_are_half_of_the_cost_s_slope(one_specular):
     rng = np.random.default_rng(0)
     surface, camera = pf.Sphere(), pf.OrthographicCamera(2, 2)
@@ -44,6 +46,7 @@ def test_pulls_are_half_of_the_cost_s_slope(one_specular):
     )
     scale = numbers(pixels)
 
+    @jax.jit
     def sums(point: Point):
         return gather(point, samples, scale, Linear(), settings.model, which)
 

@@ -23,7 +23,7 @@ BOX = Box((0.0, 0.0), (1.0, 1.0), *SETTINGS.log_bounds)
 
 
 @jax.jit
-def errors_at(t, moved, specular=SPECULAR):
+def errors_at(t, moved, specular):
     """Of one channel, ρ_d, ρ_s and f unknown, without noise in its samples."""
     diffuse, angles = floats(COSINES[:, None, None]), floats(LOGARITHMS[:, None, None])
     one = floats(np.ones((IMAGES, 1, 1)))
@@ -39,7 +39,7 @@ STILL = np.zeros((1, 2))
 
 
 def test_errors_of_the_minimum():
-    found = errors_at(floats(np.log(EXPONENT)), floats(STILL))
+    found = errors_at(floats(np.log(EXPONENT)), floats(STILL), floats(SPECULAR))
     assert not found.moving and np.isfinite(found.exponent)
     assert np.all(np.asarray(found.reflectances) < 0.1)
 
@@ -53,7 +53,7 @@ def test_errors_of_the_minimum():
 )
 def test_what_still_moves_has_no_errors(t, moved):
     """Where the exponent has not come to rest, or weights still move reflectances."""
-    found = errors_at(floats(t), floats(moved))
+    found = errors_at(floats(t), floats(moved), floats(SPECULAR))
     assert found.moving
     assert np.isinf(found.exponent) and np.isinf(found.reflectances).all()
 

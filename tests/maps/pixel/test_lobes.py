@@ -1,5 +1,6 @@
 """Lobes of any form in a pixel: as powers where they are that, else as they are."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -30,13 +31,20 @@ class SphericalGaussian(AbstractSpecular):
 def test_powers_are_what_any_lobe_is(normalized):
     model = pf.BlinnPhong(normalized=normalized)
     cosine = floats([[-0.5, 0.0, 0.3, 0.8, 0.99, 1.0]])
-    power, any_form = PowerLobes(model), AnyLobes(model)
-    for t in (floats([[2.5]]), floats(np.log([3.0, 6.0, 12.0]))[:, None, None]):
-        seen = cosine if t.ndim == 2 else cosine[None]
-        fast, plain = (one.at(t)(one.angles(seen)) for one in (power, any_form))
+
+    @jax.jit
+    def heights(seen, t):
+        fast, plain = (
+            lobes.at(t)(lobes.angles(seen))
+            for lobes in (PowerLobes(model), AnyLobes(model))
+        )
+        return fast, plain, model.lobe(seen, jnp.exp(t))
+
+    for t in (floats([[2.5]]), floats(np.log([3.0, 6.0, 12.0])[:, None, None])):
+        fast, plain, lobe = heights(cosine if t.ndim == 2 else cosine[None], t)
         for one, other in zip(fast, plain, strict=True):
             near(one, other, 1e-5)
-        near(plain[0], model.lobe(seen, jnp.exp(t)), 1e-5)
+        near(plain[0], lobe, 1e-5)
 
 
 def test_what_is_a_power():
@@ -66,6 +74,7 @@ def test_maps(model):
         assert 0.8 < np.sqrt(np.mean(off**2)) < 1.2, (name, maps)
 
 
+@pytest.mark.extended
 def test_maps_with_the_shape_known():
     """A model's own numbers are held; the rest is linear."""
     stack = make_stack(model=pf.GGX(0.5, f0=0.5), lights=16)

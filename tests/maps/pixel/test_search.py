@@ -1,5 +1,6 @@
 """Steps of the search for an exponent."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -35,6 +36,7 @@ def test_where_a_cubic_tells_nothing_the_middle_is_tried():
     assert float(_cubic(*map(floats, (0, 0, 0, 0)))) == 0
 
 
+@jax.jit
 def refined(start, bend):
     """Two steps from `start`, of a pixel under 40 lamps whose exponent is `BEST`."""
     rng = np.random.default_rng(0)
@@ -46,15 +48,15 @@ def refined(start, bend):
     one = jnp.ones_like(light)
     columns = make_columns((diffuse,), light, one, one[:, None])
     box, edges = Box((0, 0), (1, 1), 0, 7), (floats([[0]]), floats([[7]]))
-    lobes, start = PowerLobes(BlinnPhong()), floats([[start]])
+    lobes, start = PowerLobes(BlinnPhong()), start[None, None]
     return refine_exponents(columns, lobes, logarithm, start, *edges, box, 2, bend)
 
 
 def test_a_step_too_short_to_see_leaves_the_curvature_as_it_was():
     """The difference of two slopes is rounding there: it sent pixels far away."""
     root = float(jnp.finfo(floats(0).dtype).eps ** 0.5)
-    best = float(refined(BEST, 1.0).t[0, 0])
+    best = float(refined(floats(BEST), floats(1.0)).t[0, 0])
     assert best == pytest.approx(BEST, abs=0.05)
     for moved, kept in ((3 * root, True), (1000 * root, False)):
-        bend = float(refined(best + moved, 5.0).bend[0, 0])
+        bend = float(refined(floats(best + moved), floats(5.0)).bend[0, 0])
         assert bend == 5 if kept else bend == pytest.approx(1, abs=0.3)

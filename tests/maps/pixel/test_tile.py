@@ -40,8 +40,8 @@ def test_every_pixel_gets_what_it_takes(share):
 
 def test_a_last_block_that_is_not_full_wants_nothing():
     """What fills it stands for no pixel: nothing is written for the first one."""
-    wanted = np.zeros(BLOCK)
+    wanted = np.zeros(BLOCKS * BLOCK)
     wanted[-1] = MOST
     pixel, made = efforts_of(wanted)
-    assert np.array_equal(pixel, np.arange(BLOCK))
+    assert np.array_equal(pixel, np.arange(BLOCKS * BLOCK))
     assert np.array_equal(made, wanted)
