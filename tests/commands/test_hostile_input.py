@@ -1,17 +1,16 @@
 """Broken, hostile and unlucky: one line, status 2, and nothing is left behind."""
 
-import contextlib
 import json
 import os
-import resource
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from phongfit.cli import main
+from tests.commands.conftest import full_disk
 from tests.helpers import said
 
 COMMANDS: dict[str, Callable[[Path, Path], list[str]]] = {
@@ -139,16 +138,23 @@ def _check(folder: Path, args: list[str], words: str, capsys) -> None:
     assert _tree(folder) == before
 
 
-@pytest.mark.parametrize("damage", DAMAGED_IMAGES)
-@pytest.mark.parametrize("command", READ_IMAGES)
+IMAGES = [("fit", damage) for damage in DAMAGED_IMAGES]
+IMAGES += [(command, "cut off") for command in READ_IMAGES[1:]]
+
+
+@pytest.mark.parametrize("command, damage", IMAGES)
 def test_damaged_images(copy, tmp_path, capsys, command, damage):
     harm, words = DAMAGED_IMAGES[damage]
     harm(copy)
     _check(tmp_path, COMMANDS[command](copy, tmp_path / "out"), words, capsys)
 
 
-@pytest.mark.parametrize("damage", DAMAGED_SCENES)
-@pytest.mark.parametrize("command", READ_SCENES)
+# All commands read them by the same function.
+SCENES = [("fit", damage) for damage in DAMAGED_SCENES]
+SCENES += [(command, "an unknown key") for command in READ_SCENES[1:]]
+
+
+@pytest.mark.parametrize("command, damage", SCENES)
 def test_damaged_scenes(copy, tmp_path, capsys, command, damage):
     harm, words = DAMAGED_SCENES[damage]
     harm(copy)
@@ -203,18 +209,7 @@ def test_files_that_may_not_be_read(brass, tmp_path, capsys, monkeypatch, comman
     _check(tmp_path, args, "cannot be read: Permission denied", capsys)
 
 
-@contextlib.contextmanager
-def _full_disk(size: int) -> Iterator[None]:
-    """No file can grow beyond `size` bytes."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
-@pytest.mark.parametrize("command", ["fit", "render", "float", "predict", "export"])
+@pytest.mark.parametrize("command", ["render", "float", "predict", "export"])
 def test_a_full_disk(brass, tmp_path, capsys, command):
     if command == "float":
         args = ["render", str(brass), "-o", str(tmp_path / "out.exr")]
@@ -224,27 +219,8 @@ def test_a_full_disk(brass, tmp_path, capsys, command):
     if out.suffix:
         out.write_text("old")
     before = _tree(tmp_path)
-    with _full_disk(200):
+    with full_disk(200):
         assert main(args) == 2
     err = capsys.readouterr().err
-    file = out / "fit.json" if command == "fit" else out
-    assert err.startswith(f"error: {file}: cannot be written: "), err
+    assert err.startswith(f"error: {out}: cannot be written: "), err
     assert err.count("\n") == 1 and _tree(tmp_path) == before
-
-
-def test_a_full_disk_below_maps(brass, tmp_path, capsys):
-    """What was finished before stays, for the next run."""
-    known = ["--unknowns", "diffuse", "--known", "preset:brass"]
-    args = [*COMMANDS["maps"](brass, tmp_path / "out"), *known]
-    with _full_disk(2000):
-        assert main(args) == 2
-    err = capsys.readouterr().err
-    assert "cannot be written: File too large; photographs stand there" in err
-    assert "TMPDIR" in err and not (tmp_path / "out").exists()
-    with _full_disk(6000):
-        assert main(args) == 2
-    err = capsys.readouterr().err
-    assert "tile_000000.npz: cannot be written" in err and err.count("\n") == 1
-    (tiles,) = (tmp_path / "out").iterdir()
-    assert [path.name for path in tiles.iterdir()] == ["maps.json"]
-    assert main(args) == 0

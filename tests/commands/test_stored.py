@@ -11,6 +11,7 @@ import phongfit as pf
 from phongfit.cli import main
 from phongfit.files.lp import write_lp
 from phongfit.maps.folder import load_folder
+from tests.commands.conftest import SIDE
 from tests.commands.test_maps import FEW
 from tests.maps.synthetic import same
 
@@ -22,7 +23,7 @@ def stored(copy):
     """The data set's images as a zarr array beside its scene.json."""
     data = pf.read_dataset(copy)
     images = np.stack(data.images)
-    zarr.create_array(copy / "stack.zarr", data=images, chunks=(1, 12, 12, 3))
+    zarr.create_array(copy / "stack.zarr", data=images, chunks=(1, 8, 8, 3))
     return copy / "stack.zarr"
 
 
@@ -30,13 +31,15 @@ def test_a_scene_beside_it(stored, tmp_path, capsys):
     """To a store, to a folder, and the same as from Python."""
     data = pf.read_dataset(stored.parent)
     known = pf.preset("brass")
+    images, unknowns = np.stack(data.images), ("ambient", "diffuse")
+    # As many pixels at a time as a chunk has, so that the program is the same.
     expected = pf.fit_maps(
-        data.scenes, np.stack(data.images), unknowns=("ambient", "diffuse"), known=known
+        data.scenes, images, unknowns=unknowns, known=known, tile_pixels=64
     )
     out = tmp_path / "maps.zarr"
     assert main(["maps", str(stored), "-o", str(out), *FEW]) == 0
     told = capsys.readouterr().out
-    assert told.startswith("phongfit: maps of 24 × 24 pixels") and str(out) in told
+    assert told.startswith("phongfit: maps of 16 × 16 pixels") and str(out) in told
     same(pf.StoredMaps(out).load(), expected)
     # Again: nothing is done. Others in its place want to be asked for.
     assert main(["maps", str(stored), "-o", str(out), *FEW]) == 0
@@ -52,13 +55,14 @@ def test_a_scene_beside_it(stored, tmp_path, capsys):
     assert not (folder / "tiles").exists()
 
 
+@pytest.mark.extended
 def test_photographs_to_a_store(copy, tmp_path, capsys):
     """The same maps as in a folder; samples that are masked are left out."""
-    hidden = np.full((24, 24), 255, np.uint8)
-    hidden[10:14] = 0
+    hidden = np.full((SIDE, SIDE), 255, np.uint8)
+    hidden[6:10] = 0
     Image.fromarray(hidden).save(copy / "mask.png")
     # Two by two pixels are left out of all of them: they are outside.
-    hidden[:], hidden[11:13, 11:13] = 255, 0
+    hidden[:], hidden[7:9, 7:9] = 255, 0
     Image.fromarray(hidden).save(copy / "hole.png")
     scene = json.loads((copy / "scene.json").read_text())
     for image, mask in zip(scene["images"], ("hole", "mask", "hole"), strict=True):
@@ -68,7 +72,7 @@ def test_photographs_to_a_store(copy, tmp_path, capsys):
     assert main(["maps", str(copy), "-o", str(folder), *FEW, "--no-pictures"]) == 0
     expected = load_folder(folder)[0]
     assert {6, 9} <= {*expected.samples.flat}
-    assert (expected.flags[11:13, 11:13] == pf.Flag.OUTSIDE).all()
+    assert (expected.flags[7:9, 7:9] == pf.Flag.OUTSIDE).all()
     assert main(["maps", str(copy), "-o", str(store), *FEW]) == 0
     assert str(store) in capsys.readouterr().out
     same(pf.StoredMaps(store).load(), expected)
@@ -79,6 +83,7 @@ def test_photographs_to_a_store(copy, tmp_path, capsys):
     assert "another job (its images differs)" in capsys.readouterr().err
 
 
+@pytest.mark.extended
 def test_a_ball_and_a_list_of_lights(stored, tmp_path):
     """As of a folder of the same images, but for the edges that it leaves out."""
     encoded = str(pf.read_dataset(stored.parent).film.encoding)  # pyright: ignore
@@ -86,7 +91,7 @@ def test_a_ball_and_a_list_of_lights(stored, tmp_path):
     names = sorted(path.name for path in stored.parent.glob("0*.png"))
     vectors = [(0.5, 0.2, 1), (-0.5, 0.3, 1), (0, -0.6, 1)]
     write_lp(stored.parent / "dome.lp", names, vectors)
-    words = "--sphere 12 12 10 --unknowns diffuse --min-cosine 0.1".split()
+    words = "--sphere 8 8 6.5 --unknowns diffuse --min-cosine 0.1".split()
     found = []
     for source in (stored.parent, stored):
         encoding = [] if source == stored else ["--encoding", encoded]
@@ -100,6 +105,7 @@ def test_a_ball_and_a_list_of_lights(stored, tmp_path):
     np.testing.assert_allclose(a.diffuse, b.diffuse, rtol=1e-5)
 
 
+@pytest.mark.extended
 def test_a_pinhole_and_a_list_of_lights(capture, tmp_path):
     """A plane that is not known pixel by pixel is seen along the same rays."""
     folder, _ = capture

@@ -15,6 +15,7 @@ PATHS = sorted(REFERENCES.glob("*/*.json"))
 FLAT = REFERENCES / "opengl" / "scene11.json"
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("path", PATHS, ids=lambda p: f"{p.parent.name}/{p.stem}")
 def test_agreement(path):
     agreement = compare(read_reference(path))
@@ -22,6 +23,7 @@ def test_agreement(path):
     assert (agreement.vertex_colors is None) == (path.parent.name == "povray")
 
 
+@pytest.mark.extended
 def test_by_default_those_that_come_with_the_project(capsys):
     assert run(main, []) == 0
     assert f"{len(PATHS)} of {len(PATHS)} scenes agree" in capsys.readouterr().out

@@ -171,6 +171,7 @@ def drawn(tmp_path_factory):
         return [images[name] for name in images.files]
 
 
+@pytest.mark.extended
 @needs_mesa
 @pytest.mark.parametrize("number", range(len(scenes())))
 def test_opengl_sees_what_phongfit_does(drawn, number):
@@ -188,6 +189,7 @@ def test_opengl_sees_what_phongfit_does(drawn, number):
     assert np.std(drawn[number][mask]) > 0.02, "there is something to see"
 
 
+@pytest.mark.extended
 @needs_mesa
 @pytest.mark.parametrize("number", range(len(textured_scenes())))
 def test_opengl_looks_textures_up_as_phongfit_does(drawn, number):

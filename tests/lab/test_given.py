@@ -128,6 +128,7 @@ def test_a_mesh_is_no_ball(tmp_path):
         settings_of(scene)
 
 
+@pytest.mark.extended
 def test_the_page_begins_with_the_first_and_has_a_menu(folder, browser):
     with serving(Session(64, open_given(folder, CIRCLE, None, "srgb"))) as port:
         page = browser.new_page()

@@ -7,6 +7,8 @@ import pytest
 
 from phongfit.report.page import write_page
 
+pytestmark = pytest.mark.extended
+
 WIDTHS = {"desktop": 1280, "phone": 375}
 LONG = "a_photograph_with_a_very_long_name_" * 6 + ".png"
 # Elements that stick out on the right, unless they scroll within something.
