@@ -8,7 +8,6 @@ import sys
 
 import pytest
 
-CASES = 2000
 FAULTS = {
     "taken": None,
     "refused": None,
@@ -55,12 +54,14 @@ def test_the_judge_sees_faults():
 
 
 @linux
-def test_cases_of_today():
+@pytest.mark.parametrize("cases", [100, pytest.param(2000, marks=pytest.mark.extended)])
+def test_cases_of_today(cases):
     """Of all kinds in one run: to start it takes as long as hundreds of them."""
-    done = run("tests.campaign", "--cases", str(CASES), "--workers", "1")
+    done = run("tests.campaign", "--cases", str(cases), "--workers", "1")
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.extended
 def test_what_fuzzing_wants_is_said():
     if importlib.util.find_spec("atheris") is not None:
         pytest.skip("atheris is installed here")

@@ -462,7 +462,10 @@ def test_a_photograph_of_a_ball_with_nothing_else(ball, tmp_path, capsys):
     assert main([*call, str(out), *CIRCLE]) == 0
     said = capsys.readouterr().out
     assert "scene.lights[0].direction.x" in said and "shininess" in said
-    assert read_fit_record(out / "fit.json").film.endswith("JPEG 4:4:4")
+    record = read_fit_record(out / "fit.json")
+    assert record.film.endswith("JPEG 4:4:4")
+    assert record.build().diffuse == pytest.approx(np.asarray(BALL.diffuse), abs=0.02)
+    assert record.build().shininess == pytest.approx(20, rel=0.1)
     assert main([*call, str(tmp_path / "b"), "--like", str(out / "fit.json")]) == 0
     assert "\nagrees with the recorded fit: " in capsys.readouterr().out
 

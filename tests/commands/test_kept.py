@@ -101,6 +101,7 @@ def test_told_to_end(brass, tmp_path, monkeypatch, capsys, name):
         signal.signal(number, before)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("args, words", [("", b""), ("['--version']", b"Interrupt")])
 def test_an_interrupt_after_the_end_says_nothing(args, words):
     """Of the process that the command is; whoever calls it keeps what it had."""

@@ -54,13 +54,20 @@ def test_a_loaded_fit_says_what_it_said(fit, tmp_path):
     assert again.specification == fit.specification
     np.testing.assert_array_equal(again.residuals, fit.residuals)
     np.testing.assert_array_equal(again.intervals(0.68), fit.intervals(0.68))
+    assert again.plot() is not None
+
+
+@pytest.mark.extended
+def test_a_loaded_fit_is_worked_with(fit, tmp_path):
+    fit.save(tmp_path / "fit.npz")
+    again = pf.load_fit(tmp_path / "fit.npz")
     profile, then = again.profile("shininess"), fit.profile("shininess")
     np.testing.assert_array_equal(profile.rise, then.rise)
     material = pf.refit(again, again.scene, again.photographs)
     np.testing.assert_allclose(material.shininess, fit.material.shininess, rtol=1e-4)
-    assert again.plot() is not None
 
 
+@pytest.mark.extended
 def test_in_another_process(fit, tmp_path):
     path = tmp_path / "fit.npz"
     pf.save_fit(path, fit)
@@ -71,6 +78,7 @@ def test_in_another_process(fit, tmp_path):
     assert done.stdout.rstrip("\n") == str(fit)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     "scenes",
     [

@@ -20,8 +20,14 @@ SETTINGS: dict[str, Any] = {
     "fixed": {"diffuse.blue": 0.2},
     "ties": {"specular.blue": (1.1, "specular.red")},
     "priors": {"diffuse.green": (0.3, 0.05)},
-    "noise": NOISE,
     "loss": pf.Huber(2.0),
+    "film": pf.Film(bits=10),
+}
+# Of which the values themselves tell nothing.
+ARRAYS = {
+    "mask": np.repeat([True, False], SIZE // 2)[:, None].repeat(SIZE, axis=1),
+    "weights": np.linspace(0.5, 2, SIZE**2).reshape(SIZE, SIZE),
+    "noise": np.float64(NOISE),
 }
 
 
@@ -52,4 +58,5 @@ def open_fit() -> pf.Fit:
 def held() -> pf.Fit:
     """One image and much that was known: see [`SETTINGS`][]."""
     scene = ball()
-    return pf.fit(scene, photograph(scene, TRUTH, noise=NOISE), **SETTINGS)
+    image = photograph(scene, TRUTH, noise=NOISE)
+    return pf.fit(scene, image, **SETTINGS, **ARRAYS)

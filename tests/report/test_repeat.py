@@ -8,25 +8,8 @@ import pytest
 import phongfit as pf
 from phongfit.fitting.problem.specification import Specification
 from phongfit.report.repeat import call, names
-from tests.fitting.scenes import SIZE, ball, photograph, truth
-from tests.report.conftest import NOISE, SETTINGS
-
-TRUTH = truth()
-
-
-def run(text: str, **names) -> pf.Fit:
-    """What the printed lines make of these names."""
-    place = {"pf": pf, **names}
-    exec(text, place)
-    assert isinstance(place["fit"], pf.Fit)
-    return place["fit"]
-
-
-def check_same(fit: pf.Fit, other: pf.Fit) -> None:
-    assert fit.labels == other.labels
-    np.testing.assert_allclose(fit.values, other.values, rtol=1e-5)
-    np.testing.assert_allclose(fit.errors, other.errors, rtol=1e-3)
-    np.testing.assert_array_equal(fit.bounds, other.bounds)
+from tests.fitting.scenes import ball
+from tests.report.conftest import ARRAYS, SETTINGS
 
 
 def test_a_plain_fit_has_a_plain_call(one):
@@ -35,29 +18,18 @@ def test_a_plain_fit_has_a_plain_call(one):
 
 def test_the_call_gives_the_same_fit(held):
     text = call(held)
-    for name in SETTINGS:
+    for name in (*SETTINGS, *ARRAYS):
         assert f"    {name}=" in text
-    scene = ball()
-    check_same(run(text, scene=scene, image=held.photographs), held)
-
-
-def test_arrays_and_film_are_in_the_call():
-    scene = ball()
-    film = pf.Film(encoding="srgb", bits=8)
-    image = photograph(scene, TRUTH, noise=NOISE, film=film)
-    mask = np.zeros((SIZE, SIZE), bool)
-    mask[: SIZE // 2] = True
-    weights = np.linspace(0.5, 2, SIZE**2).reshape(SIZE, SIZE)
-    given = {"mask": mask, "weights": weights, "noise": np.float64(NOISE)}
-    # Of which the values themselves tell nothing.
-    film = pf.Film(encoding="linear", bits=10)
-    fit = pf.fit(scene, image, film=film, **given)
-    text = call(fit)
-    assert names(fit) == ["scene", "image", "mask", "weights", "noise"]
     assert "    film=pf.Film(bits=10),\n" in text
-    check_same(run(text, scene=scene, image=image, **given), fit)
-    again = run(text, scene=scene, image=image, **given)
-    assert again.film == fit.film and again.n_samples == fit.n_samples
+    assert names(held) == ["scene", "image", *ARRAYS]
+    place = {"pf": pf, "scene": ball(), "image": held.photographs, **ARRAYS}
+    exec(text, place)
+    again = place["fit"]
+    assert isinstance(again, pf.Fit) and again.labels == held.labels
+    np.testing.assert_allclose(again.values, held.values, rtol=1e-5)
+    np.testing.assert_allclose(again.errors, held.errors, rtol=1e-3)
+    np.testing.assert_array_equal(again.bounds, held.bounds)
+    assert again.film == held.film and again.n_samples == held.n_samples
 
 
 @pytest.mark.parametrize(
