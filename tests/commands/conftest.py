@@ -16,6 +16,9 @@ from tests.maps.normals.scenes import hide
 
 SIDE = 16
 """Pixels along the edges of the data set that all commands are tried with."""
+FEW = ["--unknowns", "ambient", "diffuse", "--known", "preset:brass"]
+FEW += ["--noise", "0.01"]
+"""Options of maps that are compiled soon."""
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -39,6 +42,21 @@ def brass(tmp_path_factory) -> Path:
 def copy(brass, tmp_path) -> Path:
     """A copy of the data set that a test may break."""
     return Path(shutil.copytree(brass, tmp_path / "copy"))
+
+
+@pytest.fixture
+def stored(copy) -> Path:
+    """The data set's images as a zarr array beside its scene.json."""
+    zarr = pytest.importorskip("zarr")
+    images = np.stack(pf.read_dataset(copy).images)
+    zarr.create_array(copy / "stack.zarr", data=images, chunks=(1, 8, 8, 3))
+    return copy / "stack.zarr"
+
+
+def files_in(folder: Path) -> dict[Path, bytes]:
+    """All that is in a folder, as it is."""
+    found = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder): path.read_bytes() for path in found}
 
 
 @pytest.fixture

@@ -237,6 +237,15 @@ def test_no_half_picture_is_kept(brass, tmp_path, monkeypatch):
     assert os.listdir(out) == ["fit.json"]
 
 
+def test_an_interrupt_before_numbers_are_written(brass, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("phongfit.commands.fit.write_fit_record", interrupt)
+    out = tmp_path / "out"
+    assert main(["fit", str(brass), "-o", str(out), "--report", "none"]) == 130
+    # Before it, a slow machine says how long it has been at it.
+    assert capsys.readouterr().err.endswith("error: interrupted\n")
+    assert not list(tmp_path.iterdir())
+
+
 def test_files_put_there_while_it_runs(brass, tmp_path, monkeypatch):
     out = tmp_path / "out"
 

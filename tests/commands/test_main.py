@@ -80,7 +80,6 @@ def test_synth_without_its_package(tmp_path, monkeypatch, capsys):
     "place, args",
     [
         ("phongfit.commands.fit.fit", ["fit", "{data}", "-o", "{out}"]),
-        ("phongfit.commands.fit.write_fit_record", ["fit", "{data}", "-o", "{out}"]),
         ("phongfit.commands.render.render", ["render", "{data}", "-o", "{out}.png"]),
         (
             "phongfit.files.gltf._File.glb",

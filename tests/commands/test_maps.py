@@ -17,10 +17,17 @@ from phongfit.files.dataset import Photographs
 from phongfit.files.outputs import WORK
 from phongfit.maps.folder import load_folder
 from phongfit.rendering.film import decode
-from tests.commands.conftest import ENDS, SIDE, full_disk, interrupt
+from tests.commands.conftest import (
+    ENDS,
+    FEW,
+    SIDE,
+    files_in,
+    full_disk,
+    interrupt,
+)
+from tests.maps.synthetic import same
 
-FEW = ["--unknowns", "ambient", "diffuse", "--known", "preset:brass"]
-TILES = [*FEW, "--noise", "0.01", "--tile-pixels", "64"]
+TILES = [*FEW, "--tile-pixels", "64"]
 HALF = SIDE // 2
 
 
@@ -249,6 +256,52 @@ def test_record_is_whole(mapped):
     record = json.loads((mapped / "maps.json").read_text())
     assert record["model"]["kind"] == "blinn-phong"
     assert record["made_with"]["jax"]
+
+
+def test_a_zarr_array_and_a_store(stored, tmp_path, capsys):
+    """To a store, to a folder, and the same as from Python."""
+    data = pf.read_dataset(stored.parent)
+    known = pf.preset("brass")
+    images, unknowns = np.stack(data.images), ("ambient", "diffuse")
+    # As many pixels at a time as a chunk has, so that the program is the same.
+    expected = pf.fit_maps(
+        data.scenes, images, unknowns=unknowns, known=known, noise=0.01, tile_pixels=64
+    )
+    out = tmp_path / "maps.zarr"
+    assert main(["maps", str(stored), "-o", str(out), *FEW]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("phongfit: maps of 16 × 16 pixels") and str(out) in told
+    same(pf.StoredMaps(out).load(), expected)
+    # Again: nothing is done. Others in its place want to be asked for.
+    assert main(["maps", str(stored), "-o", str(out), *FEW]) == 0
+    assert main(["maps", str(stored), "-o", str(out), *FEW[:-1], "0.1"]) == 2
+    assert "another job (its settings, lights differs)" in capsys.readouterr().err
+    words = ["maps", str(stored), "-o", str(out), *FEW[:-1], "0.1", "--overwrite"]
+    assert main(words) == 0
+    folder = tmp_path / "maps"
+    assert main(["maps", str(stored), "-o", str(folder), *FEW, "--no-pictures"]) == 0
+    maps, record, _ = load_folder(folder)
+    same(maps, expected)
+    assert set(record.data.inputs) >= {"scene.json", "stack.zarr"}
+    assert not (folder / "tiles").exists()
+
+
+def test_what_is_not_of_maps_stays(stored, tmp_path, capsys):
+    """Before anything is put among it, or into the images."""
+    out = tmp_path / "maps.zarr"
+    out.mkdir()
+    (out / "letter.txt").write_text("mine")
+    for more in [], ["--overwrite"]:
+        assert main(["maps", str(stored), "-o", str(out), *FEW, *more]) == 2
+        assert "is not replaced, since it holds letter.txt" in capsys.readouterr().err
+        assert files_in(out).keys() == {(out / "letter.txt").relative_to(out)}
+    (out / "letter.txt").unlink()
+    assert main(["maps", str(stored), "-o", str(out), *FEW, "--overwrite"]) == 0
+    # What came among older maps.
+    (out / "letter.txt").write_text("mine")
+    before = files_in(out)
+    assert main(["maps", str(stored), "-o", str(out), *FEW, "--overwrite"]) == 2
+    assert files_in(out) == before
 
 
 @pytest.mark.extended

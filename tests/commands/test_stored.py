@@ -11,48 +11,10 @@ import phongfit as pf
 from phongfit.cli import main
 from phongfit.files.lp import write_lp
 from phongfit.maps.folder import load_folder
-from tests.commands.conftest import SIDE
-from tests.commands.test_maps import FEW
+from tests.commands.conftest import FEW, SIDE, files_in
 from tests.maps.synthetic import same
 
 zarr = pytest.importorskip("zarr")
-
-
-@pytest.fixture
-def stored(copy):
-    """The data set's images as a zarr array beside its scene.json."""
-    data = pf.read_dataset(copy)
-    images = np.stack(data.images)
-    zarr.create_array(copy / "stack.zarr", data=images, chunks=(1, 8, 8, 3))
-    return copy / "stack.zarr"
-
-
-def test_a_scene_beside_it(stored, tmp_path, capsys):
-    """To a store, to a folder, and the same as from Python."""
-    data = pf.read_dataset(stored.parent)
-    known = pf.preset("brass")
-    images, unknowns = np.stack(data.images), ("ambient", "diffuse")
-    # As many pixels at a time as a chunk has, so that the program is the same.
-    expected = pf.fit_maps(
-        data.scenes, images, unknowns=unknowns, known=known, tile_pixels=64
-    )
-    out = tmp_path / "maps.zarr"
-    assert main(["maps", str(stored), "-o", str(out), *FEW]) == 0
-    told = capsys.readouterr().out
-    assert told.startswith("phongfit: maps of 16 × 16 pixels") and str(out) in told
-    same(pf.StoredMaps(out).load(), expected)
-    # Again: nothing is done. Others in its place want to be asked for.
-    assert main(["maps", str(stored), "-o", str(out), *FEW]) == 0
-    assert main(["maps", str(stored), "-o", str(out), *FEW, "--noise", "0.1"]) == 2
-    assert "another job (its settings, lights differs)" in capsys.readouterr().err
-    words = ["maps", str(stored), "-o", str(out), *FEW, "--noise", "0.1", "--overwrite"]
-    assert main(words) == 0
-    folder = tmp_path / "maps"
-    assert main(["maps", str(stored), "-o", str(folder), *FEW, "--no-pictures"]) == 0
-    maps, record, _ = load_folder(folder)
-    same(maps, expected)
-    assert set(record.data.inputs) >= {"scene.json", "stack.zarr"}
-    assert not (folder / "tiles").exists()
 
 
 @pytest.mark.extended
@@ -162,35 +124,11 @@ def test_stores_and_folders_are_not_mixed_up(brass, stored, tmp_path, capsys):
     assert main(["maps", str(stored), "-o", out, "--overwrite", "--scene", "x"]) == 2
 
 
-def _files(folder):
-    """All that is in a folder, as it is."""
-    found = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {path.relative_to(folder): path.read_bytes() for path in found}
-
-
-def test_what_is_not_of_maps_stays(stored, tmp_path, capsys):
-    """Before anything is put among it, or into the images."""
-    out = tmp_path / "maps.zarr"
-    out.mkdir()
-    (out / "letter.txt").write_text("mine")
-    for more in [], ["--overwrite"]:
-        assert main(["maps", str(stored), "-o", str(out), *FEW, *more]) == 2
-        assert "is not replaced, since it holds letter.txt" in capsys.readouterr().err
-        assert _files(out).keys() == {(out / "letter.txt").relative_to(out)}
-    (out / "letter.txt").unlink()
-    assert main(["maps", str(stored), "-o", str(out), *FEW, "--overwrite"]) == 0
-    # What came among older maps.
-    (out / "letter.txt").write_text("mine")
-    before = _files(out)
-    assert main(["maps", str(stored), "-o", str(out), *FEW, "--overwrite"]) == 2
-    assert _files(out) == before
-
-
 @pytest.mark.parametrize("place", ["", "maps.zarr", "c/maps.zarr", "../linked.zarr"])
 def test_images_are_no_place_for_maps(stored, capsys, place):
     (stored.parent / "linked.zarr").symlink_to(stored)
-    before, out = _files(stored), str(stored / place)
+    before, out = files_in(stored), str(stored / place)
     for more in [], ["--overwrite"]:
         assert main(["maps", str(stored), "-o", out, *FEW, *more]) == 2
         assert "the images are there" in capsys.readouterr().err
-        assert _files(stored) == before
+        assert files_in(stored) == before

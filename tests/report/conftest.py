@@ -1,5 +1,6 @@
-"""Two fits that all tests of the report look at."""
+"""Fits that all tests of the report look at."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -38,17 +39,34 @@ def one() -> pf.Fit:
     return pf.fit(scene, photograph(scene, TRUTH, noise=NOISE))
 
 
+MATTE = pf.Material((0.6, 0.3, 0.2), 0.0, 30.0, 0.0)
+DARK = (
+    pf.DirectionalLight((1, 1, 2), 0.12),
+    pf.DirectionalLight((-1, 0.3, 1), (0.08, 0.07, 0.06)),
+)
+
+
 @pytest.fixture(scope="session")
 def open_fit() -> pf.Fit:
-    """Six dark photographs of a matte ball: f not identifiable, ρ_a lies at a bound."""
+    """A dark photograph of a matte ball: f not identifiable, ρ_a lies at a bound.
+
+    The same program solves it as `one`.
+    """
+    scene = dataclasses.replace(ball(), lights=DARK)
+    film = pf.Film(clamp=False)
+    return pf.fit(scene, photograph(scene, MATTE, noise=NOISE, film=film))
+
+
+@pytest.fixture(scope="session")
+def six() -> pf.Fit:
+    """Six such photographs, each under a lamp of its own."""
     camera = pf.OrthographicCamera(SIZE, SIZE // 2)
     scenes = [
         pf.Scene(pf.Sphere(), camera, pf.DirectionalLight((x, 1, 2), 0.2), 0.2)
         for x in np.linspace(-1, 1, 6)
     ]
-    matte = pf.Material((0.6, 0.3, 0.2), 0.0, 30.0, 0.0)
     images = [
-        photograph(s, matte, noise=NOISE, film=pf.Film(clamp=False), seed=k)
+        photograph(s, MATTE, noise=NOISE, film=pf.Film(clamp=False), seed=k)
         for k, s in enumerate(scenes)
     ]
     return pf.fit(scenes, images)

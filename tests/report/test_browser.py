@@ -21,9 +21,9 @@ PICTURES = """() => [...document.images]
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory, one, open_fit) -> dict[str, Path]:
+def pages(tmp_path_factory, one, six) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("pages")
-    for name, fit, names in (("one", one, []), ("open", open_fit, [LONG] * 6)):
+    for name, fit, names in (("one", one, []), ("open", six, [LONG] * 6)):
         write_page(
             folder / f"{name}.html",
             fit,

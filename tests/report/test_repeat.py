@@ -8,28 +8,45 @@ import pytest
 import phongfit as pf
 from phongfit.fitting.problem.specification import Specification
 from phongfit.report.repeat import call, names
-from tests.fitting.scenes import ball
-from tests.report.conftest import ARRAYS, SETTINGS
+from tests.fitting.scenes import SIZE, ball, photograph, truth
+from tests.report.conftest import ARRAYS, NOISE, SETTINGS
+
+TRUTH = truth()
+
+
+def check_same(fit: pf.Fit, **given) -> None:
+    """The printed lines give the same fit, from what they name."""
+    place = {"pf": pf, **given}
+    exec(call(fit), place)
+    again = place["fit"]
+    assert isinstance(again, pf.Fit) and again.labels == fit.labels
+    np.testing.assert_allclose(again.values, fit.values, rtol=1e-5)
+    np.testing.assert_allclose(again.errors, fit.errors, rtol=1e-3)
+    np.testing.assert_array_equal(again.bounds, fit.bounds)
+    assert again.film == fit.film and again.n_samples == fit.n_samples
 
 
 def test_a_plain_fit_has_a_plain_call(one):
     assert call(one) == "fit = pf.fit(\n    scene, image,\n)"
 
 
+@pytest.mark.extended
 def test_the_call_gives_the_same_fit(held):
-    text = call(held)
+    check_same(held, scene=ball(), image=held.photographs, **ARRAYS)
+
+
+def test_settings_are_in_the_call(one):
+    fit = dataclasses.replace(
+        one,
+        specification=Specification(**SETTINGS),
+        arrays=("mask", "weights"),
+        noise_given=True,
+    )
+    text = call(fit)
     for name in (*SETTINGS, *ARRAYS):
         assert f"    {name}=" in text
     assert "    film=pf.Film(bits=10),\n" in text
-    assert names(held) == ["scene", "image", *ARRAYS]
-    place = {"pf": pf, "scene": ball(), "image": held.photographs, **ARRAYS}
-    exec(text, place)
-    again = place["fit"]
-    assert isinstance(again, pf.Fit) and again.labels == held.labels
-    np.testing.assert_allclose(again.values, held.values, rtol=1e-5)
-    np.testing.assert_allclose(again.errors, held.errors, rtol=1e-3)
-    np.testing.assert_array_equal(again.bounds, held.bounds)
-    assert again.film == held.film and again.n_samples == held.n_samples
+    assert names(fit) == ["scene", "image", *ARRAYS]
 
 
 @pytest.mark.parametrize(
@@ -64,9 +81,8 @@ def test_so_does_that_of_several_images():
         known=pf.Material(0.0, 0.0, 32.0, (0.5, 0.4, 0.3)),
         fixed={"diffuse.red": 0.6},
     )
-    text = call(fit)
-    assert "per_image=('scene.lights[0].intensity',)" in text
-    check_same(run(text, scenes=scenes, images=images), fit)
+    assert "per_image=('scene.lights[0].intensity',)" in call(fit)
+    check_same(fit, scenes=scenes, images=images)
 
 
 @pytest.mark.parametrize(
