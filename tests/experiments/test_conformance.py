@@ -36,6 +36,9 @@ def folder(tmp_path):
     return tmp_path
 
 
+FOG = {"GL_FOG_MODE": "GL_EXP", "GL_FOG_DENSITY": 1e-3}
+
+
 def change(folder, **changes):
     """Write the scene with other arrays or other parameters."""
     path = folder / "scene.npz"
@@ -82,9 +85,9 @@ def test_the_command(folder, capsys):
         dict(image=lambda image: image + 2e-4),
         dict(vertex_colors=lambda colors: colors + 3e-5),
         dict(depth=lambda depth: np.where(np.arange(256) < 140, 1, depth)),
-        dict(shade_model="GL_SMOOTH"),
         dict(up=[0.2, 1.0, 0.0]),
-        dict(fog=dict(GL_FOG_MODE="GL_EXP", GL_FOG_DENSITY=1e-3)),
+        pytest.param(dict(shade_model="GL_SMOOTH"), marks=pytest.mark.extended),
+        pytest.param(dict(fog=FOG), marks=pytest.mark.extended),
     ],
 )
 def test_a_scene_that_falls_short(folder, capsys, changes):

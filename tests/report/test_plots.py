@@ -53,7 +53,7 @@ def test_photograph_fit_and_residual(one):
 
 
 def test_a_dark_photograph_is_shown_brighter_and_says_so(open_fit):
-    factor = brightening(open_fit.photographs)
+    factor = brightening([open_fit.photographs])
     assert 3 < factor < 10
     figure = open_fit.plot(["5.png"])
     assert f"5.png  (shown {factor:.2g} × brighter)" in texts(figure)
