@@ -275,7 +275,7 @@ def test_a_zarr_array_and_a_store(stored, tmp_path, capsys):
     # Again: nothing is done. Others in its place want to be asked for.
     assert main(["maps", str(stored), "-o", str(out), *FEW]) == 0
     assert main(["maps", str(stored), "-o", str(out), *FEW[:-1], "0.1"]) == 2
-    assert "another job (its settings, lights differs)" in capsys.readouterr().err
+    assert "another job (its lights differs)" in capsys.readouterr().err
     words = ["maps", str(stored), "-o", str(out), *FEW[:-1], "0.1", "--overwrite"]
     assert main(words) == 0
     folder = tmp_path / "maps"
