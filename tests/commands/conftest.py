@@ -1,7 +1,11 @@
 """What tests of the commands share: data sets that a command made, and no cache."""
 
+import contextlib
+import resource
 import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,29 +14,27 @@ import phongfit as pf
 from phongfit.cli import main
 from tests.maps.normals.scenes import hide
 
+SIDE = 16
+"""Pixels along the edges of the data set that all commands are tried with."""
+FEW = ["--unknowns", "ambient", "diffuse", "--known", "preset:brass"]
+FEW += ["--noise", "0.01"]
+"""Options of maps that are compiled soon."""
 
-@pytest.fixture(autouse=True)
-def _no_cache(monkeypatch):
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_cache():
     """Tests leave nothing in the cache of whoever runs them."""
-    monkeypatch.setenv("PHONGFIT_CACHE", "off")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PHONGFIT_CACHE", "off")
+        yield
 
 
 @pytest.fixture(scope="session")
 def brass(tmp_path_factory) -> Path:
-    """Three photographs of brass, 24 × 24 pixels, which nothing may change."""
+    """Three photographs of brass, which nothing may change."""
     folder = tmp_path_factory.mktemp("data") / "brass"
-    options = ["--material", "preset:brass", "--resolution", "24", "--lights", "3"]
-    assert main(["synth", str(folder), *options, "--noise", "0.01"]) == 0
-    return folder
-
-
-@pytest.fixture(scope="session")
-def fitted(brass, tmp_path_factory) -> Path:
-    """The folder of a fit of them, which nothing may change."""
-    folder = tmp_path_factory.mktemp("fits") / "fit"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PHONGFIT_CACHE", "off")
-        assert main(["fit", str(brass), "-o", str(folder), "--report", "none"]) == 0
+    options = ["--material", "preset:brass", "--resolution", f"{SIDE}"]
+    assert main(["synth", f"{folder}", *options, "--lights=3", "--noise=0.01"]) == 0
     return folder
 
 
@@ -40,6 +42,71 @@ def fitted(brass, tmp_path_factory) -> Path:
 def copy(brass, tmp_path) -> Path:
     """A copy of the data set that a test may break."""
     return Path(shutil.copytree(brass, tmp_path / "copy"))
+
+
+@pytest.fixture
+def stored(copy) -> Path:
+    """The data set's images as a zarr array beside its scene.json."""
+    zarr = pytest.importorskip("zarr")
+    images = np.stack(pf.read_dataset(copy).images)
+    zarr.create_array(copy / "stack.zarr", data=images, chunks=(1, 8, 8, 3))
+    return copy / "stack.zarr"
+
+
+def files_in(folder: Path) -> dict[Path, bytes]:
+    """All that is in a folder, as it is."""
+    found = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder): path.read_bytes() for path in found}
+
+
+@pytest.fixture
+def asked_of(monkeypatch) -> Callable[..., tuple[tuple, dict[str, Any]]]:
+    """Arguments that a command calls a function with, which is not called."""
+
+    def asked(place: str, *words: object) -> tuple[tuple, dict[str, Any]]:
+        heard = []
+
+        def stop(*arguments, **options):
+            heard.append((arguments, options))
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patch:
+            patch.setattr(place, stop)
+            assert main([*map(str, words)]) == 130
+        (call,) = heard
+        return call
+
+    return asked
+
+
+@contextlib.contextmanager
+def full_disk(size: int) -> Iterator[None]:
+    """No file can grow beyond `size` bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def fail(*args, **kwargs):
+    """Stands in for a function that finds its input wrong."""
+    raise ValueError("no such font")
+
+
+def interrupt(*args, **kwargs):
+    """Stands in for a function during which Ctrl-C is pressed."""
+    raise KeyboardInterrupt
+
+
+def close(*args, **kwargs):
+    """Stands in for a function whose reader, such as `head`, has gone."""
+    raise BrokenPipeError
+
+
+ENDS = [(fail, 2), (interrupt, 130), (close, 141)]
+"""Ways in which drawing may fail, and the exit status of each."""
 
 
 @pytest.fixture(scope="session")

@@ -68,53 +68,31 @@ def test_several_circles_may_share_an_option(photographs, tmp_path, capsys):
     assert "no matte sphere" in capsys.readouterr().out
 
 
-def save_sideways(path, levels):
+def save_sideways(path, levels, setting):
     """As a camera does that was held upright: lying, with a note to turn it."""
-    note = Image.Exif()
-    note[0x0112] = 6
+    time, f_number, iso = setting
+    note = exif(6, time=time, f_number=f_number, iso=iso)
     lying = Image.fromarray(levels).transpose(Image.Transpose.ROTATE_90)
-    lying.save(path, exif=note)
+    lying.save(path, exif=note, quality=95)
 
 
-def save_in_display_p3(path, levels):
+def save_in_display_p3(path, levels, setting):
+    time, f_number, iso = setting
+    note = exif(time=time, f_number=f_number, iso=iso)
     light = np.clip(decode(levels / 255.0, "srgb") @ np.linalg.inv(FROM_P3).T, 0, 1)
     numbers = np.round(light ** (1 / 2.2) * 255).astype(np.uint8)
-    Image.fromarray(numbers).save(path, icc_profile=rgb_profile(P3, 2.2))
+    Image.fromarray(numbers).save(path, exif=note, icc_profile=rgb_profile(P3, 2.2))
 
 
-def check_lamps(words, out):
+def check_lamps(words, out, strengths=(1,) * 5):
     """The command finds the studio's lamps: where they are, and their colour."""
     assert main([*words, "-o", f"{out}"]) == 0
     found = pf.load_calibration(out)
     assert degrees([lamp.direction for lamp in found.lamps], LAMPS).max() < 0.5
     strength = found.lamps[1].intensity
     assert strength / strength[0] == pytest.approx([1, 0.9, 0.8], rel=0.03)
-
-
-@pytest.mark.parametrize("save", [save_sideways, save_in_display_p3])
-def test_one_photograph_that_is_kept_otherwise(tmp_path, save):
-    studio, folder = Studio(), tmp_path / "photos"
-    folder.mkdir()
-    for number, lamp in enumerate(LAMPS, 1):
-        levels = to_levels(studio.photograph(lamp, seed=number), "srgb", 8)
-        path = folder / f"{number}.png"
-        save(path, levels) if number == 2 else Image.fromarray(levels).save(path)
-    words = ["calibrate", f"{folder}", "--encoding", "srgb", "--fov", "20"]
-    check_lamps([*words, *circles(studio)], tmp_path / "out")
-
-
-def exposed(folder, settings, strengths, states):
-    """Lamps of such strengths, each as time, f-number and ISO let in; all formats."""
-    studio = Studio()
-    for number, (lamp, strength) in enumerate(zip(LAMPS, strengths, strict=True)):
-        time, f_number, iso = settings[number]
-        share = let_in(settings[number]) / let_in(settings[0])
-        light = studio.photograph(lamp, strength * share, seed=number)
-        levels = Image.fromarray(to_levels(light, "srgb", 8))
-        note = exif(time=time, f_number=f_number, iso=iso) if states else b""
-        suffix = ("png", "jpg", "tif")[number % 3]
-        levels.save(folder / f"{number + 1}.{suffix}", exif=note, quality=95)
-    return ["calibrate", f"{folder}", "--encoding", "srgb", "--fov", "20"]
+    ratio = [lamp.intensity.mean() for lamp in found.lamps] / np.array(strengths)
+    assert np.abs(ratio / ratio.mean() - 1).max() < 0.015
 
 
 def let_in(setting):
@@ -122,31 +100,59 @@ def let_in(setting):
     return time * iso / f_number**2
 
 
-@pytest.mark.parametrize("states", [True, False])
-def test_photographs_of_mixed_exposures(tmp_path, capsys, states):
-    """Lamps' strengths are those in common light, or else that is said."""
-    folder, out = tmp_path / "photos", tmp_path / "out"
+SETTINGS = [(1 / 60, 8, 100), (1 / 120, 8, 100), (1 / 60, 8, 25)]
+SETTINGS += [(1 / 120, 4, 25), (1 / 60, 4, 50)]
+SHARES = np.array([let_in(setting) / let_in(SETTINGS[0]) for setting in SETTINGS])
+STRENGTHS = np.array([1.0, 0.9, 1.2, 1.1, 0.4])
+
+
+def exposed(folder, save):
+    """Lamps of unequal strength, each as time, f-number and ISO let in."""
     folder.mkdir()
-    settings = [(1 / 60, 8, 100), (1 / 120, 8, 100), (1 / 60, 8, 25)]
-    settings += [(1 / 120, 4, 25), (1 / 60, 4, 50)]
-    strengths = np.array([1.0, 0.9, 1.2, 1.1, 0.4])
-    words = exposed(folder, settings, strengths, states)
-    assert main([*words, *circles(Studio()), "-o", f"{out}"]) == 0
+    studio = Studio()
+    for number, lamp in enumerate(LAMPS):
+        strength = STRENGTHS[number] * SHARES[number]
+        light = studio.photograph(lamp, strength, seed=number)
+        save(folder, number, to_levels(light, "srgb", 8))
+    options = ["--encoding", "srgb", "--fov", "20"]
+    return ["calibrate", f"{folder}", *options, *circles(studio)]
+
+
+def test_photographs_each_of_which_is_kept_otherwise(tmp_path, capsys):
+    """In all formats, sideways, of other primaries, and of exposures that differ."""
+
+    def save(folder, number, levels):
+        if number == 1:
+            return save_sideways(folder / "2.jpg", levels, SETTINGS[1])
+        if number == 3:
+            return save_in_display_p3(folder / "4.png", levels, SETTINGS[3])
+        time, f_number, iso = SETTINGS[number]
+        path = folder / f"{number + 1}.{('png', '', 'tif', '', 'jpg')[number]}"
+        note = exif(time=time, f_number=f_number, iso=iso)
+        Image.fromarray(levels).save(path, exif=note, quality=95)
+
+    words = exposed(tmp_path / "photos", save)
+    check_lamps(words, tmp_path / "out", STRENGTHS)
     said = " ".join(capsys.readouterr().out.split())
-    shares = np.array([let_in(setting) for setting in settings])
-    if states:
-        assert "1.png 1/60 s, f/8, ISO 100, 2.jpg 1/120 s, f/8, ISO 100" in said
-        assert "brought to common light, to some 5 %" in said
-        shares = np.ones(5)
-    else:
-        assert "no exposure times are stated: taken to be the same in all" in said
-        assert "where they differ, lamps' strengths contain them" in said
-    found = pf.load_calibration(out)
-    assert degrees([lamp.direction for lamp in found.lamps], LAMPS).max() < 0.5
-    ratio = [lamp.intensity.mean() for lamp in found.lamps] / (strengths * shares)
-    assert np.abs(ratio / ratio.mean() - 1).max() < 0.015
+    assert "1.png 1/60 s, f/8, ISO 100, 2.jpg 1/120 s, f/8, ISO 100" in said
+    assert "brought to common light, to some 5 %" in said
 
 
+@pytest.mark.extended
+def test_exposures_that_are_not_stated(tmp_path, capsys):
+    """Lamps' strengths contain them, and that is said."""
+
+    def save(folder, number, levels):
+        Image.fromarray(levels).save(folder / f"{number + 1}.png")
+
+    words = exposed(tmp_path / "photos", save)
+    check_lamps(words, tmp_path / "out", STRENGTHS * SHARES)
+    said = " ".join(capsys.readouterr().out.split())
+    assert "no exposure times are stated: taken to be the same in all" in said
+    assert "where they differ, lamps' strengths contain them" in said
+
+
+@pytest.mark.extended
 def test_a_folder_of_raw_photographs(tmp_path):
     pytest.importorskip("rawpy", reason="rawpy is not installed here")
     studio, folder = Studio(), tmp_path / "photos"

@@ -1,8 +1,13 @@
 """`phongfit fit`: what it writes, and that it can be repeated from that."""
 
+import contextlib
 import html
+import io
 import json
+import os
 import re
+import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +18,28 @@ import phongfit as pf
 from phongfit.calibration.outlines import View
 from phongfit.calibration.result import Lamp
 from phongfit.cli import main
-from phongfit.files.fits import read_fit_record
+from phongfit.commands.data import DataOptions
+from phongfit.files.fits import FitSettings, read_fit_record
 from phongfit.files.images import read_image, write_image
 from phongfit.files.materials import read_material, write_material
+from phongfit.files.outputs import WORK
+from phongfit.fitting.problem.specification import Specification
+from tests.commands.conftest import ENDS, SIDE, full_disk, interrupt
 from tests.helpers import said
+
+FIT = "phongfit.commands.fit.fit"
+MADE = {"fit.json", "comparison.png", "report.html"}
+
+
+@pytest.fixture(scope="module")
+def fitted(brass, tmp_path_factory) -> Path:
+    """The folder of a fit, with what it printed, which nothing may change."""
+    folder, printed = tmp_path_factory.mktemp("fits") / "fit", io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert main(["fit", f"{brass}", "-o", f"{folder}", "--report", "quick"]) == 0
+    assert "diffuse.red" in printed.getvalue()
+    assert f"\n{folder}: comparison.png, fit.json" in printed.getvalue()
+    return folder
 
 
 def _change(path, **changes):
@@ -92,15 +115,13 @@ def test_names_of_version_1_are_no_names_of_version_2(fitted, tmp_path):
         read_fit_record(path)
 
 
-def test_the_report_says_how_to_repeat_it_in_python(brass, tmp_path):
-    args = ["fit", str(brass), "-o", str(tmp_path / "fit"), "--report", "quick"]
-    assert main(args) == 0
-    page = (tmp_path / "fit" / "report.html").read_text(encoding="utf-8")
+def test_the_report_says_how_to_repeat_it_in_python(fitted):
+    page = (fitted / "report.html").read_text(encoding="utf-8")
     program = html.unescape(page.split("<pre")[-1].split(">", 1)[1].split("</pre>")[0])
     assert "mask=masks" in program
     place: dict[str, Any] = {}
     exec(program, place)
-    values, errors = read_fit_record(tmp_path / "fit" / "fit.json").numbers()
+    values, errors = read_fit_record(fitted / "fit.json").numbers()
     np.testing.assert_allclose(place["fit"].values, values, rtol=1e-6)
     np.testing.assert_allclose(place["fit"].errors, errors, rtol=1e-6)
 
@@ -127,61 +148,155 @@ def test_a_fit_repeats_and_a_difference_is_told(brass, fitted, tmp_path, capsys)
     assert "other data than in the recorded fit (001.png)" in capsys.readouterr().out
 
 
-def test_every_setting_arrives_and_is_kept(brass, tmp_path, capsys):
-    args = [
-        "fit",
-        f"{brass}/002.png",
-        "--scene",
-        f"{brass}/scene.json",
-        "--report",
-        "none",
-    ]
-    args += ["--unknowns", "diffuse", "specular", "emission"]
-    args += ["--per-channel", "diffuse", "specular", "--known", "preset:brass"]
-    args += ["--bounds", "diffuse.red=0:2", "emission=0:inf"]
-    args += ["--fixed", "diffuse.blue=0.1"]
-    args += ["--ties", "specular.green=specular.red", "specular.blue=0.8*specular.red"]
-    args += ["--priors", "specular.red=0.9:0.2", "--loss", "huber", "--noise", "0.01"]
-    assert main([*args, "-o", str(tmp_path / "out"), "--max-steps", "50"]) == 0
-    record = read_fit_record(tmp_path / "out" / "fit.json")
-    options = record.settings.specification().options
-    assert options["unknowns"] == ("diffuse", "specular", "emission")
-    assert options["bounds"] == {"diffuse.red": (0, 2), "emission": (0, np.inf)}
-    assert options["fixed"] == {"diffuse.blue": 0.1}
-    ties = {
-        "specular.green": (1, "specular.red"),
-        "specular.blue": (0.8, "specular.red"),
+def test_every_setting_arrives_and_is_kept(brass, asked_of):
+    words = ["fit", brass / "002.png", "--scene", brass / "scene.json", "-o", "out"]
+    words += ["--unknowns", "diffuse", "specular", "emission"]
+    words += ["--per-channel", "diffuse", "specular", "--known", "preset:brass"]
+    words += ["--bounds", "diffuse.red=0:2", "emission=0:inf"]
+    words += ["--fixed", "diffuse.blue=0.1"]
+    words += ["--ties", "specular.green=specular.red", "specular.blue=0.8*specular.red"]
+    words += ["--priors", "specular.red=0.9:0.2", "--loss", "huber", "--noise", "0.01"]
+    (scene, image), options = asked_of(FIT, *words, "--max-steps", "50")
+    assert len(scene.lights) == 1 and image.shape == (SIDE, SIDE, 3)
+    assert options.pop("mask").all() and options.pop("noise") == 0.01
+    wanted = {
+        "unknowns": ("diffuse", "specular", "emission"),
+        "per_channel": ("diffuse", "specular"),
+        "bounds": {"diffuse.red": (0, 2), "emission": (0, np.inf)},
+        "fixed": {"diffuse.blue": 0.1},
+        "ties": {
+            "specular.green": (1, "specular.red"),
+            "specular.blue": (0.8, "specular.red"),
+        },
+        "priors": {"specular.red": (0.9, 0.2)},
+        "loss": pf.Huber(),
+        "max_steps": 50,
     }
-    assert options["ties"] == ties
-    assert options["priors"] == {"specular.red": (0.9, 0.2)}
-    assert (options["loss"], options["max_steps"]) == (pf.Huber(), 50)
-    assert record.settings.noise == 0.01
-    values = dict(zip(record.labels, record.values, strict=True))
-    assert values["specular.blue"] == pytest.approx(0.8 * values["specular.red"])
-    assert record.build().shininess == pytest.approx(27.897436)
-    assert set(record.data.inputs) == {"002.png", "scene.json"}
-    assert record.noise_given and record.n_images == 1
+    assert wanted.items() <= options.items()
+    assert options["known"].shininess == pytest.approx(27.897436)
+    # And so it stands in the record, from which --like takes it.
+    kept = FitSettings.of(Specification(**options), 0.01)
+    assert kept.noise == 0.01
+    again = FitSettings.model_validate_json(kept.model_dump_json()).specification()
+    assert wanted.items() <= again.options.items()
+    assert again.options["known"].shininess == pytest.approx(27.897436)
 
 
-def test_pictures_and_report(brass, tmp_path, capsys):
-    out = tmp_path / "out"
-    args = ["fit", str(brass), "-o", str(out), "--report", "quick"]
-    assert main(args) == 0
-    names = {path.name for path in out.iterdir()}
-    assert names == {"fit.json", "comparison.png", "report.html"}
+def test_data_are_read_again_as_a_record_has_it():
+    given = DataOptions(
+        Path("ball"),
+        sphere=(24, 18, 12),
+        lights=Path("a.lp"),
+        fov=20.0,
+        encoding="srgb",
+        min_cosine=0.2,
+        room_light=0.5,
+    )
+    assert DataOptions(Path("ball")).like(given.settings()) == given
+
+
+def test_pictures_and_report(brass, fitted, tmp_path, capsys):
+    out = Path(shutil.copytree(fitted, tmp_path / "out"))
+    assert {path.name for path in out.iterdir()} == MADE
     page = (out / "report.html").read_text()
-    assert page.startswith("<!doctype html>") and f"--like {out}/fit.json" in page
+    assert page.startswith("<!doctype html>") and f"--like {fitted}/fit.json" in page
     assert pf.read_image(out / "comparison.png", "srgb").std() > 0.1
-    capsys.readouterr()
     # What is there stays, unless told otherwise, and nothing else goes.
-    assert main(args) == 2
+    args = ["fit", str(brass), "-o", str(out), "--report"]
+    assert main([*args, "quick"]) == 2
     assert "the folder is not empty" in capsys.readouterr().err
     (out / "notes.txt").write_text("mine")
-    assert main([*args, "--overwrite"]) == 2
+    assert main([*args, "quick", "--overwrite"]) == 2
     assert "it holds notes.txt" in capsys.readouterr().err
     (out / "notes.txt").unlink()
-    assert main([*args[:-1], "none", "--overwrite"]) == 0
+    assert main([*args, "none", "--overwrite"]) == 0
     assert [path.name for path in out.iterdir()] == ["fit.json"]
+
+
+@pytest.mark.parametrize("failing, status", ENDS)
+def test_a_result_outlives_its_pictures(
+    brass, tmp_path, monkeypatch, capfd, failing, status
+):
+    monkeypatch.setattr("phongfit.commands.fit._draw", failing)
+    # The test's own output stays where it is.
+    monkeypatch.setattr(os, "dup2", lambda *args: None)
+    out = tmp_path / "out"
+    assert main(["fit", str(brass), "-o", str(out), "--report", "quick"]) == status
+    assert os.listdir(out) == ["fit.json"] and WORK not in os.listdir(out)
+    assert f"\n{out}: fit.json" in capfd.readouterr().out
+
+
+def test_no_half_picture_is_kept(brass, tmp_path, monkeypatch):
+    def half(figure, path, **options):
+        Path(path).write_bytes(b"half")
+        interrupt()
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", half)
+    out = tmp_path / "out"
+    assert main(["fit", str(brass), "-o", str(out), "--report", "quick"]) == 130
+    assert os.listdir(out) == ["fit.json"]
+
+
+def test_an_interrupt_before_numbers_are_written(brass, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("phongfit.commands.fit.write_fit_record", interrupt)
+    out = tmp_path / "out"
+    assert main(["fit", str(brass), "-o", str(out), "--report", "none"]) == 130
+    # Before it, a slow machine says how long it has been at it.
+    assert capsys.readouterr().err.endswith("error: interrupted\n")
+    assert not list(tmp_path.iterdir())
+
+
+def test_files_put_there_while_it_runs(brass, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+
+    def meanwhile(*args, **kwargs):
+        (out / "notes.txt").write_text("mine")
+        return pf.fit(*args, **kwargs)
+
+    monkeypatch.setattr(FIT, meanwhile)
+    assert main(["fit", str(brass), "-o", str(out), "--report", "none"]) == 0
+    assert sorted(os.listdir(out)) == ["fit.json", "notes.txt"]
+    assert (out / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.extended
+def test_names_of_all_kinds(brass, tmp_path, monkeypatch):
+    """Formulas of matplotlib, bytes that are no UTF-8, a terminal of ASCII."""
+    data = Path(os.fsdecode(os.fsencode(tmp_path) + b"/$x_$ caf\xe9"))
+    shutil.copytree(brass, data)
+    os.rename(data / "001.png", data / "$a_$.png")
+    scene = (data / "scene.json").read_text()
+    (data / "scene.json").write_text(scene.replace("001.png", "$a_$.png"))
+    little = io.TextIOWrapper(io.BytesIO(), encoding="ascii", errors="strict")
+    monkeypatch.setattr(sys, "stdout", little)
+    out = tmp_path / "out"
+    assert main(["fit", str(data), "-o", str(out), "--report", "quick"]) == 0
+    assert set(os.listdir(out)) == MADE
+    little.flush()
+    assert b"diffuse" in little.buffer.getvalue()
+    record = read_fit_record(out / "fit.json")
+    assert record.data.name == r"$x_$ caf\udce9"
+    assert "$a_$.png" in record.data.inputs
+
+
+def test_a_full_disk(brass, tmp_path, capsys):
+    out = tmp_path / "out"
+    with full_disk(200):
+        assert main(["fit", str(brass), "-o", str(out), "--report", "none"]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"error: {out}/fit.json: cannot be written: "), err
+    assert err.count("\n") == 1 and not list(tmp_path.iterdir())
+
+
+def test_a_fit_goes_to_other_programs(fitted, tmp_path):
+    """The folder of a fit is the name of its material."""
+    path = tmp_path / "a.gltf"
+    assert main(["export", str(fitted), "--to", "gltf", "-o", str(path)]) == 0
+    fit = read_material(str(fitted / "fit.json"))
+    assert fit.name == "brass"
+    (written,) = json.loads(path.read_text())["materials"]
+    phong = written["extras"]["phong"]
+    np.testing.assert_allclose(phong["ambient"], fit.material.ambient, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -254,7 +369,7 @@ def test_like_and_other_settings_do_not_mix(brass, fitted, tmp_path, capsys):
     assert "loss: expected this option or --like" in capsys.readouterr().err
 
 
-def test_jpeg_files_say_what_they_round(copy, tmp_path):
+def test_jpeg_files_say_what_they_round(copy, asked_of):
     record = json.loads((copy / "scene.json").read_text())
     for image in record["images"]:
         light = read_image(copy / image["file"], record["encoding"])
@@ -262,70 +377,55 @@ def test_jpeg_files_say_what_they_round(copy, tmp_path):
         write_image(copy / image["file"], light, record["encoding"])
     (copy / "scene.json").write_text(json.dumps(record))
     film = pf.read_film(copy / record["images"][0]["file"], record["encoding"])
-    data = pf.read_dataset(copy)
-    assert data.film == film and film.jpeg is not None
-    out = tmp_path / "fit"
-    assert main(["fit", str(copy), "-o", str(out), "--report", "none"]) == 0
-    assert read_fit_record(out / "fit.json").film.endswith("JPEG 4:4:4")
-    again = ["fit", str(copy), "-o", str(tmp_path / "again"), "--report", "none"]
-    assert main([*again, "--like", str(out / "fit.json")]) == 0
+    assert film.jpeg is not None and film.jpeg.subsampling == "4:4:4"
+    assert pf.read_dataset(copy).film == film
+    _, options = asked_of(FIT, "fit", copy, "-o", copy / "out")
+    assert options["film"] == film
 
 
-def test_a_photograph_of_a_ball_with_nothing_else(tmp_path, capsys):
+LAMPS = np.array([(0.5, 0.3, 0.8), (-0.4, 0.2, 0.9)])
+LAMPS /= np.linalg.norm(LAMPS, axis=1, keepdims=True)
+BALL = pf.Material((0.5, 0.3, 0.2), 0.3, 20.0, 0.1)
+CIRCLE = ("--sphere", "24", "18", "12")
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory) -> Path:
+    """Two photographs of a ball, each under its own lamp, and a JPEG beside them."""
+    folder = tmp_path_factory.mktemp("ball")
     camera = pf.OrthographicCamera(48, 36, view_height=3.0)
-    light = pf.DirectionalLight((0.5, 0.3, 0.8))
-    scene = pf.Scene(pf.Sphere(), camera, light, ambient=1.0)
-    truth = pf.Material((0.5, 0.3, 0.2), 0.3, 20.0, 0.1)
-    pf.write_image(tmp_path / "photo.jpg", pf.render(scene, truth), "srgb")
-    call = ["fit", str(tmp_path / "photo.jpg"), "--report", "none"]
-    out = tmp_path / "out"
-    assert main([*call, "--sphere", "24", "18", "12", "-o", str(out)]) == 0
-    said = capsys.readouterr().out
-    assert "scene.lights[0].direction.x" in said and "shininess" in said
-    assert (
-        main([*call, "--like", str(out / "fit.json"), "-o", str(tmp_path / "b")]) == 0
-    )
-    assert main([*call, "-o", str(tmp_path / "c")]) == 2
-    assert "--sphere or --normals" in capsys.readouterr().err
-
-
-def only_diffuse(folder: Path, material: pf.Material) -> list[str]:
-    """Options for the rest of a material to be known, which is compiled sooner."""
-    path = folder / "known.json"
-    write_material(path, "known", material, pf.BlinnPhong())
-    return ["--unknowns", "diffuse", "--known", str(path)]
-
-
-def test_lamps_of_unknown_strength_are_next_to_the_first(tmp_path):
-    folder, out = tmp_path / "ball", tmp_path / "out"
-    folder.mkdir()
-    lamps, truth = [(0.5, 0.3, 0.8), (-0.4, 0.2, 0.9)], pf.Material(0.4, 0.2, 20.0, 0.1)
-    camera = pf.OrthographicCamera(48, 36, view_height=3.0)
-    for name, lamp, strength in zip("ab", lamps, (1.0, 0.7), strict=True):
+    for name, lamp in zip("ab", LAMPS, strict=True):
         light = pf.DirectionalLight(lamp)
         scene = pf.Scene(pf.Sphere(), camera, light, ambient=1.0)
-        image = strength * np.asarray(pf.render(scene, truth))
+        image = np.asarray(pf.render(scene, BALL))
         pf.write_image(folder / f"{name}.png", image, "linear", 16)
-    pf.write_lp(folder / "lamps.lp", ["a.png", "b.png"], np.array(lamps))
-    call = ["fit", str(folder), "--sphere", "24", "18", "12", "--encoding", "linear"]
-    call += only_diffuse(tmp_path, truth)
-    assert main([*call, "-o", str(out), "--report", "none"]) == 0
-    found = json.loads((out / "fit.json").read_text())
-    values = dict(zip(found["labels"], found["values"], strict=True))
-    assert values["exposure[1]"] == pytest.approx(0.7, rel=0.01)
-    assert values["diffuse.red"] == pytest.approx(0.4, rel=0.01)
+        if name == "a":
+            pf.write_image(folder.parent / "photo.jpg", image, "srgb")
+    return folder
 
 
-def test_lights_of_a_calibration_err_or_are_unknown(tmp_path):
-    folder, lamps = tmp_path / "ball", np.array([(0.5, 0.3, 0.8), (-0.4, 0.2, 0.9)])
-    truth = pf.Material(0.4, 0.2, 20.0, 0.1)
-    folder.mkdir()
-    lamps /= np.linalg.norm(lamps, axis=1, keepdims=True)
-    camera = pf.OrthographicCamera(48, 36, view_height=3.0)
-    for name, lamp in zip("ab", lamps, strict=True):
-        scene = pf.Scene(pf.Sphere(), camera, pf.DirectionalLight(lamp), ambient=1.0)
-        image = pf.render(scene, truth)
-        pf.write_image(folder / f"{name}.png", image, "linear", 16)
+def test_what_photographs_leave_open_is_found(ball, tmp_path, asked_of, capsys):
+    photo = ball.parent / "photo.jpg"
+    (scene, image), options = asked_of(FIT, "fit", photo, *CIRCLE, "-o", tmp_path / "a")
+    assert image.shape == (36, 48, 3) and isinstance(scene.surface, pf.Sphere)
+    assert options["unknowns"][-1] == "scene.lights[0].direction"
+    assert options["film"].jpeg is not None
+    assert main(["fit", str(photo), "-o", str(tmp_path / "a")]) == 2
+    assert "--sphere or --normals" in capsys.readouterr().err
+    # Lamps of a list are of unknown strength, next to the first.
+    pf.write_lp(tmp_path / "a.lp", ["a.png", "b.png"], LAMPS)
+    words = ["fit", ball, *CIRCLE, "--encoding", "linear", "-o", tmp_path / "a"]
+    _, options = asked_of(FIT, *words, "--lights", tmp_path / "a.lp")
+    assert options["unknowns"][-1] == "exposure"
+    assert options["fixed"] == {"exposure[0]": 1} and not options["uncertain"]
+    _, options = asked_of(FIT, *words)
+    assert options["unknowns"][-2:] == ("scene.lights[0].direction", "exposure")
+    assert options["per_image"] == ("scene.lights[0].direction",)
+
+
+@pytest.fixture(scope="module")
+def calibrated(ball) -> Path:
+    """A calibration of the ball's lamps: 2 % of their strength, 0.01 of direction."""
     found = [
         Lamp(
             f"{name}.png",
@@ -337,17 +437,56 @@ def test_lights_of_a_calibration_err_or_are_unknown(tmp_path):
             np.full(3, 0.02),
             np.zeros((0, 2)),
         )
-        for name, lamp in zip("ab", lamps, strict=True)
+        for name, lamp in zip("ab", LAMPS, strict=True)
     ]
     calibration = pf.Calibration(
         View(48, 36), tuple(found), (), 1.0, np.zeros(3), 0.0, np.zeros(3), {}, (), 3.0
     )
-    pf.save_calibration(folder / "lights.json", calibration)
-    call = ["fit", str(folder), "--sphere", "24", "18", "12", "--encoding", "linear"]
-    call += only_diffuse(tmp_path, truth)
+    path = ball.parent / "lights.json"
+    pf.save_calibration(path, calibration)
+    return path
+
+
+def test_lights_of_a_calibration_err_or_are_unknown(
+    ball, calibrated, tmp_path, asked_of, capsys
+):
+    words = ["fit", ball, *CIRCLE, "--encoding", "linear", "-o", tmp_path / "a"]
+    given = [*words, "--lights", calibrated]
+    direction, intensity = "scene.lights[0].direction", "scene.lights[0].intensity"
+    _, known = asked_of(FIT, *given)
+    assert list(known["uncertain"]) == [(direction, intensity)]
+    assert direction not in known["unknowns"] and known["per_image"] == ()
+    _, refined = asked_of(FIT, *given, "--refine-lights")
+    for name in (direction, intensity):
+        assert all(name in refined[each] for each in ("unknowns", "per_image"))
+        assert name in refined["per_channel"]
+    assert refined["uncertain"].keys() == known["uncertain"].keys()
+    assert main([*map(str, words), "--refine-lights"]) == 2
+    assert "refine_lights: expected lights of a" in capsys.readouterr().err
+
+
+@pytest.mark.extended
+def test_a_photograph_of_a_ball_with_nothing_else(ball, tmp_path, capsys):
+    call = ["fit", str(ball.parent / "photo.jpg"), "--report", "none", "-o"]
+    out = tmp_path / "out"
+    assert main([*call, str(out), *CIRCLE]) == 0
+    said = capsys.readouterr().out
+    assert "scene.lights[0].direction.x" in said and "shininess" in said
+    record = read_fit_record(out / "fit.json")
+    assert record.film.endswith("JPEG 4:4:4")
+    assert record.build().diffuse == pytest.approx(np.asarray(BALL.diffuse), abs=0.02)
+    assert record.build().shininess == pytest.approx(20, rel=0.1)
+    assert main([*call, str(tmp_path / "b"), "--like", str(out / "fit.json")]) == 0
+    assert "\nagrees with the recorded fit: " in capsys.readouterr().out
+
+
+@pytest.mark.extended
+def test_errors_of_a_calibration_are_those_of_the_material(ball, calibrated, tmp_path):
+    write_material(tmp_path / "known.json", "known", BALL, pf.BlinnPhong())
+    call = ["fit", str(ball), *CIRCLE, "--encoding", "linear", "--report", "none"]
     # A known highlight would tell how strong the lamps are.
-    call.insert(call.index("diffuse"), "specular")
-    call += ["--report", "none", "-o"]
+    call += ["--unknowns", "specular", "diffuse", "--known", f"{tmp_path}/known.json"]
+    call += ["--lights", str(calibrated), "-o"]
     errors = {}
     for name, options in {"known": [], "refined": ["--refine-lights"]}.items():
         assert main([*call, str(tmp_path / name), *options]) == 0
@@ -356,5 +495,3 @@ def test_lights_of_a_calibration_err_or_are_unknown(tmp_path):
     # Each strength is off by 2 %: both together by less, and directions add to it.
     assert 0.005 < errors["known"]["diffuse.red"] < 0.02
     assert errors["refined"]["scenes[1].lights[0].direction.x"] < 0.003
-    (folder / "lights.json").unlink()
-    assert main([*call, str(tmp_path / "c"), "--refine-lights"]) == 2

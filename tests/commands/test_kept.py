@@ -13,60 +13,15 @@ from pathlib import Path
 import pytest
 
 from phongfit.cli import main
-from phongfit.files.fits import read_fit_record
-from phongfit.files.outputs import WORK, replacing_folder
+from phongfit.files.outputs import replacing_folder
 
+RECORD = Path(__file__).parents[1] / "data" / "records" / "fit_version_1.json"
 FIT = ["fit", "{data}", "-o", "{out}", "--report", "quick"]
 MAPS = ["maps", "{data}", "-o", "{out}", "--unknowns", "diffuse"]
 
 
 def _fill(args, data, out) -> list[str]:
     return [word.format(data=data, out=out) for word in args]
-
-
-def _fail(*args, **kwargs):
-    raise ValueError("no such font")
-
-
-def _interrupt(*args, **kwargs):
-    raise KeyboardInterrupt
-
-
-def _close(*args, **kwargs):
-    raise BrokenPipeError
-
-
-@pytest.mark.parametrize(
-    "failing, status", [(_fail, 2), (_interrupt, 130), (_close, 141)]
-)
-@pytest.mark.parametrize(
-    "args, place, kept",
-    [
-        (FIT, "phongfit.commands.fit._draw", "fit.json"),
-        (MAPS, "phongfit.commands.maps.draw", "maps.npz"),
-    ],
-)
-def test_a_result_outlives_its_pictures(
-    brass, tmp_path, monkeypatch, capfd, args, place, kept, failing, status
-):
-    monkeypatch.setattr(place, failing)
-    out = tmp_path / "out"
-    # The test's own output stays where it is.
-    monkeypatch.setattr(os, "dup2", lambda *args: None)
-    assert main(_fill(args, brass, out)) == status
-    assert kept in os.listdir(out) and WORK not in os.listdir(out)
-    assert "tiles" not in os.listdir(out)
-    assert f"\n{out}: " in capfd.readouterr().out
-
-
-def test_no_half_picture_is_kept(brass, tmp_path, monkeypatch):
-    def half(figure, path, **options):
-        Path(path).write_bytes(b"half")
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", half)
-    assert main(_fill(FIT, brass, tmp_path / "out")) == 130
-    assert os.listdir(tmp_path / "out") == ["fit.json"]
 
 
 def test_two_runs_into_one_folder(brass, tmp_path, capsys):
@@ -78,21 +33,6 @@ def test_two_runs_into_one_folder(brass, tmp_path, capsys):
             err = capsys.readouterr().err
             assert err == f"error: {out}: another run is writing there\n"
     assert os.listdir(out) == ["mine.txt"]
-
-
-def test_files_put_there_while_it_runs(brass, tmp_path, monkeypatch):
-    out = tmp_path / "out"
-    fit = __import__("phongfit.commands.fit", fromlist=["fit"]).fit
-
-    def meanwhile(*args, **kwargs):
-        (out / "notes.txt").write_text("mine")
-        return fit(*args, **kwargs)
-
-    monkeypatch.setattr("phongfit.commands.fit.fit", meanwhile)
-    args = [*_fill(FIT[:-2], brass, out), "--report", "none"]
-    assert main(args) == 0
-    assert sorted(os.listdir(out)) == ["fit.json", "notes.txt"]
-    assert (out / "notes.txt").read_text() == "mine"
 
 
 @pytest.mark.parametrize(
@@ -116,8 +56,10 @@ def test_files_put_there_while_it_runs(brass, tmp_path, monkeypatch):
         ("export preset:gold --to gltf --scene {data}/scene.json -o {hard}.glb", ""),
     ],
 )
-def test_an_input_is_no_output(copy, fitted, tmp_path, capsys, args, lost):
-    fit = shutil.copytree(fitted, tmp_path / "fit")
+def test_an_input_is_no_output(copy, tmp_path, capsys, args, lost):
+    fit = tmp_path / "fit"
+    fit.mkdir()
+    shutil.copy(RECORD, fit / "fit.json")
     scene = json.loads((copy / "scene.json").read_text())
     shutil.copy(copy / "001.png", copy / "001_mask.png")
     scene["images"][0]["mask"] = "001_mask.png"
@@ -131,25 +73,6 @@ def test_an_input_is_no_output(copy, fitted, tmp_path, capsys, args, lost):
     assert re.match(r"error: \S+: is an input, expected another file", err), err
     assert lost in err.replace("link.png", "002.png") and err.count("\n") == 1
     assert before == {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
-
-
-def test_names_of_all_kinds(brass, tmp_path, monkeypatch):
-    """Formulas of matplotlib, bytes that are no UTF-8, a terminal of ASCII."""
-    data = Path(os.fsdecode(os.fsencode(tmp_path) + b"/$x_$ caf\xe9"))
-    shutil.copytree(brass, data)
-    os.rename(data / "001.png", data / "$a_$.png")
-    scene = (data / "scene.json").read_text()
-    (data / "scene.json").write_text(scene.replace("001.png", "$a_$.png"))
-    little = io.TextIOWrapper(io.BytesIO(), encoding="ascii", errors="strict")
-    monkeypatch.setattr(sys, "stdout", little)
-    assert main(_fill(FIT, data, tmp_path / "out")) == 0
-    made = {"fit.json", "comparison.png", "report.html"}
-    assert set(os.listdir(tmp_path / "out")) == made
-    little.flush()
-    assert b"diffuse" in little.buffer.getvalue()
-    record = read_fit_record(tmp_path / "out" / "fit.json")
-    assert record.data.name == r"$x_$ caf\udce9"
-    assert "$a_$.png" in record.data.inputs
 
 
 def test_a_terminal_that_knows_little(monkeypatch, tmp_path):
@@ -178,6 +101,7 @@ def test_told_to_end(brass, tmp_path, monkeypatch, capsys, name):
         signal.signal(number, before)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("args, words", [("", b""), ("['--version']", b"Interrupt")])
 def test_an_interrupt_after_the_end_says_nothing(args, words):
     """Of the process that the command is; whoever calls it keeps what it had."""

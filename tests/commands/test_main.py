@@ -15,17 +15,15 @@ import phongfit as pf
 from phongfit.cli import COMMANDS, main
 from phongfit.commands import synth
 from phongfit.files.fits import read_fit_record
+from tests.commands.conftest import interrupt
 from tests.helpers import said
-
-
-def _stop(*args, **kwargs):
-    raise KeyboardInterrupt
 
 
 def test_help_of_all(capsys):
     assert main(["--help"]) == 0
     text = capsys.readouterr().out
-    assert all(name in text for name in COMMANDS)
+    options = ("--version", "--completion", "--max-memory")
+    assert all(name in text for name in (*COMMANDS, *options))
     assert "phongfit fit out/brass -o out/fit" in text and "PHONGFIT_CACHE" in text
     assert main(["--version"]) == 0
     assert re.fullmatch(r"phongfit \d+\.\d+\.\d+\n", capsys.readouterr().out)
@@ -82,7 +80,6 @@ def test_synth_without_its_package(tmp_path, monkeypatch, capsys):
     "place, args",
     [
         ("phongfit.commands.fit.fit", ["fit", "{data}", "-o", "{out}"]),
-        ("phongfit.commands.fit.write_fit_record", ["fit", "{data}", "-o", "{out}"]),
         ("phongfit.commands.render.render", ["render", "{data}", "-o", "{out}.png"]),
         (
             "phongfit.files.gltf._File.glb",
@@ -91,7 +88,7 @@ def test_synth_without_its_package(tmp_path, monkeypatch, capsys):
     ],
 )
 def test_an_interrupt_leaves_nothing(brass, tmp_path, monkeypatch, capsys, place, args):
-    monkeypatch.setattr(place, _stop)
+    monkeypatch.setattr(place, interrupt)
     filled = [word.format(data=brass, out=tmp_path / "out") for word in args]
     assert main(filled) == 130
     assert capsys.readouterr().err == "error: interrupted\n"
@@ -132,7 +129,7 @@ def test_render(brass, tmp_path, capsys):
     shown = np.asarray(pf.render(scene, truth))
     out = tmp_path / "a.png"
     assert main(["render", str(brass), "-o", str(out)]) == 0
-    assert "24 × 24 pixels, srgb; " in capsys.readouterr().out
+    assert "16 × 16 pixels, srgb; " in capsys.readouterr().out
     np.testing.assert_allclose(pf.read_image(out, "srgb"), shown, atol=0.005)
     # One light, another material, and all the light there is.
     bright = tmp_path / "bright.mtl"
@@ -140,9 +137,7 @@ def test_render(brass, tmp_path, capsys):
     out = tmp_path / "a.exr"
     args = ["--material", str(bright), "--lights", "1", "-o", str(out)]
     assert main(["render", f"{brass}/scene.json", *args]) == 0
-    second = pf.Scene(
-        scene.surface, scene.camera, scene.lights[1], scene.ambient
-    )  # fmt: skip
+    second = pf.Scene(scene.surface, scene.camera, scene.lights[1], scene.ambient)
     light = pf.render(second, pf.read_mtl(bright)["bright"], film=pf.Film(clamp=False))
     assert np.max(light) > 1
     np.testing.assert_allclose(pf.read_image(out, "linear"), light, rtol=1e-5)
@@ -164,7 +159,7 @@ def test_render(brass, tmp_path, capsys):
 def test_where_an_image_goes_is_looked_at_first(
     brass, tmp_path, monkeypatch, capsys, options, words
 ):
-    monkeypatch.setattr("phongfit.commands.render.render", _stop)
+    monkeypatch.setattr("phongfit.commands.render.render", interrupt)
     filled = [word.format(tmp_path) for word in options]
     assert main(["render", str(brass), *filled]) == 2
     told = capsys.readouterr().err
@@ -172,7 +167,7 @@ def test_where_an_image_goes_is_looked_at_first(
 
 
 def test_where_a_fit_goes_is_looked_at_first(brass, monkeypatch, capsys):
-    monkeypatch.setattr("phongfit.commands.fit.read_data", _stop)
+    monkeypatch.setattr("phongfit.commands.fit.read_data", interrupt)
     assert main(["fit", str(brass), "-o", str(brass)]) == 2
     assert f"{brass}: the folder is not empty" in capsys.readouterr().err
 
@@ -193,6 +188,7 @@ def test_predict(brass, tmp_path, capsys):
     assert "noise" in capsys.readouterr().err
 
 
+@pytest.mark.extended
 def test_a_fit_in_a_process_of_its_own(brass, tmp_path):
     """As a user starts it, its output not a terminal: no bar, no colour, no traces."""
     cache, out = tmp_path / "cache", tmp_path / "out"

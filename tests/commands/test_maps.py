@@ -1,7 +1,9 @@
 """`phongfit maps`: what it writes, and how it goes on after an interrupt."""
 
 import json
+import os
 import shutil
+import types
 
 import imagecodecs
 import numpy as np
@@ -12,19 +14,27 @@ import phongfit as pf
 from phongfit.cli import main
 from phongfit.commands import maps as command
 from phongfit.files.dataset import Photographs
+from phongfit.files.outputs import WORK
 from phongfit.maps.folder import load_folder
 from phongfit.rendering.film import decode
+from tests.commands.conftest import (
+    ENDS,
+    FEW,
+    SIDE,
+    files_in,
+    full_disk,
+    interrupt,
+)
+from tests.maps.synthetic import same
 
-FEW = ["--unknowns", "ambient", "diffuse", "--known", "preset:brass"]
+TILES = [*FEW, "--tile-pixels", "64"]
+HALF = SIDE // 2
 
 
 @pytest.fixture(scope="module")
 def mapped(brass, tmp_path_factory):
     folder = tmp_path_factory.mktemp("maps") / "maps"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PHONGFIT_CACHE", "off")
-        args = ["maps", str(brass), "-o", str(folder), "--highlight", "shared"]
-        assert main([*args, "--noise", "0.01"]) == 0
+    assert main(["maps", str(brass), "-o", str(folder), *TILES]) == 0
     return folder
 
 
@@ -42,36 +52,31 @@ def test_maps_their_errors_and_pictures(brass, mapped):
         tiff = imagecodecs.tiff_decode((mapped / f"stderr_{name}.tif").read_bytes())
         np.testing.assert_allclose(tiff, getattr(maps.stderr, name), rtol=1e-6)
         assert pf.read_image(mapped / f"{name}.png", "srgb").std() > 0.05
-    # Known for all pixels: what one material told.
-    np.testing.assert_allclose(maps.shininess[inside], 27.9, rtol=0.05)
+    np.testing.assert_allclose(maps.shininess[inside], 27.897436, rtol=1e-6)
     assert record.settings.unknowns == ["ambient", "diffuse"]
     assert record.settings.known is not None and record.settings.noise == 0.01
     assert len(record.data.inputs) == 4 and not (mapped / "tiles").exists()
     np.testing.assert_allclose(np.linalg.norm(normals[inside], axis=-1), 1, rtol=1e-5)
     # The ball's middle looks at the viewer, its left side to the left.
     assert (
-        normals[12, 12, 2] > 0.98
-        and normals[12, 3, 0] < -0.6
-        and normals[3, 12, 1] > 0.6
+        normals[HALF, HALF, 2] > 0.98
+        and normals[HALF, 2, 0] < -0.6
+        and normals[2, HALF, 1] > 0.6
     )
 
 
 def test_a_stopped_run_goes_on_where_it_was(brass, tmp_path, monkeypatch, capsys):
     out = tmp_path / "maps"
-    args = ["maps", str(brass), "-o", str(out), *FEW, "--tile-pixels", "64"]
-
-    def stop(*args, **kwargs):
-        raise KeyboardInterrupt
-
+    args = ["maps", str(brass), "-o", str(out), *TILES]
     with monkeypatch.context() as patch:
-        patch.setattr(command, "save_folder", stop)
+        patch.setattr(command, "save_folder", interrupt)
         assert main(args) == 130
     err = capsys.readouterr().err
     assert err.startswith("error: interrupted; finished tiles stay in")
     assert err.count("\n") == 1
     (tiles,) = out.iterdir()
     # Photographs are looked at one after the other: nobody wants all of them.
-    monkeypatch.setattr(Photographs, "load", stop)
+    monkeypatch.setattr(Photographs, "load", interrupt)
     # Another job must not mix with these tiles.
     assert main([*args, "--noise", "0.02"]) == 2
     assert "holds tiles of another job" in capsys.readouterr().err
@@ -80,7 +85,7 @@ def test_a_stopped_run_goes_on_where_it_was(brass, tmp_path, monkeypatch, capsys
 
     def look(folder, found, **kept):
         assert times == {p.name: p.stat().st_mtime_ns for p in tiles.iterdir()}
-        raise KeyboardInterrupt
+        interrupt()
 
     with monkeypatch.context() as patch:
         patch.setattr(command, "save_folder", look)
@@ -101,6 +106,52 @@ def test_a_stopped_run_goes_on_where_it_was(brass, tmp_path, monkeypatch, capsys
         in capsys.readouterr().err
     )
     assert main([*args, "--overwrite", "--no-pictures"]) == 0
+
+
+@pytest.mark.parametrize("failing, status", ENDS)
+def test_a_result_outlives_its_pictures(
+    brass, tmp_path, monkeypatch, capfd, failing, status
+):
+    monkeypatch.setattr(command, "draw", failing)
+    # The test's own output stays where it is.
+    monkeypatch.setattr(os, "dup2", lambda *args: None)
+    out = tmp_path / "out"
+    assert main(["maps", str(brass), "-o", str(out), *TILES]) == status
+    names = os.listdir(out)
+    assert "maps.npz" in names and not {command.TILES, WORK} & {*names}
+    assert f"\n{out}: " in capfd.readouterr().out
+
+
+def test_a_full_disk(brass, tmp_path, capsys):
+    """What was finished before stays, for the next run."""
+    args = ["maps", str(brass), "-o", str(tmp_path / "out"), *TILES, "--no-pictures"]
+    with full_disk(2000):
+        assert main(args) == 2
+    err = capsys.readouterr().err
+    assert "cannot be written: File too large; photographs stand there" in err
+    assert "TMPDIR" in err and not (tmp_path / "out").exists()
+    with full_disk(4000):
+        assert main(args) == 2
+    err = capsys.readouterr().err
+    assert "tile_000000.npz: cannot be written" in err and err.count("\n") == 1
+    (tiles,) = (tmp_path / "out").iterdir()
+    assert [path.name for path in tiles.iterdir()] == ["maps.json"]
+    assert main(args) == 0
+
+
+def test_a_highlight_for_all_pixels(brass, tmp_path, monkeypatch, asked_of):
+    """Found by a fit of one material, of which each pixel is given the highlight."""
+    words = ["maps", brass, "-o", tmp_path / "maps", "--highlight", "shared"]
+    words += ["--noise", "0.01", "--bounds", "shininess=1:5000"]
+    (scenes, images), options = asked_of("phongfit.commands.maps.fit", *words)
+    assert len(scenes) == len(images) == len(options["mask"]) == 3
+    assert options["unknowns"] == ("ambient", "diffuse", "specular", "shininess")
+    assert options["bounds"] == {"shininess": (1, 5000)}
+    one = types.SimpleNamespace(material=pf.preset("gold"))
+    monkeypatch.setattr(command, "fit", lambda *_, **__: one)
+    _, options = asked_of("phongfit.commands.maps.fit_maps", *words)
+    assert options["unknowns"] == ("ambient", "diffuse")
+    assert options["known"] is one.material and options["noise"] == 0.01
 
 
 def test_textures_of_a_gltf_file(mapped, tmp_path, capsys):
@@ -211,7 +262,54 @@ def test_record_is_whole(mapped):
     assert record["made_with"]["jax"]
 
 
-def test_normals_are_sought(capture, tmp_path, capsys):
+def test_a_zarr_array_and_a_store(stored, tmp_path, capsys):
+    """To a store, to a folder, and the same as from Python."""
+    data = pf.read_dataset(stored.parent)
+    known = pf.preset("brass")
+    images, unknowns = np.stack(data.images), ("ambient", "diffuse")
+    # As many pixels at a time as a chunk has, so that the program is the same.
+    expected = pf.fit_maps(
+        data.scenes, images, unknowns=unknowns, known=known, noise=0.01, tile_pixels=64
+    )
+    out = tmp_path / "maps.zarr"
+    assert main(["maps", str(stored), "-o", str(out), *FEW]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("phongfit: maps of 16 × 16 pixels") and str(out) in told
+    same(pf.StoredMaps(out).load(), expected)
+    # Again: nothing is done. Others in its place want to be asked for.
+    assert main(["maps", str(stored), "-o", str(out), *FEW]) == 0
+    assert main(["maps", str(stored), "-o", str(out), *FEW[:-1], "0.1"]) == 2
+    assert "another job (its lights differs)" in capsys.readouterr().err
+    words = ["maps", str(stored), "-o", str(out), *FEW[:-1], "0.1", "--overwrite"]
+    assert main(words) == 0
+    folder = tmp_path / "maps"
+    assert main(["maps", str(stored), "-o", str(folder), *FEW, "--no-pictures"]) == 0
+    maps, record, _ = load_folder(folder)
+    same(maps, expected)
+    assert set(record.data.inputs) >= {"scene.json", "stack.zarr"}
+    assert not (folder / "tiles").exists()
+
+
+def test_what_is_not_of_maps_stays(stored, tmp_path, capsys):
+    """Before anything is put among it, or into the images."""
+    out = tmp_path / "maps.zarr"
+    out.mkdir()
+    (out / "letter.txt").write_text("mine")
+    for more in [], ["--overwrite"]:
+        assert main(["maps", str(stored), "-o", str(out), *FEW, *more]) == 2
+        assert "is not replaced, since it holds letter.txt" in capsys.readouterr().err
+        assert files_in(out).keys() == {(out / "letter.txt").relative_to(out)}
+    (out / "letter.txt").unlink()
+    assert main(["maps", str(stored), "-o", str(out), *FEW, "--overwrite"]) == 0
+    # What came among older maps.
+    (out / "letter.txt").write_text("mine")
+    before = files_in(out)
+    assert main(["maps", str(stored), "-o", str(out), *FEW, "--overwrite"]) == 2
+    assert files_in(out) == before
+
+
+@pytest.mark.extended
+def test_normals_are_sought(capture, tmp_path):
     folder, hidden = capture
     out = tmp_path / "maps"
     args = ["maps", str(folder), "--normals", "fit", "--encoding", "linear"]
@@ -223,38 +321,37 @@ def test_normals_are_sought(capture, tmp_path, capsys):
     np.testing.assert_allclose(normals, maps.normals, atol=1e-6)
     assert np.median(hidden.angles(maps)) < 1
     assert maps.identified.mean() > 0.9 and np.isfinite(maps.normals_stderr).any()
+
+
+def test_normals_are_asked_for(capture, tmp_path, asked_of, capsys):
+    """What becomes of them, and of materials, stands in `tests/maps`."""
+    folder, _ = capture
+    args = ["maps", str(folder), "--normals", "fit", "--encoding", "linear"]
+    args += ["-o", str(tmp_path / "maps")]
+    fit_maps = "phongfit.commands.maps.fit_maps"
+    (scenes, stack), options = asked_of(fit_maps, *args)
+    assert len(scenes) == 24 and stack.shape == (24, 16, 24)
+    assert (options["normals"], options["loss"], options["passes"]) == (
+        *("fit", "cauchy", 2),
+    )
+    assert options["unknowns"] == ("diffuse", "specular", "shininess")
+    assert options["materials"] is None
+    for words, wanted in (("3", 3), ("auto", "auto")):
+        _, options = asked_of(fit_maps, *args, "--materials", words)
+        assert options["materials"] == wanted
     capsys.readouterr()
     for more, words in (
+        (["--materials", "several"], "materials: expected a whole number"),
         (["--highlight", "shared"], "highlight: expected own"),
         (["--passes", "0"], "passes: expected 1, or more"),
         (["--sphere", "8", "8", "4"], "got both"),
     ):
-        assert main([*args, "-o", str(tmp_path / "more"), *more]) == 2
-        assert words in capsys.readouterr().err
-    assert main(["fit", *args[1:], "-o", str(tmp_path / "more")]) == 2
+        assert main([*args, *more]) == 2
+        err = capsys.readouterr().err
+        assert words in err and err.count("\n") == 1
+    assert main(["fit", *args[1:]]) == 2
     assert "only `phongfit maps` seeks normals" in capsys.readouterr().err
     (folder / "dome.lp").rename(folder / "dome.txt")
-    assert main([*args, "-o", str(tmp_path / "more")]) == 2
+    assert main(args) == 2
     assert "lights: expected them where normals are sought" in capsys.readouterr().err
     (folder / "dome.txt").rename(folder / "dome.lp")
-
-
-def test_materials_are_asked_for(capture, tmp_path, monkeypatch, capsys):
-    """What becomes of them stands in `tests/maps/materials`."""
-    args = ["maps", str(capture[0]), "--normals", "fit", "--encoding", "linear"]
-    args += ["-o", str(tmp_path / "maps")]
-    asked = []
-
-    def stop(*_, **given):
-        asked.append(given["materials"])
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(command, "fit_maps", stop)
-        for words in ([], ["--materials", "3"], ["--materials", "auto"]):
-            assert main([*args, *words]) == 130
-    assert asked == [None, 3, "auto"]
-    capsys.readouterr()
-    assert main([*args, "--materials", "several"]) == 2
-    err = capsys.readouterr().err
-    assert "materials: expected a whole number" in err and err.count("\n") == 1

@@ -8,6 +8,8 @@ import pytest
 
 import phongfit as pf
 from phongfit.cli import main
+from phongfit.commands.data import DataOptions, stack_data
+from phongfit.files.fits import DataSettings
 from phongfit.maps.folder import load_folder
 from tests.maps.hills import write_hills
 
@@ -101,20 +103,17 @@ def test_maps_of_before_want_an_encoding(hills, tmp_path, capsys):
     assert "expected --encoding linear or srgb" in capsys.readouterr().err
 
 
-@pytest.fixture(scope="module")
-def coin(capture, tmp_path_factory):
-    """Maps of photographs under a list of lamps, and the photographs."""
-    folder, _ = capture
-    out = tmp_path_factory.mktemp("coin") / "maps"
-    args = ["maps", str(folder), "--normals", "fit", "--encoding", "linear"]
-    args += ["--passes", "1", "--fov", "30", "--no-pictures"]
-    assert main([*args, "-o", str(out)]) == 0
-    return out, folder
+READ = {"normals": "fit", "encoding": "linear", "fov": 30.0}
 
 
-def test_with_what_maps_leave_of_their_photographs(coin, tmp_path, capsys):
+@pytest.mark.extended
+def test_with_what_maps_leave_of_their_photographs(capture, tmp_path, capsys):
     """Under its own lamp each photograph comes back."""
-    maps, photographs = coin
+    photographs, _ = capture
+    maps = tmp_path / "maps"
+    words = [word for name, value in READ.items() for word in (f"--{name}", f"{value}")]
+    words += ["--passes", "1", "--no-pictures"]
+    assert main(["maps", str(photographs), "-o", str(maps), *words]) == 0
     args = ["relight", str(maps), "--lights", f"{photographs}/dome.lp"]
     given = [*args, "--photographs", str(photographs), "-o", str(tmp_path / "seen")]
     assert main(given) == 0
@@ -128,28 +127,29 @@ def test_with_what_maps_leave_of_their_photographs(coin, tmp_path, capsys):
         off[name] = np.abs(shown - taken).max()
     # 8 bits as they are written, of 16 that were read.
     assert off["seen"] < 0.0025 < 0.02 < off["alone"]
-    capsys.readouterr()
-    assert main([*given[:-1], str(tmp_path / "more"), "--no-shadows"]) == 2
-    assert "shadows: photographs have theirs" in capsys.readouterr().err
-    assert not (tmp_path / "more").exists()
 
 
-@pytest.mark.parametrize(
-    "change, words",
-    [
-        ("07.png", "photographs: expected those of the maps"),
-        (None, "photographs: "),
-    ],
-)
-def test_other_photographs_are_refused(coin, tmp_path, capsys, change, words):
-    maps, photographs = coin
-    other = tmp_path / "other"
-    if change is not None:
-        shutil.copytree(photographs, other)
-        pf.write_image(other / change, np.full((16, 24, 3), 0.5), "linear")
+def test_other_photographs_are_refused(capture, tmp_path, capsys):
+    photographs, _ = capture
+    _, record = stack_data(DataOptions(photographs).like(DataSettings(**READ)))
+    (maps := tmp_path / "maps").mkdir()
+    write_hills(maps)
+    content = json.loads((maps / "maps.json").read_text())
+    content["data"] = record.model_dump(mode="json")
+    (maps / "maps.json").write_text(json.dumps(content))
+    other, out = tmp_path / "other", tmp_path / "out"
     args = ["relight", str(maps), "--lights", f"{photographs}/dome.lp"]
-    args += ["--photographs", str(other), "-o", str(tmp_path / "out")]
-    assert main(args) == 2
-    told = capsys.readouterr().err
-    assert words in told and told.count("\n") == 1
-    assert not (tmp_path / "out").exists()
+    args += ["-o", str(out), "--photographs"]
+
+    def told(*words) -> str:
+        assert main([*args, *map(str, words)]) == 2
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1 and not out.exists()
+        return err
+
+    assert "photographs: " in told(other)
+    shutil.copytree(photographs, other)
+    pf.write_image(other / "07.png", np.full((16, 24, 3), 0.5), "linear")
+    assert "photographs: expected those of the maps" in told(other)
+    words = told(photographs, "--no-shadows")
+    assert "shadows: photographs have theirs" in words

@@ -11,54 +11,20 @@ import phongfit as pf
 from phongfit.cli import main
 from phongfit.files.lp import write_lp
 from phongfit.maps.folder import load_folder
-from tests.commands.test_maps import FEW
+from tests.commands.conftest import FEW, SIDE, files_in
 from tests.maps.synthetic import same
 
 zarr = pytest.importorskip("zarr")
 
 
-@pytest.fixture
-def stored(copy):
-    """The data set's images as a zarr array beside its scene.json."""
-    data = pf.read_dataset(copy)
-    images = np.stack(data.images)
-    zarr.create_array(copy / "stack.zarr", data=images, chunks=(1, 12, 12, 3))
-    return copy / "stack.zarr"
-
-
-def test_a_scene_beside_it(stored, tmp_path, capsys):
-    """To a store, to a folder, and the same as from Python."""
-    data = pf.read_dataset(stored.parent)
-    known = pf.preset("brass")
-    expected = pf.fit_maps(
-        data.scenes, np.stack(data.images), unknowns=("ambient", "diffuse"), known=known
-    )
-    out = tmp_path / "maps.zarr"
-    assert main(["maps", str(stored), "-o", str(out), *FEW]) == 0
-    told = capsys.readouterr().out
-    assert told.startswith("phongfit: maps of 24 × 24 pixels") and str(out) in told
-    same(pf.StoredMaps(out).load(), expected)
-    # Again: nothing is done. Others in its place want to be asked for.
-    assert main(["maps", str(stored), "-o", str(out), *FEW]) == 0
-    assert main(["maps", str(stored), "-o", str(out), *FEW, "--noise", "0.1"]) == 2
-    assert "another job (its settings, lights differs)" in capsys.readouterr().err
-    words = ["maps", str(stored), "-o", str(out), *FEW, "--noise", "0.1", "--overwrite"]
-    assert main(words) == 0
-    folder = tmp_path / "maps"
-    assert main(["maps", str(stored), "-o", str(folder), *FEW, "--no-pictures"]) == 0
-    maps, record, _ = load_folder(folder)
-    same(maps, expected)
-    assert set(record.data.inputs) >= {"scene.json", "stack.zarr"}
-    assert not (folder / "tiles").exists()
-
-
+@pytest.mark.extended
 def test_photographs_to_a_store(copy, tmp_path, capsys):
     """The same maps as in a folder; samples that are masked are left out."""
-    hidden = np.full((24, 24), 255, np.uint8)
-    hidden[10:14] = 0
+    hidden = np.full((SIDE, SIDE), 255, np.uint8)
+    hidden[6:10] = 0
     Image.fromarray(hidden).save(copy / "mask.png")
     # Two by two pixels are left out of all of them: they are outside.
-    hidden[:], hidden[11:13, 11:13] = 255, 0
+    hidden[:], hidden[7:9, 7:9] = 255, 0
     Image.fromarray(hidden).save(copy / "hole.png")
     scene = json.loads((copy / "scene.json").read_text())
     for image, mask in zip(scene["images"], ("hole", "mask", "hole"), strict=True):
@@ -68,7 +34,7 @@ def test_photographs_to_a_store(copy, tmp_path, capsys):
     assert main(["maps", str(copy), "-o", str(folder), *FEW, "--no-pictures"]) == 0
     expected = load_folder(folder)[0]
     assert {6, 9} <= {*expected.samples.flat}
-    assert (expected.flags[11:13, 11:13] == pf.Flag.OUTSIDE).all()
+    assert (expected.flags[7:9, 7:9] == pf.Flag.OUTSIDE).all()
     assert main(["maps", str(copy), "-o", str(store), *FEW]) == 0
     assert str(store) in capsys.readouterr().out
     same(pf.StoredMaps(store).load(), expected)
@@ -79,6 +45,7 @@ def test_photographs_to_a_store(copy, tmp_path, capsys):
     assert "another job (its images differs)" in capsys.readouterr().err
 
 
+@pytest.mark.extended
 def test_a_ball_and_a_list_of_lights(stored, tmp_path):
     """As of a folder of the same images, but for the edges that it leaves out."""
     encoded = str(pf.read_dataset(stored.parent).film.encoding)  # pyright: ignore
@@ -86,7 +53,7 @@ def test_a_ball_and_a_list_of_lights(stored, tmp_path):
     names = sorted(path.name for path in stored.parent.glob("0*.png"))
     vectors = [(0.5, 0.2, 1), (-0.5, 0.3, 1), (0, -0.6, 1)]
     write_lp(stored.parent / "dome.lp", names, vectors)
-    words = "--sphere 12 12 10 --unknowns diffuse --min-cosine 0.1".split()
+    words = "--sphere 8 8 6.5 --unknowns diffuse --min-cosine 0.1".split()
     found = []
     for source in (stored.parent, stored):
         encoding = [] if source == stored else ["--encoding", encoded]
@@ -100,6 +67,7 @@ def test_a_ball_and_a_list_of_lights(stored, tmp_path):
     np.testing.assert_allclose(a.diffuse, b.diffuse, rtol=1e-5)
 
 
+@pytest.mark.extended
 def test_a_pinhole_and_a_list_of_lights(capture, tmp_path):
     """A plane that is not known pixel by pixel is seen along the same rays."""
     folder, _ = capture
@@ -156,35 +124,11 @@ def test_stores_and_folders_are_not_mixed_up(brass, stored, tmp_path, capsys):
     assert main(["maps", str(stored), "-o", out, "--overwrite", "--scene", "x"]) == 2
 
 
-def _files(folder):
-    """All that is in a folder, as it is."""
-    found = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {path.relative_to(folder): path.read_bytes() for path in found}
-
-
-def test_what_is_not_of_maps_stays(stored, tmp_path, capsys):
-    """Before anything is put among it, or into the images."""
-    out = tmp_path / "maps.zarr"
-    out.mkdir()
-    (out / "letter.txt").write_text("mine")
-    for more in [], ["--overwrite"]:
-        assert main(["maps", str(stored), "-o", str(out), *FEW, *more]) == 2
-        assert "is not replaced, since it holds letter.txt" in capsys.readouterr().err
-        assert _files(out).keys() == {(out / "letter.txt").relative_to(out)}
-    (out / "letter.txt").unlink()
-    assert main(["maps", str(stored), "-o", str(out), *FEW, "--overwrite"]) == 0
-    # What came among older maps.
-    (out / "letter.txt").write_text("mine")
-    before = _files(out)
-    assert main(["maps", str(stored), "-o", str(out), *FEW, "--overwrite"]) == 2
-    assert _files(out) == before
-
-
 @pytest.mark.parametrize("place", ["", "maps.zarr", "c/maps.zarr", "../linked.zarr"])
 def test_images_are_no_place_for_maps(stored, capsys, place):
     (stored.parent / "linked.zarr").symlink_to(stored)
-    before, out = _files(stored), str(stored / place)
+    before, out = files_in(stored), str(stored / place)
     for more in [], ["--overwrite"]:
         assert main(["maps", str(stored), "-o", out, *FEW, *more]) == 2
         assert "the images are there" in capsys.readouterr().err
-        assert _files(stored) == before
+        assert files_in(stored) == before

@@ -86,6 +86,7 @@ def test_from_photographs_to_a_mesh_for_others(photographs, tmp_path, capsys):
     assert "is not empty" in capsys.readouterr().err
 
 
+@pytest.mark.extended
 def test_from_photographs_to_numbers_at_vertices(tmp_path, capsys):
     folder, out = tmp_path / "ball", tmp_path / "fit"
     folder.mkdir()
@@ -127,6 +128,7 @@ def test_from_photographs_to_numbers_at_vertices(tmp_path, capsys):
         assert words in page, words
 
 
+@pytest.mark.extended
 def test_ambient_has_no_place_in_gltf(photographs, tmp_path, capsys):
     out = tmp_path / "fit"
     asked = ["--unknowns", "ambient.texture", "--known", "preset:brass"]
@@ -168,6 +170,7 @@ def test_fit_says_who_finds_texels():
         pf.fit(scenes()[0], image, unknowns=("diffuse.texture", "specular"))
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     "model, names, scale",
     [

@@ -13,6 +13,7 @@ from data_synth.lights import PEAK, WIDEST, exposure, spread_directions
 from phongfit.files.dataset import Dataset
 
 MATTE = pf.Material(0.6, 0.0, 1.0, 0.5)
+EXTENDED = pytest.mark.extended
 
 
 def _make(material: pf.Material = MATTE, seed: int = 0, **options: Any) -> Dataset:
@@ -78,7 +79,10 @@ def test_default_exposure_cuts_nothing_off(name):
     assert PEAK - 0.02 < highest < 1
 
 
-@pytest.mark.parametrize("kind", ["directional", "point", "spot", "mixed"])
+KINDS = [pytest.param(n, marks=EXTENDED) for n in ("directional", "point", "spot")]
+
+
+@pytest.mark.parametrize("kind", ["mixed", *KINDS])
 def test_default_lights_show_highlight_and_shadow(kind):
     shiny = pf.Material(0.0, 1.0, 50.0, 0.0)
     for lights in make_lights(6, kind):

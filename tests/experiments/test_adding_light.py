@@ -1,8 +1,10 @@
 import numpy as np
+import pytest
 
 from experiments.adding_light import EXPERIMENT
 
 
+@pytest.mark.extended
 def test_linear_light_adds_and_too_much_changes_colour(found):
     finding = found(EXPERIMENT)
     numbers = finding.numbers

@@ -10,6 +10,8 @@ from matplotlib.axes import Axes
 from experiments import all as every
 from phongfit.cli import run
 
+pytestmark = pytest.mark.extended
+
 
 class Page(html.parser.HTMLParser):
     """Pictures, links and ids of a page, and its text."""

@@ -41,6 +41,7 @@ from experiments.textured_object import TRUTH, Size, checkered, vase, views
 from phongfit.fitting.fit import fit
 
 
+@pytest.mark.extended
 def test_all_ways_end_at_one_answer():
     """What is measured, not how fast it is."""
     # optax is not written for strict promotion.
@@ -68,6 +69,7 @@ def test_a_peer_has_one_thread():
     assert threads() == before
 
 
+@pytest.mark.extended
 def test_the_start_is_the_peers():
     scene, image = single.target(24)
     problem = fit(scene, image).solution.problem
@@ -76,6 +78,7 @@ def test_the_start_is_the_peers():
     assert material.diffuse.tolist() == [0.5, 0.5, 0.5]
 
 
+@pytest.mark.extended
 def test_residuals_written_out_are_the_problems():
     scene, image = single.target(24)
     problem = fit(scene, image).solution.problem
@@ -89,6 +92,7 @@ def test_residuals_written_out_are_the_problems():
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.extended
 @pytest.mark.skipif(
     importlib.util.find_spec("torch") is None, reason="PyTorch is not installed"
 )
@@ -132,6 +136,7 @@ def stack():
     return make_stack(100, 24)
 
 
+@pytest.mark.extended
 def test_the_stack_is_what_a_map_takes_it_for(stack):
     """The peers' model is the library's: a map finds the truth it was made of."""
     values, errors = map_peers.as_rows(maps.fit_stack(stack))
@@ -140,6 +145,7 @@ def test_the_stack_is_what_a_map_takes_it_for(stack):
     assert identified.mean() > 0.95 and np.mean(np.abs(pulls[identified]) < 4) > 0.99
 
 
+@pytest.mark.extended
 def test_peers_of_a_map_end_at_its_answer(stack):
     values, errors = map_peers.as_rows(maps.fit_stack(stack))
     truth = stack.truth.reshape(-1, UNKNOWNS)
@@ -163,6 +169,7 @@ def test_peers_of_a_map_end_at_its_answer(stack):
     assert map_details(rows).count("| 40 |") == 1
 
 
+@pytest.mark.extended
 def test_normals_and_their_peer_end_at_one_answer():
     rows = normal_peers.rows(100, 24)
     ours, peer = rows
@@ -179,6 +186,7 @@ def test_normals_and_their_peer_end_at_one_answer():
 TEXELS = Size(8, 16, 12, 6, 2)
 
 
+@pytest.mark.extended
 def test_texels_without_a_peer(monkeypatch):
     monkeypatch.setattr(texture_peers, "is_there", lambda: False)
     rows = textures.rows(TEXELS)
@@ -198,6 +206,7 @@ def mitsuba():
     return texture_peers.Mitsuba(views(vase(12, 6), TEXELS), TEXELS.texels)
 
 
+@pytest.mark.extended
 def test_mitsuba_renders_what_we_render(mitsuba):
     """Its own cameras, shapes and textures; the lobe is the one thing of ours."""
     texels = checkered(TEXELS.texels)
@@ -211,6 +220,7 @@ def test_mitsuba_renders_what_we_render(mitsuba):
         assert np.mean(apart < 1e-4) > 0.98, which
 
 
+@pytest.mark.extended
 def test_adam_of_mitsuba_comes_near(mitsuba):
     texels = checkered(TEXELS.texels)
     few = np.concatenate([TRUTH.specular, TRUTH.shininess], axis=1)
@@ -237,6 +247,7 @@ def test_a_row_says_whether_its_aim_is_met():
     assert len(figure(rows, grown).axes) == 2
 
 
+@pytest.mark.extended
 def test_costs_are_of_what_they_say():
     rendered = costs.render_costs((16, 32))
     assert set(rendered) == {"16", "32"} and spread({"a": 2.0, "b": 3.0}) == 1.5

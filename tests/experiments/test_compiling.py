@@ -8,6 +8,7 @@ from experiments.benchmark import compiling
 from phongfit.fitting.fit import fit
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("kind", compiling.KINDS)
 def test_each_image_but_the_first_has_its_own_unknown(kind):
     scenes, images, options = compiling.problem(3, kind, 16)
@@ -16,6 +17,7 @@ def test_each_image_but_the_first_has_its_own_unknown(kind):
     assert len({label.split("]")[0] for label in own}) == 2, own
 
 
+@pytest.mark.extended
 def test_what_is_measured_is_a_fit_that_ends_well():
     scenes, images, options = compiling.problem(2, "exposure", 16)
     found = fit(scenes, images, **options)

@@ -15,6 +15,7 @@ PATHS = sorted(REFERENCES.glob("*/*.json"))
 FLAT = REFERENCES / "opengl" / "scene11.json"
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("path", PATHS, ids=lambda p: f"{p.parent.name}/{p.stem}")
 def test_agreement(path):
     agreement = compare(read_reference(path))
@@ -22,6 +23,7 @@ def test_agreement(path):
     assert (agreement.vertex_colors is None) == (path.parent.name == "povray")
 
 
+@pytest.mark.extended
 def test_by_default_those_that_come_with_the_project(capsys):
     assert run(main, []) == 0
     assert f"{len(PATHS)} of {len(PATHS)} scenes agree" in capsys.readouterr().out
@@ -32,6 +34,9 @@ def folder(tmp_path):
     for suffix in ("json", "npz"):
         shutil.copy(FLAT.with_suffix(f".{suffix}"), tmp_path / f"scene.{suffix}")
     return tmp_path
+
+
+FOG = {"GL_FOG_MODE": "GL_EXP", "GL_FOG_DENSITY": 1e-3}
 
 
 def change(folder, **changes):
@@ -80,9 +85,9 @@ def test_the_command(folder, capsys):
         dict(image=lambda image: image + 2e-4),
         dict(vertex_colors=lambda colors: colors + 3e-5),
         dict(depth=lambda depth: np.where(np.arange(256) < 140, 1, depth)),
-        dict(shade_model="GL_SMOOTH"),
         dict(up=[0.2, 1.0, 0.0]),
-        dict(fog=dict(GL_FOG_MODE="GL_EXP", GL_FOG_DENSITY=1e-3)),
+        pytest.param(dict(shade_model="GL_SMOOTH"), marks=pytest.mark.extended),
+        pytest.param(dict(fog=FOG), marks=pytest.mark.extended),
     ],
 )
 def test_a_scene_that_falls_short(folder, capsys, changes):

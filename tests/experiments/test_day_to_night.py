@@ -1,8 +1,10 @@
 import numpy as np
+import pytest
 
 from experiments.day_to_night import EXPERIMENT, SOURCES, elevation
 
 
+@pytest.mark.extended
 def test_where_the_light_comes_from(found):
     finding = found(EXPERIMENT)
     numbers = finding.numbers
@@ -21,6 +23,7 @@ def test_where_the_light_comes_from(found):
     assert 5 < hours[np.argmax(fog / shares.sum(axis=1))] < 9
 
 
+@pytest.mark.extended
 def test_the_animation_is_a_day(found):
     frames = found(EXPERIMENT).frames
     assert frames.shape == (12, 48, 48, 3)

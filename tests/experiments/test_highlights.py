@@ -8,6 +8,7 @@ from experiments.highlights import EXPERIMENT, LAMP, IdealMirror, profile
 from tests.helpers import floats, unit
 
 
+@pytest.mark.extended
 def test_phongs_exponent_is_a_quarter_of_blinns(found):
     finding = found(EXPERIMENT)
     ratio, residual = finding.numbers["ratio"], finding.numbers["residual"]

@@ -17,6 +17,7 @@ from experiments.how_well import (
 )
 
 
+@pytest.mark.extended
 def test_fits_reach_the_bound(found):
     """Forty fits a setting: a spread is known to 11 %, three of which are 34 %."""
     finding = found(EXPERIMENT)
@@ -35,6 +36,7 @@ def test_fits_reach_the_bound(found):
     assert np.sqrt(np.mean(ratios**2)) == pytest.approx(1, abs=0.06)
 
 
+@pytest.mark.extended
 def test_what_makes_errors_larger(found):
     numbers = found(EXPERIMENT).numbers
     bound = {
@@ -54,6 +56,7 @@ def test_what_makes_errors_larger(found):
         assert lost[specular] and lost[f]
 
 
+@pytest.mark.extended
 def test_a_highlight_out_of_view_is_not_identifiable(found):
     *_, last = found(EXPERIMENT).numbers["highlight"]
     identified = dict(zip(PARAMETERS, last["identified"], strict=True))

@@ -6,6 +6,7 @@ import pytest
 from experiments.light_kinds import EXPERIMENT, Result, fog_contrast
 
 
+@pytest.mark.extended
 def test_rendered_light_is_that_of_the_formulas(found):
     finding = found(EXPERIMENT)
     assert not finding.wrong
@@ -24,6 +25,7 @@ def test_fog_takes_more_from_further_away():
     assert np.all(np.diff(contrast[order]) < 0) and contrast.max() < 1
 
 
+@pytest.mark.extended
 def test_a_wrong_picture_is_seen(found):
     numbers = found(EXPERIMENT).numbers
     fields = {field.name: numbers[field.name] for field in dataclasses.fields(Result)}

@@ -4,6 +4,7 @@ import pytest
 from experiments.model import EXPERIMENT, EXPONENTS, SHARES, ball, highlight_width
 
 
+@pytest.mark.extended
 def test_what_each_number_does(found):
     finding = found(EXPERIMENT)
     numbers = finding.numbers

@@ -75,6 +75,7 @@ def test_real_photographs_are_explained_better_by_a_highlight():
     assert all(one < other for one, other in zip(shiny, matte, strict=True))
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("path", notebooks(), ids=lambda path: path.stem)
 def test_running_again_gives_the_same(path):
     stored, again = printed(read(path)), printed(execute(path, environment()))

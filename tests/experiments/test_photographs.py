@@ -9,6 +9,7 @@ from experiments.benchmark import photographs
 pytest.importorskip("zarr")
 
 
+@pytest.mark.extended
 def test_both_kinds_come_to_the_maps_of_the_ball(tmp_path, monkeypatch):
     here = {"_read": photographs._read, "_fit": photographs._fit}
 

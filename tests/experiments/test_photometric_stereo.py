@@ -18,6 +18,7 @@ def test_a_matte_surface_by_least_squares():
     np.testing.assert_allclose(least_squares(light, lights), normals, atol=1e-12)
 
 
+@pytest.mark.extended
 def test_normals_are_nearer_than_those_of_least_squares(tmp_path, capsys):
     folder, numbers = tmp_path / "ball", tmp_path / "numbers.json"
     folder.mkdir()

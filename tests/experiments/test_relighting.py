@@ -71,6 +71,7 @@ def test_folders_as_they_come(tmp_path):
         relighting.read_lamps(tmp_path)
 
 
+@pytest.mark.extended
 def test_maps_are_best_on_what_they_describe(tmp_path, capsys):
     out = tmp_path / "a.json"
     args = ["--small", "--picture", f"{tmp_path}/a.png", "--json", str(out)]

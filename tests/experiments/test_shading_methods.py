@@ -11,6 +11,7 @@ from experiments.shading_methods import (
 )
 
 
+@pytest.mark.extended
 def test_what_gouraud_loses_it_regains_on_finer_meshes(found):
     finding = found(EXPERIMENT)
     numbers = finding.numbers
@@ -27,6 +28,7 @@ def test_what_gouraud_loses_it_regains_on_finer_meshes(found):
     assert np.all(off[-1] < 0.005) and np.all(off[0] > off[-1])
 
 
+@pytest.mark.extended
 def test_when_gouraud_is_good_enough(found):
     finding = found(EXPERIMENT)
     enough = finding.numbers["enough"]
@@ -36,6 +38,7 @@ def test_when_gouraud_is_good_enough(found):
     assert f"shorter than {enough.mean():.2f} of the highlight's half" in finding.answer
 
 
+@pytest.mark.extended
 def test_mach_bands(found):
     numbers = found(EXPERIMENT).numbers
     gouraud, phong = (numbers["slope_jump"][name] for name in ("Gouraud", "Phong"))
@@ -49,6 +52,7 @@ def test_mach_bands(found):
     assert np.all(numbers["slope_jump"]["flat"] < 1e-3)
 
 
+@pytest.mark.extended
 def test_the_cost_of_each_is_measured(found):
     numbers = found(EXPERIMENT).numbers
     for seconds in numbers["seconds"].values():
@@ -58,6 +62,7 @@ def test_the_cost_of_each_is_measured(found):
     assert words in found(EXPERIMENT).answer
 
 
+@pytest.mark.extended
 def test_jumps_of_a_mesh():
     """A coarse ball: slopes within a face of Gouraud shading are those of a plane."""
     jumps = edge_jumps(6, 64)

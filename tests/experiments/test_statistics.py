@@ -7,6 +7,7 @@ import phongfit as pf
 from experiments.statistics import BOUND, Spread, main, random_problem
 
 
+@pytest.mark.extended
 def test_few_draws(tmp_path, capsys):
     numbers = tmp_path / "statistics.json"
     assert main(draws=25, problems=2, starts=8, json=numbers) == 0
@@ -44,6 +45,7 @@ def test_the_bound_binds():
     assert float(np.asarray(BOUND.ambient)[0]) == 0
 
 
+@pytest.mark.extended
 def test_random_problems_are_of_all_kinds():
     surfaces, lights, clipped = set(), set(), []
     for seed in range(12):

@@ -3,6 +3,8 @@ import pytest
 
 from experiments.wrong_model import DIAGNOSTICS, EXPERIMENT, PARAMETERS, TRUTH
 
+pytestmark = pytest.mark.extended
+
 
 @pytest.fixture(scope="module")
 def outcomes(found):

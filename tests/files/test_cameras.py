@@ -11,10 +11,12 @@ import pytest
 
 import phongfit as pf
 from phongfit.files.colmap import MODELS
-from tests.geometry.test_conventions import HEIGHT, OTHERS, PIXELS, VIEWS, WIDTH
+from tests.geometry.test_conventions import HEIGHT, OTHERS, VIEWS, WIDTH
 from tests.helpers import close, floats, near, random_rotation
 
 POINTS = np.array(OTHERS["opencv"]["points"])
+PIXELS = 1e-3
+"""What single precision leaves of a place in the image."""
 # One with each of COLMAP's models that OpenCV knows.
 SAME = {
     "none": "PINHOLE",

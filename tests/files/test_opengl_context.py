@@ -20,6 +20,8 @@ from tests.helpers import known
 
 ROOT = Path(__file__).parents[2]
 SIZE = 96
+# How many scenes there are, which take long to make.
+PLAIN, TEXTURED = 7, 8
 missing = [
     what
     for what, there in (
@@ -142,14 +144,15 @@ def draw_all(out: str) -> None:
     buffer = np.zeros((SIZE, SIZE, 4), np.float32)
     assert osmesa.OSMesaMakeCurrent(context, buffer, gl.GL_FLOAT, SIZE, SIZE)
     gl.glClampColor(gl.GL_CLAMP_FRAGMENT_COLOR, gl.GL_FALSE)
-    images = []
-    for scene, material in [*scenes(), *textured_scenes()]:
+    images, plain, textured = [], scenes(), textured_scenes()
+    assert (len(plain), len(textured)) == (PLAIN, TEXTURED)
+    for scene, material in [*plain, *textured]:
         opengl_context.apply_scene(scene, near=0.5, far=10)
         gl.glClear(gl.GL_COLOR_BUFFER_BIT | gl.GL_DEPTH_BUFFER_BIT)
         mesh = scene.surface
         assert isinstance(mesh, pf.Mesh)
-        textured = mesh.textures is not None
-        draw = opengl_context.draw_textured if textured else opengl_context.draw_mesh
+        bare = mesh.textures is None
+        draw = opengl_context.draw_mesh if bare else opengl_context.draw_textured
         draw(mesh, material)
         gl.glFinish()
         assert gl.glGetError() == gl.GL_NO_ERROR
@@ -171,8 +174,9 @@ def drawn(tmp_path_factory):
         return [images[name] for name in images.files]
 
 
+@pytest.mark.extended
 @needs_mesa
-@pytest.mark.parametrize("number", range(len(scenes())))
+@pytest.mark.parametrize("number", range(PLAIN))
 def test_opengl_sees_what_phongfit_does(drawn, number):
     scene, material = scenes()[number]
     gbuffer = scene.trace()
@@ -188,13 +192,14 @@ def test_opengl_sees_what_phongfit_does(drawn, number):
     assert np.std(drawn[number][mask]) > 0.02, "there is something to see"
 
 
+@pytest.mark.extended
 @needs_mesa
-@pytest.mark.parametrize("number", range(len(textured_scenes())))
+@pytest.mark.parametrize("number", range(TEXTURED))
 def test_opengl_looks_textures_up_as_phongfit_does(drawn, number):
     scene, material = textured_scenes()[number]
     gbuffer = scene.trace()
     image = np.asarray(pf.render(scene, material, gbuffer=gbuffer))
-    theirs = drawn[len(scenes()) + number]
+    theirs = drawn[PLAIN + number]
     # Where both see the surface: which does at an edge is no matter of its texture.
     covered = np.asarray(gbuffer.mask) & (theirs.max(axis=-1) > 0)
     assert covered.mean() > 0.1

@@ -205,6 +205,7 @@ with make(path) as place:
 """
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("moment", ["while it writes", "while it moves"])
 def test_a_killed_run_leaves_nothing_after_the_next(tmp_path, moment):
     out = tmp_path / "set"
@@ -223,6 +224,7 @@ def test_a_killed_run_leaves_nothing_after_the_next(tmp_path, moment):
         assert os.listdir(out) == ["c.txt"]
 
 
+@pytest.mark.extended
 def test_a_killed_run_leaves_no_file_after_the_next(tmp_path):
     path = tmp_path / "out.txt"
     path.write_text("old")

@@ -40,6 +40,8 @@ LEVELS = np.random.default_rng(0).integers(0, 256, (4, 4, 3), np.uint8)
 CAMERA = pf.OrthographicCamera(8, 8, view_height=2)
 SMALL = pf.OrthographicCamera(4, 4, view_height=2)
 WHITE = pf.DirectionalLight((0, 0, 1))
+# A .gltf is what a .glb holds, in a file of text.
+SAVED = ["obj", "glb", pytest.param("gltf", marks=pytest.mark.extended)]
 
 
 def write(folder, library, **images):
@@ -456,7 +458,7 @@ def seen_twice(*shaded):
         ]
 
 
-@pytest.mark.parametrize("suffix", ["obj", "glb", "gltf"])
+@pytest.mark.parametrize("suffix", SAVED)
 def test_saved_colours_of_vertices_are_read_again(tmp_path, suffix):
     rng, count = np.random.default_rng(0), len(ICO.vertices)
     rows: dict[str, Any] = {
@@ -541,7 +543,7 @@ def painted(rng, **sizes):
     return {name: pf.Texture(rng.uniform(0.1, 1, size)) for name, size in sizes.items()}
 
 
-@pytest.mark.parametrize("suffix", ["obj", "glb", "gltf"])
+@pytest.mark.parametrize("suffix", SAVED)
 def test_a_saved_mesh_is_read_again(tmp_path, suffix):
     rng = np.random.default_rng(0)
     small = (5, 4)

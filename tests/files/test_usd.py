@@ -18,6 +18,8 @@ from tests.helpers import near
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation  # noqa: E402
 
+pytestmark = pytest.mark.extended
+
 RNG = np.random.default_rng(0)
 CORNERS = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.5]], float)
 FACES = np.array([[0, 1, 2], [0, 2, 3]])

@@ -12,6 +12,8 @@ import phongfit as pf
 from phongfit.lab.session import Session
 from tests.lab.conftest import serving
 
+pytestmark = pytest.mark.extended
+
 # The mean colour of the picture.
 MEAN = """async () => {
   const image = document.querySelector("#picture img");

@@ -1,5 +1,6 @@
-"""Two fits that all tests of the report look at."""
+"""Fits that all tests of the report look at."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,14 @@ SETTINGS: dict[str, Any] = {
     "fixed": {"diffuse.blue": 0.2},
     "ties": {"specular.blue": (1.1, "specular.red")},
     "priors": {"diffuse.green": (0.3, 0.05)},
-    "noise": NOISE,
     "loss": pf.Huber(2.0),
+    "film": pf.Film(bits=10),
+}
+# Of which the values themselves tell nothing.
+ARRAYS = {
+    "mask": np.repeat([True, False], SIZE // 2)[:, None].repeat(SIZE, axis=1),
+    "weights": np.linspace(0.5, 2, SIZE**2).reshape(SIZE, SIZE),
+    "noise": np.float64(NOISE),
 }
 
 
@@ -32,17 +39,34 @@ def one() -> pf.Fit:
     return pf.fit(scene, photograph(scene, TRUTH, noise=NOISE))
 
 
+MATTE = pf.Material((0.6, 0.3, 0.2), 0.0, 30.0, 0.0)
+DARK = (
+    pf.DirectionalLight((1, 1, 2), 0.12),
+    pf.DirectionalLight((-1, 0.3, 1), (0.08, 0.07, 0.06)),
+)
+
+
 @pytest.fixture(scope="session")
 def open_fit() -> pf.Fit:
-    """Six dark photographs of a matte ball: f not identifiable, ρ_a lies at a bound."""
+    """A dark photograph of a matte ball: f not identifiable, ρ_a lies at a bound.
+
+    The same program solves it as `one`.
+    """
+    scene = dataclasses.replace(ball(), lights=DARK)
+    film = pf.Film(clamp=False)
+    return pf.fit(scene, photograph(scene, MATTE, noise=NOISE, film=film))
+
+
+@pytest.fixture(scope="session")
+def six() -> pf.Fit:
+    """Six such photographs, each under a lamp of its own."""
     camera = pf.OrthographicCamera(SIZE, SIZE // 2)
     scenes = [
         pf.Scene(pf.Sphere(), camera, pf.DirectionalLight((x, 1, 2), 0.2), 0.2)
         for x in np.linspace(-1, 1, 6)
     ]
-    matte = pf.Material((0.6, 0.3, 0.2), 0.0, 30.0, 0.0)
     images = [
-        photograph(s, matte, noise=NOISE, film=pf.Film(clamp=False), seed=k)
+        photograph(s, MATTE, noise=NOISE, film=pf.Film(clamp=False), seed=k)
         for k, s in enumerate(scenes)
     ]
     return pf.fit(scenes, images)
@@ -52,4 +76,5 @@ def open_fit() -> pf.Fit:
 def held() -> pf.Fit:
     """One image and much that was known: see [`SETTINGS`][]."""
     scene = ball()
-    return pf.fit(scene, photograph(scene, TRUTH, noise=NOISE), **SETTINGS)
+    image = photograph(scene, TRUTH, noise=NOISE)
+    return pf.fit(scene, image, **SETTINGS, **ARRAYS)

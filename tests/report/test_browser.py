@@ -7,6 +7,8 @@ import pytest
 
 from phongfit.report.page import write_page
 
+pytestmark = pytest.mark.extended
+
 WIDTHS = {"desktop": 1280, "phone": 375}
 LONG = "a_photograph_with_a_very_long_name_" * 6 + ".png"
 # Elements that stick out on the right, unless they scroll within something.
@@ -19,9 +21,9 @@ PICTURES = """() => [...document.images]
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory, one, open_fit) -> dict[str, Path]:
+def pages(tmp_path_factory, one, six) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("pages")
-    for name, fit, names in (("one", one, []), ("open", open_fit, [LONG] * 6)):
+    for name, fit, names in (("one", one, []), ("open", six, [LONG] * 6)):
         write_page(
             folder / f"{name}.html",
             fit,

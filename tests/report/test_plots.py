@@ -52,17 +52,27 @@ def test_photograph_fit_and_residual(one):
     assert len(figure.axes) == 4, "three pictures and a scale"
 
 
-def test_dark_photographs_are_shown_brighter_and_say_so(open_fit):
-    factor = brightening(open_fit.photographs)
+def test_a_dark_photograph_is_shown_brighter_and_says_so(open_fit):
+    factor = brightening([open_fit.photographs])
     assert 3 < factor < 10
-    figure = open_fit.plot([f"{k}.png" for k in range(6)])
+    figure = open_fit.plot(["5.png"])
+    assert f"5.png  (shown {factor:.2g} × brighter)" in texts(figure)
+    near(images(figure)[0], displayed(factor * open_fit.photographs))
+    with pytest.raises(ValueError, match="names: expected 1, one an image, got 2"):
+        open_fit.plot(["a", "b"])
+
+
+@pytest.mark.extended
+def test_some_of_six_photographs_are_shown(six):
+    factor = brightening(six.photographs)
+    figure = six.plot([f"{k}.png" for k in range(6)])
     words = texts(figure)
     assert f"5.png  (shown {factor:.2g} × brighter)" in words
-    near(images(figure)[0], displayed(factor * open_fit.photographs[0]))
+    near(images(figure)[0], displayed(factor * six.photographs[0]))
     # Some of them, spread over all.
     assert [k for k in range(6) if f"{k}.png" in words] == [0, 1, 3, 5]
-    with pytest.raises(ValueError, match="names: expected 6, one an image, got 2"):
-        open_fit.plot(["a", "b"])
+    # Of each image its residuals, and their sums over blocks.
+    assert len(images(six.plot_residuals())) == 8
 
 
 @pytest.mark.parametrize("size", [2e-6, 0.02])
@@ -95,8 +105,9 @@ def test_residuals_are_in_standard_deviations(one):
     near(light, np.sort(one.fitted[one.residuals != 0]), 1e-3)
 
 
-def test_plot_of_residuals(one, open_fit):
-    words = texts(one.plot_residuals())
+def test_plot_of_residuals(one):
+    figure = one.plot_residuals()
+    words = texts(figure)
     for label in (
         "(photograph − fit) / σ",
         "light of the fit (linear, white = 1)",
@@ -105,8 +116,8 @@ def test_plot_of_residuals(one, open_fit):
         "% of samples lie beyond ±5 σ",
     ):
         assert label in words
-    # Of each image its residuals, and their sums over blocks.
-    assert len(images(open_fit.plot_residuals())) == 8
+    # Its residuals, and their sums over blocks.
+    assert len(images(figure)) == 2
 
 
 def test_correlations_leave_out_what_has_none(one, open_fit):

@@ -9,55 +9,44 @@ import phongfit as pf
 from phongfit.fitting.problem.specification import Specification
 from phongfit.report.repeat import call, names
 from tests.fitting.scenes import SIZE, ball, photograph, truth
-from tests.report.conftest import NOISE, SETTINGS
+from tests.report.conftest import ARRAYS, NOISE, SETTINGS
 
 TRUTH = truth()
 
 
-def run(text: str, **names) -> pf.Fit:
-    """What the printed lines make of these names."""
-    place = {"pf": pf, **names}
-    exec(text, place)
-    assert isinstance(place["fit"], pf.Fit)
-    return place["fit"]
-
-
-def check_same(fit: pf.Fit, other: pf.Fit) -> None:
-    assert fit.labels == other.labels
-    np.testing.assert_allclose(fit.values, other.values, rtol=1e-5)
-    np.testing.assert_allclose(fit.errors, other.errors, rtol=1e-3)
-    np.testing.assert_array_equal(fit.bounds, other.bounds)
+def check_same(fit: pf.Fit, **given) -> None:
+    """The printed lines give the same fit, from what they name."""
+    place = {"pf": pf, **given}
+    exec(call(fit), place)
+    again = place["fit"]
+    assert isinstance(again, pf.Fit) and again.labels == fit.labels
+    np.testing.assert_allclose(again.values, fit.values, rtol=1e-5)
+    np.testing.assert_allclose(again.errors, fit.errors, rtol=1e-3)
+    np.testing.assert_array_equal(again.bounds, fit.bounds)
+    assert again.film == fit.film and again.n_samples == fit.n_samples
 
 
 def test_a_plain_fit_has_a_plain_call(one):
     assert call(one) == "fit = pf.fit(\n    scene, image,\n)"
 
 
+@pytest.mark.extended
 def test_the_call_gives_the_same_fit(held):
-    text = call(held)
-    for name in SETTINGS:
-        assert f"    {name}=" in text
-    scene = ball()
-    check_same(run(text, scene=scene, image=held.photographs), held)
+    check_same(held, scene=ball(), image=held.photographs, **ARRAYS)
 
 
-def test_arrays_and_film_are_in_the_call():
-    scene = ball()
-    film = pf.Film(encoding="srgb", bits=8)
-    image = photograph(scene, TRUTH, noise=NOISE, film=film)
-    mask = np.zeros((SIZE, SIZE), bool)
-    mask[: SIZE // 2] = True
-    weights = np.linspace(0.5, 2, SIZE**2).reshape(SIZE, SIZE)
-    given = {"mask": mask, "weights": weights, "noise": np.float64(NOISE)}
-    # Of which the values themselves tell nothing.
-    film = pf.Film(encoding="linear", bits=10)
-    fit = pf.fit(scene, image, film=film, **given)
+def test_settings_are_in_the_call(one):
+    fit = dataclasses.replace(
+        one,
+        specification=Specification(**SETTINGS),
+        arrays=("mask", "weights"),
+        noise_given=True,
+    )
     text = call(fit)
-    assert names(fit) == ["scene", "image", "mask", "weights", "noise"]
+    for name in (*SETTINGS, *ARRAYS):
+        assert f"    {name}=" in text
     assert "    film=pf.Film(bits=10),\n" in text
-    check_same(run(text, scene=scene, image=image, **given), fit)
-    again = run(text, scene=scene, image=image, **given)
-    assert again.film == fit.film and again.n_samples == fit.n_samples
+    assert names(fit) == ["scene", "image", *ARRAYS]
 
 
 @pytest.mark.parametrize(
@@ -92,9 +81,8 @@ def test_so_does_that_of_several_images():
         known=pf.Material(0.0, 0.0, 32.0, (0.5, 0.4, 0.3)),
         fixed={"diffuse.red": 0.6},
     )
-    text = call(fit)
-    assert "per_image=('scene.lights[0].intensity',)" in text
-    check_same(run(text, scenes=scenes, images=images), fit)
+    assert "per_image=('scene.lights[0].intensity',)" in call(fit)
+    check_same(fit, scenes=scenes, images=images)
 
 
 @pytest.mark.parametrize(

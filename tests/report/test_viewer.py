@@ -42,6 +42,7 @@ def opened(browser, path: Path, **settings):
     ]
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     "camera, model",
     [
@@ -81,6 +82,7 @@ def written(tmp_path_factory):
     return path
 
 
+@pytest.mark.extended
 def test_pointer_and_keys_move_the_lamp(browser, written):
     page, _ = opened(browser, written, viewport={"width": 900, "height": 600})
     assert page.inner_text("h1") == "hills </script> & more"
@@ -120,6 +122,7 @@ def test_pointer_and_keys_move_the_lamp(browser, written):
     page.close()
 
 
+@pytest.mark.extended
 def test_a_finger_moves_the_lamp(browser, written):
     page, _ = opened(
         browser,
@@ -153,6 +156,7 @@ def test_octahedral_normals():
     assert np.rad2deg(np.arccos(cosine)).max() < 0.05
 
 
+@pytest.mark.extended
 def test_a_megapixel_is_small(tmp_path):
     """Noisy maps, of a shape that is not smooth: below 10 MB."""
     small, rng = made(), np.random.default_rng(0)

@@ -37,6 +37,7 @@ def row(name="a", kind: Any = "right", bits=32, answers=None, **changes: Any) ->
     return Row(name, kind, bits, 1.5, dataclasses.replace(verdict, **changes))
 
 
+@pytest.mark.extended
 def test_a_small_campaign(tmp_path, capsys):
     numbers = tmp_path / "new" / "honesty.json"
     bits = f"{own_bits()}"
@@ -60,6 +61,7 @@ def test_a_broken_promise_is_told(monkeypatch, capsys):
     assert "RED" in printed and f"! float{own_bits()}, a lie: " in printed
 
 
+@pytest.mark.extended
 def test_draws_are_the_same_each_time(situations):
     one, other = (examine(situations["one lamp"], 3, 1) for _ in range(2))
     assert one.verdict == other.verdict
@@ -130,6 +132,7 @@ def test_what_is_shown():
     assert "2 situations in 3 s, 1 red" in lines[-1]
 
 
+@pytest.mark.extended
 def test_a_process_that_fails():
     other = 32 if own_bits() == 64 else 64
     with Elsewhere(other, ("moon",), 1, 0) as elsewhere:
