@@ -34,6 +34,12 @@ SINGLE = {
     "lab",
     "maps",
     "report",
+    "test_cache.py",
+    "test_cli.py",
+    "test_documentation.py",
+    "test_documents.py",
+    "test_programs.py",
+    "test_site.py",
 }
 
 matplotlib.use("agg")

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from phongfit.geometry.cameras import AbstractCamera
+from phongfit.geometry.cameras import AbstractCamera, Ray
 from phongfit.geometry.surfaces import AbstractSurface
 from phongfit.geometry.tracing import trace
 from phongfit.lights import AbstractLight
@@ -173,10 +173,13 @@ def _moved(light: AbstractLight, turn: np.ndarray, shift: np.ndarray) -> Abstrac
     return light
 
 
-def check_surface(surface: AbstractSurface, camera: AbstractCamera) -> None:
+def check_surface(
+    surface: AbstractSurface, camera: AbstractCamera, *, order: int = 1
+) -> None:
     """A surface: unit normals that face the viewer, finite everywhere, gradients too.
 
-    The camera must see some of it, at no more than some ten pixels.
+    The camera must see some of it, at no more than some ten pixels. `order`: 2 checks
+    second derivatives as well.
     """
     buffer = trace(surface, camera)
     size = (camera.height, camera.width)
@@ -197,7 +200,20 @@ def check_surface(surface: AbstractSurface, camera: AbstractCamera) -> None:
         seen = both[0].trace(both[1])
         return jnp.stack([seen.position, seen.normal, seen.to_viewer])
 
-    check_gradients(arrays, (surface, camera))
+    check_gradients(arrays, (surface, camera), order=order)
+
+
+@eqx.filter_jit
+def _ray(camera: AbstractCamera, x: jax.Array, y: jax.Array) -> Ray:
+    return camera.ray(x, y)
+
+
+@eqx.filter_jit
+def _at_points(camera: AbstractCamera, points: jax.Array):
+    def at_point(at):
+        return camera.to_viewer(at), camera.depth(at), camera.project(at)
+
+    return jax.vmap(jax.vmap(at_point))(points)
 
 
 def check_camera(camera: AbstractCamera) -> None:
@@ -215,21 +231,16 @@ def check_camera(camera: AbstractCamera) -> None:
 
     # The middle of the image lies between the pixels of an even grid, and is what the
     # camera looks at unless it was calibrated to look elsewhere.
-    ray = jax.jit(lambda x, y: camera.ray(x, y))
     centre = getattr(camera, "cx", width / 2), getattr(camera, "cy", height / 2)
-    middle = ray(*map(floats, centre))
+    middle = _ray(camera, *map(floats, centre))
     near(middle.direction, -back)
     near(middle.origin, camera.position)
-    centre = ray(floats(1.5), floats(0.5))
+    centre = _ray(camera, floats(1.5), floats(0.5))
     near(centre.direction, np.asarray(rays.direction)[0, 1])
     near(centre.origin, np.asarray(rays.origin)[0, 1])
 
     # Back along the ray is towards the viewer, and depth is measured along the axis.
-    def at_point(at):
-        return camera.to_viewer(at), camera.depth(at), camera.project(at)
-
-    at_points = jax.jit(jax.vmap(jax.vmap(at_point)))
-    to_viewer, depth, place = at_points(floats(points))
+    to_viewer, depth, place = _at_points(camera, floats(points))
     near(to_viewer, -np.asarray(rays.direction))
     near(place, np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1) + 0.5)
     near(depth, (np.asarray(camera.position) - points) @ back)

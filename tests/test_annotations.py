@@ -1,11 +1,25 @@
 """What is annotated is what happens: the checks of `tests.annotations`."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array, Float
 
 from tests.annotations import Forbidden, checked
+
+ROOT = Path(__file__).parents[1]
+# A file or two that compile little, of each part of the package.
+PARTS = """
+    test_lights test_scene geometry/test_surfaces rendering/test_render
+    fitting/problem/test_layout fitting/solve/test_box fitting/texels/test_lit
+    fitting/uncertainty/test_sandwich calibration/test_response files/test_scenes
+    maps/pixel/test_tile report/test_page lab/test_settings commands/test_scene
+    data_synth/test_writing
+"""
 
 
 @checked
@@ -47,3 +61,16 @@ def test_a_function_within_a_function_is_checked_each_time_it_is_made():
         times(3, cut=1)(jnp.ones(3))
     with pytest.raises(Forbidden):
         times(3)(jnp.ones((3, 1)))
+
+
+@pytest.mark.extended
+def test_the_package_does_what_it_annotates():
+    files = [f"tests/{name}.py" for name in PARTS.split()]
+    words = ["-p", "tests.annotations", "-n", "0", "-p", "no:cacheprovider", *files]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *words],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout[-5000:]

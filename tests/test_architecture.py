@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -60,12 +61,12 @@ LATER = {
     "phongfit/fitting/result.py": ("phongfit.report.", "phongfit.files.saved."),
     "phongfit/commands/synth.py": ("data_synth.",),
 }
-MODULES = [
-    path.relative_to(ROOT)
+SOURCES = {
+    path.relative_to(ROOT): path.read_text(encoding="utf-8")
     for top in ("phongfit", "data_synth", "experiments")
     for path in sorted((ROOT / top).rglob("*.py*"))
     if path.suffix in (".py", ".pyi")
-]
+}
 
 
 def imported(source: str, package: str, *, at_once: bool = False) -> set[str]:
@@ -119,35 +120,38 @@ def _to_the_right(path: Path, importer: str, part: str) -> list[str]:
     return []
 
 
-@pytest.mark.parametrize("path", MODULES, ids=str)
-def test_imports_go_left(path):
-    assert violations(path, (ROOT / path).read_text()) == []
+def test_imports_go_left():
+    wrong = [violations(path, source) for path, source in SOURCES.items()]
+    assert sum(wrong, []) == []
 
 
-@pytest.mark.parametrize("path", MODULES, ids=str)
-def test_no_import_is_hidden(path):
+def test_no_import_is_hidden():
     # A name made at run time is not seen above.
-    hidden = re.search("import_module|__import__", (ROOT / path).read_text())
-    assert hidden is None or path.parts[0] != "phongfit"
+    hidden = re.compile("import_module|__import__")
+    package = [path for path in SOURCES if path.parts[0] == "phongfit"]
+    assert [path for path in package if hidden.search(SOURCES[path])] == []
 
 
-@pytest.mark.parametrize("path", MODULES, ids=str)
-def test_strata_of_fitting_rest_on_those_below(path):
-    if path.parts[:2] != ("phongfit", "fitting"):
-        return
-    here = STRATA.index(path.parts[2]) if path.parts[2] in STRATA else len(STRATA)
-    package = ".".join(path.parts[:-1])
-    for name in imported((ROOT / path).read_text(), package):
-        if name.startswith("phongfit.fitting."):
-            other = name.split(".")[2]
-            there = STRATA.index(other) if other in STRATA else len(STRATA)
-            assert there <= here, f"{path} imports {name}"
+def test_strata_of_fitting_rest_on_those_below():
+    def stratum(parts: Sequence[str]) -> int:
+        return STRATA.index(parts[2]) if parts[2] in STRATA else len(STRATA)
+
+    fitting = [p for p in SOURCES if p.parts[:2] == ("phongfit", "fitting")]
+    assert len(fitting) > 40
+    wrong = [
+        f"{path} imports {name}"
+        for path in fitting
+        for name in imported(SOURCES[path], ".".join(path.parts[:-1]))
+        if name.startswith("phongfit.fitting.")
+        and stratum(name.split(".")) > stratum(path.parts)
+    ]
+    assert wrong == []
 
 
 def test_every_part_has_its_place():
     parts = {
         path.parts[1].removesuffix(path.suffix)
-        for path in MODULES
+        for path in SOURCES
         if path.parts[0] == "phongfit"
     }
     assert parts - {"__init__"} <= set(PLACE)

@@ -202,7 +202,6 @@ def test_the_argument_is_named(call, name):
 
 
 def test_a_flag_is_named():
-    """Where annotations are checked, in float32, these forbid it first."""
     for call, name in (
         (lambda: pf.BlinnPhong("no"), "gate"),  # pyright: ignore
         (lambda: pf.GouraudShading([]), "clamp"),  # pyright: ignore

@@ -209,23 +209,33 @@ def test_wrong_numbers(numbers):
         pf.Ward(2.0)
 
 
-@pytest.mark.parametrize("model", (pf.GGX(0.5), pf.GGX(), pf.Ward(0.4)))
+# A roughness of its own goes the way of one that follows from the exponent.
+ROUGH = pytest.param(pf.GGX(0.5), marks=pytest.mark.extended)
+PLACE = [np.array(v) / np.linalg.norm(v) for v in ((1, 2, 10), (1, 0, 1), (-8, 3, 10))]
+
+
+@pytest.mark.parametrize("model", (pf.GGX(), ROUGH, pf.Ward(0.4)))
 def test_derivatives(model):
     def lobe(at):
-        model, normal, light, viewer, exponent = at
-        return model.lobe(cosines(normal, light, viewer), exponent)
+        model, vectors, exponent = at
+        return model.lobe(cosines(*vectors), exponent)
 
-    place = [np.asarray(unit(*v)) for v in ((0.1, 0.2, 1), (1, 0, 1), (-0.8, 0.3, 1))]
-    check_gradients(lobe, (model, *place, 30.0), rtol=1e-4)
-    # None behind, and finite there and where a light is missing: its cosines are 0.
-    behind = [place[0], -place[1], place[2]]
-    check_gradients(lobe, (model, *behind, 30.0), finite_differences=False)
-    nothing = jax.tree.map(jnp.zeros_like, cosines(*map(jnp.asarray, place)))
-    check_gradients(
-        lambda at: at[0].lobe(at[1], at[2]),
-        (model, nothing, 30.0),
-        finite_differences=False,
-    )
+    check_gradients(lobe, (model, PLACE, 30.0), rtol=1e-4)
+
+
+@pytest.mark.parametrize("model", (pf.GGX(), ROUGH, pf.Ward(0.4)))
+def test_derivatives_where_there_is_no_light(model):
+    """Finite behind the surface, and where a light is missing: its cosines are 0."""
+    normal, light, viewer = PLACE
+    nothing = jax.tree.map(jnp.zeros_like, cosines(*map(jnp.asarray, PLACE)))
+
+    def lobes(at):
+        model, vectors, missing, exponent = at
+        each = cosines(*vectors), missing
+        return jnp.stack([model.lobe(one, exponent) for one in each])
+
+    point = model, (normal, -light, viewer), nothing, 30.0
+    check_gradients(lobes, point, finite_differences=False)
 
 
 @pytest.mark.parametrize(

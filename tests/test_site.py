@@ -11,8 +11,8 @@ import pytest
 from phongfit.codes import REMEDIES
 
 pytest.importorskip("material", reason="mkdocs-material is not installed here")
-# Words and pictures are the same in both precisions.
 
+pytestmark = pytest.mark.extended
 ROOT = Path(__file__).parents[1]
 PAGES = ("index", "gallery", "how-to/capture", "explanation/model", "reference/formats")
 WIDTHS = {"desktop": 1280, "phone": 375}
@@ -36,7 +36,7 @@ def site(tmp_path_factory) -> Path:
     done = subprocess.run(
         [sys.executable, "-m", "mkdocs", *words],
         cwd=ROOT,
-        env=os.environ | {"NO_MKDOCS_2_WARNING": "1", "JAX_ENABLE_X64": "0"},
+        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
         capture_output=True,
         text=True,
     )

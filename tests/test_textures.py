@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,41 +13,51 @@ from tests.helpers import floats, near
 VALUES = np.arange(6.0).reshape(2, 3, 1)
 
 
+@eqx.filter_jit
+def texels_at(texture, uv):
+    return texture.at(uv)
+
+
 @pytest.mark.parametrize(
-    "filter, wrap, uv, expected",
+    "filter, wrap, rows",
     [
-        # The centres of texels, counted from the upper left corner.
-        ("bilinear", "repeat", (1 / 6, 1 / 4), 0),
-        ("bilinear", "repeat", (1 / 2, 1 / 4), 1),
-        ("bilinear", "repeat", (1 / 6, 3 / 4), 3),
-        # Between two, and between four.
-        ("bilinear", "repeat", (1 / 3, 1 / 4), 0.5),
-        ("bilinear", "repeat", (1 / 3, 1 / 2), 2),
-        # The left edge lies between the first column and the last, or is the first.
-        ("bilinear", "repeat", (0, 1 / 4), 1),
-        ("bilinear", "clamp", (0, 1 / 4), 0),
-        ("bilinear", "clamp", (-7, 9), 3),
-        # Whole images away.
-        ("bilinear", "repeat", (1 / 2 - 4, 1 / 4 + 7), 1),
-        ("nearest", "repeat", (0.3, 0.1), 0),
-        ("nearest", "repeat", (0.34, 0.6), 4),
-        ("nearest", "repeat", (1.0, 0.0), 0),
-        ("nearest", "clamp", (1.0, 1.0), 5),
+        (
+            "bilinear",
+            "repeat",
+            [
+                # The centres of texels, counted from the upper left corner.
+                ((1 / 6, 1 / 4), 0),
+                ((1 / 2, 1 / 4), 1),
+                ((1 / 6, 3 / 4), 3),
+                # Between two, and between four.
+                ((1 / 3, 1 / 4), 0.5),
+                ((1 / 3, 1 / 2), 2),
+                # The left edge lies between the first column and the last.
+                ((0, 1 / 4), 1),
+                # Whole images away.
+                ((1 / 2 - 4, 1 / 4 + 7), 1),
+            ],
+        ),
+        # The left edge is the first column.
+        ("bilinear", "clamp", [((0, 1 / 4), 0), ((-7, 9), 3)]),
+        ("nearest", "repeat", [((0.3, 0.1), 0), ((0.34, 0.6), 4), ((1.0, 0.0), 0)]),
+        ("nearest", "clamp", [((1.0, 1.0), 5)]),
     ],
 )
-def test_texels(filter, wrap, uv, expected):
+def test_texels(filter, wrap, rows):
     texture = pf.Texture(VALUES, filter, wrap)
-    near(texture.at(floats(uv)), [expected])
-    near(texture.at(floats([[uv] * 2])), np.full((1, 2, 1), expected))
+    uv, expected = (np.array(column) for column in zip(*rows, strict=True))
+    near(texels_at(texture, floats(uv)), expected[:, None])
+    near(texels_at(texture, floats(uv[0])), expected[:1])
 
 
 @pytest.mark.parametrize("wrap", ["repeat", "clamp"])
 def test_weights_sum_to_one_and_texels_are_there(wrap):
     uv = floats(np.random.default_rng(0).uniform(-2, 3, (500, 2)))
-    index, weight = texels(uv, (5, 7), "bilinear", wrap)
+    index, weight = jax.jit(lambda uv: texels(uv, (5, 7), "bilinear", wrap))(uv)
     near(np.sum(weight, axis=-1), 1)
     assert np.min(weight) >= 0 and np.min(index) >= 0 and np.max(index) < 35
-    near(pf.Texture(np.ones((5, 7, 3)), wrap=wrap).at(uv), 1)
+    near(texels_at(pf.Texture(np.ones((5, 7, 3)), wrap=wrap), uv), 1)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +93,6 @@ def test_what_textures_do_not_take():
 
 
 def test_normals_are_a_texture():
-    """Where annotations are checked, in float32, these forbid it first."""
     with pytest.raises(ValueError, match="normal: expected a Texture, got"):
         pf.Textures(normal=pf.VertexColours(np.ones((4, 3))))  # pyright: ignore
 
@@ -102,19 +112,19 @@ def seen(textures, material, shading=None, light=FRONT, ambient=0.0, **changes):
     "shading", [pf.PhongShading(), pf.GouraudShading(), pf.FlatShading()]
 )
 def test_textures_multiply_what_they_are_named_after(shading):
-    values = np.random.default_rng(0).uniform(0.1, 0.9, (4, 4, 3))
-    # Nearest, and twice as many pixels along a side.
-    shown = np.repeat(np.repeat(values, 2, axis=0), 2, axis=1)
-    texture = pf.Texture(values, "nearest")
-    dark = dict(diffuse=0.0, specular=0.0, ambient=0.0)
-    for name in ("diffuse", "specular", "ambient", "emission"):
-        material = pf.Material(**(dark | {name: 0.5}))
-        image = seen(pf.Textures(**{name: texture}), material, shading, ambient=1.0)
+    names = ("diffuse", "specular", "ambient", "emission")
+    each = np.random.default_rng(0).uniform(0.1, 0.9, (4, 4, 4, 3))
+    values = dict(zip(names, each, strict=True))
+    textures = pf.Textures(**{n: pf.Texture(v, "nearest") for n, v in values.items()})
+    for name in names:
+        material = pf.Material(**(dict.fromkeys(names, 0.0) | {name: 0.5}))
+        image = seen(textures, material, shading, ambient=1.0)
+        # Nearest, and twice as many pixels along a side.
+        shown = np.repeat(np.repeat(values[name], 2, axis=0), 2, axis=1)
         near(image, 0.5 * shown)
-        # And no other.
-        other = "ambient" if name != "ambient" else "emission"
-        image = seen(pf.Textures(**{other: texture}), material, shading, ambient=1.0)
-        near(image, 0.5)
+    glowing = pf.Material(0.0, emission=0.5, ambient=0.0)
+    alone = pf.Textures(ambient=textures.ambient)
+    near(seen(alone, glowing, shading, ambient=1.0), 0.5)
 
 
 def test_an_exponent_for_each_texel():
@@ -157,13 +167,21 @@ def test_materials_have_their_own_textures():
     image = seen(textures, material, material_index=[0, 1])
     near(image[7, 6], (1, 0, 0))
     near(image[1, 0], (0, 0, 0.5))
-    # A fit finds the factors.
-    scene = pf.Scene(plate(textures, material_index=[0, 1]), CAMERA, FRONT)
-    grey = pf.Material(ambient=0.0)
-    fit = pf.fit(scene, image, unknowns=("diffuse",), per_channel=(), known=grey)
-    near(np.asarray(fit.material.diffuse)[:, 0], (1, 0.5), 1e-4)
     with pytest.raises(ValueError, match="textures: expected one for all .* got 3"):
         plate([pf.Textures()] * 3, material_index=[0, 1])
+
+
+@pytest.mark.extended
+def test_a_fit_finds_the_factors_of_textures():
+    textures = [
+        pf.Textures(diffuse=pf.Texture([[colour]]))
+        for colour in ((1.0, 0, 0), (0, 0, 1.0))
+    ]
+    scene = pf.Scene(plate(textures, material_index=[0, 1]), CAMERA, FRONT)
+    grey = pf.Material(ambient=0.0)
+    image = pf.render(scene, pf.Material([[1.0], [0.5]], ambient=0.0))
+    fit = pf.fit(scene, image, unknowns=("diffuse",), per_channel=(), known=grey)
+    near(np.asarray(fit.material.diffuse)[:, 0], (1, 0.5), 1e-4)
 
 
 def test_a_mesh_with_textures_needs_uv():

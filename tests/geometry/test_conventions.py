@@ -2,6 +2,7 @@
 
 import json
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -19,8 +20,13 @@ VIEWS = OTHERS["opencv"]["views"]
 PIXELS = 1e-3 if eps() > 1e-10 else 1e-9
 
 
+@eqx.filter_jit
+def project(camera, points):
+    return jax.vmap(camera.project)(points)
+
+
 def projected(camera, points=POINTS):
-    return np.asarray(jax.jit(jax.vmap(camera.project))(floats(points)))
+    return np.asarray(project(camera, floats(points)))
 
 
 def of_view(view, **changed):

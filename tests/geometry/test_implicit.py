@@ -25,6 +25,7 @@ def ball(position):
 
 
 def test_contract():
+    # Where rays meet it, to third order: below.
     surface = pf.ImplicitSurface(Ellipsoid(floats([0.9, 0.7, 0.8])))
     check_surface(surface, pf.PerspectiveCamera(4, 3, fov_y=12))
 

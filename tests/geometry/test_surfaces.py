@@ -21,22 +21,28 @@ NORMALS, POSITIONS = map_like()
 SMALL = pf.OrthographicCamera(3, 2)
 
 
-@pytest.mark.parametrize(
-    "surface, camera",
-    [
-        (pf.Sphere(), pf.OrthographicCamera(4, 3)),
-        (pf.Sphere((0.2, 0.1, -1), 0.7), pf.PerspectiveCamera(3, 3, fov_y=10)),
-        (
-            pf.Sphere(radius=0.3),
-            pf.PerspectiveCamera.look_at((1, 1, 2), width=3, height=3),
-        ),
-        (pf.NormalMap(NORMALS), SMALL),
-        (pf.NormalMap(NORMALS, np.eye(2, 3), POSITIONS), SMALL),
-        (pf.NormalMap(NORMALS, None, POSITIONS), pf.PerspectiveCamera(3, 2)),
-    ],
-)
+SURFACES = [
+    (pf.Sphere(), pf.OrthographicCamera(4, 3)),
+    (pf.Sphere((0.2, 0.1, -1), 0.7), pf.PerspectiveCamera(3, 3, fov_y=10)),
+    (
+        pf.Sphere(radius=0.3),
+        pf.PerspectiveCamera.look_at((1, 1, 2), width=3, height=3),
+    ),
+    (pf.NormalMap(NORMALS), SMALL),
+    (pf.NormalMap(NORMALS, np.eye(2, 3), POSITIONS), SMALL),
+    (pf.NormalMap(NORMALS, None, POSITIONS), pf.PerspectiveCamera(3, 2)),
+]
+
+
+@pytest.mark.parametrize("surface, camera", SURFACES)
 def test_contract(surface, camera):
     check_surface(surface, camera)
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("surface, camera", SURFACES)
+def test_contract_to_second_order(surface, camera):
+    check_surface(surface, camera, order=2)
 
 
 # A ray of an orthographic view that meets the unit sphere at (x, y), where the normal

@@ -43,58 +43,63 @@ BALL = pf.Sphere((0.05, 0.02, 0.1), 1.1)
 PINHOLE = pf.PerspectiveCamera.look_at((0.5, 0.3, 5), width=6, height=6, fov_y=28)
 
 
-def rendered(both):
-    return pf.render(*both)
-
-
-@pytest.mark.parametrize(
-    "camera, specular, lights",
-    [
-        (PINHOLE, pf.BlinnPhong(), (SUN, BULB, SPOT)),
-        (pf.OrthographicCamera(6, 6), pf.Phong(), (SUN, BULB)),
-    ],
-    ids=["perspective, Blinn", "orthographic, Phong"],
-)
-def test_every_leaf(camera, specular, lights):
-    scene = pf.Scene(
-        BALL,
+def scene_of(surface, camera, lights, specular, background=0.1):
+    # A black background would lie on the clamp's lower kink.
+    return pf.Scene(
+        surface,
         camera,
         lights,
         (0.1, 0.2, 0.3),
         specular_model=specular,
-        background=0.1,
+        background=background,
     )
-    image, mask = rendered((scene, MATERIAL)), pf.trace(BALL, camera).mask
-    assert image[mask].max() > 0.6 and 0 < mask.sum() < mask.size
-    check_gradients(rendered, (scene, MATERIAL))
 
 
-def test_every_leaf_of_a_normal_map():
+def maps():
+    """A normal map with positions, and a material for each of its pixels."""
     rng = np.random.default_rng(0)
     normals = rng.uniform(-0.4, 0.4, (2, 2, 3)) + np.array([0, 0, 1])
     positions = rng.uniform(-0.3, 0.3, (2, 2, 3))
     surface = pf.NormalMap(normals, [[True, True], [False, True]], positions)
-    camera = pf.PerspectiveCamera(2, 2)
-    specular = pf.BlinnPhong(normalized=True)
-    # A black background would lie on the clamp's lower kink.
-    scene = pf.Scene(
-        surface, camera, BULB, 0.2, specular_model=specular, background=0.1
-    )
-    check_gradients(rendered, (scene, MATERIAL))
+    values = rng.uniform(0.1, 0.9, (2, 2, 3))
+    material = pf.Material(values, values[::-1], 20 * values[:, :, :1], 0.3, values)
+    normalized = pf.BlinnPhong(normalized=True)
+    return scene_of(surface, pf.PerspectiveCamera(2, 2), BULB, normalized), material
 
 
-def test_a_material_map():
-    scene = pf.Scene(BALL, pf.OrthographicCamera(2, 2, view_height=1), SUN, 0.2)
-    maps = np.random.default_rng(0).uniform(0.1, 0.9, (2, 2, 3))
-    material = pf.Material(maps, maps[::-1], 20 * maps[:, :, :1], 0.3, maps)
-    check_gradients(
-        lambda material: pf.render(scene_in_double(scene), material), material
-    )
+SCENES = {
+    "two lights": (
+        scene_of(BALL, PINHOLE, (SUN, SPOT), pf.BlinnPhong()),
+        MATERIAL,
+    ),
+    "perspective, Blinn": (
+        scene_of(BALL, PINHOLE, (SUN, BULB, SPOT), pf.BlinnPhong()),
+        MATERIAL,
+    ),
+    "orthographic, Phong": (
+        scene_of(BALL, pf.OrthographicCamera(6, 6), (SUN, BULB), pf.Phong()),
+        MATERIAL,
+    ),
+    "maps": maps(),
+}
 
 
-def scene_in_double(scene):
-    """What a checked function closes over must be in double precision, too."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), scene)
+def rendered(both):
+    return pf.render(*both)
+
+
+@pytest.mark.parametrize("name", ["two lights", "maps"])
+def test_every_leaf(name):
+    scene, material = SCENES[name]
+    image, mask = pf.render(scene, material), scene.trace().mask
+    assert image[mask].max() > 0.6 and 0 < mask.sum() < mask.size
+    check_gradients(rendered, (scene, material), order=1)
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("name", ["perspective, Blinn", "orthographic, Phong", "maps"])
+def test_every_leaf_to_second_order(name):
+    check_gradients(rendered, SCENES[name])
 
 
 # Many points at once, which compile as one: light, viewer and normal of shape (N, 3),
@@ -154,9 +159,16 @@ SMOOTH = [
     ((1, 0, 1), (1, 0, 1), UP, 0.4, 10),  # r·v is exactly zero
     ((1, 0, 1e-3), LEFT, UP, 0.4, 10),  # the light just above the horizon
     ((1, 0, -1e-3), LEFT, UP, 0.4, 10),  # and just below
+    (RIGHT, LEFT, UP, 0.4, 10),
+    (LEFT, UP, UP, 0.9, 3),
 ]
-# f at its upper bound: differences lose digits to the steepness of cos^1000.
-SHARP = [(UP, UP, UP, 0.4, 1000), (RIGHT, LEFT, UP, 0.4, 1000), (UP, UP, UP, 0, 1000)]
+# f at its upper bound: differences lose digits to the steepness of cos^1000. (As many
+# rows as of kinks, so that all compile as one.)
+SHARP = 3 * [
+    (UP, UP, UP, 0.4, 1000),
+    (RIGHT, LEFT, UP, 0.4, 1000),
+    (UP, UP, UP, 0, 1000),
+]
 # On the kink or the jump itself.
 KINKS = [
     (X, LEFT, UP, 0.4, 10),  # the light at the horizon
@@ -171,28 +183,22 @@ KINKS = [
 ]
 
 
-def names(model):
-    return f"{type(model).__name__}, gate={model.gate}"
+@pytest.mark.parametrize(
+    "model, order",
+    [
+        (MODELS[0], 1),
+        pytest.param(MODELS[0], 2, marks=pytest.mark.extended),
+        (MODELS[1], 2),
+        pytest.param(MODELS[2], 2, marks=pytest.mark.extended),
+    ],
+)
+def test_awkward_points(model, order):
+    def shown(rows):
+        return lit(model, Film(clamp=False), rows)
 
-
-@pytest.mark.parametrize("model", MODELS, ids=names)
-def test_awkward_points(model):
-    check_gradients(lambda p: lit(model, Film(clamp=False), p), points(SMOOTH))
-
-
-@pytest.mark.parametrize("model", MODELS[:2], ids=names)
-def test_sharpest_highlights(model):
-    sharp = points(SHARP)
-    check_gradients(lambda p: lit(model, Film(clamp=False), p), sharp, rtol=1e-3)
-
-
-@pytest.mark.parametrize("model", MODELS, ids=names)
-def test_on_the_kinks(model):
-    check_gradients(
-        lambda p: lit(model, Film(clamp=False), p),
-        points(KINKS),
-        finite_differences=False,
-    )
+    check_gradients(shown, points(SMOOTH), order=order)
+    check_gradients(shown, points(SHARP), order=order, rtol=1e-3)
+    check_gradients(shown, points(KINKS), order=order, finite_differences=False)
 
 
 def test_the_clamp():
@@ -212,28 +218,22 @@ def test_the_clamp():
     near_white = four | {"material": material_of(rho_s, [10] * 4)}
     values = np.asarray(jax.jit(function)(jax.tree.map(floats, near_white)))
     assert np.array_equal(values == 1, [False, True, False, True])
-    check_gradients(function, near_white)
-
-    # ½ + ½ is exactly white: a kink, between the slopes of either side.
-    check_gradients(Film().expose, np.array([0.0, 1.0]), finite_differences=False)
+    # On white itself, and to second order: `test_film`.
+    check_gradients(function, near_white, order=1)
 
 
-@pytest.mark.parametrize(
-    "light",
-    [
+def test_a_light_on_a_pixel_leaves_no_nan():
+    """Pixels outside a mask are often at the origin, and so are flash lights."""
+    lights = (
         pf.PointLight((0, 0, 0), attenuation=(0, 0, 1)),
         pf.SpotLight((0, 0, 0), (0, 0, -1), exponent=2.5, attenuation=(0, 1, 0)),
-    ],
-    ids=["point", "spot"],
-)
-def test_a_light_on_a_pixel_leaves_no_nan(light):
-    """Pixels outside a mask are often at the origin, and so are flash lights."""
+    )
     positions = np.zeros((1, 2, 3))
     positions[0, 1] = (0.3, 0.2, -2)
     normals = np.broadcast_to([0.1, 0.0, 1.0], (1, 2, 3))
     surface = pf.NormalMap(normals, [[False, True]], positions)
     scene = pf.Scene(
-        surface, pf.PerspectiveCamera(2, 1, position=(0, 0, 0)), light, 0.1
+        surface, pf.PerspectiveCamera(2, 1, position=(0, 0, 0)), lights, 0.1
     )
 
     def loss(both):
@@ -244,11 +244,16 @@ def test_a_light_on_a_pixel_leaves_no_nan(light):
     assert len(leaves) > 10 and all(np.all(np.isfinite(leaf)) for leaf in leaves)
 
 
-def test_gradients_are_finite_in_the_run_s_precision():
+@pytest.mark.parametrize("precision", ["float32"], indirect=True)
+def test_gradients_are_finite_in_single_precision(precision):
     """At the silhouette, and where nothing is seen at all."""
+    del precision
     camera = pf.OrthographicCamera(9, 9, view_height=2.4)
+    lights = pf.DirectionalLight((1, 1, 2)), pf.PointLight((-2, 1, 3))
+    material = pf.Material(0.6, 0.4, 20.0)
     slopes_of = eqx.filter_jit(eqx.filter_grad(lambda both: jnp.sum(pf.render(*both))))
     for sphere in (pf.Sphere(radius=1.1), pf.Sphere((0, 0, 9))):
-        scene = pf.Scene(sphere, camera, (SUN, BULB), 0.1)
-        slopes = jax.tree.leaves(slopes_of((scene, MATERIAL)))
+        scene = pf.Scene(sphere, camera, lights, 0.1)
+        slopes = jax.tree.leaves(slopes_of((scene, material)))
+        assert slopes[0].dtype == np.float32
         assert all(np.all(np.isfinite(leaf)) for leaf in slopes)

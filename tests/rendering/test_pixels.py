@@ -1,5 +1,6 @@
 """What an image is made of, for every shading method: the fit rests on it."""
 
+import itertools
 from typing import Any
 
 import equinox as eqx
@@ -10,7 +11,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.testing import check_gradients
-from tests.helpers import close, floats, near
+from tests.helpers import close, near
 
 # A bumpy sheet of three materials, its vertices shared between them.
 BASE = pf.shapes.HeightField(lambda x, y: 0.2 * jnp.sin(4 * x) * jnp.cos(3 * y)).mesh(
@@ -22,14 +23,18 @@ SHEET: dict[str, Any] = dict(
     normals=np.asarray(BASE.normals),
 )
 INDEX = np.arange(len(BASE.faces)) % 3
-SHADINGS = [
-    pf.PhongShading(),
-    pf.GouraudShading(),
-    pf.FlatShading(),
-    pf.FlatShading("last_vertex"),
-]
-NAMES = ["Phong", "Gouraud", "flat", "GL_FLAT"]
-each_shading = pytest.mark.parametrize("shading", SHADINGS, ids=NAMES)
+SHADINGS = {
+    "Phong": pf.PhongShading(),
+    "Gouraud": pf.GouraudShading(),
+    "flat": pf.FlatShading(),
+    "GL_FLAT": pf.FlatShading("last_vertex"),
+}
+
+
+each_shading = pytest.mark.parametrize(
+    "shading", SHADINGS.values(), ids=SHADINGS.keys()
+)
+extended = pytest.mark.extended
 
 
 def world(shading, **keywords):
@@ -68,52 +73,53 @@ def materials(seed=0):
 
 
 @each_shading
-def test_linear_in_the_reflectances(shading):
-    scene = world(shading, fog=None)
-    pixels = pf.pixel_terms(scene, scene.trace())
-    one, other = materials(1), materials(2)
-    other = eqx.tree_at(lambda m: m.shininess, other, one.shininess)
-
-    def mixed(a, b):
-        leaves = jax.tree.map(lambda x, y: floats(a) * x + floats(b) * y, one, other)
-        return eqx.tree_at(lambda m: m.shininess, leaves, one.shininess)
-
-    expected = floats(0.3) * radiance(pixels, one) + floats(0.6) * radiance(
-        pixels, other
-    )
-    near(radiance(pixels, mixed(0.3, 0.6)), expected, 5 * close())
-
-
-@each_shading
-def test_fog_keeps_a_share_and_adds_its_colour(shading):
+def test_linear_in_the_reflectances_and_in_fog(shading):
+    """Fog keeps a share of the light, and adds its colour."""
     scene = world(shading)
     gbuffer = scene.trace()
-    clear = pf.pixel_terms(eqx.tree_at(lambda s: s.fog, scene, None), gbuffer)
+    pixels = pf.pixel_terms(eqx.tree_at(lambda s: s.fog, scene, None), gbuffer)
+    one, other = materials(1), materials(2)
+    other = eqx.tree_at(lambda m: m.shininess, other, one.shininess)
+    mixed = jax.tree.map(lambda x, y: 0.3 * x + 0.6 * y, one, other)
+    mixed = eqx.tree_at(lambda m: m.shininess, mixed, one.shininess)
+    clear, second, both = (
+        np.asarray(radiance(pixels, material)) for material in (one, other, mixed)
+    )
+    near(both, 0.3 * clear + 0.6 * second, 5 * close())
+
     depth = jax.vmap(jax.vmap(scene.camera.depth))(gbuffer.position)
     share = np.exp(-0.1 * np.asarray(depth))[..., None]
-    expected = share * radiance(clear, materials()) + (1 - share) * np.array(
-        [0.2, 0.3, 0.4]
-    )
-    near(radiance(pf.pixel_terms(scene, gbuffer), materials()), expected)
+    expected = share * clear + (1 - share) * np.array([0.2, 0.3, 0.4])
+    near(radiance(pf.pixel_terms(scene, gbuffer), one), expected)
 
 
-@each_shading
-@pytest.mark.parametrize("clamp", [False, True])
-def test_some_pixels_are_those_of_the_image(shading, clamp):
-    if clamp and shading != pf.PhongShading():
-        shading = type(shading)(**vars(shading) | {"clamp": True})
+@pytest.mark.parametrize(
+    "shading",
+    [
+        *(pytest.param(one, id=name) for name, one in SHADINGS.items()),
+        pytest.param(pf.GouraudShading(clamp=True), id="Gouraud, clamped"),
+        pytest.param(pf.FlatShading(clamp=True), id="flat, clamped", marks=extended),
+    ],
+)
+def test_some_pixels_are_those_of_the_image(shading):
     scene = world(shading)
     gbuffer = scene.trace()
     pixels, material = pf.pixel_terms(scene, gbuffer), materials()
-    chosen = jnp.asarray(np.flatnonzero(gbuffer.mask)[::3])
-    some = pixels.select(chosen)
-    expected = np.asarray(radiance(pixels, material)).reshape(-1, 3)[chosen]
-    found = radiance(some, material)
+    light, mask = np.asarray(radiance(pixels, material)), np.asarray(gbuffer.mask)
+    image = pf.render(scene, material, gbuffer=gbuffer)
+    assert 0.3 < mask.mean() < 1
+    near(image[mask], np.clip(light, 0, 1)[mask])
+    near(image[~mask], 0.1)
+    assert np.all(np.isfinite(light)), "placeholders must be finite"
+
+    chosen = np.flatnonzero(mask)[::3]
+    some = pixels.select(jnp.asarray(chosen))
+    expected, found = light.reshape(-1, 3)[chosen], radiance(some, material)
     near(found, expected)
     assert found.shape == (len(chosen), 3)
     # Traced, it takes them all along; chosen twice, it is the same.
     select = eqx.filter_jit(lambda p, i: p.select(i).radiance(material))
-    near(select(pixels, chosen), expected)
+    near(select(pixels, jnp.asarray(chosen)), expected)
     near(radiance(some.select(jnp.arange(4)), material), expected[:4])
 
 
@@ -127,19 +133,8 @@ def test_of_the_points_that_are_lit_only_those_that_show_are_kept():
     assert len(some.terms.diffuse) <= 64
 
 
-@each_shading
-def test_the_image_is_radiance_on_film(shading):
-    scene = world(shading)
-    gbuffer = scene.trace()
-    light = radiance(pf.pixel_terms(scene, gbuffer), materials())
-    image = pf.render(scene, materials(), gbuffer=gbuffer)
-    mask = np.asarray(gbuffer.mask)
-    assert 0.3 < mask.mean() < 1
-    near(image[mask], np.clip(light, 0, 1)[mask])
-    near(image[~mask], 0.1)
-    assert np.all(np.isfinite(light)), "placeholders must be finite"
-
-
+# By default, of a mesh with Gouraud shading: `geometry/test_meshes`.
+@extended
 @each_shading
 def test_gradients_in_every_leaf(shading):
     scene = world(shading)
@@ -147,6 +142,7 @@ def test_gradients_in_every_leaf(shading):
     check_gradients(lambda both: pf.render(*both), (scene, materials()), order=1)
 
 
+@extended
 @each_shading
 def test_second_derivatives_in_the_material(shading):
     scene = world(shading)
@@ -154,10 +150,20 @@ def test_second_derivatives_in_the_material(shading):
     check_gradients(lambda both: both[0].radiance(both[1]), (pixels, materials()))
 
 
-@each_shading
-@pytest.mark.parametrize("local_viewer", [True, False])
-@pytest.mark.parametrize("kind", [pf.PerspectiveCamera, pf.OrthographicCamera])
-def test_where_the_viewer_is_for_the_light(shading, local_viewer, kind):
+CAMERAS = pf.OrthographicCamera, pf.PerspectiveCamera
+# Each shading once, and each pair of a camera and a viewer.
+VIEWERS = set(zip(SHADINGS, 2 * CAMERAS, (False, True, True, False), strict=True))
+
+
+@pytest.mark.parametrize(
+    "name, kind, local_viewer",
+    [
+        pytest.param(*row, marks=() if row in VIEWERS else extended)
+        for row in itertools.product(SHADINGS, CAMERAS, (False, True))
+    ],
+)
+def test_where_the_viewer_is_for_the_light(name, kind, local_viewer):
+    shading = SHADINGS[name]
     view = kind.look_at((0.5, 0.3, 4), width=5, height=4)
     plain = world(shading, shadows=False)
     plain = eqx.tree_at(lambda s: s.camera, plain, view)

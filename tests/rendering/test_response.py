@@ -73,6 +73,7 @@ def test_images_are_read_and_written_by_it(tmp_path):
     assert pf.read_film(path, GAMMA) == pf.Film(encoding=GAMMA, bits=16)
 
 
+@pytest.mark.extended
 def test_a_fit_knows_the_curve(tmp_path):
     scene = pf.Scene(
         pf.Sphere(), pf.OrthographicCamera(24, 24), pf.DirectionalLight((1, 1, 2)), 0.3
