@@ -77,7 +77,9 @@ START = {
 }
 
 
-@pytest.mark.parametrize("noise", [NOISE, 0.0])
+@pytest.mark.parametrize(
+    "noise", [NOISE, pytest.param(0.0, marks=pytest.mark.extended)]
+)
 def test_numbers_of_a_scene_are_found(noise):
     """Lights, ambient light and fog at once, from a wrong start."""
     wrong = changed(MIXED, START)
@@ -121,6 +123,7 @@ def test_numbers_of_a_scene_are_found(noise):
     near(fit.exposure, [1])
 
 
+@pytest.mark.extended
 def test_each_image_has_its_light_and_exposure():
     """Per image an intensity and an exposure, which one known light tells apart."""
     strengths, exposures = (0.5, 0.2), (1.0, 1.4)
@@ -190,16 +193,26 @@ BOTH = ("scene.lights[0].intensity", "scene.lights[1].intensity")
 @pytest.mark.parametrize(
     "scene, names, unidentified",
     [
-        (ONE_LIGHT, (*PARAMETERS, BOTH[0]), ("diffuse", "specular", BOTH[0])),
+        pytest.param(
+            ONE_LIGHT,
+            (*PARAMETERS, BOTH[0]),
+            ("diffuse", "specular", BOTH[0]),
+            marks=pytest.mark.extended,
+        ),
         (
             ONE_LIGHT,
             (*PARAMETERS, "exposure"),
             ("ambient", "diffuse", "specular", "exposure"),
         ),
-        (SCENE, (*PARAMETERS, "scene.ambient"), ("ambient", "scene.ambient")),
+        pytest.param(
+            SCENE,
+            (*PARAMETERS, "scene.ambient"),
+            ("ambient", "scene.ambient"),
+            marks=pytest.mark.extended,
+        ),
         (TWINS, BOTH, BOTH),
         # The other light is known, and so is the scale.
-        (SCENE, (*PARAMETERS, BOTH[0]), ()),
+        pytest.param(SCENE, (*PARAMETERS, BOTH[0]), (), marks=pytest.mark.extended),
     ],
 )
 def test_what_nobody_could_tell_is_named(scene, names, unidentified):
@@ -218,6 +231,7 @@ def test_what_nobody_could_tell_is_named(scene, names, unidentified):
         assert all(name in warning for name in unidentified)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("noise", [NOISE, 0.0])
 def test_one_image_does_not_tell_its_exposure(noise):
     image = photograph(ONE_LIGHT, TRUTH, noise=noise)

@@ -22,6 +22,7 @@ def weight(loss, residual):
 
 
 # ρ(z) with z = r², worked out by hand from the formulas of the docstrings.
+@pytest.mark.usefixtures("precision")
 @pytest.mark.parametrize(
     "loss, residual, expected",
     [
@@ -81,6 +82,7 @@ def test_cost_never_falls_and_pull_is_bounded(name):
     assert LOSSES[name].robust == (name != "linear")
 
 
+@pytest.mark.usefixtures("precision")
 @pytest.mark.parametrize("name", LOSSES)
 def test_derivatives_are_finite_and_start_at_one(name):
     loss = LOSSES[name]

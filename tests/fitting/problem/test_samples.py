@@ -147,10 +147,19 @@ def other_light(scene: pf.Scene) -> pf.Scene:
 BALL = pf.shapes.Ball().mesh(12, 8)
 
 
-@pytest.mark.parametrize("fog", [None, pf.Fog(0.5, density=0.1)])
+FOG = pf.Fog(0.5, density=0.1)
+
+
 @pytest.mark.parametrize(
-    "surface, shading",
-    [(pf.Sphere(), None), (BALL, pf.PhongShading()), (BALL, pf.GouraudShading())],
+    "surface, shading, fog",
+    [
+        (pf.Sphere(), None, None),
+        (BALL, pf.GouraudShading(), FOG),
+        pytest.param(pf.Sphere(), None, FOG, marks=pytest.mark.extended),
+        pytest.param(BALL, pf.PhongShading(), None, marks=pytest.mark.extended),
+        pytest.param(BALL, pf.PhongShading(), FOG, marks=pytest.mark.extended),
+        pytest.param(BALL, pf.GouraudShading(), None, marks=pytest.mark.extended),
+    ],
 )
 def test_relighting_is_lighting_anew(surface, shading, fog):
     scene = pf.Scene(

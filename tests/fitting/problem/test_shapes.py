@@ -83,6 +83,7 @@ def test_its_errors_are_predicted():
     np.testing.assert_allclose(foreseen.errors, fit.errors, rtol=0.1)
 
 
+@pytest.mark.extended
 def test_ward_is_found_from_images_of_several_lights():
     """Images of two lights and of one, whose lobes are padded, share one α."""
     rng = np.random.default_rng(2)
@@ -108,6 +109,7 @@ def test_ward_is_found_from_images_of_several_lights():
     assert fit.bounds[fit.labels.index(ALPHA)] == pytest.approx((0.01, 1))
 
 
+@pytest.mark.extended
 def test_a_highlight_that_is_not_there_has_no_width():
     """Neither of none, nor of one that noise hides, is an α claimed to be known."""
     rng = np.random.default_rng(5)

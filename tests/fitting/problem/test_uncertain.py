@@ -73,6 +73,7 @@ def test_a_lamp_is_brought_to_what_the_images_say():
     assert found.misfit.significance < 4.5 < held.misfit.significance
 
 
+@pytest.mark.extended
 def test_errors_that_hang_together():
     near = [
         pf.PointLight(5 * a / np.linalg.norm(a), attenuation=(0, 0, 1 / 25))
@@ -110,6 +111,7 @@ def test_errors_that_hang_together():
         pf.fit(rooms, light, uncertain={arrays: joint, arrays[0]: 0.1})
 
 
+@pytest.mark.extended
 def test_what_is_unknown_too_has_a_prior_about_what_the_scenes_have():
     aim = turned(0, 0.01)
     across = np.eye(6) * 0.02**2

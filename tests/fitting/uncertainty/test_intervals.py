@@ -68,12 +68,11 @@ def farthest(one: Quadratic, place: int, sign: float) -> float:
     return float(sign * max(ends))
 
 
-@pytest.mark.parametrize("seed", range(24))
-def test_ends_are_the_farthest_points(seed):
-    one = quadratic(seed)
-    places = np.eye(len(one.slope))
-    expected = [[farthest(one, k, s) for s in (-1, 1)] for k in range(len(places))]
-    near(one.ends(places, LEVEL), expected, 1e-4)
+def test_ends_are_the_farthest_points():
+    for one in map(quadratic, range(24)):
+        places = np.eye(len(one.slope))
+        expected = [[farthest(one, k, s) for s in (-1, 1)] for k in range(len(places))]
+        near(one.ends(places, LEVEL), expected, 1e-4)
 
 
 def test_where_the_level_is_nowhere_kept():
@@ -143,7 +142,10 @@ FRONT = pf.Scene(
 
 @pytest.mark.parametrize(
     "scene, specular, shininess",
-    [(FRONT, 0.1, 2.0), (ball(), 0.03, 300.0)],
+    [
+        pytest.param(FRONT, 0.1, 2.0, marks=pytest.mark.extended),
+        (ball(), 0.03, 300.0),
+    ],
 )
 def test_specular_where_the_exponent_is_not_identified(scene, specular, shininess):
     truth = pf.Material(TRUTH.diffuse, specular, shininess, TRUTH.ambient)

@@ -124,12 +124,9 @@ def test_channels_that_cancel():
     residual[:32, :, 0] += 0.3
     residual[:32, :, 2] -= 0.3
     assert looked_at(residual).significant
-
-
-def test_a_constant_in_one_channel():
-    residual = noise()
-    residual[..., 1] += 0.1
-    assert looked_at(residual).significant
+    constant = noise()
+    constant[..., 1] += 0.1
+    assert looked_at(constant).significant
 
 
 def test_rounding_that_samples_share_is_no_misfit():
@@ -229,6 +226,7 @@ def test_only_pairs_inside_the_mask_count():
     assert looked_at(residual, used=used).neighbour_correlation == -1
 
 
+@pytest.mark.extended
 def test_an_exponent_that_is_held_wrongly():
     """The ring of a highlight a tenth too narrow; held right, there is nothing."""
     camera = pf.OrthographicCamera(SIZE, SIZE)

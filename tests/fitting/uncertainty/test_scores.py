@@ -63,6 +63,7 @@ def test_errors_where_noise_is_not_the_same_everywhere(level):
         check_errors(fit, color, expected)
 
 
+@pytest.mark.extended
 def test_a_noisy_channel_under_a_robust_loss():
     """The loss is less steep there: Huber's sandwich, with a slope of its own."""
     scene = ball()
@@ -80,6 +81,7 @@ def test_a_noisy_channel_under_a_robust_loss():
         check_errors(fit, color, expected)
 
 
+@pytest.mark.extended
 def test_noise_that_is_the_same_everywhere():
     scene = ball()
     clean = np.asarray(photograph(scene, TRUTH), float)

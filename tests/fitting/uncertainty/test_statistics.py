@@ -13,6 +13,8 @@ from phongfit.fitting.uncertainty.identifiability import (
     find_unidentified,
     linked_groups,
 )
+from tests.fitting import canonical
+from tests.fitting.canonical import NOISE
 from tests.fitting.scenes import (
     as_vector,
     ball,
@@ -26,7 +28,6 @@ TRUTH = truth()
 
 SCENE = ball()
 DRAWS = 250
-NOISE = 0.01
 
 
 @lru_cache
@@ -55,6 +56,7 @@ def draws(encoding: str) -> tuple[np.ndarray, np.ndarray]:
     return np.array(offs), np.array(values)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("encoding", ["none", "srgb"])
 def test_errors_are_what_happens(encoding):
     offs, _ = draws(encoding)
@@ -63,24 +65,16 @@ def test_errors_are_what_happens(encoding):
     assert np.all(np.abs(spread - 1) < 0.18), spread
     # All ten together are known better, though they are not independent.
     assert abs(np.sqrt(np.mean(offs**2)) - 1) < 0.07
-
-
-@pytest.mark.parametrize("encoding", ["none", "srgb"])
-def test_no_bias(encoding):
-    offs, _ = draws(encoding)
+    # No bias.
     assert np.all(np.abs(offs.mean(axis=0)) < 4 / np.sqrt(DRAWS))
-
-
-@pytest.mark.parametrize("encoding", ["none", "srgb"])
-def test_coverage(encoding):
-    offs, _ = draws(encoding)
     assert 0.935 < np.mean(np.abs(offs) < 2) < 0.97
     assert 0.64 < np.mean(np.abs(offs) < 1) < 0.725
 
 
+@pytest.mark.extended
 def test_correlations_are_what_happens():
     _, values = draws("none")
-    fit = pf.fit(SCENE, photograph(SCENE, TRUTH, noise=NOISE))
+    fit = canonical.two_directional().fit
     assert np.allclose(fit.correlation, np.corrcoef(values.T), atol=0.25)
     assert np.max(np.abs(fit.correlation[~np.eye(10, dtype=bool)])) > 0.8
 
@@ -110,7 +104,9 @@ def lmfit_result(image: np.ndarray, scale_covar: bool) -> Any:
     )
 
 
-@pytest.mark.parametrize("noise", [None, NOISE])
+@pytest.mark.parametrize(
+    "noise", [None, pytest.param(NOISE, marks=pytest.mark.extended)]
+)
 def test_errors_are_lmfits(noise):
     image = photograph(SCENE, TRUTH, noise=NOISE, seed=3)
     assert image.max() < 1
@@ -146,6 +142,7 @@ def test_given_noise_scales_the_errors():
         )
 
 
+@pytest.mark.extended
 def test_more_noise_in_some_pixels():
     """Weights from known noise: better than without, and stated so."""
     rng = np.random.default_rng(5)
@@ -207,7 +204,7 @@ def test_who_is_not_identifiable(rows, unidentified, words):
         assert reasons[0].startswith(words)
 
 
-def testlinked_groups():
+def test_linked_groups():
     linked = np.array(
         [[1, 1, 0, 0], [1, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=bool
     )

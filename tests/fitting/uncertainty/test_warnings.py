@@ -2,16 +2,14 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from tests.fitting import canonical
+from tests.fitting.canonical import NOISE
 from tests.fitting.scenes import ball, photograph, truth
 
 TRUTH = truth()
 
 SCENE = ball()
-NOISE = 0.01
 NOISY = photograph(SCENE, TRUTH, noise=NOISE)
-# Of the size of `test_rejected`, whose losses are compiled anyway.
-LARGE = ball(size=64)
-LARGER = photograph(LARGE, TRUTH, noise=NOISE)
 
 
 def said(fit: pf.Fit, words: str) -> bool:
@@ -19,36 +17,34 @@ def said(fit: pf.Fit, words: str) -> bool:
     return any(words in warning for warning in fit.warnings)
 
 
-def test_priors_that_agree_say_nothing():
-    fit = pf.fit(SCENE, NOISY, priors={"shininess": (20.5, 0.5)})
-    assert not fit.warnings
-
-
 @pytest.mark.parametrize("deviation", [1e-3, 0.5])
 def test_a_prior_that_contradicts(deviation):
     """Whether it gives way to the images, or they to it."""
-    fit = pf.fit(SCENE, NOISY, priors={"shininess": (40.0, deviation)})
-    assert fit.converged
+    solved, ties = canonical.priors_and_ties(), {"specular": (0.5, "diffuse")}
+    priors = {"shininess": (40.0, deviation)}
+    fit = pf.fit(SCENE, solved.image, ties=ties, priors=priors)
+    assert fit.converged and not solved.fit.warnings
     assert said(fit, "the prior of shininess, 40 ±")
 
 
-@pytest.mark.parametrize("noise", [NOISE / 3, 3 * NOISE])
 @pytest.mark.parametrize(
-    "scene, image, loss", [(SCENE, NOISY, "linear"), (LARGE, LARGER, "huber")]
+    "loss", ["linear", pytest.param("huber", marks=pytest.mark.extended)]
 )
-def test_noise_given_wrong(scene, image, loss, noise):
-    fit = pf.fit(scene, image, noise=noise, loss=loss)
-    assert said(fit, "times as large as the noise that was given") == (noise < NOISE)
-    if noise < NOISE:
-        plain = pf.fit(scene, image, loss=loss)
-        np.testing.assert_allclose(fit.errors, plain.errors, rtol=0.15)
+def test_noise_given_wrong(loss):
+    large = pf.fit(SCENE, NOISY, noise=3 * NOISE, loss=loss)
+    assert not said(large, "noise that was given")
+    small = pf.fit(SCENE, NOISY, noise=NOISE / 3, loss=loss)
+    assert said(small, "3.0 times as large as the noise that was given")
+    plain = pf.fit(SCENE, NOISY, loss=loss)
+    np.testing.assert_allclose(small.errors, plain.errors, rtol=0.15)
+    if loss == "linear":
+        assert small.reduced_chi_squared == pytest.approx(9, rel=0.1)
 
 
+@pytest.mark.extended
 def test_noise_given_right_beside_outliers():
     """A loss that bears them does not take them for noise."""
-    rng = np.random.default_rng(0)
-    hit = rng.random(NOISY.shape[:2]) < 0.05
-    image = np.where(hit[..., None], rng.random(NOISY.shape), NOISY)
+    image = canonical.with_garbage(NOISY, 0.05)
     assert not said(pf.fit(SCENE, image, noise=NOISE, loss="tukey"), "noise that was")
 
 
