@@ -122,18 +122,9 @@ def priors_and_ties() -> Solved:
 
 @functools.cache
 def mesh() -> Solved:
-    """A coarse mesh in fog, lit in its corners."""
-    return solved(mesh_scene(pf.GouraudShading()), glossy())
-
-
-@functools.cache
-def two_materials() -> Solved:
-    """A mesh whose faces are of two materials, next to each other."""
-    made = pf.shapes.Ball().mesh(12, 8)
-    rows = (np.arange(len(made.faces)) // 12 % 2).astype(np.int32)
-    surface = pf.Mesh(made.vertices, made.faces, made.normals, rows)
-    scene = pf.Scene(surface, ball().camera, two_lights("directional"), ambient=0.3)
-    return solved(scene, pf.stack_materials([truth(), glossy()]))
+    """A coarse mesh of two materials in fog, lit in its corners."""
+    material = pf.stack_materials([truth(), glossy()])
+    return solved(mesh_scene(pf.GouraudShading()), material)
 
 
 @functools.cache
@@ -180,8 +171,12 @@ def plate_scene() -> pf.Scene:
 
 
 def mesh_scene(shading: AbstractShading) -> pf.Scene:
+    """The upper and the lower half are of two materials."""
+    made = pf.shapes.Ball().mesh(16, 8)
+    lower = np.asarray(made.vertices)[np.asarray(made.faces)].mean(axis=1)[:, 1] < 0
+    surface = pf.Mesh(made.vertices, made.faces, made.normals, lower.astype(np.int32))
     return pf.Scene(
-        pf.shapes.Ball().mesh(16, 8),
+        surface,
         pf.PerspectiveCamera(SIZE, SIZE, position=(0, 0, 5), fov_y=28),
         (pf.DirectionalLight((1, 1, 2), 0.7), pf.PointLight((-2, 1, 2), 0.5)),
         ambient=0.3,

@@ -33,12 +33,11 @@ def check_near_truth(fit: pf.Fit, truth: pf.Material = TRUTH) -> None:
     "problem",
     [
         canonical.two_directional,
-        canonical.one_light,
+        pytest.param(canonical.one_light, marks=pytest.mark.extended),
         canonical.three_lights,
         canonical.eight_bits,
         canonical.priors_and_ties,
         canonical.mesh,
-        canonical.two_materials,
     ],
     ids=lambda problem: problem.__name__,
 )
@@ -116,6 +115,7 @@ def test_the_least_cost():
         assert cost >= fit.chi_squared * (1 - 1e-5)
 
 
+@pytest.mark.extended
 def test_of_many_samples_a_few_come_first(monkeypatch):
     """And lead to where all lead that are solved for at once."""
     passes, settle = [], search._settle

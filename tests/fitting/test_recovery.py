@@ -38,7 +38,7 @@ def behind() -> pf.Scene:
 
 SCENES = {
     "two directional": (BALL, ()),
-    "one light": (one_light_scene(), ()),
+    "one light": (one_light_scene(), pytest.mark.extended),
     "each kind of light": (three_lights_scene(), ()),
     "normalized": (
         ball(specular_model=pf.BlinnPhong(normalized=True)),

@@ -14,8 +14,8 @@ from phongfit.fitting.solve.solver import BoundedLevenbergMarquardt
 from tests.fitting.standard_problems import PROBLEMS, Problem
 from tests.helpers import eps, floats
 
-# Of two and three unknowns, half of them with bounds that bind.
-TEN = ("1", "1 boxed", "2", "5", "5 boxed", "8", "8 boxed", "9", "12", "12 boxed")
+# All of three unknowns, and thus one program; half of them with bounds.
+TEN = ("7", "8", "9", "10", "12")
 
 
 class Answer(NamedTuple):
@@ -153,10 +153,10 @@ def bind(problem: Problem) -> bool:
 
 @pytest.mark.usefixtures("precision")
 def test_ends_in_its_box_at_the_best_cost():
-    ten = [problem for problem in PROBLEMS if problem.name in TEN]
+    ten = [problem for problem in PROBLEMS if problem.name.split()[0] in TEN]
     for problem in ten:
         check(problem)
-    assert sum(map(bind, ten)) == 4
+    assert sum(map(bind, ten)) >= 4
 
 
 @pytest.mark.extended

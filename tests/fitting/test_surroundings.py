@@ -5,6 +5,8 @@ import pytest
 
 import phongfit as pf
 
+pytestmark = pytest.mark.extended
+
 SIZE = 24
 NOISE = 0.005
 TRUTH = pf.Material((0.5, 0.4, 0.3), 0.3, 20.0, 0.0)
@@ -28,7 +30,6 @@ def photograph():
 UNKNOWNS = ("diffuse", "specular", "shininess")
 
 
-@pytest.mark.extended
 def test_a_known_sky(photograph):
     fit = pf.fit(scene(SKY), photograph, unknowns=UNKNOWNS)
     expected = dict(zip(("red", "green", "blue"), (0.5, 0.4, 0.3), strict=True))
@@ -59,7 +60,6 @@ def test_an_unknown_sky(photograph):
     assert abs(fit["diffuse.red"].value - 0.5) < 4 * fit["diffuse.red"].error
 
 
-@pytest.mark.extended
 def test_a_sky_alone_is_degenerate_with_what_it_shines_on(photograph):
     """Twice the light and half the reflectance: neither gets a finite error."""
     camera = pf.OrthographicCamera(SIZE, SIZE)

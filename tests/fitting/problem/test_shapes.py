@@ -74,6 +74,7 @@ def test_ggx_is_found_a_hundred_times():
     assert np.all((rms > 0.8) & (rms < 1.2)), rms
 
 
+@pytest.mark.extended
 def test_its_errors_are_predicted():
     rng = np.random.default_rng(1)
     scene, truth = ball(specular_model=pf.GGX(0.5, 0.2)), pf.Material(0.4, 1.0)

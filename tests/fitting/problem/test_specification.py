@@ -67,6 +67,8 @@ def test_it_stays_as_it_is():
             "unknowns: expected a list of names or None, got 'diffuse'",
         ),
         ({"unknowns": ()}, "unknowns: expected .*, got none"),
+        ({"unknowns": None}, "unknowns: expected .*, got none"),
+        ({"unknowns": (3,)}, r"unknowns: expected a list of names .*, got \(3,\)"),
         (
             {"unknowns": ("diffuse", "diffuse")},
             "unknowns: expected each name once, got diffuse",

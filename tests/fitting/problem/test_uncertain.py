@@ -45,6 +45,7 @@ def lamps(found):
     return np.array([np.asarray(s.lights[0].direction) for s in tuple(found.scene)])
 
 
+@pytest.mark.extended
 def test_what_images_leave_open_of_a_lamp_is_in_the_errors():
     plain, share = fitted(turned(0, 0)), 0.01
     # Lamps that are all stronger by the same share look like a darker material.

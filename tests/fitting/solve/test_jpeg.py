@@ -47,9 +47,9 @@ def test_errors_are_right_where_the_file_is_known():
     assert not any(about("residuals", fit) for fit in fits())
 
 
-@pytest.mark.parametrize("draws", [1, pytest.param(DRAWS, marks=pytest.mark.extended)])
-def test_an_array_that_was_a_jpeg_file_is_noticed(draws):
-    for seed in range(draws):
+@pytest.mark.extended
+def test_an_array_that_was_a_jpeg_file_is_noticed():
+    for seed in range(DRAWS):
         assert about("read_film", pf.fit(SCENE, jpeg_photograph(seed, 85, SCENE)))
         assert not pf.fit(SCENE, jpeg_photograph(seed, None, SCENE)).warnings
 
@@ -97,6 +97,7 @@ def test_a_refit_of_the_same_photograph_is_the_fit():
     np.testing.assert_allclose(as_vector(again), fit.values, rtol=1e-4)
 
 
+@pytest.mark.extended
 def test_errors_are_foreseen():
     foreseen = pf.predict_errors(SCENE, TRUTH, NOISE, film=jpeg_film(95))
     np.testing.assert_allclose(foreseen.errors, canonical.jpeg().fit.errors, rtol=0.5)

@@ -6,7 +6,6 @@ from scipy.optimize import minimize
 
 import phongfit as pf
 from phongfit.fitting.uncertainty.intervals import Quadratic
-from phongfit.fitting.uncertainty.quantiles import chi_squared_reach, two_for_one
 from tests.fitting.scenes import SIZE, as_vector, ball, photograph, truth
 from tests.helpers import near
 
@@ -91,13 +90,6 @@ def test_a_bound_makes_the_other_one_sided():
     assert second[0] == 0 and second[1] > 0.06
 
 
-def test_quantiles():
-    near([two_for_one(1.0), two_for_one(LEVEL)], [2.2957, 5.99], 2e-3)
-    assert chi_squared_reach(4.0, 1) == 16
-    # That of three that is exceeded as rarely as four standard errors on one side.
-    assert chi_squared_reach(4.0, 3) == pytest.approx(23.5, rel=0.05)
-
-
 def coverage(scene: pf.Scene, truth: pf.Material, noise: float, draws: int, **options):
     """Share of 95 % intervals that hold the truth, entry by entry, and the fits."""
     fits = [
@@ -108,6 +100,7 @@ def coverage(scene: pf.Scene, truth: pf.Material, noise: float, draws: int, **op
     return low, high, fits
 
 
+@pytest.mark.extended
 def test_two_lamps_almost_at_one_place():
     """One of them often comes out as 0, and then the other has it all."""
     lamps = [

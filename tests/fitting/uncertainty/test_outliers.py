@@ -34,12 +34,15 @@ def test_least_squares_say_that_outliers_pull(image):
     assert 'loss="cauchy"' in words and "mask" in words
 
 
+@pytest.mark.extended
 def test_a_loss_that_goes_on_listening_says_so():
     (words,) = outlier_warnings(with_garbage(NOISY), "huber")
     assert 'try loss="tukey"' in words
 
 
-@pytest.mark.parametrize("loss", ["linear", "huber", "tukey"])
+@pytest.mark.parametrize(
+    "loss", ["linear", "tukey", pytest.param("huber", marks=pytest.mark.extended)]
+)
 def test_noise_is_no_outlier(loss):
     assert not outlier_warnings(NOISY, loss)
 

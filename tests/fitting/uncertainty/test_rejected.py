@@ -28,7 +28,9 @@ def test_a_rejected_highlight_is_not_identified():
     assert rejected_highlights(fit.solution.problem, fit.solution.y).min() > 0
 
 
-@pytest.mark.parametrize("loss", ["huber", "tukey"])
+@pytest.mark.parametrize(
+    "loss", ["tukey", pytest.param("huber", marks=pytest.mark.extended)]
+)
 def test_garbage_is_no_highlight(loss):
     image = photograph(SCENE, GLOSSY, noise=0.01)
     fit = pf.fit(SCENE, canonical.with_garbage(image), loss=loss)

@@ -7,6 +7,8 @@ from phongfit.fitting.uncertainty.misfit import SIGNIFICANT
 from tests.fitting.scenes import ball, photograph, truth
 from tests.helpers import floats
 
+pytestmark = pytest.mark.extended
+
 TRUTH = truth()
 
 LINEAR = ("ambient", "diffuse", "specular")
@@ -63,7 +65,6 @@ def test_errors_where_noise_is_not_the_same_everywhere(level):
         check_errors(fit, color, expected)
 
 
-@pytest.mark.extended
 def test_a_noisy_channel_under_a_robust_loss():
     """The loss is less steep there: Huber's sandwich, with a slope of its own."""
     scene = ball()
@@ -81,7 +82,6 @@ def test_a_noisy_channel_under_a_robust_loss():
         check_errors(fit, color, expected)
 
 
-@pytest.mark.extended
 def test_noise_that_is_the_same_everywhere():
     scene = ball()
     clean = np.asarray(photograph(scene, TRUTH), float)

@@ -126,22 +126,6 @@ def test_errors_are_lmfits(noise):
     assert fit.degrees_of_freedom == expected.nfree
 
 
-def test_given_noise_scales_the_errors():
-    image = photograph(SCENE, TRUTH, noise=NOISE, seed=4)
-    estimated = pf.fit(SCENE, image)
-    assert estimated.noise == pytest.approx(NOISE, rel=0.05)
-    for noise in (0.005, 0.02):
-        given = pf.fit(SCENE, image, noise=noise)
-        assert given.noise == pytest.approx(noise)
-        ratio = given.errors / estimated.errors
-        # Less noise than the image has is not believed.
-        noise = max(noise, estimated.noise)
-        np.testing.assert_allclose(ratio, noise / estimated.noise, rtol=0.02)
-        assert any("noise that was given" in w for w in given.warnings) == (
-            given.noise < NOISE
-        )
-
-
 @pytest.mark.extended
 def test_more_noise_in_some_pixels():
     """Weights from known noise: better than without, and stated so."""
@@ -158,15 +142,6 @@ def test_more_noise_in_some_pixels():
     assert 0.8 < np.sqrt(np.mean(np.square(offs))) < 1.2
     plain = pf.fit(SCENE, image, film=pf.Film(clamp=False))
     assert fit is not None and np.all(fit.errors < 0.4 * plain.errors)
-
-
-def test_every_second_pixel_is_half_of_the_data():
-    image = photograph(SCENE, TRUTH, noise=NOISE, seed=6)
-    whole = pf.fit(SCENE, image, noise=NOISE)
-    half = pf.fit(
-        SCENE, image, noise=NOISE, mask=np.indices((32, 32)).sum(axis=0) % 2 == 0
-    )
-    np.testing.assert_allclose(half.errors / whole.errors, 2**0.5, rtol=0.1)
 
 
 LAYOUT = unknowns_of(MATERIAL_PARAMETERS[1:4], (), pf.Material(), {})

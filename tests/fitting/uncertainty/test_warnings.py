@@ -31,12 +31,17 @@ def test_a_prior_that_contradicts(deviation):
     "loss", ["linear", pytest.param("huber", marks=pytest.mark.extended)]
 )
 def test_noise_given_wrong(loss):
+    plain = pf.fit(SCENE, NOISY, loss=loss)
     large = pf.fit(SCENE, NOISY, noise=3 * NOISE, loss=loss)
+    assert large.noise == pytest.approx(3 * NOISE)
     assert not said(large, "noise that was given")
     small = pf.fit(SCENE, NOISY, noise=NOISE / 3, loss=loss)
     assert said(small, "3.0 times as large as the noise that was given")
-    plain = pf.fit(SCENE, NOISY, loss=loss)
-    np.testing.assert_allclose(small.errors, plain.errors, rtol=0.15)
+    # Less noise than the image has is not believed.
+    for fit, noise in ((large, large.noise), (small, plain.noise)):
+        ratio = fit.errors / plain.errors
+        tolerance = 0.02 if loss == "linear" else 0.15
+        np.testing.assert_allclose(ratio, noise / plain.noise, rtol=tolerance)
     if loss == "linear":
         assert small.reduced_chi_squared == pytest.approx(9, rel=0.1)
 
@@ -59,16 +64,6 @@ def test_a_bound_that_decides():
     assert said(dark, "Look for light that is missing from the image")
 
 
-def test_a_bound_that_chance_touches():
-    """Reflectances that are 0 end there half of the time; then all else is right."""
-    material = pf.Material(TRUTH.diffuse, TRUTH.specular, TRUTH.shininess, 0.0)
-    light = np.asarray(pf.render(SCENE, material, film=pf.Film(clamp=False)))
-    rng = np.random.default_rng(1)
-    fits = [pf.fit(SCENE, light + NOISE * rng.normal(size=light.shape)) for _ in "12"]
-    assert any(said(fit, "lies at its lower bound 0") for fit in fits)
-    assert not any(said(fit, "decides") for fit in fits)
-
-
 def test_noise_that_few_samples_know():
     light = pf.DirectionalLight((1, 1, 2))
     bright = pf.Scene(SCENE.surface, SCENE.camera, light, ambient=2.2)
@@ -79,10 +74,3 @@ def test_noise_that_few_samples_know():
     assert not said(pf.fit(bright, image, noise=0.1), "samples are clipped")
     # Where all is white another warning says so.
     assert not said(pf.fit(bright, np.ones_like(image)), "samples are clipped")
-
-
-def test_a_white_image_is_said_to_be_white():
-    fit = pf.fit(SCENE, np.ones_like(NOISY))
-    assert fit.unidentified.all()
-    assert said(fit, "all samples that are used are white")
-    assert not said(fit, "no ambient light")
