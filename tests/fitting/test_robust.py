@@ -23,15 +23,15 @@ def shadow() -> np.ndarray:
     return image
 
 
-# Losing a fifth of the pixels moves a fit by about a standard error, 2 % of most values.
+# Without a fifth of the pixels a fit moves by about a standard error, 2 % of its value.
 # A shadow errs to one side only. Tukey's loss forgets it; to Huber's and its smooth
 # form every pixel of it goes on pulling, and the limits bound that bias.
 @pytest.mark.parametrize(
     "loss, garbage_limit, shadow_limit",
     [
-        ("tukey", 0.04, 0.04),
+        ("tukey", 0.04, 0.02),
         pytest.param("huber", 0.12, 0.25, marks=pytest.mark.extended),
-        pytest.param("cauchy", 0.04, 0.06, marks=pytest.mark.extended),
+        pytest.param("cauchy", 0.04, 0.05, marks=pytest.mark.extended),
         pytest.param("soft_l1", 0.12, 0.35, marks=pytest.mark.extended),
     ],
 )

@@ -37,7 +37,6 @@ def minimize(residual, start, lower, upper, max_steps=500, tolerance=None, **opt
     return _run(residual, start, lower, upper, max_steps, tolerance, **options)
 
 
-@pytest.mark.usefixtures("precision")
 def test_bounds_are_met_to_the_last_bit():
     # y + (bound − y) is not bound for many pairs of floats: try a lot of them.
     rng = np.random.default_rng(0)

@@ -73,6 +73,7 @@ def test_no_ambient_light(noise):
     assert np.all(others < np.maximum(4.5 * fit.errors[3:], 1e-4))
 
 
+@pytest.mark.extended
 @NOISES
 def test_a_highlight_that_is_masked(noise):
     """Whatever f is, if it is large: ρ_s may be anything."""

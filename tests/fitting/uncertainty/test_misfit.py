@@ -1,5 +1,4 @@
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -30,14 +29,14 @@ def looked_at(residual, *, used=None, loss="linear", step=None, sigma=1.0):
     weight = np.ones((height, width, 1)) if used is None else used
     found = summed(
         Measured(
-            jnp.asarray(grey + residual),
-            jnp.asarray(weight, float),
-            None if step is None else jnp.full(residual.shape, step),
-            jnp.asarray(sigma),
+            grey + residual,
+            np.array(weight, float),
+            None if step is None else np.full(residual.shape, step),
+            np.array(sigma),
         ),
-        jnp.asarray(grey),
-        jnp.asarray(ramp),
-        jnp.exp(-20 * jnp.asarray(ramp)),
+        grey,
+        ramp,
+        np.exp(-20 * ramp),
         LOSSES[loss],
         False,
         SIDE,
