@@ -96,6 +96,21 @@ def three_lights() -> Solved:
 
 
 @functools.cache
+def unknown_direction() -> Solved:
+    """The direction of one of two lights beside a material's colour, from far off."""
+    scene, material = ball(), truth()
+    start = (pf.DirectionalLight((-1, 2, 1), 0.35), scene.lights[1])
+    image = photograph(scene, material, noise=NOISE)
+    fit = pf.fit(
+        pf.Scene(scene.surface, scene.camera, start, scene.ambient),
+        image,
+        unknowns=("diffuse", "shininess", "scene.lights[0].direction"),
+        known=material,
+    )
+    return Solved(scene, material, image, fit)
+
+
+@functools.cache
 def eight_bits() -> Solved:
     return solved(ball(), truth(), film=pf.Film(encoding="srgb", bits=8))
 
@@ -171,10 +186,10 @@ def plate_scene() -> pf.Scene:
 
 
 def mesh_scene(shading: AbstractShading) -> pf.Scene:
-    """The upper and the lower half are of two materials."""
+    """The left and the right half are of two materials, each with a highlight."""
     made = pf.shapes.Ball().mesh(16, 8)
-    lower = np.asarray(made.vertices)[np.asarray(made.faces)].mean(axis=1)[:, 1] < 0
-    surface = pf.Mesh(made.vertices, made.faces, made.normals, lower.astype(np.int32))
+    right = np.asarray(made.vertices)[np.asarray(made.faces)].mean(axis=1)[:, 0] > 0
+    surface = pf.Mesh(made.vertices, made.faces, made.normals, right.astype(np.int32))
     return pf.Scene(
         surface,
         pf.PerspectiveCamera(SIZE, SIZE, position=(0, 0, 5), fov_y=28),

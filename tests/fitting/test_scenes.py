@@ -6,6 +6,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.problem.parameters import scene_arrays
+from tests.fitting import canonical
 from tests.fitting.scenes import (
     PARAMETERS,
     as_vector,
@@ -77,9 +78,32 @@ START = {
 }
 
 
-@pytest.mark.parametrize(
-    "noise", [NOISE, pytest.param(0.0, marks=pytest.mark.extended)]
-)
+def test_a_direction_is_found():
+    solved = canonical.unknown_direction()
+    fit = solved.fit
+    assert fit.converged and not fit.warnings
+    off = fit.values - true_values(fit, solved.scene)
+    assert np.all(np.abs(off) < 4 * fit.errors), fit
+    assert 0.9 < fit.noise / NOISE < 1.1
+    check_direction(fit)
+    # The result's scene is lit from there.
+    arrays = scene_arrays(only(fit.scene))
+    near(arrays["scene.lights[0].direction"], fit["scene.lights[0].direction"].value)
+
+
+def check_direction(fit: pf.Fit) -> None:
+    """It stays on the sphere: three components that know two numbers."""
+    direction = fit["scene.lights[0].direction"]
+    near(np.linalg.norm(direction.value), 1, 1e-6)
+    at = [fit.labels.index(f"scene.lights[0].direction.{axis}") for axis in "xyz"]
+    covariance = fit.covariance[np.ix_(at, at)]
+    near(np.diag(covariance), direction.error**2, 1e-6)
+    spread = np.linalg.eigvalsh(covariance)
+    assert abs(spread[0]) < 1e-5 * spread[1]
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("noise", [NOISE, 0.0])
 def test_numbers_of_a_scene_are_found(noise):
     """Lights, ambient light and fog at once, from a wrong start."""
     wrong = changed(MIXED, START)
@@ -98,15 +122,7 @@ def test_numbers_of_a_scene_are_found(noise):
     else:
         assert np.all(np.abs(off) < 1e-4 * np.maximum(np.abs(fit.values), 1)), fit
 
-    # The direction stays on the sphere: three components that know two numbers.
-    direction = fit["scene.lights[0].direction"]
-    near(np.linalg.norm(direction.value), 1, 1e-6)
-    at = [fit.labels.index(f"scene.lights[0].direction.{axis}") for axis in "xyz"]
-    covariance = fit.covariance[np.ix_(at, at)]
-    near(np.diag(covariance), direction.error**2, 1e-6)
-    spread = np.linalg.eigvalsh(covariance)
-    assert abs(spread[0]) < 1e-5 * spread[1]
-
+    check_direction(fit)
     # What was fitted is what comes back, and the rest is as it was.
     scene = only(fit.scene)
     arrays, before = scene_arrays(scene), scene_arrays(wrong)

@@ -62,6 +62,7 @@ def ggx_pulls(count):
     return np.array(pulls)
 
 
+@pytest.mark.extended
 def test_ggx_is_found():
     assert np.abs(ggx_pulls(3)).max() < 4
 

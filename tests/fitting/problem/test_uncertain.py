@@ -58,6 +58,7 @@ def test_what_images_leave_open_of_a_lamp_is_in_the_errors():
     assert found.errors[0] > 5 * plain.errors[0]
 
 
+@pytest.mark.extended
 def test_a_lamp_is_brought_to_what_the_images_say():
     plain, angle = fitted(turned(0, 0)), 0.01
     to_side = (turned(0, angle) - turned(0, -angle))[0] / (2 * angle)
