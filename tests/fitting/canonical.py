@@ -138,7 +138,7 @@ def priors_and_ties() -> Solved:
 @functools.cache
 def mesh() -> Solved:
     """A coarse mesh of two materials in fog, lit in its corners."""
-    material = pf.stack_materials([truth(), glossy()])
+    material = pf.stack_materials([truth(), plastic()])
     return solved(mesh_scene(pf.GouraudShading()), material)
 
 
@@ -160,8 +160,8 @@ def matte() -> pf.Material:
     return pf.Material(truth().diffuse, 0.0, 20.0, truth().ambient)
 
 
-def glossy() -> pf.Material:
-    return pf.Material((0.4, 0.3, 0.2), 0.5, 40.0, 0.3)
+def plastic() -> pf.Material:
+    return pf.Material((0.4, 0.3, 0.2), 0.5, 10.0, 0.3)
 
 
 def one_light_scene() -> pf.Scene:
