@@ -95,6 +95,7 @@ def test_a_reflectance_at_its_bound():
     assert np.all(predicted.errors < 2.2 * spread)
 
 
+@pytest.mark.extended
 def test_what_is_not_identifiable_is_named(few_draws):
     predicted = pf.predict_errors(SCENE, MATTE, NOISE)
     assert predicted.unidentified[9] and np.isinf(predicted.errors[9])

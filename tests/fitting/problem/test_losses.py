@@ -82,7 +82,6 @@ def test_cost_never_falls_and_pull_is_bounded(name):
     assert LOSSES[name].robust == (name != "linear")
 
 
-@pytest.mark.usefixtures("precision")
 @pytest.mark.parametrize("name", LOSSES)
 def test_derivatives_are_finite_and_start_at_one(name):
     loss = LOSSES[name]

@@ -137,6 +137,7 @@ def test_no_stall_where_nothing_is_left():
     assert np.max(error) < 100 * eps()
 
 
+@pytest.mark.extended
 def test_an_unknown_that_is_hardly_felt_ends_too():
     # What there is to gain from the second drowns in the rest of the cost.
     @jax.jit

@@ -96,7 +96,7 @@ def test_an_image_in_other_units():
 
 
 def test_everything_is_black():
-    fit = pf.fit(BALL, np.zeros((SIZE, SIZE, 3)))
+    fit = pf.fit(BALL, np.zeros((SIZE, SIZE, 3)), film=pf.Film())
     assert fit.converged
     assert fit.at_bound[:9].all() and fit.unidentified[9]
     assert np.all(fit.values[:9] == 0)

@@ -133,12 +133,9 @@ FRONT = pf.Scene(
 )
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
-    "scene, specular, shininess",
-    [
-        pytest.param(FRONT, 0.1, 2.0, marks=pytest.mark.extended),
-        (ball(), 0.03, 300.0),
-    ],
+    "scene, specular, shininess", [(FRONT, 0.1, 2.0), (ball(), 0.03, 300.0)]
 )
 def test_specular_where_the_exponent_is_not_identified(scene, specular, shininess):
     truth = pf.Material(TRUTH.diffuse, specular, shininess, TRUTH.ambient)
