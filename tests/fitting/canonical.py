@@ -214,7 +214,7 @@ def jpeg_photograph(seed: int, quality: int | None, scene: pf.Scene) -> np.ndarr
     levels = to_levels(light + JPEG_NOISE * noise, "srgb", 8)
     if quality is None:
         return from_levels(levels, "srgb")
-    options = {"quality": quality, "subsampling": 2}
+    options: dict[str, Any] = {"quality": quality, "subsampling": 2}
     data = iio.imwrite("<bytes>", levels, extension=".jpg", plugin="pillow", **options)
     return from_levels(iio.imread(data, extension=".jpg"), "srgb")
 

@@ -1,4 +1,5 @@
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -29,14 +30,14 @@ def looked_at(residual, *, used=None, loss="linear", step=None, sigma=1.0):
     weight = np.ones((height, width, 1)) if used is None else used
     found = summed(
         Measured(
-            grey + residual,
-            np.array(weight, float),
-            None if step is None else np.full(residual.shape, step),
-            np.array(sigma),
+            jnp.asarray(grey + residual),
+            jnp.asarray(weight, float),
+            None if step is None else jnp.asarray(np.full(residual.shape, step)),
+            jnp.asarray(sigma),
         ),
-        grey,
-        ramp,
-        np.exp(-20 * ramp),
+        jnp.asarray(grey),
+        jnp.asarray(ramp),
+        jnp.asarray(np.exp(-20 * ramp)),
         LOSSES[loss],
         False,
         SIDE,
