@@ -39,9 +39,8 @@ def shone(*numbers: jax.Array) -> pf.Scene:
     return eqx.tree_at(of_light, SCENE, numbers)
 
 
-@pytest.mark.parametrize(
-    "loss", ["linear", pytest.param("cauchy", marks=pytest.mark.extended)]
-)
+@pytest.mark.extended
+@pytest.mark.parametrize("loss", ["linear", "cauchy"])
 def test_derivatives_are_those_of_whole_fits(loss):
     """In the image, a light's intensity and its direction."""
     fit = pf.fit(SCENE, IMAGE, loss=loss)
