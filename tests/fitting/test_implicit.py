@@ -10,14 +10,20 @@ import pytest
 
 import phongfit as pf
 from phongfit.testing import check_gradients
+from tests.fitting import canonical
+from tests.fitting.canonical import NOISE
 from tests.fitting.scenes import ball, photograph, truth
 from tests.helpers import floats, near
 
 TRUTH = truth()
 
-SCENE = ball(size=16)
-IMAGE = photograph(SCENE, TRUTH, noise=0.01)
-OTHER = photograph(SCENE, TRUTH, noise=0.01, seed=1)
+SCENE = ball()
+IMAGE = photograph(SCENE, TRUTH, noise=NOISE)
+OTHER = photograph(SCENE, TRUTH, noise=NOISE, seed=1)
+
+
+def fitted() -> pf.Fit:
+    return canonical.two_directional().fit
 
 
 def vector(material: pf.Material) -> jax.Array:
@@ -33,9 +39,8 @@ def shone(*numbers: jax.Array) -> pf.Scene:
     return eqx.tree_at(of_light, SCENE, numbers)
 
 
-@pytest.mark.parametrize(
-    "loss", ["linear", pytest.param("cauchy", marks=pytest.mark.slow)]
-)
+@pytest.mark.extended
+@pytest.mark.parametrize("loss", ["linear", "cauchy"])
 def test_derivatives_are_those_of_whole_fits(loss):
     """In the image, a light's intensity and its direction."""
     fit = pf.fit(SCENE, IMAGE, loss=loss)
@@ -64,7 +69,7 @@ def test_at_a_bound_there_is_no_derivative():
 
 
 def test_jit_and_vmap():
-    fit = pf.fit(SCENE, IMAGE)
+    fit = fitted()
     images = floats(np.stack([IMAGE, OTHER]))
     found = jax.jit(jax.vmap(lambda image: vector(pf.refit(fit, SCENE, image))))(images)
     near(found[0], fit.values, 1e-3)
@@ -84,20 +89,23 @@ def test_a_list_of_images():
         (
             SCENE,
             IMAGE[:8],
-            "image: expected shape .16, 16, 3. for scene 0, got .8, 16, 3.",
+            "image: expected shape .32, 32, 3. for scene 0, got .8, 32, 3.",
         ),
-        (SCENE, IMAGE[..., 0], "image: expected .*, got .16, 16."),
+        (SCENE, IMAGE[..., 0], "image: expected .*, got .32, 32."),
         (SCENE, object(), "image: .* is not an array of numbers"),
         ([SCENE], 3, "image: expected a sequence, one a scene, got int"),
         ([SCENE, SCENE], [IMAGE, IMAGE], "scene: expected 1 .*, got 2 and 2"),
         ([SCENE], [IMAGE, IMAGE], "scene: expected 1 .*, got 1 and 2"),
-        (ball(), IMAGE, "scene: expected .16, 16. pixels of scene 0, got .32, 32."),
+        (
+            ball(size=16),
+            IMAGE,
+            "scene: expected .32, 32. pixels of scene 0, got .16, 16.",
+        ),
     ],
 )
 def test_wrong_shapes(scene, image, words):
-    fit = pf.fit(SCENE, IMAGE)
     with pytest.raises(ValueError, match=words):
-        pf.refit(fit, scene, image)
+        pf.refit(fitted(), scene, image)
 
 
 REFIT = (

@@ -46,6 +46,7 @@ def off(fit, expected):
     }
 
 
+@pytest.mark.extended
 def test_pose_and_focal_length(photograph):
     """From half a unit and some degrees away; fy is known, and cx and cy."""
     start = view(position=(0.5, 0.2, 2.1), fx=36.0)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from tests.fitting.canonical import one_light_scene, three_lights_scene
 from tests.fitting.scenes import (
-    SIZE,
     Case,
     as_vector,
     ball,
@@ -20,23 +20,8 @@ from tests.helpers import eps
 
 TRUTH = truth()
 
-DOUBLE = eps() < 1e-10
 EXPONENTS = (1.0, 2.0, 5.0, 20.0, 60.0, 200.0)
-KINDS = ("directional", "point", "spot")
-
-
-def check_exact(scene: pf.Scene, truth: pf.Material) -> None:
-    """Every parameter to 1e-4 in single precision, 1e-7 in double, relatively."""
-    image = np.asarray(pf.render(scene, truth))
-    assert image.max() < 1
-    fit = pf.fit(scene, image)
-    assert fit.converged and not fit.unidentified.any()
-    np.testing.assert_allclose(
-        fit.values, as_vector(truth), rtol=1e-7 if DOUBLE else 1e-4
-    )
-    # Its error says so too: rounding of the arithmetic is all there is.
-    assert np.all(fit.errors < (1e-8 if DOUBLE else 1e-2) * fit.values)
-    assert fit.noise < 64 * eps()
+BALL, POINT = ball(), two_lights("point")[1]
 
 
 def with_exponent(shininess: float, height: float = 1.0) -> pf.Material:
@@ -44,65 +29,65 @@ def with_exponent(shininess: float, height: float = 1.0) -> pf.Material:
     return pf.Material(TRUTH.diffuse, specular, shininess, TRUTH.ambient)
 
 
-@pytest.mark.parametrize("shininess", EXPONENTS)
-@pytest.mark.parametrize(
-    "model, kind",
-    [
-        # Each of both once; the other pairs take long, and hold what these do.
-        (pf.BlinnPhong(), "point"),
-        (pf.Phong(), "spot"),
-        *(
-            pytest.param(model, kind, marks=pytest.mark.slow)
-            for model in (pf.BlinnPhong(), pf.Phong())
-            for kind in KINDS
-            if (type(model), kind) not in ((pf.BlinnPhong, "point"), (pf.Phong, "spot"))
-        ),
-    ],
-)
-def test_noise_free(model, kind, shininess):
-    check_exact(ball(kind, model), with_exponent(shininess))
-
-
-@pytest.mark.parametrize("shininess", EXPONENTS)
-def test_noise_free_normalized(shininess):
-    scene = ball(specular_model=pf.BlinnPhong(normalized=True))
-    check_exact(scene, with_exponent(shininess, 2 * np.pi / (shininess + 2)))
-
-
-@pytest.mark.parametrize("shininess", EXPONENTS)
-def test_noise_free_without_a_gate(shininess):
-    lights = (pf.DirectionalLight((1, 1, -0.3), 0.4), two_lights("point")[1])
+def behind() -> pf.Scene:
+    """A highlight that shines from behind the surface, too."""
+    lights = (pf.DirectionalLight((1, 1, -0.3), 0.4), POINT)
     model = pf.Phong(gate=False)
-    scene = pf.Scene(
-        pf.Sphere(), ball().camera, lights, ambient=0.3, specular_model=model
-    )
-    gated = pf.Scene(pf.Sphere(), ball().camera, lights, ambient=0.3)
-    truth = with_exponent(shininess)
+    return pf.Scene(pf.Sphere(), BALL.camera, lights, 0.3, specular_model=model)
+
+
+SCENES = {
+    "two directional": (BALL, ()),
+    "one light": (one_light_scene(), pytest.mark.extended),
+    "each kind of light": (three_lights_scene(), ()),
+    "normalized": (
+        ball(specular_model=pf.BlinnPhong(normalized=True)),
+        pytest.mark.extended,
+    ),
+    "without a gate": (behind(), pytest.mark.extended),
+    # Each model and kind once; the other pairs take long, and hold what these do.
+    "point, BlinnPhong": (ball("point"), pytest.mark.extended),
+    "spot, Phong": (ball("spot", pf.Phong()), pytest.mark.extended),
+    "spot, BlinnPhong": (ball("spot"), pytest.mark.slow),
+    "directional, Phong": (ball("directional", pf.Phong()), pytest.mark.slow),
+    "point, Phong": (ball("point", pf.Phong()), pytest.mark.slow),
+}
+
+
+@pytest.mark.parametrize(
+    "kind", [pytest.param(name, marks=marks) for name, (_, marks) in SCENES.items()]
+)
+def test_noise_free(kind):
+    """Every parameter to 1e-7, relatively, from soft to sharp highlights."""
+    scene, _ = SCENES[kind]
+    for shininess in EXPONENTS:
+        height = 2 * np.pi / (shininess + 2) if kind == "normalized" else 1.0
+        truth = with_exponent(shininess, height)
+        image = np.asarray(pf.render(scene, truth))
+        assert image.max() < 1
+        fit = pf.fit(scene, image)
+        assert fit.converged and not fit.unidentified.any()
+        np.testing.assert_allclose(fit.values, as_vector(truth), rtol=1e-7)
+        # Its error says so too: rounding of the arithmetic is all there is.
+        assert np.all(fit.errors < 1e-8 * fit.values)
+        assert fit.noise < 64 * eps()
+
+
+def test_a_highlight_shines_from_behind_without_a_gate():
+    truth, scene = with_exponent(20.0), behind()
+    gated = pf.Scene(pf.Sphere(), BALL.camera, scene.lights, ambient=0.3)
     assert np.any(pf.render(scene, truth) != pf.render(gated, truth))
-    check_exact(scene, truth)
-
-
-@pytest.mark.parametrize("shininess", EXPONENTS)
-def test_noise_free_under_one_light(shininess):
-    light = pf.DirectionalLight((1, 1, 2), 0.5)
-    scene = pf.Scene(pf.Sphere(), ball().camera, light, ambient=0.3)
-    check_exact(scene, with_exponent(shininess))
-
-
-@pytest.mark.parametrize("shininess", EXPONENTS)
-def test_noise_free_under_a_light_of_each_kind(shininess):
-    lights = [two_lights(kind)[kind != "directional"] for kind in KINDS]
-    camera = pf.PerspectiveCamera(SIZE, SIZE, position=(0.5, 0.2, 4.5), fov_y=28)
-    scene = pf.Scene(pf.Sphere(), camera, lights, ambient=(0.3, 0.2, 0.4))
-    check_exact(scene, with_exponent(shininess))
 
 
 # Scenes whose lights and models are of four kinds, each of which is compiled: all three
 # lights, alone and mixed, and both models are among them.
 SEEDS = (2, 3, 4, 5, 6, 7, 8, 9, 10, 13, 15, 17, 18, 19, 20)
-# These always; all with `-m slow`.
 MANY = pytest.mark.parametrize(
-    "count", [len(SEEDS), pytest.param(500, marks=pytest.mark.slow)]
+    "count",
+    [
+        pytest.param(len(SEEDS), marks=pytest.mark.extended),
+        pytest.param(500, marks=pytest.mark.slow),
+    ],
 )
 
 

@@ -6,6 +6,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.problem.parameters import scene_arrays
+from tests.fitting import canonical
 from tests.fitting.scenes import (
     PARAMETERS,
     as_vector,
@@ -77,6 +78,31 @@ START = {
 }
 
 
+def test_a_direction_is_found():
+    solved = canonical.unknown_direction()
+    fit = solved.fit
+    assert fit.converged and not fit.warnings
+    off = fit.values - true_values(fit, solved.scene)
+    assert np.all(np.abs(off) < 4 * fit.errors), fit
+    assert 0.9 < fit.noise / NOISE < 1.1
+    check_direction(fit)
+    # The result's scene is lit from there.
+    arrays = scene_arrays(only(fit.scene))
+    near(arrays["scene.lights[0].direction"], fit["scene.lights[0].direction"].value)
+
+
+def check_direction(fit: pf.Fit) -> None:
+    """It stays on the sphere: three components that know two numbers."""
+    direction = fit["scene.lights[0].direction"]
+    near(np.linalg.norm(direction.value), 1, 1e-6)
+    at = [fit.labels.index(f"scene.lights[0].direction.{axis}") for axis in "xyz"]
+    covariance = fit.covariance[np.ix_(at, at)]
+    near(np.diag(covariance), direction.error**2, 1e-6)
+    spread = np.linalg.eigvalsh(covariance)
+    assert abs(spread[0]) < 1e-5 * spread[1]
+
+
+@pytest.mark.extended
 @pytest.mark.parametrize("noise", [NOISE, 0.0])
 def test_numbers_of_a_scene_are_found(noise):
     """Lights, ambient light and fog at once, from a wrong start."""
@@ -96,15 +122,7 @@ def test_numbers_of_a_scene_are_found(noise):
     else:
         assert np.all(np.abs(off) < 1e-4 * np.maximum(np.abs(fit.values), 1)), fit
 
-    # The direction stays on the sphere: three components that know two numbers.
-    direction = fit["scene.lights[0].direction"]
-    near(np.linalg.norm(direction.value), 1, 1e-6)
-    at = [fit.labels.index(f"scene.lights[0].direction.{axis}") for axis in "xyz"]
-    covariance = fit.covariance[np.ix_(at, at)]
-    near(np.diag(covariance), direction.error**2, 1e-6)
-    spread = np.linalg.eigvalsh(covariance)
-    assert abs(spread[0]) < 1e-5 * spread[1]
-
+    check_direction(fit)
     # What was fitted is what comes back, and the rest is as it was.
     scene = only(fit.scene)
     arrays, before = scene_arrays(scene), scene_arrays(wrong)
@@ -121,6 +139,7 @@ def test_numbers_of_a_scene_are_found(noise):
     near(fit.exposure, [1])
 
 
+@pytest.mark.extended
 def test_each_image_has_its_light_and_exposure():
     """Per image an intensity and an exposure, which one known light tells apart."""
     strengths, exposures = (0.5, 0.2), (1.0, 1.4)
@@ -190,16 +209,26 @@ BOTH = ("scene.lights[0].intensity", "scene.lights[1].intensity")
 @pytest.mark.parametrize(
     "scene, names, unidentified",
     [
-        (ONE_LIGHT, (*PARAMETERS, BOTH[0]), ("diffuse", "specular", BOTH[0])),
+        pytest.param(
+            ONE_LIGHT,
+            (*PARAMETERS, BOTH[0]),
+            ("diffuse", "specular", BOTH[0]),
+            marks=pytest.mark.extended,
+        ),
         (
             ONE_LIGHT,
             (*PARAMETERS, "exposure"),
             ("ambient", "diffuse", "specular", "exposure"),
         ),
-        (SCENE, (*PARAMETERS, "scene.ambient"), ("ambient", "scene.ambient")),
+        pytest.param(
+            SCENE,
+            (*PARAMETERS, "scene.ambient"),
+            ("ambient", "scene.ambient"),
+            marks=pytest.mark.extended,
+        ),
         (TWINS, BOTH, BOTH),
         # The other light is known, and so is the scale.
-        (SCENE, (*PARAMETERS, BOTH[0]), ()),
+        pytest.param(SCENE, (*PARAMETERS, BOTH[0]), (), marks=pytest.mark.extended),
     ],
 )
 def test_what_nobody_could_tell_is_named(scene, names, unidentified):
@@ -218,6 +247,7 @@ def test_what_nobody_could_tell_is_named(scene, names, unidentified):
         assert all(name in warning for name in unidentified)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("noise", [NOISE, 0.0])
 def test_one_image_does_not_tell_its_exposure(noise):
     image = photograph(ONE_LIGHT, TRUTH, noise=noise)

@@ -5,6 +5,8 @@ import pytest
 
 import phongfit as pf
 
+pytestmark = pytest.mark.extended
+
 SIZE = 24
 NOISE = 0.005
 TRUTH = pf.Material((0.5, 0.4, 0.3), 0.3, 20.0, 0.0)

@@ -104,6 +104,7 @@ def test_head():
         "noise 0.0123 (estimated)",
         "noise 0.0123 (estimated)\n",
         "loss Linear",
+        "std. error",
     ):
         assert words in text
     several = str(result(n_images=3, noise_given=True, converged=False))

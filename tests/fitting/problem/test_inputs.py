@@ -14,181 +14,84 @@ CORNER = NOWHERE.copy()
 CORNER[0, 0] = 1  # sees no surface
 THREE = NOWHERE.copy()
 THREE[16, 15:18] = 1  # nine samples
+TEN = np.zeros(SHAPE)
+TEN[16, 15:18] = 1
+TEN[17, 16, 0] = 1
 BROKEN = GREY.copy()
 BROKEN[7, 8, 2] = np.nan
 BROKEN[9, 8, 1] = np.inf
-OTHER_MODEL = ball(specular_model=pf.Phong())
 CENTRE = np.hypot(*(np.indices((SIZE, SIZE)) + 0.5 - SIZE / 2)) < 10
 
 
+BOTH = {"scene": [SCENE] * 2, "image": [GREY] * 2}
+
+
 @pytest.mark.parametrize(
-    "message, scene, image, options",
+    "message, options",
     [
-        (
-            r"image: expected shape \(32, 32, 3\), .*, got \(3, 3, 3\)",
-            SCENE,
-            GREY[:3, :3],
-            {},
-        ),
-        (r"image: expected .*, got \(32, 32\)", SCENE, GREY[..., 0], {}),
-        (
-            "image: expected linear light .*, got uint8",
-            SCENE,
-            GREY.astype(np.uint8),
-            {},
-        ),
-        ("image: expected .*, got <U1", SCENE, np.full(SHAPE, "x"), {}),
-        ("image: expected .*, got complex128", SCENE, GREY * 1j, {}),
+        (r"image: .* \(32, 32, 3\), .*, got \(3, 3, 3\)", {"image": GREY[:3, :3]}),
+        (r"image: expected .*, got \(32, 32\)", {"image": GREY[..., 0]}),
+        ("image: expected linear .*, got uint8", {"image": GREY.astype(np.uint8)}),
+        ("image: expected .*, got <U1", {"image": np.full(SHAPE, "x")}),
+        ("image: expected .*, got complex128", {"image": GREY * 1j}),
         (
             "image: 2 samples are NaN or infinite, the first in row 7, column 8, "
             "channel 2; mask them out",
-            SCENE,
-            BROKEN,
-            {},
+            {"image": BROKEN},
         ),
-        ("scene: expected a Scene.* or a", [], [], {}),
-        ("scene: expected a Scene.* or a", [GREY], [GREY], {}),
-        ("scene: expected a Scene.* or a", 3.0, GREY, {}),
-        ("image: expected 2, one a scene, got 1", [SCENE, SCENE], [GREY], {}),
-        ("image: expected a sequence of 2", [SCENE, SCENE], None, {}),
-        (r"image\[1\]: expected shape", [SCENE, SCENE], [GREY, GREY[:5]], {}),
+        ("scene: expected a Scene.* or a", {"scene": [], "image": []}),
+        ("scene: expected a Scene.* or a", {"scene": [GREY], "image": [GREY]}),
+        ("scene: expected a Scene.* or a", {"scene": 3.0}),
+        ("image: expected 2, one a scene, got 1", BOTH | {"image": [GREY]}),
+        ("image: expected a sequence of 2", BOTH | {"image": None}),
+        (r"image\[1\]: expected shape", BOTH | {"image": [GREY, GREY[:5]]}),
         (
             "scene: all scenes must have the same specular model",
-            [SCENE, OTHER_MODEL],
-            [GREY, GREY],
-            {},
+            BOTH | {"scene": [SCENE, ball(specular_model=pf.Phong())]},
         ),
-        (
-            "mask: expected 2, one a scene, got 1",
-            [SCENE] * 2,
-            [GREY] * 2,
-            {"mask": [CENTRE]},
-        ),
-        (
-            r"mask\[1\]: mask and weights leave no pixel",
-            [SCENE] * 2,
-            [GREY] * 2,
-            {"mask": [CENTRE, NOWHERE]},
-        ),
-        (
-            "weights: expected 2, one a scene, got 3",
-            [SCENE] * 2,
-            [GREY] * 2,
-            {"weights": [CENTRE] * 3},
-        ),
-        ("mask: mask and weights leave no pixel", SCENE, GREY, {"mask": NOWHERE}),
-        ("mask: mask and weights leave no pixel", SCENE, GREY, {"weights": NOWHERE}),
-        ("mask: it leaves no pixel that sees the surf", SCENE, GREY, {"mask": CORNER}),
-        (
-            "mask: expected more samples than unknowns, got 9",
-            SCENE,
-            GREY,
-            {"mask": THREE},
-        ),
-        (r"mask: expected .*, got \(3, 3\)", SCENE, GREY, {"mask": CENTRE[:3, :3]}),
-        (r"weights: expected .*, got \(3,\)", SCENE, GREY, {"weights": np.ones(3)}),
-        (
-            "weights: expected finite numbers ≥ 0",
-            SCENE,
-            GREY,
-            {"weights": CENTRE - 0.5},
-        ),
-        (
-            "weights: expected finite numbers ≥ 0",
-            SCENE,
-            GREY,
-            {"weights": CENTRE * np.nan},
-        ),
-        ("noise: expected finite numbers > 0", SCENE, GREY, {"noise": -0.01}),
-        ("noise: expected finite numbers > 0", SCENE, GREY, {"noise": 0.0}),
-        ("noise: expected finite numbers > 0", SCENE, GREY, {"noise": np.inf}),
-        ("noise: expected finite numbers > 0", SCENE, GREY, {"noise": 1e-320}),
-        ("mask: expected true or false", SCENE, GREY, {"mask": np.nan}),
-        ("mask: .* without a mask", SCENE, GREY, {"mask": np.ma.ones((5, 5))}),
-        ("max_steps: expected .* whole", SCENE, GREY, {"max_steps": 2**32}),
-        ("max_steps: expected .* whole", SCENE, GREY, {"max_steps": 0}),
-        ("noise: expected .*, got <U3 values", SCENE, GREY, {"noise": "low"}),
-        (r"noise: expected .*, got \(5, 5\)", SCENE, GREY, {"noise": np.ones((5, 5))}),
-        (
-            "unknowns: expected one of ambient, .*got 'gloss'",
-            SCENE,
-            GREY,
-            {"unknowns": ["gloss"]},
-        ),
-        ("unknowns: expected .*, got none", SCENE, GREY, {"unknowns": ()}),
-        ("unknowns: expected .*, got none", SCENE, GREY, {"unknowns": None}),
-        (
-            "unknowns: expected a list of names or None, got \\(3,\\)",
-            SCENE,
-            GREY,
-            {"unknowns": (3,)},
-        ),
-        (
-            "unknowns: expected each name once, got diffuse, diffuse",
-            SCENE,
-            GREY,
-            {"unknowns": ("diffuse", "diffuse")},
-        ),
-        ("per_channel: expected .*, got 'f'", SCENE, GREY, {"per_channel": ("f",)}),
-        ("bounds: expected .*, got 'rho'", SCENE, GREY, {"bounds": {"rho": (0, 1)}}),
-        (
-            "bounds: diffuse: 1 < 0 does not hold",
-            SCENE,
-            GREY,
-            {"bounds": {"diffuse": (1, 0)}},
-        ),
-        (
-            "bounds: diffuse: expected .*, got 3",
-            SCENE,
-            GREY,
-            {"bounds": {"diffuse": 3}},
-        ),
-        ("bounds: ambient: nan < 1", SCENE, GREY, {"bounds": {"ambient": (np.nan, 1)}}),
-        (
-            r"bounds: shininess: expected 0 < low.*got \(0, 10\)",
-            SCENE,
-            GREY,
-            {"bounds": {"shininess": (0, 10)}},
-        ),
-        (
-            r"bounds: shininess: expected .*, got \(1, inf\)",
-            SCENE,
-            GREY,
-            {"bounds": {"shininess": (1, np.inf)}},
-        ),
+        ("mask: expected 2, one a scene, got 1", BOTH | {"mask": [CENTRE]}),
+        (r"mask\[1\]: .* leave no pixel", BOTH | {"mask": [CENTRE, NOWHERE]}),
+        ("weights: expected 2, .*, got 3", BOTH | {"weights": [CENTRE] * 3}),
+        ("mask: mask and weights leave no pixel", {"mask": NOWHERE}),
+        ("mask: mask and weights leave no pixel", {"weights": NOWHERE}),
+        ("mask: it leaves no pixel that sees the surf", {"mask": CORNER}),
+        ("mask: expected more samples than unknowns, got 9", {"mask": THREE}),
+        # Exactly as many samples as unknowns leave no room for an error.
+        ("mask: .*, got 10 samples for 10 unknowns", {"mask": TEN}),
+        (r"mask: expected .*, got \(3, 3\)", {"mask": CENTRE[:3, :3]}),
+        ("mask: expected true or false", {"mask": np.nan}),
+        ("mask: .* without a mask", {"mask": np.ma.ones((5, 5))}),
+        (r"weights: expected .*, got \(3,\)", {"weights": np.ones(3)}),
+        ("weights: expected finite numbers ≥ 0", {"weights": CENTRE - 0.5}),
+        ("weights: expected finite numbers ≥ 0", {"weights": CENTRE * np.nan}),
+        ("noise: expected finite numbers > 0", {"noise": -0.01}),
+        ("noise: expected finite numbers > 0", {"noise": 0.0}),
+        ("noise: expected finite numbers > 0", {"noise": np.inf}),
+        ("noise: expected finite numbers > 0", {"noise": 1e-320}),
+        ("noise: expected .*, got <U3 values", {"noise": "low"}),
+        (r"noise: expected .*, got \(5, 5\)", {"noise": np.ones((5, 5))}),
+        ("max_steps: expected .* whole", {"max_steps": 2**32}),
+        ("max_steps: expected .* whole", {"max_steps": 0}),
+        # Names, bounds and losses are in `test_specification` and `test_layout`.
+        ("unknowns: expected one of ambient, .*got 'gloss'", {"unknowns": ["gloss"]}),
+        (r"bounds: .*, got \(1, inf\)", {"bounds": {"shininess": (1, np.inf)}}),
         (
             r"known: diffuse: expected .*, got \(4, 1\)",
-            SCENE,
-            GREY,
             {"known": pf.Material(diffuse=np.ones((4, 1)))},
         ),
-        ("loss: expected one of linear, huber.*got 'l1'", SCENE, GREY, {"loss": "l1"}),
         (
             r"image: expected values in \[0, 1\], .*, got 0.25 … 1.25",
-            SCENE,
-            np.where(CENTRE[..., None], GREY, 1.25),
-            {"film": pf.Film()},
+            {"image": np.where(CENTRE[..., None], GREY, 1.25), "film": pf.Film()},
         ),
         (
             "unknowns: expected ambient or emission, got both",
-            SCENE,
-            GREY,
             {"unknowns": ("ambient", "emission", "diffuse")},
         ),
     ],
 )
-def test_errors_name_the_argument(message, scene, image, options):
+def test_errors_name_the_argument(message, options):
     with pytest.raises(ValueError, match=f"^{message}"):
-        pf.fit(scene, image, **options)
-
-
-def test_a_ball_larger_than_its_numbers():
-    # Exactly as many samples as unknowns leave no room for an error.
-    mask = np.zeros(SHAPE)
-    mask[16, 15:18] = 1
-    mask[17, 16, 0] = 1
-    with pytest.raises(ValueError, match="mask: .*, got 10 samples for 10 unknowns"):
-        pf.fit(SCENE, GREY, mask=mask)
+        pf.fit(**({"scene": SCENE, "image": GREY} | options))
 
 
 @pytest.mark.parametrize(

@@ -34,19 +34,12 @@ def entries(unknowns: Unknowns, *y: float) -> dict[str, float]:
     return dict(zip(unknowns.entry_labels, found.tolist(), strict=True))
 
 
-def test_a_tie_follows():
-    unknowns = layout("diffuse", "specular", ties={"specular": "diffuse.green"})
-    assert unknowns.lower.shape == (3,)
-    at = entries(unknowns, 0.2, 0.3, 0.4)
-    near(at["specular"], 0.3)
-    assert unknowns.labels[-1] == "specular"
-    assert unknowns.tied.tolist() == [False, False, False, True]
-
-
 def test_a_tie_has_a_factor_and_its_error_too():
     unknowns = layout("diffuse", "specular", ties={"specular": (0.5, "diffuse.red")})
     at = entries(unknowns, 0.2, 0.3, 0.4)
     near(at["specular"], 0.1)
+    assert unknowns.labels[-1] == "specular"
+    assert unknowns.tied.tolist() == [False, False, False, True]
     _, slope = in_units(unknowns, floats([0.2, 0.3, 0.4]))
     near(slope, [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0, 0]])
     near(unknowns.bounds[-1], [0, 0.5])

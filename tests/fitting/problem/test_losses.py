@@ -22,6 +22,7 @@ def weight(loss, residual):
 
 
 # ρ(z) with z = r², worked out by hand from the formulas of the docstrings.
+@pytest.mark.usefixtures("precision")
 @pytest.mark.parametrize(
     "loss, residual, expected",
     [

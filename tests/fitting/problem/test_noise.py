@@ -21,6 +21,7 @@ NORMAL = norm.ppf((np.arange(200_000) + 0.5) / 200_000)
 LIGHTS = np.array([-3.0, -0.3, -0.01, 0, 0.01, 0.2, 0.5, 0.97, 1, 1.002, 1.3, 5.0])
 
 
+@pytest.mark.usefixtures("precision")
 @pytest.mark.parametrize("sigma", [0.3, 0.05, 0.005])
 def test_mean_and_variance_against_simulation(sigma):
     seen = np.clip(LIGHTS[:, None] + sigma * NORMAL, 0, 1)
@@ -37,6 +38,7 @@ def test_noise_of_each_sample_its_own():
     near(share, seen.var(axis=1) / sigmas**2, 1e-3)
 
 
+@pytest.mark.usefixtures("precision")
 @pytest.mark.parametrize("sigma", [0.0, 1e-30, 1e-12, 1e-6])
 def test_without_noise_it_is_the_clamp(sigma):
     near(clipped_mean(floats(LIGHTS), floats(sigma)), np.clip(LIGHTS, 0, 1), 4e-7)
@@ -55,6 +57,7 @@ def derivatives(light, sigma):
     return slope(light, sigma), jax.grad(slope)(light, sigma)
 
 
+@pytest.mark.usefixtures("precision")
 @pytest.mark.parametrize("sigma", [0.0, 1e-12, 1e-3, 0.1])
 def test_derivatives(sigma):
     slope, bend = map(np.asarray, derivatives(floats(LIGHTS), floats(sigma)))
@@ -162,6 +165,7 @@ def test_find_plateau():
     assert find_plateau([np.zeros(0)]) is None
 
 
+@pytest.mark.usefixtures("precision")
 @pytest.mark.parametrize("ratio", [0.0, 0.05, 0.1, 0.2, 0.35, 0.6])
 def test_shared_rounding_against_simulation(ratio):
     """Equal pixels with noise, rounded: what the mean of many is still off."""
@@ -183,6 +187,7 @@ def test_shared_rounding_never_exceeds_all_of_it():
     assert not np.any(shared_rounding_variance(floats([0, 0]), floats([0.0, 0.1])))
 
 
+@pytest.mark.usefixtures("precision")
 def test_precision_of_the_run():
     assert clipped_mean(floats(0.5), floats(0.1)).dtype == jnp.result_type(float)
     near(clipped_mean(floats(0.5), floats(0.01)), 0.5, 2 * eps())

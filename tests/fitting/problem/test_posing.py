@@ -7,16 +7,12 @@ import pytest
 from scipy.stats import norm
 
 import phongfit as pf
+from tests.fitting import canonical
+from tests.fitting.canonical import FREE, NOISE
+from tests.fitting.scenes import ball, photograph, truth
 
-NOISE = 0.01
-CAMERA = pf.OrthographicCamera(24, 24)
-LIGHT = pf.DirectionalLight((1, 1, 2))
-SCENE = pf.Scene(pf.Sphere(), CAMERA, LIGHT, ambient=0.3)
-TRUTH = pf.Material((0.6, 0.3, 0.2), 0.3, 20.0, 0.5)
-IMAGE = np.asarray(pf.render(SCENE, TRUTH)) + NOISE * np.random.default_rng(0).normal(
-    size=(24, 24, 3)
-)
-FREE = pf.Film(clamp=False)
+SCENE = ball()
+IMAGE = photograph(SCENE, truth(), noise=NOISE, film=FREE)
 
 
 @pytest.fixture(scope="module")
@@ -24,12 +20,7 @@ def problem():
     return pf.make_problem(SCENE, IMAGE, NOISE, film=FREE)
 
 
-@pytest.fixture(scope="module")
-def fit():
-    return pf.fit(SCENE, IMAGE, noise=NOISE, film=FREE)
-
-
-def test_the_likelihood_is_that_of_normal_noise(problem, fit):
+def test_the_likelihood_is_that_of_normal_noise(problem):
     y = problem.unknowns.start
     light = np.asarray(pf.render(SCENE, problem.material(y), film=FREE), float)
     seen = np.asarray(SCENE.trace().mask)
@@ -38,13 +29,17 @@ def test_the_likelihood_is_that_of_normal_noise(problem, fit):
     assert problem.residual(y).size >= 3 * seen.sum()
 
 
-def test_the_fit_is_where_it_is_largest(problem, fit):
+def test_the_fit_is_where_it_is_largest():
+    solved = canonical.two_directional()
+    fit = solved.fit
+    problem = pf.make_problem(SCENE, solved.image, fit.noise)
     y = jnp.asarray(fit.position)
-    slope = jax.jit(jax.grad(problem.log_likelihood))(y)
-    curvature = -jax.jit(jax.hessian(problem.log_likelihood))(y)
-    errors = np.sqrt(np.diag(np.linalg.inv(np.asarray(curvature, float))))
+    value = problem.log_likelihood
+    both = jax.jit(lambda y: (jax.grad(value)(y), jax.hessian(value)(y)))
+    slope, curvature = (np.asarray(found, float) for found in both(y))
+    errors = np.sqrt(np.diag(np.linalg.inv(-curvature)))
     # In standard errors the gradient is nothing.
-    assert np.max(np.abs(np.asarray(slope) * errors)) < 0.02
+    assert np.max(np.abs(slope * errors)) < 0.02
     exponent = fit.labels.index("shininess")
     np.testing.assert_allclose(
         errors[exponent] * fit.values[exponent], fit.errors[exponent], rtol=0.05

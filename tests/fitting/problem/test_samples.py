@@ -147,10 +147,19 @@ def other_light(scene: pf.Scene) -> pf.Scene:
 BALL = pf.shapes.Ball().mesh(12, 8)
 
 
-@pytest.mark.parametrize("fog", [None, pf.Fog(0.5, density=0.1)])
+FOG = pf.Fog(0.5, density=0.1)
+
+
 @pytest.mark.parametrize(
-    "surface, shading",
-    [(pf.Sphere(), None), (BALL, pf.PhongShading()), (BALL, pf.GouraudShading())],
+    "surface, shading, fog",
+    [
+        (pf.Sphere(), None, None),
+        (BALL, pf.GouraudShading(), FOG),
+        pytest.param(pf.Sphere(), None, FOG, marks=pytest.mark.extended),
+        pytest.param(BALL, pf.PhongShading(), None, marks=pytest.mark.extended),
+        pytest.param(BALL, pf.PhongShading(), FOG, marks=pytest.mark.extended),
+        pytest.param(BALL, pf.GouraudShading(), None, marks=pytest.mark.extended),
+    ],
 )
 def test_relighting_is_lighting_anew(surface, shading, fog):
     scene = pf.Scene(
@@ -166,21 +175,29 @@ def test_relighting_is_lighting_anew(surface, shading, fog):
     near(found, light_of(every_light(other).channels), 1e-5)
 
 
-def test_images_of_one_kind_are_relit_together():
-    point = pf.Scene(
-        SCENE.surface, SCENE.camera, pf.PointLight((2, 1, 3)), ambient=SCENE.ambient
+POINT = pf.Scene(
+    SCENE.surface, SCENE.camera, pf.PointLight((2, 1, 3)), ambient=SCENE.ambient
+)
+
+
+@pytest.mark.parametrize(
+    "scenes",
+    [
+        (SCENE, POINT),
+        (SCENE, SCENE),
+        pytest.param((SCENE, other_light(SCENE)), marks=pytest.mark.extended),
+    ],
+    ids=["of two kinds", "of one kind", "of two kinds of light"],
+)
+def test_images_of_one_kind_are_relit_together(scenes):
+    samples = every_light(*scenes)
+    brighter = tuple(
+        eqx.tree_at(lambda s: s.lights[0].intensity, scene, replace_fn=lambda i: 2 * i)
+        for scene in scenes
     )
-    for scenes in [(SCENE, other_light(SCENE)), (SCENE, point), (SCENE, SCENE, SCENE)]:
-        samples = every_light(*scenes)
-        brighter = tuple(
-            eqx.tree_at(
-                lambda s: s.lights[0].intensity, scene, replace_fn=lambda i: 2 * i
-            )
-            for scene in scenes
-        )
-        expected = light_of(every_light(*brighter).channels)
-        near(light_anew(samples, *brighter), expected, 1e-5)
-        views = samples.stacked_views()
-        assert (views is not None) == (scenes[0] is scenes[-1])
-        if views is not None:
-            near(light_stacked(views, *brighter), expected, 1e-5)
+    expected = light_of(every_light(*brighter).channels)
+    near(light_anew(samples, *brighter), expected, 1e-5)
+    views = samples.stacked_views()
+    assert (views is not None) == (scenes[0] is scenes[-1])
+    if views is not None:
+        near(light_stacked(views, *brighter), expected, 1e-5)

@@ -62,6 +62,7 @@ def ggx_pulls(count):
     return np.array(pulls)
 
 
+@pytest.mark.extended
 def test_ggx_is_found():
     assert np.abs(ggx_pulls(3)).max() < 4
 
@@ -74,6 +75,7 @@ def test_ggx_is_found_a_hundred_times():
     assert np.all((rms > 0.8) & (rms < 1.2)), rms
 
 
+@pytest.mark.extended
 def test_its_errors_are_predicted():
     rng = np.random.default_rng(1)
     scene, truth = ball(specular_model=pf.GGX(0.5, 0.2)), pf.Material(0.4, 1.0)
@@ -83,6 +85,7 @@ def test_its_errors_are_predicted():
     np.testing.assert_allclose(foreseen.errors, fit.errors, rtol=0.1)
 
 
+@pytest.mark.extended
 def test_ward_is_found_from_images_of_several_lights():
     """Images of two lights and of one, whose lobes are padded, share one α."""
     rng = np.random.default_rng(2)
@@ -108,6 +111,7 @@ def test_ward_is_found_from_images_of_several_lights():
     assert fit.bounds[fit.labels.index(ALPHA)] == pytest.approx((0.01, 1))
 
 
+@pytest.mark.extended
 def test_a_highlight_that_is_not_there_has_no_width():
     """Neither of none, nor of one that noise hides, is an α claimed to be known."""
     rng = np.random.default_rng(5)

@@ -67,6 +67,8 @@ def test_it_stays_as_it_is():
             "unknowns: expected a list of names or None, got 'diffuse'",
         ),
         ({"unknowns": ()}, "unknowns: expected .*, got none"),
+        ({"unknowns": None}, "unknowns: expected .*, got none"),
+        ({"unknowns": (3,)}, r"unknowns: expected a list of names .*, got \(3,\)"),
         (
             {"unknowns": ("diffuse", "diffuse")},
             "unknowns: expected each name once, got diffuse",
@@ -87,7 +89,7 @@ def test_errors_name_the_argument(options, words):
 def test_a_fit_knows_what_it_was_asked():
     scene = ball()
     image = photograph(scene, TRUTH)
-    asked = Specification(unknowns=("diffuse",), known=TRUTH, loss="linear")
+    asked = Specification(bounds={"shininess": (2, 90)}, known=TRUTH, loss="linear")
     fit = pf.fit(scene, image, **asked.changed)
     assert fit.specification == asked
     # And is itself, whatever it is compared with.

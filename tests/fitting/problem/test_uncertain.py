@@ -45,6 +45,7 @@ def lamps(found):
     return np.array([np.asarray(s.lights[0].direction) for s in tuple(found.scene)])
 
 
+@pytest.mark.extended
 def test_what_images_leave_open_of_a_lamp_is_in_the_errors():
     plain, share = fitted(turned(0, 0)), 0.01
     # Lamps that are all stronger by the same share look like a darker material.
@@ -57,6 +58,7 @@ def test_what_images_leave_open_of_a_lamp_is_in_the_errors():
     assert found.errors[0] > 5 * plain.errors[0]
 
 
+@pytest.mark.extended
 def test_a_lamp_is_brought_to_what_the_images_say():
     plain, angle = fitted(turned(0, 0)), 0.01
     to_side = (turned(0, angle) - turned(0, -angle))[0] / (2 * angle)
@@ -73,6 +75,7 @@ def test_a_lamp_is_brought_to_what_the_images_say():
     assert found.misfit.significance < 4.5 < held.misfit.significance
 
 
+@pytest.mark.extended
 def test_errors_that_hang_together():
     near = [
         pf.PointLight(5 * a / np.linalg.norm(a), attenuation=(0, 0, 1 / 25))
@@ -110,6 +113,7 @@ def test_errors_that_hang_together():
         pf.fit(rooms, light, uncertain={arrays: joint, arrays[0]: 0.1})
 
 
+@pytest.mark.extended
 def test_what_is_unknown_too_has_a_prior_about_what_the_scenes_have():
     aim = turned(0, 0.01)
     across = np.eye(6) * 0.02**2

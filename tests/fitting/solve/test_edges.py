@@ -36,7 +36,9 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", ["a rim", pytest.param("an outline", marks=pytest.mark.extended)]
+)
 def test_a_fit_keeps_off_edges_that_it_moves(kind):
     made, guess, name = KINDS[kind]
     image = photograph(made, TRUTH, noise=NOISE, film=pf.Film(clamp=False))

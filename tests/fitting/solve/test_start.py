@@ -1,6 +1,5 @@
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 import phongfit as pf
 from phongfit.fitting.problem.parameters import MATERIAL_PARAMETERS
@@ -37,17 +36,17 @@ def started(scene: pf.Scene, image: np.ndarray, layout=None) -> pf.Material:
     return layout.material(y)
 
 
-@pytest.mark.parametrize("shininess", [1.0, 3.0, 10.0, 40.0, 150.0, 700.0])
-def test_it_starts_near_the_truth(shininess):
-    truth = pf.Material(TRUTH.diffuse, TRUTH.specular, shininess, TRUTH.ambient)
+def test_it_starts_near_the_truth():
     scene = ball()
-    start = started(scene, photograph(scene, truth))
-    assert abs(np.log(float(start.shininess) / shininess)) < STEP
-    # At f = 1 the lobe is nearly a diffuse term, and takes a share of it.
-    assert np.allclose(start.ambient, truth.ambient, atol=0.02)
-    if shininess > 1:
-        assert np.allclose(start.diffuse, truth.diffuse, atol=0.05)
-        assert np.allclose(start.specular, truth.specular, atol=0.05)
+    for shininess in (1.0, 3.0, 10.0, 40.0, 150.0, 700.0):
+        truth = pf.Material(TRUTH.diffuse, TRUTH.specular, shininess, TRUTH.ambient)
+        start = started(scene, photograph(scene, truth))
+        assert abs(np.log(float(start.shininess) / shininess)) < STEP
+        # At f = 1 the lobe is nearly a diffuse term, and takes a share of it.
+        assert np.allclose(start.ambient, truth.ambient, atol=0.02)
+        if shininess > 1:
+            assert np.allclose(start.diffuse, truth.diffuse, atol=0.05)
+            assert np.allclose(start.specular, truth.specular, atol=0.05)
 
 
 def test_a_clipped_highlight():
@@ -113,7 +112,7 @@ def test_a_dark_image_starts_dark():
 
 
 def test_few_of_many():
-    scene = ball(size=128)
+    scene = ball(size=64)
     source = source_of(scene, photograph(scene, TRUTH))
     seen = seen_pixels([source])
     few = choose_few([source], seen)

@@ -104,7 +104,17 @@ def ours(problem: Problem, y: jax.Array) -> tuple:
     return sums(problem, y), linearize(problem, y).jacobian, few, left, slope
 
 
-@pytest.mark.parametrize("kind", KINDS)
+# The others compile as much, and are made of the same parts.
+BY_DEFAULT = ("priors and ties", "materials and images")
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        kind if kind in BY_DEFAULT else pytest.param(kind, marks=pytest.mark.extended)
+        for kind in KINDS
+    ],
+)
 def test_sums_are_those_of_the_whole_jacobian(kind):
     problem, y = problem_of(kind)
     residual, jacobian, gradient = (np.asarray(a, float) for a in dense(problem, y))
@@ -217,7 +227,14 @@ def equations(jaxpr: jax.extend.core.Jaxpr) -> int:
     return count
 
 
-@pytest.mark.parametrize("name", ["exposure", INTENSITY, "scene.lights[0].direction"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "scene.lights[0].direction",
+        pytest.param("exposure", marks=pytest.mark.extended),
+        pytest.param(INTENSITY, marks=pytest.mark.extended),
+    ],
+)
 def test_many_images_compile_like_few(name):
     def size(images: int) -> int:
         scenes, image = [SCENE] * images, np.full((16, 16, 3), 0.5)

@@ -1,4 +1,4 @@
-import jax.numpy as jnp
+import jax
 import numpy as np
 import pytest
 
@@ -8,12 +8,12 @@ from phongfit.fitting.uncertainty.grid import (
     sum_at_places,
 )
 
+summed = jax.jit(sum_at_places)
+
 
 def significance(residual, used=None):
     used = np.ones(residual.shape, bool) if used is None else used
-    return grid_significance(
-        [np.asarray(sum_at_places(jnp.asarray(residual), jnp.asarray(used)))]
-    )
+    return grid_significance([np.asarray(summed(residual, used))])
 
 
 def residuals(kind, seed=0):

@@ -5,18 +5,15 @@ import pytest
 
 import phongfit as pf
 from phongfit.codes import coded
+from tests.fitting import canonical
 from tests.fitting.scenes import SIZE, as_vector, ball, photograph, truth
 from tests.helpers import near
 
 TRUTH = truth()
 
 NOISES = pytest.mark.parametrize("noise", [0.0, 0.01])
-PLATE = pf.Scene(
-    pf.NormalMap(np.broadcast_to([0.0, 0.0, 1.0], (SIZE, SIZE, 3))),
-    pf.OrthographicCamera(SIZE, SIZE),
-    pf.DirectionalLight((1, 1, 2), 0.7),
-    ambient=0.3,
-)
+PLATE = canonical.plate_scene()
+BALL = ball()
 COLOURS = ("red", "green", "blue")
 
 
@@ -46,19 +43,18 @@ def test_a_flat_plate(noise):
     assert np.abs(np.mean(fit.residuals)) < 1e-3
 
 
-@NOISES
-def test_a_flat_plate_with_one_unknown(noise):
+@pytest.mark.extended
+def test_a_flat_plate_with_one_unknown():
     """What is left of it is identifiable, where the rest is known."""
-    image = photograph(PLATE, TRUTH, noise=noise)
+    image = photograph(PLATE, TRUTH, noise=0.01)
     fit = pf.fit(PLATE, image, unknowns=("diffuse",), known=TRUTH)
-    assert np.all(np.abs(fit.values - TRUTH.diffuse) < np.maximum(4 * fit.errors, 1e-6))
+    assert np.all(np.abs(fit.values - TRUTH.diffuse) < 4 * fit.errors)
     assert np.all(fit.errors < 1e-3) and not fit.warnings
 
 
 @NOISES
 def test_no_highlight(noise):
-    matte = pf.Material(TRUTH.diffuse, 0.0, 20.0, TRUTH.ambient)
-    fit = pf.fit(ball(), photograph(ball(), matte, noise=noise))
+    fit = pf.fit(BALL, photograph(BALL, canonical.matte(), noise=noise))
     assert fit.converged
     check_unidentified(fit, ("shininess",), "shininess is not identifiable: ")
     assert np.all(fit.values[6:9] <= 4 * fit.errors[6:9])
@@ -77,6 +73,7 @@ def test_no_ambient_light(noise):
     assert np.all(others < np.maximum(4.5 * fit.errors[3:], 1e-4))
 
 
+@pytest.mark.extended
 @NOISES
 def test_a_highlight_that_is_masked(noise):
     """Whatever f is, if it is large: ρ_s may be anything."""
@@ -84,14 +81,14 @@ def test_a_highlight_that_is_masked(noise):
     mirror = pf.Material(0.0, 1.0, 300.0, 0.0)
     seen = np.asarray(pf.render(ball(ambient=0.0), mirror)).max(axis=-1) > 1e-7
     assert 10 < seen.sum() < 300
-    fit = pf.fit(ball(), photograph(ball(), shiny, noise=noise), mask=~seen)
+    fit = pf.fit(BALL, photograph(BALL, shiny, noise=noise), mask=~seen)
     check_unidentified(fit, ("specular", "shininess"), "not identifiable")
 
 
 def test_an_image_in_other_units():
     """A millionth of white: nothing is as bright as its numbers could be."""
     image = photograph(ball(), TRUTH, noise=0.01, film=pf.Film(clamp=False))
-    fit, dark = pf.fit(ball(), image), pf.fit(ball(), 1e-6 * image)
+    fit, dark = pf.fit(BALL, image), pf.fit(BALL, 1e-6 * image)
     assert not dark.warnings and not dark.unidentified.any()
     scale = np.where(np.arange(10) < 9, 1e-6, 1)
     near(dark.values / scale, fit.values, 3e-3)
@@ -99,7 +96,7 @@ def test_an_image_in_other_units():
 
 
 def test_everything_is_black():
-    fit = pf.fit(ball(), np.zeros((SIZE, SIZE, 3)))
+    fit = pf.fit(BALL, np.zeros((SIZE, SIZE, 3)), film=pf.Film())
     assert fit.converged
     assert fit.at_bound[:9].all() and fit.unidentified[9]
     assert np.all(fit.values[:9] == 0)
@@ -108,7 +105,7 @@ def test_everything_is_black():
 
 def test_everything_is_white():
     """Light may be white, or any amount brighter."""
-    fit = pf.fit(ball(), np.ones((SIZE, SIZE, 3)), film=pf.Film())
+    fit = pf.fit(BALL, np.ones((SIZE, SIZE, 3)), film=pf.Film())
     assert fit.unidentified.all() and np.all(np.isinf(fit.errors))
     (warning,) = fit.warnings
     assert "all samples that are used are white" in warning
@@ -118,7 +115,7 @@ def test_nearly_everything_is_white():
     """A few pixels below white tell little, and no more than that is stated."""
     bright = pf.Material((0.9, 0.8, 0.7), 0.5, 20.0, 1.0)
     lights = [pf.DirectionalLight((1, 1, 2), 3.0), pf.DirectionalLight((-1, 0, 1), 2.0)]
-    scene = pf.Scene(pf.Sphere(), ball().camera, lights, ambient=0.9)
+    scene = pf.Scene(pf.Sphere(), BALL.camera, lights, ambient=0.9)
     image = photograph(scene, bright, noise=0.01)
     assert 0 < np.mean(image[np.asarray(scene.trace().mask)] < 1) < 0.1
     fit = pf.fit(scene, image)
@@ -130,6 +127,7 @@ def test_nearly_everything_is_white():
     assert np.all(np.abs(fit.values - truth)[identified] < 4.5 * fit.errors[identified])
 
 
+@pytest.mark.extended
 def test_ambient_and_emission_under_different_ambient_light():
     """One constant in one image, two in two."""
     truth = pf.Material(TRUTH.diffuse, TRUTH.specular, 20.0, 0.5, (0.05, 0.1, 0.15))
@@ -153,7 +151,7 @@ def test_a_bound_that_binds_is_marked():
     truth = pf.Material((0.6, 0.3, 0.0), TRUTH.specular, 20.0, TRUTH.ambient)
     offs, bound = [], []
     for seed in range(24):
-        fit = pf.fit(ball(), photograph(ball(), truth, noise=0.01, seed=seed))
+        fit = pf.fit(BALL, photograph(BALL, truth, noise=0.01, seed=seed))
         assert fit.converged and not fit.unidentified.any()
         assert not np.delete(fit.at_bound, 5).any()
         bound.append(bool(fit.at_bound[5]))
@@ -161,6 +159,7 @@ def test_a_bound_that_binds_is_marked():
         words = "diffuse.blue lies at its lower bound 0: its error is one-sided"
         words = coded("at-bound", words)
         assert (words in fit.warnings) == bound[-1]
+        assert not any("decides" in warning for warning in fit.warnings)
         if bound[-1]:
             assert fit.values[5] == 0
             assert np.all(np.isnan(fit.covariance[5]))
@@ -173,9 +172,9 @@ def test_a_bound_that_binds_is_marked():
 
 def test_the_upper_bound_too():
     truth = pf.Material(TRUTH.diffuse, (1.0, 0.8, 0.9), 20.0, TRUTH.ambient)
-    fit = pf.fit(ball(), photograph(ball(), truth))
+    fit = pf.fit(BALL, photograph(BALL, truth))
     assert np.flatnonzero(fit.at_bound).tolist() in ([6], [])
-    tight = pf.fit(ball(), photograph(ball(), truth), bounds={"specular": (0, 0.85)})
+    tight = pf.fit(BALL, photograph(BALL, truth), bounds={"specular": (0, 0.85)})
     assert np.flatnonzero(tight.at_bound).tolist() == [6, 8]
     assert tight.values[6] == tight.values[8] == np.float32(0.85) or (
         tight.values[6] == tight.values[8] == 0.85
@@ -187,9 +186,8 @@ def test_one_channel_without_light(colour):
     """A light that lacks a colour says nothing of the reflectance there."""
     intensity = np.full(3, 0.5)
     intensity[colour] = 0
-    scene = pf.Scene(
-        pf.Sphere(), ball().camera, pf.DirectionalLight((1, 1, 2), intensity), 0.3
-    )
+    lights = [pf.DirectionalLight(at, intensity) for at in ((1, 1, 2), (-1, 0.3, 1))]
+    scene = pf.Scene(pf.Sphere(), BALL.camera, lights, 0.3)
     fit = pf.fit(scene, photograph(scene, TRUTH, noise=0.01))
     expected = [f"{name}.{COLOURS[colour]}" for name in ("diffuse", "specular")]
     assert np.array(fit.labels)[fit.unidentified].tolist() == expected

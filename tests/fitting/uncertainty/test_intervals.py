@@ -6,7 +6,6 @@ from scipy.optimize import minimize
 
 import phongfit as pf
 from phongfit.fitting.uncertainty.intervals import Quadratic
-from phongfit.fitting.uncertainty.quantiles import chi_squared_reach, two_for_one
 from phongfit.fitting.uncertainty.region import Part, Region
 from tests.fitting.scenes import SIZE, as_vector, ball, photograph, truth
 from tests.helpers import near
@@ -69,12 +68,11 @@ def farthest(one: Quadratic, place: int, sign: float) -> float:
     return float(sign * max(ends))
 
 
-@pytest.mark.parametrize("seed", range(24))
-def test_ends_are_the_farthest_points(seed):
-    one = quadratic(seed)
-    places = np.eye(len(one.slope))
-    expected = [[farthest(one, k, s) for s in (-1, 1)] for k in range(len(places))]
-    near(one.ends(places, LEVEL), expected, 1e-4)
+def test_ends_are_the_farthest_points():
+    for one in map(quadratic, range(24)):
+        places = np.eye(len(one.slope))
+        expected = [[farthest(one, k, s) for s in (-1, 1)] for k in range(len(places))]
+        near(one.ends(places, LEVEL), expected, 1e-4)
 
 
 def test_where_the_level_is_nowhere_kept():
@@ -93,13 +91,6 @@ def test_a_bound_makes_the_other_one_sided():
     assert second[0] == 0 and second[1] > 0.06
 
 
-def test_quantiles():
-    near([two_for_one(1.0), two_for_one(LEVEL)], [2.2957, 5.99], 2e-3)
-    assert chi_squared_reach(4.0, 1) == 16
-    # That of three that is exceeded as rarely as four standard errors on one side.
-    assert chi_squared_reach(4.0, 3) == pytest.approx(23.5, rel=0.05)
-
-
 def coverage(scene: pf.Scene, truth: pf.Material, noise: float, draws: int, **options):
     """Share of 95 % intervals that hold the truth, entry by entry, and the fits."""
     fits = [
@@ -110,6 +101,7 @@ def coverage(scene: pf.Scene, truth: pf.Material, noise: float, draws: int, **op
     return low, high, fits
 
 
+@pytest.mark.extended
 def test_two_lamps_almost_at_one_place():
     """One of them often comes out as 0, and then the other has it all."""
     lamps = [
@@ -142,9 +134,9 @@ FRONT = pf.Scene(
 )
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
-    "scene, specular, shininess",
-    [(FRONT, 0.1, 2.0), (ball(), 0.03, 300.0)],
+    "scene, specular, shininess", [(FRONT, 0.1, 2.0), (ball(), 0.03, 300.0)]
 )
 def test_specular_where_the_exponent_is_not_identified(scene, specular, shininess):
     truth = pf.Material(TRUTH.diffuse, specular, shininess, TRUTH.ambient)

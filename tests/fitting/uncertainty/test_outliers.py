@@ -4,21 +4,20 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from tests.fitting import canonical
+from tests.fitting.canonical import with_garbage
 from tests.fitting.scenes import ball, photograph, truth
 
 TRUTH = truth()
 
-# As in `test_rejected`, whose losses are compiled by then.
-SIZE = 64
-SCENE = ball(size=SIZE)
+SCENE = ball()
 NOISY = photograph(SCENE, TRUTH, noise=0.01)
 
 
-def spoiled(share: float, value: float | None = None) -> np.ndarray:
-    """Some pixels replaced by any colour, or by one value."""
-    rng = np.random.default_rng(0)
-    hit = rng.random((SIZE, SIZE, 1)) < share
-    return np.where(hit, rng.random(NOISY.shape) if value is None else value, NOISY)
+def blackened(share: float) -> np.ndarray:
+    """Some pixels replaced by black."""
+    hit = np.random.default_rng(0).random((*NOISY.shape[:2], 1)) < share
+    return np.where(hit, 0.0, NOISY)
 
 
 def outlier_warnings(image: np.ndarray, loss: str = "linear") -> list[str]:
@@ -27,25 +26,29 @@ def outlier_warnings(image: np.ndarray, loss: str = "linear") -> list[str]:
 
 
 # Many outliers hide behind one another: least squares go where they are.
-@pytest.mark.parametrize("share, value", [(0.02, None), (0.2, None), (0.2, 0.0)])
-def test_least_squares_say_that_outliers_pull(share, value):
-    (words,) = outlier_warnings(spoiled(share, value))
+@pytest.mark.parametrize(
+    "image", [with_garbage(NOISY, 0.02), with_garbage(NOISY), blackened(0.2)]
+)
+def test_least_squares_say_that_outliers_pull(image):
+    (words,) = outlier_warnings(image)
     assert 'loss="cauchy"' in words and "mask" in words
 
 
+@pytest.mark.extended
 def test_a_loss_that_goes_on_listening_says_so():
-    (words,) = outlier_warnings(spoiled(0.2), "huber")
+    (words,) = outlier_warnings(with_garbage(NOISY), "huber")
     assert 'try loss="tukey"' in words
 
 
-@pytest.mark.parametrize("loss", ["linear", "huber", "tukey"])
+@pytest.mark.parametrize(
+    "loss", ["linear", "tukey", pytest.param("huber", marks=pytest.mark.extended)]
+)
 def test_noise_is_no_outlier(loss):
     assert not outlier_warnings(NOISY, loss)
 
 
 def test_what_the_loss_rejects_pulls_no_more():
-    fit = pf.fit(SCENE, spoiled(0.2), loss="tukey")
-    assert not fit.warnings
+    assert not canonical.robust().fit.warnings
 
 
 @pytest.mark.parametrize("kind", ["uniform", "poisson", "clipped"])

@@ -1,5 +1,6 @@
 """Profile likelihoods next to standard errors, and to lmfit's."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -10,22 +11,25 @@ import scipy.stats
 
 import phongfit as pf
 from phongfit.fitting.uncertainty.profile import LEVELS
+from tests.fitting import canonical
+from tests.fitting.canonical import NOISE
 from tests.fitting.scenes import ball, photograph, truth
 
 TRUTH = truth()
 
 SCENE = ball()
-NOISE = 0.01
 # Few pixels, and only the skirt of a highlight: f is poorly known.
 FEW = np.zeros((32, 32), bool)
 FEW[12:21:2, 10:20:2] = True
 NAMES = ("diffuse", "specular", "shininess")
 
 
+@functools.cache
 def nearly_gaussian() -> pf.Fit:
-    return pf.fit(SCENE, photograph(SCENE, TRUTH, noise=NOISE), noise=NOISE)
+    return pf.fit(SCENE, canonical.two_directional().image, noise=NOISE)
 
 
+@functools.cache
 def curved() -> tuple[pf.Fit, np.ndarray]:
     image = photograph(SCENE, TRUTH, noise=0.02, film=pf.Film(clamp=False), seed=5)
     fit = pf.fit(
@@ -83,6 +87,7 @@ def test_where_the_model_hardly_bends_it_is_the_standard_error(name):
     assert str(profile).count("…") == 3
 
 
+@pytest.mark.extended
 def test_where_it_bends_it_is_lmfits():
     fit, image = curved()
     minimizer = lmfit.Minimizer(
@@ -164,8 +169,7 @@ def test_an_end_at_a_bound():
 
 
 def test_what_is_not_identifiable_has_its_box():
-    matte = pf.Material(TRUTH.diffuse, 0.0, 20.0, TRUTH.ambient)
-    fit = pf.fit(SCENE, photograph(SCENE, matte, noise=NOISE), noise=NOISE)
+    fit = pf.fit(SCENE, canonical.no_highlight().image, noise=NOISE)
     assert fit["shininess"].unidentified
     profile = fit.profile("shininess", levels=(0.99, 0.999))
     assert profile.intervals == {0.99: (1, 1000), 0.999: (1, 1000)}
@@ -182,10 +186,7 @@ def test_robust_losses_have_the_errors_that_they_state():
 
 
 def test_tied_unknowns_follow():
-    ties = {"specular": (0.5, "diffuse")}
-    truth = pf.Material((0.6, 0.3, 0.2), (0.3, 0.15, 0.1), 20.0, TRUTH.ambient)
-    image = photograph(SCENE, truth, noise=NOISE)
-    fit = pf.fit(SCENE, image, ties=ties, noise=NOISE)
+    fit = canonical.priors_and_ties().fit
     estimate = fit["diffuse.red"]
     for part in ("value", "error"):
         followed = 0.5 * getattr(fit["diffuse"], part)

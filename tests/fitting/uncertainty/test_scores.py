@@ -7,6 +7,8 @@ from phongfit.fitting.uncertainty.misfit import SIGNIFICANT
 from tests.fitting.scenes import ball, photograph, truth
 from tests.helpers import floats
 
+pytestmark = pytest.mark.extended
+
 TRUTH = truth()
 
 LINEAR = ("ambient", "diffuse", "specular")

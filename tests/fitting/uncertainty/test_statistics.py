@@ -13,6 +13,8 @@ from phongfit.fitting.uncertainty.identifiability import (
     find_unidentified,
     linked_groups,
 )
+from tests.fitting import canonical
+from tests.fitting.canonical import NOISE
 from tests.fitting.scenes import (
     as_vector,
     ball,
@@ -26,7 +28,6 @@ TRUTH = truth()
 
 SCENE = ball()
 DRAWS = 250
-NOISE = 0.01
 
 
 @lru_cache
@@ -55,6 +56,7 @@ def draws(encoding: str) -> tuple[np.ndarray, np.ndarray]:
     return np.array(offs), np.array(values)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("encoding", ["none", "srgb"])
 def test_errors_are_what_happens(encoding):
     offs, _ = draws(encoding)
@@ -63,24 +65,16 @@ def test_errors_are_what_happens(encoding):
     assert np.all(np.abs(spread - 1) < 0.18), spread
     # All ten together are known better, though they are not independent.
     assert abs(np.sqrt(np.mean(offs**2)) - 1) < 0.07
-
-
-@pytest.mark.parametrize("encoding", ["none", "srgb"])
-def test_no_bias(encoding):
-    offs, _ = draws(encoding)
+    # No bias.
     assert np.all(np.abs(offs.mean(axis=0)) < 4 / np.sqrt(DRAWS))
-
-
-@pytest.mark.parametrize("encoding", ["none", "srgb"])
-def test_coverage(encoding):
-    offs, _ = draws(encoding)
     assert 0.935 < np.mean(np.abs(offs) < 2) < 0.97
     assert 0.64 < np.mean(np.abs(offs) < 1) < 0.725
 
 
+@pytest.mark.extended
 def test_correlations_are_what_happens():
     _, values = draws("none")
-    fit = pf.fit(SCENE, photograph(SCENE, TRUTH, noise=NOISE))
+    fit = canonical.two_directional().fit
     assert np.allclose(fit.correlation, np.corrcoef(values.T), atol=0.25)
     assert np.max(np.abs(fit.correlation[~np.eye(10, dtype=bool)])) > 0.8
 
@@ -110,7 +104,9 @@ def lmfit_result(image: np.ndarray, scale_covar: bool) -> Any:
     )
 
 
-@pytest.mark.parametrize("noise", [None, NOISE])
+@pytest.mark.parametrize(
+    "noise", [None, pytest.param(NOISE, marks=pytest.mark.extended)]
+)
 def test_errors_are_lmfits(noise):
     image = photograph(SCENE, TRUTH, noise=NOISE, seed=3)
     assert image.max() < 1
@@ -130,22 +126,7 @@ def test_errors_are_lmfits(noise):
     assert fit.degrees_of_freedom == expected.nfree
 
 
-def test_given_noise_scales_the_errors():
-    image = photograph(SCENE, TRUTH, noise=NOISE, seed=4)
-    estimated = pf.fit(SCENE, image)
-    assert estimated.noise == pytest.approx(NOISE, rel=0.05)
-    for noise in (0.005, 0.02):
-        given = pf.fit(SCENE, image, noise=noise)
-        assert given.noise == pytest.approx(noise)
-        ratio = given.errors / estimated.errors
-        # Less noise than the image has is not believed.
-        noise = max(noise, estimated.noise)
-        np.testing.assert_allclose(ratio, noise / estimated.noise, rtol=0.02)
-        assert any("noise that was given" in w for w in given.warnings) == (
-            given.noise < NOISE
-        )
-
-
+@pytest.mark.extended
 def test_more_noise_in_some_pixels():
     """Weights from known noise: better than without, and stated so."""
     rng = np.random.default_rng(5)
@@ -161,15 +142,6 @@ def test_more_noise_in_some_pixels():
     assert 0.8 < np.sqrt(np.mean(np.square(offs))) < 1.2
     plain = pf.fit(SCENE, image, film=pf.Film(clamp=False))
     assert fit is not None and np.all(fit.errors < 0.4 * plain.errors)
-
-
-def test_every_second_pixel_is_half_of_the_data():
-    image = photograph(SCENE, TRUTH, noise=NOISE, seed=6)
-    whole = pf.fit(SCENE, image, noise=NOISE)
-    half = pf.fit(
-        SCENE, image, noise=NOISE, mask=np.indices((32, 32)).sum(axis=0) % 2 == 0
-    )
-    np.testing.assert_allclose(half.errors / whole.errors, 2**0.5, rtol=0.1)
 
 
 LAYOUT = unknowns_of(MATERIAL_PARAMETERS[1:4], (), pf.Material(), {})
@@ -207,7 +179,7 @@ def test_who_is_not_identifiable(rows, unidentified, words):
         assert reasons[0].startswith(words)
 
 
-def testlinked_groups():
+def test_linked_groups():
     linked = np.array(
         [[1, 1, 0, 0], [1, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=bool
     )
