@@ -55,6 +55,7 @@ def test_derivatives_are_those_of_whole_fits(loss):
     check_gradients(refitted, point, order=1, rtol=1e-4)
 
 
+@pytest.mark.extended
 def test_at_a_bound_there_is_no_derivative():
     fit = pf.fit(SCENE, IMAGE, bounds={"diffuse": (0, 0.5)})
     assert np.flatnonzero(fit.at_bound).tolist() == [3]

@@ -14,8 +14,9 @@ from phongfit.fitting.solve.solver import BoundedLevenbergMarquardt
 from tests.fitting.standard_problems import PROBLEMS, Problem
 from tests.helpers import eps, floats
 
-# All of three unknowns, and thus one program; half of them with bounds.
-TEN = ("7", "8", "9", "10", "12")
+# All of two unknowns, and thus one program. None has data in a module's array, which
+# JAX would keep in the precision that it was used in first.
+FEW = ("1", "2", "5")
 
 
 class Answer(NamedTuple):
@@ -153,10 +154,10 @@ def bind(problem: Problem) -> bool:
 
 @pytest.mark.usefixtures("precision")
 def test_ends_in_its_box_at_the_best_cost():
-    ten = [problem for problem in PROBLEMS if problem.name.split()[0] in TEN]
-    for problem in ten:
+    few = [problem for problem in PROBLEMS if problem.name.split()[0] in FEW]
+    for problem in few:
         check(problem)
-    assert sum(map(bind, ten)) >= 4
+    assert sum(map(bind, few)) >= 4
 
 
 @pytest.mark.extended

@@ -35,7 +35,8 @@ def test_garbage_is_no_highlight(loss):
     image = photograph(SCENE, GLOSSY, noise=0.01)
     fit = pf.fit(SCENE, canonical.with_garbage(image), loss=loss)
     assert not any(REJECTED in words for words in fit.warnings)
-    assert fit["shininess"].value == pytest.approx(200, rel=0.05)
+    exponent = fit["shininess"]
+    assert abs(exponent.value - 200) < 4 * exponent.error and exponent.error < 20
 
 
 def test_a_rejected_patch_elsewhere_does_not_widen_errors():

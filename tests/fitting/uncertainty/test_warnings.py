@@ -74,8 +74,8 @@ def test_a_bound_that_decides():
 
 
 def test_noise_that_few_samples_know():
-    light = pf.DirectionalLight((1, 1, 2))
-    bright = pf.Scene(SCENE.surface, SCENE.camera, light, ambient=2.2)
+    lights = [pf.DirectionalLight((1, 1, 2)), pf.DirectionalLight((0, 0, 1), 0.0)]
+    bright = pf.Scene(SCENE.surface, SCENE.camera, lights, ambient=2.2)
     truth = pf.Material((0.6, 0.5, 0.4), 0.3, 10.0, 0.5)
     image = photograph(bright, truth, noise=0.1)
     assert np.mean(image[8:24, 8:24] == 1) > 0.9
