@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from phongfit.edge import checked
+from phongfit.programs import compiler_options
 from phongfit.vectors import Scalar
 
 
@@ -70,11 +71,11 @@ def check_gradients(
         value, first = _derivatives(contracted, start, finite_differences)
         second = {}
         if order == 1:
-            first["reverse"] = np.asarray(jax.jit(gradient)(start))
+            first["reverse"] = np.asarray(_compiled(gradient)(start))
         else:
             first["reverse"], second = _derivatives(gradient, start, finite_differences)
             if not finite_differences:
-                second["reverse"] = np.asarray(jax.jit(jax.jacrev(gradient))(start))
+                second["reverse"] = np.asarray(_compiled(jax.jacrev(gradient))(start))
     if not np.isfinite(value):
         raise AssertionError(f"function: its value at the point is not finite: {value}")
     name = _namer(leaves)
@@ -105,6 +106,11 @@ def _check_precision(
             "together: hand over the arrays and scenes that it closes over in point, "
             "or make them inside"
         ) from error
+
+
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """`jax.jit` with options that shorten compilation: the programs run once."""
+    return jax.jit(function, compiler_options=compiler_options())
 
 
 Leaves = list[tuple[str, np.ndarray]]
@@ -170,7 +176,7 @@ def _derivatives(
     One entry at a time, so that memory stays that of one evaluation, and one compiled
     function serves both ways: compilation is what takes time here.
     """
-    pushed = jax.jit(lambda x, tangent: jax.jvp(function, (x,), (tangent,)))
+    pushed = _compiled(lambda x, tangent: jax.jvp(function, (x,), (tangent,)))
     # The cube root balances what rounding and the third derivative take away.
     steps = np.cbrt(np.finfo(np.float64).eps) * np.maximum(np.abs(point), 1)
     forward, central = [], []

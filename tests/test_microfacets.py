@@ -223,7 +223,14 @@ def test_derivatives(model):
     check_gradients(lobe, (model, PLACE, 30.0), rtol=1e-4)
 
 
-@pytest.mark.parametrize("model", (pf.GGX(), ROUGH, pf.Ward(0.4)))
+@pytest.mark.parametrize(
+    "model",
+    [
+        pytest.param(pf.GGX(), marks=pytest.mark.extended),
+        pf.Ward(0.4),
+        ROUGH,
+    ],
+)
 def test_derivatives_where_there_is_no_light(model):
     """Finite behind the surface, and where a light is missing: its cosines are 0."""
     normal, light, viewer = PLACE

@@ -28,6 +28,7 @@ SUBJECTS = {
     "jpeg-texels": Subject.FIT,
     "noise-level": Subject.FIT,
     "low-white": Subject.FIT,
+    "encoding-doubtful": Subject.FIT,
     "few-unclipped": Subject.FIT,
     "outliers": Subject.FIT,
     "prior-conflict": Subject.FIT,

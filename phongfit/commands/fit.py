@@ -41,15 +41,15 @@ from phongfit.files.texture_fits import (
     RECORD_FILE,
     save_texture_fit,
 )
-from phongfit.fitting.fit import fit
-from phongfit.fitting.problem.specification import Specification, as_names
-from phongfit.fitting.result import Fit
-from phongfit.fitting.texture_fit import TEXTURED, fit_texture
-from phongfit.fitting.uncertainty.encodings import (
+from phongfit.fitting.encodings import (
     encoding_words,
     other_encoding,
     reread,
 )
+from phongfit.fitting.fit import fit
+from phongfit.fitting.problem.specification import Specification, as_names
+from phongfit.fitting.result import Fit
+from phongfit.fitting.texture_fit import TEXTURED, fit_texture
 from phongfit.rendering.film import Film
 
 FIT_FILE = "fit.json"

@@ -5,6 +5,7 @@ import math
 import struct
 import warnings
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -70,8 +71,9 @@ def write_binary(folder, views, names):
     (folder / "images.bin").write_bytes(images)
 
 
+@eqx.filter_jit
 def projected(camera):
-    return jax.jit(jax.vmap(camera.project))(floats(POINTS))
+    return jax.vmap(camera.project)(floats(POINTS))
 
 
 @pytest.mark.parametrize("write", [write_text, write_binary])

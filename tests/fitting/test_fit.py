@@ -34,10 +34,10 @@ def check_near_truth(fit: pf.Fit, truth: pf.Material = TRUTH) -> None:
     [
         canonical.two_directional,
         pytest.param(canonical.one_light, marks=pytest.mark.extended),
-        canonical.three_lights,
+        pytest.param(canonical.three_lights, marks=pytest.mark.extended),
         canonical.eight_bits,
         canonical.priors_and_ties,
-        canonical.mesh,
+        pytest.param(canonical.mesh, marks=pytest.mark.extended),
     ],
     ids=lambda problem: problem.__name__,
 )

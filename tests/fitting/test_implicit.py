@@ -69,6 +69,7 @@ def test_at_a_bound_there_is_no_derivative():
     check_gradients(refitted, floats(0.0), order=1, rtol=1e-4)
 
 
+@pytest.mark.extended
 def test_jit_and_vmap():
     fit = fitted()
     images = floats(np.stack([IMAGE, OTHER]))

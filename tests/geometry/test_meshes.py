@@ -37,8 +37,8 @@ MESHES = {
     "name, view",
     [
         ("area", PARALLEL),
-        ("angle", PERSPECTIVE),
-        ("normals", PARALLEL),
+        pytest.param("angle", PERSPECTIVE, marks=pytest.mark.extended),
+        pytest.param("normals", PARALLEL, marks=pytest.mark.extended),
         ("two-sided", PERSPECTIVE),
     ],
 )

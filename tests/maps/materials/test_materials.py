@@ -23,6 +23,7 @@ def found(hidden: Hidden, **options) -> pf.Maps:
         hidden.images,
         film=FREE,
         normals="fit",
+        passes=1,
         unknowns=unknowns,
         **given,
     )

@@ -1,0 +1,55 @@
+"""A file that fits the model better in the other encoding is doubted."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from phongfit.codes import warning_code
+from phongfit.fitting.encodings import encoding_words, reread
+from phongfit.rendering.film import decode, encode
+from tests.helpers import near
+
+RNG = np.random.default_rng(0)
+LIGHT = np.linspace(0.02, 0.7, 30 * 20 * 3).reshape(30, 20, 3)
+NOISE = 0.01 * RNG.normal(size=LIGHT.shape)
+
+
+def read_as(encoding: Any, numbers: np.ndarray) -> Any:
+    """A fit of light that is known up to scale and offset to a file's numbers."""
+    image = np.asarray(decode(numbers, encoding))
+    columns = np.column_stack([LIGHT.ravel(), np.ones(LIGHT.size)])
+    solution, *_ = np.linalg.lstsq(columns, image.ravel(), rcond=None)
+    fitted = (columns @ solution).reshape(image.shape)
+    return SimpleNamespace(photographs=image, residuals=image - fitted)
+
+
+@pytest.mark.parametrize("right, wrong", [("linear", "srgb"), ("srgb", "linear")])
+def test_the_wrong_encoding_is_named(right, wrong):
+    numbers = np.asarray(encode(np.clip(LIGHT + NOISE, 0, 1), right))
+    good, bad = read_as(right, numbers), read_as(wrong, numbers)
+    assert encoding_words(good, bad, right) == ()
+    (warning,) = encoding_words(bad, good, wrong)
+    assert warning_code(warning) == "encoding-doubtful"
+    assert f"Read it with encoding={right}" in warning
+
+
+def test_several_photographs_count_together():
+    numbers = np.clip(LIGHT + NOISE, 0, 1)
+    good, bad = read_as("linear", numbers), read_as("srgb", numbers)
+    both = [
+        SimpleNamespace(
+            photographs=[one.photographs] * 2, residuals=[one.residuals] * 2
+        )
+        for one in (bad, good)
+    ]
+    several: Any = both
+    assert encoding_words(*several, "srgb") == encoding_words(bad, good, "srgb")
+
+
+def test_reread_is_its_own_inverse():
+    image = LIGHT.astype(np.float32)
+    again = reread(image, "srgb")
+    assert again.dtype == np.float32 and np.all(again > image)
+    near(reread(again, "linear"), image, 1e-6)
