@@ -35,17 +35,16 @@ def test_the_wrong_encoding_is_named(right, wrong):
     assert f"Read it with encoding={right}" in warning
 
 
+def twice(one: Any) -> Any:
+    photographs, residuals = [one.photographs] * 2, [one.residuals] * 2
+    return SimpleNamespace(photographs=photographs, residuals=residuals)
+
+
 def test_several_photographs_count_together():
     numbers = np.clip(LIGHT + NOISE, 0, 1)
     good, bad = read_as("linear", numbers), read_as("srgb", numbers)
-    both = [
-        SimpleNamespace(
-            photographs=[one.photographs] * 2, residuals=[one.residuals] * 2
-        )
-        for one in (bad, good)
-    ]
-    several: Any = both
-    assert encoding_words(*several, "srgb") == encoding_words(bad, good, "srgb")
+    words = encoding_words(bad, good, "srgb")
+    assert encoding_words(twice(bad), twice(good), "srgb") == words
 
 
 def test_reread_is_its_own_inverse():
