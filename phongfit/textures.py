@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal, get_args
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -155,7 +156,7 @@ def texels(
     if wrap == "repeat":
         # First, since a whole number of images away there is little precision left.
         u, v = u - jnp.floor(u), v - jnp.floor(v)
-    x, y = u * columns, v * rows
+    x, y = _rounded(u * columns), _rounded(v * rows)
 
     def wrapped(at: Array, count: int) -> Array:
         at = at.astype(jnp.int32)
@@ -174,6 +175,16 @@ def texels(
             across = right if beside else 1 - right
             weights.append(across * (down if below else 1 - down))
     return jnp.stack(numbers, axis=-1), jnp.stack(weights, axis=-1)
+
+
+def _rounded(x: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Drop the last bit, so that all uses of a product agree on its rounding.
+
+    A compiler may fuse multiplication and subtraction in one use and not in another.
+    At the centre of a texel, `floor` and the remainder would then be of two texels.
+    """
+    kind = jnp.finfo(x.dtype)
+    return jax.lax.reduce_precision(x, kind.nexp, kind.nmant - 1)
 
 
 class Textures(eqx.Module):

@@ -185,7 +185,7 @@ def bad_folder(folder, kind):
             words = "4.png: expected 240 × 180 pixels, as 1.png has, got 240 × 100"
         case "a list of others":
             pf.write_lp(folder / "a.lp", ["7.png", *names[1:]], LAMPS)
-            words = "1 of the 5 photographs in the list of lights are not there, 7.png"
+            words = "1 of the 5 photographs in the list of lights are missing, 7.png"
         case _:
             lines = [f"{name} 0 0 0" for name in names]
             (folder / "a.lp").write_text("\n".join(["5", *lines]))

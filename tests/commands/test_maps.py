@@ -210,7 +210,7 @@ def test_textures_of_an_mtl(mapped, tmp_path, capsys):
         assert main(args) == 2
         assert f"{to} holds one material" in capsys.readouterr().err
     assert main(["export", str(mapped), "-o", f"{tmp_path}/x.usda"]) == 2
-    assert "expected mtl, gltf, obj or ply for maps" in capsys.readouterr().err
+    assert "expected mtl, gltf, obj, ply or stl for maps" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
