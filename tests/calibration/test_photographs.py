@@ -19,6 +19,7 @@ from tests.helpers import photographs
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.extended
 def test_two_chrome_spheres_agree():
     """Lamps of one capture by either sphere, which stand apart in the room."""
     folder = photographs("psbox")
@@ -67,6 +68,7 @@ def outline(folder, name):
     return float(columns.mean()) + 0.5, float(rows.mean()) + 0.5, radius
 
 
+@pytest.mark.extended
 def test_a_matte_sphere_has_no_highlight_under_the_lamps_of_a_chrome_one(tmp_path):
     folder = photographs("uw_spheres")
     capture = pf.open_capture(folder / "chrome", "linear")
@@ -102,6 +104,7 @@ def test_a_matte_sphere_has_no_highlight_under_the_lamps_of_a_chrome_one(tmp_pat
     assert value < 1.5 * error and error < 0.5
 
 
+@pytest.mark.extended
 def test_a_chrome_and_a_matte_sphere_agree():
     folder = photographs("uw_spheres")
     found = []

@@ -88,6 +88,7 @@ def test_several_lights_begin_with_different_guesses():
     assert (off.min(axis=0) < 4).all() and (off.min(axis=1) < 4).all()
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("way, seed", [*zip(MISSED, (7, 1), strict=True)])
 def test_a_narrow_highlight_under_an_unknown_light(way, seed):
     free = pf.Film(clamp=False)
@@ -100,6 +101,7 @@ def test_a_narrow_highlight_under_an_unknown_light(way, seed):
     assert fit.noise < 1.03 * 0.005
 
 
+@pytest.mark.extended
 def test_two_lights_that_explain_an_image_are_a_warning():
     """A surface curved one way alone: a light and its mirror image look the same."""
     slope = np.linspace(-1, 1, 32)

@@ -52,6 +52,7 @@ def pulls(fit: pf.TextureFit, name: str, true) -> np.ndarray:
     return ((values - true) / errors)[np.isfinite(errors)]
 
 
+@pytest.mark.extended
 def test_checkered_exponents(fit):
     assert fit.converged and not fit.warnings, fit
     assert fit.values["shininess"].shape == fit.stderr["shininess"].shape

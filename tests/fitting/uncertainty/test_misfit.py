@@ -192,9 +192,8 @@ def test_rounding_of_the_arithmetic_is_no_misfit():
         assert not fit.misfit.significant and not fit.warnings, seed
 
 
-@pytest.mark.parametrize(
-    "loss", ["linear", pytest.param("huber", marks=pytest.mark.extended)]
-)
+@pytest.mark.extended
+@pytest.mark.parametrize("loss", ["linear", "huber"])
 def test_errors_where_channels_share_their_noise(loss):
     """What channels share is known from one of them; what each has, as ever."""
     scene = ball()

@@ -41,7 +41,12 @@ def test_a_loss_that_goes_on_listening_says_so():
 
 
 @pytest.mark.parametrize(
-    "loss", ["linear", "tukey", pytest.param("huber", marks=pytest.mark.extended)]
+    "loss",
+    [
+        "linear",
+        pytest.param("tukey", marks=pytest.mark.extended),
+        pytest.param("huber", marks=pytest.mark.extended),
+    ],
 )
 def test_noise_is_no_outlier(loss):
     assert not outlier_warnings(NOISY, loss)
