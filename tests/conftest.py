@@ -14,10 +14,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import jax
+import matplotlib
+import pytest
+from hypothesis import settings
+
 # Most programs run once: unoptimised, they compile in a third of the time. Without
 # AVX2 there are no fused multiplications, which round differently at this level from
-# one triangle to the next. XLA reads the flags when it starts, and stops the process at
-# one that it does not know: hence the trial, which workers of pytest-xdist inherit.
+# one triangle to the next. XLA reads the flags at its first computation, and stops the
+# process at one that it does not know: hence the trial, once for all workers.
 FLAGS = (
     "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false "
     "--xla_cpu_max_isa=AVX"
@@ -29,11 +34,6 @@ if "XLA_FLAGS" not in os.environ:
         stderr=subprocess.DEVNULL,
     )
     os.environ["XLA_FLAGS"] = FLAGS if trial.returncode == 0 else ""
-
-import jax
-import matplotlib
-import pytest
-from hypothesis import settings
 
 ROOT = Path(__file__).parent
 # What the last run compiled; kept out of the user's own cache.

@@ -105,6 +105,7 @@ def test_a_fit_of_a_made_target(session):
     assert 0.01 < answer["scale"] < 0.06
 
 
+@pytest.mark.extended
 def test_what_is_not_identifiable(session):
     """Where no light falls there is no highlight, and nothing diffuse."""
     dark = Settings(intensity=(0, 0, 0))

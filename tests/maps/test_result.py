@@ -15,7 +15,7 @@ def basis(shininess: float, at_bound: bool) -> BasisMaterials:
     one = np.ones((1, 3))
     return BasisMaterials(
         specular=0.3 * one,
-        shininess=np.array([shininess]),
+        shininess=np.array([float(shininess)]),
         stderr_specular=0.01 * one,
         stderr_shininess=np.array([2.0]),
         at_bound=np.array([at_bound]),

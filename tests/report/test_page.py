@@ -95,6 +95,7 @@ def test_it_stands_alone_and_pictures_have_words(whole):
     assert whole.text.count(EVIL) == 6
 
 
+@pytest.mark.extended
 def test_what_is_not_identifiable(open_fit):
     elements = Elements(page(open_fit, title="matte"))
     text = words(elements)

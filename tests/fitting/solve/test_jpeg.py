@@ -31,6 +31,7 @@ def about(words, fit):
     return any(words in warning for warning in fit.warnings)
 
 
+@pytest.mark.extended
 def test_a_file_that_is_known():
     fit = canonical.jpeg().fit
     assert np.all(np.abs(canonical.jpeg().pulls()) < 4) and not fit.warnings

@@ -105,7 +105,7 @@ def ours(problem: Problem, y: jax.Array) -> tuple:
 
 
 # The others compile as much, and are made of the same parts.
-BY_DEFAULT = ("one material", "priors and ties")
+BY_DEFAULT = ("priors and ties",)
 
 
 @pytest.mark.parametrize(

@@ -77,6 +77,7 @@ def test_checkered_exponents(fit):
     assert "shininess: " in str(fit)
 
 
+@pytest.mark.extended
 def test_what_was_found_is_a_scene(fit):
     truth = painted(diffuse=DIFFUSE, specular=SPECULAR, shininess=EXPONENT)
     for plain, true in list(zip(scenes(), truth, strict=True))[:4]:

@@ -142,6 +142,7 @@ def pulls(fit: pf.TextureFit, true=TRUE) -> np.ndarray:
     return ((fit.values["diffuse"][0] - true) / errors)[told]
 
 
+@pytest.mark.extended
 def test_numbers_at_vertices_and_a_shared_highlight(images, tmp_path):
     fit = fitted(scenes(), images)
     assert fit.converged and not fit.warnings, fit

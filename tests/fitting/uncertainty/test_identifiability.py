@@ -111,6 +111,7 @@ def test_everything_is_white():
     assert "all samples that are used are white" in warning
 
 
+@pytest.mark.extended
 def test_nearly_everything_is_white():
     """A few pixels below white tell little, and no more than that is stated."""
     bright = pf.Material((0.9, 0.8, 0.7), 0.5, 20.0, 1.0)

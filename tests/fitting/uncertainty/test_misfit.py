@@ -176,6 +176,7 @@ def test_one_channel_stored_thrice():
     assert looked_at(half).channel_correlation == pytest.approx(0.5, abs=0.05)
 
 
+@pytest.mark.extended
 def test_rounding_of_the_arithmetic_is_no_misfit():
     """What an image without noise leaves has a pattern, and means nothing."""
     scene = ball()

@@ -52,6 +52,7 @@ def test_noise_is_no_outlier(loss):
     assert not outlier_warnings(NOISY, loss)
 
 
+@pytest.mark.extended
 def test_what_the_loss_rejects_pulls_no_more():
     assert not canonical.robust().fit.warnings
 

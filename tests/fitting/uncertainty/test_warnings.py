@@ -53,6 +53,7 @@ def test_noise_given_right_beside_outliers():
     assert not said(pf.fit(SCENE, image, noise=NOISE, loss="tukey"), "noise that was")
 
 
+@pytest.mark.extended
 def test_images_that_were_cut_off_below_white():
     cut = np.minimum(NOISY, 0.6 * NOISY.max())
     fit = pf.fit(SCENE, np.round(cut * 65535) / 65535)
@@ -73,6 +74,7 @@ def test_a_bound_that_decides():
     assert said(dark, "Look for light that is missing from the image")
 
 
+@pytest.mark.extended
 def test_noise_that_few_samples_know():
     lights = [pf.DirectionalLight((1, 1, 2)), pf.DirectionalLight((0, 0, 1), 0.0)]
     bright = pf.Scene(SCENE.surface, SCENE.camera, lights, ambient=2.2)
