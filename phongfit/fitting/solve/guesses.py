@@ -103,13 +103,15 @@ def _spots(
     from scipy import ndimage
 
     spots, rest = [], excess.copy()
-    rows, columns = np.indices(excess.shape)
+    grid = np.indices(excess.shape)
     for _ in range(SPOTS):
-        peak = np.unravel_index(np.argmax(rest), rest.shape)
-        pieces, _ = ndimage.label(excess >= CORE * max(rest[peak], 0))
+        peak = divmod(int(np.argmax(rest)), rest.shape[1])
+        pieces = np.zeros(rest.shape, np.int32)
+        ndimage.label(excess >= CORE * max(rest[peak], 0), output=pieces)
         spot = pieces == pieces[peak] if pieces[peak] else rest == rest[peak]
         spots.append(spot.ravel())
-        away = np.hypot(rows - rows[spot].mean(), columns - columns[spot].mean())
+        middle = grid[:, spot].mean(axis=1)
+        away = np.linalg.norm(grid - middle[:, None, None], axis=0)
         rest[away <= APART * np.sqrt(spot.sum() / np.pi)] = -np.inf
     return spots
 
@@ -146,7 +148,9 @@ def guess_places(
     order = sorted({int(place[1]) for place in lights if place})
     entry = 0
     for parameter, place in zip(unknowns.parameters, lights, strict=True):
-        for row in range(len(parameter.rows)) if place else ():
+        for row in range(len(parameter.rows)):
+            if place is None:
+                break
             # What images share is guessed from the one whose spot is the brightest.
             k = row
             if not parameter.per_image:

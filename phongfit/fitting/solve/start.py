@@ -52,10 +52,15 @@ def choose_few(
     if sum(map(len, seen)) <= most:
         return None
     share = max(most // len(sources), 32)
-    bright = [None] * len(sources) if bright is None else bright
     return [
-        _few(source.pixels, pixels, share, int(near * share), own)
-        for source, pixels, own in zip(sources, seen, bright, strict=True)
+        _few(
+            source.pixels,
+            pixels,
+            share,
+            int(near * share),
+            None if bright is None else bright[k],
+        )
+        for k, (source, pixels) in enumerate(zip(sources, seen, strict=True))
     ]
 
 
