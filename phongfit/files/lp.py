@@ -39,13 +39,14 @@ class LightList(NamedTuple):
         return tuple(base_name(name) for name in self.names)
 
     def only(self, names: Sequence[str]) -> "LightList":
-        """The lights of some photographs, in their order: see [`match_names`][].
+        """The lights of some photographs, by their base names, in that order.
 
         **Raises:** `ValueError` for a photograph that the list does not name.
         """
-        places = []
-        for name, place in zip(names, match_names(names, self.names)[0], strict=True):
-            if place is None:
+        places, match = [], match_names(names, self.names)
+        for name, place in zip(names, match.places, strict=True):
+            # A match by number or order needs a note, for which there is no place here.
+            if place is None or match.note:
                 raise ValueError(
                     f"lights: expected one for each image, got none for {name}"
                 )

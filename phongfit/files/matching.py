@@ -25,9 +25,9 @@ def base_name(name: str) -> str:
 def match_names(names: Sequence[str], others: Sequence[str]) -> Match:
     """Partners of photographs in a list of other names.
 
-    By base name, whatever the case of its letters. Where no name at all is in the list,
-    by the last number in each name, and where that fails, by order if the counts agree:
-    a list of lamps often comes with another object's photographs.
+    Names are compared without folders and case. If none agrees, as with the lamps of
+    another object's photographs, the last numbers in the names are compared. If these
+    differ too, photographs are matched by order, provided that the counts agree.
     """
     wanted, there = ([base_name(name) for name in some] for some in (names, others))
     exact = {name: k for k, name in enumerate(there)}
@@ -45,7 +45,7 @@ def match_names(names: Sequence[str], others: Sequence[str]) -> Match:
 
 
 def _numbers(names: Sequence[str]) -> list[int] | None:
-    """The last number in each name; `None` unless each has one of its own."""
+    """The last number in each name; `None` if one is missing or comes twice."""
     found = [re.findall(r"\d+", PurePosixPath(name).stem) for name in names]
     if not all(found):
         return None

@@ -143,12 +143,6 @@ def mesh() -> Solved:
 
 
 @functools.cache
-def normal_map() -> Solved:
-    """A flat plate in parallel light: one colour everywhere, ten unknowns."""
-    return solved(plate_scene(), truth())
-
-
-@functools.cache
 def jpeg() -> Solved:
     """A photograph that went through a file, whose tables are known."""
     scene, material = ball(size=JPEG_SIZE), truth()
