@@ -94,6 +94,7 @@ class Region:
         shares = np.where(logarithmic, moved / np.where(logarithmic, values, 1), 0)
         ends = np.where(logarithmic, values * np.exp(shares), values + moved)
         ends = np.where(self.open_ended[:, None], self.bounds, ends)
-        slack = ROUNDED * (np.abs(values) + np.abs(self.bounds))
+        finite = np.where(np.isfinite(self.bounds), self.bounds, 0)
+        slack = ROUNDED * (np.abs(values) + np.abs(finite))
         ends = np.where(np.abs(ends - self.bounds) <= slack, self.bounds, ends)
         return np.clip(ends, self.bounds[:, :1], self.bounds[:, 1:])
