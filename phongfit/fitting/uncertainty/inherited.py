@@ -39,9 +39,9 @@ from phongfit.programs import program
 from phongfit.rendering.pixels import PixelTerms, pixel_terms, resolve_terms
 from phongfit.scene import Scene
 
-# Steps towards the least, and the length of one, in standard deviations of what was
-# known before, that is not worth another.
-ROUNDS, SMALL = 4, 0.02
+# Steps towards the least, how often one that overshoots is halved, and the length of
+# one, in standard deviations of what was known before, that is not worth another.
+STEPS, HALVED, SMALL = 12, 6, 0.02
 # Share of the largest variance below which one is rounding.
 ROUNDING = 1e-9
 
@@ -69,8 +69,7 @@ def refine(
 ) -> Refined:
     """The least cost of images and of what was known before, together.
 
-    A step that both like less is not taken: a start that is far off is left where it
-    was.
+    A step that overshoots, since the images are far from linear in it, is halved.
 
     **Arguments:**
 
@@ -80,25 +79,18 @@ def refine(
     root = _root(nuisance, found.problem, found.y)
     moved = np.zeros(root.shape[1]) if moved is None else moved
     best = Refined(found, sources, moved)
-    for _ in range(ROUNDS):
+    for _ in range(STEPS):
         problem, y = best.found.problem, best.found.y
         seen = _look(problem, y, nuisance, root, best.moved, scores)
         step = -seen.covariance @ (best.moved + seen.pull)
-        moved = best.moved + step
-        scenes = _scenes(problem, y, nuisance, root @ moved, best.sources)
-        samples = _moved(problem.samples, scenes)
-        there = search_on(
-            dataclasses.replace(best.found, problem=problem),
-            samples,
-            noise_given,
-            max_steps,
-        )
-        # At the same noise, since less of it makes residuals larger.
-        again = dataclasses.replace(there.problem, sigma=problem.sigma)
-        better = _cost(again, there.y) < _cost(problem, y)
-        if not (better or moved @ moved < best.moved @ best.moved):
+        for _ in range(HALVED):
+            there = _moved_by(step, best, nuisance, root, noise_given, max_steps)
+            if _is_better(there, best):
+                break
+            step = step / 2
+        else:
             break
-        best = Refined(there, best.sources, moved)
+        best = there
         if np.abs(step).max(initial=0) < SMALL:
             break
     scenes = _scenes(
@@ -106,6 +98,32 @@ def refine(
     )
     pairs = zip(sources, scenes, strict=True)
     return best._replace(sources=[_in_scene(*pair) for pair in pairs])
+
+
+def _moved_by(
+    step: Float[np.ndarray, " k"],
+    before: Refined,
+    nuisance: Nuisance,
+    root: Float[np.ndarray, "m k"],
+    noise_given: bool,
+    max_steps: int,
+) -> Refined:
+    """The fit in scenes that differ by `step` from those of `before`."""
+    problem, moved = before.found.problem, before.moved + step
+    scenes = _scenes(problem, before.found.y, nuisance, root @ moved, before.sources)
+    found = search_on(
+        before.found, _moved(problem.samples, scenes), noise_given, max_steps
+    )
+    return Refined(found, before.sources, moved)
+
+
+def _is_better(there: Refined, before: Refined) -> bool:
+    """Images or what was known before are explained better."""
+    problem = before.found.problem
+    # At the same noise, since less of it makes residuals larger.
+    again = dataclasses.replace(there.found.problem, sigma=problem.sigma)
+    better = _cost(again, there.found.y) < _cost(problem, before.found.y)
+    return bool(better or there.moved @ there.moved < before.moved @ before.moved)
 
 
 def with_samples_of(refined: SearchResult, first: SearchResult) -> SearchResult:

@@ -76,6 +76,38 @@ def test_a_lamp_is_brought_to_what_the_images_say():
 
 
 @pytest.mark.extended
+def test_a_lamp_far_from_where_it_was_said_to_be():
+    """Over two of its errors away, where light is far from linear in its place."""
+    random = np.random.default_rng(1057)
+    spread = np.random.default_rng(8).normal(size=(3, 3)) * 0.06
+    place = np.array([0.8, 0.9, 2.2])
+    said = place + spread @ random.normal(size=3)
+    camera = pf.OrthographicCamera(32, 32, view_height=2.2)
+    true, start = (
+        pf.Scene(
+            pf.Sphere(),
+            camera,
+            pf.PointLight(at, attenuation=(0.5, 0.0, 0.3)),
+            ambient=0.3,
+        )
+        for at in (place, said)
+    )
+    material, free = (
+        pf.Material((0.6, 0.3, 0.2), 0.3, 30.0, 1 / 3),
+        pf.Film(clamp=False),
+    )
+    image = np.asarray(pf.render(true, material, film=free))
+    image = image + 0.03 * random.normal(size=image.shape)
+    uncertain = {"scene.lights[0].position": spread @ spread.T}
+    found = pf.fit(start, image, film=free, uncertain=uncertain)
+    assert found.converged and not found.warnings
+    off = np.asarray(found.scene.lights[0].position) - place
+    assert off @ np.linalg.solve(spread @ spread.T, off) < 9
+    for label, value in (("shininess", 30.0), ("diffuse.red", 0.6)):
+        assert abs(found[label].value - value) < 4 * found[label].error < 0.4 * value
+
+
+@pytest.mark.extended
 def test_errors_that_hang_together():
     near = [
         pf.PointLight(5 * a / np.linalg.norm(a), attenuation=(0, 0, 1 / 25))
