@@ -75,6 +75,18 @@ def test_jpeg_files_are_said_to_err_alike():
     assert [pf.warning_code(words) for words in fit.warnings] == ["jpeg-texels"]
 
 
+@pytest.mark.parametrize("texel", [(), ("specular",), ("shininess",)])
+def test_a_matte_surface_has_no_exponent(texel):
+    images = photographs(painted(diffuse=TRUE), matte())
+    shared = tuple(name for name in ("specular", "shininess") if name not in texel)
+    fit = fitted(images, textures=("diffuse", *texel), unknowns=shared)
+    assert "no-highlight" in map(pf.warning_code, fit.warnings)
+    hidden = [one.label for one in fit.shared if not np.isfinite(one.stderr)]
+    assert hidden == (["specular"] if "shininess" in texel else ["shininess"])
+    if "shininess" in texel:
+        assert np.isinf(fit.stderr["shininess"]).all()
+
+
 def test_images_without_noise():
     fit = fitted(photographs(painted(diffuse=TRUE), shiny(), 0.0))
     assert fit.converged and fit.steps < 15, fit

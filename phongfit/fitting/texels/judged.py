@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from phongfit.codes import coded
 from phongfit.fitting.problem.losses import Linear
@@ -13,7 +13,13 @@ from phongfit.fitting.texels.job import IDENTIFIED, Few, Job, State
 from phongfit.fitting.texels.lit import BASIS, before_rounding
 from phongfit.fitting.texels.result import CHANNELS, Shared, TextureFit, as_textures
 from phongfit.fitting.texels.steps import LEAST, System
+from phongfit.fitting.uncertainty.identifiability import (
+    SEEN,
+    not_identifiable,
+    stands_out,
+)
 from phongfit.fitting.uncertainty.misfit import Misfit, find_misfit
+from phongfit.fitting.uncertainty.quantiles import chi_squared_reach
 from phongfit.fitting.uncertainty.tiles import (
     Measured,
     Tiles,
@@ -61,13 +67,16 @@ def judge(
     errors = [
         np.sqrt(np.where(v < IDENTIFIED**2, v * inflation, np.inf)) for v in variances
     ]
-    textures = as_textures(job, job.vectors(state)), as_textures(job, errors)
+    values, stderr = as_textures(job, job.vectors(state)), as_textures(job, errors)
     if "shininess" in job.names:
-        values, stderr = textures
         values["shininess"] = np.exp(values["shininess"])
         stderr["shininess"] *= values["shininess"]
     few_errors = np.sqrt(np.where(np.diag(identified), np.diag(covariance), np.inf))
     few_errors = few_errors * np.sqrt(inflation)
+    unseen = _unseen(job, state, covariance * inflation, values, stderr)
+    few_errors[unseen] = np.inf
+    if "shininess" in job.names:
+        stderr["shininess"][_exponents_unseen(job, unseen, values, stderr)] = np.inf
     numbers = {name: value.copy() for name, value in state.numbers.items()}
     for name in job.names:
         numbers[name][:] = 1
@@ -78,7 +87,8 @@ def judge(
         error = few_errors[k] * (value if one.name == "shininess" else 1)
         shared.append(Shared(_label(job, one), value, float(error)))
     return TextureFit(
-        *textures,
+        values,
+        stderr,
         seen,
         Material(
             **{name: numbers[name] for name in BASIS},
@@ -95,7 +105,19 @@ def judge(
         steps,
         tuple(
             _warnings(
-                job, misfit, spread, converged, shared, freedom, total, noise_given
+                job,
+                misfit,
+                spread,
+                converged,
+                [
+                    one.label
+                    for one, hidden in zip(shared, unseen, strict=True)
+                    if hidden
+                ],
+                shared,
+                freedom,
+                total,
+                noise_given,
             )
         ),
         job.grid,
@@ -114,6 +136,75 @@ def _few_covariance(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     inverse = (vectors / np.where(vague, np.inf, values)) @ vectors.T
     identified = ~lost & there
     return inverse / np.outer(scale, scale), np.outer(identified, identified)
+
+
+def _unseen(
+    job: Job,
+    state: State,
+    covariance: Float[np.ndarray, "k k"],
+    values: dict[str, np.ndarray],
+    stderr: dict[str, np.ndarray],
+) -> Bool[np.ndarray, " k"]:
+    """Shared numbers of highlights that chance explains as well, as in [`fit`][].
+
+    These are exponents where specular is 0 within its error. Where texels have their
+    own exponents, chance chooses each of them: then specular, which depends on them, is
+    unseen too.
+
+    **Arguments:** `covariance`: of the shared numbers. `values`, `stderr`: of the
+    textures.
+    """
+    unseen = np.zeros(len(job.few), bool)
+    chosen = job.grid.texels // job.grid.layers if "shininess" in job.names else 0
+    for material in {one.material for one in job.few}:
+        own = [k for k, one in enumerate(job.few) if one.material == material]
+        shares = [k for k in own if job.few[k].name == "specular"]
+        if "specular" in job.names:
+            layer = min(material, len(values["specular"]) - 1)
+            seen = _any_texel(values["specular"][layer], stderr["specular"][layer])
+        elif shares:
+            height = np.array([state.value(job.few[k]) for k in shares])
+            together = covariance[np.ix_(shares, shares)]
+            seen = stands_out(height, together, SEEN, chosen)
+        else:
+            seen = state.numbers["specular"][material].any()
+        depend = {"shininess", "specular"} if chosen else {"shininess"}
+        unseen[[k for k in own if job.few[k].name in depend]] = not seen
+    return unseen
+
+
+def _any_texel(height: np.ndarray, error: np.ndarray) -> bool:
+    """Whether a texel is higher than chance makes any of them, or all together are."""
+    known = np.isfinite(error)
+    if not known.any():
+        return False
+    deviations = height[known] / error[known]
+    count = len(deviations)
+    highest = np.sqrt(SEEN**2 + 2 * np.log(count))
+    together = np.sum(deviations**2) >= chi_squared_reach(SEEN, count)
+    return bool(deviations.max() >= highest or together)
+
+
+def _exponents_unseen(
+    job: Job,
+    unseen: Bool[np.ndarray, " k"],
+    values: dict[str, np.ndarray],
+    stderr: dict[str, np.ndarray],
+) -> Bool[np.ndarray, "layers *places 1"]:
+    """Texels whose own exponents belong to highlights that chance explains as well."""
+    hidden = np.zeros(values["shininess"].shape, bool)
+    if "specular" in job.names:
+        with np.errstate(invalid="ignore"):
+            deviations = values["specular"] / stderr["specular"]
+        together = np.sum(deviations**2, axis=-1, keepdims=True)
+        return together < chi_squared_reach(SEEN, deviations.shape[-1])
+    shares = [k for k, one in enumerate(job.few) if one.name == "specular"]
+    if len(hidden) == 1:
+        hidden[0] = bool(shares) and unseen[shares].all()
+        return hidden
+    for k in shares:
+        hidden[job.few[k].material] = unseen[k]
+    return hidden
 
 
 def _label(job: Job, one: Few) -> str:
@@ -178,6 +269,7 @@ def _warnings(
     misfit: Misfit,
     spread: float,
     converged: bool,
+    unseen: list[str],
     shared: list[Shared],
     freedom: float,
     total: int,
@@ -192,7 +284,15 @@ def _warnings(
                 "Raise max_steps, or ask for fewer unknowns",
             )
         )
+    if unseen:
+        words.append(
+            coded(
+                "no-highlight",
+                f"{not_identifiable(unseen)}: no highlight stands out",
+            )
+        )
     lost = [one.label for one in shared if not np.isfinite(one.stderr)]
+    lost = [label for label in lost if label not in unseen]
     if lost:
         words.append(
             coded(

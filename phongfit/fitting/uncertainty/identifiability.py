@@ -152,10 +152,10 @@ def doubtful_exponents(
         height = position[group[colours]]
         exponents = own & (parameters == "shininess")
         together = covariance[np.ix_(colours, colours)]
-        if _stands_out(height, together, PLAIN):
+        if stands_out(height, together, PLAIN):
             plain = True
             continue
-        if _stands_out(height, together, SEEN) or _cannot_be_none(
+        if stands_out(height, together, SEEN) or _cannot_be_none(
             unknowns, position, part, group, colours
         ):
             faint |= exponents
@@ -171,19 +171,23 @@ def doubtful_exponents(
     return unseen, faint
 
 
-def _stands_out(
+def stands_out(
     height: Float[np.ndarray, " k"],
     covariance: Float[np.ndarray, "k k"],
     deviations: float,
+    chosen: int = 0,
 ) -> bool:
-    """Whether any is so many standard errors high, or all are, which is as rare."""
+    """Whether any is so many standard errors high, or all are, which is as rare.
+
+    **Arguments:** `chosen`: how many other numbers were chosen to make them stand out.
+    """
     if not len(height):
         return False
     error = np.sqrt(np.maximum(np.diag(covariance), 0))
-    if np.any(height >= deviations * error):
+    if not chosen and np.any(height >= deviations * error):
         return True
     distance = height @ np.linalg.pinv(covariance, hermitian=True) @ height
-    return bool(distance >= chi_squared_reach(deviations, len(height)))
+    return bool(distance >= chi_squared_reach(deviations, len(height) + chosen))
 
 
 def _cannot_be_none(
