@@ -113,8 +113,8 @@ class Response:
     """What [`fit_response`][] found.
 
     - `curve`: to be given wherever an encoding is asked for.
-    - `error`: standard errors of its samples, next to the light of the largest number
-        that was seen: how bright all light is does not matter.
+    - `error`: standard errors of its samples over the light of the largest number that
+        was seen, since how bright all light is does not matter.
     - `seen`: smallest and largest number that the photographs show; beyond them the
         curve only goes on smoothly.
     - `checks`: of the encodings that have a name.
@@ -137,14 +137,15 @@ class Response:
 
     def __str__(self) -> str:
         lines = [f"{name:<7} {check}" for name, check in self.checks.items()]
-        lines += ["", "number   light ± error"]
+        low, high = self.seen
+        lines += ["", f"number   light ± error, of that of {high:.3f}"]
         numbers = np.linspace(0, 1, len(self.error))
+        light = np.asarray(self.curve.light)
+        light = light / np.interp(high, numbers, light)
         for at in np.linspace(0, len(numbers) - 1, 11).round().astype(int)[1:]:
-            low, high = self.seen
             note = "" if low <= numbers[at] <= high else "  (not seen)"
             lines.append(
-                f"{numbers[at]:6.3f}  {self.curve.light[at]:.4f} ± {self.error[at]:.4f}"
-                f"{note}"
+                f"{numbers[at]:6.3f}  {light[at]:.4f} ± {self.error[at]:.4f}{note}"
             )
         lines += [f"warning: {warning}" for warning in self.warnings]
         return "\n".join(lines)
@@ -347,6 +348,15 @@ def _as_mask(mask: Any, size: tuple[int, ...]) -> Bool[np.ndarray, "height width
     return found
 
 
+def _raised(number: np.ndarray, sigma: float) -> np.ndarray:
+    """By how much black, which cuts noise off, raises the mean of numbers."""
+    from scipy.special import ndtr
+
+    at = number / sigma
+    density = np.exp(-(at**2) / 2) / np.sqrt(2 * np.pi)
+    return sigma * (density - at * ndtr(-at))
+
+
 class _Solver:
     """The least-squares problem; unknowns are the spline's numbers."""
 
@@ -375,6 +385,8 @@ class _Solver:
         self.used[samples.share == 0] = 1
         self.rise = np.ones(len(number))
         self.sigma, self.stiff = 0.01, 1.0
+        # Numbers without what black cuts off, which raises their mean.
+        self.number = number
 
     def curve(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Light and its slope on the grid."""
@@ -384,10 +396,15 @@ class _Solver:
         light = np.concatenate([[0], np.cumsum(steps)])
         return light / light[-1], slope / light[-1]
 
-    def errors(self, light: np.ndarray) -> Float[np.ndarray, " n"]:
-        """Of numbers, for a curve's light on the grid."""
+    def errors(
+        self, light: np.ndarray, least_room: float = 0.0
+    ) -> Float[np.ndarray, " n"]:
+        """Of numbers, for the light of a curve and of a room with at least this."""
         samples, q = self.samples, self.samples.share
-        found = np.interp(samples.number, self.grid, light)
+        # Below black it goes on straight: corrected numbers lie there.
+        first = light[1] / self.grid[1]
+        found = np.interp(self.number, self.grid, light)
+        found = found + np.minimum(self.number, 0) * first
         weight = self.used / self.rise**2
 
         def sums(values: np.ndarray) -> np.ndarray:
@@ -396,31 +413,46 @@ class _Solver:
         squares = np.maximum(sums(weight * q * q), 1e-300)
         products, room = sums(weight * q * found), 0.0
         if samples.room:
-            # The room's light, once strengths follow it; there is no less than none.
+            # The room's light, once strengths follow it.
             crossed = sums(weight * q)
             top = np.sum(weight * found) - np.sum(products * crossed / squares)
             bottom = np.sum(weight) - np.sum(crossed**2 / squares)
-            room = max(top / bottom, 0.0) if bottom > 0 else 0.0
+            room = max(top / bottom, least_room) if bottom > 0 else 0.0
             products = products - room * crossed
         told = (products / squares)[samples.group] * q + room
-        return samples.number - np.interp(told, light, self.grid)
+        expected = np.interp(told, light, self.grid) + np.minimum(told, 0) / first
+        return self.number - expected
 
     def response(self) -> Response:
         """The curve that explains the samples best, and what is known of it."""
         theta = self._solve()
         rest = self.errors(self.curve(theta)[0])
-        jacobian = self._jacobian(theta, rest)
+        # Where there is hardly any light of the room, it is uncertain all the same.
+        free = self.errors(self.curve(theta)[0], -np.inf)
+        jacobian = self._jacobian(theta, free, -np.inf)
+        lit = self._lit(self.number - rest)
+        count, freedom = np.count_nonzero(lit), self._freedom(lit) - SPLINES
+        u = rest / (TUKEY * self.sigma)
+        scores = self.used * rest
+        slope = np.where(lit & (np.abs(u) < 1), (1 - u**2) * (1 - 5 * u**2), 0)
+        # Huber, *Robust statistics*, 1981, section 7.6: what weights cost.
+        variance = np.sum(scores**2) / freedom / (np.sum(slope) / count) ** 2
         data = jacobian.T @ (self.used[:, None] * jacobian)
-        bread = np.linalg.inv(data + self._held())
-        # Of scores by blocks: neighbours err together.
+        known = np.linalg.solve(data + self._held(), data)
+        # Neighbours err together: by how much more scores of blocks vary.
         _, block = np.unique(self.samples.block, return_inverse=True)
-        scores = np.zeros((block.max() + 1, SPLINES))
-        np.add.at(scores, block, (self.used * rest)[:, None] * jacobian)
-        known = bread @ data
-        plain = self.sigma**2 * float(np.trace(known @ known))
-        inflation = float(np.trace(known @ bread @ (scores.T @ scores))) / plain
-        variance = max(inflation, 1.0) * self.sigma**2
-        return self._result(theta, variance, variance * bread, float(np.trace(known)))
+        each = scores[:, None] * jacobian
+        together = np.zeros((block.max() + 1, SPLINES))
+        np.add.at(together, block, each)
+        bread = known @ np.linalg.inv(data + self._held())
+        alone = np.trace(bread @ each.T @ each)
+        inflation = float(np.trace(bread @ together.T @ together) / alone)
+        weight = np.sum(self.used) / count
+        variance = weight * variance * max(inflation, 1.0)
+        covariance = np.linalg.inv(
+            data / variance + self.stiff * self.smooth.T @ self.smooth
+        )
+        return self._result(theta, variance, covariance, float(np.trace(known)))
 
     def _result(
         self, theta: np.ndarray, variance: float, covariance: np.ndarray, freedom: float
@@ -437,10 +469,8 @@ class _Solver:
         def shape(at: np.ndarray) -> np.ndarray:
             """Of a curve, since how bright all light is does not matter."""
             other = self.curve(at)[0]
-            scale = np.interp(high, self.grid, light) / np.interp(
-                high, self.grid, other
-            )
-            return scale * np.interp(numbers, self.grid, other)
+            at_high = np.interp(high, self.grid, other)
+            return np.interp(numbers, self.grid, other) / at_high
 
         moved = [shape(theta + step) - shape(theta) for step in 1e-4 * np.eye(SPLINES)]
         slopes = np.array(moved).T / 1e-4
@@ -466,14 +496,28 @@ class _Solver:
                     break
             light, slope = self.curve(theta)
             rest = self.errors(light)
-            told = self.samples.number - rest
-            lit = self._inside(told) | (self.samples.share == 0)
-            self.sigma = max(1.4826 * float(np.median(np.abs(rest[lit]))), 1e-5)
+            told = self.number - rest
+            lit = self._lit(told)
+            # Of shadows black may have cut half off.
+            typical = np.median(np.abs(rest[lit & (self.samples.share > 0)]))
+            lost = np.sqrt(np.count_nonzero(lit) / self._freedom(lit))
+            self.sigma = max(1.4826 * float(typical * lost), 1e-5)
+            self.number = self.samples.number - _raised(told, self.sigma)
+            rest = self.number - told
             tukey = np.clip(1 - (rest / (TUKEY * self.sigma)) ** 2, 0, None) ** 2
             # At first no curve is near enough to say what is an outlier.
             self.used = np.where(lit, tukey if number >= ROUNDS // 2 else 1.0, 0)
             self.rise = np.interp(np.maximum(told, DARKEST), self.grid, slope)
         return theta
+
+    def _lit(self, told: np.ndarray) -> np.ndarray:
+        """Samples that count: shadows, and what is neither black nor white."""
+        return self._inside(told) | (self.samples.share == 0)
+
+    def _freedom(self, lit: np.ndarray) -> int:
+        """Samples that count, less the strengths found from them; 1 at the least."""
+        strengths = np.unique(self.samples.group[lit & (self.samples.share > 0)])
+        return max(int(np.count_nonzero(lit)) - len(strengths) - self.samples.room, 1)
 
     def _inside(self, told: np.ndarray) -> np.ndarray:
         """Which samples are neither black nor white.
@@ -496,11 +540,14 @@ class _Solver:
             starts.append((float(np.median(rest)), theta))
         return min(starts, key=lambda start: start[0])[1]
 
-    def _jacobian(self, theta: np.ndarray, here: np.ndarray) -> np.ndarray:
+    def _jacobian(
+        self, theta: np.ndarray, here: np.ndarray, least_room: float = 0.0
+    ) -> np.ndarray:
         """Of errors that are `here` at these numbers."""
         step = 1e-4
         moved = [
-            self.errors(self.curve(theta + one)[0]) for one in step * np.eye(SPLINES)
+            self.errors(self.curve(theta + one)[0], least_room)
+            for one in step * np.eye(SPLINES)
         ]
         return (np.array(moved) - here).T / step
 
