@@ -5,7 +5,6 @@
     non-Lambertian and uncalibrated photometric stereo*, TPAMI 41(2), 2019.
 """
 
-import io
 import math
 import os
 from pathlib import Path
@@ -25,6 +24,7 @@ from phongfit.files.inputs import (
     read_text,
     reason,
 )
+from phongfit.files.matlab import read_matrix
 from phongfit.geometry.cameras import OrthographicCamera
 from phongfit.geometry.surfaces import NormalMap
 from phongfit.lights import DirectionalLight
@@ -32,7 +32,6 @@ from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
 NORMALS = "Normal_gt"
-NUMBERS = ("double", "single", *(f"{u}int{n}" for n in (8, 16, 32) for u in ("", "u")))
 
 
 def is_diligent(folder: Path) -> bool:
@@ -125,30 +124,11 @@ def _sound(intensities: np.ndarray) -> np.ndarray:
 
 
 def _read_surface(folder: Path, mask: Bool[np.ndarray, "height width"]) -> NormalMap:
-    # Here, since SciPy takes long to import.
-    import scipy.io
-
     path = inside(folder, "Normal_gt.mat")
     data, wanted = read_bytes(path), (*mask.shape, 3)
+    afford(len(data) + 2 * 8 * math.prod(wanted), "normals")
     try:
-        # Asked first: a small file can hold very many equal numbers.
-        found = [one for one in scipy.io.whosmat(io.BytesIO(data)) if one[0] == NORMALS]
-        if len(found) != 1 or found[0][1] != wanted or found[0][2] not in NUMBERS:
-            got = " and ".join(
-                f"{shape}" if kind in NUMBERS else f"a {kind}"
-                for _, shape, kind in found
-            )
-            raise ValueError(
-                f"{NORMALS}: expected numbers of shape {wanted}, as mask.png has, got "
-                f"{got or None}"
-            )
-        afford(len(data) + 2 * 8 * math.prod(wanted), "normals")
-        held = scipy.io.loadmat(io.BytesIO(data), variable_names=[NORMALS])
-        return NormalMap(held[NORMALS], mask)
-    except MemoryError as error:
-        # There is room for what it holds; it says within that there is more.
-        words = "is broken: its parts are larger than it says that the whole is"
-        raise ValueError(f"{path}: {words}") from error
+        return NormalMap(read_matrix(data, NORMALS, wanted), mask)
     except Exception as error:
         # A broken file makes this reader raise nearly anything.
         raise ValueError(f"{path}: {reason(error)}") from error

@@ -1,6 +1,7 @@
 """Data sets in our own layout and in DiLiGenT's."""
 
 import dataclasses
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -284,7 +285,13 @@ def test_diligent_of_unequal_sizes(diligent):
     scipy.io.savemat(diligent / "Normal_gt.mat", {"Normal_gt": normals})
     _check_error(diligent, "Normal_gt.mat: Normal_gt: expected ... got (3, 3, 3)")
     scipy.io.savemat(diligent / "Normal_gt.mat", {"normals": normals})
-    _check_error(diligent, "Normal_gt.mat: Normal_gt: expected ... got None")
+    _check_error(diligent, "Normal_gt.mat: Normal_gt: expected ... got none")
+    # Where the type of the numbers stood; SciPy's reader would end the process.
+    file = io.BytesIO()
+    scipy.io.savemat(file, {"Normal_gt": np.ones((2, 3, 3))})
+    data = file.getvalue()
+    (diligent / "Normal_gt.mat").write_bytes(data[:193] + data[197:])
+    _check_error(diligent, "Normal_gt.mat: ")
 
 
 def test_real_photographs():
