@@ -49,7 +49,7 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "bulging-normals": "Try the lights with y (or x) of the opposite sign",
         "broad-highlights": "Let pixels share their highlight (materials=1, or as many "
         "as the object has), or bound it (shininess from 15)",
-        "pixels-misplaced": "Fit in more passes (passes=3), or give the scenes the "
+        "pixels-misplaced": "Fit in more passes (passes=5), or give the scenes the "
         "object's own surface",
         "materials-run-out": "Give their number (materials=1), or make ambient one of "
         "the unknowns if the room was not dark",

@@ -38,9 +38,9 @@ BROADEST = 3.0
 """Exponent below which a lobe that pixels share looks like matte light."""
 
 
-MISPLACED = 3.0
-"""Errors of directions to near lamps that are reported, in median standard errors of
-the normals."""
+MISPLACED, MISPLACED_DEGREES = 3.0, 2.0
+"""Errors of directions to near lamps that are reported: in median standard errors of
+the normals, or of so many degrees if these are less. A wrong model raises both."""
 
 
 class ParameterMaps(NamedTuple):
@@ -330,7 +330,8 @@ class Maps:
             )
             found.append(coded("broad-highlights", words))
         stated = np.median(self.normals_stderr[sought]) if sought.any() else np.inf
-        if self.misplacement > MISPLACED * stated:
+        most = min(MISPLACED * stated, max(stated, MISPLACED_DEGREES))
+        if self.misplacement > most:
             words = (
                 "directions to the near lamps are off by "
                 f"{self.misplacement:.1f}° (root mean square), since pixels were taken "

@@ -226,7 +226,7 @@ def test_a_robust_loss_says_misfit():
     wrong[::2, :4] *= dtype().type(0.5)
     maps = pf.fit_maps(stack.scenes, wrong, **TUKEY)
     misfit = maps.flagged(Flag.MISFIT)
-    assert misfit[:4].mean() > 0.9 and not misfit[4:].any()
+    assert misfit[:4].mean() > 0.8 and not misfit[4:].any()
 
 
 @pytest.mark.slow
