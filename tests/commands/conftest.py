@@ -60,7 +60,7 @@ def files_in(folder: Path) -> dict[Path, bytes]:
 
 
 @pytest.fixture
-def asked_of(monkeypatch) -> Callable[..., tuple[tuple, dict[str, Any]]]:
+def asked_of(monkeypatch, tmp_path) -> Callable[..., tuple[tuple, dict[str, Any]]]:
     """Arguments that a command calls a function with, which is not called."""
 
     def asked(place: str, *words: object) -> tuple[tuple, dict[str, Any]]:
@@ -72,6 +72,7 @@ def asked_of(monkeypatch) -> Callable[..., tuple[tuple, dict[str, Any]]]:
 
         with monkeypatch.context() as patch:
             patch.setattr(place, stop)
+            patch.chdir(tmp_path)
             assert main([*map(str, words)]) == 130
         (call,) = heard
         return call
