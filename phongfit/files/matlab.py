@@ -6,6 +6,7 @@ SciPy's reader ends the process where the type of an array's numbers is damaged.
     The MathWorks, *MAT-File Format*, version 5 (1996).
 """
 
+import itertools
 import zlib
 from collections.abc import Iterator
 
@@ -32,8 +33,11 @@ def read_matrix(data: bytes, name: str, shape: tuple[int, ...]) -> np.ndarray:
     room = HEAD + 8 * int(np.prod(shape))
     for kind, part in _elements(data[128:], order):
         if kind == COMPRESSED:
-            part = zlib.decompressobj().decompress(part, room)
-            kind, part = next(_elements(part, order, cut=True))
+            try:
+                part = zlib.decompressobj().decompress(part, room)
+            except zlib.error as error:
+                raise ValueError(f"is broken: {error}") from error
+            kind, part = _first(1, part, order)[0]
         if kind != MATRIX:
             continue
         found = _numbers(part, name, shape, order)
@@ -64,12 +68,18 @@ def _elements(
         at = after
 
 
+def _first(count: int, data: bytes, order: str) -> list[tuple[int, bytes]]:
+    found = list(itertools.islice(_elements(data, order, cut=True), count))
+    if len(found) < count:
+        raise ValueError("is broken: a part is missing")
+    return found
+
+
 def _numbers(
     part: bytes, name: str, shape: tuple[int, ...], order: str
 ) -> np.ndarray | None:
     """An array, if it has this name."""
-    head = _elements(part, order, cut=True)
-    (_, flags), (_, dims), (_, own) = (next(head) for _ in range(3))
+    (_, flags), (_, dims), (_, own), (kind, data) = _first(4, part, order)
     if own.decode("latin-1") != name:
         return None
     flags = int(np.frombuffer(flags, f"{order}u4", 1)[0])
@@ -78,7 +88,6 @@ def _numbers(
     if found != shape or not numeric:
         got = f"{found}" if numeric else "no real numbers"
         raise ValueError(f"{name}: expected numbers of shape {shape}, got {got}")
-    kind, data = next(head)
     if kind not in NUMBERS:
         raise ValueError(f"{name}: is broken: its numbers are of no known type")
     values = np.frombuffer(data, f"{order}{NUMBERS[kind]}")
