@@ -110,6 +110,7 @@ from .maps.pixel.flags import Flag as Flag
 from .maps.result import (
     BasisMaterials as BasisMaterials,
     Maps as Maps,
+    Strengths as Strengths,
     load_maps as load_maps,
 )
 from .maps.run import fit_maps as fit_maps

@@ -25,6 +25,7 @@ from phongfit.files.outputs import OVERWRITE, replacing, replacing_folder
 from phongfit.files.schema import describe_material
 from phongfit.files.zarrs import is_store
 from phongfit.fitting.fit import fit
+from phongfit.fitting.problem.parameters import EXPOSURE
 from phongfit.maps.folder import (
     ARRAYS_FILE,
     NORMALS_FILE,
@@ -78,6 +79,10 @@ class Options:
         passes: With --normals fit: how often. Each pass after the first knows from the
             last where the surface is, how far from near lamps, and what lies in its
             shadow. Default: 3 with near lamps, else 2; from or to zarr 1 alone.
+        strengths: With --normals fit: how strong the light of each photograph is. fit:
+            a number for each, of which only ratios can be found; fit_per_channel: one
+            for each channel. Default: fit with a lights.json that has no strengths
+            (no matte sphere was seen), else given.
         unknowns: Parameters to be found, of ambient diffuse specular shininess.
             Default: all of them; with --normals fit all but ambient.
         per_channel: Which of them differ between red, green and blue; with shininess,
@@ -103,6 +108,7 @@ class Options:
     highlight: Literal["own", "shared"] = "own"
     materials: Annotated[str | None, optional("N|auto")] = None
     passes: Annotated[int | None, optional("N")] = None
+    strengths: Literal["given", "fit", "fit_per_channel"] | None = None
     unknowns: Annotated[tuple[str, ...] | None, optional("NAME ...")] = None
     per_channel: Names = ("ambient", "diffuse", "specular")
     known: Annotated[str | None, optional("preset:NAME|FILE")] = None
@@ -148,6 +154,8 @@ def main(options: Options) -> int:
         tell(stack.photographs.notes)
         if options.passes is None and options.data.sought:
             given["passes"] = usual_passes(stack.photographs.scenes)
+        if options.strengths is None and _lacks_strengths(options, stack):
+            given["strengths"] = "fit"
         if options.highlight == "shared":
             known = _shared(stack.photographs, given)
             given |= {"known": known, "unknowns": SHARED}
@@ -231,7 +239,15 @@ def arguments(options: Options) -> dict[str, Any]:
         "normals": "fit" if sought else "given",
         "materials": _number(options.materials),
         "passes": 1 if options.passes is None else options.passes,
+        "strengths": options.strengths or "given",
     }
+
+
+def _lacks_strengths(options: Options, stack: DatasetStack) -> bool:
+    """Whether a calibration saw lamps' directions, but not how strong they are."""
+    lights = options.data.lights
+    calibrated = lights is not None and lights.suffix != ".lp"
+    return options.data.sought and calibrated and EXPOSURE in stack.photographs.unknown
 
 
 def _number(words: str | None) -> int | str | None:
@@ -244,7 +260,7 @@ def _shared(photographs: Photographs, given: dict[str, Any]) -> Material:
     with stage("fitting one material"):
         data = photographs.load()
         options = given | {"mask": data.masks, "film": data.film}
-        for name in ("normals", "materials", "passes"):
+        for name in ("normals", "materials", "passes", "strengths"):
             options.pop(name)
         options |= {"uncertain": data.uncertain}
         one = fit(data.scenes, data.images, **options)

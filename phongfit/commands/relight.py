@@ -94,7 +94,10 @@ def main(options: Options) -> int:
         photographs = None
         if options.photographs is not None:
             with stage("reading the photographs"):
-                photographs = _photographs(options.photographs, record.data)
+                scenes, stack = _photographs(options.photographs, record.data)
+            if maps.strengths is not None:
+                scenes = maps.strengths.lit(scenes)
+            photographs = scenes, stack
         with stage("integrating the normals"):
             surface = maps.height(distance=options.distance)
         pictures = relit(

@@ -83,12 +83,18 @@ def main(options: "Options") -> int:
             "passes: expected 1 from or to zarr, since the surface would have to be "
             f"made whole in memory, got {options.passes}"
         )
+    if options.strengths not in (None, "given"):
+        raise ValueError(
+            "strengths: expected given from or to zarr, since they are found from all "
+            f"images before the maps, got {options.strengths}"
+        )
     if is_store(options.data.dataset):
         read = _read(options.data)
     else:
         read = _read_photographs(options.data)
     given = command.arguments(options)
     given.pop("passes")
+    given.pop("strengths")
     out = options.out
     if is_store(out):
         if options.overwrite:

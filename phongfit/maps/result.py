@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 
@@ -155,6 +157,44 @@ BasisMaterials.__init__.__doc__ = r"""**Arguments:**
 """
 
 
+class Strengths(NamedTuple):
+    """How many times as strong the light of each image is as its scene has it.
+
+    Their mean is 1: a common factor cannot be told from the colour of the surface.
+
+    - `values`: (images,), or (images, 3) with a number for each channel.
+    - `stderr`: their standard errors, which include that neighbouring pixels err alike.
+    """
+
+    values: Float[np.ndarray, "images *rgb"]
+    stderr: Float[np.ndarray, "images *rgb"]
+
+    def lit(self, scenes: Sequence[Scene]) -> tuple[Scene, ...]:
+        """The scenes under light that is so strong, ambient light included."""
+        return tuple(map(_scaled, scenes, self.values))
+
+    def __str__(self) -> str:
+        low, high = self.values.min(), self.values.max()
+        return (
+            f"strengths of the light fitted: {low:.3g} to {high:.3g} times their mean, "
+            f"± {100 * np.median(self.stderr / self.values):.2g} %"
+        )
+
+
+def _scaled(scene: Scene, strength: Any) -> Scene:
+    def parts(scene: Scene) -> list:
+        lights = [
+            part
+            for light in scene.lights
+            for part in (light.intensity, light.ambient, light.specular)
+            if part is not None
+        ]
+        return [scene.ambient, *lights]
+
+    stronger = [part * jnp.asarray(strength, part.dtype) for part in parts(scene)]
+    return eqx.tree_at(parts, scene, stronger)
+
+
 @dataclasses.dataclass(frozen=True, repr=False)
 class Maps:
     """A material per pixel with its uncertainty. Arrays are NumPy's."""
@@ -177,6 +217,7 @@ class Maps:
     ambient_light: tuple[float, float, float] = (0.0, 0.0, 0.0)
     materials: BasisMaterials | None = None
     misplacement: float = 0.0
+    strengths: Strengths | None = None
 
     @property
     def material(self) -> Material:
@@ -372,6 +413,9 @@ class Maps:
                 )
                 for field in dataclasses.fields(self.materials)
             }
+        if self.strengths is not None:
+            arrays["strengths"] = self.strengths.values
+            arrays["stderr_strengths"] = self.strengths.stderr
         with replacing(path) as temporary:
             np.savez(
                 temporary,
@@ -410,6 +454,7 @@ class Maps:
     def __str__(self) -> str:
         lines = counted(self.flags.shape, self.unknowns, self.counts())
         lines += [] if self.materials is None else str(self.materials).splitlines()
+        lines += [] if self.strengths is None else [str(self.strengths)]
         lines += [f"warning: {warning}" for warning in self.warnings]
         return "\n".join(lines)
 
@@ -475,6 +520,7 @@ Maps.__init__.__doc__ = """**Arguments:**
 - `misplacement`: with near lamps and normals that were sought, by how much directions
     to the lamps are off, since pixels were taken to lie elsewhere than on the surface
     of the normals that were found: root mean square, degrees.
+- `strengths`: of each image's light, where they were sought: see [`Strengths`][].
 """
 
 PLAIN = ("noise", "samples", "flags", "normals", "normals_stderr", "depth")
@@ -574,8 +620,26 @@ def checked_maps(arrays: dict[str, np.ndarray]) -> Maps:
         noise_given=given,
         materials=_checked_materials(arrays, size),
         misplacement=float(misplacement),
+        strengths=_checked_strengths(arrays),
         **shape,
     )
+
+
+def _checked_strengths(arrays: dict[str, np.ndarray]) -> Strengths | None:
+    """Those of the photographs' light, if a file has them.
+
+    **Raises:** as [`checked_maps`][] does.
+    """
+    if "strengths" not in arrays:
+        return None
+    values, stderr = arrays["strengths"], arrays.get("stderr_strengths")
+    for name, array in (("strengths", values), ("stderr_strengths", stderr)):
+        right = array is not None and array.shape == values.shape
+        if not right or values.shape[1:] not in ((), (3,)) or not np.all(array > 0):
+            raise ValueError(
+                f"{name}: expected numbers > 0, one an image or one a channel of it"
+            )
+    return Strengths(values, np.asarray(stderr))
 
 
 def _checked_materials(

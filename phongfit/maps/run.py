@@ -1,6 +1,7 @@
 """`fit_maps`: stacks of images under many lights in, maps of materials out."""
 
 import concurrent.futures
+import dataclasses
 import functools
 import importlib.metadata
 import os
@@ -33,6 +34,7 @@ from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
 from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps
 from phongfit.maps.stacks import AbstractStack, as_index, as_stack, identify_stack
 from phongfit.maps.store import TileStore, tile_store
+from phongfit.maps.strengths import find_strengths
 from phongfit.maps.warm import WarmMemory, filled
 from phongfit.material import Material
 from phongfit.rendering.film import Film
@@ -65,6 +67,7 @@ def fit_maps(
     normals: Literal["given", "fit"] = "given",
     materials: int | Literal["auto"] | None = None,
     passes: int | None = None,
+    strengths: Literal["given", "fit", "fit_per_channel"] = "given",
     start: Material | Fitted | None = None,
     min_cosine: float = 0.0,
     tile_pixels: int | None = None,
@@ -131,6 +134,11 @@ def fit_maps(
         surface that the last one's normals make, moved to where near lamps leave the
         least noise, and leaves out samples in its shadow. `output` keeps the tiles of
         all passes.
+    - `strengths`: with `normals="fit"`, how strong the light of each image is:
+        `"given"` by the scenes' lights; `"fit"`: a number for each image that its
+        lights are multiplied by; `"fit_per_channel"`: three. They are found from some
+        2000 pixels before the maps, and only their ratios can be: their mean is 1. Then
+        ρ_d has no upper bound, unless `bounds` has one. See [`Maps`][]`.strengths`.
     - `start`: a fit of one material, or a material, whose exponent each pixel starts
         from, instead of the scan.
     - `min_cosine`: samples that no light reaches at a cosine above this are left out,
@@ -170,12 +178,33 @@ def fit_maps(
         raise ValueError(
             f"passes: expected 1, or more where normals are sought, got {shown(passes)}"
         )
+    if strengths != "given" and normals != "fit":
+        raise ValueError(
+            f"strengths: expected 'given' where normals are given, got {strengths!r}; "
+            "fit finds exposures of images under given normals"
+        )
     if normals == "fit":
         scenes = check_scenes(scenes)
         passes = usual_passes(scenes) if passes is None else passes
+        if strengths != "given":
+            asked["bounds"] = {"diffuse": (0.0, np.inf)} | dict(bounds or {})
         placed = {"tile_pixels": tile_pixels, "devices": devices}
         once = functools.partial(_fit_once, **asked, **placed)
-        return fit_in_passes(once, scenes, stack, passes, output, progress)
+        found = None
+        if strengths != "given":
+            job = make_job(scenes, stack, **asked)
+            found = find_strengths(
+                once,
+                scenes,
+                stack,
+                job.masks,
+                white=job.settings.cutoff,
+                glossy="specular" in unknowns,
+                per_channel=strengths == "fit_per_channel",
+            )
+            scenes = found.lit(scenes)
+        maps = fit_in_passes(once, scenes, stack, passes, output, progress)
+        return dataclasses.replace(maps, strengths=found)
     return _fit_once(
         scenes,
         stack,

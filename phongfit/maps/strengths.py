@@ -1,0 +1,327 @@
+r"""How strong the light of each photograph was, from the photographs themselves.
+
+A matte point of unknown colour and normal, with irradiance vectors $E_l$ of the lamps
+(their light times its direction), sends $s_l (E_l \cdot b + h_l)$, where b is its
+colour times its normal, h its highlight and $s_l$ how many times as strong the
+light of photograph l is as the scene has it. More than four lamps with directions that
+are not special leave only a common factor of all $s_l$ open.
+
+Gauss-Newton steps in $\log s$ and all b at once, b eliminated point by point (variable
+projection), with Tukey's biweight against shadows and what else is not matte.
+
+??? cite "Source"
+    Golub and Pereyra, *Separable nonlinear least squares*, Inverse Problems 19(2),
+    2003. Unknown strengths of known directions: Alldrin and Kriegman, *Toward
+    reconstructing surfaces with arbitrary isotropic reflectance*, ICCV 2007, section 3.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from phongfit.geometry.surfaces import GBuffer, NormalMap
+from phongfit.maps.layers import Masks
+from phongfit.maps.result import Maps, Strengths
+from phongfit.maps.stacks import AbstractStack, KeptStack
+from phongfit.material import Material
+from phongfit.rendering.pixels import pixel_terms
+from phongfit.scene import Scene
+
+SAMPLE = 2000
+"""Pixels that strengths are found from, at the most."""
+
+LIT = 0.15
+"""Smallest cosine, or share of a pixel's brightest sample, of a sample that counts:
+nearer to the edge of its own shadow a surface is less sure than its model."""
+
+BRIGHT = 0.3
+"""A pixel counts if it is so bright, next to the median: others are mostly noise."""
+
+TUKEY = 4.7
+"""Residuals of so many standard deviations count no more."""
+
+STEPS, SMALL = 50, 1e-5
+"""Gauss-Newton steps at the most, and the change of log s that ends them."""
+
+ROUNDS, SETTLED = 12, 5e-4
+"""How often highlights are found anew, and the change that is not worth another."""
+
+MOST = 0.9
+"""By how much of a change of strengths highlights change them again, at the most."""
+
+LEAST = 1e-3
+"""No strength is stated to be better, as a share of it."""
+
+BLOCK = 16
+"""Pixels up to this far apart err together."""
+
+
+class Points(NamedTuple):
+    """Samples of some pixels, and what is known of their light.
+
+    - `light`: what the photographs show.
+    - `usable`: samples that may be used.
+    - `irradiance`: E, of white light times its direction towards the lamp.
+    - `block`: of pixels that err together.
+    """
+
+    light: Float[np.ndarray, "images pixels 3"]
+    usable: Bool[np.ndarray, "images pixels 3"]
+    irradiance: Float[np.ndarray, "images pixels 3 axes"]
+    block: Int[np.ndarray, " pixels"]
+
+
+def find_strengths(
+    once: Callable[..., Maps],
+    scenes: Sequence[Scene],
+    stack: AbstractStack,
+    masks: Masks,
+    *,
+    white: float,
+    glossy: bool,
+    per_channel: bool,
+) -> Strengths:
+    """Strengths of the light of all images, for maps whose normals are sought.
+
+    **Arguments:**
+
+    - `once`: maps of scenes and a stack.
+    - `masks`: which samples may be used.
+    - `white`: light from which on samples are saturated.
+    - `glossy`: whether maps have highlights, which are taken into account then.
+    - `per_channel`: whether each channel has its own.
+
+    **Raises:** `ValueError` where too little is seen.
+    """
+    buffer = scenes[0].trace()
+    kept = KeptStack(stack)
+    pixels, points = sample_points(scenes, kept, buffer, masks, white)
+    values = np.ones((len(scenes), 3 if per_channel else 1))
+    found = solve(points, np.zeros(points.light.shape), values)
+    mask = np.zeros(buffer.mask.shape, bool)
+    mask.ravel()[pixels] = True
+    before, slope = None, 0.0
+    for _ in range(ROUNDS if glossy else 0):
+        some = [_only(scene, buffer, mask) for scene in found.lit(scenes)]
+        maps = once(some, kept, output=None, progress=False)
+        highlight = _highlights(maps, scenes, buffer, pixels)
+        last, found = found, solve(points, highlight, found.values)
+        change = np.log(found.values / last.values)
+        if np.abs(change).max() < SETTLED:
+            break
+        if before is not None:
+            # Highlights follow strengths by some share: then all of them do.
+            slope = float(np.clip(np.sum(change * before) / np.sum(before**2), 0, MOST))
+            further = np.exp(slope / (1 - slope) * change)
+            found = found._replace(values=found.values * further)
+        before = None if before is not None else change
+    found = found._replace(stderr=found.stderr / (1 - slope))
+    return found if per_channel else Strengths(*(one[:, 0] for one in found))
+
+
+def sample_points(
+    scenes: Sequence[Scene],
+    stack: AbstractStack,
+    buffer: GBuffer,
+    masks: Masks,
+    white: float,
+) -> tuple[Int[np.ndarray, " pixels"], Points]:
+    """Some of the pixels that see the surface, evenly, those too dark left out.
+
+    **Raises:** `ValueError` if none is bright enough in three images.
+    """
+    seen = np.asarray(buffer.mask) & masks.anywhere()
+    pixels = np.flatnonzero(seen)
+    pixels = pixels[:: max(1, len(pixels) // SAMPLE)]
+    order = range(len(scenes))
+    taken = stack.take(pixels, order)
+    light = np.ma.getdata(taken).astype(float)
+    free = ~np.ma.getmaskarray(taken) & (light < white) & masks.take(pixels, order)
+    brightest = np.where(free, light, 0).max(axis=(0, 2))
+    enough = (free & (light > LIT * brightest[:, None])).all(axis=2).sum(axis=0) >= 3
+    kept = enough & (brightest > BRIGHT * np.median(brightest))
+    if not kept.any():
+        raise ValueError(
+            "strengths: no pixel is bright enough in three images to find them from"
+        )
+    pixels, light, free = pixels[kept], light[:, kept], free[:, kept]
+    points = np.asarray(buffer.position).reshape(-1, 3)[pixels]
+    irradiance = np.stack([_irradiance(scene, points) for scene in scenes])
+    rows, columns = np.divmod(pixels, seen.shape[1])
+    block = rows // BLOCK * (seen.shape[1] // BLOCK + 1) + columns // BLOCK
+    return pixels, Points(light, free, irradiance, block)
+
+
+def solve(
+    points: Points,
+    highlight: Float[np.ndarray, "images pixels 3"],
+    values: Float[np.ndarray, "images channels"],
+) -> Strengths:
+    """The strengths that leave least, from `values` on; see the module's formula.
+
+    **Arguments:** `highlight`: h, of light of strength 1.
+    """
+    logs = np.log(values)
+    weight = (points.usable & (points.light > LIT * _brightest(points))).astype(float)
+    for step in range(STEPS):
+        sums = _sum_up(points, highlight, np.exp(logs), weight)
+        weight = sums.weight
+        change = np.stack(
+            [
+                _step(information, scores.sum(axis=0))
+                for information, scores in zip(
+                    sums.information, sums.gradient, strict=True
+                )
+            ],
+            axis=1,
+        )
+        logs = logs + np.clip(change, -1, 1)
+        logs -= np.log(np.exp(logs).mean(axis=0))
+        if step > 3 and np.abs(change).max() < SMALL:
+            break
+    errors = []
+    for information, scores in zip(sums.information, sums.gradient, strict=True):
+        # Highlights that are held would tell the common factor, if they were right.
+        ratios = np.eye(len(information)) - 1 / len(information)
+        inverse = np.linalg.pinv(ratios @ information @ ratios, 1e-9, hermitian=True)
+        blocks = len(scores) / max(len(scores) - 1, 1)
+        variance = blocks * np.diag(inverse @ scores.T @ scores @ inverse)
+        errors.append(np.sqrt(variance + LEAST**2))
+    return Strengths(np.exp(logs), np.exp(logs) * np.stack(errors, axis=1))
+
+
+class _Sums(NamedTuple):
+    """Normal equations of log s with all b eliminated, channel by channel.
+
+    `gradient` has a row for each block of pixels; `weight` is that of samples in the
+    next step.
+    """
+
+    information: list[Float[np.ndarray, "images images"]]
+    gradient: list[Float[np.ndarray, "blocks images"]]
+    weight: Float[np.ndarray, "images pixels 3"]
+
+
+def _sum_up(
+    points: Points,
+    highlight: np.ndarray,
+    values: np.ndarray,
+    weight: np.ndarray,
+) -> _Sums:
+    unit = 1 / _brightest(points)[0]
+    frames, b = _matte(points, highlight, values, weight, unit)
+    matte = np.einsum("lpca,pca->lpc", points.irradiance, b)
+    expected = matte + highlight
+    left = (points.light - values[:, None] * expected) * unit
+    length = np.linalg.norm(points.irradiance, axis=-1) * np.linalg.norm(b, axis=-1)
+    lit = points.usable & (matte > LIT * length)
+    # What b is found from leaves less of the noise.
+    images, axes = np.median(lit.sum(axis=0)), points.irradiance.shape[-1]
+    free = max(images - axes - 1, 1) / max(images, 1)
+    scale = 1.4826 * np.median(np.abs(left[lit])) / np.sqrt(free)
+    u = left / (TUKEY * max(float(scale), 1e-4))
+    following = lit * np.clip(1 - u**2, 0, None) ** 2
+    column = values[:, None] * expected * unit
+    _, block = np.unique(points.block, return_inverse=True)
+    information, gradient = [], []
+    for channels in [[0, 1, 2]] if values.shape[1] == 1 else [[0], [1], [2]]:
+        matrix, rows = 0.0, np.zeros((block.max() + 1, len(values)))
+        for c in channels:
+            root = np.sqrt(weight[..., c])
+            p, r, q = root * column[..., c], root * left[..., c], frames[c]
+            across = np.einsum("lp,pla->pla", p, q)
+            matrix = matrix + np.diag((p**2).sum(axis=1))
+            matrix -= np.einsum("pla,pma->lm", across, across)
+            score = p * r - np.einsum(
+                "pla,pa->lp", across, np.einsum("pla,lp->pa", q, r)
+            )
+            np.add.at(rows, block, score.T)
+        information.append(matrix)
+        gradient.append(rows)
+    return _Sums(information, gradient, following)
+
+
+def _matte(
+    points: Points,
+    highlight: np.ndarray,
+    values: np.ndarray,
+    weight: np.ndarray,
+    unit: np.ndarray,
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Orthonormal frames of what b explains, channel by channel, and the best b."""
+    frames, found = [], []
+    for c in range(3):
+        s = values[:, [min(c, values.shape[1] - 1)]]
+        root = np.sqrt(weight[..., c])
+        rows = (root * s * unit[:, c])[..., None] * points.irradiance[:, :, c]
+        target = root * unit[:, c] * (points.light[..., c] - s * highlight[..., c])
+        q, triangle = np.linalg.qr(np.moveaxis(rows, 0, 1))
+        right = np.einsum("pla,lp->pa", q, target)
+        # What too few samples see stays at its shortest solution.
+        inverse = np.linalg.pinv(triangle, rcond=1e-6)
+        frames.append(q)
+        found.append(np.einsum("pab,pb->pa", inverse, right))
+    return frames, np.stack(found, axis=1)
+
+
+def _step(information: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The step of log s; none along the common factor, which nothing determines."""
+    count = len(information)
+    held = information + np.full((count, count), np.trace(information) / count**2)
+    held += 1e-9 * np.trace(information) / count * np.eye(count)
+    return np.linalg.solve(held, right)
+
+
+def _brightest(points: Points) -> Float[np.ndarray, "1 pixels 3"]:
+    light = np.where(points.usable, points.light, 0)
+    return np.maximum(light.max(axis=0, keepdims=True), 1e-6)
+
+
+def _irradiance(
+    scene: Scene, points: Float[np.ndarray, "pixels 3"]
+) -> Float[np.ndarray, "pixels 3 axes"]:
+    """Of all lamps together: what a surface gets that all of them shine on."""
+    total = np.zeros((len(points), 3, 3))
+    for light in scene.lights:
+        there = jax.vmap(light.illuminate)(jnp.asarray(points, jnp.result_type(float)))
+        arriving = np.asarray(there.intensity, float)[:, :, None]
+        total += arriving * np.asarray(there.to_light, float)[:, None, :]
+    return total
+
+
+def _only(scene: Scene, buffer: GBuffer, mask: np.ndarray) -> Scene:
+    """The scene with some of its pixels alone."""
+    normals = np.where(mask[..., None], np.asarray(buffer.normal), 0)
+    surface = NormalMap(normals, mask, buffer.position)
+    return dataclasses.replace(scene, surface=surface, shadows=False)
+
+
+def _highlights(
+    maps: Maps,
+    scenes: Sequence[Scene],
+    buffer: GBuffer,
+    pixels: Int[np.ndarray, " pixels"],
+) -> Float[np.ndarray, "images pixels 3"]:
+    """What maps have of them in each image, for light of strength 1."""
+    camera = scenes[0].camera
+    dtype = buffer.normal.dtype
+
+    def of(array: np.ndarray) -> np.ndarray:
+        return array.reshape(-1, array.shape[-1])[pixels]
+
+    normals = of(maps.normals) @ np.asarray(camera.rotation).T
+    some = buffer.select(jnp.asarray(pixels))
+    some = dataclasses.replace(
+        some, normal=jnp.asarray(normals, dtype), visibility=None
+    )
+    material = Material(0.0, of(maps.specular), of(maps.shininess), 0.0)
+    shown = [
+        pixel_terms(dataclasses.replace(scene, shadows=False), some).radiance(material)
+        for scene in scenes
+    ]
+    return np.stack([np.asarray(one, float) for one in shown])
