@@ -52,6 +52,10 @@ OURS = {
 }
 SHARED = ("ambient", "diffuse")
 """What each pixel still identifies where the highlight is one for all of them."""
+EQUAL_STRENGTHS = (
+    "assumed: the lamps are equally strong, since the photographs do not tell apart "
+    "whether they differ or stand a little elsewhere (--strengths fit fits them)"
+)
 HELD = (
     "warning: the maps' errors are those of the photographs alone, and leave out those "
     "of the calibration: all pixels share them, and `phongfit fit` includes them"
@@ -81,8 +85,9 @@ class Options:
             shadow. Default: 3 with near lamps, else 2; from or to zarr 1 alone.
         strengths: With --normals fit: how strong the light of each photograph is. fit:
             a number for each, of which only ratios can be found; fit_per_channel: one
-            for each channel. Default: fit with a lights.json that has no strengths
-            (no matte sphere was seen), else given.
+            for each channel; auto: fit, unless lamps that stand 2° elsewhere would
+            explain that they differ. Default: auto with a lights.json that has no
+            strengths (no matte sphere was seen), else given.
         unknowns: Parameters to be found, of ambient diffuse specular shininess.
             Default: all of them; with --normals fit all but ambient.
         per_channel: Which of them differ between red, green and blue; with shininess,
@@ -108,7 +113,7 @@ class Options:
     highlight: Literal["own", "shared"] = "own"
     materials: Annotated[str | None, optional("N|auto")] = None
     passes: Annotated[int | None, optional("N")] = None
-    strengths: Literal["given", "fit", "fit_per_channel"] | None = None
+    strengths: Literal["given", "fit", "fit_per_channel", "auto"] | None = None
     unknowns: Annotated[tuple[str, ...] | None, optional("NAME ...")] = None
     per_channel: Names = ("ambient", "diffuse", "specular")
     known: Annotated[str | None, optional("preset:NAME|FILE")] = None
@@ -155,7 +160,7 @@ def main(options: Options) -> int:
         if options.passes is None and options.data.sought:
             given["passes"] = usual_passes(stack.photographs.scenes)
         if options.strengths is None and _lacks_strengths(options, stack):
-            given["strengths"] = "fit"
+            given["strengths"] = "auto"
         if options.highlight == "shared":
             known = _shared(stack.photographs, given)
             given |= {"known": known, "unknowns": SHARED}
@@ -169,6 +174,8 @@ def main(options: Options) -> int:
             raise
         with keeping(options.out, folder) as kept:
             print(found, flush=True)
+            if given["strengths"] == "auto" and found.strengths is None:
+                print(EQUAL_STRENGTHS, flush=True)
             if stack.photographs.uncertain:
                 print(HELD, flush=True)
             if options.pictures:

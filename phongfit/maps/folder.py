@@ -43,7 +43,7 @@ class MapSettings(AbstractRecord):
         Annotated[int, Field(ge=1, le=MOST_MATERIALS)] | Literal["auto"] | None
     ) = None
     passes: Annotated[int, Field(ge=1)] = 1
-    strengths: Literal["given", "fit", "fit_per_channel"] = "given"
+    strengths: Literal["given", "fit", "fit_per_channel", "auto"] = "given"
 
 
 class SharedRecord(AbstractRecord):

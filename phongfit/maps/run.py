@@ -34,7 +34,7 @@ from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
 from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps
 from phongfit.maps.stacks import AbstractStack, as_index, as_stack, identify_stack
 from phongfit.maps.store import TileStore, tile_store
-from phongfit.maps.strengths import find_strengths
+from phongfit.maps.strengths import find_strengths, may_be_equal
 from phongfit.maps.warm import WarmMemory, filled
 from phongfit.material import Material
 from phongfit.rendering.film import Film
@@ -67,7 +67,7 @@ def fit_maps(
     normals: Literal["given", "fit"] = "given",
     materials: int | Literal["auto"] | None = None,
     passes: int | None = None,
-    strengths: Literal["given", "fit", "fit_per_channel"] = "given",
+    strengths: Literal["given", "fit", "fit_per_channel", "auto"] = "given",
     start: Material | Fitted | None = None,
     min_cosine: float = 0.0,
     tile_pixels: int | None = None,
@@ -138,7 +138,8 @@ def fit_maps(
         `"given"` by the scenes' lights; `"fit"`: a number for each image that its
         lights are multiplied by; `"fit_per_channel"`: three. They are found from some
         2000 pixels before the maps, and only their ratios can be: their mean is 1. Then
-        ρ_d has no upper bound, unless `bounds` has one. See [`Maps`][]`.strengths`.
+        ρ_d has no upper bound, unless `bounds` has one. `"auto"`: `"fit"`, unless lamps
+        that are 2° off would explain that they differ. See [`Maps`][]`.strengths`.
     - `start`: a fit of one material, or a material, whose exponent each pixel starts
         from, instead of the scan.
     - `min_cosine`: samples that no light reaches at a cosine above this are left out,
@@ -202,7 +203,10 @@ def fit_maps(
                 glossy="specular" in unknowns,
                 per_channel=strengths == "fit_per_channel",
             )
-            scenes = found.lit(scenes)
+            if strengths == "auto" and may_be_equal(found):
+                found = None
+            else:
+                scenes = found.lit(scenes)
         maps = fit_in_passes(once, scenes, stack, passes, output, progress)
         return dataclasses.replace(maps, strengths=found)
     return _fit_once(

@@ -57,6 +57,14 @@ MOST = 0.9
 LEAST = 1e-3
 """No strength is stated to be better, as a share of it."""
 
+DIRECTION = 2.0
+"""How well lamps' directions are taken to be known, degrees. Two mirror balls differ by
+1°, a mirror ball and a matte one by 2°, up to 6° for single lamps. Where lamps stand
+much alike, small turns of them look like other strengths."""
+
+EQUAL = 5.0
+"""Strengths that all are within so many standard errors of their mean may be equal."""
+
 BLOCK = 16
 """Pixels up to this far apart err together."""
 
@@ -124,6 +132,11 @@ def find_strengths(
     return found if per_channel else Strengths(*(one[:, 0] for one in found))
 
 
+def may_be_equal(found: Strengths) -> bool:
+    """Whether errors of the lamps' directions explain that strengths differ."""
+    return bool((np.abs(found.values - 1) < EQUAL * found.stderr).all())
+
+
 def sample_points(
     scenes: Sequence[Scene],
     stack: AbstractStack,
@@ -184,15 +197,47 @@ def solve(
         logs -= np.log(np.exp(logs).mean(axis=0))
         if step > 3 and np.abs(change).max() < SMALL:
             break
+    turned = _turned(points, highlight, np.exp(logs), weight)
     errors = []
-    for information, scores in zip(sums.information, sums.gradient, strict=True):
+    for c, (information, scores) in enumerate(
+        zip(sums.information, sums.gradient, strict=True)
+    ):
         # Highlights that are held would tell the common factor, if they were right.
         ratios = np.eye(len(information)) - 1 / len(information)
         inverse = np.linalg.pinv(ratios @ information @ ratios, 1e-9, hermitian=True)
         blocks = len(scores) / max(len(scores) - 1, 1)
         variance = blocks * np.diag(inverse @ scores.T @ scores @ inverse)
-        errors.append(np.sqrt(variance + LEAST**2))
+        moved = np.radians(DIRECTION) * inverse @ turned[c]
+        errors.append(np.sqrt(variance + (moved**2).sum(axis=1) + LEAST**2))
     return Strengths(np.exp(logs), np.exp(logs) * np.stack(errors, axis=1))
+
+
+def _turned(
+    points: Points, highlight: np.ndarray, values: np.ndarray, weight: np.ndarray
+) -> list[Float[np.ndarray, "images turns"]]:
+    """How the gradient of log s moves as each lamp turns about two axes, by channel."""
+    unit = 1 / _brightest(points)[0]
+    frames, b = _matte(points, highlight, values, weight, unit)
+    matte = np.einsum("lpca,pca->lpc", points.irradiance, b)
+    grown = values[:, None] * (matte + highlight) * unit
+    length = np.linalg.norm(points.irradiance, axis=-1, keepdims=True)
+    along = points.irradiance / np.maximum(length, 1e-12)
+    found = [np.zeros((len(values), 0))] * values.shape[1]
+    for axis in np.eye(3):
+        # Turns about an axis along the light move nothing.
+        turn = np.cross(axis, along) * length
+        change = values[:, None] * np.einsum("lpca,pca->lpc", turn, b) * unit
+        for c in range(3):
+            root = np.sqrt(weight[..., c])
+            p, t, q = root * grown[..., c], root * change[..., c], frames[c]
+            one, other = (np.einsum("lp,pla->pla", x, q) for x in (p, t))
+            own = np.diag((p * t).sum(axis=1)) - np.einsum("pla,pma->lm", one, other)
+            k = min(c, values.shape[1] - 1)
+            if values.shape[1] == 1 and c > 0:
+                found[0][:, -len(values) :] += own
+            else:
+                found[k] = np.concatenate([found[k], own], axis=1)
+    return found
 
 
 class _Sums(NamedTuple):
