@@ -108,6 +108,7 @@ def test_pieces_are_named_and_placed():
     mask[:, 19:21] = False
     found = pf.integrate_normals(normals, PARALLEL, mask)
     assert found.pieces.max() == 2 and "2 pieces" in found.warnings[0]
+    assert "2 of them are put at the same depth" in found.warnings[0]
     assert str(found).splitlines()[0].endswith("in 2 pieces")
     for piece in (1, 2):
         own = found.pieces == piece
