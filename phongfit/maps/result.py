@@ -183,13 +183,14 @@ class Strengths(NamedTuple):
 
 def _scaled(scene: Scene, strength: Any) -> Scene:
     def parts(scene: Scene) -> list:
-        lights = [
+        lights: Any = scene.lights
+        found = [
             part
-            for light in scene.lights
+            for light in lights
             for part in (light.intensity, light.ambient, light.specular)
             if part is not None
         ]
-        return [scene.ambient, *lights]
+        return [scene.ambient, *found]
 
     stronger = [part * jnp.asarray(strength, part.dtype) for part in parts(scene)]
     return eqx.tree_at(parts, scene, stronger)
@@ -218,6 +219,7 @@ class Maps:
     materials: BasisMaterials | None = None
     misplacement: float = 0.0
     strengths: Strengths | None = None
+    matte: bool = False
 
     @property
     def material(self) -> Material:
@@ -423,6 +425,7 @@ class Maps:
                 version=np.array(MAPS_VERSION),
                 unknowns=np.array(self.unknowns),
                 misplacement=np.array(self.misplacement),
+                matte=np.array(self.matte),
                 view=np.array(
                     json.dumps(
                         view_of(self.camera, self.specular_model, self.ambient_light)
@@ -454,6 +457,8 @@ class Maps:
     def __str__(self) -> str:
         lines = counted(self.flags.shape, self.unknowns, self.counts())
         lines += [] if self.materials is None else str(self.materials).splitlines()
+        if self.matte:
+            lines.append("  no highlight: matte light alone explains the pixels (BIC)")
         lines += [] if self.strengths is None else [str(self.strengths)]
         lines += [f"warning: {warning}" for warning in self.warnings]
         return "\n".join(lines)
@@ -520,6 +525,8 @@ Maps.__init__.__doc__ = """**Arguments:**
 - `misplacement`: with near lamps and normals that were sought, by how much directions
     to the lamps are off, since pixels were taken to lie elsewhere than on the surface
     of the normals that were found: root mean square, degrees.
+- `matte`: whether `materials="auto"` found no highlight: then specular and shininess
+    are not among `unknowns`.
 - `strengths`: of each image's light, where they were sought: see [`Strengths`][].
 """
 
@@ -621,6 +628,7 @@ def checked_maps(arrays: dict[str, np.ndarray]) -> Maps:
         materials=_checked_materials(arrays, size),
         misplacement=float(misplacement),
         strengths=_checked_strengths(arrays),
+        matte=bool(np.all(arrays.get("matte", False))),
         **shape,
     )
 
@@ -632,14 +640,15 @@ def _checked_strengths(arrays: dict[str, np.ndarray]) -> Strengths | None:
     """
     if "strengths" not in arrays:
         return None
-    values, stderr = arrays["strengths"], arrays.get("stderr_strengths")
+    values = arrays["strengths"]
+    stderr = arrays.get("stderr_strengths", np.zeros(0))
     for name, array in (("strengths", values), ("stderr_strengths", stderr)):
-        right = array is not None and array.shape == values.shape
-        if not right or values.shape[1:] not in ((), (3,)) or not np.all(array > 0):
+        right = array.shape == values.shape and values.shape[1:] in ((), (3,))
+        if not right or not np.all(array > 0):
             raise ValueError(
                 f"{name}: expected numbers > 0, one an image or one a channel of it"
             )
-    return Strengths(values, np.asarray(stderr))
+    return Strengths(values, stderr)
 
 
 def _checked_materials(

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 from rich.console import Console
@@ -21,7 +22,7 @@ from phongfit.edge import checked, shown
 from phongfit.fitting.problem.losses import AbstractLoss
 from phongfit.maps.ahead import ahead
 from phongfit.maps.job import Fitted, Job, check_scenes, make_job
-from phongfit.maps.materials.bases import Bases
+from phongfit.maps.materials.bases import Bases, held
 from phongfit.maps.materials.block import Given, MaterialFit, fit_shared
 from phongfit.maps.materials.finding import Materials, choose_sample, find_materials
 from phongfit.maps.normals.block import NormalFit, fit_normals
@@ -123,12 +124,13 @@ def fit_maps(
         `ambient` asks for ambient light in the scenes; if `specular` is not in
         `per_channel`, the channels share one ρ_s.
     - `materials`: how many materials the pixels share, or `"auto"` to find out (up to
-        6); `None` for a material of each pixel's own. A pixel's ρ_d stays its own; ρ_s
-        and f are those of the material that it is most likely of. They are found from a
-        sample of the pixels, whose number is chosen by Schwarz's criterion (BIC), and
-        their errors go into those of the pixels: see [`BasisMaterials`][]. A dozen
-        lamps hardly tell ρ_s and f of one pixel; they do tell which it is of a few.
-        With `normals="fit"`.
+        6; none where matte light alone explains the pixels best: see
+        [`Maps`][]`.matte`); `None` for a material of each pixel's own. A pixel's ρ_d
+        stays its own; ρ_s and f are those of the material that it is most likely of.
+        They are found from a sample of the pixels, whose number is chosen by Schwarz's
+        criterion (BIC), and their errors go into those of the pixels: see
+        [`BasisMaterials`][]. A dozen lamps hardly tell ρ_s and f of one pixel; they do
+        tell which it is of a few. With `normals="fit"`.
     - `passes`: with `normals="fit"`, how often pixels are fitted; default 3 with near
         lamps, 2 with distant ones. Each pass after the first takes pixels to lie on the
         surface that the last one's normals make, moved to where near lamps leave the
@@ -276,11 +278,15 @@ def fit_job(
     kind = "given" if settings.normals == "given" else "sought"
     exponents = 1 if settings.shared else 3
     with concurrent.futures.ThreadPoolExecutor(threads) as workers:
-        shared, among = None, outside
+        shared, among, matte = None, outside, False
         if settings.materials is not None:
             kind = "shared"
             shared = _materials(job, workers, store, len(tiles))
+            matte = not len(shared.bases.shares)
             among = Given(outside, shared.bases)
+        if matte:
+            job = _without_highlights(job)
+            kind, shared, settings, among = "sought", None, job.settings, job.outside
         run = compiled(settings, mesh, _FITS[kind])
         warm = WarmMemory()
 
@@ -300,7 +306,16 @@ def fit_job(
                 if store is not None:
                     store.save(k, arrays)
             maps.paint(tiles[k], arrays)
-    return maps.finished(job)
+    return dataclasses.replace(maps.finished(job), matte=matte)
+
+
+def _without_highlights(job: Job) -> Job:
+    """The same of a matte surface."""
+    dark = jnp.zeros_like(job.outside.known.specular)
+    known = job.outside.known._replace(specular=dark)
+    return dataclasses.replace(
+        job, settings=held(job.settings), outside=job.outside._replace(known=known)
+    )
 
 
 def _materials(

@@ -181,8 +181,8 @@ def solve(
     """
     logs = np.log(values)
     weight = (points.usable & (points.light > LIT * _brightest(points))).astype(float)
+    sums = _sum_up(points, highlight, np.exp(logs), weight)
     for step in range(STEPS):
-        sums = _sum_up(points, highlight, np.exp(logs), weight)
         weight = sums.weight
         change = np.stack(
             [
@@ -195,6 +195,7 @@ def solve(
         )
         logs = logs + np.clip(change, -1, 1)
         logs -= np.log(np.exp(logs).mean(axis=0))
+        sums = _sum_up(points, highlight, np.exp(logs), weight)
         if step > 3 and np.abs(change).max() < SMALL:
             break
     turned = _turned(points, highlight, np.exp(logs), weight)

@@ -1,6 +1,6 @@
 """Which materials an object has, from a sample of its pixels."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
 from typing import Any, NamedTuple
 
@@ -31,6 +31,7 @@ PATIENCE = 2
 class Materials(NamedTuple):
     """The materials of an object.
 
+    - `bases`: none where matte light alone explains the sample best.
     - `criterion`: BIC of 1, 2, … materials.
     - `sample`: how many pixels told so.
     """
@@ -82,6 +83,8 @@ def find_materials(
         if wanted == "auto" and count > best + PATIENCE:
             break
     criterion = np.array([one.criterion for one in found])
+    if wanted == "auto" and sample.matte() <= criterion.min():
+        found = [one.none() for one in found]
     best = found[int(criterion.argmin()) if wanted == "auto" else most - 1]
     order = np.argsort(-best.shares, kind="stable")
     dtype = outside.noise.dtype
@@ -165,7 +168,19 @@ class _Sample:
 
     def maximize(self, values: np.ndarray, rows: np.ndarray) -> Mixture:
         """The best materials from a first guess, which is near rows of the table."""
-        starts = [list(self._rows[row]) for row in rows]
+        look = self._look([list(self._rows[row]) for row in rows])
+        settings = self._settings
+        low, high = settings.bound("specular")
+        bottom, top = settings.log_bounds
+        strengths = size_of(settings) - 1
+        edges = (
+            np.array([bottom] + [low] * strengths),
+            np.array([top] + [high] * strengths),
+        )
+        return maximize(values.clip(*edges), look, edges)
+
+    def _look(self, starts: list[list[Point]]) -> Callable[[int, np.ndarray], Told]:
+        """What pixels tell of each material, near where they were found before."""
 
         def look(material: int, values: np.ndarray) -> Told:
             def one(number: int) -> Look:
@@ -193,15 +208,14 @@ class _Sample:
                 max(float(steep / kept), 0.1),
             )
 
-        settings = self._settings
-        low, high = settings.bound("specular")
-        bottom, top = settings.log_bounds
-        strengths = size_of(settings) - 1
-        edges = (
-            np.array([bottom] + [low] * strengths),
-            np.array([top] + [high] * strengths),
-        )
-        return maximize(values.clip(*edges), look, edges)
+        return look
+
+    def matte(self) -> float:
+        """BIC of no highlight at all."""
+        values = np.zeros((1, size_of(self._settings)))
+        nothing = np.zeros(values.shape[1])
+        look = self._look([list(self._rows[0])])
+        return maximize(values, look, (nothing, nothing), free=0).criterion
 
     def _joined(self, parts: Iterable[Any]) -> np.ndarray:
         """Of all blocks, the pixels first, without those that cannot be used."""

@@ -59,11 +59,20 @@ class Mixture(NamedTuple):
     covariance: Float[np.ndarray, "materials unknowns unknowns"]
     converged: bool
 
+    def none(self) -> "Mixture":
+        """No material of these."""
+        return self._replace(
+            values=self.values[:0],
+            shares=self.shares[:0],
+            covariance=self.covariance[:0],
+        )
+
 
 def maximize(
     values: Float[np.ndarray, "materials unknowns"],
     look: Callable[[int, np.ndarray], Told],
     edges: tuple[np.ndarray, np.ndarray],
+    free: int | None = None,
 ) -> Mixture:
     """The best materials from a first guess.
 
@@ -71,6 +80,7 @@ def maximize(
 
     - `look`: the number of a material and its values → what pixels tell of it.
     - `edges`: low and high of each unknown.
+    - `free`: how many numbers are fitted; default all, and shares.
     """
     count, unknowns = values.shape
     shares = np.full(count, 1 / count)
@@ -93,7 +103,8 @@ def maximize(
             values = np.concatenate([values[:k], new[None], values[k + 1 :]])
         converged = bool(moved.max() < SMALL)
     pixels = odds.shape[1]
-    free = count * unknowns + count - 1
+    if free is None:
+        free = count * unknowns + count - 1
     return Mixture(
         values,
         shares,

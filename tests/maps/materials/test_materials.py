@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from data_synth.lights import spread_directions
 from phongfit.files.fits import DataRecord, DataSettings
 from phongfit.maps.folder import MapSettings, load_folder, save_folder
 from tests.maps.normals.scenes import FREE, Hidden, hide
-from tests.maps.synthetic import pulls
+from tests.maps.synthetic import dtype, pulls
 
 BLINN = ((0.3, 10.0), (0.4, 60.0), (0.2, 30.0), (0.45, 20.0))
 PHONG = ((0.3, 4.0), (0.4, 20.0), (0.2, 10.0), (0.45, 7.0))
@@ -208,3 +209,30 @@ def test_as_many_as_there_are(count, lights, model, coloured):
     hidden = hide((40, 48), lights, model=model, shared=shared, seed=count)
     channels = ("diffuse", "specular") if coloured else ("diffuse",)
     check_truth(hidden, found(hidden, per_channel=channels), shared)
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("specular", [0.0, 0.3])
+def test_none_where_nothing_shines(specular, tmp_path):
+    lamps = map(pf.DirectionalLight, spread_directions(10))
+    camera, free = pf.OrthographicCamera(32, 28, view_height=2.2), pf.Film(clamp=False)
+    scenes = [pf.Scene(pf.Sphere(), camera, lamp) for lamp in lamps]
+    material = pf.Material((0.5, 0.35, 0.25), specular, 25.0, 0.0)
+    images = np.stack([pf.render(scene, material, film=free) for scene in scenes])
+    images += 0.004 * np.random.default_rng(0).normal(size=images.shape)
+    maps = pf.fit_maps(
+        scenes,
+        images.astype(dtype()),
+        film=free,
+        normals="fit",
+        materials="auto",
+        per_channel=("diffuse",),
+        passes=1,
+        progress=False,
+    )
+    assert maps.matte == (specular == 0)
+    assert ("specular" in maps.unknowns) == (specular > 0)
+    assert (maps.materials is None) == maps.matte
+    assert maps.identified.mean() > 0.5
+    maps.save(tmp_path / "maps.npz")
+    assert pf.load_maps(tmp_path / "maps.npz").matte == maps.matte
