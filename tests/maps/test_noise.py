@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.stats
 
 import phongfit as pf
 from tests.maps.synthetic import Stack, dtype, make_stack, pulls, same
@@ -97,3 +98,18 @@ def test_the_same_noise_everywhere(clean, tmp_path):
     same(read, maps)
     np.testing.assert_array_equal(read.noise_given, maps.noise_given)
     np.testing.assert_array_equal(read.chi_squared, maps.chi_squared)
+
+
+@pytest.mark.extended
+def test_pixels_under_three_lamps_need_students_t():
+    """As the docstring of `Maps` states: nine samples know the noise badly."""
+    stack = make_stack(30, 30, 3, ambient=0)
+    truth = np.asarray(stack.truth.diffuse)
+    matte = pf.Material(truth, 0.0, 10.0, 0.0)
+    clean = np.stack([np.asarray(pf.render(s, matte, film=FREE)) for s in stack.scenes])
+    noise = 0.01 * np.random.default_rng(0).normal(size=clean.shape)
+    images = (clean + noise).astype(dtype())
+    maps = pf.fit_maps(stack.scenes, images, unknowns=("diffuse",))
+    pull = np.abs(maps.diffuse - truth) / maps.stderr.diffuse
+    assert np.mean(pull < 1.96) < 0.93
+    assert 0.94 < np.mean(pull < scipy.stats.t.ppf(0.975, 9 - 3)) < 0.965
