@@ -454,10 +454,10 @@ Maps.__init__.__doc__ = """**Arguments:**
     each channel has its own. 0 outside; finite everywhere.
 - `stderr`: the same four: infinite for what is not identified, 0 for what was known.
     A bound takes nothing from them: the truth may lie inside of it. Where the noise was
-    estimated (`noise_given` is `None`), it is known from a pixel's own residuals alone:
-    an interval of 95 % is Student's t times the error, for as many degrees of freedom
-    as the pixel has samples beyond its unknowns. With ρ_d under three lamps that is
-    9 − 3 = 6, and t = 2.45; 1.96 errors hold the truth in 90 % of such pixels.
+    estimated (`noise_given` is `None`), it is known from a pixel's own residuals alone,
+    and they are wider by Student's t over 1.96, for as many degrees of freedom as the
+    pixel has samples beyond its unknowns: ± 1.96 errors are an interval of 95 % under
+    any number of lamps.
 - `noise`: (H, W), root mean square of a pixel's residuals a degree of freedom, in
     linear light; NaN outside. Where `noise_given` varies, that of the pixel times the
     root of χ².
