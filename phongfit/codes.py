@@ -36,6 +36,7 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "encoding-doubtful": "Read the photograph with the other encoding",
         "jpeg-blocks": "Fit the photograph as it lies in its file, with "
         "film=pf.read_film(path, encoding)",
+        "coarse-jpeg": "Use the photograph at quality 50 or better",
         "jpeg-texels": "Take photographs without loss: PNG, TIFF or raw",
         "noise-level": "Give the noise as it is, or leave it to be estimated",
         "low-white": "State the number that is white (read_image(white=…), or "

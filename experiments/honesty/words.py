@@ -25,6 +25,7 @@ SUBJECTS = {
     "not-converged": Subject.FIT,
     "lack-of-fit": Subject.FIT,
     "jpeg-blocks": Subject.FIT,
+    "coarse-jpeg": Subject.FIT,
     "jpeg-texels": Subject.FIT,
     "noise-level": Subject.FIT,
     "low-white": Subject.FIT,

@@ -32,6 +32,7 @@ from phongfit.fitting.uncertainty.tiles import Tiles
 from phongfit.fitting.uncertainty.warnings import (
     bound_words,
     clipped_words,
+    coarse_words,
     grid_words,
     misfit_words,
     plateau_words,
@@ -176,6 +177,7 @@ def summarize(
             # Where all is white there is nothing to describe.
             *(misfit_words(misfit, len(images)) if np.any(sums.inside) else ()),
             *grid_words(blocks),
+            *coarse_words(films),
             *spread_words(spread),
             *(
                 []

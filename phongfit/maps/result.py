@@ -503,7 +503,11 @@ Maps.__init__.__doc__ = """**Arguments:**
 - `ambient`, `diffuse`, `specular`: (H, W, 3); `shininess`: (H, W, 1), or (H, W, 3) if
     each channel has its own. 0 outside; finite everywhere.
 - `stderr`: the same four: infinite for what is not identified, 0 for what was known.
-    A bound takes nothing from them: the truth may lie inside of it.
+    A bound takes nothing from them: the truth may lie inside of it. Where the noise was
+    estimated (`noise_given` is `None`), it is known from a pixel's own residuals alone,
+    and they are wider by Student's t over 1.96, for as many degrees of freedom as the
+    pixel has samples beyond its unknowns: ± 1.96 errors are an interval of 95 % under
+    any number of lamps.
 - `noise`: (H, W), root mean square of a pixel's residuals a degree of freedom, in
     linear light; NaN outside. Where `noise_given` varies, that of the pixel times the
     root of χ².

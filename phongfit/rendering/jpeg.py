@@ -28,6 +28,8 @@ SAMPLINGS = {
     "4:2:0": ((2, 2), (1, 1), (1, 1)),
 }
 """How many samples across and down the components have, relative to one another."""
+COARSE = 35
+"""Quality at and below which errors of fits were found too small."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,6 +75,12 @@ class JpegCompression:
     def widest(self) -> float:
         """Twice the coarsest rounding of a block's mean, at least 1: levels."""
         return max(1.0, *(table[0][0] / 8 for table in self.tables))
+
+    @property
+    def is_coarse(self) -> bool:
+        """Whether the steps of luma are, on average, those of quality 35 or below."""
+        limit = JpegCompression.at_quality(COARSE).tables[0]
+        return bool(np.mean(self.tables[0]) >= np.mean(limit))
 
     @classmethod
     @checked

@@ -58,6 +58,18 @@ def test_a_mosaic(stack):
     assert np.mean(far) < 0.01
 
 
+def test_a_mosaic_that_leaves_two_samples_more_than_unknowns():
+    """Their noise came out too small by chance, and 5 exponents of 343 far too sure."""
+    few = make_stack(20, 20, LIGHTS // 2, noise=NOISE)
+    maps = pf.fit_maps(few.scenes, few.images, mask=mosaic()[: LIGHTS // 2])
+    error = maps.stderr.shininess
+    identified = np.isfinite(error)
+    off = np.abs(maps.shininess - np.asarray(few.truth.shininess))[identified]
+    assert identified.sum() > 150
+    assert np.all(off < 5 * error[identified])
+    assert np.mean(off < 1.96 * error[identified]) > 0.92
+
+
 def test_a_saturated_channel():
     usual = make_stack(20, 20, LIGHTS, noise=NOISE)
     diffuse, specular = (

@@ -2,10 +2,13 @@
 
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 
 import phongfit as pf
+from phongfit.maps.pixel.pixel import students_t
 from tests.maps.synthetic import Stack, dtype, make_stack, pulls, same
 
 FREE = pf.Film(clamp=False)
@@ -97,3 +100,24 @@ def test_the_same_noise_everywhere(clean, tmp_path):
     same(read, maps)
     np.testing.assert_array_equal(read.noise_given, maps.noise_given)
     np.testing.assert_array_equal(read.chi_squared, maps.chi_squared)
+
+
+@pytest.mark.extended
+def test_errors_under_three_lamps_contain_how_badly_noise_is_known():
+    """Nine samples know the noise badly: 1.96 errors held 90 % of the truths."""
+    stack = make_stack(30, 30, 3, ambient=0)
+    truth = np.asarray(stack.truth.diffuse)
+    matte = pf.Material(truth, 0.0, 10.0, 0.0)
+    clean = np.stack([np.asarray(pf.render(s, matte, film=FREE)) for s in stack.scenes])
+    noise = 0.01 * np.random.default_rng(0).normal(size=clean.shape)
+    images = (clean + noise).astype(dtype())
+    maps = pf.fit_maps(stack.scenes, images, unknowns=("diffuse",))
+    pull = np.abs(maps.diffuse - truth) / maps.stderr.diffuse
+    assert 0.935 < np.mean(pull < 1.96) < 0.965
+
+
+def test_factors_of_student():
+    for freedom in (1, 2, 3, 6, 7, 9, 15, 30, 100):
+        expected = scipy.stats.t.ppf(0.975, freedom) / scipy.stats.norm.ppf(0.975)
+        found = float(students_t(jnp.asarray(freedom, dtype())))
+        assert found == pytest.approx(expected, rel=0.01), freedom

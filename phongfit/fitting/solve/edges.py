@@ -1,7 +1,8 @@
 """Edges that unknowns move: light jumps there, and the pixels at them are left out.
 
-An outline, the rim of a spot's cone, the border of a cast shadow: as one of these moves
-over a pixel, its light jumps, and between jumps it says nothing of where the edge is.
+An outline, a crease of the surface, the rim of a spot's cone, the border of a cast
+shadow: as one of these moves over a pixel, its light jumps, and between jumps it says
+nothing of where the edge is.
 Derivatives know no jumps, so a pixel on the wrong side of an edge would pull on all
 that is unknown for the wrong reason.
 """
@@ -19,6 +20,8 @@ from phongfit.codes import coded
 from phongfit.fitting.problem.samples import Source, gather
 from phongfit.fitting.problem.unknowns import Unknowns, in_units
 from phongfit.fitting.solve.search import SearchResult, search_on
+from phongfit.geometry.shading import FlatShading
+from phongfit.geometry.surfaces import GBuffer, NormalMap
 from phongfit.programs import program
 from phongfit.scene import Scene
 
@@ -26,6 +29,11 @@ from phongfit.scene import Scene
 # must be: an edge may come to rest within the strip, not beside it.
 REACH, NEAREST = 2, 1
 MOST_ROUNDS = 8
+# Degrees by which the normals of neighbouring pixels differ at a crease, and between
+# their tangent planes and the step from one to the other at a jump in depth. On a
+# smooth sphere, normals differ that much only within two pixels of its outline.
+CREASE = 30.0
+_BUT_LAST, _BUT_FIRST = slice(None, -1), slice(1, None)
 
 
 def keep_off_edges(
@@ -81,9 +89,9 @@ def _off(edges: Sequence["Edges"], sources: Sequence[Source]) -> list[Source]:
 def _words(crossed: int) -> str:
     return coded(
         "moving-edge",
-        f"{crossed} pixels that count lie at an edge (an outline, the rim of a spot, a "
-        "shadow) that moves with what is unknown: light jumps there, and no derivative "
-        "says how. Values may be off by more than their errors",
+        f"{crossed} pixels that count lie at an edge (an outline, a crease, the rim of "
+        "a spot, a shadow) that moves with what is unknown: light jumps there, and no "
+        "derivative says how. Values may be off by more than their errors",
     )
 
 
@@ -109,17 +117,25 @@ class Edges(NamedTuple):
 
     - `seen`: pixels that see the surface; `outlined`: whether the outline is an edge.
     - `sides`: on which side of each other edge they lie.
+    - `broken`: pixels beside a crease, a jump in depth or another material, where
+      these move.
     """
 
     seen: Bool[np.ndarray, "height width"]
     outlined: bool
     sides: Bool[np.ndarray, "height width edges"]
+    broken: Bool[np.ndarray, "height width"]
 
 
 def edges_of(unknowns: Unknowns, scene: Scene) -> Edges:
     """The edges of one image that move with what is unknown."""
-    seen, sides = _sides(scene, _moving_cones(unknowns, scene))
-    return Edges(np.asarray(seen), unknowns.moves_geometry, np.asarray(sides))
+    buffer, sides = _sides(scene, _moving_cones(unknowns, scene))
+    seen, moves = np.asarray(buffer.mask), unknowns.moves_geometry
+    # The normals of a picture stay in their pixels, whatever moves.
+    breaks = moves and not isinstance(scene.surface, NormalMap)
+    flat = isinstance(scene.shading, FlatShading)
+    broken = _broken(buffer, flat) if breaks else np.zeros_like(seen)
+    return Edges(seen, moves, np.asarray(sides), broken)
 
 
 def near(edges: Edges, reach: int) -> Bool[np.ndarray, "height width"]:
@@ -131,6 +147,34 @@ def near(edges: Edges, reach: int) -> Bool[np.ndarray, "height width"]:
     found = _spread(~seen, reach) if edges.outlined else np.zeros_like(seen)
     for side in np.moveaxis(edges.sides, -1, 0):
         found |= _spread(side & seen, reach) & _spread(~side & seen, reach)
+    return found | _spread(edges.broken, reach - 1)
+
+
+def _broken(buffer: GBuffer, flat: bool) -> Bool[np.ndarray, "height width"]:
+    """Pixels whose neighbour in a row or column sees a surface that does not go on.
+
+    On a smooth surface the step from one point to the next is at a right angle to the
+    mean of both normals, up to third order in its length.
+
+    **Arguments:** `flat`: whether every edge between faces is a crease.
+    """
+    seen, normal = np.asarray(buffer.mask), np.asarray(buffer.normal)
+    position = np.asarray(buffer.position)
+    labels = [buffer.material_index, buffer.face if flat else None]
+    labels = [np.asarray(label) for label in labels if label is not None]
+    found = np.zeros_like(seen)
+    for axis in (0, 1):
+        here, there = ((slice(None),) * axis + (s,) for s in (_BUT_LAST, _BUT_FIRST))
+        turn = np.sum(normal[here] * normal[there], axis=-1)
+        step = position[there] - position[here]
+        rise = abs(np.sum(step * (normal[here] + normal[there]) / 2, axis=-1))
+        jumps = turn < np.cos(np.deg2rad(CREASE))
+        jumps |= rise > np.sin(np.deg2rad(CREASE)) * np.linalg.norm(step, axis=-1)
+        for label in labels:
+            jumps |= label[here] != label[there]
+        jumps &= seen[here] & seen[there]
+        found[here] |= jumps
+        found[there] |= jumps
     return found
 
 
@@ -151,14 +195,14 @@ def _moving_cones(unknowns: Unknowns, scene: Scene) -> tuple[int, ...]:
 @program("cones")
 def _sides(
     scene: Scene, cones: tuple[int, ...]
-) -> tuple[Bool[Array, "height width"], Bool[Array, "height width edges"]]:
-    """Which pixels see the surface, and on which side of each edge they lie."""
+) -> tuple[GBuffer, Bool[Array, "height width edges"]]:
+    """What pixels see, and on which side of each edge they lie."""
     buffer = scene.trace()
     sides = [jax.vmap(jax.vmap(scene.lights[k].covers))(buffer.position) for k in cones]
     if buffer.visibility is not None and buffer.visibility.ndim == 3:
         sides += list(jnp.moveaxis(buffer.visibility > 0, -1, 0))
     none = jnp.zeros((*buffer.mask.shape, 0), bool)
-    return buffer.mask, jnp.stack(sides, axis=-1) if sides else none
+    return buffer, jnp.stack(sides, axis=-1) if sides else none
 
 
 def _spread(pixels: np.ndarray, reach: int) -> np.ndarray:

@@ -1,7 +1,7 @@
 """What a fit says of its own weaknesses: what is wrong, how large, what to try."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -104,6 +104,20 @@ _SUMMED = {
     "diffuse": "where diffuse light is equal",
     "highlight": "where the highlight is equal",
 }
+
+
+def coarse_words(films: Iterable[Film]) -> tuple[str, ...]:
+    """Images of which a JPEG file kept so little that draws do not show the errors."""
+    if not any(film.jpeg is not None and film.jpeg.is_coarse for film in films):
+        return ()
+    return (
+        coded(
+            "coarse-jpeg",
+            "a JPEG file is compressed as at quality 35 or below: most of the "
+            "highlight's colour is rounded to nothing, and errors of specular may be "
+            "too small by half",
+        ),
+    )
 
 
 def grid_words(significance: float) -> tuple[str, ...]:

@@ -71,6 +71,19 @@ LARGER = 1.3
 # Efficiency of a median of absolute values as a measure of scale: Hampel, *The
 # influence curve and its role in robust estimation*, J. Am. Stat. Assoc. 69(346), 1974.
 MEDIAN = 0.37
+# Degrees of freedom, and the t of Student that 95 % of the draws do not exceed.
+STUDENT = {
+    np.inf: 1.95996,
+    20: 2.08596,
+    10: 2.22814,
+    8: 2.30600,
+    6: 2.44691,
+    5: 2.57058,
+    4: 2.77645,
+    3: 3.18245,
+    2: 4.30265,
+    1: 12.7062,
+}
 # Share of pixels from which on what they need is done for all beside them.
 MANY = 0.5
 # By how much channels may differ in how the lights share them, over their sum.
@@ -324,14 +337,15 @@ def _fit_samples(
     identified = ~black & (enough | (settings.noise_given & (count >= unknowns)))
 
     misfit = jnp.zeros(level.shape, bool)
+    # Of a normal distribution a median knows no more than a third of the samples.
+    heard = freedom * (MEDIAN if settings.loss.robust else 1)
     if settings.noise_given:
-        # Of a normal distribution a median knows no more than a third of the samples.
-        heard = freedom * (MEDIAN if settings.loss.robust else 1)
         misfit = identified & enough & ((level / noise) ** 2 > most_by_chance(heard))
-    sigma = found.scale if settings.loss.robust else level[None]
+    wider = students_t(heard)[None]
+    sigma = (found.scale if settings.loss.robust else level[None]) * wider
     if settings.noise_given:
         # What the model does not describe may pull as hard as it shows.
-        sigma = jnp.where(misfit, level, noise)[None]
+        sigma = jnp.where(misfit[None], level[None] * wider, noise)
     errors = optimization_barrier(
         standard_errors(
             found.at,
@@ -370,6 +384,18 @@ def _fit_samples(
     doubtful = found.unsettled | errors.vague | errors.moving
     wanted = some(jnp.where(job.thorough, unsettled, doubtful))
     return fit, identified & wanted
+
+
+def students_t(freedom: Array) -> Array:
+    """By how much intervals of 95 % are wider where residuals tell the noise.
+
+    Student's t over the 1.96 of a normal distribution; between the entries of the
+    table nearly linear in the inverse of the degrees of freedom.
+    """
+    known = [1 / n for n in STUDENT]
+    factors = [t / STUDENT[np.inf] for t in STUDENT.values()]
+    kind = freedom.dtype
+    return jnp.interp(1 / freedom, jnp.asarray(known, kind), jnp.asarray(factors, kind))
 
 
 def most_by_chance(freedom: Array) -> Array:

@@ -132,3 +132,12 @@ def test_errors_under_uncertain_lamps_are_foreseen():
     expected = np.hypot(plain.errors, darker)
     np.testing.assert_allclose(foreseen.errors, expected, rtol=0.05)
     assert foreseen.errors[3] > 2 * plain.errors[3]
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("quality", [30, 50])
+def test_a_coarse_file_is_named(quality):
+    """At quality 30 four of five intervals of 95 % held ρ_s, without a warning."""
+    image = jpeg_photograph(0, quality, SCENE)
+    fit = pf.fit(SCENE, image, film=jpeg_film(quality))
+    assert about("[coarse-jpeg]", fit) == (quality == 30)
