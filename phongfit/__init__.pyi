@@ -14,6 +14,7 @@ from .files.calibrations import (
     save_calibration as save_calibration,
 )
 from .files.cameras import load_cameras as load_cameras
+from .files.capture_data import open_captured as open_captured
 from .files.captures import Capture as Capture, open_capture as open_capture
 from .files.datasets import (
     Dataset as Dataset,
@@ -23,6 +24,7 @@ from .files.datasets import (
 from .files.images import (
     read_film as read_film,
     read_image as read_image,
+    read_mask as read_mask,
     write_image as write_image,
 )
 from .files.lp import read_lp as read_lp, write_lp as write_lp

@@ -14,6 +14,13 @@ FOUND = 0.85
 SECTORS = 48
 """An arc is looked at in so many pieces."""
 
+SEEN_OF_BALL = 0.45
+"""Share of a ball's arc on which an edge must be seen: its shadowed side, before a dark
+background, shows none."""
+
+LARGE = 0.04
+"""Smallest radius of a ball, as a share of the photograph's shorter side."""
+
 CLEARLY = 0.1
 """An edge is seen on a piece if it passes there on this share of its radii, in the mean
 of the photographs."""
@@ -203,15 +210,7 @@ def find_circles(
         Kimme, Ballard and Sklansky, *Finding circles by an array of accumulators*,
         CACM 18(2), 1975.
     """
-    edges = find_edges(photographs)
-    height, width = edges.strength.shape
-    shrink = max(1, round(max(height, width) / 480))
-    rings = [
-        _ring(np.array([x, y, radius]), np.zeros(2), reach=2.0 * shrink + 2)
-        for x, y, radius in _vote(edges, shrink)
-        if radius < x < width - radius and radius < y < height - radius
-    ]
-    candidates = map(_placed, rings, _edge_points(photographs, rings))
+    candidates = _candidates(photographs)
     found = [placed for placed in candidates if placed.coverage >= FOUND]
     found.sort(key=lambda placed: -placed.outline[2])
     outermost: list[Placed] = []
@@ -224,6 +223,40 @@ def find_circles(
         ):
             outermost.append(placed)
     return sorted(outermost, key=lambda placed: -placed.coverage)
+
+
+def find_largest_arc(
+    photographs: Float[np.ndarray, "count height width"],
+) -> Placed | None:
+    """The circle whose visible arc is longest: the ball that a photograph is of.
+
+    Half of the arc is enough, where [`find_circles`][] needs nearly all of it: a ball
+    under one lamp has a dark side.
+
+    **Arguments:** `photographs`: grey linear light.
+
+    **Returns:** `None` if no circle is clear enough.
+    """
+    smallest = LARGE * min(photographs.shape[1:])
+    arcs = [
+        placed
+        for placed in _candidates(photographs)
+        if placed.coverage >= SEEN_OF_BALL and placed.outline[2] >= smallest
+    ]
+    return max(arcs, key=lambda arc: arc.coverage * arc.outline[2], default=None)
+
+
+def _candidates(photographs: Float[np.ndarray, "count height width"]) -> list[Placed]:
+    """Circles within the photographs that many edges vote for, moved onto the edges."""
+    edges = find_edges(photographs)
+    height, width = edges.strength.shape
+    shrink = max(1, round(max(height, width) / 480))
+    rings = [
+        _ring(np.array([x, y, radius]), np.zeros(2), reach=2.0 * shrink + 2)
+        for x, y, radius in _vote(edges, shrink)
+        if radius < x < width - radius and radius < y < height - radius
+    ]
+    return list(map(_placed, rings, _edge_points(photographs, rings)))
 
 
 def _vote(edges: Edges, shrink: int) -> list[np.ndarray]:

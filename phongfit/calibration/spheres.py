@@ -6,7 +6,12 @@ from typing import Literal, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from phongfit.calibration.circles import Placed, find_circles, place
+from phongfit.calibration.circles import (
+    Placed,
+    find_circles,
+    find_largest_arc,
+    place,
+)
 from phongfit.calibration.highlights import find_highlights
 from phongfit.calibration.matte import Matte, Place, shaded_directions
 from phongfit.calibration.outlines import View, seen, stretch
@@ -146,6 +151,22 @@ def find_spheres(
         if kind is not None:
             found.append((kind, placed.outline * shrink))
     return found
+
+
+def find_ball(photographs: Images, names: Sequence[str]) -> Outline | None:
+    """The outline of the ball that photographs of one camera are of.
+
+    Its kind is not judged, and its dark side need not be seen.
+
+    **Returns:** x, y and radius in pixels from the upper left corner; `None` if no
+    circle is clear enough.
+    """
+    images = looked_at(photographs, names)
+    first = next(images)
+    shrink = max(1, -(-max(first.shape) // SEARCHED))
+    small = [_shrunk(image, shrink) for image in (first, *images)]
+    found = find_largest_arc(np.stack(small))
+    return None if found is None else found.outline * shrink
 
 
 def _shrunk(image: np.ndarray, shrink: int) -> np.ndarray:

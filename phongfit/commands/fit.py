@@ -12,6 +12,7 @@ from tyro.conf import OmitArgPrefixes
 from phongfit.codes import warning_code
 from phongfit.commands.data import DataOptions, read_data, tell
 from phongfit.commands.keeping import keeping
+from phongfit.commands.loading import loading_lines
 from phongfit.commands.options import (
     FitOptions,
     OutFolder,
@@ -283,8 +284,8 @@ def _draw(folder: Path, found: Fit, data: Dataset, options: Options) -> None:
     """The picture and the report."""
     # Here, since drawing takes long to import, and the table comes first.
     from phongfit.report.page import write_page
+    from phongfit.report.repeat import names as names_in_call
 
-    films = data.films
     with replacing(folder / PICTURE_FILE) as picture:
         found.plot(data.names).savefig(picture, dpi=150)
     write_page(
@@ -294,38 +295,8 @@ def _draw(folder: Path, found: Fit, data: Dataset, options: Options) -> None:
         names=data.names,
         assumptions={"exposures": "; ".join(data.notes)} if data.notes else None,
         command=_again(options),
-        loading=_loading(
-            options.data,
-            len(data.images),
-            any(f.jpeg for f in films),
-            bool(data.uncertain),
-        ),
+        loading=loading_lines(options.data, names_in_call(found)),
         diagnostics=found.diagnose() if options.report == "full" else None,
-    )
-
-
-def _loading(data: DataOptions, images: int, jpeg: bool, uncertain: bool) -> str:
-    """Lines of Python that read what was fitted, by the names of the report's call."""
-    given = {
-        field.name: getattr(data, field.name)
-        for field in dataclasses.fields(data)
-        if getattr(data, field.name) != field.default
-    }
-    words = [
-        f"{name}={f'Path({str(value)!r})' if isinstance(value, Path) else repr(value)}"
-        for name, value in given.items()
-    ]
-    names = "scenes, images, masks" if images > 1 else "(scene,), (image,), (mask,)"
-    return "\n".join(
-        [
-            "from pathlib import Path",
-            "from phongfit.commands.data import DataOptions, read_data",
-            "",
-            f"data, _ = read_data(DataOptions({', '.join(words)}))",
-            f"{names} = data.scenes, data.images, data.masks",
-            *(["film = data.film"] if jpeg else []),
-            *(["uncertain = data.uncertain"] if uncertain else []),
-        ]
     )
 
 

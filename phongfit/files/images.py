@@ -262,6 +262,7 @@ def _turned(
     return jpeg.transposed if exchanged else jpeg
 
 
+@checked
 def read_mask(
     path: str | os.PathLike[str], *, max_pixels: int | None = None
 ) -> Bool[np.ndarray, "height width"]:

@@ -51,19 +51,24 @@ class Options:
     """Open the page in a browser."""
 
     photographs: Annotated[Positional[Path | None], _optional("PHOTOS")] = None
-    """Photographs of a ball to begin with: one, or a folder of them, with --sphere; or
-    a data set of a ball. The page has a menu of them."""
+    """Photographs of a ball to begin with: one, a folder of them, or a data set. The
+    page has a menu of them."""
 
     sphere: Annotated[tuple[float, float, float] | None, _optional("X Y R")] = None
     """The ball in the photographs: x and y of its centre and its radius in pixels,
-    from the upper left corner."""
+    from the upper left corner. Default: a circle is looked for."""
 
     lights: Annotated[Path | None, _optional("FILE")] = None
     """Their lamps, as `phongfit calibrate` writes them, or an .lp. Default: those in
-    the folder."""
+    the folder; else fits look for their directions."""
 
     encoding: Annotated[str | None, _optional("linear|srgb|FILE")] = None
-    """What their numbers are. Default: srgb for JPEG."""
+    """What their numbers are, or the file of a response curve, as `phongfit response`
+    writes it. Default: srgb for JPEG, and for one photograph of 8 bits."""
+
+    white: Annotated[int | None, _optional("LEVEL")] = None
+    """The number in the files that is white, such as 4095 of 12 bits in PNGs of 16.
+    Default: the largest of the format."""
 
 
 def lab(options: Options) -> None:
@@ -75,6 +80,7 @@ def lab(options: Options) -> None:
     For example:
       phongfit lab
       phongfit lab --port 0 --no-browser
+      phongfit lab ball.png
       phongfit lab photos --sphere 179 155 81 --encoding srgb
     """
     if not 0 <= options.port < 2**16:
@@ -84,7 +90,7 @@ def lab(options: Options) -> None:
             f"resolution: expected 16 … {MAX_RESOLUTION}, got {options.resolution}"
         )
     _check_installed()
-    for name in ("sphere", "lights", "encoding"):
+    for name in ("sphere", "lights", "encoding", "white"):
         if options.photographs is None and getattr(options, name) is not None:
             raise ValueError(f"{name}: is of photographs, and none are given")
     with listening(options.host, options.port) as listener:
@@ -150,7 +156,11 @@ def _serve(listener: socket.socket, options: Options) -> None:
     given = None
     if options.photographs is not None:
         path = options.photographs
-        given = open_given(path, options.sphere, options.lights, options.encoding)
+        given = open_given(
+            path, options.sphere, options.lights, options.encoding, options.white
+        )
+        for note in given.notes:
+            print(f"assumed: {note}", flush=True)
     session = Session(options.resolution, given)
     # The first picture is there when the page is.
     session.picture(PictureRequest(settings=Settings()))

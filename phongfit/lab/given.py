@@ -1,14 +1,25 @@
 """Photographs that the command was given, as targets: a capture or a data set."""
 
+import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from phongfit.files.capture_data import open_captured
-from phongfit.files.dataset import Photographs
+from phongfit.calibration.spheres import find_ball
+from phongfit.files.capture_data import (
+    DIRECTION,
+    list_of,
+    masked,
+    one_photograph,
+    open_captured,
+)
+from phongfit.files.captures import Capture, open_capture
+from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.datasets import open_dataset
 from phongfit.files.encodings import parse_encoding
+from phongfit.files.images import read_film
 from phongfit.files.inputs import naming
 from phongfit.files.scenes import SCENE_FILE
 from phongfit.geometry.cameras import (
@@ -22,35 +33,132 @@ from phongfit.geometry.surfaces import Sphere
 from phongfit.lab.scene import angles
 from phongfit.lab.settings import FURTHEST, NEAREST, Settings
 from phongfit.lights import AbstractLight, PointLight
+from phongfit.rendering.film import Encoding
 from phongfit.scene import Scene
+
+PLAIN = (".png", ".bmp", ".tif", ".tiff")
+"""Formats whose files may hold 8 bits without a statement of their encoding."""
+
+SEARCHED = 8
+"""Most photographs of a folder in which the circle is looked for."""
 
 
 def open_given(
     photographs: Path,
-    sphere: tuple[float, float, float] | None,
-    lights: Path | None,
-    encoding: str | None,
+    sphere: tuple[float, float, float] | None = None,
+    lights: Path | None = None,
+    encoding: str | None = None,
+    white: int | None = None,
 ) -> Photographs:
     """A ball's photographs, one or a folder of them, or a data set of a ball.
 
+    The circle of the ball is looked for unless `sphere` states it. What was assumed is
+    in the `notes`.
+
     **Raises:** `ValueError` that names the file or the option.
     """
+    if not photographs.exists():
+        raise ValueError(f"{photographs}: there is no such file or folder")
     is_dataset = photographs.is_dir() and (photographs / SCENE_FILE).exists()
-    if sphere is not None:
-        found = open_captured(
-            photographs, parse_encoding(encoding), sphere=sphere, lights=lights
-        )
-    elif is_dataset and lights is None and encoding is None:
+    if is_dataset and sphere is None:
+        for name, given in (("lights", lights), ("encoding", encoding)):
+            if given is not None:
+                raise ValueError(f"{name}: {photographs} is a data set with its own")
+        if white is not None:
+            raise ValueError(f"white: {photographs} is a data set with its own")
         found = open_dataset(photographs)
     else:
-        raise ValueError(
-            f"sphere: expected the circle of the ball in {photographs}, x, y and "
-            "radius in pixels, since it is no data set with a scene.json"
-        )
+        found = _open_ball(photographs, sphere, lights, encoding, white)
     for scene, name in zip(found.scenes, found.names, strict=True):
         with naming(name):
             settings_of(scene)
     return found
+
+
+def _open_ball(
+    path: Path,
+    sphere: tuple[float, float, float] | None,
+    lights: Path | None,
+    encoding: str | None,
+    white: int | None,
+) -> Photographs:
+    """Photographs of a ball, whose circle and lamps need not be known."""
+    known, notes = _encoding_of(path, encoding)
+    capture = None
+    if sphere is None:
+        capture = _capture(path, known, lights, white)
+        sphere = x, y, radius = _find_circle(path, capture)
+        notes += (
+            f"the ball's circle was found in the photograph: centre {x:.1f}, {y:.1f}, "
+            f"radius {radius:.1f} pixels. Compare it with the yellow outline",
+        )
+    given = open_captured(path, known, sphere=sphere, lights=lights, white=white)
+    if capture is not None:
+        given = dataclasses.replace(given, read=_reader(capture))
+    if DIRECTION in given.unknown:
+        notes += (
+            "the lamp's direction is unknown: a fit looks for it, from where the "
+            "sliders have it",
+        )
+    return dataclasses.replace(given, notes=(*given.notes, *notes))
+
+
+def _capture(
+    path: Path, encoding: Encoding | None, lights: Path | None, white: int | None
+) -> Capture:
+    if path.is_dir():
+        return open_capture(path, encoding, lights=list_of(lights), white=white)
+    return one_photograph(path, encoding, white=white)
+
+
+def _find_circle(path: Path, capture: Capture) -> tuple[float, float, float]:
+    """Centre and radius of the ball, in pixels.
+
+    **Raises:** `ValueError` that names the photographs if no circle is clear enough.
+    """
+    count = len(capture.names)
+    chosen = np.linspace(0, count - 1, min(count, SEARCHED)).astype(int)
+    images = [capture.image(int(k)) for k in chosen]
+    circle = find_ball(images, [capture.names[k] for k in chosen])
+    if circle is None:
+        raise ValueError(
+            f"sphere: no circle of a ball was found in {path}: state it, --sphere X Y "
+            "R, its centre and radius in pixels from the upper left corner"
+        )
+    x, y, radius = map(float, circle)
+    return x, y, radius
+
+
+def _reader(capture: Capture) -> Callable[[int], Photograph]:
+    """Photographs in which no pixel is left out for its place on the ball.
+
+    The circle is a guess that the page's sliders correct, so that a mask made of it
+    could leave out pixels of the ball.
+    """
+    used = np.ones(capture.series.size, bool)
+    if capture.mask is not None:
+        used = masked(capture.mask, used.shape)
+
+    def read(number: int) -> Photograph:
+        photo = capture.series.read(number)
+        return Photograph(photo.coded, used & photo.usable)
+
+    return read
+
+
+def _encoding_of(
+    path: Path, encoding: str | None
+) -> tuple[Encoding | None, tuple[str, ...]]:
+    """The encoding of a photograph, and a note where it is assumed."""
+    known = parse_encoding(encoding)
+    if known is not None or path.suffix.lower() not in PLAIN:
+        return known, ()
+    if read_film(path, "srgb").bits != 8:
+        return None, ()
+    return "srgb", (
+        f"the encoding of {path.name} is not known: it is read as sRGB, as cameras and "
+        "the web write 8 bits. If its numbers are linear, start with --encoding linear",
+    )
 
 
 def settings_of(scene: Scene) -> dict[str, Any]:

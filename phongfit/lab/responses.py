@@ -1,5 +1,6 @@
 """A fit in the page's words: a table of plain text, warnings, and the material."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from phongfit.fitting.result import Fit
 from phongfit.fitting.uncertainty.numbers import number_with_error
 from phongfit.lab.scene import angles, make_lights
 from phongfit.lab.settings import Settings, matters
+from phongfit.lab.words import in_page_words
 
 SYMBOLS = {"diffuse": "ρ_d", "specular": "ρ_s", "ambient": "ρ_a", "shininess": "f"}
 OF_MATERIAL = ("diffuse", "specular", "ambient", "shininess")
@@ -24,6 +26,8 @@ def fit_response(fit: Fit, truth: Settings | None) -> dict[str, Any]:
     not identifiable.
     """
     known = {} if truth is None else true_numbers(truth)
+    words = tuple(map(in_page_words, fit.warnings))
+    fit = dataclasses.replace(fit, warnings=words)
     return {
         "rows": [_row(fit, k, known) for k in range(len(fit.labels))],
         "head": _head(fit),

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from phongfit.files.capture_data import DIRECTION
 from phongfit.files.dataset import Photographs
 from phongfit.files.formats import data_uri
 from phongfit.fitting.fit import fit
@@ -42,6 +43,8 @@ from phongfit.rendering.render import render
 
 # Rows and columns of a pixel that is shown; targets and fits have one of each.
 FINER = 2
+# Of photographs: a pixel of the rim averages over many normals.
+RIM = 0.15
 # What of the settings the geometry depends on.
 GEOMETRY = ("surface", "shading", "turn", "tilt", "centre_x", "centre_y", "radius")
 # The sphere as triangles, for the shading methods that need them.
@@ -127,7 +130,11 @@ class Session:
         return self._keep(target)
 
     def choose(self, request: ChosenRequest) -> dict[str, Any]:
-        """One of the given photographs as the target, and the settings of its scene.
+        """One of the given photographs as the target, and what is known of its scene.
+
+        **Returns:** the target with `settings` of the sliders; `options` of a fit, of
+        which the light's direction is unknown where nothing states it; and `notes`,
+        sentences on what was assumed.
 
         **Raises:** `ValueError` if there is none of this number, or its file has gone.
         """
@@ -141,7 +148,11 @@ class Session:
         mask = shrunk(known)[0][..., 0] >= 1
         target = Target(image, mask, None, times, brightening(image))
         settings = settings_of(given.scenes[request.number])
-        return self._keep(target) | {"settings": settings}
+        return self._keep(target) | {
+            "settings": settings,
+            "options": {"light_too": DIRECTION in given.unknown, "rim": RIM},
+            "notes": list(given.notes),
+        }
 
     def add_mask(self, token: str, name: str, content: bytes) -> dict[str, Any]:
         """The pixels of a photograph that show the surface.

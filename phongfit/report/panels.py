@@ -16,7 +16,7 @@ from phongfit.report.plots import (
     draw_correlations,
     shown_unknowns,
 )
-from phongfit.report.profiles import draw_profile
+from phongfit.report.profiles import difference_words, draw_profile
 from phongfit.report.residuals import draw_against_level, draw_blocks, draw_histogram
 from phongfit.report.style import picture, quiet
 from phongfit.report.words import as_tuple, listed
@@ -120,7 +120,8 @@ def profiles(fit: Fit, found: Diagnostics | None) -> tuple[list[Panel], str]:
         alt = (
             f"Profile of {one.label}: it lies between {low:.4g} and {high:.4g} (68 %)."
         )
-        shown.append(_drawn(lambda axes, p=one: draw_profile(axes, fit, p), alt))
+        words = difference_words(fit, one)
+        shown.append(_drawn(lambda axes, p=one: draw_profile(axes, fit, p), alt, words))
     free = fit.problem.unknowns.free_labels
     left = sum(free.count(label) == 1 for label in free) - len(labels)
     others = [label for label in free if label not in labels]

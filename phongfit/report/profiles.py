@@ -1,14 +1,26 @@
 """Profiles drawn: how much worse a fit is where an unknown, or two, are held."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from scipy.interpolate import PchipInterpolator
 
 from phongfit.fitting.result import Fit
+from phongfit.fitting.uncertainty.numbers import number_with_error
 from phongfit.fitting.uncertainty.profile import Profile, ProfilePair
+from phongfit.fitting.uncertainty.quantiles import student_reach
 from phongfit.report.style import ACCENT, INK, PALE, picture, styled
 from phongfit.report.words import unit
+
+SHADE = 0.13
+"""Opacity of an interval; narrower ones lie on wider ones."""
+
+DIFFER = 0.3
+"""Largest difference of a profile's interval and a standard error that needs no words,
+as a share of the error on that side."""
 
 
 def draw_profile(axes: Axes, fit: Fit, found: Profile) -> None:
@@ -26,18 +38,61 @@ def draw_profile(axes: Axes, fit: Fit, found: Profile) -> None:
     if np.isfinite(error) and error > 0:
         parabola = ((fine - float(value)) / float(error)) ** 2
         axes.plot(fine, parabola, "--", color=PALE, label="standard error")
-    for (level, (low, high)), shade in zip(
-        found.intervals.items(), (0.22, 0.13, 0.07), strict=False
-    ):
-        axes.axvspan(low, high, color=ACCENT, alpha=shade, linewidth=0)
-        inside = min(high, float(found.values[-1]))
-        axes.text(inside, top, f"{100 * level:.3g} %", ha="right", va="top", fontsize=7)
+    for low, high in found.intervals.values():
+        axes.axvspan(low, high, color=ACCENT, alpha=SHADE, linewidth=0)
     axes.set_ylim(0, top)
     axes.set_xlim(found.values[0], found.values[-1])
     axes.set_xlabel(f"{found.label}  ({unit(found.label)})")
     axes.set_ylabel("Δχ²: how much worse the fit is")
-    # Above, where neither curve nor chances are.
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, borderaxespad=0.2)
+    lines, words = axes.get_legend_handles_labels()
+    shades, chances = _shades(list(found.intervals))
+    # Above the axes: inside, chances whose intervals end together would overlap.
+    axes.legend(
+        [*lines, *shades],
+        [*words, *chances],
+        loc="lower left",
+        bbox_to_anchor=(0, 1),
+        ncols=3,
+        borderaxespad=0.2,
+    )
+
+
+def _shades(levels: Sequence[float]) -> tuple[list[Patch], list[str]]:
+    """Patches of the intervals' shades, which lie on one another, and their chances."""
+    layers = range(len(levels), 0, -1)
+    opacity = [1 - (1 - SHADE) ** count for count in layers]
+    shades = [Patch(color=ACCENT, alpha=alpha, linewidth=0) for alpha in opacity]
+    return shades, [f"{100 * level:.3g} %" for level in levels]
+
+
+def difference_words(fit: Fit, found: Profile) -> str:
+    """Which to quote where the profile's intervals and the standard error differ.
+
+    A skewed or wide profile is quoted, since the standard error is of a parabola. One
+    that is narrower on both sides is not: errors contain what no profile does, such as
+    what other specular models or exponents would give.
+
+    **Returns:** a sentence on the lowest chance at which the two differ by more than
+    `DIFFER`; `""` where there is none.
+    """
+    value, error = (float(number) for number in fit[found.label][:2])
+    if not np.isfinite(error) or error <= 0:
+        return ""
+    for level, (low, high) in sorted(found.intervals.items()):
+        reach = student_reach(level, fit.degrees_of_freedom) * error
+        widths = np.array([value - low, high - value]) / reach
+        difference = float(np.abs(widths - 1).max())
+        if difference > DIFFER:
+            wider = "±" if widths.max() < 1 else "the profile's interval"
+            start, middle, end = (
+                number_with_error(number, error) for number in (low, value, high)
+            )
+            return (
+                f"The profile's interval, {start} … {end} ({100 * level:.3g} %), and "
+                f"{middle} ± {reach:.2g} differ by up to {100 * difference:.0f} %. "
+                f"Quote {wider}."
+            )
+    return ""
 
 
 def _draw_pair(axes: Axes, found: ProfilePair) -> None:

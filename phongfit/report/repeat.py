@@ -11,6 +11,7 @@ from phongfit.fitting.result import Fit
 from phongfit.material import Material
 from phongfit.plain import plain
 from phongfit.rendering.film import Film
+from phongfit.rendering.response import ResponseCurve
 
 
 def names(fit: Fit) -> list[str]:
@@ -29,7 +30,7 @@ def _arrays(fit: Fit) -> dict[str, str]:
     if "weights" in arrays and fit.noise_given and "noise" not in arrays:
         # The samples know what the two make together.
         arrays.append("noise")
-    if _is_jpeg(fit):
+    if _is_table(fit):
         arrays.append("film")
     if fit.specification.uncertain:
         arrays.append("uncertain")
@@ -37,9 +38,12 @@ def _arrays(fit: Fit) -> dict[str, str]:
     return {name: shown.get(name, name) for name in arrays}
 
 
-def _is_jpeg(fit: Fit) -> bool:
-    """Whether the film stands in files: its tables of numbers are no part of a call."""
-    return any(film.jpeg is not None for film in fit.films)
+def _is_table(fit: Fit) -> bool:
+    """Whether the film is made of a file's tables, which are no part of a call."""
+    return any(
+        film.jpeg is not None or isinstance(film.encoding, ResponseCurve)
+        for film in fit.films
+    )
 
 
 def call(fit: Fit) -> str:
@@ -83,7 +87,9 @@ def _made(value: eqx.Module, usual: eqx.Module | None = None) -> str:
         for name, number in fields.items()
         if usual is None or number != _numbers(getattr(usual, name))
     )
-    return f"pf.{type(value).__name__}({inside})"
+    # A class of the caller's own stands under its own name.
+    ours = type(value).__module__.partition(".")[0] == __name__.partition(".")[0]
+    return f"{'pf.' if ours else ''}{type(value).__name__}({inside})"
 
 
 def _numbers(value: Any) -> Any:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.calibration.spheres import find_ball
 from tests.calibration.studio import Ball, Studio, degrees, directions
 
 LAMPS = directions(6)
@@ -270,6 +271,22 @@ def test_what_cannot_be_is_said_by_its_name(distant, options, message):
     studio, images = distant
     with pytest.raises(ValueError, match=message):
         calibrated(studio, images, **options)
+
+
+def test_one_photograph_of_a_ball_with_a_dark_side():
+    """Half of its outline is as dark as the background."""
+    height, width, (x, y, radius) = 90, 120, (50.0, 44.0, 30.0)
+    rows, columns = np.mgrid[:height, :width] + 0.5
+    right, up = (columns - x) / radius, (y - rows) / radius
+    inside = np.hypot(right, up) < 1
+    front = np.sqrt(np.maximum(1 - right**2 - up**2, 0))
+    lit = np.maximum(0.8 * right + 0.3 * up + 0.5 * front, 0)
+    light = np.repeat(np.where(inside, 0.5 * lit, 0)[..., None], 3, axis=-1)
+    noise = np.random.default_rng(1).normal(0, 0.003, light.shape)
+    found = find_ball([light + noise], ["ball.png"])
+    assert found is not None
+    np.testing.assert_allclose(found, (x, y, radius), atol=1.0)
+    assert find_ball([0.3 + noise], ["empty.png"]) is None
 
 
 def test_no_sphere_in_view():

@@ -25,6 +25,7 @@ from phongfit.files.materials import read_material, write_material
 from phongfit.files.outputs import WORK
 from phongfit.fitting.problem.specification import Specification
 from tests.commands.conftest import ENDS, SIDE, full_disk, interrupt
+from tests.commands.test_loading import check_public
 from tests.helpers import said
 
 FIT = "phongfit.commands.fit.fit"
@@ -119,6 +120,7 @@ def test_the_report_says_how_to_repeat_it_in_python(fitted):
     page = (fitted / "report.html").read_text(encoding="utf-8")
     program = html.unescape(page.split("<pre")[-1].split(">", 1)[1].split("</pre>")[0])
     assert "mask=masks" in program
+    check_public(program)
     place: dict[str, Any] = {}
     exec(program, place)
     values, errors = read_fit_record(fitted / "fit.json").numbers()

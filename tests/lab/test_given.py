@@ -48,6 +48,35 @@ def test_sliders_stand_where_the_capture_says(folder):
         session.choose(ChosenRequest(number=3))
 
 
+def test_a_photograph_given_alone(folder):
+    """The circle is found, the lamp is unknown, and both are said."""
+    given = open_given(folder / "1.png")
+    chosen = Session(32, given).choose(ChosenRequest(number=0))
+    settings = Settings.model_validate(chosen["settings"])
+    assert settings.centre_x == pytest.approx(100 * 27 / 48, abs=1.0)
+    assert settings.centre_y == pytest.approx(50, abs=1.0)
+    assert settings.radius == pytest.approx(37.5, abs=1.0)
+    assert chosen["options"] == {"light_too": True, "rim": 0.15}
+    encoding, circle, lamp = chosen["notes"]
+    assert "encoding of 1.png is not known: it is read as sRGB" in encoding
+    assert "circle was found" in circle and "direction is unknown" in lamp
+    # The circle is a guess, which the page corrects: no pixel is masked by it.
+    assert np.asarray(given.read(0).mask).all()
+    known = open_given(folder, encoding="srgb")
+    chosen = Session(32, known).choose(ChosenRequest(number=1))
+    assert chosen["options"]["light_too"] is False
+    assert chosen["settings"]["radius"] == pytest.approx(37.5, abs=1.0)
+
+
+def test_white_of_a_photograph(folder, tmp_path):
+    """12 bits in a file of 16."""
+    numbers = np.asarray(pf.read_image(folder / "1.png", "srgb"))
+    pf.write_image(tmp_path / "dim.png", numbers * 4095 / 65535, "linear", bits=16)
+    given = open_given(tmp_path / "dim.png", CIRCLE, None, "linear", 4095)
+    np.testing.assert_allclose(given.read(0).image, numbers, atol=2e-4)
+    assert len(given.notes) == 1
+
+
 def test_a_data_set_and_a_camera_that_stands_elsewhere(folder, tmp_path):
     camera = pf.PerspectiveCamera.look_at((4, 0, 3), (0, 0, 0), width=48, height=40)
     # The lamp is in the camera's back: straight from the front.
@@ -107,14 +136,18 @@ def test_a_near_lamp_stays_near():
 @pytest.mark.parametrize(
     "options, words",
     [
-        (["{folder}"], "sphere: expected the circle of the ball in"),
+        (["{dark}"], "sphere: no circle of a ball was found in"),
+        (["{folder}"], "encoding: expected linear or srgb"),
+        (["--white", "4095"], "white: is of photographs, and none are given"),
         (["--sphere", "1", "2", "3"], "sphere: is of photographs, and none are given"),
         (["nowhere", "--sphere", "1", "2", "3"], "nowhere"),
         (["{folder}", "--sphere", "27", "20", "15"], "encoding: expected"),
     ],
 )
-def test_bad_options(folder, capsys, options, words):
-    words_given = [option.format(folder=folder) for option in options]
+def test_bad_options(folder, tmp_path, capsys, options, words):
+    pf.write_image(tmp_path / "dark.png", np.zeros((40, 48, 3)), "srgb")
+    names = {"folder": folder, "dark": tmp_path / "dark.png"}
+    words_given = [option.format(**names) for option in options]
     assert run(lab, ["--no-browser", "--port", "0", *words_given]) == 2
     err = capsys.readouterr().err
     assert err.startswith("error: ") and words in err and err.count("\n") == 1
@@ -141,4 +174,19 @@ def test_the_page_begins_with_the_first_and_has_a_menu(folder, browser):
         azimuth = page.locator("input[type=range][name=azimuth]").input_value()
         x, _, z = LAMPS[2]
         assert float(azimuth) == pytest.approx(np.degrees(np.arctan2(x, z)), abs=1)
+        page.close()
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("width", [1440, 390])
+def test_the_page_of_a_photograph_alone(folder, browser, width):
+    with serving(Session(64, open_given(folder / "1.png"))) as port:
+        page = browser.new_page(viewport={"width": width, "height": 844})
+        page.goto(f"http://127.0.0.1:{port}/")
+        page.locator("#notes li").nth(2).wait_for(timeout=60_000)
+        assert page.is_checked("input[name=light_too]")
+        page.locator("#outline path[d^=M]").wait_for(timeout=60_000)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.click("#make")
+        page.locator("#notes li").first.wait_for(state="detached")
         page.close()

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 import phongfit as pf
 from phongfit.fitting.uncertainty.convergence import trace_convergence
+from phongfit.fitting.uncertainty.profile import Profile
 from phongfit.report.pictures import displayed, draw_residual, signed
 from phongfit.report.plots import (
     MOST_UNKNOWNS,
@@ -17,8 +18,9 @@ from phongfit.report.plots import (
     chosen,
     shown_unknowns,
 )
+from phongfit.report.profiles import difference_words, draw_profile
 from phongfit.report.residuals import residuals
-from phongfit.report.style import picture, png
+from phongfit.report.style import picture, png, styled
 from tests.helpers import near
 
 
@@ -173,6 +175,49 @@ def test_profile(one):
     near(both[0], both[1], 0.1)
     with pytest.raises(ValueError, match="name: expected .*, got 'shiny'"):
         one.plot_profile("shiny")
+
+
+def test_words_of_a_profile_do_not_overlap(one):
+    """Intervals that end at the same bound, or close to it."""
+    found = one.profile("shininess")
+    end = float(found.values[-1])
+    ends = dict.fromkeys(found.intervals, (float(found.values[0]), end))
+    with styled():
+        figure = picture(4.4, 3.1)
+        draw_profile(figure.subplots(), one, dataclasses.replace(found, intervals=ends))
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    axes = figure.axes[0]
+    legend = axes.get_legend()
+    assert legend is not None
+    words = [*axes.texts, *legend.get_texts()]
+    assert "99.7 %" in texts(figure)
+    boxes = [text.get_window_extent(canvas.get_renderer()) for text in words]
+    for k, box in enumerate(boxes):
+        assert figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1
+        assert not any(box.overlaps(other) for other in boxes[:k])
+
+
+@pytest.mark.parametrize(
+    "below, above, words",
+    [
+        (1.05, 0.9, ""),
+        (0.8, 1.6, "up to 60 %. Quote the profile's interval"),
+        (0.6, 1.05, "up to 40 %. Quote the profile's interval"),
+        (0.5, 0.6, "up to 50 %. Quote ±"),
+    ],
+)
+def test_which_of_profile_and_error_to_quote(one, below, above, words):
+    value, error = one["shininess"][:2]
+    ends = (float(value - below * error), float(value + above * error))
+    found = Profile("shininess", np.array(ends), np.ones(2), {0.6827: ends})
+    said = difference_words(one, found)
+    assert words in said and bool(said) == bool(words)
+    assert not said or f"{ends[0]:.2f} … " in said and "± " in said
+    # Agreement at 68 % is none at 95 %.
+    wider = (ends[0], float(value + 3 * error))
+    more = dataclasses.replace(found, intervals={0.6827: ends, 0.9545: wider})
+    assert "(95.5 %)" in difference_words(one, more) or said
 
 
 @pytest.mark.slow

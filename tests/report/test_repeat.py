@@ -1,6 +1,7 @@
 """The call that a page prints gives the same fit."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -97,3 +98,27 @@ def test_losses_have_their_names(one, loss, written):
     fit = dataclasses.replace(one, specification=Specification(loss=loss))
     assert (written or "pf.fit") in call(fit)
     assert ("loss" in call(fit)) == (written is not None)
+
+
+class Halved(pf.AbstractLoss):
+    """A loss of a user's own."""
+
+    scale: float = 2.0
+
+    robust = True
+
+    def ratio(self, z):
+        return 1 / (1 + z / self.scale)
+
+
+def test_what_is_no_public_name_comes_from_the_caller(one):
+    """A camera's curve, as a file has it, and a class that is not ours."""
+    curve = pf.ResponseCurve([(k / 16) ** 1.8 for k in range(17)])
+    film = pf.Film(encoding=curve, bits=8)
+    asked = Specification(film=film, loss=Halved())
+    fit = dataclasses.replace(one, specification=asked, films=(film,))
+    text = call(fit)
+    assert "    film=film,\n" in text and "film" in names(fit)
+    assert "    loss=Halved(scale=2.0),\n" in text
+    found = re.findall(r"\bpf\.(\w+)", text)
+    assert found and set(found) <= set(dir(pf))

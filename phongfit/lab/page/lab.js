@@ -124,6 +124,8 @@ async function setTarget(made, words) {
   $("#drop").hidden = made === null;
   $("#fit").disabled = made === null;
   $("#state").textContent = made === null ? "Make or load a target first." : "";
+  const notes = (made?.notes ?? []).map((line) => make("li", {}, sentence(line)));
+  $("#notes").replaceChildren(...notes);
   const brighter = brighterOf(made ?? { brighten: 1 });
   for (const span of document.querySelectorAll(".brightened")) {
     span.textContent = brighter && `${brighter}, like the target`;
@@ -135,6 +137,10 @@ async function setTarget(made, words) {
     await show($("#target-figure"), made.picture);
   }
   await draw();
+}
+
+function sentence(line) {
+  return `${line[0].toUpperCase()}${line.slice(1)}.`;
 }
 
 function wordsOf(photograph) {
@@ -170,12 +176,14 @@ async function choosePhotograph(number) {
   const chosen = await json(post("/api/chosen", { number }));
   mesh = null;
   settings.set(chosen.settings);
+  options.set(chosen.options);
   nameSurface();
   await setTarget(chosen, `${about.photographs[number]}, ${wordsOf(chosen)}`);
 }
 
 async function loadMask(file) {
-  const masked = await upload("/api/mask", file, { target: target.target });
+  const { notes } = target;
+  const masked = { ...await upload("/api/mask", file, { target: target.target }), notes };
   const { centre_x, centre_y, radius } = masked;
   settings.set({ centre_x, centre_y, radius });
   await setTarget(masked, `${wordsOf(masked)}, masked`);
