@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from tyro.conf import OmitArgPrefixes
 
@@ -62,6 +62,10 @@ HELD = (
 )
 
 
+StrengthsName = Literal["given", "fit", "fit_per_channel", "auto"]
+STRENGTHS: tuple[str, ...] = get_args(StrengthsName)
+
+
 @dataclass(frozen=True)
 class Options:
     """Options of `phongfit maps`.
@@ -113,7 +117,7 @@ class Options:
     highlight: Literal["own", "shared"] = "own"
     materials: Annotated[str | None, optional("N|auto")] = None
     passes: Annotated[int | None, optional("N")] = None
-    strengths: Literal["given", "fit", "fit_per_channel", "auto"] | None = None
+    strengths: Annotated[StrengthsName | None, optional("|".join(STRENGTHS))] = None
     unknowns: Annotated[tuple[str, ...] | None, optional("NAME ...")] = None
     per_channel: Names = ("ambient", "diffuse", "specular")
     known: Annotated[str | None, optional("preset:NAME|FILE")] = None

@@ -1,5 +1,7 @@
 """What scenes know with an error: a prior, whatever is asked for."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -101,7 +103,8 @@ def test_a_lamp_far_from_where_it_was_said_to_be():
     uncertain = {"scene.lights[0].position": spread @ spread.T}
     found = pf.fit(start, image, film=free, uncertain=uncertain)
     assert found.converged and not found.warnings
-    off = np.asarray(found.scene.lights[0].position) - place
+    scene: Any = found.scene
+    off = np.asarray(scene.lights[0].position) - place
     assert off @ np.linalg.solve(spread @ spread.T, off) < 9
     for label, value in (("shininess", 30.0), ("diffuse.red", 0.6)):
         assert abs(found[label].value - value) < 4 * found[label].error < 0.4 * value
