@@ -25,6 +25,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from phongfit.geometry.surfaces import GBuffer, NormalMap
+from phongfit.maps.job import Job
 from phongfit.maps.layers import Masks
 from phongfit.maps.result import Maps, Strengths
 from phongfit.maps.stacks import AbstractStack, KeptStack
@@ -85,55 +86,59 @@ class Points(NamedTuple):
 
 
 def find_strengths(
-    once: Callable[..., Maps],
-    scenes: Sequence[Scene],
-    stack: AbstractStack,
-    masks: Masks,
-    *,
-    white: float,
-    glossy: bool,
-    per_channel: bool,
+    once: Callable[..., Maps], job: Job, *, per_channel: bool
 ) -> Strengths:
     """Strengths of the light of all images, for maps whose normals are sought.
 
     **Arguments:**
 
-    - `once`: maps of scenes and a stack.
-    - `masks`: which samples may be used.
-    - `white`: light from which on samples are saturated.
-    - `glossy`: whether maps have highlights, which are taken into account then.
+    - `once`: maps of scenes and a stack, with the job's settings.
     - `per_channel`: whether each channel has its own.
 
     **Raises:** `ValueError` where too little is seen.
     """
+    scenes, kept = job.scenes, KeptStack(job.stack)
     buffer = scenes[0].trace()
-    kept = KeptStack(stack)
-    pixels, points = sample_points(scenes, kept, buffer, masks, white)
+    white, glossy = job.settings.cutoff, "specular" in job.settings.names
+    pixels, points = sample_points(scenes, kept, buffer, job.masks, white)
     values = np.ones((len(scenes), 3 if per_channel else 1))
-    found = solve(points, np.zeros(points.light.shape), values)
+    found, likely = solve(points, np.zeros(points.light.shape), values)
     mask = np.zeros(buffer.mask.shape, bool)
     mask.ravel()[pixels] = True
-    before, slope = None, 0.0
-    for _ in range(ROUNDS if glossy else 0):
-        some = [_only(scene, buffer, mask) for scene in found.lit(scenes)]
+
+    def improved(last: Strengths) -> tuple[Strengths, np.ndarray]:
+        """Strengths beside the highlights of maps under the last ones; their change."""
+        some = [_only(scene, buffer, mask) for scene in last.lit(scenes)]
         maps = once(some, kept, output=None, progress=False)
         highlight = _highlights(maps, scenes, buffer, pixels)
-        last, found = found, solve(points, highlight, found.values)
-        change = np.log(found.values / last.values)
-        if np.abs(change).max() < SETTLED:
-            break
-        if before is not None:
-            # Highlights follow strengths by some share: then all of them do.
-            slope = float(np.clip(np.sum(change * before) / np.sum(before**2), 0, MOST))
-            further = np.exp(slope / (1 - slope) * change)
-            found = found._replace(values=found.values * further)
-        before = None if before is not None else change
-    found = found._replace(stderr=found.stderr / (1 - slope))
+        found, _ = solve(points, highlight, last.values)
+        return found, np.log(found.values / last.values)
+
+    if glossy:
+        before = None
+        for _ in range(ROUNDS):
+            found, change = improved(found)
+            if np.abs(change).max() < SETTLED:
+                break
+            if before is not None:
+                # Highlights follow strengths by some share: then all of them do.
+                slope = _share(change, before)
+                further = np.exp(slope / (1 - slope) * change)
+                found = found._replace(values=found.values * further)
+            before = None if before is not None else change
+        _, change = improved(found._replace(values=found.values * np.exp(likely)))
+        slope = _share(change + likely, likely)
+        found = found._replace(stderr=found.stderr / (1 - slope))
     return found if per_channel else Strengths(*(one[:, 0] for one in found))
 
 
+def _share(following: np.ndarray, wrong: np.ndarray) -> float:
+    """How much of a wrong change of strengths the highlights of maps follow."""
+    return float(np.clip(np.sum(following * wrong) / np.sum(wrong**2), 0, MOST))
+
+
 def may_be_equal(found: Strengths) -> bool:
-    """Whether errors of the lamps' directions explain that strengths differ."""
+    """Whether all strengths are equal within their errors."""
     return bool((np.abs(found.values - 1) < EQUAL * found.stderr).all())
 
 
@@ -174,10 +179,12 @@ def solve(
     points: Points,
     highlight: Float[np.ndarray, "images pixels 3"],
     values: Float[np.ndarray, "images channels"],
-) -> Strengths:
+) -> tuple[Strengths, Float[np.ndarray, "images channels"]]:
     """The strengths that leave least, from `values` on; see the module's formula.
 
     **Arguments:** `highlight`: h, of light of strength 1.
+
+    **Returns:** strengths, and the most likely error of their logarithms.
     """
     logs = np.log(values)
     weight = (points.usable & (points.light > LIT * _brightest(points))).astype(float)
@@ -199,7 +206,7 @@ def solve(
         if step > 3 and np.abs(change).max() < SMALL:
             break
     turned = _turned(points, highlight, np.exp(logs), weight)
-    errors = []
+    errors, likely = [], []
     for c, (information, scores) in enumerate(
         zip(sums.information, sums.gradient, strict=True)
     ):
@@ -210,35 +217,59 @@ def solve(
         variance = blocks * np.diag(inverse @ scores.T @ scores @ inverse)
         moved = np.radians(DIRECTION) * inverse @ turned[c]
         errors.append(np.sqrt(variance + (moved**2).sum(axis=1) + LEAST**2))
-    return Strengths(np.exp(logs), np.exp(logs) * np.stack(errors, axis=1))
+        directions, sizes, _ = np.linalg.svd(moved)
+        likely.append(sizes[0] * directions[:, 0])
+    values = np.exp(logs)
+    return Strengths(values, values * np.stack(errors, axis=1)), np.stack(
+        likely, axis=1
+    )
 
 
 def _turned(
     points: Points, highlight: np.ndarray, values: np.ndarray, weight: np.ndarray
 ) -> list[Float[np.ndarray, "images turns"]]:
-    """How the gradient of log s moves as each lamp turns about two axes, by channel."""
+    """How the gradient of log s changes as each lamp turns about x, y and z."""
     unit = 1 / _brightest(points)[0]
     frames, b = _matte(points, highlight, values, weight, unit)
     matte = np.einsum("lpca,pca->lpc", points.irradiance, b)
-    grown = values[:, None] * (matte + highlight) * unit
-    length = np.linalg.norm(points.irradiance, axis=-1, keepdims=True)
-    along = points.irradiance / np.maximum(length, 1e-12)
-    found = [np.zeros((len(values), 0))] * values.shape[1]
-    for axis in np.eye(3):
-        # Turns about an axis along the light move nothing.
-        turn = np.cross(axis, along) * length
-        change = values[:, None] * np.einsum("lpca,pca->lpc", turn, b) * unit
-        for c in range(3):
-            root = np.sqrt(weight[..., c])
-            p, t, q = root * grown[..., c], root * change[..., c], frames[c]
-            one, other = (np.einsum("lp,pla->pla", x, q) for x in (p, t))
-            own = np.diag((p * t).sum(axis=1)) - np.einsum("pla,pma->lm", one, other)
-            k = min(c, values.shape[1] - 1)
-            if values.shape[1] == 1 and c > 0:
-                found[0][:, -len(values) :] += own
-            else:
-                found[k] = np.concatenate([found[k], own], axis=1)
-    return found
+    column = values[:, None] * (matte + highlight) * unit
+    changes = [
+        values[:, None] * unit * np.einsum("lpca,pca->lpc", turn, b)
+        for turn in (np.cross(axis, points.irradiance) for axis in np.eye(3))
+    ]
+    return [
+        np.concatenate(
+            [
+                sum(
+                    _eliminated(
+                        column[..., c], change[..., c], weight[..., c], frames[c]
+                    )
+                    for c in channels
+                )
+                for change in changes
+            ],
+            axis=1,
+        )
+        for channels in _channels(values)
+    ]
+
+
+def _channels(values: Float[np.ndarray, "images channels"]) -> list[list[int]]:
+    """The channels of light that each strength of an image multiplies."""
+    return [[0, 1, 2]] if values.shape[1] == 1 else [[0], [1], [2]]
+
+
+def _eliminated(
+    one: Float[np.ndarray, "images pixels"],
+    other: Float[np.ndarray, "images pixels"],
+    weight: Float[np.ndarray, "images pixels"],
+    frame: Float[np.ndarray, "pixels images axes"],
+) -> Float[np.ndarray, "images images"]:
+    """Products of two derivatives, each of its own image, less what b takes up."""
+    root = np.sqrt(weight)
+    left, right = (np.einsum("lp,pla->pla", root * x, frame) for x in (one, other))
+    products = np.diag((weight * one * other).sum(axis=1))
+    return products - np.einsum("pla,pma->lm", left, right)
 
 
 class _Sums(NamedTuple):
@@ -266,7 +297,7 @@ def _sum_up(
     left = (points.light - values[:, None] * expected) * unit
     length = np.linalg.norm(points.irradiance, axis=-1) * np.linalg.norm(b, axis=-1)
     lit = points.usable & (matte > LIT * length)
-    # What b is found from leaves less of the noise.
+    # Residuals are smaller than noise by what b was fitted to.
     images, axes = np.median(lit.sum(axis=0)), points.irradiance.shape[-1]
     free = max(images - axes - 1, 1) / max(images, 1)
     scale = 1.4826 * np.median(np.abs(left[lit])) / np.sqrt(free)
@@ -275,18 +306,16 @@ def _sum_up(
     column = values[:, None] * expected * unit
     _, block = np.unique(points.block, return_inverse=True)
     information, gradient = [], []
-    for channels in [[0, 1, 2]] if values.shape[1] == 1 else [[0], [1], [2]]:
+    for channels in _channels(values):
         matrix, rows = 0.0, np.zeros((block.max() + 1, len(values)))
         for c in channels:
-            root = np.sqrt(weight[..., c])
-            p, r, q = root * column[..., c], root * left[..., c], frames[c]
-            across = np.einsum("lp,pla->pla", p, q)
-            matrix = matrix + np.diag((p**2).sum(axis=1))
-            matrix -= np.einsum("pla,pma->lm", across, across)
-            score = p * r - np.einsum(
-                "pla,pa->lp", across, np.einsum("pla,lp->pa", q, r)
+            own, w, q = column[..., c], weight[..., c], frames[c]
+            matrix = matrix + _eliminated(own, own, w, q)
+            root = np.sqrt(w)
+            explained = np.einsum(
+                "pla,pa->lp", q, np.einsum("pla,lp->pa", q, root * left[..., c])
             )
-            np.add.at(rows, block, score.T)
+            np.add.at(rows, block, (root * own * (root * left[..., c] - explained)).T)
         information.append(matrix)
         gradient.append(rows)
     return _Sums(information, gradient, following)
@@ -353,7 +382,7 @@ def _highlights(
     buffer: GBuffer,
     pixels: Int[np.ndarray, " pixels"],
 ) -> Float[np.ndarray, "images pixels 3"]:
-    """What maps have of them in each image, for light of strength 1."""
+    """Highlights of the maps in each image, under light of strength 1."""
     camera = scenes[0].camera
     dtype = buffer.normal.dtype
 

@@ -9,6 +9,7 @@ import pytest
 
 import phongfit as pf
 from data_synth.lights import spread_directions
+from phongfit.maps.job import make_job
 from phongfit.maps.layers import Masks
 from phongfit.maps.stacks import ArrayStack
 from phongfit.maps.strengths import find_strengths, may_be_equal, sample_points, solve
@@ -34,26 +35,26 @@ def photographs(specular: float, true=TRUE) -> np.ndarray:
     return (images + NOISE * rng.normal(size=images.shape)).astype(dtype())
 
 
-def check(found: pf.Strengths, true: np.ndarray, most: float) -> None:
+def check(found: pf.Strengths, true: np.ndarray, most: float, error=0.15) -> None:
     assert found.values.shape == true.shape
     np.testing.assert_allclose(found.values / true, 1, atol=most)
     # Lamps whose directions are not quite right look like others.
-    assert (most * found.values < found.stderr).all() and found.stderr.max() < 0.15
+    assert (most * found.values < found.stderr).all() and found.stderr.max() < error
 
 
 def matte(images: np.ndarray, mask=None, per_channel: bool = False) -> pf.Strengths:
     def never(*args, **options):
         raise AssertionError("a matte surface needs no maps")
 
-    return find_strengths(
-        never,
+    job = make_job(
         scenes(),
         ArrayStack(images),
-        Masks(mask, images.shape[:3]),
-        white=np.inf,
-        glossy=False,
-        per_channel=per_channel,
+        mask=mask,
+        unknowns=("diffuse",),
+        normals="fit",
+        film=FREE,
     )
+    return find_strengths(never, job, per_channel=per_channel)
 
 
 def test_of_a_matte_surface():
@@ -103,7 +104,7 @@ def test_near_lamps_have_their_own_directions_at_each_point():
     stack = ArrayStack(np.stack(images).astype(dtype()))
     masks = Masks(None, stack.shape)
     _, points = sample_points(near, stack, buffer, masks, np.inf)
-    found = solve(points, np.zeros(points.light.shape), np.ones((10, 1)))
+    found, _ = solve(points, np.zeros(points.light.shape), np.ones((10, 1)))
     np.testing.assert_allclose(found.values[:, 0], TRUE, rtol=2e-3)
 
 
@@ -129,7 +130,8 @@ def test_maps_of_a_glossy_ball(tmp_path):
     options |= {"per_channel": ("diffuse",)}
     maps = pf.fit_maps(scenes(), photographs(0.3), strengths="fit", **options)
     assert maps.strengths is not None
-    check(maps.strengths, TRUE, 0.02)
+    # Lamps 2° elsewhere make strengths of a glossy ball a tenth wrong.
+    check(maps.strengths, TRUE, 0.02, 0.4)
     assert "strengths of the light fitted: 0." in str(maps)
     known = maps.identified
     assert abs(np.median(maps.shininess[known]) / 25 - 1) < 0.1

@@ -145,11 +145,10 @@ def _unseen(
     values: dict[str, np.ndarray],
     stderr: dict[str, np.ndarray],
 ) -> Bool[np.ndarray, " k"]:
-    """Shared numbers of highlights that chance explains as well, as in [`fit`][].
+    """Shared numbers of highlights that noise alone explains, as in [`fit`][].
 
-    These are exponents where specular is 0 within its error. Where texels have their
-    own exponents, chance chooses each of them: then specular, which depends on them, is
-    unseen too.
+    An exponent is among them where specular is 0 within its error. Exponents of texels
+    are each fitted to noise then, so that a shared specular is among them, too.
 
     **Arguments:** `covariance`: of the shared numbers. `values`, `stderr`: of the
     textures.
@@ -174,7 +173,7 @@ def _unseen(
 
 
 def _any_texel(height: np.ndarray, error: np.ndarray) -> bool:
-    """Whether a texel is higher than chance makes any of them, or all together are."""
+    """Whether noise cannot explain the highest texel, or all of them together."""
     known = np.isfinite(error)
     if not known.any():
         return False
@@ -191,13 +190,22 @@ def _exponents_unseen(
     values: dict[str, np.ndarray],
     stderr: dict[str, np.ndarray],
 ) -> Bool[np.ndarray, "layers *places 1"]:
-    """Texels whose own exponents belong to highlights that chance explains as well."""
-    hidden = np.zeros(values["shininess"].shape, bool)
+    """Texels whose own exponents belong to highlights that noise alone explains.
+
+    A pixel between texels sees the highlights and the exponents of all of them.
+    """
     if "specular" in job.names:
         with np.errstate(invalid="ignore"):
             deviations = values["specular"] / stderr["specular"]
-        together = np.sum(deviations**2, axis=-1, keepdims=True)
-        return together < chi_squared_reach(SEEN, deviations.shape[-1])
+        together = np.sum(deviations**2, axis=-1)
+        shiny = together >= chi_squared_reach(SEEN, deviations.shape[-1])
+        beside = np.zeros(job.grid.texels)
+        for k in range(len(job.images.given)):
+            lit = job.images.at(k)
+            looks = (lit.touched.mean(shiny.ravel()) > 0) & (lit.weight > 0).any(axis=1)
+            beside += lit.touched.scattered(looks.astype(float), job.grid.texels)
+        return (beside == 0).reshape(values["shininess"].shape)
+    hidden = np.zeros(values["shininess"].shape, bool)
     shares = [k for k, one in enumerate(job.few) if one.name == "specular"]
     if len(hidden) == 1:
         hidden[0] = bool(shares) and unseen[shares].all()
