@@ -89,6 +89,31 @@ def _own_colour(name: str, value: Any) -> Vec3 | None:
     return None if value is None else as_light(name, value)
 
 
+def brighter(light: AbstractLight, factor: Any) -> AbstractLight:
+    """A light that sends `factor` times as much, for every term.
+
+    **Arguments:** `factor`: a number, or RGB.
+
+    **Raises:** `ValueError` if the light has no intensity that can be multiplied.
+    """
+    names = [
+        name
+        for name in ("intensity", "ambient", "specular")
+        if getattr(light, name, None) is not None
+    ]
+    if "intensity" not in names:
+        raise ValueError(
+            f"lights: expected an intensity to multiply, and {type(light).__name__} "
+            "has none"
+        )
+
+    def parts(light: AbstractLight) -> list[Array]:
+        return [getattr(light, name) for name in names]
+
+    more = [part * jnp.asarray(factor, part.dtype) for part in parts(light)]
+    return eqx.tree_at(parts, light, more)
+
+
 class DirectionalLight(AbstractLight):
     """Parallel rays: the sun, or a lamp far away."""
 

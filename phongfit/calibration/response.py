@@ -427,7 +427,7 @@ class _Solver:
         """The curve that explains the samples best, and what is known of it."""
         theta = self._solve()
         rest = self.errors(self.curve(theta)[0])
-        # Where there is hardly any light of the room, it is uncertain all the same.
+        # A room without light has an uncertain light, too: no bound at 0 here.
         free = self.errors(self.curve(theta)[0], -np.inf)
         jacobian = self._jacobian(theta, free, -np.inf)
         lit = self._lit(self.number - rest)

@@ -54,7 +54,7 @@ def _of_dataset(options: DataOptions) -> list[str]:
     if (options.dataset / SCENE_FILE).exists() or not is_diligent(options.dataset):
         return [f"data = pf.read_dataset({folder})"]
     given = {name: getattr(options, name) for name in ("min_cosine", "min_facing")}
-    # Only DiLiGenT's layout lacks the light that came by way of the room.
+    # A folder in DiLiGenT's layout does not state the ambient light of its room.
     return [
         "import dataclasses",
         "",

@@ -35,7 +35,7 @@ from phongfit.maps.folder import (
     save_folder,
 )
 from phongfit.maps.passes import usual_passes
-from phongfit.maps.result import MAP_PARAMETERS, Maps
+from phongfit.maps.result import MAP_PARAMETERS, Maps, StrengthsName
 from phongfit.maps.run import fit_maps
 from phongfit.maps.stacks import DatasetStack
 from phongfit.material import Material
@@ -60,10 +60,6 @@ HELD = (
     "warning: the maps' errors are those of the photographs alone, and leave out those "
     "of the calibration: all pixels share them, and `phongfit fit` includes them"
 )
-
-
-StrengthsName = Literal["given", "fit", "fit_per_channel", "auto"]
-STRENGTHS: tuple[str, ...] = get_args(StrengthsName)
 
 
 @dataclass(frozen=True)
@@ -117,7 +113,9 @@ class Options:
     highlight: Literal["own", "shared"] = "own"
     materials: Annotated[str | None, optional("N|auto")] = None
     passes: Annotated[int | None, optional("N")] = None
-    strengths: Annotated[StrengthsName | None, optional("|".join(STRENGTHS))] = None
+    strengths: Annotated[
+        StrengthsName | None, optional("|".join(get_args(StrengthsName)))
+    ] = None
     unknowns: Annotated[tuple[str, ...] | None, optional("NAME ...")] = None
     per_channel: Names = ("ambient", "diffuse", "specular")
     known: Annotated[str | None, optional("preset:NAME|FILE")] = None
@@ -255,7 +253,7 @@ def arguments(options: Options) -> dict[str, Any]:
 
 
 def _lacks_strengths(options: Options, stack: DatasetStack) -> bool:
-    """Whether a calibration saw lamps' directions, but not how strong they are."""
+    """Whether the lights are a calibration without strengths."""
     lights = options.data.lights
     calibrated = lights is not None and lights.suffix != ".lp"
     return options.data.sought and calibrated and EXPOSURE in stack.photographs.unknown

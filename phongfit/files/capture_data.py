@@ -4,9 +4,7 @@ import dataclasses
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -21,7 +19,7 @@ from phongfit.files.lp import LightList, read_camera_lp
 from phongfit.files.matching import base_name, match_names
 from phongfit.files.photographs import open_photographs
 from phongfit.files.seen import SOUGHT, seen_in
-from phongfit.lights import AbstractLight, DirectionalLight, PointLight
+from phongfit.lights import AbstractLight, DirectionalLight, PointLight, brighter
 from phongfit.rendering.film import Encoding, Film
 from phongfit.scene import Scene
 
@@ -198,7 +196,7 @@ def find_lamps(
     """
     lights, unknown = lamps_of(capture.names, capture.lights, calibration)
     exposures = capture.series.relative_exposures
-    found = [_times(light, e) for light, e in zip(lights, exposures, strict=True)]
+    found = [brighter(light, e) for light, e in zip(lights, exposures, strict=True)]
     return found, unknown
 
 
@@ -247,14 +245,6 @@ def _attenuation(
         slopes[3 * k + 2, mine] = -2 * min(calibration.falloff, 1) * offset / squared**2
         slopes[mine, -1] = -1, 0, 1 / squared
     return slopes
-
-
-def _times(light: AbstractLight, exposure: float) -> AbstractLight:
-    def strengths(light: Any) -> list[Any]:
-        own = [] if light.specular is None else [light.specular]
-        return [light.intensity, light.ambient, *own]
-
-    return eqx.tree_at(strengths, light, [exposure * s for s in strengths(light)])
 
 
 def lamps_of(

@@ -79,9 +79,10 @@ def _numbers(
     part: bytes, name: str, shape: tuple[int, ...], order: str
 ) -> np.ndarray | None:
     """An array, if it has this name."""
-    (_, flags), (_, dims), (_, own), (kind, data) = _first(4, part, order)
+    (_, flags), (_, dims), (_, own) = _first(3, part, order)
     if own.decode("latin-1") != name:
         return None
+    kind, data = _first(4, part, order)[-1]
     flags = int(np.frombuffer(flags, f"{order}u4", 1)[0])
     found = tuple(np.frombuffer(dims, f"{order}i4").tolist())
     numeric = flags & 0xFF in NUMERIC and not flags & COMPLEX

@@ -61,11 +61,10 @@ def open_given(
         raise ValueError(f"{photographs}: there is no such file or folder")
     is_dataset = photographs.is_dir() and (photographs / SCENE_FILE).exists()
     if is_dataset and sphere is None:
-        for name, given in (("lights", lights), ("encoding", encoding)):
-            if given is not None:
+        given = {"lights": lights, "encoding": encoding, "white": white}
+        for name, value in given.items():
+            if value is not None:
                 raise ValueError(f"{name}: {photographs} is a data set with its own")
-        if white is not None:
-            raise ValueError(f"white: {photographs} is a data set with its own")
         found = open_dataset(photographs)
     else:
         found = _open_ball(photographs, sphere, lights, encoding, white)

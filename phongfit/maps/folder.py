@@ -18,7 +18,7 @@ from phongfit.files.outputs import replacing, write_json
 from phongfit.files.records import AbstractRecord, Colour, Many, read_record
 from phongfit.files.schema import MaterialRecord, SpecularRecord
 from phongfit.maps.pixel.settings import MAP_PARAMETERS, MOST_MATERIALS
-from phongfit.maps.result import BasisMaterials, Maps, load_maps
+from phongfit.maps.result import BasisMaterials, Maps, StrengthsName, load_maps
 from phongfit.reflectance import AbstractSpecular
 from phongfit.rendering.film import Encoding
 
@@ -43,7 +43,7 @@ class MapSettings(AbstractRecord):
         Annotated[int, Field(ge=1, le=MOST_MATERIALS)] | Literal["auto"] | None
     ) = None
     passes: Annotated[int, Field(ge=1)] = 1
-    strengths: Literal["given", "fit", "fit_per_channel", "auto"] = "given"
+    strengths: StrengthsName = "given"
 
 
 class SharedRecord(AbstractRecord):

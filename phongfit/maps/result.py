@@ -5,9 +5,8 @@ import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
@@ -23,7 +22,7 @@ from phongfit.files.schema import CameraRecord, SpecularRecord
 from phongfit.geometry.cameras import AbstractCamera
 from phongfit.geometry.height import HeightField
 from phongfit.geometry.integration import integrate_normals, label_pieces
-from phongfit.lights import AbstractLight
+from phongfit.lights import AbstractLight, brighter
 from phongfit.maps.normals.handedness import is_mirrored
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.settings import MAP_PARAMETERS, MOST_MATERIALS
@@ -157,10 +156,14 @@ BasisMaterials.__init__.__doc__ = r"""**Arguments:**
 """
 
 
-class Strengths(NamedTuple):
-    """How many times as strong the light of each image is as its scene has it.
+StrengthsName = Literal["given", "fit", "fit_per_channel", "auto"]
+"""How strong the light of images is: see [`fit_maps`][]."""
 
-    Their mean is 1: a common factor cannot be told from the colour of the surface.
+
+class Strengths(NamedTuple):
+    """Factors on the light of each image's scene, found from the images.
+
+    Their mean is 1, since brighter lamps on a darker surface give the same images.
 
     - `values`: (images,), or (images, 3) with a number for each channel.
     - `stderr`: their standard errors, which include that neighbouring pixels err alike.
@@ -170,8 +173,15 @@ class Strengths(NamedTuple):
     stderr: Float[np.ndarray, "images *rgb"]
 
     def lit(self, scenes: Sequence[Scene]) -> tuple[Scene, ...]:
-        """The scenes under light that is so strong, ambient light included."""
-        return tuple(map(_scaled, scenes, self.values))
+        """The scenes with their lights, and their ambient light, times these."""
+        return tuple(
+            dataclasses.replace(
+                scene,
+                lights=tuple(brighter(light, factor) for light in scene.lights),
+                ambient=scene.ambient * jnp.asarray(factor, scene.ambient.dtype),
+            )
+            for scene, factor in zip(scenes, self.values, strict=True)
+        )
 
     def __str__(self) -> str:
         low, high = self.values.min(), self.values.max()
@@ -179,21 +189,6 @@ class Strengths(NamedTuple):
             f"strengths of the light fitted: {low:.3g} to {high:.3g} times their mean, "
             f"± {100 * np.median(self.stderr / self.values):.2g} %"
         )
-
-
-def _scaled(scene: Scene, strength: Any) -> Scene:
-    def parts(scene: Scene) -> list:
-        lights: Any = scene.lights
-        found = [
-            part
-            for light in lights
-            for part in (light.intensity, light.ambient, light.specular)
-            if part is not None
-        ]
-        return [scene.ambient, *found]
-
-    stronger = [part * jnp.asarray(strength, part.dtype) for part in parts(scene)]
-    return eqx.tree_at(parts, scene, stronger)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -638,7 +633,7 @@ def checked_maps(arrays: dict[str, np.ndarray]) -> Maps:
 
 
 def _checked_strengths(arrays: dict[str, np.ndarray]) -> Strengths | None:
-    """Those of the photographs' light, if a file has them.
+    """Strengths of the photographs' light, if a file has them.
 
     **Raises:** as [`checked_maps`][] does.
     """

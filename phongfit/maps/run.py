@@ -32,7 +32,7 @@ from phongfit.maps.pixel.pixel import PixelFit
 from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
-from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps
+from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps, StrengthsName
 from phongfit.maps.stacks import AbstractStack, as_index, as_stack, identify_stack
 from phongfit.maps.store import TileStore, tile_store
 from phongfit.maps.strengths import find_strengths, may_be_equal
@@ -68,7 +68,7 @@ def fit_maps(
     normals: Literal["given", "fit"] = "given",
     materials: int | Literal["auto"] | None = None,
     passes: int | None = None,
-    strengths: Literal["given", "fit", "fit_per_channel", "auto"] = "given",
+    strengths: StrengthsName = "given",
     start: Material | Fitted | None = None,
     min_cosine: float = 0.0,
     tile_pixels: int | None = None,
@@ -196,15 +196,8 @@ def fit_maps(
         found = None
         if strengths != "given":
             job = make_job(scenes, stack, **asked)
-            found = find_strengths(
-                once,
-                scenes,
-                stack,
-                job.masks,
-                white=job.settings.cutoff,
-                glossy="specular" in unknowns,
-                per_channel=strengths == "fit_per_channel",
-            )
+            coloured = strengths == "fit_per_channel"
+            found = find_strengths(once, job, per_channel=coloured)
             if strengths == "auto" and may_be_equal(found):
                 found = None
             else:
@@ -310,7 +303,7 @@ def fit_job(
 
 
 def _without_highlights(job: Job) -> Job:
-    """The same of a matte surface."""
+    """The job of fitting matte light alone."""
     dark = jnp.zeros_like(job.outside.known.specular)
     known = job.outside.known._replace(specular=dark)
     return dataclasses.replace(

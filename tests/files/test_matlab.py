@@ -20,7 +20,8 @@ def stored(compressed=False, **arrays) -> bytes:
 @pytest.mark.parametrize("compressed", [False, True])
 @pytest.mark.parametrize("kind", ["f8", "f4", "u1", "i4"])
 def test_one_array_among_others(compressed, kind):
-    arrays = {"before": np.zeros(7), "n": NUMBERS.astype(kind), "words": "abc"}
+    arrays = {"before": np.zeros(7), "cells": np.empty((0, 0), object)}
+    arrays |= {"n": NUMBERS.astype(kind), "words": "abc"}
     data = stored(compressed, **arrays)
     np.testing.assert_array_equal(read_matrix(data, "n", (2, 5, 3)), NUMBERS)
 

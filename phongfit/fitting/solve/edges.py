@@ -196,7 +196,7 @@ def _moving_cones(unknowns: Unknowns, scene: Scene) -> tuple[int, ...]:
 def _sides(
     scene: Scene, cones: tuple[int, ...]
 ) -> tuple[GBuffer, Bool[Array, "height width edges"]]:
-    """What pixels see, and on which side of each edge they lie."""
+    """The surface at each pixel, and its side of each edge."""
     buffer = scene.trace()
     sides = [jax.vmap(jax.vmap(scene.lights[k].covers))(buffer.position) for k in cones]
     if buffer.visibility is not None and buffer.visibility.ndim == 3:

@@ -177,7 +177,9 @@ def stands_out(
     deviations: float,
     chosen: int = 0,
 ) -> bool:
-    """Whether any is so many standard errors high, or all are, which is as rare.
+    """Whether one height, or all together, exceed so many standard errors.
+
+    The threshold for all together is as rare by chance as that for one.
 
     **Arguments:** `chosen`: how many other numbers were chosen to make them stand out.
     """

@@ -180,7 +180,7 @@ class _Sample:
         return maximize(values.clip(*edges), look, edges)
 
     def _look(self, starts: list[list[Point]]) -> Callable[[int, np.ndarray], Told]:
-        """What pixels tell of each material, near where they were found before."""
+        """A function that fits the pixels under a material, from their last fit on."""
 
         def look(material: int, values: np.ndarray) -> Told:
             def one(number: int) -> Look:
