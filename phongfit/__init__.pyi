@@ -123,6 +123,11 @@ from .maps.stacks import (
     ZarrStack as ZarrStack,
 )
 from .maps.stored import StoredMaps as StoredMaps
+from .maps.view_angle import (
+    FovFit as FovFit,
+    fit_fov as fit_fov,
+    seen_over as seen_over,
+)
 from .material import (
     PRESETS as PRESETS,
     Material as Material,

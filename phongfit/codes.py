@@ -54,6 +54,8 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "object's own surface",
         "materials-run-out": "Give their number (materials=1), or make ambient one of "
         "the unknowns if the room was not dark",
+        "fov-doubtful": "Give the camera's angle of view (fov), or fit it (fit_fov, or "
+        "--fov fit)",
         "separate-pieces": "Give depth where it is known, which moves them",
         "vague-normals": "Mask these pixels, or photograph them under more lights",
         "nothing-seen": "Aim the camera at it, or give two_sided=True if its faces "

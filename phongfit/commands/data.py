@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from tyro.conf import Positional, arg
@@ -51,8 +51,9 @@ class DataOptions:
             an .lp, of which one photograph takes the lamp of its name. Default: those
             in the folder; else the fit finds them.
         fov: With photographs: the camera's angle of view, from the lower to the upper
-            edge. Default: what a calibration's lights say, else parallel rays, as of a
-            long lens from far away.
+            edge; 0 for parallel rays, as of a long lens from far away. fit: find it,
+            with --normals fit and distant lamps. Default: that of the calibration, else
+            by the photographs' EXIF data, else 0.
         mask: With an image or photographs: white where a pixel may be used. Default,
             with a folder of photographs: the mask in it, mask.png or NAME.mask.png, if
             there is one.
@@ -80,7 +81,7 @@ class DataOptions:
 
     lights: Annotated[Path | None, optional("FILE")] = None
 
-    fov: Annotated[float | None, optional("DEGREES")] = None
+    fov: Annotated[float | Literal["fit"] | None, optional("DEGREES|fit")] = None
 
     mask: Annotated[Path | None, optional("FILE")] = None
 
@@ -104,7 +105,7 @@ class DataOptions:
             sphere=self.sphere,
             normals=None if self.normals is None else str(self.normals),
             lights=None if self.lights is None else str(self.lights),
-            fov=self.fov,
+            fov=self.known_fov,
             white=self.white,
         )
 
@@ -120,6 +121,11 @@ class DataOptions:
         """Whether normals are sought."""
         return self.normals is not None and str(self.normals) == SOUGHT
 
+    @property
+    def known_fov(self) -> float | None:
+        """The angle of view that is given."""
+        return 0.0 if self.fov == "fit" else self.fov
+
 
 def read_data(options: DataOptions) -> tuple[Dataset, DataRecord]:
     """The photographs, and a record of what was read, and how.
@@ -129,6 +135,10 @@ def read_data(options: DataOptions) -> tuple[Dataset, DataRecord]:
     if options.sought:
         raise ValueError(
             "normals: expected a file, got fit: only `phongfit maps` seeks normals"
+        )
+    if options.fov == "fit":
+        raise ValueError(
+            "fov: expected degrees, got fit: only `phongfit maps --normals fit` fits it"
         )
     return _recorded(options, Photographs.load)
 
@@ -183,7 +193,7 @@ def _open_captured(options: DataOptions) -> Photographs:
         sphere=options.sphere,
         normals=SOUGHT if options.sought else options.normals,
         lights=options.lights,
-        fov=options.fov,
+        fov=options.known_fov,
         mask=options.mask,
         min_cosine=options.min_cosine,
         min_facing=options.min_facing,

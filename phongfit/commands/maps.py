@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from tyro.conf import OmitArgPrefixes
 
+from phongfit.codes import coded
 from phongfit.commands.data import DataOptions, stack_data, tell
 from phongfit.commands.keeping import keeping
 from phongfit.commands.options import (
@@ -26,6 +27,8 @@ from phongfit.files.schema import describe_material
 from phongfit.files.zarrs import is_store
 from phongfit.fitting.fit import fit
 from phongfit.fitting.problem.parameters import EXPOSURE
+from phongfit.geometry.cameras import OrthographicCamera
+from phongfit.lights import DirectionalLight
 from phongfit.maps.folder import (
     ARRAYS_FILE,
     NORMALS_FILE,
@@ -38,6 +41,7 @@ from phongfit.maps.passes import usual_passes
 from phongfit.maps.result import MAP_PARAMETERS, Maps, StrengthsName
 from phongfit.maps.run import fit_maps
 from phongfit.maps.stacks import DatasetStack
+from phongfit.maps.view_angle import check_fov, fit_fov, seen_over
 from phongfit.material import Material
 from phongfit.plain import plain
 from phongfit.rendering.film import Film
@@ -139,12 +143,15 @@ def main(options: Options) -> int:
       phongfit maps out/dome -o out/shared --highlight shared --bounds shininess=1:5000
       phongfit maps coin --normals fit --encoding srgb -o out/coin
       phongfit maps coin --normals fit --encoding srgb --materials auto -o out/few
+      phongfit maps coin --normals fit --encoding srgb --fov fit -o out/seen
       phongfit maps coin/stack.zarr --normals fit -o out/maps.zarr --dask local:2
 
     DATASET may be a zarr array (light, y, x, channel) on a disk or an object store,
     with its lights or its scene.json beside it. OUT may be such a store, too.
     """
     dataset = options.data.dataset
+    if options.data.fov == "fit" and not options.data.sought:
+        raise ValueError("fov: expected degrees where normals are given, got fit")
     if options.dask is not None and not is_store(dataset):
         raise ValueError(
             f"dask: {options.dask} wants a zarr array as DATASET, got {dataset}"
@@ -159,6 +166,8 @@ def main(options: Options) -> int:
         given = arguments(options)
         stack, read = stack_data(options.data)
         tell(stack.photographs.notes)
+        if options.data.fov == "fit":
+            stack, read = _with_fitted_fov(stack, read, given)
         if options.passes is None and options.data.sought:
             given["passes"] = usual_passes(stack.photographs.scenes)
         if options.strengths is None and _lacks_strengths(options, stack):
@@ -174,17 +183,72 @@ def main(options: Options) -> int:
             stay = "finished tiles stay in {}, the same command goes on there"
             stop.args = (stay.format(options.out),)
             raise
+        doubtful = None
+        if "specular" in given["unknowns"] and _assumes_parallel_rays(options, stack):
+            doubtful = _fov_warning(stack, given)
         with keeping(options.out, folder) as kept:
             print(found, flush=True)
             if given["strengths"] == "auto" and found.strengths is None:
                 print(EQUAL_STRENGTHS, flush=True)
             if stack.photographs.uncertain:
                 print(HELD, flush=True)
+            if doubtful is not None:
+                print(f"warning: {doubtful}", flush=True)
             if options.pictures:
                 with stage("drawing"):
                     draw(folder, found)
     kept.tell()
     return 0
+
+
+def _with_fitted_fov(
+    stack: DatasetStack, read: DataRecord, given: dict[str, Any]
+) -> tuple[DatasetStack, DataRecord]:
+    """The photographs seen over the angle of view that explains them best.
+
+    It stays parallel rays where no angle is determined.
+    """
+    scenes = stack.photographs.scenes
+    found = fit_fov(scenes, stack, **_fov_arguments(stack, given))
+    print(found, flush=True)
+    if not found.determined:
+        return stack, read
+    reading = read.reading.model_copy(update={"fov": found.degrees})
+    return (
+        stack.with_scenes(seen_over(scenes, found.degrees)),
+        read.model_copy(update={"reading": reading}),
+    )
+
+
+def _fov_warning(stack: DatasetStack, given: dict[str, Any]) -> str | None:
+    """A warning where another angle of view would leave less noise."""
+    scenes = stack.photographs.scenes
+    other = check_fov(scenes, stack, **_fov_arguments(stack, given))
+    if not other.improves:
+        return None
+    less = 1 - other.noise_ratio
+    return coded(
+        "fov-doubtful",
+        f"an angle of view of about {other.degrees:.0f}° leaves {less:.0%} less noise "
+        "than parallel rays",
+    )
+
+
+def _fov_arguments(stack: DatasetStack, given: dict[str, Any]) -> dict[str, Any]:
+    names = ("unknowns", "per_channel", "known", "bounds", "noise", "loss")
+    own = {name: given[name] for name in names}
+    return own | {"mask": stack.mask, "film": stack.photographs.films()}
+
+
+def _assumes_parallel_rays(options: Options, stack: DatasetStack) -> bool:
+    """Whether nothing states the camera of a shining object under distant lamps."""
+    scene = stack.photographs.scenes[0]
+    return (
+        options.data.sought
+        and options.data.fov is None
+        and isinstance(scene.camera, OrthographicCamera)
+        and all(isinstance(light, DirectionalLight) for light in scene.lights)
+    )
 
 
 def _fit_tiles(options: Options, stack: DatasetStack, given: dict[str, Any]) -> Maps:

@@ -88,6 +88,11 @@ def main(options: "Options") -> int:
             "strengths: expected given from or to zarr, since they are found from all "
             f"images before the maps, got {options.strengths}"
         )
+    if options.data.fov == "fit":
+        raise ValueError(
+            "fov: expected degrees from or to zarr, since the angle is found before "
+            "the maps, got fit"
+        )
     if is_store(options.data.dataset):
         read = _read(options.data)
     else:
@@ -256,7 +261,7 @@ def _captured(
     lamps, unknown = lamps_of(names, listed, source)
     near = source is not None and source.lamps[0].position is not None
     sought = options.sought
-    camera = camera_of(height, width, source, options.fov)
+    camera = camera_of(height, width, source, options.known_fov)
     camera = camera or OrthographicCamera(width, height)
     surface: AbstractSurface = NormalMap(UP)
     # A plane that parallel rays meet need not be known pixel by pixel.
@@ -267,7 +272,7 @@ def _captured(
             source,
             options.sphere,
             SOUGHT if sought else options.normals,
-            options.fov,
+            options.known_fov,
         )
     scenes = tuple(
         Scene(surface, camera, light, ambient=options.room_light) for light in lamps

@@ -62,8 +62,9 @@ def open_captured(
         be known, and no pixel is left out for its normal.
     - `lights`: a calibration's lights.json, or its folder, or an .lp. Default: the .lp
         or lights.json in the folder, else the lights are unknown.
-    - `fov`: the camera's angle from the lower to the upper edge, degrees. Default: that
-        of the calibration, else parallel rays.
+    - `fov`: the camera's angle from the lower to the upper edge, degrees; 0 for
+        parallel rays. Default: that of the calibration, else, with a ball or where
+        normals are sought, what EXIF data state, else 0.
     - `mask`: an image, white where pixels may be used. Default: the mask in the folder,
         mask.png or NAME.mask.png, if there is one; `notes` says so.
     - `min_cosine`: samples with n·l up to this are left out, where a light is known.
@@ -95,6 +96,11 @@ def open_captured(
         )
     series = capture.series
     height, width = series.size
+    if source is None and fov is None and series.fov is not None:
+        # Normals of a file have their own camera.
+        if sphere is not None or normals == SOUGHT:
+            fov = series.fov
+            told += (f"the camera sees {fov:.3g}° from bottom to top (EXIF; or fov)",)
     camera, surface = seen_in(height, width, source, sphere, normals, fov)
     lamps, unknown = find_lamps(capture, source)
     scenes = tuple(

@@ -130,7 +130,7 @@ class DataSettings(AbstractRecord):
     sphere: Vector | None = None
     normals: str | None = None
     lights: str | None = None
-    fov: Annotated[float, Field(gt=0, lt=180)] | None = None
+    fov: Annotated[float, Field(ge=0, lt=180)] | None = None
     white: Annotated[int, Field(ge=1, le=65535)] | None = None
 
 

@@ -438,11 +438,13 @@ class Head(NamedTuple):
     - `size`: (width, height), upright.
     - `exposure`: as the camera says.
     - `white_balance`: what a RAW file's red and blue are multiplied by.
+    - `fov`: angle of view from the lower to the upper edge, degrees, if it is stated.
     """
 
     size: tuple[int, int]
     exposure: Exposure
     white_balance: tuple[float, float] | None
+    fov: float | None = None
 
 
 def read_head(path: Path) -> Head:
@@ -459,7 +461,8 @@ def read_head(path: Path) -> Head:
         width, height = _size(data, path)
         if TURNS[metadata.orientation][2]:
             width, height = height, width
-        return Head((width, height), metadata.exposure, None)
+        fov = metadata.lens.fov(width, height)
+        return Head((width, height), metadata.exposure, None, fov)
 
     return _decoded(path, head)
 

@@ -22,6 +22,13 @@ _ORIENTATION, _EXIF, _PROFILE = 274, 34665, 34675
 _TIME, _F_NUMBER, _ISO = 33434, 33437, 34855
 # ISO where 16 bits do not hold it: recommended exposure index, ISO speed.
 _MORE_ISO, _FULL = (34866, 34867), 65535
+_FOCAL, _FOCAL_35MM, _WIDTH, _HEIGHT = 37386, 41989, 40962, 40963
+_DENSITY, _DENSITY_UNIT = 41486, 41488
+# Millimetres of the units that EXIF counts sensors' pixels by: inch, cm, mm, µm.
+_UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
+
+FILM_DIAGONAL = float(np.hypot(36, 24))
+"""Of the film that equivalent focal lengths are for, millimetres."""
 
 
 class Exposure(NamedTuple):
@@ -47,11 +54,41 @@ class Exposure(NamedTuple):
         return ", ".join(words + ([f"ISO {self.iso:g}"] if self.iso else []))
 
 
+class Lens(NamedTuple):
+    """A camera's lens, by EXIF data; `None` where they do not state it.
+
+    - `equivalent`: focal length, millimetres, that has this angle of view on film of
+        36 × 24 mm, compared by diagonals.
+    - `focal`: focal length in pixels of the camera's image.
+    - `size`: width and height of that image, pixels.
+    """
+
+    equivalent: float | None = None
+    focal: float | None = None
+    size: tuple[int, int] | None = None
+
+    def fov(self, width: int, height: int) -> float | None:
+        """The angle of view from the lower to the upper edge, degrees.
+
+        `None` where it is not stated, or for another size than the camera's own: a
+        crop sees less.
+        """
+        if self.size is not None and sorted(self.size) != sorted((width, height)):
+            return None
+        focal = self.focal
+        if self.equivalent is not None:
+            focal = self.equivalent * float(np.hypot(width, height)) / FILM_DIAGONAL
+        if focal is None:
+            return None
+        return float(np.degrees(2 * np.arctan(height / (2 * focal))))
+
+
 class Metadata(NamedTuple):
     """What a file says beside its pixels.
 
     - `orientation`: 1 … 8 as in EXIF; 1 is upright.
     - `exposure`: time, aperture, sensitivity.
+    - `lens`: focal length.
     - `profile`: an ICC profile.
     - `gamma`: of the numbers in a PNG without a profile; 1 is linear.
     - `broken`: why EXIF data cannot be read, where it cannot.
@@ -62,6 +99,7 @@ class Metadata(NamedTuple):
     profile: bytes | None = None
     gamma: float | None = None
     broken: str | None = None
+    lens: Lens = Lens()
 
     def upright(self, numbers: np.ndarray) -> np.ndarray:
         """Pixels as they are to be seen, (H, W, …), of those that lie in the file."""
@@ -109,10 +147,12 @@ def _of_exif(exif: bytes | None) -> Metadata:
     try:
         directory = first_directory(exif)
         orientation = directory.whole(_ORIENTATION, 1)
-        exposure = _exposure(directory.below(_EXIF))
+        camera = directory.below(_EXIF)
+        exposure, lens = _exposure(camera), _lens(camera)
     except (ValueError, struct.error) as error:
         return Metadata(broken=str(error))
-    return Metadata(orientation if orientation in TURNS else 1, exposure)
+    orientation = orientation if orientation in TURNS else 1
+    return Metadata(orientation, exposure, lens=lens)
 
 
 def _exposure(exif: Directory | None) -> Exposure:
@@ -124,6 +164,24 @@ def _exposure(exif: Directory | None) -> Exposure:
     values = (exif.ratio(_TIME), exif.ratio(_F_NUMBER), float(iso))
     # Lenses without contacts have an aperture of 0.
     return Exposure(*(value if value and value > 0 else None for value in values))
+
+
+def _lens(exif: Directory | None) -> Lens:
+    if exif is None:
+        return Lens()
+    focal, density = exif.ratio(_FOCAL), exif.ratio(_DENSITY)
+    unit = _UNITS.get(exif.whole(_DENSITY_UNIT, 2))
+    pixels = None
+    if focal and density and unit and min(focal, density) > 0:
+        pixels = focal * density / unit
+    equivalent = exif.whole(_FOCAL_35MM)
+    size = exif.whole(_WIDTH), exif.whole(_HEIGHT)
+    return Lens(
+        # 0 stands for an unknown one.
+        float(equivalent) if equivalent > 0 else None,
+        pixels,
+        size if min(size) > 0 else None,
+    )
 
 
 def _of_png(data: bytes) -> Metadata:

@@ -117,6 +117,8 @@ class PhotoSeries:
         state rounded numbers, 1/125 s for 1/128: they are right to some 5 %.
     - `notes`: what was assumed, in sentences.
     - `white`: as of [`read_image`][], of all of them.
+    - `fov`: angle of view from the lower to the upper edge, degrees, if EXIF data of
+        all of them state it.
     """
 
     paths: tuple[Path, ...]
@@ -126,6 +128,7 @@ class PhotoSeries:
     relative_exposures: Float[np.ndarray, " photographs"]
     notes: tuple[str, ...]
     white: int | None = None
+    fov: float | None = None
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -192,7 +195,16 @@ def open_photographs(
     exposures = tuple(head.exposure for head in heads)
     relative, notes = relative_exposures([path.name for path in files], exposures)
     size = first.size[1], first.size[0]
-    return PhotoSeries(files, encoding, size, exposures, relative, notes, white)
+    fov = _common_fov([head.fov for head in heads])
+    return PhotoSeries(files, encoding, size, exposures, relative, notes, white, fov)
+
+
+def _common_fov(angles: Sequence[float | None]) -> float | None:
+    """The angle of view of one camera that did not zoom; `None` where they differ."""
+    stated = [angle for angle in angles if angle is not None]
+    if len(stated) < len(angles) or max(stated) > (1 + ALIKE) * min(stated):
+        return None
+    return stated[0]
 
 
 class AbstractImages(Sequence[np.ndarray]):

@@ -19,6 +19,7 @@ from phongfit.geometry.cameras import (
     OrthographicCamera,
     PerspectiveCamera,
 )
+from phongfit.geometry.planes import plane_before
 from phongfit.geometry.surfaces import AbstractSurface, NormalMap, Sphere
 
 SOUGHT = "fit"
@@ -51,10 +52,11 @@ def seen_in(
     **Raises:** `ValueError` that names the file or the argument.
     """
     camera = camera_of(height, width, calibration, fov)
-    view = View(width, height, fov) if calibration is None else calibration.view
+    view = View(width, height, fov or None) if calibration is None else calibration.view
     if normals == SOUGHT:
         camera = camera or OrthographicCamera(width, height)
-        return camera, plane_before(camera, calibration)
+        through = None if calibration is None else calibration.reference
+        return camera, plane_before(camera, through)
     if normals is not None:
         surface = read_normals(Path(normals))
         if tuple(surface.mask.shape) != (height, width):
@@ -62,10 +64,9 @@ def seen_in(
                 f"{normals}: expected {width} × {height} normals, as the photographs "
                 f"have pixels, got {surface.mask.shape[1]} × {surface.mask.shape[0]}"
             )
-        if surface.positions is None and fov is not None:
+        if surface.positions is None and calibration is None and camera is not None:
             # From further away than the object is deep: each is seen on a plane.
-            assert camera is not None
-            places = plane_before(camera, None).positions
+            places = plane_before(camera).positions
             return camera, NormalMap(surface.normals, surface.mask, places)
         if surface.positions is None or camera is None:
             # Of a long lens: without positions no other is known.
@@ -90,10 +91,10 @@ def camera_of(
     **Raises:** `ValueError` that names the argument.
     """
     if calibration is None:
-        if fov is None:
+        if fov is None or fov == 0:
             return None
         if not 0 < fov < 180:
-            raise ValueError(f"fov: expected degrees > 0 and < 180, got {fov:g}")
+            raise ValueError(f"fov: expected degrees ≥ 0 and < 180, got {fov:g}")
         return PerspectiveCamera(width, height, fov_y=fov, position=(0, 0, 0))
     if fov is not None:
         raise ValueError("fov: expected none, since the calibration has the camera")
@@ -142,22 +143,6 @@ def _check_positions(name: str, surface: NormalMap, camera: AbstractCamera) -> N
         "stands at the origin and looks along −z, got some that it does not see in "
         "their pixels" + (hint if best < OFF * size else "")
     )
-
-
-def plane_before(camera: AbstractCamera, calibration: Calibration | None) -> NormalMap:
-    """A plane as deep as a calibration's reference point, every pixel on it."""
-    rays = camera.rays()
-    axis = np.asarray(camera.rotation)[:, 2]
-    origin, direction = np.asarray(rays.origin), np.asarray(rays.direction)
-    if calibration is not None:
-        through = np.asarray(calibration.reference)
-    elif isinstance(camera, OrthographicCamera):
-        through = np.zeros(3)
-    else:
-        through = np.asarray(camera.position) - axis
-    along = ((through - origin) @ axis) / (direction @ axis)
-    places = origin + along[..., None] * direction
-    return NormalMap(np.broadcast_to(axis, places.shape), positions=places)
 
 
 def _ball(calibration: Calibration, circle: Float[np.ndarray, "3"]) -> Sphere:

@@ -1,6 +1,8 @@
 """Stacks of images, read piece by piece: memory need not hold them."""
 
 import abc
+import copy
+import dataclasses
 import hashlib
 import mmap
 import os
@@ -32,6 +34,7 @@ from phongfit.files.zarrs import (
 from phongfit.maps.ahead import ahead
 from phongfit.maps.spool import Spool
 from phongfit.rendering.film import Encoding, as_encoding
+from phongfit.scene import Scene
 
 T = TypeVar("T")
 
@@ -310,6 +313,12 @@ class DatasetStack(AbstractPhotographs):
         for _, (coded, mask) in _decoded(photographs.read, count):
             self.mask |= mask if mask.ndim == 2 else mask.any(axis=-1)
             self._spool.add(coded, mask)
+
+    def with_scenes(self, scenes: Sequence[Scene]) -> "DatasetStack":
+        """The same photographs of other scenes, not decoded again."""
+        other = copy.copy(self)
+        other.photographs = dataclasses.replace(self.photographs, scenes=tuple(scenes))
+        return other
 
     @property
     def shape(self) -> tuple[int, int, int]:

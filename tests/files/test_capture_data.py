@@ -292,6 +292,22 @@ def test_a_pinhole_without_a_calibration(folder, tmp_path, normals):
     seen = data.scenes[0].trace()
     np.testing.assert_allclose(seen.to_viewer, -camera.rays().direction, atol=1e-6)
     np.testing.assert_allclose(seen.position[..., 2], -1, atol=1e-6)
-    for wrong in (0, 180):
-        with pytest.raises(ValueError, match="fov: expected degrees > 0 and < 180"):
+    for wrong in (-1, 180):
+        with pytest.raises(ValueError, match="fov: expected degrees ≥ 0 and < 180"):
             open_captured(folder, "srgb", fov=wrong, **options)
+
+
+def test_the_angle_of_view_that_exif_data_state(folder, tmp_path):
+    for number in (1, 2, 3):
+        photograph = Image.open(folder / f"{number}.png")
+        photograph.save(tmp_path / f"{number}.png", exif=exif(equivalent=50))
+    pf.write_lp(tmp_path / "a.lp", ["1.png", "2.png", "3.png"], LAMPS)
+    stated = open_captured(tmp_path, "srgb", normals="fit")
+    assert any("° from bottom to top (EXIF" in note for note in stated.notes)
+    focal = 50 / np.hypot(36, 24) * np.hypot(HEIGHT, WIDTH)
+    angle = np.degrees(2 * np.arctan(HEIGHT / 2 / focal))
+    expected = pf.PerspectiveCamera(WIDTH, HEIGHT, fov_y=angle, position=(0, 0, 0))
+    found = stated.scenes[0].camera.rays().direction
+    np.testing.assert_allclose(found, expected.rays().direction, atol=1e-5)
+    plain = open_captured(tmp_path, "srgb", normals="fit", fov=0)
+    assert isinstance(plain.scenes[0].camera, pf.OrthographicCamera)

@@ -35,14 +35,17 @@ UPRIGHT = {
 }
 # Numbers of EXIF's tags, as Pillow takes them.
 ORIENTATION, EXIF, TIME, F_NUMBER, ISO = 274, 0x8769, 33434, 33437, 34855
+# Whole numbers: focal length on film, image's width and height, unit of the density.
+COUNTS = {"equivalent": 41989, "width": 40962, "height": 40963, "unit": 41488}
+RATIOS = {"focal": 37386, "density": 41486}
 
 
 def exif(orientation: int = 1, **exposure: float) -> bytes:
     data = Image.Exif()
     data[ORIENTATION] = orientation
-    tags = {"time": TIME, "f_number": F_NUMBER, "iso": ISO}
+    tags = {"time": TIME, "f_number": F_NUMBER, "iso": ISO} | COUNTS | RATIOS
     ratios = {k: IFDRational(Fraction(v).limit_denominator(8000)) for k, v in
-              exposure.items() if k != "iso"}  # fmt: skip
+              exposure.items() if k not in ("iso", *COUNTS)}  # fmt: skip
     data[EXIF] = {tags[k]: ratios.get(k, v) for k, v in exposure.items()}
     return data.tobytes()
 
@@ -117,6 +120,38 @@ def test_blocks_that_begin_outside_of_a_turned_jpeg(tmp_path):
     assert read_film(path, "srgb").jpeg is not None
 
 
+# 36 × 24 mm film behind 50 mm sees 26.99° from bottom to top, 39.6° on its side.
+@pytest.mark.parametrize(
+    ("lens", "orientation", "expected"),
+    [
+        ({"equivalent": 50}, 1, 26.991),
+        ({"equivalent": 50}, 6, 39.598),
+        ({"equivalent": 50, "width": 30, "height": 20}, 1, 26.991),
+        ({"equivalent": 50, "width": 20, "height": 30}, 1, 26.991),
+        # Cut out of a larger image.
+        ({"equivalent": 50, "width": 60, "height": 40}, 1, None),
+        # 30 pixels on 24 mm behind 28 mm, in inches and in centimetres.
+        ({"focal": 28, "density": 30 / 24 * 25.4}, 1, 31.891),
+        ({"focal": 28, "density": 12.5, "unit": 3}, 1, 31.891),
+        ({"focal": 28}, 1, None),
+        ({"equivalent": 0}, 1, None),
+        ({}, 1, None),
+    ],
+)
+def test_angle_of_view(tmp_path, lens, orientation, expected):
+    path = tmp_path / "a.jpg"
+    Image.fromarray(levels(20, 30)).save(path, exif=exif(orientation, **lens))
+    found = open_photographs([path], "srgb").fov
+    assert found == (None if expected is None else pytest.approx(expected, rel=1e-3))
+
+
+def test_photographs_that_zoom_have_no_common_angle_of_view(tmp_path):
+    paths = [tmp_path / "a.jpg", tmp_path / "b.jpg"]
+    for path, focal in zip(paths, (50, 70), strict=True):
+        Image.fromarray(levels()).save(path, exif=exif(equivalent=focal))
+    assert open_photographs(paths, "srgb").fov is None
+
+
 def test_broken_exif_is_said(tmp_path):
     path = tmp_path / "a.jpg"
     Image.fromarray(levels()).save(path, exif=b"Exif\0\0" + b"II*\0\xff\xff\0\0")
@@ -175,7 +210,7 @@ def test_exposure_of_a_photograph(tmp_path):
     Image.fromarray(levels()).save(tmp_path / "a.png", exif=stated)
     assert read_head(tmp_path / "a.png").exposure == pytest.approx(photo.exposure)
     pf.write_image(tmp_path / "a.exr", photo.image, "linear")
-    assert read_head(tmp_path / "a.exr") == ((16, 32), Exposure(), None)
+    assert read_head(tmp_path / "a.exr") == ((16, 32), Exposure(), None, None)
 
 
 def test_mixed_exposures_come_to_common_light(tmp_path):

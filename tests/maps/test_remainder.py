@@ -8,7 +8,7 @@ import pytest
 
 import phongfit as pf
 from data_synth.lights import spread_directions
-from phongfit.files.seen import plane_before
+from phongfit.geometry.planes import plane_before
 from phongfit.maps.remainder import NUGGET, WIDTHS, find_remainder
 from phongfit.maps.stacks import as_stack
 from tests.maps.hills import CAMERA, SIZE, made
@@ -31,7 +31,7 @@ def bounced(light, pixels=SIZE):
 def photographs(lights, maps=None):
     """Scenes of the hills and their photographs, of which maps know only a part."""
     maps = made() if maps is None else maps
-    flat = plane_before(CAMERA, None)
+    flat = plane_before(CAMERA)
     scenes = [pf.Scene(flat, CAMERA, light, ambient=0.2) for light in lights]
     seen = maps.relight(lights) + [bounced(light) for light in lights]
     return scenes, seen.astype(np.float32)

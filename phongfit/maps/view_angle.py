@@ -1,0 +1,255 @@
+r"""The camera's angle of view, from photographs under known distant lamps.
+
+Which way a pixel looks moves its highlight, and nothing else where lamps are far away.
+So a few pixels are fitted at several angles of view, each with its own noise level
+$\sigma_p(\varphi)$, and the angle is that of the largest likelihood, the least of
+
+$$
+C(\varphi) = \sum_p n_p \log \sigma_p(\varphi),
+$$
+
+with $n_p$ the samples of pixel p. Its standard error is a sandwich, since neighbouring
+pixels share what the model leaves out: $\sqrt{\sum_b g_b^2} / C''$, where $g_b$ is the
+derivative of the part of C that a block of pixels contributes.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from phongfit.edge import checked
+from phongfit.geometry.cameras import (
+    AbstractCamera,
+    OrthographicCamera,
+    PerspectiveCamera,
+)
+from phongfit.geometry.planes import plane_before
+from phongfit.maps.layers import Masks
+from phongfit.maps.run import fit_maps
+from phongfit.maps.stacks import AbstractStack, KeptStack, as_stack
+from phongfit.scene import Scene
+
+SAMPLE = 600
+"""Pixels that the angle is found from, at most."""
+
+BRIGHT = 0.3
+"""A pixel counts if it is at least this bright, as a fraction of the median pixel."""
+
+ANGLES = (0.0, 10.0, 20.0, 30.0, 40.0, 55.0, 70.0)
+"""Angles that are tried first, degrees; 0 stands for parallel rays."""
+
+COARSE_ANGLES = (20.0, 40.0, 60.0)
+"""Angles that are compared with the given camera where none is asked for, degrees."""
+
+STEPS = 3
+"""Parabolas that are laid through the best angles, one after another."""
+
+CLOSE = 0.5
+"""An angle so close to one that was tried ends the search, degrees."""
+
+FLOOR = 1e-3
+"""Noise that any photograph has, in linear light where white is 1."""
+
+DETERMINED = 0.25
+"""Largest standard error of an angle that counts as determined, relative to it."""
+
+SIGNIFICANT = 3.0
+"""Standard errors by which C must be below that of the given camera."""
+
+LOWER = 0.9
+"""Noise relative to that with the given camera, at most."""
+
+BLOCK = 8
+"""Side of a block of pixels, in pixels, whose errors may be correlated."""
+
+
+class FovFit(NamedTuple):
+    """A camera's vertical angle of view.
+
+    - `degrees`: the most likely one; 0 for parallel rays.
+    - `stderr`: its standard error, degrees; infinite where it is not determined.
+    - `noise_ratio`: median noise of the pixels at this angle, over that with the camera
+        of the scenes.
+    - `better`: by how many standard errors it explains the pixels better than the
+        camera of the scenes.
+    """
+
+    degrees: float
+    stderr: float
+    noise_ratio: float
+    better: float
+
+    @property
+    def improves(self) -> bool:
+        """Whether it leaves significantly less noise, and a tenth less at least.
+
+        Smaller gains may be those of shadows and of light that bounced.
+        """
+        return self.noise_ratio < LOWER and self.better > SIGNIFICANT
+
+    @property
+    def determined(self) -> bool:
+        """Whether the photographs determine it, to a quarter of itself."""
+        return self.improves and self.stderr < DETERMINED * self.degrees
+
+    def __str__(self) -> str:
+        if not self.determined:
+            return "angle of view: not identified"
+        return (
+            f"angle of view fitted: {self.degrees:.3g} ± {self.stderr:.2g} degrees "
+            f"(noise {self.noise_ratio:.2g} times that of the camera given)"
+        )
+
+
+@checked
+def fit_fov(
+    scenes: Sequence[Scene], images: Any, *, mask: Any = None, **options: Any
+) -> FovFit:
+    """The angle of view with which maps of normals and materials leave least noise.
+
+    It needs highlights in many places: a matte surface looks alike from everywhere.
+
+    **Arguments:**
+
+    - `scenes`, `images`, `mask`: as in [`fit_maps`][] with `normals="fit"`, under
+        distant lamps whose directions are in the camera's axes.
+    - `options`: further ones of [`fit_maps`][], such as `per_channel`.
+
+    **Returns:** [`FovFit`][]; see its `determined`. [`seen_over`][] gives the scenes
+    that angle.
+
+    **Raises:** `ValueError` as [`fit_maps`][] does.
+    """
+    return _fit_among(ANGLES, STEPS, scenes, images, mask, options)
+
+
+def check_fov(
+    scenes: Sequence[Scene], images: Any, *, mask: Any = None, **options: Any
+) -> FovFit:
+    """Whether an angle of view, of a few, would leave less noise than the scenes'.
+
+    Arguments as in [`fit_fov`][]. Quicker, and `degrees` is approximate.
+    """
+    return _fit_among(COARSE_ANGLES, 0, scenes, images, mask, options)
+
+
+def _fit_among(
+    angles: Sequence[float],
+    steps: int,
+    scenes: Sequence[Scene],
+    images: Any,
+    mask: Any,
+    options: dict[str, Any],
+) -> FovFit:
+    stack = KeptStack(as_stack(images))
+    sample = _sample(scenes, stack, mask)
+    options = options | {"normals": "fit", "passes": 1, "progress": False}
+
+    def fitted(some: Sequence[Scene]) -> _Noise:
+        maps = fit_maps(some, stack, mask=sample, **options)
+        return _Noise(maps.noise[sample].astype(float), maps.samples[sample])
+
+    rows, columns = np.nonzero(sample)
+    block = rows // BLOCK * 10**6 + columns // BLOCK
+    given = fitted(scenes)
+    noise = {degrees: fitted(seen_over(scenes, degrees)) for degrees in angles}
+    for _ in range(steps):
+        degrees = _next_angle(noise)
+        if degrees is None:
+            break
+        noise[degrees] = fitted(seen_over(scenes, degrees))
+    return _judge(noise, given, block)
+
+
+def seen_over(scenes: Sequence[Scene], degrees: float) -> tuple[Scene, ...]:
+    """Scenes of unknown normals with another vertical angle of view.
+
+    **Arguments:** `degrees`: 0 for parallel rays.
+    """
+    height, width = scenes[0].camera.height, scenes[0].camera.width
+    camera: AbstractCamera = OrthographicCamera(width, height)
+    if degrees > 0:
+        camera = PerspectiveCamera(width, height, fov_y=degrees, position=(0, 0, 0))
+    plane = plane_before(camera)
+    return tuple(
+        dataclasses.replace(scene, camera=camera, surface=plane) for scene in scenes
+    )
+
+
+class _Noise(NamedTuple):
+    """Of each sampled pixel: its noise level, and the number of its samples."""
+
+    level: Float[np.ndarray, " pixels"]
+    samples: Int[np.ndarray, " pixels"]
+
+    @property
+    def cost(self) -> Float[np.ndarray, " pixels"]:
+        """Minus the logarithm of the likelihood; NaN where nothing was fitted."""
+        return self.samples * np.log(np.hypot(self.level, FLOOR))
+
+
+def _sample(
+    scenes: Sequence[Scene], stack: AbstractStack, mask: Any
+) -> Bool[np.ndarray, "height width"]:
+    """Pixels evenly spread over the object, without the dark ones."""
+    masks = Masks(mask, stack.shape)
+    pixels = np.flatnonzero(masks.anywhere())
+    pixels = pixels[:: max(1, len(pixels) // (3 * SAMPLE))]
+    light = np.ma.getdata(stack.take(pixels, range(len(scenes)))).max(axis=(0, 2))
+    pixels = pixels[light > BRIGHT * np.median(light)]
+    chosen = np.zeros(stack.shape[1:], bool)
+    chosen.ravel()[pixels[:: max(1, len(pixels) // SAMPLE)]] = True
+    return chosen
+
+
+def _next_angle(noise: dict[float, _Noise]) -> float | None:
+    """The vertex of the parabola through the best angle and its neighbours.
+
+    `None` where the best is the largest angle, or where parallel rays are.
+    """
+    angles = sorted(noise)
+    together = np.all([np.isfinite(noise[a].cost) for a in angles], axis=0)
+    costs = [noise[a].cost[together].sum() for a in angles]
+    best = int(np.argmin(costs))
+    if best in (0, len(angles) - 1):
+        return None
+    near = slice(best - 1, best + 2)
+    second, first, _ = np.polyfit(angles[near], costs[near], 2)
+    degrees = float(-first / (2 * second))
+    return None if min(abs(degrees - a) for a in angles) < CLOSE else degrees
+
+
+def _judge(
+    noise: dict[float, _Noise], given: _Noise, block: Int[np.ndarray, " pixels"]
+) -> FovFit:
+    angles = sorted(noise)
+    every = np.stack([noise[a].cost for a in angles] + [given.cost])
+    together = np.isfinite(every).all(axis=0)
+    costs = every[:, together].sum(axis=1)[:-1]
+    best = int(np.argmin(costs))
+    most_likely = noise[angles[best]]
+    gain = _sum_blocks((given.cost - most_likely.cost)[together], block[together])
+    spread = np.sqrt(len(gain) * np.var(gain, ddof=1)) if len(gain) > 1 else np.inf
+    better = float(gain.sum() / spread) if spread > 0 else 0.0
+    ratio = most_likely.level[together] / given.level[together]
+    stderr = np.inf
+    if 0 < best < len(angles) - 1:
+        below, at, above = angles[best - 1 : best + 2]
+        # Derivatives of the parabola through three angles, at the middle one.
+        rows = np.vander(np.array([below, at, above]) - at, 3)
+        second, first, _ = np.linalg.solve(rows, every[best - 1 : best + 2, together])
+        curvature = 2 * second.sum()
+        slopes = _sum_blocks(first, block[together])
+        if curvature > 0:
+            stderr = float(np.sqrt(np.sum((slopes - slopes.mean()) ** 2)) / curvature)
+    return FovFit(angles[best], stderr, float(np.median(ratio)), better)
+
+
+def _sum_blocks(
+    values: Float[np.ndarray, " pixels"], block: Int[np.ndarray, " pixels"]
+) -> Float[np.ndarray, " blocks"]:
+    _, number = np.unique(block, return_inverse=True)
+    return np.bincount(number, values)
