@@ -44,7 +44,7 @@ Parameter = Annotated[Numbers, _shown("X|R G B", "the material's")]
 
 @dataclass(frozen=True)
 class Options:
-    """What the images are made of, and how.
+    """The scene, material and noise of the images.
 
     Args:
         out_dir: Folder to make: images, scene.json, truth.json, contact_sheet.png.
@@ -54,14 +54,14 @@ class Options:
         diffuse: Lambert reflectance.
         specular: Strength of the highlight.
         shininess: Exponent of the highlight; larger is sharper.
-        ambient: Share of the ambient light that is sent back.
-        emission: Light of its own, where white is 1.
+        ambient: Fraction of the ambient light that is reflected.
+        emission: Emitted light, where white is 1.
         model: Model of the highlight.
         lights: Number of lights, spread around the camera.
-        light_kind: Kind of the lights; mixed takes the three in turn.
-        images: Number of images, to which the lights are dealt out; 1 has all in
-            one.
-        intensity: What each light sends to the ball's centre.
+        light_kind: Kind of the lights; mixed cycles through the three.
+        images: Number of images, among which the lights are distributed; 1 has all
+            lights in one image.
+        intensity: Light that arrives at the ball's centre from each light.
         ambient_light: The ambient light.
         center: Centre of the ball, world units.
         radius: Radius of the ball, world units.

@@ -50,8 +50,8 @@ def make_dataset(
     - `key`: of the noise.
     - `surface`, `camera`: default a ball of radius 1 that fills 256 × 256 pixels.
     - `lights`: default four directional ones, so bright that nothing is cut off.
-    - `images`: how many; the lights are dealt out to them in turn. 1 has all lights in
-        one image; the default is an image for each light.
+    - `images`: number of images, among which the lights are distributed one by one. 1
+        has all lights in one image; the default is an image for each light.
     - `ambient`: the ambient light I_a, RGB or one number.
     - `specular_model`: model of the highlight, default Blinn-Phong.
     - `noise`: standard deviation of Gaussian noise in linear light, where white is 1;
@@ -125,7 +125,7 @@ def _photograph(
 def develop(
     light: Float[Array, "height width 3"], film: Film
 ) -> Float[np.ndarray, "height width 3"]:
-    """What is left of linear light after it has been stored and read again."""
+    """Linear light after it was stored with a film and read again."""
     if film.bits is None:
         return np.clip(np.asarray(light), 0, 1)
     return from_levels(to_levels(light, film.encoding, film.bits), film.encoding)

@@ -58,7 +58,7 @@ def make_lights(
     **Arguments:**
 
     - `count`: how many, ≥ 1.
-    - `kind`: `"mixed"` takes directional, point and spot in turn.
+    - `kind`: `"mixed"` cycles through directional, point and spot.
     - `intensity`: RGB or one number, what arrives at the object's centre.
     - `center`, `radius`: of the object, world units.
 

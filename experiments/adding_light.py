@@ -29,11 +29,11 @@ UNCLAMPED = pf.Film(clamp=False)
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """What was measured.
+    """Differences between sums of pictures and pictures of sums.
 
     - `sum_error`: largest difference, in units of white, between the picture under all
         lamps and the sum of the pictures under each;
-    - `shown_error`: the same if clamped, sRGB-encoded pictures are added instead;
+    - `shown_error`: that difference if clamped, sRGB-encoded pictures are added;
     - `clipped`: share of the ball's samples at white, for each of `INTENSITIES`;
     - `hue`: of the brightest matte spot, degrees on the colour circle.
     """

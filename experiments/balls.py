@@ -15,7 +15,7 @@ def unit_ball(rows: int) -> pf.Mesh:
 
 
 def ball(rows: int, radius: float, center: Sequence[float]) -> pf.Mesh:
-    """The same elsewhere and of another size, world units."""
+    """The ball of [`unit_ball`][], scaled and moved; world units."""
     unit = unit_ball(rows)
     vertices = radius * np.asarray(unit.vertices) + np.asarray(center)
     return pf.Mesh(vertices, unit.faces, unit.normals)

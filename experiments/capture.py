@@ -32,7 +32,7 @@ COMPARED = (5, 10)
 
 
 def run_page(folder: Path) -> dict[str, Any]:
-    """What the page's Python defines; its commands write into a folder."""
+    """Names that the page's Python defines; its commands write into a folder."""
     names: dict[str, Any] = {}
     with contextlib.chdir(folder):
         for language, code in BLOCK.findall(PAGE.read_text(encoding="utf-8")):

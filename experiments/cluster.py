@@ -94,7 +94,7 @@ def make_stack(client: Any, folder: Path, rows: int, columns: int, side: int) ->
 
 
 def begun(folder: Path) -> int:
-    """How many blocks were begun, those of workers that died among them."""
+    """Number of blocks that were begun, including those of workers that died."""
     return sum(1 for _ in folder.iterdir())
 
 
@@ -132,7 +132,7 @@ def killing(client: Any, every: float) -> Iterator[list[int]]:
 
     def work() -> None:
         while not ended.wait(every):
-            # Those that work: one that starts anew is no loss.
+            # Among running workers only: killing one that starts loses no work.
             workers = sorted(client.run(os.getpid, on_error="ignore").values())
             if workers:
                 killed.append(workers[len(killed) % len(workers)])
@@ -158,7 +158,7 @@ def work_of(client: Any) -> float:
 
 
 def same(a: Path, b: Path) -> bool:
-    """Whether two stores hold the same maps, bit for bit."""
+    """Whether two stores contain the same maps, bit for bit."""
     one, other = open_group(a), open_group(b)
     names: Any = one.attrs["arrays"]
     pairs = ((writable(group, name) for group in (one, other)) for name in names)
@@ -191,10 +191,10 @@ class Options:
 
     Args:
         small: Less of everything, for a first look.
-        every: Seconds between two deaths of workers. A worker takes some to start: on a
-            machine that is not quiet none would live to finish a block.
-        folder: Where the stacks are made, tens of gigabytes for 100 megapixels; they
-            are removed in the end. Default: that of temporary files.
+        every: Seconds between two kills of workers. Workers need some seconds to
+            start: if it is too short, none finishes a block on a busy machine.
+        folder: Folder for the stacks, tens of gigabytes for 100 megapixels; they are
+            removed at the end. Default: that of temporary files.
         json: File for the numbers.
     """
 
@@ -211,7 +211,7 @@ def main(options: Options) -> int:
       python -m experiments.cluster --small
     """
     check_outputs(None, options.json)
-    # The blocks that workers are given leave marks of theirs.
+    # Each block leaves a file, by which blocks are counted across processes.
     with (
         patch.object(cluster, "fit_block", counted_block),
         tempfile.TemporaryDirectory(dir=options.folder) as name,

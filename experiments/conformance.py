@@ -40,7 +40,7 @@ SHARE_BOUND = 0.999
 
 
 class Agreement(NamedTuple):
-    """How far phongfit is from a reference: light, where 1 is white, and shares."""
+    """Differences from a reference: of light, where 1 is white, and fractions."""
 
     name: str
     vertex_colors: float | None
@@ -52,7 +52,7 @@ class Agreement(NamedTuple):
 
     @property
     def agrees(self) -> bool:
-        """Whether all of it is as good as can be asked for: see the module's head."""
+        """Whether all differences are within the bounds in the module's head."""
         return (
             (self.vertex_colors is None or self.vertex_colors <= VERTEX_BOUND)
             and self.median < MEDIAN_BOUND
@@ -74,7 +74,7 @@ class Agreement(NamedTuple):
 
 
 def head(width: int) -> str:
-    """What the columns of [`Agreement.line`][] are."""
+    """Column titles for [`Agreement.line`][]."""
     return (
         f"{'scene':{width}}  {'vertex':>7}  {'median':>7}  {'q 99.9':>7}  "
         f"{'within bound':>19}  {'coverage':>9}"
@@ -94,7 +94,7 @@ def compare(reference: Reference) -> Agreement:
         )
     mask = np.asarray(gbuffer.mask)
     if reference.vertex_colors is None:
-        # Only the image tells what the reference covers: ours is read the same way.
+        # Coverage is known from the reference's image only, so ours is computed alike.
         mask = seen(image, np.asarray(scene.background))
         compared = mask | reference.covered
     else:

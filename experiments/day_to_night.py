@@ -98,7 +98,7 @@ def at(hour: float, size: int) -> pf.Scene:
 def parts(
     scene: pf.Scene, gbuffer: pf.GBuffer
 ) -> Float[np.ndarray, "parts height width 3"]:
-    """What the scene's lamps, sky and fog give to its picture, and the picture."""
+    """Contributions of each lamp, the sky and the fog to the picture; the picture."""
     dark = jnp.zeros_like(scene.ambient)
 
     def image(on: int | None, ambient: bool) -> np.ndarray:
@@ -112,7 +112,7 @@ def parts(
         shown = pf.render(one, MATERIAL, film=UNCLAMPED, gbuffer=gbuffer)
         return np.asarray(shown, float)
 
-    # What is left without any light: the fog's, and the sky behind.
+    # Without any light the fog and the background remain.
     fog = image(None, False)
     lamps = [image(k, False) - fog for k in range(len(scene.lights))]
     whole = pf.render(scene, MATERIAL, film=UNCLAMPED, gbuffer=gbuffer)

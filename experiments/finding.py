@@ -1,4 +1,4 @@
-"""What an experiment finds, and the command that shows it."""
+"""The result of an experiment, and the command that shows it."""
 
 import dataclasses
 import functools
@@ -76,13 +76,13 @@ class Experiment:
 
     @property
     def question(self) -> str:
-        """What is asked, in one line."""
+        """The question of the experiment, in one line."""
         words = self._parts[0].removeprefix("Question: ")
         return words[:1].upper() + words[1:]
 
     @property
     def method(self) -> str:
-        """What is done, as one paragraph."""
+        """The method of the experiment, as one paragraph."""
         return self._parts[1]
 
     @property

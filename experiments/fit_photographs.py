@@ -53,7 +53,7 @@ def half(data: Dataset, first: int) -> Dataset:
 
 
 def predict(data: Dataset, material: pf.Material) -> list[np.ndarray]:
-    """What the material would look like in each photograph."""
+    """Render the material as in each photograph."""
     film = pf.Film(clamp=data.films[0].clamp)
     return [np.asarray(pf.render(s, material, film=film)) for s in data.scenes]
 
@@ -109,8 +109,8 @@ def main(
 
     Args:
         folder: DiLiGenT's layout, or that of data_synth.
-        picture: Where the picture goes.
-        json: Where the numbers go: rmse_over_mean, material, stderr, and more.
+        picture: File for the picture.
+        json: File for the numbers: rmse_over_mean, material, stderr, and more.
     """
     if not folder.is_dir():
         print(f"skipped: there is no folder {folder}")

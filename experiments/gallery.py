@@ -38,7 +38,7 @@ LAMPS = ((-1, 0.6, 0.5), (1, 0.2, 0.7), (0.2, -1, 0.8))
 
 
 class Cat(NamedTuple):
-    """What the photographs gave: maps, how strong the lamps are, and one of them."""
+    """Maps of the cat, and one of its photographs."""
 
     maps: pf.Maps
     photograph: Float[np.ndarray, "height width 3"]
@@ -53,7 +53,7 @@ def cat() -> Cat:
 
 @styled
 def draw_ball() -> Figure:
-    """A photograph of a ball, its fit, and what is left over."""
+    """A photograph of a ball, its fit, and the residuals."""
     camera, lamp = pf.OrthographicCamera(160, 160), pf.DirectionalLight((1, 1, 2))
     scene = pf.Scene(pf.Sphere(), camera, lamp, ambient=0.3)
     rows = []

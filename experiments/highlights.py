@@ -51,8 +51,11 @@ IdealMirror.__init__.__doc__ = """**Arguments:** `radius`: of the lamp, degrees.
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """`ratio`: Phong's exponent over Blinn's, (exponents, angles); `residual`: what the
-    best Phong highlight leaves over, root mean square over the highlight's own."""
+    """Blinn highlights fitted by Phong's model, (exponents, angles).
+
+    - `ratio`: Phong's exponent over Blinn's;
+    - `residual`: RMS residual, relative to the RMS of the highlight.
+    """
 
     ratio: np.ndarray
     residual: np.ndarray

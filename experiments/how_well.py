@@ -2,9 +2,9 @@
 
 The Cramér-Rao bound, which no unbiased estimate can beat, is predicted for each
 parameter as noise, lamps, resolution, clipping and the part of the highlight that is
-seen change; beside it stands the spread of many fits of noisy images. Errors are shares
-of the true value; that of f is one of its logarithm. Where the prediction says that the
-exponent is not identifiable, those of the others rest on fits that it draws itself.
+seen change, and compared with the spread of many fits of noisy images. Errors are
+relative to the true value; that of f is of its logarithm. Where the exponent is not
+identifiable, errors of the other parameters are predicted from simulated fits.
 """
 
 import dataclasses
@@ -31,7 +31,7 @@ PARAMETERS = tuple(style.PARAMETERS)
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """What is photographed: `x` is where it stands in its sweep."""
+    """A set of scenes with its noise; `x` is its coordinate in a sweep."""
 
     x: float
     scenes: tuple[pf.Scene, ...]
@@ -52,7 +52,7 @@ class Sweep:
 
 @dataclasses.dataclass(frozen=True)
 class Spread:
-    """What many fits of one setting show, each in the order of `PARAMETERS`.
+    """Errors of many fits of one setting, in the order of `PARAMETERS`.
 
     - `bound`, `observed`: the predicted error, and the root mean square of the fits'
         errors, as shares of the truth;
@@ -105,7 +105,7 @@ def noises(levels: Sequence[float]) -> Sweep:
 
 
 def lamps(counts: Sequence[int]) -> Sweep:
-    """More photographs, each under a lamp of its own."""
+    """A sweep over the number of photographs, each under another lamp."""
     directions = spread_directions(max(counts))
     settings = tuple(Setting(n, tuple(ball(32, directions[:n]))) for n in counts)
     return Sweep("lamps", "photographs, each with its lamp", settings)
@@ -237,7 +237,7 @@ Found = list[tuple[Sweep, list[Spread]]]
 
 
 def measure(small: bool) -> Found:
-    """All sweeps; every setting has noise of its own."""
+    """Measure all sweeps, with independent noise for every setting."""
     draws, seed, found = 40 if small else 200, 0, []
     for sweep in sweeps(small):
         seeds = range(seed, seed + len(sweep.settings))
@@ -375,8 +375,8 @@ def failures(found: Found) -> tuple[str, ...]:
         for one in spreads:
             judged = [(one.ratio, 1 - one.slack, "the prediction")]
             if not one.identified.all():
-                # Where an exponent roams, fits state what the widest that the image
-                # allows would give: more than the spread of those that come out.
+                # Without an identified exponent, fits state errors for the widest
+                # exponent that the image allows, which exceed the spread of the fits.
                 judged += [(one.pull, 0.0, "the errors that fits state")]
             wrong += [
                 f"{sweep.name} {one.x:.3g}: {name} scatters {share:.2f} times {what}"

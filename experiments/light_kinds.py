@@ -46,7 +46,7 @@ LAMPS: dict[str, pf.AbstractLight] = {
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """What was measured, and what the formulas say.
+    """Measured values, and those of the formulas.
 
     - `place`: on the floor, from below the lamp, world units;
     - `falloff`, `falloff_formula`: light there over that of a white floor under the

@@ -1,4 +1,4 @@
-"""What all experiments share: where their numbers and pictures go."""
+"""Output files of experiments, for their numbers and pictures."""
 
 from collections.abc import Iterable
 from pathlib import Path

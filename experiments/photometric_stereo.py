@@ -52,7 +52,7 @@ class Photos:
     - `photographs`: with the scenes that hold their lamps.
     - `truth`: (H, W, 3), unit normals in the camera's axes.
     - `mask`: (H, W), where it is known.
-    - `stored`: whether least squares is tried on values as stored, too.
+    - `stored`: whether least squares is also tried on values as stored.
     """
 
     photographs: Photographs
@@ -229,12 +229,12 @@ def main(
 
     Args:
         folder: DiLiGenT's layout, or photographs with an .lp and a normals.png.
-        every: Use every so-manieth photograph only, from the first on.
-        materials: How many materials the pixels share; auto finds out; own: each pixel
-            has its own.
-        encoding: What the photographs' numbers are, if their format does not tell.
-        picture: Where the picture goes.
-        json: Where the numbers go: mean_angular_error, least_squares, and more.
+        every: Use only every N-th photograph, from the first on.
+        materials: Number of materials that the pixels share; auto finds it; own: each
+            pixel has its own.
+        encoding: Encoding of the photographs' numbers, if their format does not fix it.
+        picture: File for the picture.
+        json: File for the numbers: mean_angular_error, least_squares, and more.
     """
     if not folder.is_dir():
         print(f"skipped: there is no folder {folder}")

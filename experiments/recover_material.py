@@ -3,8 +3,8 @@
 Targets of known truth (plastic, metal, matte; one and several lights; rounded to 8
 bits, with and without noise) are fitted without a starting guess. Truth and estimate ±
 standard error are printed side by side. The exit status is 1 if a fit does not
-converge, if an estimate is more than 4 standard errors off, or if the fit claims to
-know what the image does not identify.
+converge, if an estimate is more than 4 standard errors off, or if a parameter that the
+image does not identify has a finite error.
 """
 
 import dataclasses
@@ -162,8 +162,8 @@ def main(
     Args:
         resolution: Width and height of the targets, pixels.
         seed: Of the noise.
-        picture: Where the picture goes.
-        json: Where the numbers go: a list of cases with truth, estimate and stderr.
+        picture: File for the picture.
+        json: File for the numbers: a list of cases with truth, estimate and stderr.
     """
     check_outputs(picture, json)
     console = Console()

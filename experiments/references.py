@@ -1,8 +1,7 @@
 """Scenes that other renderers drew: their files.
 
-`NAME.json` says what is in a scene, `NAME.npz` holds the mesh and the image. Two kinds
-are known, distinguished by what they name: those of OpenGL's fixed-function pipeline,
-and those of a ray tracer (POV-Ray).
+`NAME.json` describes a scene, `NAME.npz` contains its mesh and image. There are two
+kinds: scenes of OpenGL's fixed-function pipeline, and scenes of a ray tracer (POV-Ray).
 """
 
 import json
@@ -177,5 +176,5 @@ def _raytraced(name: str, said: dict[str, Any], arrays: Arrays) -> Reference:
 def seen(
     image: Float[np.ndarray, "height width 3"], background: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, "height width"]:
-    """Where an image of 16 bits is not of the background's colour."""
+    """Mask of the pixels whose 16-bit colour differs from the background."""
     return np.asarray(np.any(abs(image - background) > 0.5 / 65535, axis=-1))

@@ -36,7 +36,8 @@ from experiments.output import (
 from phongfit.cli import run
 from phongfit.files.fits import LossName
 from phongfit.files.lp import base_name
-from phongfit.files.seen import camera_of, plane_before
+from phongfit.files.seen import camera_of
+from phongfit.geometry.planes import plane_before
 from phongfit.rendering.film import Encoding, decode, encode
 
 SIZE, SMALL = 96, 32
@@ -55,7 +56,7 @@ class Lamps(NamedTuple):
 
 
 class Photographed(NamedTuple):
-    """What is fitted, what is predicted, and how both are encoded."""
+    """Photographs to fit and photographs to predict, with their encoding."""
 
     name: str
     fitted: Lamps
@@ -111,8 +112,8 @@ def mapped(
     height, width = data.fitted.images.shape[1:3]
     camera = camera_of(height, width, None, fov)
     camera = camera or pf.OrthographicCamera(width, height)
-    plane = plane_before(camera, None)
-    # Ambient light stands for what comes by way of the surroundings.
+    plane = plane_before(camera)
+    # Ambient light stands for light reflected by the surroundings.
     scenes = [
         pf.Scene(plane, camera, pf.DirectionalLight(vector), ambient=1.0)
         for vector in data.fitted.directions
@@ -177,7 +178,7 @@ def read_lamps(folder: Path) -> Lamps:
 
 
 def read(folder: Path) -> Photographed:
-    """What is fitted in a folder, and what is left out."""
+    """Read a folder: the photographs to fit, and those left out."""
     if (folder / "Dome").is_dir() and (folder / "Test").is_dir():
         parts = read_lamps(folder / "Dome"), read_lamps(folder / "Test")
         return Photographed(folder.name, *parts, "srgb")

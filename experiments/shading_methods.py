@@ -3,7 +3,7 @@
 A ball of ever more triangles is shaded with all three methods. Measured, under lamps
 from many sides: the highlight's peak and energy as a share of Phong shading's on the
 same mesh; how much the slope of the light jumps where two faces meet, which the eye
-sees as Mach bands; and what an image costs, the methods timed in turn in one run.
+sees as Mach bands; and the time of an image, with the methods timed alternately.
 """
 
 import dataclasses
@@ -54,7 +54,7 @@ class Size:
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """What was measured.
+    """Measurements of all meshes.
 
     - `edge`: length of the mesh's edges, degrees, for each of `ROWS`;
     - `half_width`: of the highlight, degrees, for each of `EXPONENTS`;
@@ -198,7 +198,7 @@ def crossing(x: np.ndarray, y: np.ndarray, level: float) -> float:
 
 
 def costs(size: Size) -> tuple[dict[str, np.ndarray], float]:
-    """Median seconds of an image by each method, taken in turn; and of its geometry."""
+    """Median seconds of an image by each method, alternately; and of its geometry."""
     camera = pf.OrthographicCamera(size.pixels, size.pixels, view_height=2.1)
     scenes = {
         (name, lamps): ball(ROWS[2], name, camera, spread_directions(lamps))

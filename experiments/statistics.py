@@ -10,8 +10,8 @@ Three answers, each by brute force:
 
 The exit status is 1 if a ratio leaves [0.95, 1.05], a share of intervals leaves
 93.5-96.5 %, or a fit's cost lies more than 1e-4 above the best. Fewer draws are judged
-by what chance does to so few. An error that another's bound makes one-sided is the
-larger of two sides: of its ratio only the upper limit is asked.
+by the sampling error of their number. An error that is one-sided because of a bound is
+stated as the larger of both sides, so only the upper limit of its ratio is checked.
 """
 
 import dataclasses
@@ -52,7 +52,7 @@ BOUND = dataclasses.replace(TRUTH, ambient=jnp.array([0.0, 0.4, 0.3]))
 
 @dataclasses.dataclass(frozen=True)
 class Spread:
-    """What many draws show of each parameter."""
+    """Statistics of each parameter over many draws."""
 
     labels: tuple[str, ...]
     ratio: np.ndarray
@@ -73,8 +73,8 @@ class Spread:
 def spread(material: pf.Material, draws: int, seed: int, console: Console) -> Spread:
     """Fits of many noisy images of one scene.
 
-    Where a bound binds, pulls (estimate − truth) / error are of each draw's own stated
-    error; parameters that lie on their own bound are left out.
+    Pulls are (estimate − truth) / stated error of each draw. Parameters at their own
+    bound are left out.
     """
     scene = ball()
     predicted = pf.predict_errors(scene, material, NOISE)
@@ -145,7 +145,7 @@ def _ends(problem: Problem, starts: jnp.ndarray) -> Solution:
 
 
 def excess(seed: int, starts: int) -> float:
-    """How far a fit's cost lies above the best of random starts, as a share of it."""
+    """Excess of a fit's cost over the best of random starts, relative to it."""
     scene, image = random_problem(seed)
     fit = pf.fit(scene, image)
     problem, unknowns = fit.solution.problem, fit.solution.problem.unknowns
@@ -189,7 +189,7 @@ def main(
         problems: Random problems; 0 leaves them out.
         starts: Random starts of each of them.
         seed: Of the noise and of the problems.
-        json: Where the numbers go.
+        json: File for the numbers.
     """
     if min(draws, starts) < 1 or problems < 0:
         raise ValueError("draws, starts: expected whole numbers ≥ 1")

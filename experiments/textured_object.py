@@ -9,7 +9,7 @@ finds the texels, and of each material ρ_s and f. Asked are
 - a photograph from a ninth place, under a third lamp, is predicted to 1.1 times its
   noise.
 
-With `--disk FOLDER` the same goes by way of files: the mesh as `.glb`, photographs as
+With `--disk FOLDER` all data pass through files: the mesh as `.glb`, photographs as
 sRGB `.png`, cameras as COLMAP's text files, lamps as an `.lp`; `phongfit scene` and
 `phongfit fit` make textures and a mesh of them, and these files are what is judged.
 
@@ -17,7 +17,7 @@ Result, x86-64 with two busy cores, November 2026, float32, `--full` (256 × 256
 16 photographs of 400 × 400 pixels): all 65 536 texels identified and seen three times,
 pulls 1.009; ρ_s and f within 2.3 errors; the ninth place 1.036 times its noise; 16 s
 and 0.9 GB. By default (48 × 48, 80 × 80): 1.000, 1.7 errors, 1.027;
-by way of files 1.002, 1.6 errors, 1.021. `--full` by way of files: 1.013, 2.2 errors,
+through files 1.002, 1.6 errors, 1.021. `--full` through files: 1.013, 2.2 errors,
 1.031, 26 s, 1.1 GB.
 
 `--large` (2048 × 2048 texels, 20 photographs of 2 megapixels) asks for ρ_s, f and how
@@ -136,19 +136,19 @@ def view(
 def photograph(
     scene: pf.Scene, material: pf.Material, seed: int, bits: int | None = 8
 ) -> np.ndarray:
-    """What a camera of 8 bits makes of it; without bits, before it is rounded."""
+    """A noisy photograph of the scene, rounded to `bits`, or not rounded."""
     light = pf.render(scene, material, film=pf.Film(clamp=False))
     light = light + NOISE * jax.random.normal(jax.random.key(seed), light.shape)
     return np.asarray(pf.Film(bits=bits).expose(light))
 
 
 class Answer(NamedTuple):
-    """What was found, as numbers.
+    """Accuracy of a fit.
 
-    - `pulls`: RMS of (found − true) / error of the texels that are seen thrice.
-    - `texels`: how many these are, and of how many.
+    - `pulls`: RMS of (found − true) / error of the texels seen three times or more.
+    - `texels`: number of these texels, and of all.
     - `few`: of ρ_s and f: label, value, error, and the distance to the truth in errors.
-    - `predicted`: RMS of what is left of the ninth place, over its noise.
+    - `predicted`: RMS residual of the ninth photograph, over its noise.
     - `seconds`, `memory`: of the fit, and GB at the most until it ended.
     """
 
@@ -166,12 +166,12 @@ class Answer(NamedTuple):
 
     @property
     def right(self) -> bool:
-        """Whether all is as it should be."""
+        """Whether all checks pass."""
         return self.shared_right and 0.9 <= self.pulls <= 1.1 and self.predicted <= 1.1
 
 
 class Found(NamedTuple):
-    """What a fit gives: of texels values, errors, and how many pixels see each.
+    """Result of a fit: texels, their errors, and the number of pixels that see each.
 
     `few` has label, value and error of what a material shares; `painted` is the mesh
     with its textures, which multiply `material`.
@@ -278,7 +278,7 @@ def write_colmap(folder: Path, names: list[str], cameras: list[Any]) -> None:
 
 
 def ask(size: Size, seed: int = 0, folder: Path | None = None) -> Answer:
-    """Photograph, fit, compare; by way of files if there is a folder for them."""
+    """Photograph, fit, compare; through files if a folder is given."""
     mesh = vase(size.around, size.along)
     true = checkered(size.texels, seed)
     painted = mesh.with_textures(pf.Textures(diffuse=pf.Texture(true)))

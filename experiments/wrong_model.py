@@ -2,8 +2,8 @@
 
 Images are made in one way and fitted in another: the other highlight, the other
 shading, a lamp missing or misplaced or too bright, a wrong encoding, a shadow or a
-clamp left out. For each mistake the bias of every parameter is measured, in its own
-unit and in the errors that the fit states, and which diagnostics of the fit say so.
+clamp left out. For each mistake the experiment measures the bias of every parameter, in
+its unit and in stated errors, and which diagnostics of the fit detect the mistake.
 """
 
 import dataclasses
@@ -45,11 +45,11 @@ class Mistake:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What a mistake does, means over noisy images, in the order of `PARAMETERS`.
+    """Effect of a mistake: means over noisy images, in the order of `PARAMETERS`.
 
     - `bias`: estimate − truth; `in_errors`: the same over the errors stated;
     - `chi_squared`: reduced; `correlation`: of neighbouring residuals;
-    - `flags`: the diagnostics that say so in most of the images: see `DIAGNOSTICS`;
+    - `flags`: the diagnostics that detect it in most images: see `DIAGNOSTICS`;
     - `residual`: of one of the images, in units of the noise.
     """
 
@@ -64,7 +64,7 @@ class Outcome:
 
     @property
     def misled(self) -> bool:
-        """Whether a parameter is off by more than its errors explain."""
+        """Whether a parameter is more than 3 standard errors off."""
         return bool(np.any(np.abs(self.in_errors) > 3))
 
 
@@ -152,7 +152,7 @@ def white(image: np.ndarray) -> np.ndarray:
 
 
 def with_lamp(scene: pf.Scene, lamp: pf.DirectionalLight) -> pf.Scene:
-    """The same scene under another lamp."""
+    """The scene under another lamp."""
     return dataclasses.replace(scene, lights=(lamp,))
 
 
@@ -195,7 +195,7 @@ def outcome(mistake: Mistake, draws: int, seed: int) -> Outcome:
 
 
 def flags(fit: pf.Fit) -> tuple[str, ...]:
-    """Which of `DIAGNOSTICS` say that something is wrong with a fit."""
+    """The `DIAGNOSTICS` that find a fault with a fit."""
     chance = 5 * np.sqrt(2 / fit.degrees_of_freedom)
     says = (
         fit.reduced_chi_squared > 1 + chance,
@@ -216,7 +216,7 @@ def measure(small: bool) -> list[Outcome]:
 
 @style.styled
 def draw(outcomes: list[Outcome]) -> Figure:
-    """What is left over, and a table of biases and diagnostics."""
+    """Draw residuals, and a table of biases and diagnostics."""
     figure = style.page(8.3)
     top, bottom = style.bands(figure, 3.1, 5.2)
     panels = top.subplots(2, 6).ravel()

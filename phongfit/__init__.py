@@ -4,6 +4,6 @@ import lazy_loader
 
 __version__ = "0.1.0"
 
-# The names stand in `__init__.pyi`. What one needs is imported when it is first asked
-# for: JAX and decoders take long, and help on a command needs none of them.
+# Public names are listed in `__init__.pyi` and imported at first use: JAX and decoders
+# load slowly, and the help of a command needs neither.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,4 @@
-"""What JAX compiles is kept, so that the next process starts in a third of the time."""
+"""A cache of compiled programs, with which later processes start three times faster."""
 
 import contextlib
 import os
@@ -20,7 +20,7 @@ LOOKED_AT, WRITING = ".looked-at", 60.0
 
 
 def cache_folder() -> Path | None:
-    """Where compiled programs are kept; `None` if they are not to be."""
+    """Folder of compiled programs; `None` if caching is switched off."""
     wanted = os.environ.get(SWITCH)
     if wanted == "off":
         return None
@@ -31,10 +31,10 @@ def cache_folder() -> Path | None:
 
 
 def keep_compiled() -> None:
-    """Let JAX keep what it compiles, if there is a folder for it to write to.
+    """Switch on JAX's cache of compiled programs, if its folder can be written to.
 
-    A folder that JAX has been told of stays; one that cannot be written to is no error,
-    since nothing but time is lost.
+    A cache folder that JAX is already configured with is kept. A folder that cannot be
+    written to raises nothing: the programs are compiled again in each process.
     """
     folder = cache_folder()
     if folder is None or jax.config.values["jax_compilation_cache_dir"] is not None:
@@ -54,7 +54,7 @@ def keep_compiled() -> None:
             stacklevel=2,
         )
         return
-    # Another process may look at the same moment.
+    # Another process may be tidying the folder at the same time.
     with contextlib.suppress(OSError):
         tidy(folder)
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation")
@@ -64,7 +64,7 @@ def keep_compiled() -> None:
 
 
 def _is_private(folder: Path) -> bool:
-    """Whether nobody but this user, or the system's, may put files there."""
+    """Whether only this user and root may write to a folder."""
     found = folder.stat()
     users = {getattr(os, "geteuid", lambda: found.st_uid)(), 0}
     return found.st_uid in users and not found.st_mode & 0o022
@@ -95,9 +95,9 @@ def tidy(folder: Path) -> None:
 
 
 def _is_whole(entry: bytes) -> bool:
-    """Whether an entry that JAX has compressed can be read."""
+    """Whether a compressed cache entry can be decompressed."""
     if entry.startswith(b"\x28\xb5\x2f\xfd"):
-        # Of zstandard, which is not at hand everywhere.
+        # Compressed by zstandard, which is not installed everywhere: not checked.
         return True
     try:
         zlib.decompress(entry)

@@ -30,7 +30,7 @@ def unmasked(name: str, value: Any) -> None:
 
 
 def is_noise(values: Any) -> Any:
-    """Where numbers are standard deviations that can be divided by."""
+    """Whether each number is a usable standard deviation: neither tiny nor huge."""
     return (values >= NOISE[0]) & (values <= NOISE[1])
 
 
@@ -39,14 +39,13 @@ def as_floats(name: str, value: Any) -> Float[Array, "..."]:
     wanted = jnp.result_type(float)
     unmasked(name, value)
     try:
-        # By way of NumPy where it can be: that compiles nothing. It cannot where a
-        # tracer hides in a list.
+        # Through NumPy, which compiles nothing, unless the list contains a tracer.
         given = isinstance(value, Array)
         array = value if given else (jnp if is_traced(value) else np).asarray(value)
         if array.dtype.kind not in "bfiucV":
             array = jnp.asarray(value)
     except Exception as error:
-        # An object that is asked for its numbers may fail in any way.
+        # Conversion runs code of the object's class, which may raise anything.
         got = shown(value)
         raise ValueError(f"{name}: {got} is not an array of numbers") from error
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
@@ -103,7 +102,7 @@ def as_reflectance(name: str, value: Any) -> Float[Array, "..."]:
 def as_integers(name: str, value: Any, lowest: int, below: float) -> np.ndarray:
     """`value` as known whole numbers in [lowest, below); `ValueError` names `name`.
 
-    A NumPy array: they say what belongs together, and that is never traced.
+    Returns a NumPy array: indices of groups are static, so they are never traced.
     """
     if isinstance(value, Tracer):
         raise ValueError(f"{name}: expected known numbers, got a traced array")
@@ -197,7 +196,7 @@ def untraced(instead: str, **arguments: Any) -> None:
 
 
 def is_traced(value: Any) -> bool:
-    """Whether a tracer is among the leaves."""
+    """Whether any leaf of a pytree is a JAX tracer."""
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
 
 

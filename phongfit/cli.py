@@ -87,13 +87,13 @@ def main(args: Sequence[str] | None = None) -> int:
         warnings.showwarning = _show_warning
         status = _guard(lambda: _run(args))
     if a_process and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        # What is cleaned up at the very end need not be: Ctrl-C ends it without a word.
+        # Ctrl-C while the interpreter shuts down ends the process without a traceback.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     return status
 
 
 def _run(args: list[str]) -> int | None:
-    """The command that is asked for, with options that all commands have."""
+    """Run a command, after the options that all commands share."""
     with _memory(args):
         if args and args[0] in COMMANDS:
             return _parse(_load(args[0]), args[1:], f"phongfit {args[0]}")()
@@ -133,7 +133,7 @@ def _patient_collector() -> Iterator[None]:
     """
     before = gc.get_threshold()
     gc.set_threshold(200_000, 50, 50)
-    # Nor is there anything to be found in it when the process ends.
+    # No collection at the end of the process either: it would free almost nothing.
     atexit.register(gc.freeze)
     try:
         yield
@@ -164,7 +164,7 @@ def _heeded_interrupts() -> Iterator[None]:
 
 
 class _Ended(KeyboardInterrupt):
-    """The process was told to end, by a signal other than Ctrl-C."""
+    """A signal other than Ctrl-C that ends the process."""
 
     def __init__(self, number: int):
         super().__init__()
@@ -173,9 +173,9 @@ class _Ended(KeyboardInterrupt):
 
 @contextlib.contextmanager
 def _orderly_ends() -> Iterator[None]:
-    """Clean up as after Ctrl-C where the process is told to end, or its terminal goes.
+    """Clean up after SIGTERM and SIGHUP as after Ctrl-C.
 
-    A signal that was ignored before, as `nohup` does it, still is.
+    A signal that was ignored before, for example by `nohup`, stays ignored.
     """
 
     def end(number: int, frame: Any) -> None:
@@ -197,7 +197,7 @@ def _orderly_ends() -> Iterator[None]:
 
 
 def _speak_any_language() -> None:
-    """What the terminal cannot show is written as its code, and stops nothing."""
+    """Write characters that the terminal cannot show as escapes, without an error."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -294,11 +294,10 @@ def run(
 
     **Arguments:**
 
-    - `function`: its docstring is the help text. What it returns is the exit status,
-        where None is 0. `ValueError` and `OSError` mean that the user's input is at
-        fault and are reported in one line; all others are faults of ours and keep their
-        traceback.
-    - `args`: default what the process was started with.
+    - `function`: returns the exit status, `None` for 0; its docstring is the help
+        text. `ValueError` and `OSError` mean wrong input and are reported in one line;
+        all other exceptions are bugs of phongfit and keep their traceback.
+    - `args`: default the arguments of the process.
     - `prog`: the command's name in help texts.
 
     **Returns:** the exit status: the function's, 2 for bad input, 130 if interrupted.
@@ -318,7 +317,7 @@ def _guard(call: Callable[[], int | None]) -> int:
         word = f"ended by {signal.Signals(number).name}" if ended else "interrupted"
         return _stop("; ".join([word, *map(str, stop.args)]), 128 + number)
     except BrokenPipeError:
-        # Whoever read the output, such as `head`, has seen enough.
+        # The reader of the output, such as `head`, closed the pipe.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
     except MemoryError:
@@ -362,7 +361,7 @@ def _parse(
 def _quietly(
     parse: Callable[[Sequence[str] | None], Result], args: Sequence[str] | None
 ) -> Result:
-    """What the parser gives; its complaints as a `ValueError`."""
+    """The parsed arguments; the parser's error message as a `ValueError`."""
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):

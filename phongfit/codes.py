@@ -139,7 +139,7 @@ def warning_code(warning: str | Warning) -> str | None:
 
 
 def paragraph(code: str) -> str:
-    """Where the documentation says more of a code: on its site, or in the sources."""
+    """Address of a code's paragraph in the documentation: its site, or the sources."""
     site = _site()
     return f"{site}/how-to/warnings.html#{code}" if site else f"{PAGE}#{code}"
 

@@ -1,9 +1,9 @@
-"""The public edge: arguments of a wrong kind are refused by name, before any work.
+"""Checks of the arguments of public functions, by their annotations.
 
-What an argument may be is read off its annotation. Arrays that JAX traces pass, and
-nothing is converted: `jit`, `vmap` and `grad` see the function as it is. What an
-argument annotated with `Any` may be, the function says itself: see
-[`phongfit.checks`][].
+An argument of a wrong kind raises an error that names it, before any work is done.
+Traced arrays pass and nothing is converted, so `jit`, `vmap` and `grad` see the
+function unchanged. Arguments annotated with `Any` are checked by the function itself,
+with [`phongfit.checks`][].
 """
 
 import dataclasses
@@ -29,18 +29,18 @@ SHOWN = 60
 
 
 class Kind(NamedTuple):
-    """What an argument may be, in words and as a test."""
+    """A kind of argument: its description, and a test for it."""
 
     words: str
     holds: Callable[[Any], bool]
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """The same function, which refuses arguments that its annotations do not allow.
+    """Decorator: check a function's arguments against its annotations at each call.
 
-    Takes a few microseconds a call. Too many arguments, and names that the function
-    does not have, are `TypeError`s, as always. An iterator in place of a list becomes a
-    tuple, to be gone through twice.
+    Costs a few microseconds a call. Too many arguments and unknown names raise
+    `TypeError`, as usual. An iterator given for a sequence is read into a tuple, since
+    checking it would consume it.
 
     **Raises:** `ValueError` that names the argument, what was expected and what came.
     """
@@ -55,14 +55,14 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         named = [kinds.taken(*pair) for pair in zip(names, args, strict=False)]
         options = {name: kinds.taken(name, value) for name, value in kwargs.items()}
-        # What is too much is the function's to refuse.
+        # For surplus arguments the function raises its own TypeError.
         return function(*named, *args[len(named) :], **options)  # pyright: ignore
 
     return call
 
 
 def check_fields(record: Any) -> None:
-    """The same for a dataclass, after its fields are set.
+    """Check a dataclass's fields against their annotations, after they are set.
 
     **Raises:** `ValueError` that names the field.
     """
@@ -118,7 +118,7 @@ def shown(value: Any) -> str:
 
 
 def kind_of(hint: Any) -> Kind | None:
-    """What an annotation allows; `None` where that is all, or not for us to say."""
+    """The kind that an annotation allows; `None` where nothing is checked."""
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
         return _any_of(parts)
@@ -220,13 +220,13 @@ def _is_array(value: Any) -> bool:
         # JAX makes 32 bits of it.
         return -(2**31) <= value < 2**31
     if isinstance(value, np.ma.MaskedArray):
-        # JAX would lose its mask, or refuse it in words of its own.
+        # JAX would drop the mask silently, or raise a less clear error.
         return False
     return _is_real(value) or is_number(value)
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is one real number, but not NaN; what is traced may be."""
+    """Whether a value is one real number and not NaN; a traced one may be NaN."""
     if isinstance(value, int):
         return _fits(value)
     if isinstance(value, float):

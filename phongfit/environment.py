@@ -1,4 +1,4 @@
-"""What lies between a surface and the eye."""
+"""Fog between the surface and the camera."""
 
 from typing import Any, Literal, get_args
 

@@ -26,7 +26,7 @@ from phongfit.vectors import Rgb, Scalar, Vec3, dot, norm, normalize, power
 
 
 class Illumination(eqx.Module):
-    """What one light does at one point, attenuation and spot included."""
+    """One light as it arrives at a point, with attenuation and spot cone applied."""
 
     to_light: Vec3
     intensity: Vec3
@@ -58,7 +58,7 @@ class AbstractLight(eqx.Module):
     directed: ClassVar[bool] = True
 
     def covers(self, position: Vec3) -> Bool[Array, ""]:
-        """Whether `position` (world units) lies on the light's side of its edge."""
+        """Whether a light reaches `position` (world units): a spot, inside its cone."""
         del position
         return jnp.array(True)
 
@@ -107,7 +107,7 @@ def brighter(light: AbstractLight, factor: Any) -> AbstractLight:
             "has none"
         )
 
-    def parts(light: AbstractLight) -> list[Array]:
+    def parts(light: AbstractLight) -> list[Any]:
         return [getattr(light, name) for name in names]
 
     more = [part * jnp.asarray(factor, part.dtype) for part in parts(light)]
@@ -293,10 +293,10 @@ class HarmonicLight(AbstractLight):
     $$E(m) = \sum_{lm} A_l L_{lm} Y_{lm}(m) \qquad A_0 = \pi,\; A_1 = 2\pi/3,\;
     A_2 = \pi/4$$
 
-    which is within some per cent of that of any surroundings far away. Where nine
-    numbers make it negative it is 0. It enters the diffuse term, since it is light that
-    arrives and is reflected; the scene's `ambient` is light that ρ_a has an account of
-    its own for. It makes no highlight and throws no shadow.
+    which approximates the irradiance of any distant surroundings to a few per cent.
+    Where the nine coefficients give a negative irradiance it is set to 0. It enters the
+    diffuse term and is multiplied by ρ_d; the scene's `ambient` light is multiplied by
+    ρ_a. It makes no highlight and casts no shadow.
 
     ??? cite "Source"
         Ramamoorthi and Hanrahan, *An efficient representation for irradiance
@@ -356,7 +356,7 @@ class HarmonicLight(AbstractLight):
 def _from_bulb(
     light: PointLight | SpotLight, position: Vec3, spot: Scalar | float = 1.0
 ) -> Illumination:
-    """What arrives from a place in the scene, `spot` of it being sent that way."""
+    """Light that arrives from a position, times the fraction `spot` sent this way."""
     offset = light.position - position
     distance = norm(offset)
     share = spot * _attenuation(light.attenuation, distance)

@@ -48,9 +48,9 @@ class Material(eqx.Module):
             other way round. As a rule, plastics lie in 5–10 and metals in 100–200; real
             photographs fit well beyond. Phong's and Blinn's exponents differ by about
             a factor of 4 for the same highlight: see [`blinn_from_phong`][].
-        - `ambient`: share $\rho_a$ of the ambient light that is sent back (GL_AMBIENT,
-            Ka).
-        - `emission`: light of its own (GL_EMISSION, Ke), where white is 1.
+        - `ambient`: fraction $\rho_a$ of the ambient light that is reflected
+            (GL_AMBIENT, Ka).
+        - `emission`: emitted light (GL_EMISSION, Ke), where white is 1.
 
         **Raises:** `ValueError` that names the argument: a negative or non-finite
         number, or a last axis that is not 1 or 3.
@@ -74,7 +74,7 @@ class Material(eqx.Module):
 def _written(value: Any) -> str:
     """One number, or RGB, to four digits; what holds more by its shape."""
     if not eqx.is_array_like(value):
-        # Where a tree of materials holds something else than numbers.
+        # JAX transformations may put placeholders in place of arrays.
         return repr(value)
     if jnp.ndim(value) > 1 or is_traced(value):
         return eqx.tree_pformat(value)
@@ -88,8 +88,8 @@ def stack_materials(materials: Iterable[Material]) -> Material:
 
     **Arguments:** `materials`: parameters of shape () or (3,), or several: (M, 3).
 
-    **Returns:** all of them, in order. The exponent has shape (M, 1) if no material has
-    three of its own.
+    **Returns:** all materials as one, in order. The exponent has shape (M, 3) if any
+    material has an exponent for each channel, else (M, 1).
 
     **Raises:** `ValueError` if there are none, or one is a map.
     """

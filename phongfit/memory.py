@@ -1,4 +1,4 @@
-"""What a process holds of the machine's memory without using it."""
+"""Memory that the allocator keeps after it was freed: how to give it back."""
 
 import ctypes
 import functools

@@ -18,7 +18,7 @@ from phongfit.vectors import Scalar, Vec3, dot
 
 
 class Cosines(NamedTuple):
-    r"""What lobes of microfacets take of the geometry, for normal m and half vector h.
+    r"""Cosines that microfacet lobes depend on, for normal m and half vector h.
 
     - `half`: $m \cdot h$; 0 where light or viewer is behind the surface.
     - `slope`: $\tan^2$ of the angle between m and h, good to the last digit near 0.
@@ -52,7 +52,7 @@ def cosines(normal: Vec3, to_light: Vec3, to_viewer: Vec3) -> Cosines:
 
 
 def _facing(cosine: Cosines) -> tuple[Bool[Array, "..."], Cosines]:
-    """Where there is a highlight at all, and harmless numbers elsewhere."""
+    """Where a highlight is possible, and cosines replaced by 1 elsewhere."""
     seen = (cosine.half > 0) & (cosine.light > 0) & (cosine.viewer > 0)
     return seen, Cosines(*(jnp.where(seen, one, 1) for one in cosine))
 

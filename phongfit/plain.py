@@ -12,8 +12,8 @@ import numpy as np
 def plain(value: Any) -> Any:
     """A value as lists, dictionaries, numbers and text.
 
-    Arrays become lists, in as few digits as give back the same number of their own
-    precision; NaN and infinity, which JSON does not know, become null.
+    Arrays become lists of the shortest decimals that round to the same floats. NaN and
+    infinity, which JSON does not have, become null.
 
     **Raises:** `TypeError` for what has no place in JSON.
     """
@@ -42,6 +42,5 @@ def _plain_array(array: np.ndarray) -> Any:
         return [plain(item) for item in array]
     if array.dtype.kind != "f":
         return plain(array.item())
-    # By way of its shortest text, 0.1 of single precision is 0.1 and not
-    # 0.10000000149011612.
+    # Through the shortest text: a float32 of 0.1 becomes 0.1, not 0.10000000149011612.
     return plain(float(str(array[()])))

@@ -24,7 +24,7 @@ T = TypeVar("T")
 MOST_PIECES = 40_000
 # Programs that are compiled between two counts of these.
 COUNTED = 100
-# What JAX calls it.
+# JAX's name of the event that a program was compiled.
 COMPILED = "/jax/core/compile/backend_compile_duration"
 
 # On a CPU: compiled in two thirds of the time, and a little slower.
@@ -40,7 +40,7 @@ def record(cls: type[T]) -> type[T]:
     compiled in.
     """
     made = dataclasses.dataclass(frozen=True, eq=False)(cls)
-    # JAX makes it of what stands for arrays, too.
+    # JAX also constructs it with placeholders in place of arrays.
     no_type_check(made.__init__)
     return jax.tree_util.register_dataclass(made)
 
@@ -66,7 +66,7 @@ def program(*static: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
         @functools.wraps(function)
         def run(*args: P.args, **kwargs: P.kwargs) -> R:
-            # What is traced becomes part of another program, with that one's options.
+            # While tracing, the function becomes part of the program around it.
             traced = get_opaque_trace_state() != _untraced()
             if not traced:
                 _room.make()
@@ -93,7 +93,7 @@ class _Room:
         self._compiled += event == COMPILED
 
     def make(self) -> None:
-        """Where there is little left, all programs go; those in use come again."""
+        """Drop all compiled programs if memory maps run out; later calls recompile."""
         if self._compiled < COUNTED:
             return
         self._compiled = 0
@@ -113,21 +113,21 @@ def _prepare() -> None:
 
 
 def pieces_of_memory() -> int:
-    """How many this process has; 0 where nothing tells."""
+    """Number of memory maps of this process; 0 where the system does not state it."""
     maps = Path("/proc/self/maps")
     return maps.read_bytes().count(b"\n") if maps.exists() else 0
 
 
 @functools.cache
 def _untraced() -> Any:
-    """JAX's state where it traces nothing, as it does not in a thread of its own."""
+    """JAX's trace state outside of any transformation, taken in a fresh thread."""
     with ThreadPoolExecutor(1) as thread:
         return thread.submit(get_opaque_trace_state).result()
 
 
 @functools.cache
 def compiler_options() -> dict[str, Any] | None:
-    """What XLA is asked for, unless `XLA_FLAGS` says otherwise; `None` for nothing."""
+    """XLA options that `XLA_FLAGS` does not set already; `None` for none."""
     asked = os.environ.get("XLA_FLAGS", "")
     options = {name: value for name, value in HURRY.items() if name not in asked}
     if not options or jax.default_backend() != "cpu":
@@ -135,6 +135,6 @@ def compiler_options() -> dict[str, Any] | None:
     try:
         jax.jit(lambda: 0, compiler_options=options).lower().compile()
     except jax.errors.JaxRuntimeError:
-        # These names are of XLA's inner life, and may go.
+        # Undocumented options, which a later XLA may not have.
         return None
     return options

@@ -57,8 +57,8 @@ class AbstractSpecular(eqx.Module):
     """A highlight: a cosine that geometry fixes, and a lobe that the exponent shapes.
 
     The split is what makes fits fast: the cosine is computed once, the lobe at every
-    step. A model may have floats of its own as fields, which shape the lobe: a fit
-    finds them by their place, `"scene.specular_model.roughness"`, within `bounds`.
+    step. A model may have further parameters of the lobe as float fields, which a fit
+    finds by their path, `"scene.specular_model.roughness"`, within `bounds`.
     """
 
     bounds: ClassVar[Mapping[str, tuple[float, float]]] = {}
@@ -81,7 +81,7 @@ class AbstractSpecular(eqx.Module):
 
     @abc.abstractmethod
     def diffuse_scale(self) -> float:
-        """What the diffuse term is multiplied by in this model's convention."""
+        """Factor on the diffuse term in this model's convention."""
 
 
 def _gated(cosine: Scalar, normal: Vec3, to_light: Vec3, gate: bool) -> Scalar:

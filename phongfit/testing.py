@@ -91,10 +91,10 @@ def check_gradients(
 def _check_precision(
     function: Callable[[Any], Array], rebuild: Callable[[Array], PyTree], start: Any
 ) -> None:
-    """That a function can be traced in float64.
+    """Check that a function can be traced in float64.
 
-    **Raises:** `ValueError` that says what keeps it from that: mostly arrays of single
-    precision that it closes over.
+    **Raises:** `ValueError` with the reason if it cannot: mostly arrays of single
+    precision that the function closes over.
     """
     try:
         jax.eval_shape(lambda vector: function(rebuild(vector)), start)

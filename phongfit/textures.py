@@ -27,7 +27,7 @@ WRAPS: tuple[Wrap, ...] = get_args(Wrap)
 
 
 class Place(eqx.Module):
-    """Points of a surface, as textures are asked about them."""
+    """Points of a surface, by the coordinates at which textures are sampled."""
 
     corners: Int[Array, "*batch 3"]
     weights: Float[Array, "*batch 3"]
@@ -142,7 +142,7 @@ def _as_values(values: Any, places: str) -> Array:
 def texels(
     uv: Float[Array, "*batch 2"], size: tuple[int, int], filter: Filter, wrap: Wrap
 ) -> tuple[Int[Array, "*batch corners"], Float[Array, "*batch corners"]]:
-    """Which texels a point lies between, and their weights, which sum to 1.
+    """Indices of the texels around a point, and their weights, which sum to 1.
 
     **Arguments:** `size`: rows and columns of the texture.
 
@@ -223,12 +223,12 @@ class Textures(eqx.Module):
 
     @property
     def at_vertices(self) -> dict[str, VertexColours]:
-        """Those that are not images."""
+        """The textures that are numbers at vertices, not images."""
         each = vars(self).items()
         return {name: one for name, one in each if isinstance(one, VertexColours)}
 
     def rearranged(self, change: Callable[[Array], Array]) -> "Textures":
-        """The same where vertices have other numbers: `change` is of their rows."""
+        """These textures after `change` rearranged the rows of vertices' numbers."""
         changed = {
             name: VertexColours(change(one.values))
             for name, one in self.at_vertices.items()
@@ -252,7 +252,7 @@ COLOURED = ("ambient", "diffuse", "specular", "emission")
 
 
 class Factors(eqx.Module):
-    """What textures multiply at each pixel: basis images, and the exponent."""
+    """Factors of the textures at each pixel, on the basis images and the exponent."""
 
     ambient: Float[Array, "*batch 3"]
     diffuse: Float[Array, "*batch 3"]
@@ -292,7 +292,7 @@ def looked_up(
 
 
 def factors(textures: Sequence[Textures], place: Place) -> Factors | None:
-    """What the colours' textures multiply; `None` if there is no texture of colour."""
+    """Factors of the colour textures; `None` if there is no such texture."""
     found = {name: looked_up(name, textures, place) for name in COLOURED}
     if all(values is None for values in found.values()):
         return None

@@ -44,7 +44,7 @@ class Ratio:
 
     @property
     def met(self) -> bool:
-        """Whether the aim is reached."""
+        """Whether the value reaches the aim."""
         return self.value <= self.aim if self.at_most else self.value >= self.aim
 
 
@@ -57,7 +57,7 @@ NO_MITSUBA = (
 def single_ratios(found: list[single.Row]) -> list[Ratio]:
     """Of one image: of the whole fit, and of the search alone."""
     seconds = {row.key: row.seconds for row in found}
-    # The design promises nothing against lmfit but to be no slower.
+    # Against lmfit the aim is only to be no slower.
     peers = {
         "lm_one": ("stock optimistix LM, OpenBLAS on one thread", 15),
         "lm": ("the same, OpenBLAS as it comes", 15),
@@ -230,7 +230,7 @@ def figure(ratios: list[Ratio], grown: dict[str, dict[str, float]]) -> Figure:
 
 
 def machine() -> str:
-    """What the times were taken on."""
+    """Description of the machine on which times are measured."""
     device = jax.devices()[0]
     return (
         f"{platform.machine()}, {len(jax.devices())} {device.platform} device, "
@@ -252,10 +252,10 @@ def main(
 
     Args:
         resolution: Width and height of the one image, pixels.
-        runs: How often each way to fit it is timed, after two runs that warm it up.
+        runs: Timed runs of each method, after two warm-up runs.
         quick: Small maps and images: a look, not a result.
-        json: Where the numbers go: a key for each ratio, and the medians behind it.
-        picture: Where a figure of them goes.
+        json: File for the ratios, a key for each, and the medians behind them.
+        picture: File for a figure of the ratios.
     """
     if min(resolution, runs) < 1:
         raise ValueError("resolution, runs: expected whole numbers ≥ 1")

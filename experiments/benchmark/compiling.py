@@ -1,8 +1,8 @@
 """`python -m experiments.benchmark.compiling`: how long first fits wait for compilers.
 
-Fits of 1, 4, 12 and 48 images, each in a process of its own: with an empty cache, and
-again with what that one left there. All but the first image have an exposure, or a
-light's strength, that is not known.
+Fits of 1, 4, 12 and 48 images, each in a separate process: with an empty compile cache,
+and again with the cache filled. All images but the first have an unknown exposure or
+light intensity.
 """
 
 import json
@@ -77,7 +77,7 @@ def _busy() -> float:
 
 
 def apart(images: int, kind: str, size: int) -> dict[str, dict[str, float]]:
-    """The same in fresh processes: with an empty cache, and with what that one left."""
+    """Times of [`here`][] in fresh processes, with an empty and with a filled cache."""
     code = (
         "import json; from experiments.benchmark.compiling import here; "
         f"print(json.dumps(here({images}, {kind!r}, {size})))"
@@ -119,7 +119,7 @@ def main(size: int = 128, images: tuple[int, ...] = (1, 4, 12, 48)) -> None:
 
     Args:
         size: Width and height of an image, pixels.
-        images: How many of them, one fit after the other.
+        images: Numbers of images; one fit for each.
     """
     unit = imports()
     console = Console()

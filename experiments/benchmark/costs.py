@@ -1,4 +1,4 @@
-"""What a render and a fit cost: by pixel, image, light, unknown; and a cold start."""
+"""Cost of a render and a fit by pixel, image, light and unknown; cold start."""
 
 import os
 import subprocess

@@ -2,8 +2,8 @@
 
 `vmap`ped stock Levenberg-Marquardt of optimistix, on all pixels at once as the map has
 them, and a loop over SciPy's `least_squares` on a few of them. Both are given each
-pixel's cosines, which the map works out itself, and start from f = 8. What they find is
-held against the map and against the truth.
+pixel's cosines, which the map works out itself, and start from f = 8. Their results are
+compared with the map and with the truth.
 """
 
 import dataclasses
@@ -41,7 +41,7 @@ class Samples:
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """What a way finds in the first pixels of a stack.
+    """Results of one method for the first pixels of a stack.
 
     - `seconds`: a pixel.
     - `values`: (pixels, 10), with the logarithm of f last.
@@ -58,9 +58,9 @@ class Row:
     """One way to a map, and how good its answer is.
 
     - `seconds`: a pixel.
-    - `converged`: share of its pixels that say so.
-    - `alike`: share of its pixels where no unknown is further from the map's than half
-        an error bar.
+    - `converged`: fraction of its pixels that converged.
+    - `alike`: fraction of its pixels where every unknown is within half a standard
+        error of the map's.
     - `true`: share of its unknowns within two error bars of the truth: 95 % is right.
     """
 

@@ -1,7 +1,7 @@
 """Maps of a synthetic stack: the time that a pixel takes, and the memory.
 
-From few pixels to millions, and the peak memory of a map whose images are
-memory-mapped, in a process of its own.
+From few pixels to millions; and the peak memory of a map of memory-mapped images,
+measured in a separate process.
 """
 
 import re
@@ -78,7 +78,7 @@ def peak_bytes() -> int:
     """Most memory that this process has held."""
     status = Path("/proc/self/status")
     if status.exists():
-        # What getrusage says here includes the process that started this one.
+        # On Linux, getrusage includes the peak of the parent process.
         (line,) = re.findall(r"VmHWM:\s*(\d+) kB", status.read_text())
         return 1024 * int(line)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

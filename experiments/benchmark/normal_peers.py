@@ -2,8 +2,8 @@
 
 Both seek the same twelve numbers of a pixel by least squares: two of the normal, ρ_a,
 ρ_d, ρ_s of three channels, and log f. The peer starts at a surface that faces the
-viewer; `fit_maps` has no start, and gives errors and flags as well. What is measured is
-the processor's time, which other programs on the machine disturb least.
+viewer; `fit_maps` needs no start, and gives errors and flags as well. CPU time is
+measured, which depends least on other programs.
 """
 
 import dataclasses

@@ -1,8 +1,8 @@
 """Maps of photographs that no memory holds, next to the time that reading them takes.
 
 A ball under many lights is photographed in 20 megapixels, as JPEG files and as a zarr
-array of the same levels. `phongfit maps` makes a store of maps of either, in a process
-of its own, and the files are read once in another.
+array of the same levels. `phongfit maps` makes a store of maps of either in one
+process, and the files are read once in another.
 
     python -m experiments.benchmark.photographs
 """
@@ -110,7 +110,7 @@ def measure(folder: Path) -> dict[str, Any]:
 
 
 def _process(function: str, *arguments: str) -> tuple[float, int]:
-    """Seconds, and bytes at the peak, of a function in a process of its own."""
+    """Seconds and peak bytes of a function, run in a new process."""
     code = f"from {__spec__.name} import {function}; {function}(*{arguments!r})"
     command = [sys.executable, "-c", code]
     start = time.perf_counter()

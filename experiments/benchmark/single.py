@@ -44,7 +44,7 @@ from phongfit.fitting.solve.start import choose_few
 
 TRUTH = pf.Material((0.6, 0.3, 0.2), 0.3, 60.0, 0.5)
 NOISE = 0.01
-# Where Adam and Levenberg-Marquardt start: reflectances in mid-range, f = 8.
+# Start of Adam and Levenberg-Marquardt: reflectances in mid-range, f = 8.
 GUESS = (0.5, 8.0)
 
 
@@ -184,7 +184,7 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
 
 
 def on_one_thread(work: Callable[[], Any]) -> Callable[[], Any]:
-    """The same while OpenBLAS, which factorises matrices for JAX, has one thread."""
+    """The work with OpenBLAS, which factorises matrices for JAX, on one thread."""
     from threadpoolctl import threadpool_limits
 
     def limited() -> Any:
@@ -195,7 +195,7 @@ def on_one_thread(work: Callable[[], Any]) -> Callable[[], Any]:
 
 
 def installed(module: str, name: str, cure: str, console: Console) -> bool:
-    """Whether a peer is installed; if not, a line says so."""
+    """Whether a peer is installed; prints how to install it if not."""
     found = importlib.util.find_spec(module) is not None
     if not found:
         console.print(f"{name} is left out: {cure}", markup=False)

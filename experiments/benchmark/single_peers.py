@@ -1,6 +1,6 @@
-"""The fit of one image by those who know no JAX: PyTorch's Adam and lmfit.
+"""The fit of one image without JAX: by PyTorch's Adam and by lmfit.
 
-The same residuals, written out for an array library of any name.
+The residuals of phongfit, written for any array library.
 """
 
 import dataclasses

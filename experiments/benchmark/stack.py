@@ -11,7 +11,7 @@ from data_synth.lights import spread_directions
 AMBIENT = 0.3
 NOISE = 0.01
 FREE = pf.Film(clamp=False)
-# What a pixel's unknowns are in the peers: ρ_a, ρ_d, ρ_s of three channels, and log f.
+# Unknowns of a pixel in the peers: ρ_a, ρ_d, ρ_s of three channels, and log f.
 UNKNOWNS = 10
 
 

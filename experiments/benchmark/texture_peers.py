@@ -5,7 +5,7 @@ pictures agree with ours. Photographs come one after another, as its own example
 inverse rendering have them: their gradients are added up, then Adam takes a step.
 
 Mitsuba wants a shared library of LLVM: `pip install mitsuba`, `apt install libllvm19`.
-That of LLVM 14 to 16 ends the whole process in Mitsuba 3.9's first program.
+LLVM 14 to 16 crash the process in Mitsuba 3.9's first program.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ from jaxtyping import Float
 import phongfit as pf
 
 RATE = 0.03
-# Where Adam starts: reflectances in mid-range, f = 8.
+# Start of Adam: reflectances in mid-range, f = 8.
 START = (0.5, 8.0)
 # Steps after which the distance from the truth is looked at.
 LOOK = 10
@@ -37,7 +37,7 @@ mi.render(mi.load_dict(mi.cornell_box()), spp=1).numpy()
 
 
 def is_there() -> bool:
-    """Whether Mitsuba renders here: tried in a process that may end in a crash."""
+    """Whether Mitsuba renders here, tried in another process since it may crash."""
     if LIBRARY not in os.environ and (newest := _newest_llvm()) is not None:
         os.environ[LIBRARY] = newest
     tried = subprocess.run([sys.executable, "-c", TRY], capture_output=True)
@@ -56,7 +56,7 @@ def _newest_llvm() -> str | None:
 
 @dataclasses.dataclass(frozen=True)
 class Descent:
-    """Where Adam came to.
+    """Result of Adam.
 
     - `seconds`: of the processor, in the steps alone.
     - `texels`: the texture; `few`: of each material ρ_s and f.
@@ -107,7 +107,7 @@ class Mitsuba:
         }
 
     def _part(self, mesh: pf.Mesh, which: int, texture: Any) -> Any:
-        """The faces of one material, each with corners of its own."""
+        """The faces of one material, which share no vertices."""
         assert mesh.uv is not None
         own = np.asarray(mesh.material_index) == which
         corners = np.asarray(mesh.faces)[own].ravel()
@@ -215,7 +215,7 @@ class Mitsuba:
         while steps < most:
             begin = time.process_time()
             for which, target in enumerate(targets):
-                # Anew for each: a gradient that was propagated leaves nothing behind.
+                # Rendered again for each target, since backward() frees the graph.
                 self._show(unknowns)
                 shown = dr.minimum(self._render(which), 1)
                 dr.backward(dr.mean(dr.square(shown - target), axis=None))

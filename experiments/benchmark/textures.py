@@ -4,9 +4,9 @@ The vase of [`experiments.textured_object`][]: a checkered diffuse texture, of t
 materials ρ_s and f; photographs of 8 bits with 1 % noise from eight places under two
 lamps each. Adam (learning rate 0.03) starts with mid-range reflectances and f = 8, and
 has come as far when its texels are as near the truth as those of the fit, within 5 %.
-`fit_texture` has no start, and gives errors as well. What is measured is the
-processor's time, which other programs on the machine disturb least. PyTorch3D has no
-wheel for present Pythons, nvdiffrast wants a GPU.
+`fit_texture` needs no start, and gives errors as well. CPU time is measured, which
+depends least on other programs. PyTorch3D has no wheel for current Python versions,
+nvdiffrast needs a GPU.
 
 Result, x86-64 with two quiet cores, November 2026, Mitsuba 3.9.1 with LLVM 19: the fit
 takes 1.43 s, texels off by 0.0054; Adam after 1200 steps and 180 s is off by 0.0062, so

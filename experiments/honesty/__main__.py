@@ -43,8 +43,9 @@ def main(
 ) -> int:
     """Do the numbers hold, and is there a word wherever they do not?
 
-    Asks many situations, draw by draw, in single and in double precision, and prints a
-    table of what is said next to the truth. Exit status 1 if a promise is broken.
+    Runs many situations, draw by draw, in single and in double precision, and prints a
+    table of stated errors and warnings next to the truth. Exit status 1 if a situation
+    fails.
 
     Args:
         small: 20 draws: coarse.
@@ -52,7 +53,7 @@ def main(
         only: Situations whose name holds one of these; default all.
         precision: One of them, or both side by side.
         seed: Of the draws.
-        json: Where the numbers go.
+        json: File for the numbers.
     """
     count = (FEW if small else 100) if draws is None else draws
     if count < 1:
@@ -90,7 +91,7 @@ def main(
 
 
 def select(situations: list[Situation], only: tuple[str, ...]) -> list[Situation]:
-    """Those whose name is one of `only`, or holds one where none is."""
+    """Situations with a name in `only`, or else those whose names contain one."""
     if not only:
         return situations
     names = {one.name for one in situations}

@@ -1,4 +1,4 @@
-"""What many draws of one situation say, next to the truth."""
+"""Estimates, errors and warnings of many draws of a situation, and the truth."""
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
@@ -39,11 +39,11 @@ class Answers:
 
 
 class Shot(NamedTuple):
-    """What one draw asks of a fit, and what is true.
+    """Arguments of one draw's fit, and the truth.
 
     - `scene`, `image`, `options`: of [`phongfit.fit`][];
     - `scenes`, `material`: the true ones;
-    - `others`: label → truth of what neither scenes nor material say, as exposures.
+    - `others`: label → truth of parameters of neither scenes nor material: exposures.
     """
 
     scene: Scenes
@@ -85,7 +85,7 @@ def fit_all(shots: Iterable[Shot]) -> Answers:
 
 
 def of_fit(fit: pf.Fit, shot: Shot) -> Said:
-    """What one fit says."""
+    """Estimates, errors and warnings of one fit."""
     low, high = fit.intervals(LEVEL).T
     truth = true_values(fit, shot)
     parts = truth, fit.values, fit.errors, low, high, fit.at_bound

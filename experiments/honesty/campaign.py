@@ -36,7 +36,7 @@ class Row:
 
     @property
     def fine(self) -> bool:
-        """Whether all that should hold does."""
+        """Whether the situation passes all checks."""
         return not self.verdict.faults
 
 
@@ -46,7 +46,7 @@ def own_bits() -> int:
 
 
 def examine(situation: Situation, draws: int, seed: int) -> Row:
-    """One row; every draw has its own generator, whatever else is asked for."""
+    """Run one situation; each draw has its own generator, independent of the others."""
     began = time.perf_counter()
     count = max(round(draws * situation.share), min(draws, LEAST))
     key = zlib.crc32(situation.name.encode())
@@ -57,7 +57,7 @@ def examine(situation: Situation, draws: int, seed: int) -> Row:
 
 
 def pooled_faults(rows: Sequence[Row]) -> tuple[str, ...]:
-    """What no single situation shows: false alarms of all together."""
+    """Faults of all situations together: the rate of false alarms."""
     found = []
     for bits in sorted({row.bits for row in rows}):
         alarms, draws = alarms_of(rows, bits)
@@ -84,7 +84,7 @@ def alarms_of(rows: Iterable[Row], bits: int) -> tuple[int, int]:
 
 
 class Elsewhere:
-    """The same campaign in the other precision, in a process of its own."""
+    """The campaign in the other precision, in another process."""
 
     def __init__(self, bits: int, only: Sequence[str], draws: int, seed: int):
         """Starts it."""
@@ -107,7 +107,7 @@ class Elsewhere:
         return self
 
     def __exit__(self, *what: object) -> None:
-        # Whoever interrupts this process wants the other one to end too.
+        # Interrupting this process also ends the other one.
         if self._process.poll() is None:
             self._process.kill()
             self._process.communicate()

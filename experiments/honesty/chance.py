@@ -1,9 +1,9 @@
-"""What chance does to shares of few draws.
+"""Tests of fractions of few draws.
 
-A share is wrong where it is beyond what is promised, and where chance would take one
-that is exactly right only once in `1 / CHANCE` judgements. A campaign makes some
-hundred for each precision, nearly a thousand in all: chance alone makes less than one
-of a hundred campaigns fail.
+A fraction fails if it is beyond its limit and if sampling error would explain this, for
+a fraction exactly at the limit, only once in `1 / CHANCE` judgements. A campaign makes
+some hundred of them for each precision, nearly a thousand in all, so that less than one
+campaign in a hundred fails by chance.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ Each = Bool[np.ndarray, "draws parameters"]
 
 
 def share(held: np.ndarray, counted: np.ndarray | bool = True) -> float:
-    """How many of those counted; NaN if none is."""
+    """Fraction of the counted entries that hold; NaN if none is counted."""
     counted = np.broadcast_to(counted, held.shape)
     return float((held & counted).sum() / counted.sum()) if counted.any() else np.nan
 
@@ -49,5 +49,5 @@ def limits(
 
 
 def too_many(found: int, draws: int, promised: float) -> bool:
-    """Whether so many draws are more than a share of at most `promised` explains."""
+    """Whether so many draws are significantly more than the fraction `promised`."""
     return bool(found > max(promised * draws, binom.isf(CHANCE, draws, promised)))

@@ -1,12 +1,11 @@
 """From the answers of many draws to a verdict.
 
-- Intervals of 95 % are to hold the truth 92-98 % of the time wherever an error is
-  finite and the draw was not doubted: over all parameters, and for each of them. Of
-  draws where something lies on its bound, which are not usual ones, they are to hold
-  the other parameters 80 % of the time.
-- An estimate far off wants a warning: in 99 % of the draws where there is one.
-- Where the model is right, at most 1 % of the draws may be doubted.
-- What the data cannot identify may have no small error.
+- 95 % intervals must contain the truth in 92-98 % of the cases with a finite error and
+  without a warning: over all parameters, and for each of them. In draws with an
+  estimate at its bound, intervals of the other parameters must do so in 80 %.
+- An estimate that is far off must come with a warning: in 99 % of such draws.
+- With a right model, at most 1 % of the draws may have a warning of doubt.
+- A parameter that the data do not identify must not have a small error.
 
 See `experiments/honesty/chance.py` for what few draws allow.
 """
@@ -39,7 +38,7 @@ SILENT = 0.2
 
 @dataclasses.dataclass(frozen=True)
 class Verdict:
-    """What the draws of one situation come to; NaN where there was nothing to judge.
+    """Summary of the draws of one situation; NaN where nothing could be judged.
 
     - `coverage`: share of intervals that hold the truth; `at_bound` of what lies on a
         bound alone, `beside` of the rest of such draws;
@@ -76,7 +75,7 @@ def judge(
 
     **Arguments:**
 
-    - `kind`: what is asked of it.
+    - `kind`: whether the model is right, doubtful or wrong in this situation.
     - `free`: parameters, or labels, that the data cannot identify.
     - `wide`: whether intervals may be too wide here.
     """
@@ -120,7 +119,7 @@ def _too_wide(marks: Marks) -> bool:
 
 
 def _alarms(marks: Marks, kind: Kind) -> list[str]:
-    """A right model that is doubted, or of which hardly anything is answered."""
+    """Faults of right models: false alarms, or mostly infinite errors."""
     faults = []
     if too_many(marks.doubted.sum(), len(marks.doubted), ALARMS):
         faults.append(f"{marks.doubted.mean():.1%} of the draws are false alarms")
@@ -130,7 +129,7 @@ def _alarms(marks: Marks, kind: Kind) -> list[str]:
 
 
 def _intervals(labels: tuple[str, ...], marks: Marks) -> list[str]:
-    """Those that hold the truth too seldom."""
+    """Faults of intervals that contain the truth too rarely."""
     faults = []
     for where, counted, promised in (
         ("", marks.trusted, PROMISED),
@@ -168,7 +167,7 @@ def _misleading(marks: Marks, kind: Kind) -> list[str]:
 def _small_errors(
     answers: Answers, free: tuple[str, ...], trusted: np.ndarray
 ) -> list[str]:
-    """What the data cannot identify, and draws claim to know."""
+    """Faults of parameters with small errors that the data do not identify."""
     width = answers.box[:, 1] - answers.box[:, 0]
     small = np.isfinite(answers.error) & (answers.high - answers.low < SMALL * width)
     small &= trusted[:, None]

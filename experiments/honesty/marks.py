@@ -1,4 +1,4 @@
-"""What is asked of every number of the draws, and of every draw."""
+"""Checks of every number of the draws, and of every draw."""
 
 import dataclasses
 
@@ -55,7 +55,7 @@ class Marks:
 
     @property
     def misled(self) -> Bool[np.ndarray, " draws"]:
-        """Those of them without a warning."""
+        """Draws with an estimate far off and without a warning."""
         return self.far & ~self.doubted
 
 
@@ -66,7 +66,7 @@ def look(answers: Answers) -> Marks:
     truth, off = answers.truth, np.abs(answers.estimate - answers.truth)
     slack = ROUNDING * np.abs(truth)
     trusted = finite & ~doubted[:, None]
-    # Where errors grow with the distance, the interval says so, on the truth's side.
+    # Asymmetric errors: the interval's side towards the truth is used.
     side = np.where(truth > answers.estimate, answers.high, answers.low)
     error = np.fmax(answers.error, np.abs(side - answers.estimate) / REACH)
     reach = np.where(answers.at_bound, FAR**2, FAR) * error

@@ -32,7 +32,7 @@ with an infinite error."""
 
 
 def table(rows: Sequence[Row], bits: int) -> Table:
-    """Those of one precision."""
+    """A table of the rows of one precision."""
     made = Table(title=f"float{bits}", title_justify="left")
     for at, column in enumerate(COLUMNS):
         last = at == len(COLUMNS) - 1
@@ -76,7 +76,7 @@ def percent(share: float, digits: int = 0) -> str:
 
 
 def summary(rows: Sequence[Row]) -> list[str]:
-    """What is wrong, row by row, and how often right models raise an alarm."""
+    """Lines with the faults of each row, and the rate of false alarms."""
     lines = []
     for row in rows:
         for fault in row.verdict.faults:

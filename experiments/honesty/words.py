@@ -1,4 +1,4 @@
-"""What a warning is about, by its code: the one place that says so."""
+"""The subject of each warning, by its code."""
 
 import collections
 import enum
@@ -12,7 +12,7 @@ FLAG = "flag: "
 
 
 class Subject(enum.Enum):
-    """What a warning is about."""
+    """Subject of a warning."""
 
     FIT = "the model, the noise or the residuals: no number is to be trusted"
     BOUND = "an estimate at its bound: its own error is one-sided"
@@ -59,14 +59,14 @@ Warnings = Sequence[tuple[str, ...]]
 
 
 def subject_of(warning: str) -> Subject:
-    """What one sentence of `fit.warnings`, or one flag of a pixel, is about."""
+    """The subject of a sentence of `fit.warnings`, or of a pixel's flag."""
     if warning.startswith(REFUSED):
         return Subject.REFUSED
     return SUBJECTS.get(_key(warning), Subject.UNKNOWN)
 
 
 def is_doubtful(warning: str) -> bool:
-    """Whether a sentence says that the numbers as a whole are not to be trusted."""
+    """Whether a warning casts doubt on all numbers of a fit."""
     return subject_of(warning) in (Subject.FIT, Subject.REFUSED)
 
 

@@ -85,7 +85,7 @@ class FaceTree:
 def _box(corners: Float[np.ndarray, "faces 3 3"], faces: Int[np.ndarray, " k"]) -> _Box:
     own = corners[faces]
     low, high = own.min(axis=(0, 1)), own.max(axis=(0, 1))
-    # What lies in a side of the box lies in it, however the sides' distances round.
+    # Rounding must not exclude faces that lie in a side of the box.
     slack = 1e-9 * (1 + np.abs(own).max())
     if len(faces) <= LEAF:
         return _Box(low - slack, high + slack, faces, None)
@@ -99,7 +99,7 @@ def _box(corners: Float[np.ndarray, "faces 3 3"], faces: Int[np.ndarray, " k"]) 
 def _enters(
     box: _Box, origin: np.ndarray, inverse: np.ndarray, reach: np.ndarray
 ) -> Bool[np.ndarray, " rays"]:
-    """Whether rays pass through a box before they end.
+    """Whether rays intersect a box before they end.
 
     ??? cite "Source"
         Kay and Kajiya, *Ray tracing complex scenes*, SIGGRAPH 1986.
@@ -113,10 +113,10 @@ def _enters(
 def _distances(
     corners: Float[np.ndarray, "faces 3 3"], origin: np.ndarray, direction: np.ndarray
 ) -> Float[np.ndarray, "rays faces"]:
-    """How far along each ray each face is; infinite where it is missed.
+    """Distance to each face along each ray; infinite where the ray misses it.
 
-    A ray is inside if it passes all three edges on the same side. Neighbours see a
-    common edge with opposite signs and nothing rounded, so no ray slips between them.
+    A ray hits a face if it passes all three edges on the same side. The two faces of a
+    common edge compute the same number with opposite signs, so no ray slips between.
     """
     a, b, c = np.moveaxis(corners[None] - origin[:, None, None], 2, 0)
     along = direction[:, None]

@@ -58,12 +58,12 @@ class AbstractCamera(eqx.Module):
         """Unit vector from a point of the scene towards the viewer."""
 
     def covered(self) -> Bool[Array, "height width"] | None:
-        """Which pixels have a ray; `None` where all have one, as nearly always."""
+        """Mask of the pixels that have a ray; `None` if all have, which is usual."""
         return None
 
     @property
     def parallel(self) -> bool:
-        """Whether all rays are, so that the viewer is in one direction."""
+        """Whether all rays are parallel, with the viewer in one direction."""
         return False
 
     def rays(self) -> Ray:
@@ -71,7 +71,7 @@ class AbstractCamera(eqx.Module):
         return over_pixels(self.ray, self)
 
     def finer(self, times: int) -> "AbstractCamera":
-        """The same view in `times` as many rows and columns."""
+        """A camera with the same view and `times` as many rows and columns."""
         return self if times == 1 else FinerCamera(self, times)
 
     def depth(self, position: Vec3) -> Scalar:
@@ -88,7 +88,7 @@ class AbstractCamera(eqx.Module):
 def over_pixels(
     function: Callable[[Scalar, Scalar], Any], camera: AbstractCamera
 ) -> Any:
-    """What a function of an image point gives for all of a camera's pixel centres."""
+    """Evaluate a function of an image point at all pixel centres of a camera."""
     dtype = camera.position.dtype
     x = jnp.arange(camera.width, dtype=dtype) + 0.5
     y = jnp.arange(camera.height, dtype=dtype) + 0.5
@@ -419,7 +419,7 @@ def _covered(camera: PinholeCamera) -> Bool[Array, "height width"]:
 
 
 class AbstractSameView(AbstractCamera):
-    """What another camera sees from where it is, in other pixels."""
+    """Another camera's view, resampled to other pixels."""
 
     camera: AbstractVar[AbstractCamera]
 
@@ -435,7 +435,7 @@ class AbstractSameView(AbstractCamera):
 
 
 class FinerCamera(AbstractSameView):
-    """What another camera sees, in smaller pixels."""
+    """Another camera's view, with each pixel split into `times` × `times`."""
 
     camera: AbstractCamera
     times: int = eqx.field(static=True)
@@ -445,7 +445,7 @@ class FinerCamera(AbstractSameView):
     rotation: Float[Array, "3 3"]
 
     def __init__(self, camera: AbstractCamera, times: int):
-        """**Arguments:** `camera`; `times`: smaller pixels along one of its own."""
+        """**Arguments:** `camera`; `times`: new pixels along each side of a pixel."""
         self.camera = camera
         self.times = _as_size("times", times)
         self.width = camera.width * self.times

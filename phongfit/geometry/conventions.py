@@ -35,14 +35,14 @@ AXES: dict[Axes, tuple[int, int, int]] = {
 """For each convention, whether its camera's x, y and z axis are ours (right, up, back)
 or point the other way (left, down, forward)."""
 
-# How far axes in a file may be from orthonormal, which they were before rounding.
+# Tolerance for axes in a file: orthonormal but for rounding.
 ROUNDED = 1e-3
 # Of OpenCV's 4 to 14 coefficients, those of Brown's model; a thin prism's follow.
 BROWN = 8
 
 
 class Pose(NamedTuple):
-    """Where a camera stands and how it is turned, as our cameras take it.
+    """Position and rotation of a camera, in the convention of phongfit's cameras.
 
     - `position`: world units.
     - `rotation`: x (right), y (up) and z (back) axis as columns.

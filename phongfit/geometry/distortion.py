@@ -1,7 +1,7 @@
-r"""What a lens does to straight lines: from a direction to the place of its image.
+r"""Lens distortion: from a direction to the place of its image, and back.
 
-The axes here are those of the formulas' sources: x right, y down, z forward. A place is
-on the image plane at distance 1, before focal lengths make pixels of it.
+Axes follow the sources of the formulas: x right, y down, z forward. A place is a point
+of the image plane at distance 1, before multiplication by focal lengths in pixels.
 """
 
 import abc
@@ -20,19 +20,19 @@ Place = Float[Array, "2"]
 # Steps of Newton's method: some follow the place from the centre outwards, so that what
 # is found is on the branch that starts there, the others double the digits each.
 OUTWARDS, ROUNDS = 6, 14
-# How far a place may come back from where it was, next to 1 and its own distance.
+# Tolerance of a round trip through the distortion, relative to 1 + distance.
 MISS = 1e-3
 
 
 class AbstractDistortion(eqx.Module):
-    """Where a lens puts the image of a direction, and which direction a place shows.
+    """A lens's map from directions to places in the image, and its inverse.
 
-    Both go by way of a place without distortion: `bend` gives where it is with it.
+    Both pass through the undistorted place, which `bend` moves to the distorted one.
     """
 
     @abc.abstractmethod
     def bend(self, place: Place) -> Place:
-        """Where a place without distortion is with it; (0, 0) stays where it is."""
+        """The distorted place of an undistorted one; (0, 0) maps to itself."""
 
     @abc.abstractmethod
     def ideal(self, direction: Vec3) -> Place:
@@ -74,8 +74,10 @@ def _straightened(
 
 
 def _is_unfolded(distortion: AbstractDistortion, ideal: Place) -> Bool[Array, ""]:
-    """Whether the bent image of a place shows that place, and not one nearer to the
-    centre: past the fold both have the same image."""
+    """Whether the distortion can be inverted at a place.
+
+    Beyond the fold a place has the same image as another one nearer to the centre.
+    """
     still, at = jax.lax.stop_gradient((distortion, ideal))
     back, found = _search(still, still.bend(at))
     return found & (norm(back - at) <= MISS * (1 + norm(at)))

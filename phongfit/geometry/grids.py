@@ -26,7 +26,7 @@ def grid_faces(height: int, width: int) -> Int[np.ndarray, "faces 3"]:
 
 
 def faces_within(mask: Bool[np.ndarray, "height width"]) -> Int[np.ndarray, "faces 3"]:
-    """Those of all whose corners lie inside the mask."""
+    """Faces of a pixel grid whose corners all lie inside the mask."""
     faces = grid_faces(*mask.shape)
     return faces[mask.ravel()[faces].all(axis=1)]
 
@@ -48,7 +48,7 @@ class Triangles(NamedTuple):
         to_light: Float[Array, "*batch 3"],
         distance: Float[Array, "*batch"],
     ) -> Bool[Array, "*batch"]:
-        """Whether triangles lie on the way from points of the surface to light.
+        """Whether triangles block the light on its way to points of the surface.
 
         **Arguments:** the points, unit vectors to the light, and how far away it is
         (may be inf).

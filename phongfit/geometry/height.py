@@ -93,10 +93,10 @@ def cast_shadows(
     camera: AbstractCamera,
     lights: Iterable[AbstractLight],
 ) -> Bool[np.ndarray, "lights height width"]:
-    """Which pixels lie in a shadow that the surface throws on itself.
+    """Pixels in cast shadow: light from which the surface itself blocks.
 
-    Where it is turned away from a light it is dark besides: that is n·l ≤ 0, and not
-    asked for here.
+    Attached shadow, where the surface faces away from the light (n·l ≤ 0), is not
+    included.
 
     **Arguments:**
 
@@ -159,9 +159,9 @@ def _within(
     mask: Bool[np.ndarray, "height width"],
     place: tuple[int, int],
 ) -> Float[np.ndarray, "height width 3"]:
-    """Points on the triangles, quarters of a pixel right and down of pixels' own.
+    """Points on the triangles, quarters of a pixel to the right of pixels and below.
 
-    Where a neighbour that they lie towards is missing, the pixel's own.
+    A pixel without a neighbour on that side gives its own point.
     """
     right, down = place
     if not right and not down:

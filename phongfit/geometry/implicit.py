@@ -66,7 +66,7 @@ class ImplicitSurface(AbstractSurface):
         return trace_rays(self.intersect, camera)
 
     def intersect(self, ray: Ray) -> tuple[Vec3, Vec3, Bool[Array, ""]]:
-        """Where one ray first meets the surface from outside.
+        """The first intersection of one ray with the surface, from outside.
 
         **Returns:** position, unit normal, and whether there is such a place.
         """
@@ -117,7 +117,7 @@ class ImplicitSurface(AbstractSurface):
     def _first_entry(
         self, ray: Ray, near: Scalar, far: Scalar
     ) -> tuple[Bool[Array, ""], Scalar, Scalar]:
-        """Whether F turns negative on the way, and the step in which it first does."""
+        """Whether F turns negative along the ray, and in which step it first does."""
         near, far = jax.lax.stop_gradient((near, far))
         through = far > near
         near, far = jnp.where(through, near, 0), jnp.where(through, far, 1)
@@ -142,8 +142,8 @@ class ImplicitSurface(AbstractSurface):
 
         By the implicit function theorem, from $F(o + t d) = 0$:
         $\dot t = -\dot F / (\nabla F \cdot d)$, taken where the ray meets the surface.
-        That this place moves too is what second derivatives are made of; those of the
-        Newton step itself leave it out.
+        Second derivatives need the motion of that point, too, which differentiating
+        the last Newton step alone would omit.
         """
 
         def height(along: Scalar) -> Scalar:

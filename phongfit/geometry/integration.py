@@ -10,10 +10,9 @@ and for a pinhole, where a point is depth d times a ray r, the ratio of the dept
 
     $\log d_2 - \log d_1 = \log (s \cdot r_1 / s \cdot r_2)$.
 
-Both are differences that a height u of each pixel should have; least squares over all
-neighbours is a sparse system, a Laplacian with weights. Where a surface jumps, no u has
-them: weights that fall with the residual let go of those pairs, from all of them at
-first to the few that are left at last.
+Both prescribe differences of the heights u of neighbouring pixels. Least squares over
+all pairs is a sparse system, a weighted Laplacian. At a depth discontinuity no u
+satisfies them, so pairs are down-weighted by their residuals, iteratively.
 
 ??? cite "Source"
     Durou, Aujol and Courteille, *Integrating the normal field of a surface in the
@@ -69,8 +68,9 @@ def integrate_normals(
 ) -> HeightField:
     """Heights of a surface of which the normals are known.
 
-    Discontinuities are kept, where the normals around show them. Normals do not tell
-    how far away a surface is, nor the pieces of a mask from each other.
+    Discontinuities are kept where the surrounding normals show them. Normals determine
+    neither the distance of a surface nor the relative depth of separate pieces of a
+    mask.
 
     **Arguments:**
 
@@ -81,7 +81,7 @@ def integrate_normals(
     - `mask`: (H, W), true inside; default where there are normals. Outside of it
         normals may be NaN.
     - `stderr`: (H, W), standard errors of the normals in degrees; pairs of neighbours
-        count by them. Where it is infinite, the surface follows its neighbours.
+        are weighted by them. A pixel with an infinite one follows its neighbours.
     - `depth`: (H, W), known distances along the camera's axis, world units, NaN where
         they are not: each piece is moved to their median.
     - `distance`: the median of a piece without any; default that of the world's

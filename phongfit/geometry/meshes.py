@@ -51,9 +51,10 @@ ROUNDINGS = 4
 
 
 class Corners(eqx.Module):
-    """Which pairs of a vertex and a material are in use, and by which faces.
+    """Pairs of a vertex and a material that occur, and the faces that use them.
 
-    Light at a vertex depends on the material: a vertex where two meet is lit twice.
+    Light at a vertex depends on its material, so a vertex between two materials is lit
+    twice.
     """
 
     vertex: Int[Array, " pairs"]
@@ -178,7 +179,7 @@ class Mesh(AbstractSurface):
         return self._materials
 
     def with_textures(self, textures: Iterable[Textures] | Textures | None) -> "Mesh":
-        """The same mesh with other textures; `None` for none.
+        """This mesh with other textures; `None` for none.
 
         **Raises:** `ValueError` if it has no uv, or not as many materials or vertices.
         """
@@ -189,7 +190,7 @@ class Mesh(AbstractSurface):
         )
 
     def place(self, gbuffer: GBuffer) -> Place:
-        """Where on the surface each pixel looks."""
+        """The point of the surface that each pixel sees."""
         face, weights = gbuffer.face, gbuffer.barycentrics
         assert face is not None and weights is not None
         return Place(self.faces[face], weights, gbuffer.uv, gbuffer.material_index)
@@ -306,7 +307,7 @@ def _size(
 
 
 def _in_face(point: Vec3, a: Vec3, b: Vec3, c: Vec3, slack: Array) -> Bool[Array, ""]:
-    """Whether a point lies in a triangle, give or take `slack` in world units."""
+    """Whether a point lies in a triangle, to within `slack` world units."""
     normal = normalize(face_normal(a, b, c))
     in_plane = jnp.abs(dot(point - a, normal)) <= slack
     inward = [
@@ -435,7 +436,7 @@ def turned(local: Vec3, normal: Vec3, along_u: Vec3, along_v: Vec3) -> Vec3:
     """The unit normal that a normal map's vector means.
 
     **Arguments:** `local`: its parts along u, along −v and outwards; `normal`: the unit
-    normal; `along_u`, `along_v`: [`tangents`][]. Where these are zero the normal stays.
+    normal; `along_u`, `along_v`: [`tangents`][]; zero tangents leave it unchanged.
 
     ??? cite "Source"
         Khronos, *glTF 2.0*, 2021, section 3.9.3: the tangent is made perpendicular to
@@ -453,10 +454,10 @@ def turned(local: Vec3, normal: Vec3, along_u: Vec3, along_v: Vec3) -> Vec3:
 
 @checked
 def join(meshes: Iterable[Mesh]) -> Mesh:
-    """Several objects as one mesh, each with materials of its own.
+    """Several objects as one mesh, in which each keeps its own materials.
 
-    The materials of the first come first: a mesh without `material_index` counts as one
-    material. The joined `Material` is made with [`stack_materials`][].
+    Materials are numbered in the order of the meshes; a mesh without `material_index`
+    has one material. The joined `Material` is made with [`stack_materials`][].
 
     **Raises:** `ValueError` if there are none, or they differ in `two_sided`.
     """

@@ -48,7 +48,7 @@ def blocked(
     rays: Ray,
     distance: Float[Array, "*batch"],
 ) -> Bool[Array, "*batch"]:
-    """Whether a face lies on each ray nearer than `distance` (may be inf)."""
+    """Whether a face blocks each ray before `distance` (may be inf)."""
     shape = jax.ShapeDtypeStruct(distance.shape, jnp.bool_)
     return _on_host(
         _blocked, shape, vertices, faces, rays.origin, rays.direction, distance

@@ -23,7 +23,7 @@ PLACES: tuple[Place, ...] = get_args(Place)
 
 
 class LightingPoints(eqx.Module):
-    """Where light meets the surface: pixels, faces or vertices."""
+    """Points at which lighting is evaluated: pixels, faces or vertices."""
 
     position: Float[Array, "*points 3"]
     normal: Float[Array, "*points 3"]
@@ -75,7 +75,7 @@ class AbstractShading(eqx.Module):
     def points(
         self, surface: AbstractSurface, camera: AbstractCamera, gbuffer: GBuffer
     ) -> LightingPoints:
-        """Where the surface is lit, as it was traced by the camera."""
+        """Points of a traced surface at which lighting is evaluated."""
 
     @abc.abstractmethod
     def interpolation(

@@ -38,7 +38,7 @@ class GBuffer(eqx.Module):
 
     @program()
     def select(self, pixels: Int[Array, " n"]) -> "GBuffer":
-        """The same for some pixels of an image: (n,) takes the place of (H, W).
+        """The buffer of some pixels, of shape (n,) in place of (H, W).
 
         **Arguments:** `pixels`: flat indices, row by row: y · width + x.
         """
@@ -53,7 +53,7 @@ class GBuffer(eqx.Module):
             field.name: getattr(self, field.name) for field in dataclasses.fields(self)
         }
         seen = fields.pop("visibility")
-        # Where faces or vertices are lit it is theirs, not the pixels'.
+        # Flat and Gouraud shading have visibilities of faces or vertices, not pixels.
         per_pixel = seen is not None and seen.shape[:-1] == size
         chosen = {name: at(array) for name, array in fields.items()}
         return GBuffer(**chosen, visibility=at(seen) if per_pixel else seen)
@@ -86,7 +86,7 @@ class AbstractSurface(eqx.Module):
 
     @abc.abstractmethod
     def trace(self, camera: AbstractCamera) -> GBuffer:
-        """What each pixel of `camera` sees of this surface."""
+        """The point of this surface that each pixel of `camera` sees."""
 
     @abc.abstractmethod
     def reached(
@@ -96,7 +96,7 @@ class AbstractSurface(eqx.Module):
         to_light: Float[Array, "*batch 3"],
         distance: Float[Array, "*batch"],
     ) -> Bool[Array, "*batch"]:
-        """Whether light reaches points of the surface past the surface itself.
+        """Whether light reaches points of the surface without being blocked by it.
 
         **Arguments:**
 
@@ -109,16 +109,16 @@ class AbstractSurface(eqx.Module):
 
     @property
     def materials(self) -> int:
-        """How many materials the surface tells apart."""
+        """Number of materials of the surface."""
         return 1
 
     def factors(self, gbuffer: GBuffer) -> Factors | None:
-        """What textures multiply the colours of its pixels by; `None` without."""
+        """Factors of the textures on each pixel's colours; `None` without textures."""
         del gbuffer
         return None
 
     def exponents(self, gbuffer: GBuffer) -> Float[Array, "*pixels"] | None:
-        """What a texture multiplies the exponent by; `None` without."""
+        """Factor of a texture on each pixel's exponent; `None` without one."""
         del gbuffer
         return None
 
@@ -127,7 +127,7 @@ def trace_rays(
     intersect: Callable[[Ray], tuple[Vec3, Vec3, Bool[Array, ""]]],
     camera: AbstractCamera,
 ) -> GBuffer:
-    """What a camera sees of a surface that is solved for one ray.
+    """The geometry buffer of a surface, by its intersection with one ray.
 
     **Arguments:** `intersect`: gives the position, the unit normal there, and whether
     the ray meets the surface; harmless placeholders where it does not.
@@ -158,7 +158,7 @@ class Sphere(AbstractSurface):
         )
 
     def intersect(self, ray: Ray) -> tuple[Vec3, Vec3, Bool[Array, ""]]:
-        """Where one ray first meets the sphere from outside.
+        """The first intersection of one ray with the sphere, from outside.
 
         **Returns:** position, unit normal, and whether there is such a place.
         """
@@ -293,8 +293,8 @@ class NormalMap(AbstractSurface):
         del normal
         if self.positions is None:
             raise ValueError(
-                "shadows: a normal map without positions does not know what is in a "
-                "light's way"
+                "shadows: expected a normal map with positions, since cast shadows "
+                "depend on them"
             )
         surface = triangles(self.positions, self.mask)
         return ~surface.shadowed(position, to_light, distance)

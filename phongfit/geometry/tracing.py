@@ -24,7 +24,7 @@ def trace(
     shadows: bool = False,
     shading: AbstractShading | None = None,
 ) -> GBuffer:
-    """What each pixel of `camera` sees of `surface`: see [`GBuffer`][].
+    """The points of `surface` that the pixels of `camera` see: a [`GBuffer`][].
 
     Differentiable in all arrays, except for which pixels see the surface and which
     points lie in shadow. [`Scene`][]`.trace()` does this for a scene.

@@ -17,7 +17,7 @@ from phongfit.vectors import Scalar
 
 
 class Undistorted(NamedTuple):
-    """What [`undistort`][] makes of a photograph.
+    """A photograph without lens distortion, from [`undistort`][].
 
     - `image`: of the shape it came in; 0 where nothing is known.
     - `mask`: true where it is known.
@@ -33,10 +33,10 @@ class Undistorted(NamedTuple):
 def undistort(image: Any, camera: PinholeCamera, *, mask: Any = None) -> Undistorted:
     """A photograph as the camera would have taken it without its lens's distortion.
 
-    Fits need none of it: a [`PinholeCamera`][] with its `distortion` sees the
-    photograph as it is. It is for other programs, and for pictures. Interpolation makes
-    one pixel of four: noise becomes smaller and that of neighbours alike, which a fit
-    of such an image takes for a lack of fit, and says so.
+    For other programs and for pictures. Fits do not need it: a [`PinholeCamera`][] with
+    its `distortion` fits the photograph as it is. Interpolation averages pixels, which
+    lowers the noise and correlates neighbours; a fit of such an image warns of lack of
+    fit.
 
     **Arguments:**
 

@@ -52,7 +52,7 @@ def decode(encoded: Any, encoding: Encoding) -> Any:
 
 
 class Film(eqx.Module):
-    """What happens to light on its way into an image: clamp, encode, round, JPEG."""
+    """The steps from linear light to a file: clamp, encode, round, JPEG compression."""
 
     clamp: bool = eqx.field(static=True)
     encoding: Encoding = eqx.field(static=True)
@@ -72,10 +72,10 @@ class Film(eqx.Module):
         - `clamp`: show min(I, 1), and nothing below 0. `False` is for floating-point
             images that were never cut off.
         - `encoding`: `"linear"`, `"srgb"` or a [`ResponseCurve`][].
-        - `bits`: round to 2^bits levels; default not at all. Rounding has no useful
-            derivative: leave it off where gradients are wanted.
-        - `jpeg`: what a JPEG file rounded besides, of images of 8 bits: see
-            [`read_film`][], which finds it in the file.
+        - `bits`: round to 2^bits levels; default no rounding. Rounding has no useful
+            derivative, so omit it where gradients are needed.
+        - `jpeg`: the compression of a JPEG file, for images of 8 bits:
+            [`read_film`][] reads it from the file.
 
         **Raises:** `ValueError` that names the argument.
         """

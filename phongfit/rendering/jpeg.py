@@ -34,7 +34,7 @@ COARSE = 35
 
 @dataclasses.dataclass(frozen=True)
 class JpegCompression:
-    """What a JPEG file rounds, as it says itself: see [`read_film`][].
+    """The rounding of a JPEG file, as stated in its header: see [`read_film`][].
 
     **Arguments:**
 
@@ -78,14 +78,14 @@ class JpegCompression:
 
     @property
     def is_coarse(self) -> bool:
-        """Whether the steps of luma are, on average, those of quality 35 or below."""
+        """Whether the luma steps are, on average, at least those of quality 35."""
         limit = JpegCompression.at_quality(COARSE).tables[0]
         return bool(np.mean(self.tables[0]) >= np.mean(limit))
 
     @classmethod
     @checked
     def at_quality(cls, quality: int, subsampling: str = "4:2:0") -> "JpegCompression":
-        """What most programs mean by a quality of 1 … 100.
+        """The compression that most programs use for a quality of 1 … 100.
 
         **Arguments:** `subsampling`: `"4:4:4"`, `"4:2:2"` or `"4:2:0"`.
 
@@ -108,7 +108,7 @@ class JpegCompression:
 
     @property
     def transposed(self) -> "JpegCompression":
-        """What is rounded of an image whose rows have become columns."""
+        """The compression of the transposed image."""
         tables = tuple(np.transpose(table) for table in self.tables)
         sampling = tuple((down, across) for across, down in self.sampling)
         return JpegCompression(tables, sampling, self.ycbcr)

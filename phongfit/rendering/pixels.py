@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 class Haze(eqx.Module):
-    """What fog leaves of each pixel's light, and what it adds."""
+    """Fog at each pixel: the transmitted fraction of light, and the light it adds."""
 
     transmittance: Float[Array, "*batch 1"]
     color: Float[Array, "*batch 3"]
@@ -34,10 +34,10 @@ class Haze(eqx.Module):
 
 
 class PixelTerms(eqx.Module):
-    r"""All that an image is made of but the material: geometry, lights and fog, fixed.
+    r"""Everything an image depends on except the material: geometry, lights and fog.
 
-    [`PixelTerms.radiance`][] is a pure function of the material, and linear in the
-    reflectances: light at the points, clamped there if the shading says so,
+    [`PixelTerms.radiance`][] is a pure function of the material, linear in the
+    reflectances: light at the points, clamped there if the shading method clamps,
     interpolated, and mixed with fog.
     """
 
@@ -95,12 +95,12 @@ class PixelTerms(eqx.Module):
         return jnp.stack(spread, axis=-1)
 
     def fog_light(self) -> Float[Array, "*batch rgb"]:
-        """What fog alone adds to each pixel."""
+        """Light that the fog adds to each pixel."""
         dark = jnp.zeros_like(self._spread(self.terms.diffuse))
         return dark if self.haze is None else self.haze(dark)
 
     def material_index(self) -> Int[Array, "*batch"] | None:
-        """Which of several materials each pixel shows; `None` where there is one."""
+        """Index of each pixel's material; `None` if there is only one."""
         index = self.terms.material_index
         if index is None or self.interpolation is None:
             return index
@@ -115,7 +115,7 @@ class PixelTerms(eqx.Module):
         return values if self.haze is None else self.haze.transmittance * values
 
     def select(self, pixels: Int[Array, " n"]) -> "PixelTerms":
-        """The same for some pixels only: the batch shape becomes (n,).
+        """The terms of some pixels: the batch shape becomes (n,).
 
         Faces and vertices that these pixels do not show are dropped, unless `pixels` is
         traced.
@@ -186,7 +186,7 @@ def _gather(terms: ShadingTerms, index: Int[Array, " n"]) -> ShadingTerms:
 @checked
 @program()
 def pixel_terms(scene: Scene, gbuffer: GBuffer) -> PixelTerms:
-    """What the image of a scene is made of, save for the material.
+    """Everything the image of a scene depends on, except the material.
 
     **Arguments:** `gbuffer`: from `scene.trace()`. Outside its mask the pixels are
     finite and mean nothing.
@@ -220,15 +220,15 @@ def _factors(scene: Scene, gbuffer: GBuffer) -> Factors | None:
 
 
 def resolve(scene: Scene) -> tuple[GBuffer, PixelTerms]:
-    """What the pixels see, and [`pixel_terms`][] of them all."""
+    """The traced geometry of a scene, and the [`pixel_terms`][] of all pixels."""
     gbuffer = scene.trace()
     return gbuffer, pixel_terms(scene, gbuffer)
 
 
 def resolve_terms(scene: Scene) -> tuple[Bool[Array, "height width"], PixelTerms]:
-    """Which pixels see the surface, and [`pixel_terms`][] of them all.
+    """Mask of the pixels that see the surface, and the [`pixel_terms`][] of all.
 
-    As one program where it can be: positions and normals then need not be kept.
+    One compiled program where possible, so that positions and normals are not stored.
     """
     if scene.surface.on_host:
         return _mask_and_terms(scene)

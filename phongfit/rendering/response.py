@@ -19,9 +19,9 @@ MOST = 65_536
 class ResponseCurve:
     """An encoding that is neither linear nor sRGB's: a rising curve, by its samples.
 
-    Light at numbers that are equally spaced from 0 to 1, the first and the last of
-    them 0 and 1; straight lines lie between them, so that the inverse is exact. The
-    same for all channels. Wherever an encoding is asked for, a curve may stand.
+    Linear light at equally spaced encoded values from 0 to 1, with 0 at 0 and 1 at 1,
+    interpolated linearly, so that the inverse is exact. All channels share the curve.
+    Every argument `encoding` accepts one.
 
         gamma = pf.ResponseCurve([(k / 256) ** 1.8 for k in range(257)])
         image = pf.read_image("ball.png", gamma)
@@ -42,7 +42,7 @@ class ResponseCurve:
         if samples[0] != 0 or samples[-1] != 1:
             ends = f"{samples[0]:g} … {samples[-1]:g}"
             raise ValueError(f"light: expected {wanted}, got {ends}")
-        # What single precision has no number for rises for nobody.
+        # Steps must be representable in single precision.
         if not (np.diff(samples) > 0).all() or samples[1] < TINY:
             at = int(np.argmin(np.diff(samples)))
             step = f"{samples[at]:g} and then {samples[at + 1]:g}"

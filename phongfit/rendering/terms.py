@@ -118,8 +118,8 @@ def point_terms(
 
     - `lights`, `ambient`, `model`: as in [`Scene`][].
     - `position`: world units; `normal`, `to_viewer`: unit vectors.
-    - `visibility`: how much of each light reaches the point, in [0, 1]; default all.
-        Their ambient light is not shadowed, nor is what comes from all around.
+    - `visibility`: fraction of each light that reaches the point; default 1. Ambient
+        parts of lights and light from all around are not shadowed.
     """
     dtype = ambient.dtype
     if visibility is None:
@@ -166,9 +166,9 @@ def _each(
     lights: tuple[AbstractLight, ...],
     visibility: Float[Array, " lights"],
 ) -> tuple[Any, ...]:
-    """What many lights give, along a first axis: those of one kind as one program.
+    """Terms of several lights along a first axis, vectorised over lights of one kind.
 
-    Written out, each of them would be compiled by itself.
+    A loop over lights would compile each of them separately.
     """
     kinds: dict[Any, list[int]] = {}
     for k, light in enumerate(lights):
@@ -187,9 +187,9 @@ def _each(
 def terms(scene: Scene, gbuffer: GBuffer) -> ShadingTerms:
     """The terms of a scene, at every point that its shading method lights.
 
-    These are the pixels of the [`GBuffer`][], which was traced from the scene, or its
-    mesh's faces or vertices: see [`pixel_terms`][] for what an image is made of.
-    Outside the buffer's mask they are finite and mean nothing.
+    The points are the pixels of the [`GBuffer`][] that was traced from the scene, or
+    the faces or vertices of its mesh; [`pixel_terms`][] makes images of them. Outside
+    the buffer's mask values are finite and without meaning.
 
     **Raises:** `ValueError` if the buffer was traced without the scene's shadows.
     """

@@ -1,7 +1,7 @@
-"""What situations are made of: a subject under light, and what becomes of the light.
+"""Parts of situations: a subject under light, and the noise and film of its image.
 
-Most share one scene, one size and one kind of image, since every new kind of fit has to
-be compiled: that takes longer than a hundred fits.
+Most share one scene, one size and one kind of image, since every new kind of fit must
+be compiled, which takes longer than a hundred fits.
 """
 
 import dataclasses
@@ -22,9 +22,9 @@ Take: TypeAlias = Callable[[Image, np.random.Generator], Image]
 """From the light of a scene to its photograph."""
 
 SIZE = 48
-# Where many unknowns of a scene are looked for from many starts.
+# For fits of many unknowns of a scene from many starts.
 SMALL = 32
-# Where a wrong model shows in many pixels only.
+# For wrong models that only many pixels reveal.
 LARGE = 128
 NOISE = 0.01
 UNCLAMPED = pf.Film(clamp=False)
@@ -71,7 +71,7 @@ Draw: TypeAlias = Callable[[np.random.Generator], Subject]
 
 
 def when_asked(make: Callable[[], Subject]) -> Draw:
-    """One subject, which takes long to make: whoever runs others does not wait."""
+    """One subject that takes long to make, made at its first use."""
     made = functools.cache(make)
     return lambda rng: made()
 

@@ -1,4 +1,4 @@
-"""What else states errors: predictions before a photograph, and profiles after it."""
+"""Errors from predictions before a photograph, and from profiles after a fit."""
 
 from collections.abc import Callable
 from typing import Any

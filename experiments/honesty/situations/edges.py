@@ -37,7 +37,7 @@ def white() -> list[Situation]:
     }
     takes["97% white, noise given"] = fits(bright(0.97), clamped(noisy()), noise=NOISE)
     takes["10% at 1 beside negative values"] = fits(bright(0.1, 0.02), cut_above)
-    # Where nearly nothing is left, it may be said that nothing can be known.
+    # With nearly no samples left, a warning of doubt is right.
     faint = tuple(f"{share:.0%}" for share in shares[2:])
     return [
         Situation(name, "doubtful" if name.startswith(faint) else "right", ask)
@@ -110,7 +110,7 @@ def bounds() -> list[Situation]:
 
 
 def unknowable() -> list[Situation]:
-    """What no pixel identifies."""
+    """Situations with parameters that no pixel identifies."""
     faint = changed(specular=0.004)
     exponent = ("shininess",)
     highlight = ("specular", "shininess")

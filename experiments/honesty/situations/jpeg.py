@@ -32,7 +32,7 @@ SAMPLINGS = {"4:4:4": 0, "4:2:0": 2}
 
 
 class Decoded(NamedTuple):
-    """A photograph from a file, and what the fit knows of the file."""
+    """A photograph from a file, and the fit's options for that file."""
 
     image: Image
     options: Mapping[str, Any]
@@ -54,9 +54,9 @@ def situations() -> list[Situation]:
 
 
 def any_ball(rng: np.random.Generator, size: int) -> Subject:
-    """A ball of its own under a lamp of its own: what is rounded away hangs on both.
+    """A random ball under a random lamp.
 
-    Many photographs of one ball would all lose the same, and be one draw of that.
+    JPEG's rounding depends on both: photographs of one ball would share its error.
     """
     material = pf.Material(
         diffuse=rng.uniform(0.15, 0.6, 3),
@@ -88,7 +88,7 @@ def jpeg_fits(
 def developed(light: Image, quality: int, sampling: str, known: bool) -> Decoded:
     """Light written as an sRGB JPEG and read back.
 
-    **Arguments:** `known`: whether the fit knows of the file.
+    **Arguments:** `known`: whether the fit is given the file's compression.
     """
     data = iio.imwrite(
         "<bytes>",

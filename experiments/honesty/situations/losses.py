@@ -38,7 +38,7 @@ def situations() -> list[Situation]:
         found.append(Situation(f"{loss}, a highlight of two lobes", "wrong", ask))
     for loss in ("linear", "cauchy", "tukey"):
         ask = fits(usual(), scratch, loss=loss)
-        # What this loss leaves out altogether is no lack of fit.
+        # Tukey's loss rejects the scratch completely, so no warning is due.
         kind = "right" if loss == "tukey" else "doubtful"
         found.append(Situation(f"{loss}, a scratch", kind, ask, wide=True))
         ask = fits(lit_twice(), noisy(), fitted=ball(), loss=loss)
@@ -47,7 +47,7 @@ def situations() -> list[Situation]:
 
 
 def lit_twice() -> Subject:
-    """A second highlight, of a lamp that gives no other light."""
+    """A second highlight, of a lamp without diffuse light."""
     shine = pf.DirectionalLight((-1.0, -0.5, 1.5), 0.0, specular=0.6)
     return usual(changed(shininess=60.0), ball(lamp(), shine))
 

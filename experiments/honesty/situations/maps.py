@@ -1,4 +1,4 @@
-"""Maps: every pixel is a draw of its own."""
+"""Maps, of which every pixel is a draw."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -14,7 +14,7 @@ from experiments.honesty.answers import LEVEL, Answers
 from experiments.honesty.situations.base import NOISE, UNCLAMPED, Draws, Situation
 from phongfit.fitting.uncertainty.quantiles import student_reach
 
-# Pixels for every draw that is asked for.
+# Pixels of each draw.
 PIXELS = 100
 LIGHTS = 16
 AMBIENT = 0.3
@@ -186,7 +186,7 @@ def masked(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str,
 def saturated(
     images: Stack, rng: np.random.Generator
 ) -> tuple[Stack, Mapping[str, Any]]:
-    """What is past white is cut off."""
+    """Clip the images at white."""
     del rng
     return np.minimum(images, 1), {}
 

@@ -96,13 +96,13 @@ def shot_noise(light: Image, rng: np.random.Generator) -> Image:
 
 
 def shot_map(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
-    """What is known of it."""
+    """The option `noise` of a fit for shot noise."""
     del rng
     return {"noise": np.sqrt(shot_variance(light))}
 
 
 def shot_weights(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
-    """The same, in some unit."""
+    """The option `weights` of a fit for shot noise, in an arbitrary unit."""
     del rng
     return {"weights": NOISE**2 / shot_variance(light)}
 

@@ -202,7 +202,7 @@ def middle(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
 
 
 def exposed(times: Sequence[float]) -> tuple[pf.Scene, ...]:
-    """The ball under three lamps in turn, each for its own time."""
+    """Scenes of the ball, one for each lamp, with exposure times that differ."""
     ways = spread_directions(len(times))
     return tuple(
         small(lamp(way, 0.4 * time), ambient=0.3 * time)

@@ -58,7 +58,7 @@ def held(*scenes: pf.Scene) -> Callable[[Draws], Answers]:
 
 
 def lamp_left_out(share: float, size: int, noise: float) -> Callable[[Draws], Answers]:
-    """A second, weak lamp that the fit does not know of."""
+    """A second, weak lamp that the fitted scene lacks."""
     both = ball(lamp(), lamp((-1, -0.4, 1), 0.6 * share), size=size)
     return fits(usual(MATERIAL, both), noisy(noise), fitted=ball(size=size))
 
