@@ -54,19 +54,51 @@ def cat() -> Cat:
 @styled
 def draw_ball() -> Figure:
     """A photograph of a ball, its fit, and the residuals."""
-    camera, lamp = pf.OrthographicCamera(160, 160), pf.DirectionalLight((1, 1, 2))
-    scene = pf.Scene(pf.Sphere(), camera, lamp, ambient=0.3)
     rows = []
     for name in ("ruby", "brass"):
-        light = np.array(pf.render(scene, pf.preset(name), film=pf.Film(clamp=False)))
-        light += np.random.default_rng(0).normal(0, 0.01, light.shape)
-        # Noise comes before a camera's clamp.
-        image = np.clip(light, 0, 1)
-        fit = pf.fit(scene, image)
+        image, fit = _fitted_ball(name)
         found = fit["shininess"]
         title = f"{name}: f = {found.value:.4g} ± {found.error:.1g}"
         rows.append(Row(image, fit.fitted, fit.residuals, title))
     return comparison(rows, ("photograph", "fit"), blocks=2)
+
+
+def _fitted_ball(name: str) -> tuple[np.ndarray, pf.Fit]:
+    """A noisy photograph of a ball of a classic material, and its fit."""
+    camera, lamp = pf.OrthographicCamera(160, 160), pf.DirectionalLight((1, 1, 2))
+    scene = pf.Scene(pf.Sphere(), camera, lamp, ambient=0.3)
+    light = np.array(pf.render(scene, pf.preset(name), film=pf.Film(clamp=False)))
+    light += np.random.default_rng(0).normal(0, 0.01, light.shape)
+    # Noise comes before a camera's clamp.
+    image = np.clip(light, 0, 1)
+    return image, pf.fit(scene, image)
+
+
+@styled
+def draw_home(of: Cat) -> Figure:
+    """A photograph, its fit with numbers, and a mapped object under another lamp."""
+    image, fit = _fitted_ball("ruby")
+    drawing = page(2.3)
+    panels = drawing.subplots(1, 5)
+    show(panels[0], image, "a photograph")
+    show(panels[1], np.clip(fit.fitted, 0, 1), "its fit", _numbers_of(fit))
+    show(panels[2], of.photograph / np.quantile(of.photograph, 0.995), "1 of 12")
+    inside = ~of.maps.flagged(pf.Flag.OUTSIDE)
+    normals = np.where(inside[..., None], (of.maps.normals + 1) / 2, 1)
+    show(panels[3], normals, "normals")
+    (picture,) = of.maps.relight([pf.DirectionalLight(LAMPS[1])])
+    show(panels[4], picture / np.quantile(picture, 0.99), "relit")
+    for axes in panels:
+        axes.set_anchor("N")
+    return drawing
+
+
+def _numbers_of(fit: pf.Fit) -> str:
+    lines = {"diffuse.red": "ρ_{d}", "specular.red": "ρ_{s}", "shininess": "f"}
+    return "\n".join(
+        f"${letter}$ = {fit[label].value:.4g} ± {fit[label].error:.1g}"
+        for label, letter in lines.items()
+    )
 
 
 @styled
@@ -149,6 +181,7 @@ def main(pictures: Path = Path("out/gallery")) -> int:
     pictures.mkdir(parents=True, exist_ok=True)
     of = cat()
     drawn: dict[str, Callable[[], Figure]] = {
+        "home": lambda: draw_home(of),
         "ball": draw_ball,
         "cat_maps": lambda: draw_maps(of),
         "cat_relit": lambda: draw_relit(of),

@@ -2,7 +2,7 @@
 
 import lazy_loader
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Public names are listed in `__init__.pyi` and imported at first use: JAX and decoders
 # load slowly, and the help of a command needs neither.

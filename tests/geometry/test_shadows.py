@@ -183,5 +183,7 @@ def test_a_normal_map_without_positions_knows_of_no_shadows():
         pf.Scene(pf.NormalMap(flat), view, light, shadows=True)
     with pytest.raises(ValueError, match="^fog: a normal map"):
         pf.Scene(pf.NormalMap(flat), view, light, fog=pf.Fog())
-    with pytest.raises(ValueError, match="^shadows: expected a normal map with positions"):
+    with pytest.raises(
+        ValueError, match="^shadows: expected a normal map with positions"
+    ):
         pf.trace(pf.NormalMap(flat), view, [light], shadows=True)
