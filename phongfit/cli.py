@@ -24,16 +24,16 @@ import tyro
 from phongfit.files import budget
 
 COMMANDS = {
-    "synth": "Make a data set with known truth: photographs of a ball, to be fitted.",
+    "synth": "Render photographs of a ball of known material, to practise with.",
     "calibrate": "Find the lamps of a capture by spheres in its photographs.",
     "response": "Check a camera's response, and fit it where it is not sRGB.",
     "scene": "Write a scene file: surface, camera and lights, to render and to fit.",
     "render": "Render a scene with a material, as an image.",
     "fit": "Fit a material to photographs: values, errors, pictures, a report.",
     "maps": "Fit a material per pixel to photographs under many lights.",
-    "relight": "Show what was mapped under other lights, one picture a light.",
-    "view": "Write a page on which the pointer moves a lamp over what was mapped.",
-    "predict": "How well could a material be known, before any photograph is taken?",
+    "relight": "Show a mapped object under other lights, a picture for each light.",
+    "view": "Write a page on which the pointer moves a lamp over the mapped object.",
+    "predict": "Predict standard errors before taking photographs.",
     "export": "Write a material for other programs: .mtl, glTF, OpenGL, JSON.",
     "lab": "Move the model's sliders in a browser, and fit a target with one press.",
 }

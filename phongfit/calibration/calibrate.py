@@ -190,8 +190,8 @@ def _placed(
         if placed.coverage < SEEN:
             words = (
                 f"{kind} sphere at {x:.0f}, {y:.0f}: its outline is hardly seen "
-                f"(on {placed.coverage:.0%} of the circle), so it is taken as given, "
-                "± 0.5 pixels"
+                f"(on {placed.coverage:.0%} of the circle), so the circle is used as "
+                "given, ± 0.5 pixels"
             )
             warnings.append(coded("outline-unseen", words))
         spheres.append(CalibratedSphere(kind, placed.outline, placed.covariance))
@@ -534,11 +534,11 @@ class _Session:
         shaded: np.ndarray | None,
         falloff: float,
     ) -> None:
-        """What a person should know before the numbers are trusted."""
+        """Collect the warnings of the calibration."""
         for number, why in sorted(left_out.items()):
             self._warn("left-out", f"{self.names[number]} is left out: {why}")
         if len(self.chrome.outlines) == 1 and self.matte is None:
-            self._warn("one-sphere", "one sphere alone: nothing checks its highlights")
+            self._warn("one-sphere", "one sphere alone: its highlights are unchecked")
         shown = np.isfinite(estimate.residuals).mean(axis=0)
         for sphere, share in zip(self.chrome.outlines, shown, strict=True):
             if share < 0.7:
@@ -552,8 +552,8 @@ class _Session:
             other = "near" if self.lamps == "distant" else "distant"
             self._warn(
                 "spheres-disagree",
-                f"the spheres' highlights disagree {estimate.scatter:.1f} times as "
-                "much as they are sharp",
+                f"the spheres' highlights disagree by {estimate.scatter:.1f} times "
+                "their accuracy",
                 f"Check the circles, and whether the lamps are {other}",
             )
         if shaded is not None and len(self.chrome.outlines) and self.lamps == "distant":
@@ -569,7 +569,7 @@ class _Session:
             self._warn(
                 "slow-fall-off",
                 "the lamps' light falls off more slowly than with the square of the "
-                f"distance (share {falloff:.2f} of 1), as through a lens or reflector",
+                f"distance (κ = {falloff:.2f}), as through a lens or reflector",
             )
 
     def _warn(self, code: str, found: str, remedy: str | None = None) -> None:

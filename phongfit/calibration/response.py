@@ -600,8 +600,8 @@ class _Solver:
         found = []
         if high < 0.7 or low > 0.4:
             words = (
-                f"numbers from {low:.2f} to {high:.2f} are seen alone: beyond them the "
-                "curve only goes on smoothly"
+                f"only numbers from {low:.2f} to {high:.2f} are seen: beyond them the "
+                "curve is extrapolated"
             )
             found.append(coded("range-unseen", words))
         if self.sigma > 0.02:

@@ -34,20 +34,21 @@ class Options:
         out: Folder to make: lights.json (lamps, camera, errors), lights.lp (directions
             alone, for other programs), calibration.png.
         sphere: A chrome sphere: x and y of its centre and its radius in pixels, from
-            the upper left corner. Once for each sphere. Default: spheres are looked
-            for, matte ones too, and calibration.png shows what was found.
-        matte: A matte grey or white sphere, likewise: it tells how strong lamps are.
-        sphere_radius: Of the chrome spheres, in the unit that lengths will have.
+            the upper left corner. Once for each sphere. Default: chrome and matte
+            spheres are looked for; calibration.png shows the result.
+        matte: A matte grey or white sphere, stated in the same way, from which the
+            strengths of the lamps are found.
+        sphere_radius: Radius of the chrome spheres, in the unit of all lengths.
         fov: The camera's angle of view, from the lower to the upper edge.
         orthographic: Parallel rays: a long lens, far away. The default without --fov.
         lamps: distant: parallel light, a direction each. near: a position each; needs
             two spheres.
-        encoding: What the photographs' numbers are, or the file of a response curve, as
-            `phongfit response` writes it. Default: srgb for JPEG.
+        encoding: Encoding of the photographs' numbers, or the file of a response curve
+            from `phongfit response`. Default: srgb for JPEG.
         white: The number in the photographs that is white, such as 4095 of 12 bits in
             PNGs of 16. Default: the largest of the format.
-        ambient: A photograph without a lamp, which is taken from all.
-        flat: A photograph of a white card, by which all are divided.
+        ambient: A photograph without a lamp, which is subtracted from all others.
+        flat: A photograph of a white card, by which all others are divided.
         overwrite: Replace an older calibration in OUT.
     """
 
@@ -83,9 +84,9 @@ class Options:
 def main(options: Options) -> int:
     """Find the lamps of a capture by spheres in its photographs.
 
-    A chrome sphere mirrors each lamp, a matte one is shaded by it. Directions are the
-    camera's: x right, y up, z towards it. Look at calibration.png before the numbers
-    are trusted.
+    A chrome sphere mirrors each lamp, a matte one is shaded by it. Directions are in
+    the camera's axes: x right, y up, z towards the camera. Look at calibration.png
+    before you use the numbers.
 
     For example:
       phongfit calibrate photos -o out/lights --sphere 179 565 88 --sphere 781 565 88

@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class DataOptions:
-    """What is fitted.
+    """The photographs to fit, and how they are read.
 
     Args:
         dataset: A data set's folder, as `phongfit synth` makes it or in DiLiGenT's
@@ -45,11 +45,11 @@ class DataOptions:
         sphere: The photographs show a ball: x and y of its centre and its radius in
             pixels, from the upper left corner.
         normals: The photographs show a surface with these normals: an .npz with
-            normals, and positions and mask if there are, or an .npy. fit: they are
-            sought, by `phongfit maps`, under known lights.
-        lights: With photographs: their lights, as `phongfit calibrate` writes them, or
-            an .lp, of which one photograph takes the lamp of its name. Default: those
-            in the folder; else the fit finds them.
+            normals, and optionally positions and mask, or an .npy. fit: fit the
+            normals too, with `phongfit maps`, under known lights.
+        lights: With photographs: their lights, from `phongfit calibrate`, or an .lp
+            list, in which a photograph's lamp is found by its name. Default: those in
+            the folder; else the lights are fitted.
         fov: With photographs: the camera's angle of view, from the lower to the upper
             edge; 0 for parallel rays, as of a long lens from far away. fit: find it,
             with --normals fit and distant lamps. Default: that of the calibration, else
@@ -57,18 +57,18 @@ class DataOptions:
         mask: With an image or photographs: white where a pixel may be used. Default,
             with a folder of photographs: the mask in it, mask.png or NAME.mask.png, if
             there is one.
-        encoding: With an image or photographs: what their numbers are, or the file of
-            a response curve, as `phongfit response` writes it. Default: what the scene
-            file says, and srgb for JPEG.
+        encoding: With an image or photographs: encoding of their numbers, or the file
+            of a response curve from `phongfit response`. Default: that of the scene
+            file, and srgb for JPEG.
         white: With an image or photographs: the number in the files that is white, such
-            as 4095 of 12 bits in PNGs of 16. Default: what the scene file says, and the
+            as 4095 for 12 bits in PNGs of 16. Default: that of the scene file, and the
             largest of the format.
-        min_cosine: Not of our own data sets: samples with n·l up to this are left out,
-            where light that bounced counts for more.
-        min_facing: Likewise: pixels with n·v up to this are left out: a rim's pixel
-            averages over many normals.
-        room_light: Likewise: ambient light, which stands for all that came by way of
-            the room; 0 for none.
+        min_cosine: With photographs: samples with n·l up to this are left out, since
+            there interreflections dominate.
+        min_facing: With photographs: pixels with n·v up to this are left out, since
+            pixels at the rim average over many normals.
+        room_light: With photographs: ambient light, which stands for light reflected
+            by the room; 0 for none.
     """
 
     dataset: Annotated[Positional[Path], arg(metavar="DATASET")]

@@ -58,7 +58,7 @@ class Options:
             of a material, the folder that `phongfit maps` made, or a mesh with its
             materials and textures: a file, or the folder of a fit of textures.
         out: The file to write; for gltf .glb, or .gltf, which is text; for usd .usda,
-            which is text, .usd, .usdc, or .usdz, which holds textures, too.
+            which is text, .usd, .usdc, or .usdz, which contains its textures.
         to: mtl: Wavefront's .mtl. gltf: glTF 2.0, on the scene's mesh. usd: the same as
             UsdPreviewSurface (pip install 'phongfit[usd]'). json: what phongfit reads
             again. opengl: C lines of glMaterialfv. Of a mesh gltf, usd and obj, with an
@@ -71,9 +71,9 @@ class Options:
         nearest: Where the format cannot hold the material (colours above 1, an exponent
             above 1000 in .mtl or 128 in OpenGL, an exponent for each channel), write
             the nearest that it holds, with a warning; else that is an error.
-        surface: Of maps, for gltf: the mesh of their height, in place of a rectangle.
-        distance: Of maps: how far from a pinhole camera the surface is, where no
-            geometry was given that knows it.
+        surface: With maps, for gltf: the mesh of their height, in place of a rectangle.
+        distance: With maps: distance of the surface from a pinhole camera, if the
+            maps' geometry did not have it.
     """
 
     fit: Annotated[Positional[str], arg(metavar="FIT")]

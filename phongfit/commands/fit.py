@@ -73,12 +73,12 @@ class Options:
             textures.json (all other numbers), mesh.glb (the mesh with its textures) and
             a picture of each, in place of fit.json.
         like: Repeat this fit: take all settings from it, and compare the answers.
-        report: full: the picture, and the report with profiles, for which the fit is
-            solved some fifty times more. quick: the same without profiles. none:
-            fit.json alone.
-        refine_lights: Find distant lights of a calibration with errors of their own,
-            what it knows of them as a prior. Else lights are brought to where it and
-            the photographs agree, and what stays open is in the material's errors.
+        report: full: the picture, and the report with profiles, which solve the fit
+            some fifty times more. quick: the report without profiles. none: fit.json
+            alone.
+        refine_lights: List distant lights of a calibration as unknowns with errors,
+            with the calibration as a prior. Otherwise lights are refined in the same
+            way but not listed, and their uncertainty is in the material's errors.
         overwrite: Replace an older fit in OUT.
     """
 
@@ -100,11 +100,11 @@ class Options:
 
 
 def main(options: Options) -> int:
-    """Fit one material to photographs, and say how well it is known.
+    """Fit one material to photographs, with standard errors.
 
-    Prints values with standard errors, correlations, and what is not identifiable.
-    There is no starting guess and no random number: the same photographs give the same
-    fit.
+    Prints values with standard errors, correlations, and parameters that are not
+    identifiable. No starting guess is needed, and the same photographs always give the
+    same fit.
 
     For example:
       phongfit fit out/brass -o out/fit

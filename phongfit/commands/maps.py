@@ -80,32 +80,32 @@ class Options:
         highlight: own: every pixel has its own. shared: one for all, which a fit of one
             material finds first, with all photographs in memory; for few lights or
             sharp highlights, of which a pixel sees one at most.
-        materials: With --normals fit: how many materials the pixels share, or auto to
-            find out; each pixel is of the likeliest, and keeps its own diffuse. For few
-            lights, which do not show the highlight of every pixel. Default: every pixel
-            has its own.
-        passes: With --normals fit: how often. Each pass after the first knows from the
-            last where the surface is, how far from near lamps, and what lies in its
-            shadow. Default: 3 with near lamps, else 2; from or to zarr 1 alone.
+        materials: With --normals fit: number of materials that the pixels share, or
+            auto to find it; each pixel gets the most likely one, and keeps its own
+            diffuse. For few lights, which do not show the highlight of every pixel.
+            Default: every pixel has its own.
+        passes: With --normals fit: number of passes. Each pass after the first uses the
+            surface of the last one for distances to near lamps and for cast shadows.
+            Default: 3 with near lamps, else 2; from or to zarr 1.
         strengths: With --normals fit: how strong the light of each photograph is. fit:
             a number for each, of which only ratios can be found; fit_per_channel: one
             for each channel; auto: fit, unless lamps that stand 2° elsewhere would
             explain that they differ. Default: auto with a lights.json that has no
             strengths (no matte sphere was seen), else given.
-        unknowns: Parameters to be found, of ambient diffuse specular shininess.
-            Default: all of them; with --normals fit all but ambient.
+        unknowns: Parameters to fit, of ambient diffuse specular shininess. Default:
+            all of them; with --normals fit all but ambient.
         per_channel: Which of them differ between red, green and blue; with shininess,
             each channel has its own exponent. With --normals fit, without specular, the
             channels share one.
         known: A material for the parameters that are not unknown.
         bounds: Other bounds than 0:1 (reflectances) and 1:1000 (shininess).
         noise: Standard deviation of the sensor's noise in linear light, where white
-            is 1. Default: what each pixel's residuals show.
-        loss: How much a residual counts; all but linear bear outliers, such as shadows
-            of which the scene does not know. Default: linear; cauchy with --normals
-            fit.
-        tile_pixels: Pixels whose light is in memory at a time. Default: what 8 MB a
-            core hold, 64 MB at most.
+            is 1. Default: estimated from each pixel's residuals.
+        loss: Loss function of the residuals; all but linear are robust to outliers,
+            such as shadows that the scene does not have. Default: linear; cauchy with
+            --normals fit.
+        tile_pixels: Pixels whose light is in memory at a time. Default: 8 MB for each
+            core, at most 64 MB.
         dask: With a zarr array: local:N for N workers on this machine, or the address
             of a Dask scheduler, such as tcp://10.0.0.1:8786.
         pictures: Draw the pictures.
@@ -135,7 +135,7 @@ class Options:
 def main(options: Options) -> int:
     """Fit a material per pixel to photographs under many lights.
 
-    The normals are known, or sought with the material (--normals fit).
+    The normals are known, or fitted with the material (--normals fit).
 
     For example:
       phongfit synth out/dome --shininess 40 --lights 24 --resolution 64

@@ -37,18 +37,18 @@ JsonFile = Annotated[Path | None, optional("FILE")]
 
 @dataclass(frozen=True)
 class UnknownOptions:
-    """What is unknown. Labels are those of the table, such as diffuse.red.
+    """The unknowns of a fit. Labels are those of the table, such as diffuse.red.
 
     Args:
         unknowns: Parameters of the material (ambient diffuse specular shininess
             emission), arrays of the scene such as scene.lights[0].direction, or
             exposure.
-        per_channel: Which of them have a value for each of red, green and blue.
-        per_image: Arrays of the scene of which each image has its own.
+        per_channel: Unknowns with a value for each of red, green and blue.
+        per_image: Arrays of the scene with a value for each image.
         bounds: Other bounds than 0:1 (reflectances) and 1:1000 (shininess).
-        fixed: Values that are held.
-        ties: What follows another label, such as specular.green=specular.red.
-        priors: What is known beforehand: mean and standard deviation.
+        fixed: Labels that are held at a value.
+        ties: Labels that are tied to another, such as specular.green=specular.red.
+        priors: Prior knowledge of a label: mean and standard deviation.
     """
 
     unknowns: Names = DEFAULT_UNKNOWNS
@@ -83,16 +83,16 @@ class UnknownOptions:
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How it is fitted.
+    """Options of the fit.
 
     Args:
         known: A material (a preset, .mtl, .json, fit.json) for the parameters that are
             not unknown. Default: no reflectance, exponent 32.
         noise: Standard deviation of the sensor's noise in linear light, where white
-            is 1. Default: what the residuals show.
-        loss: How much a residual counts; all but linear bear outliers, tukey the
-            most.
-        max_steps: Limit of the solver's steps, in each of its passes.
+            is 1. Default: estimated from the residuals.
+        loss: Loss function of the residuals; all but linear are robust to outliers,
+            tukey the most.
+        max_steps: Maximum number of the solver's steps, in each of its passes.
     """
 
     known: Annotated[str | None, optional("preset:NAME|FILE")] = None

@@ -22,13 +22,14 @@ class Options:
     """Options of `phongfit predict`.
 
     Args:
-        scene: A scene.json, or the folder of a data set. If it lists images, one
-            photograph with the lights of each is foreseen, else one with all lights.
+        scene: A scene.json, or the folder of a data set. If it lists images, the
+            prediction is for one photograph with the lights of each, else for one with
+            all lights.
         material: The true one: preset:NAME, an .mtl (FILE.mtl:NAME for one of several)
             or a .json.
         noise: Standard deviation of the sensor's noise in linear light, where white
             is 1.
-        json: Where the numbers go, with their covariance.
+        json: File for the numbers, with their covariance.
     """
 
     scene: Annotated[Positional[Path], arg(metavar="SCENE")]
@@ -39,11 +40,11 @@ class Options:
 
 
 def main(options: Options) -> int:
-    """How well could a material be known, before any photograph is taken?
+    """Predict standard errors before taking photographs.
 
-    Prints the standard errors that a fit would state: where nothing is clipped or
-    rounded, no estimate from such images can do better (Cramér-Rao). So lights, views
-    and exposures can be compared, and placed well.
+    Prints the standard errors that a fit would have: without clipping and rounding, no
+    unbiased estimate can do better (Cramér-Rao). Compare lights, views and exposures
+    with it.
 
     For example:
       phongfit predict out/brass --material preset:brass --noise 0.01

@@ -40,15 +40,14 @@ class Options:
         maps: The folder that `phongfit maps` made.
         lights: An .lp, or the lights.json that `phongfit calibrate` writes.
         out: Folder to make: a picture for each light, named as in the list.
-        photographs: The folder that the maps were fitted to. What they leave of its
-            photographs is shown as well, interpolated between their lamps: light that
-            bounced, and shadows as they were, in place of those of the height.
-        shadows: Surfaces throw shadows, as their height, which is found from the
-            normals, has it.
+        photographs: The folder that the maps were fitted to. Its residual images,
+            interpolated between the lamps, are added: interreflections and real
+            shadows, in place of shadows by height.
+        shadows: Cast shadows, by the height that is integrated from the normals.
         ambient: Ambient light. Default: that of the photographs.
-        distance: How far from a pinhole camera the surface is, where no geometry was
-            given that knows it.
-        encoding: Of the pictures' numbers. Default: that of the photographs.
+        distance: Distance of the surface from a pinhole camera, if the maps' geometry
+            did not have it.
+        encoding: Encoding of the pictures. Default: that of the photographs.
         overwrite: Replace older pictures in OUT.
     """
 

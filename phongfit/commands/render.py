@@ -33,9 +33,9 @@ class Options:
             fit.json, truth.json, or one that `phongfit export` wrote. Default: the
             truth.json beside the scene, else a matte grey.
         lights: Numbers of the lights that are on, from 0. Default: all.
-        encoding: Of the image's numbers, or the file of a response curve. Default:
-            srgb; linear for .hdr, .exr, 32 bits.
-        bits: Per channel; 32 are floating-point numbers, which nothing cuts off.
+        encoding: Encoding of the image, or the file of a response curve. Default: srgb;
+            linear for .hdr, .exr, 32 bits.
+        bits: Bits of a channel; 32 for floating-point numbers, which are not clipped.
             Default: the fewest that the format has.
     """
 

@@ -31,13 +31,13 @@ class Options:
     Args:
         photographs: A folder of photographs of a standing camera: of a matte sphere
             under known lamps, with --matte; or of one view, exposed differently.
-        out: The .json file to write; give it wherever there is an --encoding.
+        out: The .json file to write, which every --encoding accepts.
         matte: The matte sphere: x and y of its centre and its radius in pixels, from
             the upper left corner.
         lights: With --matte: its lamps, as `phongfit calibrate` writes them from
             chrome spheres, or an .lp. Default: those in the folder.
-        exposures: Without --matte: how much light each photograph got, in the order of
-            their names, next to the others. Default: what their EXIF data say.
+        exposures: Without --matte: relative exposure of each photograph, in the order
+            of their names. Default: by their EXIF data.
         mask: White where pixels may be used.
     """
 
@@ -52,8 +52,9 @@ class Options:
 def main(options: Options) -> int:
     """Check a camera's response, and fit it where it is neither linear nor sRGB.
 
-    Says of both whether they explain the photographs, and by how many standard
-    deviations they do not. The curve is smooth and rises; one for all channels.
+    States whether linear or sRGB describes the photographs, and by how many standard
+    deviations it does not. The fitted curve is smooth and rising, and the same for all
+    channels.
 
     For example:
       phongfit response brackets -o response.json --exposures 1 2 4 8

@@ -54,36 +54,38 @@ class Options:
     """Options of `phongfit scene`.
 
     Args:
-        photograph: One photograph, which the scene is to explain; or a folder of them,
-            one lamp each, which becomes a data set. Default: none, with --size.
+        photograph: The photograph of the scene; or a folder of them, one lamp each,
+            which becomes a data set. Default: none, with --size.
         out: The scene file to write. Default, with a folder: scene.json in it.
         size: Width and height in pixels, where there is no photograph.
         sphere: The surface is a ball: x and y of its centre and its radius in pixels,
             from the upper left corner. The radius is then the unit of length, and the
-            origin the middle of the picture, as deep as the ball is.
-        mesh: The surface is a mesh: OBJ, PLY, STL, glTF or OFF, which the camera looks
-            at from the front, from +z, until --position says otherwise.
-        normals: The surface has these normals, one a pixel: an .npz with normals, and
-            positions and mask if there are, or an .npy.
+            origin is the middle of the picture, at the depth of the ball.
+        mesh: The surface is a mesh: OBJ, PLY, STL, glTF or OFF. The camera looks at it
+            from +z, unless --position is given.
+        normals: The surface has these normals, one for each pixel: an .npz with
+            normals, and optionally positions and mask, or an .npy.
         camera: orthographic: parallel rays, as of a long lens far away. perspective: a
             pinhole; with --sphere and --normals it stands at the origin. Default:
             perspective with --fov, else orthographic.
         fov: A pinhole's angle of view, from the lower to the upper edge. Default: 30,
             with --mesh.
-        position: With --mesh: where the camera stands.
-        target: With --mesh: what is in the middle of the picture. Default: the mesh.
-        light: Towards a distant light, x right, y up, z to the camera. Once for each.
-        point_light: Where a bulb is, likewise; its light does not fall off until the
-            file gives it an attenuation.
-        cameras: With a folder and --mesh: where each photograph was taken from, in the
-            mesh's axes: the folder of a COLMAP model, or a transforms.json. All lights
-            are then on in all of them, in these axes too.
-        lights: Lights from a file instead: lights.json, as `phongfit calibrate` writes
-            it, with its camera, or an .lp. With --cameras an .lp in the mesh's axes,
-            which gives each photograph its own.
-        intensity: Of each light of --light and --point-light: a number, or three.
+        position: With --mesh: position of the camera.
+        target: With --mesh: the point in the middle of the picture. Default: the middle
+            of the mesh.
+        light: Direction to a distant light: x right, y up, z to the camera. Once for
+            each light.
+        point_light: Position of a point light. Once for each light. Its light does not
+            fall off unless you add an attenuation to the file.
+        cameras: With a folder and --mesh: cameras of the photographs, in the mesh's
+            axes: the folder of a COLMAP model, or a transforms.json. All lights are
+            then on in all photographs, and in these axes.
+        lights: Lights from a file: lights.json, as `phongfit calibrate` writes it, with
+            its camera, or an .lp. With --cameras an .lp in the mesh's axes, with a
+            light for each photograph.
+        intensity: Intensity of each --light and --point-light: a number, or three.
         ambient: The ambient light: a number, or three.
-        encoding: With a photograph: what its numbers are, or the file of a response
+        encoding: With a photograph: encoding of its numbers, or the file of a response
             curve. Default: srgb for JPEG.
         white: With a photograph: the number in its file that is white, such as 4095 of
             12 bits in PNGs of 16. Default: the largest of the format.
@@ -137,10 +139,10 @@ class Options:
 
 
 def main(options: Options) -> int:
-    """Write a scene file: what is seen, from where, under which light.
+    """Write a scene file: surface, camera and lights.
 
-    `phongfit fit`, `render` and `predict` take it as it is, and it is a text to be
-    edited. A folder of photographs becomes a data set, with a light for each.
+    `phongfit fit`, `render` and `predict` read it, and you can edit it as text. A
+    folder of photographs becomes a data set, with a light for each photograph.
 
     For example:
       phongfit scene ball.jpg --sphere 179 155 81 --light 1 1 2 -o ball.json

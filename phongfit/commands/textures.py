@@ -25,12 +25,12 @@ class TextureOptions:
     """Textures among the unknowns, such as diffuse.texture or shininess.texture.
 
     Args:
-        texture_size: Columns and rows of the textures, no finer than the photographs,
-            of a mesh with uv; or the word vertices: a number for each vertex.
-        separate: A texture for each material of the mesh. Default: one that all
-            lie on.
-        smoothness: Standard deviation of what is expected between neighbouring texels:
-            a prior, which blurs. Default: no such expectation.
+        texture_size: Columns and rows of the textures of a mesh with uv, no finer than
+            the photographs; or the word vertices, for a number at each vertex.
+        separate: A texture for each material of the mesh. Default: one texture for
+            all.
+        smoothness: Prior standard deviation of the difference between neighbouring
+            texels, which blurs. Default: no such prior.
     """
 
     texture_size: Annotated[

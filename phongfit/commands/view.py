@@ -21,9 +21,9 @@ class Options:
     Args:
         maps: The folder that `phongfit maps` made.
         out: The page to write, one .html that needs no other file and no network.
-        title: Of the page. Default: that of the data.
-        distance: How far from a pinhole camera the surface is, where no geometry was
-            given that knows it.
+        title: Title of the page. Default: that of the data.
+        distance: Distance of the surface from a pinhole camera, if the maps' geometry
+            did not have it.
     """
 
     maps: Annotated[Positional[Path], arg(metavar="MAPS")]
@@ -33,7 +33,7 @@ class Options:
 
 
 def main(options: Options) -> int:
-    """Write a page on which the pointer moves a lamp over what was mapped.
+    """Write a page on which the pointer moves a lamp over the mapped object.
 
     It shows light, shadows, normals and each of the maps, in any browser with WebGL 2.
 

@@ -318,17 +318,16 @@ def _words(
     placed = set() if known is None else {*pieces[np.isfinite(known)].tolist()} - {0}
     if count > 1 and len(placed) < count:
         found = (
-            f"mask: it falls into {count} pieces, and normals do not tell how far one "
-            f"lies before another: {count - len(placed)} of them are put at the same "
-            "depth"
+            f"mask: it consists of {count} pieces, whose relative depth normals do not "
+            f"determine: {count - len(placed)} of them are put at the same depth"
         )
         words.append(coded("separate-pieces", found))
     vague = int((inside & ~sound).sum())
     if vague:
         found = (
-            f"normals: {vague:,} of {int(inside.sum()):,} pixels do not identify "
-            "theirs, or it looks away from the camera: there the surface follows its "
-            "neighbours"
+            f"normals: {vague:,} of {int(inside.sum()):,} pixels do not identify their "
+            "normal, or it points away from the camera: there the surface is "
+            "interpolated"
         )
         words.append(coded("vague-normals", found))
     return tuple(words)

@@ -342,19 +342,19 @@ class Maps:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is wrong with all of the maps rather than with a pixel."""
+        """Faults of the maps as a whole, with remedies."""
         found = []
         sought = np.isfinite(self.normals_stderr) & (self.normals_stderr > 0)
         if is_mirrored(self.normals, sought):
             words = (
-                "the normals bulge the wrong way: their slopes belong to no surface, "
-                "and with y turned round they do"
+                "the normals bulge the wrong way: their slopes cannot be those of a "
+                "surface, and with the opposite sign of y they can"
             )
             found.append(coded("bulging-normals", words))
         if self.materials is not None and self.materials.runs_out:
             words = (
-                f"BIC still falls at {MOST_MATERIALS} materials, the most there are: "
-                "it takes for materials what the model lacks"
+                f"BIC still falls at {MOST_MATERIALS} materials, the largest number "
+                "tried: faults of the model count as materials"
             )
             found.append(coded("materials-run-out", words))
         if self.materials is not None:
@@ -372,9 +372,9 @@ class Maps:
         if self.misplacement > most:
             words = (
                 "directions to the near lamps are off by "
-                f"{self.misplacement:.1f}° (root mean square), since pixels were taken "
-                "to lie elsewhere than on the surface of these normals: normals and "
-                "ρ_s are wrong by more than their errors"
+                f"{self.misplacement:.1f}° (root mean square), since the pixels' "
+                "assumed positions are not on the surface of these normals: normals "
+                "and ρ_s are wrong by more than their errors"
             )
             found.append(coded("pixels-misplaced", words))
         return tuple(found)

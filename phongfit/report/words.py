@@ -119,7 +119,7 @@ def _residual_words(fit: Fit) -> str:
         return f"Residuals are of size {level}, but they are not noise alone."
     words = f"What is left over looks like noise of standard deviation {level}"
     if fit.misfit.noise_differs:
-        words += ", not the same in all channels or all light; errors allow for it"
+        words += ", not the same in all channels or all light; errors include this"
     return f"{words}."
 
 

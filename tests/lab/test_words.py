@@ -21,13 +21,13 @@ def test_remedies_are_not_calls_of_python(code):
 def test_a_remedy_of_one_warning_alone():
     bound = coded(
         "bound-decides",
-        "shininess lies at its upper bound 15: its error is one-sided. The bound "
-        "decides: the images pull 8 σ beyond it",
+        "shininess lies at its upper bound 15: its error is one-sided. Without it the "
+        "estimate would be 8 σ beyond it",
         "If it may lie beyond, try bounds={'shininess': (1, 75)}, or --bounds "
         "shininess=1:75",
     )
     words = in_page_words(bound)
-    assert "pull 8 σ beyond it. Compare “intensity”" in words
+    assert "be 8 σ beyond it. Compare “intensity”" in words
     assert not OF_PYTHON.search(words)
     label = coded("at-bound", "scene.lights[0].position.z lies at its bound")
     assert in_page_words(label).startswith("light position.z lies at its bound. ")

@@ -89,9 +89,9 @@ def _off(edges: Sequence["Edges"], sources: Sequence[Source]) -> list[Source]:
 def _words(crossed: int) -> str:
     return coded(
         "moving-edge",
-        f"{crossed} pixels that count lie at an edge (an outline, a crease, the rim of "
-        "a spot, a shadow) that moves with what is unknown: light jumps there, and no "
-        "derivative says how. Values may be off by more than their errors",
+        f"{crossed} pixels in use lie at an edge (an outline, a crease, the rim of a "
+        "spot, a shadow) that moves with an unknown: light jumps there, which no "
+        "derivative describes. Values may be off by more than their errors",
     )
 
 

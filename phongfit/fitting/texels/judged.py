@@ -321,8 +321,8 @@ def _warnings(
         words.append(
             coded(
                 "jpeg-texels",
-                "what JPEG files round errs alike in blocks of pixels, of which errors "
-                "of texels do not know: they may be too small",
+                "rounding errors of JPEG files are correlated in blocks of pixels, "
+                "which errors of texels do not include: they may be too small",
             )
         )
     words += spread_words(spread)

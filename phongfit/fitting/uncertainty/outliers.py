@@ -71,7 +71,7 @@ def outlier_words(
         coded(
             "outliers",
             f"outliers: {count} samples ({share:.2g} %) lie more than {FAR:g} standard "
-            "deviations off the model and pull the estimates, "
+            "deviations off the model and bias the estimates, "
             f"{unknowns.free_labels[most]} by {shifts[most]:.1f} of its standard "
             "errors",
             f"Leave them out by a mask, or try loss={other}",

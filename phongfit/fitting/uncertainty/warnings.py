@@ -48,8 +48,8 @@ def misfit_words(misfit: Misfit, images: int) -> tuple[str, ...]:
         coded(
             "lack-of-fit",
             f"residuals are not noise: {'; '.join(shown)}. The model does not describe "
-            f"the image fully; errors are widened {widened:.1f} times, which covers no "
-            "bias",
+            f"the image fully; errors are widened {widened:.1f} times, which does not "
+            "cover a bias",
         ),
     )
 
@@ -81,7 +81,7 @@ def clipped_words(sums: SandwichSums, effective: int, samples: int) -> tuple[str
         coded(
             "few-unclipped",
             f"{samples - effective:,} of {samples:,} samples are clipped: the noise is "
-            "estimated from the others, and the errors do not know how badly",
+            "estimated from the others, and its own error is not in those stated",
         ),
     )
 
@@ -114,8 +114,8 @@ def coarse_words(films: Iterable[Film]) -> tuple[str, ...]:
         coded(
             "coarse-jpeg",
             "a JPEG file is compressed as at quality 35 or below: most of the "
-            "highlight's colour is rounded to nothing, and errors of specular may be "
-            "too small by half",
+            "highlight's colour is rounded to zero, and errors of specular may be too "
+            "small by half",
         ),
     )
 
@@ -128,8 +128,8 @@ def grid_words(significance: float) -> tuple[str, ...]:
         coded(
             "jpeg-blocks",
             f"residuals jump between blocks of {SIDE} × {SIDE} pixels "
-            f"({significance:.2g} σ), as those of a JPEG file do: what that rounded is "
-            "no noise, and errors may be several times too small",
+            f"({significance:.2g} σ), as in a JPEG file, whose rounding errors are "
+            "correlated: errors may be several times too small",
         ),
     )
 
@@ -142,7 +142,7 @@ def spread_words(spread: float) -> tuple[str, ...]:
         coded(
             "noise-level",
             f"residuals are {spread:.1f} times as large as the noise that was given: "
-            "the noise or the model is wrong; errors allow for it",
+            "the noise or the model is wrong; errors are widened by this factor",
         ),
     )
 
@@ -158,9 +158,9 @@ def bound_words(estimated: Estimates, unknowns: Unknowns) -> Iterator[str]:
         if estimated.strain[k] > CONTRADICTION:
             code = "bound-decides"
             words += (
-                f". The bound decides: the images pull {estimated.strain[k]:.2g} σ "
+                f". Without it the estimate would be {estimated.strain[k]:.2g} σ "
             )
-            words += "beyond it, and what depends on it is off as well"
+            words += "beyond it, so estimates that depend on it are biased"
         parameter = unknowns.entry_parameter[unknowns.reported[k]]
         # Nothing sends back less than no light.
         if above or parameter not in REFLECTANCES:
@@ -214,6 +214,6 @@ def prior_words(
             yield coded(
                 "prior-conflict",
                 f"the prior of {unknowns.labels[k]}, {mean:g} ± {deviation:g}, and the "
-                f"images contradict each other ({conflict:.2g} σ): what comes out is "
-                "neither's",
+                f"images contradict each other ({conflict:.2g} σ): the estimate agrees "
+                "with neither",
             )
