@@ -157,9 +157,7 @@ def bound_words(estimated: Estimates, unknowns: Unknowns) -> Iterator[str]:
         code, remedy = "at-bound", None
         if estimated.strain[k] > CONTRADICTION:
             code = "bound-decides"
-            words += (
-                f". Without it the estimate would be {estimated.strain[k]:.2g} σ "
-            )
+            words += f". Without it the estimate would be {estimated.strain[k]:.2g} σ "
             words += "beyond it, so estimates that depend on it are biased"
         parameter = unknowns.entry_parameter[unknowns.reported[k]]
         # Nothing sends back less than no light.
