@@ -9,7 +9,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from phongfit.calibration.response import Response, fit_response
-from phongfit.commands.options import optional
+from phongfit.commands.options import WhiteLevel, optional
 from phongfit.commands.progress import stage
 from phongfit.files.capture_data import DIRECTION, open_captured
 from phongfit.files.encodings import RESPONSE_FORMAT
@@ -39,6 +39,8 @@ class Options:
         exposures: Without --matte: relative exposure of each photograph, in the order
             of their names. Default: by their EXIF data.
         mask: White where pixels may be used.
+        white: The number in the photographs that is white, such as 4095 for 12 bits in
+            PNGs of 16. Default: the largest of the format.
     """
 
     photographs: Annotated[Positional[Path], arg(metavar="PHOTOS")]
@@ -47,6 +49,7 @@ class Options:
     lights: Annotated[Path | None, optional("FILE")] = None
     exposures: Annotated[tuple[float, ...], optional("E ...")] = ()
     mask: Annotated[Path | None, optional("FILE")] = None
+    white: WhiteLevel = None
 
 
 def main(options: Options) -> int:
@@ -74,23 +77,27 @@ def main(options: Options) -> int:
 
 
 class _Stored(AbstractImages):
-    """Numbers of photographs as they stand in their files, one in memory at a time."""
+    """Encoded numbers of photographs, relative to white, one in memory at a time."""
 
-    def __init__(self, paths: Sequence[Path]):
-        self.paths = paths
+    def __init__(self, paths: Sequence[Path], white: int | None):
+        self.paths, self.white = paths, white
 
     def __len__(self) -> int:
         return len(self.paths)
 
     def image(self, number: int) -> np.ndarray:
-        return read_light(self.paths[number], AS_STORED).image
+        return read_light(self.paths[number], AS_STORED, white=self.white).image
 
 
 def _of_matte(options: Options) -> Response:
     if options.exposures:
         raise ValueError("exposures: expected them or --matte, got both")
     data = open_captured(
-        options.photographs, AS_STORED, sphere=options.matte, lights=options.lights
+        options.photographs,
+        AS_STORED,
+        sphere=options.matte,
+        lights=options.lights,
+        white=options.white,
     )
     if DIRECTION in data.unknown:
         raise ValueError(
@@ -101,7 +108,7 @@ def _of_matte(options: Options) -> Response:
     folder = folder if folder.is_dir() else folder.parent
     with stage("fitting the response"):
         return fit_response(
-            _Stored([folder / name for name in data.names]),
+            _Stored([folder / name for name in data.names], options.white),
             scenes=data.scenes,
             mask=None if options.mask is None else read_mask(options.mask),
             names=data.names,
@@ -112,7 +119,7 @@ def _of_brackets(options: Options) -> Response:
     if options.lights is not None:
         raise ValueError("lights: expected --matte with them, the sphere they shine on")
     paths = list_photographs(options.photographs)
-    series = open_photographs(paths, AS_STORED)
+    series = open_photographs(paths, AS_STORED, white=options.white)
     exposures = options.exposures or tuple(series.relative_exposures.tolist())
     names = [path.name for path in paths]
     if options.exposures and len(exposures) != len(paths):
@@ -130,7 +137,7 @@ def _of_brackets(options: Options) -> Response:
             print(note)
     with stage("fitting the response"):
         return fit_response(
-            _Stored(paths),
+            _Stored(paths, options.white),
             exposures=exposures,
             mask=None if options.mask is None else read_mask(options.mask),
             names=names,

@@ -85,6 +85,7 @@ class Options:
             light for each photograph.
         intensity: Intensity of each --light and --point-light: a number, or three.
         ambient: The ambient light: a number, or three.
+        shadows: The surface casts shadows on itself, for objects that are not convex.
         encoding: With a photograph: encoding of its numbers, or the file of a response
             curve. Default: srgb for JPEG.
         white: With a photograph: the number in its file that is white, such as 4095 of
@@ -128,6 +129,8 @@ class Options:
     intensity: Annotated[tuple[float, ...], arg(metavar="I")] = (1.0,)
 
     ambient: Annotated[tuple[float, ...], arg(metavar="I")] = (1.0,)
+
+    shadows: bool = False
 
     encoding: EncodingName = None
 
@@ -213,7 +216,8 @@ def _make(options: Options) -> _Made:
             notes = [*capture.notes, "the ambient light is that of the first", *notes]
         images = _images(options, capture)
     film = None if capture is None else _film(capture)
-    scene = Scene(surface, camera, lights, ambient=_colour("ambient", options.ambient))
+    ambient = _colour("ambient", options.ambient)
+    scene = Scene(surface, camera, lights, ambient=ambient, shadows=options.shadows)
     return _Made(scene, film, images, notes)
 
 
@@ -245,6 +249,7 @@ def _make_views(options: Options) -> _Made:
         views.cameras[0],
         lights,
         ambient=_colour("ambient", options.ambient),
+        shadows=options.shadows,
     )
     if not (options.light or options.point_light or options.lights):
         notes = [

@@ -311,7 +311,7 @@ def test_a_sphere_that_the_stand_hides_is_taken_as_given():
     circle = studio.circles("chrome")[0]
     found = pf.calibrate(images, chrome=[circle], fov=studio.fov)
     assert tuple(found.spheres[0].outline) == pytest.approx(circle)
-    assert any("is taken as given" in warning for warning in found.warnings)
+    assert any("circle is used as given" in warning for warning in found.warnings)
 
 
 def test_it_prints_as_a_table(found):

@@ -11,6 +11,7 @@ from phongfit.commands.data import DataOptions, read_data
 from phongfit.files.dataset import Photographs
 from phongfit.files.scenes import open_scene_dataset
 from phongfit.fitting.result import film_words
+from phongfit.rendering.film import encode
 from tests.calibration.studio import directions
 from tests.calibration.test_response import EXPOSURES, patches
 from tests.maps.hills import made
@@ -75,6 +76,17 @@ def test_an_sRGB_camera_is_said_to_be_one(tmp_path, capsys):
     out = tmp_path / "r.json"
     words = ["response", f"{tmp_path}", "-o", f"{out}", "--exposures"]
     assert main([*words, *map(str, EXPOSURES)]) == 0
+    assert "use --encoding srgb" in capsys.readouterr().out
+
+
+def test_twelve_bits_in_files_of_sixteen(tmp_path, capsys):
+    for number, exposure in enumerate(EXPOSURES, 1):
+        levels = np.round(4095 * encode(np.clip(exposure * patches(), 0, 1), "srgb"))
+        path = tmp_path / f"{number}.png"
+        pf.write_image(path, levels / 65535, "linear", bits=16)
+    out = tmp_path / "r.json"
+    words = ["response", f"{tmp_path}", "-o", f"{out}", "--white", "4095"]
+    assert main([*words, "--exposures", *map(str, EXPOSURES)]) == 0
     assert "use --encoding srgb" in capsys.readouterr().out
 
 

@@ -71,7 +71,11 @@ def test_all_of_a_mesh_is_in_view(tmp_path, capsys, camera):
     mesh.write_text("\n".join(lines))
     out = tmp_path / "a.json"
     made(capsys, "--size", *SIZE, "--mesh", mesh, *camera, "-o", out)
-    seen = np.asarray(pf.load_scene(out).trace().mask)
+    scene = pf.load_scene(out)
+    assert not scene.shadows
+    made(capsys, "--size", *SIZE, "--mesh", mesh, "--shadows", "-o", f"{out}.json")
+    assert pf.load_scene(f"{out}.json").shadows
+    seen = np.asarray(scene.trace().mask)
     assert seen.any() and not seen[[0, -1]].any() and not seen[:, [0, -1]].any()
 
 
