@@ -75,33 +75,42 @@ bool path(vec2 start, float v, out vec2 along, out float climb, out float skip) 
   skip = parallel ? 0.5 * longer : 0.5;
   return true;
 }
-bool blocked(vec2 start, float v) {
-  vec2 along;
-  float climb, skip;
-  if (!path(start, v, along, climb, skip)) return false;
+// Edges of the surface's triangles: columns, rows and diagonals of texels.
+const vec2 EDGES[3] = vec2[3](vec2(1, 0), vec2(0, 1), vec2(1, -1));
+bool blockedBy(int edges, vec2 start, float v, vec2 along, float climb, float skip) {
   ivec2 size = textureSize(relief, 0);
-  bool across = abs(along.x) >= abs(along.y);
-  float first = across ? start.x : start.y;
-  float sign_ = (across ? along.x : along.y) > 0.0 ? 1.0 : -1.0;
-  float reach = sign_ > 0.0 ? floor(first) + 1.0 - first : first - ceil(first) + 1.0;
+  float first = dot(start, EDGES[edges]), rate = dot(along, EDGES[edges]);
+  if (abs(rate) < 1e-4) return false;
+  float spacing = 1.0 / abs(rate);
+  float reach = rate > 0.0 ? floor(first) + 1.0 - first : first - ceil(first) + 1.0;
   if (reach < 1e-4) reach += 1.0;
-  while (reach < skip) reach += 1.0;
-  int most = max(size.x, size.y) + 2;
+  reach *= spacing;
+  while (reach < skip) reach += spacing;
+  int most = 2 * max(size.x, size.y) + 2;
   for (int k = 0; k < most; k++) {
-    float far = reach + float(k);
+    float far = reach + float(k) * spacing;
     vec2 at = start + far * along;
     float ray = v + far * climb;
     if (ray > reliefRange.y) return false;
     if (any(lessThan(at, vec2(-0.01))) || any(greaterThan(at, vec2(size) - 0.99))) return false;
-    // On a line of texels: between the two beside it.
-    float minor = across ? at.y : at.x;
-    float low = floor(minor), share = minor - low;
-    int line = int(floor((across ? at.x : at.y) + 0.5));
-    ivec2 a = across ? ivec2(line, int(low)) : ivec2(int(low), line);
-    ivec2 b = a + (across ? ivec2(0, 1) : ivec2(1, 0));
+    // Between the two texels that end the edge.
+    ivec2 a = ivec2(floor(at)), nearest = ivec2(floor(at + 0.5));
+    float share = at.x - floor(at.x);
+    ivec2 b;
+    if (edges == 0) { a.x = nearest.x; share = at.y - floor(at.y); b = a + ivec2(0, 1); }
+    else if (edges == 1) { a.y = nearest.y; b = a + ivec2(1, 0); }
+    else { a.y = a.x - int(floor(at.x - at.y + 0.5)); b = a + ivec2(1, 1); }
     if (share < 1e-4) b = a;
     if (there(a) && there(b) && mix(value(a), value(b), share) > ray) return true;
   }
+  return false;
+}
+bool blocked(vec2 start, float v) {
+  vec2 along;
+  float climb, skip;
+  if (!path(start, v, along, climb, skip)) return false;
+  for (int edges = 0; edges < 3; edges++)
+    if (blockedBy(edges, start, v, along, climb, skip)) return true;
   return false;
 }
 float unshadowed(ivec2 at) {
