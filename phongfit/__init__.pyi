@@ -1,6 +1,7 @@
 """Every public name, once: [`phongfit`][] imports each when it is first asked for."""
 
 from . import testing as testing
+from .cache import cache_programs as cache_programs
 from .calibration.calibrate import calibrate as calibrate
 from .calibration.response import (
     Response as Response,

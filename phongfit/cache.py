@@ -1,4 +1,4 @@
-"""A cache of compiled programs, with which later processes start three times faster."""
+"""A cache of compiled programs, with which later processes start faster."""
 
 import contextlib
 import os
@@ -12,6 +12,12 @@ import jax
 from phongfit.codes import warn
 
 SWITCH = "PHONGFIT_CACHE"
+# JAX's cache: its folder, and the least time and size of what is kept.
+SETTINGS = (
+    "jax_compilation_cache_dir",
+    "jax_persistent_cache_min_compile_time_secs",
+    "jax_persistent_cache_min_entry_size_bytes",
+)
 # Bytes of compiled programs, above which the oldest half goes.
 MOST = 2**30
 # Written when all older entries had been looked at; and seconds that one may take to
@@ -30,14 +36,42 @@ def cache_folder() -> Path | None:
     return (Path(home) if home else Path("~/.cache").expanduser()) / "phongfit"
 
 
-def keep_compiled() -> None:
-    """Switch on JAX's cache of compiled programs, if its folder can be written to.
+def cache_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
+    """Keep compiled programs in a folder, so that later processes start faster.
 
-    A cache folder that JAX is already configured with is kept. A folder that cannot be
-    written to raises nothing: the programs are compiled again in each process.
+    The commands of phongfit do this; importing phongfit or fitting from Python does
+    not. The function changes JAX's configuration (`jax_compilation_cache_dir` and the
+    two thresholds of what is kept), for the programs of other libraries, too. A cache
+    folder that JAX is already configured with stays as it is.
+
+    **Arguments:**
+
+    - `folder`: default the one that the commands use: the environment variable
+        `PHONGFIT_CACHE` (`off` for none), else `phongfit` in `$XDG_CACHE_HOME`, else
+        `~/.cache/phongfit`. It may be deleted at any time.
+
+    **Returns:** the folder that JAX uses now; `None` if there is none, also where the
+    folder cannot be written to. A folder that others may write to is not used, with a
+    warning, since its programs would be run.
     """
-    folder = cache_folder()
-    if folder is None or jax.config.values["jax_compilation_cache_dir"] is not None:
+    configured = jax.config.values["jax_compilation_cache_dir"]
+    if configured is None:
+        _configure(cache_folder() if folder is None else Path(folder))
+        configured = jax.config.values["jax_compilation_cache_dir"]
+    return None if configured is None else Path(configured)
+
+
+def cache_environment() -> dict[str, str]:
+    """Environment variables with which another process uses the same cache."""
+    return {
+        name.upper(): str(value)
+        for name in SETTINGS
+        if (value := jax.config.values[name]) is not None
+    }
+
+
+def _configure(folder: Path | None) -> None:
+    if folder is None:
         return
     try:
         # Programs are run as they are found: nobody else may put any there.
@@ -51,16 +85,15 @@ def keep_compiled() -> None:
             "shared-cache",
             f"{folder}: is not used, since others may write programs into it that "
             "would be run",
-            stacklevel=2,
+            stacklevel=3,
         )
         return
     # Another process may be tidying the folder at the same time.
     with contextlib.suppress(OSError):
         tidy(folder)
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation")
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    for name, value in zip(SETTINGS, (str(folder), 0.0, -1), strict=True):
+        jax.config.update(name, value)
 
 
 def _is_private(folder: Path) -> bool:

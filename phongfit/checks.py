@@ -155,6 +155,22 @@ def as_covariance(name: str, value: Any) -> Float[np.ndarray, "n n"]:
     return matrix
 
 
+def as_function(name: str, value: Any) -> Any:
+    """A function as a pytree without functions among its leaves, as `jax.jit` needs.
+
+    A plain function becomes a `jax.tree_util.Partial`, which is static; the arrays of a
+    callable `equinox.Module` stay arrays, so that they have gradients.
+    """
+    if not callable(value):
+        raise ValueError(f"{name}: expected a function, got {value!r}")
+
+    def static(leaf: Any) -> Any:
+        is_function = callable(leaf) and not eqx.is_array(leaf)
+        return jax.tree_util.Partial(leaf) if is_function else leaf
+
+    return jax.tree.map(static, value)
+
+
 def at_least(name: str, array: Array, lowest: float) -> Array:
     """`array` if all of it is finite and ≥ `lowest`, else an error naming `name`."""
 

@@ -1,12 +1,10 @@
 """The command `phongfit`, and what all commands share: options in, a status out."""
 
 import _thread
-import atexit
 import contextlib
 import dataclasses
 import difflib
 import functools
-import gc
 import importlib.metadata
 import inspect
 import io
@@ -78,12 +76,7 @@ def main(args: Sequence[str] | None = None) -> int:
     a_process = args is None and threading.current_thread() is threading.main_thread()
     args = list(sys.argv[1:] if args is None else args)
     _speak_any_language()
-    with (
-        _patient_collector(),
-        _heeded_interrupts(),
-        _orderly_ends(),
-        warnings.catch_warnings(),
-    ):
+    with _heeded_interrupts(), _orderly_ends(), warnings.catch_warnings():
         warnings.showwarning = _show_warning
         status = _guard(lambda: _run(args))
     if a_process and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -96,7 +89,7 @@ def _run(args: list[str]) -> int | None:
     """Run a command, after the options that all commands share."""
     with _memory(args):
         if args and args[0] in COMMANDS:
-            return _parse(_load(args[0]), args[1:], f"phongfit {args[0]}")()
+            return _execute(_parse(_load(args[0]), args[1:], f"phongfit {args[0]}"))
         if args == ["--version"]:
             print(f"phongfit {importlib.metadata.version('phongfit')}")
             return 0
@@ -122,23 +115,6 @@ def _memory(args: list[str]) -> Iterator[None]:
             os.environ.pop(budget.SWITCH, None)
         else:
             os.environ[budget.SWITCH] = before
-
-
-@contextlib.contextmanager
-def _patient_collector() -> Iterator[None]:
-    """Collect garbage seldom.
-
-    JAX makes many small objects that live as long as the command does: looking through
-    them again and again would take a fifth of its time.
-    """
-    before = gc.get_threshold()
-    gc.set_threshold(200_000, 50, 50)
-    # No collection at the end of the process either: it would free almost nothing.
-    atexit.register(gc.freeze)
-    try:
-        yield
-    finally:
-        gc.set_threshold(*before)
 
 
 @contextlib.contextmanager
@@ -302,7 +278,15 @@ def run(
 
     **Returns:** the exit status: the function's, 2 for bad input, 130 if interrupted.
     """
-    return _guard(lambda: _parse(function, args, prog)())
+    return _guard(lambda: _execute(_parse(function, args, prog)))
+
+
+def _execute(call: Callable[[], int | None]) -> int | None:
+    """Make a call whose compiled programs are kept for the next process."""
+    from phongfit.cache import cache_programs
+
+    cache_programs()
+    return call()
 
 
 def _guard(call: Callable[[], int | None]) -> int:

@@ -118,6 +118,19 @@ def precision(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
+@pytest.fixture(autouse=True, scope="module")
+def room_for_programs() -> Iterator[None]:
+    """Drop compiled programs before XLA has used all memory maps of the process.
+
+    Linux allows 65 530; XLA takes dozens for each program, and fails without a message
+    where there are no more.
+    """
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > 40_000:
+        jax.clear_caches()
+
+
 @pytest.fixture(scope="module")
 def browser():
     """Chromium, closed after each file: two of Playwright's loops cannot be open."""

@@ -10,7 +10,15 @@ from pathlib import Path
 import jax
 import pytest
 
-from phongfit.cache import LOOKED_AT, WRITING, cache_folder, keep_compiled, tidy
+from phongfit.cache import (
+    LOOKED_AT,
+    SETTINGS,
+    WRITING,
+    cache_environment,
+    cache_folder,
+    cache_programs,
+    tidy,
+)
 
 
 @pytest.mark.parametrize(
@@ -32,9 +40,7 @@ def test_where_it_is(monkeypatch, environment, folder):
 @pytest.fixture
 def setting(monkeypatch):
     """What JAX is told, which is told back afterwards."""
-    names = ["jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs",
-             "jax_persistent_cache_min_entry_size_bytes"]  # fmt: skip
-    before = {name: jax.config.values[name] for name in names}
+    before = {name: jax.config.values[name] for name in SETTINGS}
     jax.config.update("jax_compilation_cache_dir", None)
     yield lambda: jax.config.values["jax_compilation_cache_dir"]
     for name, value in before.items():
@@ -43,14 +49,14 @@ def setting(monkeypatch):
 
 def test_it_is_told_to_jax_unless_it_has_one(tmp_path, monkeypatch, setting):
     monkeypatch.setenv("PHONGFIT_CACHE", "off")
-    keep_compiled()
+    cache_programs()
     assert setting() is None
     monkeypatch.setenv("PHONGFIT_CACHE", str(tmp_path / "cache"))
     jax.config.update("jax_compilation_cache_dir", "/elsewhere")
-    keep_compiled()
+    cache_programs()
     assert setting() == "/elsewhere"
     jax.config.update("jax_compilation_cache_dir", None)
-    keep_compiled()
+    cache_programs()
     assert setting() == str(tmp_path / "cache")
     # What lies there is run: it is nobody else's to write.
     assert (tmp_path / "cache").stat().st_mode & 0o077 == 0
@@ -62,7 +68,7 @@ def test_one_that_others_may_write_to_is_not_used(tmp_path, monkeypatch, setting
     folder.chmod(0o777)
     monkeypatch.setenv("PHONGFIT_CACHE", str(folder))
     with pytest.warns(UserWarning, match="cache: is not used, since others may write"):
-        keep_compiled()
+        cache_programs()
     assert setting() is None
 
 
@@ -70,7 +76,7 @@ def test_one_that_cannot_be_written_is_no_error(tmp_path, monkeypatch, setting):
     (tmp_path / "file").write_text("in the way")
     for name in ("file", "file/below"):
         monkeypatch.setenv("PHONGFIT_CACHE", str(tmp_path / name))
-        keep_compiled()
+        cache_programs()
         assert setting() is None
 
 
@@ -116,15 +122,45 @@ def test_where_there_are_too_many_the_oldest_go(tmp_path, monkeypatch):
     assert [path.exists() for path in paths] == [True] * 2 + [False] * 6
 
 
+def test_other_processes_can_share_the_folder(tmp_path, setting):
+    assert cache_programs(tmp_path / "cache") == tmp_path / "cache"
+    environment = cache_environment()
+    assert environment["JAX_COMPILATION_CACHE_DIR"] == str(tmp_path / "cache")
+    shown = f"import jax; print([jax.config.values[n] for n in {tuple(SETTINGS)}])"
+    done = subprocess.run(
+        [sys.executable, "-c", shown],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() == str([jax.config.values[name] for name in SETTINGS])
+
+
+def test_fitting_changes_no_setting_of_jax():
+    program = """
+import jax
+before = dict(jax.config.values)
+import phongfit as pf
+light = pf.DirectionalLight((0, 0, 1))
+scene = pf.Scene(pf.Sphere(), pf.OrthographicCamera(8, 8), light)
+image = pf.render(scene, pf.Material(0.5, 0.2, 9.0, 0.1))
+pf.fit(scene, image, unknowns=["diffuse"])
+assert dict(jax.config.values) == before
+"""
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
 PROGRAM = """
 import phongfit as pf
+pf.cache_programs()
 light = pf.DirectionalLight((0, 0, 1))
 scene = pf.Scene(pf.Sphere(), pf.OrthographicCamera(8, 8), light)
 print(pf.render(scene, pf.Material(0.1, 0.5, 0.2, 9.0)).mean())
 """
 
 
-def test_python_keeps_what_it_compiles_and_mends_what_is_damaged(tmp_path):
+def test_programs_are_kept_and_damaged_entries_compiled_again(tmp_path):
     cache = tmp_path / "cache"
     others = {k: v for k, v in os.environ.items() if "COMPILATION_CACHE" not in k}
     environment = others | {"JAX_PLATFORMS": "cpu", "PHONGFIT_CACHE": str(cache)}

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from phongfit.checks import as_vector, require
+from phongfit.checks import as_function, as_vector, require
 from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, Ray
 from phongfit.geometry.normals import implicit_normal
@@ -45,11 +45,9 @@ class ImplicitSurface(AbstractSurface):
 
         **Raises:** `ValueError` that names the argument.
         """
-        if not callable(function):
-            raise ValueError(f"function: expected a function, got {function!r}")
         if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
             raise ValueError(f"steps: expected a whole number ≥ 1, got {steps!r}")
-        self.function = function
+        self.function = as_function("function", function)
         self.lower = as_vector("lower", lower)
         self.upper = as_vector("upper", upper)
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from phongfit.checks import as_scalar, require
+from phongfit.checks import as_function, as_scalar, require
 from phongfit.edge import checked
 from phongfit.geometry.implicit import ImplicitSurface
 from phongfit.geometry.meshes import Mesh
@@ -159,9 +159,7 @@ class HeightField(AbstractShape):
 
         **Raises:** `ValueError` that names the argument.
         """
-        if not callable(function):
-            raise ValueError(f"function: expected a function, got {function!r}")
-        self.function = function
+        self.function = as_function("function", function)
         self.width = _size("width", width)
         self.height = _size("height", height)
         self.relief = _size("relief", relief)

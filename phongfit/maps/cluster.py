@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from phongfit.cache import cache_environment
 from phongfit.checks import untraced
 from phongfit.edge import checked, shown
 from phongfit.files.outputs import alone_in
@@ -281,7 +282,7 @@ def _local(count: int) -> "Iterator[distributed.Client]":
     import distributed
 
     flags = f"{os.environ.get('XLA_FLAGS', '')} {ONE_CORE['XLA_FLAGS']}".strip()
-    environment = ONE_CORE | {"XLA_FLAGS": flags}
+    environment = ONE_CORE | cache_environment() | {"XLA_FLAGS": flags}
     settings = {
         # JAX's threads do not bear a fork.
         "distributed.worker.multiprocessing-method": "spawn",

@@ -9,7 +9,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting import texture_fit
-from phongfit.fitting.texels import equations, lit, steps
+from phongfit.fitting.texels import equations, steps
 from phongfit.fitting.texels.job import RIDGE
 from phongfit.fitting.texels.lit import Photographs
 from phongfit.textures import texels
@@ -219,16 +219,6 @@ def test_photographs_that_are_not_kept_are_traced_again(images, kept, monkeypatc
     assert Counted.traced > 2 * again.steps
     near(again.values["diffuse"], kept.values["diffuse"], 0)
     near(again.stderr["diffuse"], kept.stderr["diffuse"], 0)
-
-
-def test_memory_goes_back_around_large_photographs_alone(images, monkeypatch):
-    calls = []
-    monkeypatch.setattr(lit, "give_back", lambda: calls.append(0))
-    fitted(images, max_steps=1)
-    assert not calls
-    monkeypatch.setattr(lit, "LARGE", images[0].nbytes)
-    fitted(images, max_steps=1)
-    assert len(calls) == 2 * len(images)
 
 
 def test_one_matrix_is_there_at_a_time(images, monkeypatch):

@@ -1,3 +1,5 @@
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -115,3 +117,26 @@ def test_what_the_box_leaves_out_is_not_seen():
 def test_bad_surfaces(named, arguments):
     with pytest.raises(ValueError, match=f"^{named}: "):
         pf.ImplicitSurface(**dict(function=ball) | arguments)
+
+
+@pytest.mark.parametrize("jit", [True, False], ids=["jit", "grad"])
+def test_a_network_can_be_the_function(jit):
+    class Bumpy(eqx.Module):
+        radius: jax.Array
+        # A function among the arrays, not marked as static.
+        bend: Callable[[jax.Array], jax.Array]
+
+        def __call__(self, position):
+            return norm(position) - self.radius + 0.1 * self.bend(position[0])
+
+    def depth(radius):
+        surface = pf.ImplicitSurface(Bumpy(radius, jnp.sin))
+        return surface.trace(pf.OrthographicCamera(1, 1, view_height=0.1)).position[
+            0, 0, 2
+        ]
+
+    # Seen from +z at x = 0, the surface lies at z = radius.
+    if jit:
+        near(depth(floats(0.8)), 0.8, 1e-6)
+    else:
+        near(jax.grad(depth)(floats(0.8)), 1, 1e-6)

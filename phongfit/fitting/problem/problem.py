@@ -1,7 +1,5 @@
 """The least-squares problem: residuals in standard deviations."""
 
-import dataclasses
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -16,11 +14,10 @@ from phongfit.fitting.problem.noise import (
 from phongfit.fitting.problem.samples import Channels, Samples, stacked_lit
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.material import Material
-from phongfit.programs import program, record
+from phongfit.programs import program
 
 
-@record
-class Problem:
+class Problem(eqx.Module):
     """Samples, unknowns, and how much each sample's residual counts.
 
     `scatter` is the covariance of the scores, over the roots of the diagonal of JᵀJ,
@@ -32,7 +29,7 @@ class Problem:
     unknowns: Unknowns
     sigma: Float[Array, ""]
     loss: AbstractLoss
-    clamp: bool = dataclasses.field(metadata={"static": True})
+    clamp: bool = eqx.field(static=True)
     scatter: Float[Array, "n n"] | None = None
     inherited: Float[Array, "n n"] | None = None
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from phongfit.geometry.shading import Interpolation
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.material import Material
-from phongfit.programs import program, record
+from phongfit.programs import program
 from phongfit.reflectance import AbstractSpecular
 from phongfit.rendering.pixels import PixelTerms, pixel_terms, resolve, with_model
 from phongfit.scene import Scene
@@ -23,8 +23,7 @@ from phongfit.textures import Factors
 MANY = 2**14
 
 
-@record
-class View:
+class View(eqx.Module):
     """One image's scene, and where in the image its samples lie.
 
     `gbuffer` is that of the samples alone; `None` if rays must be traced again whenever
@@ -42,8 +41,7 @@ class View:
         return resolve(scene)[1].select(self.index)
 
 
-@record
-class Channels:
+class Channels(eqx.Module):
     """What samples see, a channel at a time.
 
     The pixels' colour axis of 3 comes first, and an axis of 1 stays in its place: an
@@ -115,8 +113,7 @@ def by_channel(pixels: PixelTerms) -> Channels:
     return Channels(eqx.tree_at(_colours, pixels, replace_fn=_colour_first))
 
 
-@record
-class Samples:
+class Samples(eqx.Module):
     """Geometry, light and measured light of N pixels; padding has weight 0."""
 
     channels: Channels

@@ -26,14 +26,11 @@ from phongfit.fitting.problem.parameters import (
     with_arrays,
 )
 from phongfit.material import Material
-from phongfit.programs import program, record
+from phongfit.programs import program
 from phongfit.scene import Scene
 
-STATIC = {"static": True}
 
-
-@record
-class Unknowns:
+class Unknowns(eqx.Module):
     r"""Which parameters are unknown, what holds them together, and the solver's box.
 
     The numbers of all parameters, one after the other, are the *entries*, in the user's
@@ -41,18 +38,18 @@ class Unknowns:
     is fixed: $\theta_i = o_i + c_i\,\phi_{s(i)}(y)$.
     """
 
-    parameters: tuple[Parameter, ...] = dataclasses.field(metadata=STATIC)
-    materials: int = dataclasses.field(metadata=STATIC)
-    images: int = dataclasses.field(metadata=STATIC)
+    parameters: tuple[Parameter, ...] = eqx.field(static=True)
+    materials: int = eqx.field(static=True)
+    images: int = eqx.field(static=True)
     # The entry that each number of y belongs to; of a direction, its first.
-    entry_of_y: tuple[int, ...] = dataclasses.field(metadata=STATIC)
+    entry_of_y: tuple[int, ...] = eqx.field(static=True)
     # Of each entry: whose number it takes, and the index in y of its own first number.
-    source: tuple[int, ...] = dataclasses.field(metadata=STATIC)
-    y_index: tuple[int, ...] = dataclasses.field(metadata=STATIC)
-    fixed: tuple[bool, ...] = dataclasses.field(metadata=STATIC)
-    has_prior: tuple[bool, ...] = dataclasses.field(metadata=STATIC)
+    source: tuple[int, ...] = eqx.field(static=True)
+    y_index: tuple[int, ...] = eqx.field(static=True)
+    fixed: tuple[bool, ...] = eqx.field(static=True)
+    has_prior: tuple[bool, ...] = eqx.field(static=True)
     # Whether points are lit anew where an unknown changes, or only lobes shaped anew.
-    relights: bool = dataclasses.field(metadata=STATIC)
+    relights: bool = eqx.field(static=True)
     known: Material
     factor: Float[Array, " entries"]
     offset: Float[Array, " entries"]

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,7 +24,7 @@ from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.solve.guesses import Guesses
 from phongfit.fitting.solve.solution import Solution, solve
 from phongfit.fitting.solve.start import choose, scan, scan_bands
-from phongfit.programs import program, record
+from phongfit.programs import program
 
 # A pass solves with the noise level that the pass before left over.
 MOST_PASSES = 8
@@ -49,8 +50,7 @@ MANY = 2**14
 NEAR, NOISY = 3e-4, 1e3
 
 
-@record
-class SearchResult:
+class SearchResult(eqx.Module):
     """The solution, the problem with its final noise level, and how it ended.
 
     `rival` is the best other minimum that the search ended in, if there was one.

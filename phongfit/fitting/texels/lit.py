@@ -14,7 +14,6 @@ from phongfit.fitting.problem.inputs import Observation
 from phongfit.fitting.problem.noise import clipped_moments, end_steps, rounding_steps
 from phongfit.fitting.texels.sums import AbstractTexels, Touched
 from phongfit.geometry.meshes import Mesh
-from phongfit.memory import give_back
 from phongfit.programs import program
 from phongfit.rendering.film import Film
 from phongfit.rendering.pixels import PixelTerms, resolve
@@ -31,10 +30,6 @@ ROOM = 150_000_000
 
 LEFT = 0.01
 """Share of a variance that is not rounding, at least."""
-
-
-LARGE = 10_000_000
-"""Bytes of a photograph around which freed memory is given back: it takes a while."""
 
 
 class LitImage(NamedTuple):
@@ -86,13 +81,7 @@ class Photographs:
         """One of them, from before or traced anew."""
         if k in self.kept:
             return self.kept[k]
-        large = self.given[k].image.nbytes >= LARGE
-        # What the one before left, and what tracing leaves.
-        if large:
-            give_back()
         found = see(self.given[k], self.films[k], self.grid, self.every)
-        if large:
-            give_back()
         if found.bytes + sum(one.bytes for one in self.kept.values()) <= self.room:
             self.kept[k] = found
         return found

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from phongfit.cache import keep_compiled
 from phongfit.maps.materials.bases import Bases, alone, size_of
 from phongfit.maps.materials.grouping import Table, group
 from phongfit.maps.materials.looks import Alone, Look, fit_alone, fit_row, look_at
@@ -66,7 +65,6 @@ def find_materials(
 
     **Raises:** `ValueError` if no pixel of the sample can be used.
     """
-    keep_compiled()
     sample = _Sample(tile, pixels, outside, alone(settings), workers)
     table = sample.table()
     wanted = settings.materials

@@ -12,7 +12,6 @@ import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array
 
-from phongfit.cache import keep_compiled
 from phongfit.maps.pixel.pixel import Outside, PixelFit, fit_pixels
 from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MapSettings
@@ -137,7 +136,6 @@ SETTLED = {"xla_disable_hlo_passes": "cse_barrier_expander"}
 @functools.lru_cache(maxsize=16)
 def compiled(settings: MapSettings, mesh: Mesh, fit: Callable[..., Any] = fit_tile):
     """[`fit_tile`][], or its like, with its pixels spread over a mesh's devices."""
-    keep_compiled()
     axis = mesh.axis_names[0]
     along = PartitionSpec(axis)
 
