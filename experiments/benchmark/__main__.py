@@ -1,7 +1,8 @@
 """Question: how fast is phongfit, next to what people use instead?
 
 `python -m experiments.benchmark` measures every row of its table in one run, so that
-the ratios hold for the machine at hand. The last result is in the README.
+the ratios hold for the machine at hand. The last result is in
+`docs/how-to/speed.md`.
 """
 
 import dataclasses

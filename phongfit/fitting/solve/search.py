@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -113,10 +113,9 @@ def search(
     """
     first = gather() if few is None else few
     y = unknowns.start
-    # Before the noise is known the clamp is a hard one. A number of NumPy's serves:
-    # to make an array of JAX's takes longer.
+    # Before the noise is known the clamp is a hard one.
     level = 1.0 if noise_given else float(np.finfo(y.dtype).eps)
-    sigma: Any = np.asarray(level, y.dtype)
+    sigma = jnp.asarray(level, y.dtype)
     problem = Problem(first, unknowns, sigma, loss, clamp)
     several = unknowns.of_scene or unknowns.exposed
     ways = [(problem, y)]
@@ -378,10 +377,9 @@ def _begin(problem: Problem, y: Float[Array, " n"], noise_given: bool) -> _Searc
 @program("noise_given")
 def _look(problem: Problem, y: Float[Array, " n"], noise_given: bool) -> _SearchState:
     """The noise level where a search begins, which outliers may be near."""
-    sigma = jnp.asarray(problem.sigma)
-    if not noise_given:
-        sigma = _robust_noise(problem, evaluate(problem, y))
-    return _first_state(y, sigma)
+    if noise_given:
+        return _first_state(y, problem.sigma)
+    return _first_state(y, _robust_noise(problem, evaluate(problem, y)))
 
 
 @program("noise_given", "steps")
@@ -417,7 +415,6 @@ def _best_valley(
         return jax.lax.map(end, (at[0], sigmas)), common
 
     starts = scan_bands(problem, y)
-    problem = dataclasses.replace(problem, sigma=jnp.asarray(problem.sigma))
     sigmas = jax.lax.map(lambda y: noise(problem, y), starts)
     last = jnp.arange(ROBUST_PASSES) == ROBUST_PASSES - 1
     (ends, _), common = jax.lax.scan(again, (starts, sigmas), last)
