@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 ORDER = [
     {"codes"},
     {"cache"},
-    {"edge", "memory", "plain", "programs"},
+    {"edge", "plain", "programs"},
     {"checks", "vectors"},
     {"presets"},
     {"material", "reflectance", "lights", "environment", "testing", "textures"},
