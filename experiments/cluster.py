@@ -205,18 +205,21 @@ class Options:
 
 
 def main(options: Options) -> int:
-    """Measure maps on a cluster of this machine.
+    """Time `fit_stored_maps` on a local Dask cluster, also while workers are killed.
+
+    Exit status 1 if killed workers change any bit of the maps.
 
     For example:
       python -m experiments.cluster --small
     """
     check_outputs(None, options.json)
-    # Each block leaves a file, by which blocks are counted across processes.
+    # `counted_block` writes a file for each block that it begins: so the blocks of all
+    # processes are counted, even of killed ones.
     with (
         patch.object(cluster, "fit_block", counted_block),
-        tempfile.TemporaryDirectory(dir=options.folder) as name,
+        tempfile.TemporaryDirectory(dir=options.folder) as scratch,
     ):
-        numbers = measure(Path(name), options.small, options.every)
+        numbers = measure(Path(scratch), options.small, options.every)
     show(numbers)
     save_numbers(options.json, numbers)
     return 0 if numbers["deaths"]["same_bits"] else 1
@@ -305,42 +308,43 @@ def warm(client: Any, folder: Path, output: Path, side: int) -> None:
 
 
 def show(numbers: dict[str, Any]) -> None:
-    """The numbers as tables."""
+    """Print all numbers as one table, next to the aims."""
     scaling, deaths = numbers["scaling"], numbers["deaths"]
     table = Table("what", "measured", "aim")
-    one, two = scaling["seconds"][1], scaling["seconds"][2]
+    wall_1, wall_2 = scaling["seconds"][1], scaling["seconds"][2]
     table.add_row(
         "two workers against one",
-        f"{scaling['ratio']:.2f}× ({one:.1f} s, {two:.1f} s)",
+        f"{scaling['ratio']:.2f}× ({wall_1:.1f} s, {wall_2:.1f} s)",
         "≥ 1.8×",
     )
-    one, two = scaling["cpu_seconds"][1], scaling["cpu_seconds"][2]
-    table.add_row("their CPU seconds", f"{one:.1f}, {two:.1f}", "the same")
-    rate = scaling["pixels"] / one
-    table.add_row("pixels a CPU second", f"{rate:,.0f}", "")
-    rate = scaling["pixels_per_worker_second"]
-    table.add_row("pixels a second and worker", f"{rate:,.0f}", "")
+    cpu_1, cpu_2 = scaling["cpu_seconds"][1], scaling["cpu_seconds"][2]
+    table.add_row("their CPU seconds", f"{cpu_1:.1f}, {cpu_2:.1f}", "the same")
+    table.add_row("pixels per CPU second", f"{scaling['pixels'] / cpu_1:,.0f}", "")
+    per_worker = scaling["pixels_per_worker_second"]
+    table.add_row("pixels per second and worker", f"{per_worker:,.0f}", "")
     for what in ("read", "written"):
         table.add_row(
             f"bytes {what} per pixel", f"{scaling[f'bytes_{what}_per_pixel']:.0f}", ""
         )
     memory = scaling["peak_memory_of_a_worker"]
-    table.add_row("most memory of a worker, MB", f"{memory / 1e6:.0f}", "")
-    share = scaling["scheduler_cpu_seconds_per_block"]
-    table.add_row("scheduler and client, CPU ms a block", f"{1e3 * share:.0f}", "")
-    idle = numbers["scheduling"]["seconds_per_block"]
-    table.add_row("a block without work, ms", f"{1e3 * idle:.1f}", "")
+    table.add_row("peak memory of a worker, MB", f"{memory / 1e6:.0f}", "")
+    overhead = scaling["scheduler_cpu_seconds_per_block"]
+    table.add_row("scheduler and client, CPU ms per block", f"{1e3 * overhead:.0f}", "")
+    empty = numbers["scheduling"]["seconds_per_block"]
+    table.add_row("an empty block, ms", f"{1e3 * empty:.1f}", "")
     table.add_row(
-        f"work, one killed every {deaths['every']:g} s ({deaths['killed']} in all)",
+        f"one worker killed every {deaths['every']:g} s ({deaths['killed']} in all)",
         f"{deaths['work']:.2f}× ({deaths['begun']} of {deaths['blocks']} blocks begun)",
         "≤ 1.3×",
     )
-    table.add_row("same bits", "yes" if deaths["same_bits"] else "no", "yes")
-    least = min(row["microseconds"] for row in numbers["sizes"])
+    table.add_row(
+        "the same bits as without kills", "yes" if deaths["same_bits"] else "no", "yes"
+    )
+    fastest = min(row["microseconds"] for row in numbers["sizes"])
     for row in numbers["sizes"]:
         table.add_row(
-            f"{row['megapixels']:.1f} megapixels, µs a pixel",
-            f"{row['microseconds']:.1f} ({row['microseconds'] / least:.2f}×)",
+            f"{row['megapixels']:.1f} megapixels, µs per pixel",
+            f"{row['microseconds']:.1f} ({row['microseconds'] / fastest:.2f}×)",
             "≤ 1.5×",
         )
     Console().print(table)

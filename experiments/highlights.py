@@ -75,7 +75,7 @@ def ball(
 
 
 def measure(size: int) -> Result:
-    """Phong's model fitted to highlights of Blinn's."""
+    """Fit Phong's model to Blinn's highlights, for each exponent and angle."""
     ratio, residual = [], []
     for exponent in EXPONENTS:
         material = pf.Material(0.0, 0.9, exponent, 0.0)
@@ -85,7 +85,7 @@ def measure(size: int) -> Result:
                 ball(size, angle, pf.Phong()),
                 image,
                 unknowns=("specular", "shininess"),
-                per_channel=(),
+                per_channel=(),  # one value for all three channels
                 film=pf.Film(clamp=False),
             )
             ratio.append(float(fit.material.shininess) / exponent)

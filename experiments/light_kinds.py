@@ -192,7 +192,7 @@ def pictures(size: int) -> dict[str, pf.Scene]:
 
 @style.styled
 def draw(result: Result, size: int) -> Figure:
-    """Six pictures, the fall-off of light, and fog."""
+    """A figure: six pictures above; fall-off of light and contrast in fog below."""
     figure = style.page(7.6)
     top, bottom = style.bands(figure, 5.1, 2.5)
     scenes = pictures(size)
@@ -201,18 +201,18 @@ def draw(result: Result, size: int) -> Figure:
         style.show(axes, pf.render(scene, MATERIAL, samples=4), name)
     fall, fog = bottom.subplots(1, 2)
     colours = (style.ORANGE, style.BLUE, style.VERMILION)
-    every = max(len(result.place) // 32, 1)
+    step = max(len(result.place) // 32, 1)  # about 32 markers
     for colour, marker, name in zip(colours, "s^o", LAMPS, strict=True):
         fall.plot(result.place, result.falloff_formula[name], c=colour, label=name)
-        points = result.place[::every], result.falloff[name][::every]
+        points = result.place[::step], result.falloff[name][::step]
         fall.plot(*points, marker, c=colour, mfc="none")
     fall.set_xlabel("place on the floor (world units)")
-    fall.set_ylabel("light (below the lamp: 1)")
+    fall.set_ylabel("light (1 below the lamp)")
     fall.set_title(f"lamps {HEIGHT:g} above a floor")
     fall.legend(title="lines: formulas")
     fog.plot(result.depth, result.contrast_formula, c=style.BLUE, label="$e^{-ρz}$")
-    every = max(len(result.depth) // 24, 1)
-    points = result.depth[::every], result.contrast[::every]
+    step = max(len(result.depth) // 24, 1)
+    points = result.depth[::step], result.contrast[::step]
     fog.plot(*points, "o", c=style.BLUE, mfc="none", label="rendered")
     fog.set_ylim(0, None)
     fog.set_xlabel("depth along the view (world units)")

@@ -95,31 +95,33 @@ def ball(
 
 
 def measure(size: Size) -> Result:
-    """All numbers."""
-    edge = 180 / np.array(ROWS)
+    """Compare the three methods on balls of several mesh sizes."""
+
+    def by_method(rows: list[Any], k: int) -> dict[str, np.ndarray]:
+        return {name: np.array([row[name][k] for row in rows]) for name in METHODS}
+
+    edge = 180 / np.array(ROWS)  # 180° from pole to pole
+    # Where cosᶠ falls to ½.
     half_width = np.rad2deg(np.arccos(0.5 ** (1 / np.array(EXPONENTS))))
     highlights = [highlight(rows, size) for rows in ROWS]
     jumps = [edge_jumps(rows, size.pixels) for rows in ROWS]
-    peak, energy, slopes, values = (
-        {name: np.array([row[name][k] for row in rows]) for name in METHODS}
-        for rows, k in ((highlights, 0), (highlights, 1), (jumps, 0), (jumps, 1))
-    )
-    lost = 1 - peak["Gouraud"].mean(axis=-1)
+    peak = by_method(highlights, 0)
+    peak_loss = 1 - peak["Gouraud"].mean(axis=-1)
     enough = [
-        crossing(edge / width, column, GOOD)
-        for width, column in zip(half_width, lost.T, strict=True)
+        crossing(edge / width, losses, GOOD)
+        for width, losses in zip(half_width, peak_loss.T, strict=True)
     ]
     seconds, trace = costs(size)
     return Result(
-        edge,
-        half_width,
-        peak,
-        energy,
-        slopes,
-        values,
-        seconds,
-        trace,
-        np.array(enough),
+        edge=edge,
+        half_width=half_width,
+        peak=peak,
+        energy=by_method(highlights, 1),
+        slope_jump=by_method(jumps, 0),
+        value_jump=by_method(jumps, 1),
+        seconds=seconds,
+        trace=trace,
+        enough=np.array(enough),
     )
 
 

@@ -71,33 +71,37 @@ class Spread:
 
 
 def spread(material: pf.Material, draws: int, seed: int, console: Console) -> Spread:
-    """Fits of many noisy images of one scene.
+    """Fit noisy images of one scene, and compare the deviations with the stated errors.
 
-    Pulls are (estimate − truth) / stated error of each draw. Parameters at their own
-    bound are left out.
+    The ratio is the root mean square of the deviations over the predicted standard
+    error. If the true value of a parameter lies on a bound, the prediction does not
+    hold for the others; then it is the root mean square of deviation / stated error of
+    each draw. Parameters whose true value lies on a bound are left out.
     """
     scene = ball()
     predicted = pf.predict_errors(scene, material, NOISE)
     free = ~predicted.at_bound
     light = np.asarray(pf.render(scene, material, film=pf.Film(clamp=False)), float)
     rng = np.random.default_rng(seed)
-    pulls, inside, offs = [], [], []
+    truth = predicted.values
+    pulls, inside, deviations = [], [], []
     one_sided = np.zeros(len(predicted.labels), bool)
     for _ in track(
         range(draws), "draws", console=console, disable=not console.is_terminal
     ):
         image = light + NOISE * rng.normal(size=light.shape)
         fit = pf.fit(scene, image, film=pf.Film(clamp=False))
+        # A variance of NaN: the estimate is at its bound.
         one_sided |= np.isnan(np.diag(fit.covariance))
         low, high = fit.intervals(LEVEL).T
-        offs.append((fit.values - predicted.values)[free])
-        pulls.append(offs[-1] / fit.errors[free])
-        inside.append(((low <= predicted.values) & (predicted.values <= high))[free])
-    rms = np.sqrt(np.mean(np.square(pulls), axis=0))
+        deviations.append((fit.values - truth)[free])
+        pulls.append(deviations[-1] / fit.errors[free])
+        inside.append(((low <= truth) & (truth <= high))[free])
+    ratio = np.sqrt(np.mean(np.square(pulls), axis=0))
     if free.all():
-        rms = np.sqrt(np.mean(np.square(offs), axis=0)) / predicted.errors
+        ratio = np.sqrt(np.mean(np.square(deviations), axis=0)) / predicted.errors
     labels = tuple(np.array(predicted.labels)[free])
-    return Spread(labels, rms, np.mean(inside, axis=0), one_sided[free], draws)
+    return Spread(labels, ratio, np.mean(inside, axis=0), one_sided[free], draws)
 
 
 def random_problem(seed: int) -> tuple[pf.Scene, np.ndarray]:

@@ -223,15 +223,18 @@ def require(
     traced: Callable[[Array], Bool[Array, "..."]],
     wanted: str,
 ) -> Array:
-    """`array` if the test holds everywhere, else an error that names it.
+    """Return `array`, or raise an error that begins with `name` if the test fails.
 
-    `known` tests a NumPy array: no compilation for what a user typed. `traced` tests a
-    traced one.
+    **Arguments:**
+
+    - `known`: the test for arrays with known values; in NumPy, so nothing is compiled.
+    - `traced`: the test for arrays inside `jit`; its error comes when the program runs.
+    - `wanted`: completes "expected …".
     """
     if isinstance(array, Tracer):
         return eqx.error_if(array, ~traced(array), f"{name}: expected {wanted}")
     values = np.asarray(array)
     if not np.all(known(values)):
-        came = np.array2string(values, threshold=6, precision=6)
-        raise ValueError(f"{name}: expected {wanted}, got {came}")
+        shown = np.array2string(values, threshold=6, precision=6)
+        raise ValueError(f"{name}: expected {wanted}, got {shown}")
     return array

@@ -76,7 +76,7 @@ def main(args: Sequence[str] | None = None) -> int:
     a_process = args is None and threading.current_thread() is threading.main_thread()
     args = list(sys.argv[1:] if args is None else args)
     _speak_any_language()
-    with _heeded_interrupts(), _orderly_ends(), warnings.catch_warnings():
+    with _repeated_interrupts(), _orderly_ends(), warnings.catch_warnings():
         warnings.showwarning = _show_warning
         status = _guard(lambda: _run(args))
     if a_process and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -118,21 +118,21 @@ def _memory(args: list[str]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _heeded_interrupts() -> Iterator[None]:
-    """Interrupt again where an interrupt met code that lets no exception out.
+def _repeated_interrupts() -> Iterator[None]:
+    """Repeat a Ctrl-C that Python would otherwise swallow.
 
-    JAX is called back by the garbage collector; an exception from there is printed and
-    forgotten, and the command would run on.
+    The garbage collector calls functions of JAX. If Ctrl-C arrives there, Python prints
+    the exception and goes on, so the command would not stop.
     """
     before = sys.unraisablehook
 
-    def heed(unraisable: Any) -> None:
+    def repeat(unraisable: Any) -> None:
         if not issubclass(unraisable.exc_type, KeyboardInterrupt):
             return before(unraisable)
-        # A moment later, when this code has been left.
+        # Later, when the garbage collector has returned.
         threading.Timer(0.05, _thread.interrupt_main).start()
 
-    sys.unraisablehook = heed
+    sys.unraisablehook = repeat
     try:
         yield
     finally:

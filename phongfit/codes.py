@@ -125,14 +125,14 @@ def warn(code: str, found: str, remedy: str | None = None, *, stacklevel: int) -
 def warning_code(warning: str | Warning) -> str | None:
     """The code of a warning, such as `"at-bound"`.
 
-    Sentences may change from version to version; a code keeps its meaning. Warnings
-    that Python raises can be silenced by it: `warnings.filterwarnings("ignore",
-    r".*\\[texture-unread\\]$")`.
+    It stands in brackets at the end of the text. The text may change from version to
+    version; the code keeps its meaning. Python's warnings can be silenced by code:
+    `warnings.filterwarnings("ignore", r".*\\[texture-unread\\]$")`.
 
     **Arguments:** `warning`: a sentence of `fit.warnings` and the like, or what
     `warnings.warn` was called with.
 
-    **Returns:** `None` for a sentence without one, as version 0.1 wrote them.
+    **Returns:** the code, or `None` if the text has none, as in version 0.1.
     """
     found = _CODE.search(str(warning))
     return found[1] if found else None

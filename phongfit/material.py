@@ -39,21 +39,22 @@ class Material(eqx.Module):
         ambient: Any = 0.2,
         emission: Any = 0.0,
     ):
-        r"""**Arguments:**
+        r"""**Arguments:** numbers, or arrays whose last axis (colour) is 1 or 3.
 
         - `diffuse`: Lambert reflectance $\rho_d$ (GL_DIFFUSE, Kd).
         - `specular`: strength of the highlight $\rho_s$ (GL_SPECULAR, Ks).
         - `shininess`: exponent $f$ (GL_SHININESS, Ns). A larger $f$ makes a *narrower*
-            highlight, since $\cos^f$ falls off faster; some lecture notes have it the
-            other way round. As a rule, plastics lie in 5–10 and metals in 100–200; real
-            photographs fit well beyond. Phong's and Blinn's exponents differ by about
-            a factor of 4 for the same highlight: see [`blinn_from_phong`][].
+            highlight, since $\cos^f$ falls off faster; some lecture notes state the
+            opposite by mistake. Textbooks give 5–10 for plastics and 100–200 for
+            metals; fits to photographs often give much larger values. Phong's and
+            Blinn's exponents differ by about a factor of 4 for the same highlight: see
+            [`blinn_from_phong`][].
         - `ambient`: fraction $\rho_a$ of the ambient light that is reflected
             (GL_AMBIENT, Ka).
         - `emission`: emitted light (GL_EMISSION, Ke), where white is 1.
 
-        **Raises:** `ValueError` that names the argument: a negative or non-finite
-        number, or a last axis that is not 1 or 3.
+        **Raises:** `ValueError` that names the argument, if a value is negative or not
+        finite, or the last axis of an array is not 1 or 3.
         """
         self.diffuse = as_reflectance("diffuse", diffuse)
         self.specular = as_reflectance("specular", specular)

@@ -1,4 +1,4 @@
-"""Numbers, arrays and text as what JSON knows."""
+"""Conversion of numbers, arrays and text to JSON's types."""
 
 import math
 import os
@@ -10,12 +10,12 @@ import numpy as np
 
 
 def plain(value: Any) -> Any:
-    """A value as lists, dictionaries, numbers and text.
+    """Convert a value to JSON's types: lists, dictionaries, numbers, text.
 
-    Arrays become lists of the shortest decimals that round to the same floats. NaN and
-    infinity, which JSON does not have, become null.
+    Arrays become lists of the shortest decimals that round to the same floats. Paths
+    become text. NaN and infinity become `None`, since JSON does not have them.
 
-    **Raises:** `TypeError` for what has no place in JSON.
+    **Raises:** `TypeError` for types that JSON cannot hold.
     """
     if isinstance(value, jax.Array | np.ndarray | np.generic):
         return _plain_array(np.asarray(value))

@@ -311,5 +311,5 @@ def test_several_rays_make_smooth_outlines():
     with pytest.raises(ValueError, match="samples: a gbuffer has one ray"):
         pf.render(scene, black, samples=4, gbuffer=scene.trace())
     normals = pf.NormalMap(np.ones((16, 16, 3)))
-    with pytest.raises(ValueError, match="samples: expected 1 of a normal map"):
+    with pytest.raises(ValueError, match="samples: expected 1 for a normal map"):
         pf.render(pf.Scene(normals, scene.camera), black, samples=4)

@@ -231,10 +231,10 @@ def figure(ratios: list[Ratio], grown: dict[str, dict[str, float]]) -> Figure:
 
 
 def machine() -> str:
-    """Description of the machine on which times are measured."""
+    """One line about the machine: processor, devices, version of JAX."""
     device = jax.devices()[0]
     return (
-        f"{platform.machine()}, {len(jax.devices())} {device.platform} device, "
+        f"{platform.machine()}, {len(jax.devices())} {device.platform} device(s), "
         f"{platform.processor() or platform.system()}, jax {jax.__version__}"
     )
 

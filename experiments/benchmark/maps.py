@@ -41,16 +41,23 @@ def scaling(
 
 
 def peak_memory(pixels: int = 4_000_000, lights: int = 24) -> dict[str, float]:
-    """Gigabytes at the peak of a process that maps a memory-mapped stack."""
+    """Peak memory and time per pixel of `fit_maps` with memory-mapped images.
+
+    The images are written and fitted in separate processes, so that the peak is that of
+    the fit alone.
+    """
+
+    def run(call: str) -> str:
+        code = f"from experiments.benchmark import maps; maps.{call}"
+        command = [sys.executable, "-c", code]
+        return subprocess.run(
+            command, check=True, stdout=subprocess.PIPE, text=True
+        ).stdout
+
     with tempfile.TemporaryDirectory() as folder:
-        code = "from experiments.benchmark.maps import {}; {}"
-        make = f"_write({folder!r}, {pixels}, {lights})"
-        use = f"_map({folder!r})"
-        subprocess.run([sys.executable, "-c", code.format("_write", make)], check=True)
-        command = [sys.executable, "-c", code.format("_map", use)]
-        done = subprocess.run(command, check=True, capture_output=True, text=True)
-        gigabytes, taken = map(float, done.stdout.split())
-    return {"peak_gigabytes": gigabytes, "seconds_per_pixel": taken / pixels}
+        run(f"_write({folder!r}, {pixels}, {lights})")
+        gigabytes, duration = map(float, run(f"_map({folder!r})").split())
+    return {"peak_gigabytes": gigabytes, "seconds_per_pixel": duration / pixels}
 
 
 def _write(folder: str, pixels: int, lights: int) -> None:

@@ -57,7 +57,7 @@ def examine(situation: Situation, draws: int, seed: int) -> Row:
 
 
 def pooled_faults(rows: Sequence[Row]) -> tuple[str, ...]:
-    """Faults of all situations together: the rate of false alarms."""
+    """A sentence for each precision with too many false alarms over all situations."""
     found = []
     for bits in sorted({row.bits for row in rows}):
         alarms, draws = alarms_of(rows, bits)

@@ -111,15 +111,18 @@ def _enters(
 
 
 def _distances(
-    corners: Float[np.ndarray, "faces 3 3"], origin: np.ndarray, direction: np.ndarray
+    corners: Float[np.ndarray, "faces 3 3"],
+    origin: Float[np.ndarray, "rays 3"],
+    direction: Float[np.ndarray, "rays 3"],
 ) -> Float[np.ndarray, "rays faces"]:
-    """Distance to each face along each ray; infinite where the ray misses it.
+    """Distance to each face along each ray, in lengths of `direction`; ∞ if missed.
 
-    A ray hits a face if it passes all three edges on the same side. The two faces of a
-    common edge compute the same number with opposite signs, so no ray slips between.
+    A ray hits a face if it passes all three edges on the same side. Two faces that
+    share an edge compute the same number with opposite signs, so no ray slips between.
     """
     a, b, c = np.moveaxis(corners[None] - origin[:, None, None], 2, 0)
     along = direction[:, None]
+    # The sign is the side of the edge on which the ray passes.
     sides = [(along * np.cross(p, q)).sum(axis=-1) for p, q in ((a, b), (b, c), (c, a))]
     inside = np.min(sides, axis=0) >= 0
     inside |= np.max(sides, axis=0) <= 0

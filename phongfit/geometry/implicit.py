@@ -136,29 +136,30 @@ class ImplicitSurface(AbstractSurface):
         return found & through, entry - width, entry
 
     def _polish(self, ray: Ray, distance: Scalar, hit: Bool[Array, ""]) -> Scalar:
-        r"""A Newton step to where the ray meets the surface, with all its derivatives.
+        r"""Improve `distance` by a Newton step; derivatives of every order are exact.
 
         By the implicit function theorem, from $F(o + t d) = 0$:
-        $\dot t = -\dot F / (\nabla F \cdot d)$, taken where the ray meets the surface.
-        Second derivatives need the motion of that point, too, which differentiating
-        the last Newton step alone would omit.
+        $\partial t = -\partial F / (\nabla F \cdot d)$ for any parameter of $F$, $o$ or
+        $d$. To differentiate the Newton step itself would give exact first derivatives
+        only, since it holds the point of intersection fixed.
         """
 
-        def height(along: Scalar) -> Scalar:
-            # A ray that misses stays where it is, and so it does where it grazes.
-            return jnp.where(crosses, self.function(ray.at(along)), along - distance)
+        def residual(along: Scalar) -> Scalar:
+            # If the ray misses or only grazes the surface, the root is `distance`.
+            return jnp.where(enters, self.function(ray.at(along)), along - distance)
 
         def solve(_: Any, start: Scalar) -> Scalar:
-            value, slope = jax.value_and_grad(height)(start)
+            value, slope = jax.value_and_grad(residual)(start)
             return start - value / slope
 
         def divide(linear: Callable[[Scalar], Scalar], change: Scalar) -> Scalar:
+            # The solution of the scalar equation linear(x) = change.
             return change / linear(jnp.ones_like(change))
 
         distance = jax.lax.stop_gradient(distance)
         slope = dot(jax.grad(self.function)(ray.at(distance)), ray.direction)
-        crosses = jax.lax.stop_gradient(hit & (slope < 0))
-        return jax.lax.custom_root(height, distance, solve, divide)
+        enters = jax.lax.stop_gradient(hit & (slope < 0))
+        return jax.lax.custom_root(residual, distance, solve, divide)
 
     def _bisect(self, ray: Ray, before: Scalar, after: Scalar) -> Scalar:
         def halve(_: Any, span: tuple[Array, Array]) -> tuple[Array, Array]:

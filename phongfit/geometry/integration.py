@@ -273,30 +273,36 @@ def _placed(
     pieces: Int[np.ndarray, "height width"],
     parallel: bool,
     known: Float[np.ndarray, "height width"] | None,
-    away: float,
+    default_depth: float,
 ) -> Float[np.ndarray, "height width"]:
-    """Depths: every piece is moved, or scaled, to where it is known to be."""
+    """Depth of every pixel.
+
+    `u` is a height (parallel rays) or a log depth (pinhole), up to a constant for each
+    piece. The constant gives the piece the median depth of `known`, or `default_depth`
+    where nothing is known.
+    """
     from scipy.ndimage import median
 
     index = np.arange(1, int(pieces.max()) + 1)
-    middle = np.full(len(index), away)
-    wanted = np.full(u.shape, np.nan) if known is None else known
-    there = np.isfinite(wanted) & (pieces > 0)
-    own = np.asarray(median(u, pieces, index))
-    if there.any():
-        marked = np.where(there, pieces, 0)
+    median_depth = np.full(len(index), default_depth)
+    known_depth = np.full(u.shape, np.nan) if known is None else known
+    has_depth = np.isfinite(known_depth) & (pieces > 0)
+    median_u = np.asarray(median(u, pieces, index))
+    if has_depth.any():
+        marked = np.where(has_depth, pieces, 0)
         some = np.isin(index, marked)
-        middle[some] = np.asarray(median(wanted, marked, index[some]))
-        own[some] = np.asarray(median(u, marked, index[some]))
-    if not parallel and not np.all(middle > 0):
+        median_depth[some] = np.asarray(median(known_depth, marked, index[some]))
+        median_u[some] = np.asarray(median(u, marked, index[some]))
+    if not parallel and not np.all(median_depth > 0):
         raise ValueError(
-            "distance: expected how far the surface is from the camera, in world "
-            f"units, since it has a pinhole, got {middle.min():g}"
+            "distance: expected the distance from the pinhole to the surface, in "
+            f"world units, got {median_depth.min():g}"
         )
-    at = np.maximum(pieces - 1, 0)
+    piece = np.maximum(pieces - 1, 0)
     if parallel:
-        return middle[at] - (u - own[at])
-    return middle[at] * np.exp(u - own[at])
+        # A height grows towards the camera, a depth away from it.
+        return median_depth[piece] - (u - median_u[piece])
+    return median_depth[piece] * np.exp(u - median_u[piece])
 
 
 def _far(distance: float | None, camera: AbstractCamera) -> float:

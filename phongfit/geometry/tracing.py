@@ -75,7 +75,7 @@ def visibility(
 def towards(
     light: AbstractLight, position: Float[Array, "*points 3"]
 ) -> tuple[Float[Array, "*points 3"], Float[Array, "*points"]]:
-    """Unit vectors to a light, and its distance in world units."""
-    arriving = jax.vmap(light.illuminate)(position.reshape(-1, 3))
-    to_light = arriving.to_light.reshape(position.shape)
-    return to_light, arriving.distance.reshape(position.shape[:-1])
+    """Unit vectors from each position to a light, and distances in world units."""
+    illumination = jax.vmap(light.illuminate)(position.reshape(-1, 3))
+    to_light = illumination.to_light.reshape(position.shape)
+    return to_light, illumination.distance.reshape(position.shape[:-1])

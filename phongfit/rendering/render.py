@@ -37,38 +37,41 @@ def render(
         Phong shading, or (M, 3) where the surface is made of M materials.
     - `film`: default clamps to [0, 1] and leaves the light linear.
     - `gbuffer`: from `scene.trace()`, to render the same geometry again at less cost.
-    - `samples`: rays through a pixel, 1, 4, 9, …: their mean light is what the film
-        gets, so that outlines and textures are smooth. By default one ray, through the
-        pixel's centre, as fits see it.
+    - `samples`: rays through a pixel, 1, 4, 9, …: their light is averaged before the
+        film, which smooths outlines and textures. The default is one ray through the
+        pixel's centre, as in [`fit`][].
 
-    **Returns:** (height, width, 3), row 0 at the top, as the film stores it.
+    **Returns:** (height, width, 3) after the film, row 0 at the top.
 
-    **Raises:** `ValueError` that names the argument.
+    **Raises:** `ValueError` that names `samples`, if it is not a square, or above 1
+    with a `gbuffer` or a normal map.
     """
-    times = math.isqrt(samples) if samples > 0 else 0
-    if times < 1 or times**2 != samples:
+    side = math.isqrt(samples) if samples > 0 else 0
+    if side < 1 or side**2 != samples:
         raise ValueError(f"samples: expected 1, 4, 9 or another square, got {samples}")
-    if times > 1:
+    if side > 1:
         if gbuffer is not None:
             raise ValueError("samples: a gbuffer has one ray through each pixel")
         if isinstance(scene.surface, NormalMap):
-            raise ValueError("samples: expected 1 of a normal map, which has pixels")
-        camera = scene.camera.finer(times)
+            raise ValueError(
+                "samples: expected 1 for a normal map, with one normal per pixel"
+            )
+        camera = scene.camera.finer(side)
         scene = dataclasses.replace(scene, camera=camera)
     gbuffer = scene.trace() if gbuffer is None else gbuffer
     film = PLAIN if film is None else film
-    return _shade(scene, material, film, gbuffer, times)
+    return _shade(scene, material, film, gbuffer, side)
 
 
-@program("times")
+@program("side")
 def _shade(
-    scene: Scene, material: Material, film: Film, gbuffer: GBuffer, times: int
+    scene: Scene, material: Material, film: Film, gbuffer: GBuffer, side: int
 ) -> Float[Array, "height width 3"]:
     light = pixel_terms(scene, gbuffer).radiance(material)
     background = jnp.broadcast_to(scene.background, light.shape)
     light = jnp.where(gbuffer.mask[..., None], light, background)
-    if times > 1:
+    if side > 1:
         rows, columns, channels = light.shape
-        apart = rows // times, times, columns // times, times, channels
+        apart = rows // side, side, columns // side, side, channels
         light = jnp.mean(light.reshape(apart), axis=(1, 3))
     return film.expose(light)

@@ -156,5 +156,5 @@ def test_bad_arguments(arguments, words):
 
 def test_a_pinhole_wants_a_distance():
     at_origin = pf.PerspectiveCamera(40, 32, position=(0, 0, 0))
-    with pytest.raises(ValueError, match="distance: expected how far"):
+    with pytest.raises(ValueError, match="distance: expected the distance from"):
         pf.integrate_normals(np.tile([0.0, 0, 1], (32, 40, 1)), at_origin)

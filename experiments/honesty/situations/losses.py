@@ -63,13 +63,12 @@ def with_lobe() -> Take:
 
 
 def garbage(share: float) -> Take:
-    """Some samples are anything."""
+    """A noisy image in which some samples, a fraction `share`, are random numbers."""
 
     def take(light: Image, rng: np.random.Generator) -> Image:
-        anything = rng.random(light.shape)
-        return np.where(
-            rng.random(light.shape) < share, anything, noisy(NOISE)(light, rng)
-        )
+        random_values = rng.random(light.shape)
+        bad = rng.random(light.shape) < share
+        return np.where(bad, random_values, noisy(NOISE)(light, rng))
 
     return take
 
