@@ -207,10 +207,10 @@ def _camera(options: Options) -> AbstractCamera:
 
 
 def main(options: Options) -> int:
-    """Make a data set with known truth: photographs of a ball, to be fitted.
+    """Make a data set with a known material: rendered images of a ball, to be fitted.
 
     It holds PNG images, scene.json (camera, surface, lights, models, encoding),
-    truth.json (the material) and contact_sheet.png, which shows it all at a glance.
+    truth.json (the material) and contact_sheet.png, which shows all images.
 
     For example:
       phongfit synth out/brass --material preset:brass --noise 0.01

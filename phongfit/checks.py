@@ -188,7 +188,7 @@ def nonzero(name: str, vector: Float[Array, "3"]) -> Float[Array, "3"]:
         squared = (a * a).sum()
         return (squared >= np.finfo(a.dtype).tiny) & (squared < np.inf)
 
-    wanted = "a vector whose length is neither zero nor too large to square"
+    wanted = "a vector whose length is not zero, and neither too small nor too large"
     with np.errstate(over="ignore", under="ignore"):
         return require(name, vector, fine, fine, wanted)
 

@@ -69,17 +69,20 @@ PIPE_CLOSED = 141
 def main(args: Sequence[str] | None = None) -> int:
     """Run a command of `phongfit`.
 
-    **Arguments:** `args`: default what the process was started with.
+    **Arguments:** `args`: words of the command line; default `sys.argv[1:]`.
 
-    **Returns:** the exit status, as of [`run`][].
+    **Returns:** the exit status: that of the command, 2 for bad input, 130 after
+    Ctrl-C, 143 after SIGTERM, 141 if the reader of the output closed the pipe.
     """
-    a_process = args is None and threading.current_thread() is threading.main_thread()
+    owns_process = (
+        args is None and threading.current_thread() is threading.main_thread()
+    )
     args = list(sys.argv[1:] if args is None else args)
-    _speak_any_language()
-    with _repeated_interrupts(), _orderly_ends(), warnings.catch_warnings():
+    _escape_unprintable()
+    with _repeated_interrupts(), _clean_up_on_signals(), warnings.catch_warnings():
         warnings.showwarning = _show_warning
         status = _guard(lambda: _run(args))
-    if a_process and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    if owns_process and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         # Ctrl-C while the interpreter shuts down ends the process without a traceback.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     return status
@@ -148,7 +151,7 @@ class _Ended(KeyboardInterrupt):
 
 
 @contextlib.contextmanager
-def _orderly_ends() -> Iterator[None]:
+def _clean_up_on_signals() -> Iterator[None]:
     """Clean up after SIGTERM and SIGHUP as after Ctrl-C.
 
     A signal that was ignored before, for example by `nohup`, stays ignored.
@@ -172,7 +175,7 @@ def _orderly_ends() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
-def _speak_any_language() -> None:
+def _escape_unprintable() -> None:
     """Write characters that the terminal cannot show as escapes, without an error."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

@@ -39,15 +39,15 @@ class Material(eqx.Module):
         ambient: Any = 0.2,
         emission: Any = 0.0,
     ):
-        r"""**Arguments:** numbers, or arrays whose last axis (colour) is 1 or 3.
+        r"""**Arguments:** numbers, or arrays whose last axis is 1 or 3 (colours).
 
         - `diffuse`: Lambert reflectance $\rho_d$ (GL_DIFFUSE, Kd).
         - `specular`: strength of the highlight $\rho_s$ (GL_SPECULAR, Ks).
         - `shininess`: exponent $f$ (GL_SHININESS, Ns). A larger $f$ makes a *narrower*
             highlight, since $\cos^f$ falls off faster; some lecture notes state the
             opposite by mistake. Textbooks give 5–10 for plastics and 100–200 for
-            metals; fits to photographs often give much larger values. Phong's and
-            Blinn's exponents differ by about a factor of 4 for the same highlight: see
+            metals; fits to photographs often give much larger values. Blinn's
+            exponent is about 4 times Phong's for the same highlight: see
             [`blinn_from_phong`][].
         - `ambient`: fraction $\rho_a$ of the ambient light that is reflected
             (GL_AMBIENT, Ka).

@@ -196,13 +196,15 @@ def _facets(shininess: Any) -> Any:
 def roughness_from_shininess(shininess: Float[Array, "..."]) -> Float[Array, "..."]:
     r"""Roughness of GGX for a Blinn exponent: $(2 / (f + 2))^{1/4}$.
 
-    The densities of facets agree exactly in their peak, $D = (f + 2) / 2\pi = 1 /
-    \pi\alpha^2$, and in their sum, $\int D\,(m \cdot h)\,dh = 1$. Between, GGX falls
-    earlier, by up to 0.16 of the peak, and has the longer tail: it is 0.77 as wide at
-    half its height.
+    The distributions of facets of Blinn's and GGX's models then have the same peak,
+    $D = (f + 2) / 2\pi = 1 / \pi\alpha^2$, and the same integral,
+    $\int D\,(m \cdot h)\,dh = 1$. Their shapes differ: GGX falls faster near the
+    peak, by up to 0.16 of it, and has a longer tail. For narrow highlights its width at
+    half the height is 0.77 of Blinn's.
 
-    **Arguments:** `shininess`: Blinn exponents ≥ 0, any shape. **Returns:** numbers in
-    (0, 1], $\sqrt\alpha$ as in glTF.
+    **Arguments:** `shininess`: Blinn exponents ≥ 0, any shape.
+
+    **Returns:** roughness as in glTF, $\sqrt\alpha$, in (0, 1].
 
     ??? cite "Source"
         Karis, *Specular BRDF reference*, 2013.

@@ -169,28 +169,29 @@ def _contract(output: Float[Array, "..."]) -> Scalar:
 
 
 def _derivatives(
-    function: Callable[[Array], Array], point: np.ndarray, differences: bool
+    function: Callable[[Array], Array], point: np.ndarray, finite_differences: bool
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """The value, and its derivative by several ways, whose last axis is `point`'s.
+    """`function(point)`, and its derivative by each way of computing it.
 
-    One entry at a time, so that memory stays that of one evaluation, and one compiled
-    function serves both ways: compilation is what takes time here.
+    The last axis of a derivative runs over the entries of `point`. Entries are
+    differentiated one at a time, to save memory. Forward mode and finite differences
+    call the same compiled function, since compilation is the slow part.
     """
-    pushed = _compiled(lambda x, tangent: jax.jvp(function, (x,), (tangent,)))
-    # The cube root balances what rounding and the third derivative take away.
+    value_and_slope = _compiled(lambda x, tangent: jax.jvp(function, (x,), (tangent,)))
+    # Balances the rounding error (~ε/step) and the truncation error (~step²).
     steps = np.cbrt(np.finfo(np.float64).eps) * np.maximum(np.abs(point), 1)
     forward, central = [], []
     for entry, step in enumerate(steps):
         unit = np.zeros_like(point)
         unit[entry] = 1
-        forward.append(pushed(point, unit)[1])
-        if differences:
+        forward.append(value_and_slope(point, unit)[1])
+        if finite_differences:
             above, below = point + step * unit, point - step * unit
-            rise = pushed(above, unit)[0] - pushed(below, unit)[0]
+            rise = value_and_slope(above, unit)[0] - value_and_slope(below, unit)[0]
             # Divided by the step that rounding left, not by the one that was meant.
             central.append(rise / (above - below)[entry])
     ways = {"forward": forward} | ({"finite differences": central} if central else {})
-    value = np.asarray(pushed(point, np.zeros_like(point))[0])
+    value = np.asarray(value_and_slope(point, np.zeros_like(point))[0])
     return value, {way: np.stack(slopes, axis=-1) for way, slopes in ways.items()}
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from phongfit.files.budget import afford
 from phongfit.files.inputs import naming, read_bytes, read_text
 from phongfit.geometry.cameras import PinholeCamera
-from phongfit.geometry.conventions import camera_in_view
+from phongfit.geometry.conventions import camera_from_extrinsics
 from phongfit.geometry.distortion import (
     AbstractDistortion,
     BrownDistortion,
@@ -120,7 +120,7 @@ def _find(folder: Path) -> Path | None:
 def _camera(image: _Image, known: Intrinsics) -> PinholeCamera:
     if image.camera not in known:
         raise ValueError(f"expected one of the model's cameras, got {image.camera}")
-    return camera_in_view(
+    return camera_from_extrinsics(
         _rotation(image.quaternion), np.array(image.translation), **known[image.camera]
     )
 

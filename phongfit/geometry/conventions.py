@@ -134,7 +134,7 @@ def camera_from_opencv(
     else:
         turn = _as_rotation("rotation", given)
     shift = _numbers("translation", translation, (3,), (3, 1), (1, 3)).ravel()
-    return camera_in_view(
+    return camera_from_extrinsics(
         turn,
         shift,
         width=width,
@@ -187,7 +187,7 @@ def camera_from_matrix(
     shift = np.linalg.solve(k, p[:, 3])
     k = k / k[2, 2]
     half = 0.5 - first_pixel
-    return camera_in_view(
+    return camera_from_extrinsics(
         turn,
         shift,
         width=width,
@@ -200,14 +200,21 @@ def camera_from_matrix(
     )
 
 
-def camera_in_view(
+def camera_from_extrinsics(
     turn: Float[np.ndarray, "3 3"],
     shift: Float[np.ndarray, "3"],
     **intrinsics: Any,
 ) -> PinholeCamera:
-    """A camera from R and t of x = R X + t in OpenCV's and COLMAP's axes.
+    """A camera from a rotation R and translation t: x = R X + t.
 
-    **Arguments:** `intrinsics`: of [`PinholeCamera`][], in our pixels.
+    X is a point of the world and x the same point in the camera's axes of OpenCV and
+    COLMAP (x right, y down, z forward).
+
+    **Arguments:**
+
+    - `turn`, `shift`: R and t.
+    - `intrinsics`: other arguments of [`PinholeCamera`][]; `cx` and `cy` count from the
+        corner of the first pixel, not from its centre.
     """
     to_world = np.column_stack([turn.T, -turn.T @ shift])
     position, rotation = camera_pose(to_world, "opencv")
@@ -237,11 +244,11 @@ def _numbers(
 
 
 def _as_rotation(name: str, matrix: np.ndarray) -> Float[np.ndarray, "3 3"]:
-    """The rotation that a matrix was before its numbers were rounded."""
+    """The rotation nearest to a matrix, which may differ from one by rounding."""
     left, sizes, right = np.linalg.svd(matrix)
     if np.abs(sizes - 1).max() > ROUNDED or np.linalg.det(matrix) < 0:
         raise ValueError(
-            f"{name}: expected a rotation, got axes that are scaled, aslant or "
+            f"{name}: expected a rotation, got axes that are scaled, sheared or "
             f"mirrored: lengths {np.linalg.norm(matrix, axis=0).round(4).tolist()}, "
             f"determinant {np.linalg.det(matrix):.4g}"
         )

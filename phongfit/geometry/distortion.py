@@ -43,10 +43,10 @@ class AbstractDistortion(eqx.Module):
         """The direction, of any length, whose image without distortion this is."""
 
     def place(self, direction: Vec3) -> Place:
-        """Image of a direction, of any length.
+        """Place in the image of a direction, which may have any length.
 
-        NaN past the edge where the formula folds the image back on itself, and where
-        there is none without distortion either.
+        NaN where the formula folds the image back onto itself, and for directions
+        without an undistorted image, such as those behind a pinhole.
         """
         ideal = self.ideal(direction)
         return jnp.where(_is_unfolded(self, ideal), self.bend(ideal), jnp.nan)

@@ -40,15 +40,17 @@ class HeightField:
         return positions_at(self.height, self.camera)
 
     def mesh(self) -> Mesh:
-        """Two triangles between every four neighbours, seen from the camera's side.
+        """A mesh with two triangles for each 2 × 2 pixels, which face the camera.
 
-        **Raises:** `ValueError` if no three neighbours have heights.
+        Triangles with a corner outside the mask are left out.
+
+        **Raises:** `ValueError` if none is left.
         """
         faces = faces_within(self.mask)
         if not len(faces):
             raise ValueError("height: expected neighbouring pixels, got none")
-        used, place = np.unique(faces, return_inverse=True)
-        return Mesh(self.positions().reshape(-1, 3)[used], place.reshape(-1, 3))
+        used, renumbered = np.unique(faces, return_inverse=True)
+        return Mesh(self.positions().reshape(-1, 3)[used], renumbered.reshape(-1, 3))
 
     def __str__(self) -> str:
         height, width = self.height.shape

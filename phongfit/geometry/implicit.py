@@ -64,9 +64,10 @@ class ImplicitSurface(AbstractSurface):
         return trace_rays(self.intersect, camera)
 
     def intersect(self, ray: Ray) -> tuple[Vec3, Vec3, Bool[Array, ""]]:
-        """The first intersection of one ray with the surface, from outside.
+        """The first point where one ray enters the surface (F turns negative).
 
-        **Returns:** position, unit normal, and whether there is such a place.
+        **Returns:** position, unit normal, and whether the ray hits; if it does not,
+        the first two are finite placeholders.
         """
         near, far = self._span(ray)
         hit, before, after = self._first_entry(ray, near, far)

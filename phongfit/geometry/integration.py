@@ -253,9 +253,13 @@ def label_pieces(
 
 
 def _filled(
-    normals: Float[np.ndarray, "height width 3"], sound: Bool[np.ndarray, "h w"]
+    normals: Float[np.ndarray, "height width 3"],
+    sound: Bool[np.ndarray, "height width"],
 ) -> Float[np.ndarray, "height width 3"]:
-    """Normals that are not identified become those of the nearest that are."""
+    """Replace each normal that is not `sound` by that of the nearest sound pixel.
+
+    If no pixel is sound, all normals face the camera.
+    """
     from scipy.ndimage import distance_transform_edt
 
     if sound.all():
@@ -278,8 +282,8 @@ def _placed(
     """Depth of every pixel.
 
     `u` is a height (parallel rays) or a log depth (pinhole), up to a constant for each
-    piece. The constant gives the piece the median depth of `known`, or `default_depth`
-    where nothing is known.
+    piece. The constant makes the median depth of the pixels with a `known` depth (not
+    NaN) that of `known`. A piece without any gets the median depth `default_depth`.
     """
     from scipy.ndimage import median
 
@@ -298,6 +302,7 @@ def _placed(
             "distance: expected the distance from the pinhole to the surface, in "
             f"world units, got {median_depth.min():g}"
         )
+    # Pixels outside (0) use the first piece: their `u` is NaN, and so is the result.
     piece = np.maximum(pieces - 1, 0)
     if parallel:
         # A height grows towards the camera, a depth away from it.

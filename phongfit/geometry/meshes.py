@@ -114,14 +114,15 @@ class Mesh(AbstractSurface):
         - `faces`: (F, 3) indices of vertices, counter-clockwise seen from outside.
         - `normals`: (V, 3), of any length; default computed from the faces around.
         - `material_index`: (F,) whole numbers ≥ 0: which of several materials a face is
-            made of. Each parameter of the `Material` then has shape (M, 3), (M, 1) or
-            ().
+            made of. For M materials, each parameter of the `Material` has shape (M, 3),
+            (M, 1) or ().
         - `uv`: (F, 3, 2): where in a texture each corner of a face lies; (0, 0) is the
             texture's upper left corner, (1, 1) its lower right one.
         - `textures`: what multiplies the parameters of the `Material`: one for all
             materials, or one for each. [`VertexColours`][] have a row for each of
             `vertices`, and need no uv.
-        - `weighting`: of the faces around a vertex, `"area"` or `"angle"`.
+        - `weighting`: how the faces around a vertex count in its normal: by their
+            `"area"`, or by their `"angle"` at the vertex.
         - `crease_angle`: degrees; an edge between faces whose normals differ by more is
             sharp, and its vertices are doubled. Default: every edge is smooth.
         - `two_sided`: a face is seen from behind too, its normal turned to the viewer.
@@ -134,7 +135,7 @@ class Mesh(AbstractSurface):
         if vertices.ndim != 2 or vertices.shape[1] != 3:
             raise ValueError(f"vertices: expected shape (V, 3), got {vertices.shape}")
         if not isinstance(faces, Tracer) and as_array("faces", faces).size == 0:
-            raise ValueError("faces: expected a mesh of at least one, got none")
+            raise ValueError("faces: expected at least one face, got none")
         faces = as_integers("faces", faces, 0, len(vertices))
         if faces.ndim != 2 or faces.shape[1] != 3:
             raise ValueError(f"faces: expected shape (F, 3), got {faces.shape}")
@@ -150,14 +151,15 @@ class Mesh(AbstractSurface):
                 )
             require("normals", normals, np.isfinite, jnp.isfinite, "finite numbers")
             normals = normalize_all(normals)
-        count, origin = len(vertices), None
+        given_count, source_vertex = len(vertices), None
         if crease_angle is not None:
             if normals is not None:
                 raise ValueError("crease_angle: only for normals that are computed")
             angle = float(as_scalar("crease_angle", crease_angle))
-            known = np.asarray(jax.lax.stop_gradient(vertices))
-            origin, faces = split_creases(known, faces, angle)
-            vertices = vertices[origin]
+            # Where the creases are has no derivative.
+            fixed = np.asarray(jax.lax.stop_gradient(vertices))
+            source_vertex, faces = split_creases(fixed, faces, angle)
+            vertices = vertices[source_vertex]
         self.vertices = vertices
         self.faces = jnp.asarray(faces)
         self.normals = normals
@@ -167,9 +169,11 @@ class Mesh(AbstractSurface):
         index = self.material_index
         self.corners = Corners(faces, None if index is None else np.asarray(index))
         self.uv = _as_uv(uv, len(faces))
-        chosen = _as_textures(textures, self.uv, self._materials, count)
-        if chosen is not None and origin is not None:
-            chosen = tuple(one.rearranged(lambda rows: rows[origin]) for one in chosen)
+        chosen = _as_textures(textures, self.uv, self._materials, given_count)
+        if chosen is not None and source_vertex is not None:
+            chosen = tuple(
+                one.rearranged(lambda rows: rows[source_vertex]) for one in chosen
+            )
         self.textures = chosen
         self.weighting = weighting
         self.two_sided = bool(two_sided)

@@ -191,7 +191,8 @@ def pixel_terms(scene: Scene, gbuffer: GBuffer) -> PixelTerms:
     **Arguments:** `gbuffer`: from `scene.trace()`. Outside its mask the pixels are
     finite and mean nothing.
 
-    **Raises:** `ValueError` if the buffer was traced without the scene's shadows.
+    **Raises:** `ValueError` if the buffer was traced without the scene's shadows, or if
+    textures do not go with the shading method.
     """
     haze = None
     if scene.fog is not None:
