@@ -328,8 +328,10 @@ def show(numbers: dict[str, Any]) -> None:
         )
     memory = scaling["peak_memory_of_a_worker"]
     table.add_row("peak memory of a worker, MB", f"{memory / 1e6:.0f}", "")
-    overhead = scaling["scheduler_cpu_seconds_per_block"]
-    table.add_row("scheduler and client, CPU ms per block", f"{1e3 * overhead:.0f}", "")
+    scheduler = scaling["scheduler_cpu_seconds_per_block"]
+    table.add_row(
+        "scheduler and client, CPU ms per block", f"{1e3 * scheduler:.0f}", ""
+    )
     empty = numbers["scheduling"]["seconds_per_block"]
     table.add_row("an empty block, ms", f"{1e3 * empty:.1f}", "")
     table.add_row(

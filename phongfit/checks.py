@@ -188,7 +188,7 @@ def nonzero(name: str, vector: Float[Array, "3"]) -> Float[Array, "3"]:
         squared = (a * a).sum()
         return (squared >= np.finfo(a.dtype).tiny) & (squared < np.inf)
 
-    wanted = "a vector whose length is not zero, and neither too small nor too large"
+    wanted = "a vector that is not zero, nor too short or too long to square"
     with np.errstate(over="ignore", under="ignore"):
         return require(name, vector, fine, fine, wanted)
 

@@ -299,7 +299,7 @@ def _placed(
         median_u[some] = np.asarray(median(u, marked, index[some]))
     if not parallel and not np.all(median_depth > 0):
         raise ValueError(
-            "distance: expected the distance from the pinhole to the surface, in "
+            "distance: expected the distance from the pinhole to the surface, > 0 "
             f"world units, got {median_depth.min():g}"
         )
     # Pixels outside (0) use the first piece: their `u` is NaN, and so is the result.

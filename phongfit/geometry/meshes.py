@@ -156,7 +156,7 @@ class Mesh(AbstractSurface):
             if normals is not None:
                 raise ValueError("crease_angle: only for normals that are computed")
             angle = float(as_scalar("crease_angle", crease_angle))
-            # Where the creases are has no derivative.
+            # The search for creases is not differentiated.
             fixed = np.asarray(jax.lax.stop_gradient(vertices))
             source_vertex, faces = split_creases(fixed, faces, angle)
             vertices = vertices[source_vertex]
