@@ -36,7 +36,6 @@ from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps, StrengthsN
 from phongfit.maps.stacks import AbstractStack, as_index, as_stack, identify_stack
 from phongfit.maps.store import TileStore, tile_store
 from phongfit.maps.strengths import find_strengths, may_be_equal
-from phongfit.maps.warm import WarmMemory, filled
 from phongfit.material import Material
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
@@ -281,10 +280,9 @@ def fit_job(
             job = _without_highlights(job)
             kind, shared, settings, among = "sought", None, job.settings, job.outside
         run = compiled(settings, mesh, _FITS[kind])
-        warm = WarmMemory()
 
         def work(part: Tile) -> list[np.ndarray]:
-            found = run(filled(part, warm), among)
+            found = run(part.padded(), among)
             return [np.asarray(leaf) for leaf in jax.tree.leaves(found)]
 
         dtype = outside.noise.dtype
@@ -322,7 +320,7 @@ def _materials(
     if done is None:
         sample = choose_sample(job.pixels, len(job.scenes))
         size = -(-len(sample) // BLOCK) * BLOCK
-        tile = filled(job.tile(sample, size), WarmMemory())
+        tile = job.tile(sample, size).padded()
         found = find_materials(tile, len(sample), job.outside, job.settings, workers)
         done = [np.asarray(leaf) for leaf in jax.tree.leaves(found)]
         if store is not None:

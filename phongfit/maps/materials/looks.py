@@ -27,15 +27,14 @@ from phongfit.maps.pixel.pixel import Known, Outside
 from phongfit.maps.pixel.robust import loss_scores, loss_weights
 from phongfit.maps.pixel.samples import Samples, Tile
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.small import curvatures
-from phongfit.maps.pixel.tile import SETTLED
+from phongfit.maps.pixel.small import KEEP_BARRIERS, curvatures
 
 # Points that are looked at from a start nearby, and how little the last step matters.
 STEPS = 12
 ROUGH, FINE = 0.1, 1e-4
 
 compiled = functools.partial(
-    jax.jit, static_argnames=("settings",), compiler_options=SETTLED
+    jax.jit, static_argnames=("settings",), compiler_options=KEEP_BARRIERS
 )
 
 

@@ -12,7 +12,7 @@ from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.lobes import AbstractLobes, Angles
 from phongfit.maps.pixel.samples import Tile, pixels_last
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.small import Numbers, channel_mean, optimization_barrier
+from phongfit.maps.pixel.small import Numbers, channel_mean
 from phongfit.reflectance import lambert
 from phongfit.vectors import Scalar, Vec3, dot
 
@@ -90,7 +90,7 @@ def make_basis(
     settings' least, or where the image shows light from all around alone.
     """
     model, lobes = settings.model, settings.lobes
-    normal = optimization_barrier(pixels_last(tile.normal))
+    normal = pixels_last(tile.normal)
     directed = jnp.asarray(lighting.directed)
     seen = tile.visibility
 
@@ -110,13 +110,11 @@ def make_basis(
             lit = lit | (reaches if seen is None else reaches & (seen[j] > 0))
             angles.append(lobes.angles(cosine))
         stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *angles)
-        # Else it is computed while it is written, which compilers do number by number.
-        return optimization_barrier((diffuse, stacked, lit.astype(normal.dtype)))
+        return diffuse, stacked, lit.astype(normal.dtype)
 
     each = lamps.to_light, lamps.diffuse, directed, seen
     diffuse, angles, lit = jax.lax.map(image, each)
     around = lighting.around(tile.position, tile.normal)
     if around is not None:
         diffuse = diffuse + around
-    basis = Basis(lamps.ambient, diffuse, lamps.specular, angles)
-    return optimization_barrier((basis, lit))
+    return Basis(lamps.ambient, diffuse, lamps.specular, angles), lit

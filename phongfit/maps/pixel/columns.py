@@ -23,7 +23,6 @@ from phongfit.maps.pixel.small import (
     channel_mean,
     factorize,
     no_triangle,
-    optimization_barrier,
     solve,
     sum_over_images,
 )
@@ -73,7 +72,7 @@ def make_columns(
 
     def project(sums: tuple[Triangle, Numbers], image: tuple) -> tuple:
         columns, target, weight = image
-        rows = optimization_barrier(tuple(weight * column for column in columns))
+        rows = tuple(weight * column for column in columns)
         gram = add_products(sums[0], rows, columns)
         moments = tuple(s + row * target for s, row in zip(sums[1], rows, strict=True))
         return gram, moments
@@ -84,26 +83,23 @@ def make_columns(
         none = no_triangle(no_weight, size), (nothing,) * size
         each = columns, target, weight
         gram, moments = sum_over_images(project, none, each)
-        start = optimization_barrier(solve(factorize(gram), moments))
+        start = solve(factorize(gram), moments)
 
     def free(rest: Array, image: tuple) -> tuple:
         columns, target, weight, strength = image
         left = target
         for x, column in zip(start, columns, strict=True):
             left = left - x * column
-        left = optimization_barrier(left)
-        weighed = optimization_barrier(weight[None] * strength)
+        weighed = weight[None] * strength
         cross = [weighed * column[None] for column in columns]
         moments, squares = weighed * left[None], pairs(weighed, strength, 2)
-        # Else they are computed while they are written, number by number.
-        cross, moments, squares = optimization_barrier((cross, moments, squares))
         none = jnp.zeros((len(weighed), 0, *weighed.shape[1:]), weighed.dtype)
         crossed = jnp.stack(cross, axis=1) if cross else none
         return rest + weight * left**2, (crossed, moments, jnp.stack(squares))
 
     each = columns, target, weight, strength
     rest, (cross, moments, squares) = jax.lax.scan(free, nothing, each)
-    return optimization_barrier(Columns(gram, start, cross, moments, squares, rest))
+    return Columns(gram, start, cross, moments, squares, rest)
 
 
 def mean_columns(
@@ -129,8 +125,7 @@ def mean_columns(
         return rest + weight * target**2
 
     rest = sum_over_images(free, jnp.zeros_like(target[0]), (fixed, target, weight))
-    found = columns._replace(start=start, moments=moments, rest=rest)
-    return optimization_barrier(found)
+    return columns._replace(start=start, moments=moments, rest=rest)
 
 
 def pairs(

@@ -20,7 +20,6 @@ from phongfit.maps.pixel.small import (
     factorize,
     in_groups,
     of_rank,
-    optimization_barrier,
 )
 
 T = TypeVar("T")
@@ -101,7 +100,7 @@ def standard_errors(
     if settings.searched:
         shared = curvatures(bordered(total - alone))[:-1]
     error, error_apart = (
-        optimization_barrier(jnp.stack([sigma * _root_inverse(c) for c in curvature]))
+        jnp.stack([sigma * _root_inverse(c) for c in curvature])
         for curvature in (shared, apart)
     )
     if not settings.searched:

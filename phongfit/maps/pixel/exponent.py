@@ -29,7 +29,6 @@ from phongfit.maps.pixel.small import (
     minimize_in_box,
     of_rank,
     only,
-    optimization_barrier,
     solve,
     sum_over_images,
 )
@@ -107,7 +106,7 @@ def sum_images(
     def add(sums: tuple[Array, Array, Array], image: tuple) -> tuple:
         angles, cross, moments, squares = image
         heights = [height(one)[0] for one in _lights(angles, t.ndim)]
-        products = optimization_barrier(pairs(heights, heights))
+        products = pairs(heights, heights)
         along = [one[..., None, :, :] for one in heights]
         return (
             _plus(sums[0], cross, along),
@@ -139,7 +138,7 @@ def sum_with_slopes(
             pairs(rises, rises),
             strict=True,
         )
-        products = optimization_barrier([jnp.stack(three) for three in products])
+        products = [jnp.stack(three) for three in products]
         return (
             _plus(sums[0], cross, heights),
             _plus(sums[1], cross, rises),
@@ -196,11 +195,10 @@ def best_reflectances(columns: Columns, sums: Sums, box: Box, rounds: int) -> Bo
     start = (*of_rank(columns.start, zero.ndim), zero)
     lower = tuple(edge - x for edge, x in zip(box.lower, start, strict=True))
     upper = tuple(edge - x for edge, x in zip(box.upper, start, strict=True))
-    matrix, lower, upper = optimization_barrier((matrix, lower, upper))
     found = minimize_in_box(matrix, vector, lower, upper, rounds)
     moved = zip(start, found.point, box.lower, box.upper, strict=True)
     point = tuple(jnp.clip(x + d, low, high) for x, d, low, high in moved)
-    return optimization_barrier(Boxed(point, found.value, found.free))
+    return Boxed(point, found.value, found.free)
 
 
 def full_gram(columns: Columns, sums: Sums) -> Triangle:
@@ -222,7 +220,7 @@ def evaluate(
 ) -> At:
     """Everything at one exponent of each group: one exponential for each light."""
     groups = len(t)
-    sums, slopes = optimization_barrier(sum_with_slopes(columns, lobes, angles, t))
+    sums, slopes = sum_with_slopes(columns, lobes, angles, t)
     best = best_reflectances(columns, sums, box, ROUNDS)
     *fixed, specular = best.point
     moved = tuple(x - x0 for x, x0 in zip(fixed, columns.start, strict=True))
@@ -232,14 +230,12 @@ def evaluate(
     held = tuple(jnp.where(f, p, 0) for f, p in zip(best.free, products, strict=True))
     imitated = solve(factorize(only(full_gram(columns, sums), best.free)), held)
     alone = jnp.maximum(slopes.own - dot(held, imitated), 0)
-    return optimization_barrier(
-        At(
-            best.point,
-            best.free,
-            2 * in_groups(best.value, groups),
-            -2 * in_groups(specular * score, groups),
-            2 * in_groups(specular**2 * alone, groups),
-            sums,
-            slopes,
-        )
+    return At(
+        best.point,
+        best.free,
+        2 * in_groups(best.value, groups),
+        -2 * in_groups(specular * score, groups),
+        2 * in_groups(specular**2 * alone, groups),
+        sums,
+        slopes,
     )

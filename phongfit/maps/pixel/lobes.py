@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from phongfit.maps.pixel.small import optimization_barrier
 from phongfit.reflectance import AbstractSpecular
 
 # Logarithm of the least height of a lobe that counts: products of smaller ones leave
@@ -64,15 +63,12 @@ class PowerLobes(AbstractLobes):
             return self.model.lobe(one, jnp.exp(t))
 
         height, rise = jax.jvp(height_at, (t,), (one,))
-        exponent, height, bend = optimization_barrier(
-            (jnp.exp(t), height, rise / height)
-        )
+        exponent, bend = jnp.exp(t), rise / height
 
         def heights(logarithm: Angle) -> tuple[Array, Array]:
             power = exponent * logarithm
             lobe = height * jnp.where(power > FAINTEST, jnp.exp(power), 0)
-            lobe = optimization_barrier(lobe)
-            return lobe, optimization_barrier(lobe * (power + bend))
+            return lobe, lobe * (power + bend)
 
         return heights
 
@@ -92,7 +88,7 @@ class AnyLobes(AbstractLobes):
             def lobe(t: Array) -> Array:
                 return self.model.lobe(cosine, jnp.exp(t))
 
-            return optimization_barrier(jax.jvp(lobe, (t,), (jnp.ones_like(t),)))
+            return jax.jvp(lobe, (t,), (jnp.ones_like(t),))
 
         return heights
 

@@ -46,7 +46,6 @@ from phongfit.maps.pixel.small import (
     channel_mean,
     in_groups,
     of_rank,
-    optimization_barrier,
     sum_over_images,
 )
 
@@ -189,7 +188,7 @@ class _Job:
         self, at: At, t: Float[Array, "groups pixels"]
     ) -> Float[Array, "images channels pixels"]:
         """(model − measured) · share."""
-        return optimization_barrier(jax.lax.map(self._left(at, t), self._images))
+        return jax.lax.map(self._left(at, t), self._images)
 
     def squares(
         self, at: At, t: Float[Array, "groups pixels"]
@@ -316,12 +315,12 @@ def _fit_samples(
 ) -> tuple[PixelFit, Bool[Array, " pixels"]]:
     """As [`fit_pixels`][]; channels that share light and samples may be one there."""
     basis, lit = make_basis(tile, outside.lighting, samples.lamps, settings)
-    share = optimization_barrier(samples.share * lit[:, None])
+    share = samples.share * lit[:, None]
     known = Known(*(leaf[:, None] for leaf in outside.known))
-    target = optimization_barrier(_less_known(samples.target, basis, known, settings))
+    target = _less_known(samples.target, basis, known, settings)
     noise = outside.noise
     job = _Job(target, share, basis, _box(settings), noise, effort, settings)
-    found = optimization_barrier(_solve(job, known))
+    found = _solve(job, known)
 
     share_of_group = job.count()
     total = in_groups(share_of_group, 1)[0]
@@ -346,19 +345,17 @@ def _fit_samples(
     if settings.noise_given:
         # What the model does not describe may pull as hard as it shows.
         sigma = jnp.where(misfit[None], level[None] * wider, noise)
-    errors = optimization_barrier(
-        standard_errors(
-            found.at,
-            found.columns,
-            found.t,
-            sigma * found.widening,
-            found.moved,
-            basis.angles,
-            job.box,
-            job.thorough,
-            settings,
-            found.profile,
-        )
+    errors = standard_errors(
+        found.at,
+        found.columns,
+        found.t,
+        sigma * found.widening,
+        found.moved,
+        basis.angles,
+        job.box,
+        job.thorough,
+        settings,
+        found.profile,
     )
 
     def some(of_groups: Bool[Array, "groups pixels"]) -> Bool[Array, " pixels"]:
@@ -478,7 +475,7 @@ def _search(
         start, low, high = t, *edges
         if settings.scanned:
             start, low, high = scan_exponents(mean, lobes, angles, box, job.groups)
-        start, low, high = optimization_barrier((jnp.clip(start, low, high), low, high))
+        start = jnp.clip(start, low, high)
         found = refine_exponents(mean, lobes, angles, start, low, high, box, MEAN_STEPS)
         if not shared:
             return found.t, found.bend, nobody
@@ -510,13 +507,12 @@ def _search(
         bend = jnp.where(wanted, 1, bend)
     else:
         found, bend, unsettled = together()
-    t, bend = optimization_barrier((found, bend))
     steps = STEPS if shared else 0
     # Of all that a robust loss does with them these are the least.
     more = MOST_STEPS if settings.loss.robust else MORE_STEPS
     most = jnp.asarray([STEPS, more, MOST_STEPS], jnp.int32)[job.effort]
     end = refine_exponents(
-        columns, lobes, angles, t, *edges, box, steps, bend, most, variance
+        columns, lobes, angles, found, *edges, box, steps, bend, most, variance
     )
     return end.t, unsettled | ~end.ended, profile
 
@@ -551,7 +547,7 @@ def _averaged(job: _Job, columns: Columns) -> Columns:
     target = channel_mean(job.target)
     if job.one_basis:
         return mean_columns(columns, job.fixed, target, job.share**2)
-    basis = optimization_barrier(job.basis.grey())
+    basis = job.basis.grey()
     mean = dataclasses.replace(_one_channel(job), target=target, basis=basis)
     return mean.columns(mean.share**2)
 
@@ -594,7 +590,7 @@ def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
             loss_weights(Huber(), residual),
             loss_weights(loss, residual),
         )
-        columns = job.columns(optimization_barrier(weight * whole))
+        columns = job.columns(weight * whole)
         t, bend = state.t, state.bend
         if settings.searched:
             found = refine_exponents(
@@ -614,7 +610,7 @@ def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
 
     def begin(left: Array) -> tuple[At, Array]:
         """Where all samples but some lead to."""
-        columns = job.columns(optimization_barrier(whole * left))
+        columns = job.columns(whole * left)
         begun = t
         if settings.scanned:
             begun = scan_exponents(columns, lobes, angles, box, job.groups).t
@@ -638,7 +634,7 @@ def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
     last = jax.lax.while_loop(lambda s: s.done < wanted, attempt, first).best
     at, t = last.at, last.t
     residual, scale = relative(at, t)
-    weight = optimization_barrier(loss_weights(loss, residual) * whole)
+    weight = loss_weights(loss, residual) * whole
     columns = job.columns(weight)
     at = job.at(columns, t)
     moved = [abs(x - y) for x, y in zip(at.point, last.at.point, strict=True)]

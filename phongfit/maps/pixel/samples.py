@@ -5,12 +5,13 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from phongfit.maps.pixel.lamps import Lamps, make_lamps
 from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.small import any_sample, in_groups, optimization_barrier
+from phongfit.maps.pixel.small import any_sample, in_groups
 
 
 class Tile(NamedTuple):
@@ -26,7 +27,7 @@ class Tile(NamedTuple):
     - `table`: (levels,) or (images, levels), the light of each whole number; `None`
         where the target is light.
 
-    As it is read, `target` and `used` lack the padding: see [`filled`][].
+    As it is read, `target` and `used` lack the padding: see [`padded`][].
     """
 
     target: Shaped[Any, "images pixels 3"]
@@ -56,6 +57,14 @@ class Tile(NamedTuple):
             for start in range(0, len(self.normal), size)
             for part in [slice(start, start + size)]
         ]
+
+    def padded(self) -> "Tile":
+        """The tile with `target` and `used` as long as `normal`; what is added is 0."""
+        missing = len(self.normal) - self.target.shape[1]
+        pad = (0, 0), (0, missing), (0, 0)
+        return self._replace(
+            target=np.pad(self.target, pad), used=np.pad(self.used, pad)
+        )
 
     def rows(self, rows: Int[Array, " n"]) -> "Tile":
         """Some pixels of a tile whose arrays are those of JAX."""
@@ -155,9 +164,7 @@ def _light(
         # A row of the table for each image.
         first = table.shape[1] * jnp.arange(len(table), dtype=jnp.int32)
         target = target.astype(jnp.int32) + first[:, None, None]
-    light = table.reshape(-1).at[target].get(mode="promise_in_bounds")
-    # Else it is looked up again by all that want it.
-    return optimization_barrier(light)
+    return table.reshape(-1).at[target].get(mode="promise_in_bounds")
 
 
 def pixels_last(values: Shaped[Array, "*images pixels channels"]) -> Array:

@@ -22,11 +22,21 @@ T = TypeVar("T")
 RUN = 4
 
 
+KEEP_BARRIERS = {"xla_disable_hlo_passes": "cse_barrier_expander"}
+"""XLA option for programs with [`optimization_barrier`][], not documented by XLA.
+
+Otherwise XLA removes barriers on a CPU before it fuses operations.
+"""
+
+
 def optimization_barrier(values: T) -> T:
     """The same values, computed once and kept.
 
-    Left alone, the compiler computes what several results share anew for each of them;
-    in a chain of solutions that multiplies up to a hundredfold.
+    XLA fuses each result with everything that it depends on, so intermediate values are
+    computed anew for each of several results; in a chain of solutions that multiplies.
+    Measured on two cores with 96² pixels, warm: maps with normals sought under 49
+    lights take 2.5 s with the barriers of this module and of `maps/normals`, 6.3 s
+    without those of this module, 17 to 22 s without any.
     """
     return jax.lax.optimization_barrier(values)
 

@@ -15,6 +15,7 @@ from jaxtyping import Array
 from phongfit.maps.pixel.pixel import Outside, PixelFit, fit_pixels
 from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.small import KEEP_BARRIERS
 
 BLOCK = 512
 """Pixels that are worked on together: few enough for the numbers to stay in cache."""
@@ -129,10 +130,6 @@ class _Work(NamedTuple):
     effort: Array
 
 
-# On a CPU, XLA removes barriers before it fuses: then they would be in vain.
-SETTLED = {"xla_disable_hlo_passes": "cse_barrier_expander"}
-
-
 @functools.lru_cache(maxsize=16)
 def compiled(settings: MapSettings, mesh: Mesh, fit: Callable[..., Any] = fit_tile):
     """[`fit_tile`][], or its like, with its pixels spread over a mesh's devices."""
@@ -153,7 +150,7 @@ def compiled(settings: MapSettings, mesh: Mesh, fit: Callable[..., Any] = fit_ti
             None if tile.table is None else PartitionSpec(),
         )
 
-    @functools.partial(jax.jit, compiler_options=SETTLED)
+    @functools.partial(jax.jit, compiler_options=KEEP_BARRIERS)
     def run(tile: Tile, outside: Any) -> Any:
         spread = jax.shard_map(
             lambda tile, outside: fit(tile, outside, settings),

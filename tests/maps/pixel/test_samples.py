@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from phongfit.maps.pixel.lamps import Lamps
-from phongfit.maps.pixel.samples import Samples, differing_channels, of_one_channel
+from phongfit.maps.pixel.samples import Samples, Tile, differing_channels, of_one_channel
 from tests.helpers import floats
 
 IMAGES, PIXELS = 4, 5
@@ -51,3 +51,13 @@ def test_one_channel_stands_for_all():
         (IMAGES, 1, 1, 1),
         (IMAGES, 1, 1),
     ]
+
+
+def test_padding_is_not_used():
+    light, used = np.ones((2, 5, 3)), np.ones((1, 5, 1), bool)
+    tile = Tile(light, used, np.ones((8, 3)), np.ones((1, 3)), np.ones((1, 3)))
+    for part, few in zip(tile.parts(4), (4, 1), strict=True):
+        whole = part.padded()
+        assert whole.target.shape == (2, 4, 3) and whole.used.shape == (1, 4, 1)
+        assert whole.target[:, :few].all() and not whole.target[:, few:].any()
+        assert whole.used[:, :few].all() and not whole.used[:, few:].any()
