@@ -5,7 +5,12 @@ import numpy as np
 import pytest
 
 from phongfit.maps.pixel.lamps import Lamps
-from phongfit.maps.pixel.samples import Samples, Tile, differing_channels, of_one_channel
+from phongfit.maps.pixel.samples import (
+    Samples,
+    Tile,
+    differing_channels,
+    of_one_channel,
+)
 from tests.helpers import floats
 
 IMAGES, PIXELS = 4, 5
