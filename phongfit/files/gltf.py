@@ -62,19 +62,6 @@ class Part(NamedTuple):
     colours: dict[str, np.ndarray] = {}  # noqa: RUF012
 
 
-class Textures(NamedTuple):
-    """PNG files as bytes, in place of a material's numbers, and the colour's factor.
-
-    Without `normal` the vertices' own normals are all there is.
-    """
-
-    base_colour: bytes
-    roughness: bytes
-    specular: bytes
-    normal: bytes | None
-    specular_factor: Float[np.ndarray, "3"]
-
-
 class Picture(NamedTuple):
     """A texture's PNG file as bytes, where a material has what names a texture."""
 
@@ -134,17 +121,15 @@ def pbr_material(name: str, material: Material, nearest: bool) -> dict[str, Any]
 
 
 def write_gltf(
-    path: str | os.PathLike[str],
-    parts: list[tuple[Part, dict[str, Any]]],
-    textures: Textures | None = None,
+    path: str | os.PathLike[str], parts: list[tuple[Part, dict[str, Any]]]
 ) -> None:
     """Write triangles and their materials: one file that holds all, in one piece.
 
     **Arguments:**
 
     - `path`: `.glb`, or `.gltf` with the binary part as text.
-    - `parts`: with materials of [`pbr_material`][].
-    - `textures`: of the first material.
+    - `parts`: with materials of [`pbr_material`][], in which a [`Picture`][] stands for
+        each texture.
 
     **Raises:** `ValueError` for another suffix, `OSError` that names the file.
     """
@@ -155,8 +140,6 @@ def write_gltf(
     file = _File()
     for part, material in parts:
         file.add(part, material)
-    if textures is not None:
-        file.texture(textures)
     content = file.glb() if suffix == ".glb" else file.gltf()
     with replacing(path) as temporary:
         temporary.write_bytes(content)
@@ -247,34 +230,6 @@ class _File:
             view if target is None else view | {"target": target}
         )
         return len(self.json["bufferViews"]) - 1
-
-    def texture(self, textures: Textures) -> None:
-        images = [image for image in textures[:4] if image is not None]
-        self.json["images"] = [
-            {"bufferView": self._view(image), "mimeType": "image/png"}
-            for image in images
-        ]
-        # Nearest, clamped: a texel is one pixel of the maps.
-        self.json["samplers"] = [
-            {"magFilter": 9728, "minFilter": 9728, "wrapS": 33071, "wrapT": 33071}
-        ]
-        self.json["textures"] = [
-            {"source": at, "sampler": 0} for at in range(len(images))
-        ]
-        material = self.json["materials"][0]
-        material["alphaMode"] = "MASK"
-        if textures.normal is not None:
-            material["normalTexture"] = {"index": 3}
-        material["pbrMetallicRoughness"] = {
-            "baseColorTexture": {"index": 0},
-            "metallicRoughnessTexture": {"index": 1},
-            "metallicFactor": 0.0,
-            "roughnessFactor": 1.0,
-        }
-        material["extensions"]["KHR_materials_specular"] = {
-            "specularColorFactor": textures.specular_factor,
-            "specularColorTexture": {"index": 2},
-        }
 
     def _text(self, uri: str | None) -> bytes:
         buffer: dict[str, Any] = {"byteLength": len(self.data)}

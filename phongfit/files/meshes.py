@@ -137,7 +137,8 @@ def _load(path: Path, options: dict[str, Any], note: Note) -> LoadedMesh:
             parts = _with_colours(path, head, scene, parts, note)
             parts = _with_picture(path, head, parts, note)
     with naming(str(path)):
-        return _join(parts, order, suffix in (".stl", ".obj"), options, note)
+        repeats = suffix in (".stl", ".obj", ".gltf", ".glb")
+        return _join(parts, order, repeats, options, note)
 
 
 def _white() -> Material:
