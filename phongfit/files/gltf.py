@@ -49,16 +49,14 @@ CONVERSION = (
 class Part(NamedTuple):
     """Triangles of one material: arrays as glTF has them.
 
-    `uv` has its origin at the top left, and `tangents` are its u in space, with a sign.
-    Without `normals` faces are flat. `colours` of its vertices are linear, by the name
-    of the attribute.
+    `uv` has its origin at the top left. Without `normals` faces are flat. `colours` of
+    its vertices are linear, by the name of the attribute.
     """
 
     positions: Float[np.ndarray, "vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
     normals: Float[np.ndarray, "vertices 3"] | None = None
     uv: Float[np.ndarray, "vertices 2"] | None = None
-    tangents: Float[np.ndarray, "vertices 4"] | None = None
     colours: dict[str, np.ndarray] = {}  # noqa: RUF012
 
 
@@ -167,7 +165,6 @@ class _File:
             "POSITION": part.positions,
             "NORMAL": part.normals,
             "TEXCOORD_0": part.uv,
-            "TANGENT": part.tangents,
             **part.colours,
         }
         attributes = {

@@ -42,7 +42,6 @@ from phongfit.files.gltf_records import (
     at,
     unused,
 )
-from phongfit.files.gltf_tangents import differing, vertex_tangents
 from phongfit.files.inputs import inside, naming, read_bytes
 from phongfit.files.records import validated
 from phongfit.files.strict_json import parse_json
@@ -185,15 +184,11 @@ class _Reader:
         if primitive.material is not None:
             shade = at(self._shades, primitive.material, "material")
         normals = self._attribute(left, "NORMAL", "VEC3", count=count)
-        tangents = self._attribute(left, "TANGENT", "VEC4", count=count)
         uv = self._uv(left, shade, count)
         colours = self._colours(left, shade, count)
-        bent = shade is not None and shade.shaded.textures.normal is not None
-        if bent and not (tangents is None or normals is None or uv is None):
-            # phongfit finds tangents from the uv.
-            far = differing(tangents, vertex_tangents(local, faces, normals, uv))
-            if far:
-                self.unused[f"TANGENT ({far} of {count} differ from the uv's)"] = None
+        if shade is None or shade.shaded.textures.normal is None:
+            # Tangents are those of a normal map: phongfit finds them from the uv.
+            left.pop("TANGENT", None)
         self.unused |= dict.fromkeys(f"attributes.{name[:60]}" for name in left)
         linear, shift = matrix[:3, :3], matrix[:3, 3]
         turn = np.linalg.det(linear)

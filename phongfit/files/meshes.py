@@ -82,9 +82,9 @@ def load_mesh(path: str | os.PathLike[str], **options: Any) -> LoadedMesh:
 
     Materials of an .mtl are read as by [`read_mtl`][]; one that is missing is the
     default [`Material`][], with a warning, and still a material of its own. Of glTF's,
-    which are of another model, base colour (as diffuse and ambient) and emission are
-    taken, and roughness and KHR_materials_specular where the file gives them: see
-    `phongfit.files.gltf_materials`. A material that phongfit wrote is what it was.
+    which are of another model (metallic-roughness, specular-glossiness), the nearest of
+    Phong's is taken: see `phongfit.files.gltf_materials`. A material that phongfit
+    wrote is what it was. glTF's faces are flat where the file has no normals.
 
     Textures of colours (map_Ka, map_Kd, map_Ks, map_Ke; glTF's base colour, specular
     and emission; the TextureFile of a PLY), of the exponent (map_Ns, map_Pr; glTF's

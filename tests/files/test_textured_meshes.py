@@ -16,8 +16,6 @@ import phongfit as pf
 from phongfit.codes import REMEDIES
 from phongfit.files.formats import encode_png
 from phongfit.files.gltf import exponents, roughness, specular_colour, specular_of
-from phongfit.files.gltf_tangents import mirrored, vertex_tangents
-from phongfit.files.mesh_saving import _apart, _part
 from phongfit.rendering.film import decode
 from tests.files.test_gltf_reading import _triangle, binary
 from tests.helpers import known, near
@@ -779,72 +777,19 @@ def test_a_saved_mesh_is_read_again(tmp_path, suffix):
         assert np.median(abs(images[0] - images[1])) < 1e-4
 
 
-def accessor(path, name):
-    """An attribute of the first primitive of a file that we wrote as `.gltf`."""
-    content = json.loads(path.read_text())
-    data = base64.b64decode(content["buffers"][0]["uri"].split(",")[1])
-    number = content["meshes"][0]["primitives"][0]["attributes"][name]
-    view = content["bufferViews"][content["accessors"][number]["bufferView"]]
-    rows = np.frombuffer(data, np.float32, view["byteLength"] // 4, view["byteOffset"])
-    return rows.reshape(content["accessors"][number]["count"], -1)
-
-
-@pytest.mark.parametrize("mirror", [False, True])
-def test_tangents_of_a_normal_map(tmp_path, mirror):
-    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], float)
-    uv = uv * [-1, 1] if mirror else uv
-    bumps = pf.Textures(normal=pf.Texture(np.tile([0.2, 0.1, 0.9], (2, 2, 1))))
-    mesh = pf.Mesh(corners, faces, uv=uv[faces], textures=bumps)
-    path = tmp_path / "a.gltf"
-    pf.save_mesh(path, mesh, pf.Material())
-    # u runs along x, or against it; the bitangent runs up.
-    across = -1 if mirror else 1
-    near(accessor(path, "TANGENT"), np.tile([across, 0, 0, across], (4, 1)))
-    # They are those of the uv, so that nothing is said.
-    again = pf.load_mesh(path).mesh
-    pf.save_mesh(tmp_path / "b.gltf", again, pf.Material())
-    near(accessor(tmp_path / "b.gltf", "TANGENT"), accessor(path, "TANGENT"))
-    # Others are named.
-    content = json.loads(path.read_text())
-    uri = content["buffers"][0]["uri"]
-    number = content["meshes"][0]["primitives"][0]["attributes"]["TANGENT"]
-    start = content["bufferViews"][content["accessors"][number]["bufferView"]]
-    data = bytearray(base64.b64decode(uri.split(",")[1]))
-    turned = np.array([[0, 1, 0, across]] * 4, np.float32).tobytes()
-    data[start["byteOffset"] : start["byteOffset"] + len(turned)] = turned
-    head = "data:application/octet-stream;base64,"
-    content["buffers"][0]["uri"] = head + base64.b64encode(data).decode()
+def test_tangents_of_a_gltf_are_listed_where_there_is_a_normal_map(tmp_path):
+    """phongfit finds tangents from the uv."""
+    flat = levels(np.full((2, 2), 128), 128, 255)
+    tangents = np.tile([0, 1, 0, 1], (3, 1)).astype("f4")
+    bent = {"normalTexture": {"index": 0}, "pbrMetallicRoughness": MATTE}
+    path = gltf(tmp_path, bent, {"flat": flat})
+    content = binary(json.loads(path.read_text()), TANGENT=tangents)
     path.write_text(json.dumps(content))
-    with pytest.warns(
-        UserWarning, match="not used: TANGENT \\(4 of 4 differ from the uv's"
-    ):
+    with pytest.warns(UserWarning, match="not used: attributes.TANGENT. "):
         pf.load_mesh(path)
-
-
-def test_tangents_where_an_image_is_mirrored_or_lost():
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0]], float)
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    up = np.tile([0.0, 0, 1], (4, 1))
-    # u is |x|, so that the second face is mirrored; v runs down.
-    uv = np.array([[0, 1], [1, 1], [0, 0], [1, 1]], float)
-    assert list(mirrored(corners[faces], uv[faces].reshape(-1, 2))) == [False, True]
-    # Where the uv have no area a tangent is of length 1 all the same.
-    none = vertex_tangents(corners, faces, up, np.zeros((4, 2)))
-    near(np.sum(none[:, :3] ** 2, axis=1), np.ones(4))
-    near(none[:, 2], np.zeros(4))
-    mesh = pf.Mesh(
-        corners,
-        faces,
-        uv=uv[faces],
-        textures=pf.Textures(normal=pf.Texture(np.tile([0.0, 0, 1], (1, 1, 1)))),
-    )
-    own = _part(mesh, _apart(mesh, pf.Material(), None)[0])
-    # The two corners that both share come twice.
-    tangents = known(own.tangents)
-    assert len(tangents) == 6 and sorted(tangents[:, 3]) == [-1] * 3 + [1] * 3
-    near(tangents[:, 0], tangents[:, 3])
+    del content["materials"][0]["normalTexture"]
+    path.write_text(json.dumps(content))
+    assert pf.load_mesh(path).mesh.textures is None
 
 
 def test_what_is_not_saved(tmp_path):
