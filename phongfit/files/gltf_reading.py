@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
@@ -45,6 +46,7 @@ from phongfit.files.gltf_records import (
 from phongfit.files.inputs import inside, naming, read_bytes
 from phongfit.files.records import validated
 from phongfit.files.strict_json import parse_json
+from phongfit.geometry.normals import face_normals
 
 READ = (
     *("KHR_materials_", "KHR_texture_", "EXT_texture_"),
@@ -73,8 +75,8 @@ class GltfPart(NamedTuple):
 
 def read_gltf(
     path: Path, note: Callable[[str], None]
-) -> tuple[list[GltfPart], list[GltfShade]]:
-    """The triangles of a glTF or GLB file, and its materials.
+) -> tuple[list[GltfPart], dict[int, GltfShade]]:
+    """The triangles of a glTF or GLB file, and their materials by number.
 
     **Arguments:** `note`: is given one line that lists the parts that are not used.
 
@@ -91,54 +93,43 @@ def read_gltf(
                 f"requires the extension {name!r}, which is not read: export it without"
             )
     reader = _Reader(file, path.parent, binary)
-    shades, parts = reader.shades(), list(reader.parts())
+    parts = list(reader.parts())
     if lost := [*reader.unused, *dict.fromkeys(unused(file))]:
         more = f" and {len(lost) - LISTED} others" if lost[LISTED:] else ""
         note(f"not used: {', '.join(lost[:LISTED])}{more}")
-    return parts, shades
+    return parts, reader.shades
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
     """JSON and binary chunk of a GLB file."""
-    if len(data) < 12 or data[:4] != b"glTF":
-        raise ValueError("does not start as a GLB file does")
-    version, length = struct.unpack_from("<II", data, 4)
-    if version != 2:
-        raise ValueError(f"expected GLB version 2, got {version}")
-    if length > len(data):
-        raise ValueError(f"expected {length} bytes, got {len(data)}: it is truncated")
-    found, start = [], 12
-    while start + 8 <= length and len(found) < 2:
+    if len(data) < 12 or not data.startswith(b"glTF\2\0\0\0"):
+        raise ValueError("does not start as a GLB file of version 2 does")
+    found: dict[bytes, bytes] = {}
+    start = 12
+    while start + 8 <= len(data) and len(found) < 2:
         size, kind = struct.unpack_from("<I4s", data, start)
         start += 8 + size
-        if start > length:
+        if start > len(data):
             raise ValueError(f"expected a chunk of {size} bytes: it is truncated")
-        found.append((kind, data[start - size : start]))
-    if not found or found[0][0] != b"JSON":
+        found.setdefault(kind, data[start - size : start])
+    if b"JSON" not in found:
         raise ValueError("expected a JSON chunk first")
-    return found[0][1], found[1][1] if found[1:] and found[1][0] == b"BIN\0" else None
+    return found[b"JSON"], found.get(b"BIN\0")
 
 
 class _Reader:
-    """Materials, arrays and triangles of a file; `unused` lists what it passes over."""
+    """Arrays, triangles and their materials; `unused` lists other parts of the file."""
 
     def __init__(self, file: File, folder: Path, binary: bytes | None):
         self.unused: dict[str, None] = {}
+        self.shades: dict[int, GltfShade] = {}
+        self._shading = Shading(file, self._image, self.unused)
         self._file = file
         self._folder = folder
         self._binary = binary
         self._buffers: dict[int, bytes] = {}
-        self._shades: list[GltfShade] = []
         self._read = 0
         self._made = 0
-
-    def shades(self) -> list[GltfShade]:
-        """All materials of the file."""
-        shading = Shading(self._file, self._image, self.unused)
-        for number, material in enumerate(self._file.materials):
-            with naming(f"materials[{number}]"):
-                self._shades.append(shading.read(material))
-        return self._shades
 
     def parts(self) -> Iterator[GltfPart]:
         """Triangles of every node of the scene."""
@@ -182,7 +173,7 @@ class _Reader:
         faces = _triangles(corners, primitive.mode)
         shade = None
         if primitive.material is not None:
-            shade = at(self._shades, primitive.material, "material")
+            shade = self._shade(primitive.material)
         normals = self._attribute(left, "NORMAL", "VEC3", count=count)
         uv = self._uv(left, shade, count)
         colours = self._colours(left, shade, count)
@@ -208,11 +199,18 @@ class _Reader:
         return GltfPart(
             place[corners],
             np.arange(len(corners)).reshape(-1, 3),
-            np.repeat(_face_normals(place[faces]), 3, axis=0),
+            np.repeat(face_normals(jnp.asarray(place), jnp.asarray(faces)), 3, axis=0),
             primitive.material,
             None if uv is None else uv[corners],
             {name: rows[corners] for name, rows in colours.items()},
         )
+
+    def _shade(self, number: int) -> GltfShade:
+        material = at(self._file.materials, number, "material")
+        if number not in self.shades:
+            with naming(f"materials[{number}]"):
+                self.shades[number] = self._shading.read(material)
+        return self.shades[number]
 
     def _uv(
         self, left: dict[str, int], shade: GltfShade | None, count: int
@@ -374,13 +372,6 @@ class _Reader:
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-
-
-def _face_normals(corners: np.ndarray) -> np.ndarray:
-    """Unit normals of triangles; 0 for those without an area."""
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return normals / np.where(length > 0, length, 1)
 
 
 def _transform(node: Node) -> np.ndarray:

@@ -405,7 +405,7 @@ def _part(mesh: Any, shaded: Shaded) -> _Part:
     return _Part(vertices, faces, normals, name or UNNAMED, shaded, uv)
 
 
-def _named(parts: list[GltfPart], shades: list[GltfShade]) -> list[_Part]:
+def _named(parts: list[GltfPart], shades: dict[int, GltfShade]) -> list[_Part]:
     """Parts of a glTF file with a name of its own for each of its materials."""
     names: dict[int | None, str] = {None: UNNAMED}
     taken = {UNNAMED} if any(part.material is None for part in parts) else set()

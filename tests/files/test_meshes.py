@@ -176,7 +176,7 @@ def test_a_texture_that_is_missing_is_named(tmp_path):
         ("a.obj", "mtllib ../a.mtl\nv 0 0 0\n", "line 1: expected.*got '../a.mtl'"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nf 1 2 9\n", ""),
         ("a.ply", "ply", "cannot be read: its header has no end"),
-        ("a.glb", "glTF", "does not start as a GLB file does"),
+        ("a.glb", "glTF", "does not start as a GLB file of version 2 does"),
         ("a.stl", "", ""),
         ("a.3ds", "", "suffix is none of .obj"),
         ("a", "", "suffix is none of .obj"),

@@ -472,6 +472,9 @@ def test_gltf_textures_of_many_materials_are_bounded(tmp_path, monkeypatch):
     path = gltf(tmp_path, {}, {"rough": image})
     content = json.loads(path.read_text())
     content["materials"] = [{"pbrMetallicRoughness": pbr}] * 500
+    (primitive,) = content["meshes"][0]["primitives"]
+    each = [primitive | {"material": k} for k in range(500)]
+    content["meshes"][0]["primitives"] = each
     path.write_text(json.dumps(content))
     monkeypatch.setenv("PHONGFIT_MAX_MEMORY", "4M")
     with pytest.raises(ValueError, match="a.gltf: .*at most 4 MB .* textures"):
