@@ -81,14 +81,14 @@ def exponents(roughness: Any) -> Float[np.ndarray, "..."]:
 
 def specular_of(colour: Any, shininess: Any) -> Float[np.ndarray, "..."]:
     r"""$\rho_s$ of glTF's specular colour, the inverse of [`specular_colour`][]."""
-    numbers = np.asarray(colour, float), np.asarray(shininess, float)
-    return np.asarray(F0_OF_WHITE * numbers[0] * (numbers[1] + 2) / 8)
+    f = np.asarray(shininess, float)
+    return np.asarray(F0_OF_WHITE * np.asarray(colour, float) * (f + 2) / 8)
 
 
 def specular_colour(specular: Any, shininess: Any) -> Float[np.ndarray, "..."]:
     r"""glTF's specular colour: $8 \rho_s / (f + 2) / 0.04$; see above."""
-    numbers = np.asarray(specular, float), np.asarray(shininess, float)
-    return np.asarray(8 * numbers[0] / (numbers[1] + 2) / F0_OF_WHITE)
+    f = np.asarray(shininess, float)
+    return np.asarray(8 * np.asarray(specular, float) / (f + 2) / F0_OF_WHITE)
 
 
 def pbr_material(name: str, material: Material, nearest: bool) -> dict[str, Any]:
@@ -155,9 +155,6 @@ class _File:
             "scenes": [{"nodes": [0]}],
             "nodes": [{"mesh": 0}],
             "meshes": [{"primitives": []}],
-            "materials": [],
-            "accessors": [],
-            "bufferViews": [],
         }
 
     def add(self, part: Part, material: dict[str, Any]) -> None:
@@ -172,14 +169,12 @@ class _File:
             for name, array in arrays.items()
             if array is not None
         }
-        self.json["meshes"][0]["primitives"].append(
-            {
-                "attributes": attributes,
-                "indices": self._array(part.faces.reshape(-1), "SCALAR"),
-                "material": len(self.json["materials"]),
-            }
-        )
-        self.json["materials"].append(self._pictured(material))
+        primitive = {
+            "attributes": attributes,
+            "indices": self._array(part.faces.reshape(-1), "SCALAR"),
+            "material": self._add("materials", self._pictured(material)),
+        }
+        self.json["meshes"][0]["primitives"].append(primitive)
 
     def _pictured(self, value: Any) -> Any:
         """A material whose pictures are textures of this file."""
@@ -190,18 +185,19 @@ class _File:
         return value
 
     def _picture(self, picture: Picture) -> int:
-        lists = [
-            self.json.setdefault(n, []) for n in ("images", "samplers", "textures")
-        ]
-        images, samplers, textures = lists
         view = self._view(picture.png)
-        images.append({"bufferView": view, "mimeType": "image/png"})
-        filter, wrap = 9728 if picture.nearest else 9729, 33071
-        wrap = 10497 if picture.repeat else wrap
+        filter = 9728 if picture.nearest else 9729
+        wrap = 10497 if picture.repeat else 33071
         sampler = {"magFilter": filter, "minFilter": filter}
-        samplers.append(sampler | {"wrapS": wrap, "wrapT": wrap})
-        textures.append({"source": len(images) - 1, "sampler": len(samplers) - 1})
-        return len(textures) - 1
+        source = self._add("images", {"bufferView": view, "mimeType": "image/png"})
+        number = self._add("samplers", sampler | {"wrapS": wrap, "wrapT": wrap})
+        return self._add("textures", {"source": source, "sampler": number})
+
+    def _add(self, key: str, item: dict[str, Any]) -> int:
+        """The number of a new item in one of the file's lists."""
+        items = self.json.setdefault(key, [])
+        items.append(item)
+        return len(items) - 1
 
     def _array(self, array: np.ndarray, kind: str) -> int:
         whole = kind == "SCALAR"
@@ -217,16 +213,13 @@ class _File:
             # Viewers find the object's size by these.
             ends = numbers.min(axis=0), numbers.max(axis=0)
             accessor |= {"min": ends[0].astype(float), "max": ends[1].astype(float)}
-        self.json["accessors"].append(accessor)
-        return len(self.json["accessors"]) - 1
+        return self._add("accessors", accessor)
 
     def _view(self, content: bytes, target: int | None = None) -> int:
         view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(content)}
         self.data += content + bytes(-len(content) % 4)
-        self.json["bufferViews"].append(
-            view if target is None else view | {"target": target}
-        )
-        return len(self.json["bufferViews"]) - 1
+        given = {} if target is None else {"target": target}
+        return self._add("bufferViews", view | given)
 
     def _text(self, uri: str | None) -> bytes:
         buffer: dict[str, Any] = {"byteLength": len(self.data)}
