@@ -54,7 +54,7 @@ OpenImage = Callable[[int], tuple[bytes, Path]]
 
 
 class Placing(NamedTuple):
-    """Which set of uv the textures of a material use, and how it is transformed."""
+    """The set of uv that the textures of a material use, and its transformation."""
 
     uv_set: int
     offset: tuple[float, ...]
@@ -88,8 +88,9 @@ class _Map(NamedTuple):
     values: np.ndarray
     sampled: dict[str, Any] | None = None
 
-    def part(self, channels: slice, factor: Any) -> "_Map":
-        return self._replace(values=self.values[..., channels] * np.asarray(factor))
+    def part(self, channels: slice, factor: Any = 1) -> "_Map":
+        factor = np.asarray(factor, self.values.dtype)
+        return self._replace(values=self.values[..., channels] * factor)
 
 
 RGB, GREEN, BLUE, ALPHA = slice(0, 3), slice(1, 2), slice(2, 3), slice(3, 4)
@@ -137,7 +138,7 @@ class Shading:
         factor = strength * np.array(material.emissiveFactor)
         info = material.emissiveTexture if factor.any() else None
         glow = self._open("emissiveTexture", info, "srgb")
-        self._put("emission", glow.part(RGB, 1), factor)
+        self._put("emission", glow.part(RGB), factor)
         if (info := material.normalTexture) is not None:
             bumps = self._open("normalTexture", info, "linear")
             if bumps.sampled is not None:
@@ -191,7 +192,7 @@ class Shading:
         self._highlight(both.part(RGB, gloss.specularFactor), f)
 
     def _coloured(self, base: _Map, factor: list[float], metal: _Map) -> None:
-        colour = base.part(RGB, 1)
+        colour = base.part(RGB)
         self._put("ambient", colour, factor[:3])
         if metal.values.any():
             matte = self._mapped(lambda b, metal: b * (1 - metal), colour, metal)
@@ -287,7 +288,7 @@ class Shading:
         if (source, encoding) not in self._opened:
             colours, alpha = read_texels(*self._image(source), encoding)
             size = colours.shape[:2]
-            alpha = np.ones((*size, 1)) if alpha is None else alpha
+            alpha = np.ones((*size, 1), colours.dtype) if alpha is None else alpha
             rgba = np.concatenate([np.broadcast_to(colours, (*size, 3)), alpha], -1)
             self._hold(rgba)
             self._opened[source, encoding] = rgba

@@ -77,7 +77,7 @@ class _View(_Record):
 
 
 class _Place(_Record):
-    """Where numbers start; `componentType` is that of indices."""
+    """Start of numbers in a view; `componentType` is that of indices."""
 
     bufferView: Index
     byteOffset: Count = 0
@@ -138,7 +138,7 @@ class _OfTexture(_Record):
 
 
 class TextureInfo(_Record):
-    """Which texture, and over which set of uv; `scale` is that of a normal map."""
+    """A texture by its number, and its set of uv; `scale` is that of a normal map."""
 
     index: Index
     texCoord: Index = 0
