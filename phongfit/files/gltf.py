@@ -49,30 +49,15 @@ CONVERSION = (
 class Part(NamedTuple):
     """Triangles of one material: arrays as glTF has them.
 
-    `uv` has its origin at the top left, and `tangents` are its u in space, with a sign.
-    Without `normals` faces are flat. `colours` of its vertices are linear, by the name
-    of the attribute.
+    `uv` has its origin at the top left. Without `normals` faces are flat. `colours` of
+    its vertices are linear, by the name of the attribute.
     """
 
     positions: Float[np.ndarray, "vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
     normals: Float[np.ndarray, "vertices 3"] | None = None
     uv: Float[np.ndarray, "vertices 2"] | None = None
-    tangents: Float[np.ndarray, "vertices 4"] | None = None
     colours: dict[str, np.ndarray] = {}  # noqa: RUF012
-
-
-class Textures(NamedTuple):
-    """PNG files as bytes, in place of a material's numbers, and the colour's factor.
-
-    Without `normal` the vertices' own normals are all there is.
-    """
-
-    base_colour: bytes
-    roughness: bytes
-    specular: bytes
-    normal: bytes | None
-    specular_factor: Float[np.ndarray, "3"]
 
 
 class Picture(NamedTuple):
@@ -96,14 +81,14 @@ def exponents(roughness: Any) -> Float[np.ndarray, "..."]:
 
 def specular_of(colour: Any, shininess: Any) -> Float[np.ndarray, "..."]:
     r"""$\rho_s$ of glTF's specular colour, the inverse of [`specular_colour`][]."""
-    numbers = np.asarray(colour, float), np.asarray(shininess, float)
-    return np.asarray(F0_OF_WHITE * numbers[0] * (numbers[1] + 2) / 8)
+    f = np.asarray(shininess, float)
+    return np.asarray(F0_OF_WHITE * np.asarray(colour, float) * (f + 2) / 8)
 
 
 def specular_colour(specular: Any, shininess: Any) -> Float[np.ndarray, "..."]:
     r"""glTF's specular colour: $8 \rho_s / (f + 2) / 0.04$; see above."""
-    numbers = np.asarray(specular, float), np.asarray(shininess, float)
-    return np.asarray(8 * numbers[0] / (numbers[1] + 2) / F0_OF_WHITE)
+    f = np.asarray(shininess, float)
+    return np.asarray(8 * np.asarray(specular, float) / (f + 2) / F0_OF_WHITE)
 
 
 def pbr_material(name: str, material: Material, nearest: bool) -> dict[str, Any]:
@@ -134,17 +119,15 @@ def pbr_material(name: str, material: Material, nearest: bool) -> dict[str, Any]
 
 
 def write_gltf(
-    path: str | os.PathLike[str],
-    parts: list[tuple[Part, dict[str, Any]]],
-    textures: Textures | None = None,
+    path: str | os.PathLike[str], parts: list[tuple[Part, dict[str, Any]]]
 ) -> None:
     """Write triangles and their materials: one file that holds all, in one piece.
 
     **Arguments:**
 
     - `path`: `.glb`, or `.gltf` with the binary part as text.
-    - `parts`: with materials of [`pbr_material`][].
-    - `textures`: of the first material.
+    - `parts`: with materials of [`pbr_material`][], in which a [`Picture`][] stands for
+        each texture.
 
     **Raises:** `ValueError` for another suffix, `OSError` that names the file.
     """
@@ -155,8 +138,6 @@ def write_gltf(
     file = _File()
     for part, material in parts:
         file.add(part, material)
-    if textures is not None:
-        file.texture(textures)
     content = file.glb() if suffix == ".glb" else file.gltf()
     with replacing(path) as temporary:
         temporary.write_bytes(content)
@@ -174,9 +155,6 @@ class _File:
             "scenes": [{"nodes": [0]}],
             "nodes": [{"mesh": 0}],
             "meshes": [{"primitives": []}],
-            "materials": [],
-            "accessors": [],
-            "bufferViews": [],
         }
 
     def add(self, part: Part, material: dict[str, Any]) -> None:
@@ -184,7 +162,6 @@ class _File:
             "POSITION": part.positions,
             "NORMAL": part.normals,
             "TEXCOORD_0": part.uv,
-            "TANGENT": part.tangents,
             **part.colours,
         }
         attributes = {
@@ -192,14 +169,12 @@ class _File:
             for name, array in arrays.items()
             if array is not None
         }
-        self.json["meshes"][0]["primitives"].append(
-            {
-                "attributes": attributes,
-                "indices": self._array(part.faces.reshape(-1), "SCALAR"),
-                "material": len(self.json["materials"]),
-            }
-        )
-        self.json["materials"].append(self._pictured(material))
+        primitive = {
+            "attributes": attributes,
+            "indices": self._array(part.faces.reshape(-1), "SCALAR"),
+            "material": self._add("materials", self._pictured(material)),
+        }
+        self.json["meshes"][0]["primitives"].append(primitive)
 
     def _pictured(self, value: Any) -> Any:
         """A material whose pictures are textures of this file."""
@@ -210,18 +185,19 @@ class _File:
         return value
 
     def _picture(self, picture: Picture) -> int:
-        lists = [
-            self.json.setdefault(n, []) for n in ("images", "samplers", "textures")
-        ]
-        images, samplers, textures = lists
         view = self._view(picture.png)
-        images.append({"bufferView": view, "mimeType": "image/png"})
-        filter, wrap = 9728 if picture.nearest else 9729, 33071
-        wrap = 10497 if picture.repeat else wrap
+        filter = 9728 if picture.nearest else 9729
+        wrap = 10497 if picture.repeat else 33071
         sampler = {"magFilter": filter, "minFilter": filter}
-        samplers.append(sampler | {"wrapS": wrap, "wrapT": wrap})
-        textures.append({"source": len(images) - 1, "sampler": len(samplers) - 1})
-        return len(textures) - 1
+        source = self._add("images", {"bufferView": view, "mimeType": "image/png"})
+        number = self._add("samplers", sampler | {"wrapS": wrap, "wrapT": wrap})
+        return self._add("textures", {"source": source, "sampler": number})
+
+    def _add(self, key: str, item: dict[str, Any]) -> int:
+        """The number of a new item in one of the file's lists."""
+        items = self.json.setdefault(key, [])
+        items.append(item)
+        return len(items) - 1
 
     def _array(self, array: np.ndarray, kind: str) -> int:
         whole = kind == "SCALAR"
@@ -237,44 +213,13 @@ class _File:
             # Viewers find the object's size by these.
             ends = numbers.min(axis=0), numbers.max(axis=0)
             accessor |= {"min": ends[0].astype(float), "max": ends[1].astype(float)}
-        self.json["accessors"].append(accessor)
-        return len(self.json["accessors"]) - 1
+        return self._add("accessors", accessor)
 
     def _view(self, content: bytes, target: int | None = None) -> int:
         view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(content)}
         self.data += content + bytes(-len(content) % 4)
-        self.json["bufferViews"].append(
-            view if target is None else view | {"target": target}
-        )
-        return len(self.json["bufferViews"]) - 1
-
-    def texture(self, textures: Textures) -> None:
-        images = [image for image in textures[:4] if image is not None]
-        self.json["images"] = [
-            {"bufferView": self._view(image), "mimeType": "image/png"}
-            for image in images
-        ]
-        # Nearest, clamped: a texel is one pixel of the maps.
-        self.json["samplers"] = [
-            {"magFilter": 9728, "minFilter": 9728, "wrapS": 33071, "wrapT": 33071}
-        ]
-        self.json["textures"] = [
-            {"source": at, "sampler": 0} for at in range(len(images))
-        ]
-        material = self.json["materials"][0]
-        material["alphaMode"] = "MASK"
-        if textures.normal is not None:
-            material["normalTexture"] = {"index": 3}
-        material["pbrMetallicRoughness"] = {
-            "baseColorTexture": {"index": 0},
-            "metallicRoughnessTexture": {"index": 1},
-            "metallicFactor": 0.0,
-            "roughnessFactor": 1.0,
-        }
-        material["extensions"]["KHR_materials_specular"] = {
-            "specularColorFactor": textures.specular_factor,
-            "specularColorTexture": {"index": 2},
-        }
+        given = {} if target is None else {"target": target}
+        return self._add("bufferViews", view | given)
 
     def _text(self, uri: str | None) -> bytes:
         buffer: dict[str, Any] = {"byteLength": len(self.data)}

@@ -1,23 +1,43 @@
 r"""Materials of glTF files, as Phong's: the inverse of [`phongfit.files.gltf`][].
 
-Base colour is $\rho_d$ and $\rho_a$, and emission is emission. Roughness $r$, where a
-file gives it, is $f = 2 / r^4 - 2$, and KHR_materials_specular's colour $c$ is
-$\rho_s = 0.04\, c\, (f + 2) / 8$; without the extension the highlight is left to a
-fit. Textures of them multiply these numbers; colours are sRGB-encoded in them. What we
-wrote ourselves, in `extras`, is taken as it stands.
+With base colour $b$, metallic $m$, roughness $r$ and the reflectance of a dielectric
+$F = 0.04\, c$ (KHR_materials_specular's colour $c$; 0.04 is that of KHR_materials_ior):
+
+- $\rho_d = (1 - m)\, b$ and $\rho_a = b$: metals reflect the surroundings, too;
+- $f = 2 / r^4 - 2$ and $\rho_s = ((1 - m)\, F + m\, b)\, (f + 2) / 8$.
+
+KHR_materials_pbrSpecularGlossiness has $\rho_d$ and $F$ itself, and $r = 1 - g$ for its
+glossiness $g$. Each of these numbers may have a texture; colours are sRGB-encoded in
+them. The material in the `extras` of a file that phongfit wrote is taken as it stands.
+
+??? cite "Source"
+    Khronos, *glTF 2.0*, 2021, appendix B, and the extensions that are named here;
+    *KHR_texture_transform*: a rotation is counter-clockwise, where v runs down.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
+from scipy.ndimage import zoom
 
-from phongfit.files.gltf import exponents, specular_of
-from phongfit.files.gltf_records import File, GltfMaterial, Specular, TextureInfo
+from phongfit.files.budget import afford
+from phongfit.files.gltf import F0_OF_WHITE, exponents, specular_of
+from phongfit.files.gltf_records import (
+    COLOUR_0,
+    COLOURS,
+    File,
+    Glossiness,
+    GltfMaterial,
+    GltfSampler,
+    TextureInfo,
+    at,
+)
 from phongfit.files.images import read_texels
-from phongfit.files.inputs import naming_field
-from phongfit.files.mtl_textures import Note, Shaded
+from phongfit.files.inputs import naming_field, shortened
+from phongfit.files.mtl_textures import Shaded
 from phongfit.files.records import validated
 from phongfit.files.schema import MaterialRecord
 from phongfit.material import Material
@@ -27,63 +47,252 @@ from phongfit.textures import Texture, Textures
 NEAREST, REPEAT, CLAMP = 9728, 10497, 33071
 
 OpenImage = Callable[[int], tuple[bytes, Path]]
-"""The bytes of the image of a number, none if it is missing, and its name."""
+"""The bytes of the image of a number, and its name.
+
+**Raises:** `ValueError` if it is missing.
+"""
+
+
+class Placing(NamedTuple):
+    """The set of uv that the textures of a material use, and its transformation."""
+
+    uv_set: int
+    offset: tuple[float, ...]
+    rotation: float
+    scale: tuple[float, ...]
+
+    def of(
+        self, uv: Float[np.ndarray, "vertices 2"]
+    ) -> Float[np.ndarray, "vertices 2"]:
+        """The uv at which the textures are looked up."""
+        c, s = np.cos(self.rotation), np.sin(self.rotation)
+        return (uv * self.scale) @ np.array([[c, -s], [s, c]]) + self.offset
 
 
 class GltfShade(NamedTuple):
-    """A material's name, itself, which set of uv its textures use, and is it ours?"""
+    """A material of a file.
+
+    - `placing`: of its textures; `None` if it has none.
+    - `multiplied`: by the attribute of vertices, the parameters that it multiplies.
+    """
 
     name: str | None
     shaded: Shaded
-    uv_set: int | None
-    own: bool
+    placing: Placing | None
+    multiplied: Mapping[str, tuple[str, ...]]
 
 
-def read_shade(
-    material: GltfMaterial, file: File, image: OpenImage, note: Note
-) -> GltfShade:
-    """A material of a glTF file.
+class _Map(NamedTuple):
+    """Numbers of a surface: (channels,), or (H, W, channels) of textures."""
 
-    **Raises:** `ValueError` that says what is wrong with it.
+    values: np.ndarray
+    sampled: dict[str, Any] | None = None
+
+    def part(self, channels: slice, factor: Any = 1) -> "_Map":
+        factor = np.asarray(factor, self.values.dtype)
+        return self._replace(values=self.values[..., channels] * factor)
+
+
+RGB, GREEN, BLUE, ALPHA = slice(0, 3), slice(1, 2), slice(2, 3), slice(3, 4)
+
+
+class Shading:
+    """Reads the materials of a file one after the other.
+
+    **Arguments:** `unused`: takes the parts of materials that are not used, as keys.
     """
-    reader = _Shading(file, image, note, _called(material))
-    pbr, given = material.pbrMetallicRoughness, _own(material)
-    leaves: dict[str, Any] = {}
-    if given is not None:
-        leaves = dict(vars(given))
-    base = pbr.baseColorFactor
-    if base is not None and base[3] < 1:
-        note(f"{reader.name}: its transparency is not used")
-    if pbr.metallicFactor:
-        note(f"{reader.name}: that it is metallic is not used")
-    textures: dict[str, Texture | None] = {}
-    textures["diffuse"] = reader.open("baseColorTexture", pbr.baseColorTexture, "srgb")
-    if given is None or textures["diffuse"] is not None:
-        white = [1.0] * 3 if textures["diffuse"] is not None else None
-        colour = white if base is None else base[:3]
-        leaves |= {} if colour is None else {"diffuse": colour}
-        if given is None and colour is not None:
-            leaves["ambient"] = colour
-            textures["ambient"] = textures["diffuse"]
-    textures["emission"] = reader.open(
-        "emissiveTexture", material.emissiveTexture, "srgb"
-    )
-    if material.emissiveFactor is not None and (
-        given is None or textures["emission"] is not None
-    ):
-        leaves["emission"] = material.emissiveFactor
-    reader.highlight(material, leaves, textures, own=given is not None)
-    textures["normal"] = reader.normal(material.normalTexture)
-    return GltfShade(
-        material.name,
-        Shaded(Material(**leaves), Textures(**textures)),
-        reader.uv_set,
-        given is not None,
-    )
 
+    def __init__(self, file: File, image: OpenImage, unused: dict[str, None]):
+        self._file = file
+        self._image = image
+        self._unused = unused
+        self._opened: dict[tuple[int, NamedEncoding], np.ndarray] = {}
+        self._held = 0
+        # Of the material that is read.
+        self._name = ""
+        self._placing: Placing | None = None
+        self._leaves: dict[str, Any] = {}
+        self._textures: dict[str, Texture] = {}
 
-def _called(material: GltfMaterial) -> str:
-    return "a material" if material.name is None else f"material {material.name[:60]!r}"
+    def read(self, material: GltfMaterial) -> GltfShade:
+        """One material.
+
+        **Raises:** `ValueError` that states what is wrong with it.
+        """
+        name = material.name
+        self._name = "a material" if name is None else f"material {name[:60]!r}"
+        self._placing, self._leaves, self._textures = None, {}, {}
+        own, multiplied = _own(material), COLOUR_0
+        gloss = material.extensions.KHR_materials_pbrSpecularGlossiness
+        if own is not None:
+            multiplied = {key: (leaf,) for key, leaf in COLOURS.items()}
+        if gloss is not None:
+            self._glossy(gloss)
+        elif self._metallic(material, own) and own is None:
+            multiplied = {"COLOR_0": ("diffuse", "ambient", "specular")}
+            self._unused[
+                f"the mirror image in {self._name}, a metal (its base colour is its "
+                "specular reflectance)"
+            ] = None
+        strength = material.extensions.KHR_materials_emissive_strength.emissiveStrength
+        factor = strength * np.array(material.emissiveFactor)
+        info = material.emissiveTexture if factor.any() else None
+        glow = self._open("emissiveTexture", info, "srgb")
+        self._put("emission", glow.part(RGB), factor)
+        if (info := material.normalTexture) is not None:
+            bumps = self._open("normalTexture", info, "linear")
+            if bumps.sampled is not None:
+                values = (2 * bumps.values[..., RGB] - 1) * [info.scale, info.scale, 1]
+                self._textures["normal"] = Texture(values, **bumps.sampled)
+        if own is not None:
+            self._textures.pop("ambient", None)
+            exact = vars(own).items()
+            self._leaves |= {k: v for k, v in exact if k not in self._textures}
+        shaded = Shaded(Material(**self._leaves), Textures(**self._textures))
+        return GltfShade(name, shaded, self._placing, multiplied)
+
+    def _metallic(self, material: GltfMaterial, own: Material | None) -> bool:
+        """Read metallic and roughness; true for metals."""
+        pbr = material.pbrMetallicRoughness
+        base = self._open("baseColorTexture", pbr.baseColorTexture, "srgb")
+        rough = self._open(
+            "metallicRoughnessTexture", pbr.metallicRoughnessTexture, "linear"
+        )
+        metal = rough.part(BLUE, pbr.metallicFactor)
+        is_metal = bool(metal.values.any())
+        metal = metal if is_metal else _Map(np.zeros(1))
+        self._coloured(base, pbr.baseColorFactor, metal)
+        given = material.extensions.KHR_materials_specular
+        tint = self._open("specularColorTexture", given.specularColorTexture, "srgb")
+        weight = self._open("specularTexture", given.specularTexture, "linear")
+        ior = material.extensions.KHR_materials_ior.ior
+        f0 = self._mapped(
+            lambda tint, weight: tint * weight,
+            tint.part(RGB, given.specularColorFactor),
+            weight.part(ALPHA, given.specularFactor * ((ior - 1) / (ior + 1)) ** 2),
+        )
+        if is_metal:
+            f0 = self._mapped(
+                lambda f0, base, metal: (1 - metal) * f0 + metal * base,
+                *(f0, base.part(RGB, pbr.baseColorFactor[:3]), metal),
+            )
+        f = self._mapped(exponents, rough.part(GREEN, pbr.roughnessFactor))
+        if own is not None and rough.sampled is None:
+            f = _Map(np.atleast_1d(np.asarray(own.shininess, float)))
+        self._highlight(f0, f)
+        return is_metal
+
+    def _glossy(self, gloss: Glossiness) -> None:
+        base = self._open("diffuseTexture", gloss.diffuseTexture, "srgb")
+        self._coloured(base, gloss.diffuseFactor, _Map(np.zeros(1)))
+        info = gloss.specularGlossinessTexture
+        both = self._open("specularGlossinessTexture", info, "srgb")
+        glossiness = both.part(ALPHA, gloss.glossinessFactor)
+        f = self._mapped(lambda glossiness: exponents(1 - glossiness), glossiness)
+        self._highlight(both.part(RGB, gloss.specularFactor), f)
+
+    def _coloured(self, base: _Map, factor: list[float], metal: _Map) -> None:
+        colour = base.part(RGB)
+        self._put("ambient", colour, factor[:3])
+        if metal.values.any():
+            matte = self._mapped(lambda b, metal: b * (1 - metal), colour, metal)
+            self._put("diffuse", matte, factor[:3])
+        else:
+            # One texture for both, as other formats have it.
+            self._leaves["diffuse"] = self._leaves["ambient"]
+            if "ambient" in self._textures:
+                self._textures["diffuse"] = self._textures["ambient"]
+
+    def _highlight(self, f0: _Map, f: _Map) -> None:
+        self._put("shininess", f)
+        specular = self._mapped(lambda f0, f: specular_of(f0 / F0_OF_WHITE, f), f0, f)
+        self._put("specular", specular)
+
+    def _mapped(self, function: Callable[..., Any], *maps: _Map) -> _Map:
+        """A function of several maps, on the grid of the largest."""
+        images = [one for one in maps if one.sampled is not None]
+        if not images:
+            return _Map(np.asarray(function(*(one.values for one in maps))))
+        size = np.max([one.values.shape[:2] for one in images], axis=0)
+        afford(len(maps) * 24 * int(np.prod(size, dtype=object)), "textures")
+
+        def resized(one: _Map) -> np.ndarray:
+            if one.sampled is None or tuple(size) == one.values.shape[:2]:
+                return one.values
+            factors = (*(size / one.values.shape[:2]), 1)
+            order = int(one.sampled["filter"] == "bilinear")
+            mode = "grid-wrap" if one.sampled["wrap"] == "repeat" else "nearest"
+            values = one.values
+            return np.array(zoom(values, factors, None, order, mode, grid_mode=True))
+
+        values = function(*map(resized, maps))
+        return _Map(np.asarray(values), images[0].sampled)
+
+    def _put(self, leaf: str, numbers: _Map, factor: Any = None) -> None:
+        """Set a parameter, and the texture that multiplies it if it varies."""
+        values = numbers.values
+        if numbers.sampled is None or not values.any():
+            number = values.reshape(-1, values.shape[-1])[0]
+            self._leaves[leaf] = number * (1 if factor is None else np.asarray(factor))
+            return
+        if factor is None:
+            factor = float(values.max())
+            values = values / factor
+        self._hold(values)
+        self._leaves[leaf] = factor
+        self._textures[leaf] = Texture(values, **numbers.sampled)
+
+    def _hold(self, values: np.ndarray) -> None:
+        self._held += values.nbytes
+        afford(self._held, "textures")
+
+    def _open(
+        self, what: str, info: TextureInfo | None, encoding: NamedEncoding
+    ) -> _Map:
+        """One of the material's textures, RGBA; ones if it has none, or it is lost."""
+        ones = _Map(np.ones(4))
+        if info is None:
+            return ones
+        told = f"{what} of {self._name}"
+        texture = at(self._file.textures, info.index, f"{what}.index")
+        transform = info.extensions.KHR_texture_transform
+        placing = Placing(
+            info.texCoord if transform.texCoord is None else transform.texCoord,
+            tuple(transform.offset),
+            transform.rotation,
+            tuple(transform.scale),
+        )
+        if self._placing not in (None, placing):
+            self._unused[f"{told} (its uv differ from those of another)"] = None
+            return ones
+        if texture.source is None:
+            self._unused[f"{told} (of an unknown format)"] = None
+            return ones
+        try:
+            values = self._rgba(texture.source, encoding)
+        except ValueError as error:
+            self._unused[f"{told} ({shortened(str(error))})"] = None
+            return ones
+        self._placing = placing
+        sampler = GltfSampler()
+        if texture.sampler is not None:
+            sampler = at(self._file.samplers, texture.sampler, "sampler")
+        wraps = {sampler.wrapS, sampler.wrapT}
+        if wraps not in ({REPEAT}, {CLAMP}):
+            self._unused[f"the wrapping of {told} (it repeats)"] = None
+        filter = "nearest" if sampler.magFilter == NEAREST else "bilinear"
+        wrap = "clamp" if wraps == {CLAMP} else "repeat"
+        return _Map(values, {"filter": filter, "wrap": wrap})
+
+    def _rgba(self, source: int, encoding: NamedEncoding) -> np.ndarray:
+        if (source, encoding) not in self._opened:
+            colours, alpha = read_texels(*self._image(source), encoding)
+            size = colours.shape[:2]
+            alpha = np.ones((*size, 1), colours.dtype) if alpha is None else alpha
+            rgba = np.concatenate([np.broadcast_to(colours, (*size, 3)), alpha], -1)
+            self._hold(rgba)
+            self._opened[source, encoding] = rgba
+        return self._opened[source, encoding]
 
 
 def _own(material: GltfMaterial) -> Material | None:
@@ -92,131 +301,3 @@ def _own(material: GltfMaterial) -> Material | None:
         return None
     with naming_field("extras.phong"):
         return validated(material.extras["phong"], MaterialRecord).build()
-
-
-class _Shading:
-    """Textures of one material, over one set of uv."""
-
-    def __init__(self, file: File, image: OpenImage, note: Note, name: str):
-        self._file = file
-        self._image = image
-        self._note = note
-        self.name = name
-        self.uv_set: int | None = None
-
-    def open(
-        self, what: str, info: TextureInfo | None, encoding: NamedEncoding
-    ) -> Texture | None:
-        """One of the material's textures; `None` without, and with a note if lost."""
-        if info is None:
-            return None
-        told = f"{self.name}: its {what}"
-        if info.extensions:
-            names = ", ".join(map(repr, info.extensions))
-            self._note(f"{told} is placed by {names}, which is not used")
-        if self.uv_set not in (None, info.texCoord):
-            self._note(f"{told} has another set of uv, and is not used")
-            return None
-        file = self._file
-        if info.index >= len(file.textures):
-            raise ValueError(
-                f"{what}.index: expected a number below {len(file.textures)}, got "
-                f"{info.index}"
-            )
-        texture = file.textures[info.index]
-        if texture.source is None:
-            self._note(f"{told} is of an unknown format, and not used")
-            return None
-        data, path = self._image(texture.source)
-        if not data:
-            self._note(f"{told} is missing: {path}")
-            return None
-        values, transparent = read_texels(data, path, encoding)
-        if transparent:
-            self._note(f"{told} is partly transparent, which is not used")
-        self.uv_set = info.texCoord
-        return self._sampled(texture.sampler, values, told)
-
-    def _sampled(self, number: int | None, values: np.ndarray, told: str) -> Texture:
-        if number is None:
-            return Texture(values)
-        if number >= len(self._file.samplers):
-            raise ValueError(f"sampler: expected a known one, got {number}")
-        sampler = self._file.samplers[number]
-        wraps = {sampler.wrapS, sampler.wrapT}
-        if wraps not in ({REPEAT}, {CLAMP}):
-            self._note(f"{told} is mirrored or wrapped by axis: it repeats instead")
-        return Texture(
-            values,
-            "nearest" if sampler.magFilter == NEAREST else "bilinear",
-            "clamp" if wraps == {CLAMP} else "repeat",
-        )
-
-    def normal(self, info: TextureInfo | None) -> Texture | None:
-        """The normal map, from −1 to 1."""
-        texture = self.open("normalTexture", info, "linear")
-        if texture is None or info is None:
-            return None
-        values = (2 * np.asarray(texture.values) - 1) * [info.scale, info.scale, 1]
-        return Texture(values, texture.filter, texture.wrap)
-
-    def highlight(
-        self,
-        material: GltfMaterial,
-        leaves: dict[str, Any],
-        textures: dict[str, Texture | None],
-        *,
-        own: bool,
-    ) -> None:
-        """Exponent and specular reflectance; what is our `own` stays as it was."""
-        pbr = material.pbrMetallicRoughness
-        info = pbr.metallicRoughnessTexture
-        rough = self.open("metallicRoughnessTexture", info, "linear")
-        factor = 1.0 if pbr.roughnessFactor is None else pbr.roughnessFactor
-        f: Any = exponents(factor)
-        if rough is not None:
-            green = np.asarray(rough.values, float)[..., 1:2]
-            f = exponents(factor * green)
-            highest = max(float(f.max()), 1e-6)
-            leaves["shininess"] = highest
-            textures["shininess"] = Texture(f / highest, rough.filter, rough.wrap)
-        elif own:
-            f = np.asarray(leaves["shininess"], float)
-        elif pbr.roughnessFactor is not None:
-            leaves["shininess"] = float(f)
-        specular = material.extensions.KHR_materials_specular
-        if specular is not None:
-            self._specular(specular, f, rough, leaves, textures, own=own)
-
-    def _specular(
-        self,
-        specular: Specular,
-        f: Any,
-        rough: Texture | None,
-        leaves: dict[str, Any],
-        textures: dict[str, Texture | None],
-        *,
-        own: bool,
-    ) -> None:
-        tint = self.open("specularColorTexture", specular.specularColorTexture, "srgb")
-        if specular.specularTexture is not None:
-            self._note(f"{self.name}: its specularTexture is not used")
-        colour = np.array(specular.specularColorFactor) * specular.specularFactor
-        if tint is None and rough is None:
-            if not own:
-                leaves["specular"] = specular_of(colour, f)
-            return
-        of = tint if tint is not None else rough
-        values = np.asarray(tint.values, float) if tint is not None else 1.0
-        if tint is not None and rough is not None:
-            if tint.values.shape[:2] != rough.values.shape[:2]:
-                self._note(
-                    f"{self.name}: its specularColorTexture is not as large as its "
-                    "metallicRoughnessTexture: the exponent's mean is taken for it"
-                )
-                f = np.exp(np.log(np.maximum(f, 1e-6)).mean())
-        assert of is not None
-        whole = specular_of(colour * values, f)
-        highest = max(float(whole.max()), 1e-6)
-        leaves["specular"] = highest
-        textures["specular"] = Texture(whole / highest, of.filter, of.wrap)

@@ -1,155 +1,148 @@
-"""glTF 2.0 read: triangles and materials, every number checked before it is used.
+"""Read glTF 2.0: triangles and materials, every number checked before it is used.
 
 A file is JSON that points into bytes: buffers are cut into views, views hold accessors
 (arrays), and these are the attributes of primitives (triangles of one material), which
-nodes put into the world. What of all this has no place here is named in a note.
+nodes place in the world. One note lists the parts of a file that are not used.
+
+trimesh's own reader is not used, since it loses numbers without a message: it reads
+sparse accessors as zeros, normalized integers without their scale, and only the first
+set of uv; and it drops fans, tangents, samplers and transforms of textures.
 
 ??? cite "Source"
-    Khronos, *glTF 2.0*, 2021: sections 3.5 to 3.7, and 4.4 for GLB.
+    Khronos, *glTF 2.0*, 2021: sections 3.5 to 3.7, and 4.4 for GLB;
+    *KHR_mesh_quantization*.
 """
 
 import base64
 import binascii
 import math
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from phongfit.files.budget import afford
-from phongfit.files.gltf_materials import GltfShade, read_shade
+from phongfit.files.gltf_materials import GltfShade, Shading
 from phongfit.files.gltf_records import (
+    COLOUR_0,
     COLOURS,
     FAN,
     STRIP,
     TRIANGLES,
     Accessor,
-    Buffer,
     File,
     Image,
-    Item,
     Node,
     Primitive,
+    at,
     unused,
 )
-from phongfit.files.gltf_tangents import differing, vertex_tangents
 from phongfit.files.inputs import inside, naming, read_bytes
-from phongfit.files.mtl_textures import Note
 from phongfit.files.records import validated
 from phongfit.files.strict_json import parse_json
+from phongfit.geometry.normals import face_normals
 
-# What extensions may be required: those that change colours alone.
-HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_punctual")
+READ = (
+    *("KHR_materials_", "KHR_texture_", "EXT_texture_"),
+    *("KHR_lights_punctual", "KHR_mesh_quantization"),
+)
+"""Starts of the extensions that a file may require: they are read, or change colours
+alone and are listed as not used."""
+
+LISTED = 20
+"""Parts of a file that are not used and are named; the others are counted."""
 
 
 class GltfPart(NamedTuple):
-    """Triangles of one material in the world; `material` counts those of the file.
+    """Triangles of one material in the world; `material` is its number in the file.
 
     `colours` are rows for its vertices, (V, 3), by the parameter that they multiply.
     """
 
     vertices: Float[np.ndarray, "vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
-    normals: Float[np.ndarray, "vertices 3"] | None
+    normals: Float[np.ndarray, "vertices 3"]
     material: int | None
-    uv: Float[np.ndarray, "vertices 2"] | None = None
-    colours: dict[str, np.ndarray] = {}  # noqa: RUF012
+    uv: Float[np.ndarray, "vertices 2"] | None
+    colours: dict[str, np.ndarray]
 
 
-def read_gltf(path: Path, note: Note) -> tuple[list[GltfPart], list[GltfShade]]:
-    """The triangles of a glTF or GLB file, and its materials.
+def read_gltf(
+    path: Path, note: Callable[[str], None]
+) -> tuple[list[GltfPart], dict[int, GltfShade]]:
+    """The triangles of a glTF or GLB file, and their materials by number.
 
-    **Arguments:** `note`: is told what of the file is not used.
+    **Arguments:** `note`: is given one line that lists the parts that are not used.
 
-    **Raises:** `ValueError` that says what is wrong, and where in the file.
+    **Raises:** `ValueError` that states what is wrong, and where in the file.
     """
     data = read_bytes(path)
     text, binary = _chunks(data) if path.suffix.lower() == ".glb" else (data, None)
-    content = parse_json(text)
-    file = validated(content, File)
+    file = validated(parse_json(text), File)
     if not file.asset.version.startswith("2."):
         raise ValueError(f"expected glTF version 2, got {file.asset.version!r}")
     for name in file.extensionsRequired:
-        if not name.startswith(HARMLESS):
-            raise ValueError(f"requires the extension {name!r}, which is unknown here")
-    reader = _Reader(file, path.parent, binary, note)
-    shades = []
-    for number, material in enumerate(file.materials):
-        with naming(f"materials[{number}]"):
-            shades.append(read_shade(material, file, reader.image, note))
-    parts = list(reader.parts(shades))
-    for words in unused(file, content, [shade.uv_set for shade in shades]):
-        note(f"{words} not used")
-    return parts, shades
+        if not name.startswith(READ):
+            raise ValueError(
+                f"requires the extension {name!r}, which is not read: export it without"
+            )
+    reader = _Reader(file, path.parent, binary)
+    parts = list(reader.parts())
+    if lost := [*reader.unused, *dict.fromkeys(unused(file))]:
+        more = f" and {len(lost) - LISTED} others" if lost[LISTED:] else ""
+        note(f"not used: {', '.join(lost[:LISTED])}{more}")
+    return parts, reader.shades
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
     """JSON and binary chunk of a GLB file."""
-    if len(data) < 12 or data[:4] != b"glTF":
-        raise ValueError("does not start as a GLB file does")
-    version, length = struct.unpack_from("<II", data, 4)
-    if version != 2:
-        raise ValueError(f"expected GLB version 2, got {version}")
-    if length > len(data):
-        raise ValueError(f"expected {length} bytes, got {len(data)}: it is truncated")
-    found, at = [], 12
-    while at + 8 <= length and len(found) < 2:
-        size, kind = struct.unpack_from("<I4s", data, at)
-        if at + 8 + size > length:
+    if len(data) < 12 or not data.startswith(b"glTF\2\0\0\0"):
+        raise ValueError("does not start as a GLB file of version 2 does")
+    found: dict[bytes, bytes] = {}
+    start = 12
+    while start + 8 <= len(data) and len(found) < 2:
+        size, kind = struct.unpack_from("<I4s", data, start)
+        start += 8 + size
+        if start > len(data):
             raise ValueError(f"expected a chunk of {size} bytes: it is truncated")
-        found.append((kind, data[at + 8 : at + 8 + size]))
-        at += 8 + size
-    if not found or found[0][0] != b"JSON":
+        found.setdefault(kind, data[start - size : start])
+    if b"JSON" not in found:
         raise ValueError("expected a JSON chunk first")
-    return found[0][1], found[1][1] if found[1:] and found[1][0] == b"BIN\0" else None
+    return found[b"JSON"], found.get(b"BIN\0")
 
 
 class _Reader:
-    """Arrays and triangles of a file."""
+    """Arrays, triangles and their materials; `unused` lists other parts of the file."""
 
-    def __init__(self, file: File, folder: Path, binary: bytes | None, note: Note):
+    def __init__(self, file: File, folder: Path, binary: bytes | None):
+        self.unused: dict[str, None] = {}
+        self.shades: dict[int, GltfShade] = {}
+        self._shading = Shading(file, self._image, self.unused)
         self._file = file
-        self._note = note
         self._folder = folder
         self._binary = binary
         self._buffers: dict[int, bytes] = {}
         self._read = 0
         self._made = 0
 
-    def image(self, number: int) -> tuple[bytes, Path]:
-        """The bytes of an image, and what to call it; none if its file is missing."""
-        image: Image = _at(self._file.images, number, "source")
-        name = self._folder / f"images[{number}]"
-        if image.bufferView is not None:
-            cut = _at(self._file.bufferViews, image.bufferView, "bufferView")
-            data = self._buffer(cut.buffer)
-            if cut.byteOffset + cut.byteLength > len(data):
-                raise ValueError(f"images[{number}]: it is truncated")
-            return data[cut.byteOffset : cut.byteOffset + cut.byteLength], name
-        with naming(f"images[{number}].uri"):
-            if image.uri is None:
-                raise ValueError("is missing")
-            if image.uri.startswith("data:"):
-                return _base64(image.uri), name
-            file = inside(self._folder, unquote(image.uri))
-            return (read_bytes(file) if file.is_file() else b""), file
-
-    def parts(self, shades: list[GltfShade]) -> Iterator[GltfPart]:
-        """Triangles of every node of the scene, of these materials."""
+    def parts(self) -> Iterator[GltfPart]:
+        """Triangles of every node of the scene."""
         file = self._file
         if not file.scenes:
             return
         seen: set[int] = set()
-        scene = _at(file.scenes, file.scene, "scene")
-        left = [(root, np.eye(4)) for root in scene.nodes]
+        left = [
+            (root, np.eye(4)) for root in at(file.scenes, file.scene, "scene").nodes
+        ]
         while left:
             number, outer = left.pop()
-            node = _at(file.nodes, number, "nodes")
+            node = at(file.nodes, number, "nodes")
             if number in seen:
                 raise ValueError(f"nodes[{number}]: expected one parent, got two")
             seen.add(number)
@@ -158,246 +151,227 @@ class _Reader:
                 if not np.isfinite(matrix).all():
                     raise ValueError("expected a finite transformation")
             left += [(child, matrix) for child in node.children]
-            if node.mesh is not None:
-                mesh = _at(file.meshes, node.mesh, "mesh")
-                for k, primitive in enumerate(mesh.primitives):
-                    if primitive.mode in (TRIANGLES, STRIP, FAN):
-                        with naming(f"meshes[{node.mesh}].primitives[{k}]"):
-                            yield self._part(primitive, matrix, shades)
+            if node.mesh is None:
+                continue
+            mesh = at(file.meshes, node.mesh, "mesh")
+            for k, primitive in enumerate(mesh.primitives):
+                if primitive.mode not in (TRIANGLES, STRIP, FAN):
+                    self.unused["points and lines"] = None
+                    continue
+                with naming(f"meshes[{node.mesh}].primitives[{k}]"):
+                    yield self._part(primitive, matrix)
 
-    def _part(
-        self, primitive: Primitive, matrix: np.ndarray, shades: list[GltfShade]
-    ) -> GltfPart:
-        if "POSITION" not in primitive.attributes:
+    def _part(self, primitive: Primitive, matrix: np.ndarray) -> GltfPart:
+        left = dict(primitive.attributes)
+        local = self._attribute(left, "POSITION", "VEC3")
+        if local is None:
             raise ValueError("attributes.POSITION: is missing")
-        local = self._floats(primitive.attributes["POSITION"], "VEC3")
-        normals = None
-        if "NORMAL" in primitive.attributes:
-            normals = self._floats(primitive.attributes["NORMAL"], "VEC3")
-            if len(normals) != len(local):
-                raise ValueError(
-                    f"attributes.NORMAL: expected {len(local)}, got {len(normals)}"
-                )
-        if primitive.indices is None:
-            corners = np.arange(len(local))
-        else:
-            corners = self._indices(primitive.indices, len(local))
+        count = len(local)
+        corners = np.arange(count)
+        if primitive.indices is not None:
+            corners = self._indices(primitive.indices, count)
         faces = _triangles(corners, primitive.mode)
         shade = None
         if primitive.material is not None:
-            shade = _at(shades, primitive.material, "material")
-        uv = self._uv(primitive, shade, len(local))
-        colours = self._colours(primitive, shade, len(local))
-        if uv is not None and normals is not None:
-            self._compare(primitive, local, faces, normals, uv)
-        # A mesh may be in many places: all of them take memory, and more when joined.
-        self._made += 6 * (faces.nbytes + 2 * local.nbytes)
-        afford(self._made, "triangles")
+            shade = self._shade(primitive.material)
+        normals = self._attribute(left, "NORMAL", "VEC3", count=count)
+        uv = self._uv(left, shade, count)
+        colours = self._colours(left, shade, count)
+        if shade is None or shade.shaded.textures.normal is None:
+            # Tangents are those of a normal map: phongfit finds them from the uv.
+            left.pop("TANGENT", None)
+        self.unused |= dict.fromkeys(f"attributes.{name[:60]}" for name in left)
         linear, shift = matrix[:3, :3], matrix[:3, 3]
-        if np.linalg.det(linear) < 0:
+        turn = np.linalg.det(linear)
+        flat = normals is None or turn == 0
+        # A mesh may be in many places: all of them take memory, and more when joined.
+        self._made += 6 * (faces.nbytes + 48 * (faces.size if flat else count))
+        afford(self._made, "triangles")
+        place = local @ linear.T + shift
+        if turn < 0:
             # A mirror turns the order of the corners.
             faces = faces[:, ::-1]
-        if normals is not None:
-            try:
-                normals = normals @ np.linalg.inv(linear)
-            except np.linalg.LinAlgError:
-                normals = None
-        place = local @ linear.T + shift
-        return GltfPart(place, faces, normals, primitive.material, uv, colours)
+        if normals is not None and not flat:
+            normals = normals @ np.linalg.inv(linear)
+            return GltfPart(place, faces, normals, primitive.material, uv, colours)
+        # Without normals faces are flat (section 3.7.2.1).
+        corners = faces.ravel()
+        return GltfPart(
+            place[corners],
+            np.arange(len(corners)).reshape(-1, 3),
+            np.repeat(face_normals(jnp.asarray(place), jnp.asarray(faces)), 3, axis=0),
+            primitive.material,
+            None if uv is None else uv[corners],
+            {name: rows[corners] for name, rows in colours.items()},
+        )
 
-    def _compare(self, primitive: Primitive, *of_uv: np.ndarray) -> None:
-        """Tangents are found from the uv: does a normal map's own say otherwise?"""
-        number = primitive.attributes.get("TANGENT")
-        if number is None or primitive.material is None:
-            return
-        if self._file.materials[primitive.material].normalTexture is None:
-            return
-        given = self._floats(number, "VEC4")
-        if len(given) != len(of_uv[0]):
-            raise ValueError(
-                f"attributes.TANGENT: expected {len(of_uv[0])}, got {len(given)}"
-            )
-        if far := differing(given, vertex_tangents(*of_uv)):
-            self._note(
-                f"its vertices' TANGENT are not used: {far} of {len(given)} are not "
-                "those of the uv, which are"
-            )
+    def _shade(self, number: int) -> GltfShade:
+        material = at(self._file.materials, number, "material")
+        if number not in self.shades:
+            with naming(f"materials[{number}]"):
+                self.shades[number] = self._shading.read(material)
+        return self.shades[number]
 
     def _uv(
-        self, primitive: Primitive, shade: GltfShade | None, vertices: int
+        self, left: dict[str, int], shade: GltfShade | None, count: int
     ) -> np.ndarray | None:
-        """The uv of a part's textures, or else its first ones."""
-        wanted = None if shade is None else shade.uv_set
-        name = f"TEXCOORD_{wanted or 0}"
-        if name not in primitive.attributes:
-            if wanted is not None:
-                raise ValueError(f"attributes.{name}: is missing, for its textures")
-            return None
-        uv = self._floats(primitive.attributes[name], "VEC2", shares=True)
-        if len(uv) != vertices:
-            raise ValueError(f"attributes.{name}: expected {vertices}, got {len(uv)}")
-        return uv
+        """The uv of a part's textures, transformed, or else its first ones."""
+        placing = None if shade is None else shade.placing
+        name = f"TEXCOORD_{0 if placing is None else placing.uv_set}"
+        uv = self._attribute(left, name, "VEC2", count=count)
+        if placing is None:
+            return uv
+        if uv is None:
+            raise ValueError(f"attributes.{name}: is missing, for its textures")
+        return placing.of(uv)
 
     def _colours(
-        self, primitive: Primitive, shade: GltfShade | None, vertices: int
+        self, left: dict[str, int], shade: GltfShade | None, count: int
     ) -> dict[str, np.ndarray]:
-        """Rows for a part's vertices, by the parameter that they multiply.
-
-        As a texture of it, base colour is ambient light's, too, but in what we wrote.
-        """
+        """Rows for a part's vertices, by the parameter that they multiply."""
         found: dict[str, np.ndarray] = {}
-        own = shade is not None and shade.own
-        for name, leaf in COLOURS.items():
-            number = primitive.attributes.get(name)
-            if number is None:
+        multiplied = COLOUR_0 if shade is None else shade.multiplied
+        for name, leaves in multiplied.items():
+            rows = self._attribute(left, name, "VEC3", "VEC4", count=count)
+            if rows is None:
                 continue
-            if not own and name != "COLOR_0":
-                self._note(f"its vertices' {name} are not used")
-                continue
-            if shade is not None and getattr(shade.shaded.textures, leaf) is not None:
-                self._note(f"its vertices' {name} are not used: there is a texture")
-                continue
-            rows = self._floats(number, "VEC3", "VEC4", shares=True)
-            if len(rows) != vertices or not (rows >= 0).all():
+            if not (rows >= 0).all():
                 raise ValueError(
-                    f"attributes.{name}: expected {vertices} colours ≥ 0, got "
-                    f"{len(rows)} from {rows.min():g}"
+                    f"attributes.{name}: expected colours ≥ 0, got {rows.min():g}"
                 )
-            if (rows[:, 3:] != 1).any():
-                self._note(f"its vertices' {name} are partly transparent: not used")
-            found[leaf] = rows[:, :3]
-        if "diffuse" in found and not own:
-            found["ambient"] = found["diffuse"]
+            for leaf in leaves:
+                if shade and getattr(shade.shaded.textures, leaf) is not None:
+                    self.unused[f"attributes.{name} where there is a texture"] = None
+                else:
+                    found[leaf] = rows[:, :3]
         return found
 
-    def _floats(self, number: int, *kinds: str, shares: bool = False) -> np.ndarray:
-        """Rows of floats, or with `shares` of whole numbers: shares of the highest."""
-        with naming(f"accessors[{number}]"):
-            accessor: Accessor = _at(self._file.accessors, number, "number")
-            whole = shares and accessor.componentType in (5121, 5123)
-            known = whole or accessor.componentType == 5126
-            if accessor.type not in kinds or not known:
-                raise ValueError(
-                    f"expected {' or '.join(kinds)} of floats (5126), got "
-                    f"{accessor.type} of {accessor.componentType}"
-                )
-            numbers = self._array(accessor)
-            highest = np.iinfo(numbers.dtype).max if whole else 1
-            return numbers.astype(np.float64) / highest
+    def _attribute(
+        self, left: dict[str, int], name: str, *kinds: str, count: int | None = None
+    ) -> np.ndarray | None:
+        """Rows of floats, taken out of the attributes that are `left`."""
+        if name not in left:
+            return None
+        with naming(f"attributes.{name}"):
+            number = left.pop(name)
+            numbers, normalized = self._array(number, *kinds)
+            if count not in (None, len(numbers)):
+                raise ValueError(f"expected {count}, got {len(numbers)}")
+        if numbers.dtype.kind == "f" or not (normalized or name in COLOURS):
+            return numbers.astype(np.float64)
+        # Section 3.6.2.2.
+        return np.maximum(numbers / np.iinfo(numbers.dtype).max, -1)
 
     def _indices(self, number: int, vertices: int) -> np.ndarray:
+        numbers, _ = self._array(number, "SCALAR")
         with naming(f"accessors[{number}]"):
-            accessor = _at(self._file.accessors, number, "number")
-            if accessor.type != "SCALAR" or accessor.componentType not in _UNSIGNED:
-                raise ValueError(
-                    "expected SCALAR of whole numbers, got "
-                    f"{accessor.type} of {accessor.componentType}"
-                )
-            corners = self._array(accessor)[:, 0].astype(np.int64)
+            if numbers.dtype.kind != "u":
+                raise ValueError(f"expected whole numbers, got {numbers.dtype}")
+            corners = numbers[:, 0].astype(np.int64)
             if len(corners) and corners.max() >= vertices:
                 raise ValueError(
                     f"expected indices below {vertices}, got {corners.max()}"
                 )
             return corners
 
-    def _array(self, accessor: Accessor) -> np.ndarray:
-        """The rows of an accessor."""
-        dtype, columns = np.dtype(_TYPES[accessor.componentType]), _SIZES[accessor.type]
-        if accessor.bufferView is None:
-            if accessor.sparse is None:
+    def _array(self, number: int, *kinds: str) -> tuple[np.ndarray, bool]:
+        """The rows of an accessor of one of these kinds, and whether to scale them."""
+        with naming(f"accessors[{number}]"):
+            accessor: Accessor = at(self._file.accessors, number, "number")
+            if accessor.type not in kinds:
+                raise ValueError(
+                    f"type: expected {' or '.join(kinds)}, got {accessor.type}"
+                )
+            dtype = np.dtype(_TYPES[accessor.componentType])
+            shape = accessor.count, _SIZES[accessor.type]
+            if accessor.bufferView is not None:
+                start = accessor.bufferView, accessor.byteOffset
+                rows = self._rows(*start, dtype, shape)
+            elif accessor.sparse is not None:
+                afford(math.prod(shape) * dtype.itemsize, "an array")
+                rows = np.zeros(shape, dtype)
+            else:
                 raise ValueError(
                     "bufferView: is missing, as in compressed meshes: expected one"
                 )
-            afford(accessor.count * columns * dtype.itemsize, "an array")
-            rows = np.zeros((accessor.count, columns), dtype)
-        else:
-            place = accessor.bufferView, accessor.byteOffset
-            rows = self._rows(*place, dtype, accessor.count, columns)
-        if accessor.sparse is None:
-            return rows
-        rows = rows.copy()
-        with naming("sparse"):
-            few = accessor.sparse
-            where, what = few.indices, few.values
-            if where.componentType not in _UNSIGNED:
-                raise ValueError("indices.componentType: expected whole numbers")
-            kind = np.dtype(_TYPES[where.componentType])
-            at = self._rows(where.bufferView, where.byteOffset, kind, few.count, 1)
-            if len(at) and at.max() >= accessor.count:
-                raise ValueError(f"indices: expected numbers below {accessor.count}")
-            place = what.bufferView, what.byteOffset
-            rows[at[:, 0]] = self._rows(*place, dtype, few.count, columns)
-        return rows
+            if (few := accessor.sparse) is not None:
+                with naming("sparse"):
+                    kind = np.dtype(_TYPES[few.indices.componentType])
+                    start = few.indices.bufferView, few.indices.byteOffset
+                    which = self._rows(*start, kind, (few.count, 1))[:, 0]
+                    if few.count and which.max() >= accessor.count:
+                        raise ValueError(
+                            f"indices: expected numbers below {accessor.count}"
+                        )
+                    rows = rows.copy()
+                    start = few.values.bufferView, few.values.byteOffset
+                    rows[which] = self._rows(*start, dtype, (few.count, shape[1]))
+            return rows, accessor.normalized
 
     def _rows(
-        self, view: int, start: int, dtype: np.dtype, count: int, columns: int
+        self, view: int, start: int, dtype: np.dtype, shape: tuple[int, int]
     ) -> np.ndarray:
-        """Numbers in a view, in place: `count` rows of `columns`."""
-        cut = _at(self._file.bufferViews, view, "bufferView")
-        row = columns * dtype.itemsize
-        stride = cut.byteStride or row
-        needed = (count - 1) * stride + row if count else 0
-        if stride < row or start + needed > cut.byteLength:
+        """Numbers where they lie in a view."""
+        data = self._view(view)
+        row = shape[1] * dtype.itemsize
+        stride = self._file.bufferViews[view].byteStride or row
+        needed = start + max(shape[0] - 1, 0) * stride + row
+        if stride < row or needed > len(data):
             raise ValueError(
-                f"bufferView: expected {start + needed} bytes in bufferViews[{view}], "
-                f"got {cut.byteLength}"
+                f"bufferView: expected {needed} bytes in bufferViews[{view}], got "
+                f"{len(data)}"
             )
-        with naming(f"bufferViews[{view}]"):
-            buffer = self._buffer(cut.buffer)
-            if cut.byteOffset + cut.byteLength > len(buffer):
+        return np.ndarray(shape, dtype, data, start, (stride, dtype.itemsize))
+
+    def _view(self, number: int) -> memoryview:
+        cut = at(self._file.bufferViews, number, "bufferView")
+        with naming(f"bufferViews[{number}]"):
+            data, end = self._buffer(cut.buffer), cut.byteOffset + cut.byteLength
+            if end > len(data):
                 raise ValueError(
-                    f"expected bytes up to {cut.byteOffset + cut.byteLength}, got "
-                    f"{len(buffer)} in buffers[{cut.buffer}]"
+                    f"expected bytes up to {end}, got {len(data)} in "
+                    f"buffers[{cut.buffer}]"
                 )
-        bytes_ = np.frombuffer(buffer, np.uint8, needed, cut.byteOffset + start)
-        if stride != row:
-            shape, strides = (count, row), (stride, 1)
-            bytes_ = np.lib.stride_tricks.as_strided(bytes_, shape, strides)
-        # Copied, since numbers may lie at odd places.
-        return np.ascontiguousarray(bytes_).view(dtype).reshape(count, columns)
+        return memoryview(data)[cut.byteOffset : end]
 
     def _buffer(self, number: int) -> bytes:
+        buffer = at(self._file.buffers, number, "buffer")
         if number not in self._buffers:
-            content = self._content(number, _at(self._file.buffers, number, "buffer"))
+            content = self._binary
+            if buffer.uri is not None or number > 0 or content is None:
+                with naming(f"buffers[{number}].uri"):
+                    content = self._named(buffer.uri or "")
             self._read += len(content)
             afford(self._read, "buffers")
-            self._buffers[number] = content
+            self._buffers[number] = content[: buffer.byteLength]
         return self._buffers[number]
 
-    def _content(self, number: int, buffer: Buffer) -> bytes:
-        if buffer.uri is None:
-            if number != 0 or self._binary is None:
-                raise ValueError(f"buffers[{number}].uri: is missing")
-            return self._binary[: buffer.byteLength]
-        with naming(f"buffers[{number}].uri"):
-            if not buffer.uri.startswith("data:"):
-                file = inside(self._folder, unquote(buffer.uri))
-                return read_bytes(file)[: buffer.byteLength]
-            return _base64(buffer.uri)[: buffer.byteLength]
+    def _image(self, number: int) -> tuple[bytes, Path]:
+        """The bytes of an image, and its name in messages."""
+        image: Image = at(self._file.images, number, "source")
+        name = f"images[{number}]"
+        if image.bufferView is not None:
+            return bytes(self._view(image.bufferView)), self._folder / name
+        uri = image.uri or ""
+        with naming(f"{name}.uri"):
+            content = self._named(uri)
+        return content, self._folder / (name if uri.startswith("data:") else uri)
 
-
-def _base64(uri: str) -> bytes:
-    head, comma, coded = uri.partition(",")
-    if not comma or not head.endswith(";base64"):
-        raise ValueError("expected base64")
-    try:
-        return base64.b64decode(coded, validate=True)
-    except binascii.Error as error:
-        raise ValueError(f"expected base64: {error}") from None
+    def _named(self, uri: str) -> bytes:
+        """The bytes that a URI holds, or those of the file that it names."""
+        if not uri.startswith("data:"):
+            return read_bytes(inside(self._folder, unquote(uri)))
+        head, _, coded = uri.partition(",")
+        if not head.endswith(";base64"):
+            raise ValueError("expected base64")
+        try:
+            return base64.b64decode(coded, validate=True)
+        except binascii.Error as error:
+            raise ValueError(f"expected base64: {error}") from None
 
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_UNSIGNED = (5121, 5123, 5125)
-_SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4} | {
-    f"MAT{side}": side * side for side in (2, 3, 4)
-}
-
-
-def _at(items: list[Item], number: int, what: str) -> Item:
-    """One of several, by its number in the file."""
-    if number >= len(items):
-        raise ValueError(f"{what}: expected a number below {len(items)}, got {number}")
-    return items[number]
+_SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
 def _transform(node: Node) -> np.ndarray:

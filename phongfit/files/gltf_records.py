@@ -1,4 +1,4 @@
-"""The records of a glTF file's JSON part: what is needed here of each object."""
+"""Records of a glTF file's JSON part: the keys of each object that are used here."""
 
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal, TypeVar
@@ -12,17 +12,21 @@ Index = Annotated[int, Field(ge=0, lt=2**31)]
 Count = Annotated[int, Field(ge=0, lt=2**40)]
 Lots = Annotated[list[Item], Field(fail_fast=True, max_length=100_000)]
 Share = Annotated[float, Field(ge=0, le=1)]
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Vector4 = Annotated[list[float], Field(min_length=4, max_length=4)]
-
+# Some programs write colours above 1, which the format does not allow.
+_Channel = Annotated[float, Field(ge=0)]
+Rgb = Annotated[list[_Channel], Field(min_length=3, max_length=3)]
+Rgba = Annotated[list[_Channel], Field(min_length=4, max_length=4)]
 
 SILENT = frozenset(
-    "name extras generator copyright minVersion mimeType min max normalized target "
-    "minFilter alphaCutoff animations skins skin cameras camera targets weights".split()
+    "name extras generator copyright minVersion mimeType min max target minFilter "
+    "alphaCutoff camera skin weights extensionsUsed".split()
 )
-"""Keys that change nothing here, or of which something else speaks."""
+"""Keys that change nothing here, or that belong to one which is listed as not used."""
 USUAL = {"alphaMode": "OPAQUE", "doubleSided": False}
-"""Keys that change nothing where they have this value."""
+"""Keys that change nothing if they have this value."""
 COLOURS = {
     "COLOR_0": "diffuse",
     "_AMBIENT": "ambient",
@@ -30,33 +34,30 @@ COLOURS = {
     "_EMISSION": "emission",
     "_SHININESS": "shininess",
 }
-"""Attributes of vertices that multiply a material's numbers; all but the first are our
-own, which the format allows."""
-READ = ("KHR_materials_specular",)
-"""Extensions that are understood."""
+"""Attributes of vertices that multiply a material's numbers, in files that phongfit
+wrote. All but the first are its own, which the format allows."""
+COLOUR_0 = {"COLOR_0": ("diffuse", "ambient")}
+"""The attribute in files of others: it multiplies base colour."""
 
 
 class _Record(BaseModel):
-    """An object of the JSON part; what has no place here is kept aside, to be named."""
+    """An object of the JSON part; other keys are kept, to be listed as not used."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=False, defer_build=True)
 
 
-def strangers(record: BaseModel) -> Iterator[str]:
-    """What stands in a file and has no place in its records, with what it is of."""
-    kind = type(record).__name__.removeprefix("Gltf").strip("_").lower()
+def unused(record: BaseModel, place: str = "") -> Iterator[str]:
+    """Keys of a file that are not used here, such as `materials.alphaMode`."""
     for key, value in (record.model_extra or {}).items():
-        if isinstance(record, Extensions):
-            yield f"extension {key!r}"
-        elif key == "extensions" and isinstance(value, dict):
-            yield from (f"extension {name!r}" for name in value)
+        if key == "extensions" and isinstance(value, dict):
+            yield from (f"{place}{key}.{name[:60]}" for name in value)
         elif key not in SILENT and USUAL.get(key) != value:
-            yield f"{kind}'s {key}" if kind != "file" else key
+            yield f"{place}{key[:60]}"
     for name in type(record).model_fields:
         value = getattr(record, name)
         for one in value if isinstance(value, list) else [value]:
             if isinstance(one, BaseModel):
-                yield from strangers(one)
+                yield from unused(one, f"{place}{name}.")
 
 
 class _Asset(_Record):
@@ -75,22 +76,25 @@ class _View(_Record):
     byteStride: Annotated[int, Field(ge=4, le=252)] | None = None
 
 
-class _SparsePart(_Record):
+class _Place(_Record):
+    """Start of numbers in a view; `componentType` is that of indices."""
+
     bufferView: Index
     byteOffset: Count = 0
-    componentType: int = 5126
+    componentType: Literal[5121, 5123, 5125] = 5121
 
 
 class _Sparse(_Record):
     count: Count
-    indices: _SparsePart
-    values: _SparsePart
+    indices: _Place
+    values: _Place
 
 
 class Accessor(_Record):
     bufferView: Index | None = None
     byteOffset: Count = 0
     componentType: Literal[5120, 5121, 5122, 5123, 5125, 5126]
+    normalized: bool = False
     count: Count
     type: Literal["SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4"]
     sparse: _Sparse | None = None
@@ -120,43 +124,83 @@ class _Scene(_Record):
     nodes: Lots[Index] = []
 
 
+class Transform(_Record):
+    """KHR_texture_transform."""
+
+    offset: Pair = [0, 0]
+    rotation: float = 0.0
+    scale: Pair = [1, 1]
+    texCoord: Index | None = None
+
+
+class _OfTexture(_Record):
+    KHR_texture_transform: Transform = Transform()
+
+
 class TextureInfo(_Record):
-    """Which texture, over which set of uv; `scale` is a normal map's."""
+    """A texture by its number, and its set of uv; `scale` is that of a normal map."""
 
     index: Index
     texCoord: Index = 0
     scale: float = 1.0
-    extensions: dict[str, Any] = {}
+    extensions: _OfTexture = _OfTexture()
 
 
-class _Roughness(_Record):
-    baseColorFactor: Vector4 | None = None
+class Roughness(_Record):
+    """pbrMetallicRoughness."""
+
+    baseColorFactor: Rgba = [1, 1, 1, 1]
     baseColorTexture: TextureInfo | None = None
-    metallicFactor: float | None = None
-    roughnessFactor: Share | None = None
+    metallicFactor: Share = 1.0
+    roughnessFactor: Share = 1.0
     metallicRoughnessTexture: TextureInfo | None = None
 
 
-class Specular(_Record):
+class Glossiness(_Record):
+    """KHR_materials_pbrSpecularGlossiness."""
+
+    diffuseFactor: Rgba = [1, 1, 1, 1]
+    diffuseTexture: TextureInfo | None = None
+    specularFactor: Rgb = [1, 1, 1]
+    glossinessFactor: Share = 1.0
+    specularGlossinessTexture: TextureInfo | None = None
+
+
+class _Specular(_Record):
     """KHR_materials_specular."""
 
     specularFactor: Share = 1.0
     specularTexture: TextureInfo | None = None
-    specularColorFactor: Vector3 = [1, 1, 1]
+    specularColorFactor: Rgb = [1, 1, 1]
     specularColorTexture: TextureInfo | None = None
 
 
-class Extensions(_Record):
-    KHR_materials_specular: Specular | None = None
+class _Ior(_Record):
+    """KHR_materials_ior; 0 is a reflectance of 1."""
+
+    ior: Annotated[float, Field(ge=0, le=1e3)] = 1.5
+
+
+class _Strength(_Record):
+    """KHR_materials_emissive_strength."""
+
+    emissiveStrength: Annotated[float, Field(ge=0, le=1e30)] = 1.0
+
+
+class _OfMaterial(_Record):
+    KHR_materials_specular: _Specular = _Specular()
+    KHR_materials_ior: _Ior = _Ior()
+    KHR_materials_emissive_strength: _Strength = _Strength()
+    KHR_materials_pbrSpecularGlossiness: Glossiness | None = None
 
 
 class GltfMaterial(_Record):
     name: str | None = None
-    pbrMetallicRoughness: _Roughness = _Roughness()
+    pbrMetallicRoughness: Roughness = Roughness()
     normalTexture: TextureInfo | None = None
-    emissiveFactor: Vector3 | None = None
+    emissiveFactor: Rgb = [0, 0, 0]
     emissiveTexture: TextureInfo | None = None
-    extensions: Extensions = Extensions()
+    extensions: _OfMaterial = _OfMaterial()
     extras: Any = None
 
 
@@ -165,7 +209,7 @@ class Image(_Record):
     bufferView: Index | None = None
 
 
-class _Sampler(_Record):
+class GltfSampler(_Record):
     magFilter: int = 9729
     wrapS: int = 10497
     wrapT: int = 10497
@@ -188,36 +232,15 @@ class File(_Record):
     materials: Lots[GltfMaterial] = []
     textures: Lots[_Texture] = []
     images: Lots[Image] = []
-    samplers: Lots[_Sampler] = []
+    samplers: Lots[GltfSampler] = []
     extensionsRequired: Lots[str] = []
-    extensionsUsed: Lots[str] = []
 
 
-def unused(file: File, content: dict[str, Any], uv_sets: list[int | None]) -> list[str]:
-    """What of a file's JSON has no place here, in words that end with a verb.
+def at(items: list[Item], number: int, what: str) -> Item:
+    """One of several, by its number in the file.
 
-    **Arguments:** `uv_sets`: which set of uv each material's textures use.
+    **Raises:** `ValueError` that names `what` holds the number.
     """
-    found: dict[str, None] = dict.fromkeys(
-        f"its extension {name!r} is" for name in file.extensionsUsed if name not in READ
-    )
-    found |= dict.fromkeys(f"its {stranger[:80]} is" for stranger in strangers(file))
-    for name in ("animations", "skins", "cameras"):
-        if content.get(name):
-            found[f"its {name} are"] = None
-    for primitive in (one for mesh in file.meshes for one in mesh.primitives):
-        if (primitive.model_extra or {}).get("targets"):
-            found["its morph targets are"] = None
-        if primitive.mode not in (TRIANGLES, STRIP, FAN):
-            found["its points and lines are"] = None
-        number, uv_set = primitive.material, None
-        # Meshes that stand nowhere may be of materials that are not there.
-        if number is not None and number < len(uv_sets):
-            uv_set = uv_sets[number]
-        # Tangents are compared with those of the uv.
-        used = "POSITION", "NORMAL", "TANGENT", f"TEXCOORD_{uv_set or 0}", *COLOURS
-        for name in primitive.attributes:
-            # What is skinned or morphed says so above.
-            if name not in used and not name.startswith(("JOINTS", "WEIGHTS")):
-                found[f"its vertices' {name} are"] = None
-    return list(found)
+    if number >= len(items):
+        raise ValueError(f"{what}: expected a number below {len(items)}, got {number}")
+    return items[number]

@@ -388,11 +388,10 @@ def _as_image(path: Path, image: Any) -> np.ndarray:
 
 
 class Texels(NamedTuple):
-    """A texture's numbers, (H, W, 3 or 1), and whether it says that it is see-through
-    anywhere."""
+    """Numbers of a texture, (H, W, 3 or 1), and alpha from 0 to 1 if it has any."""
 
     values: Float[np.ndarray, "rows columns channels"]
-    transparent: bool
+    alpha: Float[np.ndarray, "rows columns 1"] | None
 
 
 def read_texels(data: bytes, path: Path, encoding: NamedEncoding) -> Texels:
@@ -421,15 +420,15 @@ def read_texels(data: bytes, path: Path, encoding: NamedEncoding) -> Texels:
     whole = numbers.dtype in (np.uint8, np.uint16)
     if not whole and numbers.dtype.kind != "f":
         raise ValueError(f"{path}: expected uint8, uint16 or floats")
-    transparent = False
+    alpha = None
     if numbers.shape[-1] in (2, 4):
         highest = np.iinfo(numbers.dtype).max if whole else 1
-        transparent = bool((numbers[..., -1] != highest).any())
+        alpha = (numbers[..., -1:] / highest).astype(_float_type())
         numbers = numbers[..., :-1]
     values = from_levels(numbers, encoding) if whole else numbers.astype(_float_type())
     if not np.isfinite(values).all():
         raise ValueError(f"{path}: has NaN or infinite pixels")
-    return Texels(values, transparent)
+    return Texels(values, alpha)
 
 
 class Head(NamedTuple):

@@ -23,7 +23,6 @@ from phongfit.files.gltf import (
     write_gltf,
 )
 from phongfit.files.gltf_records import COLOURS as ATTRIBUTES
-from phongfit.files.gltf_tangents import mirrored, vertex_tangents
 from phongfit.files.images import to_levels
 from phongfit.files.limits import exponent, limited, lost
 from phongfit.files.mesh_writing import lines, write_ply, write_stl
@@ -303,35 +302,25 @@ def _write_ply(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
 
 
 def _part(mesh: Mesh, own: _Own) -> Part:
-    """One material's faces; where a vertex has several uv, it comes several times.
-
-    With a normal map, its vertices have tangents.
-    """
+    """One material's faces; where a vertex has several uv, it comes several times."""
     vertex = np.asarray(mesh.faces)[own.faces].ravel()
-    uv = None
+    keys, uv = vertex[:, None], None
     if mesh.uv is not None:
         uv = np.asarray(mesh.uv, float)[own.faces].reshape(-1, 2)
-    keys = vertex[:, None] if uv is None else np.column_stack([vertex, uv])
-    bent = own.textures.normal is not None
-    if bent and uv is not None:
-        # What is mirrored has tangents of its own.
-        corners = np.asarray(mesh.vertices, float)[vertex].reshape(-1, 3, 3)
-        keys = np.column_stack([keys, np.repeat(mirrored(corners, uv), 3)])
+        keys = np.column_stack([vertex, uv])
     _, first, faces = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    positions = np.asarray(mesh.vertices, float)[vertex[first]]
-    normals = np.asarray(mesh.vertex_normals(), float)[vertex[first]]
-    faces = faces.reshape(-1, 3)
-    tangents = None
-    if uv is not None:
-        uv = uv[first]
-        tangents = vertex_tangents(positions, faces, normals, uv) if bent else None
-    at = own.textures.at_vertices
-    colours = {
-        name: _rows(at[leaf])[vertex[first]]
-        for name, leaf in ATTRIBUTES.items()
-        if leaf in at
-    }
-    return Part(positions, faces, normals, uv, tangents, colours)
+    at, used = own.textures.at_vertices, vertex[first]
+    return Part(
+        np.asarray(mesh.vertices, float)[used],
+        faces.reshape(-1, 3),
+        np.asarray(mesh.vertex_normals(), float)[used],
+        None if uv is None else uv[first],
+        {
+            name: _rows(at[leaf])[used]
+            for name, leaf in ATTRIBUTES.items()
+            if leaf in at
+        },
+    )
 
 
 def _gltf_material(own: _Own, nearest: bool) -> dict[str, Any]:

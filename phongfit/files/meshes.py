@@ -82,9 +82,9 @@ def load_mesh(path: str | os.PathLike[str], **options: Any) -> LoadedMesh:
 
     Materials of an .mtl are read as by [`read_mtl`][]; one that is missing is the
     default [`Material`][], with a warning, and still a material of its own. Of glTF's,
-    which are of another model, base colour (as diffuse and ambient) and emission are
-    taken, and roughness and KHR_materials_specular where the file gives them: see
-    `phongfit.files.gltf_materials`. A material that phongfit wrote is what it was.
+    which are of another model (metallic-roughness, specular-glossiness), the nearest of
+    Phong's is taken: see `phongfit.files.gltf_materials`. A material that phongfit
+    wrote is what it was. glTF's faces are flat where the file has no normals.
 
     Textures of colours (map_Ka, map_Kd, map_Ks, map_Ke; glTF's base colour, specular
     and emission; the TextureFile of a PLY), of the exponent (map_Ns, map_Pr; glTF's
@@ -137,7 +137,8 @@ def _load(path: Path, options: dict[str, Any], note: Note) -> LoadedMesh:
             parts = _with_colours(path, head, scene, parts, note)
             parts = _with_picture(path, head, parts, note)
     with naming(str(path)):
-        return _join(parts, order, suffix in (".stl", ".obj"), options, note)
+        repeats = suffix in (".stl", ".obj", ".gltf", ".glb")
+        return _join(parts, order, repeats, options, note)
 
 
 def _white() -> Material:
@@ -404,7 +405,7 @@ def _part(mesh: Any, shaded: Shaded) -> _Part:
     return _Part(vertices, faces, normals, name or UNNAMED, shaded, uv)
 
 
-def _named(parts: list[GltfPart], shades: list[GltfShade]) -> list[_Part]:
+def _named(parts: list[GltfPart], shades: dict[int, GltfShade]) -> list[_Part]:
     """Parts of a glTF file with a name of its own for each of its materials."""
     names: dict[int | None, str] = {None: UNNAMED}
     taken = {UNNAMED} if any(part.material is None for part in parts) else set()

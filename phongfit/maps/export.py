@@ -70,13 +70,13 @@ def export_maps(
             write_stl(path, part)
             return f"{name}, the shape alone{words}"
         # Each texel is a vertex, with a normal of its own.
-        textures = gltf_textures(textured, normals)._replace(normal=None)
+        textures = gltf_textures(textured, None)
     else:
         part = rectangle(*maps.flags.shape)
         textures = gltf_textures(textured, normals)
     material = pbr_material(name, typical(textured), nearest=True)
     material["extras"]["of"] = "the median of the maps; each texel has its own"
-    write_gltf(path, [(part, material)], textures)
+    write_gltf(path, [(part, material | textures)])
     height, width = maps.flags.shape
     return f"{name}, {width} × {height} texels" + words
 

@@ -6,13 +6,13 @@ pixel does not identify becomes the median of the pixels that can.
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from phongfit.files.formats import encode_png
-from phongfit.files.gltf import Part, Textures, roughness, specular_colour
+from phongfit.files.gltf import Part, Picture, roughness, specular_colour
 from phongfit.files.images import to_levels
 from phongfit.files.limits import as_blinn
 from phongfit.maps.pixel.flags import Flag
@@ -79,32 +79,44 @@ def _medians(values: np.ndarray, identified: np.ndarray) -> np.ndarray:
 
 
 def gltf_textures(
-    textured: TextureMaps, normals: Float[np.ndarray, "height width 3"]
-) -> Textures:
-    """The four textures of a glTF material: see [`phongfit.files.gltf`][].
+    textured: TextureMaps, normals: Float[np.ndarray, "height width 3"] | None
+) -> dict[str, Any]:
+    """Keys of a glTF material with the maps as textures: see [`phongfit.files.gltf`][].
 
-    **Arguments:** `normals`: in the axes of the image (right, up, to the viewer).
+    **Arguments:** `normals`: in the axes of the image (right, up, to the viewer);
+    `None` where the vertices have them.
     """
+
+    def picture(*channels: np.ndarray) -> Picture:
+        # Nearest, clamped: a texel is one pixel of the maps.
+        png = encode_png(np.concatenate(channels, axis=-1))
+        return Picture(png, nearest=True, repeat=False)
+
     tint = specular_colour(textured.specular, textured.shininess)
     factor = np.maximum(tint.reshape(-1, 3).max(axis=0), 1e-6)
-    base = np.concatenate(
-        [
-            to_levels(textured.diffuse, "srgb", 8),
-            to_levels(textured.inside, "linear", 8),
-        ],
-        axis=-1,
-    )
     # Red is not used, blue is metallic.
     rough = np.zeros_like(textured.diffuse)
     rough[..., 1] = roughness(textured.shininess)[..., 0]
-    ahead = np.where(textured.inside > 0, normals, [0, 0, 1])
-    return Textures(
-        encode_png(base),
-        encode_png(to_levels(rough, "linear", 8)),
-        encode_png(to_levels(tint / factor, "srgb", 8)),
-        encode_png(to_levels((ahead + 1) / 2, "linear", 8)),
-        factor,
-    )
+    inside = to_levels(textured.inside, "linear", 8)
+    keys: dict[str, Any] = {
+        "alphaMode": "MASK",
+        "pbrMetallicRoughness": {
+            "baseColorTexture": picture(to_levels(textured.diffuse, "srgb", 8), inside),
+            "metallicRoughnessTexture": picture(to_levels(rough, "linear", 8)),
+            "metallicFactor": 0.0,
+            "roughnessFactor": 1.0,
+        },
+        "extensions": {
+            "KHR_materials_specular": {
+                "specularColorFactor": factor,
+                "specularColorTexture": picture(to_levels(tint / factor, "srgb", 8)),
+            }
+        },
+    }
+    if normals is not None:
+        ahead = np.where(textured.inside > 0, normals, [0, 0, 1])
+        keys["normalTexture"] = picture(to_levels((ahead + 1) / 2, "linear", 8))
+    return keys
 
 
 def mtl_textures(textured: TextureMaps) -> dict[str, tuple[bytes, list[float]]]:
@@ -129,5 +141,4 @@ def rectangle(height: int, width: int) -> Part:
         np.array([[0, 1, 2], [0, 2, 3]]),
         np.tile([0.0, 0.0, 1.0], (4, 1)),
         np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]]),
-        np.tile([1.0, 0.0, 0.0, 1.0], (4, 1)),
     )

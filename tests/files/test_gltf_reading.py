@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from tests.helpers import near
+from tests.helpers import known, near
 
 
 def _triangle(**changes) -> dict[str, Any]:
@@ -58,7 +58,7 @@ WRONG_GLTF = {
     ),
     "Draco": (
         _triangle(extensionsRequired=["KHR_draco_mesh_compression"]),
-        "requires the extension 'KHR_draco_mesh_compression'",
+        "requires the extension 'KHR_draco_mesh_compression', which is not read",
     ),
     "two parents": (
         _triangle(nodes=[{"children": [1, 1]}, {"mesh": 0}]),
@@ -114,9 +114,109 @@ def test_gltf_strips_fans_and_nodes_within_nodes(tmp_path):
         ],
     )
     (tmp_path / "a.gltf").write_text(json.dumps(content))
-    with pytest.warns(UserWarning, match="a.gltf: its points and lines are not used"):
+    with pytest.warns(UserWarning, match="a.gltf: not used: points and lines"):
         mesh = pf.load_mesh(tmp_path / "a.gltf").mesh
     turned = corners * [-2, -1, 1] + [0, 0, 5]
-    near(mesh.vertices, np.concatenate([turned, turned]))
-    wanted = [[0, 1, 2], [2, 1, 3], [4, 5, 6], [4, 6, 7]]
-    np.testing.assert_array_equal(mesh.faces, wanted)
+    wanted = turned[[[0, 1, 2], [2, 1, 3], [0, 1, 2], [0, 2, 3]]]
+    near(np.asarray(mesh.vertices)[np.asarray(mesh.faces)], wanted)
+
+
+def binary(content: dict[str, Any], **arrays: np.ndarray) -> dict[str, Any]:
+    """A file of [`_triangle`][] with arrays as accessors, by the attribute's name."""
+    (primitive,) = content["meshes"][0]["primitives"]
+    kinds = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+    types = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
+    for name, rows in arrays.items():
+        coded = base64.b64encode(rows.tobytes()).decode()
+        number = len(content["accessors"])
+        view = {"buffer": len(content["buffers"]), "byteLength": rows.nbytes}
+        accessor = {
+            "bufferView": len(content["bufferViews"]),
+            "componentType": types[rows.dtype.str[1:]],
+            "count": len(rows),
+            "type": kinds[rows.shape[1]],
+            "normalized": rows.dtype.kind != "f",
+        }
+        content["accessors"].append(accessor)
+        content["bufferViews"].append(view)
+        uri = f"data:application/octet-stream;base64,{coded}"
+        content["buffers"].append({"byteLength": rows.nbytes, "uri": uri})
+        if name == "indices":
+            primitive["indices"] = number
+        else:
+            primitive["attributes"][name] = number
+    return content
+
+
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1]])
+"""Two sides of a cube: two triangles of z = 0, and one of x = 0."""
+SIDES = np.array([[0, 2, 1], [0, 3, 2], [0, 4, 3]])
+
+
+def test_faces_without_normals_are_flat(tmp_path):
+    content = binary(
+        _triangle(),
+        POSITION=CORNERS.astype("f4"),
+        indices=SIDES.reshape(-1, 1).astype("u2"),
+        COLOR_0=np.linspace(0, 255, 15).reshape(5, 3).astype("u1"),
+    )
+    (tmp_path / "a.gltf").write_text(json.dumps(content))
+    mesh, _, _ = pf.load_mesh(tmp_path / "a.gltf")
+    faces = np.asarray(mesh.faces)
+    near(np.asarray(mesh.vertices)[faces], CORNERS[SIDES])
+    wanted = np.array([[0, 0, -1], [0, 0, -1], [-1, 0, 0]])
+    near(mesh.vertex_normals()[faces], np.repeat(wanted[:, None], 3, axis=1))
+    (textures,) = known(mesh.textures)
+    rows = np.linspace(0, 255, 15).reshape(5, 3).astype("u1") / 255
+    near(known(textures.diffuse).values[faces], rows[SIDES])
+    # Smooth normals on request, of vertices that are shared again.
+    smooth = pf.load_mesh(tmp_path / "a.gltf", crease_angle=180).mesh
+    assert smooth.vertices.shape == (5, 3)
+    at = np.argmin(np.linalg.norm(np.asarray(smooth.vertices), axis=1))
+    near(smooth.vertex_normals()[at], np.array([-1, 0, -2]) / 5**0.5)
+
+
+@pytest.mark.parametrize("normalized", [True, False])
+@pytest.mark.parametrize("kind", ["i1", "u1", "i2", "u2"])
+def test_quantized_meshes(tmp_path, kind, normalized):
+    """Positions, normals and uv as whole numbers, as gltfpack writes them."""
+    highest = np.iinfo(kind).max
+    signed = kind[0] == "i"
+    up = np.array([[0, 0, highest]] * 3, kind)
+    uv = np.array([[0, 0], [highest, 0], [0, highest]], kind)
+    content = binary(
+        _triangle(
+            nodes=[{"mesh": 0, "scale": [2, 2, 2]}],
+            extensionsUsed=["KHR_mesh_quantization"],
+            extensionsRequired=["KHR_mesh_quantization"],
+        ),
+        POSITION=np.array([[0, 0, 0], [100, 0, 0], [0, 120, 0]], kind),
+        **({"NORMAL": up} if signed else {}),
+        TEXCOORD_0=uv,
+    )
+    for accessor in content["accessors"][1:]:
+        accessor["normalized"] = normalized
+    (tmp_path / "a.gltf").write_text(json.dumps(content))
+    mesh = pf.load_mesh(tmp_path / "a.gltf").mesh
+    scale = 2 / highest if normalized else 2
+    near(mesh.vertices, scale * np.array([[0, 0, 0], [100, 0, 0], [0, 120, 0]]), 1e-5)
+    near(mesh.vertex_normals(), np.tile([0, 0, 1], (3, 1)))
+    near(known(mesh.uv)[0], uv / highest if normalized else uv, 1e-6)
+
+
+def test_the_least_whole_number_is_minus_one(tmp_path):
+    rows = np.array([[-128, 0, 0], [127, 0, 0], [0, 127, 0]], "i1")
+    content = binary(_triangle(), POSITION=rows)
+    (tmp_path / "a.gltf").write_text(json.dumps(content))
+    mesh = pf.load_mesh(tmp_path / "a.gltf").mesh
+    near(mesh.vertices, [[-1, 0, 0], [1, 0, 0], [0, 1, 0]])
+
+
+def test_a_long_list_of_unused_parts_is_cut(tmp_path):
+    content = _triangle(**{f"odd{k}": 1 for k in range(90)})
+    (tmp_path / "a.gltf").write_text(json.dumps(content))
+    with pytest.warns(UserWarning) as said:
+        pf.load_mesh(tmp_path / "a.gltf")
+    (warning,) = said
+    assert "a.gltf: not used: odd0, odd1, " in str(warning.message)
+    assert ", odd19 and 70 others. Put" in str(warning.message)

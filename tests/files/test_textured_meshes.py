@@ -2,6 +2,7 @@
 
 import base64
 import json
+import warnings
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,8 @@ import phongfit as pf
 from phongfit.codes import REMEDIES
 from phongfit.files.formats import encode_png
 from phongfit.files.gltf import exponents, roughness, specular_colour, specular_of
-from phongfit.files.gltf_tangents import mirrored, vertex_tangents
-from phongfit.files.mesh_saving import _apart, _part
 from phongfit.rendering.film import decode
-from tests.files.test_gltf_reading import _triangle
+from tests.files.test_gltf_reading import _triangle, binary
 from tests.helpers import known, near
 
 # A square whose uv has the image upright, as OBJ counts v.
@@ -208,18 +207,15 @@ def test_gltf_textures(tmp_path):
     near(mesh.uv, [[[0, 0], [1, 0], [0, 1]]])
 
 
-def test_what_of_a_gltf_is_not_used_is_named(tmp_path):
-    clear = np.full((2, 2, 4), 100, np.uint8)
+def test_parts_of_a_gltf_that_are_not_used_are_listed(tmp_path):
+    moved = {"KHR_texture_transform": {"offset": [0.5, 0]}}
     material = {
         "name": "glass",
-        "pbrMetallicRoughness": {
-            "baseColorTexture": {
-                "index": 0,
-                "extensions": {"KHR_texture_transform": {}},
-            },
-            "metallicFactor": 1.0,
-        },
+        "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}},
+        "emissiveFactor": [1, 1, 1],
         "emissiveTexture": {"index": 0, "texCoord": 1},
+        "normalTexture": {"index": 0, "extensions": moved},
+        "occlusionTexture": {"index": 0},
         "alphaMode": "BLEND",
         "doubleSided": False,
         "extensions": {"KHR_materials_sheen": {}},
@@ -227,9 +223,8 @@ def test_what_of_a_gltf_is_not_used_is_named(tmp_path):
     path = gltf(
         tmp_path,
         material,
-        {"clear": clear},
+        {"clear": np.full((2, 2, 4), 100, np.uint8)},
         odd=1,
-        extensionsUsed=["KHR_materials_clearcoat", "KHR_texture_transform"],
         skins=[{"joints": [0]}],
         samplers=[{"wrapS": 33648}],
     )
@@ -240,41 +235,249 @@ def test_what_of_a_gltf_is_not_used_is_named(tmp_path):
     path.write_text(json.dumps(content))
     with pytest.warns(UserWarning) as said:
         pf.load_mesh(path)
-    words = [str(one.message).removeprefix(f"{path}: ") for one in said]
+    (warning,) = said
     remedy = f". {REMEDIES['part-unused']} [part-unused]"
-    assert all(one.endswith(remedy) for one in words)
-    assert [one.removesuffix(remedy) for one in words] == [
-        "material 'glass': that it is metallic is not used",
-        "material 'glass': its baseColorTexture is placed by 'KHR_texture_transform', "
-        "which is not used",
-        "material 'glass': its baseColorTexture is partly transparent, which is not "
-        "used",
-        "material 'glass': its baseColorTexture is mirrored or wrapped by axis: it "
-        "repeats instead",
-        "material 'glass': its emissiveTexture has another set of uv, and is not used",
-        "its vertices' COLOR_0 are not used: there is a texture",
-        "its extension 'KHR_materials_clearcoat' is not used",
-        "its extension 'KHR_texture_transform' is not used",
-        "its odd is not used",
-        "its material's alphaMode is not used",
-        "its extension 'KHR_materials_sheen' is not used",
-        "its skins are not used",
-        "its morph targets are not used",
-        "its vertices' TEXCOORD_2 are not used",
+    listed = str(warning.message).removeprefix(f"{path}: not used: ")
+    assert listed.removesuffix(remedy).split(", ") == [
+        "the wrapping of baseColorTexture of material 'glass' (it repeats)",
+        "the mirror image in material 'glass'",
+        "a metal (its base colour is its specular reflectance)",
+        "emissiveTexture of material 'glass' (its uv differ from those of another)",
+        "normalTexture of material 'glass' (its uv differ from those of another)",
+        "attributes.COLOR_0 where there is a texture",
+        "attributes.TEXCOORD_2",
+        "attributes.JOINTS_0",
+        "odd",
+        "skins",
+        "meshes.primitives.targets",
+        "materials.occlusionTexture",
+        "materials.alphaMode",
+        "materials.extensions.KHR_materials_sheen",
     ]
 
 
-def test_a_gltf_texture_that_is_not_there(tmp_path):
-    base = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+MATTE = {"metallicFactor": 0}
+
+
+def test_gltf_textures_that_cannot_be_read(tmp_path):
+    base = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}} | MATTE}
     path = gltf(tmp_path, base, {"base": LEVELS})
-    (tmp_path / "base.png").unlink()
-    with pytest.warns(UserWarning, match="its baseColorTexture is missing: .*base.png"):
-        assert pf.load_mesh(path).mesh.textures is None
+    for content, words in (
+        (b"RIFF\x1a\0\0\0WEBPVP8L", "base.webp: expected one of .png"),
+        (b"\x89PNG\r\n\x1a\nbroken", "base.webp: is broken"),
+        (None, "base.webp: cannot be read: No such file"),
+    ):
+        (tmp_path / "base.webp").unlink(missing_ok=True)
+        if content is not None:
+            (tmp_path / "base.webp").write_bytes(content)
+        path.write_text(path.read_text().replace("base.png", "base.webp"))
+        match = rf"a.gltf: not used: baseColorTexture of a material \(.*{words}"
+        with pytest.warns(UserWarning, match=match):
+            assert pf.load_mesh(path).mesh.textures is None
+    path = gltf(tmp_path, base, {"base": LEVELS}, textures=[{}])
+    with pytest.warns(UserWarning, match="of an unknown format"):
+        pf.load_mesh(path)
     path = gltf(tmp_path, base, {"base": LEVELS}, textures=[])
     with pytest.raises(ValueError, match="baseColorTexture.index: expected"):
         pf.load_mesh(path)
-    path = gltf(tmp_path, base, {}, textures=[{"source": 0}])
-    with pytest.raises(ValueError, match="materials\\[0\\]: source: expected a number"):
+
+
+def no_texture(folder, material: dict[str, Any], **changes) -> pf.Material:
+    """A material of a glTF file, with the warning that a metal is given."""
+    metal = material.get("pbrMetallicRoughness", {}).get("metallicFactor", 1) > 0
+    plain = "KHR_materials_pbrSpecularGlossiness" in material.get("extensions", {})
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        loaded = pf.load_mesh(gltf(folder, material, {}, **changes))
+    words = "the mirror image in a material, a metal"
+    assert [words in str(one.message) for one in said] == [True] * (metal and not plain)
+    return loaded.material
+
+
+BRASS = {"baseColorFactor": [0.8, 0.6, 0.2, 1], "roughnessFactor": 0.5}
+COLOUR = np.array([0.8, 0.6, 0.2])
+# A roughness of 1/2 is an exponent of 2 ⋅ 16 - 2 = 30: (f + 2) / 8 = 4.
+GLTF_MATERIALS = [
+    ({"pbrMetallicRoughness": BRASS}, 0, 4 * COLOUR, 30, COLOUR),
+    (
+        {"pbrMetallicRoughness": BRASS | {"metallicFactor": 0.5}},
+        COLOUR / 2,
+        4 * (0.02 + COLOUR / 2),
+        30,
+        COLOUR,
+    ),
+    ({"pbrMetallicRoughness": BRASS | MATTE}, COLOUR, 0.16, 30, COLOUR),
+    # A material without any key: white, metallic, of roughness 1.
+    ({}, 0, 0.25, 0, 1),
+    (
+        {
+            "pbrMetallicRoughness": BRASS | MATTE,
+            "extensions": {
+                "KHR_materials_ior": {"ior": 2},
+                "KHR_materials_specular": {
+                    "specularFactor": 0.5,
+                    "specularColorFactor": [1, 0.5, 0],
+                },
+            },
+        },
+        COLOUR,
+        4 * np.array([1, 0.5, 0]) / 18,
+        30,
+        COLOUR,
+    ),
+    (
+        {
+            "pbrMetallicRoughness": {"baseColorFactor": [0, 0, 0, 1]},
+            "extensions": {
+                "KHR_materials_pbrSpecularGlossiness": {
+                    "diffuseFactor": [0.8, 0.1, 0.1, 1],
+                    "specularFactor": [0.2, 0.1, 0.3],
+                    "glossinessFactor": 0.5,
+                }
+            },
+        },
+        np.array([0.8, 0.1, 0.1]),
+        4 * np.array([0.2, 0.1, 0.3]),
+        30,
+        np.array([0.8, 0.1, 0.1]),
+    ),
+]
+"""Materials, and their ρ_d, ρ_s, f and ρ_a."""
+
+
+@pytest.mark.parametrize("case", range(len(GLTF_MATERIALS)))
+def test_materials_of_gltf(tmp_path, case):
+    given, diffuse, specular, shininess, ambient = GLTF_MATERIALS[case]
+    for required in ([], list(given.get("extensions", {}))):
+        material = no_texture(tmp_path, given, extensionsRequired=required)
+        near(material.diffuse, diffuse * np.ones(3))
+        near(material.specular, specular * np.ones(3), 1e-5)
+        near(material.shininess, [shininess], 1e-4)
+        near(material.ambient, ambient * np.ones(3))
+
+
+def test_emission_of_gltf_has_a_strength(tmp_path):
+    strong = {"KHR_materials_emissive_strength": {"emissiveStrength": 5}}
+    given = {"emissiveFactor": [0.1, 0.2, 0], "extensions": strong}
+    given["pbrMetallicRoughness"] = MATTE
+    near(no_texture(tmp_path, given).emission, [0.5, 1, 0])
+
+
+def levels(*channels: Any) -> np.ndarray:
+    """Whole numbers of 8 bits, (H, W, channels)."""
+    each = np.broadcast_arrays(*channels)
+    return np.stack(each, axis=-1).astype(np.uint8)
+
+
+def test_occlusion_roughness_and_metallic_in_one_texture(tmp_path):
+    """The left half is brass, the right half paint; base colour is a smaller image."""
+    metal = np.repeat([[255, 255, 0, 0]], 4, axis=0)
+    pbr = {
+        "baseColorTexture": {"index": 0},
+        "metallicRoughnessTexture": {"index": 1},
+        "roughnessFactor": 0.5,
+    }
+    path = gltf(
+        tmp_path,
+        {"pbrMetallicRoughness": pbr},
+        {
+            "base": levels([[255, 0], [255, 0]], [[0, 255], [0, 255]], 0),
+            "orm": levels(9, 255, metal),
+        },
+    )
+    with pytest.warns(UserWarning, match="the mirror image in a material, a metal"):
+        mesh, material, _ = pf.load_mesh(path)
+    (textures,) = known(mesh.textures)
+    red, green, paint = [1.0, 0, 0], [0, 1.0, 0], [0.04] * 3
+
+    def first_row(leaf: str) -> np.ndarray:
+        rows = np.asarray(known(getattr(textures, leaf)).values)[0]
+        return np.asarray(getattr(material, leaf)) * rows
+
+    near(first_row("diffuse"), [[0] * 3] * 2 + [green] * 2)
+    near(first_row("specular"), 4 * np.array([red, red, paint, paint]), 1e-5)
+    near(first_row("shininess"), np.full((4, 1), 30), 1e-4)
+    near(first_row("ambient"), [red, green])
+
+
+def test_specular_and_glossiness_in_one_texture(tmp_path):
+    gloss = {
+        "diffuseTexture": {"index": 0},
+        "specularGlossinessTexture": {"index": 1},
+        "specularFactor": [0.5, 0.5, 0.5],
+    }
+    both = levels([[255, 255]], 0, 0, [[0, 127.5 + 0.5]])
+    path = gltf(
+        tmp_path,
+        {"extensions": {"KHR_materials_pbrSpecularGlossiness": gloss}},
+        {"base": LEVELS, "both": both},
+    )
+    mesh, material, _ = pf.load_mesh(path)
+    (textures,) = known(mesh.textures)
+    at_texels(textures.diffuse, decode(LEVELS / 255.0, "srgb"))
+    near(material.diffuse, np.ones(3))
+    f = 2 / np.array([1, 127 / 255]) ** 4 - 2
+    near(material.shininess * known(textures.shininess).values[0, :, 0], f, 1e-3)
+    wanted = 0.5 * (f + 2) / 8
+    near(material.specular * known(textures.specular).values[0, :, 0], wanted, 1e-3)
+
+
+@pytest.mark.parametrize(
+    "transform, uv",
+    [
+        ({"offset": [0.5, 0.25]}, [[0.5, 0.25], [1.5, 0.25], [0.5, 1.25]]),
+        ({"scale": [2, 3]}, [[0, 0], [2, 0], [0, 3]]),
+        # Counter-clockwise, where v runs down: u turns to -v.
+        ({"rotation": np.pi / 2}, [[0, 0], [0, -1], [1, 0]]),
+        (
+            {"offset": [0.5, 0], "rotation": np.pi / 2, "scale": [2, 3]},
+            [[0.5, 0], [0.5, -2], [3.5, 0]],
+        ),
+        ({"texCoord": 1}, [[1, 1], [0, 1], [1, 0]]),
+    ],
+)
+def test_transforms_of_gltf_textures(tmp_path, transform, uv):
+    info = {"index": 0, "extensions": {"KHR_texture_transform": transform}}
+    pbr = {"baseColorTexture": info} | MATTE
+    path = gltf(
+        tmp_path,
+        {"pbrMetallicRoughness": pbr},
+        {"base": LEVELS},
+        extensionsRequired=["KHR_texture_transform"],
+    )
+    content = json.loads(path.read_text())
+    if "texCoord" in transform:
+        other = np.array([[1, 1], [0, 1], [1, 0]], "f4")
+        path.write_text(json.dumps(binary(content, TEXCOORD_1=other)))
+        with pytest.warns(UserWarning, match="not used: attributes.TEXCOORD_0"):
+            mesh = pf.load_mesh(path).mesh
+    else:
+        mesh = pf.load_mesh(path).mesh
+    near(mesh.uv, [uv], 1e-6)
+
+
+def test_colours_of_vertices_of_a_metal(tmp_path):
+    path = gltf(tmp_path, {"pbrMetallicRoughness": BRASS}, {})
+    rows = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255]], "u1")
+    path.write_text(json.dumps(binary(json.loads(path.read_text()), COLOR_0=rows)))
+    with pytest.warns(UserWarning, match="the mirror image in a material, a metal"):
+        mesh = pf.load_mesh(path).mesh
+    (textures,) = known(mesh.textures)
+    near(known(textures.specular).values, np.eye(3))
+
+
+def test_gltf_textures_of_many_materials_are_bounded(tmp_path, monkeypatch):
+    pbr = {"metallicRoughnessTexture": {"index": 0}} | MATTE
+    image = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
+    path = gltf(tmp_path, {}, {"rough": image})
+    content = json.loads(path.read_text())
+    content["materials"] = [{"pbrMetallicRoughness": pbr}] * 500
+    (primitive,) = content["meshes"][0]["primitives"]
+    each = [primitive | {"material": k} for k in range(500)]
+    content["meshes"][0]["primitives"] = each
+    path.write_text(json.dumps(content))
+    monkeypatch.setenv("PHONGFIT_MAX_MEMORY", "4M")
+    with pytest.raises(ValueError, match="a.gltf: .*at most 4 MB .* textures"):
         pf.load_mesh(path)
 
 
@@ -290,7 +493,7 @@ def test_a_glb_with_its_texture_inside(tmp_path):
     (textures,) = known(mesh.textures)
     at_texels(textures.diffuse, decode(LEVELS / 255.0, "srgb"))
     # trimesh counts v upwards.
-    near(known(mesh.uv), (uv * [1, -1] + [0, 1])[np.asarray(mesh.faces)], 1e-5)
+    near(known(mesh.uv), (uv * [1, -1] + [0, 1])[np.asarray(box.faces)], 1e-5)
 
 
 def test_roughness_and_exponent_are_inverse():
@@ -362,7 +565,8 @@ def test_colours_of_vertices_as_others_write_them(tmp_path, suffix):
     for name in ("diffuse", "ambient"):
         near(colours_of(mesh, name), light, 1e-6)
         near(getattr(material, name), 1)
-    assert len(mesh.vertices) == len(ICO.vertices)
+    # glTF's faces are flat where it has no normals.
+    assert len(mesh.vertices) == (ICO.faces.size if suffix == "glb" else 42)
 
 
 OBJ_V = "v 0 0 0 {}\nv 1 0 0 {}\nv 0 1 0 {}\nv 0 1 0 {}\n"
@@ -423,7 +627,7 @@ def test_broken_colours_of_vertices(tmp_path):
     content["accessors"].append({**content["accessors"][0], "count": 3})
     content["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = 1
     (tmp_path / "a.gltf").write_text(json.dumps(content))
-    with pytest.raises(ValueError, match="attributes.COLOR_0: expected 3 colours ≥ 0"):
+    with pytest.raises(ValueError, match="attributes.COLOR_0: expected 3, got 2"):
         pf.load_mesh(tmp_path / "a.gltf")
 
 
@@ -440,8 +644,7 @@ def test_colours_of_gltf_of_each_kind(tmp_path, kind, levels):
     content["accessors"].append({"bufferView": 1, **told})
     content["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = 1
     (tmp_path / "a.gltf").write_text(json.dumps(content))
-    with pytest.warns(UserWarning, match="COLOR_0 are partly transparent: not used"):
-        mesh, material, _ = pf.load_mesh(tmp_path / "a.gltf")
+    mesh, material, _ = pf.load_mesh(tmp_path / "a.gltf")
     near(material.diffuse, 1)
     read = known(known(mesh.textures)[0].diffuse).values
     near(read, colours[:, :3], 1.1 / levels if levels > 1 else 1e-6)
@@ -577,70 +780,19 @@ def test_a_saved_mesh_is_read_again(tmp_path, suffix):
         assert np.median(abs(images[0] - images[1])) < 1e-4
 
 
-def accessor(path, name):
-    """An attribute of the first primitive of a file that we wrote as `.gltf`."""
-    content = json.loads(path.read_text())
-    data = base64.b64decode(content["buffers"][0]["uri"].split(",")[1])
-    number = content["meshes"][0]["primitives"][0]["attributes"][name]
-    view = content["bufferViews"][content["accessors"][number]["bufferView"]]
-    rows = np.frombuffer(data, np.float32, view["byteLength"] // 4, view["byteOffset"])
-    return rows.reshape(content["accessors"][number]["count"], -1)
-
-
-@pytest.mark.parametrize("mirror", [False, True])
-def test_tangents_of_a_normal_map(tmp_path, mirror):
-    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], float)
-    uv = uv * [-1, 1] if mirror else uv
-    bumps = pf.Textures(normal=pf.Texture(np.tile([0.2, 0.1, 0.9], (2, 2, 1))))
-    mesh = pf.Mesh(corners, faces, uv=uv[faces], textures=bumps)
-    path = tmp_path / "a.gltf"
-    pf.save_mesh(path, mesh, pf.Material())
-    # u runs along x, or against it; the bitangent runs up.
-    across = -1 if mirror else 1
-    near(accessor(path, "TANGENT"), np.tile([across, 0, 0, across], (4, 1)))
-    # They are those of the uv, so that nothing is said.
-    again = pf.load_mesh(path).mesh
-    pf.save_mesh(tmp_path / "b.gltf", again, pf.Material())
-    near(accessor(tmp_path / "b.gltf", "TANGENT"), accessor(path, "TANGENT"))
-    # Others are named.
-    content = json.loads(path.read_text())
-    uri = content["buffers"][0]["uri"]
-    number = content["meshes"][0]["primitives"][0]["attributes"]["TANGENT"]
-    start = content["bufferViews"][content["accessors"][number]["bufferView"]]
-    data = bytearray(base64.b64decode(uri.split(",")[1]))
-    turned = np.array([[0, 1, 0, across]] * 4, np.float32).tobytes()
-    data[start["byteOffset"] : start["byteOffset"] + len(turned)] = turned
-    head = "data:application/octet-stream;base64,"
-    content["buffers"][0]["uri"] = head + base64.b64encode(data).decode()
+def test_tangents_of_a_gltf_are_listed_where_there_is_a_normal_map(tmp_path):
+    """phongfit finds tangents from the uv."""
+    flat = levels(np.full((2, 2), 128), 128, 255)
+    tangents = np.tile([0, 1, 0, 1], (3, 1)).astype("f4")
+    bent = {"normalTexture": {"index": 0}, "pbrMetallicRoughness": MATTE}
+    path = gltf(tmp_path, bent, {"flat": flat})
+    content = binary(json.loads(path.read_text()), TANGENT=tangents)
     path.write_text(json.dumps(content))
-    with pytest.warns(UserWarning, match="TANGENT are not used: 4 of 4 are not those"):
+    with pytest.warns(UserWarning, match="not used: attributes.TANGENT. "):
         pf.load_mesh(path)
-
-
-def test_tangents_where_an_image_is_mirrored_or_lost():
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0]], float)
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    up = np.tile([0.0, 0, 1], (4, 1))
-    # u is |x|, so that the second face is mirrored; v runs down.
-    uv = np.array([[0, 1], [1, 1], [0, 0], [1, 1]], float)
-    assert list(mirrored(corners[faces], uv[faces].reshape(-1, 2))) == [False, True]
-    # Where the uv have no area a tangent is of length 1 all the same.
-    none = vertex_tangents(corners, faces, up, np.zeros((4, 2)))
-    near(np.sum(none[:, :3] ** 2, axis=1), np.ones(4))
-    near(none[:, 2], np.zeros(4))
-    mesh = pf.Mesh(
-        corners,
-        faces,
-        uv=uv[faces],
-        textures=pf.Textures(normal=pf.Texture(np.tile([0.0, 0, 1], (1, 1, 1)))),
-    )
-    own = _part(mesh, _apart(mesh, pf.Material(), None)[0])
-    # The two corners that both share come twice.
-    tangents = known(own.tangents)
-    assert len(tangents) == 6 and sorted(tangents[:, 3]) == [-1] * 3 + [1] * 3
-    near(tangents[:, 0], tangents[:, 3])
+    del content["materials"][0]["normalTexture"]
+    path.write_text(json.dumps(content))
+    assert pf.load_mesh(path).mesh.textures is None
 
 
 def test_what_is_not_saved(tmp_path):

@@ -1,5 +1,6 @@
 """Meshes and materials that were damaged, of every format."""
 
+import base64
 import functools
 import json
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from phongfit.files.formats import encode_png
 from phongfit.files.meshes import load_mesh
 from phongfit.files.mtl import read_mtl
 from tests.campaign.cases import Case, Kind, Wrong, blaming, put
@@ -58,7 +60,30 @@ def whole() -> dict[str, bytes]:
     scene["buffers"][0]["uri"] = "buffer.bin"
     found["a.gltf"] = json.dumps(scene).encode()
     found["buffer.bin"] = data[28 + length :]
+    found["b.gltf"] = json.dumps(scene | _looks(scene)).encode()
     return found
+
+
+def _looks(scene: dict[str, Any]) -> dict[str, Any]:
+    """Materials of a box in glTF, with textures and uv that are its corners."""
+    pixels = np.arange(64, dtype=np.uint8).reshape(4, 4, 4)
+    picture = base64.b64encode(encode_png(pixels)).decode()
+    info = {"index": 0, "extensions": {"KHR_texture_transform": {"rotation": 0.5}}}
+    both = {"KHR_materials_pbrSpecularGlossiness": {"specularGlossinessTexture": info}}
+    metal = {"baseColorTexture": info, "metallicRoughnessTexture": info}
+    materials = [{"pbrMetallicRoughness": metal}, {"extensions": both}]
+    accessors = scene["accessors"]
+    (primitive,) = scene["meshes"][0]["primitives"]
+    attributes = primitive["attributes"]
+    uv = accessors[attributes["POSITION"]] | {"type": "VEC2"}
+    primitive = primitive | {"attributes": attributes | {"TEXCOORD_0": len(accessors)}}
+    return {
+        "accessors": [*accessors, uv],
+        "images": [{"uri": f"data:image/png;base64,{picture}"}],
+        "textures": [{"source": 0}],
+        "materials": materials,
+        "meshes": [{"primitives": [primitive | {"material": k} for k in (0, 1)]}],
+    }
 
 
 def make(random: np.random.Generator, stock: Path) -> Case:
@@ -67,7 +92,7 @@ def make(random: np.random.Generator, stock: Path) -> Case:
     hit = str(random.choice(sorted(sources)))
     what, data = damaged(random, sources[hit])
     # What is read where a part of it was damaged.
-    read = {"a.mtl": "a.obj", "buffer.bin": "a.gltf"}.get(hit, hit)
+    read = {"a.mtl": "a.obj", "buffer.bin": "b.gltf"}.get(hit, hit)
     if hit == "a.mtl" and random.random() < 0.5:
         read = hit
 
@@ -76,7 +101,7 @@ def make(random: np.random.Generator, stock: Path) -> Case:
             with blaming(read):
                 read_mtl(folder / read)
             return
-        with blaming(read if read == hit else "a."):
+        with blaming(read if read == hit else read[:2]):
             mesh, material, names = load_mesh(folder / read)
         if not np.isfinite(mesh.vertices).all() or len(names) != mesh.materials:
             raise Wrong("a mesh that is none")
