@@ -146,7 +146,7 @@ def _joined(
     )
     colours = _colours(parts)
     groups = [part.groups for part in parts if part.groups is not None]
-    # Creases that are asked for take the place of normals and groups.
+    # crease_angle replaces the file's normals and groups.
     smooth = options.get("crease_angle") is None
     known = np.any(normals, axis=1) & smooth
     first = at = own = np.arange(len(places))
@@ -166,14 +166,14 @@ def _joined(
     kept, rows = own, own
     if groups:
         kept, rows = _unique(np.column_stack([at, *colours.values()]))
-    # Where colours end the surface goes on.
+    # The edge between two colours is no edge of the surface.
     split = smooth and len(kept) > len(first)
     taken = {name: values[kept] for name, values in colours.items()}
     return _Vertices(places[kept], rows, computed()[kept] if split else None, taken)
 
 
 def _unique(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where each row stands first, and which of these each row is."""
+    """First occurrences of the different rows, and the one that each row equals."""
     _, first, at = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     return first, at.ravel()
 

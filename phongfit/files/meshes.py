@@ -1,8 +1,7 @@
-"""Meshes on disk, through trimesh, with the materials that their files name.
+"""Meshes on disk, of every format, with the materials that their files name.
 
-OBJ and PLY count v upwards; here, and in glTF, it runs down. Colours of vertices are
-linear in glTF, by its specification; those of OBJ and PLY, which do not say, are taken
-to be sRGB-encoded, as most programs write them.
+Colours of vertices are linear in glTF, by its specification; those of other formats,
+which define no encoding, are taken to be sRGB-encoded, as most programs write them.
 """
 
 import os
@@ -37,21 +36,28 @@ def load_mesh(path: str | os.PathLike[str], **options: Any) -> LoadedMesh:
 
     Several objects in a file become one mesh, in the file's world coordinates. Normals
     are those of the file; where it has none, they are computed, and vertices that STL
-    or OBJ hold several times are one.
+    or OBJ hold several times are one. An OBJ with `s` is smooth within each smoothing
+    group and flat where it is off; one without `s` is smooth everywhere. Polygons are
+    cut into triangles, concave ones too.
 
     Materials of an .mtl are read as by [`read_mtl`][]; one that is missing is the
-    default [`Material`][], with a warning, and still a material of its own. Of glTF's,
-    which are of another model, base colour (as diffuse and ambient) and emission are
-    taken, and roughness and KHR_materials_specular where the file gives them: see
+    default [`Material`][], with a warning, and still a material of its own. If the
+    faces name none and there is only one, it is theirs. Of glTF's, which are of another
+    model, base colour (as diffuse and ambient) and emission are taken, and roughness
+    and KHR_materials_specular where the file gives them: see
     `phongfit.files.gltf_materials`. A material that phongfit wrote is what it was.
+
+    An .mtl or a texture that is named with backslashes, in letters of the other case or
+    in a folder of another computer is looked for beside the file, and below it.
 
     Textures of colours (map_Ka, map_Kd, map_Ks, map_Ke; glTF's base colour, specular
     and emission; the TextureFile of a PLY), of the exponent (map_Ns, map_Pr; glTF's
     roughness), normal maps and colours of vertices become the mesh's `textures`;
     `mesh.with_textures(None)` is the mesh without. Colours of vertices multiply ρ_d and
-    ρ_a, where there is no texture of these; of a PLY, and of an OBJ without materials,
-    they are these. They are sRGB-encoded in OBJ and PLY, and linear in glTF. What a
-    file has besides that is not used (more uv, skins, other maps, transparency, unknown
+    ρ_a, where there is no texture of these; of a PLY or OFF, and of an OBJ without
+    materials, they are these. Colours of a PLY's or OFF's faces are taken where there
+    are none of vertices. They are sRGB-encoded, but linear in glTF. What a file has
+    besides that is not used (more uv, skins, other maps, transparency, unknown
     extensions) is named in a warning, each.
 
     **Arguments:**

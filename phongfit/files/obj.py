@@ -170,23 +170,21 @@ def read_obj(path: Path, note: Note) -> list[MeshPart]:
         if content.unused:
             shown = ", ".join(repr(key[:20]) for key in list(content.unused)[:LISTED])
             say(f"its lines of {shown} are not used")
-        places = np.array(content.places).reshape(-1, 3)
+        places = np.asarray(content.places).reshape(-1, 3)
         cut = triangulate(places, corners[:, 0], faces[:, 0], say)
+    if not len(cut.polygon):
+        return []
     material, group = faces[cut.polygon, 2], faces[cut.polygon, 3]
-    # A group of its own for each polygon that is flat.
+    # Each flat polygon is a group.
     flat = (group == 0) & bool(content.groups)
     group = np.where(flat, len(content.groups) + 1 + cut.polygon, group)
-    used = dict.fromkeys(material.tolist())
-    materials = _materials(path, content, -1 in used, note)
+    order = np.argsort(material, kind="stable")
+    numbers, starts = np.unique(material[order], return_index=True)
+    rows = dict(zip(numbers.tolist(), np.split(order, starts[1:]), strict=True))
+    materials = _materials(path, content, -1 in rows, note)
     return [
-        _part(
-            content,
-            corners[cut.corner[material == number]],
-            group[material == number],
-            *materials[number],
-            say,
-        )
-        for number in used
+        _part(content, corners[cut.corner[rows[k]]], group[rows[k]], *materials[k], say)
+        for k in dict.fromkeys(material.tolist())
     ]
 
 
@@ -201,8 +199,8 @@ def _fill(content: _Content, data: bytes) -> None:
 
 def _indices(content: _Content) -> tuple[np.ndarray, np.ndarray]:
     """Rows of corners and of faces, if all that they refer to is there."""
-    corners = np.array(content.corners).reshape(-1, 3)
-    faces = np.array(content.faces).reshape(-1, 4)
+    corners = np.asarray(content.corners).reshape(-1, 3)
+    faces = np.asarray(content.faces).reshape(-1, 4)
     columns = (content.places, 3), (content.uv, 2), (content.normals, 3)
     for index, (numbers, width) in zip(corners.T, columns, strict=True):
         count = len(numbers) // width
@@ -275,27 +273,28 @@ def _part(
     (T,), numbers ≥ 0 of smoothing groups.
     """
     place, texture, normal = np.moveaxis(corners, -1, 0)
-    given = np.array(content.normals).reshape(-1, 3)
+    given = np.asarray(content.normals).reshape(-1, 3)
     # Vertices differ where their normals do, or else their groups.
     kind = np.where(normal >= 0, normal, len(given) + groups[:, None])
     kinds = int(kind.max()) + 1
     keys, faces = np.unique(place * kinds + kind, return_inverse=True)
     place, kind = np.divmod(keys, kinds)
-    # The last row is that of vertices without a normal.
-    normals = np.concatenate([given, np.zeros((1, 3))])[np.minimum(kind, len(given))]
-    uv = None
-    if (texture >= 0).any():
-        # Likewise, of corners without uv.
-        uv = np.concatenate([np.array(content.uv).reshape(-1, 2), [[0.0, 1.0]]])
-        uv = uv_from_below(uv[texture])
+    has_normal = kind < len(given)
+    normals = np.zeros((len(kind), 3))
+    normals[has_normal] = given[kind[has_normal]]
+    uv, has_uv = None, texture >= 0
+    if has_uv.any():
+        uv = np.zeros((*texture.shape, 2))
+        table = np.asarray(content.uv).reshape(-1, 2)
+        uv[has_uv] = uv_from_below(table[texture[has_uv]])
     colours = {}
     if content.coloured and shaded.textures.diffuse is not None:
         note("its vertices' colours are not used where map_Kd is")
     elif content.coloured:
-        rows = np.array(content.colours).reshape(-1, 3)
+        rows = np.asarray(content.colours).reshape(-1, 3)
         colours = linear_colours(rows[place], note)
     return MeshPart(
-        np.array(content.places).reshape(-1, 3)[place],
+        np.asarray(content.places).reshape(-1, 3)[place],
         faces.reshape(-1, 3),
         name,
         shaded,

@@ -37,7 +37,7 @@ def read_off(path: Path, note: Note) -> list[MeshPart]:
 
     **Arguments:** `note`: takes in words what of the file is not used.
 
-    **Raises:** `ValueError` that says what is wrong, and in which line.
+    **Raises:** `ValueError` that names the line.
     """
     data = read_bytes(path)
     afford(MEMORY * len(data), "triangles")

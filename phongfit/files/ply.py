@@ -1,8 +1,8 @@
 """PLY files: polygons with uv, normals and colours, in text or binary.
 
 ??? cite "Source"
-    Turk, *The PLY polygon file format*, 1994. Where the uv of corners stand, and the
-    comment TextureFile, are MeshLab's.
+    Turk, *The PLY polygon file format*, 1994. The uv of corners and the comment
+    TextureFile are MeshLab's.
 """
 
 import re
@@ -51,7 +51,7 @@ LISTED = 20
 
 
 class _Property(NamedTuple):
-    """A property of an element; lists have a type of their length, too."""
+    """A property of an element; `length_type` is `None` unless it is a list."""
 
     name: str
     type: str
@@ -80,7 +80,7 @@ def read_ply(path: Path, note: Note) -> list[MeshPart]:
 
     **Arguments:** `note`: takes in words what of the file is not used.
 
-    **Raises:** `ValueError` that says what is wrong.
+    **Raises:** `ValueError` that names the line of the header, or the element.
     """
     data = read_bytes(path)
     afford(MEMORY * len(data), "triangles")
@@ -142,7 +142,7 @@ def _elements(head: str) -> list[_Element]:
 
 
 class _Body:
-    """What follows the header, taken piece by piece.
+    """The rest of the file after its header, read piece by piece.
 
     **Arguments:** `order`: of bytes; empty for text.
     """
@@ -152,7 +152,7 @@ class _Body:
         self._order, self._at = order, 0
         if order == "":
             with warnings.catch_warnings():
-                # What NumPy before 2.4 does at a word that is no number.
+                # NumPy before 2.4 warns of a word that is no number.
                 warnings.simplefilter("error", DeprecationWarning)
                 try:
                     self._data = np.fromstring(data.decode("latin-1"), sep=" ")

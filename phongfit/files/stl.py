@@ -28,7 +28,7 @@ def read_stl(path: Path, note: Note) -> list[MeshPart]:
 
     **Arguments:** `note`: takes in words what of the file is not used.
 
-    **Raises:** `ValueError` that says what is wrong.
+    **Raises:** `ValueError` if it is broken or truncated.
     """
     data = read_bytes(path)
     afford(MEMORY * len(data), "triangles")
