@@ -44,6 +44,7 @@ KEPT = {
     "imagecodecs": "files",
     "OpenEXR": "files",
     "trimesh": "files",
+    "mapbox_earcut": "files",
     "embreex": "geometry",
     "starlette": "lab",
     "rawpy": "files",

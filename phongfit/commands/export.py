@@ -172,7 +172,7 @@ def _mesh_in(source: Path) -> Path | None:
 
 def _export_mesh(mesh: Path, options: Options, to: Target) -> str:
     """A mesh with its materials and textures, in another format."""
-    # Here, since trimesh takes long to import.
+    # Here, since SciPy takes long to import.
     from phongfit.files.meshes import load_mesh
 
     for name in ("scene", "surface", "distance"):

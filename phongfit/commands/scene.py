@@ -353,7 +353,7 @@ def _calibrated(options: Options) -> Calibration | None:
 
 
 def _read_mesh(path: Path) -> Mesh:
-    # Here, since trimesh takes long to import.
+    # Here, since SciPy takes long to import.
     from phongfit.files.meshes import load_mesh
 
     return load_mesh(path).mesh

@@ -292,6 +292,24 @@ def _write_exr(path: Path, numbers: np.ndarray) -> None:
         raise OSError(errno.EIO, str(error).rpartition('". ')[2]) from error
 
 
+def _read_picture(data: bytes, path: Path, room: Room) -> np.ndarray:
+    """Colours as pictures for the screen have them: of palettes, or of four inks."""
+    del path
+    known = ["BMP", "GIF", "JPEG", "TGA", "WEBP"]
+    with Image.open(io.BytesIO(data), formats=known) as image:
+        # Pillow holds four bytes a pixel, before and after it changes the mode.
+        room(*image.size, 12)
+        if image.mode in ("L", "RGB", "RGBA"):
+            return np.asarray(image)
+        mode = "RGBA" if image.has_transparency_data else "RGB"
+        return np.asarray(image.convert(mode))
+
+
+TEXTURE_READERS: dict[str, Reader] = READERS | dict.fromkeys(
+    (".jpg", ".jpeg", ".tga", ".bmp", ".gif", ".webp"), _read_picture
+)
+"""Readers of textures, whose files are of more formats than those of photographs."""
+
 Writer = Callable[[Path, np.ndarray], None]
 
 WRITERS: dict[str, dict[int, Writer]] = {

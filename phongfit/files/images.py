@@ -18,6 +18,7 @@ from phongfit.files.coded import Coded
 from phongfit.files.formats import (
     PNG_START,
     READERS,
+    TEXTURE_READERS,
     WRITERS,
     Refused,
     Room,
@@ -408,11 +409,11 @@ def read_texels(data: bytes, path: Path, encoding: NamedEncoding) -> Texels:
     suffix = path.suffix.lower()
     for start, format in ((PNG_START, ".png"), (b"\xff\xd8", ".jpg")):
         suffix = format if data.startswith(start) else suffix
-    if suffix not in READERS:
-        raise ValueError(f"{path}: {_wanted_suffix(path, READERS)}")
+    if suffix not in TEXTURE_READERS:
+        raise ValueError(f"{path}: {_wanted_suffix(path, TEXTURE_READERS)}")
 
     numbers = _decoding(
-        path, lambda data: READERS[suffix](data, path, _room(data, None)), data
+        path, lambda data: TEXTURE_READERS[suffix](data, path, _room(data, None)), data
     )
     numbers = numbers[..., None] if numbers.ndim == 2 else numbers
     if numbers.ndim != 3 or 0 in numbers.shape or numbers.shape[-1] > 4:

@@ -3,14 +3,19 @@
 import contextlib
 import contextvars
 import hashlib
+import io
+import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
 from jaxtyping import Float
 
 from phongfit.files.budget import afford
+
+Note = Callable[[str], None]
+"""Takes what of a file is not used, in words."""
 
 _checksums: contextvars.ContextVar[dict[Path, str] | None]
 _checksums = contextvars.ContextVar("checksums", default=None)
@@ -105,6 +110,36 @@ def read_text(path: Path, limit: int | None = 2**24) -> str:
         raise ValueError(f"{path}: is no text in UTF-8") from error
 
 
+def joined_lines(data: bytes) -> Iterator[tuple[int, str]]:
+    """Lines of a text as any program wrote it, each with its number in the file.
+
+    In UTF-8 with or without a byte order mark, or else in Latin-1. A line that ends
+    with a backslash goes on in the next one.
+    """
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    lines = enumerate(io.StringIO(text, newline=None), start=1)
+    for number, line in lines:
+        if not line.endswith("\\\n"):
+            yield number, line
+            continue
+        pieces = [line]
+        while pieces[-1].endswith("\\\n"):
+            pieces[-1] = pieces[-1][:-2]
+            pieces.append(next(lines, (0, ""))[1])
+        yield number, " ".join(pieces)
+
+
+def uncommented(words: list[str]) -> list[str]:
+    """The words before one that starts with #."""
+    for k, word in enumerate(words):
+        if word.startswith("#"):
+            return words[:k]
+    return words
+
+
 def read_table(path: Path, columns: int) -> Float[np.ndarray, "rows columns"]:
     """Finite numbers, `columns` in a line, between white space.
 
@@ -143,6 +178,34 @@ def inside(folder: Path, name: str) -> Path:
     if not resolved.is_relative_to(folder.resolve()):
         raise ValueError(f"{name!r}: is a link that leads out of this folder")
     return path
+
+
+def beside(folder: Path, name: str) -> Path | None:
+    """The file in `folder`, or below it, that a name of another computer means.
+
+    The name may have quotes, backslashes, and letters of the other case. If its folders
+    are not here, the file of its last part counts.
+
+    **Returns:** `None` if there is no such file.
+    """
+    name = name.strip(" \t\"'").replace("\\", "/")
+    for given in (name, name.rpartition("/")[2]):
+        for find in (inside, _in_any_case):
+            # No name of a file here, such as one that is too long.
+            with contextlib.suppress(ValueError, OSError):
+                path = find(folder, given)
+                if path.is_file():
+                    return path
+    return None
+
+
+def _in_any_case(folder: Path, name: str) -> Path:
+    """As [`inside`][], whatever the case of the letters in `name`."""
+    found = folder
+    for part in PurePosixPath(name).parts:
+        same = (k for k in sorted(os.listdir(found)) if k.lower() == part.lower())
+        found = found / next(same, part)
+    return inside(folder, str(found.relative_to(folder)))
 
 
 @contextlib.contextmanager

@@ -5,7 +5,6 @@
     B1 of the Advanced Visualizer manual, 1992.
 """
 
-import io
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +14,13 @@ import numpy as np
 
 from phongfit.codes import warn
 from phongfit.edge import checked
-from phongfit.files.inputs import inside, naming, read_text
+from phongfit.files.inputs import (
+    beside,
+    joined_lines,
+    naming,
+    read_bytes,
+    uncommented,
+)
 from phongfit.files.limits import colour, exponent, limited
 from phongfit.files.outputs import replacing
 from phongfit.material import Material
@@ -25,40 +30,81 @@ FORMAT = ".mtl"
 MOST = 10_000
 """Materials in a file."""
 
-MOST_UNUSED = 20
-"""Warnings of keys that have no place here."""
-
+MOST_BYTES = 2**24
 FEW = 5
 """Warnings of one sort: more say no more."""
+LISTED = 20
+"""Keys that a warning names."""
 
 COLOURS = {"Ka": "ambient", "Kd": "diffuse", "Ks": "specular", "Ke": "emission"}
-USUAL = {"d": 1, "Tr": 0, "Tf": 1}
+USUAL = {"d": "1", "Tr": "0", "Tf": "1"}
 """Of what is opaque: keys that change nothing where they have this value."""
-SILENT = ("", "Ni", "sharpness")
+SILENT = ("Ni", "sharpness")
 """Of refraction, and of a reflection map: keys that change nothing by themselves."""
-TEXTURES = ("map_", "bump", "disp", "decal", "refl", "norm")
+MAPS = {
+    "map_ka": ("Ka", "ambient"),
+    "map_kd": ("Kd", "diffuse"),
+    "map_ks": ("Ks", "specular"),
+    "map_ke": ("Ke", "emission"),
+    "map_ns": ("Ns", "shininess"),
+    "map_pr": ("Ns", "shininess"),
+    "norm": ("", "normal"),
+    "map_norm": ("", "normal"),
+    "bump": ("", "normal"),
+    "map_bump": ("", "normal"),
+}
+"""The number that a texture multiplies, and its parameter, by the key in small letters.
+"""
+
+# Of each option of a texture: the least and the largest number of words that follow it,
+# and those words with which it changes nothing.
+OPTIONS = {
+    "-blendu": (1, 1, {"on"}),
+    "-blendv": (1, 1, {"on"}),
+    "-boost": (1, 1, {"0"}),
+    "-mm": (2, 2, {"0 1"}),
+    "-o": (1, 3, {"0", "0 0", "0 0 0"}),
+    "-s": (1, 3, {"1", "1 1", "1 1 1"}),
+    "-t": (1, 3, {"0", "0 0", "0 0 0"}),
+    "-texres": (1, 1, set()),
+    "-clamp": (1, 1, {"on", "off"}),
+    "-bm": (1, 1, {"1"}),
+    "-imfchan": (1, 1, set()),
+    "-cc": (1, 1, {"off"}),
+    "-type": (1, 1, set()),
+}
 
 
 class TextureLine(NamedTuple):
-    """A line of a `.mtl` that names a texture."""
+    """A line of a `.mtl` that names a texture, by its file and with its options."""
 
     number: int
     material: str | None
     key: str
-    words: list[str]
+    file: str
+    options: dict[str, list[str]]
+
+    @property
+    def unused(self) -> list[str]:
+        """Options that change the texture, and have no place here."""
+        return [
+            name
+            for name, words in self.options.items()
+            if name != "-type" and _as_numbers(words) not in OPTIONS[name][2]
+        ]
 
 
 class Library(NamedTuple):
-    """What a `.mtl` says.
+    """Contents of a `.mtl`.
 
     - `materials`: the numbers of each by their keys.
     - `textures`: lines that name one.
-    - `unused`: what has no place here, in words, once each.
+    - `notes`: what has no place here or is doubtful, in words.
     """
 
     materials: dict[str, dict[str, Any]]
     textures: list[TextureLine]
-    unused: list[str]
+    notes: list[str]
 
 
 @checked
@@ -67,22 +113,22 @@ def read_mtl(path: str | os.PathLike[str]) -> dict[str, Material]:
 
     Ka, Kd, Ks, Ke and Ns are read; what a material leaves out is the default of
     [`Material`][]. With `illum 0` the colour Kd is shown as it is, and with `illum 1`
-    there is no highlight. What else the file says, such as transparency, is named in a
+    there is no highlight. Other keys, such as those of transparency, are listed in a
     warning. So are textures, with a warning that says whether the file is there:
     [`load_mesh`][] reads them, with the mesh that they lie on.
 
     **Raises:** `ValueError` that names the file and the line.
     """
     path = Path(path)
-    found, textures, unused = parse_mtl(path)
+    found, textures, notes = parse_mtl(path)
     materials = {}
     for name, fields in found.items():
         with naming(f"{path}: material {name!r}"):
             materials[name] = as_material(fields)
-    for words in unused:
+    for words in notes:
         warn("part-unused", f"{path}: {words}", stacklevel=2)
     for line in textures[:FEW]:
-        told = f"line {line.number}: {_of_texture(path, line.material, line.words)}"
+        told = f"line {line.number}: {_of_texture(path, line)}"
         told = f"{path}: {told}: the material has one colour"
         warn("texture-unread", told, stacklevel=2)
     if textures[FEW:]:
@@ -92,46 +138,111 @@ def read_mtl(path: str | os.PathLike[str]) -> dict[str, Material]:
 
 
 def parse_mtl(path: Path) -> Library:
-    """What a `.mtl` says.
+    """Contents of a `.mtl`.
 
     **Raises:** `ValueError` that names the file and the line.
     """
     found: dict[str, dict[str, Any]] = {}
     textures: list[TextureLine] = []
     unused: dict[str, str] = {}
+    doubtful: dict[str, str] = {}
     name = None
-    for number, line in enumerate(io.StringIO(read_text(path)), start=1):
-        key, *words = line.split("#", 1)[0].split() or [""]
+    for number, line in joined_lines(read_bytes(path, MOST_BYTES)):
+        key, *words = line.split() or ["#"]
         with naming(f"{path}: line {number}"):
             if key == "newmtl":
                 if not words:
                     raise ValueError("newmtl: expected a name")
+                # A # in it is none of a comment: "Anodized Grey #1" is one of many.
                 name = " ".join(words)
-                found[name] = {}
+                if name in found:
+                    told = f"line {number}: material {name[:60]!r} goes on"
+                    doubtful.setdefault(key, f"{told}: it was there before")
+                found.setdefault(name, {})
                 if len(found) > MOST:
                     raise ValueError(f"expected at most {MOST} materials, got more")
             elif key in COLOURS or key in ("Ns", "illum"):
                 if name is None:
                     raise ValueError(f"{key}: came before the first newmtl")
+                words = uncommented(words)
                 found[name][key] = _numbers(key, words)
-                if key == "illum" and found[name][key] > 2:
-                    shown = " ".join(words)[:20]
-                    told = f"illum {shown}, of mirrors and glass, is taken as 2"
-                    unused.setdefault(key, f"line {number}: {told}")
-            elif key.lower().startswith(TEXTURES):
-                textures.append(TextureLine(number, name, key, words))
-            elif key not in SILENT and not _is_usual(key, words):
-                told = f"line {number}: {key[:20]} is not used"
-                if len(unused) < MOST_UNUSED:
-                    unused.setdefault(key, told)
-    return Library(found, textures, list(unused.values()))
+                if doubt := _doubt(key, found[name][key]):
+                    told = f"line {number}: {key} {' '.join(words)[:40]}{doubt}"
+                    doubtful.setdefault(key, told)
+            elif key.lower() in MAPS:
+                textures.append(_texture_line(number, name, key, words))
+            elif key == "bsdf" and words == ["pbr"] and name is not None:
+                found[name][key] = words
+            elif not key.startswith("#") and not _is_usual(key, uncommented(words)):
+                unused.setdefault(key, f"{key[:20]} (line {number})")
+    packed = {name for name, fields in found.items() if fields.pop("bsdf", None)}
+    for name in packed & {one.material for one in textures if _is_packed(one)}:
+        found[name].pop("Ks", None)
+        told = f"material {name[:60]!r}: its map_Ks is roughness and metalness, by "
+        doubtful.setdefault("bsdf", f"{told}'bsdf pbr', and is not used")
+    textures = [k for k in textures if k.material not in packed or not _is_packed(k)]
+    notes = list(doubtful.values())
+    if unused:
+        more = f" and {len(unused) - LISTED} others" if len(unused) > LISTED else ""
+        notes.append(f"not used: {', '.join(list(unused.values())[:LISTED])}{more}")
+    return Library(found, textures, notes)
+
+
+def _is_packed(line: TextureLine) -> bool:
+    """Whether a texture holds occlusion, roughness and metalness with `bsdf pbr`.
+
+    ??? cite "Source"
+        Munkberg et al., *Extracting triangular 3D models, materials, and lighting from
+        images*, 2022: so nvdiffrec writes it.
+    """
+    return line.key.lower() == "map_ks"
+
+
+def _doubt(key: str, value: Any) -> str:
+    """In words, why a number of a key may not be what was meant."""
+    if key == "illum" and value > 2:
+        return ", of mirrors and glass, is taken as 2"
+    if key in ("Ka", "Kd", "Ks") and np.max(value) > 1:
+        return " is taken as it is; expected 0 to 1 (of 0 to 255, divide it by 255)"
+    return ""
+
+
+def _texture_line(
+    number: int, material: str | None, key: str, words: list[str]
+) -> TextureLine:
+    """A line with its options, which come before or after the file's name."""
+    options, file, at = {}, [], 0
+    while at < len(words):
+        word, at = words[at], at + 1
+        if word.lower() not in OPTIONS:
+            file.append(word)
+            continue
+        least, most, _ = OPTIONS[word.lower()]
+        end = at + least
+        while end < min(len(words), at + most) and _is_number(words[end]):
+            end += 1
+        options[word.lower()], at = words[at:end], end
+    return TextureLine(number, material, key, " ".join(file), options)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _as_numbers(words: list[str]) -> str:
+    """Words as they are listed in [`OPTIONS`][], such as 1 in place of 1.000."""
+    return " ".join(f"{float(k):g}" if _is_number(k) else k.lower() for k in words)
 
 
 def _is_usual(key: str, words: list[str]) -> bool:
-    try:
-        return key in USUAL and {float(word) for word in words} == {USUAL[key]}
-    except ValueError:
-        return False
+    """Whether a key changes nothing, by itself or with these numbers."""
+    if key in SILENT:
+        return True
+    return key in USUAL and set(_as_numbers(words).split()) == {USUAL[key]}
 
 
 def _numbers(key: str, words: list[str]) -> Any:
@@ -159,16 +270,11 @@ def as_material(fields: dict[str, Any]) -> Material:
     return Material(**leaves)
 
 
-def _of_texture(path: Path, name: str | None, words: list[str]) -> str:
-    # Options such as `-s 1 1 1` come before the file's name.
-    file = words[-1] if words else ""
-    try:
-        here = inside(path.parent, file).is_file()
-    except (ValueError, OSError):
-        # No name of a file here, such as one that is too long.
-        here = False
+def _of_texture(path: Path, line: TextureLine) -> str:
+    here = beside(path.parent, line.file) is not None
+    material = line.material if line.material is None else line.material[:60]
     return (
-        f"texture {file[:60]!r} of material {name if name is None else name[:60]!r} "
+        f"texture {line.file[:60]!r} of material {material!r} "
         f"{'is not read' if here else 'is missing'}"
     )
 
@@ -201,7 +307,7 @@ def write_mtl(
 
 def mtl_block(name: str, material: Material, nearest: bool) -> str:
     """The lines of one material; raises as [`write_mtl`][] does."""
-    if not name or name != " ".join(name.split()) or "#" in name:
+    if not name or name != " ".join(name.split()):
         raise ValueError(f"materials: expected a name on one line, got {name!r}")
     lines = [f"newmtl {name}"]
     with naming(name):

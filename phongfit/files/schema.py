@@ -89,7 +89,7 @@ class MeshFile(AbstractPart):
     two_sided: bool = False
 
     def build(self) -> AbstractSurface:
-        # Here, since trimesh takes long to import.
+        # Here, since SciPy takes long to import.
         from phongfit.files.meshes import load_mesh
 
         return load_mesh(self.file, two_sided=self.two_sided).mesh

@@ -61,8 +61,8 @@ def test_an_obj_with_all_its_maps(tmp_path):
     bent = np.broadcast_to(np.array([204, 128, 230], np.uint8), (2, 2, 3))
     path = write(
         tmp_path,
-        "Ka 1 1 1\nKd 0.5 0.5 0.5\nNs 200\nmap_Ka a b.png\nmap_Kd -s 1 1 1 c.png\n"
-        "map_Ks c.png\nmap_Ns grey.png\nmap_Bump -bm 1.0 bent.png\nmap_d grey.png",
+        "Ka 1 1 1\nKd 0.5 0.5 0.5\nNs 200\nmap_Ka a b.png\nmap_Kd -s 1 1 2 c.png\n"
+        "map_Ks c.png\nmap_Ns grey.png\nmap_Bump -bm 0.5 bent.png\nmap_d grey.png",
         **{"a b": LEVELS, "c": LEVELS, "grey": grey, "bent": bent},
     )
     with pytest.warns(UserWarning) as said:
@@ -70,9 +70,9 @@ def test_an_obj_with_all_its_maps(tmp_path):
     words = [str(one.message) for one in said]
     # Each thing that is not used is named, once.
     assert len(words) == 3
-    assert "square.mtl: line 6: texture 'c.png' of material 'paper'" in words[0]
-    assert "its option -s is not used" in words[0] and "option -bm" in words[1]
-    assert "line 10: map_d is not used" in words[2]
+    assert "square.mtl: not used: map_d (line 10)" in words[0]
+    assert "square.mtl: line 6: texture 'c.png' of material 'paper'" in words[1]
+    assert "options -s are not used" in words[1] and "options -bm" in words[2]
     assert names == ("paper",) and mesh.vertices.shape == (4, 3)
     (textures,) = known(mesh.textures)
     light = decode(LEVELS / 255.0, "srgb")
@@ -93,29 +93,80 @@ def test_an_obj_with_all_its_maps(tmp_path):
     "line, words",
     [
         ("map_Kd none.png", "texture 'none.png' of material 'paper' is missing"),
-        ("map_Kd ../c.png", "texture '../c.png' .* is missing"),
+        ("map_Kd ../d.png", "texture '../d.png' .* is missing"),
+        ("map_Kd broken.png", "'broken.png' .* cannot be read, and is not used: .*"),
+        ("map_Kd c.dds", "'c.dds' .* cannot be read, and is not used: .*suffix '.dds'"),
         ("map_Bump grey.png", "holds heights, which are not used"),
         ("map_Ns c.png", "there is no Ns that it multiplies"),
-        ("refl c.png", "refl is not used"),
+        ("refl c.png", r"not used: refl \(line 2\)"),
     ],
 )
 def test_maps_that_are_not_used(tmp_path, line, words):
     path = write(tmp_path, line, c=LEVELS, grey=np.full((2, 2), 99, np.uint8))
+    (tmp_path / "broken.png").write_bytes(b"\x89PNG\r\n\x1a\nbroken")
+    (tmp_path / "c.dds").write_bytes(b"DDS ")
     with pytest.warns(UserWarning, match=words):
         assert pf.load_mesh(path).mesh.textures is None
 
 
-def test_a_broken_texture_is_named(tmp_path):
-    path = write(tmp_path, "map_Kd c.png")
-    (tmp_path / "c.png").write_bytes(b"\x89PNG\r\n\x1a\nbroken")
-    with pytest.raises(ValueError, match="c.png: is broken or no .png image"):
-        pf.load_mesh(path)
+@pytest.mark.parametrize(
+    "line",
+    [
+        'map_Kd "two words.png"',
+        "map_Kd\ttwo words.png",
+        "map_Kd folder\\c#1.png",
+        "map_Kd C:\\work\\Two Words.PNG",
+        "map_Kd ../elsewhere/two words.png",
+        "map_Kd two words.png -clamp on -s 1 1.0",
+        "map_Kd -o 0 0 -mm 0 1 -clamp on two words.png",
+        "map_Kd " + "a/" * 3000 + "two words.png",
+    ],
+)
+def test_names_of_textures(tmp_path, line):
+    path = write(tmp_path, line, **{"two words": LEVELS})
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "c#1.png").write_bytes(encode_png(LEVELS))
+    (texture,) = known(pf.load_mesh(path).mesh.textures)
+    at_texels(texture.diffuse, decode(LEVELS / 255.0, "srgb"))
+    assert isinstance(texture.diffuse, pf.Texture)
+    assert texture.diffuse.wrap == ("clamp" if "on" in line else "repeat")
+
+
+@pytest.mark.parametrize("suffix", ["tga", "bmp", "gif", "webp", "jpg"])
+def test_formats_of_textures(tmp_path, suffix):
+    path = write(tmp_path, f"map_Kd c.{suffix}")
+    colour = (200, 60, 20)
+    picture = Image.new("RGB", (4, 4), colour)
+    if suffix == "jpg":
+        picture = picture.convert("CMYK")
+    picture.save(tmp_path / f"c.{suffix}")
+    (textures,) = known(pf.load_mesh(path).mesh.textures)
+    light = decode(np.array(colour) / 255.0, "srgb")
+    values = np.asarray(known(textures.diffuse).values)
+    near(values, np.broadcast_to(light, (4, 4, 3)), 0.03)
+
+
+def test_a_texture_that_is_multiplied_by_0(tmp_path):
+    path = write(tmp_path, "Kd 0 0 0\nmap_Kd c.png", c=LEVELS)
+    with pytest.warns(UserWarning, match="multiplied by Kd 0, which is taken as 1"):
+        near(pf.load_mesh(path).material.diffuse, 1)
+
+
+def test_a_specular_map_that_holds_roughness(tmp_path):
+    """As nvdiffrec writes it: green is roughness there, and no highlight."""
+    lines = "map_Ks c.png\nbsdf   pbr\nKs 0 0.5 0\nmap_Kd c.png"
+    path = write(tmp_path, lines, c=LEVELS)
+    with pytest.warns(UserWarning, match="map_Ks is roughness and metalness, by"):
+        mesh, material, _ = pf.load_mesh(path)
+    near(material.specular, 0)
+    (textures,) = known(mesh.textures)
+    assert textures.specular is None and textures.diffuse is not None
 
 
 def test_lines_of_an_obj_that_are_not_used(tmp_path):
     path = write(tmp_path, "Kd 1 1 1")
-    path.write_text(OBJ + "l 1 2\n")
-    with pytest.warns(UserWarning, match="its lines of 'l' are not used"):
+    path.write_text(OBJ + "l 1 2\np 1\nl 2 3\n")
+    with pytest.warns(UserWarning, match="its lines of 'l', 'p' are not used"):
         mesh = pf.load_mesh(path).mesh
     assert mesh.uv is not None and mesh.textures is None
 
@@ -128,7 +179,7 @@ def test_a_ply_with_uv_and_a_picture(tmp_path):
     head += ["element face 2", "property list uchar int vertex_indices", "end_header"]
     faces = ["3 0 1 2", "3 0 2 3"]
     (tmp_path / "a.ply").write_text("\n".join([*head, *corners, *faces, ""]))
-    with pytest.warns(UserWarning, match="its vertices' quality are not used"):
+    with pytest.warns(UserWarning, match="not used: quality of vertex"):
         mesh, material, _ = pf.load_mesh(tmp_path / "a.ply")
     scene = pf.Scene(mesh, SMALL, WHITE)
     light = decode(LEVELS / 255.0, "srgb")
@@ -595,8 +646,8 @@ def test_colours_of_an_obj_are_not_rounded(tmp_path):
 @pytest.mark.parametrize(
     "colour, words",
     [
-        ("200 0 0", "its vertices' colours are not used: expected 0 to 1, got 0 to 2"),
-        ("nan 0 0", "its vertices' colours are not used"),
+        ("200 0 0", "its colours are not used: expected 0 to 1, got 0 to 2"),
+        ("nan 0 0", "its colours are not used"),
     ],
 )
 def test_colours_of_vertices_that_are_not_used(tmp_path, colour, words):
@@ -619,7 +670,7 @@ def test_colours_of_vertices_where_there_is_a_texture(tmp_path):
 
 def test_broken_colours_of_vertices(tmp_path):
     (tmp_path / "a.obj").write_text(OBJ_V.format(*["1 x 0"] * 4) + "f 1 2 3\n")
-    with pytest.raises(ValueError, match="a.obj: its vertices: expected x y z r g b"):
+    with pytest.raises(ValueError, match="a.obj: line 1: v: expected 3 finite numbers"):
         pf.load_mesh(tmp_path / "a.obj")
     content = _triangle()
     content["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = 0

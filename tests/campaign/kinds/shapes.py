@@ -34,15 +34,48 @@ vn 0 0 1
 usemtl red clay
 f 1//1 2//1 3//1
 usemtl blue
+s 1
 f -4 -2 -1
+s off
+v 0.5 0.2 0
+f 1 2 3 5
 """
+COLOURED = b"""COFF
+5 2 0
+0 0 0 255 0 0
+4 0 0 0 255 0
+4 4 0 0 0 255
+2 1 0 9 9 9
+0 4 0 1 2 3
+5 0 1 2 3 4
+3 0 1 2
+"""
+HEAD = b"""ply
+format binary_little_endian 1.0
+element vertex 5
+property float x
+property float y
+property float z
+element face 2
+property list uchar int vertex_indices
+property uchar red
+property uchar green
+property uchar blue
+end_header
+"""
+"""Of a triangle and a polygon that is not convex."""
 
 
 @functools.cache
 def whole() -> dict[str, bytes]:
     """A box in every format, by name."""
     box = trimesh.creation.box()
-    found = {"a.obj": OBJECTS, "a.mtl": LIBRARY}
+    found = {"a.obj": OBJECTS, "a.mtl": LIBRARY, "b.off": COLOURED}
+    places = [(0, 0, 0), (4, 0, 0), (4, 4, 0), (2, 1, 0), (0, 4, 0)]
+    found["c.ply"] = HEAD + np.array(places, "<f4").tobytes()
+    for face in ([0, 1, 2, 3, 4], [0, 1, 2]):
+        corners = np.array(face, "<i4").tobytes()
+        found["c.ply"] += bytes([len(face)]) + corners + bytes([9, 99, 200])
     for name, kind in (
         ("a.stl", "stl"),
         ("b.stl", "stl_ascii"),
