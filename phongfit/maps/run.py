@@ -4,6 +4,7 @@ import concurrent.futures
 import dataclasses
 import functools
 import importlib.metadata
+import math
 import os
 import sys
 import time
@@ -23,12 +24,11 @@ from phongfit.fitting.problem.losses import AbstractLoss
 from phongfit.maps.ahead import ahead
 from phongfit.maps.job import Fitted, Job, check_scenes, make_job
 from phongfit.maps.materials.bases import Bases, held
-from phongfit.maps.materials.block import Given, MaterialFit, fit_shared
+from phongfit.maps.materials.block import Given, fit_shared
 from phongfit.maps.materials.finding import Materials, choose_sample, find_materials
-from phongfit.maps.normals.block import NormalFit, fit_normals
+from phongfit.maps.normals.block import fit_normals
 from phongfit.maps.passes import fit_in_passes, usual_passes
 from phongfit.maps.pixel.flags import Flag
-from phongfit.maps.pixel.pixel import PixelFit
 from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
@@ -263,12 +263,11 @@ def fit_job(
     settings, outside, pixels = job.settings, job.outside, job.pixels
     tiles = [pixels[k : k + size] for k in range(0, len(pixels), size)]
 
-    def read(tile: int) -> Tile | list[np.ndarray]:
+    def read(tile: int) -> Tile | dict[str, np.ndarray]:
         done = None if store is None else store.load(tile)
         return job.tile(tiles[tile], size) if done is None else done
 
     kind = "given" if settings.normals == "given" else "sought"
-    exponents = 1 if settings.shared else 3
     with concurrent.futures.ThreadPoolExecutor(threads) as workers:
         shared, among, matte = None, outside, False
         if settings.materials is not None:
@@ -281,19 +280,20 @@ def fit_job(
             kind, shared, settings, among = "sought", None, job.settings, job.outside
         run = compiled(settings, mesh, _FITS[kind])
 
-        def work(part: Tile) -> list[np.ndarray]:
-            found = run(part.padded(), among)
-            return [np.asarray(leaf) for leaf in jax.tree.leaves(found)]
+        def work(part: Tile) -> dict[str, np.ndarray]:
+            return jax.tree.map(np.asarray, run(part.padded(), among))
 
-        dtype = outside.noise.dtype
-        maps = _Canvas(job.geometry.mask.shape, exponents, dtype, kind, shared)
+        maps = _Canvas(job.geometry.mask.shape, shared)
         for k, tile in bar(ahead(read, len(tiles)), len(tiles), progress):
-            if isinstance(tile, list):
+            if isinstance(tile, dict):
                 arrays = tile
             else:
-                # XLA works on so little with one core.
-                leaves = zip(*workers.map(work, tile.parts(part)), strict=True)
-                arrays = [np.concatenate(leaf)[: len(tiles[k])] for leaf in leaves]
+                # XLA uses one core for an array of this size.
+                parts = list(workers.map(work, tile.parts(part)))
+                arrays = {
+                    name: np.concatenate([p[name] for p in parts])[: len(tiles[k])]
+                    for name in parts[0]
+                }
                 if store is not None:
                     store.save(k, arrays)
             maps.paint(tiles[k], arrays)
@@ -322,10 +322,15 @@ def _materials(
         size = -(-len(sample) // BLOCK) * BLOCK
         tile = job.tile(sample, size).padded()
         found = find_materials(tile, len(sample), job.outside, job.settings, workers)
-        done = [np.asarray(leaf) for leaf in jax.tree.leaves(found)]
+        done = jax.tree.map(
+            np.asarray,
+            found.bases._asdict()
+            | {"criterion": found.criterion, "sample": found.sample},
+        )
         if store is not None:
             store.save(place, done)
-    return jax.tree.unflatten(_MATERIALS, done)
+    criterion, sample = done.pop("criterion"), done.pop("sample")
+    return Materials(Bases(**jax.tree.map(jnp.asarray, done)), criterion, sample)
 
 
 def as_mesh(devices: Sequence[Any] | None) -> Mesh:
@@ -406,117 +411,73 @@ def _lines(
         yield k, item
 
 
-_LEAF: Any = 0
-_MATERIAL = PixelFit(_LEAF, _LEAF, _LEAF, _LEAF, (_LEAF,) * 4, _LEAF, _LEAF, _LEAF)
-_SOUGHT = NormalFit(_MATERIAL, _LEAF, _LEAF)
-_TREES = {
-    "given": jax.tree.structure(_MATERIAL),
-    "sought": jax.tree.structure(_SOUGHT),
-    "shared": jax.tree.structure(MaterialFit(_SOUGHT, _LEAF)),
-}
-"""What tiles are: materials, with normals, with shares of the materials."""
-
 _FITS = {"given": fit_tile, "sought": fit_normals, "shared": fit_shared}
-_MATERIALS = jax.tree.structure(
-    Materials(Bases(_LEAF, _LEAF, _LEAF, _LEAF), _LEAF, _LEAF)
-)
+
+_EMPTY = {"noise": np.nan, "normals_stderr": np.inf, "flags": int(Flag.OUTSIDE)}
+"""Values of pixels that are not fitted; errors are infinite, and all else is 0."""
 
 
 class _Canvas:
     """The maps while they are painted, tile by tile."""
 
-    def __init__(
-        self,
-        size: tuple[int, int],
-        exponents: int,
-        dtype: Any,
-        kind: str,
-        shared: Materials | None,
-    ):
-        pixels = size[0] * size[1]
-        self._size = size
-        channels = (3, 3, 3, exponents)
-        self._values = [np.zeros((pixels, c), dtype) for c in channels]
-        self._errors = [np.full((pixels, c), np.inf, dtype) for c in channels]
-        self._noise = np.full(pixels, np.nan, dtype)
-        self._samples = np.zeros(pixels, np.int32)
-        self._flags = np.full(pixels, int(Flag.OUTSIDE), np.uint16)
-        self._kind, self._shared = kind, shared
-        self._normals = None if kind == "given" else np.zeros((pixels, 3), dtype)
-        self._turned = np.full(pixels, np.inf, dtype)
-        count = 0 if shared is None else len(shared.bases.shares)
-        self._weights = np.zeros((pixels, count), dtype)
+    def __init__(self, size: tuple[int, int], shared: Materials | None):
+        self._size, self._shared = size, shared
+        self._arrays: dict[str, np.ndarray] = {}
 
-    def paint(self, pixels: np.ndarray, arrays: list[np.ndarray]) -> None:
-        """Put a tile where it belongs.
-
-        `arrays` are the leaves of what tiles of this kind are.
-        """
-        tile: Any = jax.tree.unflatten(_TREES[self._kind], arrays)
+    def paint(self, pixels: np.ndarray, tile: dict[str, np.ndarray]) -> None:
+        """Put the arrays of a tile where its pixels are."""
         place = as_index(pixels)
-        if self._kind == "shared":
-            self._weights[place], tile = tile.weights, tile.pixel
-        if self._normals is not None:
-            self._normals[place], self._turned[place] = tile.normal, tile.error
-            tile = tile.material
-        leaves = (tile.ambient, tile.diffuse, tile.specular, tile.shininess)
-        for canvas, values in zip(self._values, leaves, strict=True):
-            canvas[place] = values
-        for canvas, values in zip(self._errors, tile.errors, strict=True):
-            canvas[place] = values
-        self._noise[place] = tile.noise
-        self._samples[place] = tile.samples
-        self._flags[place] = tile.flags
+        for name, values in tile.items():
+            if name not in self._arrays:
+                empty = np.inf if name.startswith("stderr_") else _EMPTY.get(name, 0)
+                # Flags fit into 16 bits, as files have them.
+                dtype = np.uint16 if name == "flags" else values.dtype
+                shape = math.prod(self._size), *values.shape[1:]
+                self._arrays[name] = np.full(shape, empty, dtype)
+            self._arrays[name][place] = values
 
     def finished(self, job: Job) -> Maps:
         """All maps, once every tile is painted."""
         settings, scene = job.settings, job.scenes[0]
-        # Without ambient light ρ_a is not identified, and was left out of the fit.
-        hidden = [name for name in job.unknowns if name not in settings.names]
-        for name in hidden:
-            self._errors[MAP_PARAMETERS.index(name)][:] = np.inf
-        shape = self._size
-        values: Any
-        errors: Any
-        values, errors = (
-            {
-                name: canvas.reshape(*shape, -1)
-                for name, canvas in zip(MAP_PARAMETERS, leaves, strict=True)
-            }
-            for leaves in (self._values, self._errors)
-        )
+        maps: dict[str, Any] = {
+            name: array.reshape(*self._size, *array.shape[1:])
+            for name, array in self._arrays.items()
+        }
+        errors = {name: maps.pop(f"stderr_{name}") for name in MAP_PARAMETERS}
+        for name in job.unknowns:
+            # Without ambient light ρ_a is not identified, and was left out of the fit.
+            if name not in settings.names:
+                errors[name][:] = np.inf
         given: Any = job.noise.given()
-        left = self._noise.reshape(shape)
         if job.noise.varies:
-            # Each sample was measured by its own noise.
-            left = left * given
-        normals, depth = job.geometry.seen(scene, self._normals)
-        turned = np.where(job.geometry.mask, 0, np.inf).astype(normals.dtype)
-        if self._normals is not None:
-            turned = self._turned.reshape(shape)
+            # Residuals are in units of each sample's own noise.
+            maps["noise"] = maps["noise"] * given
+        normals, depth = job.geometry.seen(scene, self._arrays.get("normals"))
+        known = np.where(job.geometry.mask, 0, np.inf).astype(normals.dtype)
+        weights = maps.pop("weights", None)
+        maps.setdefault("normals_stderr", known)
+        maps.pop("normals", None)
         return Maps(
-            **values,
+            **maps,
             stderr=ParameterMaps(**errors),
-            noise=left,
-            samples=self._samples.reshape(shape),
-            flags=self._flags.reshape(shape),
+            normals=normals,
             unknowns=tuple(name for name in MAP_PARAMETERS if name in settings.names),
             noise_given=given,
-            normals=normals,
-            normals_stderr=turned,
             depth=depth,
             camera=scene.camera,
             specular_model=scene.specular_model,
             ambient_light=tuple(np.asarray(scene.ambient).tolist()),
-            materials=self._basis(settings.log_bounds),
+            materials=self._basis(settings.log_bounds, weights),
         )
 
-    def _basis(self, log_bounds: tuple[float, float]) -> BasisMaterials | None:
+    def _basis(
+        self, log_bounds: tuple[float, float], weights: np.ndarray | None
+    ) -> BasisMaterials | None:
         """The materials, if pixels share them.
 
-        **Arguments:** `log_bounds`: of log f.
+        **Arguments:** `log_bounds`: of log f; `weights`: of the materials, per pixel.
         """
-        if self._shared is None:
+        if self._shared is None or weights is None:
             return None
         bases = self._shared.bases
         values = np.asarray(bases.values, float)
@@ -530,7 +491,7 @@ class _Canvas:
             stderr_specular=np.broadcast_to(errors[:, 1:], shape).copy(),
             stderr_shininess=shininess * errors[:, 0],
             at_bound=gap < 1e-5,
-            weights=self._weights.reshape(*self._size, -1),
+            weights=weights,
             criterion=np.asarray(self._shared.criterion, float),
             sample=int(self._shared.sample),
         )

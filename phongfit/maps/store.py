@@ -47,29 +47,28 @@ class TileStore:
     def _path(self, tile: int) -> Path:
         return self._folder / f"tile_{tile:06d}.npz"
 
-    def load(self, tile: int) -> list[np.ndarray] | None:
+    def load(self, tile: int) -> dict[str, np.ndarray] | None:
         """The arrays of a tile, or `None` if it is not done, or not readable."""
         try:
             arrays = unpack(read_bytes(self._path(tile)))
             check = arrays.pop(CHECK).tobytes()
-            found = [arrays[name] for name in sorted(arrays)]
-            return found if check == self._checksum(tile, found) else None
+            return arrays if check == self._checksum(tile, arrays) else None
         except Exception:
             # Missing, or broken by something else than an interrupt: done again.
             return None
 
-    def save(self, tile: int, arrays: list[np.ndarray]) -> None:
+    def save(self, tile: int, arrays: dict[str, np.ndarray]) -> None:
         """Keep the arrays of a finished tile."""
-        named = {f"a{k:02d}": array for k, array in enumerate(arrays)}
-        named[CHECK] = np.frombuffer(self._checksum(tile, arrays), np.uint8)
+        check = np.frombuffer(self._checksum(tile, arrays), np.uint8)
         with replacing(self._path(tile)) as temporary:
-            np.savez(temporary, allow_pickle=False, **named)
+            np.savez(temporary, allow_pickle=False, **arrays, **{CHECK: check})
 
-    def _checksum(self, tile: int, arrays: list[np.ndarray]) -> bytes:
-        """Of the job, the tile's number and its arrays: no other tile will do."""
+    def _checksum(self, tile: int, arrays: dict[str, np.ndarray]) -> bytes:
+        """Checksum of the job, the tile's number and its arrays."""
         found = hashlib.blake2b(f"{self._job} {tile}".encode(), digest_size=16)
-        for array in arrays:
-            found.update(f"{array.dtype.str} {array.shape}".encode())
+        for name in sorted(arrays):
+            array = arrays[name]
+            found.update(f"{name} {array.dtype.str} {array.shape}".encode())
             found.update(np.ascontiguousarray(array).tobytes())
         return found.digest()
 

@@ -3,14 +3,11 @@
 import dataclasses
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.maps.pixel import pixel
 from phongfit.maps.pixel.flags import Flag
-from phongfit.maps.pixel.tile import compiled
 from tests.maps.synthetic import Stack, dtype, make_stack, pulls
 
 PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
@@ -132,54 +129,6 @@ def test_no_highlight_and_no_light_are_told(stack):
     assert found.noise_given == 0.01
 
 
-STARTED = {"noise": 0.01, "start": (0.3, 0.3, 20.0, 0.3)}
-EXPONENT = {"unknowns": ("diffuse", "specular"), "known": (0, 0, 12.0, 0.4)}
-HIGHLIGHT = {"unknowns": ("diffuse",), "known": (0, 0.3, 12.0, 0.4)}
-
-
-@pytest.mark.parametrize(
-    "asked, clouded",
-    [
-        pytest.param({}, False, marks=pytest.mark.extended),
-        pytest.param({}, True, marks=pytest.mark.extended),
-        pytest.param(STARTED, False, marks=pytest.mark.slow),
-        pytest.param(EXPONENT, True, marks=pytest.mark.slow),
-        pytest.param(HIGHLIGHT, True, marks=pytest.mark.extended),
-    ],
-    ids=["clear", "clouded", "started", "exponent known", "highlight known"],
-)
-def test_white_light_changes_no_number(asked, clouded, monkeypatch):
-    """What channels share is summed once, save where they use other samples."""
-    options: dict[str, Any] = {
-        name: pf.Material(*value) if name in ("start", "known") else value
-        for name, value in asked.items()
-    }
-    white = make_stack(color=(1.0, 1.0, 1.0))
-    images = white.images.copy()
-    # A matte row, whose exponent is vague, and clouded samples of single channels.
-    images[:, 0] = images[:, 0].min(axis=0)
-    if clouded:
-        images[2:5, 3:6, :, 1] = np.nan
-        images[0, 7, ::2, 0] = np.nan
-    maps = pf.fit_maps(white.scenes, images, film=FREE, **options)
-    monkeypatch.setattr(
-        pixel, "differing_channels", lambda s: jnp.ones(s.target.shape[-1], bool)
-    )
-    compiled.cache_clear()
-    apart = pf.fit_maps(white.scenes, images, film=FREE, **options)
-    compiled.cache_clear()
-    for name in PARAMETERS:
-        error, other = (np.asarray(getattr(m.stderr, name)) for m in (maps, apart))
-        assert np.array_equal(np.isfinite(error), np.isfinite(other)), name
-        known = np.isfinite(error) & (error > 0)
-        np.testing.assert_allclose(error[known], other[known], rtol=0.01)
-        off = np.abs(getattr(maps, name) - getattr(apart, name))
-        assert (off[known] < 0.01 * error[known]).all(), name
-        assert known.mean() > 0.8 or name not in maps.unknowns
-    for name in ("flags", "samples"):
-        assert np.array_equal(getattr(maps, name), getattr(apart, name))
-
-
 @pytest.mark.usefixtures("precision")
 def test_some_leaves_may_be_known():
     """With the lights and unknowns of tests of tiles, whose program it shares."""
@@ -291,7 +240,9 @@ def test_an_exponent_for_each_channel(stack):
     true = np.broadcast_to(np.asarray(stack.truth.shininess), (16, 24, 3))
     pull = ((found.shininess - true) / found.stderr.shininess)[found.identified]
     spread = np.diff(np.quantile(pull, [0.1587, 0.8413]))[0] / 2
-    assert 0.85 < spread < 1.15
+    assert found.identified.mean() > 0.95
+    # Where an exponent is vague its error is that of the profile, which is wide.
+    assert 0.8 < spread < 1.1
 
 
 @pytest.mark.slow

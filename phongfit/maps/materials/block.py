@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from phongfit.maps.materials.bases import Bases, as_known, held, sought
 from phongfit.maps.materials.reduced import reduce, take_apart
-from phongfit.maps.normals.block import NormalFit, judged, samples_of
+from phongfit.maps.normals.block import judged, samples_of
 from phongfit.maps.normals.search import SearchResult, search
 from phongfit.maps.normals.step import edges_of, free_to_move
 from phongfit.maps.normals.sums import gather
@@ -17,7 +17,7 @@ from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.pixel import Outside, PixelFit
 from phongfit.maps.pixel.samples import Samples, Tile
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.tile import in_blocks
+from phongfit.maps.pixel.tile import in_two_passes
 
 # Share of one material from which on a pixel is told to be of it.
 TOLD = 0.95
@@ -32,16 +32,6 @@ class Given(NamedTuple):
     bases: Bases
 
 
-class MaterialFit(NamedTuple):
-    """Normals and materials of pixels, which are the first axis.
-
-    - `weights`: (pixels, K), how likely a pixel is of each material.
-    """
-
-    pixel: NormalFit
-    weights: Float[Array, "pixels materials"]
-
-
 class _Try(NamedTuple):
     """Pixels of one material: what was found, and how likely that is.
 
@@ -49,23 +39,23 @@ class _Try(NamedTuple):
     - `unsettled`: where a thorough search is wanted.
     """
 
-    fit: NormalFit
+    fit: PixelFit
     left: Float[Array, "images channels pixels"]
     scale: Float[Array, " pixels"]
     log_det: Float[Array, " pixels"]
     unsettled: Bool[Array, " pixels"]
 
 
-def fit_shared(tile: Tile, given: Given, settings: MapSettings) -> MaterialFit:
+def fit_shared(tile: Tile, given: Given, settings: MapSettings) -> PixelFit:
     """The normal, matte light and material of every pixel of a tile, block by block."""
-    return in_blocks(
-        tile, lambda part, effort: _fit_block(part, given, effort > 0, settings)
+    return in_two_passes(
+        tile, lambda part, thorough: _fit_block(part, given, thorough, settings)
     )
 
 
 def _fit_block(
     tile: Tile, given: Given, thorough: Bool[Array, ""], settings: MapSettings
-) -> tuple[MaterialFit, Bool[Array, " pixels"]]:
+) -> tuple[PixelFit, Bool[Array, " pixels"]]:
     """As [`phongfit.maps.normals.block.fit_block`][]."""
     outside, bases = given
     own, which = held(settings), sought(settings)
@@ -83,7 +73,7 @@ def _fit_block(
     # One scale for all: that of the best, and of a few samples not below all others'.
     scale = tries.scale[0]
     if not settings.noise_given:
-        level = jnp.min(tries.fit.material.noise, axis=0)
+        level = jnp.min(tries.fit.noise, axis=0)
         scale = jnp.maximum(level, bases.noise)
     relative = tries.left / scale[None, None, None]
     # The determinant is of two unknowns, in another scale.
@@ -95,12 +85,12 @@ def _fit_block(
 
 
 def _inherited(
-    fit: NormalFit,
+    fit: PixelFit,
     found: SearchResult,
     samples: Samples,
     covariance: Float[Array, "unknowns unknowns"],
     settings: MapSettings,
-) -> tuple[NormalFit, Float[Array, " pixels"]]:
+) -> tuple[PixelFit, Float[Array, " pixels"]]:
     """Errors that contain the material's; and how well the normal is known."""
     which, mine = unknowns_of(settings), sought(settings)
     point = found.point
@@ -120,7 +110,7 @@ def _inherited(
 
     turns = [through([m.shared[k] for m in reduced.adapting]) for k in range(2)]
     turn = jnp.rad2deg(jnp.sqrt(turns[0] + turns[1]))
-    errors: dict[str, Array] = dict(zip(_NAMES, fit.material.errors, strict=True))
+    errors = dict(fit.stderr)
     for k, name in enumerate(mine.own):
         more = through([m.own[k] for m in reduced.adapting]).T
         errors[name] = jnp.sqrt(errors[name] ** 2 + more)
@@ -128,15 +118,12 @@ def _inherited(
     errors["specular"] = jnp.broadcast_to(spread[1:], errors["specular"].shape)
     exponent = jnp.exp(point.log_exponent) * spread[0]
     errors["shininess"] = exponent[:, None]
-    material = fit.material._replace(errors=tuple(errors[name] for name in _NAMES))
-    error = jnp.sqrt(fit.error**2 + turn**2)
-    return NormalFit(material, fit.normal, error), reduced.log_det
+    assert fit.normals_stderr is not None
+    error = jnp.sqrt(fit.normals_stderr**2 + turn**2)
+    return fit._replace(stderr=errors, normals_stderr=error), reduced.log_det
 
 
-_NAMES = ("ambient", "diffuse", "specular", "shininess")
-
-
-def _chosen(fits: NormalFit, odds: Float[Array, "materials pixels"]) -> MaterialFit:
+def _chosen(fits: PixelFit, odds: Float[Array, "materials pixels"]) -> PixelFit:
     """Each pixel's likeliest material, with errors that reach as far as the others."""
     best = jnp.argmax(odds, axis=0)
 
@@ -144,7 +131,7 @@ def _chosen(fits: NormalFit, odds: Float[Array, "materials pixels"]) -> Material
         index = best.reshape(1, -1, *(1,) * (leaf.ndim - 2))
         return jnp.take_along_axis(leaf, index, axis=0)[0]
 
-    found: NormalFit = jax.tree.map(pick, fits)
+    found = jax.tree.map(pick, fits)
     likely = odds > UNLIKELY
 
     def spread(errors: Array, off: Array) -> Array:
@@ -152,26 +139,22 @@ def _chosen(fits: NormalFit, odds: Float[Array, "materials pixels"]) -> Material
         square = jnp.where(likely.reshape(shape), errors**2 + off**2, 0)
         return jnp.sqrt(jnp.sum(odds.reshape(shape) * square, axis=0))
 
-    cosine = jnp.sum(fits.normal * found.normal[None], axis=-1)
+    assert fits.normals_stderr is not None
+    cosine = jnp.sum(fits.normals * found.normals[None], axis=-1)
     off = jnp.rad2deg(jnp.arccos(jnp.clip(cosine, -1, 1)))
-    error = spread(fits.error, jnp.where(cosine > 1 - 1e-6, 0, off))
+    error = spread(fits.normals_stderr, jnp.where(cosine > 1 - 1e-6, 0, off))
     told = jnp.max(odds, axis=0) >= TOLD
-    errors = []
-    for name, each in zip(_NAMES, fits.material.errors, strict=True):
-        values = getattr(fits.material, name)
-        wide = spread(each, values - getattr(found.material, name)[None])
-        if name in ("specular", "shininess"):
-            wide = jnp.where(told[:, None], wide, jnp.inf)
-        errors.append(wide)
-    hidden = ~jnp.isfinite(pick(fits.material.errors[3]))[:, 0]
-    flags = found.material.flags | jnp.where(told, 0, Flag.SEVERAL_MATERIALS)
-    flags = flags | jnp.where(told & hidden, Flag.NO_HIGHLIGHT, 0)
-    material: PixelFit = found.material._replace(errors=tuple(errors), flags=flags)
     # Of what has no normal nothing else is known.
     lost = ~jnp.isfinite(error)
-    wide = tuple(
-        jnp.where(lost[:, None] & (each != 0), jnp.inf, each) for each in errors
-    )
-    return MaterialFit(
-        NormalFit(material._replace(errors=wide), found.normal, error), odds.T
+    errors = {}
+    for name, each in fits.stderr.items():
+        wide = spread(each, getattr(fits, name) - getattr(found, name)[None])
+        if name in ("specular", "shininess"):
+            wide = jnp.where(told[:, None], wide, jnp.inf)
+        errors[name] = jnp.where(lost[:, None] & (wide != 0), jnp.inf, wide)
+    hidden = ~jnp.isfinite(found.stderr["shininess"])[:, 0]
+    flags = found.flags | jnp.where(told, 0, Flag.SEVERAL_MATERIALS)
+    flags = flags | jnp.where(told & hidden, Flag.NO_HIGHLIGHT, 0)
+    return found._replace(
+        stderr=errors, flags=flags, normals_stderr=error, weights=odds.T
     )

@@ -1,7 +1,5 @@
 """A tile of pixels whose normals are sought: arrays in, arrays out, no state."""
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,34 +15,22 @@ from phongfit.maps.pixel.pixel import MEDIAN, Outside, PixelFit, most_by_chance
 from phongfit.maps.pixel.robust import widening
 from phongfit.maps.pixel.samples import Samples, Tile, measured
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.tile import in_blocks
+from phongfit.maps.pixel.tile import in_two_passes
 
 
-class NormalFit(NamedTuple):
-    """Materials and normals of pixels, which are the first axis.
-
-    - `normal`: (pixels, 3), unit vectors in the world's axes.
-    - `error`: (pixels,), degrees; infinite where it is not identified.
-    """
-
-    material: PixelFit
-    normal: Float[Array, "pixels 3"]
-    error: Float[Array, " pixels"]
-
-
-def fit_normals(tile: Tile, outside: Outside, settings: MapSettings) -> NormalFit:
+def fit_normals(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
     """The normal and the material of every pixel of a tile, block by block.
 
     **Arguments:** as of [`fit_tile`][]; the tile's normals are not read.
     """
-    return in_blocks(
-        tile, lambda part, effort: fit_block(part, outside, effort > 0, settings)
+    return in_two_passes(
+        tile, lambda part, thorough: fit_block(part, outside, thorough, settings)
     )
 
 
 def fit_block(
     tile: Tile, outside: Outside, thorough: Bool[Array, ""], settings: MapSettings
-) -> tuple[NormalFit, Bool[Array, " pixels"]]:
+) -> tuple[PixelFit, Bool[Array, " pixels"]]:
     """The same for pixels that are worked on side by side.
 
     **Arguments:** `thorough`: whether to do whatever helps.
@@ -85,7 +71,7 @@ def judged(
     settings: MapSettings,
     which: Unknowns,
     thorough: Array | bool = True,
-) -> tuple[NormalFit, Bool[Array, " pixels"]]:
+) -> tuple[PixelFit, Bool[Array, " pixels"]]:
     """Errors and flags of what was found, and where a thorough search is wanted."""
     point = found.point
     level, unit, misfit = _noise_left(found, samples, outside, settings)
@@ -131,27 +117,29 @@ def judged(
         return jnp.broadcast_to(error, (3, level.shape[0])).T
 
     exponent = jnp.where(identified, errors.exponent, jnp.inf)
+    exponent_error = exponent if which.exponent else jnp.zeros_like(exponent)
     specular = jnp.broadcast_to(point.specular, point.diffuse.shape)
-    material = PixelFit(
+    fit = PixelFit(
         point.ambient.T,
         point.diffuse.T,
         specular.T,
         jnp.clip(jnp.exp(point.log_exponent), *settings.bound("shininess"))[:, None]
         if which.exponent
         else jnp.exp(point.log_exponent)[:, None],
-        (
-            error_of("ambient"),
-            error_of("diffuse"),
-            error_of("specular"),
-            (exponent if which.exponent else jnp.zeros_like(exponent))[:, None],
-        ),
+        {
+            "ambient": error_of("ambient"),
+            "diffuse": error_of("diffuse"),
+            "specular": error_of("specular"),
+            "shininess": exponent_error[:, None],
+        },
         level,
         count.astype(jnp.int32),
         flags,
+        point.normal.T,
+        jnp.where(identified, errors.normal, jnp.inf),
     )
-    error = jnp.where(identified, errors.normal, jnp.inf)
     unsettled = sound & (~found.settled | found.near | ~errors.settled)
-    return NormalFit(material, point.normal.T, error), unsettled & ~thorough
+    return fit, unsettled & ~thorough
 
 
 def _noise_left(

@@ -12,7 +12,7 @@ from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.lobes import AbstractLobes, Angles
 from phongfit.maps.pixel.samples import Tile, pixels_last
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.small import Numbers, channel_mean
+from phongfit.maps.pixel.small import Numbers
 from phongfit.reflectance import lambert
 from phongfit.vectors import Scalar, Vec3, dot
 
@@ -29,11 +29,6 @@ class Basis(NamedTuple):
     diffuse: Float[Array, "images #channels pixels"]
     strength: Float[Array, "images lobes #channels #pixels"]
     angles: Angles
-
-    def grey(self) -> "Basis":
-        """The mean of the channels, as one."""
-        ambient, diffuse, strength = map(channel_mean, self[:3])
-        return Basis(ambient, diffuse, strength, self.angles)
 
     def specular(
         self, lobes: AbstractLobes, t: Float[Array, "groups #pixels"]

@@ -20,7 +20,6 @@ from phongfit.maps.pixel.small import (
     Numbers,
     Triangle,
     add_products,
-    channel_mean,
     factorize,
     no_triangle,
     solve,
@@ -100,32 +99,6 @@ def make_columns(
     each = columns, target, weight, strength
     rest, (cross, moments, squares) = jax.lax.scan(free, nothing, each)
     return Columns(gram, start, cross, moments, squares, rest)
-
-
-def mean_columns(
-    columns: Columns,
-    fixed: tuple[Float[Array, "images #channels #pixels"], ...],
-    target: Float[Array, "images 1 pixels"],
-    weight: Float[Array, "images 1 pixels"],
-) -> Columns:
-    """Columns of the mean of channels that share all else.
-
-    **Arguments:** `columns`: theirs; `fixed`, `weight`: as they were made from;
-    `target`: the mean.
-    """
-    start, moments = (
-        tuple(map(channel_mean, columns.start)),
-        channel_mean(columns.moments),
-    )
-
-    def free(rest: Array, image: tuple) -> Array:
-        columns, target, weight = image
-        for x, column in zip(start, columns, strict=True):
-            target = target - x * column
-        return rest + weight * target**2
-
-    rest = sum_over_images(free, jnp.zeros_like(target[0]), (fixed, target, weight))
-    return columns._replace(start=start, moments=moments, rest=rest)
 
 
 def pairs(

@@ -41,7 +41,6 @@ class Errors(NamedTuple):
         ρ_s.
     - `exponent`: of f, (groups, pixels).
     - `dim`, `degenerate`, `at_bound`, `moving`: see [`Flag`][], (groups, pixels).
-    - `vague`: whether the profile is wanted.
     """
 
     reflectances: Float[Array, "unknowns channels pixels"]
@@ -50,7 +49,6 @@ class Errors(NamedTuple):
     degenerate: Bool[Array, "groups pixels"]
     at_bound: Bool[Array, "groups pixels"]
     moving: Bool[Array, "groups pixels"]
-    vague: Bool[Array, "groups pixels"]
 
 
 def standard_errors(
@@ -61,7 +59,6 @@ def standard_errors(
     moved: Float[Array, "unknowns channels pixels"],
     angles: Angles,
     box: Box,
-    thorough: Bool[Array, ""],
     settings: MapSettings,
     profile: Profile | None = None,
 ) -> Errors:
@@ -78,7 +75,6 @@ def standard_errors(
     - `sigma`: standard deviation of a sample.
     - `moved`: by how much the reflectances last moved, where weights move them.
     - `angles`: as in [`Basis`][].
-    - `thorough`: whether to follow the profile where it is wanted.
     - `profile`: of these columns; `None` for one that is made where it is wanted.
     """
     groups = len(t)
@@ -112,7 +108,7 @@ def standard_errors(
     log_error = sigma * _root_inverse(total)
     reach = log_error
     open_ended = ~inner
-    moving = vague = jnp.zeros_like(dim)
+    moving = jnp.zeros_like(dim)
     if settings.searched:
         error = jnp.where(dim[None], error_apart, error)
 
@@ -125,7 +121,7 @@ def standard_errors(
 
         vague = dim | ~inner | ~(log_error < VAGUE)
         nowhere = jnp.zeros_like(error), t, t
-        wider, low, high = _where_wanted(vague & thorough, follow, nowhere)
+        wider, low, high = _where_wanted(vague, follow, nowhere)
         error = jnp.maximum(error, wider)
         reach = jnp.maximum(log_error, (high - t) / FAR)
         below = (t - low) / FAR
@@ -153,7 +149,6 @@ def standard_errors(
         blurred | (settings.searched & open_ended & inner & ~dim),
         any_of(jnp.any(held & wanted, axis=0)) | (settings.searched & ~inner & ~dim),
         moving,
-        vague,
     )
 
 

@@ -1,13 +1,13 @@
-"""Pixels under many lights: their materials, with errors, and what is unidentified.
+"""Materials of pixels with given normals under many lights, with standard errors.
 
-Pixels stand side by side, along the last axis. Nothing here branches on the numbers of
-one, so that a pixel that fails costs no more than one that does not, and disturbs none.
-Where a group of channels shares an exponent, it is all of them or each is one.
+Pixels are the last axis, and no branch depends on the values of one pixel: a pixel
+that cannot be fitted does not affect the others. Channels form groups that share an
+exponent: one group of all channels, or one group for each channel.
 """
 
 import dataclasses
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,55 +18,38 @@ from phongfit.fitting.problem.losses import Huber
 from phongfit.fitting.problem.noise import median_deviation
 from phongfit.fitting.uncertainty.misfit import SIGNIFICANT
 from phongfit.maps.pixel.basis import Basis, make_basis
-from phongfit.maps.pixel.columns import Columns, make_columns, mean_columns
-from phongfit.maps.pixel.errors import VAGUE, Errors, standard_errors
+from phongfit.maps.pixel.columns import Columns, make_columns
+from phongfit.maps.pixel.errors import Errors, standard_errors
 from phongfit.maps.pixel.exponent import At, Box, evaluate
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.robust import loss_weights, widening
-from phongfit.maps.pixel.samples import (
-    Samples,
-    Tile,
-    differing_channels,
-    measured,
-    of_one_channel,
-)
+from phongfit.maps.pixel.samples import Tile, measured
 from phongfit.maps.pixel.search import (
     SHORTEST,
-    Descent,
     Profile,
     best_candidate,
     refine_exponents,
-    scan_exponents,
     survey,
 )
 from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import (
     any_sample,
-    channel_mean,
     in_groups,
     of_rank,
     sum_over_images,
 )
 
-# Steps on the mean of the channels, which are a third of the price, then on all; and of
-# those at most, with more effort and with the most.
-MEAN_STEPS = 2
-STEPS = 2
-MORE_STEPS = 4
-MOST_STEPS = 16
-# Rounds of reweighting of a robust loss; and where it takes longer.
-REWEIGHTED = 10
-MOST_REWEIGHTED = 40
-# Of these the first have a loss whose reflectances cannot lie in a false minimum.
+# Least and largest number of steps of the search for an exponent.
+STEPS, MOST_STEPS = 2, 16
+# Least and largest number of reweightings of a robust loss.
+REWEIGHTED, MOST_REWEIGHTED = 10, 40
+# The first reweightings use Huber's loss, which has no false minimum in reflectances.
 CONVEX = 5
+# Steps of the exponent in each reweighting.
 REWEIGHTED_STEPS = 2
-# Thorough starts, of which each leaves out one of so many groups of samples.
+# Groups of samples: each start of a robust loss but the first leaves out one of them.
 GROUPS = 3
-# They are tried where less of the highlight's information is left than this share, or
-# where residuals are larger than the noise by this factor.
-KEPT = 0.6
-LARGER = 1.3
 # Efficiency of a median of absolute values as a measure of scale: Hampel, *The
 # influence curve and its role in robust estimation*, J. Am. Stat. Assoc. 69(346), 1974.
 MEDIAN = 0.37
@@ -83,32 +66,41 @@ STUDENT = {
     2: 4.30265,
     1: 12.7062,
 }
-# Share of pixels from which on what they need is done for all beside them.
-MANY = 0.5
-# By how much channels may differ in how the lights share them, over their sum.
-COLOURED = 0.1
 
 
 class PixelFit(NamedTuple):
-    """The material of one pixel.
+    """Fits of pixels, which are the first axis.
 
-    - `ambient`, `diffuse`, `specular`: (3,) each, `shininess`: (3,) or (1,) if shared.
-    - `errors`: the same four, infinite for what is not identified, 0 for what was
-        known.
-    - `noise`: root mean square of the residuals a degree of freedom, in linear light,
-        or in the samples' own standard deviations.
-    - `samples`: how many were used.
+    - `ambient`, `diffuse`, `specular`: reflectances; `shininess`: exponents, one for
+        each channel or one for all.
+    - `stderr`: standard errors of these four by name, infinite for what is not
+        identified and 0 for what was known.
+    - `noise`: root mean square of the residuals per degree of freedom, in linear light,
+        or in standard deviations of the samples.
+    - `samples`: number of samples in use.
     - `flags`: bits of [`Flag`][].
+    - `normals`, `normals_stderr`: where sought, unit vectors in world axes and their
+        errors in degrees.
+    - `weights`: where pixels share materials, probability of each material.
     """
 
-    ambient: Float[Array, "3"]
-    diffuse: Float[Array, "3"]
-    specular: Float[Array, "3"]
-    shininess: Float[Array, " exponents"]
-    errors: tuple[Array, Array, Array, Array]
-    noise: Float[Array, ""]
-    samples: Int[Array, ""]
-    flags: Int[Array, ""]
+    ambient: Float[Array, "pixels 3"]
+    diffuse: Float[Array, "pixels 3"]
+    specular: Float[Array, "pixels 3"]
+    shininess: Float[Array, "pixels exponents"]
+    stderr: dict[str, Array]
+    noise: Float[Array, " pixels"]
+    samples: Int[Array, " pixels"]
+    flags: Int[Array, " pixels"]
+    normals: Float[Array, "pixels 3"] | None = None
+    normals_stderr: Float[Array, " pixels"] | None = None
+    weights: Float[Array, "pixels materials"] | None = None
+
+    def arrays(self) -> dict[str, Array]:
+        """All arrays, by the names that files of maps have for them."""
+        named: dict[str, Any] = self._asdict()
+        errors = {f"stderr_{name}": e for name, e in named.pop("stderr").items()}
+        return {name: a for name, a in named.items() if a is not None} | errors
 
 
 class Known(NamedTuple):
@@ -137,34 +129,23 @@ class Outside(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class _Job:
-    """What pixels measure, and of what.
+    """Data and basis of pixels.
 
-    - `target`: linear light of the unknowns; `share`: as in [`Samples`][], of one
-        channel where all share it and their basis.
-    - `box`: what bounds the unknowns.
+    - `target`: linear light less that of known parameters.
+    - `share`: as in [`Samples`][phongfit.maps.pixel.samples.Samples].
+    - `box`: bounds of the unknowns.
     """
 
     target: Float[Array, "images channels pixels"]
-    share: Float[Array, "images #channels pixels"]
+    share: Float[Array, "images channels pixels"]
     basis: Basis
     box: Box
     noise: Float[Array, ""]
-    effort: Int[Array, ""]
     settings: MapSettings
 
     @property
-    def thorough(self) -> Bool[Array, ""]:
-        """Whether to do whatever helps."""
-        return self.effort > 0
-
-    @property
-    def one_basis(self) -> bool:
-        """Whether all channels have the same basis and weights."""
-        return self.share.shape[1] < self.target.shape[1]
-
-    @property
     def groups(self) -> int:
-        """Of channels that share an exponent."""
+        """Number of groups of channels that share an exponent."""
         return 1 if self.settings.shared else self.target.shape[1]
 
     @property
@@ -228,9 +209,8 @@ class _Job:
         return in_groups(jnp.sum(values, axis=0), self.groups)
 
     def count(self) -> Float[Array, "groups pixels"]:
-        """How many samples may be used."""
-        used = self.in_groups((self.share > 0).astype(self.share.dtype))
-        return used * (self.target.shape[1] // self.share.shape[1])
+        """Number of samples in use."""
+        return self.in_groups((self.share > 0).astype(self.share.dtype))
 
     def deviation(
         self, residual: Float[Array, "images channels pixels"]
@@ -250,12 +230,11 @@ class _Job:
 class _SearchResult(NamedTuple):
     """The exponents of all groups, and everything else.
 
-    - `columns`: of the samples as they were weighed at the end.
-    - `squares`: of all residuals; `scale`: their size, which outliers do not reach.
-    - `widening`: factor on the errors of samples so weighed.
-    - `moved`: by how much the last weights moved the reflectances.
-    - `unsettled`: whether the search for the exponent was cut short.
-    - `profile`: of these columns, if the search made it.
+    - `columns`: with the final weights of the samples.
+    - `squares`: sum of squared residuals; `scale`: their robust standard deviation.
+    - `widening`: factor on the standard errors, for these weights.
+    - `moved`: last change of the reflectances by reweighting.
+    - `profile`: of these columns; `None` if the search did not need it.
     """
 
     at: At
@@ -265,61 +244,21 @@ class _SearchResult(NamedTuple):
     scale: Array
     widening: Array
     moved: Array
-    unsettled: Array
     profile: Profile | None = None
 
 
-def fit_pixels(
-    tile: Tile, outside: Outside, effort: Int[Array, ""], settings: MapSettings
-) -> tuple[PixelFit, Bool[Array, " pixels"]]:
-    """The materials of pixels, of each from its own samples alone.
+def fit_pixels(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
+    """Materials of pixels, of each from its own samples alone.
 
-    What a few pixels need all beside them pay for. So there are two ways, one short and
-    one thorough, and a pixel that is settled by the short one gets the same from both.
-
-    Both sum once what channels share that get the same light and use the same samples.
-    The few pixels of a block whose channels do not go on to the thorough way; there, a
-    block with any of them has sums for each channel.
-
-    **Arguments:** `effort`: 0 for the short way, 1 for the thorough one, 2 for that
-    with more steps, which one pixel in a hundred needs.
-
-    **Returns:** the materials, whose leaves have the pixels as their first axis, and
-    for which of them more effort is wanted.
+    **Returns:** a [`PixelFit`][] whose arrays have the pixels as their first axis.
     """
     samples, lost = measured(tile, outside.lighting, settings)
-
-    def fit(samples: Samples) -> tuple[PixelFit, Array]:
-        return _fit_samples(tile, samples, lost, outside, effort, settings)
-
-    if not settings.shared or settings.loss.robust or outside.lighting.surrounds:
-        return fit(samples)
-    unlike = differing_channels(samples)
-
-    def with_one_basis() -> tuple[PixelFit, Array]:
-        found, wanted = fit(of_one_channel(samples))
-        return found, wanted | unlike
-
-    few = jnp.where(effort > 0, 0, MANY)
-    alike = jnp.mean(unlike.astype(samples.target.dtype)) <= few
-    return jax.lax.cond(alike, with_one_basis, lambda: fit(samples))
-
-
-def _fit_samples(
-    tile: Tile,
-    samples: Samples,
-    lost: Float[Array, "#images #pixels"],
-    outside: Outside,
-    effort: Int[Array, ""],
-    settings: MapSettings,
-) -> tuple[PixelFit, Bool[Array, " pixels"]]:
-    """As [`fit_pixels`][]; channels that share light and samples may be one there."""
     basis, lit = make_basis(tile, outside.lighting, samples.lamps, settings)
     share = samples.share * lit[:, None]
     known = Known(*(leaf[:, None] for leaf in outside.known))
     target = _less_known(samples.target, basis, known, settings)
     noise = outside.noise
-    job = _Job(target, share, basis, _box(settings), noise, effort, settings)
+    job = _Job(target, share, basis, _box(settings), noise, settings)
     found = _solve(job, known)
 
     share_of_group = job.count()
@@ -353,7 +292,6 @@ def _fit_samples(
         found.moved,
         basis.angles,
         job.box,
-        job.thorough,
         settings,
         found.profile,
     )
@@ -375,12 +313,8 @@ def _fit_samples(
         | jnp.where(misfit, Flag.MISFIT, 0)
     )
     values = _values(found, known, settings)
-    deviations = _leaves(errors, identified, settings)
-    fit = PixelFit(*values, deviations, level, count, flags)
-    unsettled = found.unsettled & (not settings.loss.robust)
-    doubtful = found.unsettled | errors.vague | errors.moving
-    wanted = some(jnp.where(job.thorough, unsettled, doubtful))
-    return fit, identified & wanted
+    deviations = _by_name(errors, identified, settings)
+    return PixelFit(*values, deviations, level, count, flags)
 
 
 def students_t(freedom: Array) -> Array:
@@ -406,14 +340,6 @@ def most_by_chance(freedom: Array) -> Array:
     return (1 - spread + SIGNIFICANT * jnp.sqrt(spread)) ** 3
 
 
-def _coloured(strength: Float[Array, "images lobes channels #pixels"]) -> Array:
-    """Whether the lights differ in colour: then the channels' sum says little."""
-    total = jnp.sum(strength, axis=(0, 1), keepdims=True)
-    own, first = strength * total[:, :, :1], strength[:, :, :1] * total
-    unlike = jnp.abs(own - first) > COLOURED * (own + first)
-    return jnp.sum(unlike.astype(total.dtype), axis=(0, 1, 2)) > 0
-
-
 def _box(settings: MapSettings) -> Box:
     edges = [settings.bound(name) for name in (*settings.columns, "specular")]
     low, high = zip(*edges, strict=True)
@@ -435,97 +361,45 @@ def _less_known(
 
 
 def _solve(job: _Job, known: Known) -> _SearchResult:
-    """The exponents, then everything else."""
+    """Fit the exponents, then the reflectances."""
     settings, shape = job.settings, (job.groups, job.target.shape[-1])
     columns = job.columns(job.share**2)
-    t = jnp.broadcast_to(jnp.log(known.shininess), shape)
-    unsettled, profile = jnp.zeros(shape, bool), None
+    t, profile = jnp.broadcast_to(jnp.log(known.shininess), shape), None
     if settings.searched:
-        t, unsettled, profile = _search(job, columns, t)
+        t, profile = _search(job, columns, t)
     at = job.at(columns, t)
     if settings.loss.robust:
-        found = _reweighted(job, at, t)
-        return found._replace(unsettled=found.unsettled | unsettled)
+        return _reweighted(job, at, t)
     squares = job.squares(at, t)
     one, still = jnp.ones_like(t), jnp.zeros_like(jnp.stack(at.point))
-    return _SearchResult(at, t, columns, squares, one, one, still, unsettled, profile)
+    return _SearchResult(at, t, columns, squares, one, one, still, profile)
 
 
-def _search(
-    job: _Job, columns: Columns, t: Array
-) -> tuple[Array, Array, Profile | None]:
-    """The exponents, whether the search was cut short, and the profile if it was made.
+def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Profile | None]:
+    """The best exponents, and their profile if one was computed.
 
-    Where channels share one, their mean is enough to start from, as if ρ were grey,
-    where they have the same samples in the same light. Where they do not, or where the
-    exponent stays vague, each of them is asked.
+    The start is the best of exponents over the whole range, unless the settings give
+    one.
     """
-    settings, box, noise = job.settings, job.box, job.noise
-    lobes, angles, thorough = settings.lobes, job.basis.angles, job.thorough
+    box, lobes, angles = job.box, job.settings.lobes, job.basis.angles
     low, high = (jnp.full_like(t, edge) for edge in (box.lowest, box.highest))
-    edges = low, high
-    shared = settings.shared and job.target.shape[1] > 1
+    profile = None
+    if job.settings.scanned:
+        profile = survey(columns, lobes, angles, box, job.groups)
+        t = best_candidate(profile, box)
 
     def variance(value: Array) -> Array:
         return _variance(job, columns, value)
 
-    def together() -> tuple[Array, Array, Array]:
-        """From the mean of the channels; and for whom that is not enough."""
-        mean = _averaged(job, columns) if shared else columns
-        start, low, high = t, *edges
-        if settings.scanned:
-            start, low, high = scan_exponents(mean, lobes, angles, box, job.groups)
-        start = jnp.clip(start, low, high)
-        found = refine_exponents(mean, lobes, angles, start, low, high, box, MEAN_STEPS)
-        if not shared:
-            return found.t, found.bend, nobody
-        level = noise**2 / job.target.shape[1] * jnp.ones_like(t)
-        if not settings.noise_given:
-            level = _variance(_one_channel(job), mean, found.value)
-        return found.t, found.bend, _is_vague(found, level, box)
-
-    nobody = unsettled = jnp.zeros(t.shape, bool)
-    profile = None
-    if settings.scanned and shared:
-        # Whoever deserves more is asked channel by channel in any case.
-        everybody = t, jnp.ones_like(t), ~nobody
-        found, bend, vague = jax.lax.cond(thorough, lambda: everybody, together)
-        unlike = nobody if job.one_basis else _unlike(job)
-        wanted = unlike | vague
-        # If most pixels beside this one have channels of their own, all do it at once.
-        now = thorough | (jnp.mean(unlike.astype(t.dtype)) > MANY)
-        unsettled, wanted = wanted & ~now, wanted & now
-
-        def ask() -> Profile:
-            return survey(columns, lobes, angles, box, job.groups)
-
-        none = jax.tree.map(
-            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(ask)
-        )
-        profile = jax.lax.cond(jnp.any(wanted), ask, lambda: none)
-        found = jnp.where(wanted, best_candidate(profile, box).t, found)
-        bend = jnp.where(wanted, 1, bend)
-    else:
-        found, bend, unsettled = together()
-    steps = STEPS if shared else 0
-    # Of all that a robust loss does with them these are the least.
-    more = MOST_STEPS if settings.loss.robust else MORE_STEPS
-    most = jnp.asarray([STEPS, more, MOST_STEPS], jnp.int32)[job.effort]
+    start = jnp.clip(t, low, high)
     end = refine_exponents(
-        columns, lobes, angles, found, *edges, box, steps, bend, most, variance
+        columns, lobes, angles, start, low, high, box, STEPS, 1.0, MOST_STEPS, variance
     )
-    return end.t, unsettled | ~end.ended, profile
-
-
-def _unlike(job: _Job) -> Array:
-    """Whose channels do not have the same samples in the same light."""
-    used = job.share > 0
-    odd = any_sample(used != used[:, :1])
-    return odd | _coloured(job.basis.strength)[None]
+    return end.t, profile
 
 
 def _variance(job: _Job, columns: Columns, value: Array) -> Array:
-    """Of a sample: as it was given, or from the squares that a value of φ leaves."""
+    """Variance of a sample: as given, or from the residuals at a value of φ."""
     if job.settings.noise_given:
         return job.noise**2 * jnp.ones_like(value)
     groups = len(value)
@@ -535,44 +409,22 @@ def _variance(job: _Job, columns: Columns, value: Array) -> Array:
     return jnp.maximum(in_groups(columns.rest, groups) + value, 0) / freedom
 
 
-def _is_vague(found: Descent, variance: Array, box: Box) -> Array:
-    """Whether the model may bend within the error of the exponent, or at its bound."""
-    # φ rises by the variance at one standard error.
-    steep = found.curvature * VAGUE**2 / 2 >= variance
-    return ~steep | (found.t <= box.lowest) | (found.t >= box.highest)
-
-
-def _averaged(job: _Job, columns: Columns) -> Columns:
-    """Columns of the channels' mean, as if ρ were grey: enough to start from."""
-    target = channel_mean(job.target)
-    if job.one_basis:
-        return mean_columns(columns, job.fixed, target, job.share**2)
-    basis = job.basis.grey()
-    mean = dataclasses.replace(_one_channel(job), target=target, basis=basis)
-    return mean.columns(mean.share**2)
-
-
-def _one_channel(job: _Job) -> _Job:
-    """The same of the first alone."""
-    return dataclasses.replace(job, target=job.target[:, :1], share=job.share[:, :1])
-
-
 def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
     r"""Iteratively reweighted least squares from a plain solution.
 
-    All that is said of the end rests on its weights w, held: how $\phi$ rises from
-    there, and the errors, with $\sigma^2$ times the mean of w and the square of
-    [`widening`][]. So what a rejected sample would say of the exponent is not counted.
+    Errors are those of least squares with the final weights w, held, and with
+    $\sigma^2$ times the mean of w and the square of [`widening`][]: rejected samples do
+    not count as information on the exponent.
 
-    A pixel that deserves it is begun several times, each time without some of the
-    samples, and the end that the loss likes best counts: an outlier in the highlight
-    may have drawn the plain solution after it.
+    There are several starts, each but the first without a group of samples, since an
+    outlier in the highlight may attract the plain solution. The result of lowest loss
+    is returned.
 
     ??? cite "Source"
         Rousseeuw and Van Driessen, *Computing LTS regression for large data sets*, Data
         Min. Knowl. Discov. 12, 2006: starts from subsets.
     """
-    settings, box, noise, thorough = job.settings, job.box, job.noise, job.thorough
+    settings, box, noise = job.settings, job.box, job.noise
     lobes, angles, loss = settings.lobes, job.basis.angles, settings.loss
     low, high = (jnp.full_like(t, edge) for edge in (box.lowest, box.highest))
     whole = job.share**2
@@ -584,7 +436,6 @@ def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
 
     def step(state: _Rounds) -> _Rounds:
         residual, _ = relative(state.at, state.t)
-        # A convex loss leads to where one that rejects outliers sees them.
         weight = jnp.where(
             (state.done < CONVEX)[None],
             loss_weights(Huber(), residual),
@@ -600,20 +451,20 @@ def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
         ended = jnp.abs(t - state.t) <= SHORTEST
         return _Rounds(job.at(columns, t), t, bend, ended, state.done + 1)
 
-    most = jnp.where(thorough, MOST_REWEIGHTED, REWEIGHTED)
-
     def unfinished(state: _Rounds) -> Array:
-        return (state.done < REWEIGHTED) | (~state.ended & (state.done < most))
+        goes_on = ~state.ended & (state.done < MOST_REWEIGHTED)
+        return (state.done < REWEIGHTED) | goes_on
 
     def go_on(state: _Rounds) -> _Rounds:
         return _chosen(unfinished(state), step(state), state)
 
     def begin(left: Array) -> tuple[At, Array]:
-        """Where all samples but some lead to."""
+        """Solution of all samples but one group."""
         columns = job.columns(whole * left)
         begun = t
         if settings.scanned:
-            begun = scan_exponents(columns, lobes, angles, box, job.groups).t
+            profile = survey(columns, lobes, angles, box, job.groups)
+            begun = best_candidate(profile, box)
         return job.at(columns, begun), begun
 
     def attempt(state: _Attempts) -> _Attempts:
@@ -630,8 +481,7 @@ def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
 
     none = jnp.zeros_like(job.target)
     first = _Attempts(_before_rounds(at, t), none, jnp.zeros((), int))
-    wanted = jnp.where(thorough, 1 + GROUPS, 1)
-    last = jax.lax.while_loop(lambda s: s.done < wanted, attempt, first).best
+    last = jax.lax.fori_loop(0, 1 + GROUPS, lambda _, state: attempt(state), first).best
     at, t = last.at, last.t
     residual, scale = relative(at, t)
     weight = loss_weights(loss, residual) * whole
@@ -652,25 +502,12 @@ def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
         wider = jnp.maximum(wider, 1)
     wider = wider * jnp.sqrt(kept / jnp.maximum(count, 1))
     squares = job.squares(at, t)
-    doubtful = ~last.ended | _is_doubtful(job, weight, t)
-    if settings.noise_given:
-        doubtful |= scale > LARGER * noise
-    return _SearchResult(
-        at, t, columns, squares, scale, wider, jnp.stack(moved), doubtful
-    )
+    return _SearchResult(at, t, columns, squares, scale, wider, jnp.stack(moved))
 
 
 def _chosen(which: Array, new: "_Rounds", old: "_Rounds") -> "_Rounds":
     """The new where it is wanted: leaves of channels, or of groups of them."""
     return jax.tree.map(lambda one, other: jnp.where(which, one, other), new, old)
-
-
-def _is_doubtful(job: _Job, weight: Array, t: Array) -> Array:
-    """Whether a loss rejects much of what shows a channel's highlight."""
-    height = job.basis.specular(job.settings.lobes, t) ** 2
-    whole, kept = (jnp.sum(w * height, axis=0) for w in (job.share**2, weight))
-    rejects = (kept < KEPT * whole).astype(t.dtype)
-    return in_groups(rejects, job.groups) > 0
 
 
 def _group(job: _Job) -> Array:
@@ -735,17 +572,19 @@ def _values(
     return leaf("ambient"), leaf("diffuse"), leaf("specular"), exponent.T
 
 
-def _leaves(
+def _by_name(
     errors: Errors, identified: Array, settings: MapSettings
-) -> tuple[Array, Array, Array, Array]:
-    """Errors in the order of the parameters: infinite where nothing is identified."""
+) -> dict[str, Array]:
+    """Standard errors by parameter; infinite where nothing is identified."""
     reflectances = jnp.where(identified[None, None], errors.reflectances, jnp.inf)
-    none = jnp.zeros_like(reflectances[-1].T)
-    leaves = [
-        reflectances[settings.columns.index(name)].T if name in settings.names else none
-        for name in ("ambient", "diffuse")
-    ]
-    specular = reflectances[-1].T if settings.shiny else none
     exponent = jnp.where(identified[None], errors.exponent, jnp.inf).T
-    exponent = exponent if settings.searched else jnp.zeros_like(exponent)
-    return leaves[0], leaves[1], specular, exponent
+    none = jnp.zeros_like(reflectances[-1].T)
+    found = {
+        name: reflectances[settings.columns.index(name)].T
+        if name in settings.names
+        else none
+        for name in ("ambient", "diffuse")
+    }
+    found["specular"] = reflectances[-1].T if settings.shiny else none
+    found["shininess"] = exponent if settings.searched else jnp.zeros_like(exponent)
+    return found

@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Shaped
+from jaxtyping import Array, Float, Int, Shaped
 
 from phongfit.maps.pixel.lamps import Lamps, make_lamps
 from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.small import any_sample, in_groups
+from phongfit.maps.pixel.small import in_groups
 
 
 class Tile(NamedTuple):
@@ -126,32 +126,6 @@ def measured(
         unused = jnp.where(finite | (given <= 0), 0.0, 1.0).astype(light.dtype)
         lost = in_groups(unused, 1)[:, 0]
     return Samples(light, share, lamps), lost
-
-
-def differing_channels(samples: Samples) -> Bool[Array, " #pixels"]:
-    """Where channels get other light than the first, or do not use the same samples.
-
-    Elsewhere all channels share what an exponent is weighed against.
-    """
-
-    def off(values: Float[Array, "images *lights channels #pixels"]) -> Array:
-        unlike = any_sample(values != values[..., :1, :])
-        return jnp.any(unlike.reshape(-1, unlike.shape[-1]), axis=0)
-
-    lamps = samples.lamps
-    light = off(lamps.diffuse) | off(lamps.specular) | off(lamps.ambient)
-    return light | off(samples.share)
-
-
-def of_one_channel(samples: Samples) -> Samples:
-    """The same, with light and use of the first channel alone, for all of them."""
-    lamps = samples.lamps
-    first = lamps._replace(
-        diffuse=lamps.diffuse[:, :, :1],
-        specular=lamps.specular[:, :, :1],
-        ambient=lamps.ambient[:, :1],
-    )
-    return samples._replace(share=samples.share[:, :1], lamps=first)
 
 
 def _light(

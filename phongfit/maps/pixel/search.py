@@ -40,14 +40,6 @@ SHORTEST = 1e-3
 SETTLED = 0.05
 
 
-class Scan(NamedTuple):
-    """The best of a few exponents, refined by a parabola, and its neighbours."""
-
-    t: Array
-    low: Array
-    high: Array
-
-
 class Profile(NamedTuple):
     r"""The best reflectances at exponents all over their range.
 
@@ -67,27 +59,8 @@ class Profile(NamedTuple):
 def survey(
     columns: Columns, lobes: AbstractLobes, angles: Angles, box: Box, groups: int
 ) -> Profile:
-    """The best at all candidates, and at the end of the range."""
+    """The profile at all candidates, and at the end of the range."""
     t = jnp.asarray([*_candidates(box), box.highest], columns.rest.dtype)
-    return _profile(columns, lobes, angles, t, box, groups)
-
-
-def scan_exponents(
-    columns: Columns, lobes: AbstractLobes, angles: Angles, box: Box, groups: int
-) -> Scan:
-    """The best of all candidates, (groups, pixels)."""
-    t = jnp.asarray(_candidates(box), columns.rest.dtype)
-    return best_candidate(_profile(columns, lobes, angles, t, box, groups), box)
-
-
-def _profile(
-    columns: Columns,
-    lobes: AbstractLobes,
-    angles: Angles,
-    t: Float[Array, " candidates"],
-    box: Box,
-    groups: int,
-) -> Profile:
     sums = sum_images(columns, lobes, angles, t[:, None, None])
     best = best_reflectances(columns, sums, box, FEW_ROUNDS)
     return Profile(t, 2 * in_groups(best.value, groups), best.point, sums)
@@ -99,15 +72,12 @@ def _candidates(box: Box) -> Float[np.ndarray, " candidates"]:
     return box.lowest + SPACING * np.arange(count)
 
 
-def best_candidate(profile: Profile, box: Box) -> Scan:
-    """The candidate with the least value, between its neighbours."""
+def best_candidate(profile: Profile, box: Box) -> Float[Array, "groups pixels"]:
+    """The log f of least value, refined by a parabola through its neighbours."""
     count = len(_candidates(box))
     value = profile.value[:count]
     best = jnp.argmin(value, axis=0)
     t = box.lowest + SPACING * best.astype(value.dtype)
-    low = jnp.maximum(t - SPACING, box.lowest)
-    high = jnp.where(best == count - 1, box.highest, t + SPACING)
-    # The vertex of the parabola through the best and its neighbours.
     left, here, right = (
         jnp.take_along_axis(value, jnp.clip(best + k, 0, count - 1)[None], axis=0)[0]
         for k in (-1, 0, 1)
@@ -116,7 +86,7 @@ def best_candidate(profile: Profile, box: Box) -> Scan:
     inner = (best > 0) & (best < count - 1) & (bend > 0)
     shift = jnp.where(inner, (left - right) / (2 * jnp.where(inner, bend, 1)), 0)
     t = t + SPACING * jnp.clip(shift, -0.5, 0.5)
-    return Scan(jnp.clip(t, box.lowest, box.highest), low, high)
+    return jnp.clip(t, box.lowest, box.highest)
 
 
 class Descent(NamedTuple):

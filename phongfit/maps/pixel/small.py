@@ -285,13 +285,6 @@ def any_sample(
     return in_groups(sum_over_images(add, none, flags), 1) > 0
 
 
-def channel_mean(
-    values: Float[Array, "*batch channels #pixels"],
-) -> Float[Array, "*batch 1 #pixels"]:
-    """The mean of the channels, as one."""
-    return in_groups(values, 1) / values.shape[-2]
-
-
 def sum_over_images(add: Callable[[T, Any], T], none: T, images: Any) -> T:
     """What `add` makes of all images, one after another along the first axis.
 

@@ -130,7 +130,10 @@ def _of_zip(random: np.random.Generator) -> Case:
 def _of_tiles(random: np.random.Generator) -> Case:
     """A finished tile that was damaged: itself, or done again; never another."""
     number = int(random.integers(3))
-    tiles = [[np.full((4, 3), float(k)), np.arange(k, k + 4)] for k in range(3)]
+    tiles = [
+        {"values": np.full((4, 3), float(k)), "pixels": np.arange(k, k + 4)}
+        for k in range(3)
+    ]
     how = int(random.integers(3))
 
     def arrange(folder: Path) -> None:
@@ -151,8 +154,8 @@ def _of_tiles(random: np.random.Generator) -> Case:
     def act(folder: Path) -> None:
         found = TileStore(folder, JOB).load(number)
         if found is not None:
-            for array, wanted in zip(found, tiles[number], strict=True):
-                if not np.array_equal(array, wanted):
+            for name, wanted in tiles[number].items():
+                if not np.array_equal(found[name], wanted):
                     raise Wrong("another tile's numbers")
 
     return Case(f"tile {number}: damage {how}", arrange, act)

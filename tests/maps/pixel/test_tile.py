@@ -1,47 +1,43 @@
-"""Blocks of a tile, and the effort that their pixels take."""
+"""Blocks of a tile, and the second pass for pixels that need it."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from phongfit.maps.pixel.samples import Tile
-from phongfit.maps.pixel.tile import BLOCK, FEW, MOST, in_blocks
+from phongfit.maps.pixel.tile import BLOCK, in_two_passes
 from tests.helpers import floats
 
-BLOCKS = 2 * FEW
+BLOCKS = 8
 
 
-def efforts_of(wanted):
-    """Which pixel each result is of, and the effort that was made for it."""
-    count = len(wanted)
-    normal = floats(np.stack([np.arange(count), wanted, wanted], axis=-1))
+def passes_of(unsettled):
+    """The pixel that each result is of, and whether its fit was thorough."""
+    count = len(unsettled)
+    normal = floats(np.stack([np.arange(count), unsettled, unsettled], axis=-1))
     one, none = jnp.zeros((1, 3)), jnp.zeros((1, count, 1), bool)
     tile = Tile(jnp.zeros((1, count, 3)), none, normal, one, one)
 
-    def fit(part, effort):
-        pixel, wanted, _ = part.normal.T
-        made = jnp.full(pixel.shape, effort).astype(pixel.dtype)
-        return (pixel, made), wanted > made
+    def fit(part, thorough):
+        pixel, unsettled, _ = part.normal.T
+        return (pixel, jnp.broadcast_to(thorough, pixel.shape)), unsettled > 0
 
-    return map(np.asarray, in_blocks(tile, fit))
+    return map(np.asarray, in_two_passes(tile, fit))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.8, 1.0])
-def test_every_pixel_gets_what_it_takes(share):
+def test_unsettled_pixels_are_fitted_thoroughly(share):
     rng = np.random.default_rng(0)
     count = BLOCKS * BLOCK
-    wanted = np.where(rng.random(count) < share, rng.integers(1, MOST + 1, count), 0)
-    pixel, made = efforts_of(wanted)
+    unsettled = rng.random(count) < share
+    pixel, thorough = passes_of(unsettled)
     assert np.array_equal(pixel, np.arange(count))
-    # Few pixels get the most at once: they fill no more blocks than that.
-    few = np.sum(wanted > 0) <= FEW * BLOCK
-    assert np.array_equal(made, np.where(wanted > 0, MOST, 0) if few else wanted)
+    assert np.array_equal(thorough, unsettled)
 
 
-def test_a_last_block_that_is_not_full_wants_nothing():
-    """What fills it stands for no pixel: nothing is written for the first one."""
-    wanted = np.zeros(BLOCKS * BLOCK)
-    wanted[-1] = MOST
-    pixel, made = efforts_of(wanted)
+def test_padding_of_the_last_block_overwrites_no_pixel():
+    unsettled = np.zeros(BLOCKS * BLOCK, bool)
+    unsettled[-1] = True
+    pixel, thorough = passes_of(unsettled)
     assert np.array_equal(pixel, np.arange(BLOCKS * BLOCK))
-    assert np.array_equal(made, wanted)
+    assert np.array_equal(thorough, unsettled)
