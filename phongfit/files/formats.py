@@ -40,6 +40,7 @@ take so many bytes a pixel while they are? [`Refused`][] if not."""
 
 
 PNG_START, JPEG_START = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
+JPEG_END = b"\xff\xd9"
 
 
 def _read_png(data: bytes, path: Path, room: Room) -> np.ndarray:
@@ -82,36 +83,18 @@ def opened_jpeg(data: bytes) -> Iterator[Image.Image]:
             yield image
 
 
-# Of 16 MB each: four photographs of 60 megapixels.
-_BLOCKS = 64
-_KEPT = Image.core.get_blocks_max()
-
-
-@contextlib.contextmanager
-def pooled_memory() -> Iterator[None]:
-    """Photographs that the block decodes take the memory of those before them.
-
-    Pillow gives it back after each one, unless told otherwise, and fresh pages take as
-    long as decoding. No more is kept than was in use at a time.
-
-    ??? cite "Source"
-        Pillow's documentation, *Block allocator*.
-    """
-    Image.core.set_blocks_max(_BLOCKS)
-    try:
-        yield
-    finally:
-        Image.core.set_blocks_max(_KEPT)
-
-
 def _read_jpeg(data: bytes, path: Path, room: Room) -> np.ndarray:
     del path
     with opened_jpeg(data) as image:
         if image.mode not in ("L", "RGB"):
             raise Refused(f"expected RGB or grey, got {image.mode}")
-        # Pillow holds four bytes of colour, and gives a copy of them.
-        room(*image.size, {"L": 3, "RGB": 10}[image.mode])
-        return np.asarray(image)
+        # libjpeg holds two more bytes of each number of a progressive file.
+        room(*image.size, {"L": 3, "RGB": 9}[image.mode])
+        start = image.fp.tell() if image.fp else 0
+    # libjpeg makes grey of what is missing; coded numbers never contain these bytes.
+    if data.find(JPEG_END, start) < 0:
+        raise ValueError("it is truncated")
+    return imagecodecs.jpeg8_decode(data)
 
 
 def jpeg_compression(data: bytes) -> JpegCompression:

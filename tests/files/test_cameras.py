@@ -288,7 +288,8 @@ def test_names_of_another_machine(name, tmp_path):
     write_transforms(tmp_path, FRAME | {"file_path": name}, fl_x=10)
     (found,) = pf.load_cameras(tmp_path).values()
     assert (found.width, found.height) == ((8, 6) if "images" in name else (4, 3))
-    inner.unlink(), outer.unlink()
+    inner.unlink()
+    outer.unlink()
     with pytest.raises(ValueError, match="file_path: "):
         pf.load_cameras(tmp_path)
 

@@ -1,5 +1,6 @@
 """Images: every bit in, every bit out, and one clear line for what is broken."""
 
+import io
 import os
 import struct
 import zlib
@@ -396,6 +397,21 @@ def test_more_pixels_than_are_allowed(tmp_path, picture, suffix, bits, error):
         read_image(path, "linear", max_pixels=24 * 32 - 1)
     with pytest.raises(ValueError, match=words):
         read_mask(path, max_pixels=24 * 32 - 1)
+
+
+def test_a_jpeg_with_another_before_and_bytes_after_it(tmp_path, picture, capfd):
+    """A thumbnail has an end of its own; phones add films after the picture's."""
+    path, small = tmp_path / "a.jpg", io.BytesIO()
+    Image.new("RGB", (16, 16)).save(small, "JPEG")
+    pixels = Image.fromarray((picture * 255).astype(np.uint8))
+    thumbnail = b"Exif\0\0II*\0\x08\0\0\0\0\0" + small.getvalue()
+    for progressive in (False, True):
+        pixels.save(path, quality=95, exif=thumbnail, progressive=progressive)
+        whole, light = path.read_bytes(), read_image(path, "linear")
+        path.write_bytes(whole + b"\xff\xda film \xff\xd8")
+        assert np.array_equal(read_image(path, "linear"), light)
+        path.write_bytes(whole[:-2])
+        _check_one_line(path, "is broken or no .jpg image: it is truncated", capfd)
 
 
 def test_png_without_its_end(tmp_path, picture, capfd):
