@@ -21,7 +21,7 @@ import imageio.v3 as iio
 import numpy as np
 import OpenEXR
 from jaxtyping import Float
-from PIL import Image
+from PIL import Image, ImageFile
 
 from phongfit.files.tags import first_directory
 from phongfit.rendering.jpeg import JpegCompression
@@ -74,7 +74,7 @@ def png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 
 @contextlib.contextmanager
-def opened_jpeg(data: bytes) -> Iterator[Image.Image]:
+def opened_jpeg(data: bytes) -> Iterator[ImageFile.ImageFile]:
     """A JPEG file, opened as nothing else: Pillow knows formats that run programs."""
     with warnings.catch_warnings():
         # Of sizes, which are asked for here, and of EXIF data, which is read elsewhere.

@@ -138,7 +138,8 @@ def read_light(
     path = Path(path)
     encoding = as_encoding(encoding)
     read = _read_numbers(path, max_pixels)
-    values, solid = _without_alpha(path, read.values, opaque)
+    remedy = "read_photograph masks such pixels, and commands leave them out"
+    values, solid = _without_alpha(path, read.values, remedy if opaque else None)
     values = _to_white(path, values, white)
     if read.linear and encoding != "linear":
         raise ValueError(
@@ -291,7 +292,7 @@ def read_mask(
     # Relative to the brightest, since masks of 0 and 1 are as common as 0 and 255.
     path = Path(path)
     numbers = _read_numbers(path, max_pixels).values
-    grey = _without_alpha(path, numbers, opaque=True)[0].max(axis=-1)
+    grey = _without_alpha(path, numbers, "save it without alpha")[0].max(axis=-1)
     return grey > grey.max() / 2
 
 
@@ -610,11 +611,14 @@ def refusing() -> Iterator[None]:
 
 
 def _without_alpha(
-    path: Path, numbers: np.ndarray, opaque: bool
+    path: Path, numbers: np.ndarray, remedy: str | None
 ) -> tuple[np.ndarray, Bool[np.ndarray, "height width"]]:
     """Numbers without their alpha channel, and where it is 1; they are 0 elsewhere.
 
-    **Raises:** `ValueError` that names the file, if it must be opaque and is not.
+    **Arguments:** `remedy`: what to do if the file must be opaque and is not; `None`
+    where it need not be.
+
+    **Raises:** `ValueError` that names the file.
     """
     channels = numbers.shape[-1]
     if channels not in (1, 2, 3, 4):
@@ -627,10 +631,9 @@ def _without_alpha(
     solid = numbers[..., -1] >= highest
     if solid.all():
         return numbers[..., :-1], solid
-    if opaque:
+    if remedy is not None:
         raise ValueError(
-            f"{path}: expected an opaque image, got a partly transparent one: "
-            "read_photograph has a mask of its pixels, and commands use it"
+            f"{path}: expected an opaque image, got a partly transparent one: {remedy}"
         )
     # Numbers behind, which may be no numbers, are left out.
     return np.where(solid[..., None], numbers[..., :-1], 0), solid
