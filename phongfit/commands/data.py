@@ -209,7 +209,7 @@ def _open_sought(options: DataOptions) -> Photographs:
             raise ValueError(
                 f"{name}: {options.dataset} is a data set, which says this itself"
             )
-    return open_dataset(options.dataset)
+    return open_dataset(options.dataset, normals="fit")
 
 
 def _open_folder(options: DataOptions) -> Photographs:

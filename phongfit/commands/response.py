@@ -13,7 +13,7 @@ from phongfit.commands.options import WhiteLevel, optional
 from phongfit.commands.progress import stage
 from phongfit.files.capture_data import DIRECTION, open_captured
 from phongfit.files.encodings import RESPONSE_FORMAT
-from phongfit.files.images import read_light, read_mask
+from phongfit.files.images import read_image, read_mask
 from phongfit.files.inputs import sparing
 from phongfit.files.outputs import check_file, write_json
 from phongfit.files.photographs import (
@@ -86,7 +86,7 @@ class _Stored(AbstractImages):
         return len(self.paths)
 
     def image(self, number: int) -> np.ndarray:
-        return read_light(self.paths[number], AS_STORED, white=self.white).image
+        return read_image(self.paths[number], AS_STORED, white=self.white)
 
 
 def _of_matte(options: Options) -> Response:

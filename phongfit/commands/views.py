@@ -58,6 +58,13 @@ def find_views(
     names = list(found)
     heads = [read_head(folder / name) for name in names]
     for name, head in zip(names, heads, strict=True):
+        if head.turned:
+            raise ValueError(
+                f"{folder / name}: expected an upright image, got one that its EXIF "
+                "orientation turns: remove the orientation (exiftool -Orientation=) if "
+                "the cameras are of the image as it lies in the file, as COLMAP's are; "
+                "else turn its pixels (mogrify -auto-orient)"
+            )
         wanted = found[name].width, found[name].height
         if head.size != wanted:
             raise ValueError(
@@ -96,15 +103,12 @@ def _exposed(relative: Sequence[float]) -> list[str]:
 
 def _photograph(folder: Path, name: str) -> str | None:
     """The photograph of that name, as a name in the folder."""
-    for tried in (name, Path(name).name):
-        try:
-            path = image_of(folder, tried)
-            if path.is_file():
-                return path.relative_to(folder).as_posix()
-        except (OSError, ValueError):
-            # No name of a file in this folder: another machine's, perhaps.
-            continue
-    return None
+    try:
+        path = image_of(folder, name)
+        return path.relative_to(folder).as_posix() if path.is_file() else None
+    except (OSError, ValueError):
+        # No name of a file in this folder.
+        return None
 
 
 def _few(names: Sequence[str]) -> str:

@@ -23,7 +23,9 @@ def load_cameras(path: str | os.PathLike[str]) -> dict[str, PinholeCamera]:
     **Arguments:** `path`: the folder of a COLMAP model (text or binary), of a COLMAP
     project with one in its `sparse/0`, or of a `transforms.json`; or that file. Camera
     models are COLMAP's pinholes, `RADIAL`, `OPENCV` and fisheyes with their simpler
-    forms. Lengths are in the files' own unit, which for COLMAP is any.
+    forms. Lengths are in the files' own unit, which for COLMAP is any. COLMAP's cameras
+    are of images as they lie in their files, while [`read_image`][] turns them upright:
+    remove the EXIF orientation of photographs that have one.
 
     **Returns:** a camera for each photograph, by the name that the files give it, with
     the folders that stand before it there.

@@ -193,23 +193,27 @@ def _text_cameras(path: Path) -> Intrinsics:
 
 
 def _text_images(path: Path) -> list[_Image]:
-    images, rest = [], iter(_lines(path))
-    for at, line in rest:
-        if not line:
+    """Images of two lines each, or of one where no image has points."""
+    images, after_image = [], False
+    for at, line in _lines(path):
+        if not line or (after_image and _are_points(line)):
+            after_image = False
             continue
         with naming(f"{path}: line {at}"):
             _, *numbers, camera = _words(line, 10, "an image")[:9]
             pose = tuple(float(number) for number in numbers)
             name = line.split(maxsplit=9)[9]
             images.append(_Image(name, pose[:4], pose[4:], int(camera)))
-        # Its points, of three numbers each; perhaps none.
-        at, points = next(rest, (at + 1, ""))
-        if len(points.split()) % 3:
-            raise ValueError(
-                f"{path}: line {at}: expected the points of the image before, three "
-                f"numbers each, or an empty line, got {points[:60]!r}"
-            )
+        after_image = True
     return images
+
+
+_NUMBERS = frozenset("0123456789+-.eE \t")
+
+
+def _are_points(line: str) -> bool:
+    """Whether a line has three numbers for each point, as an image's line has not."""
+    return _NUMBERS.issuperset(line) and len(line.split()) % 3 == 0
 
 
 def _words(line: str, at_least: int, what: str) -> list[str]:

@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Literal
 
 from phongfit.edge import checked
 from phongfit.files.dataset import Dataset as Dataset, Photographs
@@ -15,11 +16,12 @@ def open_dataset(
     *,
     min_cosine: float = -1.0,
     min_facing: float = -1.0,
+    normals: Literal["given", "fit"] = "given",
 ) -> Photographs:
     """A data set from its folder, in our own layout or in DiLiGenT's, images unread.
 
     Ours has a `scene.json`: see [`open_scene_dataset`][]. DiLiGenT's has a
-    `filenames.txt`: see [`open_diligent`][], which knows the two options.
+    `filenames.txt`: see [`open_diligent`][], which has these options.
 
     **Raises:** `ValueError` that names the file that is missing or wrong.
     """
@@ -29,7 +31,9 @@ def open_dataset(
     if (folder / SCENE_FILE).exists():
         return open_scene_dataset(folder)
     if is_diligent(folder):
-        return open_diligent(folder, min_cosine=min_cosine, min_facing=min_facing)
+        return open_diligent(
+            folder, min_cosine=min_cosine, min_facing=min_facing, normals=normals
+        )
     raise ValueError(
         f"{folder}: is no data set: it has neither a {SCENE_FILE} nor, as DiLiGenT "
         "has, a filenames.txt"
@@ -42,7 +46,9 @@ def read_dataset(
     *,
     min_cosine: float = -1.0,
     min_facing: float = -1.0,
+    normals: Literal["given", "fit"] = "given",
 ) -> Dataset:
     """The same with all images in memory; raises as [`open_dataset`][] does."""
-    options = {"min_cosine": min_cosine, "min_facing": min_facing}
-    return open_dataset(folder, **options).load()
+    return open_dataset(
+        folder, min_cosine=min_cosine, min_facing=min_facing, normals=normals
+    ).load()

@@ -8,6 +8,7 @@
 import math
 import os
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,7 +16,7 @@ from jaxtyping import Bool, Float
 from phongfit.files.budget import afford
 from phongfit.files.coded import Coded
 from phongfit.files.dataset import Photograph, Photographs
-from phongfit.files.images import read_image, read_mask
+from phongfit.files.images import read_light, read_mask
 from phongfit.files.inputs import (
     inside,
     naming,
@@ -26,6 +27,7 @@ from phongfit.files.inputs import (
 )
 from phongfit.files.matlab import read_matrix
 from phongfit.geometry.cameras import OrthographicCamera
+from phongfit.geometry.planes import plane_before
 from phongfit.geometry.surfaces import NormalMap
 from phongfit.lights import DirectionalLight
 from phongfit.rendering.film import Film
@@ -44,6 +46,7 @@ def open_diligent(
     *,
     min_cosine: float = -1.0,
     min_facing: float = -1.0,
+    normals: Literal["given", "fit"] = "given",
 ) -> Photographs:
     """One object of DiLiGenT: linear photographs, each under one distant light.
 
@@ -58,6 +61,8 @@ def open_diligent(
         bounced from elsewhere, and the shadow's edge, outweigh the light itself.
     - `min_facing`: pixels with n_z up to this are masked too: on the rim a pixel
         averages over many normals.
+    - `normals`: `"fit"` if they are fitted too: `Normal_gt.mat` is then not read, and
+        the surface is a plane square to the camera's axis.
 
     **Raises:** `ValueError` that names the file that is missing or wrong.
     """
@@ -67,18 +72,21 @@ def open_diligent(
     intensities = _read_rows(folder, "light_intensities.txt", len(names))
     _check_lights(folder, directions, intensities)
     inside_mask = read_mask(inside(folder, "mask.png"))
-    surface = _read_surface(folder, inside_mask)
-    normals = np.asarray(surface.normals, np.float64)
-    used = inside_mask & (normals[..., 2] > min_facing)
     height, width = inside_mask.shape
     camera = OrthographicCamera(width, height)
+    if normals == "fit":
+        surface = NormalMap(plane_before(camera).normals, inside_mask)
+    else:
+        surface = _read_surface(folder, inside_mask)
+    vectors = np.asarray(surface.normals, np.float64)
+    used = inside_mask & (vectors[..., 2] > min_facing)
 
     def read(number: int) -> Photograph:
-        image = _read_photograph(folder, names[number], inside_mask.shape)
+        image, known = _read_photograph(folder, names[number], inside_mask.shape)
         direction = directions[number]
-        cosine = normals @ (direction / np.linalg.norm(direction))
+        cosine = vectors @ (direction / np.linalg.norm(direction))
         # Divided, 65535 is a different number in each channel, so this comes first.
-        mask = (used & (cosine > min_cosine))[..., None] & (image < 1)
+        mask = (used & known & (cosine > min_cosine))[..., None] & (image < 1)
         light = image / intensities[number].astype(image.dtype)
         return Photograph(Coded(light), mask)
 
@@ -125,6 +133,11 @@ def _sound(intensities: np.ndarray) -> np.ndarray:
 
 def _read_surface(folder: Path, mask: Bool[np.ndarray, "height width"]) -> NormalMap:
     path = inside(folder, "Normal_gt.mat")
+    if not path.exists():
+        raise ValueError(
+            f"{path}: expected the true normals, got no such file: without them, fit "
+            "the normals too (phongfit maps --normals fit)"
+        )
     data, wanted = read_bytes(path), (*mask.shape, 3)
     afford(len(data) + 2 * 8 * math.prod(wanted), "normals")
     try:
@@ -136,12 +149,13 @@ def _read_surface(folder: Path, mask: Bool[np.ndarray, "height width"]) -> Norma
 
 def _read_photograph(
     folder: Path, name: str, size: tuple[int, ...]
-) -> Float[np.ndarray, "height width 3"]:
+) -> tuple[Float[np.ndarray, "height width 3"], Bool[np.ndarray, "height width"]]:
+    """Light of a photograph, and where it is known."""
     with naming(f"{folder / 'filenames.txt'}"):
         path = inside(folder, name)
-    image = read_image(path, "linear")
-    if image.shape[:2] != size:
+    light = read_light(path, "linear")
+    if light.usable.shape != size:
         raise ValueError(
-            f"{path}: expected {size} pixels, as mask.png has, got {image.shape[:2]}"
+            f"{path}: expected {size} pixels, as mask.png has, got {light.usable.shape}"
         )
-    return image
+    return light.image, light.usable

@@ -15,13 +15,13 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import imagecodecs
 import imageio.v3 as iio
 import numpy as np
 import OpenEXR
-from PIL import Image
+from jaxtyping import Float
+from PIL import Image, ImageFile
 
 from phongfit.files.tags import first_directory
 from phongfit.rendering.jpeg import JpegCompression
@@ -39,7 +39,8 @@ Room = Callable[[int, int, float], None]
 take so many bytes a pixel while they are? [`Refused`][] if not."""
 
 
-PNG_START = b"\x89PNG\r\n\x1a\n"
+PNG_START, JPEG_START = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
+JPEG_END = b"\xff\xd9"
 
 
 def _read_png(data: bytes, path: Path, room: Room) -> np.ndarray:
@@ -73,7 +74,7 @@ def png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 
 @contextlib.contextmanager
-def opened_jpeg(data: bytes) -> Iterator[Image.Image]:
+def opened_jpeg(data: bytes) -> Iterator[ImageFile.ImageFile]:
     """A JPEG file, opened as nothing else: Pillow knows formats that run programs."""
     with warnings.catch_warnings():
         # Of sizes, which are asked for here, and of EXIF data, which is read elsewhere.
@@ -82,36 +83,18 @@ def opened_jpeg(data: bytes) -> Iterator[Image.Image]:
             yield image
 
 
-# Of 16 MB each: four photographs of 60 megapixels.
-_BLOCKS = 64
-_KEPT = Image.core.get_blocks_max()
-
-
-@contextlib.contextmanager
-def pooled_memory() -> Iterator[None]:
-    """Photographs that the block decodes take the memory of those before them.
-
-    Pillow gives it back after each one, unless told otherwise, and fresh pages take as
-    long as decoding. No more is kept than was in use at a time.
-
-    ??? cite "Source"
-        Pillow's documentation, *Block allocator*.
-    """
-    Image.core.set_blocks_max(_BLOCKS)
-    try:
-        yield
-    finally:
-        Image.core.set_blocks_max(_KEPT)
-
-
 def _read_jpeg(data: bytes, path: Path, room: Room) -> np.ndarray:
     del path
     with opened_jpeg(data) as image:
         if image.mode not in ("L", "RGB"):
             raise Refused(f"expected RGB or grey, got {image.mode}")
-        # Pillow holds four bytes of colour, and gives a copy of them.
-        room(*image.size, {"L": 3, "RGB": 10}[image.mode])
-        return np.asarray(image)
+        # libjpeg holds two more bytes of each number of a progressive file.
+        room(*image.size, {"L": 3, "RGB": 9}[image.mode])
+        start = image.fp.tell() if image.fp else 0
+    # libjpeg makes grey of what is missing; coded numbers never contain these bytes.
+    if data.find(JPEG_END, start) < 0:
+        raise ValueError("it is truncated")
+    return imagecodecs.jpeg8_decode(data)
 
 
 def jpeg_compression(data: bytes) -> JpegCompression:
@@ -137,6 +120,16 @@ def jpeg_compression(data: bytes) -> JpegCompression:
 def _read_tiff(data: bytes, path: Path, room: Room) -> np.ndarray:
     del path
     tags = first_directory(data)
+    if tags.whole(_SUBFILE) & _SMALLER:
+        raise Refused(
+            "expected a whole picture first, got a small copy, as RAW photographs have "
+            "it: give it their suffix (.dng, .nef)"
+        )
+    if not all(other.whole(_SUBFILE) & _NO_PICTURE for other in tags.others()):
+        raise Refused(
+            "expected one picture, got several (pages, or a page for each channel): "
+            "save each as a file, or the channels as one picture"
+        )
     width, height = tags.whole(_WIDTH), tags.whole(_HEIGHT)
     if tags.whole(_IMAGE_DEPTH, 1) != 1:
         raise Refused("expected a flat picture, got one of several layers")
@@ -154,41 +147,75 @@ def _read_tiff(data: bytes, path: Path, room: Room) -> np.ndarray:
         raise Refused(f"expected at most 4 channels, got {channels}")
     numbers = imagecodecs.tiff_decode(data)
     # Planar configuration 2: one plane a channel.
-    return np.moveaxis(numbers, 0, -1) if planes == 2 else numbers
+    numbers = np.moveaxis(numbers, 0, -1) if planes == 2 else numbers
+    if channels in (2, 4) and tags.whole(_EXTRA) not in _ALPHA:
+        if np.any(numbers[..., -1] != numbers.flat[-1]):
+            raise Refused(
+                f"expected alpha as its channel {channels}, got one of an unknown kind "
+                "(ExtraSamples): save it without"
+            )
+        numbers = numbers[..., :-1]
+    return numbers
 
 
+# Bits of the subfile type: a copy of fewer pixels, and a mask. ExtraSamples of alpha.
+_SUBFILE, _SMALLER, _NO_PICTURE = 254, 1, 1 | 4
+_EXTRA, _ALPHA = 338, (1, 2)
 _WIDTH, _HEIGHT, _BITS, _PHOTOMETRIC, _CHANNELS, _PLANES = 256, 257, 258, 262, 277, 284
 _TILE_WIDTH, _TILE_HEIGHT, _IMAGE_DEPTH = 322, 323, 32997
 
 
 def _read_hdr(data: bytes, path: Path, room: Room) -> np.ndarray:
     del path
-    header, _, _ = data.partition(b"\n\n")
+    header = radiance_header(data)
     size = re.match(rb"\s*-Y (\d{1,9}) \+X (\d{1,9})\n", data[len(header) :])
     if not data.startswith(b"#?") or size is None:
         raise ValueError("it does not start as a Radiance picture does")
     height, width = int(size[1]), int(size[2])
     room(width, height, 12)
-    # A pixel is radiance times all exposures that were ever applied to it.
-    exposures = re.findall(rb"^EXPOSURE\s*=\s*(\S+)", header, re.MULTILINE)
-    exposure = np.prod([float(value) for value in exposures], initial=1.0)
-    if not 1e-30 < exposure < 1e30:
-        raise Refused(f"expected an EXPOSURE > 0, got {exposure:g}")
+    if re.search(rb"^FORMAT\s*=\s*32-bit_rle_xyze", header, re.MULTILINE):
+        # Its unit of light and its white depend on the program that wrote it.
+        raise Refused("expected red, green and blue, got XYZ: convert it (ra_xyze -r)")
+    # A pixel is radiance times all factors that were ever applied to it.
+    factor = np.ones(3)
+    for name, count in (("EXPOSURE", 1), ("COLORCORR", 3)):
+        factor = factor * radiance_values(header, name, count).prod(axis=0)
+        if not ((factor > 1e-30) & (factor < 1e30)).all():
+            raise Refused(f"expected {name} > 0, got {factor.min():g}")
     numbers = np.empty((height, width, 3), np.float32)
     imagecodecs.rgbe_decode(data, out=numbers)
-    numbers /= np.float32(exposure)
+    numbers /= factor.astype(np.float32)
     return numbers
+
+
+def radiance_header(data: bytes) -> bytes:
+    """The lines before the size of a Radiance picture."""
+    return data.partition(b"\n\n")[0]
+
+
+def radiance_values(
+    header: bytes, name: str, count: int
+) -> Float[np.ndarray, "lines {count}"]:
+    """The numbers of each line of a name in a Radiance picture's header."""
+    lines = re.findall(rf"^{name}\s*=(.*)$".encode(), header, re.MULTILINE)
+    rows = [[float(word) for word in line.split()] for line in lines]
+    if any(len(row) != count for row in rows):
+        raise ValueError(f"{name}: expected {count} numbers")
+    return np.array(rows).reshape(-1, count)
 
 
 def _read_exr(data: bytes, path: Path, room: Room) -> np.ndarray:
     with silent_library():
         with OpenEXR.File(os.fspath(path), header_only=True) as file:
-            headers = [part.header for part in file.parts]
-            width, height = _exr_window(headers[0])
-            size = sum(map(_exr_bytes, headers))
-            found = {channel.name for channel in headers[0]["channels"]}
-        # All parts are read, whatever is wanted of them, and the first is copied.
-        room(width, height, 2 * size / max(width * height, 1))
+            header, parts = file.header(), len(file.parts)
+            (left, top), (right, bottom) = header["dataWindow"]
+            width, height = int(right) - int(left) + 1, int(bottom) - int(top) + 1
+            found = {channel.name for channel in header["channels"]}
+            points = header.get("chromaticities")
+        if parts != 1:
+            raise Refused(f"expected one part, got {parts}: save each as a file")
+        # All channels are read, of four bytes, and then copied.
+        room(width, height, 8 * len(found))
         orders = [names for names in ("RGB", "RGBA", "Y", "YA") if set(names) == found]
         if not orders:
             got = ", ".join(sorted(found)[:8])
@@ -198,18 +225,31 @@ def _read_exr(data: bytes, path: Path, room: Room) -> np.ndarray:
     # The library opens files by their names only.
     if path.read_bytes() != data:
         raise Refused("changed while it was read")
-    return np.stack([channels[name] for name in orders[0]], axis=-1)
+    numbers = np.stack([channels[name] for name in orders[0]], axis=-1)
+    if points is not None and _is_xyz(points) and "R" in found:
+        numbers = numbers / np.array([*_XYZ_WHITE, 1], np.float32)[: len(found)]
+    return numbers
 
 
-def _exr_window(header: dict[str, Any]) -> tuple[int, int]:
-    (left, top), (right, bottom) = (map(int, ends) for ends in header["dataWindow"])
-    return right - left + 1, bottom - top + 1
+def exr_primaries(path: Path) -> tuple[float, ...] | None:
+    """x and y of red, green, blue and white, where an EXR file's header states them.
+
+    Pixels in XYZ are read relative to the white of sRGB, since XYZ has none.
+    """
+    with silent_library(), OpenEXR.File(os.fspath(path), header_only=True) as file:
+        points = file.header().get("chromaticities")
+    if points is not None and _is_xyz(points):
+        return (*points[:6], *_D65)
+    return points
 
 
-def _exr_bytes(header: dict[str, Any]) -> int:
-    """Of all channels of a part, four to a number."""
-    width, height = _exr_window(header)
-    return 4 * width * height * len(header["channels"])
+# White of sRGB: x and y, and X, Y and Z.
+_D65 = 0.3127, 0.3290
+_XYZ_WHITE = _D65[0] / _D65[1], 1.0, (1 - sum(_D65)) / _D65[1]
+
+
+def _is_xyz(points: tuple[float, ...]) -> bool:
+    return bool(np.allclose(points[:6], (1, 0, 0, 1, 0, 0)))
 
 
 # One at a time, since the error output is the whole process's.
@@ -243,6 +283,38 @@ READERS: dict[str, Reader] = {
     ".hdr": _read_hdr,
     ".exr": _read_exr,
 }
+
+_STARTS = {
+    PNG_START: ".png",
+    JPEG_START: ".jpg",
+    b"II*\0": ".tif",
+    b"MM\0*": ".tif",
+    b"II+\0": ".tif",
+    b"MM\0+": ".tif",
+    b"#?": ".hdr",
+    b"v/1\x01": ".exr",
+}
+_NOT_READ = {b"GIF8": "GIF", b"BM": "BMP", b"RIFF": "WebP", b"8BPS": "Photoshop"}
+
+
+def format_of(data: bytes, path: Path) -> str:
+    """The suffix of an image's format, by its first bytes, whatever it is called.
+
+    The file's own suffix where the bytes are of no format that is read: RAW
+    photographs, many of which start as a TIFF does, and what is broken.
+
+    **Raises:** `Refused` that names another well-known format.
+    """
+    suffix = path.suffix.lower()
+    for start, format in _STARTS.items():
+        if data.startswith(start) and (format != ".tif" or suffix in READERS):
+            return format
+    kinds = [kind for start, kind in _NOT_READ.items() if data.startswith(start)]
+    # CR3, which is RAW, is such a container too.
+    kinds += ["HEIF or AVIF"] if data[4:8] == b"ftyp" and suffix in READERS else []
+    if kinds:
+        raise Refused(f"is a {kinds[0]} image: convert it to PNG or TIFF")
+    return suffix
 
 
 # Writing.

@@ -16,12 +16,14 @@ from phongfit.edge import checked
 from phongfit.files.budget import afford
 from phongfit.files.coded import Coded
 from phongfit.files.formats import (
+    JPEG_START,
     PNG_START,
     READERS,
     TEXTURE_READERS,
     WRITERS,
     Refused,
     Room,
+    format_of,
     jpeg_compression,
     opened_jpeg,
 )
@@ -63,15 +65,16 @@ def read_image(
     photographs with `phongfit[raw]`. Grey becomes three equal channels. The image is
     upright, as its EXIF orientation says.
 
-    Colours are those of sRGB: an ICC profile that is another one's, such as Display P3
-    or Adobe RGB, is converted. A profile that contradicts `encoding` is refused, and so
-    is a PNG whose gAMA chunk says that it is linear where `encoding` is `"srgb"`. The
-    other way round `encoding` is believed: many programs write sRGB's gAMA into every
-    PNG. A PNG of other primaries without a profile (cHRM, cICP) is refused.
+    Colours are those of sRGB. Those of another ICC profile, such as Display P3, of
+    Adobe RGB by EXIF data, and of primaries that an EXR or Radiance file states, are
+    converted. A profile that contradicts `encoding` is refused, and so is a PNG whose
+    gAMA chunk says that it is linear where `encoding` is `"srgb"`. The other way round
+    `encoding` is believed: many programs write sRGB's gAMA into every PNG. A PNG of
+    other primaries without a profile (cHRM, cICP) is refused.
 
     **Arguments:**
 
-    - `path`: the suffix tells the format.
+    - `path`: the first bytes determine the format, and the suffix if it is RAW.
     - `encoding`: `"linear"`, `"srgb"` or a [`ResponseCurve`][]: what the numbers in the
         file are. A fit in the wrong one is wrong, so it is never guessed.
         Floating-point formats and RAW are linear. With a profile `"srgb"` stands for
@@ -84,14 +87,15 @@ def read_image(
         (1 GB, or `PHONGFIT_MAX_MEMORY`), which is some 50 million pixels.
 
     **Raises:** `ValueError` that names the file: it is missing, broken, of an unknown
-    format, too large, partly transparent, of colours that are not understood, or holds
-    NaN or infinity. That names `white`, where the format does not have that number.
+    format, too large, partly transparent ([`read_photograph`][] masks such pixels), of
+    colours that are not understood, of several pictures, or holds NaN or infinity. That
+    names `white`, where the format does not have that number.
 
     **Warns:** where EXIF data is broken; and where a channel is saturated in a file
     whose profile mixes channels, so that the others are wrong: [`read_photograph`][]
     has a mask of such pixels.
     """
-    light = read_light(path, encoding, white=white, max_pixels=max_pixels)
+    light = read_light(path, encoding, white=white, max_pixels=max_pixels, opaque=True)
     lost = np.count_nonzero(~light.usable)
     if lost:
         warn(
@@ -123,15 +127,21 @@ def read_light(
     *,
     white: int | None = None,
     max_pixels: int | None = None,
+    opaque: bool = False,
 ) -> Light:
     """As [`read_image`][], with a mask instead of a warning.
 
-    The mask is false where a saturated channel was mixed into others.
+    The mask is false where a saturated channel was mixed into others, and where alpha
+    is less than 1: light from behind may be mixed in there, and the light is 0.
+
+    **Arguments:** `opaque`: refuse pictures with such an alpha.
     """
     path = Path(path)
     encoding = as_encoding(encoding)
     read = _read_numbers(path, max_pixels)
-    values = _to_white(path, _opaque(path, read.values), white)
+    remedy = "read_photograph masks such pixels, and commands leave them out"
+    values, solid = _without_alpha(path, read.values, remedy if opaque else None)
+    values = _to_white(path, values, white)
     if read.linear and encoding != "linear":
         raise ValueError(
             f"{path}: expected encoding 'linear', as {read.linear} have, got "
@@ -142,7 +152,7 @@ def read_light(
         coded = _coded(values, encoding, profile)
     if values.dtype.kind == "f" and not np.isfinite(coded.numbers).all():
         raise ValueError(f"{path}: has NaN or infinite pixels")
-    usable = np.ascontiguousarray(read.usable)
+    usable = np.ascontiguousarray(read.usable & solid)
     if profile is not None and profile.mixes and values.shape[-1] == 3:
         usable &= ~saturated(values)
     numbers = coded.numbers
@@ -159,7 +169,7 @@ def _to_white(path: Path, values: np.ndarray, white: int | None) -> np.ndarray:
     """
     if white is None:
         return values
-    if values.dtype.kind == "f" or path.suffix.lower() in JPEG:
+    if values.dtype.kind == "f" or _is_jpeg(path):
         raise ValueError(
             f"{path}: white: expected it of a PNG or TIFF of whole numbers alone, got "
             f"{white}"
@@ -203,7 +213,7 @@ def read_film(
     """
     path = Path(path)
     film = Film(encoding=as_encoding(encoding))
-    if path.suffix.lower() in JPEG:
+    if _is_jpeg(path):
         return with_jpeg(film, path)
     read = _read_numbers(path)
     if read.values.dtype.kind == "f":
@@ -218,7 +228,12 @@ def read_film(
     return Film(encoding=film.encoding, bits=bits)
 
 
-JPEG = (".jpg", ".jpeg")
+def _is_jpeg(path: Path) -> bool:
+    """Whether a file starts as a JPEG does; false where there is none."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(JPEG_START)) == JPEG_START
 
 
 def with_jpeg(film: Film, path: Path) -> Film:
@@ -226,7 +241,7 @@ def with_jpeg(film: Film, path: Path) -> Film:
 
     **Raises:** `ValueError` that names the file.
     """
-    if path.suffix.lower() not in JPEG or not film.clamp:
+    if not film.clamp or not _is_jpeg(path):
         return film
     jpeg, size, metadata = _decoded(path, _jpeg_head)
     turned = _turned(jpeg, size, metadata.orientation)
@@ -245,7 +260,7 @@ def with_jpeg(film: Film, path: Path) -> Film:
 def _jpeg_head(data: bytes) -> tuple[JpegCompression, tuple[int, int], Metadata]:
     with opened_jpeg(data) as image:
         size = image.size
-    return jpeg_compression(data), size, read_metadata(data)
+    return jpeg_compression(data), size, read_metadata(data, Path())
 
 
 def _turned(
@@ -277,7 +292,8 @@ def read_mask(
     """
     # Relative to the brightest, since masks of 0 and 1 are as common as 0 and 255.
     path = Path(path)
-    grey = _opaque(path, _read_numbers(path, max_pixels).values).max(axis=-1)
+    numbers = _read_numbers(path, max_pixels).values
+    grey = _without_alpha(path, numbers, "save it without alpha")[0].max(axis=-1)
     return grey > grey.max() / 2
 
 
@@ -439,12 +455,14 @@ class Head(NamedTuple):
     - `exposure`: as the camera says.
     - `white_balance`: what a RAW file's red and blue are multiplied by.
     - `fov`: angle of view from the lower to the upper edge, degrees, if it is stated.
+    - `turned`: whether the image in the file is not upright, by EXIF's orientation.
     """
 
     size: tuple[int, int]
     exposure: Exposure
     white_balance: tuple[float, float] | None
     fov: float | None = None
+    turned: bool = False
 
 
 def read_head(path: Path) -> Head:
@@ -452,17 +470,18 @@ def read_head(path: Path) -> Head:
 
     **Raises:** `ValueError` that names the file.
     """
-    suffix = _known_suffix(path)
+    _check_suffix(path)
 
     def head(data: bytes) -> Head:
-        if suffix in RAW:
+        if format_of(data, path) in RAW:
             return Head(*read_raw_head(data, path))
-        metadata = read_metadata(data)
+        metadata = read_metadata(data, path)
         width, height = _size(data, path)
         if TURNS[metadata.orientation][2]:
             width, height = height, width
         fov = metadata.lens.fov(width, height)
-        return Head((width, height), metadata.exposure, None, fov)
+        turned = metadata.orientation != 1
+        return Head((width, height), metadata.exposure, None, fov, turned)
 
     return _decoded(path, head)
 
@@ -479,7 +498,7 @@ def _size(data: bytes, path: Path) -> tuple[int, int]:
         raise _Sized(width, height)
 
     try:
-        READERS[path.suffix.lower()](data, path, room)
+        READERS[format_of(data, path)](data, path, room)
     except _Sized as found:
         return found.args
     raise ValueError("it has no size")
@@ -500,17 +519,17 @@ class _Numbers(NamedTuple):
 
 
 def _read_numbers(path: Path, max_pixels: int | None = None) -> _Numbers:
-    suffix = _known_suffix(path)
+    _check_suffix(path)
 
     def decode(data: bytes) -> _Numbers:
-        room = _room(data, max_pixels)
-        if suffix in RAW:
+        room, format = _room(data, max_pixels), format_of(data, path)
+        if format in RAW:
             raw = read_raw(data, path, room)
             return _Numbers(raw.numbers, raw.usable, Metadata(), "RAW photographs")
-        values = READERS[suffix](data, path, room)
+        values = READERS[format](data, path, room)
         values = values[..., None] if values.ndim == 2 else values
         usable = np.ones(values.shape[:2], bool)
-        return _Numbers(values, usable, read_metadata(data), "")
+        return _Numbers(values, usable, read_metadata(data, path), "")
 
     read = _decoded(path, decode)
     values, metadata = read.values, read.metadata
@@ -536,10 +555,9 @@ def _read_numbers(path: Path, max_pixels: int | None = None) -> _Numbers:
     )
 
 
-def _known_suffix(path: Path) -> str:
+def _check_suffix(path: Path) -> None:
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"{path}: {_wanted_suffix(path, SUFFIXES)}")
-    return path.suffix.lower()
 
 
 def _room(data: bytes, max_pixels: int | None) -> Room:
@@ -592,19 +610,30 @@ def refusing() -> Iterator[None]:
         raise ValueError(str(error)) from None
 
 
-def _opaque(path: Path, numbers: np.ndarray) -> np.ndarray:
-    """Without its alpha channel, which must not matter."""
+def _without_alpha(
+    path: Path, numbers: np.ndarray, remedy: str | None
+) -> tuple[np.ndarray, Bool[np.ndarray, "height width"]]:
+    """Numbers without their alpha channel, and where it is 1; they are 0 elsewhere.
+
+    **Arguments:** `remedy`: what to do if the file must be opaque and is not; `None`
+    where it need not be.
+
+    **Raises:** `ValueError` that names the file.
+    """
     channels = numbers.shape[-1]
     if channels not in (1, 2, 3, 4):
         raise ValueError(
             f"{path}: expected 1 or 3 channels, or these and alpha, got {channels}"
         )
     if channels in (1, 3):
-        return numbers
+        return numbers, np.ones(numbers.shape[:2], bool)
     highest = 1 if numbers.dtype.kind == "f" else np.iinfo(numbers.dtype).max
-    if not (numbers[..., -1] == highest).all():
+    solid = numbers[..., -1] >= highest
+    if solid.all():
+        return numbers[..., :-1], solid
+    if remedy is not None:
         raise ValueError(
-            f"{path}: expected an opaque image, got a partly transparent one: what "
-            "lies behind is unknown; leave pixels out with a mask"
+            f"{path}: expected an opaque image, got a partly transparent one: {remedy}"
         )
-    return numbers[..., :-1]
+    # Numbers behind, which may be no numbers, are left out.
+    return np.where(solid[..., None], numbers[..., :-1], 0), solid

@@ -1,4 +1,4 @@
-"""What a photograph's file says beside its pixels: how it lies, its colours, exposure.
+"""Orientation, colours and exposure that a photograph's file states.
 
 ??? cite "Source"
     CIPA DC-008, *Exif 2.32*, 2019; ISO 15076-1 (ICC.1), annex B; *PNG, third edition*,
@@ -8,11 +8,21 @@
 import struct
 import zlib
 from collections.abc import Collection
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from phongfit.files.formats import PNG_START, Refused, opened_jpeg, png_chunks
+from phongfit.files.formats import (
+    Refused,
+    exr_primaries,
+    format_of,
+    opened_jpeg,
+    png_chunks,
+    radiance_header,
+    radiance_values,
+)
+from phongfit.files.profiles import SRGB_POINTS, adobe_profile, linear_profile
 from phongfit.files.tags import Directory, first_directory
 
 MAX_PROFILE = 2**23
@@ -24,6 +34,9 @@ _TIME, _F_NUMBER, _ISO = 33434, 33437, 34855
 _MORE_ISO, _FULL = (34866, 34867), 65535
 _FOCAL, _FOCAL_35MM, _WIDTH, _HEIGHT = 37386, 41989, 40962, 40963
 _DENSITY, _DENSITY_UNIT = 41486, 41488
+# Adobe RGB: as cameras state it by EXIF's rules, and as some state it.
+_COLOURS, _UNCALIBRATED, _ADOBE = 40961, 65535, 2
+_INTEROPERABILITY, _RULES = 40965, 1
 # Millimetres of the units that EXIF counts sensors' pixels by: inch, cm, mm, µm.
 _UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
 
@@ -89,7 +102,7 @@ class Metadata(NamedTuple):
     - `orientation`: 1 … 8 as in EXIF; 1 is upright.
     - `exposure`: time, aperture, sensitivity.
     - `lens`: focal length.
-    - `profile`: an ICC profile.
+    - `profile`: an ICC profile, or one of the primaries that the file states.
     - `gamma`: of the numbers in a PNG without a profile; 1 is linear.
     - `broken`: why EXIF data cannot be read, where it cannot.
     """
@@ -122,37 +135,58 @@ TURNS = {
 are, and whether rows then become columns."""
 
 
-def read_metadata(data: bytes) -> Metadata:
-    """What a PNG, JPEG or TIFF file says beside its pixels; nothing of others.
+def read_metadata(data: bytes, path: Path) -> Metadata:
+    """What an image file says beside its pixels; nothing of RAW photographs.
+
+    **Arguments:** `path`: of the file that has these bytes.
 
     **Raises:** `Refused` for colours that are not understood.
     """
-    if data[:8] == PNG_START:
+    format = format_of(data, path)
+    if format == ".png":
         return _of_png(data)
-    if data[:2] == b"\xff\xd8":
+    if format == ".jpg":
         with opened_jpeg(data) as image:
             exif, profile = image.info.get("exif"), image.info.get("icc_profile")
         exif = exif.removeprefix(b"Exif\0\0") if exif else None
-        return _of_exif(exif)._replace(profile=_as_profile(profile))
-    if data[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-        profile = _as_profile(first_directory(data).content(_PROFILE))
-        return _of_exif(data)._replace(profile=profile)
-    return Metadata()
+        return _of_exif(exif, _as_profile(profile))
+    if format == ".tif":
+        return _of_exif(data, _as_profile(first_directory(data).content(_PROFILE)))
+    points = None
+    if format == ".exr":
+        points = exr_primaries(path)
+    if format == ".hdr":
+        lines = radiance_values(radiance_header(data), "PRIMARIES", 8)
+        points = lines[-1] if len(lines) else None
+    if points is None or np.allclose(points, SRGB_POINTS, atol=1e-3):
+        return Metadata()
+    return Metadata(profile=linear_profile(points))
 
 
-def _of_exif(exif: bytes | None) -> Metadata:
+def _of_exif(exif: bytes | None, profile: bytes | None) -> Metadata:
     """Orientation and exposure. 0, which some programs write, is no orientation."""
     if not exif:
-        return Metadata()
+        return Metadata(profile=profile)
     try:
         directory = first_directory(exif)
         orientation = directory.whole(_ORIENTATION, 1)
         camera = directory.below(_EXIF)
         exposure, lens = _exposure(camera), _lens(camera)
+        if profile is None and camera is not None and _is_adobe(camera):
+            profile = adobe_profile()
     except (ValueError, struct.error) as error:
-        return Metadata(broken=str(error))
+        return Metadata(profile=profile, broken=str(error))
     orientation = orientation if orientation in TURNS else 1
-    return Metadata(orientation, exposure, lens=lens)
+    return Metadata(orientation, exposure, profile, lens=lens)
+
+
+def _is_adobe(exif: Directory) -> bool:
+    """Whether numbers are those of Adobe RGB, where a file has no ICC profile."""
+    colours = exif.whole(_COLOURS)
+    if colours != _UNCALIBRATED:
+        return colours == _ADOBE
+    rules = exif.below(_INTEROPERABILITY)
+    return rules is not None and (rules.content(_RULES) or b"").startswith(b"R03")
 
 
 def _exposure(exif: Directory | None) -> Exposure:
@@ -186,7 +220,7 @@ def _lens(exif: Directory | None) -> Lens:
 
 def _of_png(data: bytes) -> Metadata:
     found = {kind: chunk[8:-4] for kind, chunk in png_chunks(data) if kind in _TOLD}
-    metadata = _of_exif(found.get(b"eXIf"))
+    metadata = _of_exif(found.get(b"eXIf"), None)
     # In this order, as the standard has it.
     if b"cICP" in found and found[b"cICP"] != _SRGB_CODES:
         raise Refused(
@@ -196,10 +230,10 @@ def _of_png(data: bytes) -> Metadata:
     if b"iCCP" in found and b"cICP" not in found:
         return metadata._replace(profile=_unpacked(found[b"iCCP"]))
     if b"cICP" in found or b"sRGB" in found:
-        return metadata
+        return metadata._replace(profile=None)
     if len(found.get(b"cHRM", b"")) == 32:
         points = np.array(struct.unpack(">8I", found[b"cHRM"])) / 100000
-        if np.abs(points - _SRGB_POINTS).max() > 0.01:
+        if np.abs(points - np.roll(SRGB_POINTS, 2)).max() > 0.01:
             raise Refused(
                 "expected the primaries of sRGB, got others (cHRM) without an ICC "
                 "profile: convert it to sRGB"
@@ -213,8 +247,6 @@ def _of_png(data: bytes) -> Metadata:
 _TOLD = (b"eXIf", b"cICP", b"iCCP", b"sRGB", b"cHRM", b"gAMA")
 # Primaries, transfer function and matrix by their numbers in ITU-T H.273; full range.
 _SRGB_CODES = bytes([1, 13, 0, 1])
-# White, red, green, blue; x and y.
-_SRGB_POINTS = (0.3127, 0.329, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06)
 
 
 def _unpacked(chunk: bytes) -> bytes | None:

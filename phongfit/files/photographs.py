@@ -31,8 +31,8 @@ class Photo:
     - `encoding`: of its numbers.
     - `white`: as of [`read_image`][].
     - `coded`: its light as the file has it; 1 is white, and what is saturated is 1.
-    - `usable`: false where a saturated channel was mixed into others, when colours
-        became those of sRGB.
+    - `usable`: false where the file's alpha is less than 1, and where a saturated
+        channel was mixed into others, when colours became those of sRGB.
     - `clamped`: whether it ends at white; floating-point images do not.
     - `exposure`: as the camera says.
     - `relative_exposure`: how much light the camera let in, next to the first of its
@@ -86,7 +86,8 @@ def read_photograph(
     """A photograph with its film, its exposure, and a mask.
 
     **Arguments:** as of [`read_image`][], which says what becomes of orientation and
-    colour profiles.
+    colour profiles. Pixels that are transparent, if only partly, are left out by the
+    mask.
 
     **Raises:** `ValueError` that names the file.
     """

@@ -7,6 +7,7 @@ A profile is judged by what it does, not by its name, of which sRGB alone has do
     in floating-point numbers.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import imagecodecs
@@ -87,9 +88,9 @@ def find_profile(profile: bytes | None, encoding: Encoding) -> Profile | None:
     if told != encoding:
         kind = "encoded" if told == "srgb" else "linear"
         raise Refused(
-            f"expected encoding {told!r}, since its colour profile (ICC) says that "
-            f"its numbers are {kind}, got {encoding!r}: remove the profile if it is "
-            "wrong"
+            f"expected encoding {told!r}, since its colours (ICC profile, or Adobe RGB "
+            f"by EXIF) have numbers that are {kind}, got {encoding!r}: remove the "
+            "profile if it is wrong"
         )
     if found is None or (found.encoding == "linear" and not found.mixes):
         return None
@@ -130,7 +131,9 @@ def _light(
     channels, kind = (1, "gray") if grey else (3, "rgb")
     if numbers.shape[-1] != channels:
         numbers = np.repeat(numbers[..., :1], channels, axis=-1)
-    numbers = np.ascontiguousarray(numbers)
+    # Little CMS has no floats of 16 bits.
+    half = numbers.dtype == np.float16
+    numbers = np.ascontiguousarray(numbers, np.float32 if half else None)
     try:
         light = imagecodecs.cms_transform(
             numbers[..., 0] if grey else numbers,
@@ -149,13 +152,40 @@ def _light(
 
 def _linear(kind: str) -> bytes:
     """The profile of linear light, with the primaries of sRGB."""
-    white = (0.3127, 0.3290, 1.0)
     if kind == "gray":
+        white = (*SRGB_POINTS[6:], 1.0)
         return imagecodecs.cms_profile(kind, whitepoint=white, gamma=1.0)
-    primaries = (0.64, 0.33, 1.0, 0.30, 0.60, 1.0, 0.15, 0.06, 1.0)
+    return linear_profile(SRGB_POINTS)
+
+
+SRGB_POINTS = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
+"""x and y of red, green, blue and white."""
+
+
+def linear_profile(points: Sequence[float]) -> bytes:
+    """The profile of linear light with other primaries.
+
+    **Arguments:** `points`: x and y of red, green, blue and white.
+
+    **Raises:** `Refused` for points that no three colours have.
+    """
+    red, green, blue, white = np.reshape(points, (4, 2)).tolist()
+    primaries = (*red, 1.0, *green, 1.0, *blue, 1.0)
+    # Their triangle has an area, and white has light.
+    sound = np.isfinite(points).all() and np.abs(points).max() < 10 and white[1] > 1e-3
+    if not sound or abs(np.linalg.det([[*p, 1] for p in (red, green, blue)])) < 1e-3:
+        raise Refused(
+            "expected primaries and white, x and y of each, that colours can have, got "
+            f"{', '.join(f'{value:g}' for value in points)}"
+        )
     return imagecodecs.cms_profile(
-        kind, whitepoint=white, primaries=primaries, gamma=1.0
+        "rgb", whitepoint=(*white, 1.0), primaries=primaries, gamma=1.0
     )
+
+
+def adobe_profile() -> bytes:
+    """The profile of Adobe RGB (1998)."""
+    return imagecodecs.cms_profile("adobergb")
 
 
 def saturated(numbers: Numbers) -> Bool[np.ndarray, "height width"]:

@@ -26,6 +26,9 @@ RAW = (
 # that takes, and two pictures.
 _PIXEL = 48
 
+# LibRaw's white: whatever the sensor's white level, it is rounded to 65535 or less.
+_CUT_OFF = 65535 - 8
+
 
 class Raw(NamedTuple):
     """A RAW photograph.
@@ -55,11 +58,11 @@ def read_raw(data: bytes, path: Path, room: Room) -> Raw:
         _white_balance(raw)
         # What the sensor saw, which alone tells where it was saturated; then sRGB's
         # colours, which mix its channels.
-        cut_off = _developed(raw, "raw") == 65535
+        cut_off = _developed(raw, "raw") >= _CUT_OFF
         numbers = _developed(raw, "sRGB")
         # But for the rounding of the colours' mixture.
         numbers[cut_off.all(axis=-1)] = 65535
-        return Raw(numbers, ~_near(cut_off.any(axis=-1)))
+        return Raw(numbers, ~_near(np.asarray(cut_off.any(axis=-1))))
 
 
 def read_raw_head(
@@ -114,7 +117,12 @@ def _white_balance(raw: Any) -> tuple[float, float]:
 def _developed(raw: Any, colours: str) -> UInt16[np.ndarray, "height width 3"]:
     import rawpy
 
+    white = None
+    if raw.raw_type == rawpy.RawType.Stack:
+        # Else LibRaw takes the black level of linear DNGs off their light alone.
+        white = raw.white_level - min(raw.black_level_per_channel[: raw.num_colors])
     return raw.postprocess(
+        user_sat=white,
         gamma=(1, 1),
         no_auto_bright=True,
         # Else white depends on the brightest pixel.

@@ -6,12 +6,16 @@
 """
 
 import struct
+from collections.abc import Iterator
 from typing import NamedTuple
 
 # Types of whole numbers and of ratios, as struct spells them.
 _WHOLE = {1: "B", 3: "H", 4: "I", 6: "b", 8: "h", 9: "i", 16: "Q", 17: "q"}
 _RATIOS = {5: "II", 10: "ii"}
 _BYTES = (1, 2, 7)
+
+MOST = 64
+"""Pictures of a file that are looked at: a hostile one may refer to itself."""
 
 
 class Directory(NamedTuple):
@@ -20,12 +24,14 @@ class Directory(NamedTuple):
     - `data`: the whole file.
     - `order`, `offset`: how struct spells its byte order and its offsets.
     - `entries`: of each tag its type, how many values it has, and where these stand.
+    - `following`: where the next picture's list stands; 0 after the last.
     """
 
     data: bytes
     order: str
     offset: str
     entries: dict[int, tuple[int, int, int]]
+    following: int = 0
 
     def whole(self, tag: int, default: int = 0) -> int:
         """A whole number; of several the largest."""
@@ -59,6 +65,16 @@ class Directory(NamedTuple):
         """The directory that a tag points to."""
         start = self.whole(tag)
         return _directory(self.data, self.order, self.offset, start) if start else None
+
+    def others(self) -> "Iterator[Directory]":
+        """The directories of the next pictures in the file, 64 of them at most."""
+        directory = self
+        for _ in range(MOST):
+            if not directory.following:
+                return
+            place = directory.following
+            directory = _directory(self.data, self.order, self.offset, place)
+            yield directory
 
     def _place(self, tag: int) -> int:
         """Where values stand: in the entry, where they fit."""
@@ -97,4 +113,7 @@ def _directory(data: bytes, order: str, offset: str, start: int) -> Directory:
             # Readers differ in which of them they believe.
             raise ValueError(f"it has tag {tag} twice")
         entries[tag] = kind, length, at + struct.calcsize(head)
-    return Directory(data, order, offset, entries)
+    end, following = start + count * size, 0
+    if end + struct.calcsize(order + offset) <= len(data):
+        (following,) = struct.unpack_from(order + offset, data, end)
+    return Directory(data, order, offset, entries, following)

@@ -7,7 +7,7 @@
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -29,6 +29,8 @@ from phongfit.geometry.distortion import (
 
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "OPENCV_FISHEYE")
 FEW = 8
+DEEPEST = 64
+"""Folders of a file's name that are looked for."""
 
 Positive = Annotated[float, Field(gt=0)]
 Angle = Annotated[float, Field(gt=0, lt=math.pi)]
@@ -88,7 +90,7 @@ def load_transforms(path: Path) -> dict[str, PinholeCamera]:
         common = data.model_dump(exclude_unset=True, exclude={"frames"})
         for at, frame in enumerate(data.frames):
             with naming(f"frames[{at}]"):
-                name = frame.file_path.removeprefix("./")
+                name = PureWindowsPath(frame.file_path).as_posix()
                 if name in made:
                     raise ValueError(f"file_path: {shorten(name)} comes twice")
                 own = frame.model_dump(exclude_unset=True)
@@ -144,12 +146,23 @@ def _size(folder: Path, name: str, frame: _Frame) -> tuple[int, int]:
 
 
 def image_of(folder: Path, name: str) -> Path:
-    """The file of a frame, whose name may lack the suffix .png as the first NeRF's do.
+    """The file of a frame, in the folder or below it.
+
+    Its name may lack the suffix .png, as the first NeRF's do. It may be one of another
+    machine, with folders that are not here: then the longest end of it counts that is
+    the name of a file here.
 
     **Raises:** `ValueError` for one outside the folder.
     """
     known = Path(name).suffix.lower() in SUFFIXES
-    return inside(folder, name if known else f"{name}.png")
+    name = name if known else f"{name}.png"
+    path = PureWindowsPath(name)
+    parts = [part for part in path.parts if part not in (path.anchor, "..")][-DEEPEST:]
+    for start in range(len(parts)):
+        found = inside(folder, "/".join(parts[start:]))
+        if found.is_file():
+            return found
+    return inside(folder, name)
 
 
 def _focal(frame: _Frame, width: int, height: int) -> Mapping[str, float]:

@@ -6,8 +6,8 @@ import dataclasses
 import hashlib
 import mmap
 import os
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, TypeVar, final
+from collections.abc import Callable, Sequence
+from typing import Any, final
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +17,6 @@ from phongfit.checks import as_array
 from phongfit.edge import checked
 from phongfit.files.coded import Coded
 from phongfit.files.dataset import Photographs
-from phongfit.files.formats import pooled_memory
 from phongfit.files.images import level_table
 from phongfit.files.inputs import naming
 from phongfit.files.photographs import open_photographs
@@ -35,8 +34,6 @@ from phongfit.maps.ahead import ahead
 from phongfit.maps.spool import Spool
 from phongfit.rendering.film import Encoding, as_encoding
 from phongfit.scene import Scene
-
-T = TypeVar("T")
 
 Update = Callable[[bytes | memoryview], None]
 
@@ -276,7 +273,7 @@ class PhotographStack(AbstractPhotographs):
         self.notes = series.notes
         self._shape = len(series), *series.size
         self._spool = Spool(_float_type())
-        for number, photo in _decoded(series.read, len(series)):
+        for number, photo in ahead(series.read, len(series), DECODED):
             if (shares == 1).all():
                 self._spool.add(photo.coded, photo.usable)
             else:
@@ -310,7 +307,7 @@ class DatasetStack(AbstractPhotographs):
         self.mask = np.zeros((camera.height, camera.width), bool)
         self._spool = Spool(_float_type())
         count = len(photographs.names)
-        for _, (coded, mask) in _decoded(photographs.read, count):
+        for _, (coded, mask) in ahead(photographs.read, count, DECODED):
             self.mask |= mask if mask.ndim == 2 else mask.any(axis=-1)
             self._spool.add(coded, mask)
 
@@ -447,12 +444,6 @@ def as_index(pixels: np.ndarray) -> np.ndarray | slice:
 def is_run(numbers: np.ndarray) -> bool:
     """Whether rising numbers follow one another."""
     return bool(len(numbers) and numbers[-1] - numbers[0] + 1 == len(numbers))
-
-
-def _decoded(read: Callable[[int], T], count: int) -> Iterator[tuple[int, T]]:
-    """Numbers from 0 on, and the photograph of each."""
-    with pooled_memory():
-        yield from ahead(read, count, DECODED)
 
 
 def _let_go(array: np.ndarray) -> None:

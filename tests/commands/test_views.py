@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 import phongfit as pf
 from phongfit.cli import main
@@ -88,6 +89,26 @@ def test_what_does_not_go_together_is_one_line(more, said, project, capsys):
     err = capsys.readouterr().err
     assert err.startswith("error: ") and said in err and err.count("\n") == 1
     assert not (project / "photos" / "scene.json").exists()
+
+
+def test_names_of_photographs_on_another_machine(project, capsys):
+    """COLMAP's names with folders of Windows before them."""
+    path = project / "sparse" / "0" / "images.txt"
+    path.write_text(path.read_text().replace("images/", "C:\\photos\\"))
+    assert "3 photographs" in made(capsys, *words(project))
+
+
+@pytest.mark.parametrize("orientation", [3, 6])
+def test_photographs_that_are_turned(project, capsys, orientation):
+    """COLMAP passes EXIF's orientation over, so that no camera would fit."""
+    path = project / "photos" / "2.png"
+    exif = Image.Exif()
+    exif[274] = orientation
+    with Image.open(path) as image:
+        image.save(path, exif=exif)
+    assert main(["scene", *words(project)]) == 2
+    expected = "2.png: expected an upright image, got one that its EXIF orientation tur"
+    assert expected in capsys.readouterr().err
 
 
 def test_photographs_that_do_not_fit_their_cameras(project, capsys):

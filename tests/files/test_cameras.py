@@ -250,7 +250,8 @@ CAMERA, IMAGE = "1 PINHOLE 8 6 5 5 4 3", "1 1 0 0 0 0 0 0 1 a.jpg"
         (CAMERA, "1 0 0 0 0 0 0 0 1 a.jpg", "expected a quaternion"),
         (CAMERA, "1 1 0 0 0 0 0 0 1", "images.txt: line 1: expected an image"),
         (CAMERA, f"{IMAGE}\n\n{IMAGE}", "'a.jpg': comes twice"),
-        (CAMERA, f"{IMAGE}\n{IMAGE}", "line 2: expected the points"),
+        (CAMERA, f"{IMAGE}\n{IMAGE}", "'a.jpg': comes twice"),
+        (CAMERA, f"{IMAGE}\n1.5 2.5 -1 3", "line 2: expected an image"),
         (CAMERA, "", "expected at least one image"),
     ],
 )
@@ -258,6 +259,38 @@ def test_broken_texts(camera, images, words, tmp_path):
     (tmp_path / "cameras.txt").write_text(camera + "\n")
     (tmp_path / "images.txt").write_text(images + "\n")
     with pytest.raises(ValueError, match=words):
+        pf.load_cameras(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["{}.jpg", "IMG {} copy.jpg", "a {} b c d.jpg", "{}"])
+@pytest.mark.parametrize("points", ["", "\n", "\n1.5 2.5 -1 3.5e+1 4.5 7", "one blank"])
+def test_images_of_one_line_each(name, points, tmp_path):
+    """As people write poses by hand: without the lines that have COLMAP's points."""
+    names = [name.format(k) for k in range(4)]
+    lines = [f"{k} 1 0 0 0 0 0 4 1 {word}" for k, word in enumerate(names)]
+    after = ["\n", "", "", ""] if points == "one blank" else [points] * 4
+    text = "\n".join(map(str.__add__, lines, after))
+    (tmp_path / "cameras.txt").write_text(CAMERA + "\n")
+    (tmp_path / "images.txt").write_text(text)
+    assert list(pf.load_cameras(tmp_path)) == names
+
+
+@pytest.mark.parametrize("name", [
+    "/home/me/project/images/a.png", r"C:\project\images\a.png", r"images\a.png",
+    r".\images\a.png", "../../project/images/a", "file/a.png", r"\\server\all\images\a",
+])  # fmt: skip
+def test_names_of_another_machine(name, tmp_path):
+    """The longest end of a name that is here: of two, the one in its folder."""
+    (tmp_path / "images").mkdir()
+    inner, outer = tmp_path / "images" / "a.png", tmp_path / "a.png"
+    pf.write_image(inner, np.zeros((6, 8, 3)), "srgb")
+    pf.write_image(outer, np.zeros((3, 4, 3)), "srgb")
+    write_transforms(tmp_path, FRAME | {"file_path": name}, fl_x=10)
+    (found,) = pf.load_cameras(tmp_path).values()
+    assert (found.width, found.height) == ((8, 6) if "images" in name else (4, 3))
+    inner.unlink()
+    outer.unlink()
+    with pytest.raises(ValueError, match="file_path: "):
         pf.load_cameras(tmp_path)
 
 

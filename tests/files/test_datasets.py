@@ -89,6 +89,24 @@ def test_masks_and_lights_of_an_image(ours):
     assert kinds == [["SpotLight", "DirectionalLight"], [], every]
 
 
+def test_cut_outs(ours):
+    """Alpha is a mask, together with that of a file: NeRF's synthetic sets have it."""
+    levels = imagecodecs.png_decode((ours / "001.png").read_bytes())
+    highest = np.iinfo(levels.dtype).max
+    alpha = np.full((SIZE, SIZE, 1), highest, levels.dtype)
+    alpha[:4], alpha[4] = 0, highest // 2
+    cut_out = np.concatenate([levels, alpha], axis=-1)
+    (ours / "001.png").write_bytes(imagecodecs.png_encode(cut_out))
+    mask = np.full((SIZE, SIZE), 255, np.uint8)
+    mask[:, :3] = 0
+    (ours / "mask.png").write_bytes(imagecodecs.png_encode(mask))
+    for more, first in (({}, 0), ({"mask": "mask.png"}, 3)):
+        _edit(ours, images=[{"file": "001.png", "lights": [0]} | more])
+        expected = np.zeros((SIZE, SIZE), bool)
+        expected[5:, first:] = True
+        assert np.array_equal(read_dataset(ours).masks[0], expected)
+
+
 def test_unclamped_images(ours):
     _edit(ours, clamped=False)
     assert read_dataset(ours).film == pf.Film(clamp=False)
@@ -223,6 +241,29 @@ def test_diligent(diligent):
         )
 
 
+def test_diligent_without_its_truth(diligent):
+    """Where normals are fitted, the truth is not read, whether it is there or not."""
+    with_truth = read_dataset(diligent, normals="fit")
+    (diligent / "Normal_gt.mat").unlink()
+    read = read_dataset(diligent, normals="fit")
+    for scene in (with_truth.scenes[0], read.scenes[0]):
+        assert isinstance(scene.surface, pf.NormalMap)
+        assert (np.asarray(scene.surface.normals) == [0, 0, 1]).all()
+        assert np.asarray(scene.surface.mask).tolist() == [
+            [True] * 3,
+            [True, True, False],
+        ]
+    assert np.array_equal(read.masks, with_truth.masks)
+
+
+def test_diligent_with_alpha(diligent):
+    levels = np.full((2, 3, 4), 6553, np.uint16)
+    levels[..., 3], levels[1, 0, 3] = 65535, 65534
+    (diligent / "002.png").write_bytes(imagecodecs.png_encode(levels))
+    expected = [[True, True, True], [False, True, False]]
+    assert read_dataset(diligent).masks[1].all(axis=-1).tolist() == expected
+
+
 def test_diligent_leaves_out_grazing_samples(diligent):
     read = read_dataset(diligent, min_cosine=0.1, min_facing=0.15)
     used = [mask[..., 0] for mask in read.masks]
@@ -264,7 +305,7 @@ def test_photographs_are_read_when_they_are_wanted(layout, request):
         ),
         ("filenames.txt", "", ["expected 0 lines, one for each photograph"]),
         ("Normal_gt.mat", "junk", ["Normal_gt.mat: "]),
-        ("Normal_gt.mat", None, ["Normal_gt.mat: cannot be read"]),
+        ("Normal_gt.mat", None, ["Normal_gt.mat: expected ... --normals fit"]),
         ("mask.png", None, ["mask.png: cannot be read"]),
         ("002.png", "junk", ["002.png: is broken"]),
     ],

@@ -1,5 +1,6 @@
 """Images: every bit in, every bit out, and one clear line for what is broken."""
 
+import io
 import os
 import struct
 import zlib
@@ -148,14 +149,79 @@ def test_other_bit_depths_and_greys_of_a_png(tmp_path):
     )
 
 
-def test_alpha(tmp_path):
-    path = tmp_path / "a.png"
-    rgba = np.full((2, 2, 4), 255, np.uint8)
-    path.write_bytes(imagecodecs.png_encode(rgba))
-    assert read_image(path, "linear").shape == (2, 2, 3)
-    rgba[0, 0, 3] = 254
-    path.write_bytes(imagecodecs.png_encode(rgba))
-    with pytest.raises(ValueError, match=r"a\.png: expected an opaque image"):
+def _write_exr(path, channels, **header):
+    kind = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(kind | header, channels) as file:
+        file.write(str(path))
+
+
+@pytest.mark.parametrize("name", ["a.png", "wide.png", "a.tif", "a.exr", "grey.png"])
+def test_alpha_is_a_mask(tmp_path, name):
+    """Pixels that are transparent, if only by a level, are left out."""
+    path = tmp_path / name
+    kind = {"wide.png": np.uint16, "a.exr": np.float32}.get(name, np.uint8)
+    highest = 1 if kind == np.float32 else np.iinfo(kind).max
+    numbers = np.full((2, 3, 2 if name == "grey.png" else 4), highest, kind)
+    numbers[1, :, -1] = 0, highest // 2, highest - highest / 255
+
+    def write(numbers):
+        if name == "a.exr":
+            numbers = np.where(numbers[..., 3:] == 0, np.nan, numbers)
+            _write_exr(path, {"RGBA": numbers.astype(kind)})
+        else:
+            encode = getattr(
+                imagecodecs, f"{path.suffix[1:].replace('f', 'ff')}_encode"
+            )
+            path.write_bytes(encode(numbers))
+
+    write(numbers)
+    photo = read_photograph(path, "linear")
+    expected = np.array([[True] * 3, [False] * 3])
+    assert np.array_equal(photo.usable, expected)
+    assert np.array_equal(photo.image, np.repeat(expected[..., None], 3, axis=-1))
+    for read in (lambda: read_image(path, "linear"), lambda: read_mask(path)):
+        with pytest.raises(ValueError, match=rf"{name}: expected an opaque image"):
+            read()
+    numbers[..., -1] = highest
+    write(numbers)
+    assert read_image(path, "linear").shape == (2, 3, 3)
+    assert read_photograph(path, "linear").usable.all()
+
+
+def test_a_fourth_channel_of_a_tiff_that_is_no_alpha(tmp_path):
+    """Infrared, say: 0 in ExtraSamples, which stands for any other thing."""
+    path, numbers = tmp_path / "a.tif", np.full((2, 2, 4), 255, np.uint8)
+    for infrared, words in ((7, None), (0, "alpha as its channel 4, got one of an un")):
+        numbers[0, 0, 3] = infrared
+        numbers[0, 1:, 3] = numbers[1:, :, 3] = 7
+        data = bytes(imagecodecs.tiff_encode(numbers, photometric="rgb"))
+        alpha = struct.pack("<HHII", 338, 3, 1, 2)
+        assert data.count(alpha) == 1
+        path.write_bytes(data.replace(alpha, struct.pack("<HHII", 338, 3, 1, 0)))
+        if words is None:
+            assert read_image(path, "linear").shape == (2, 2, 3)
+            continue
+        with pytest.raises(ValueError, match=rf"a\.tif: expected {words}"):
+            read_image(path, "linear")
+
+
+def test_a_tiff_of_several_pictures(tmp_path):
+    path, page = tmp_path / "a.tif", Image.fromarray(np.zeros((8, 8), np.uint8))
+    page.save(path, save_all=True, append_images=[page, page])
+    words = r"a\.tif: expected one picture, got several .*save each as a file"
+    with pytest.raises(ValueError, match=words):
+        read_image(path, "linear")
+    # A smaller copy after it is none; before it there is one in RAW photographs.
+    (small := page.copy()).encoderinfo = {"tiffinfo": {254: 1}}
+    page.save(path, save_all=True, append_images=[small])
+    assert read_image(path, "linear").shape == (8, 8, 3)
+    page.save(path, tiffinfo={254: 1})
+    with pytest.raises(ValueError, match="expected a whole picture first, got a small"):
+        read_image(path, "linear")
+    # A list that refers to itself.
+    tags = _tiff((254, 0), (256, 4), (257, 4), (262, 1))
+    path.write_bytes(tags[: 8 + 2 + 4 * 12] + struct.pack("<I", 8))
+    with pytest.raises(ValueError, match=words):
         read_image(path, "linear")
 
 
@@ -182,6 +248,59 @@ def test_exr_with_separate_and_half_channels(tmp_path):
         read_image(path, "linear")
 
 
+# x and y of red, green, blue and white, and the red one in Rec. 709: SMPTE EG 432-1 and
+# S-2008-001, with white taken to white by Bradford's method.
+PRIMARIES = {
+    "P3": ((0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.329),
+           [1.2249, -0.0420, -0.0197]),
+    "ACES": ((0.7347, 0.2653, 0, 1, 0.0001, -0.077, 0.32168, 0.33767),
+             [2.5219, -0.2765, -0.0154]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PRIMARIES)
+@pytest.mark.parametrize("suffix, kind", [
+    (".exr", np.float16), (".exr", np.float32), (".hdr", np.float32),
+])  # fmt: skip
+def test_primaries_of_floats(tmp_path, name, suffix, kind):
+    path, (points, red) = tmp_path / f"a{suffix}", PRIMARIES[name]
+    points = tuple(map(float, points))
+    numbers = np.array([[[1, 0, 0], [0.5, 0.5, 0.5]]], kind)
+    if suffix == ".exr":
+        _write_exr(path, {"RGB": numbers}, chromaticities=points)
+    else:
+        data = bytes(imagecodecs.rgbe_encode(numbers, header=True))
+        line = f"PRIMARIES= {' '.join(map(str, points))}\nFORMAT".encode()
+        path.write_bytes(data.replace(b"FORMAT", line))
+    expected = [[red, [0.5] * 3]]
+    np.testing.assert_allclose(read_image(path, "linear"), expected, atol=2e-3)
+    assert read_film(path, "linear") == Film(clamp=False)
+
+
+def test_exr_in_xyz(tmp_path):
+    """Light of sRGB by IEC 61966-2-1's matrix: XYZ itself has no white."""
+    light = np.array([[[0.8, 0.2, 0.1], [1, 1, 1], [0, 0, 2]]])
+    matrix = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722],
+              [0.0193, 0.1192, 0.9505]]  # fmt: skip
+    points = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3)
+    xyz = (light @ np.transpose(matrix)).astype(np.float32)
+    for pixels in (xyz, np.dstack([xyz, np.ones((1, 3, 1), np.float32)])):
+        channels = {"RGBA"[: pixels.shape[-1]]: pixels}
+        _write_exr(tmp_path / "a.exr", channels, chromaticities=points)
+        read = read_image(tmp_path / "a.exr", "linear")
+        np.testing.assert_allclose(read, light, atol=1e-3)
+
+
+def test_primaries_that_no_colours_have(tmp_path, picture):
+    write_image(tmp_path / "a.hdr", picture, "linear")
+    data = (tmp_path / "a.hdr").read_bytes()
+    for numbers in ("0 0 0 0 0 0 0 0", "nan 0 0 1 0 0 1 1", ".6 .3 .3 .6 .1 .1 1 0"):
+        line = f"PRIMARIES={numbers}\nFORMAT".encode()
+        (tmp_path / "a.hdr").write_bytes(data.replace(b"FORMAT", line))
+        with pytest.raises(ValueError, match=r"a\.hdr: expected primaries and white"):
+            read_image(tmp_path / "a.hdr", "linear")
+
+
 def test_exposure_of_a_radiance_picture(tmp_path, picture):
     path = tmp_path / "a.hdr"
     write_image(path, picture, "linear", 32)
@@ -189,6 +308,16 @@ def test_exposure_of_a_radiance_picture(tmp_path, picture):
     data = path.read_bytes()
     path.write_bytes(data.replace(b"FORMAT", b"EXPOSURE=2.0\nEXPOSURE=4\nFORMAT"))
     np.testing.assert_allclose(read_image(path, "linear"), light / 8, rtol=1e-6)
+    corrected = b"COLORCORR=2 1 .5\nCOLORCORR= 1 1 4\nFORMAT"
+    path.write_bytes(data.replace(b"FORMAT", corrected))
+    expected = light / np.array([2, 1, 2], light.dtype)
+    np.testing.assert_allclose(read_image(path, "linear"), expected, rtol=1e-6)
+    path.write_bytes(data.replace(b"FORMAT", b"COLORCORR=2 1\nFORMAT"))
+    with pytest.raises(ValueError, match=r"a\.hdr: .*COLORCORR: expected 3 numbers"):
+        read_image(path, "linear")
+    path.write_bytes(data.replace(b"rle_rgbe", b"rle_xyze"))
+    with pytest.raises(ValueError, match="expected red, green and blue, got XYZ: conv"):
+        read_image(path, "linear")
 
 
 def test_integers_are_clamped_and_floats_are_not(tmp_path):
@@ -268,6 +397,21 @@ def test_more_pixels_than_are_allowed(tmp_path, picture, suffix, bits, error):
         read_image(path, "linear", max_pixels=24 * 32 - 1)
     with pytest.raises(ValueError, match=words):
         read_mask(path, max_pixels=24 * 32 - 1)
+
+
+def test_a_jpeg_with_another_before_and_bytes_after_it(tmp_path, picture, capfd):
+    """A thumbnail has an end of its own; phones add films after the picture's."""
+    path, small = tmp_path / "a.jpg", io.BytesIO()
+    Image.new("RGB", (16, 16)).save(small, "JPEG")
+    pixels = Image.fromarray((picture * 255).astype(np.uint8))
+    thumbnail = b"Exif\0\0II*\0\x08\0\0\0\0\0" + small.getvalue()
+    for progressive in (False, True):
+        pixels.save(path, quality=95, exif=thumbnail, progressive=progressive)
+        whole, light = path.read_bytes(), read_image(path, "linear")
+        path.write_bytes(whole + b"\xff\xda film \xff\xd8")
+        assert np.array_equal(read_image(path, "linear"), light)
+        path.write_bytes(whole[:-2])
+        _check_one_line(path, "is broken or no .jpg image: it is truncated", capfd)
 
 
 def test_png_without_its_end(tmp_path, picture, capfd):
@@ -414,15 +558,36 @@ def test_a_broken_jpeg_has_no_film(tmp_path):
         read_film(tmp_path / "broken.jpg", "srgb")
 
 
-@pytest.mark.parametrize("format", ["GIF", "BMP", "TGA", "PPM", "WEBP", "PNG", "EPS"])
+@pytest.mark.parametrize("format", ["GIF", "BMP", "TGA", "PPM", "WEBP", "AVIF", "EPS"])
 def test_other_formats_are_no_jpeg(tmp_path, format, monkeypatch):
     path = tmp_path / "a.jpg"
     Image.new("RGB", (16, 16)).save(path, format)
     # An EPS file is a program, which Pillow gives to Ghostscript.
     monkeypatch.setattr("PIL.EpsImagePlugin.Ghostscript", None)
+    words = {"WEBP": "is a WebP", "AVIF": "is a HEIF or AVIF"} | {
+        kind: f"is a {kind}" for kind in ("GIF", "BMP")
+    }
+    words = words.get(format, r"is broken or no \.jpg") + " image"
     for read in (read_image, read_film):
-        with pytest.raises(ValueError, match=r"a\.jpg: is broken or no \.jpg image"):
+        with pytest.raises(ValueError, match=rf"a\.jpg: {words}"):
             read(path, "srgb")
+
+
+@pytest.mark.parametrize("suffix, bits, error", FORMATS)
+@pytest.mark.parametrize("wrong", [".png", ".jpg", ".tif", ".exr", ".hdr", ".dng"])
+def test_the_first_bytes_tell_the_format(tmp_path, picture, suffix, bits, error, wrong):
+    """A file with another format's suffix is read, with its film, as what it is."""
+    path, renamed = tmp_path / f"a{suffix}", tmp_path / f"b{wrong}"
+    write_image(path, picture, "linear", bits)
+    renamed.write_bytes(path.read_bytes())
+    if (suffix[:4], wrong) == (".tif", ".dng"):
+        # RAW photographs start as a TIFF does.
+        with pytest.raises(ValueError, match=r"b\.dng"):
+            read_image(renamed, "linear")
+        return
+    assert np.array_equal(read_image(renamed, "linear"), read_image(path, "linear"))
+    assert read_film(renamed, "linear") == read_film(path, "linear")
+    assert (read_film(renamed, "linear").jpeg is not None) == (suffix == ".jpg")
 
 
 def _tiff(*tags: tuple[int, int], kind: int = 4, big: bool = False) -> bytes:
@@ -447,11 +612,11 @@ BOMBS = {
     ),
     "dark.hdr": (
         b"#?RADIANCE\nEXPOSURE=-2\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 1\nabcd",
-        "an EXPOSURE > 0, got -2",
+        "expected EXPOSURE > 0, got -2",
     ),
     "huge.hdr": (
         b"#?RADIANCE\nEXPOSURE=nan\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 1\nabcd",
-        "an EXPOSURE > 0, got nan",
+        "expected EXPOSURE > 0, got nan",
     ),
 }
 
@@ -463,7 +628,7 @@ def test_headers_that_are_not_believed(tmp_path, name, capfd):
     _check_one_line(tmp_path / name, message, capfd)
 
 
-def test_exr_of_many_channels_or_a_large_second_part(tmp_path, monkeypatch, capfd):
+def test_exr_of_many_channels_or_parts(tmp_path, monkeypatch, capfd):
     path, plane = tmp_path / "a.exr", np.zeros((64, 64), np.float16)
     many = {f"c{k}": plane for k in range(60)}
     with OpenEXR.File({"type": OpenEXR.scanlineimage}, many) as file:
@@ -474,9 +639,11 @@ def test_exr_of_many_channels_or_a_large_second_part(tmp_path, monkeypatch, capf
     window = {"displayWindow": ((0, 0), (3, 3))}
     parts = [OpenEXR.Part(dict(window), channels, name) for name, channels in rows]
     OpenEXR.File(parts).write(str(path))
-    assert read_image(path, "linear").shape == (4, 4, 3)
+    _check_one_line(path, "expected one part, got 2: save each as a file", capfd)
+    with OpenEXR.File({"type": OpenEXR.scanlineimage}, many) as file:
+        file.write(str(path))
     monkeypatch.setenv("PHONGFIT_MAX_MEMORY", "64K")
-    _check_one_line(path, "at most 64 KB of memory, got 4 × 4 pixels", capfd)
+    _check_one_line(path, "at most 64 KB of memory, got 64 × 64 pixels", capfd)
 
 
 def test_texts_of_a_png_are_not_unpacked(tmp_path, picture):

@@ -9,7 +9,7 @@ import imagecodecs
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageCms
 from PIL.TiffImagePlugin import IFDRational
 
 import phongfit as pf
@@ -33,6 +33,7 @@ UPRIGHT = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
+SRGB = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
 # Numbers of EXIF's tags, as Pillow takes them.
 ORIENTATION, EXIF, TIME, F_NUMBER, ISO = 274, 0x8769, 33434, 33437, 34855
 # Whole numbers: focal length on film, image's width and height, unit of the density.
@@ -152,6 +153,36 @@ def test_photographs_that_zoom_have_no_common_angle_of_view(tmp_path):
     assert open_photographs(paths, "srgb").fov is None
 
 
+# What a colour space, and the rules of interoperability, say of red 200, green 60, blue
+# 30: light of Adobe RGB (1998) in the primaries of sRGB, by its specification's matrix.
+FROM_ADOBE = np.array([[1.39836, -0.39836, 0], [0, 1, 0], [0, -0.04293, 1.04293]])
+
+
+@pytest.mark.parametrize(
+    "space, rules, adobe",
+    [(65535, "R03", True), (65535, "R98", False), (1, "R03", False), (2, None, True)],
+)
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+def test_adobe_rgb_by_exif_alone(tmp_path, space, rules, adobe, suffix):
+    path, data = tmp_path / f"a{suffix}", Image.Exif()
+    data[EXIF] = {40961: space} | ({40965: {1: rules}} if rules else {})
+    flat = Image.new("RGB", (16, 16), (200, 60, 30))
+    flat.save(path, exif=data.tobytes(), quality=100, subsampling=0)
+    expected = decode(np.array([200, 60, 30]) / 255, "srgb")
+    if adobe:
+        expected = FROM_ADOBE @ (np.array([200, 60, 30]) / 255) ** 2.19921875
+    image = read_image(path, "srgb")
+    assert np.abs(image - expected).max() < 0.012
+    # What an ICC profile says goes before it.
+    flat.save(path, exif=data.tobytes(), icc_profile=SRGB, quality=100, subsampling=0)
+    expected = decode(np.array([200, 60, 30]) / 255, "srgb")
+    assert np.abs(read_image(path, "srgb") - expected).max() < 0.012
+    if adobe:
+        flat.save(path, exif=data.tobytes(), quality=100, subsampling=0)
+        with pytest.raises(ValueError, match="expected encoding 'srgb', since its col"):
+            read_image(path, "linear")
+
+
 def test_broken_exif_is_said(tmp_path):
     path = tmp_path / "a.jpg"
     Image.fromarray(levels()).save(path, exif=b"Exif\0\0" + b"II*\0\xff\xff\0\0")
@@ -210,7 +241,7 @@ def test_exposure_of_a_photograph(tmp_path):
     Image.fromarray(levels()).save(tmp_path / "a.png", exif=stated)
     assert read_head(tmp_path / "a.png").exposure == pytest.approx(photo.exposure)
     pf.write_image(tmp_path / "a.exr", photo.image, "linear")
-    assert read_head(tmp_path / "a.exr") == ((16, 32), Exposure(), None, None)
+    assert read_head(tmp_path / "a.exr") == ((16, 32), Exposure(), None, None, False)
 
 
 def test_mixed_exposures_come_to_common_light(tmp_path):

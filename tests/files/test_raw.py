@@ -22,8 +22,9 @@ def dng(
     neutral: tuple[float, ...] = (0.5, 1, 0.8),
     black: tuple[int, ...] = (BLACK,) * 4,
     orientation: int = 1,
+    white: int = WHITE,
 ) -> bytes:
-    """A DNG of 12 bits, red and green above green and blue.
+    """A DNG, red and green above green and blue; a linear DNG of an (H, W, 3) array.
 
     `neutral`: what the sensor sees of white. Source: Adobe, *Digital Negative
     Specification 1.4*, 2012, chapter 4.
@@ -37,21 +38,25 @@ def dng(
         return struct.pack(f"<{len(values)}H", *values)
 
     pixels = mosaic.astype("<u2").tobytes()
-    height, width = mosaic.shape
+    height, width = mosaic.shape[:2]
+    samples, photometric = (3, 34892) if mosaic.ndim == 3 else (1, 32803)
     exposure = [(33434, 5, 1, struct.pack("<II", 1, 60)),
                 (33437, 5, 1, struct.pack("<II", 8, 1)),
                 (34855, 3, 1, shorts(200))]  # fmt: skip
+    cells = [(33421, 3, 2, shorts(2, 2)), (33422, 1, 4, bytes([0, 1, 1, 2]))]
     tags = [(254, 4, 1, bytes(4)), (256, 3, 1, shorts(width)),
-            (257, 3, 1, shorts(height)), (258, 3, 1, shorts(16)),
-            (259, 3, 1, shorts(1)), (262, 3, 1, shorts(32803)), (271, 2, 5, b"Test\0"),
-            (272, 2, 5, b"Test\0"), (273, 4, 1, bytes(4)),
-            (274, 3, 1, shorts(orientation)), (277, 3, 1, shorts(1)),
+            (257, 3, 1, shorts(height)), (258, 3, samples, shorts(*[16] * samples)),
+            (259, 3, 1, shorts(1)), (262, 3, 1, shorts(photometric)),
+            (271, 2, 5, b"Test\0"), (272, 2, 5, b"Test\0"), (273, 4, 1, bytes(4)),
+            (274, 3, 1, shorts(orientation)), (277, 3, 1, shorts(samples)),
             (278, 3, 1, shorts(height)), (279, 4, 1, struct.pack("<I", len(pixels))),
-            (284, 3, 1, shorts(1)), (33421, 3, 2, shorts(2, 2)),
-            (33422, 1, 4, bytes([0, 1, 1, 2])), (34665, 4, 1, bytes(4)),
+            (284, 3, 1, shorts(1)), *(cells if samples == 1 else []),
+            (34665, 4, 1, bytes(4)),
             (50706, 1, 4, bytes([1, 4, 0, 0])), (50708, 2, 5, b"Test\0"),
-            (50713, 3, 2, shorts(2, 2)), (50714, 3, 4, shorts(*black)),
-            (50717, 3, 1, shorts(WHITE)), (50721, 10, 9, ratios("i", matrix)),
+            *([(50713, 3, 2, shorts(2, 2))] if samples == 1 else []),
+            (50714, 3, len(black), shorts(*black)),
+            (50717, 3, samples, shorts(*[white] * samples)),
+            (50721, 10, 9, ratios("i", matrix)),
             (50728, 5, 3, ratios("I", neutral)), (50778, 3, 1, shorts(21))]  # fmt: skip
     second = 8 + len(directory(tags, 8))
     behind = directory(exposure, second)
@@ -146,6 +151,24 @@ def test_saturated_and_turned(tmp_path, rawpy):
     assert not usable[:8, -8:].any() and usable[12:].all() and usable[:, :20].all()
     assert (image[:6, -6:] == 1).all()
     np.testing.assert_allclose(image[14:, :16], 0.2, atol=3e-4)
+
+
+@pytest.mark.parametrize("white, black", [
+    (4095, 256), (4095, 0), (16383, 512), (15892, 600), (65535, 4096), (65535, 0),
+])  # fmt: skip
+def test_burnt_out_whatever_the_white_level(tmp_path, rawpy, white, black):
+    """In a mosaic, of which green alone is burnt out, and in a linear DNG."""
+    light = np.full((32, 48, 3), (0.15, 0.3, 0.24))
+    light[:12, :12, 1] = 1.3
+    numbers = np.round(black + np.minimum(light, 1) * (white - black))
+    mosaic = numbers[..., 1].copy()
+    mosaic[::2, ::2], mosaic[1::2, 1::2] = numbers[::2, ::2, 0], numbers[1::2, 1::2, 2]
+    for sensor, levels in ((mosaic, 4), (numbers, 3)):
+        path = tmp_path / "a.dng"
+        path.write_bytes(dng(sensor, black=(black,) * levels, white=white))
+        photo = read_photograph(path, "linear")
+        assert not photo.unsaturated[4, 4].any() and photo.unsaturated[20:].all()
+        np.testing.assert_allclose(photo.image[20:], 0.3, atol=3e-4)
 
 
 def test_one_white_balance_for_all(tmp_path, rawpy):

@@ -15,6 +15,7 @@ from tests.campaign.damage import damaged
 
 # What a checksum in the file protects comes out as it went in, or not at all.
 PROTECTED = {".png"}
+D65 = 0.3127, 0.329
 
 
 @functools.cache
@@ -35,11 +36,14 @@ def whole(stock: Path) -> dict[str, bytes]:
     found["grey.png"] = imagecodecs.png_encode(eight[..., 0].copy())
     found["deflated.tif"] = imagecodecs.tiff_encode(eight, compression="deflate")
     found["big.tif"] = imagecodecs.tiff_encode(eight, bigtiff=True)
-    path = stock / "whole-parts.exr"
+    path, points = stock / "whole-p3.exr", (0.68, 0.32, 0.265, 0.69, 0.15, 0.06)
     if not path.exists():
-        parts = [OpenEXR.Part({}, {"RGB": floats}, name) for name in ("one", "two")]
-        OpenEXR.File(parts).write(str(path))
-    found["parts.exr"] = path.read_bytes()
+        header = {"type": OpenEXR.scanlineimage, "chromaticities": (*points, *D65)}
+        with OpenEXR.File(header, {"RGB": floats}) as file:
+            file.write(str(path))
+    found["p3.exr"] = path.read_bytes()
+    line = f"PRIMARIES={' '.join(map(str, (*points, *D65)))}\nFORMAT".encode()
+    found["p3.hdr"] = found["32.hdr"].replace(b"FORMAT", line)
     return {name: bytes(data) for name, data in found.items()}
 
 
