@@ -1,4 +1,4 @@
-"""Warnings: each has a stable code and names its remedy. The one table of both.
+"""Codes and remedies of all warnings.
 
 A warning ends with what to try and its code in brackets: `shininess lies at its upper
 bound 1000: its error is one-sided. Try … [at-bound]`. Sentences may change from version
@@ -97,10 +97,10 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "open-to-others": "Leave --host out if only you are to use it",
     }
 )
-"""What to try, by code, where a warning says nothing that is more to the point."""
+"""Default remedy for each code; a warning may replace it by a more specific one."""
 
 PAGE = "docs/how-to/warnings.md"
-"""Of a checkout; the site has it as HTML."""
+"""The page on warnings, in the sources; the documentation's site has it as HTML."""
 
 _CODE = re.compile(r" \[([a-z]+(?:-[a-z]+)*)\]$")
 
@@ -110,9 +110,9 @@ def coded(code: str, found: str, remedy: str | None = None) -> str:
 
     **Arguments:**
 
-    - `code`: of the table.
+    - `code`: a key of `REMEDIES`.
     - `found`: what is wrong, and how large it is; no full stop at its end.
-    - `remedy`: what to try here, if that says more than the table.
+    - `remedy`: what to try; default the one in `REMEDIES`.
     """
     return f"{found}. {REMEDIES[code] if remedy is None else remedy} [{code}]"
 

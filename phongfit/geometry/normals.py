@@ -95,10 +95,10 @@ def split_creases(
 
     **Returns:**
 
-    - for every vertex of the mesh cut open, which vertex of `vertices` it is;
-    - the faces as indices of these.
+    - for every vertex of the mesh cut open, its index in `vertices`;
+    - the faces, as indices of the vertices of the mesh cut open.
     """
-    # Here, since it takes a third of a second that most programs need not wait.
+    # Imported here, since the import takes a third of a second.
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -22,12 +22,12 @@ from phongfit.reflectance import AbstractSpecular, lambert
 from phongfit.scene import Scene
 from phongfit.vectors import Scalar, Vec3, normalize
 
-# Lights that are written out; more of them are one program, which compiles faster.
+# Most lights that are unrolled; code for more is a loop, which compiles faster.
 AT_ONCE = 16
 
 
 class ShadingTerms(eqx.Module):
-    """The basis images A and D, and what S(f) is made of, light by light.
+    """The basis images A and D, and for each light the cosine and strength of S(f).
 
     `batch` is () for one point, (N,) for samples, faces or vertices, (height, width)
     for an image.
@@ -64,7 +64,7 @@ class ShadingTerms(eqx.Module):
         return jax.lax.scan(add, none, each, unroll=AT_ONCE)[0]
 
     def leaf(self, name: str, leaf: Float[Array, "..."]) -> Float[Array, "..."]:
-        """A parameter of a [`Material`][] at the points, where there are several.
+        """A parameter of a [`Material`][] at each point, if there are many materials.
 
         **Raises:** `ValueError` that names the parameter if it holds too few materials.
         """
@@ -81,12 +81,13 @@ class ShadingTerms(eqx.Module):
 ShadingTerms.__init__.__doc__ = """**Arguments:**
 
 - `ambient`, `diffuse`: RGB for ρ = 1.
-- `cosine`: of the angle from each light's highlight, or all that its lobe takes.
+- `cosine`: of the angle from each light's highlight; a named tuple if the lobe takes
+    more numbers.
 - `strength`: RGB of each light's highlight at its centre, for ρ_s = 1.
 - `model`: turns `cosine` into the height of the highlight.
 - `material_index`: which of `materials` each point is made of: a parameter of shape
     (M, 3) or (M, 1) is then M materials. `None` where there is one.
-- `exponents`: what a texture multiplies the exponent by; `None` without.
+- `exponents`: factor of a texture on the exponent; `None` without a texture.
 """
 
 
@@ -232,7 +233,9 @@ def _exponents(scene: Scene, gbuffer: GBuffer) -> Float[Array, "*pixels"] | None
 
 
 def check_exponents(scene: Scene) -> None:
-    """**Raises:** `ValueError` if its shading is none with exponents in the pixels."""
+    """Check that textures of the exponent go with the shading method of a scene.
+
+    **Raises:** `ValueError` for any other method than Phong shading."""
     if not isinstance(scene.shading, PhongShading):
         raise ValueError(
             "textures: one of the exponent needs Phong shading, got "
@@ -281,7 +284,7 @@ def combine(terms: ShadingTerms, material: Material) -> Float[Array, "*batch rgb
 def parts(
     terms: ShadingTerms, material: Material
 ) -> tuple[Float[Array, "*batch rgb"], ...]:
-    """The four that [`combine`][] adds up: emission, ambient, diffuse, specular."""
+    """The terms that [`combine`][] adds: emission, ambient, diffuse, specular."""
     shape = terms.diffuse.shape
 
     def at_points(name: str, leaf: Float[Array, "..."]) -> Array:
