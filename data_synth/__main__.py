@@ -196,7 +196,7 @@ def _lights(options: Options, intensity: float | Numbers) -> tuple[AbstractLight
 
 
 def _camera(options: Options) -> AbstractCamera:
-    """The ball fills ten elevenths of the image's height."""
+    """The camera, whose image the ball fills to ten elevenths of the height."""
     x, y, z = options.center
     size, position = options.resolution, (x, y, z + 5 * options.radius)
     if options.camera == "orthographic":

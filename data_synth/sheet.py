@@ -55,7 +55,7 @@ def contact_sheet(
 
 
 def _columns(count: int) -> int:
-    """So many that few cells stay empty, and that the sheet is wider than high."""
+    """Number of columns, with few empty cells and a sheet wider than high."""
     root = math.sqrt(count)
     choices = range(math.ceil(root), math.ceil(2 * root) + 1)
     return min(choices, key=lambda n: (-count % n, abs(n**2 / count - 1.6)))

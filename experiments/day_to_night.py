@@ -51,7 +51,7 @@ def ramp(value: float, low: float, high: float) -> float:
 
 
 def sky(hour: float) -> Float[np.ndarray, "3"]:
-    """The sky's colour: blue, red where the sun is low, nearly black."""
+    """The sky's colour: blue by day, red at dusk and dawn, nearly black at night."""
     high = elevation(hour)
     plain = NIGHT_SKY + ramp(high, -0.25, 0.35) * (DAY_SKY - NIGHT_SKY)
     red = np.exp(-((high / 0.18) ** 2)) * 0.6
@@ -59,7 +59,7 @@ def sky(hour: float) -> Float[np.ndarray, "3"]:
 
 
 def at(hour: float, size: int) -> pf.Scene:
-    """The scene at an hour of the day; all hours share one structure."""
+    """The scene at an hour of the day; compiled programs serve all hours."""
     turn = np.pi * (hour - 6) / 12
     high = elevation(hour)
     up = max(abs(high), 0.05)
@@ -120,7 +120,7 @@ def parts(
 
 
 def measure(size: int, hours: np.ndarray) -> tuple[Result, np.ndarray]:
-    """The numbers, and the pictures of all hours."""
+    """Measure every hour; returns the numbers and the pictures."""
     shares, off, pictures = [], [], []
     for hour in hours:
         scene = at(hour, size)
@@ -134,7 +134,7 @@ def measure(size: int, hours: np.ndarray) -> tuple[Result, np.ndarray]:
 
 @style.styled
 def draw(result: Result, size: int) -> Figure:
-    """Eight hours, and the sources of light through the day."""
+    """Draw the scene at eight hours, and the sources of light through the day."""
     figure = style.page(6.5)
     top, bottom = style.bands(figure, 4.1, 2.4)
     for axes, hour in zip(top.subplots(2, 4).flat, SHOWN, strict=True):

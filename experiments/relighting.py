@@ -95,7 +95,7 @@ def harmonics(directions: Float[np.ndarray, "lamps 3"], order: int) -> np.ndarra
 
 
 def regress(basis: Any, data: Photographed) -> Float[np.ndarray, "lamps h w 3"]:
-    """The left-out photographs by least squares, per pixel and channel."""
+    """Predict the left-out photographs by least squares, for each pixel and channel."""
     known, asked = basis(data.fitted.directions), basis(data.left_out.directions)
     images = data.fitted.images
     weights, *_ = np.linalg.lstsq(known, images.reshape(len(images), -1), rcond=None)
@@ -108,7 +108,7 @@ def mapped(
     fov: float | None = None,
     passes: int = 1,
 ) -> dict[str, Float[np.ndarray, "lamps h w 3"]]:
-    """The left-out photographs by maps that are relit, and with what these leave."""
+    """Predict the left-out photographs by maps, without and with residual images."""
     height, width = data.fitted.images.shape[1:3]
     camera = camera_of(height, width, None, fov)
     camera = camera or pf.OrthographicCamera(width, height)
@@ -221,7 +221,7 @@ def stand_in(size: int) -> Photographed:
 
 
 def draw(data: Photographed, shown: dict[str, np.ndarray]) -> Figure:
-    """The left-out photograph with the lowest lamp, and what each method predicts."""
+    """Draw the left-out photograph with the lowest lamp, and all predictions of it."""
     lowest = int(np.argmin(data.left_out.directions[:, 2]))
     pictures = {"photograph": data.left_out.images} | shown
     figure = Figure(figsize=(3 * len(pictures), 3.4), layout="constrained")

@@ -29,7 +29,7 @@ from experiments.output import JsonFile, check_outputs, save_numbers
 from phongfit.cli import run
 
 FEW = 20
-# Of a table in a file, letters.
+# Letters in a line of the table, if it is not printed to a terminal.
 WIDTH = 140
 
 
