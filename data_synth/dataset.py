@@ -126,7 +126,7 @@ def _photograph(
 def develop(
     light: Float[Array, "height width 3"], film: Film
 ) -> Float[np.ndarray, "height width 3"]:
-    """Linear light, as read from a file that a film has written."""
+    """Linear light after it was stored in a file with this film, and read back."""
     if film.bits is None:
         return np.clip(np.asarray(light), 0, 1)
     return from_levels(to_levels(light, film.encoding, film.bits), film.encoding)

@@ -22,7 +22,7 @@ LABELS = {"linear": "linear", "srgb": "sRGB"}
 def contact_sheet(
     dataset: Dataset, *, noise: float | None = None, seed: int | None = None
 ) -> Figure:
-    """Every image as a screen shows it, with its lights; the truth is the title.
+    """A figure of all images, captioned by their lights, with the truth as title.
 
     **Arguments:** as in [`write_dataset`][].
     """

@@ -53,12 +53,12 @@ def ball(
 
 
 def lamps() -> list[pf.DirectionalLight]:
-    """Red, green and blue, from three sides."""
+    """A red, a green and a blue lamp, from three sides."""
     return [pf.DirectionalLight(*lamp) for lamp in LAMPS.values()]
 
 
 def light(scene: pf.Scene, material: pf.Material) -> np.ndarray:
-    """Linear light before the clamp."""
+    """Linear light of an image, before the clamp."""
     return np.asarray(pf.render(scene, material, film=UNCLAMPED), float)
 
 

@@ -98,7 +98,7 @@ def at(hour: float, size: int) -> pf.Scene:
 def parts(
     scene: pf.Scene, gbuffer: pf.GBuffer
 ) -> Float[np.ndarray, "parts height width 3"]:
-    """Contributions of each lamp, the sky and the fog to the picture; the picture."""
+    """Parts of the picture due to each lamp, the sky and the fog; last the picture."""
     dark = jnp.zeros_like(scene.ambient)
 
     def image(on: int | None, ambient: bool) -> np.ndarray:

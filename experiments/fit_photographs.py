@@ -41,7 +41,7 @@ def read(folder: Path) -> Dataset:
 
 
 def half(data: Dataset, first: int) -> Dataset:
-    """Every second photograph, from the given one on."""
+    """Every second photograph, beginning with number `first`."""
     pick = slice(first, None, 2)
     return dataclasses.replace(
         data,
@@ -73,7 +73,7 @@ def rmse_over_mean(data: Dataset, predicted: list[np.ndarray]) -> np.ndarray:
 
 
 def fit(data: Dataset, unknowns: tuple[str, ...], shared: tuple[str, ...]) -> pf.Fit:
-    """One material for all photographs of a data set."""
+    """Fit one material to all photographs of a data set."""
     return pf.fit(
         data.scenes,
         data.images,

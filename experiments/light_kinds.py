@@ -118,7 +118,7 @@ def seen(scene: pf.Scene, material: pf.Material) -> np.ndarray:
 
 
 def falloff_formulas(place: np.ndarray) -> dict[str, np.ndarray]:
-    """Light on a floor by distance from the point below a lamp, relative to there."""
+    """Light at distances from the point below a lamp, relative to that point."""
     cosine = HEIGHT / np.hypot(place, HEIGHT)
     # Lambert's cosine, and its square for the inverse square of the distance.
     point = cosine**3

@@ -62,7 +62,7 @@ class Photos:
 
 
 def read(folder: Path, encoding: Encoding | None) -> Photos:
-    """A folder in one of the two layouts.
+    """Read a folder in one of the two layouts.
 
     **Raises:** `ValueError` that names what is missing.
     """
@@ -107,7 +107,7 @@ def least_squares(
     images: Float[np.ndarray, "images height width 3"],
     directions: Float[np.ndarray, "images 3"],
 ) -> Float[np.ndarray, "height width 3"]:
-    """Normals of a matte surface: as published, of the luma clipped at 1."""
+    """Normals of a matte surface, by the published method: from luma clipped at 1."""
     grey = np.minimum(images @ LUMA, 1)
     found = np.einsum("dk,khw->hwd", np.linalg.pinv(directions), grey)
     length = np.linalg.norm(found, axis=-1, keepdims=True)
@@ -125,7 +125,7 @@ def angles(
 def compare(
     photos: Photos, materials: int | Literal["auto"] | None = None
 ) -> tuple[dict[str, Any], pf.Maps]:
-    """Mean angular errors of both ways, in degrees, and phongfit's maps.
+    """Mean angular errors of both methods, in degrees, and phongfit's maps.
 
     **Arguments:** `materials`: as of [`fit_maps`][phongfit.fit_maps].
     """

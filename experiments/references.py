@@ -58,7 +58,7 @@ class Reference(NamedTuple):
 
 
 def find_references(folder: Path) -> list[Path]:
-    """The scenes in a folder. **Raises:** `ValueError` if there are none."""
+    """Paths of the scenes in a folder. **Raises:** `ValueError` if there are none."""
     paths = sorted(folder.glob("*.json"))
     if not paths:
         raise ValueError(f"{folder}: there is no NAME.json of a scene in this folder")
@@ -66,7 +66,7 @@ def find_references(folder: Path) -> list[Path]:
 
 
 def read_reference(path: Path) -> Reference:
-    """One scene, from `NAME.json` and `NAME.npz` beside it.
+    """Read one scene from `NAME.json` and `NAME.npz` beside it.
 
     **Raises:** `ValueError` that names the file and what is wrong with it.
     """

@@ -152,8 +152,8 @@ def ratio(shown: np.ndarray, wanted: np.ndarray) -> float:
 def read_lamps(folder: Path) -> Lamps:
     """A folder's photographs, in the order of its list.
 
-    Lists of real folders may count wrongly, or name photographs that are not there:
-    these are left out.
+    The count in a list's first line may be wrong, so it is not read. Lines whose
+    photograph is not in the folder are left out.
 
     **Raises:** `ValueError` that names the folder.
     """

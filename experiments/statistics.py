@@ -105,9 +105,10 @@ def spread(material: pf.Material, draws: int, seed: int, console: Console) -> Sp
 
 
 def random_problem(seed: int) -> tuple[pf.Scene, np.ndarray]:
-    """A part of a sphere or of a mesh, 1-3 lights, noise, up to a fifth of it clipped.
+    """A random scene and its noisy image.
 
-    ρ_s goes down to 0.02 and f from 1 to 200.
+    It shows a part of a sphere or of a mesh under 1 to 3 lights. Up to a fifth of the
+    samples are clipped; ρ_s is 0.02 or more, f from 1 to 200.
     """
     rng = np.random.default_rng(seed)
     material = pf.Material(

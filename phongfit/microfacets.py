@@ -51,7 +51,7 @@ def cosines(normal: Vec3, to_light: Vec3, to_viewer: Vec3) -> Cosines:
 
 
 def _facing(cosine: Cosines) -> tuple[Bool[Array, "..."], Cosines]:
-    """Where a highlight is possible, and cosines replaced by 1 elsewhere."""
+    """Mask of where a highlight is possible, and the cosines, set to 1 elsewhere."""
     seen = (cosine.half > 0) & (cosine.light > 0) & (cosine.viewer > 0)
     return seen, Cosines(*(jnp.where(seen, one, 1) for one in cosine))
 

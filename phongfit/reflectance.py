@@ -82,7 +82,7 @@ class AbstractSpecular(eqx.Module):
 
     @abc.abstractmethod
     def diffuse_scale(self) -> float:
-        """Factor on the diffuse term in this model's convention."""
+        """Factor on the diffuse term: 1, or 1 / π where the model is normalised."""
 
 
 def _gated(cosine: Scalar, normal: Vec3, to_light: Vec3, gate: bool) -> Scalar:

@@ -1,4 +1,4 @@
-"""Question: do the numbers hold, and is there a word wherever they do not?
+"""Question: do the numbers hold, and is there a warning wherever they do not?
 
 Many situations that users meet, each drawn many times: kinds of scenes, noise, files,
 losses, unknowns, maps; right models and wrong ones. Of each, how often 95 % intervals
@@ -41,7 +41,7 @@ def main(
     seed: int = 0,
     json: JsonFile = None,
 ) -> int:
-    """Do the numbers hold, and is there a word wherever they do not?
+    """Do the numbers hold, and is there a warning wherever they do not?
 
     Runs many situations, draw by draw, in single and in double precision, and prints a
     table of stated errors and warnings next to the truth. Exit status 1 if a situation

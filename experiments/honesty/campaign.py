@@ -41,7 +41,7 @@ class Row:
 
 
 def own_bits() -> int:
-    """The precision of this process."""
+    """Precision of this process, 32 or 64 bits."""
     return 64 if jnp.result_type(float) == jnp.float64 else 32
 
 

@@ -26,7 +26,7 @@ def share(held: np.ndarray, counted: np.ndarray | bool = True) -> float:
 def limits(
     inside: Each, counted: Each, promised: tuple[float, float]
 ) -> tuple[float, float]:
-    """Range of fractions of intervals that may hold the truth, without a fault.
+    """Range of the fraction of intervals with the truth, in which there is no fault.
 
     Parameters of one draw are correlated. The number of independent intervals is
     estimated from the scatter between draws.

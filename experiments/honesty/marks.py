@@ -61,7 +61,7 @@ class Marks:
 
 
 def look(answers: Answers) -> Marks:
-    """Compare with the truth, and read the warnings."""
+    """Compare answers with the truth, and classify their warnings."""
     doubted = np.array([any(map(is_doubtful, said)) for said in answers.warnings])
     finite = np.isfinite(answers.error)
     truth, off = answers.truth, np.abs(answers.estimate - answers.truth)

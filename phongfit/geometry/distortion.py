@@ -227,6 +227,6 @@ class FisheyeDistortion(AbstractDistortion):
 
 
 def flat(direction: Vec3) -> Place:
-    """Image of a direction through a pinhole; behind the camera there is none."""
+    """Image of a direction through a pinhole; NaN for directions behind the camera."""
     ahead = direction[2] > 0
     return direction[:2] / jnp.where(ahead, direction[2], jnp.nan)

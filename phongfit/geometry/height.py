@@ -112,8 +112,8 @@ def cast_shadows(
     **Raises:** `ValueError` that names the argument.
     """
     height = as_height(height, camera)
-    shares = shadow_shares(height, camera, lights, CENTRES)
-    found = [share > 0.5 for share in shares]
+    fractions = shadow_shares(height, camera, lights, CENTRES)
+    found = [fraction > 0.5 for fraction in fractions]
     return np.stack(found) if found else np.zeros((0, *height.shape), bool)
 
 
@@ -133,12 +133,12 @@ def shadow_shares(
     surface = triangles(points, mask)
     starts = np.stack([_within(points, mask, place)[mask] for place in places])
     for light in lights:
-        share = np.zeros(height.shape)
+        fraction = np.zeros(height.shape)
         if mask.any():
             to_light, distance = towards(light, jnp.asarray(starts))
             hit = surface.shadowed(starts, to_light, distance)
-            share[mask] = np.asarray(hit).mean(axis=0)
-        yield share
+            fraction[mask] = np.asarray(hit).mean(axis=0)
+        yield fraction
 
 
 def as_height(height: Any, camera: AbstractCamera) -> np.ndarray:

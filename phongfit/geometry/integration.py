@@ -37,7 +37,7 @@ STEEPEST = 0.02
 """Least cosine between normal and ray: at grazing views the slope is unknown."""
 
 FLOOR = 1.0
-"""Least error of a normal in the weights, degrees: a pixel averages over its area."""
+"""Error of a normal with half the weight of an exact one, degrees."""
 
 VAGUE = 1e-4
 """Weight of a pixel whose normal is not identified: it follows its neighbours."""
@@ -251,7 +251,7 @@ def _identity(size: int) -> Any:
 def label_pieces(
     inside: Bool[np.ndarray, "height width"],
 ) -> Int[np.ndarray, "height width"]:
-    """Number of each pixel's connected piece, from 1 on; 0 outside. Sides connect."""
+    """Number of each pixel's piece (connected by sides), from 1 on; 0 outside."""
     from scipy.ndimage import label
 
     pieces, _ = label(inside)  # pyright: ignore

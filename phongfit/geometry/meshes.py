@@ -482,8 +482,8 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
         given = given * (mesh.materials // len(given))
         # Vertices of the other meshes, which have other materials: the factor is 1.
         ends = (vertices, total - vertices - len(mesh.vertices)), (0, 0)
-        among = functools.partial(jnp.pad, pad_width=ends, constant_values=1)
-        textures += [one.rearranged(among) for one in given]
+        padded = functools.partial(jnp.pad, pad_width=ends, constant_values=1)
+        textures += [one.rearranged(padded) for one in given]
         faces.append(np.asarray(mesh.faces) + vertices)
         indices.append(own + materials)
         vertices += len(mesh.vertices)

@@ -72,12 +72,12 @@ def vertex_normals(
     normals = jax.vmap(face_normal)(*corners)
     total = jnp.zeros_like(vertices)
     for k in range(3):
-        share = normals
+        contribution = normals
         if weighting == "angle":
             here, following, preceding = (corners[(k + i) % 3] for i in range(3))
             angle = jax.vmap(_angle)(here, following, preceding)
-            share = angle[:, None] * jax.vmap(normalize)(normals)
-        total = total.at[faces[:, k]].add(share)
+            contribution = angle[:, None] * jax.vmap(normalize)(normals)
+        total = total.at[faces[:, k]].add(contribution)
     return jax.vmap(normalize)(total)
 
 

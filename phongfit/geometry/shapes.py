@@ -30,7 +30,7 @@ class AbstractShape(eqx.Module):
 
     @abc.abstractmethod
     def corner(self) -> Float[Array, "3"]:
-        """Corner of a box that the shape fills, or that bounds it if it is open."""
+        """Corner (x, y, z > 0) of the box around the origin that bounds the shape."""
 
     @checked
     def surface(self, *, steps: int = 128) -> ImplicitSurface:

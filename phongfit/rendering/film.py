@@ -111,7 +111,9 @@ def as_films(
 ) -> tuple[Film, ...]:
     """A film for each of `count` images.
 
-    **Raises:** `ValueError` for another number of films; `each` completes "one …".
+    **Arguments:** `each`: what one film belongs to, for the message.
+
+    **Raises:** `ValueError` for another number of films.
     """
     films = (film,) * count if isinstance(film, Film) else tuple(film)
     if len(films) != count:

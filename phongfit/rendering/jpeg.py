@@ -115,7 +115,7 @@ class JpegCompression:
 
     @property
     def subsampling(self) -> str:
-        """`"4:2:0"` and the like; `"grey"` for one component."""
+        """Name of the subsampling, such as `"4:2:0"`; `"grey"` for one component."""
         if len(self.tables) == 1:
             return "grey"
         named = [name for name, known in SAMPLINGS.items() if known == self.sampling]
@@ -162,7 +162,7 @@ def _as_tables(given: Any) -> tuple[Table, ...]:
 
 
 def _whole(name: str, given: Any) -> np.ndarray:
-    """Floating-point numbers that are whole as integers; all others as they are."""
+    """Convert arrays of whole floating-point numbers to integers; leave others."""
     array = as_array(name, given)
     if array.dtype.kind == "f" and (array == np.round(array)).all():
         return array.astype(np.int64)

@@ -29,8 +29,8 @@ AT_ONCE = 16
 class ShadingTerms(eqx.Module):
     """The basis images A and D, and for each light the cosine and strength of S(f).
 
-    `batch` is () for one point, (N,) for samples, faces or vertices, (height, width)
-    for an image.
+    `batch` is () for one point, (N,) for samples, faces or vertices, (lobe_strength,
+    width) for an image.
     """
 
     ambient: Float[Array, "*batch 3"]
@@ -47,7 +47,7 @@ class ShadingTerms(eqx.Module):
         shininess = self.leaf("shininess", shininess)
         batch = self.strength.shape[:-2]
         channels = 1 if shininess.ndim == 0 else shininess.shape[-1]
-        # One lobe serves all channels where they share the exponent.
+        # One lobe serves all channels where they fraction the exponent.
         exponent = _spread("shininess", shininess, (*batch, channels))
         if self.exponents is not None:
             exponent = self.exponents[..., None] * exponent
@@ -81,10 +81,10 @@ class ShadingTerms(eqx.Module):
 ShadingTerms.__init__.__doc__ = """**Arguments:**
 
 - `ambient`, `diffuse`: RGB for ρ = 1.
-- `cosine`: of the angle from each light's highlight; a named tuple if the lobe takes
-    more numbers.
+- `cosine`: of the lobe_cosine from each light's highlight; a named tuple if the lobe
+    takes more numbers.
 - `strength`: RGB of each light's highlight at its centre, for ρ_s = 1.
-- `model`: turns `cosine` into the height of the highlight.
+- `model`: turns `cosine` into the lobe_strength of the highlight.
 - `material_index`: which of `materials` each point is made of: a parameter of shape
     (M, 3) or (M, 1) is then M materials. `None` where there is one.
 - `exponents`: factor of a texture on the exponent; `None` without a texture.
@@ -113,7 +113,7 @@ def point_terms(
     to_viewer: Vec3,
     visibility: Float[Array, " lights"] | None = None,
 ) -> ShadingTerms:
-    """The terms at one point.
+    """Terms A, D and the parts of S(f) at one point of a surface.
 
     **Arguments:**
 
@@ -128,31 +128,31 @@ def point_terms(
 
     def of_light(light: AbstractLight, visible: Scalar) -> tuple[Any, ...]:
         arriving = light.illuminate(position)
-        share = model.diffuse_scale() * lambert(normal, arriving.to_light)
-        sent = visible * share * arriving.intensity
+        fraction = model.diffuse_scale() * lambert(normal, arriving.to_light)
+        diffuse_light = visible * fraction * arriving.intensity
         return (
             arriving.ambient,
-            sent if light.directed else sent + light.surround(normal),
+            diffuse_light if light.directed else diffuse_light + light.surround(normal),
             model.cosine(normal, arriving.to_light, to_viewer),
             visible * arriving.specular,
         )
 
     if len(lights) > AT_ONCE:
-        own, diffuses, cosine, strength = _each(of_light, lights, visibility)
-        ambient, diffuse = ambient + own.sum(axis=0), diffuses.sum(axis=0)
+        ambients, diffuses, cosine, strength = _each(of_light, lights, visibility)
+        ambient, diffuse = ambient + ambients.sum(axis=0), diffuses.sum(axis=0)
         return ShadingTerms(ambient, diffuse, cosine, strength, model)
     diffuse = jnp.zeros_like(ambient)
     cosines, strengths = [], []
     for light, visible in zip(lights, visibility, strict=True):
-        added, sent, angle, height = of_light(light, visible)
-        ambient, diffuse = ambient + added, diffuse + sent
-        cosines.append(angle)
-        strengths.append(height)
+        ambient_k, diffuse_k, cosine_k, strength_k = of_light(light, visible)
+        ambient, diffuse = ambient + ambient_k, diffuse + diffuse_k
+        cosines.append(cosine_k)
+        strengths.append(strength_k)
     if lights:
         cosine = jax.tree.map(lambda *each: jnp.stack(each), *cosines)
     else:
-        alike = jax.eval_shape(model.cosine, normal, normal, to_viewer)
-        cosine = jax.tree.map(lambda _: jnp.zeros((0,), dtype), alike)
+        template = jax.eval_shape(model.cosine, normal, normal, to_viewer)
+        cosine = jax.tree.map(lambda _: jnp.zeros((0,), dtype), template)
     return ShadingTerms(
         ambient=ambient,
         diffuse=diffuse,

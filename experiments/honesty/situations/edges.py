@@ -46,7 +46,7 @@ def white() -> list[Situation]:
 
 
 def bright(share: float, ambient: float = 0.3) -> Draw:
-    """The usual ball, lit such that this share of its samples would be past white."""
+    """The usual ball, lit so that this fraction of its samples exceeds white."""
 
     def make() -> Subject:
         light = usual(MATERIAL, ball(ambient=ambient)).light[0]

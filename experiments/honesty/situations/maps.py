@@ -144,7 +144,7 @@ def at_bounds(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
 
 
 def bright_red(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
-    """Random materials that are past white in red under some of the lamps."""
+    """Random materials whose red channel exceeds white under some of the lamps."""
     usual = any_material(rng, size)
     diffuse, specular = np.array(usual.diffuse), np.array(usual.specular)
     diffuse[..., 0] = rng.uniform(0.6, 0.9, size)

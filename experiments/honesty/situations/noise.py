@@ -65,7 +65,7 @@ def situations() -> list[Situation]:
 
 
 def film(encoding: Any, bits: int, level: float) -> Take:
-    """A function that adds noise, stores the light in `bits` bits, and reads it."""
+    """A function that adds noise, and rounds the encoded light to `bits` bits."""
     top = 2**bits - 1
 
     def take(light: Image, rng: np.random.Generator) -> Image:
