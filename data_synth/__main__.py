@@ -71,7 +71,7 @@ class Options:
             1.
         bits: Bits per sample of the PNG images.
         encoding: Encoding of the PNG images.
-        seed: Of the noise: the same seed gives the same files.
+        seed: Seed of the noise; the same seed gives the same files.
         overwrite: Replace an older data set in OUT_DIR.
     """
 

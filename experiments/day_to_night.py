@@ -32,8 +32,12 @@ MOON, LAMP = (0.045, 0.055, 0.09), (2.4, 1.7, 0.9)
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """`hours`; `shares`: mean light of ball and floor from each of `SOURCES`, (hours,
-    sources); `sum_error`: largest difference of a sample from the sum of its parts."""
+    """Light of the scene over the day.
+
+    - `hours`: times of the images.
+    - `shares`: mean light of ball and floor from each of `SOURCES`, (hours, sources).
+    - `sum_error`: largest difference of a sample from the sum of its parts.
+    """
 
     hours: np.ndarray
     shares: np.ndarray
@@ -169,7 +173,7 @@ def find(small: bool) -> Finding:
     share = result.shares / light[:, None]
     answer = (
         f"At noon ball and floor send {light[noon] / light[night]:.0f} times the light "
-        f"of midnight. Of it, the sun gives {100 * share[noon, 0]:.0f} % and the sky "
+        f"of midnight. The sun gives {100 * share[noon, 0]:.0f} % and the sky "
         f"{100 * share[noon, 3]:.0f} % at noon; at midnight the street lamp gives "
         f"{100 * share[night, 2]:.0f} %, the moon {100 * share[night, 1]:.0f} %. Most "
         f"of what fog sends is at {hours[np.argmax(share[:, 4])]:g} o'clock, "

@@ -145,7 +145,7 @@ def find(small: bool) -> Finding:
             EXPONENTS, result.width, result.formula, strict=True
         )
     )
-    # Of a highlight of n pixels, those on its edge are counted or not: about √n.
+    # In a highlight of n pixels, about √n on its edge may or may not be counted.
     slack = 0.25 if small else 0.05
     off = np.abs(result.width / result.formula - 1)
     wrong = [

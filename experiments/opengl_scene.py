@@ -55,7 +55,8 @@ def shading_from_opengl(shade_model: str, clamp: bool = True) -> AbstractShading
 
     **Arguments:** `clamp`: GL_CLAMP_VERTEX_COLOR.
 
-    **Raises:** `ValueError` for another argument."""
+    **Raises:** `ValueError` for another argument.
+    """
     if shade_model == "GL_FLAT":
         return FlatShading("last_vertex", clamp)
     if shade_model == "GL_SMOOTH":

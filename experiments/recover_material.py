@@ -161,7 +161,7 @@ def main(
 
     Args:
         resolution: Width and height of the targets, pixels.
-        seed: Of the noise.
+        seed: Seed of the noise.
         picture: File for the picture.
         json: File for the numbers: a list of cases with truth, estimate and stderr.
     """

@@ -255,15 +255,16 @@ def main(
     """Compare maps with texture maps and harmonics, on lamps that were left out.
 
     Args:
-        folders: Of photographs with an .lp, or with Dome and Test folders of them.
-        loss: Of the maps' fit. The shorter its tails, the more of what the model does
-            not have (light that bounced, the wide foot of a highlight) counts as an
-            outlier: tukey is better on a smooth glossy panel, cauchy on a statue.
+        folders: Folders of photographs with an .lp, or with folders Dome and Test of
+        them.
+        loss: Loss of the maps' fit. With shorter tails, more light that the model lacks
+        (interreflections, the wide foot of a highlight) counts as an outlier: tukey is
+        better on a smooth glossy panel, cauchy on a statue.
         fov: The camera's angle of view, from the lower to the upper edge. Default:
             parallel rays.
-        passes: Of the maps' fit: all but the first leave out what lies in shadow.
+        passes: Passes of the maps' fit; all but the first leave out samples in shadow.
         small: A small stand-in, where no folder is given.
-        picture: The figure to write; of several folders the first one's.
+        picture: The figure to write, for the first folder.
         json: The table as JSON.
     """
     check_outputs(picture, json)

@@ -62,7 +62,8 @@ class Spread:
 
     def wrong(self) -> list[str]:
         """Parameters whose error bars are off by more than chance allows."""
-        # Of few draws a spread is known to 1/√(2n), a share to √(p (1 − p) / n).
+        # From n draws, a spread has the relative error 1/√(2n), a share p has the error
+        # √(p (1 − p) / n).
         slack = max(0.05, 4 / np.sqrt(2 * self.draws))
         edge = max(0.015, 4 * np.sqrt(LEVEL * (1 - LEVEL) / self.draws))
         wide = (self.ratio < 1 - slack) & ~self.one_sided
@@ -193,7 +194,7 @@ def main(
         draws: Noisy images of each of two scenes.
         problems: Random problems; 0 leaves them out.
         starts: Random starts of each of them.
-        seed: Of the noise and of the problems.
+        seed: Seed of the noise and of the problems.
         json: File for the numbers.
     """
     if min(draws, starts) < 1 or problems < 0:

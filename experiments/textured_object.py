@@ -24,11 +24,12 @@ through files 1.002, 1.6 errors, 1.021. `--full` through files: 1.013, 2.2 error
 much memory the fit takes, which is to be less than 4 GB: 3.70 GB, 46 min of processor
 time (with probes of errors to 1e-3; they are to 1e-2 now, which takes less), ρ_s and f
 within 0.8 errors. A texel has some four samples, so that the ninth place is predicted
-to 1.26 times its noise. Of 54 million samples those in shadow were seen to be off by
-5.6 σ, and errors were widened 1.9 times: 8 bits are rounded after they are clipped at
-black, and end up darker than clipped noise by p h² / 12 for steps h and a density p of
-samples at black. Fits know this now, which was seen at 256 × 256 texels with noise of
-one step: 8.1 σ and pulls 0.37 before, 2.7 σ and 1.00 since.
+to 1.26 times its noise. Among 54 million samples, those in shadow were off by 5.6 σ,
+and errors were widened 1.9 times. The reason: 8-bit values are rounded after they are
+clipped at black, and become darker than clipped noise by p h² / 12 for steps h and a
+density p of samples at black. Fits now correct for this. At 256 × 256 texels with noise
+of one step the offset was 8.1 σ and pulls were 0.37 before; now these are 2.7 σ and
+1.00.
 """
 
 import dataclasses

@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 REMEDIES: Mapping[str, str] = MappingProxyType(
     {
-        # Of a fit.
+        # Warnings of fits.
         "not-converged": "Raise max_steps, or hold one of two unknowns that are nearly "
         "degenerate",
         "not-identifiable": "Leave it out of unknowns, or use pixels that depend on it",
@@ -43,10 +43,10 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "--white), or mask these samples",
         "few-unclipped": "Give noise, or expose less",
         "outliers": "Leave them out by a mask, or try a robust loss",
-        # Of a prediction.
+        # Warnings of predictions.
         "drawn-errors": "Predict with a light or view that shows a highlight, or hold "
         "shininess (fixed)",
-        # Of maps, heights and meshes.
+        # Warnings of maps, heights and meshes.
         "bulging-normals": "Try the lights with y (or x) of the opposite sign",
         "broad-highlights": "Let pixels share their highlight (materials=1, or as many "
         "as the object has), or bound it (shininess from 15)",
@@ -60,7 +60,7 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "vague-normals": "Mask these pixels, or photograph them under more lights",
         "nothing-seen": "Aim the camera at it, or give two_sided=True if its faces "
         "show their backs",
-        # Of files.
+        # Warnings about files.
         "saturated": "Leave these pixels out, with read_photograph's mask",
         "list-count": "Check that no line of the list is missing",
         "exif-broken": "Save it anew if it lies on its side",
@@ -70,7 +70,7 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "texture-unread": "Read it with its mesh (load_mesh), or go on with one colour",
         "nearest-taken": "Export to a format that holds it, or expect what is written",
         "unregistered": "Call register(class, kind) before saving",
-        # Of calibrations.
+        # Warnings of calibrations.
         "several-matte": "Give the circle of the one that is meant (matte)",
         "outline-unseen": "Look at the picture, or give its circle as a fit by eye",
         "two-highlights": "Look at the picture: two lamps, or something that the "
@@ -87,11 +87,11 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "spheres-disagree": "Check the circles, and the kind of lamps",
         "matte-disagrees": "Check that it is matte, and the encoding",
         "slow-fall-off": "Take the lights from lights.json, which say so",
-        # Of responses.
+        # Warnings of response curves.
         "range-unseen": "Photograph brighter and darker, too",
         "not-one-curve": "Check that the surface is matte, that the camera stands "
         "still, and shape, lamps or exposures",
-        # Of this machine.
+        # Warnings about the machine.
         "shared-cache": "Take away others' right to write (chmod go-w), or set "
         "PHONGFIT_CACHE=off",
         "open-to-others": "Leave --host out if only you are to use it",

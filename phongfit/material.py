@@ -157,7 +157,7 @@ def preset(name: str) -> Material:
     **Arguments:** `name`: one of `phongfit.PRESETS`, such as `"brass"`; spaces and
     hyphens count as underscores.
 
-    **Raises:** `ValueError` for any other name, which names the most similar one.
+    **Raises:** `ValueError` for any other name; the message has the most similar one.
     """
     key = str(name).strip().lower().replace(" ", "_").replace("-", "_")
     if key not in OPENGL_MATERIALS:

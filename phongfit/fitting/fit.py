@@ -220,8 +220,8 @@ def fit(
 
     if rounds:
         restored = restored_now()
-    # Errors of lamps look like noise, and the JPEG correction depends on the noise, so
-    # both are repeated in turn.
+    # Refine `uncertain` arrays and correct for JPEG in turn, since errors of lamps look
+    # like noise, on which the JPEG correction depends.
     for _ in range(TURNS if rounds else 1):
         if nuisance is None:
             break

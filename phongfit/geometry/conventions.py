@@ -63,8 +63,8 @@ def camera_pose(to_world: Any, axes: Axes) -> Pose:
     **Arguments:**
 
     - `to_world`: (4, 4) or (3, 4): the matrix that maps a point, as a column, from the
-        camera's axes to the world's. Of a matrix from the world to the camera (OpenCV's
-        and COLMAP's R and t, PyTorch3D's Rᵀ and T), give the inverse.
+        camera's axes to the world's. For a matrix from the world to the camera
+        (OpenCV's and COLMAP's R and t, PyTorch3D's Rᵀ and T), give its inverse.
     - `axes`: the convention of the camera's axes: see [`AXES`][].
 
     **Raises:** `ValueError` that names the argument; axes must be orthonormal.

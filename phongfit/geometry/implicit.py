@@ -106,7 +106,8 @@ class ImplicitSurface(AbstractSurface):
     def _span(self, ray: Ray) -> tuple[Scalar, Scalar]:
         """Distances at which a ray enters the box, at least 0, and leaves it.
 
-        If the ray misses the box, the first distance is the larger one."""
+        If the ray misses the box, the first distance is the larger one.
+        """
         along = ray.direction
         tiny = jnp.finfo(along.dtype).tiny
         along = jnp.where(jnp.abs(along) > tiny, along, tiny)

@@ -52,7 +52,8 @@ class _Pairs(NamedTuple):
     - `first`, `second`: indices of the two pixels.
     - `step`: prescribed difference of their heights u.
     - `cosine`: between normal and ray.
-    - `pixel`: distance between the two pixels, in the unit of u."""
+    - `pixel`: distance between the two pixels, in the unit of u.
+    """
 
     first: Int[np.ndarray, " pairs"]
     second: Int[np.ndarray, " pairs"]
@@ -88,7 +89,7 @@ def integrate_normals(
     - `stderr`: (H, W), standard errors of the normals in degrees; pairs of neighbours
         are weighted by them. A pixel with an infinite one follows its neighbours.
     - `depth`: (H, W), known distances along the camera's axis, world units, NaN where
-    they are unknown: each piece is moved so that the medians agree.
+        they are unknown. Each piece is moved so that the medians agree.
     - `distance`: median distance of a piece without known distances; default that of
         the world's origin.
 
@@ -171,6 +172,7 @@ def _pairs(
             rays.origin[at][both] if rays.parallel else rays.direction[at][both]
             for at in (one, other)
         )
+        # Both formulas for `step` are derived in the module's docstring.
         if rays.parallel:
             cosine = np.maximum(mean[:, 2], STEEPEST)
             step = -np.sum(mean * (end - start), axis=1) / cosine

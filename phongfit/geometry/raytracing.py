@@ -119,7 +119,8 @@ class _Tree:
     """A mesh that is prepared for ray tracing.
 
     Embree computes in float32. So the mesh is moved to the origin and scaled to size 1,
-    and rays start near it."""
+    and rays start near it.
+    """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray):
         corners = vertices[np.unique(faces)].astype(float)

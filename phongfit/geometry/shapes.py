@@ -94,7 +94,8 @@ class Torus(AbstractShape):
 
     def __init__(self, major: Any = 0.75, minor: Any = 0.25):
         """**Arguments:** `major` > 0, from the centre to the middle of the tube, and
-        `minor` > 0, the tube's radius, world units, else `ValueError`."""
+        `minor` > 0, the tube's radius, world units, else `ValueError`.
+        """
         self.major = _size("major", major)
         self.minor = _size("minor", minor)
 

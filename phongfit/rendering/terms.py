@@ -235,7 +235,8 @@ def _exponents(scene: Scene, gbuffer: GBuffer) -> Float[Array, "*pixels"] | None
 def check_exponents(scene: Scene) -> None:
     """Check that textures of the exponent go with the shading method of a scene.
 
-    **Raises:** `ValueError` for any other method than Phong shading."""
+    **Raises:** `ValueError` for any other method than Phong shading.
+    """
     if not isinstance(scene.shading, PhongShading):
         raise ValueError(
             "textures: one of the exponent needs Phong shading, got "

@@ -128,7 +128,7 @@ def parameter(
     - `materials`: number of materials of the surface.
     - `per_image`: whether each image has its own.
 
-    **Raises:** `ValueError` for any other name, which lists the possible ones.
+    **Raises:** `ValueError` for any other name; the message lists the possible ones.
     """
     several = len(scenes) > 1
     rgb = tuple(f".{channel}" for channel in CHANNELS) if colours else ("",)

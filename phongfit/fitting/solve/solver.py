@@ -236,9 +236,8 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
 
     Units of the unknowns do not matter, and zero or parallel columns are allowed. It
     works under `jit` and `vmap`; under `vmap` all problems take as long as the slowest.
-    On the problems of
-    Moré, Garbow and Hillstrom, free and in boxes, it ends no higher than SciPy's
-    `least_squares`.
+    On the problems of Moré, Garbow and Hillstrom, free and in boxes, it ends no higher
+    than SciPy's `least_squares`.
 
     !!! example
         ```python
@@ -348,20 +347,21 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         """
         previous, size, change = self._steps(state)
         then, now = self.pace
-        of = jnp.where(previous > 0, previous, then)
-        share = size / jnp.where(of > 0, of, 1)
+        last = jnp.where(previous > 0, previous, then)
+        share = size / jnp.where(last > 0, last, 1)
         usual = now / jnp.where(then > 0, then, 1) * jnp.maximum(share, 1)
         theta = jnp.where(previous > 0, share, usual)
-        near = (of > 0) & (theta < 0.1) & ~state.first_step
+        near = (last > 0) & (theta < 0.1) & ~state.first_step
         undamped = state.search_state.step_size >= 1
         beyond = theta / (1 - theta) * jnp.maximum(size, change)
         accepted = state.num_steps_since_acceptance == 0
         return near & undamped & accepted & (beyond < 1)
 
     def pace_at(self, state: Any) -> Float[Array, "2"]:
-        """Sizes of the last two steps before a state; 0 where they are not known.
+        """Sizes of the last step and of the next one, in units of the tolerance.
 
-        At least the tolerance, since smaller steps are rounding.
+        The next one counts as at least 1, since smaller steps are rounding. Before the
+        second step the result is `pace`, the sizes of an earlier run.
         """
         previous, size, _ = self._steps(state)
         here = jnp.stack([previous, jnp.maximum(size, 1)])

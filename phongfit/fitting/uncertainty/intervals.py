@@ -283,6 +283,18 @@ class _Reduced:
 
 
 class _Step(NamedTuple):
+    """A straight piece of each walk.
+
+    - `held`: numbers that stay at a bound.
+    - `stuck`: walks that cannot go on.
+    - `waits`: walks on which a number leaves its bound before they go on.
+    - `direction`: change of all numbers per unit of distance.
+    - `steepness`, `curvature`: half the cost's slope along the direction, and half its
+        second derivative.
+    - `room`: distance at which each number reaches a bound.
+    - `release`: distance at which each held number leaves its bound.
+    """
+
     held: Bool[np.ndarray, "walks m"]
     stuck: Bool[np.ndarray, " walks"]
     waits: Bool[np.ndarray, " walks"]
@@ -293,7 +305,10 @@ class _Step(NamedTuple):
     release: Float[np.ndarray, "walks m"]
 
     def until(self, risen: np.ndarray, budget: float | None) -> np.ndarray:
-        """Distance to the level, or to the minimum along the walk."""
+        """Distance at which the rise becomes `budget`, or to the minimum if it is None.
+
+        **Arguments:** `risen`: rise so far.
+        """
         curvature = np.where(self.curvature > 0, self.curvature, 1)
         if budget is None:
             return np.maximum(-self.steepness / curvature, 0)
