@@ -11,8 +11,8 @@ from experiments.honesty.words import is_doubtful
 
 FAR = 5.0
 """An estimate is far off if it is more than this many standard errors from the truth.
-At a bound the error is one-sided and may have an exponential tail: the limit is
-squared."""
+At a bound the error is one-sided and may have an exponential tail, so the limit there
+is the square of this."""
 
 # Standard deviations of a normal distribution that a 95 % interval reaches.
 REACH = 1.96
@@ -24,8 +24,8 @@ ROUNDING = 1e-12
 class Marks:
     """Answers next to the truth.
 
-    - `finite`: whether a number has a finite error; `trusted`: and its draw no warning
-        about the fit;
+    - `finite`: whether a number has a finite error;
+    - `trusted`: whether it is finite and its draw has no warning about the fit;
     - `inside`: whether its interval holds the truth;
     - `bound`: whether it is trusted and lies on its bound;
     - `astray`: whether it is far off, see `FAR`;
@@ -71,7 +71,7 @@ def look(answers: Answers) -> Marks:
     side = np.where(truth > answers.estimate, answers.high, answers.low)
     error = np.fmax(answers.error, np.abs(side - answers.estimate) / REACH)
     reach = np.where(answers.at_bound, FAR**2, FAR) * error
-    # Not astray: an estimate on its bound, if the truth lies outside of the box.
+    # If the truth is outside the bounds, an estimate at its bound is not astray.
     outside = (truth < answers.box[:, 0]) | (truth > answers.box[:, 1])
     return Marks(
         finite=finite,

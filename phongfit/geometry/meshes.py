@@ -185,7 +185,8 @@ class Mesh(AbstractSurface):
     def with_textures(self, textures: Iterable[Textures] | Textures | None) -> "Mesh":
         """This mesh with other textures; `None` for none.
 
-        **Raises:** `ValueError` if it has no uv, or not as many materials or vertices.
+        **Raises:** `ValueError` if the mesh has no uv, or if its numbers of materials
+        or vertices do not match the textures.
         """
         count = len(self.vertices)
         chosen = _as_textures(textures, self.uv, self._materials, count)

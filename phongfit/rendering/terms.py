@@ -29,7 +29,7 @@ AT_ONCE = 16
 class ShadingTerms(eqx.Module):
     """The basis images A and D, and for each light the cosine and strength of S(f).
 
-    `batch` is () for one point, (N,) for samples, faces or vertices, (lobe_strength,
+    `batch` is () for one point, (N,) for samples, faces or vertices, (height,
     width) for an image.
     """
 
@@ -47,7 +47,7 @@ class ShadingTerms(eqx.Module):
         shininess = self.leaf("shininess", shininess)
         batch = self.strength.shape[:-2]
         channels = 1 if shininess.ndim == 0 else shininess.shape[-1]
-        # One lobe serves all channels where they fraction the exponent.
+        # Compute one lobe for all channels if they share the exponent.
         exponent = _spread("shininess", shininess, (*batch, channels))
         if self.exponents is not None:
             exponent = self.exponents[..., None] * exponent
@@ -81,10 +81,10 @@ class ShadingTerms(eqx.Module):
 ShadingTerms.__init__.__doc__ = """**Arguments:**
 
 - `ambient`, `diffuse`: RGB for ρ = 1.
-- `cosine`: of the lobe_cosine from each light's highlight; a named tuple if the lobe
+- `cosine`: cosine of the angle from each light's highlight; a named tuple if the lobe
     takes more numbers.
 - `strength`: RGB of each light's highlight at its centre, for ρ_s = 1.
-- `model`: turns `cosine` into the lobe_strength of the highlight.
+- `model`: turns `cosine` into the height of the highlight.
 - `material_index`: which of `materials` each point is made of: a parameter of shape
     (M, 3) or (M, 1) is then M materials. `None` where there is one.
 - `exponents`: factor of a texture on the exponent; `None` without a texture.

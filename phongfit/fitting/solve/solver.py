@@ -68,7 +68,7 @@ class BoxDampedNewtonDescent(optx.AbstractDescent):
             ravel_pytree(tree)[0] for tree in (state.y, self.lower, self.upper)
         )
         jacobian, residual = state.triangle[:, :-1], state.triangle[:, -1]
-        # A parameter without influence here held needs a positive curvature.
+        # A parameter without influence here still needs a positive curvature.
         scale = jnp.where(state.scale > 0, state.scale, 1)
         # A GPU would otherwise multiply in reduced precision.
         with jax.default_matmul_precision("highest"):
