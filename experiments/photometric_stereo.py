@@ -127,7 +127,7 @@ def compare(
 ) -> tuple[dict[str, Any], pf.Maps]:
     """Mean angular errors of both methods, in degrees, and phongfit's maps.
 
-    **Arguments:** `materials`: as of [`fit_maps`][phongfit.fit_maps].
+    **Arguments:** `materials`: as in [`fit_maps`][phongfit.fit_maps].
     """
     data = photos.photographs
     directions = np.array([_direction(scene) for scene in data.scenes])

@@ -63,7 +63,7 @@ def fit_texture(
     - `scene`: a scene, or a sequence of scenes, of one [`Mesh`][]; for textures that
         are images it must have uv. Other textures of the mesh are known, and apply as
         usual.
-    - `image`: as of [`fit`][].
+    - `image`: as in [`fit`][].
     - `size`: rows and columns of the fitted textures; or `"vertices"`: a value for each
         vertex of the mesh, as in [`VertexColours`][].
     - `textures`: parameters with a value for each texel and channel: some of
@@ -78,8 +78,8 @@ def fit_texture(
     - `smoothness`: standard deviation of differences between neighbouring texels, as a
         prior, which softens sharp edges; default no such prior. For exponents it is
         that of log f: 0.05 means differences of 5 %.
-    - `filter`, `wrap`: as of [`Texture`][].
-    - `mask`, `weights`, `noise`, `film`: as of [`fit`][].
+    - `filter`, `wrap`: as in [`Texture`][].
+    - `mask`, `weights`, `noise`, `film`: as in [`fit`][].
     - `max_steps`: limit on Gauss-Newton steps, or with exponents on Levenberg-Marquardt
         steps.
 

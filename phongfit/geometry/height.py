@@ -125,7 +125,7 @@ def shadow_shares(
 ) -> Iterator[Float[np.ndarray, "height width"]]:
     """Fraction of each pixel that lies in cast shadow, for one light after the other.
 
-    **Arguments:** as of [`cast_shadows`][]; `places`: tested points, as `CORNERS`.
+    **Arguments:** as in [`cast_shadows`][]; `places`: tested points, as `CORNERS`.
 
     **Returns:** numbers in [0, 1]; 0 outside.
     """

@@ -88,7 +88,7 @@ class Channels(eqx.Module):
 
 
 def _colours(pixels: PixelTerms) -> list[Any]:
-    """The arrays whose last axis is colour, or the leaves in their place."""
+    """Leaves of such a tree whose last axis is colour; leaves need not be arrays."""
     terms = [pixels.terms.ambient, pixels.terms.diffuse, pixels.terms.strength]
     haze = [] if pixels.haze is None else [pixels.haze.color]
     return [*terms, *haze, *jax.tree.leaves(pixels.factors)]

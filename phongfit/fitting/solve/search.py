@@ -66,9 +66,10 @@ class SearchResult(eqx.Module):
 
 
 class Rival(NamedTuple):
-    """Another minimum: its entries in the user's units, and its excess cost.
+    """A second minimum of the cost.
 
-    The cost is χ², at the noise level of the solution.
+    - `entries`: its entries in the user's units.
+    - `excess`: its χ² minus that of the solution, at the solution's noise level.
     """
 
     entries: Float[Array, " entries"]
@@ -116,7 +117,7 @@ def search(
     """
     first = gather() if few is None else few
     y = unknowns.start
-    # While the noise is unknown the clamp is a hard one.
+    # With a tiny noise level values are clipped sharply, as the noise is unknown yet.
     level = 1.0 if noise_given else float(np.finfo(y.dtype).eps)
     sigma = jnp.asarray(level, y.dtype)
     problem = Problem(first, unknowns, sigma, loss, clamp)
@@ -130,8 +131,7 @@ def search(
         samples = gather()
         near = bool(loss.robust or several) or samples.image.size > MANY
         if near and not (loss.robust or several):
-            # One pass on few samples is enough; several starts have reached the same
-            # accuracy.
+            # Solve once on few samples; with several starts that has been done.
             states = [_settle(problem, states[0], max_steps, noise_given, True)]
     ends = [
         _end(

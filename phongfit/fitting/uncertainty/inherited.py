@@ -145,7 +145,7 @@ def with_inherited(
 ) -> Problem:
     """The problem with the covariance of scores that is due to uncertain scenes.
 
-    **Arguments:** `moved`, `scores`: as of [`refine`][].
+    **Arguments:** `moved`, `scores`: as in [`refine`][].
     """
     root = _root(nuisance, problem, y)
     moved = np.zeros(root.shape[1]) if moved is None else moved
@@ -215,9 +215,9 @@ def _look(
 
 
 def beside(nuisance: Nuisance, moved: Float[np.ndarray, " k"] | None = None) -> Beside:
-    """A function that extends a fit's problem by the uncertain parameters, as refined.
+    """A function that adds the refined uncertain parameters to a fit's problem.
 
-    **Arguments:** `moved`: as of [`refine`][].
+    **Arguments:** `moved`: as in [`refine`][].
     """
 
     def wider(problem: Problem, y: Float[Array, " n"]) -> tuple[Problem, Array]:

@@ -28,7 +28,7 @@ def chi_squared_reach(deviations: float, count: int) -> float:
 
 
 def two_for_one(level: float) -> float:
-    r"""Level that $\chi^2$ of two numbers exceeds as rarely as that of one `level`.
+    r"""Level of $\chi^2$ of two numbers with the tail probability of `level` for one.
 
     With the normal distribution's tail $Q$ it is $-2 \ln 2 Q(\sqrt l)$.
     """
