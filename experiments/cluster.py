@@ -180,7 +180,8 @@ def overhead(client: Any, count: int) -> float:
 
 
 def nothing(place: Place, number: int) -> tuple[dict[str, int], bool]:
-    """A block without work."""
+    """Takes the place of [`fit_block`][], but does no work: it returns an empty
+    result."""
     del place, number
     return {}, False
 

@@ -170,7 +170,7 @@ def rows(pixels: int = 16_000, lights: int = 96, *, scipy: int = 200) -> list[Ro
 
 
 def as_rows(maps: pf.Maps) -> tuple[np.ndarray, np.ndarray]:
-    """Estimates and errors of a map, (pixels, 10) each, in the other solvers' order."""
+    """A map's estimates and errors, (pixels, 10) each; the last column is for log f."""
     leaves = ("ambient", "diffuse", "specular", "shininess")
     values, errors = (
         np.concatenate([getattr(of, name) for name in leaves], axis=-1, dtype=float)

@@ -38,9 +38,9 @@ def white() -> list[Situation]:
     takes["97% white, noise given"] = fits(bright(0.97), clamped(noisy()), noise=NOISE)
     takes["10% at 1 beside negative values"] = fits(bright(0.1, 0.02), cut_above)
     # With nearly no samples left, a warning of doubt is right.
-    faint = tuple(f"{share:.0%}" for share in shares[2:])
+    clipped = tuple(f"{share:.0%}" for share in shares[2:])
     return [
-        Situation(name, "doubtful" if name.startswith(faint) else "right", ask)
+        Situation(name, "doubtful" if name.startswith(clipped) else "right", ask)
         for name, ask in takes.items()
     ]
 
