@@ -71,7 +71,7 @@ class Options:
             1.
         bits: Bits per sample of the PNG images.
         encoding: Encoding of the PNG images.
-        seed: Of the noise: the same seed gives the same files.
+        seed: Seed of the noise; the same seed gives the same files.
         overwrite: Replace an older data set in OUT_DIR.
     """
 
@@ -196,7 +196,7 @@ def _lights(options: Options, intensity: float | Numbers) -> tuple[AbstractLight
 
 
 def _camera(options: Options) -> AbstractCamera:
-    """The ball fills ten elevenths of the image's height."""
+    """The camera, whose image the ball fills to ten elevenths of the height."""
     x, y, z = options.center
     size, position = options.resolution, (x, y, z + 5 * options.radius)
     if options.camera == "orthographic":

@@ -42,14 +42,15 @@ def make_dataset(
     encoding: Encoding = "srgb",
     name: str = "synthetic",
 ) -> Dataset:
-    """Photographs of `material`, as they come back from a file.
+    """Photographs of `material` with noise, as read from a file.
 
     **Arguments:**
 
     - `material`: the truth.
     - `key`: of the noise.
     - `surface`, `camera`: default a ball of radius 1 that fills 256 × 256 pixels.
-    - `lights`: default four directional ones, so bright that nothing is cut off.
+    - `lights`: default four directional ones, as bright as they may be without
+        clipping.
     - `images`: number of images, among which the lights are distributed one by one. 1
         has all lights in one image; the default is an image for each light.
     - `ambient`: the ambient light I_a, RGB or one number.
@@ -96,7 +97,7 @@ def make_dataset(
 def deal(
     scene: Scene, lights: tuple[AbstractLight, ...], images: int | None
 ) -> tuple[Scene, ...]:
-    """`scene` once for each image, with lights that are dealt out like cards.
+    """A copy of `scene` for each image; the lights are dealt out to them in turn.
 
     **Raises:** `ValueError` if an image would have none.
     """
@@ -125,7 +126,7 @@ def _photograph(
 def develop(
     light: Float[Array, "height width 3"], film: Film
 ) -> Float[np.ndarray, "height width 3"]:
-    """Linear light after it was stored with a film and read again."""
+    """Linear light after it was stored in a file with this film, and read back."""
     if film.bits is None:
         return np.clip(np.asarray(light), 0, 1)
     return from_levels(to_levels(light, film.encoding, film.bits), film.encoding)

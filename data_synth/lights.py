@@ -21,17 +21,17 @@ from phongfit import (
 LightKind = Literal["directional", "point", "spot", "mixed"]
 
 WIDEST = np.deg2rad(60)
-"""No light is further from the camera's axis: its highlight would lie on the rim."""
+"""Largest angle of a light from the camera's axis, radians, so that highlights show."""
 
 DISTANCE = 4.0
-"""Of point lights and spot lights from the object's centre, in radii."""
+"""Distance of point and spot lights from the object's centre, in its radii."""
 
 PEAK = 0.95
-"""How bright the brightest sample is made: nothing is cut off, but for the noise."""
+"""Value of the brightest sample without noise: nothing is clipped."""
 
 
 def spread_directions(count: int) -> Float[np.ndarray, "count 3"]:
-    """Unit vectors, spread evenly over the cap around +z that is `WIDEST` wide.
+    """Unit vectors, spread evenly over the directions within `WIDEST` of +z.
 
     ??? cite "Source"
         Swinbank and Purser, *Fibonacci grids: a novel approach to global modelling*,
@@ -39,7 +39,7 @@ def spread_directions(count: int) -> Float[np.ndarray, "count 3"]:
     """
     steps = np.arange(count)
     z = 1 - (steps + 0.5) / count * (1 - np.cos(WIDEST))
-    # The first at the upper right, where lamps stand by custom.
+    # The first direction is at the upper right, as is usual for a single lamp.
     turn = np.pi / 4 + steps * np.pi * (3 - np.sqrt(5))
     across = np.sqrt(1 - z**2)
     return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
@@ -108,7 +108,7 @@ def _spot(
 
 
 def exposure(scenes: tuple[Scene, ...], material: Material) -> float:
-    """By how much all lights may be scaled until the brightest sample is at `PEAK`.
+    """Factor on all lights that makes the brightest sample `PEAK`.
 
     **Raises:** `ValueError` if ambient light and emission alone are brighter.
     """
@@ -120,8 +120,8 @@ def exposure(scenes: tuple[Scene, ...], material: Material) -> float:
         base = render(unlit, material, film=film, gbuffer=gbuffer)
         light = render(scene, material, film=film, gbuffer=gbuffer) - base
         lit = gbuffer.mask[..., None] & (light > 0)
-        room = jnp.where(lit, (PEAK - base) / jnp.where(lit, light, 1), jnp.inf)
-        factors.append(float(room.min()))
+        headroom = jnp.where(lit, (PEAK - base) / jnp.where(lit, light, 1), jnp.inf)
+        factors.append(float(headroom.min()))
     factor = min(factors)
     if factor <= 0:
         raise ValueError(

@@ -22,7 +22,7 @@ LABELS = {"linear": "linear", "srgb": "sRGB"}
 def contact_sheet(
     dataset: Dataset, *, noise: float | None = None, seed: int | None = None
 ) -> Figure:
-    """Every image as a screen shows it, with its lights; the truth is the title.
+    """A figure of all images, captioned by their lights, with the truth as title.
 
     **Arguments:** as in [`write_dataset`][].
     """
@@ -55,7 +55,7 @@ def contact_sheet(
 
 
 def _columns(count: int) -> int:
-    """So many that few cells stay empty, and that the sheet is wider than high."""
+    """Number of columns, with few empty cells and a sheet wider than high."""
     root = math.sqrt(count)
     choices = range(math.ceil(root), math.ceil(2 * root) + 1)
     return min(choices, key=lambda n: (-count % n, abs(n**2 / count - 1.6)))

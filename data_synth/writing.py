@@ -20,7 +20,7 @@ OURS = re.compile(
     rf"\d{{3,}}(_mask)?\.(png|tif)|scene_\w+\.(npy|png)"
     rf"|{re.escape(SCENE_FILE)}|{re.escape(TRUTH_FILE)}|{re.escape(SHEET_FILE)}"
 )
-"""Names that a data set has: a folder with others is not overwritten."""
+"""Names of a data set's files: a folder with other files is not overwritten."""
 
 
 def write_dataset(
@@ -36,8 +36,7 @@ def write_dataset(
     **Arguments:**
 
     - `dataset`: of one surface, camera and ambient light.
-    - `out_dir`: the folder to make, and those above it; if it is there it must be
-        empty.
+    - `out_dir`: the folder to make, with its parents. If it exists it must be empty.
     - `noise`, `seed`: what the images were made with, for `truth.json`.
     - `overwrite`: an older data set at `out_dir` may be replaced, but nothing else.
 

@@ -53,12 +53,12 @@ def ball(
 
 
 def lamps() -> list[pf.DirectionalLight]:
-    """Red, green and blue, from three sides."""
+    """A red, a green and a blue lamp, from three sides."""
     return [pf.DirectionalLight(*lamp) for lamp in LAMPS.values()]
 
 
 def light(scene: pf.Scene, material: pf.Material) -> np.ndarray:
-    """Linear light before the clamp."""
+    """Linear light of an image, before the clamp."""
     return np.asarray(pf.render(scene, material, film=UNCLAMPED), float)
 
 
@@ -69,7 +69,7 @@ def too_bright(size: int, intensity: float, background: float = 0.0) -> pf.Scene
 
 
 def measure(size: int) -> Result:
-    """All numbers, from pictures of `size` × `size` pixels."""
+    """Measure everything on pictures of `size` × `size` pixels."""
     together = light(ball(size, lamps()), GREY)
     alone = [light(ball(size, [lamp]), GREY) for lamp in lamps()]
     shown = [encode(np.clip(image, 0, 1), "srgb") for image in (together, *alone)]
@@ -92,7 +92,7 @@ def measure(size: int) -> Result:
 
 @style.styled
 def draw(size: int) -> Figure:
-    """Lamps that add up above, lamps that are too bright below."""
+    """Draw pictures under several lamps above, and under too bright lamps below."""
     figure = style.page(6.6)
     top, middle, bottom = style.bands(figure, 2.0, 2.0, 2.4)
     sets = [[lamp] for lamp in lamps()] + [lamps()]

@@ -60,7 +60,7 @@ class Entry(NamedTuple):
 
 
 def save(folder: Path, entry: Entry) -> None:
-    """The files of one experiment."""
+    """Write the files of one experiment."""
     name, finding = entry.experiment.name, entry.finding
     finding.figure.savefig(folder / f"{name}.png")
     if finding.frames is not None:
@@ -69,7 +69,7 @@ def save(folder: Path, entry: Entry) -> None:
 
 
 def contents(entries: list[Entry], small: bool) -> str:
-    """The page, whose links lead to files beside it."""
+    """HTML of the page; its links lead to files in the same folder."""
     environment = jinja2.Environment(
         autoescape=True,
         undefined=jinja2.StrictUndefined,
@@ -82,7 +82,7 @@ def contents(entries: list[Entry], small: bool) -> str:
 
 
 def indexed(text: str) -> markupsafe.Markup:
-    """ρ_d with its index lowered, in text that is to be shown as it is."""
+    """Escape text for HTML, with ρ_d and the like as subscripts."""
     safe = str(markupsafe.escape(text))
     return markupsafe.Markup(re.sub(r"ρ_(\w)", r"ρ<sub>\1</sub>", safe))
 
@@ -101,7 +101,7 @@ def main(
     """
     console = Console()
     entries: list[Entry] = []
-    # An early look at the folder: all of it would otherwise be computed in vain.
+    # The folder is checked first, since all results would be lost if it is refused.
     with replacing_folder(out, may_replace=FILES.__contains__) as folder:
         for experiment in track(
             EXPERIMENTS,

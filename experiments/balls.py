@@ -10,7 +10,7 @@ import phongfit as pf
 
 @functools.cache
 def unit_ball(rows: int) -> pf.Mesh:
-    """Radius 1 around the origin, `rows` of faces from pole to pole, twice around."""
+    """A ball of radius 1: `rows` faces from pole to pole, 2 × `rows` around."""
     return pf.shapes.Ball().mesh(2 * rows, rows)
 
 

@@ -25,14 +25,14 @@ PAGE = ROOT / "docs" / "how-to" / "capture.md"
 BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 SHOWN = (2, 5, 8, 11)
-"""Photographs of which the page shows some, from 1 on."""
+"""Numbers of the photographs that are drawn, from 1 on."""
 
 COMPARED = (5, 10)
-"""Photographs next to their fits."""
+"""Numbers of the photographs that are drawn next to their fits."""
 
 
 def run_page(folder: Path) -> dict[str, Any]:
-    """Names that the page's Python defines; its commands write into a folder."""
+    """Run the page's code in a folder, and return the names that its Python defines."""
     names: dict[str, Any] = {}
     with contextlib.chdir(folder):
         for language, code in BLOCK.findall(PAGE.read_text(encoding="utf-8")):
@@ -48,7 +48,7 @@ def run_page(folder: Path) -> dict[str, Any]:
 
 
 def photographs(folder: Path) -> Image.Image:
-    """Some of the photographs, the ball above the cat, as bright as they are seen."""
+    """A picture of some photographs, the ball above the cat, bright for a screen."""
     rows = []
     for name, gamma in (("chrome", 1.0), ("cat", 2.2)):
         files = [folder / name / f"{number:02d}.png" for number in SHOWN]
@@ -84,10 +84,10 @@ def main(pictures: Path = Path("out/capture")) -> int:
     at = [number - 1 for number in COMPARED]
     rows = []
     for number in at:
-        left = np.where(mask[..., None], np.asarray(fit.residuals[number]), 0)
+        residual = np.where(mask[..., None], np.asarray(fit.residuals[number]), 0)
         shown = np.where(mask[..., None], np.asarray(fit.fitted[number]), 0)
         title = f"lamp {number + 1}"
-        rows.append(Row(images[number], shown, left, title))
+        rows.append(Row(images[number], shown, residual, title))
     figure = comparison(rows, ("photograph", "fit"), brighten=1.5, blocks=len(rows))
     save_picture(pictures / "photograph_and_fit.jpg", figure)
     strengths = np.array(fit.exposure)

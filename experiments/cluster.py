@@ -83,7 +83,7 @@ def make_shard(path: str, number: int) -> None:
 
 
 def make_stack(client: Any, folder: Path, rows: int, columns: int, side: int) -> Path:
-    """A stack of so many shards, which the workers render."""
+    """Create a stack of `rows` × `columns` shards, which the workers render."""
     path = folder / f"{rows}x{columns}.zarr"
     shape = (LIGHTS, rows * side, columns * side, 3)
     group = open_group(path, "a")
@@ -99,19 +99,19 @@ def begun(folder: Path) -> int:
 
 
 def counted_block(place: Place, number: int) -> Any:
-    """[`fit_block`][], which leaves a mark when it begins."""
+    """[`fit_block`][], which creates an empty file when it begins."""
     marks = Path(place.output).with_suffix(".begun")
     (marks / f"{number}-{os.getpid()}-{time.monotonic_ns()}").touch()
     return fit_block(place, number)
 
 
 def timed(client: Any, stack: Path, output: Path) -> float:
-    """Seconds of a run; its maps are in `output`."""
+    """Fit the maps of a stack into `output`, and return the seconds that this took."""
     images = pf.ZarrStack(stack)
     _, height, width = images.shape
     output.with_suffix(".begun").mkdir()
     start = time.perf_counter()
-    # A block for each shard, which small ones would share otherwise.
+    # One block for each shard: by default small shards share a block.
     _, *block, _ = images.array.chunks
     pf.fit_stored_maps(
         scenes(height, width),
@@ -126,7 +126,7 @@ def timed(client: Any, stack: Path, output: Path) -> float:
 
 @contextlib.contextmanager
 def killing(client: Any, every: float) -> Iterator[list[int]]:
-    """Kill one worker of a cluster every so many seconds; gives those that were."""
+    """Kill a worker every so many seconds in this context; yields the killed ids."""
     killed: list[int] = []
     ended = threading.Event()
 
@@ -148,12 +148,12 @@ def killing(client: Any, every: float) -> Iterator[list[int]]:
 
 
 def peak_memory() -> int:
-    """The most bytes that this process has had in memory."""
+    """Peak memory of this process, bytes."""
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def work_of(client: Any) -> float:
-    """The processor's seconds that workers have spent, all together."""
+    """Sum of the CPU seconds of all workers."""
     return sum(client.run(time.process_time).values())
 
 
@@ -171,7 +171,7 @@ def size_of(path: Path) -> int:
 
 
 def overhead(client: Any, count: int) -> float:
-    """Seconds that a block costs besides its work, by those that have none."""
+    """Seconds of scheduling for each block, measured with blocks without work."""
     place = Place("", b"", "")
     start = time.perf_counter()
     done = sum(1 for _ in cluster._spread(client, place, count))
@@ -180,7 +180,8 @@ def overhead(client: Any, count: int) -> float:
 
 
 def nothing(place: Place, number: int) -> tuple[dict[str, int], bool]:
-    """A block without work."""
+    """Takes the place of [`fit_block`][], but does no work: it returns an empty
+    result."""
     del place, number
     return {}, False
 
@@ -226,20 +227,20 @@ def main(options: Options) -> int:
 
 
 def measure(folder: Path, small: bool, every: float) -> dict[str, Any]:
-    """All numbers of the page."""
+    """Measure everything that [`show`][] prints."""
     console = Console(stderr=True)
     fresh = (folder / f"maps{k}.zarr" for k in itertools.count())
     numbers: dict[str, Any] = {"small": small, "lights": LIGHTS}
     grid, side = ((3, 4), SMALL) if small else ((6, 8), SIDE)
     shortest: dict[int, tuple[float, float]] = {}
-    # In turns, of which the shortest counts: other work on the machine only adds.
+    # Each number is timed twice, and the shorter time counts: other work only adds.
     for workers in (1, 2, 1, 2):
         console.print(f"{workers} of one core …")
         with cluster.dask_client(f"local:{workers}") as client:
             stack = folder / f"{grid[0]}x{grid[1]}.zarr"
             if not stack.exists():
                 make_stack(client, folder, *grid, side)
-            warm(client, folder, next(fresh), side)
+            warm_up(client, folder, next(fresh), side)
             output = next(fresh)
             before, computed = time.process_time(), work_of(client)
             taken = timed(client, stack, output)
@@ -285,7 +286,7 @@ def measure(folder: Path, small: bool, every: float) -> dict[str, Any]:
     sizes = [(1, 2), (2, 4)] if small else [(2, 4), (6, 11), (21, 33)]
     numbers["sizes"] = []
     with cluster.dask_client("local:2") as client:
-        warm(client, folder, next(fresh), side)
+        warm_up(client, folder, next(fresh), side)
         for size in sizes:
             console.print(f"{size[0] * size[1] * side**2 / 1e6:.1f} megapixels …")
             stack = make_stack(client, folder, *size, side)
@@ -299,8 +300,8 @@ def measure(folder: Path, small: bool, every: float) -> dict[str, Any]:
     return numbers
 
 
-def warm(client: Any, folder: Path, output: Path, side: int) -> None:
-    """Let every worker compile before time is taken."""
+def warm_up(client: Any, folder: Path, output: Path, side: int) -> None:
+    """Fit a small stack, so that every worker has compiled before times are taken."""
     stack = folder / "1x4.zarr"
     if not stack.exists():
         make_stack(client, folder, 1, 4, side)

@@ -82,7 +82,7 @@ def head(width: int) -> str:
 
 
 def compare(reference: Reference) -> Agreement:
-    """Render a reference's scene, and compare."""
+    """Render a reference's scene, and compare the images."""
     scene, material = reference.scene, reference.material
     gbuffer = scene.trace()
     image = pf.render(scene, material, film=reference.film, gbuffer=gbuffer)

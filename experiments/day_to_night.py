@@ -32,8 +32,12 @@ MOON, LAMP = (0.045, 0.055, 0.09), (2.4, 1.7, 0.9)
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """`hours`; `shares`: mean light of ball and floor from each of `SOURCES`, (hours,
-    sources); `sum_error`: largest difference of a sample from the sum of its parts."""
+    """Light of the scene over the day.
+
+    - `hours`: times of the images.
+    - `shares`: mean light of ball and floor from each of `SOURCES`, (hours, sources).
+    - `sum_error`: largest difference of a sample from the sum of its parts.
+    """
 
     hours: np.ndarray
     shares: np.ndarray
@@ -51,7 +55,7 @@ def ramp(value: float, low: float, high: float) -> float:
 
 
 def sky(hour: float) -> Float[np.ndarray, "3"]:
-    """The sky's colour: blue, red where the sun is low, nearly black."""
+    """The sky's colour: blue by day, red at dusk and dawn, nearly black at night."""
     high = elevation(hour)
     plain = NIGHT_SKY + ramp(high, -0.25, 0.35) * (DAY_SKY - NIGHT_SKY)
     red = np.exp(-((high / 0.18) ** 2)) * 0.6
@@ -59,7 +63,7 @@ def sky(hour: float) -> Float[np.ndarray, "3"]:
 
 
 def at(hour: float, size: int) -> pf.Scene:
-    """The scene at an hour of the day; all hours share one structure."""
+    """The scene at an hour of the day; compiled programs serve all hours."""
     turn = np.pi * (hour - 6) / 12
     high = elevation(hour)
     up = max(abs(high), 0.05)
@@ -98,7 +102,7 @@ def at(hour: float, size: int) -> pf.Scene:
 def parts(
     scene: pf.Scene, gbuffer: pf.GBuffer
 ) -> Float[np.ndarray, "parts height width 3"]:
-    """Contributions of each lamp, the sky and the fog to the picture; the picture."""
+    """Parts of the picture due to each lamp, the sky and the fog; last the picture."""
     dark = jnp.zeros_like(scene.ambient)
 
     def image(on: int | None, ambient: bool) -> np.ndarray:
@@ -120,7 +124,7 @@ def parts(
 
 
 def measure(size: int, hours: np.ndarray) -> tuple[Result, np.ndarray]:
-    """The numbers, and the pictures of all hours."""
+    """Measure every hour; returns the numbers and the pictures."""
     shares, off, pictures = [], [], []
     for hour in hours:
         scene = at(hour, size)
@@ -134,7 +138,7 @@ def measure(size: int, hours: np.ndarray) -> tuple[Result, np.ndarray]:
 
 @style.styled
 def draw(result: Result, size: int) -> Figure:
-    """Eight hours, and the sources of light through the day."""
+    """Draw the scene at eight hours, and the sources of light through the day."""
     figure = style.page(6.5)
     top, bottom = style.bands(figure, 4.1, 2.4)
     for axes, hour in zip(top.subplots(2, 4).flat, SHOWN, strict=True):
@@ -169,7 +173,7 @@ def find(small: bool) -> Finding:
     share = result.shares / light[:, None]
     answer = (
         f"At noon ball and floor send {light[noon] / light[night]:.0f} times the light "
-        f"of midnight. Of it, the sun gives {100 * share[noon, 0]:.0f} % and the sky "
+        f"of midnight. The sun gives {100 * share[noon, 0]:.0f} % and the sky "
         f"{100 * share[noon, 3]:.0f} % at noon; at midnight the street lamp gives "
         f"{100 * share[night, 2]:.0f} %, the moon {100 * share[night, 1]:.0f} %. Most "
         f"of what fog sends is at {hours[np.argmax(share[:, 4])]:g} o'clock, "

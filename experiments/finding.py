@@ -65,9 +65,9 @@ class Experiment:
 
     **Arguments:**
 
-    - `name`: of its module, and of its files.
+    - `name`: name of its module and of its files.
     - `about`: that module's docstring: the question, an empty line, what is done.
-    - `find`: takes whether it shall be small, quick and coarse.
+    - `find`: the function that runs it; `find(True)` is quick and coarse.
     """
 
     name: str
@@ -91,7 +91,7 @@ class Experiment:
         return " ".join(first.split()), " ".join(rest.split())
 
     def command(self) -> Callable[..., int]:
-        """A function with options, whose docstring is a help text."""
+        """The experiment as a function for [`run`][]: options and a help text."""
 
         def main(
             small: bool = False,
@@ -115,7 +115,7 @@ class Experiment:
         return main
 
     def run(self) -> int:
-        """The command line: see [`run`][]."""
+        """Run the experiment from the command line: see [`run`][]."""
         return run(self.command(), prog=f"python -m experiments.{self.name}")
 
 
@@ -131,7 +131,7 @@ Args:
 
 
 def show(console: Console, finding: Finding) -> None:
-    """Table, answer, and what is wrong, as text."""
+    """Print the table, the answer, and failed checks."""
     if finding.table is not None:
         table = rich.table.Table()
         for at, column in enumerate(finding.table.columns):
@@ -150,7 +150,7 @@ FRAME = 90
 def save_animation(
     path: Path, frames: Float[np.ndarray, "frames height width 3"]
 ) -> None:
-    """Linear light as a GIF that repeats for ever."""
+    """Write frames of linear light as a GIF that repeats for ever."""
     write = functools.partial(iio.imwrite, plugin="pillow", duration=FRAME, loop=0)
     with replacing(path) as temporary:
         write(temporary, to_levels(frames, "srgb", 8))

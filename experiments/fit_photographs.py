@@ -41,7 +41,7 @@ def read(folder: Path) -> Dataset:
 
 
 def half(data: Dataset, first: int) -> Dataset:
-    """Every second photograph, from the given one on."""
+    """Every second photograph, beginning with number `first`."""
     pick = slice(first, None, 2)
     return dataclasses.replace(
         data,
@@ -53,7 +53,7 @@ def half(data: Dataset, first: int) -> Dataset:
 
 
 def predict(data: Dataset, material: pf.Material) -> list[np.ndarray]:
-    """Render the material as in each photograph."""
+    """Render each photograph's scene with this material."""
     film = pf.Film(clamp=data.films[0].clamp)
     return [np.asarray(pf.render(s, material, film=film)) for s in data.scenes]
 
@@ -73,7 +73,7 @@ def rmse_over_mean(data: Dataset, predicted: list[np.ndarray]) -> np.ndarray:
 
 
 def fit(data: Dataset, unknowns: tuple[str, ...], shared: tuple[str, ...]) -> pf.Fit:
-    """One material for all photographs of a data set."""
+    """Fit one material to all photographs of a data set."""
     return pf.fit(
         data.scenes,
         data.images,
@@ -87,7 +87,7 @@ def fit(data: Dataset, unknowns: tuple[str, ...], shared: tuple[str, ...]) -> pf
 
 
 def show(title: str, result: pf.Fit, score: np.ndarray) -> None:
-    """A fit and its score, as text."""
+    """Print a fit and its score."""
     print(f"{title}\n{result}\n")
     print(f"  left-out photographs, RMSE / mean (R G B): {_triple(score)}\n")
 
@@ -147,7 +147,7 @@ def _numbers(fits: dict[str, pf.Fit], scores: dict[str, np.ndarray]) -> dict:
 
 
 def _figure(data: Dataset, predicted: list[np.ndarray]):
-    """A few of the photographs that the fit has not seen."""
+    """Draw a few of the left-out photographs, their predictions and the differences."""
     shown = np.unique(np.linspace(0, len(data.images) - 1, SHOWN + 2)[1:-1].astype(int))
     brightest = max(float(np.quantile(data.images[k], 0.995)) for k in shown)
     rows = []

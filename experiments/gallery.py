@@ -28,13 +28,13 @@ DRAWN = (model, highlights, shading_methods, light_kinds, day_to_night)
 """Experiments whose figures the gallery has."""
 
 ASIDE = (1.6, 0.9, 1.5)
-"""From where the cat's mesh is seen, in its axes: x right, y up, z to the camera."""
+"""Direction from which the cat's mesh is drawn: x right, y up, z to the camera."""
 
 WIDEST = 1400
 """Pixels of a picture: a screen's column of text, twice as sharp."""
 
 LAMPS = ((-1, 0.6, 0.5), (1, 0.2, 0.7), (0.2, -1, 0.8))
-"""Where no lamp stood when the cat was photographed."""
+"""Directions of new lamps, which none of the cat's photographs has."""
 
 
 class Cat(NamedTuple):
@@ -45,7 +45,7 @@ class Cat(NamedTuple):
 
 
 def cat() -> Cat:
-    """The figurine, as `docs/how-to/capture.md` has it in the end."""
+    """Run `docs/how-to/capture.md`; returns its maps and one of its photographs."""
     with tempfile.TemporaryDirectory() as folder:
         names = run_page(Path(folder))
     return Cat(names["maps"], names["images"][4])
@@ -53,7 +53,7 @@ def cat() -> Cat:
 
 @styled
 def draw_ball() -> Figure:
-    """A photograph of a ball, its fit, and the residuals."""
+    """Draw photographs of two balls, their fits, and the residuals."""
     rows = []
     for name in ("ruby", "brass"):
         image, fit = _fitted_ball(name)
@@ -76,7 +76,7 @@ def _fitted_ball(name: str) -> tuple[np.ndarray, pf.Fit]:
 
 @styled
 def draw_home(of: Cat) -> Figure:
-    """A photograph, its fit with numbers, and a mapped object under another lamp."""
+    """Draw a photograph, its fit with numbers, and a mapped object that is relit."""
     image, fit = _fitted_ball("ruby")
     drawing = page(2.3)
     panels = drawing.subplots(1, 5)
@@ -103,7 +103,7 @@ def _numbers_of(fit: pf.Fit) -> str:
 
 @styled
 def draw_maps(of: Cat) -> Figure:
-    """A photograph, and what each of its pixels is made of."""
+    """Draw a photograph, and the maps of its pixels."""
     maps = of.maps
     drawing = page(3.0)
     panels = drawing.subplots(1, 4)
@@ -129,7 +129,7 @@ def _numbers(axes: Axes, values: np.ndarray, inside: np.ndarray, title: str) -> 
 
 @styled
 def draw_relit(of: Cat) -> Figure:
-    """The cat under other lamps, with shadows, and its mesh from the side."""
+    """Draw the cat under other lamps, with shadows, and its mesh from the side."""
     maps, surface = of.maps, of.maps.height()
     pictures = maps.relight([pf.DirectionalLight(lamp) for lamp in LAMPS])
     drawing = page(2.9)
@@ -143,7 +143,7 @@ def draw_relit(of: Cat) -> Figure:
 
 
 def _mesh(surface: pf.HeightField) -> np.ndarray:
-    """Its triangles under one lamp, seen from where no camera stood."""
+    """Render a surface's mesh under one lamp, from the side."""
     mesh, points = surface.mesh(), surface.positions()[surface.mask]
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     size = float(np.ptp(points, axis=0).max())
@@ -159,7 +159,7 @@ def _mesh(surface: pf.HeightField) -> np.ndarray:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """A figure as a small JPEG."""
+    """Write a figure as a small JPEG."""
     with tempfile.TemporaryDirectory() as folder:
         sharp = Path(folder) / "figure.png"
         figure.savefig(sharp, dpi=140)

@@ -28,7 +28,7 @@ LAMP = 8.0
 
 
 class IdealMirror(pf.AbstractSpecular):
-    """A mirror under a round lamp: all of its light inside the lamp's disc, or none."""
+    """A mirror that shows a round lamp: 1 inside the lamp's disc, 0 outside."""
 
     radius: float = eqx.field(static=True, default=LAMP)
 
@@ -97,7 +97,7 @@ def measure(size: int) -> Result:
 
 
 def profile(model: pf.AbstractSpecular, degrees: np.ndarray, f: float) -> np.ndarray:
-    """Height of a highlight where the normal is turned off its centre.
+    """Height of a highlight for normals at these angles from its centre.
 
     Lamp, viewer and normal share a plane, and the lamp stands beside the viewer.
     """
@@ -118,7 +118,7 @@ MODELS = (
 
 @style.styled
 def draw(result: Result, size: int) -> Figure:
-    """Balls, profiles, and the ratio of exponents."""
+    """Draw balls, profiles, and the ratio of exponents."""
     figure = style.page(6.3)
     top, bottom = style.bands(figure, 3.7, 2.6)
     images = [

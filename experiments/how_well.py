@@ -56,8 +56,7 @@ class Spread:
 
     - `bound`, `observed`: the predicted error, and the root mean square of the fits'
         errors, as shares of the truth;
-    - `pull`: root mean square of errors over what each fit states itself, where it
-        states one;
+    - `pull`: root mean square of error / stated error, over the fits that state one;
     - `identified`: whether the prediction says that the parameter is identifiable;
     - `draws`: how many fits.
     """
@@ -76,7 +75,7 @@ class Spread:
 
     @property
     def slack(self) -> float:
-        """Three standard errors of a spread that rests on so many fits."""
+        """Three relative standard errors of a root mean square over `draws` fits."""
         return 3 / np.sqrt(2 * self.draws)
 
 
@@ -98,7 +97,7 @@ LAMP = np.array([[1.0, 1.0, 2.0]])
 
 
 def noises(levels: Sequence[float]) -> Sweep:
-    """Ever more noise."""
+    """A sweep over the level of noise."""
     scenes = tuple(ball(SIZE, LAMP))
     settings = tuple(Setting(noise, scenes, noise) for noise in levels)
     return Sweep("noise", "noise (white is 1)", settings)
@@ -112,13 +111,13 @@ def lamps(counts: Sequence[int]) -> Sweep:
 
 
 def resolutions(sizes: Sequence[int]) -> Sweep:
-    """Finer images."""
+    """A sweep over the resolution of the image."""
     settings = tuple(Setting(size, tuple(ball(size, LAMP))) for size in sizes)
     return Sweep("resolution", "width of the image (pixels)", settings)
 
 
 def clipped(shares: Sequence[float]) -> Sweep:
-    """Longer exposures, until a share of the ball's samples is white."""
+    """A sweep over the exposure: these fractions of the ball's samples are white."""
     (scene,) = ball(SIZE, LAMP)
     seen = np.asarray(pf.render(scene, TRUTH, film=UNCLAMPED))[scene.trace().mask]
     settings = []
@@ -130,7 +129,7 @@ def clipped(shares: Sequence[float]) -> Sweep:
 
 
 def windows(places: Sequence[float], size: int = 39) -> Sweep:
-    """Close-ups that move off the highlight; x is the share of it that is seen."""
+    """A sweep of close-ups; x is the fraction of the highlight that is seen."""
     settings = []
     (whole,) = close_up(-0.2, 2.0, size)
     for place in places:
@@ -142,7 +141,7 @@ def windows(places: Sequence[float], size: int = 39) -> Sweep:
 
 
 def close_up(x: float, view: float, size: int) -> tuple[pf.Scene, ...]:
-    """A window of the ball around (x, 0), `view` wide; `size` pixels are 0.8."""
+    """A close-up of the ball around (x, 0), `view` wide; `size` pixels are 0.8 wide."""
     size = round(size * view / 0.8)
     camera = pf.OrthographicCamera(size, size, view_height=view, position=(x, 0.0, 5.0))
     # Its highlight is centred on x = −0.35.
@@ -152,7 +151,7 @@ def close_up(x: float, view: float, size: int) -> tuple[pf.Scene, ...]:
 
 
 def highlight_light(scene: pf.Scene) -> float:
-    """All of the highlight's light in an image, per area."""
+    """Light of the highlight, summed over the area of the image."""
     glint = pf.Material(0.0, 1.0, SHARP.shininess, 0.0)
     camera = scene.camera
     assert isinstance(camera, pf.OrthographicCamera)
@@ -162,14 +161,14 @@ def highlight_light(scene: pf.Scene) -> float:
 
 
 def sweeps(small: bool) -> list[Sweep]:
-    """All of them."""
+    """All sweeps."""
     if small:
         return [
             noises([0.01, 0.03]),
             lamps([1, 4]),
             resolutions([32, SIZE]),
             clipped([0.0, 0.3]),
-            # Of one size with others, so that what is compiled serves them all.
+            # The size of the other sweeps, so that compiled programs are shared.
             windows([-0.1, 0.5], SIZE),
         ]
     return [
@@ -182,13 +181,13 @@ def sweeps(small: bool) -> list[Sweep]:
 
 
 def spread(setting: Setting, draws: int, seed: int) -> Spread:
-    """Many fits of one setting, next to what is predicted for them."""
+    """Errors of many fits of one setting, and the errors predicted for them."""
     options: dict[str, Any] = dict(
         noise=setting.noise, film=setting.film, per_channel=()
     )
     scenes = list(setting.scenes)
     predicted = pf.predict_errors(scenes, setting.material, **options)
-    order = [predicted.labels.index(leaf) for leaf in PARAMETERS]
+    order = [predicted.labels.index(name) for name in PARAMETERS]
     truth = predicted.values[order]
     lights = [
         np.asarray(pf.render(scene, setting.material, film=UNCLAMPED))
@@ -217,7 +216,7 @@ def spread(setting: Setting, draws: int, seed: int) -> Spread:
 
 
 def relative(values: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Errors as shares of the truth; of f that of its logarithm, as it is fitted."""
+    """Errors relative to the truth; for f the error of log f, which is fitted."""
     share = values / truth - 1
     f = PARAMETERS.index("shininess")
     share[f] = np.log(values[f] / truth[f])
@@ -225,7 +224,7 @@ def relative(values: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def root_mean_square(columns: np.ndarray) -> np.ndarray:
-    """Of each column, its NaN left out; NaN where that leaves less than half."""
+    """Root mean square of each column without its NaN; NaN if half or more are NaN."""
     known = np.isfinite(columns)
     count = known.sum(axis=0)
     squares = np.where(known, columns, 0) ** 2
@@ -252,7 +251,7 @@ def measure(small: bool) -> Found:
 
 @style.styled
 def draw(found: Found) -> Figure:
-    """A panel for each sweep, and all ratios in one."""
+    """Draw a panel for each sweep, and one with all ratios."""
     figure = style.page(7.4)
     panels = figure.subplots(3, 2).ravel()
     for axes, (sweep, spreads) in zip(panels, found, strict=False):
@@ -284,7 +283,7 @@ def draw(found: Found) -> Figure:
 
 
 def draw_sweep(axes: Axes, sweep: Sweep, spreads: list[Spread]) -> None:
-    """Bounds as lines, fits as marks, parameter by parameter."""
+    """Draw predicted errors as lines and fits as marks, parameter by parameter."""
     x = np.array([one.x for one in spreads])
     for k, name in enumerate(PARAMETERS):
         colour, marker, _ = style.PARAMETERS[name]
@@ -369,7 +368,7 @@ def find(small: bool) -> Finding:
 
 
 def failures(found: Found) -> tuple[str, ...]:
-    """Spreads that are further from what they should be than chance allows."""
+    """Sentences on spreads that differ from their prediction by more than chance."""
     wrong = []
     for sweep, spreads in found:
         for one in spreads:

@@ -17,7 +17,7 @@ from experiments.balls import ball
 from experiments.finding import Experiment, Finding, Table
 
 HEIGHT = 2.0
-"""Of the lamps over the floor, world units."""
+"""Height of the lamps over the floor, world units."""
 
 CUTOFF = 30.0
 DENSITY = 0.25
@@ -48,7 +48,7 @@ LAMPS: dict[str, pf.AbstractLight] = {
 class Result:
     """Measured values, and those of the formulas.
 
-    - `place`: on the floor, from below the lamp, world units;
+    - `place`: distance on the floor from the point below the lamp, world units;
     - `falloff`, `falloff_formula`: light there over that of a white floor under the
         directional lamp, by lamp;
     - `depth`, `contrast`, `contrast_formula`: of pixels in fog, along the view;
@@ -89,7 +89,7 @@ def from_above(size: int) -> pf.OrthographicCamera:
 
 
 def measure(size: int) -> Result:
-    """All numbers, from pictures of `size` × `size` pixels."""
+    """Measure everything on pictures of `size` × `size` pixels."""
     white = pf.Material(1.0, 0.0, ambient=0.0)
     camera = from_above(size)
     x, _, z = np.asarray(camera.rays().origin, float)[size // 2].T
@@ -118,9 +118,9 @@ def seen(scene: pf.Scene, material: pf.Material) -> np.ndarray:
 
 
 def falloff_formulas(place: np.ndarray) -> dict[str, np.ndarray]:
-    """Light on a floor by distance from below a lamp, over that right below it."""
+    """Light at distances from the point below a lamp, relative to that point."""
     cosine = HEIGHT / np.hypot(place, HEIGHT)
-    # Lambert's cosine, and one over the distance squared: two more of it.
+    # Lambert's cosine, and its square for the inverse square of the distance.
     point = cosine**3
     inside = cosine >= np.cos(np.deg2rad(CUTOFF))
     return {
@@ -131,7 +131,7 @@ def falloff_formulas(place: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def fog_contrast(size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Depth of the floor's pixels, and what fog leaves of black against white."""
+    """Depth of the floor's pixels, and the contrast of white to black left by fog."""
     camera = pf.PerspectiveCamera.look_at(
         (0, 1.2, 4), (0, 0.4, 0), width=size, height=size, fov_y=40.0
     )
@@ -148,7 +148,7 @@ def fog_contrast(size: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shadow_area(size: int) -> float:
-    """Of the ball on the floor under a sun so low that they lie side by side."""
+    """Area of the ball's shadow on the floor, under a sun so low that both are seen."""
     camera = from_above(size)
     both = pf.join([floor(5.0), ball(48, RADIUS, (0, 1.4, 0))])
     scene = pf.Scene(both, camera, pf.DirectionalLight(SUN), shadows=True)
@@ -161,7 +161,7 @@ def shadow_area(size: int) -> float:
 
 
 def pictures(size: int) -> dict[str, pf.Scene]:
-    """One view of ball and floor under all kinds of light."""
+    """Scenes of ball and floor from one camera, under all kinds of light."""
     camera = pf.PerspectiveCamera.look_at(
         (0.6, 1.9, 4.0), (0.25, 0.4, 0), width=size, height=size, fov_y=34.0
     )
@@ -192,7 +192,7 @@ def pictures(size: int) -> dict[str, pf.Scene]:
 
 @style.styled
 def draw(result: Result, size: int) -> Figure:
-    """A figure: six pictures above; fall-off of light and contrast in fog below."""
+    """Draw six pictures above; fall-off of light and contrast in fog below."""
     figure = style.page(7.6)
     top, bottom = style.bands(figure, 5.1, 2.5)
     scenes = pictures(size)

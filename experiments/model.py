@@ -19,7 +19,7 @@ SPECULARS = (0.25, 0.5, 0.75)
 EXPONENTS = (3.0, 5.0, 10.0, 25.0, 100.0, 200.0)
 PLASTIC, METAL = (5.0, 10.0), (100.0, 200.0)
 COLOUR = np.array([0.95, 0.75, 0.55])
-# Light as it is, since what is measured must not be cut off.
+# Not clamped, since all light is measured.
 UNCLAMPED = pf.Film(clamp=False)
 
 
@@ -47,13 +47,13 @@ def ball(size: int, ambient: float = 0.0, background: float = 0.0) -> pf.Scene:
 
 
 def light(scene: pf.Scene, **parameters: float) -> np.ndarray:
-    """Linear light of a ball whose other parameters are 0."""
+    """Linear light of a scene for a material whose other parameters are 0."""
     material = pf.Material(**(dict(diffuse=0.0, ambient=0.0) | parameters))
     return np.asarray(pf.render(scene, material, film=UNCLAMPED), float)
 
 
 def measure(size: int) -> Result:
-    """All numbers, from pictures of `size` × `size` pixels."""
+    """Measure everything on pictures of `size` × `size` pixels."""
     scene = ball(size, ambient=0.4)
     diffuse = np.array([light(scene, diffuse=share) for share in SHARES])
     ambient = np.array([light(scene, ambient=share) for share in SHARES])
@@ -92,7 +92,7 @@ def highlight_width(scene: pf.Scene, exponent: float) -> float:
 
 @style.styled
 def draw(size: int) -> Figure:
-    """Rows of balls."""
+    """Draw rows of balls."""
     figure = style.page(6.9)
     top, bottom = style.bands(figure, 2.7, 4.0)
     scene = ball(size, ambient=0.5, background=1.0)
@@ -145,7 +145,7 @@ def find(small: bool) -> Finding:
             EXPONENTS, result.width, result.formula, strict=True
         )
     )
-    # Of a highlight of n pixels, those on its edge are counted or not: about √n.
+    # In a highlight of n pixels, about √n on its edge may or may not be counted.
     slack = 0.25 if small else 0.05
     off = np.abs(result.width / result.formula - 1)
     wrong = [

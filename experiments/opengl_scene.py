@@ -1,6 +1,7 @@
-"""Whole scenes as state of the fixed-function OpenGL 1.x, both ways.
+"""Conversion of whole scenes to and from the state of fixed-function OpenGL 1.x.
 
-Light model, shade model and matrices here; their parts in [`phongfit.files.opengl`][].
+Light model, shade model and matrices are here; lights, materials and fog are in
+[`phongfit.files.opengl`][].
 """
 
 import math
@@ -50,7 +51,12 @@ def shading_to_opengl(shading: AbstractShading, *, nearest: bool = False) -> str
 
 
 def shading_from_opengl(shade_model: str, clamp: bool = True) -> AbstractShading:
-    """The inverse; `clamp` is GL_CLAMP_VERTEX_COLOR. **Raises:** `ValueError`."""
+    """A shading method from the argument of `glShadeModel`.
+
+    **Arguments:** `clamp`: GL_CLAMP_VERTEX_COLOR.
+
+    **Raises:** `ValueError` for another argument.
+    """
     if shade_model == "GL_FLAT":
         return FlatShading("last_vertex", clamp)
     if shade_model == "GL_SMOOTH":

@@ -16,7 +16,7 @@ PictureFile = Annotated[Path, tyro.conf.arg(metavar="FILE")]
 
 
 def check_outputs(picture: Path | None, json: Path | None) -> None:
-    """Could these files be written? Asked before what takes long.
+    """Check that these files can be written, before a long computation.
 
     **Raises:** `OSError` or `ValueError` that names the file, and says why not.
     """
@@ -32,19 +32,19 @@ def check_outputs(picture: Path | None, json: Path | None) -> None:
 
 
 def complain(console: Console, sentences: Iterable[str]) -> None:
-    """Print warnings and what is wrong as they stand: codes are in brackets."""
+    """Print warnings and failed checks without markup, since codes are in brackets."""
     for words in sentences:
         console.print(f"  ! {words}", markup=False, highlight=False)
 
 
 def save_numbers(path: Path | None, numbers: Any) -> None:
-    """Write what was printed as JSON, if a file was asked for."""
+    """Write numbers as JSON, if a file is given."""
     if path is not None:
         write_json(path, numbers)
 
 
 def save_picture(path: Path, figure: Figure) -> None:
-    """Write a figure, and say where it is."""
+    """Write a figure, and print its path."""
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=150)
     print(f"picture: {path}")

@@ -62,7 +62,7 @@ class Photos:
 
 
 def read(folder: Path, encoding: Encoding | None) -> Photos:
-    """A folder in one of the two layouts.
+    """Read a folder in one of the two layouts.
 
     **Raises:** `ValueError` that names what is missing.
     """
@@ -87,7 +87,7 @@ def read(folder: Path, encoding: Encoding | None) -> Photos:
 
 
 def some(photos: Photos, every: int) -> Photos:
-    """Every so-manieth photograph, from the first on."""
+    """Keep every `every`-th photograph, from the first on."""
     data, pick = photos.photographs, slice(None, None, every)
     chosen = range(len(data.names))[pick]
 
@@ -107,7 +107,7 @@ def least_squares(
     images: Float[np.ndarray, "images height width 3"],
     directions: Float[np.ndarray, "images 3"],
 ) -> Float[np.ndarray, "height width 3"]:
-    """Normals of a matte surface: as published, of the luma clipped at 1."""
+    """Normals of a matte surface, by the published method: from luma clipped at 1."""
     grey = np.minimum(images @ LUMA, 1)
     found = np.einsum("dk,khw->hwd", np.linalg.pinv(directions), grey)
     length = np.linalg.norm(found, axis=-1, keepdims=True)
@@ -117,7 +117,7 @@ def least_squares(
 def angles(
     found: Float[np.ndarray, "height width 3"], photos: Photos
 ) -> Float[np.ndarray, " pixels"]:
-    """Degrees from the truth, of all pixels where it is known."""
+    """Angles of normals from the truth, degrees, at all pixels where it is known."""
     cosine = np.sum(found * photos.truth, axis=-1)[photos.mask]
     return np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
 
@@ -125,9 +125,9 @@ def angles(
 def compare(
     photos: Photos, materials: int | Literal["auto"] | None = None
 ) -> tuple[dict[str, Any], pf.Maps]:
-    """Mean angular errors of both ways, in degrees, and phongfit's maps.
+    """Mean angular errors of both methods, in degrees, and phongfit's maps.
 
-    **Arguments:** `materials`: as of [`fit_maps`][phongfit.fit_maps].
+    **Arguments:** `materials`: as in [`fit_maps`][phongfit.fit_maps].
     """
     data = photos.photographs
     directions = np.array([_direction(scene) for scene in data.scenes])
@@ -159,20 +159,21 @@ def compare(
         # As single-pass methods, which the table compares.
         passes=1,
         unknowns=("diffuse", "specular", "shininess"),
-        # A highlight has the lamp's colour: one ρ_s, which few lamps can tell.
+        # A highlight has the lamp's colour, and few lamps identify a ρ_s for each
+        # channel.
         per_channel=("diffuse",),
         bounds=BOUNDS,
         materials=materials,
     )
     off = angles(maps.normals, photos)
     errors = maps.normals_stderr[photos.mask]
-    told = np.isfinite(errors)
+    identified = np.isfinite(errors)
     numbers |= {
         "mean_angular_error": float(off.mean()),
         "median_angular_error": float(np.median(off)),
-        "identified": float(told.mean()),
-        "mean_angular_error_where_identified": float(off[told].mean())
-        if told.any()
+        "identified": float(identified.mean()),
+        "mean_angular_error_where_identified": float(off[identified].mean())
+        if identified.any()
         else None,
         "least_standard_error": float(errors.min()),
         "lamps_in_a_plane": float(maps.flagged(pf.Flag.IN_A_PLANE)[photos.mask].mean()),
@@ -190,7 +191,7 @@ def _direction(scene: pf.Scene) -> np.ndarray:
 
 @styled
 def figure(photos: Photos, maps: pf.Maps) -> Figure:
-    """True normals, found ones, how far off they are, and the errors they state."""
+    """Draw true and fitted normals, the angles between them, and the stated errors."""
     drawing = page(2.6)
     panels = drawing.subplots(1, 4)
     for axes, normals, title in (

@@ -47,7 +47,7 @@ class Case:
 
 
 def cases() -> list[Case]:
-    """The targets, from the easiest to those that leave something open."""
+    """The targets, from the easiest to those with unidentified parameters."""
     plastic = pf.Material((0.55, 0.25, 0.15), 0.3, 10.0, (0.5, 0.25, 0.15))
     phong = pf.Material((0.1, 0.35, 0.5), 0.35, 25.0, (0.2, 0.5, 0.6))
     matte = pf.Material((0.35, 0.5, 0.3), 0.0, 32.0, (0.4, 0.5, 0.3))
@@ -161,7 +161,7 @@ def main(
 
     Args:
         resolution: Width and height of the targets, pixels.
-        seed: Of the noise.
+        seed: Seed of the noise.
         picture: File for the picture.
         json: File for the numbers: a list of cases with truth, estimate and stderr.
     """

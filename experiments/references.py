@@ -20,7 +20,7 @@ from phongfit.files.opengl import material_from_opengl
 
 Arrays = dict[str, np.ndarray]
 
-# Folders of those that come with the project; `KEPT` as one here would name them.
+# Folders of the references that come with the project, from the current folder.
 REFERENCES = Path(__file__).parents[1] / "tests" / "data" / "references"
 KEPT = tuple(Path(os.path.relpath(REFERENCES / by)) for by in ("opengl", "povray"))
 
@@ -43,8 +43,8 @@ class VertexColors(NamedTuple):
 class Reference(NamedTuple):
     """A scene with its material, and what another renderer made of it.
 
-    `covered` is where its image shows the mesh; `bound` the difference in an image that
-    it can be held to.
+    `covered` is true where its image shows the mesh; `bound` is the largest difference
+    of a pixel that counts as agreement.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Reference(NamedTuple):
 
 
 def find_references(folder: Path) -> list[Path]:
-    """The scenes in a folder. **Raises:** `ValueError` if there are none."""
+    """Paths of the scenes in a folder. **Raises:** `ValueError` if there are none."""
     paths = sorted(folder.glob("*.json"))
     if not paths:
         raise ValueError(f"{folder}: there is no NAME.json of a scene in this folder")
@@ -66,45 +66,45 @@ def find_references(folder: Path) -> list[Path]:
 
 
 def read_reference(path: Path) -> Reference:
-    """One scene, from `NAME.json` and `NAME.npz` beside it.
+    """Read one scene from `NAME.json` and `NAME.npz` beside it.
 
     **Raises:** `ValueError` that names the file and what is wrong with it.
     """
     with naming(str(path)):
         try:
-            said = json.loads(read_text(path))
+            record = json.loads(read_text(path))
             with np.load(path.with_suffix(".npz")) as file:
                 arrays = dict(file)
             reader: Callable[..., Reference]
-            reader = _opengl if "shade_model" in said else _raytraced
-            return reader(path.stem, said, arrays)
+            reader = _opengl if "shade_model" in record else _raytraced
+            return reader(path.stem, record, arrays)
         except KeyError as error:
             raise ValueError(f"{error} is missing") from error
         except (OSError, TypeError) as error:
             raise ValueError(str(error)) from error
 
 
-def _opengl(name: str, said: dict[str, Any], arrays: Arrays) -> Reference:
-    state = {name: said[name] for name in OPENGL_STATE}
-    state["fog"] = _parameters(said["fog"])
+def _opengl(name: str, record: dict[str, Any], arrays: Arrays) -> Reference:
+    state = {name: record[name] for name in OPENGL_STATE}
+    state["fog"] = _parameters(record["fog"])
     mesh = pf.Mesh(arrays["vertices"], arrays["faces"], arrays["normals"])
-    scene = scene_from_opengl(mesh, _opengl_camera(said), state)
+    scene = scene_from_opengl(mesh, _opengl_camera(record), state)
     return Reference(
         name=name,
         scene=scene,
-        material=material_from_opengl(said["material"]),
+        material=material_from_opengl(record["material"]),
         film=pf.Film(clamp=scene.shading.clamp),
         image=arrays["image"],
         covered=arrays["depth"] < 1,
-        vertex_colors=_vertex_colors(said["shade_model"], arrays),
+        vertex_colors=_vertex_colors(record["shade_model"], arrays),
         bound=1e-4,
     )
 
 
-def _opengl_camera(said: dict[str, Any]) -> pf.AbstractCamera:
-    projection = said["projection"]
-    place = said["eye"], said["target"], said["up"]
-    width, height = said["width"], said["height"]
+def _opengl_camera(record: dict[str, Any]) -> pf.AbstractCamera:
+    projection = record["projection"]
+    place = record["eye"], record["target"], record["up"]
+    width, height = record["width"], record["height"]
     if projection["kind"] == "perspective":
         return pf.PerspectiveCamera.look_at(
             *place, width=width, height=height, fov_y=projection["fovy_degrees"]
@@ -119,11 +119,11 @@ def _opengl_camera(said: dict[str, Any]) -> pf.AbstractCamera:
     )
 
 
-def _parameters(said: dict[str, Any] | None) -> dict[str, Any] | None:
-    """OpenGL's own names only; notes for the reader stand between them."""
-    if said is None:
+def _parameters(record: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Keep the names of OpenGL; the other entries are notes for the reader."""
+    if record is None:
         return None
-    return {name: value for name, value in said.items() if name.startswith("GL_")}
+    return {name: value for name, value in record.items() if name.startswith("GL_")}
 
 
 def _vertex_colors(shade_model: str, arrays: Arrays) -> VertexColors:
@@ -133,8 +133,8 @@ def _vertex_colors(shade_model: str, arrays: Arrays) -> VertexColors:
     return VertexColors(lit, arrays["vertex_colors"][lit])
 
 
-def _raytraced(name: str, said: dict[str, Any], arrays: Arrays) -> Reference:
-    camera, model = said["camera"], said["specular_model"]
+def _raytraced(name: str, record: dict[str, Any], arrays: Arrays) -> Reference:
+    camera, model = record["camera"], record["specular_model"]
     models = {"phong": pf.Phong(), "blinn-phong": pf.BlinnPhong()}
     if model not in models:
         raise ValueError(
@@ -151,23 +151,23 @@ def _raytraced(name: str, said: dict[str, Any], arrays: Arrays) -> Reference:
             camera["eye"],
             camera["target"],
             camera["up"],
-            width=said["width"],
-            height=said["height"],
+            width=record["width"],
+            height=record["height"],
             fov_y=camera["fovy_degrees"],
         ),
-        [pf.PointLight(one["position"], one["intensity"]) for one in said["lights"]],
-        said["ambient_light"],
+        [pf.PointLight(one["position"], one["intensity"]) for one in record["lights"]],
+        record["ambient_light"],
         specular_model=models[model],
         shadows=True,
-        background=said["background"],
+        background=record["background"],
     )
     return Reference(
         name=name,
         scene=scene,
-        material=pf.stack_materials(pf.Material(**one) for one in said["materials"]),
+        material=pf.stack_materials(pf.Material(**one) for one in record["materials"]),
         film=pf.Film(bits=16),
         image=arrays["image"],
-        covered=seen(arrays["image"], np.asarray(said["background"])),
+        covered=seen(arrays["image"], np.asarray(record["background"])),
         vertex_colors=None,
         bound=2 / 255,
     )

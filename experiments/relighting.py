@@ -95,7 +95,7 @@ def harmonics(directions: Float[np.ndarray, "lamps 3"], order: int) -> np.ndarra
 
 
 def regress(basis: Any, data: Photographed) -> Float[np.ndarray, "lamps h w 3"]:
-    """The left-out photographs by least squares, per pixel and channel."""
+    """Predict the left-out photographs by least squares, for each pixel and channel."""
     known, asked = basis(data.fitted.directions), basis(data.left_out.directions)
     images = data.fitted.images
     weights, *_ = np.linalg.lstsq(known, images.reshape(len(images), -1), rcond=None)
@@ -108,7 +108,7 @@ def mapped(
     fov: float | None = None,
     passes: int = 1,
 ) -> dict[str, Float[np.ndarray, "lamps h w 3"]]:
-    """The left-out photographs by maps that are relit, and with what these leave."""
+    """Predict the left-out photographs by maps, without and with residual images."""
     height, width = data.fitted.images.shape[1:3]
     camera = camera_of(height, width, None, fov)
     camera = camera or pf.OrthographicCamera(width, height)
@@ -152,8 +152,8 @@ def ratio(shown: np.ndarray, wanted: np.ndarray) -> float:
 def read_lamps(folder: Path) -> Lamps:
     """A folder's photographs, in the order of its list.
 
-    Lists of real folders may count wrongly, or name photographs that are not there:
-    these are left out.
+    The count in a list's first line may be wrong, so it is not read. Lines whose
+    photograph is not in the folder are left out.
 
     **Raises:** `ValueError` that names the folder.
     """
@@ -221,7 +221,7 @@ def stand_in(size: int) -> Photographed:
 
 
 def draw(data: Photographed, shown: dict[str, np.ndarray]) -> Figure:
-    """The left-out photograph with the lowest lamp, and what each method predicts."""
+    """Draw the left-out photograph with the lowest lamp, and all predictions of it."""
     lowest = int(np.argmin(data.left_out.directions[:, 2]))
     pictures = {"photograph": data.left_out.images} | shown
     figure = Figure(figsize=(3 * len(pictures), 3.4), layout="constrained")
@@ -255,15 +255,16 @@ def main(
     """Compare maps with texture maps and harmonics, on lamps that were left out.
 
     Args:
-        folders: Of photographs with an .lp, or with Dome and Test folders of them.
-        loss: Of the maps' fit. The shorter its tails, the more of what the model does
-            not have (light that bounced, the wide foot of a highlight) counts as an
-            outlier: tukey is better on a smooth glossy panel, cauchy on a statue.
+        folders: Folders of photographs with an .lp, or with folders Dome and Test of
+        them.
+        loss: Loss of the maps' fit. With shorter tails, more light that the model lacks
+        (interreflections, the wide foot of a highlight) counts as an outlier: tukey is
+        better on a smooth glossy panel, cauchy on a statue.
         fov: The camera's angle of view, from the lower to the upper edge. Default:
             parallel rays.
-        passes: Of the maps' fit: all but the first leave out what lies in shadow.
+        passes: Passes of the maps' fit; all but the first leave out samples in shadow.
         small: A small stand-in, where no folder is given.
-        picture: The figure to write; of several folders the first one's.
+        picture: The figure to write, for the first folder.
         json: The table as JSON.
     """
     check_outputs(picture, json)

@@ -25,7 +25,7 @@ def notebooks() -> list[Path]:
 
 
 def read(path: Path) -> NotebookNode:
-    """A notebook as it is stored."""
+    """Read a notebook file."""
     return nbformat.read(path, as_version=4)
 
 

@@ -31,7 +31,7 @@ LINES = {
     "Phong": (style.BLUE, "^"),
 }
 ROWS = (6, 12, 24, 48, 96)
-"""Of faces from pole to pole, and twice as many around."""
+"""Numbers of faces from pole to pole; there are twice as many around."""
 
 EXPONENTS = (10.0, 50.0, 200.0)
 GOOD = 0.05
@@ -63,7 +63,7 @@ class Result:
         method; `value_jump`: the same of the light itself;
     - `seconds`: for an image, by method, for each of `TIMED`; `trace`: for its
         geometry;
-    - `enough`: edge over half width where Gouraud's peak is `GOOD`, by exponent.
+    - `enough`: edge over half width where Gouraud's loss is `GOOD`, by exponent.
     """
 
     edge: np.ndarray
@@ -153,7 +153,7 @@ def highlight(rows: int, size: Size) -> dict[str, tuple[np.ndarray, np.ndarray]]
 
 
 def edge_jumps(rows: int, pixels: int) -> dict[str, tuple[float, float]]:
-    """By how much slope and value of a matte ball's light jump from face to face.
+    """Jumps of slope and value of a matte ball's light from face to face, RMS.
 
     Along the rows of a close-up: where two pixels of one face are followed by two of
     the next one, the slopes of the two pairs are compared.
@@ -175,7 +175,7 @@ def edge_jumps(rows: int, pixels: int) -> dict[str, tuple[float, float]]:
         )
         step = np.diff(np.asarray(image, float)[..., 0], axis=1)
         slope = (step[:, 2:] - step[:, :-2])[meet] / pixel
-        # Without what the slopes alone would add from one pixel to the next.
+        # Minus the mean change within the two faces, which the slopes cause.
         value = (step[:, 1:-1] - (step[:, 2:] + step[:, :-2]) / 2)[meet]
         found[name] = rms(slope), rms(value)
     return found
@@ -200,7 +200,7 @@ def crossing(x: np.ndarray, y: np.ndarray, level: float) -> float:
 
 
 def costs(size: Size) -> tuple[dict[str, np.ndarray], float]:
-    """Median seconds of an image by each method, alternately; and of its geometry."""
+    """Median seconds of an image by each method, in turns, and of its geometry."""
     camera = pf.OrthographicCamera(size.pixels, size.pixels, view_height=2.1)
     scenes = {
         (name, lamps): ball(ROWS[2], name, camera, spread_directions(lamps))
@@ -234,7 +234,7 @@ def costs(size: Size) -> tuple[dict[str, np.ndarray], float]:
 
 @style.styled
 def draw(result: Result, pixels: int) -> Figure:
-    """Balls by all methods and meshes above, numbers below."""
+    """Draw balls by all methods and meshes above, numbers below."""
     figure = style.page(8.9)
     top, bottom = style.bands(figure, 4.6, 4.3)
     camera = pf.OrthographicCamera(pixels, pixels, view_height=2.05)
@@ -300,7 +300,7 @@ COLUMNS = (
 
 
 def rows_of(result: Result) -> tuple[tuple[str, ...], ...]:
-    """A line for each mesh, at the middle exponent."""
+    """Rows of the table: one for each mesh, at the middle exponent."""
     k = 1
     gouraud, jump = result.peak["Gouraud"], result.slope_jump
     return tuple(

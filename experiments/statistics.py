@@ -62,7 +62,8 @@ class Spread:
 
     def wrong(self) -> list[str]:
         """Parameters whose error bars are off by more than chance allows."""
-        # Of few draws a spread is known to 1/√(2n), a share to √(p (1 − p) / n).
+        # From n draws, a spread has the relative error 1/√(2n), a share p has the error
+        # √(p (1 − p) / n).
         slack = max(0.05, 4 / np.sqrt(2 * self.draws))
         edge = max(0.015, 4 * np.sqrt(LEVEL * (1 - LEVEL) / self.draws))
         wide = (self.ratio < 1 - slack) & ~self.one_sided
@@ -105,9 +106,10 @@ def spread(material: pf.Material, draws: int, seed: int, console: Console) -> Sp
 
 
 def random_problem(seed: int) -> tuple[pf.Scene, np.ndarray]:
-    """A part of a sphere or of a mesh, 1-3 lights, noise, up to a fifth of it clipped.
+    """A random scene and its noisy image.
 
-    ρ_s goes down to 0.02 and f from 1 to 200.
+    It shows a part of a sphere or of a mesh under 1 to 3 lights. Up to a fifth of the
+    samples are clipped; ρ_s is 0.02 or more, f from 1 to 200.
     """
     rng = np.random.default_rng(seed)
     material = pf.Material(
@@ -192,7 +194,7 @@ def main(
         draws: Noisy images of each of two scenes.
         problems: Random problems; 0 leaves them out.
         starts: Random starts of each of them.
-        seed: Of the noise and of the problems.
+        seed: Seed of the noise and of the problems.
         json: File for the numbers.
     """
     if min(draws, starts) < 1 or problems < 0:

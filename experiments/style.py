@@ -66,7 +66,7 @@ def bands(figure: Figure, *heights: float) -> list[SubFigure]:
 
 
 def show(axes: Axes, image: Any, title: str = "", below: str = "") -> None:
-    """Linear light (H, W, 3) as a screen shows it: clamped and sRGB-encoded."""
+    """Draw linear light (H, W, 3) as a screen shows it: clamped and sRGB-encoded."""
     axes.imshow(displayed(image))
     quiet(axes)
     axes.set_title(title)
@@ -74,7 +74,7 @@ def show(axes: Axes, image: Any, title: str = "", below: str = "") -> None:
 
 
 def plain_numbers(axes: Axes, which: str = "xy") -> None:
-    """0.1, 1, 10 on axes of a log scale, in place of powers of ten."""
+    """Label logarithmic axes by 0.1, 1, 10, in place of powers of ten."""
     for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
         if name in which and axis.get_scale() == "log":
             axis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -87,7 +87,7 @@ def picture_grid(
     columns: Sequence[str],
     rows: Sequence[str],
 ) -> np.ndarray:
-    """Pictures in rows and columns that bear names.
+    """Draw pictures in a grid whose rows and columns have titles.
 
     **Arguments:** `images`: rows of linear light (H, W, 3). **Returns:** their axes.
     """

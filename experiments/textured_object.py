@@ -24,11 +24,12 @@ through files 1.002, 1.6 errors, 1.021. `--full` through files: 1.013, 2.2 error
 much memory the fit takes, which is to be less than 4 GB: 3.70 GB, 46 min of processor
 time (with probes of errors to 1e-3; they are to 1e-2 now, which takes less), ρ_s and f
 within 0.8 errors. A texel has some four samples, so that the ninth place is predicted
-to 1.26 times its noise. Of 54 million samples those in shadow were seen to be off by
-5.6 σ, and errors were widened 1.9 times: 8 bits are rounded after they are clipped at
-black, and end up darker than clipped noise by p h² / 12 for steps h and a density p of
-samples at black. Fits know this now, which was seen at 256 × 256 texels with noise of
-one step: 8.1 σ and pulls 0.37 before, 2.7 σ and 1.00 since.
+to 1.26 times its noise. Among 54 million samples, those in shadow were off by 5.6 σ,
+and errors were widened 1.9 times. The reason: 8-bit values are rounded after they are
+clipped at black, and become darker than clipped noise by p h² / 12 for steps h and a
+density p of samples at black. Fits now correct for this. At 256 × 256 texels with noise
+of one step the offset was 8.1 σ and pulls were 0.37 before; now these are 2.7 σ and
+1.00.
 """
 
 import dataclasses
@@ -95,7 +96,7 @@ def vase(around: int, along: int) -> pf.Mesh:
 
 
 def checkered(texels: int, seed: int = 0) -> np.ndarray:
-    """Checks of two colours, (texels, texels, 3), each texel a little its own."""
+    """Checks of two colours, (texels, texels, 3), plus noise at each texel."""
     squares = np.indices((texels, texels)) // max(texels // 12, 1)
     even = (squares.sum(axis=0) % 2)[..., None]
     colour = np.where(even, [0.7, 0.55, 0.3], [0.15, 0.25, 0.45])
@@ -109,7 +110,7 @@ TRUTH = pf.Material(
 
 
 def views(mesh: pf.Mesh, size: Size) -> list[pf.Scene]:
-    """Cameras around the vase, each with two lamps, one after the other."""
+    """Scenes of cameras around the vase: two for each camera, with one lamp each."""
     scenes = []
     for k in range(size.views):
         angle = 2 * np.pi * k / size.views
@@ -121,7 +122,7 @@ def views(mesh: pf.Mesh, size: Size) -> list[pf.Scene]:
 def view(
     mesh: pf.Mesh, pixels: int, angle: float, height: float, lamps: tuple[float, ...]
 ) -> list[pf.Scene]:
-    """One camera, with a lamp at each of some angles from it."""
+    """Scenes of one camera, each with one lamp at one of the angles `lamps` from it."""
     place = (4 * np.cos(angle), height, 4 * np.sin(angle))
     camera = pf.PerspectiveCamera.look_at(
         place, width=pixels, height=pixels, fov_y=32.0
@@ -161,8 +162,8 @@ class Answer(NamedTuple):
 
     @property
     def shared_right(self) -> bool:
-        """Whether ρ_s and f are within four errors of the truth."""
-        return all(abs(one[3]) < 4 for one in self.few)
+        """Whether ρ_s and f are within four standard errors of the truth."""
+        return all(abs(pull) < 4 for _, _, _, pull in self.few)
 
     @property
     def right(self) -> bool:
@@ -188,7 +189,7 @@ class Found(NamedTuple):
 def fit_texels(
     scenes: list[pf.Scene], images: list[np.ndarray], size: Size
 ) -> pf.TextureFit:
-    """Diffuse texels, and of each material ρ_s and f."""
+    """Fit diffuse texels, and ρ_s and f of each material."""
     return pf.fit_texture(
         scenes,
         images,
@@ -202,7 +203,7 @@ def fit_texels(
 def fit_in_memory(
     mesh: pf.Mesh, size: Size, images: list[np.ndarray], folder: Path | None
 ) -> Found:
-    """By `fit_texture`."""
+    """Fit the texture by `fit_texture`."""
     del folder
     scenes = views(mesh, size)
     fit = fit_texels(scenes, images, size)
@@ -222,7 +223,7 @@ def fit_in_memory(
 def fit_on_disk(
     mesh: pf.Mesh, size: Size, images: list[np.ndarray], folder: Path | None
 ) -> Found:
-    """By `phongfit scene` and `phongfit fit`, of files as other programs write them."""
+    """Fit the texture by `phongfit scene` and `phongfit fit`, through files."""
     assert folder is not None
     photos, model, out = (folder / name for name in ("photos", "sparse", "fit"))
     photos.mkdir(parents=True)
@@ -278,11 +279,11 @@ def write_colmap(folder: Path, names: list[str], cameras: list[Any]) -> None:
 
 
 def ask(size: Size, seed: int = 0, folder: Path | None = None) -> Answer:
-    """Photograph, fit, compare; through files if a folder is given."""
+    """Photograph the vase, fit it, and compare; through files if a folder is given."""
     mesh = vase(size.around, size.along)
     true = checkered(size.texels, seed)
     painted = mesh.with_textures(pf.Textures(diffuse=pf.Texture(true)))
-    # Files round when they are written.
+    # With files, rounding happens when they are written.
     bits = 8 if folder is None else None
     images = [
         photograph(scene, TRUTH, 100 * seed + k, bits)

@@ -33,7 +33,7 @@ LAMP = (1.0, 1.0, 2.0)
 class Mistake:
     """How an image is made, what becomes of it, and how it is then fitted.
 
-    `excuse` says why a fit may not notice.
+    `excuse` is the reason why a fit may not detect it.
     """
 
     name: str
@@ -75,7 +75,7 @@ the fit's own."""
 
 
 def ball(size: int, **changes: Any) -> pf.Scene:
-    """A ball under one lamp, or the same with something else."""
+    """A ball under one lamp, with these fields of the scene replaced."""
     scene = pf.Scene(
         pf.Sphere(),
         pf.OrthographicCamera(size, size),
@@ -86,7 +86,7 @@ def ball(size: int, **changes: Any) -> pf.Scene:
 
 
 def mistakes(size: int) -> list[Mistake]:
-    """All of them, and a fit without one."""
+    """All mistakes, after a fit without one."""
     right = ball(size)
     coarse = ball(size, surface=unit_ball(12))
     pair = ball(
@@ -147,7 +147,7 @@ def two_balls() -> pf.Mesh:
 
 
 def white(image: np.ndarray) -> np.ndarray:
-    """Cut off at black and white."""
+    """Clip an image to [0, 1]."""
     return np.clip(image, 0, 1)
 
 
@@ -157,14 +157,14 @@ def with_lamp(scene: pf.Scene, lamp: pf.DirectionalLight) -> pf.Scene:
 
 
 def angle(lamp: pf.DirectionalLight) -> float:
-    """Between a lamp and the true one, degrees."""
+    """Angle between a lamp and the true one, degrees."""
     one, other = np.array(LAMP), np.asarray(lamp.direction, float)
     cosine = one @ other / np.linalg.norm(one) / np.linalg.norm(other)
     return float(np.rad2deg(np.arccos(cosine)))
 
 
 def outcome(mistake: Mistake, draws: int, seed: int) -> Outcome:
-    """Fits of several noisy images with one mistake."""
+    """Fit several noisy images with one mistake."""
     light = np.asarray(pf.render(mistake.made, TRUTH, film=UNCLAMPED))
     rng = np.random.default_rng(seed)
     fits = [
@@ -197,17 +197,17 @@ def outcome(mistake: Mistake, draws: int, seed: int) -> Outcome:
 def flags(fit: pf.Fit) -> tuple[str, ...]:
     """The `DIAGNOSTICS` that find a fault with a fit."""
     chance = 5 * np.sqrt(2 / fit.degrees_of_freedom)
-    says = (
+    detected = (
         fit.reduced_chi_squared > 1 + chance,
         fit.neighbour_correlation > 0,
         bool(fit.at_bound.any()),
         bool(fit.warnings),
     )
-    return tuple(name for name, said in zip(DIAGNOSTICS, says, strict=True) if said)
+    return tuple(name for name, said in zip(DIAGNOSTICS, detected, strict=True) if said)
 
 
 def measure(small: bool) -> list[Outcome]:
-    """All mistakes."""
+    """Measure all mistakes."""
     size, draws = (32, 4) if small else (48, 20)
     return [
         outcome(mistake, draws, seed) for seed, mistake in enumerate(mistakes(size))
@@ -253,13 +253,13 @@ def draw(outcomes: list[Outcome]) -> Figure:
     table.tick_params(length=0, labeltop=True, labelbottom=False)
     table.axvline(len(PARAMETERS) - 0.5, c=style.BLACK, lw=0.8)
     table.set_xlabel(
-        "off by: estimate − truth, and in units σ of the error stated      ●: says so"
+        "off by: estimate − truth, and in standard errors stated      ●: detects it"
     )
     return figure
 
 
 def write(axes: Axes, column: int, row: int, words: str, ink: str = "black") -> None:
-    """Text in a cell."""
+    """Write text in a cell of the table."""
     axes.text(column, row, words, ha="center", va="center", fontsize=7.5, color=ink)
 
 
@@ -275,7 +275,7 @@ def offsets(one: Outcome) -> tuple[list[str], list[str]]:
 
 
 def minus(number: str) -> str:
-    """With a sign as long as a plus."""
+    """Replace a hyphen by a minus sign, which is as long as a plus."""
     return number.replace("-", "\N{MINUS SIGN}")
 
 

@@ -12,17 +12,17 @@ import jax
 from phongfit.codes import warn
 
 SWITCH = "PHONGFIT_CACHE"
-# JAX's cache: its folder, and the least time and size of what is kept.
+# JAX's options: the cache folder, and the least compile time and size of an entry.
 SETTINGS = (
     "jax_compilation_cache_dir",
     "jax_persistent_cache_min_compile_time_secs",
     "jax_persistent_cache_min_entry_size_bytes",
 )
-# Bytes of compiled programs, above which the oldest half goes.
+# Limit of the cache in bytes. Above it the oldest entries are deleted, down to half.
 MOST = 2**30
-# Written when all older entries had been looked at; and seconds that one may take to
-# be written.
-LOOKED_AT, WRITING = ".looked-at", 60.0
+# A file whose time stamp is that of the last check: older entries have been checked.
+# And the seconds that writing an entry may take.
+CHECKED, WRITING = ".looked-at", 60.0
 
 
 def cache_folder() -> Path | None:
@@ -74,7 +74,7 @@ def _configure(folder: Path | None) -> None:
     if folder is None:
         return
     try:
-        # Programs are run as they are found: nobody else may put any there.
+        # Cached programs are run unchecked, so only this user may write to the folder.
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError:
         return
@@ -98,29 +98,29 @@ def _configure(folder: Path | None) -> None:
 
 def _is_private(folder: Path) -> bool:
     """Whether only this user and root may write to a folder."""
-    found = folder.stat()
-    users = {getattr(os, "geteuid", lambda: found.st_uid)(), 0}
-    return found.st_uid in users and not found.st_mode & 0o022
+    status = folder.stat()
+    users = {getattr(os, "geteuid", lambda: status.st_uid)(), 0}
+    return status.st_uid in users and not status.st_mode & 0o022
 
 
 def tidy(folder: Path) -> None:
-    """Remove entries that are damaged, and the oldest where there are too many.
+    """Remove damaged entries, and the oldest ones if the cache exceeds its limit.
 
-    JAX writes them where they lie: one whose process was killed meanwhile stays as it
-    is, can never be read, and is never written again. Each is looked at once.
+    JAX writes an entry in place. If the process is killed meanwhile, the damaged entry
+    can never be read and is never replaced. Each entry is checked once.
     """
-    before, stamp = time.time() - WRITING, folder / LOOKED_AT
+    before, stamp = time.time() - WRITING, folder / CHECKED
     since = stamp.stat().st_mtime if stamp.exists() else 0.0
     entries = {path: path.stat() for path in folder.glob("*-cache")}
-    for path, found in list(entries.items()):
-        if since <= found.st_mtime < before and not _is_whole(path.read_bytes()):
+    for path, status in list(entries.items()):
+        if since <= status.st_mtime < before and not _is_whole(path.read_bytes()):
             path.unlink(missing_ok=True)
             del entries[path]
-    size = sum(found.st_size for found in entries.values())
+    size = sum(status.st_size for status in entries.values())
     if size > MOST:
-        for path, found in sorted(entries.items(), key=lambda e: e[1].st_mtime):
+        for path, status in sorted(entries.items(), key=lambda e: e[1].st_mtime):
             path.unlink(missing_ok=True)
-            size -= found.st_size
+            size -= status.st_size
             if size <= MOST // 2:
                 break
     stamp.touch()

@@ -1,7 +1,7 @@
-"""Turning what a user wrote into arrays, and saying plainly what is wrong with it.
+"""Conversion of arguments to arrays, with errors that name the argument and the fault.
 
-A constructor checks shapes always. Values are checked at once where they are known, and
-with `eqx.error_if` where they are traced (inside `jit`, `vmap` or `grad`).
+Shapes are always checked. Known values are checked at once, traced ones (inside `jit`,
+`vmap` or `grad`) by `eqx.error_if` when the program runs.
 """
 
 from collections.abc import Callable
@@ -17,14 +17,14 @@ from jaxtyping import Array, Bool, Float, Int
 from phongfit.edge import shown
 
 MOST_MATERIALS = 2**16
-"""A surface has no more: each has numbers of its own."""
+"""Largest number of materials of a surface."""
 
 NOISE = 1e-12, 1e12
-"""Standard deviations whose squares, and their inverse, single precision holds."""
+"""Range of standard deviations: σ² and 1 / σ² do not overflow in single precision."""
 
 
 def unmasked(name: str, value: Any) -> None:
-    """`ValueError` that names `name` if a mask comes with it, which would be lost."""
+    """Raise a `ValueError` for a masked array: conversion would drop its mask."""
     if isinstance(value, np.ma.MaskedArray):
         raise ValueError(f"{name}: expected an array without a mask, got a masked one")
 
@@ -50,13 +50,13 @@ def as_floats(name: str, value: Any) -> Float[Array, "..."]:
         raise ValueError(f"{name}: {got} is not an array of numbers") from error
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
         raise ValueError(f"{name}: expected real numbers, got complex numbers")
-    # Too large for the precision is infinite, which is refused in its own words.
+    # Numbers too large for this precision become infinite; the caller rejects these.
     with np.errstate(over="ignore"):
         return jnp.asarray(array if array.dtype == wanted else array.astype(wanted))
 
 
 def as_array(name: str, value: Any) -> np.ndarray:
-    """`value` as a NumPy array of whatever is in it; `ValueError` names `name`."""
+    """`value` as a NumPy array of any type; `ValueError` names `name`."""
     try:
         return np.asarray(value)
     except Exception as error:
@@ -88,7 +88,7 @@ def as_light(name: str, value: Any) -> Float[Array, "3"]:
 
 
 def as_reflectance(name: str, value: Any) -> Float[Array, "..."]:
-    """`value` as it came if its shape is () or ends in 1 or 3 (the colour), ≥ 0."""
+    """`value` as an array ≥ 0 whose shape is () or ends in 1 or 3, the colour axis."""
     array = as_floats(name, value)
     if array.ndim > 0 and array.shape[-1] not in (1, 3):
         raise ValueError(
@@ -102,7 +102,7 @@ def as_reflectance(name: str, value: Any) -> Float[Array, "..."]:
 def as_integers(name: str, value: Any, lowest: int, below: float) -> np.ndarray:
     """`value` as known whole numbers in [lowest, below); `ValueError` names `name`.
 
-    Returns a NumPy array: indices of groups are static, so they are never traced.
+    Returns a NumPy array: these numbers are static in compiled programs.
     """
     if isinstance(value, Tracer):
         raise ValueError(f"{name}: expected known numbers, got a traced array")
@@ -124,9 +124,9 @@ def as_integers(name: str, value: Any, lowest: int, below: float) -> np.ndarray:
 def as_indices(
     name: str, value: Any, shape: tuple[int, ...]
 ) -> tuple[Int[Array, "..."] | None, int]:
-    """`value` as material indices of `shape`, and how many materials that makes.
+    """`value` as material indices of `shape`, and the number of materials.
 
-    `None`, which is one material, stays `None`.
+    `None` stands for a single material: the result is (`None`, 1).
     """
     if value is None:
         return None, 1
@@ -137,7 +137,7 @@ def as_indices(
 
 
 def as_covariance(name: str, value: Any) -> Float[np.ndarray, "n n"]:
-    """`value` as a covariance: finite, symmetric, and nowhere negative.
+    """`value` as a covariance matrix: finite, symmetric, positive semidefinite.
 
     **Raises:** `ValueError` that names `name`.
     """
@@ -172,7 +172,7 @@ def as_function(name: str, value: Any) -> Any:
 
 
 def at_least(name: str, array: Array, lowest: float) -> Array:
-    """`array` if all of it is finite and ≥ `lowest`, else an error naming `name`."""
+    """Return `array` if it is finite and ≥ `lowest`; else an error names `name`."""
 
     def fine(xp: Any) -> Callable[[Any], Any]:
         return lambda a: xp.isfinite(a) & (a >= lowest)
@@ -181,10 +181,10 @@ def at_least(name: str, array: Array, lowest: float) -> Array:
 
 
 def nonzero(name: str, vector: Float[Array, "3"]) -> Float[Array, "3"]:
-    """`vector` if it has a direction, else an error naming `name`."""
+    """Return `vector`, or raise an error that names `name` if it has no direction."""
 
     def fine(a: Any) -> Any:
-        # Neither so short nor so long that its square is lost in this precision.
+        # Its square must neither underflow nor overflow in this precision.
         squared = (a * a).sum()
         return (squared >= np.finfo(a.dtype).tiny) & (squared < np.inf)
 
@@ -194,14 +194,14 @@ def nonzero(name: str, vector: Float[Array, "3"]) -> Float[Array, "3"]:
 
 
 def untraced(instead: str, **arguments: Any) -> None:
-    """An error that names the first argument with a tracer in it.
+    """Raise an error that names the first argument that contains a JAX tracer.
 
     **Arguments:**
 
-    - `instead`: what to do, for the message.
-    - `arguments`: by their names, pytrees.
+    - `instead`: what to do instead; the end of the message.
+    - `arguments`: pytrees, by their names.
     """
-    # In one go, since nearly always there is none.
+    # One test of all arguments, since nearly always none is traced.
     if not is_traced(arguments):
         return
     name = next(name for name, value in arguments.items() if is_traced(value))

@@ -1,4 +1,4 @@
-"""The command `phongfit`, and what all commands share: options in, a status out."""
+"""The command `phongfit`: parse options, run a command, return its exit status."""
 
 import _thread
 import contextlib
@@ -35,7 +35,7 @@ COMMANDS = {
     "export": "Write a material for other programs: .mtl, glTF, OpenGL, JSON.",
     "lab": "Move the model's sliders in a browser, and fit a target with one press.",
 }
-"""What each command is for; it stands in a file of its name in `phongfit/commands`."""
+"""Summaries of the commands, whose code is in `phongfit/commands/NAME.py`."""
 
 ABOUT = """Fit the Phong illumination model to images, with honest error bars.
 
@@ -89,7 +89,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _run(args: list[str]) -> int | None:
-    """Run a command, after the options that all commands share."""
+    """Run a command; `--max-memory` and `--version` are handled here."""
     with _memory(args):
         if args and args[0] in COMMANDS:
             return _execute(_parse(_load(args[0]), args[1:], f"phongfit {args[0]}"))
@@ -101,7 +101,7 @@ def _run(args: list[str]) -> int | None:
 
 @contextlib.contextmanager
 def _memory(args: list[str]) -> Iterator[None]:
-    """Take the limit of memory out of the options, and hold to it in the block."""
+    """Remove `--max-memory SIZE` from `args`; the limit holds within the context."""
     before = os.environ.get(budget.SWITCH)
     for at, word in enumerate(args):
         name, equals, size = word.partition("=")
@@ -183,7 +183,7 @@ def _escape_unprintable() -> None:
 
 
 def _load(name: str) -> Callable[..., int | None]:
-    # One at a time, since JAX and decoders take long to import.
+    # Only this command is imported, since JAX and decoders take long to import.
     match name:
         case "synth":
             from phongfit.commands import synth as command
@@ -215,7 +215,7 @@ def _load(name: str) -> Callable[..., int | None]:
 
 
 def _overview(args: Sequence[str]) -> None:
-    """Help on all commands, or what is wrong with a name that is none of them."""
+    """Print the help on all commands, or raise an error for an unknown command."""
     if not args:
         raise ValueError(
             f"expected one of {', '.join(COMMANDS)}, got none (see --help)"
@@ -246,7 +246,7 @@ def _subcommands(
 
 
 def _complete(args: Sequence[str]) -> None:
-    """Print what makes a shell complete commands, options and names of files."""
+    """Print the shell's script for completion of commands, options and file names."""
     if len(args) != 1 or args[0] not in SHELLS:
         got = " ".join(args) or "none"
         raise ValueError(
@@ -285,7 +285,7 @@ def run(
 
 
 def _execute(call: Callable[[], int | None]) -> int | None:
-    """Make a call whose compiled programs are kept for the next process."""
+    """Make a call; its compiled programs are cached for later processes."""
     from phongfit.cache import cache_programs
 
     cache_programs()
@@ -293,7 +293,7 @@ def _execute(call: Callable[[], int | None]) -> int | None:
 
 
 def _guard(call: Callable[[], int | None]) -> int:
-    """The exit status of a call, where a fault of the input is reported in one line."""
+    """Make a call and return its exit status; bad input is reported in one line."""
     try:
         return call() or 0
     except SystemExit as stop:
@@ -321,7 +321,7 @@ def _stop(message: str, status: int) -> int:
 
 
 def _on_one_line(message: str) -> str:
-    """Without line breaks, nor what steers a terminal: names of files may hold it."""
+    """A message on one line, with control characters escaped."""
     return "".join(
         letter if letter.isprintable() else letter.encode("unicode_escape").decode()
         for letter in " ".join(message.split())
@@ -337,7 +337,7 @@ def _explain(error: OSError) -> str:
 def _parse(
     function: Callable[..., int | None], args: Sequence[str] | None, prog: str | None
 ) -> Callable[[], int | None]:
-    """The call that the options ask for, not yet made."""
+    """Parse the options; returns the call of `function` with them, not yet made."""
 
     def parse(args: Sequence[str] | None) -> Callable[[], int | None]:
         return _call(function, functools.partial(tyro.cli, args=args, prog=prog))
@@ -348,10 +348,10 @@ def _parse(
 def _quietly(
     parse: Callable[[Sequence[str] | None], Result], args: Sequence[str] | None
 ) -> Result:
-    """The parsed arguments; the parser's error message as a `ValueError`."""
-    complaint = io.StringIO()
+    """Parse arguments; an error message of the parser becomes a `ValueError`."""
+    error_output = io.StringIO()
     try:
-        with contextlib.redirect_stderr(complaint):
+        with contextlib.redirect_stderr(error_output):
             return parse(args)
     except SystemExit as stop:
         if stop.code in (0, None):
@@ -361,7 +361,9 @@ def _quietly(
         text = io.StringIO()
         with contextlib.suppress(SystemExit), contextlib.redirect_stdout(text):
             parse(["--help"])
-        words = in_one_line(complaint.getvalue(), set(OPTION.findall(text.getvalue())))
+        words = in_one_line(
+            error_output.getvalue(), set(OPTION.findall(text.getvalue()))
+        )
         raise ValueError(f"{words} (see --help)") from None
 
 
@@ -372,10 +374,10 @@ def _call(
     hints = typing.get_type_hints(function)
     kinds = [hints.get(name) for name in inspect.signature(function).parameters]
     if len(kinds) == 1 and dataclasses.is_dataclass(kinds[0]):
-        # Asked for directly, so that options are named --bits, not --options.bits.
+        # The dataclass itself is parsed: options are named --bits, not --options.bits.
         return functools.partial(function, parse(kinds[0], description=about))
 
-    # Put off, since the parser would report the function's own errors as its own.
+    # The call is deferred: the parser would report its errors as wrong options.
     @functools.wraps(function)
     def later(*args: Any, **kwargs: Any) -> Callable[[], int | None]:
         return functools.partial(function, *args, **kwargs)

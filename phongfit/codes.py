@@ -1,4 +1,4 @@
-"""Warnings: each has a stable code and names its remedy. The one table of both.
+"""Codes and remedies of all warnings.
 
 A warning ends with what to try and its code in brackets: `shininess lies at its upper
 bound 1000: its error is one-sided. Try … [at-bound]`. Sentences may change from version
@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 REMEDIES: Mapping[str, str] = MappingProxyType(
     {
-        # Of a fit.
+        # Warnings of fits.
         "not-converged": "Raise max_steps, or hold one of two unknowns that are nearly "
         "degenerate",
         "not-identifiable": "Leave it out of unknowns, or use pixels that depend on it",
@@ -43,10 +43,10 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "--white), or mask these samples",
         "few-unclipped": "Give noise, or expose less",
         "outliers": "Leave them out by a mask, or try a robust loss",
-        # Of a prediction.
+        # Warnings of predictions.
         "drawn-errors": "Predict with a light or view that shows a highlight, or hold "
         "shininess (fixed)",
-        # Of maps, heights and meshes.
+        # Warnings of maps, heights and meshes.
         "bulging-normals": "Try the lights with y (or x) of the opposite sign",
         "broad-highlights": "Let pixels share their highlight (materials=1, or as many "
         "as the object has), or bound it (shininess from 15)",
@@ -60,7 +60,7 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "vague-normals": "Mask these pixels, or photograph them under more lights",
         "nothing-seen": "Aim the camera at it, or give two_sided=True if its faces "
         "show their backs",
-        # Of files.
+        # Warnings about files.
         "saturated": "Leave these pixels out, with read_photograph's mask",
         "list-count": "Check that no line of the list is missing",
         "exif-broken": "Save it anew if it lies on its side",
@@ -70,7 +70,7 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "texture-unread": "Read it with its mesh (load_mesh), or go on with one colour",
         "nearest-taken": "Export to a format that holds it, or expect what is written",
         "unregistered": "Call register(class, kind) before saving",
-        # Of calibrations.
+        # Warnings of calibrations.
         "several-matte": "Give the circle of the one that is meant (matte)",
         "outline-unseen": "Look at the picture, or give its circle as a fit by eye",
         "two-highlights": "Look at the picture: two lamps, or something that the "
@@ -87,20 +87,20 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "spheres-disagree": "Check the circles, and the kind of lamps",
         "matte-disagrees": "Check that it is matte, and the encoding",
         "slow-fall-off": "Take the lights from lights.json, which say so",
-        # Of responses.
+        # Warnings of response curves.
         "range-unseen": "Photograph brighter and darker, too",
         "not-one-curve": "Check that the surface is matte, that the camera stands "
         "still, and shape, lamps or exposures",
-        # Of this machine.
+        # Warnings about the machine.
         "shared-cache": "Take away others' right to write (chmod go-w), or set "
         "PHONGFIT_CACHE=off",
         "open-to-others": "Leave --host out if only you are to use it",
     }
 )
-"""What to try, by code, where a warning says nothing that is more to the point."""
+"""Default remedy for each code; a warning may replace it by a more specific one."""
 
 PAGE = "docs/how-to/warnings.md"
-"""Of a checkout; the site has it as HTML."""
+"""The page on warnings, in the sources; the documentation's site has it as HTML."""
 
 _CODE = re.compile(r" \[([a-z]+(?:-[a-z]+)*)\]$")
 
@@ -110,9 +110,9 @@ def coded(code: str, found: str, remedy: str | None = None) -> str:
 
     **Arguments:**
 
-    - `code`: of the table.
+    - `code`: a key of `REMEDIES`.
     - `found`: what is wrong, and how large it is; no full stop at its end.
-    - `remedy`: what to try here, if that says more than the table.
+    - `remedy`: what to try; default the one in `REMEDIES`.
     """
     return f"{found}. {REMEDIES[code] if remedy is None else remedy} [{code}]"
 

@@ -25,7 +25,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 SHOWN = 60
-"""How many characters of a value stand in a message."""
+"""Largest number of characters of a value in a message."""
 
 
 class Kind(NamedTuple):
@@ -77,14 +77,14 @@ def _of_class(record: type) -> "_Kinds":
 
 
 class _Kinds:
-    """The kinds of a function's arguments; made out when they are first asked for."""
+    """Kinds of a function's arguments, read from its annotations at the first call."""
 
     def __init__(self, of: Any):
         self._of = of
         self._kinds: dict[str, Kind | None] | None = None
 
     def taken(self, name: str, value: Any) -> Any:
-        """The value as the function gets it."""
+        """Check one argument, and return it as the function gets it."""
         if self._kinds is None:
             hints = inspect.get_annotations(inspect.unwrap(self._of))
             self._kinds = {key: kind_of(hint) for key, hint in hints.items()}
@@ -99,7 +99,7 @@ class _Kinds:
 
 
 def shown(value: Any) -> str:
-    """A value in a few words of one line, whatever it is."""
+    """Any value in a few words on one line, for a message."""
     if isinstance(value, jax.Array | np.ndarray) and np.ndim(value):
         kind = "a masked" if isinstance(value, np.ma.MaskedArray) else "an"
         return f"{kind} array of shape {value.shape}, {value.dtype}"
@@ -109,7 +109,7 @@ def shown(value: Any) -> str:
     try:
         text = repr(value) if plain else type(value).__name__
     except Exception:
-        # Integers of thousands of digits, and objects that do not know themselves.
+        # `repr` raises for integers of thousands of digits, and for some objects.
         text = type(value).__name__
     if isinstance(value, type):
         text = f"the class {value.__name__}"
@@ -149,7 +149,7 @@ def kind_of(hint: Any) -> Kind | None:
 
 
 def _any_of(parts: tuple[Any, ...]) -> Kind | None:
-    # Text that may be a path is one.
+    # `str` beside a path is described as a path.
     paths = [part for part in parts if typing.get_origin(part) is os.PathLike]
     kinds = [kind_of(part) for part in parts if not (paths and part is str)]
     known = [kind for kind in kinds if kind is not None]
@@ -166,7 +166,7 @@ def _either(words: list[str]) -> str:
 
 def _among(choices: tuple[Any, ...]) -> Callable[[Any], bool]:
     def holds(value: Any) -> bool:
-        # Arrays, and what is not hashable, are not even compared.
+        # Arrays and unhashable values are not compared, which could raise.
         return isinstance(value, str | int | np.integer) and value in choices
 
     return holds
@@ -208,7 +208,7 @@ def _is_path(value: Any) -> bool:
 
 
 def _is_real(value: Any) -> bool:
-    """Of arrays and of NumPy's numbers: are they real, or bools?"""
+    """Whether a value is an array or a NumPy number, and real or Boolean."""
     if not isinstance(value, jax.Array | np.ndarray | np.generic):
         return False
     kinds = jnp.floating, jnp.integer, jnp.bool_
@@ -217,7 +217,7 @@ def _is_real(value: Any) -> bool:
 
 def _is_array(value: Any) -> bool:
     if isinstance(value, int):
-        # JAX makes 32 bits of it.
+        # JAX converts Python's integers to 32 bits.
         return -(2**31) <= value < 2**31
     if isinstance(value, np.ma.MaskedArray):
         # JAX would drop the mask silently, or raise a less clear error.

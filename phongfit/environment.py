@@ -66,14 +66,14 @@ class Fog(eqx.Module):
             raise ValueError(f"end: expected a depth other than start, got {end}")
 
     def transmittance(self, depth: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-        """Share in [0, 1] of the surface's light that comes through.
+        """Fraction in [0, 1] of the surface's light that reaches the camera.
 
         **Arguments:** `depth` along the viewing axis, world units.
         """
         if self.mode == "linear":
-            share = (self.end - depth) / (self.end - self.start)
+            fraction = (self.end - depth) / (self.end - self.start)
         elif self.mode == "exp":
-            share = jnp.exp(-self.density * depth)
+            fraction = jnp.exp(-self.density * depth)
         else:
-            share = jnp.exp(-((self.density * depth) ** 2))
-        return jnp.clip(share, 0, 1)
+            fraction = jnp.exp(-((self.density * depth) ** 2))
+        return jnp.clip(fraction, 0, 1)

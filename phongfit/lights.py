@@ -1,4 +1,4 @@
-"""Lights: from a point to the direction, and what arrives there.
+"""Lights: the direction and the colours of the light that arrives at a point.
 
 A light knows no material. Its own `ambient` and `specular` colours are those of OpenGL:
 0 and the same as `intensity` unless given.
@@ -45,13 +45,13 @@ Illumination.__init__.__doc__ = """**Arguments:**
 
 
 class AbstractLight(eqx.Module):
-    """Asked for one point, answers with an [`Illumination`][].
+    """Base class of lights: `illuminate` gives the [`Illumination`][] of one point.
 
-    A light with an edge, past which there is none of it, tells where that is by
-    `covers`, and names in `jumps` the fields that move the edge alone: in these the
-    light at a point jumps, and has no derivative.
+    Some lights have a sharp edge, such as the rim of a spot's cone. `covers` is true
+    for points inside of it; `jumps` names the fields that move the edge only. The light
+    at a point is not continuous in these fields, so it has no derivative there.
 
-    One that comes from all around is not `directed`: it answers by `surround`.
+    Light from all around has `directed = False`, and `surround` gives its RGB.
     """
 
     jumps: ClassVar[tuple[str, ...]] = ()
@@ -73,7 +73,7 @@ class AbstractLight(eqx.Module):
 
 def _arriving(
     to_light: Vec3,
-    share: Scalar | float,
+    fraction: Scalar | float,
     intensity: Vec3,
     specular: Vec3 | None,
     ambient: Vec3,
@@ -81,7 +81,11 @@ def _arriving(
 ) -> Illumination:
     specular = intensity if specular is None else specular
     return Illumination(
-        to_light, share * intensity, share * specular, share * ambient, distance
+        to_light,
+        fraction * intensity,
+        fraction * specular,
+        fraction * ambient,
+        distance,
     )
 
 
@@ -90,7 +94,7 @@ def _own_colour(name: str, value: Any) -> Vec3 | None:
 
 
 def brighter(light: AbstractLight, factor: Any) -> AbstractLight:
-    """A light that sends `factor` times as much, for every term.
+    """A copy of a light with all its colours multiplied by `factor`.
 
     **Arguments:** `factor`: a number, or RGB.
 
@@ -164,8 +168,8 @@ def _attenuation(coefficients: Vec3, distance: Scalar) -> Scalar:
     constant, linear, quadratic = coefficients
     denominator = constant + linear * distance + quadratic * distance**2
     positive = denominator > 0
-    # At its own place a light without a constant term lights nothing, rather than
-    # infinitely: it has no direction there, and 0 times infinity would be NaN.
+    # At distance 0 and without a constant term the factor is set to 0: the direction to
+    # the light is zero there, and 0 times infinity would be NaN.
     return jnp.where(positive, 1 / jnp.where(positive, denominator, 1), 0)
 
 
@@ -271,16 +275,16 @@ class SpotLight(AbstractLight):
         return self._cosine(position) >= jnp.cos(jnp.deg2rad(self.cutoff))
 
     def _cosine(self, position: Vec3) -> Scalar:
-        """Of the angle between the axis and the way to a point."""
+        """Cosine of the angle between the axis and the direction to a point."""
         return dot(normalize(position - self.position), normalize(self.axis))
 
 
-# Of the real harmonics up to order 2: of 1, x and the like, xy and the like, 3z² − 1,
-# x² − y²; and what is left of each order by the cosine of the angle, over π.
+# Norms of the real harmonics up to order 2: 1; x, y, z; xy, yz, xz; 3z² − 1; x² − y².
+# And the factors A_l / π with which Lambert's cosine multiplies each order.
 _Y0, _Y1 = math.sqrt(1 / (4 * math.pi)), math.sqrt(3 / (4 * math.pi))
 _Y2 = math.sqrt(15 / (4 * math.pi))
 _Y20, _Y22 = _Y2 / math.sqrt(12), _Y2 / 2
-_LEFT = 1.0, 2 / 3, 1 / 4
+_LAMBERT = 1.0, 2 / 3, 1 / 4
 
 
 class HarmonicLight(AbstractLight):
@@ -330,14 +334,14 @@ class HarmonicLight(AbstractLight):
 
     def illuminate(self, position: Vec3) -> Illumination:
         none = jnp.zeros_like(position)
-        # From nowhere; a unit vector, since shadow rays go along it.
+        # Light from all around has no direction; shadow rays need a unit vector.
         nowhere = jnp.array([0, 0, 1], position.dtype)
         far = jnp.full((), jnp.inf, position.dtype)
         return Illumination(nowhere, none, none, none, far)
 
     def surround(self, normal: Vec3) -> Vec3:
         x, y, z = normal
-        zero, one, two = _LEFT
+        zero, one, two = _LAMBERT
         band = two * _Y2
         basis = (
             zero * _Y0 * jnp.ones_like(x),
@@ -348,8 +352,8 @@ class HarmonicLight(AbstractLight):
             two * _Y22 * (x * x - y * y),
         )
         total = jnp.zeros_like(normal)
-        for share, light in zip(basis, self.coefficients, strict=True):
-            total = total + share * light
+        for fraction, light in zip(basis, self.coefficients, strict=True):
+            total = total + fraction * light
         return jnp.maximum(total, 0)
 
 
@@ -359,10 +363,10 @@ def _from_bulb(
     """Light that arrives from a position, times the fraction `spot` sent this way."""
     offset = light.position - position
     distance = norm(offset)
-    share = spot * _attenuation(light.attenuation, distance)
+    fraction = spot * _attenuation(light.attenuation, distance)
     return _arriving(
         normalize(offset),
-        share,
+        fraction,
         light.intensity,
         light.specular,
         light.ambient,

@@ -1,4 +1,4 @@
-"""The unknowns: what a surface does with light."""
+"""Materials: how a surface reflects light."""
 
 import difflib
 from collections.abc import Iterable
@@ -73,7 +73,7 @@ class Material(eqx.Module):
 
 
 def _written(value: Any) -> str:
-    """One number, or RGB, to four digits; what holds more by its shape."""
+    """A parameter as text: numbers and RGB to four digits, larger arrays as a shape."""
     if not eqx.is_array_like(value):
         # JAX transformations may put placeholders in place of arrays.
         return repr(value)
@@ -98,7 +98,7 @@ def stack_materials(materials: Iterable[Material]) -> Material:
     if not materials:
         raise ValueError("materials: expected at least one, got none")
 
-    # By NumPy where it can be: nothing is compiled, however many there are.
+    # NumPy unless traced, so that nothing is compiled.
     xp: Any = jnp if is_traced(materials) else np
 
     def rows(material: Material) -> list[Any]:
@@ -121,12 +121,14 @@ def stack_materials(materials: Iterable[Material]) -> Material:
 def unstack_materials(material: Material, count: int | None = None) -> list[Material]:
     """The inverse of [`stack_materials`][]: one `Material` for each row.
 
-    **Arguments:** `count`: how many; default as many as the parameters hold.
+    **Arguments:** `count`: number of materials; default that of the parameters.
 
     **Raises:** `ValueError` for a parameter of another number of rows, and for a map.
     """
-    held = [len(leaf) for leaf in jax.tree.leaves(material) if leaf.ndim == 2]
-    count = max(held, default=1) if count is None else count
+    rows_of_parameters = [
+        len(leaf) for leaf in jax.tree.leaves(material) if leaf.ndim == 2
+    ]
+    count = max(rows_of_parameters, default=1) if count is None else count
     if not 1 <= count <= 2**16:
         raise ValueError(f"count: expected a number from 1 to {2**16}, got {count}")
 
@@ -155,7 +157,7 @@ def preset(name: str) -> Material:
     **Arguments:** `name`: one of `phongfit.PRESETS`, such as `"brass"`; spaces and
     hyphens count as underscores.
 
-    **Raises:** `ValueError` for any other name, with the nearest that there is.
+    **Raises:** `ValueError` for any other name; the message has the most similar one.
     """
     key = str(name).strip().lower().replace(" ", "_").replace("-", "_")
     if key not in OPENGL_MATERIALS:

@@ -1,8 +1,7 @@
 r"""Rough surfaces as microfacets: GGX with Fresnel's reflection, and Ward's lobe.
 
-Both are densities $f_s$ of light sent back, as textbooks have them. A white matte
-surface sends back $1/\pi$ and shows 1 here, so that what is added to it is
-$\rho_s\, \pi f_s \max(s \cdot m, 0)$.
+Both are BRDFs $f_s$ as in textbooks, where a white matte surface has $f_s = 1/\pi$. In
+phongfit it renders as 1, so a highlight adds $\rho_s\, \pi f_s \max(s \cdot m, 0)$.
 """
 
 from collections.abc import Mapping
@@ -21,7 +20,7 @@ class Cosines(NamedTuple):
     r"""Cosines that microfacet lobes depend on, for normal m and half vector h.
 
     - `half`: $m \cdot h$; 0 where light or viewer is behind the surface.
-    - `slope`: $\tan^2$ of the angle between m and h, good to the last digit near 0.
+    - `slope`: $\tan^2$ of the angle between m and h, to full relative precision near 0.
     - `light`, `viewer`: $m \cdot s$ and $m \cdot v$.
     - `difference`: $v \cdot h$.
     """
@@ -52,7 +51,7 @@ def cosines(normal: Vec3, to_light: Vec3, to_viewer: Vec3) -> Cosines:
 
 
 def _facing(cosine: Cosines) -> tuple[Bool[Array, "..."], Cosines]:
-    """Where a highlight is possible, and cosines replaced by 1 elsewhere."""
+    """Mask of where a highlight is possible, and the cosines, set to 1 elsewhere."""
     seen = (cosine.half > 0) & (cosine.light > 0) & (cosine.viewer > 0)
     return seen, Cosines(*(jnp.where(seen, one, 1) for one in cosine))
 
@@ -94,9 +93,9 @@ class GGX(AbstractSpecular):
         r"""**Arguments:**
 
         - `roughness`: in (0, 1], of the whole scene, $\sqrt\alpha$. By default each
-            material's exponent says it.
-        - `f0`: reflectance at normal incidence, in [0, 1]: $(n - 1)^2 / (n + 1)^2$ of
-            refractive index n. 0.04 is glass and most plastics, 0.5 … 1 are metals,
+            material's exponent determines it.
+        - `f0`: reflectance at normal incidence, in [0, 1]: $(n - 1)^2 / (n + 1)^2$
+            of refractive index n. 0.04 is glass and most plastics, 0.5 … 1 are metals,
             whose colour is that of $\rho_s$.
 
         **Raises:** `ValueError` that names the argument.
@@ -112,7 +111,7 @@ class GGX(AbstractSpecular):
     ) -> Float[Array, "..."]:
         seen, at = _facing(cosine)
         a2 = self.alpha_squared(shininess)
-        # π D, with the angle itself in place of 1 − cos².
+        # π D, written with tan²: 1 − cos² would lose digits near the centre.
         facets = a2 / (at.half**2 * (a2 + at.slope)) ** 2
         masked = at.light * jnp.sqrt(at.viewer**2 * (1 - a2) + a2)
         shadowed = at.viewer * jnp.sqrt(at.light**2 * (1 - a2) + a2)
@@ -124,7 +123,7 @@ class GGX(AbstractSpecular):
         return 1.0
 
     def alpha_squared(self, shininess: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""$\alpha^2$, for an exponent that counts where no roughness is given."""
+        r"""$\alpha^2$ of the given roughness, or else of the exponent."""
         if self.roughness is None:
             return _facets(shininess)
         return jnp.asarray(self.roughness) ** 4
@@ -140,8 +139,8 @@ class Ward(AbstractSpecular):
     $$\pi f_s\,(m \cdot s) = \frac{e^{-\tan^2 \delta / \alpha^2}}{4 \alpha^2}
     \sqrt{\frac{m \cdot s}{m \cdot v}} \qquad \cos \delta = m \cdot h$$
 
-    with $\alpha$ of its own or, where none is given, $\alpha^2 = 2 / (f + 2)$ with the
-    exponent of each material. $\rho_s$ is the share of light sent back, nearly so for
+    with the given $\alpha$ or, by default, $\alpha^2 = 2 / (f + 2)$ with the exponent
+    of each material. $\rho_s$ is the share of light sent back, nearly so for
     small $\alpha$ and away from grazing light, where Ward's formula sends back more.
 
     ??? cite "Source"
@@ -156,7 +155,7 @@ class Ward(AbstractSpecular):
     @checked
     def __init__(self, alpha: Any = None):
         r"""**Arguments:** `alpha`: root mean square slope of the surface, in (0, 1], of
-        the whole scene. By default each material's exponent says it.
+        the whole scene. By default each material's exponent determines it.
 
         **Raises:** `ValueError` that names the argument.
         """
@@ -177,7 +176,7 @@ class Ward(AbstractSpecular):
         return 1.0
 
     def alpha_squared(self, shininess: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""$\alpha^2$, for an exponent that counts where no $\alpha$ is given."""
+        r"""$\alpha^2$ of the given $\alpha$, or else of the exponent."""
         return (
             _facets(shininess) if self.alpha is None else jnp.asarray(self.alpha) ** 2
         )
@@ -188,7 +187,7 @@ class Ward(AbstractSpecular):
 
 
 def _facets(shininess: Any) -> Any:
-    r"""$\alpha^2$ of facets as high at their peak as a Blinn exponent's."""
+    r"""$\alpha^2$ of the distribution with the same peak as Blinn's."""
     return 2 / (shininess + 2)
 
 
@@ -219,7 +218,7 @@ def shininess_from_roughness(roughness: Float[Array, "..."]) -> Float[Array, "..
 
 
 def _width(name: str, value: Any) -> Scalar:
-    # In single precision its fourth power's square is still a normal number.
+    # The eighth power of 1e-4 is still a normal number in single precision.
     return _between(name, value, 1e-4)
 
 

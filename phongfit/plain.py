@@ -33,7 +33,7 @@ def plain(value: Any) -> Any:
 
 
 def readable(name: str) -> str:
-    """The name of a file as text; bytes that are no UTF-8 become their codes."""
+    """The name of a file as text; bytes that are not UTF-8 are written as escapes."""
     return name.encode("utf-8", "backslashreplace").decode("utf-8")
 
 

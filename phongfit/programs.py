@@ -29,7 +29,7 @@ def program(*static: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     JAX accepts options for the outermost program only. Inside another program, or under
     `jax.grad` or `jax.vmap`, the function is therefore a plain `jax.jit`.
 
-    **Arguments:** `static`: names of arguments that are compiled in.
+    **Arguments:** `static`: names of static arguments, whose values are compiled in.
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:

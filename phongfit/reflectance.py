@@ -1,4 +1,4 @@
-"""Light meets surface, at one point: Lambert's, Phong's and Blinn's laws.
+"""Reflection at one point of a surface: Lambert's, Phong's and Blinn's laws.
 
 Everything here takes unit vectors of shape (3,) that point away from the surface; the
 caller batches with `vmap`.
@@ -54,11 +54,11 @@ def halfway(to_light: Vec3, to_viewer: Vec3) -> Vec3:
 
 
 class AbstractSpecular(eqx.Module):
-    """A highlight: a cosine that geometry fixes, and a lobe that the exponent shapes.
+    """A specular model: a cosine from the geometry, and a lobe as a function of it.
 
-    The split is what makes fits fast: the cosine is computed once, the lobe at every
-    step. A model may have further parameters of the lobe as float fields, which a fit
-    finds by their path, `"scene.specular_model.roughness"`, within `bounds`.
+    The split makes fits fast: the cosine is computed once, the lobe at every step. A
+    model may have further parameters of the lobe as float fields. They can be unknowns
+    of a fit, by paths such as `"scene.specular_model.roughness"`, within `bounds`.
     """
 
     bounds: ClassVar[Mapping[str, tuple[float, float]]] = {}
@@ -69,8 +69,9 @@ class AbstractSpecular(eqx.Module):
     ) -> PyTree[Float[Array, ""]]:
         """Cosine of the angle from the highlight's centre; 0 where there is none.
 
-        Or several numbers that the lobe takes, as a named tuple, of which this is the
-        first. Zeros stand for lights that an image lacks.
+        A lobe that needs more numbers gets them as a named tuple, with this cosine as
+        its first field. The lobe must accept zeros, which stand for lights that an
+        image lacks.
         """
 
     @abc.abstractmethod
@@ -81,7 +82,7 @@ class AbstractSpecular(eqx.Module):
 
     @abc.abstractmethod
     def diffuse_scale(self) -> float:
-        """Factor on the diffuse term in this model's convention."""
+        """Factor on the diffuse term: 1, or 1 / π where the model is normalised."""
 
 
 def _gated(cosine: Scalar, normal: Vec3, to_light: Vec3, gate: bool) -> Scalar:

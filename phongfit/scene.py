@@ -1,4 +1,4 @@
-"""Everything but the material: what is looked at, from where, under which light."""
+"""Scenes: surface, camera and lights; everything but the material."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -18,7 +18,7 @@ from phongfit.vectors import Rgb
 
 
 class Scene(eqx.Module):
-    """Surface, camera and lights, and how light is computed and travels."""
+    """Surface, camera, lights, specular model, shading method, fog and shadows."""
 
     surface: AbstractSurface
     camera: AbstractCamera
@@ -57,10 +57,10 @@ class Scene(eqx.Module):
         - `fog`: default none.
         - `shadows`: whether surfaces throw hard shadows.
         - `background`: RGB where a pixel sees no surface; there is no fog there.
-        - `local_viewer`: where the viewer is when light is computed. Default: where
-            the camera has it. `True` and `False` are OpenGL's
-            GL_LIGHT_MODEL_LOCAL_VIEWER: at the camera's position, even if its rays are
-            parallel, and far away along its axis, even if they are not.
+        - `local_viewer`: position of the viewer for highlights. By default it is at the
+            origin of the camera's rays. `True` and `False` are OpenGL's
+            GL_LIGHT_MODEL_LOCAL_VIEWER: at the camera's position, also for parallel
+            rays; infinitely far along the camera's axis, also for a pinhole.
 
         **Raises:** `ValueError` that names the argument.
         """
@@ -89,12 +89,12 @@ class Scene(eqx.Module):
             if not all(isinstance(light, placeless) for light in lights):
                 raise ValueError(
                     "lights: a normal map without positions can be lit by directional "
-                    "and harmonic lights only, since no other knows its distance"
+                    "and harmonic lights only, since others depend on the distance"
                 )
             if fog is not None or shadows:
                 raise ValueError(
                     f"{'fog' if fog is not None else 'shadows'}: a normal map without "
-                    "positions knows neither depth nor what is in a light's way"
+                    "positions has neither depths nor cast shadows"
                 )
         shading.check(surface)
         self.surface = surface

@@ -1,4 +1,4 @@
-"""For gradient-check tests of your own: three ways to a derivative must agree."""
+"""Gradient checks for your own tests: three ways to a derivative must agree."""
 
 from collections.abc import Callable
 from typing import Any
@@ -24,7 +24,7 @@ def check_gradients(
     rtol: float = 1e-5,
     atol: float = 1e-6,
 ) -> None:
-    r"""Forward mode, reverse mode and finite differences agree for every entry.
+    r"""Check that forward mode, reverse mode and finite differences agree.
 
     All of it is done in float64, whatever precision is set. First derivatives are those
     of a contraction $g(x) = w \cdot \text{function}(x)$ with fixed random weights $w$
@@ -39,17 +39,17 @@ def check_gradients(
     **Arguments:**
 
     - `function`: takes a pytree like `point`, returns an array; `jit`-able. Arrays that
-        it closes over keep their precision: have what is made of floats made inside, or
-        in `point`.
+        it closes over keep their precision: create them inside, or pass them in
+        `point`.
     - `point`: any pytree. Its floats are differentiated, everything else (whole
         numbers, bools, strings, None) is left alone.
     - `order`: 1 for gradients, 2 for second derivatives as well.
     - `finite_differences`: `False` at a kink, where there is nothing that they could
         converge to: then both modes must be finite and agree (to second order, forward
         over reverse and reverse over reverse).
-    - `rtol`, `atol`: allowed are differences up to `atol` + `rtol` × the largest of the
-        numbers compared. Differences are good to about 1e-10 of `function`, and to
-        4e-11 of its third derivative (step 6e-6 × max(|x|, 1)).
+    - `rtol`, `atol`: differences may be up to `atol` + `rtol` × the largest of the
+        numbers compared. Finite differences have errors of about 1e-10 of `function`
+        and 4e-11 of its third derivative (step 6e-6 × max(|x|, 1)).
 
     **Raises:** `AssertionError` that names the worst entry by its path, such as
     `.lights[0].position[2]`, with the numbers; `ValueError` that names the argument if
@@ -117,7 +117,7 @@ Leaves = list[tuple[str, np.ndarray]]
 
 
 def _as_vector_space(point: PyTree) -> tuple[Leaves, Callable[[Array], PyTree]]:
-    """The floats of a pytree with their paths, and the way back from one vector."""
+    """The floats of a pytree with their paths, and a function that sets them."""
     floats, rest = eqx.partition(point, eqx.is_inexact_array_like)
     with_paths, structure = jax.tree_util.tree_flatten_with_path(floats)
     if not with_paths:
@@ -143,7 +143,7 @@ def _path(path: tuple[Any, ...]) -> str:
 
 
 def _namer(leaves: Leaves) -> Callable[[int], str]:
-    """From an entry's place in the vector to a name such as `.diffuse[2]`."""
+    """A function from an entry's index to its name, such as `.diffuse[2]`."""
 
     def name(entry: int) -> str:
         for path, leaf in leaves:
@@ -188,7 +188,7 @@ def _derivatives(
         if finite_differences:
             above, below = point + step * unit, point - step * unit
             rise = value_and_slope(above, unit)[0] - value_and_slope(below, unit)[0]
-            # Divided by the step that rounding left, not by the one that was meant.
+            # Divided by the actual step, which differs from `step` by rounding.
             central.append(rise / (above - below)[entry])
     ways = {"forward": forward} | ({"finite differences": central} if central else {})
     value = np.asarray(value_and_slope(point, np.zeros_like(point))[0])

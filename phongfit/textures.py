@@ -1,6 +1,6 @@
-r"""Textures: numbers on a surface, which multiply the parameters of its material.
+r"""Textures: values on a surface that multiply the parameters of its material.
 
-They are images, or stand at the vertices of a mesh. $u$ and $v$ of images are glTF's:
+A texture is an image, or has a value at each vertex of a mesh. Images have glTF's uv:
 (0, 0) is the upper left corner of an image and (1, 1) the lower right one, so that
 texel (row, column) has its centre at $u = (column + \frac12) / W$,
 $v = (row + \frac12) / H$.
@@ -39,31 +39,31 @@ Place.__init__.__doc__ = """**Arguments:**
 
 - `corners`, `weights`: vertices of the triangle that a point lies in, and their
     weights, which sum to 1.
-- `uv`: where in its textures it lies; `None` where the surface has no uv.
+- `uv`: texture coordinates of the points; `None` where the surface has no uv.
 - `material_index`: which of several materials; `None` where there is one.
 """
 
 
 class AbstractTexture(eqx.Module):
-    """Numbers on a surface, of three channels, or of one for all."""
+    """Values on a surface, with three channels or one for all."""
 
     values: eqx.AbstractVar[Float[Array, "*places channels"]]
 
     @abc.abstractmethod
     def look_up(self, place: Place) -> Float[Array, "*batch channels"]:
-        """The numbers at points of the surface."""
+        """The texture's values at points of the surface."""
 
     def with_values(self, values: Any) -> "AbstractTexture":
-        """Other numbers in the same places."""
+        """A copy of this texture with other values."""
         return eqx.tree_at(lambda one: one.values, self, jnp.asarray(values))
 
     def of_ones(self) -> "AbstractTexture":
-        """The number 1 in the same places."""
+        """A texture of the same size, with one channel and the value 1 everywhere."""
         return self.with_values(jnp.ones((*self.values.shape[:-1], 1)))
 
 
 class Texture(AbstractTexture):
-    """An image on a surface: numbers between the texels are interpolated, or not."""
+    """An image on a surface, interpolated between texels or not."""
 
     values: Float[Array, "rows columns channels"]
     filter: Filter = eqx.field(static=True)
@@ -77,8 +77,8 @@ class Texture(AbstractTexture):
         - `filter`: `"bilinear"` between the four texels around a point, as GL_LINEAR,
             or the `"nearest"` one, as GL_NEAREST. There is no mip map: `samples` of
             [`render`][] averages over a pixel.
-        - `wrap`: what lies outside of [0, 1]: `"repeat"`, as GL_REPEAT, or the
-            outermost texels (`"clamp"`), as GL_CLAMP_TO_EDGE.
+        - `wrap`: values for u or v outside of [0, 1]: `"repeat"` the image, as
+            GL_REPEAT, or `"clamp"` to the outermost texels, as GL_CLAMP_TO_EDGE.
 
         **Raises:** `ValueError` that names the argument.
         """
@@ -95,7 +95,7 @@ class Texture(AbstractTexture):
         return self.at(place.uv)
 
     def at(self, uv: Float[Array, "*batch 2"]) -> Float[Array, "*batch channels"]:
-        """The texture's numbers at points of the surface."""
+        """The texture's values at texture coordinates."""
         rows, columns, channels = self.values.shape
         index, weight = texels(uv, (rows, columns), self.filter, self.wrap)
         flat = self.values.reshape(-1, channels)
@@ -107,7 +107,7 @@ class Texture(AbstractTexture):
 
 
 class VertexColours(AbstractTexture):
-    """Numbers at the vertices of a mesh, linear over each triangle in space."""
+    """Values at the vertices of a mesh, interpolated linearly over each triangle."""
 
     values: Float[Array, "vertices channels"]
 
@@ -129,7 +129,7 @@ class VertexColours(AbstractTexture):
 
 
 def _as_values(values: Any, places: str) -> Array:
-    """Numbers of three channels or one, for each place: `"V"`, or `"H, W"`."""
+    """Check for shape (`places`, 3) or (`places`, 1); `places` is `"V"` or `"H, W"`."""
     values = as_floats("values", values)
     channels, count = values.shape[-1:], len(places.split(","))
     if values.ndim != count + 1 or channels not in ((1,), (3,)) or 0 in values.shape:
@@ -146,7 +146,7 @@ def texels(
 
     **Arguments:** `size`: rows and columns of the texture.
 
-    **Returns:** numbers of the texels, row by row: four, or with `"nearest"` one.
+    **Returns:** flat indices of the texels, row by row: four, or one for `"nearest"`.
 
     ??? cite "Source"
         Segal and Akeley, *The OpenGL Graphics System*, version 2.1, section 3.8.8.
@@ -154,7 +154,8 @@ def texels(
     rows, columns = size
     u, v = uv[..., 0], uv[..., 1]
     if wrap == "repeat":
-        # First, since a whole number of images away there is little precision left.
+        # Reduced to [0, 1) before all else: large u and v have few digits for the
+        # texel.
         u, v = u - jnp.floor(u), v - jnp.floor(v)
     x, y = _rounded(u * columns), _rounded(v * rows)
 
@@ -181,7 +182,7 @@ def _rounded(x: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """Drop the last bit, so that all uses of a product agree on its rounding.
 
     A compiler may fuse multiplication and subtraction in one use and not in another.
-    At the centre of a texel, `floor` and the remainder would then be of two texels.
+    At the centre of a texel, `floor` and remainder would then belong to two texels.
     """
     kind = jnp.finfo(x.dtype)
     return jax.lax.reduce_precision(x, kind.nexp, kind.nmant - 1)
@@ -190,7 +191,8 @@ def _rounded(x: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
 class Textures(eqx.Module):
     """The textures of one material. Each multiplies the parameter of its name.
 
-    A surface has them: light stays linear in the reflectances, which are factors then.
+    They belong to the surface. The material's reflectances are factors on them, so that
+    light stays linear in the reflectances.
     """
 
     diffuse: AbstractTexture | None = None
@@ -223,12 +225,12 @@ class Textures(eqx.Module):
 
     @property
     def at_vertices(self) -> dict[str, VertexColours]:
-        """The textures that are numbers at vertices, not images."""
+        """The textures with values at vertices, by the names of their parameters."""
         each = vars(self).items()
         return {name: one for name, one in each if isinstance(one, VertexColours)}
 
     def rearranged(self, change: Callable[[Array], Array]) -> "Textures":
-        """These textures after `change` rearranged the rows of vertices' numbers."""
+        """A copy in which `change` is applied to all arrays of values at vertices."""
         changed = {
             name: VertexColours(change(one.values))
             for name, one in self.at_vertices.items()

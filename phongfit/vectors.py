@@ -1,4 +1,4 @@
-"""Vector algebra that stays finite, with its derivatives, at the awkward points."""
+"""Vector algebra whose values and derivatives are finite, also at zero vectors."""
 
 from typing import TypeAlias
 
@@ -38,7 +38,7 @@ def normalize(vector: Vec3) -> Vec3:
 
 @program()
 def normalize_all(vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-    """Each vector normalized, in one program, where nothing else is compiled."""
+    """Each vector normalized, as one compiled program."""
     units = jax.vmap(normalize)(vectors.reshape(-1, 3))
     return units.reshape(vectors.shape)
 

@@ -11,7 +11,7 @@ import jax
 import pytest
 
 from phongfit.cache import (
-    LOOKED_AT,
+    CHECKED,
     SETTINGS,
     WRITING,
     cache_environment,
@@ -110,7 +110,7 @@ def test_damaged_entries_go_and_each_is_looked_at_once(tmp_path):
     # The young one is looked at when it is older, what was whole not again.
     entry(tmp_path, "whole", 2 * WRITING, b"")
     entry(tmp_path, "young", WRITING + 1, whole[:10])
-    set_age(tmp_path / LOOKED_AT, 1.5 * WRITING)
+    set_age(tmp_path / CHECKED, 1.5 * WRITING)
     tidy(tmp_path)
     assert [path.exists() for path in kept] == [True, False, True]
 
@@ -182,7 +182,7 @@ def test_programs_are_kept_and_damaged_entries_compiled_again(tmp_path):
         # As a process leaves it that was killed a minute ago.
         path.write_bytes(content[: len(content) // 2])
         set_age(path, 2 * WRITING)
-    os.utime(cache / LOOKED_AT, (0, 0))
+    os.utime(cache / CHECKED, (0, 0))
     assert run() == first
     # Written anew, and whole.
     assert all(zlib.decompress(path.read_bytes()) for path in kept)

@@ -186,7 +186,7 @@ def test_a_fit_finds_the_factors_of_textures():
 
 def test_a_mesh_with_textures_needs_uv():
     mesh, wood = plate(), pf.Textures(diffuse=pf.Texture(VALUES))
-    with pytest.raises(ValueError, match="textures: the mesh has no uv"):
+    with pytest.raises(ValueError, match="textures: expected a mesh with uv"):
         pf.Mesh(mesh.vertices, mesh.faces, textures=wood)
     with pytest.raises(ValueError, match="uv: expected shape"):
         pf.Mesh(mesh.vertices, mesh.faces, uv=np.zeros((4, 2)))

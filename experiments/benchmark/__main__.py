@@ -34,7 +34,7 @@ from phongfit.cli import run
 
 @dataclasses.dataclass(frozen=True)
 class Ratio:
-    """One row of the table: how a measured ratio compares with what is aimed at."""
+    """One row of the table: a measured ratio of times, and the aim for it."""
 
     work: str
     against: str
@@ -56,7 +56,7 @@ NO_MITSUBA = (
 
 
 def single_ratios(found: list[single.Row]) -> list[Ratio]:
-    """Of one image: of the whole fit, and of the search alone."""
+    """Ratios for one image: of the whole fit, and of the search alone."""
     seconds = {row.key: row.seconds for row in found}
     # Against lmfit the aim is only to be no slower.
     peers = {
@@ -79,7 +79,7 @@ def single_ratios(found: list[single.Row]) -> list[Ratio]:
 
 
 def map_ratios(found: list[map_peers.Row]) -> list[Ratio]:
-    """Of a material per pixel."""
+    """Ratios for maps with a material per pixel."""
     seconds = {row.key: row.seconds for row in found}
     lm, loop = (seconds[key] / seconds["map"] for key in ("vmapped_lm", "scipy_loop"))
     work = "a material per pixel, 16 000 pixels × 96 lights"
@@ -90,7 +90,7 @@ def map_ratios(found: list[map_peers.Row]) -> list[Ratio]:
 
 
 def normal_ratio(found: list[normal_peers.Row]) -> Ratio:
-    """Of normals that are sought with the material, by the processor's time."""
+    """Ratio of CPU times for normals that are fitted with the materials."""
     seconds = {row.key: row.seconds for row in found}
     return Ratio(
         f"normals and materials per pixel, {found[0].pixels:,} pixels × 49 lights",
@@ -102,7 +102,7 @@ def normal_ratio(found: list[normal_peers.Row]) -> Ratio:
 
 
 def texture_ratios(found: list[textures.Row]) -> list[Ratio]:
-    """Of texels, by the processor's time; none where there is no peer."""
+    """Ratios of CPU times for texels; empty if Mitsuba is not installed."""
     ours, *peers = found
     return [
         Ratio(
@@ -117,12 +117,12 @@ def texture_ratios(found: list[textures.Row]) -> list[Ratio]:
 
 
 def spread(costs: dict[str, float]) -> float:
-    """The largest of some costs over the least."""
+    """Ratio of the largest cost to the smallest."""
     return max(costs.values()) / min(costs.values())
 
 
 def table(ratios: list[Ratio]) -> str:
-    """Rows as Markdown."""
+    """The table of ratios, as Markdown."""
     lines = ["| work | against | aim | measured |", "|---|---|--:|--:|"]
     for row in ratios:
         aim = f"{'≤' if row.at_most else '≥'} {row.aim:g}×"
@@ -132,7 +132,7 @@ def table(ratios: list[Ratio]) -> str:
 
 
 def details(found: list[single.Row]) -> str:
-    """The ways to fit one image, as Markdown."""
+    """Table of the methods that fit one image, as Markdown."""
     lines = [
         "| one image, warm | median | steps or calls | off by |",
         "|---|--:|--:|--:|",
@@ -145,7 +145,7 @@ def details(found: list[single.Row]) -> str:
 
 
 def map_details(found: list[map_peers.Row]) -> str:
-    """The ways to a map, as Markdown."""
+    """Table of the methods that fit a map, as Markdown."""
     lines = [
         "| a material per pixel | pixels | a pixel | converged | as the map "
         "| near the truth |",
@@ -165,7 +165,7 @@ def map_details(found: list[map_peers.Row]) -> str:
 
 
 def normal_details(found: list[normal_peers.Row]) -> str:
-    """The ways to normals, as Markdown."""
+    """Table of the methods that fit normals, as Markdown."""
     lines = [
         "| normals and materials per pixel | pixels | processor, a pixel | off by |",
         "|---|--:|--:|--:|",
@@ -179,7 +179,7 @@ def normal_details(found: list[normal_peers.Row]) -> str:
 
 
 def texture_details(found: list[textures.Row]) -> str:
-    """The ways to texels, as Markdown."""
+    """Table of the methods that fit texels, as Markdown."""
     lines = ["| texels of a mesh | processor | steps | off by |", "|---|--:|--:|--:|"]
     lines += [
         f"| {row.name} | {row.seconds:.1f} s | {row.steps} "
@@ -193,9 +193,9 @@ def texture_details(found: list[textures.Row]) -> str:
 
 @styled
 def figure(ratios: list[Ratio], grown: dict[str, dict[str, float]]) -> Figure:
-    """Ratios next to their aims, and how the time of a fit grows."""
+    """Draw the ratios next to their aims, and the growth of a fit's time."""
     gains = [row for row in ratios if not row.at_most][::-1]
-    # Two lines a name need room.
+    # Each name takes two lines.
     high, low = 0.4 * len(gains) + 0.6, 2.1
     drawing = page(high + low)
     above, below = (band.subplots() for band in bands(drawing, high, low))

@@ -42,7 +42,8 @@ def problem(images: int, kind: str, size: int) -> tuple[Any, ...]:
         for a in angles
     ]
     rng = np.random.default_rng(0)
-    # Cut off at white it would be before its exposure, as no film does.
+    # Not clamped: light is multiplied by the exposure below, and a film clamps after
+    # that.
     film = pf.Film(clamp=False)
     light = [np.asarray(pf.render(scene, MATERIAL, film=film)) for scene in scenes]
     noisy = [
@@ -60,18 +61,18 @@ def problem(images: int, kind: str, size: int) -> tuple[Any, ...]:
 
 
 def here(images: int, kind: str, size: int) -> dict[str, float]:
-    """Seconds of a first and of a second fit in this process, and of its processors."""
+    """Seconds of a first and a second fit in this process; CPU seconds of the first."""
     scenes, noisy, options = problem(images, kind, size)
-    begin, busy = time.perf_counter(), _busy()
+    begin, cpu_before = time.perf_counter(), _cpu_seconds()
     pf.fit(scenes, noisy, **options)
-    first, work = time.perf_counter() - begin, _busy() - busy
+    first, work = time.perf_counter() - begin, _cpu_seconds() - cpu_before
     begin = time.perf_counter()
     pf.fit(scenes, noisy, **options)
     return {"first": first, "work": work, "warm": time.perf_counter() - begin}
 
 
-def _busy() -> float:
-    """Seconds that processors have worked for this process."""
+def _cpu_seconds() -> float:
+    """CPU seconds that this process has used."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
 
@@ -103,7 +104,7 @@ def _output(code: str, cache: str) -> str:
 
 
 def imports() -> float:
-    """Seconds to import what a fit rests on: the least of three processes."""
+    """Seconds to import JAX and optimistix: the least of three processes."""
     taken = []
     for _ in range(3):
         begin = time.perf_counter()

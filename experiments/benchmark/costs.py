@@ -20,7 +20,7 @@ SIZES = (128, 256, 512, 1024, 2048)
 
 
 def scene_of(size: int = 128, lights: int = 1) -> pf.Scene:
-    """A ball under lights from all over the front."""
+    """A ball under lights that are spread around the camera."""
     angles = 2.4 * np.arange(lights)
     towards = [(np.cos(a), np.sin(a), 2.0) for a in angles]
     return pf.Scene(
@@ -32,14 +32,14 @@ def scene_of(size: int = 128, lights: int = 1) -> pf.Scene:
 
 
 def photograph(scene: pf.Scene, seed: int = 0) -> np.ndarray:
-    """Its image with 1 % noise."""
+    """The image of a scene, with 1 % noise."""
     light = np.asarray(pf.render(scene, MATERIAL))
     noise = np.random.default_rng(seed).normal(0, 0.01, light.shape)
     return np.clip(light + noise, 0, 1).astype(light.dtype)
 
 
 def fit_seconds(scenes: Any, images: Any, **options: Any) -> float:
-    """Warm time of a fit."""
+    """Seconds of a fit whose programs are compiled already."""
     return seconds(lambda: pf.fit(scenes, images, **options), 5)
 
 
@@ -58,7 +58,7 @@ def render_costs(sizes: tuple[int, ...] = SIZES) -> dict[str, float]:
 
 
 def growth(sizes: tuple[int, ...] = (64, 128, 256, 512)) -> dict[str, dict[str, float]]:
-    """Warm times of fits of growing size, in seconds, one thing growing at a time."""
+    """Seconds of fits with more and more pixels, images, lights or unknowns."""
     grown: dict[str, dict[str, float]] = {"pixels": {}, "images": {}, "lights": {}}
     for size in sizes:
         scene = scene_of(size)
@@ -94,7 +94,7 @@ def first_and_warm(size: int = 64) -> dict[str, float]:
 
 
 def cold(size: int = 256) -> dict[str, float]:
-    """Seconds of `phongfit fit` in fresh processes, and of importing what it rests on.
+    """Seconds of `phongfit fit` and of importing JAX and optimistix, in new processes.
 
     The first of them has an empty cache of compiled programs, the others a full one.
     """

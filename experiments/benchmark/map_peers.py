@@ -28,7 +28,7 @@ TOLERANCE, MOST_STEPS = 1e-4, 100
 
 @dataclasses.dataclass(frozen=True)
 class Samples:
-    """The first pixels of a stack, as a peer wants them.
+    """The first pixels of a stack, as the other solvers take them.
 
     - `target`: (pixels, lights, 3).
     - `lit`, `logarithm`: (pixels, lights): see [`cosines`][].
@@ -55,7 +55,7 @@ class Found:
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One way to a map, and how good its answer is.
+    """Time and accuracy of one method to fit a map.
 
     - `seconds`: a pixel.
     - `converged`: fraction of its pixels that converged.
@@ -74,7 +74,7 @@ class Row:
 
 
 def samples(stack: Stack, pixels: int) -> Samples:
-    """The first pixels of a stack."""
+    """The samples of a stack's first pixels."""
     lights = len(stack.images)
     target = stack.images.reshape(lights, -1, 3)[:, :pixels].transpose(1, 0, 2)
     normals = stack.normals.reshape(-1, 1, 3)[:pixels]
@@ -110,9 +110,10 @@ def _vmapped(
 
 
 def vmapped_lm(stack: Stack, pixels: int) -> Found:
-    """Stock Levenberg-Marquardt on so many pixels at once: as slow as the slowest.
+    """Fit `pixels` pixels at once by optimistix's Levenberg-Marquardt under `vmap`.
 
-    Its default linear solver: with normal equations this takes twice as long.
+    All pixels take as many steps as the slowest one. The linear solver is the default
+    one; normal equations take twice as long.
     """
     part = samples(stack, pixels)
     target, lit, logarithm = (
@@ -126,7 +127,7 @@ def vmapped_lm(stack: Stack, pixels: int) -> Found:
 
 
 def scipy_loop(stack: Stack, pixels: int) -> Found:
-    """A loop over SciPy's `least_squares`, in the map's box, in double precision."""
+    """Fit by a loop over SciPy's `least_squares`, with the map's bounds, in float64."""
     part = samples(stack, pixels)
     low, high = np.zeros(UNKNOWNS), np.append(np.ones(9), np.log(1000))
     values, converged = [], []
@@ -150,7 +151,7 @@ def scipy_loop(stack: Stack, pixels: int) -> Found:
 
 
 def rows(pixels: int = 16_000, lights: int = 96, *, scipy: int = 200) -> list[Row]:
-    """A map and its peers, the loop on a few of its pixels."""
+    """Fit a map by all methods, by the loop only a few of its pixels."""
     stack = make_stack(pixels, lights)
     maps = fit_stack(stack)
     values, errors = as_rows(maps)
@@ -169,7 +170,7 @@ def rows(pixels: int = 16_000, lights: int = 96, *, scipy: int = 200) -> list[Ro
 
 
 def as_rows(maps: pf.Maps) -> tuple[np.ndarray, np.ndarray]:
-    """(pixels, 10) each: what a map says, as the peers have it, and its errors."""
+    """A map's estimates and errors, (pixels, 10) each; the last column is for log f."""
     leaves = ("ambient", "diffuse", "specular", "shininess")
     values, errors = (
         np.concatenate([getattr(of, name) for name in leaves], axis=-1, dtype=float)
@@ -188,7 +189,7 @@ def judge(
     errors: np.ndarray,
     truth: np.ndarray,
 ) -> Row:
-    """How near a way comes to the map's values and to the truth, in its errors."""
+    """Compare a method's results with the map and the truth, in the map's errors."""
     count = len(found.values)
     values, errors, truth = (array[:count] for array in (values, errors, truth))
     identified = np.isfinite(errors).all(axis=1)

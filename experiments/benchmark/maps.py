@@ -1,4 +1,4 @@
-"""Maps of a synthetic stack: the time that a pixel takes, and the memory.
+"""Maps of a synthetic stack: time for each pixel, and memory.
 
 From few pixels to millions; and the peak memory of a map of memory-mapped images,
 measured in a separate process.
@@ -26,7 +26,7 @@ def fit_stack(stack: Stack) -> pf.Maps:
 
 
 def map_seconds(stack: Stack, runs: int = 3) -> float:
-    """Time of a whole map."""
+    """Seconds to fit a whole map."""
     return seconds(lambda: fit_stack(stack), runs)
 
 
@@ -82,7 +82,7 @@ def _map(folder: str) -> None:
 
 
 def peak_bytes() -> int:
-    """Most memory that this process has held."""
+    """Peak memory of this process, bytes."""
     status = Path("/proc/self/status")
     if status.exists():
         # On Linux, getrusage includes the peak of the parent process.

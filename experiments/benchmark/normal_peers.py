@@ -1,6 +1,6 @@
 """Normals with the material, next to stock Levenberg-Marquardt for every pixel.
 
-Both seek the same twelve numbers of a pixel by least squares: two of the normal, ρ_a,
+Both fit the same twelve numbers of a pixel by least squares: two of the normal, ρ_a,
 ρ_d, ρ_s of three channels, and log f. The peer starts at a surface that faces the
 viewer; `fit_maps` needs no start, and gives errors and flags as well. CPU time is
 measured, which depends least on other programs.
@@ -25,9 +25,9 @@ from experiments.benchmark.stack import AMBIENT, FREE, Stack, make_stack
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One way to normals.
+    """Time and accuracy of one method to fit normals.
 
-    - `seconds`: of the processor, a pixel.
+    - `seconds`: CPU time for each pixel.
     - `degrees`: median angle from the truth.
     """
 
@@ -42,7 +42,7 @@ class Row:
 def _vmapped(
     target: Float[Array, "pixels lights 3"], directions: Float[Array, "lights 3"]
 ) -> Array:
-    """optimistix's own solver for each pixel: slopes of the surface, and 10 more."""
+    """optimistix's solver for each pixel: two slopes and the material's 10 unknowns."""
     half = directions + jnp.asarray([0, 0, 1], directions.dtype)[None]
     half = half / jnp.linalg.norm(half, axis=-1, keepdims=True)
     start = jnp.concatenate([jnp.zeros(2), jnp.asarray(START)]).astype(target.dtype)
@@ -74,7 +74,7 @@ def _degrees(normals: np.ndarray, stack: Stack) -> float:
 
 
 def _timed(work: Callable[[], Any]) -> tuple[float, Any]:
-    """The processor's time of the quicker of two runs, after one that compiles."""
+    """CPU time and result of the faster of two runs, after one that compiles."""
     work()
     times, result = [], None
     for _ in range(2):
@@ -85,7 +85,7 @@ def _timed(work: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def rows(pixels: int = 16_000, lights: int = 49) -> list[Row]:
-    """Fitted normals and their peer, on the same pixels."""
+    """Fit normals by both methods, on the same pixels."""
     stack = make_stack(pixels, lights)
     target = stack.images.reshape(lights, -1, 3).transpose(1, 0, 2)
     given = jnp.asarray(np.ascontiguousarray(target)), jnp.asarray(stack.directions)

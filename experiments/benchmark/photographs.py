@@ -1,4 +1,4 @@
-"""Maps of photographs that no memory holds, next to the time that reading them takes.
+"""Maps of photographs that do not fit into memory, and the time to read the files.
 
 A ball under many lights is photographed in 20 megapixels, as JPEG files and as a zarr
 array of the same levels. `phongfit maps` makes a store of maps of either in one
@@ -34,9 +34,9 @@ NOISE = 0.005
 
 
 def make_photographs(folder: Path, megapixels: float, lights: int) -> pf.Scene:
-    """Photographs of a ball whose paint differs from place to place.
+    """Write photographs of a ball whose colours vary over its surface.
 
-    As `.jpg` with a `scene.json`, and in `stack.zarr`.
+    They are `.jpg` files with a `scene.json`, and the array `zarr/stack.zarr`.
     """
     import zarr
 
@@ -60,7 +60,7 @@ def make_photographs(folder: Path, megapixels: float, lights: int) -> pf.Scene:
     table = to_levels(np.arange(2**16) / (2**16 - 1), "srgb", 8)
     for number, direction in enumerate(directions):
         image = np.empty((height, width, 3), np.uint8)
-        # Some rows at a time, since twenty megapixels take much.
+        # Some rows at a time, since twenty megapixels take much memory.
         for start in range(0, height, 256):
             rows = slice(start, min(start + 256, height))
             light = _light(camera, rows, direction)
@@ -76,7 +76,7 @@ def make_photographs(folder: Path, megapixels: float, lights: int) -> pf.Scene:
 def _light(
     camera: pf.OrthographicCamera, rows: slice, direction: np.ndarray
 ) -> np.ndarray:
-    """Blinn's model for some rows of the ball, whose paint is in stripes."""
+    """Render some rows of the striped ball by Blinn's model."""
     pixel = VIEW / camera.height
     x = (np.arange(camera.width, dtype=np.float32) + 0.5 - camera.width / 2) * pixel
     y = (camera.height / 2 - np.arange(rows.start, rows.stop) - 0.5) * pixel
@@ -91,18 +91,18 @@ def _light(
 
 
 def measure(folder: Path) -> dict[str, Any]:
-    """Seconds of reading and of fitting, and most memory of a process."""
+    """Seconds and peak memory of reading and of fitting, for each file format."""
     found: dict[str, Any] = {}
     for kind, source in (("jpeg", folder), ("zarr", folder / "zarr" / "stack.zarr")):
         out = folder / f"{kind}_maps.zarr"
-        read, reading = _process("_read", str(source))
-        fitted, fitting = _process("_fit", str(source), str(out))
+        read, read_bytes = _process("_read", str(source))
+        fitted, fit_bytes = _process("_fit", str(source), str(out))
         found[kind] = {
             "seconds_to_read": read,
             "seconds_to_fit": fitted,
             "ratio": fitted / read,
-            "gigabytes_to_read": reading / 1e9,
-            "gigabytes_to_fit": fitting / 1e9,
+            "gigabytes_to_read": read_bytes / 1e9,
+            "gigabytes_to_fit": fit_bytes / 1e9,
         }
         maps = pf.StoredMaps(out)
         found[kind]["identified"] = maps.counts["identified"] / maps.counts["fitted"]

@@ -50,7 +50,7 @@ GUESS = (0.5, 8.0)
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One way to the answer."""
+    """Time and accuracy of one method."""
 
     name: str
     key: str
@@ -84,7 +84,7 @@ def start(problem: Problem) -> Float[Array, " n"]:
 
 
 def searching(scene: pf.Scene, image: np.ndarray) -> Callable[[], SearchResult]:
-    """From samples to the solution, without a starting guess."""
+    """A function that runs phongfit's search, from samples to the solution."""
     setting = set_up(Specification(), scene, image)
     seen = seen_pixels(setting.sources)
     few = choose_few(setting.sources, seen)
@@ -96,7 +96,7 @@ def searching(scene: pf.Scene, image: np.ndarray) -> Callable[[], SearchResult]:
 
 @eqx.filter_jit
 def stock(problem: Problem, y: Array, linear_solver: Any) -> optx.Solution:
-    """optimistix's own solver on the same residuals."""
+    """optimistix's solver on the same residuals."""
     return optx.least_squares(
         lambda y, problem: problem.residual(y).ravel(),
         optx.LevenbergMarquardt(1e-5, 1e-5, linear_solver=linear_solver),
@@ -108,7 +108,7 @@ def stock(problem: Problem, y: Array, linear_solver: Any) -> optx.Solution:
 
 
 def adam(problem: Problem, y: Array, answer: Array) -> Callable[[], Any]:
-    """Steps of Adam on the mean square, all of them compiled into one loop."""
+    """A function that minimises the mean square by Adam, compiled into one loop."""
     import optax
 
     rule = optax.adam(ADAM_RATE)
@@ -134,7 +134,7 @@ def adam(problem: Problem, y: Array, answer: Array) -> Callable[[], Any]:
 
 
 def rows(resolution: int, runs: int, console: Console) -> list[Row]:
-    """All ways, timed in turns."""
+    """Time all methods, in turns."""
     scene, image = target(resolution)
     fit = pf.fit(scene, image)
     problem, answer, y = (
@@ -184,7 +184,7 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
 
 
 def on_one_thread(work: Callable[[], Any]) -> Callable[[], Any]:
-    """The work with OpenBLAS, which factorises matrices for JAX, on one thread."""
+    """A function that runs `work` with OpenBLAS, which JAX uses, on one thread."""
     from threadpoolctl import threadpool_limits
 
     def limited() -> Any:

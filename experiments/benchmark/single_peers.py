@@ -24,8 +24,8 @@ class WrittenOut:
 
     - `ambient`, `diffuse`, `strength`, `target`: (3, samples).
     - `logarithm`: (samples,), of the cosine from the highlight's centre.
-    - `sigma`: of a sample's noise; residuals are in its units.
-    - `places`: for each of `MAP_PARAMETERS`.
+    - `sigma`: standard deviation of the noise; residuals are in units of it.
+    - `places`: indices in the solver's vector, for each of `MAP_PARAMETERS`.
     """
 
     ambient: Any
@@ -47,11 +47,12 @@ class WrittenOut:
         )
 
     def residual(self, xp: Any, y: Any, upper_tail: Callable[[Any], Any]) -> Any:
-        """(model − image) / σ, the model being the mean of what noise and clamp show.
+        """(model − image) / σ, where the model is the mean of noisy, clamped light.
 
         See [`clipped_moments`][].
 
-        **Arguments:** `upper_tail`: the chance that a normal number lies beyond.
+        **Arguments:** `upper_tail`: probability that a standard normal number is
+        larger.
         """
 
         def beyond(z: Any) -> Any:
@@ -91,7 +92,7 @@ def written_out(problem: Problem) -> WrittenOut:
 def torch_adam(
     problem: WrittenOut, start: np.ndarray, answer: np.ndarray
 ) -> Callable[[], tuple[np.ndarray, int]]:
-    """Steps of PyTorch's Adam on the mean square, in single precision as images are."""
+    """A function that minimises the mean square by PyTorch's Adam, in float32."""
     torch: Any = importlib.import_module("torch")
     names = ("ambient", "diffuse", "strength", "target", "logarithm")
     arrays = {
@@ -123,7 +124,7 @@ def torch_adam(
 def lmfit_leastsq(
     problem: WrittenOut, start: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> Callable[[], tuple[np.ndarray, int]]:
-    """lmfit's `minimize`, as it comes: MINPACK with finite differences, and errors."""
+    """A function that runs lmfit's `minimize` with its defaults, errors included."""
     lmfit: Any = importlib.import_module("lmfit")
     parameters = lmfit.Parameters()
     for k, (value, low, high) in enumerate(zip(start, lower, upper, strict=True)):

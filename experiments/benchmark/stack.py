@@ -29,7 +29,7 @@ class Stack:
 def make_stack(
     pixels: int, lights: int, *, folder: Path | None = None, seed: int = 0
 ) -> Stack:
-    """About so many pixels, each of a random material; memory-mapped if in a folder."""
+    """A stack of about `pixels` random materials; memory-mapped if in a folder."""
     rng = np.random.default_rng(seed)
     height = int(np.sqrt(pixels))
     width = pixels // height
@@ -57,7 +57,7 @@ def make_stack(
     noise = rng.normal(0, NOISE, (height, width, 3)).astype(np.float32)
     for image, direction in zip(images, directions, strict=True):
         image[:] = _light(truth, normals, direction)
-        # Fresh noise for every image costs more than all else: it is shifted.
+        # One array of noise is shifted for each image: drawing it is the slowest step.
         image += np.roll(noise, rng.integers(0, noise.size // 3), axis=(0, 1))
     return Stack(scenes, images, truth, normals, directions)
 
@@ -78,7 +78,7 @@ def _light(
 def cosines(
     normals: np.ndarray, directions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of the light, 0 from behind, and the logarithm of that of the half vector.
+    """Cosine n · l (0 from behind), and the logarithm of n · h for the half vector h.
 
     **Arguments:** one direction and any normals, or the other way round.
     """

@@ -26,7 +26,7 @@ import phongfit as pf
 RATE = 0.03
 # Start of Adam: reflectances in mid-range, f = 8.
 START = (0.5, 8.0)
-# Steps after which the distance from the truth is looked at.
+# Steps between two comparisons with the truth.
 LOOK = 10
 VARIANT, LIBRARY = "llvm_ad_rgb", "DRJIT_LIBLLVM_PATH"
 TRY = f"""
@@ -45,7 +45,7 @@ def is_there() -> bool:
 
 
 def _newest_llvm() -> str | None:
-    """Of the libraries that the system's linker knows."""
+    """Path of the newest LLVM library known to the linker; `None` if there is none."""
     try:
         known = subprocess.run(["ldconfig", "-p"], capture_output=True, text=True)
     except OSError:
@@ -58,8 +58,8 @@ def _newest_llvm() -> str | None:
 class Descent:
     """Result of Adam.
 
-    - `seconds`: of the processor, in the steps alone.
-    - `texels`: the texture; `few`: of each material ρ_s and f.
+    - `seconds`: CPU time of the steps alone.
+    - `texels`: the texture; `few`: ρ_s and f of each material.
     """
 
     seconds: float
@@ -69,7 +69,7 @@ class Descent:
 
 
 class Mitsuba:
-    """A mesh under several scenes' cameras and lamps, as Mitsuba has them.
+    """Mitsuba's scenes of a mesh under several cameras and lamps.
 
     **Arguments:**
 
@@ -107,7 +107,7 @@ class Mitsuba:
         }
 
     def _part(self, mesh: pf.Mesh, which: int, texture: Any) -> Any:
-        """The faces of one material, which share no vertices."""
+        """Mitsuba's mesh of the faces of one material, without shared vertices."""
         assert mesh.uv is not None
         own = np.asarray(mesh.material_index) == which
         corners = np.asarray(mesh.faces)[own].ravel()
@@ -173,7 +173,7 @@ class Mitsuba:
     def picture(
         self, which: int, texels: np.ndarray, few: np.ndarray
     ) -> Float[np.ndarray, "height width 3"]:
-        """One of the scenes, of given texels, and ρ_s and f of each material."""
+        """Render scene number `which` with these texels and these ρ_s and f."""
         unknowns = self._unknowns()
         unknowns["texels"] = self.mi.TensorXf(texels.astype(np.float32))
         for name, values in zip(self.few, (few[:, 0], np.log(few[:, 1])), strict=True):
@@ -187,7 +187,7 @@ class Mitsuba:
         return self.mi.render(scene, params=self.parameters, sensor=camera, spp=1)
 
     def _unknowns(self) -> Any:
-        """Adam's, at its start."""
+        """Adam's unknowns at their starting values."""
         shape = self.dr.shape(self.parameters[self.texels])
         unknowns = self.mi.ad.Adam(lr=RATE)
         unknowns["texels"] = self.mi.TensorXf(np.full(shape, START[0], np.float32))
@@ -209,7 +209,7 @@ class Mitsuba:
         near_enough: Callable[[np.ndarray], bool],
         most: int,
     ) -> Descent:
-        """Adam's steps on the mean square until the texels are near enough."""
+        """Minimise the mean square by Adam until the texels are near enough."""
         dr, targets = self.dr, [self.mi.TensorXf(one) for one in images]
         unknowns, seconds, steps = self._unknowns(), 0.0, 0
         while steps < most:
@@ -242,7 +242,7 @@ def _flat(values: np.ndarray) -> np.ndarray:
 
 
 def _blinn(mi: Any, dr: Any) -> Callable[[Any], Any]:
-    """Lambert and Blinn, not normalised, as [`BlinnPhong`][] has them."""
+    """A class for Mitsuba with the formulas of [`BlinnPhong`][], not normalised."""
 
     class Blinn(mi.BSDF):
         def __init__(self, properties: Any):

@@ -37,11 +37,11 @@ NEAR = 1.05
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One way to texels.
+    """Time and accuracy of one method to fit texels.
 
-    - `seconds`: of the processor; of Adam's steps alone.
-    - `error`: root mean square of texels less the true ones.
-    - `arrived`: whether that is as small as the fit's.
+    - `seconds`: CPU time; for Adam, of its steps alone.
+    - `error`: root mean square of fitted − true texels.
+    - `arrived`: whether the error is at most 5 % larger than that of `fit_texture`.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Row:
 
 
 def rows(size: Size = SMALL, most: int = MOST) -> list[Row]:
-    """The fit, and Adam through Mitsuba if that is there."""
+    """Run `fit_texture`, and Adam through Mitsuba if it is installed."""
     mesh, true = vase(size.around, size.along), checkered(size.texels)
     painted = mesh.with_textures(pf.Textures(diffuse=pf.Texture(true)))
     images = [

@@ -1,4 +1,4 @@
-"""How long work takes: medians."""
+"""Median times of functions."""
 
 import time
 from collections.abc import Callable
@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-# Work of seconds is not timed as often as work of milliseconds.
+# A function is run at least `FEWEST` times, and not again after `ENOUGH` seconds.
 FEWEST, ENOUGH = 3, 5.0
 # OpenBLAS's threads go on spinning for a tenth of a second after work such as the QR
 # factorisation of a stock solver, and slow down whatever follows.
@@ -16,7 +16,7 @@ SETTLED = 0.2
 
 
 def seconds(work: Callable[[], object], runs: int = 3) -> float:
-    """The median of some runs, after one that compiles; arrays are waited for."""
+    """Median seconds of `runs` runs, after one that compiles, until results exist."""
     work()
     return float(np.median([_timed(work)[0] for _ in range(runs)]))
 
@@ -24,11 +24,11 @@ def seconds(work: Callable[[], object], runs: int = 3) -> float:
 def medians(
     ways: dict[str, Callable[[], Any]], runs: int
 ) -> dict[str, tuple[float, Any]]:
-    """Median time and last result of each way, all taking turns after two warm runs.
+    """Median time and last result of each function, taking turns after two runs each.
 
-    Of a turn the run is timed that ends after 0.2 seconds: by then what the way before
-    has left behind is over. A way that has taken five seconds in all is left alone
-    after its third turn.
+    In its turn a function is run for 0.2 seconds, and only its last run counts: until
+    then threads of the previous function may be busy. A function that has taken five
+    seconds in all has no more turns after its third.
     """
     for way in ways.values():
         for _ in range(2):

@@ -1,9 +1,10 @@
-"""Question: do the numbers hold, and is there a word wherever they do not?
+"""Question: do the numbers hold, and is there a warning wherever they do not?
 
-Many situations that users meet, each drawn many times: kinds of scenes, noise, files,
-losses, unknowns, maps; right models and wrong ones. Of each, how often 95 % intervals
-hold the truth, and whether a warning comes wherever an answer misleads and stays away
-where the model is right: see `experiments/honesty/judge.py` for what is asked.
+Many situations that users meet are drawn many times each: kinds of scenes, noise,
+files, losses, unknowns, maps, with right and wrong models. For each one the experiment
+counts how often 95 % intervals contain the truth. It also checks that there is a
+warning whenever an answer misleads, and none if the model is right.
+`experiments/honesty/judge.py` has the criteria.
 """
 
 import contextlib
@@ -29,7 +30,7 @@ from experiments.output import JsonFile, check_outputs, save_numbers
 from phongfit.cli import run
 
 FEW = 20
-# Of a table in a file, letters.
+# Letters in a line of the table, if it is not printed to a terminal.
 WIDTH = 140
 
 
@@ -41,7 +42,7 @@ def main(
     seed: int = 0,
     json: JsonFile = None,
 ) -> int:
-    """Do the numbers hold, and is there a word wherever they do not?
+    """Do the numbers hold, and is there a warning wherever they do not?
 
     Runs many situations, draw by draw, in single and in double precision, and prints a
     table of stated errors and warnings next to the truth. Exit status 1 if a situation
@@ -49,10 +50,11 @@ def main(
 
     Args:
         small: 20 draws: coarse.
-        draws: Of each situation; default 100. Maps have 100 pixels a draw.
+        draws: Number of draws of each situation; default 100. A draw of maps has 100
+        pixels.
         only: Situations whose name holds one of these; default all.
         precision: One of them, or both side by side.
-        seed: Of the draws.
+        seed: Seed of the draws.
         json: File for the numbers.
     """
     count = (FEW if small else 100) if draws is None else draws

@@ -70,7 +70,7 @@ REFUSED = "refused: "
 
 
 def fit_all(shots: Iterable[Shot]) -> Answers:
-    """Fits of many draws; a `ValueError` is an answer too."""
+    """Fit many draws; a draw whose fit raises `ValueError` counts as refused."""
     said: list[Said | str] = []
     labels, box = (), np.zeros((0, 2))
     for shot in shots:
@@ -105,7 +105,7 @@ def gather(
     box: Float[np.ndarray, "parameters 2"],
     said: Sequence[Said | str],
 ) -> Answers:
-    """Draws one after another; words alone are of a draw that was refused."""
+    """Join the draws; of a refused draw `said` has the message instead of numbers."""
     empty = np.full(len(labels), np.nan)
     refused = empty, empty, empty + np.inf, empty, empty, np.zeros(len(labels), bool)
     rows = [Said(*refused, (one,)) if isinstance(one, str) else one for one in said]

@@ -21,12 +21,12 @@ from experiments.honesty.situations.base import Situation
 
 Precision = Literal["32", "64", "both"]
 LEAST = 2
-"""Draws, where a situation takes a share of them."""
+"""Least number of draws of a situation that takes a fraction of them."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """A situation, the precision it was asked in, the verdict, and what it took."""
+    """Verdict on one situation in one precision, and the seconds that it took."""
 
     name: str
     kind: str
@@ -41,7 +41,7 @@ class Row:
 
 
 def own_bits() -> int:
-    """The precision of this process."""
+    """Precision of this process, 32 or 64 bits."""
     return 64 if jnp.result_type(float) == jnp.float64 else 32
 
 
@@ -87,7 +87,7 @@ class Elsewhere:
     """The campaign in the other precision, in another process."""
 
     def __init__(self, bits: int, only: Sequence[str], draws: int, seed: int):
-        """Starts it."""
+        """Start the process."""
         self._folder = tempfile.TemporaryDirectory()
         self._path = Path(self._folder.name) / "rows.json"
         command = [sys.executable, "-m", "experiments.honesty"]
@@ -114,9 +114,9 @@ class Elsewhere:
         self._folder.cleanup()
 
     def rows(self) -> list[Row]:
-        """Its rows, once it is through.
+        """Wait for the process, and return its rows.
 
-        **Raises:** `RuntimeError` with its last words, if it failed.
+        **Raises:** `RuntimeError` with the end of its error output, if it failed.
         """
         _, complaint = self._process.communicate()
         if self._process.returncode not in (0, 1) or not self._path.exists():

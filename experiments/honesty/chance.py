@@ -26,10 +26,10 @@ def share(held: np.ndarray, counted: np.ndarray | bool = True) -> float:
 def limits(
     inside: Each, counted: Each, promised: tuple[float, float]
 ) -> tuple[float, float]:
-    """Shares of intervals of `LEVEL` between which nothing is wrong.
+    """Range of the fraction of intervals with the truth, in which there is no fault.
 
-    Parameters of one draw go astray together: they count as so many independent ones
-    as the scatter between draws allows.
+    Parameters of one draw are correlated. The number of independent intervals is
+    estimated from the scatter between draws.
 
     ??? cite "Source"
         Kish, *Survey sampling*, 1965, on the design effect: the variance of a share

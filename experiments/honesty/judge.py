@@ -150,10 +150,10 @@ def _intervals(labels: tuple[str, ...], marks: Marks) -> list[str]:
 
 
 def _misleading(marks: Marks, kind: Kind) -> list[str]:
-    """Draws that are far off without a word.
+    """Fault of too many draws that are far off and have no warning.
 
-    Of a wrong model, warnings are to come in most draws that need one; of others, few
-    draws may need one.
+    The limit is a fraction of the draws that are far off for a wrong model, and of all
+    draws for others.
     """
     among = marks.far.sum() if kind == "wrong" else len(marks.far)
     if marks.misled.sum() <= MISLED * among:
@@ -177,14 +177,14 @@ def _small_errors(
         count = small[:, own].any(axis=1).sum()
         if too_many(count, len(small), ALARMS):
             faults.append(
-                f"{name} is not identifiable, yet {count} draws claim to know"
+                f"{name} is not identifiable, yet {count} draws have a small error"
             )
     return faults
 
 
 def _worst(labels: tuple[str, ...], marks: Marks) -> tuple[float, str]:
     """The parameter whose intervals hold the truth least often."""
-    # A share of a few draws says little.
+    # A fraction of few draws is too uncertain.
     enough = max(10, len(marks.doubted) // 10)
     shares = {
         label: share(marks.inside[:, k], marks.trusted[:, k])

@@ -10,12 +10,13 @@ from experiments.honesty.chance import Each
 from experiments.honesty.words import is_doubtful
 
 FAR = 5.0
-"""Errors that an estimate is off by, if it is far off. For one on its bound, whose
-error is one-sided and may have the tail of an exponential distribution, the square."""
+"""An estimate is far off if it is more than this many standard errors from the truth.
+At a bound the error is one-sided and may have an exponential tail, so the limit there
+is the square of this."""
 
 # Standard deviations of a normal distribution that a 95 % interval reaches.
 REACH = 1.96
-# Of a number: below it, an error is one of arithmetic.
+# Relative deviations below this are rounding errors.
 ROUNDING = 1e-12
 
 
@@ -23,8 +24,8 @@ ROUNDING = 1e-12
 class Marks:
     """Answers next to the truth.
 
-    - `finite`: whether a number has a finite error; `trusted`: and its draw no warning
-        about the fit;
+    - `finite`: whether a number has a finite error;
+    - `trusted`: whether it is finite and its draw has no warning about the fit;
     - `inside`: whether its interval holds the truth;
     - `bound`: whether it is trusted and lies on its bound;
     - `astray`: whether it is far off, see `FAR`;
@@ -40,12 +41,12 @@ class Marks:
 
     @property
     def free(self) -> Each:
-        """Trusted, and not on a bound."""
+        """Whether a number is trusted and not on a bound."""
         return self.trusted & ~self.bound
 
     @property
     def beside(self) -> Each:
-        """Free, in draws where something lies on its bound."""
+        """Whether a number is free, in a draw where another lies on its bound."""
         return self.free & self.bound.any(axis=1, keepdims=True)
 
     @property
@@ -60,7 +61,7 @@ class Marks:
 
 
 def look(answers: Answers) -> Marks:
-    """Compare with the truth, and read the warnings."""
+    """Compare answers with the truth, and classify their warnings."""
     doubted = np.array([any(map(is_doubtful, said)) for said in answers.warnings])
     finite = np.isfinite(answers.error)
     truth, off = answers.truth, np.abs(answers.estimate - answers.truth)
@@ -70,13 +71,13 @@ def look(answers: Answers) -> Marks:
     side = np.where(truth > answers.estimate, answers.high, answers.low)
     error = np.fmax(answers.error, np.abs(side - answers.estimate) / REACH)
     reach = np.where(answers.at_bound, FAR**2, FAR) * error
-    # A bound that keeps an estimate from the truth is said to lie there.
-    kept = (truth < answers.box[:, 0]) | (truth > answers.box[:, 1])
+    # If the truth is outside the bounds, an estimate at its bound is not astray.
+    outside = (truth < answers.box[:, 0]) | (truth > answers.box[:, 1])
     return Marks(
         finite=finite,
         trusted=trusted,
         inside=(answers.low <= truth + slack) & (truth - slack <= answers.high),
         bound=trusted & answers.at_bound,
-        astray=~(off <= reach + slack) & ~(kept & answers.at_bound),
+        astray=~(off <= reach + slack) & ~(outside & answers.at_bound),
         doubted=doubted,
     )

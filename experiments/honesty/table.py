@@ -45,7 +45,7 @@ def table(rows: Sequence[Row], bits: int) -> Table:
 
 
 def cells(row: Row) -> tuple[str, ...]:
-    """A row of the table."""
+    """The cells of a row of the table."""
     v = row.verdict
     return (
         row.name,
@@ -64,12 +64,12 @@ def cells(row: Row) -> tuple[str, ...]:
 
 
 def mark(verdict: Verdict) -> str:
-    """In a word."""
+    """The verdict in a word."""
     return "RED" if verdict.faults else ", ".join(verdict.notes) or "ok"
 
 
 def percent(share: float, digits: int = 0) -> str:
-    """Short; nothing where there was nothing to count, or nothing was found."""
+    """A fraction in per cent; a dash for NaN."""
     if np.isnan(share):
         return "–"
     return f"{100 * share:.{digits}f}" if share else "0"

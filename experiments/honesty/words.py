@@ -36,7 +36,7 @@ SUBJECTS = {
     "moving-edge": Subject.FIT,
     "bound-decides": Subject.FIT,
     "two-solutions": Subject.FIT,
-    # A highlight thrown away is no gap in the data, but a doubt about the fit.
+    # A rejected highlight casts doubt on the fit; it is not a gap in the data.
     "rejected-highlight": Subject.FIT,
     "at-bound": Subject.BOUND,
     "not-identifiable": Subject.OPEN,
@@ -44,7 +44,7 @@ SUBJECTS = {
     "degenerate": Subject.OPEN,
     "all-white": Subject.OPEN,
     "drawn-errors": Subject.OPEN,
-    # A pixel's.
+    # Flags of a map's pixels.
     f"{FLAG}misfit": Subject.FIT,
     f"{FLAG}not converged": Subject.FIT,
     f"{FLAG}at bound": Subject.BOUND,
@@ -71,7 +71,7 @@ def is_doubtful(warning: str) -> bool:
 
 
 def doubts(warnings: Warnings, most: int = 5) -> dict[str, int]:
-    """Codes of warnings that doubt a draw, and how many draws had each."""
+    """Codes of warnings that cast doubt on a draw, and how many draws had each."""
     count = collections.Counter(
         key
         for said in warnings
@@ -81,14 +81,14 @@ def doubts(warnings: Warnings, most: int = 5) -> dict[str, int]:
 
 
 def unknown_words(warnings: Warnings, most: int = 3) -> list[str]:
-    """Sentences whose code nobody knows, each once."""
+    """Warnings whose code is not in `SUBJECTS`, each once."""
     found = {one for said in set(warnings) for one in said}
     unknown = {one for one in found if subject_of(one) is Subject.UNKNOWN}
     return sorted({_without_numbers(one) for one in unknown})[:most]
 
 
 def _key(warning: str) -> str:
-    """A code; without one the sentence, which may differ in its numbers."""
+    """A warning's code; without one the sentence with its numbers replaced."""
     return pf.warning_code(warning) or _without_numbers(warning)
 
 

@@ -57,8 +57,8 @@ from phongfit.rendering.film import Film
 from phongfit.rendering.pixels import PixelTerms, resolve_terms
 from phongfit.scene import Scene
 
-# How often what files round and what scenes are is found in turn, and the step that is
-# not worth another turn, in standard deviations of what was known of scenes before.
+# Most alternations between the JPEG correction and the refinement of uncertain scenes,
+# and the change that ends them, in standard deviations of the scenes' priors.
 TURNS, STAYS = 3, 0.3
 
 
@@ -91,55 +91,56 @@ def fit(
 
     **Arguments:**
 
-    - `scene`: one, or a sequence of scenes (lights, views) of one material.
+    - `scene`: a scene, or a sequence of scenes (lights, views) of one material.
     - `image`: (height, width, 3) linear light where white is 1, or a sequence of these,
         one a scene.
-    - `unknowns`: parameters of the material to be found; where the surface is made of M
-        materials, of each of them: those that come back have shape (M, 3) or
-        (M, 1). Arrays of the scene by their place, such as
-        `"scene.lights[0].direction"`, `"scene.fog.density"`, or a specular model's own,
-        `"scene.specular_model.roughness"`, which start from what the scene has.
-        Directions are looked for on the whole sphere. A camera's `rotation` is three
-        angles: degrees about its own x, y and z axes, from where the scene has it. A
-        spot's `cutoff` is refused. Pixels next to an edge that an unknown moves (an
-        outline, the rim of a spot, a cast shadow) are left out: light jumps there,
-        which no derivative knows.
-        `"exposure"`: what the light of each image is multiplied by.
-    - `per_channel`: those of them with one value for each of red, green and blue; other
-        colours have one for all.
-    - `per_image`: arrays of the scenes of which each image has its own.
-    - `known`: values of the parameters that are not unknown; default no reflectance, no
-        emission and an exponent of 32.
+    - `unknowns`: parameters of the material to fit. If the surface is made of M
+        materials, each has its own, and the result has parameters of shape (M, 3) or
+        (M, 1). Further, arrays of the scene by their paths, such as
+        `"scene.lights[0].direction"`, `"scene.fog.density"`, or a parameter of the
+        specular model, `"scene.specular_model.roughness"`. They start from the values
+        in the scene. Directions are sought on the whole sphere. A camera's `rotation`
+        is three angles: degrees about its x, y and z axes, from the rotation in the
+        scene. A spot's `cutoff` is refused. Pixels next to an edge that an unknown
+        moves (an outline, the rim of a spot, a cast shadow) are left out, since light
+        is discontinuous there.
+        `"exposure"`: a factor on the light of each image.
+    - `per_channel`: the unknowns with separate values for red, green and blue; other
+        colours have one value for all three.
+    - `per_image`: unknown arrays of the scenes with a separate value for each image.
+    - `known`: a material with the values of the other parameters; default: reflectances
+        and emission 0, exponent 32.
     - `bounds`: name or label → (low, high), in place of 0 … 1 for reflectances and
-        emission, 1 … 1000 for shininess, and what a specular model says of its own.
-        Labels are those of the result:
+        emission, 1 … 1000 for shininess, and a specular model's bounds for its
+        parameters. Labels are those of the result:
         `"diffuse.red"`, `"exposure[1]"`, `"scenes[1].lights[0].position.x"`.
-    - `fixed`: name or label → the value it is held at.
-    - `ties`: name or label → another one, or (factor, other), which it follows; both
-        stay within their bounds.
-    - `priors`: name or label → (mean, standard deviation), in the user's units: what is
-        known beforehand, as one more measurement.
-    - `uncertain`: array of the scenes, such as `"scene.lights[0].direction"` → how well
-        the scenes know it: its covariance over all images and components, image by
-        image (colours have three), or a standard deviation for all or one each. Arrays
-        whose errors hang together share one covariance, array by array:
-        `("scene.lights[0].position", "scene.lights[0].attenuation")` → it. That is a
-        prior about what the scenes have. If it is of none of the `unknowns`, the scenes
-        are brought to where this and the images agree best, and what they leave open
-        goes into the errors of what is found; the result's scenes have it.
+    - `fixed`: name or label → the value at which it is held.
+    - `ties`: name or label → another name or label, whose value it takes, or (factor,
+        other), for a multiple of it; both stay within their bounds.
+    - `priors`: name or label → (mean, standard deviation), in the user's units: a
+        normal prior, which counts as one more measurement.
+    - `uncertain`: array of the scenes, such as `"scene.lights[0].direction"` → its
+        covariance over all images and components, image by image (a colour has three
+        components), or a standard deviation for all or one for each. Arrays with
+        correlated errors share one covariance, array by array:
+        `("scene.lights[0].position", "scene.lights[0].attenuation")` → covariance. This
+        is a normal prior around the values in the scenes. An array that is not among
+        the `unknowns` is refined: it takes the value that fits prior and images best,
+        which is in the result's scenes, and its remaining uncertainty is part of the
+        errors of the unknowns.
     - `mask`: (height, width) or (height, width, 3), true where a sample is used; with
         several scenes a sequence. Pixels that see no surface are never used.
     - `weights`: relative inverse variances, shaped as `mask`; 0 leaves a sample out.
     - `noise`: standard deviation of the sensor's noise in linear light, a number or as
         `weights`; default estimated from the residuals.
     - `film`: how light became numbers (clamp, encoding, bits, JPEG), one or one an
-        image. By default its clamp and rounding are found from the values themselves:
-        where some are exactly 1 and others negative, white was cut off, and negative
-        values count as black. What a JPEG file took stands in the file alone:
-        [`read_film`][] reads it.
+        image. By default clamp and rounding are detected in the values: if some are
+        exactly 1 and others negative, white was cut off, and negative values count as
+        black. The compression of a JPEG file is not detected: [`read_film`][] reads it
+        from the file.
     - `loss`: `"linear"`, `"huber"`, `"soft_l1"`, `"cauchy"`, `"tukey"`, or an
         [`AbstractLoss`][].
-    - `max_steps`: of the solver, in each of its passes.
+    - `max_steps`: limit on the solver's steps, in each of its passes.
 
     **Returns:** a [`Fit`][]. Numerical failure is reported in its `converged` and
     `warnings`; nothing is raised.
@@ -151,11 +152,11 @@ def fit(
     """
     single = isinstance(scene, Scene)
     if not single and isinstance(image, Iterable):
-        # Gone through twice, which a generator does not allow.
+        # The images are read twice, which a generator does not allow.
         image = list(image)
     untraced(
-        "fit once outside, and differentiate refit(fit, scene, image), which goes on "
-        "from there",
+        "fit once outside, and differentiate refit(fit, scene, image), which starts "
+        "from that fit",
         scene=scene,
         image=image,
         known=known,
@@ -219,7 +220,8 @@ def fit(
 
     if rounds:
         restored = restored_now()
-    # Misplaced lamps pass for noise, and noise says what files round: both in turn.
+    # Refine `uncertain` arrays and correct for JPEG in turn, since errors of lamps look
+    # like noise, on which the JPEG correction depends.
     for _ in range(TURNS if rounds else 1):
         if nuisance is None:
             break
@@ -240,9 +242,9 @@ def fit(
         found = dataclasses.replace(found, problem=problem)
     setting = dataclasses.replace(setting, sources=sources)
     given = {"mask": mask, "weights": weights, "noise": noise}
-    # Directions are now relative to where the best of several starts began.
+    # Directions are now relative to those of the best start.
     layout = found.problem.unknowns
-    # JAX computes these side by side, as long as none is looked at.
+    # JAX dispatches these asynchronously, until a value is read.
     in_user_units = in_units(layout, found.y)
     scenes = layout.scenes(in_user_units[0], tuple(source.scene for source in sources))
     fitted_images = [
@@ -257,7 +259,7 @@ def fit(
         specification=specification,
         films=films,
         scenes=scenes,
-        # Copies, whatever becomes of the arrays that came.
+        # Copies, since the caller may change the arrays.
         photographs=[
             np.array(one, found.y.dtype) for one in ([image] if single else image)
         ],
@@ -281,7 +283,7 @@ def _fitted_image(
     found: SearchResult,
     side: int,
 ) -> FittedImage:
-    """What the fit makes of one image, and residuals in tiles of `side` pixels."""
+    """Fitted image and residuals of one image, and sums over tiles of `side` pixels."""
     source, unknowns = setting.sources[which], setting.unknowns
     mask, view = source.mask, source.pixels
     if unknowns.of_scene:

@@ -26,26 +26,26 @@ MAX_STEPS = 100
 
 @checked
 def refit(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Material:
-    r"""The material for other images or scenes, from where a fit ended.
+    r"""The material for other images or scenes, starting from a finished fit.
 
-    Pure, so that it can be `jit`ted, `vmap`ped and differentiated: `jax.grad` of
-    anything made of the material, in the images or in any array of the scenes. The
+    A pure function, which can be `jit`ted, `vmap`ped and differentiated: `jax.grad` of
+    any function of the material, in the images or in any array of the scenes. The
     derivative is that of the solution itself (implicit differentiation): with the
     gradient $g(y, x) = 0$ of the cost it is $-(\partial g/\partial y)^{-1} \partial
     g/\partial x$, in the exact second derivative of the cost. No step of the solver is
     differentiated.
 
-    Pixels, weights, noise level, loss, bounds, ties and priors stay those of the fit;
-    which pixels see the surface and lie in shadow does too. What JPEG files took stays
-    what the fit found: its own dependence on image and scene has no derivative. An
-    unknown at its bound stays there, without a derivative.
+    Pixels, weights, noise level, loss, bounds, ties and priors are those of the fit. So
+    are the pixels that see the surface or lie in shadow, and the JPEG correction, whose
+    dependence on image and scene has no derivative. An unknown at its bound stays
+    there, without a derivative.
 
     **Arguments:**
 
-    - `fit`: of the same kind of scenes and images.
-    - `scene`, `image`: as they were given to [`fit`][]; may be traced.
+    - `fit`: a fit of the same kind of scenes and images.
+    - `scene`, `image`: as for [`fit`][]; may be traced.
 
-    **Returns:** the [`Material`][]. Where the solver fails its numbers are NaN.
+    **Returns:** the [`Material`][], with NaN if the solver fails.
 
     **Raises:** `ValueError` that names the argument, if number or shape differ from the
     fit's.
@@ -101,7 +101,7 @@ def _other_problem(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Prob
 
 
 def _lost(fit: Fit) -> Float[Array, "3 samples"] | float:
-    """What the fit gave back to photographs that were JPEG files."""
+    """The fit's correction of photographs for JPEG compression; 0 without JPEG."""
     old = fit.solution.problem
     if all(film.jpeg is None for film in fit.films):
         return 0.0
@@ -116,7 +116,7 @@ def _lost(fit: Fit) -> Float[Array, "3 samples"] | float:
 def _with_derivative(
     problem: Problem, solution: Float[Array, " n"]
 ) -> Float[Array, " n"]:
-    """The solution again, as one that knows how it depends on the problem."""
+    """The solution, with its derivative in the problem by implicit differentiation."""
     unknowns = problem.unknowns
     held = (solution <= unknowns.lower) | (solution >= unknowns.upper)
     tolerance = float(jnp.finfo(solution.dtype).eps) ** 0.5
@@ -134,7 +134,7 @@ def _with_derivative(
 def _gradient(
     y: Float[Array, " n"], args: tuple[Problem, Array, Array]
 ) -> Float[Array, " n"]:
-    """Of the cost in the unknowns that are free; how far the others have moved."""
+    """Gradient of the cost in free unknowns; distance from `solution` in others."""
     problem, held, solution = args
 
     def cost(y: Array) -> Array:

@@ -1,4 +1,4 @@
-"""How well a fit could know each parameter, before any photograph is taken."""
+"""Standard errors of a fit, predicted before photographs are taken."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -40,9 +40,9 @@ class Prediction:
     - `labels`, `values`, `errors`: the unknowns, their true values, and standard
         errors: infinite for what is not identifiable.
     - `stderr`: a material of these errors.
-    - `covariance`: of the estimates; NaN rows for what is not identifiable.
-    - `unidentified`: true where the images would leave the value open.
-    - `warnings`: why, in words.
+    - `covariance`: covariance of the estimates; NaN rows for those not identifiable.
+    - `unidentified`: true where the images would not determine the value.
+    - `warnings`: sentences, each with what to try and a code.
     - `n_samples`: pixels times channels that would be used.
     """
 
@@ -79,33 +79,34 @@ def predict_errors(
 ) -> Prediction:
     r"""Standard errors that [`fit`][] would state for photographs not yet taken.
 
-    Where nothing is clipped or rounded this is the Cramér-Rao bound $\sigma^2 (J^\top
-    J)^{-1}$: no unbiased estimate from these images can be better. So lights and views
-    can be compared, and placed well.
+    Without clipping and rounding this is the Cramér-Rao bound $\sigma^2 (J^\top
+    J)^{-1}$: no unbiased estimate from these images has smaller errors. So lights and
+    views can be compared before they are set up.
 
-    Where an exponent is not identifiable, fits end at any, and the bound at a single
-    one says too little. Errors are then root mean squares of what 400 fits of drawn
-    photographs, which know the noise, are off by. The draws are the same each time and
-    take seconds; such an error is known to 4 %, less well where a few fits stray far.
-    What a fit itself states is larger there, often twice: it holds for any exponent.
+    If an exponent is not identifiable, fits end at any exponent, and the bound at the
+    true one is too small. Errors are then root mean squares of the deviations of 400
+    fits to simulated photographs, with the noise given. The random numbers are the same
+    each time, and the fits take seconds. Such an error is accurate to 4 %, or less if a
+    few fits deviate far. The errors that a fit states are often twice as large, since
+    they hold for any exponent.
 
     **Arguments:**
 
-    - `scene`: one, or a sequence of scenes of one material; arrays of theirs that will
-        be unknown have their true values here.
+    - `scene`: a scene, or a sequence of scenes of one material. Their arrays that will
+        be unknown have the true values here.
     - `material`: the true one.
     - `noise`: standard deviation in linear light, as for [`fit`][].
     - `film`: how light will become numbers, one or one a scene; default a clamp alone.
-        What a JPEG file will round is drawn, as [`fit`][] does.
+        The rounding of a JPEG file is simulated, as in [`fit`][].
     - `options`: of [`fit`][]: `unknowns`, `per_channel`, `per_image`, `bounds`,
         `fixed`, `ties`, `priors`, `uncertain`, `mask`, `weights`.
 
     **Returns:** a [`Prediction`][].
 
     **Raises:** `ValueError` that names the argument, as [`fit`][] does; `TypeError` for
-    an option that is none.
+    an unknown option.
     """
-    instead = "predict_errors is no function that JAX can trace"
+    instead = "call predict_errors outside of what JAX traces"
     untraced(instead, scene=scene, material=material, noise=noise, **options)
     film = Film() if film is None else film
     single = isinstance(scene, Scene)
@@ -169,9 +170,10 @@ def predict_errors(
 
 
 def _expected(problem: Problem, y: Array) -> Problem:
-    """The problem with what a film shows on average: without noise black is darker.
+    """The problem with the film's mean values as targets, so that the truth is optimal.
 
-    So nothing pulls at the truth. White samples stay white: they say little.
+    Clipping at black raises the mean of noisy values, which an image without noise
+    lacks. White samples stay white, since they contribute little.
     """
     target = problem.samples.target
     shown = target + jnp.where(target < 1, evaluate(problem, y).difference, 0)
@@ -179,13 +181,14 @@ def _expected(problem: Problem, y: Array) -> Problem:
 
 
 def _as_scattered(estimated: Estimates, off: np.ndarray, rounded: bool) -> Estimates:
-    """The same, with the errors that fits are seen to make, (draws, labels).
+    """Estimates with errors from the deviations `off` of simulated fits.
 
-    **Arguments:** `rounded`: whether JPEG will round, which the draws do not know.
+    **Arguments:** `off`: (draws, labels); `rounded`: whether photographs will be JPEG
+    files, which the simulation ignores.
     """
     covariance = off.T @ off / len(off)
     errors = np.where(estimated.unidentified, np.inf, np.sqrt(np.diag(covariance)))
-    # What is not identified, or lies at a bound, stays so.
+    # Entries that are not identified or lie at a bound keep their covariance.
     without = estimated.unidentified | estimated.at_bound
     unknown = without[:, None] | without[None]
     covariance = np.where(unknown, estimated.covariance, covariance)
@@ -193,7 +196,7 @@ def _as_scattered(estimated: Estimates, off: np.ndarray, rounded: bool) -> Estim
         f"the exponent may be any: the other errors are those of {len(off)} drawn fits"
     )
     if rounded:
-        words += ", which know nothing of JPEG"
+        words += ", which do not include JPEG"
     reasons = (*estimated.reasons, coded("drawn-errors", words))
     return dataclasses.replace(
         estimated, errors=errors, covariance=covariance, reasons=reasons
@@ -201,6 +204,6 @@ def _as_scattered(estimated: Estimates, off: np.ndarray, rounded: bool) -> Estim
 
 
 def _photograph(scene: Scene, material: Material, film: Film) -> np.ndarray:
-    """The image without noise, as a file of it would be read."""
+    """The image without noise, as read from a file."""
     shown = np.asarray(render(scene, material, film=film))
     return np.asarray(decode(shown, film.encoding))

@@ -1,4 +1,4 @@
-"""What a fit gives back."""
+"""The result of a fit."""
 
 import dataclasses
 import math
@@ -39,12 +39,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# (H, W, 3) each: one, or one a scene where several were given.
+# Arrays (H, W, 3): one, or a tuple with one for each scene.
 Images: TypeAlias = np.ndarray | tuple[np.ndarray, ...]
 
 
 class Estimate(NamedTuple):
-    """One parameter, or one number of it, as a fit found it."""
+    """Estimate of a parameter, or of one of its numbers."""
 
     value: np.ndarray
     error: np.ndarray
@@ -54,7 +54,7 @@ class Estimate(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, repr=False, eq=False)
 class Fit:
-    """A material with its uncertainty, and how it came about.
+    """A fitted material with its uncertainty, the residuals, and how the solver ended.
 
     `print` shows the table. Arrays are NumPy's; entries of `values`, `errors`,
     `covariance` and the flags are in the order of `labels`. `fit["diffuse"]` or
@@ -96,9 +96,9 @@ class Fit:
 
     @checked
     def __getitem__(self, name: str) -> Estimate:
-        """A parameter by its name, or one number by its label.
+        """Estimate of a parameter by its name, or of one number by its label.
 
-        **Raises:** `KeyError` that says what there is.
+        **Raises:** `KeyError` that lists the labels.
         """
         entries = [
             k
@@ -119,13 +119,13 @@ class Fit:
     def intervals(self, level: float = 0.95) -> np.ndarray:
         """Intervals that hold the truth with a chance of `level`, by Student's t.
 
-        They end where Δχ², all other unknowns at their best within their bounds, has
-        risen to t²: so they are wider on one side where a bound cuts what is correlated
-        with it short, and they count what else a hardly identified exponent may be. The
-        chance is at least `level` there, and more where a highlight is not seen.
+        An interval ends where Δχ², minimised over all other unknowns within their
+        bounds, reaches t². So it is asymmetric if a bound limits a correlated unknown,
+        and it includes all values of an exponent that is barely identified. In such
+        cases the chance is at least `level`, and larger if no highlight is seen.
 
-        **Returns:** (n, 2), cut to the bounds, which are all that is left of what
-        is not identifiable. At a bound they are one-sided.
+        **Returns:** (n, 2), cut to the bounds. For an unknown that is not identifiable
+        they are the bounds; at a bound they are one-sided.
 
         **Raises:** `ValueError` if `level` is not in (0, 1).
         """
@@ -135,12 +135,12 @@ class Fit:
 
     @property
     def identified(self) -> np.ndarray:
-        """True where the data tell a number, and it lies on no bound."""
+        """True for numbers that the data determine, and that are not at a bound."""
         return ~self.unidentified & ~self.at_bound & np.isfinite(self.errors)
 
     @property
     def sides(self) -> np.ndarray:
-        """How far down and up the intervals of one standard error reach, (n, 2)."""
+        """Distances from the estimates down and up to where Δχ² reaches 1, (n, 2)."""
         return np.abs(self.region.ends(1.0) - self.values[:, None])
 
     @checked
@@ -150,15 +150,16 @@ class Fit:
         """Profile-likelihood intervals of one unknown, or regions of a pair.
 
         The unknown is held at values around its estimate and all others are fitted
-        again: [`Profile`][], or [`ProfilePair`][] for two. Where the model bends, this
-        says more than a standard error does.
+        again: [`Profile`][], or [`ProfilePair`][] for two. This is more exact than a
+        standard error where the model is not linear.
 
         **Arguments:**
 
         - `name`, `other`: labels, such as `"shininess"` or `"diffuse.red"`.
         - `levels`: chances, in (0, 1), that the intervals hold the truth.
 
-        **Raises:** `ValueError` for a name that was not free, or a level out of range.
+        **Raises:** `ValueError` for a name that is not a free unknown, or a wrong
+        level.
         """
         setting = (self.degrees_of_freedom, tuple(levels), self.misfit.inflation)
         if other is None:
@@ -166,10 +167,10 @@ class Fit:
         return profile_pair(self.solution, (name, other), *setting)
 
     def diagnose(self) -> Diagnostics:
-        """Profiles of a few unknowns, and the course of the convergence.
+        """Profiles of a few unknowns, and the cost at each step of the solver.
 
-        For these the fit is solved some fifty times more: seconds. Of millions of
-        samples there are fewer, or none.
+        This solves the fit some fifty times more, which takes seconds. With millions of
+        samples there are fewer profiles, or none.
         """
         identified = np.flatnonzero(self.identified)
         free = self.problem.unknowns.free_labels
@@ -183,31 +184,31 @@ class Fit:
     def plot(
         self, names: Sequence[str | int | float | os.PathLike[str]] = ()
     ) -> "Figure":
-        """Photograph, fit and residual as a matplotlib figure, of some of the images.
+        """Photograph, fit and residual of some images, as a matplotlib figure.
 
-        **Arguments:** `names`: of the images; default their numbers.
+        **Arguments:** `names`: names of the images; default their numbers.
         """
         from phongfit.report.plots import plot
 
         return plot(self, names)
 
     def plot_residuals(self) -> "Figure":
-        """Are the residuals noise? Their histogram, course with light, and images."""
+        """Figure of the residuals: histogram, dependence on light, and images."""
         from phongfit.report.plots import plot_residuals
 
         return plot_residuals(self)
 
     def plot_correlations(self) -> "Figure":
-        """The matrix of correlations as a matplotlib figure."""
+        """The correlation matrix as a matplotlib figure."""
         from phongfit.report.plots import plot_correlations
 
         return plot_correlations(self)
 
     @checked
     def plot_profile(self, name: str, other: str | None = None) -> "Figure":
-        """The profile of one unknown with its intervals, or the regions of a pair.
+        """Figure of the profile of one unknown with its intervals, or of a pair.
 
-        **Raises:** `ValueError` for a name that was not free.
+        **Raises:** `ValueError` for a name that is not a free unknown.
         """
         from phongfit.report.profiles import plot_profile
 
@@ -215,7 +216,7 @@ class Fit:
 
     @property
     def problem(self) -> Problem:
-        """What was solved, with the noise level as found: see [`make_problem`][]."""
+        """The solved problem, with the final noise level: see [`make_problem`][]."""
         return self.solution.problem
 
     @property
@@ -225,25 +226,25 @@ class Fit:
 
     @property
     def loss(self) -> str:
-        """Its name."""
+        """Name of the loss."""
         return type(self.specification.loss).__name__
 
     @property
     def film(self) -> str:
-        """What of the images' films the fit rests on."""
+        """The images' films in words: clamp, rounding, encoding, JPEG."""
         return " / ".join(dict.fromkeys(map(film_words, self.films)))
 
     @property
     def neighbour_correlation(self) -> float:
-        """Of residuals: well above 0 where the model does not describe the image."""
+        """Correlation of neighbouring residuals: well above 0 for a lack of fit."""
         return self.misfit.neighbour_correlation
 
     @property
     def reduced_chi_squared(self) -> float:
-        """χ² a degree of freedom: near 1 where the noise given is right.
+        """χ² for each degree of freedom: near 1 if model and given noise are right.
 
-        NaN where the noise was estimated from the residuals: it would say nothing.
-        See `misfit.over_repeatability` instead.
+        NaN if the noise was estimated from the residuals, which would give about 1
+        anyway. See `misfit.over_repeatability` instead.
         """
         if not self.noise_given:
             return math.nan
@@ -258,7 +259,7 @@ class Fit:
             return self.covariance / np.outer(deviation, deviation)
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything but the images, as what `json.dumps` takes."""
+        """Everything but the images, as types that `json.dumps` accepts."""
         names = ("ambient", "diffuse", "specular", "shininess", "emission")
         numbers = {
             "material": {k: np.asarray(getattr(self.material, k)) for k in names},
@@ -294,7 +295,7 @@ class Fit:
         return plain(numbers)
 
     def to_dataframe(self) -> Any:
-        """A row for each parameter, as a `pandas.DataFrame` with their labels as index.
+        """A `pandas.DataFrame` with a row for each estimate; labels are the index.
 
         Columns: `value`, `error` (one standard error), `low` and `high` (the interval
         that holds the truth with a chance of 95 %), `at_bound`, `unidentified`, `tied`.
@@ -327,7 +328,7 @@ class Fit:
 
     @checked
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write all of it to one file, for [`load_fit`][]: see [`save_fit`][]."""
+        """Write the whole fit to one file, for [`load_fit`][]: see [`save_fit`][]."""
         from phongfit.files.saved import save_fit
 
         save_fit(path, self)
@@ -349,7 +350,7 @@ class Fit:
 
 
 def film_words(film: Film) -> str:
-    """How light became numbers."""
+    """A film in words: clamp, rounding, encoding, JPEG."""
     rounded = "not rounded" if film.bits is None else f"{film.bits}-bit {film.encoding}"
     kind = "" if film.jpeg is None else f" JPEG {film.jpeg.subsampling}"
     return f"{'clamped' if film.clamp else 'not clamped'}, {rounded}{kind}"
@@ -357,37 +358,38 @@ def film_words(film: Film) -> str:
 
 Fit.__init__.__doc__ = """**Arguments:**
 
-- `specification`: what was asked.
-- `films`: of each image, found or given.
+- `specification`: the options of the fit.
+- `films`: the film of each image, detected or given.
 - `material`, `stderr`: the estimate, and a material of its standard errors: infinite
-    for what is not identifiable, 0 for what was known.
-- `scene`, `exposure`: the scene or scenes with what was unknown of them, and what each
-    image's light was multiplied by.
+    for numbers that are not identifiable, 0 for known ones.
+- `scene`, `exposure`: the scene or scenes with the fitted values of their unknowns, and
+    the factor on each image's light.
 - `labels`, `values`, `errors`: the unknowns as vectors, such as `diffuse.red`. An error
     is the larger side of the interval in which Δχ² stays below 1.
-- `covariance`: of `values`, where what lies at a bound stays there. NaN rows for
-    unknowns at a bound or not identified, and for those whose error a bound or a hardly
-    identified exponent makes larger than this by a quarter.
-- `at_bound`: true where the estimate lies on its bound. Its error is then one-sided:
-    how far into the box the data let it go.
-- `unidentified`: true where the data leave the value open.
-- `bounds`: (n, 2), lower and upper.
-- `tied`: true for what follows another entry.
-- `photographs`: images (H, W, 3), linear light, one or a tuple as they were given.
-- `fitted`, `residuals`: the like; `residuals` is image − fitted, 0 where a sample was
-    left out.
+- `covariance`: covariance of `values`, with unknowns at a bound held there. Rows are
+    NaN for unknowns at a bound or not identified. They are NaN too if a bound or a
+    barely identified exponent makes an error more than a quarter larger than this.
+- `at_bound`: true where the estimate lies on its bound. Its error is then one-sided,
+    towards the inside of the box.
+- `unidentified`: true where the data do not determine the value.
+- `bounds`: (n, 2), lower and upper bounds.
+- `tied`: true for entries that are tied to another one.
+- `photographs`: the given images (H, W, 3), linear light; one, or a tuple.
+- `fitted`, `residuals`: of the same shape; `residuals` is image − fitted, and 0 where a
+    sample was left out.
 - `noise`: standard deviation of a sample, in linear light where white is 1.
-- `noise_given`: whether it was known.
-- `arrays`: those of `mask`, `weights` and `noise` that were given, an entry a sample.
-- `n_samples`, `n_images`: how many were used; a sample is one channel of a pixel.
-- `degrees_of_freedom`: samples and priors less unknowns that were free.
+- `noise_given`: whether the noise was given.
+- `arrays`: those of `mask`, `weights` and `noise` that were given as arrays.
+- `n_samples`, `n_images`: numbers of used samples and images; a sample is one channel
+    of a pixel.
+- `degrees_of_freedom`: number of samples and priors minus number of free unknowns.
 - `chi_squared`: sum of the squared residuals in standard deviations.
-- `misfit`: whether residuals are noise: a [`Misfit`][]. Where they are not, the model
-    does not describe the image, and errors are widened.
+- `misfit`: a [`Misfit`][], which tests whether residuals are noise. If they are not,
+    the model does not describe the image, and errors are widened.
 - `converged`, `steps`, `reason`: how the solver ended.
 - `warnings`: sentences, each with what to try and a code: see [`warning_code`][].
-- `region`: what the data allow, which [`Fit`][]`.intervals` asks.
-- `solution`: the solved problem, which [`Fit`][]`.profile` and [`refit`][] go on from.
+- `region`: the region that the data allow, for [`Fit`][]`.intervals`.
+- `solution`: the solved problem, from which [`Fit`][]`.profile` and [`refit`][] start.
 """
 
 
@@ -397,7 +399,7 @@ def as_materials(
     entries: Float[np.ndarray | Array, " n"],
     errors: Float[np.ndarray | Array, " n"],
 ) -> tuple[Material, Material]:
-    """All entries, and their errors, as materials; what was known has no error."""
+    """All entries as a material, and their errors as another, with 0 for known ones."""
     none = jax.tree.map(jnp.zeros_like, unknowns.known)
     errors_alone = dataclasses.replace(unknowns, known=none)
     return unknowns.as_material(entries), errors_alone.as_material(errors)
@@ -425,7 +427,7 @@ def fit_table(fit: Fit, least_correlation: float = 0.1, most: int = 10) -> str:
 
 
 def lopsided(fit: Fit) -> dict[int, str]:
-    """Errors up and down in words, where one is more than a fifth larger."""
+    """Asymmetric errors in words, by entry, if one side is more than a fifth larger."""
     identified = np.flatnonzero(~fit.unidentified & ~fit.at_bound)
     sides = fit.sides[identified]
     return {

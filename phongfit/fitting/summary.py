@@ -1,4 +1,4 @@
-"""From a solution to a [`Fit`][]: images, diagnostics, and warnings in words."""
+"""Make a [`Fit`][] from a solution: images, diagnostics, and warnings."""
 
 import dataclasses
 import math
@@ -43,12 +43,12 @@ from phongfit.fitting.uncertainty.warnings import (
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
-# Share by which χ² must exceed what the noise given allows before it is said.
+# Fraction by which χ² must exceed its expectation for the given noise to warn.
 LEAST_EXCESS = 0.1
 
 
 class FittedImage(NamedTuple):
-    """What a fit makes of an image, and what it leaves of it."""
+    """A fitted image, its residuals, and their sums over tiles."""
 
     fitted: Float[Array, "height width 3"]
     residual: Float[Array, "height width 3"]
@@ -79,41 +79,41 @@ def summarize(
     **Arguments:**
 
     - `found`: the solution.
-    - `in_user_units`: it in the user's units: see [`in_units`][].
-    - `sums`: sums over the samples there: see [`sandwich_sums`][].
-    - `specification`: what was asked.
-    - `films`: of each image.
+    - `in_user_units`: the solution in the user's units: see [`in_units`][].
+    - `sums`: sums over the samples at the solution: see [`sandwich_sums`][].
+    - `specification`: the options of the fit.
+    - `films`: the film of each image.
     - `photographs`: images (H, W, 3) as they were given.
     - `scenes`, `images`: the scenes and images as fitted.
-    - `side`: pixels along a tile of theirs.
+    - `side`: pixels along the side of a tile.
     - `single`: whether one image was given, not a sequence.
-    - `noise_given`: whether the noise level was known.
-    - `arrays`: which arguments came as arrays.
-    - `at_edges`: what there is to warn of pixels at edges that move.
-    - `plateau`: where the images were cut off, if that is not at white.
-    - `drawn`: sums over tiles of residuals that are drawn: see [`find_misfit`][].
-    - `rival`: another minimum that the search ended in.
+    - `noise_given`: whether the noise level was given.
+    - `arrays`: names of the arguments that were given as arrays.
+    - `at_edges`: warnings about pixels at moving edges.
+    - `plateau`: the value at which the images were cut off, if that is below white.
+    - `drawn`: sums over tiles of simulated residuals: see [`find_misfit`][].
+    - `rival`: another minimum at which the search ended.
     """
     problem, unknowns = found.problem, found.problem.unknowns
-    # Meanwhile JAX is at work on the images and on the sums.
+    # JAX computes the images and sums meanwhile.
     weight = _typical_weight(problem)
     fitted = [np.asarray(one.fitted) for one in images]
     residuals = [np.asarray(one.residual) for one in images]
-    # NumPy's from here on: to add up an array of JAX's takes ten times as long.
+    # As NumPy arrays, which are summed ten times as fast as JAX's.
     tiles = [jax.tree.map(np.asarray, one.tiles) for one in images]
     misfit = find_misfit(tiles, side, drawn)
     blocks = 0.0 if drawn else grid_significance([t.grid for t in tiles])
     if bool(sums.exact) and not noise_given:
-        # How arithmetic rounds says nothing of the model, nor of the film.
+        # Residuals are rounding of the arithmetic, so they cannot show a lack of fit.
         misfit, blocks = Misfit(), 0.0
     samples = round(sum(float(np.sum(one.count, dtype=float)) for one in tiles))
-    # Clipped samples say nothing of the noise.
+    # Clipped samples do not show the noise, so they do not count.
     effective = round(sum(float(np.sum(one.variance, dtype=float)) for one in tiles))
     spread = _spread(sums, effective, noise_given)
     if not problem.loss.robust:
-        # The covariance of a robust loss goes by the residuals anyway.
+        # The covariance of a robust loss is computed from the residuals already.
         misfit = dataclasses.replace(misfit, inflation=misfit.inflation * spread**2)
-    # What a wrong model leaves is alike in all channels, too, and widens errors anyway.
+    # A lack of fit also correlates the channels, but it widens the errors already.
     alike = misfit.channel_correlation > CORRELATED and not misfit.significant
     if (alike or misfit.noise_differs) and problem.scatter is None:
         correlation = misfit.channel_correlation if alike else 0.0
@@ -134,8 +134,8 @@ def summarize(
     errors[unknowns.reported] = estimated.errors
     material, stderr = as_materials(unknowns, entries, errors)
     converged = bool(found.converged)
-    # Of the noise there is nothing to say.
-    nothing_clipped_to_say = noise_given or estimated.unidentified.all()
+    # No warning about the noise is due in these cases.
+    noise_is_irrelevant = noise_given or estimated.unidentified.all()
     return Fit(
         specification=specification,
         films=films,
@@ -174,17 +174,13 @@ def summarize(
             *bound_words(estimated, unknowns),
             *prior_words(estimated, unknowns, misfit.inflation),
             *rival_words(estimated, unknowns, rival, misfit.inflation),
-            # Where all is white there is nothing to describe.
+            # If all samples are white, a lack of fit cannot be judged.
             *(misfit_words(misfit, len(images)) if np.any(sums.inside) else ()),
             *grid_words(blocks),
             *coarse_words(films),
             *spread_words(spread),
-            *(
-                []
-                if nothing_clipped_to_say
-                else clipped_words(sums, effective, samples)
-            ),
-            # What neighbours share is no matter of single samples.
+            *([] if noise_is_irrelevant else clipped_words(sums, effective, samples)),
+            # A deviation that neighbours share is a lack of fit, not outliers.
             *(() if _is_shared(misfit) else outlier_words(problem, found.y, sums)),
         ),
         region=estimated.region,
@@ -202,17 +198,17 @@ def _is_shared(misfit: Misfit) -> bool:
 
 
 def _typical_weight(problem: Problem) -> float:
-    """The median over the samples that are used."""
+    """Median weight of the used samples."""
     weight = np.asarray(problem.samples.weight)
     typical = weight.max()
-    # Mostly they are all alike, and a median takes long.
+    # Mostly all weights are equal, and a median takes long.
     if np.count_nonzero(weight == typical) < np.count_nonzero(weight > 0):
         typical = np.median(weight[weight > 0])
     return float(typical)
 
 
 def _spread(sums: SandwichSums, effective: int, noise_given: bool) -> float:
-    """How many times larger residuals are than the noise given; 1 where by chance."""
+    """Ratio of the residuals to the given noise; 1 if that is within chance."""
     spread = float(sums.spread)
     beyond = max(LEAST_EXCESS, 5 * math.sqrt(2 / max(effective, 1)))
     return spread if noise_given and spread**2 > 1 + beyond else 1.0

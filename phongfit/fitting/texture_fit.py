@@ -1,8 +1,8 @@
 """`fit_texture`: photographs and geometry in, texels with errors out.
 
-For given exponents the light is linear in the texels and in what is shared by all of a
-material, so that Gauss-Newton steps solve for all at once. Texels of exponents are
-found by damped ones.
+For given exponents the light is linear in the texels and in the shared parameters of a
+material, so Gauss-Newton steps solve for all of them together. Texels of exponents need
+damped steps.
 """
 
 import dataclasses
@@ -54,42 +54,42 @@ def fit_texture(
     r"""Textures that explain photographs of a mesh, texel by texel, with errors.
 
     Minimises $\sum_i w_i (I_i - t_i)^2 / \sigma^2$ over the texels of the reflectances,
-    within 0 … 1, of the exponents, within 1 … 1000, and over what all points of a
-    material share. The photographs may show the surface from any places, under any
-    lamps.
+    within 0 … 1, of the exponents, within 1 … 1000, and over the parameters that all
+    points of a material share. The photographs may show the surface from any places,
+    under any lamps.
 
     **Arguments:**
 
-    - `scene`: one, or a sequence of scenes, of one [`Mesh`][], which has uv where
-        images are sought. What it has of textures besides is known, and multiplies as
-        ever.
-    - `image`: as of [`fit`][].
-    - `size`: rows and columns of the textures that are sought; or `"vertices"`: a
-        number for each vertex of the mesh, as [`VertexColours`][] have it.
-    - `textures`: parameters with a number for each texel and channel: some of
-        `"ambient"`, `"diffuse"`, `"specular"`, and `"shininess"`, which has one number
-        for all channels. That needs lamps at many angles: without one near its mirror
-        direction a texel tells nothing of its exponent.
-    - `unknowns`: parameters with numbers of each material: some of the others.
-    - `per_channel`: those of `unknowns` with one for each of red, green and blue.
-    - `known`: what is neither; default no reflectance and an exponent of 32. Of several
-        materials parameters have shape (M, 3), (M, 1), or less.
-    - `separate`: a texture for each material; default one that all lie on.
-    - `smoothness`: standard deviation of what is expected between neighbouring texels;
-        default no such expectation. It is a prior: sharp edges are drawn softer. Of
-        exponents it is that of log f: 0.05 expects neighbours to differ by 5 %.
-    - `filter`, `wrap`: how the textures are looked up: see [`Texture`][].
-    - `mask`, `weights`, `noise`, `film`: as of [`fit`][].
-    - `max_steps`: of Gauss and Newton's; of Levenberg and Marquardt's with exponents.
+    - `scene`: a scene, or a sequence of scenes, of one [`Mesh`][]; for textures that
+        are images it must have uv. Other textures of the mesh are known, and apply as
+        usual.
+    - `image`: as in [`fit`][].
+    - `size`: rows and columns of the fitted textures; or `"vertices"`: a value for each
+        vertex of the mesh, as in [`VertexColours`][].
+    - `textures`: parameters with a value for each texel and channel: some of
+        `"ambient"`, `"diffuse"`, `"specular"`, and `"shininess"`, which has one value
+        for all channels. Exponents need lamps at many angles: a texel without a lamp
+        near its mirror direction does not determine its exponent.
+    - `unknowns`: other parameters, with one value for each material.
+    - `per_channel`: those of `unknowns` with separate values for red, green and blue.
+    - `known`: the parameters in neither; default reflectances of 0 and an exponent of
+        32. For M materials, parameters have shape (M, 3), (M, 1), or less.
+    - `separate`: whether each material has its own texture; default one for all.
+    - `smoothness`: standard deviation of differences between neighbouring texels, as a
+        prior, which softens sharp edges; default no such prior. For exponents it is
+        that of log f: 0.05 means differences of 5 %.
+    - `filter`, `wrap`: as in [`Texture`][].
+    - `mask`, `weights`, `noise`, `film`: as in [`fit`][].
+    - `max_steps`: limit on Gauss-Newton steps, or with exponents on Levenberg-Marquardt
+        steps.
 
-    Each texel has, besides, a prior of 0.5 ± 1, which counts only where the photographs
-    tell next to nothing; a texel that is not known to better than ± 0.5 is not
-    identified, and its error infinite. Of an exponent it is a prior of log f:
-    $\log f_0 \pm 1$ with the one $f_0$ that suits all texels best, those of each
-    material if `separate`. Where a texel has no highlight, its exponent is not
-    identified. A sample between texels has the mean of their f, as in a render. A mean
-    over a pixel is no part of the model: a texture should not be finer than the
-    photographs.
+    Each texel has a prior of 0.5 ± 1, which matters only where the photographs contain
+    almost no information. A texel with an error above 0.5 is not identified, and its
+    error is infinite. The prior of an exponent is $\log f = \log f_0 \pm 1$, with the
+    $f_0$ that fits all texels best, or all of a material if `separate`. A texel without
+    a highlight does not identify its exponent. A sample between texels has the mean of
+    their f, as in a render. The model does not average over a pixel, so a texture
+    should not be finer than the photographs.
 
     **Returns:** a [`TextureFit`][].
 
@@ -130,7 +130,7 @@ def fit_texture(
         few,
         films[0].clamp,
         None if smoothness is None else 1 / smoothness**2,
-        # Residuals below it are rounding of the arithmetic, or of no matter.
+        # Smaller residuals are rounding errors of the arithmetic, or irrelevant.
         max(float(arithmetic_floor(jnp.asarray(one.used()))) for one in observed)
         if noise is None
         else 0.01,
@@ -149,7 +149,7 @@ def fit_texture(
 def _texels(
     size: Any, layers: int, scene: Scene, filter: Filter, wrap: Wrap
 ) -> AbstractTexels:
-    """Where there are numbers to be found."""
+    """The texels to fit: a grid, or the vertices of the mesh."""
     if isinstance(size, str):
         if size != "vertices":
             raise ValueError(
@@ -187,7 +187,7 @@ def _check_names(names: tuple[str, ...], few: tuple[str, ...]) -> None:
 
 
 def _numbers(known: Material | None, materials: int) -> dict[str, np.ndarray]:
-    """The materials' numbers, (M, 3), and exponents, (M,)."""
+    """Known reflectances of the materials, (M, 3), and their exponents, (M,)."""
     if known is None:
         known = Material(0.0, 0.0, 32.0, 0.0)
     numbers = {}

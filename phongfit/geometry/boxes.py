@@ -1,16 +1,16 @@
-"""Rays through triangles with NumPy alone, for machines that Embree is not made for."""
+"""Intersection of rays with triangles in NumPy, for machines without Embree."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-# Faces of a leaf, and rays that are worked on together.
+# Most faces of a leaf, and most rays at a time.
 LEAF, RAYS = 8, 2**15
 
 
 class _Box(NamedTuple):
-    """A box around faces: two smaller ones, or the faces if they are few."""
+    """A box around faces. It has two smaller boxes, or the faces if they are few."""
 
     low: np.ndarray
     high: np.ndarray
@@ -19,9 +19,9 @@ class _Box(NamedTuple):
 
 
 class FaceTree:
-    """Boxes within boxes around a mesh's faces; it answers as an Embree scene does.
+    """A bounding volume hierarchy of a mesh, with the interface of an Embree scene.
 
-    Rays go through it together, and leave those boxes that they miss.
+    Many rays are traced together; at each box those that miss it are dropped.
     """
 
     def __init__(
@@ -39,9 +39,9 @@ class FaceTree:
         limit: Float[np.ndarray, " rays"] | None,
         query: str,
     ) -> Int[np.ndarray, " rays"]:
-        """A face that each ray meets before its limit: the first; −1 for none.
+        """Index of the face that each ray meets before its limit, −1 for none.
 
-        **Arguments:** `query`: `"INTERSECT"`, or `"OCCLUDED"` where any face will do.
+        **Arguments:** `query`: `"INTERSECT"` for the first face, `"OCCLUDED"` for any.
         """
         found = np.full(len(origin), -1)
         reach = np.full(len(origin), np.inf) if limit is None else limit.astype(float)
@@ -59,7 +59,7 @@ class FaceTree:
         found: np.ndarray,
         any_will_do: bool,
     ) -> None:
-        """Fill in what these rays meet."""
+        """Write the index of the face that each ray meets into `found`."""
         inverse = 1 / np.where(direction == 0, 1e-300, direction)
         waiting = [(self._root, np.arange(len(origin)))]
         while waiting:

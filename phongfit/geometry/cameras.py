@@ -49,8 +49,8 @@ class AbstractCamera(eqx.Module):
     def project(self, position: Vec3) -> Place:
         """Image of a point of the scene, (x, y) in pixels from the top left corner.
 
-        The inverse of `ray`. A point behind a pinhole has no image, nor has one past
-        the edge where a lens's formula folds the image back on itself: NaN.
+        The inverse of `ray`. NaN for points without an image: behind a pinhole, and
+        where a lens's formula folds the image back on itself.
         """
 
     @abc.abstractmethod
@@ -79,7 +79,7 @@ class AbstractCamera(eqx.Module):
         return jnp.sum((self.position - position) * self.rotation[:, 2])
 
     def _seen_from(self, position: Vec3) -> Vec3:
-        """A point in the camera's own axes: right, up and back from where it stands."""
+        """A point in the camera's axes: right, up and back from its position."""
         # A GPU would otherwise multiply in reduced precision.
         offset = position - self.position
         return jnp.matmul(offset, self.rotation, precision="highest")
@@ -108,7 +108,7 @@ def _as_rotation(value: Any) -> Float[Array, "3 3"]:
         raise ValueError(f"rotation: expected shape (3, 3), got {rotation.shape}")
 
     def fine(xp: Any) -> Callable[[Any], Any]:
-        # x × y = z tells a rotation from a mirror, which would swap left and right.
+        # x × y = z excludes reflections, which would swap left and right.
         return lambda r: (
             (abs(r.T @ r - np.eye(3, dtype=r.dtype)) < 1e-4).all()
             & (abs(xp.cross(r[:, 0], r[:, 1]) - r[:, 2]) < 1e-3).all()
@@ -130,7 +130,7 @@ def _positive(name: str, value: Any, below: float = np.inf) -> Scalar:
 def look_at(position: Any, target: Any, up: Any = (0, 1, 0)) -> Float[Array, "3 3"]:
     """Rotation of a camera at `position` that sees `target` in its centre.
 
-    **Arguments:** three vectors in world units; `up` shows upwards in the image.
+    **Arguments:** three vectors in world units; `up` points upwards in the image.
 
     **Returns:** the camera's x (right), y (up) and z (back) axes as columns.
 
@@ -232,9 +232,9 @@ class OrthographicCamera(AbstractCamera):
 
 
 class PerspectiveCamera(AbstractCamera):
-    """A pinhole camera that looks through the middle of its image.
+    """A pinhole camera whose axis goes through the middle of its image.
 
-    One that was calibrated has more numbers: see [`PinholeCamera`][].
+    For calibrated cameras, see [`PinholeCamera`][].
     """
 
     fov_y: Float[Array, ""]
@@ -307,16 +307,17 @@ class PerspectiveCamera(AbstractCamera):
 
 
 class PinholeCamera(AbstractCamera):
-    r"""A pinhole camera as others calibrate it: focal lengths, principal point, lens.
+    r"""A calibrated pinhole camera: focal lengths, principal point, lens distortion.
 
     A point at $(X, Y, Z)$ from the pinhole, $X$ right, $Y$ down and $Z$ forward, is
     seen at
 
     $$u = f_x\,x' + s\,y' + c_x \qquad v = f_y\,y' + c_y$$
 
-    pixels from the top left corner, where $(x', y')$ is $(X/Z, Y/Z)$ or what the lens
-    makes of it: see [`BrownDistortion`][] and [`FisheyeDistortion`][]. Rays are those
-    that the lens lets in: photographs stay as they are, pixel by pixel.
+    pixels from the top left corner. $(x', y')$ is $(X/Z, Y/Z)$ without `distortion`;
+    else see [`BrownDistortion`][] and [`FisheyeDistortion`][]. Each pixel has the ray
+    that the lens maps to it, so photographs are fitted as they are, with their
+    distortion.
 
     ??? cite "Source"
         Hartley and Zisserman, *Multiple view geometry in computer vision*, 2nd edition,
@@ -359,8 +360,8 @@ class PinholeCamera(AbstractCamera):
         - `skew`: $s$, in pixels; 0 where rows and columns are at right angles.
         - `distortion`: of the lens; default none.
         - `position`: the pinhole, world units.
-        - `rotation`: as in [`OrthographicCamera`][]; how others have it, see
-            [`camera_pose`][].
+        - `rotation`: as in [`OrthographicCamera`][]; [`camera_pose`][] converts that of
+            other programs.
 
         **Raises:** `ValueError` that names the argument.
         """
@@ -377,7 +378,7 @@ class PinholeCamera(AbstractCamera):
 
     def ray(self, x: Scalar, y: Scalar) -> Ray:
         (right, down, ahead), _ = self._direction(x, y)
-        # Their axes are ours, with y and z turned about.
+        # Distortion has y down and z forward, our cameras y up and z back.
         direction = self.rotation @ jnp.stack([right, -down, -ahead])
         return Ray(self.position, normalize(direction))
 
@@ -467,7 +468,7 @@ class FinerCamera(AbstractSameView):
 
 
 class WindowCamera(AbstractSameView):
-    """A rectangle of what another camera sees; its edges may lie outside of it."""
+    """A rectangular part of another camera's image; it may extend beyond it."""
 
     camera: AbstractCamera
     left: Float[Array, ""]
@@ -480,9 +481,9 @@ class WindowCamera(AbstractSameView):
     def __init__(
         self, camera: AbstractCamera, left: int, top: int, width: int, height: int
     ):
-        """**Arguments:** `left`, `top`: pixels of `camera` before the first."""
+        """**Arguments:** `left`, `top`: column and row of the window's first pixel."""
         self.camera = camera
-        # Numbers, not settings: programs serve windows anywhere.
+        # Arrays, not static fields: one compiled program serves all windows.
         self.left = jnp.asarray(left, camera.position.dtype)
         self.top = jnp.asarray(top, camera.position.dtype)
         self.width = _as_size("width", width)

@@ -1,7 +1,7 @@
-"""Cameras as others write them: their axes, their pixels, their matrices.
+"""Conversion of cameras from and to the conventions of other programs.
 
-All of these conventions are right-handed, and differ in which of a camera's axes go
-where: see [`AXES`][]. In the world's axes they are ours.
+All conventions are right-handed. They differ in where a camera's x, y and z axes point:
+see [`AXES`][]. The world's axes are the same in all.
 """
 
 from typing import Any, Literal, NamedTuple, get_args
@@ -37,7 +37,7 @@ or point the other way (left, down, forward)."""
 
 # Tolerance for axes in a file: orthonormal but for rounding.
 ROUNDED = 1e-3
-# Of OpenCV's 4 to 14 coefficients, those of Brown's model; a thin prism's follow.
+# The first 8 of OpenCV's 4 to 14 coefficients are Brown's; a thin prism's follow.
 BROWN = 8
 
 
@@ -62,10 +62,10 @@ def camera_pose(to_world: Any, axes: Axes) -> Pose:
 
     **Arguments:**
 
-    - `to_world`: (4, 4) or (3, 4): what takes a point, as a column, from the camera's
-        axes to the world's. Of one that goes the other way (OpenCV's and COLMAP's R and
-        t, PyTorch3D's Rᵀ and T) it is the inverse.
-    - `axes`: whose axes these are: see [`AXES`][].
+    - `to_world`: (4, 4) or (3, 4): the matrix that maps a point, as a column, from the
+        camera's axes to the world's. For a matrix from the world to the camera
+        (OpenCV's and COLMAP's R and t, PyTorch3D's Rᵀ and T), give its inverse.
+    - `axes`: the convention of the camera's axes: see [`AXES`][].
 
     **Raises:** `ValueError` that names the argument; axes must be orthonormal.
     """
@@ -84,7 +84,7 @@ def camera_to_world(camera: AbstractCamera, axes: Axes) -> Float[np.ndarray, "4 
 
     **Arguments:** `axes`: see [`AXES`][].
 
-    **Returns:** (4, 4): what takes a point from the camera's axes to the world's.
+    **Returns:** (4, 4): it maps a point from the camera's axes to the world's.
 
     **Raises:** `ValueError` for another convention.
     """
@@ -105,20 +105,23 @@ def camera_from_opencv(
     distortion: Any = (),
     fisheye: bool = False,
 ) -> PinholeCamera:
-    """A camera as OpenCV's calibration gives it.
+    """A camera from the results of OpenCV's calibration.
 
-    OpenCV counts pixels from the centre of the first one, we from its corner: its
-    principal point is half a pixel less than ours in x and in y.
+    The centre of the first pixel is at (0, 0) in OpenCV and at (0.5, 0.5) here, so half
+    a pixel is added to OpenCV's principal point.
 
     **Arguments:**
 
-    - `matrix`: K, (3, 3), its `cameraMatrix`.
-    - `rotation`: from the world to the camera: `rvec`, or R of shape (3, 3).
-    - `translation`: likewise: `tvec`, world units. The camera stands at −Rᵀ t.
+    - `matrix`: K, (3, 3), OpenCV's `cameraMatrix`.
+    - `rotation`: from the world's to the camera's axes: OpenCV's `rvec`, or R of shape
+        (3, 3).
+    - `translation`: t of R X + t, OpenCV's `tvec`, world units. The camera's position
+        is −Rᵀ t.
     - `width`, `height`: pixels.
-    - `distortion`: its `distCoeffs`: none, or 4, 5 or 8 of k1, k2, p1, p2, k3, k4, k5,
-        k6. Of 12 or 14 the last, a thin prism's and a tilted sensor's, must be 0.
-    - `fisheye`: they are k1, k2, k3, k4 of its `fisheye` module.
+    - `distortion`: OpenCV's `distCoeffs`: none, or the first 4, 5 or 8 of k1, k2, p1,
+        p2, k3, k4, k5, k6. If there are 12 or 14, those after k6 (of a thin prism and
+        of a tilted sensor) must be 0.
+    - `fisheye`: whether `distortion` is k1, k2, k3, k4 of OpenCV's `fisheye` module.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -154,18 +157,18 @@ def camera_from_matrix(
 ) -> PinholeCamera:
     """A camera from its projection matrix P = K [R | t], by RQ decomposition.
 
-    P is known up to a factor only. Its sign is taken so that image rows go down, as
-    x, y and depth of a right-handed camera do.
+    P is known up to a factor only. The sign of the factor is chosen so that the camera
+    is right-handed, with x right, y down and z forward.
 
     **Arguments:**
 
     - `matrix`: (3, 4): from a point of the world, (X, Y, Z, 1), to its pixel (u, v), as
         w·u, w·v and w.
     - `width`, `height`: pixels.
-    - `first_pixel`: where its (u, v) have the centre of the first pixel: 0, as OpenCV
-        has it, or 0.5, as COLMAP has it.
+    - `first_pixel`: u and v of the centre of the first pixel: 0 in OpenCV, 0.5 in
+        COLMAP.
 
-    **Raises:** `ValueError` that names the argument; P must have a centre.
+    **Raises:** `ValueError` that names the argument; P must be that of a pinhole.
 
     ??? cite "Source"
         Hartley and Zisserman, *Multiple view geometry in computer vision*, 2nd edition,
@@ -175,7 +178,7 @@ def camera_from_matrix(
         raise ValueError(f"first_pixel: expected 0 or 0.5, got {first_pixel!r}")
     p = _numbers("matrix", matrix, (3, 4))
     p = p / max(np.abs(p[2, :3]).max(), np.finfo(float).tiny)
-    # Rows of a matrix in pixels differ by some thousands: judged row by row.
+    # Rows are scaled to length 1 for this test: their lengths differ a thousandfold.
     scale = np.linalg.norm(p[:, :3], axis=1, keepdims=True)
     if not scale.all() or abs(np.linalg.det(p[:, :3] / scale)) < 1e-9:
         raise ValueError(
@@ -231,7 +234,7 @@ def _signs(axes: Axes) -> Float[np.ndarray, "3"]:
 def _numbers(
     name: str, value: Any, *shapes: tuple[int, ...]
 ) -> Float[np.ndarray, "..."]:
-    """Finite numbers of one of some shapes, in double precision."""
+    """`value` as finite numbers in double precision, of one of these shapes."""
     array = as_array(name, value)
     if array.dtype.kind not in "biuf" or array.shape not in shapes:
         wanted = " or ".join(map(str, shapes))
@@ -256,14 +259,14 @@ def _as_rotation(name: str, matrix: np.ndarray) -> Float[np.ndarray, "3 3"]:
 
 
 def _from_rotation_vector(vector: np.ndarray) -> Float[np.ndarray, "3 3"]:
-    # Here, since SciPy's transforms take long to import.
+    # Imported here, since SciPy's transforms take long to import.
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_rotvec(vector).as_matrix()
 
 
 def _rq(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """An upper triangle with a positive diagonal, times a rotation, is the matrix."""
+    """RQ decomposition: an upper triangle with positive diagonal, and a rotation."""
     from scipy.linalg import rq
 
     triangle, turn = rq(matrix)
@@ -274,7 +277,7 @@ def _rq(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _opencv_distortion(given: Any, fisheye: bool) -> AbstractDistortion | None:
     array = as_array("distortion", () if given is None else given)
     if array.size == 0:
-        # Without coefficients a fisheye still is one.
+        # A fisheye lens without coefficients still differs from a pinhole.
         return FisheyeDistortion() if fisheye else None
     counts = (4,) if fisheye else (4, 5, 8, 12, 14)
     if array.size not in counts or array.dtype.kind not in "biuf":

@@ -17,8 +17,9 @@ from phongfit.vectors import Vec3, norm
 
 Place = Float[Array, "2"]
 
-# Steps of Newton's method: some follow the place from the centre outwards, so that what
-# is found is on the branch that starts there, the others double the digits each.
+# Steps of Newton's method. In the first `OUTWARDS` of `ROUNDS` steps the target moves
+# from the centre to its place, so that the solution stays on the branch through the
+# centre. Each later step doubles the number of correct digits.
 OUTWARDS, ROUNDS = 6, 14
 # Tolerance of a round trip through the distortion, relative to 1 + distance.
 MISS = 1e-3
@@ -52,10 +53,10 @@ class AbstractDistortion(eqx.Module):
         return jnp.where(_is_unfolded(self, ideal), self.bend(ideal), jnp.nan)
 
     def direction(self, place: Place) -> tuple[Vec3, Bool[Array, ""]]:
-        """The direction that a place shows, of any length, and whether there is one.
+        """The direction (of any length) seen at a place, and whether there is one.
 
-        There is none past the edge where the formula folds the image back on itself: a
-        harmless placeholder stands there.
+        There is none where the formula folds the image back on itself; the direction is
+        then a finite placeholder.
         """
         ideal, found = _straightened(self, place)
         return self.unproject(ideal), found
@@ -78,32 +79,31 @@ def _is_unfolded(distortion: AbstractDistortion, ideal: Place) -> Bool[Array, ""
 
     Beyond the fold a place has the same image as another one nearer to the centre.
     """
-    still, at = jax.lax.stop_gradient((distortion, ideal))
-    back, found = _search(still, still.bend(at))
+    constant, at = jax.lax.stop_gradient((distortion, ideal))
+    back, found = _search(constant, constant.bend(at))
     return found & (norm(back - at) <= MISS * (1 + norm(at)))
 
 
-def _search(still: AbstractDistortion, end: Place) -> tuple[Place, Bool[Array, ""]]:
+def _search(constant: AbstractDistortion, end: Place) -> tuple[Place, Bool[Array, ""]]:
     """The inverse of `bend` without derivatives, and whether there is one."""
 
     def step(number: Array, state: tuple[Place, Array]) -> tuple[Place, Array]:
         at, sound = state
         target = end * jnp.minimum((number + 1) / OUTWARDS, 1).astype(end.dtype)
-        move, unfolded = _newton(still, at, target)
+        move, unfolded = _newton(constant, at, target)
         sound = sound & unfolded
         return jnp.where(sound, at + move, at), sound
 
     start = jnp.zeros_like(end), jnp.array(True)
     at, found = jax.lax.fori_loop(0, ROUNDS, step, start)
     tolerance = 100 * float(jnp.finfo(end.dtype).eps) * (1 + norm(end))
-    return at, found & (norm(still.bend(at) - end) < tolerance)
+    return at, found & (norm(constant.bend(at) - end) < tolerance)
 
 
 def _newton(
     distortion: AbstractDistortion, at: Place, target: Place
 ) -> tuple[Place, Bool[Array, ""]]:
-    """One step towards the place whose bent one is `target`, and whether the image is
-    not yet folded where it starts."""
+    """A Newton step from `at` towards bend(x) = `target`; whether `at` is unfolded."""
     (a, b), (c, d) = jax.jacfwd(distortion.bend)(at)
     determinant = a * d - b * c
     unfolded = determinant > 0
@@ -215,18 +215,18 @@ class FisheyeDistortion(AbstractDistortion):
         across, depth = direction[:2], direction[2]
         length = norm(across)
         off = length > 0
-        # On the axis angle and sine go to 0 together.
-        share = jnp.arctan2(length, depth) / jnp.where(off, length, 1)
-        return jnp.where(off, share, 1 / jnp.where(depth > 0, depth, 1)) * across
+        # On the axis, angle / length is 0 / 0; its limit is 1 / depth.
+        ratio = jnp.arctan2(length, depth) / jnp.where(off, length, 1)
+        return jnp.where(off, ratio, 1 / jnp.where(depth > 0, depth, 1)) * across
 
     def unproject(self, place: Place) -> Vec3:
         angle = norm(place)
         off = angle > 0
-        share = jnp.where(off, jnp.sin(angle) / jnp.where(off, angle, 1), 1)
-        return jnp.append(share * place, jnp.cos(angle))
+        ratio = jnp.where(off, jnp.sin(angle) / jnp.where(off, angle, 1), 1)
+        return jnp.append(ratio * place, jnp.cos(angle))
 
 
 def flat(direction: Vec3) -> Place:
-    """Image of a direction through a pinhole; behind the camera there is none."""
+    """Image of a direction through a pinhole; NaN for directions behind the camera."""
     ahead = direction[2] > 0
     return direction[:2] / jnp.where(ahead, direction[2], jnp.nan)

@@ -11,7 +11,7 @@ from phongfit.geometry.cameras import Ray
 from phongfit.geometry.raytracing import blocked
 
 LIFT = 0.5
-"""How far from its pixel a shadow's ray starts, in pixels: past its own triangles."""
+"""Offset of a shadow ray's start, in pixels: it clears the triangles at its pixel."""
 
 
 def grid_faces(height: int, width: int) -> Int[np.ndarray, "faces 3"]:
@@ -32,10 +32,10 @@ def faces_within(mask: Bool[np.ndarray, "height width"]) -> Int[np.ndarray, "fac
 
 
 class Triangles(NamedTuple):
-    """The surface between pixels, ready to throw shadows.
+    """Triangles between neighbouring pixels, which cast shadows.
 
     - `vertices`, `faces`: its triangles.
-    - `lift`: how far from a point of it a shadow's ray starts, world units.
+    - `lift`: offset of a shadow ray's start from the surface, world units.
     """
 
     vertices: Float[Array, "pixels 3"]
@@ -67,7 +67,8 @@ def triangles(
     **Arguments:** `positions`: pixels' points, world units.
     """
     if isinstance(mask, Tracer):
-        # As many faces whatever the mask: of no size, which no ray meets.
+        # The number of faces must not depend on a traced mask: faces outside of it
+        # become a single point, which no ray meets.
         every = grid_faces(*mask.shape)
         faces = jnp.where(mask.ravel()[every].all(axis=1)[:, None], every, 0)
     else:
@@ -79,7 +80,7 @@ def triangles(
 def pixel_size(
     points: Float[Array, "height width 3"], mask: Bool[Array, "height width"]
 ) -> Float[Array, ""]:
-    """About how far apart neighbours are, as the camera sees them; world units."""
+    """Approximate distance between the points of neighbouring pixels, world units."""
     height, width = mask.shape
     rows, columns = jnp.indices((height, width))
 

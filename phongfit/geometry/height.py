@@ -18,7 +18,7 @@ from phongfit.lights import AbstractLight
 
 CENTRES = ((0, 0),)
 CORNERS = ((-1, -1), (1, -1), (-1, 1), (1, 1))
-"""Where in a pixel shadows are looked for, in quarters of it: right and down."""
+"""Points of a pixel tested for shadow: quarters of it (right, down) from its centre."""
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -44,7 +44,7 @@ class HeightField:
 
         Triangles with a corner outside the mask are left out.
 
-        **Raises:** `ValueError` if none is left.
+        **Raises:** `ValueError` if there is no triangle.
         """
         faces = faces_within(self.mask)
         if not len(faces):
@@ -72,9 +72,9 @@ HeightField.__init__.__doc__ = """**Arguments:**
 
 - `height`: (H, W), the coordinate of the surface along the camera's z axis, which
     points to the viewer: world units, from the world's origin on; NaN outside.
-- `pieces`: (H, W), from 1 on the number of the piece of the mask; 0 outside.
-- `camera`: from where pixels look.
-- `warnings`: what is not known, and what to do about it.
+- `pieces`: (H, W), number of the mask's connected piece, from 1 on; 0 outside.
+- `camera`: the camera of these pixels.
+- `warnings`: what the normals do not determine, and what to try.
 """
 
 
@@ -95,7 +95,7 @@ def cast_shadows(
     camera: AbstractCamera,
     lights: Iterable[AbstractLight],
 ) -> Bool[np.ndarray, "lights height width"]:
-    """Pixels in cast shadow: light from which the surface itself blocks.
+    """Pixels in cast shadow, where the surface itself blocks the light.
 
     Attached shadow, where the surface faces away from the light (n·l ≤ 0), is not
     included.
@@ -104,7 +104,7 @@ def cast_shadows(
 
     - `height`: (H, W), as [`HeightField`][] has it: NaN outside, where nothing is in
         the way.
-    - `camera`: from where pixels look.
+    - `camera`: the camera of these pixels.
     - `lights`: distant or near.
 
     **Returns:** for each light, true in its shadow; false outside.
@@ -112,8 +112,8 @@ def cast_shadows(
     **Raises:** `ValueError` that names the argument.
     """
     height = as_height(height, camera)
-    shares = shadow_shares(height, camera, lights, CENTRES)
-    found = [share > 0.5 for share in shares]
+    fractions = shadow_shares(height, camera, lights, CENTRES)
+    found = [fraction > 0.5 for fraction in fractions]
     return np.stack(found) if found else np.zeros((0, *height.shape), bool)
 
 
@@ -123,9 +123,9 @@ def shadow_shares(
     lights: Iterable[AbstractLight],
     places: tuple[tuple[int, int], ...] = CORNERS,
 ) -> Iterator[Float[np.ndarray, "height width"]]:
-    """For one light after the other, how much of each pixel lies in its shadow.
+    """Fraction of each pixel that lies in cast shadow, for one light after the other.
 
-    **Arguments:** as of [`cast_shadows`][]; `places`: where in a pixel is looked.
+    **Arguments:** as in [`cast_shadows`][]; `places`: tested points, as `CORNERS`.
 
     **Returns:** numbers in [0, 1]; 0 outside.
     """
@@ -133,12 +133,12 @@ def shadow_shares(
     surface = triangles(points, mask)
     starts = np.stack([_within(points, mask, place)[mask] for place in places])
     for light in lights:
-        share = np.zeros(height.shape)
+        fraction = np.zeros(height.shape)
         if mask.any():
             to_light, distance = towards(light, jnp.asarray(starts))
             hit = surface.shadowed(starts, to_light, distance)
-            share[mask] = np.asarray(hit).mean(axis=0)
-        yield share
+            fraction[mask] = np.asarray(hit).mean(axis=0)
+        yield fraction
 
 
 def as_height(height: Any, camera: AbstractCamera) -> np.ndarray:
@@ -161,7 +161,7 @@ def _within(
     mask: Bool[np.ndarray, "height width"],
     place: tuple[int, int],
 ) -> Float[np.ndarray, "height width 3"]:
-    """Points on the triangles, quarters of a pixel to the right of pixels and below.
+    """Points on the triangles, a quarter of a pixel right of and below each pixel.
 
     A pixel without a neighbour on that side gives its own point.
     """

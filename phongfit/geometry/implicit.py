@@ -40,8 +40,8 @@ class ImplicitSurface(AbstractSurface):
         - `function`: p → F(p), positive outside, written in `jax.numpy`; a callable
             `equinox.Module` if its numbers should have gradients.
         - `lower`, `upper`: corners of the box that is searched, world units.
-        - `steps`: into which a ray's way through the box is cut; a part of the surface
-            that is thinner can be missed.
+        - `steps`: number of steps along a ray through the box; parts of the surface
+            that are thinner than a step can be missed.
 
         **Raises:** `ValueError` that names the argument.
         """
@@ -85,7 +85,8 @@ class ImplicitSurface(AbstractSurface):
         to_light: Float[Array, "*batch 3"],
         distance: Float[Array, "*batch"],
     ) -> Bool[Array, "*batch"]:
-        # Off the surface by a part of the step that would miss a detail anyway.
+        # Off the surface by a fraction of a step, since smaller details are missed
+        # anyway.
         lift = 0.05 * jnp.max(self.upper - self.lower) / self.steps
 
         def one(
@@ -103,8 +104,10 @@ class ImplicitSurface(AbstractSurface):
         return one(position, normal, to_light, distance)
 
     def _span(self, ray: Ray) -> tuple[Scalar, Scalar]:
-        """Distances at which a ray enters and leaves the box; the first is not less
-        than 0, and is the larger if the ray misses."""
+        """Distances at which a ray enters the box, at least 0, and leaves it.
+
+        If the ray misses the box, the first distance is the larger one.
+        """
         along = ray.direction
         tiny = jnp.finfo(along.dtype).tiny
         along = jnp.where(jnp.abs(along) > tiny, along, tiny)
@@ -116,7 +119,7 @@ class ImplicitSurface(AbstractSurface):
     def _first_entry(
         self, ray: Ray, near: Scalar, far: Scalar
     ) -> tuple[Bool[Array, ""], Scalar, Scalar]:
-        """Whether F turns negative along the ray, and in which step it first does."""
+        """Whether F turns negative along the ray, and both ends of the step where."""
         near, far = jax.lax.stop_gradient((near, far))
         through = far > near
         near, far = jnp.where(through, near, 0), jnp.where(through, far, 1)

@@ -34,20 +34,26 @@ from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera
 from phongfit.geometry.height import HeightField
 
 STEEPEST = 0.02
-"""Of the cosine between normal and ray: flatter ones tell no slope."""
+"""Least cosine between normal and ray: at grazing views the slope is unknown."""
 
 FLOOR = 1.0
-"""Degrees: normals with smaller errors count alike, since pixels are not points."""
+"""Error of a normal with half the weight of an exact one, degrees."""
 
 VAGUE = 1e-4
 """Weight of a pixel whose normal is not identified: it follows its neighbours."""
 
 WIDEST, SHARPEST, ROUNDS = 2.0, 0.1, 20
-"""Gaps across a pair, in pixels, that count half: at first and at last."""
+"""Scale of the robust weights, pixels: the first and the last; and most iterations."""
 
 
 class _Pairs(NamedTuple):
-    """Neighbours: their numbers, the step wanted, the cosine, and the step's unit."""
+    """Pairs of neighbouring pixels.
+
+    - `first`, `second`: indices of the two pixels.
+    - `step`: prescribed difference of their heights u.
+    - `cosine`: between normal and ray.
+    - `pixel`: distance between the two pixels, in the unit of u.
+    """
 
     first: Int[np.ndarray, " pairs"]
     second: Int[np.ndarray, " pairs"]
@@ -66,7 +72,7 @@ def integrate_normals(
     depth: Any = None,
     distance: float | None = None,
 ) -> HeightField:
-    """Heights of a surface of which the normals are known.
+    """Heights of a surface from its normals.
 
     Discontinuities are kept where the surrounding normals show them. Normals determine
     neither the distance of a surface nor the relative depth of separate pieces of a
@@ -76,18 +82,18 @@ def integrate_normals(
 
     - `normals`: (H, W, 3) in the camera's axes (x right, y up, z to the camera), of any
         length; 0 is outside.
-    - `camera`: default an orthographic one, whose view is as wide as its pixels are
-        many: heights are in pixels.
+    - `camera`: default an orthographic one with a view of one world unit for each
+        pixel, so that heights are in pixels.
     - `mask`: (H, W), true inside; default where there are normals. Outside of it
         normals may be NaN.
     - `stderr`: (H, W), standard errors of the normals in degrees; pairs of neighbours
         are weighted by them. A pixel with an infinite one follows its neighbours.
     - `depth`: (H, W), known distances along the camera's axis, world units, NaN where
-        they are not: each piece is moved to their median.
-    - `distance`: the median of a piece without any; default that of the world's
-        origin.
+        they are unknown. Each piece is moved so that the medians agree.
+    - `distance`: median distance of a piece without known distances; default that of
+        the world's origin.
 
-    **Returns:** a [`HeightField`][], whose `warnings` tell of pieces.
+    **Returns:** a [`HeightField`][]; its `warnings` name pieces of unknown distance.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -132,7 +138,7 @@ def integrate_normals(
 
 
 class _Rays(NamedTuple):
-    """In the camera's axes: where they start, and where they go, 1 along its axis."""
+    """Rays of all pixels in the camera's axes; directions have z = −1."""
 
     origin: Float[np.ndarray, "height width 3"]
     direction: Float[np.ndarray, "height width 3"]
@@ -153,7 +159,7 @@ def _pairs(
     inside: Bool[np.ndarray, "height width"],
     rays: _Rays,
 ) -> _Pairs:
-    """Neighbours in rows, then in columns."""
+    """All pairs of neighbours: those in rows, then those in columns."""
     number = np.cumsum(inside).reshape(inside.shape) - 1
     parts = []
     for one, other in (
@@ -166,6 +172,7 @@ def _pairs(
             rays.origin[at][both] if rays.parallel else rays.direction[at][both]
             for at in (one, other)
         )
+        # Both formulas for `step` are derived in the module's docstring.
         if rays.parallel:
             cosine = np.maximum(mean[:, 2], STEEPEST)
             step = -np.sum(mean * (end - start), axis=1) / cosine
@@ -185,7 +192,7 @@ def _pairs(
 def _solve(
     pairs: _Pairs, weight: Float[np.ndarray, " pixels"], count: int
 ) -> Float[np.ndarray, " pixels"]:
-    """The heights that differ as they should, but for the few pairs that cannot."""
+    """Heights by robust least squares: pairs across discontinuities lose weight."""
     ends = weight[pairs.first], weight[pairs.second]
     base = pairs.cosine**2 * 2 / (1 / ends[0] + 1 / ends[1]) / pairs.pixel**2
     heights = _least_squares(pairs, base, np.zeros(count))
@@ -206,7 +213,7 @@ def _least_squares(
     start: Float[np.ndarray, " pixels"],
 ) -> Float[np.ndarray, " pixels"]:
     """Conjugate gradients, with algebraic multigrid: linear in the number of pixels."""
-    # Here, since they take long to import.
+    # Imported here, since they take long to import.
     import pyamg
     from scipy.sparse import coo_array, csr_array
     from scipy.sparse.linalg import cg
@@ -225,7 +232,8 @@ def _least_squares(
         )
     )
     system = csr_array(difference.T @ (difference * weight[:, None]))
-    # A piece may float: hardly held where it is.
+    # Neighbours do not determine the mean height of a piece. A tiny weight on `start`
+    # makes the system regular.
     held = 1e-10 * system.diagonal().max()
     system = csr_array(system + held * _identity(len(start)))
     right = difference.T @ (weight * pairs.step) + held * start
@@ -245,7 +253,7 @@ def _identity(size: int) -> Any:
 def label_pieces(
     inside: Bool[np.ndarray, "height width"],
 ) -> Int[np.ndarray, "height width"]:
-    """From 1 on the number of the piece, whose pixels touch by a side; 0 outside."""
+    """Number of each pixel's piece (connected by sides), from 1 on; 0 outside."""
     from scipy.ndimage import label
 
     pieces, _ = label(inside)  # pyright: ignore

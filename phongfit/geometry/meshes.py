@@ -43,15 +43,15 @@ from phongfit.textures import (
 )
 from phongfit.vectors import Vec3, dot, norm, normalize, normalize_all
 
-# A shadow ray starts this far off its face, as a share of the mesh's size: past the
-# rounding of Embree's float32, and well below anything that casts a shadow.
+# A shadow ray starts this far off its face, as a fraction of the mesh's size: more
+# than the rounding of Embree's float32, and less than anything that casts a shadow.
 LIFT = 2e-6
-# And this far past the rounding of a mesh's own coordinates, in units of it.
+# Further offset, in units of the rounding error of the mesh's coordinates.
 ROUNDINGS = 4
 
 
 class Corners(eqx.Module):
-    """Pairs of a vertex and a material that occur, and the faces that use them.
+    """All pairs of a vertex and a material that occur, and the pairs of each face.
 
     Light at a vertex depends on its material, so a vertex between two materials is lit
     twice.
@@ -185,7 +185,8 @@ class Mesh(AbstractSurface):
     def with_textures(self, textures: Iterable[Textures] | Textures | None) -> "Mesh":
         """This mesh with other textures; `None` for none.
 
-        **Raises:** `ValueError` if it has no uv, or not as many materials or vertices.
+        **Raises:** `ValueError` if the mesh has no uv, or if its numbers of materials
+        or vertices do not match the textures.
         """
         count = len(self.vertices)
         chosen = _as_textures(textures, self.uv, self._materials, count)
@@ -271,7 +272,7 @@ def _as_textures(
         if not isinstance(one, Textures):
             raise ValueError(f"textures: expected Textures, got {one!r}")
         if uv is None and any(isinstance(k, Texture) for k in vars(one).values()):
-            raise ValueError("textures: the mesh has no uv, which say where they lie")
+            raise ValueError("textures: expected a mesh with uv for images, got none")
         for name, colours in one.at_vertices.items():
             if len(colours.values) != vertices:
                 raise ValueError(
@@ -294,7 +295,7 @@ def _off_the_face(
     ray: Ray,
     distance: Float[Array, "*batch"],
 ) -> tuple[Ray, Float[Array, "*batch"]]:
-    """Rays that start on the side of the light: a face is never in its own shadow."""
+    """Shadow rays and distances, with starts moved off the face towards the light."""
     precision = float(jnp.finfo(normal.dtype).eps)
     furthest = jnp.max(jnp.abs(vertices[faces.ravel()]))
     lift = LIFT * _size(vertices, faces) + ROUNDINGS * precision * furthest
@@ -328,7 +329,7 @@ def _aim(
     camera: AbstractCamera,
     two_sided: bool,
 ) -> tuple[Ray, Bool[Array, " faces"], Bool[Array, ""]]:
-    """The camera's rays, which faces they can meet, and whether it sits in a face."""
+    """The camera's rays, the faces turned to it, and whether it lies in a face."""
     a, b, c = jnp.moveaxis(vertices[faces], 1, 0)
     to_viewer = jax.vmap(camera.to_viewer)(a)
     toward = jnp.sum(jax.vmap(face_normal)(a, b, c) * to_viewer, axis=-1)
@@ -411,7 +412,7 @@ def _bumped(
     face: Int[Array, "height width"],
     place: Place,
 ) -> Float[Array, "height width 3"]:
-    """Normals as a normal map turns them."""
+    """Apply the mesh's normal maps, if it has any, to interpolated normals."""
     textures = () if mesh.textures is None else mesh.textures
     local = looked_up("normal", textures, place)
     if local is None or mesh.uv is None:
@@ -426,7 +427,7 @@ def tangents(
 ) -> tuple[Vec3, Vec3]:
     r"""$\partial p / \partial u$ and $\partial p / \partial v$ on a triangle.
 
-    **Returns:** two vectors of no special length; zero where the uv have no area.
+    **Returns:** two vectors, not of unit length; zero where the uv have no area.
     """
     one, other = corners[1] - corners[0], corners[2] - corners[0]
     (a, b), (c, d) = uv[1] - uv[0], uv[2] - uv[0]
@@ -437,10 +438,11 @@ def tangents(
 
 
 def turned(local: Vec3, normal: Vec3, along_u: Vec3, along_v: Vec3) -> Vec3:
-    """The unit normal that a normal map's vector means.
+    """Turn a normal by a normal map's vector.
 
-    **Arguments:** `local`: its parts along u, along −v and outwards; `normal`: the unit
-    normal; `along_u`, `along_v`: [`tangents`][]; zero tangents leave it unchanged.
+    **Arguments:** `local`: the map's vector: components along u, −v and outwards;
+    `normal`: the unit normal without the map; `along_u`, `along_v`: [`tangents`][];
+    zero tangents leave it unchanged.
 
     ??? cite "Source"
         Khronos, *glTF 2.0*, 2021, section 3.9.3: the tangent is made perpendicular to
@@ -448,7 +450,7 @@ def turned(local: Vec3, normal: Vec3, along_u: Vec3, along_v: Vec3) -> Vec3:
     """
     tangent = normalize(along_u - dot(along_u, normal) * normal)
     bitangent = jnp.cross(normal, tangent)
-    # A mirrored texture has its v on the other side. v runs down, the map's y up.
+    # The map's y axis points against v. In a mirrored texture that is the other side.
     bitangent = jnp.where(dot(bitangent, along_v) > 0, -bitangent, bitangent)
     bent = local[0] * tangent + local[1] * bitangent + local[2] * normal
     bent = normalize(bent)
@@ -479,15 +481,15 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
         own = np.zeros(len(mesh.faces), int) if index is None else np.asarray(index)
         given = mesh.textures or (Textures(),)
         given = given * (mesh.materials // len(given))
-        # Vertices of the others, which have other materials.
+        # Vertices of the other meshes, which have other materials: the factor is 1.
         ends = (vertices, total - vertices - len(mesh.vertices)), (0, 0)
-        among = functools.partial(jnp.pad, pad_width=ends, constant_values=1)
-        textures += [one.rearranged(among) for one in given]
+        padded = functools.partial(jnp.pad, pad_width=ends, constant_values=1)
+        textures += [one.rearranged(padded) for one in given]
         faces.append(np.asarray(mesh.faces) + vertices)
         indices.append(own + materials)
         vertices += len(mesh.vertices)
         materials += mesh.materials
-    # Different ways to compute normals cannot be joined, but what they give can.
+    # Meshes may compute normals in different ways, so computed normals are joined.
     given = len({(m.weighting, m.normals is None) for m in meshes}) > 1
     given = given or meshes[0].normals is not None
     normals = jnp.concatenate([m.vertex_normals() for m in meshes]) if given else None
@@ -504,6 +506,6 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def _uv_of(mesh: Mesh) -> Float[Array, "faces 3 2"]:
-    """A mesh's uv; zero where it has none, and then no texture."""
+    """A mesh's uv; zeros if it has none, since then it has no texture image."""
     none = jnp.zeros((len(mesh.faces), 3, 2), mesh.vertices.dtype)
     return none if mesh.uv is None else mesh.uv

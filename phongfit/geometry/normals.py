@@ -72,12 +72,12 @@ def vertex_normals(
     normals = jax.vmap(face_normal)(*corners)
     total = jnp.zeros_like(vertices)
     for k in range(3):
-        share = normals
+        contribution = normals
         if weighting == "angle":
             here, following, preceding = (corners[(k + i) % 3] for i in range(3))
             angle = jax.vmap(_angle)(here, following, preceding)
-            share = angle[:, None] * jax.vmap(normalize)(normals)
-        total = total.at[faces[:, k]].add(share)
+            contribution = angle[:, None] * jax.vmap(normalize)(normals)
+        total = total.at[faces[:, k]].add(contribution)
     return jax.vmap(normalize)(total)
 
 
@@ -95,10 +95,10 @@ def split_creases(
 
     **Returns:**
 
-    - for every vertex of the mesh cut open, which vertex of `vertices` it is;
-    - the faces as indices of these.
+    - for every vertex of the mesh cut open, its index in `vertices`;
+    - the faces, as indices of the vertices of the mesh cut open.
     """
-    # Here, since it takes a third of a second that most programs need not wait.
+    # Imported here, since the import takes a third of a second.
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -57,7 +57,7 @@ def tessellate(
         # One program for each shape and size.
         vertices, normals = _kept_grid(function, *ends, columns, rows)
     else:
-        # It may read what changes from one call to the next: nothing is kept.
+        # The function may read variables that change between calls: it is not cached.
         grid = jax.jit(functools.partial(_grid, function), static_argnums=(2, 3))
         vertices, normals = grid(*ends, columns, rows)
     return Mesh(vertices, _cells(columns, rows), normals, two_sided=two_sided)
@@ -77,7 +77,7 @@ def _grid(
 
     def at(u: Scalar, v: Scalar) -> tuple[Vec3, Vec3]:
         # At a pole the derivatives are parallel up to rounding, which would decide
-        # where the normal points: that of a place close by is taken there.
+        # where the normal points. The normal of a nearby point is used instead.
         close = np.sqrt(np.finfo(u.dtype).eps)
         along_u, along_v = jax.jacfwd(function, argnums=(0, 1))(u, v)
         across = norm(jnp.cross(along_u, along_v))
@@ -98,7 +98,7 @@ def _check_takes_two(function: Callable[..., Any]) -> None:
     try:
         signature = inspect.signature(function)
     except ValueError:
-        # Some that are written in C do not tell.
+        # Some functions written in C have no signature.
         return
     try:
         signature.bind(None, None)

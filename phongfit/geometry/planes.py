@@ -1,4 +1,4 @@
-"""A plane square to a camera's axis: where pixels lie before a surface is known."""
+"""A plane perpendicular to a camera's axis, in place of an unknown surface."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from phongfit.geometry.surfaces import NormalMap
 
 
 def plane_before(camera: AbstractCamera, through: Any = None) -> NormalMap:
-    """A plane that the camera looks at squarely, seen by every pixel.
+    """A plane perpendicular to the camera's axis, seen by every pixel.
 
     **Arguments:** `through`: a point of it, world units. Default: 1 in front of a
     pinhole; the origin for parallel rays.

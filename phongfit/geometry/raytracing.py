@@ -1,8 +1,8 @@
-"""Embree, on the host: which face a ray meets first, and whether one is in its way.
+"""Ray tracing by Embree on the host: the first face on a ray, and blocked rays.
 
-Both are answers without a derivative; what is interpolated from them has one. Inside
-`jit` and `vmap` they are callbacks, elsewhere plain calls, and the last few are
-remembered: the same rays through the same mesh are not traced again.
+Both results are discrete and have no derivative; values that are interpolated with them
+have one. Inside `jit` and `vmap` they are callbacks, elsewhere plain calls. The last
+few results are cached: the same rays through the same mesh are not traced again.
 """
 
 import functools
@@ -89,12 +89,12 @@ def _remembered(size: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]
             if result is None:
                 result = function(*arrays)
             with lock:
-                # Out and in again: what was asked for last comes last.
+                # Reinserted: the order of the dictionary is that of the last use.
                 known.pop(key, None)
                 known[key] = result
                 for oldest in list(known)[:-size]:
                     del known[oldest]
-            # Not from memory, where other threads may have pushed it out meanwhile.
+            # Not read from `known`, since another thread may have deleted it meanwhile.
             return result
 
         return call
@@ -103,9 +103,9 @@ def _remembered(size: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
 def _scene(vertices: np.ndarray, faces: np.ndarray) -> Any:
-    """Embree's, or where there is no Embree one of our own, which is slower."""
+    """An Embree scene, or without Embree a [`FaceTree`][], which is slower."""
     try:
-        # Here, since only those who trace faces need it.
+        # Imported here, since only meshes need it.
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
     except ImportError:
@@ -116,8 +116,11 @@ def _scene(vertices: np.ndarray, faces: np.ndarray) -> Any:
 
 
 class _Tree:
-    """A bounding volume hierarchy. Embree computes in float32: it gets the mesh moved
-    to the origin and of size 1, and rays that start near it."""
+    """A mesh that is prepared for ray tracing.
+
+    Embree computes in float32. So the mesh is moved to the origin and scaled to size 1,
+    and rays start near it.
+    """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray):
         corners = vertices[np.unique(faces)].astype(float)
@@ -134,16 +137,17 @@ class _Tree:
         query: str,
         distance: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Embree's answer for each ray: −1 for none."""
+        """Index of the face that each ray meets: see [`FaceTree.run`][]."""
         start = (origin.reshape(-1, 3) - self.center) / self.size
         along = direction.reshape(-1, 3)
-        # Nothing lies further than 1 from the origin, so that far can be skipped.
+        # The mesh lies within 1 of the origin: a ray may start 2 before its closest
+        # point.
         skipped = np.maximum(-(start * along).sum(axis=1) - 2, 0)
         start = start + skipped[:, None] * along
         limit = None
         if distance is not None:
             left = distance.ravel() / self.size - skipped
-            # Embree takes a negative limit for its own sign of a ray that is blocked.
+            # A negative limit is Embree's mark of a ray that is blocked already.
             limit = np.clip(left, 0, 1e30).astype(np.float32)
         return self.scene.run(
             start.astype(np.float32), along.astype(np.float32), limit, query

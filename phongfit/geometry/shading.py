@@ -69,7 +69,7 @@ class AbstractShading(eqx.Module):
 
     @abc.abstractmethod
     def check(self, surface: AbstractSurface) -> None:
-        """**Raises:** `ValueError` if this surface cannot be shaded like this."""
+        """Check that this method can shade a surface; `ValueError` if not."""
 
     @abc.abstractmethod
     def points(
@@ -81,7 +81,7 @@ class AbstractShading(eqx.Module):
     def interpolation(
         self, surface: AbstractSurface, gbuffer: GBuffer
     ) -> Interpolation | None:
-        """From these points to the pixels; `None` if the points are the pixels."""
+        """Interpolation from these points to pixels; `None` if they are the pixels."""
 
 
 class PhongShading(AbstractShading):
@@ -176,8 +176,8 @@ class FlatShading(AbstractShading):
 
         - `at`: `"centroid"` with the face's own normal, as in the textbook, or
             `"last_vertex"` with that vertex's normal, as in OpenGL's GL_FLAT.
-        - `clamp`: cut the faces' colours off at 1 at once, as OpenGL does: seen only in
-            fog.
+        - `clamp`: cut the faces' colours off at 1 before fog is added, as OpenGL does;
+            without fog the film's clamp does the same.
 
         **Raises:** `ValueError` for another place.
         """
@@ -232,7 +232,7 @@ def _hits(gbuffer: GBuffer) -> tuple[Array, Array]:
 
 
 def _both_sides(front: LightingPoints) -> LightingPoints:
-    """The points once more, seen from behind."""
+    """The points seen from the front, then the same points seen from behind."""
     back = LightingPoints(
         front.position,
         -front.normal,

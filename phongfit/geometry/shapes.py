@@ -1,4 +1,4 @@
-"""Ready shapes, each as F(p) to be traced and as p(u, v) to be cut into triangles."""
+"""Shapes with an implicit form F(p) for tracing and a parametric one for meshes."""
 
 import abc
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from phongfit.vectors import Scalar, Vec3, norm
 
 
 class AbstractShape(eqx.Module):
-    """A surface around the origin, written down twice."""
+    """A surface around the origin, in implicit and in parametric form."""
 
     @abc.abstractmethod
     def implicit(self, position: Vec3) -> Scalar:
@@ -30,11 +30,11 @@ class AbstractShape(eqx.Module):
 
     @abc.abstractmethod
     def corner(self) -> Float[Array, "3"]:
-        """Corner of a box that the shape fills, or that bounds it if it is open."""
+        """Corner (x, y, z > 0) of the box around the origin that bounds the shape."""
 
     @checked
     def surface(self, *, steps: int = 128) -> ImplicitSurface:
-        """The shape to be traced as it is: see [`ImplicitSurface`][]."""
+        """The shape as an implicit surface: see [`ImplicitSurface`][]."""
         corner = self.corner()
         return ImplicitSurface(self.implicit, -corner, corner, steps=steps)
 
@@ -48,7 +48,7 @@ class AbstractShape(eqx.Module):
         )
 
 
-# A little more room than a closed shape fills, which must not touch the box's sides.
+# Size of the box over that of a closed shape, which must not touch the box's sides.
 ROOM = 1.01
 
 
@@ -59,8 +59,8 @@ def _size(name: str, value: Any) -> Scalar:
     return require(name, as_scalar(name, value), positive, positive, "a number > 0")
 
 
-def _turn(share: Scalar) -> tuple[Scalar, Scalar]:
-    angle = 2 * np.pi * share
+def _turn(fraction: Scalar) -> tuple[Scalar, Scalar]:
+    angle = 2 * np.pi * fraction
     return jnp.cos(angle), jnp.sin(angle)
 
 
@@ -94,7 +94,8 @@ class Torus(AbstractShape):
 
     def __init__(self, major: Any = 0.75, minor: Any = 0.25):
         """**Arguments:** `major` > 0, from the centre to the middle of the tube, and
-        `minor` > 0, the tube's radius, world units, else `ValueError`."""
+        `minor` > 0, the tube's radius, world units, else `ValueError`.
+        """
         self.major = _size("major", major)
         self.minor = _size("minor", minor)
 

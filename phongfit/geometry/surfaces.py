@@ -20,7 +20,7 @@ from phongfit.vectors import Vec3, dot, normalize, normalize_all
 
 
 class GBuffer(eqx.Module):
-    """Geometry, resolved once: per pixel where it looks at, and how that is turned.
+    """Geometry buffer: the point of the surface that each pixel sees, and its normal.
 
     Outside `mask` the entries are harmless placeholders.
     """
@@ -76,10 +76,10 @@ GBuffer.__init__.__doc__ = """**Arguments:**
 
 
 class AbstractSurface(eqx.Module):
-    """Asked by a camera, answers with a [`GBuffer`][].
+    """Base class of surfaces: `trace` gives the [`GBuffer`][] of a camera.
 
-    `on_host` tells that `trace` calls a library outside JAX, and is best left out of a
-    compiled program.
+    `on_host` is true if `trace` calls a library outside JAX. It is then faster outside
+    of compiled programs.
     """
 
     on_host: ClassVar[bool] = False
@@ -104,7 +104,7 @@ class AbstractSurface(eqx.Module):
         - `to_light`, `distance`: unit vector to the light and how far away it is, world
             units (may be inf).
 
-        **Raises:** `ValueError` if this surface cannot tell.
+        **Raises:** `ValueError` if this surface cannot compute shadows.
         """
 
     @property
@@ -127,7 +127,7 @@ def trace_rays(
     intersect: Callable[[Ray], tuple[Vec3, Vec3, Bool[Array, ""]]],
     camera: AbstractCamera,
 ) -> GBuffer:
-    """The geometry buffer of a surface, by its intersection with one ray.
+    """The geometry buffer of a surface, from its intersection with one ray.
 
     **Arguments:** `intersect`: gives the position, the unit normal there, and whether
     the ray meets the surface; harmless placeholders where it does not.
@@ -190,7 +190,7 @@ class Sphere(AbstractSurface):
         distance: Float[Array, "*batch"],
     ) -> Bool[Array, "*batch"]:
         del position
-        # From a point of a sphere, the way through it is 2 r |s·m| long.
+        # A ray that enters the sphere at a point of it leaves it after 2 r |s·m|.
         chord = -2 * self.radius * jnp.sum(normal * to_light, axis=-1)
         return (chord <= 0) | (distance <= chord)
 
@@ -198,7 +198,7 @@ class Sphere(AbstractSurface):
 class NormalMap(AbstractSurface):
     """A normal for every pixel, as photometric stereo and scanners give it.
 
-    With positions it throws shadows: two triangles between every four neighbours do.
+    With positions it casts shadows: two triangles join every four neighbouring pixels.
     """
 
     normals: Float[Array, "height width 3"]

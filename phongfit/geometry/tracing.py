@@ -33,11 +33,12 @@ def trace(
 
     - `surface`, `camera`: what is looked at, and from where.
     - `lights`: which may be in shadow, in the scene's order.
-    - `shadows`: find out which lights reach the surface, where it is lit.
-    - `shading`: where that is; default [`PhongShading`][]: in the pixels.
+    - `shadows`: whether to compute which lights reach the points that are lit.
+    - `shading`: the method that chooses these points; default [`PhongShading`][], which
+        lights each pixel's point.
 
-    **Raises:** `ValueError` if the two do not fit together, or the surface cannot tell
-    its shadows.
+    **Raises:** `ValueError` if surface and camera do not fit together, or the surface
+    cannot compute shadows.
     """
     gbuffer = surface.trace(camera)
     covered = camera.covered()

@@ -1,4 +1,4 @@
-"""Photographs with straight lines straight, for whatever knows pinholes alone."""
+"""Removal of lens distortion from photographs, for programs without lens models."""
 
 from typing import Any, NamedTuple
 
@@ -19,9 +19,9 @@ from phongfit.vectors import Scalar
 class Undistorted(NamedTuple):
     """A photograph without lens distortion, from [`undistort`][].
 
-    - `image`: of the shape it came in; 0 where nothing is known.
-    - `mask`: true where it is known.
-    - `camera`: that sees it, without distortion.
+    - `image`: of the shape of the photograph; 0 where `mask` is false.
+    - `mask`: true where the image is known.
+    - `camera`: the camera of this image, without distortion.
     """
 
     image: Float[np.ndarray, "height width *channels"]
@@ -31,22 +31,22 @@ class Undistorted(NamedTuple):
 
 @checked
 def undistort(image: Any, camera: PinholeCamera, *, mask: Any = None) -> Undistorted:
-    """A photograph as the camera would have taken it without its lens's distortion.
+    """Remove the lens distortion from a photograph.
 
-    For other programs and for pictures. Fits do not need it: a [`PinholeCamera`][] with
-    its `distortion` fits the photograph as it is. Interpolation averages pixels, which
-    lowers the noise and correlates neighbours; a fit of such an image warns of lack of
-    fit.
+    This is for other programs and for pictures. Fits do not need it: a
+    [`PinholeCamera`][] with its `distortion` fits the photograph as it is.
+    Interpolation averages pixels, which lowers the noise and correlates neighbours; a
+    fit of such an image warns of lack of fit.
 
     **Arguments:**
 
     - `image`: (H, W) or (H, W, channels), linear light.
-    - `camera`: that took it.
+    - `camera`: the camera that took the photograph.
     - `mask`: (H, W), true where a pixel may be used; default everywhere.
 
     **Returns:** image, mask and camera: see [`Undistorted`][]. Bilinear interpolation,
     as OpenCV's `undistort` has it; the camera keeps its focal lengths and principal
-    point. A pixel is known where all four that it is made of are.
+    point. A pixel is known if all four pixels that it is interpolated from are usable.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -87,7 +87,7 @@ def _resampled(
         column, row = camera.pixel_of(bent)
         return row - 0.5, column - 0.5
 
-    # Past the fold of a lens they are no numbers.
+    # NaN where the lens has no image of the direction: a place outside the image.
     row, column = (jnp.nan_to_num(at, nan=-2.0) for at in over_pixels(source, camera))
     known = _between((~usable).astype(image.dtype), row, column, 1.0) == 0
     image = jnp.where(usable[..., None], image, 0)

@@ -14,10 +14,10 @@ from phongfit.rendering.response import ResponseCurve
 
 NamedEncoding = Literal["linear", "srgb"]
 Encoding = NamedEncoding | ResponseCurve
-"""What the numbers in a file are."""
+"""Meaning of the numbers in a file."""
 
 ENCODINGS: tuple[NamedEncoding, ...] = ("linear", "srgb")
-"""Those that have a name."""
+"""Encodings that are given by name."""
 
 
 def encode(linear: Any, encoding: Encoding) -> Any:
@@ -69,7 +69,7 @@ class Film(eqx.Module):
     ):
         """**Arguments:**
 
-        - `clamp`: show min(I, 1), and nothing below 0. `False` is for floating-point
+        - `clamp`: clip light to [0, 1]. `False` is for floating-point
             images that were never cut off.
         - `encoding`: `"linear"`, `"srgb"` or a [`ResponseCurve`][].
         - `bits`: round to 2^bits levels; default no rounding. Rounding has no useful
@@ -92,7 +92,7 @@ class Film(eqx.Module):
     def expose(
         self, light: Float[Array, "..."] | Float[np.ndarray, "..."]
     ) -> Float[Array, "..."]:
-        """Linear light as what is stored, in [0, 1] if clamped.
+        """The numbers that are stored for linear light, in [0, 1] if clamped.
 
         Of any shape; (height, width, 3) for a JPEG.
         """
@@ -111,7 +111,9 @@ def as_films(
 ) -> tuple[Film, ...]:
     """A film for each of `count` images.
 
-    **Raises:** `ValueError` that names the argument, and what `each` film is one for.
+    **Arguments:** `each`: what one film belongs to, for the message.
+
+    **Raises:** `ValueError` for another number of films.
     """
     films = (film,) * count if isinstance(film, Film) else tuple(film)
     if len(films) != count:

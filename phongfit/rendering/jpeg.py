@@ -1,8 +1,8 @@
-r"""JPEG, of which only the losses matter here: what goes in, and what is read back.
+r"""JPEG compression, as a function from the levels written to the levels read back.
 
-Levels become luma and two colour differences, the latter perhaps on a coarser grid;
-blocks of 8 × 8 become cosines, and each coefficient is rounded to a multiple of its
-step. The coding after that loses nothing, and is left out.
+Levels are converted to luma and two colour differences, the latter perhaps on a coarser
+grid. Blocks of 8 × 8 are cosine-transformed, and each coefficient is rounded to a
+multiple of its step. The coding after that is lossless, and is left out.
 
 ??? cite "Source"
     ITU-T T.81, *Digital compression and coding of continuous-tone still images*, 1992;
@@ -38,11 +38,11 @@ class JpegCompression:
 
     **Arguments:**
 
-    - `tables`: of each component the steps of its 8 × 8 coefficients, in levels of 8
+    - `tables`: for each component the steps of its 8 × 8 coefficients, in levels of 8
         bits; rows are frequencies down the image. One component is grey, three are
         colour.
-    - `sampling`: of each component samples across and down, relative to the others:
-        ((2, 2), (1, 1), (1, 1)) has half as much colour each way. Default all alike.
+    - `sampling`: for each component samples across and down, relative to the others:
+        ((2, 2), (1, 1), (1, 1)) has half the resolution in colour. Default: all equal.
     - `ycbcr`: whether three components are luma and colour differences; else they are
         red, green and blue.
 
@@ -73,7 +73,7 @@ class JpegCompression:
 
     @property
     def widest(self) -> float:
-        """Twice the coarsest rounding of a block's mean, at least 1: levels."""
+        """Coarsest rounding step of a block's mean, at least 1, in levels."""
         return max(1.0, *(table[0][0] / 8 for table in self.tables))
 
     @property
@@ -115,7 +115,7 @@ class JpegCompression:
 
     @property
     def subsampling(self) -> str:
-        """`"4:2:0"` and the like; `"grey"` for one component."""
+        """Name of the subsampling, such as `"4:2:0"`; `"grey"` for one component."""
         if len(self.tables) == 1:
             return "grey"
         named = [name for name, known in SAMPLINGS.items() if known == self.sampling]
@@ -124,26 +124,26 @@ class JpegCompression:
 
     @property
     def ratios(self) -> tuple[tuple[int, int], ...]:
-        """Pixels (down, across) of which each component has one sample."""
+        """Pixels (down, across) for one sample, component by component."""
         across, down = np.max(self.sampling, axis=0).tolist()
         return tuple((down // v, across // h) for h, v in self.sampling)
 
     @property
     def block(self) -> tuple[int, int]:
-        """Pixels (down, across) of the least piece that is coded by itself."""
+        """Pixels (down, across) of the smallest unit that is coded independently."""
         across, down = np.max(self.sampling, axis=0).tolist()
         return 8 * down, 8 * across
 
     @property
     def from_components(self) -> Float[np.ndarray, "3 components"]:
-        """Levels of red, green and blue in those of the components."""
+        """Matrix from the components' levels to those of red, green and blue."""
         if len(self.tables) == 1:
             return np.ones((3, 1))
         return _FROM_YCBCR if self.ycbcr else np.eye(3)
 
     @property
     def to_components(self) -> Float[np.ndarray, "components 3"]:
-        """The inverse; of a grey image all three channels are the same."""
+        """Matrix from red, green and blue to the components; grey takes the red."""
         if len(self.tables) == 1:
             return np.array([[1.0, 0.0, 0.0]])
         return np.linalg.inv(self.from_components)
@@ -162,7 +162,7 @@ def _as_tables(given: Any) -> tuple[Table, ...]:
 
 
 def _whole(name: str, given: Any) -> np.ndarray:
-    """Floating-point numbers that are whole as integers; all others as they are."""
+    """Convert arrays of whole floating-point numbers to integers; leave others."""
     array = as_array(name, given)
     if array.dtype.kind == "f" and (array == np.round(array)).all():
         return array.astype(np.int64)
@@ -181,7 +181,7 @@ def _as_pairs(given: Any) -> tuple[tuple[int, int], ...]:
 def compressed(
     levels: Float[Any, "height width 3"], jpeg: JpegCompression
 ) -> Float[Any, "height width 3"]:
-    """Levels 0 … 255, of JAX or NumPy, as they are read from a file of them."""
+    """Levels 0 … 255 after compression and decompression; arrays of JAX or NumPy."""
     xp, kind = namespace(levels), levels.dtype
     height, width, _ = levels.shape
     whole = xp.clip(xp.round(xp.moveaxis(levels, -1, 0)), 0, 255)
@@ -207,7 +207,7 @@ def compressed(
 
 
 def cosines(plane: Float[Any, "height width"]) -> Float[Any, "down across 8 8"]:
-    """Cosine transform of the blocks of 8 × 8, which keeps sums of squares."""
+    """Cosine transform of each block of 8 × 8; it is orthonormal."""
     xp = namespace(plane)
     down, across = (side // 8 for side in plane.shape)
     blocks = xp.moveaxis(plane.reshape(down, 8, across, 8), 2, 1)
@@ -225,25 +225,25 @@ def _pixels(blocks: Float[Any, "down across 8 8"]) -> Float[Any, "height width"]
 
 
 def namespace(values: Any) -> Any:
-    """NumPy for NumPy's arrays, as files give them: nothing need be compiled."""
+    """The array module of `values`: NumPy for NumPy's arrays, else `jax.numpy`."""
     return np if isinstance(values, np.ndarray | np.generic) else jnp
 
 
 def _mixed(matrix: Any, planes: Any) -> Any:
-    """Channels as components, or back; (rows, height, width)."""
+    """Multiply the channels of each pixel by a matrix; (rows, height, width)."""
     _, height, width = planes.shape
     return (matrix @ planes.reshape(len(planes), -1)).reshape(-1, height, width)
 
 
 def _middle(jpeg: JpegCompression, kind: Any) -> Any:
-    """The level that is 0 in a file: 128, but colour differences have it already."""
+    """Level of each component that is 0 in a file: 128, or 0 for colour differences."""
     count = len(jpeg.tables)
     middle = [128, 0, 0] if count == 3 and jpeg.ycbcr else [128] * count
     return np.array(middle, kind)[:, None, None]
 
 
 def _padded(planes: Any, jpeg: JpegCompression) -> Any:
-    """Whole blocks: the last row and column are repeated."""
+    """Pad planes to whole blocks: the last row and column are repeated."""
     xp = namespace(planes)
     down, across = jpeg.block
     _, height, width = planes.shape
@@ -251,7 +251,7 @@ def _padded(planes: Any, jpeg: JpegCompression) -> Any:
 
 
 def _reduced(plane: Any, ratio: tuple[int, int]) -> Any:
-    """Means of as many pixels as make a sample."""
+    """Downsample a plane: each sample is the mean of its pixels."""
     down, across = ratio
     height, width = plane.shape
     cells = plane.reshape(height // down, down, width // across, across)
@@ -259,7 +259,7 @@ def _reduced(plane: Any, ratio: tuple[int, int]) -> Any:
 
 
 def _enlarged(plane: Any, ratio: tuple[int, int]) -> Any:
-    """A value for every pixel: between samples where these are twice as wide."""
+    """Upsample a plane to pixels: interpolated for ratios up to 2, else repeated."""
     xp = namespace(plane)
     for axis, times in enumerate(ratio):
         if max(ratio) > 2:
@@ -270,7 +270,7 @@ def _enlarged(plane: Any, ratio: tuple[int, int]) -> Any:
 
 
 def _doubled(plane: Any, axis: int) -> Any:
-    """Twice as many samples along an axis, each 3/4 its own and 1/4 its neighbour's."""
+    """Twice as many samples along an axis: 3/4 the nearest and 1/4 the next one."""
     xp = namespace(plane)
     wide = xp.moveaxis(plane, axis, -1)
     ends = xp.pad(wide, [(0, 0), (1, 1)], "edge")

@@ -1,4 +1,4 @@
-"""From light at the points that were lit to light in the pixels."""
+"""Light of the pixels, from light at the points that the shading method lights."""
 
 import math
 from typing import Any, TypeVar
@@ -66,7 +66,7 @@ class PixelTerms(eqx.Module):
     def _textured(
         self, material: Material, factors: Factors
     ) -> Float[Array, "*batch rgb"]:
-        """Each part of the light times its texture, which is the pixels' own."""
+        """Sum of the four terms of the light, each times its texture at the pixel."""
         light = jnp.zeros_like(factors.diffuse)
         each = factors.emission, factors.ambient, factors.diffuse, factors.specular
         for factor, part in zip(each, parts(self.terms, material), strict=True):
@@ -75,10 +75,10 @@ class PixelTerms(eqx.Module):
         return light
 
     def basis(self, shininess: Float[Array, "..."]) -> Float[Array, "*batch rgb 4"]:
-        """Radiance for each reflectance of 1: ambient, diffuse, specular, emission.
+        """Basis images: radiance for ρ = 1 of ambient, diffuse, specular and emission.
 
-        With [`PixelTerms.fog_light`][] this is the whole image, save for a clamp at the
-        points.
+        Together with [`PixelTerms.fog_light`][] they give the whole image, unless the
+        shading method clamps light at its points.
 
         **Arguments:** `shininess`: as a parameter of a [`Material`][].
         """
@@ -104,7 +104,7 @@ class PixelTerms(eqx.Module):
         index = self.terms.material_index
         if index is None or self.interpolation is None:
             return index
-        # All points that a pixel interpolates are of the pixel's face, and material.
+        # All points that a pixel interpolates belong to one face, so to one material.
         return index[self.interpolation.index[..., 0]]
 
     def _spread(
@@ -143,14 +143,17 @@ PixelTerms.__init__.__doc__ = """**Arguments:**
 - `interpolation`: from the points to the pixels; `None` if the points are the pixels.
 - `haze`: fog per pixel; `None` without.
 - `clamp`: whether light is cut off at 1 at the points, before interpolation and fog.
-- `factors`: what textures multiply in each pixel; `None` without.
+- `factors`: factors of the textures at each pixel; `None` without textures.
 """
 
 
 def with_model(terms: T, model: AbstractSpecular | None) -> T:
-    """Terms with another specular model: its own arrays are of no point.
+    """Terms with another specular model, or with `None` in its place.
 
-    **Arguments:** `terms`: [`ShadingTerms`][], or what holds them as `terms`.
+    The model's arrays have no axis of points, so it is taken out where points are
+    selected.
+
+    **Arguments:** `terms`: [`ShadingTerms`][], or an object that has them as `terms`.
     """
 
     def own(part: Any) -> Any:
@@ -160,21 +163,21 @@ def with_model(terms: T, model: AbstractSpecular | None) -> T:
 
 
 def _size(used: np.ndarray) -> int:
-    """At least as many points as are used, out of few sizes: each is a compilation."""
+    """Number of points rounded up to a power of 2, since each size is compiled."""
     return 2 ** int(max(len(used) - 1, 63)).bit_length()
 
 
 @program()
 def _rows(arrays: T, pixels: Int[Array, " n"]) -> T:
-    """Some pixels of arrays of all of them, counted row by row."""
+    """Select pixels, by flat indices, from arrays of all pixels."""
     return jax.tree.map(lambda a: a.reshape(-1, a.shape[-1])[pixels], arrays)
 
 
 @program()
 def _gather(terms: ShadingTerms, index: Int[Array, " n"]) -> ShadingTerms:
-    """The terms at some points, counted row by row."""
+    """Select points, by flat indices, from terms of all points."""
     *batch, _ = terms.diffuse.shape
-    # Not −1: without lights, some arrays are empty.
+    # Not `reshape(-1, …)`: without lights, some arrays are empty.
     points = math.prod(batch)
 
     def at(array: Any) -> Array:

@@ -1,4 +1,4 @@
-"""A renderer is trace, terms, radiance and film; nothing more."""
+"""Rendering: trace the geometry, compute terms and radiance, apply the film."""
 
 import dataclasses
 import math
@@ -15,8 +15,8 @@ from phongfit.rendering.pixels import pixel_terms
 from phongfit.scene import Scene
 
 PLAIN = Film()
-"""Where none is given. Made once: to make and hand over a new one takes longer than to
-render a small image."""
+"""The default film. It is made once, since making one for each call takes longer than
+rendering a small image."""
 
 
 @checked

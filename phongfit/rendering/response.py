@@ -1,4 +1,4 @@
-"""A camera's response: which number it writes for how much light."""
+"""Response curves of cameras: the number that is stored for each amount of light."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,10 +17,11 @@ MOST = 65_536
 
 @dataclass(frozen=True, init=False, repr=False)
 class ResponseCurve:
-    """An encoding that is neither linear nor sRGB's: a rising curve, by its samples.
+    """An encoding that is given by samples of a rising curve.
 
-    Linear light at equally spaced encoded values from 0 to 1, with 0 at 0 and 1 at 1,
-    interpolated linearly, so that the inverse is exact. All channels share the curve.
+    The samples are the linear light for equally spaced stored numbers from 0 to 1; they
+    begin with 0 and end with 1. Between them the curve is linear, so that its inverse
+    is exact. All channels share the curve.
     Every argument `encoding` accepts one.
 
         gamma = pf.ResponseCurve([(k / 256) ** 1.8 for k in range(257)])
@@ -50,7 +51,7 @@ class ResponseCurve:
         object.__setattr__(self, "light", tuple(samples.tolist()))
 
     def encode(self, light: Any) -> Any:
-        """Light in [0, 1] as numbers in [0, 1]: arrays of JAX or NumPy, any shape."""
+        """Stored numbers for linear light, both in [0, 1]; arrays of JAX or NumPy."""
         xp = namespace(light)
         numbers, curve = self._samples(xp, light.dtype)
         return xp.interp(light, curve, numbers).astype(light.dtype)
@@ -73,4 +74,4 @@ class ResponseCurve:
 
 
 AS_STORED = ResponseCurve((0.0, 1.0))
-"""Numbers as they stand in a file, whatever they mean."""
+"""The curve that returns the numbers of a file unchanged."""

@@ -22,15 +22,15 @@ from phongfit.reflectance import AbstractSpecular, lambert
 from phongfit.scene import Scene
 from phongfit.vectors import Scalar, Vec3, normalize
 
-# Lights that are written out; more of them are one program, which compiles faster.
+# Most lights that are unrolled; code for more is a loop, which compiles faster.
 AT_ONCE = 16
 
 
 class ShadingTerms(eqx.Module):
-    """The basis images A and D, and what S(f) is made of, light by light.
+    """The basis images A and D, and for each light the cosine and strength of S(f).
 
-    `batch` is () for one point, (N,) for samples, faces or vertices, (height, width)
-    for an image.
+    `batch` is () for one point, (N,) for samples, faces or vertices, (height,
+    width) for an image.
     """
 
     ambient: Float[Array, "*batch 3"]
@@ -47,7 +47,7 @@ class ShadingTerms(eqx.Module):
         shininess = self.leaf("shininess", shininess)
         batch = self.strength.shape[:-2]
         channels = 1 if shininess.ndim == 0 else shininess.shape[-1]
-        # One lobe serves all channels where they share the exponent.
+        # Compute one lobe for all channels if they share the exponent.
         exponent = _spread("shininess", shininess, (*batch, channels))
         if self.exponents is not None:
             exponent = self.exponents[..., None] * exponent
@@ -64,7 +64,7 @@ class ShadingTerms(eqx.Module):
         return jax.lax.scan(add, none, each, unroll=AT_ONCE)[0]
 
     def leaf(self, name: str, leaf: Float[Array, "..."]) -> Float[Array, "..."]:
-        """A parameter of a [`Material`][] at the points, where there are several.
+        """A parameter of a [`Material`][] at each point, if there are many materials.
 
         **Raises:** `ValueError` that names the parameter if it holds too few materials.
         """
@@ -81,12 +81,13 @@ class ShadingTerms(eqx.Module):
 ShadingTerms.__init__.__doc__ = """**Arguments:**
 
 - `ambient`, `diffuse`: RGB for ρ = 1.
-- `cosine`: of the angle from each light's highlight, or all that its lobe takes.
+- `cosine`: cosine of the angle from each light's highlight; a named tuple if the lobe
+    takes more numbers.
 - `strength`: RGB of each light's highlight at its centre, for ρ_s = 1.
 - `model`: turns `cosine` into the height of the highlight.
 - `material_index`: which of `materials` each point is made of: a parameter of shape
     (M, 3) or (M, 1) is then M materials. `None` where there is one.
-- `exponents`: what a texture multiplies the exponent by; `None` without.
+- `exponents`: factor of a texture on the exponent; `None` without a texture.
 """
 
 
@@ -112,7 +113,7 @@ def point_terms(
     to_viewer: Vec3,
     visibility: Float[Array, " lights"] | None = None,
 ) -> ShadingTerms:
-    """The terms at one point.
+    """Terms A, D and the parts of S(f) at one point of a surface.
 
     **Arguments:**
 
@@ -127,31 +128,31 @@ def point_terms(
 
     def of_light(light: AbstractLight, visible: Scalar) -> tuple[Any, ...]:
         arriving = light.illuminate(position)
-        share = model.diffuse_scale() * lambert(normal, arriving.to_light)
-        sent = visible * share * arriving.intensity
+        fraction = model.diffuse_scale() * lambert(normal, arriving.to_light)
+        diffuse_light = visible * fraction * arriving.intensity
         return (
             arriving.ambient,
-            sent if light.directed else sent + light.surround(normal),
+            diffuse_light if light.directed else diffuse_light + light.surround(normal),
             model.cosine(normal, arriving.to_light, to_viewer),
             visible * arriving.specular,
         )
 
     if len(lights) > AT_ONCE:
-        own, diffuses, cosine, strength = _each(of_light, lights, visibility)
-        ambient, diffuse = ambient + own.sum(axis=0), diffuses.sum(axis=0)
+        ambients, diffuses, cosine, strength = _each(of_light, lights, visibility)
+        ambient, diffuse = ambient + ambients.sum(axis=0), diffuses.sum(axis=0)
         return ShadingTerms(ambient, diffuse, cosine, strength, model)
     diffuse = jnp.zeros_like(ambient)
     cosines, strengths = [], []
     for light, visible in zip(lights, visibility, strict=True):
-        added, sent, angle, height = of_light(light, visible)
-        ambient, diffuse = ambient + added, diffuse + sent
-        cosines.append(angle)
-        strengths.append(height)
+        ambient_k, diffuse_k, cosine_k, strength_k = of_light(light, visible)
+        ambient, diffuse = ambient + ambient_k, diffuse + diffuse_k
+        cosines.append(cosine_k)
+        strengths.append(strength_k)
     if lights:
         cosine = jax.tree.map(lambda *each: jnp.stack(each), *cosines)
     else:
-        alike = jax.eval_shape(model.cosine, normal, normal, to_viewer)
-        cosine = jax.tree.map(lambda _: jnp.zeros((0,), dtype), alike)
+        template = jax.eval_shape(model.cosine, normal, normal, to_viewer)
+        cosine = jax.tree.map(lambda _: jnp.zeros((0,), dtype), template)
     return ShadingTerms(
         ambient=ambient,
         diffuse=diffuse,
@@ -232,7 +233,10 @@ def _exponents(scene: Scene, gbuffer: GBuffer) -> Float[Array, "*pixels"] | None
 
 
 def check_exponents(scene: Scene) -> None:
-    """**Raises:** `ValueError` if its shading is none with exponents in the pixels."""
+    """Check that textures of the exponent go with the shading method of a scene.
+
+    **Raises:** `ValueError` for any other method than Phong shading.
+    """
     if not isinstance(scene.shading, PhongShading):
         raise ValueError(
             "textures: one of the exponent needs Phong shading, got "
@@ -281,7 +285,7 @@ def combine(terms: ShadingTerms, material: Material) -> Float[Array, "*batch rgb
 def parts(
     terms: ShadingTerms, material: Material
 ) -> tuple[Float[Array, "*batch rgb"], ...]:
-    """The four that [`combine`][] adds up: emission, ambient, diffuse, specular."""
+    """The terms that [`combine`][] adds: emission, ambient, diffuse, specular."""
     shape = terms.diffuse.shape
 
     def at_points(name: str, leaf: Float[Array, "..."]) -> Array:

@@ -27,5 +27,5 @@ THEMES = {
 
 
 def all_situations() -> list[Situation]:
-    """Every one, theme after theme."""
+    """All situations, theme after theme."""
     return [one for theme in THEMES.values() for one in theme.situations()]

@@ -33,13 +33,13 @@ LAMP = (1.0, 1.0, 2.0)
 
 @dataclasses.dataclass(frozen=True)
 class Situation:
-    """Something that users meet, and what an honest library owes them there.
+    """Something that users meet: how it is drawn and fitted, and how it is judged.
 
     - `name`, `kind`: see [`judge`][];
-    - `ask`: from a generator for each draw to what is said of them;
+    - `ask`: takes a random generator for each draw, returns the answers of their fits;
     - `free`: parameters that the data cannot identify;
     - `wide`: whether intervals may be too wide;
-    - `share`: of the draws asked for, where a draw takes long.
+    - `share`: fraction of the draws to run, below 1 where a draw takes long.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Subject:
 
     @functools.cached_property
     def light(self) -> tuple[Image, ...]:
-        """Of each scene, without noise and not cut off."""
+        """Linear light of each scene, without noise and clamp."""
         return tuple(
             np.asarray(pf.render(scene, self.material, film=UNCLAMPED), float)
             for scene in self.scenes
@@ -67,11 +67,11 @@ class Subject:
 
 
 Draw: TypeAlias = Callable[[np.random.Generator], Subject]
-"""A subject of each draw's own, or one that is not made until it is asked for."""
+"""Makes the subject of a draw: a random one, or the same one each time."""
 
 
 def when_asked(make: Callable[[], Subject]) -> Draw:
-    """One subject that takes long to make, made at its first use."""
+    """A `Draw` that makes its subject at the first use, and returns it each time."""
     made = functools.cache(make)
     return lambda rng: made()
 
@@ -89,12 +89,12 @@ def fits(
     others: Mapping[str, float] | None = None,
     **options: Any,
 ) -> Callable[[Draws], Answers]:
-    """Photographs of a subject, fitted.
+    """A function that photographs and fits a subject once for each draw.
 
     **Arguments:**
 
     - `subject`: the true one, or how to draw it.
-    - `take`: what makes a photograph of light.
+    - `take`: makes a photograph from light.
     - `fitted`: the scenes that the fit is given; default the true ones.
     - `given`, `options`: of the fit.
     - `others`: see [`Shot`][].
@@ -125,7 +125,7 @@ MATERIAL = pf.Material((0.6, 0.3, 0.2), (0.3, 0.25, 0.35), 20.0, (0.5, 0.4, 0.3)
 
 
 def changed(**parameters: Any) -> pf.Material:
-    """The usual material, or one with other parameters."""
+    """The usual material, with these parameters replaced."""
     usual = {name: getattr(MATERIAL, name) for name in ("diffuse", "specular")}
     usual |= {name: getattr(MATERIAL, name) for name in ("shininess", "ambient")}
     return pf.Material(**(usual | parameters))
@@ -143,21 +143,21 @@ def lamp(
 def ball(
     *lights: pf.AbstractLight, size: int = SIZE, ambient: float = 0.3, **changes: Any
 ) -> pf.Scene:
-    """A sphere under one lamp, or under others."""
+    """A sphere under the usual lamp, or under these lights."""
     usual = {"surface": pf.Sphere(), "camera": pf.OrthographicCamera(size, size)}
     return pf.Scene(**(usual | changes), lights=lights or lamp(), ambient=ambient)
 
 
 def usual(material: pf.Material = MATERIAL, *scenes: pf.Scene) -> Subject:
-    """A ball under one lamp, or other scenes."""
+    """A subject of this material: the usual ball under one lamp, or these scenes."""
     return Subject(scenes or (ball(),), material)
 
 
 def noisy(level: float = NOISE) -> Take:
-    """Gaussian noise."""
+    """A function that adds Gaussian noise to light."""
     return lambda light, rng: light + level * rng.normal(size=light.shape)
 
 
 def clamped(take: Take) -> Take:
-    """Cut off at black and white."""
+    """A function that applies `take` and clips the result to [0, 1]."""
     return lambda light, rng: np.clip(take(light, rng), 0, 1)

@@ -25,7 +25,7 @@ from phongfit.fitting.uncertainty.quantiles import student_reach
 
 
 def situations() -> list[Situation]:
-    """All of them."""
+    """All situations with predictions and profiles."""
     predictions = {
         "predicted errors": (usual(), NOISE),
         "predicted errors at a bound": (
@@ -66,7 +66,7 @@ def situations() -> list[Situation]:
 
 
 def predicted(subject: Subject, noise: float) -> Callable[[Draws], Answers]:
-    """Errors that were predicted, put on what fits find."""
+    """Answers of fits, with predicted errors in place of their own."""
 
     def ask(draws: Draws) -> Answers:
         (scene,) = subject.scenes
@@ -105,7 +105,7 @@ def profiled(
 
 
 def of_profile(fit: pf.Fit, label: str, truth: float) -> Said:
-    """An interval, and the error that it would be of."""
+    """A profile's interval, and the standard error that a symmetric one would have."""
     low, high = fit.profile(label, levels=(LEVEL,)).intervals[LEVEL]
     error = (high - low) / 2 / student_reach(LEVEL, fit.degrees_of_freedom)
     found = fit[label]

@@ -1,4 +1,4 @@
-"""At the edges: white and black samples, bounds that bind, what nobody can know."""
+"""At the edges: white and black samples, binding bounds, unidentified parameters."""
 
 from typing import Any
 
@@ -25,12 +25,12 @@ from experiments.honesty.situations.base import (
 
 
 def situations() -> list[Situation]:
-    """All of them."""
+    """All situations at the edges."""
     return [*white(), *bounds(), *unknowable()]
 
 
 def white() -> list[Situation]:
-    """Ever more samples at white."""
+    """Situations with more and more samples at white."""
     shares = (0.01, 0.3, 0.93, 0.97, 0.99)
     takes: dict[str, Any] = {
         f"{share:.0%} white": fits(bright(share), clamped(noisy())) for share in shares
@@ -38,15 +38,15 @@ def white() -> list[Situation]:
     takes["97% white, noise given"] = fits(bright(0.97), clamped(noisy()), noise=NOISE)
     takes["10% at 1 beside negative values"] = fits(bright(0.1, 0.02), cut_above)
     # With nearly no samples left, a warning of doubt is right.
-    faint = tuple(f"{share:.0%}" for share in shares[2:])
+    clipped = tuple(f"{share:.0%}" for share in shares[2:])
     return [
-        Situation(name, "doubtful" if name.startswith(faint) else "right", ask)
+        Situation(name, "doubtful" if name.startswith(clipped) else "right", ask)
         for name, ask in takes.items()
     ]
 
 
 def bright(share: float, ambient: float = 0.3) -> Draw:
-    """The usual ball, lit such that this share of its samples would be past white."""
+    """The usual ball, lit so that this fraction of its samples exceeds white."""
 
     def make() -> Subject:
         light = usual(MATERIAL, ball(ambient=ambient)).light[0]
@@ -58,12 +58,12 @@ def bright(share: float, ambient: float = 0.3) -> Draw:
 
 
 def cut_above(light: Image, rng: np.random.Generator) -> Image:
-    """Cut off at white alone: a dark picture less its black level."""
+    """Noisy light clipped at white only, as after the black level was subtracted."""
     return np.minimum(noisy()(light, rng), 1)
 
 
 def bounds() -> list[Situation]:
-    """The truth on a bound, or near it."""
+    """Situations with the truth on a bound, or near it."""
     matte = usual(changed(shininess=1.5), ball(size=24))
     faint = usual(pf.Material(0.6, 0.1, 1.5, 0.1), ball(lamp(intensity=0.9), size=24))
     narrow = usual(changed(specular=0.51, shininess=500.0), ball(size=24))
@@ -88,7 +88,7 @@ def bounds() -> list[Situation]:
             for name, material in materials.items()
         ),
         *(Situation(name, "right", ask, wide=True) for name, ask in small.items()),
-        # Of two pixels; in noise as large as half of it.
+        # The highlight covers two pixels, and the noise is half as large as it.
         Situation(
             "the same, a narrow highlight", "doubtful", fits(narrow, loud), wide=True
         ),
@@ -154,7 +154,7 @@ def unknowable() -> list[Situation]:
 
 
 def beside_highlight(light: Image, rng: np.random.Generator) -> dict[str, Any]:
-    """Only what the highlight's tail reaches."""
+    """Options with a mask that leaves out the highlight except for its tail."""
     del light, rng
     scene = usual().scenes[0]
     shiny = pf.Material(0.0, 1.0, 20.0, 0.0)
@@ -165,7 +165,7 @@ def beside_highlight(light: Image, rng: np.random.Generator) -> dict[str, Any]:
 def window() -> pf.Scene:
     """A part of the ball around its highlight, so small that all of it is bright.
 
-    Of about as many pixels as the ball has otherwise, which share what is compiled.
+    It has about as many pixels as the usual ball, so compiled programs are shared.
     """
     half = np.array(lamp().direction, float) + (0, 0, 1)
     at = half / np.linalg.norm(half)
@@ -176,5 +176,5 @@ def window() -> pf.Scene:
 
 
 def overexposed(light: Image, rng: np.random.Generator) -> Image:
-    """White wherever there is something to see."""
+    """A photograph in which every pixel of the ball is white."""
     return np.where(light > 0, 1.0, clamped(noisy())(light, rng))

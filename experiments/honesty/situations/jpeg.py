@@ -27,7 +27,7 @@ from phongfit.files.images import from_levels, to_levels
 from phongfit.rendering.film import Film
 
 NOISE = 0.003
-# As Pillow counts: every pixel has its colour, or four share one.
+# Pillow's numbers: a colour for each pixel, or for each 2 × 2 pixels.
 SAMPLINGS = {"4:4:4": 0, "4:2:0": 2}
 
 
@@ -44,7 +44,8 @@ def situations() -> list[Situation]:
     for quality in (75, 90, 95):
         for sampling in SAMPLINGS:
             for known in (True, False):
-                # To see that an image has blocks takes more than a few dozen of them.
+                # Blocks can be detected only if there are more than a few dozen of
+                # them.
                 draw = functools.partial(any_ball, size=SIZE if known else LARGE)
                 ask = jpeg_fits(draw, quality, sampling, known)
                 origin = "its film known" if known else "of unknown origin"
@@ -70,7 +71,7 @@ def any_ball(rng: np.random.Generator, size: int) -> Subject:
 def jpeg_fits(
     draw: Draw, quality: int, sampling: str, known: bool
 ) -> Callable[[Draws], Answers]:
-    """Fits of photographs that were JPEG files."""
+    """A function that fits photographs read from JPEG files, one for each draw."""
 
     def shots(draws: Draws) -> Iterator[Shot]:
         for rng in draws:

@@ -20,7 +20,7 @@ from phongfit.fitting.problem.losses import LOSSES
 
 
 def situations() -> list[Situation]:
-    """All of them."""
+    """All situations with losses."""
     sharp = usual(changed(shininess=600.0, specular=0.5))
     found: list[Situation] = []
     for loss in LOSSES:
@@ -47,13 +47,13 @@ def situations() -> list[Situation]:
 
 
 def lit_twice() -> Subject:
-    """A second highlight, of a lamp without diffuse light."""
+    """A ball with a second highlight, of a lamp without diffuse light."""
     shine = pf.DirectionalLight((-1.0, -0.5, 1.5), 0.0, specular=0.6)
     return usual(changed(shininess=60.0), ball(lamp(), shine))
 
 
 def with_lobe() -> Take:
-    """Around the highlight there is a fainter, wider one."""
+    """A function that adds a fainter, wider highlight, and noise."""
     wide = usual(pf.Material(0.0, 0.05, 15.0, 0.0))
 
     def take(light: Image, rng: np.random.Generator) -> Image:
@@ -63,7 +63,7 @@ def with_lobe() -> Take:
 
 
 def garbage(share: float) -> Take:
-    """A noisy image in which some samples, a fraction `share`, are random numbers."""
+    """A function that adds noise and replaces some samples by random numbers."""
 
     def take(light: Image, rng: np.random.Generator) -> Image:
         random_values = rng.random(light.shape)
@@ -74,7 +74,7 @@ def garbage(share: float) -> Take:
 
 
 def scratch(light: Image, rng: np.random.Generator) -> Image:
-    """Two rows of pixels are white."""
+    """A noisy photograph with a white scratch in two rows of pixels."""
     image = noisy()(light, rng)
     image[34:36, 12:30] = 0.95
     return image

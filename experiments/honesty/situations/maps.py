@@ -26,12 +26,12 @@ Materials = Callable[[np.random.Generator, tuple[int, int]], pf.Material]
 
 
 Spoil = Callable[[Stack, np.random.Generator], tuple[Stack, Mapping[str, Any]]]
-"""What becomes of photographs, and what the map knows of it."""
+"""Changes photographs; returns them, and options of the map such as a mask."""
 
 
 def situations() -> list[Situation]:
-    """All of them."""
-    # Told as a mask of all samples, so that more maps share what is compiled.
+    """All situations with maps."""
+    # `whole` gives a mask of all samples, so that more maps share compiled programs.
     given: Any = {"noise": NOISE}
     right: dict[str, Any] = {
         "maps": maps(),
@@ -80,7 +80,7 @@ def maps(
     level: float = NOISE,
     **options: Any,
 ) -> Callable[[Draws], Answers]:
-    """A map, of which every pixel has its own material and noise of this level."""
+    """A function that fits a map in which every pixel has its own random material."""
 
     def ask(draws: Draws) -> Answers:
         rng = draws[0]
@@ -122,7 +122,7 @@ def photographs(
 
 
 def any_material(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
-    """Inside the box; highlights reach every pixel."""
+    """Random materials within the bounds; highlights reach every pixel."""
     return pf.Material(
         diffuse=rng.uniform(0.15, 0.4, (*size, 3)),
         specular=rng.uniform(0.2, 0.4, (*size, 3)),
@@ -132,7 +132,7 @@ def any_material(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material
 
 
 def at_bounds(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
-    """A third of the reflectances is 0."""
+    """Random materials; a third of the reflectances ρ_d and ρ_a is 0."""
     inside = any_material(rng, size)
 
     def some(leaf: Any) -> np.ndarray:
@@ -144,7 +144,7 @@ def at_bounds(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
 
 
 def bright_red(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
-    """Red is past white under some of the lamps."""
+    """Random materials whose red channel exceeds white under some of the lamps."""
     usual = any_material(rng, size)
     diffuse, specular = np.array(usual.diffuse), np.array(usual.specular)
     diffuse[..., 0] = rng.uniform(0.6, 0.9, size)
@@ -155,30 +155,30 @@ def bright_red(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
 
 
 def matte(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
-    """No pixel has a highlight."""
+    """Random materials without a highlight."""
     return dataclasses.replace(any_material(rng, size), specular=jnp.zeros((*size, 3)))
 
 
 def whole(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str, Any]]:
-    """Every sample is used."""
+    """Give a mask that is true for every sample."""
     del rng
     return images, {"mask": np.ones(images.shape[1:], bool)}
 
 
 def mosaic(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str, Any]]:
-    """A Bayer filter that moved between the photographs: a sample has one channel."""
+    """Mask all but one random channel of each pixel, as a moving Bayer filter does."""
     lights, *size, _ = images.shape
     channel = rng.choice(3, size=(lights, *size), p=(0.25, 0.5, 0.25))
     return images, {"mask": list(channel[..., None] == np.arange(3))}
 
 
 def missing(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str, Any]]:
-    """A quarter of the samples is left out, channel by channel."""
+    """Mask a quarter of the samples, channel by channel."""
     return images, {"mask": list(rng.random(images.shape) > 0.25)}
 
 
 def masked(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str, Any]]:
-    """Nothing is known of red."""
+    """Mask all samples of red."""
     del rng
     return images, {"mask": np.broadcast_to([False, True, True], images.shape[1:])}
 
@@ -194,7 +194,7 @@ def saturated(
 def shadowed(
     images: Stack, rng: np.random.Generator
 ) -> tuple[Stack, Mapping[str, Any]]:
-    """Under a quarter of the lamps something else takes half of the light."""
+    """Halve the light of a quarter of the lamps."""
     del rng
     dark = images.copy()
     dark[: len(images) // 4] *= images.dtype.type(0.5)
@@ -202,14 +202,14 @@ def shadowed(
 
 
 def garbage(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str, Any]]:
-    """Some samples are anything."""
+    """Replace a tenth of the samples by random numbers."""
     anything = rng.random(images.shape).astype(images.dtype)
     spoilt = np.where(rng.random(images.shape) < 0.1, anything, images)
     return spoilt, {"mask": np.ones(images.shape[1:], bool)}
 
 
 def of_maps(found: pf.Maps, truth: pf.Material) -> Answers:
-    """Every pixel as a draw, every flag as a warning."""
+    """Answers of a map, with every pixel as a draw and every flag as a warning."""
     columns = [column for leaf in PARAMETERS for column in _columns(found, truth, leaf)]
     labels, value, error, true = zip(*columns, strict=True)
     estimate, error, true = (

@@ -27,7 +27,7 @@ PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 
 
 def situations() -> list[Situation]:
-    """All of them."""
+    """All situations with a right model."""
     spot = pf.SpotLight((2, 2, 3), (-2, -2, -3), 0.9, cutoff=40, exponent=2)
     subjects: dict[str, Subject | Draw] = {
         "one lamp": usual(),
@@ -68,7 +68,7 @@ def two(**changes: Any) -> pf.Scene:
 
 
 def any_material(rng: np.random.Generator) -> Subject:
-    """Inside the box, with a highlight that is seen."""
+    """A ball of a random material within the bounds, with a visible highlight."""
     material = pf.Material(
         diffuse=rng.uniform(0.1, 0.9, 3),
         specular=rng.uniform(0.15, 0.8, 3),
@@ -79,7 +79,7 @@ def any_material(rng: np.random.Generator) -> Subject:
 
 
 def grey_noise(light: Image, rng: np.random.Generator) -> Image:
-    """A grey camera's file: three equal channels have the noise of one."""
+    """Add noise that is the same in all three channels, as in a grey camera's file."""
     return light + NOISE * rng.normal(size=(*light.shape[:2], 1))
 
 
@@ -96,7 +96,7 @@ def mesh(shading: pf.AbstractShading) -> Draw:
 
 
 def three_materials() -> Subject:
-    """Bands around a ball of triangles."""
+    """A ball of triangles with three bands of different materials."""
     whole = unit_ball(24)
     heights = np.asarray(whole.vertices)[np.asarray(whole.faces)].mean(axis=1)[:, 1]
     bands = np.digitize(heights, (-0.3, 0.35))

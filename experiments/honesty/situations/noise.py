@@ -19,12 +19,12 @@ from experiments.honesty.situations.base import (
 from experiments.honesty.situations.models import any_material
 from phongfit.rendering.film import decode, encode
 
-# Shot noise: its variance is so much of the light, and that of reading on top.
+# Variance of shot noise for light of 1, and standard deviation of the read noise.
 SHOT, READ = 4e-4, 0.003
 
 
 def situations() -> list[Situation]:
-    """All of them."""
+    """All situations with kinds of noise."""
     right: dict[str, Any] = {
         "noise 0.0001": fits(usual(), noisy(1e-4)),
         "noise 0.05": fits(usual(), noisy(0.05)),
@@ -65,7 +65,7 @@ def situations() -> list[Situation]:
 
 
 def film(encoding: Any, bits: int, level: float) -> Take:
-    """A file of so many bits, read back."""
+    """A function that adds noise, and rounds the encoded light to `bits` bits."""
     top = 2**bits - 1
 
     def take(light: Image, rng: np.random.Generator) -> Image:
@@ -76,22 +76,22 @@ def film(encoding: Any, bits: int, level: float) -> Take:
 
 
 def uniform(light: Image, rng: np.random.Generator) -> Image:
-    """No value is far off."""
+    """Add uniform noise, which has no large deviations."""
     return light + NOISE * rng.uniform(-np.sqrt(3), np.sqrt(3), light.shape)
 
 
 def laplace(light: Image, rng: np.random.Generator) -> Image:
-    """More values are far off than Gauss's noise has."""
+    """Add Laplace's noise, with more large deviations than Gaussian noise."""
     return light + rng.laplace(0, NOISE / np.sqrt(2), light.shape)
 
 
 def shot_variance(light: Image) -> Image:
-    """Of photons, and of reading them."""
+    """Variance of shot noise and read noise."""
     return SHOT * np.maximum(light, 0) + READ**2
 
 
 def shot_noise(light: Image, rng: np.random.Generator) -> Image:
-    """More noise where there is more light."""
+    """Add noise whose variance grows with the light."""
     return light + np.sqrt(shot_variance(light)) * rng.normal(size=light.shape)
 
 
@@ -108,19 +108,19 @@ def shot_weights(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
 
 
 def smoothed(light: Image, rng: np.random.Generator) -> Image:
-    """As of a camera that fills in colours: neighbours share their noise."""
+    """Add noise that neighbours share, as after a camera's interpolation of colours."""
     fresh = rng.normal(size=light.shape)
     shared = (fresh + np.roll(fresh, 1, axis=0)) / np.sqrt(2)
     return light + NOISE * (shared + np.roll(shared, 1, axis=1)) / np.sqrt(2)
 
 
 def red_noise(light: Image, rng: np.random.Generator) -> Image:
-    """One channel has three times the noise of the others."""
+    """Add noise, three times as much in red as in the other channels."""
     return light + NOISE * np.array([3.0, 1.0, 1.0]) * rng.normal(size=light.shape)
 
 
 def hole(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
-    """A disc that is left out, with a part of the highlight."""
+    """Options with a mask that leaves out a disc, with a part of the highlight."""
     del rng
     rows, columns = np.indices(light.shape[:2])
     middle = np.array(light.shape[:2]) * (0.42, 0.6)
@@ -129,7 +129,7 @@ def hole(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
 
 
 def mosaic(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
-    """Every pixel has one channel, as behind a Bayer filter."""
+    """Options with a mask of one channel for each pixel, as behind a Bayer filter."""
     del rng
     mask = np.zeros(light.shape, bool)
     mask[::2, ::2, 0] = mask[1::2, 1::2, 2] = True

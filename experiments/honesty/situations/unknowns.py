@@ -24,23 +24,23 @@ from experiments.honesty.situations.base import (
 
 USUAL = ("ambient", "diffuse", "specular", "shininess")
 EXPOSURES = (1.0, 0.7, 1.4)
-# About the world's axes, degrees.
+# Rotation of the camera about the world's axes, degrees.
 TURN = (0.6, -0.8, 2.0)
 TURN_LABELS = tuple(f"scene.camera.rotation.{axis}" for axis in "xyz")
 
 
 def situations() -> list[Situation]:
-    """All of them."""
+    """All situations with unknowns of scenes, ties and priors."""
     return [*of_scenes(), *known_beforehand()]
 
 
 def small(*lights: pf.AbstractLight, **changes: Any) -> pf.Scene:
-    """A ball of few pixels: much is tried from many starts."""
+    """A ball of few pixels, since these fits try many starts."""
     return ball(*lights, size=SMALL, **changes)
 
 
 def of_scenes() -> list[Situation]:
-    """Light, place and camera unknown."""
+    """Situations with unknowns of lights, surface and camera."""
     bulb, guess = (pf.PointLight(at, 0.6) for at in ((2, 1.5, 2.5), (1.5, 2, 3)))
     cone, wider = (
         pf.SpotLight((1, 1, 3), (-1, -1, -3), 0.6, cutoff=angle) for angle in (12, 14)
@@ -180,7 +180,7 @@ def of_scenes() -> list[Situation]:
 
 
 def tilted(degrees: float) -> np.ndarray:
-    """The lamp's direction, turned away from where it is, through the viewer's."""
+    """The lamp's direction, turned by an angle towards the viewer's direction."""
     way = np.asarray(lamp().direction, float)
     across = np.array([0, 0, 1]) - way[2] * way
     across /= np.linalg.norm(across)
@@ -189,7 +189,7 @@ def tilted(degrees: float) -> np.ndarray:
 
 
 def turned_camera(degrees: Sequence[float]) -> pf.OrthographicCamera:
-    """The usual camera, turned from where it looks along −z."""
+    """The usual camera, rotated from its view along −z."""
     turn = Rotation.from_rotvec(degrees, degrees=True).as_matrix()
     return pf.OrthographicCamera(SMALL, SMALL, rotation=turn)
 
@@ -211,13 +211,13 @@ def exposed(times: Sequence[float]) -> tuple[pf.Scene, ...]:
 
 
 def bulbs(x: float) -> tuple[pf.PointLight, pf.PointLight]:
-    """One at each side; the right one is brighter, so that they cannot be swapped."""
+    """Two bulbs, one at each side; the right one is brighter, so they differ."""
     right = pf.PointLight((x, 1.0, 2.5), 0.5)
     return right, pf.PointLight((-x, 1.0, 2.5), 0.25)
 
 
 def mirrored() -> dict[str, Any]:
-    """The second bulb is the first one's mirror image."""
+    """Ties that make the second bulb the mirror image of the first."""
     one, other = ("scene.lights[0].position", "scene.lights[1].position")
     return {
         f"{other}.x": (-1.0, f"{one}.x"),
@@ -227,7 +227,7 @@ def mirrored() -> dict[str, Any]:
 
 
 def known_beforehand() -> list[Situation]:
-    """Ties and priors, right and wrong ones."""
+    """Situations with right and with wrong ties and priors."""
     even = changed(specular=0.3)
     red = {"specular.green": "specular.red", "specular.blue": "specular.red"}
     half = {"diffuse.green": (0.5, "diffuse.red")}
@@ -252,7 +252,7 @@ def known_beforehand() -> list[Situation]:
 
 
 def prior(center: float, deviation: float, cut: bool = False) -> Any:
-    """On the exponent: as of a measurement that was off by its own error."""
+    """Fits with a prior on the exponent whose centre is a noisy measurement."""
 
     def given(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
         del light

@@ -1,4 +1,4 @@
-"""The model is wrong: what is fitted is not what was photographed."""
+"""The model is wrong: the fitted scene or model differs from the true one."""
 
 from collections.abc import Callable
 
@@ -29,7 +29,7 @@ from phongfit.rendering.film import Encoding, decode, encode
 
 
 def situations() -> list[Situation]:
-    """All of them."""
+    """All situations with a wrong model."""
     asked: dict[str, Callable[[Draws], Answers]] = {
         "f held at 66 for 60": held(ball(size=LARGE)),
         "the same, four images": held(*four_balls(size=LARGE)),
@@ -52,19 +52,19 @@ def situations() -> list[Situation]:
 
 
 def held(*scenes: pf.Scene) -> Callable[[Draws], Answers]:
-    """The exponent is taken for known, and a little off."""
+    """Fits that hold the exponent at 66 while the true one is 60."""
     subject = usual(changed(shininess=60.0), *scenes)
     return fits(subject, noisy(), fixed={"shininess": 66.0})
 
 
 def lamp_left_out(share: float, size: int, noise: float) -> Callable[[Draws], Answers]:
-    """A second, weak lamp that the fitted scene lacks."""
+    """Fits of a scene that lacks the weaker one of two lamps."""
     both = ball(lamp(), lamp((-1, -0.4, 1), 0.6 * share), size=size)
     return fits(usual(MATERIAL, both), noisy(noise), fitted=ball(size=size))
 
 
 def apart(specular: pf.AbstractSpecular | None = None) -> Subject:
-    """Two lamps far apart: the models turn their highlights differently."""
+    """A ball under two lamps far apart: the models' highlights turn differently."""
     lamps = lamp(), lamp((-1.0, -0.4, -0.2))
     return usual(MATERIAL, ball(*lamps, specular_model=specular))
 
@@ -78,7 +78,7 @@ def turned(degrees: float) -> tuple[float, float, float]:
 
 
 def read_as(written: Encoding, read: Encoding) -> Take:
-    """A file in one encoding, read in another."""
+    """A function that stores noisy light in one encoding, and reads it in another."""
 
     def take(light: Image, rng: np.random.Generator) -> Image:
         return decode(encode(clamped(noisy())(light, rng), written), read)
@@ -87,55 +87,55 @@ def read_as(written: Encoding, read: Encoding) -> Take:
 
 
 def gamma(light: Image, rng: np.random.Generator) -> Image:
-    """A screen's curve in place of the standard's: little noise shows it."""
+    """Encode by gamma 2.2 and decode as sRGB; the noise is low enough to show this."""
     return decode(clamped(noisy(0.0015))(light, rng) ** (1 / 2.2), "srgb")
 
 
 def places(light: Image) -> tuple[np.ndarray, np.ndarray]:
-    """x to the right and y up, from −1 to 1, with an axis of one channel."""
+    """x to the right and y up, from −1 to 1, of shape (H, W, 1)."""
     steps = [(np.arange(n) + 0.5) / n * 2 - 1 for n in light.shape[:2]]
     y, x = np.meshgrid(-steps[0], steps[1], indexing="ij")
     return x[..., None], y[..., None]
 
 
 def ground(light: Image, rng: np.random.Generator) -> Image:
-    """A table sends some light back from below."""
+    """Add light that a table reflects from below, and noise."""
     _, y = places(light)
     seen = light.any(axis=-1, keepdims=True)
     return noisy()(light + np.where(seen, 0.03 * (1 - y) / 2, 0), rng)
 
 
 def vignetting(light: Image, rng: np.random.Generator) -> Image:
-    """A lens is darker towards its corners, by 5 % at the ball's rim."""
+    """Darken the image towards its corners, by 5 % at the ball's rim; add noise."""
     x, y = places(light)
     return noisy()(light * (1 - 0.06 * (x**2 + y**2)), rng)
 
 
 def blurred(light: Image, rng: np.random.Generator) -> Image:
-    """By a pixel; noise comes after the lens."""
+    """Blur the light by a pixel, and add noise afterwards."""
     return noisy()(gaussian_filter(light, (1, 1, 0)), rng)
 
 
 def shifted() -> pf.Scene:
-    """The ball half a pixel to the right."""
+    """The scene with the ball half a pixel to the right."""
     half = 0.5 * 2.2 / 48
     return ball(surface=pf.Sphere(center=(half, 0.0, 0.0)))
 
 
 def shadowed(light: Image, rng: np.random.Generator) -> Image:
-    """Something in the lamp's way darkens a disc."""
+    """Darken a disc, as an object in the lamp's way does; add noise."""
     x, y = places(light)
     disc = (x + 0.2) ** 2 + (y - 0.1) ** 2 < 0.15**2
     return noisy()(np.where(disc, 0.6 * light, light), rng)
 
 
 def rippled(light: Image, rng: np.random.Generator) -> Image:
-    """The surface is painted with stripes of 2 %."""
+    """Modulate the light by stripes of 2 %, and add noise."""
     x, _ = places(light)
     return noisy()(light * (1 + 0.02 * np.sin(9 * x)), rng)
 
 
 def black_level(light: Image, rng: np.random.Generator) -> Image:
-    """A camera adds a hundredth in the dark, in bands of rows."""
+    """Add a black level of 0.01 in every other band of rows, and noise."""
     band = (np.arange(len(light)) // 12 % 2)[:, None, None]
     return noisy()(light + 0.01 * band, rng)

@@ -1,7 +1,7 @@
-r"""Directions and rotations as numbers that may be anything.
+r"""Directions and rotations as unconstrained numbers.
 
-A direction is two numbers on the plane that touches the sphere in a base; a rotation is
-three angles from where it was.
+A direction is two coordinates on the tangent plane of the sphere at a base direction; a
+rotation is three angles relative to the first rotation.
 """
 
 import jax.numpy as jnp
@@ -20,8 +20,8 @@ def on_sphere(
     r"""The direction at `y` of the stereographic chart around `base`.
 
     $\frac{(1 - q) b + y_1 a_1 + y_2 a_2}{1 + q}$ with $q = |y|^2 / 4$: every direction
-    but $-b$ has one `y`, and angles stay angles. Near the base a step is an angle in
-    radians; $|y| = 2$ is a quarter of a circle away.
+    but $-b$ has one `y`, and the map is conformal. Near the base a step is an angle in
+    radians; $|y| = 2$ is 90° from the base.
     """
     quarter = dot(y, y) / 4
     moved = (1 - quarter) * base + y[0] * across[0] + y[1] * across[1]
@@ -55,13 +55,14 @@ def turned(
     r"""A rotation, turned about its own axes: $R \exp([\omega]_\times)$.
 
     With $\theta = |\omega|$ and $s = \sin(\theta / 2) / (\theta / 2)$ it is $R (1 + s
-    \cos(\theta / 2) [\omega]_\times + \tfrac12 s^2 [\omega]_\times^2)$, which keeps its
-    digits near 0.
+    \cos(\theta / 2) [\omega]_\times + \tfrac12 s^2 [\omega]_\times^2)$, which is
+    accurate near 0.
 
     **Arguments:**
 
     - `start`: $R$, whose columns are the axes.
-    - `degrees`: $\omega$, about these; small ones are turns about one after the other.
+    - `degrees`: $\omega$, about these axes; small angles are rotations about the three
+        axes.
 
     ??? cite "Source"
         Rodrigues, *Des lois géométriques qui régissent les déplacements d'un système
@@ -72,17 +73,17 @@ def turned(
     turning = squared > 0
     # The double where: derivatives at 0 are those of the limits.
     half = jnp.sqrt(jnp.where(turning, squared, 1)) / 2
-    share = jnp.where(turning, jnp.sin(half) / half, 1)
+    ratio = jnp.where(turning, jnp.sin(half) / half, 1)
     cosine = jnp.where(turning, jnp.cos(half), 1)
     zero = jnp.zeros_like(x)
     cross = jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
     twice = jnp.matmul(cross, cross, precision=EXACT)
-    turn = jnp.eye(3, dtype=cross.dtype) + share * cosine * cross
-    return jnp.matmul(start, turn + share**2 / 2 * twice, precision=EXACT)
+    turn = jnp.eye(3, dtype=cross.dtype) + ratio * cosine * cross
+    return jnp.matmul(start, turn + ratio**2 / 2 * twice, precision=EXACT)
 
 
 def nearest_rotation(matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """The exact rotation that is nearest to axes which are orthonormal almost.
+    """The rotation nearest to a matrix with nearly orthonormal columns.
 
     ??? cite "Source"
         Higham, *Computing the polar decomposition - with applications*, SIAM J. Sci.

@@ -1,4 +1,4 @@
-"""What a user hands to a fit, checked and in one form."""
+"""Checks of the data of a fit: scenes, images, masks, weights and noise."""
 
 import dataclasses
 from collections.abc import Iterable, Sequence
@@ -13,10 +13,10 @@ from phongfit.scene import Scene
 
 @dataclasses.dataclass(frozen=True)
 class Observation:
-    """One image, its scene, and how much each of its samples counts.
+    """One image, its scene, and the weights of its samples.
 
-    The weight is (1, 1, 1) where that is the same for all: most images come like this,
-    and what is not written need not be read.
+    The weight has shape (1, 1, 1) if it is the same for all samples, which saves
+    memory.
     """
 
     name: str
@@ -25,7 +25,7 @@ class Observation:
     weight: np.ndarray
 
     def used(self) -> np.ndarray:
-        """Values of the samples that count, in any shape."""
+        """Values of the samples with a weight above 0, in any shape."""
         used = self.weight > 0
         if used.all():
             return self.image
@@ -33,7 +33,7 @@ class Observation:
 
 
 def as_scenes(scene: Scene | Sequence[Scene]) -> tuple[Scene, ...]:
-    """The argument of [`fit`][] as a sequence, of scenes that are lit alike.
+    """The scenes as a tuple, checked to share specular model, shading and the like.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -49,7 +49,8 @@ def as_photographs(
 ) -> list[Observation]:
     """Arguments of [`fit`][] as a list of photographs.
 
-    **Raises:** `ValueError` that names the argument, and which of several it is.
+    **Raises:** `ValueError` that names the argument, with its index if there are
+    several.
     """
     single, scenes = isinstance(scene, Scene), as_scenes(scene)
     images = [image] if single else entries("image", image, len(scenes))
@@ -68,7 +69,7 @@ def as_photographs(
 
 
 def _check_alike(scenes: Sequence[Scene]) -> None:
-    """Images of one fit may differ in light and view, not in how light is computed."""
+    """Check that scenes differ in lights and views only, not in their models."""
     for what, of in (
         ("specular model", lambda s: s.specular_model),
         ("shading", lambda s: s.shading),
@@ -80,17 +81,17 @@ def _check_alike(scenes: Sequence[Scene]) -> None:
 
 
 def is_number(given: Any) -> bool:
-    """Whether one number came for all samples."""
+    """Whether the argument is one number for all samples."""
     # NumPy would make an array of a list first, which fails for images of two sizes.
     return not isinstance(given, list | tuple) and not as_array("noise", given).ndim
 
 
 def entries(name: str, given: Any, count: int | None = None) -> list[Any]:
-    """What was given for several scenes; `ValueError` names `name`."""
+    """An argument for several scenes as a list; `ValueError` names `name`."""
     try:
         found = list(given)
     except Exception as error:
-        # Objects may fail in any way when they are asked.
+        # Iteration runs code of the object's class, which may raise anything.
         many = "" if count is None else f" of {count}"
         raise ValueError(
             f"{name}: expected a sequence{many}, one a scene, got "
@@ -160,13 +161,13 @@ def _photograph(
 def _where_used(
     name: str, given: Any, weight: np.ndarray, shape: tuple[int, ...]
 ) -> np.ndarray:
-    """As `_per_sample`; 1 where a sample has no weight, whatever was given there."""
+    """As `_per_sample`, with 1 in place of the values of samples without weight."""
     values = _per_sample(name, given, shape)
     return values if weight.all() else np.where(weight > 0, values, 1)
 
 
 def _per_sample(name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """A number, (H, W) or (H, W, 3) as (H, W, 3)."""
+    """An argument of shape (), (H, W) or (H, W, 3) as (H, W, 3)."""
     unmasked(name, given)
     values = as_array(name, given)
     if values.dtype.kind not in "bfiu":

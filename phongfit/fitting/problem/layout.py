@@ -1,4 +1,4 @@
-"""From what a user names to [`Unknowns`][]: bounds, fixed values, ties, priors."""
+"""Make [`Unknowns`][] from a specification: bounds, fixed values, ties, priors."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -27,20 +27,20 @@ from phongfit.material import Material
 from phongfit.scene import Scene
 
 SINGULAR = 1e-6
-"""Share of the mean variance below which a combination has none."""
+"""Variance of a combination, relative to the mean, below which it counts as 0."""
 
 
 def make_unknowns(
     specification: Specification, materials: int = 1, scenes: Sequence[Scene] = ()
 ) -> Unknowns:
-    """The unknowns of a fit, checked; of `materials` materials each has its own.
+    """The unknowns of a fit, checked; each of `materials` materials has its own.
 
     **Raises:** `ValueError` that names the argument and the entry that is wrong.
     """
     bounds, fixed, ties = (
         getattr(specification, name) for name in ("bounds", "fixed", "ties")
     )
-    # Where nothing is known, no light comes back.
+    # By default all known reflectances are 0.
     known = specification.known
     known = Material(0.0, 0.0, 32.0, 0.0) if known is None else known
     parameters = _parameters(specification, known, materials, scenes)
@@ -78,7 +78,7 @@ def make_unknowns(
     base = first[direction].reshape(-1, 3)
     base = base / np.maximum(np.linalg.norm(base, axis=1, keepdims=True), 1e-30)
     kind = jnp.result_type(float)
-    # One transfer for all: each takes its time.
+    # One transfer to the device for all arrays, since each takes time.
     arrays = jax.device_put(
         {
             name: values.astype(kind)
@@ -114,7 +114,7 @@ def make_unknowns(
 
 
 def _relights(parameters: tuple[Parameter, ...], scenes: Sequence[Scene]) -> bool:
-    """Whether an unknown moves more than the heights of lobes."""
+    """Whether an unknown changes more than the heights of lobes."""
     names = [one.name for one in parameters if is_of_scene(one.name)]
     if not all(map(is_of_model, names)):
         return True
@@ -122,7 +122,7 @@ def _relights(parameters: tuple[Parameter, ...], scenes: Sequence[Scene]) -> boo
 
 
 class _Names:
-    """From a parameter's or an entry's name to indices of entries."""
+    """Indices of entries, by the names of parameters or entries."""
 
     def __init__(self, parameters: tuple[Parameter, ...]):
         self.labels = [label for one in parameters for label in one.labels]
@@ -142,7 +142,7 @@ class _Names:
                 self._of.setdefault(name, []).append(entry)
 
     def entries(self, argument: str, name: str) -> np.ndarray:
-        """**Raises:** `ValueError` if nothing that is unknown has this name."""
+        """Indices of the entries with this name; `ValueError` for other names."""
         if name not in self._of:
             there = ", ".join(
                 dict.fromkeys((*[f.name for f in self.parameter], *self.labels))
@@ -151,7 +151,7 @@ class _Names:
         return np.array(self._of[name])
 
     def numbers(self, argument: str, name: str, given: Any) -> np.ndarray:
-        """One number for each entry of a name, from one for all or one each."""
+        """Numbers for all entries of a name; one number stands for all of them."""
         entries = self.entries(argument, name)
         try:
             values = np.broadcast_to(np.asarray(given, float).ravel(), entries.shape)
@@ -174,7 +174,7 @@ def _parameters(
         if shape not in ((), (1,), (3,), *rows):
             wanted = " or ".join(map(str, ((), (3,), *rows)))
             raise ValueError(f"known: {name}: expected shape {wanted}, got {shape}")
-    # In the order of the table that users read, whatever the order they were named in.
+    # In the order of the printed table, not in that of the argument.
     ordered = [name for name in MATERIAL_PARAMETERS if name in asked.unknowns]
     ordered += [name for name in asked.unknowns if name not in MATERIAL_PARAMETERS]
     parameters = tuple(
@@ -203,28 +203,28 @@ def first_values(
     scenes: Sequence[Scene],
     material: Material | None = None,
 ) -> np.ndarray:
-    """What scenes and material say of all entries; 1 where they say nothing."""
+    """Values of all entries in the scenes and the material; 1 where they have none."""
     values = []
     for one in parameters:
         size = (len(one.rows), len(one.parts))
-        said = np.ones(())
+        given_values = np.ones(())
         if one.form == "rotation":
-            # Angles from where it is.
-            said = np.zeros(())
+            # Angles are relative to the scene's rotation.
+            given_values = np.zeros(())
         elif is_of_scene(one.name):
             arrays = [scene_arrays(scene)[one.name] for scene in scenes[: size[0]]]
-            said = np.stack([np.asarray(a, float).ravel() for a in arrays])
+            given_values = np.stack([np.asarray(a, float).ravel() for a in arrays])
         elif material is not None and one.name in MATERIAL_PARAMETERS:
-            said = np.asarray(getattr(material, one.name), float)
-        if said.shape[-1:] == (3,) and size[1] == 1:
+            given_values = np.asarray(getattr(material, one.name), float)
+        if given_values.shape[-1:] == (3,) and size[1] == 1:
             # One number for three colours: their mean.
-            said = said.mean(axis=-1, keepdims=True)
-        values.append(np.broadcast_to(said, size).ravel())
+            given_values = given_values.mean(axis=-1, keepdims=True)
+        values.append(np.broadcast_to(given_values, size).ravel())
     return np.concatenate(values)
 
 
 def _scales(parameters: tuple[Parameter, ...], first: np.ndarray) -> np.ndarray:
-    """Units in which the numbers of a scene are of order 1."""
+    """Units in which the scene's entries are of order 1."""
     scales, ends = [], np.cumsum([one.size for one in parameters])
     for one, end in zip(parameters, ends, strict=True):
         scale = np.abs(first[end - one.size : end]).max()
@@ -239,7 +239,7 @@ def _scales(parameters: tuple[Parameter, ...], first: np.ndarray) -> np.ndarray:
 def _rotations(
     parameters: tuple[Parameter, ...], scenes: Sequence[Scene]
 ) -> np.ndarray:
-    """(rotations, 3, 3): where those that are unknown start, exactly orthonormal."""
+    """First values of the unknown rotations, exactly orthonormal, (rotations, 3, 3)."""
     found = [
         nearest_rotation(np.asarray(scene_arrays(scene)[one.name]))
         for one in parameters
@@ -254,7 +254,7 @@ def _held(
     fixed: Mapping[str, Any],
     ties: Mapping[str, Tie],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of each entry: factor, offset, whether it is fixed, and whose number it takes."""
+    """For each entry: factor, offset, whether fixed, and the entry it is tied to."""
     size = len(names.labels)
     factor, offset = np.ones(size), np.zeros(size)
     is_fixed, source = np.zeros(size, bool), np.arange(size)
@@ -323,7 +323,7 @@ def _followed(
     is_fixed: np.ndarray,
     source: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Ties to what is itself tied or fixed, followed to where they end."""
+    """Resolve ties to entries that are themselves tied or fixed."""
     for entry in range(len(source)):
         while source[source[entry]] != source[entry]:
             target = source[entry]
@@ -342,7 +342,7 @@ def _boxes(
     """Lower and upper bounds of all entries in the user's units."""
     low, high = np.array([one.default_bounds for one in names.parameter]).T.copy()
     for name, box in bounds.items():
-        # Bounds of what is known do no harm.
+        # Bounds of known parameters are ignored.
         if name in DEFAULT_BOUNDS and name not in {f.name for f in names.parameter}:
             continue
         entries = names.entries("bounds", name)
@@ -361,7 +361,7 @@ def _narrowed(
     factor: np.ndarray,
     source: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes in which those that follow an entry stay within their own bounds too."""
+    """Narrow each entry's box so that entries tied to it stay within their bounds."""
     low, high = low.copy(), high.copy()
     for entry, target in enumerate(source):
         if entry == target:
@@ -386,7 +386,7 @@ def _narrowed(
 def _check_fixed(
     names: _Names, value: np.ndarray, is_fixed: np.ndarray, ties: Mapping[str, Tie]
 ) -> None:
-    """Nothing that cannot be negative is held below 0."""
+    """Check that entries that cannot be negative are not held below 0."""
     for entry in np.flatnonzero(is_fixed):
         if value[entry] < 0 <= names.parameter[entry].default_bounds[0]:
             label = names.labels[entry]
@@ -417,7 +417,7 @@ def _box(name: str, box: tuple[float, float], form: str) -> tuple[float, float]:
 def covariance_of(
     key: str | tuple[str, ...], given: Any, size: int
 ) -> Float[np.ndarray, "n n"]:
-    """A covariance from itself, or from one standard deviation or one for each.
+    """A covariance matrix, from a matrix, one standard deviation, or one for each.
 
     **Raises:** `ValueError` that names the entry.
     """
@@ -437,7 +437,7 @@ def covariance_of(
 
 
 class _Priors(NamedTuple):
-    """What is known beforehand of each entry, and of those that are known jointly."""
+    """Priors: mean and deviation of each entry, and the root of the joint precision."""
 
     mean: np.ndarray
     deviation: np.ndarray
@@ -476,7 +476,7 @@ def _priors(
             if unknown.intersection(own):
                 raise ValueError(
                     f"uncertain: {', '.join(own)}: expected all of them to be unknown, "
-                    "or none, since their errors hang together"
+                    "or none, since their errors are correlated"
                 )
             continue
         entries = np.concatenate([names.entries("uncertain", name) for name in own])
@@ -486,7 +486,7 @@ def _priors(
         if names.form[entries[0]] != "direction" and _is_singular(block):
             raise ValueError(
                 f"uncertain: {key}: expected a covariance of full rank, since it is "
-                "unknown: of what is known exactly nothing is to be found"
+                "unknown: an exactly known array cannot be an unknown"
             )
         mean[entries], has[entries] = first[entries], True
         covariance[np.ix_(entries, entries)] = block
@@ -508,10 +508,10 @@ def _is_singular(covariance: np.ndarray) -> bool:
 
 
 def _whitening(covariance: np.ndarray) -> np.ndarray:
-    """What makes independent numbers of variance 1 of those of a covariance.
+    """Whitening matrix: maps numbers of this covariance to independent unit variance.
 
-    Nothing of a combination whose variance is 0: so a direction's length is no
-    measurement.
+    Combinations of variance 0 are mapped to 0, so that a direction's length does not
+    count as a measurement.
     """
     values, vectors, scale = _scaled_eigen(covariance)
     known = values > SINGULAR

@@ -1,4 +1,4 @@
-r"""How much a residual counts, in units of its standard deviation.
+r"""Loss functions of residuals in standard deviations.
 
 A loss is $\rho(z)$ with $z = (r/\sigma)^2$ and $\rho(z) \approx z$ for small $z$. The
 constants give 95 % efficiency on Gaussian noise.
@@ -25,7 +25,7 @@ class AbstractLoss(eqx.Module):
     r"""A loss, written as the root $\tilde r = r \sqrt{\rho(r^2) / r^2}$.
 
     The sum of $\tilde r^2$ is the robust cost, so that a plain least-squares solver
-    minimises it. `robust` says that outliers are expected.
+    minimises it. `robust` is true for losses that expect outliers.
     """
 
     robust: ClassVar[bool]
@@ -37,7 +37,7 @@ class AbstractLoss(eqx.Module):
     def root(self, residual: Values) -> Values:
         r"""$\tilde r$ for residuals in standard deviations, elementwise."""
         z = residual**2
-        # Below rounding the ratio is 1, and 0 / 0 must not be asked for.
+        # For z below rounding the ratio is 1; computing it would be 0 / 0.
         large = z > jnp.finfo(z.dtype).eps
         ratio = jnp.where(large, self.ratio(jnp.where(large, z, 1)), 1)
         return residual * jnp.sqrt(ratio)
@@ -51,10 +51,10 @@ class AbstractLoss(eqx.Module):
         return jax.jvp(psi, (residual,), (jnp.ones_like(residual),))
 
     def weight(self, residual: Values) -> Values:
-        r"""How much of a sample the loss accepts: $\psi(r) / r = \rho'(r^2)$.
+        r"""Weight of a sample: $\psi(r) / r = \rho'(r^2)$.
 
-        1 for small residuals (in standard deviations), 0 for what is rejected: a
-        least-squares fit with these weights has the same solution.
+        1 for small residuals (in standard deviations), 0 for rejected samples. A
+        weighted least-squares fit with these weights has the same solution.
         """
         score, _ = self.score(residual)
         zero = residual == 0
@@ -62,12 +62,12 @@ class AbstractLoss(eqx.Module):
 
 
 def _tuning(default: float) -> Any:
-    """Where a loss bends, in standard deviations; a `ValueError` names it."""
+    """Field for the tuning constant k of a loss, in standard deviations, checked."""
     return eqx.field(static=True, default=default, converter=_as_tuning)
 
 
 def _as_tuning(value: Any) -> float:
-    # Its square is to be neither lost nor infinite in single precision.
+    # Its square must neither underflow nor overflow in single precision.
     low, high = 1e-6, 1e6
     if not is_number(value) or not low <= value <= high:
         raise ValueError(
@@ -89,7 +89,7 @@ class Linear(AbstractLoss):
 
 
 class Huber(AbstractLoss):
-    r"""$z$ up to $k^2$, then $2 k \sqrt z - k^2$: outliers pull, but no harder."""
+    r"""$z$ up to $k^2$, then $2 k \sqrt z - k^2$: outliers have a limited influence."""
 
     robust: ClassVar[bool] = True
     k: float = _tuning(1.345)
@@ -111,7 +111,7 @@ class SoftL1(AbstractLoss):
 
 
 class Cauchy(AbstractLoss):
-    r"""$k^2 \ln(1 + z/k^2)$: outliers pull ever less."""
+    r"""$k^2 \ln(1 + z/k^2)$: the influence decreases for large residuals."""
 
     robust: ClassVar[bool] = True
     k: float = _tuning(2.385)
@@ -122,9 +122,9 @@ class Cauchy(AbstractLoss):
 
 
 class Tukey(AbstractLoss):
-    r"""$\tfrac{k^2}{3} (1 - (1 - z/k^2)^3)$, then constant: outliers pull not at all.
+    r"""$\tfrac{k^2}{3} (1 - (1 - z/k^2)^3)$, then constant: outliers have no influence.
 
-    Wants a good starting point, which [`fit`][] gives it.
+    It needs a good starting point, which [`fit`][] provides.
     """
 
     robust: ClassVar[bool] = True

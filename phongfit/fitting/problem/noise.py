@@ -1,8 +1,8 @@
-"""Noise, clipping and rounding: what an image does to the light before it is read.
+"""Noise, clipping and rounding of light in an image.
 
-Sensor noise comes first, then the clamp to [0, 1], then rounding. So a pixel near
-white or black is not the model plus noise: on average it lies below, or above. The fit
-compares with that average.
+Sensor noise comes first, then the clamp to [0, 1], then rounding. So the mean of a
+pixel is below the model near white, and above it near black. The fit compares the image
+with this mean.
 """
 
 import functools
@@ -20,26 +20,28 @@ from phongfit.rendering.film import Encoding, Film, decode, encode
 
 Values = Float[Array, "..."]
 
-# Standard deviations beyond which a normal distribution is empty: 1e-23 are left.
+# Standard deviations beyond which a normal distribution counts as 0: there it is 1e-23.
 FAR = 10
-# Values of exactly 1 that are no chance where noise goes on below 0.
+# Number of values that are exactly 1 from which white was cut off, not reached by
+# chance.
 CUT_OFF = 3
-# Samples of one value that may be a plateau; the range below it, as a share of it, in
-# which there are so many times fewer samples if it was cut off there.
+# Least number of samples of one value that may be a plateau. They are compared with the
+# samples between `BESIDE` times the value and the value: at a plateau they are more
+# than `STEEP` times as many.
 LEAST_PLATEAU = 20
 BESIDE = 0.97
 STEEP = 3
-# Halvings in the search for a median: as many digits as a scale needs.
+# Bisections in the search for a median, enough for the accuracy of a noise level.
 HALVINGS = 16
 
 
 class Moments(NamedTuple):
-    """Of what noise and clipping make of light, elementwise.
+    """Moments of noisy, clipped light, elementwise.
 
-    - `mean`: of the clipped value.
-    - `slope`: of the mean in the light: the chance that nothing is clipped.
-    - `variance_share`: what clipping leaves of the noise's variance: 1 in mid-range, 0
-      past white.
+    - `mean`: mean of the clipped value.
+    - `slope`: derivative of the mean in the light: the probability of no clipping.
+    - `variance_share`: variance after clipping over that of the noise: 1 in mid-range,
+        0 past white.
     - `drift`: derivative of the mean in σ: 0 in mid-range.
     """
 
@@ -60,9 +62,9 @@ def clipped_moments(light: Values, sigma: Float[Array, ""] | Values) -> Moments:
         Tobin, *Estimation of relationships for limited dependent variables*,
         Econometrica 26(1), 1958.
     """
-    # Without noise there is a little, which clamps as hard.
+    # A tiny σ in place of 0 gives the hard clamp without division by 0.
     sigma = jnp.maximum(sigma, jnp.finfo(light.dtype).eps ** 2)
-    # Mostly no sample comes near black, or white, and nothing is to be computed there.
+    # Mostly no sample is near black or near white, so that branch is skipped.
     near_black = jnp.min(light / sigma, initial=FAR) < FAR
     near_white = jnp.min((1 - light) / sigma, initial=FAR) < FAR
     branches = [
@@ -74,7 +76,7 @@ def clipped_moments(light: Values, sigma: Float[Array, ""] | Values) -> Moments:
 
 
 def _moments(black: bool, white: bool, light: Values, sigma: Values) -> Moments:
-    """The same where samples come near black, near white, near both, or near none."""
+    """The moments, without the terms of black or white if no sample is near it."""
     under = _beyond(light / sigma) if black else _Beyond()
     over = _beyond((1 - light) / sigma) if white else _Beyond()
     one, mean = jnp.ones_like(light), under.excess - over.excess
@@ -87,13 +89,13 @@ def _moments(black: bool, white: bool, light: Values, sigma: Values) -> Moments:
 
 
 class _Beyond(NamedTuple):
-    r"""Of a standard normal distribution beyond z.
+    r"""Integrals of a standard normal distribution beyond z.
 
     - `density`: $\phi(z)$.
     - `chance`: $Q(z)$.
-    - `excess`: $g(z) = \phi(z) - z Q(z)$, by how much on average.
-    - `lost`: $Q(z) + z g(z)$, of the square; g and z at most `FAR`, which stands for
-        infinity: what is further beyond has a variance of 0.
+    - `excess`: $g(z) = \phi(z) - z Q(z)$, mean excess over z.
+    - `lost`: $Q(z) + z g(z)$, its part of the variance; g and z are at most `FAR`,
+        which stands for infinity.
     """
 
     density: Values | float = 0.0
@@ -104,7 +106,7 @@ class _Beyond(NamedTuple):
 
 def _beyond(z: Values) -> _Beyond:
     density = jnp.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
-    # Of small chances few digits: more would be lost beside 1, and take long.
+    # Small probabilities have few digits; more would be lost beside 1, and be slow.
     chance = (1 - erf(z / math.sqrt(2))) / 2
     excess = density - z * chance
     lost = chance + jnp.clip(z, -FAR, FAR) * jnp.minimum(excess, FAR)
@@ -112,13 +114,13 @@ def _beyond(z: Values) -> _Beyond:
 
 
 def unclipped_moments(light: Values) -> Moments:
-    """The same of a film that cuts nothing off."""
+    """The moments for a film without a clamp."""
     one = jnp.ones_like(light)
     return Moments(light, one, one, jnp.zeros_like(light))
 
 
 def clipped_mean(light: Values, sigma: Float[Array, ""] | Values) -> Values:
-    """The mean of [`clipped_moments`][], with the derivatives that it has on paper."""
+    """The mean of [`clipped_moments`][], with its analytical derivatives."""
     return _clipped_mean(light, jnp.broadcast_to(sigma, light.shape))
 
 
@@ -156,13 +158,13 @@ def end_steps(film: Film) -> tuple[float, float]:
 
 
 def find_film(images: list[np.ndarray]) -> Film:
-    """The film that images must have been through, from their values alone.
+    """Detect the film of images from their values.
 
-    Values outside [0, 1] were never clamped, unless several are exactly white: those
-    were cut off, and what lies below 0 counts as if it had been, too. Values that are
-    all multiples of 1/255, or of 1/65535, in one of the encodings were rounded to them:
-    that is no chance in an image. Only error bars rest on this, and what the film of
-    textures makes of light near black or white.
+    Values outside [0, 1] show that nothing was clamped, unless several are exactly 1:
+    then white was cut off, and negative values count as clamped. If all values are
+    multiples of 1/255, or of 1/65535, in one of the encodings, they were rounded to
+    them. This affects error bars only, and in fits of textures the light near black or
+    white.
     """
     low = min(float(image.min()) for image in images)
     high = max(float(image.max()) for image in images)
@@ -178,8 +180,8 @@ def find_film(images: list[np.ndarray]) -> Film:
 class Plateau(NamedTuple):
     """Samples that were cut off at one value.
 
-    - `value`: the largest of the images.
-    - `n_samples`: how many have it.
+    - `value`: the largest value of the images.
+    - `n_samples`: number of samples with this value.
     """
 
     value: float
@@ -187,11 +189,11 @@ class Plateau(NamedTuple):
 
 
 def find_plateau(images: list[np.ndarray]) -> Plateau | None:
-    """The value below white at which images were cut off, by their values alone.
+    """Detect a value below white at which images were cut off; `None` if there is none.
 
-    Images of 12 bits in files of 16 are: their white is 4095 of 65535. At a maximum
-    that was not cut off about as many samples have the largest value as the next; a
-    surface of one brightness has no gradual slope to its largest value.
+    Images of 12 bits in files of 16 bits have one: their white is 4095 of 65535.
+    Without a cut, about as many samples have the largest value as the values just below
+    it. A surface of constant brightness has no values just below.
     """
     top = max((float(image.max()) for image in images if image.size), default=1.0)
     if top == 1 or top <= 0:
@@ -207,12 +209,12 @@ def find_plateau(images: list[np.ndarray]) -> Plateau | None:
 
 
 def _whites(images: list[np.ndarray]) -> int:
-    """How many values are exactly 1."""
+    """Number of values that are exactly 1."""
     return sum(int(np.count_nonzero(image == 1)) for image in images)
 
 
 def _is_rounded(image: np.ndarray, encoding: Encoding, bits: int) -> bool:
-    # What was never rounded shows it in its first few values.
+    # The first few values are tested first: they mostly suffice to find no rounding.
     return all(
         bool(np.all(np.abs(levels - np.round(levels)) < 0.02))
         for part in (image.ravel()[:512], image)
@@ -224,9 +226,9 @@ def shared_rounding_variance(step: Values, sigma: Values) -> Values:
     r"""Variance of the part of a rounding error that equal pixels share.
 
     Noise of standard deviation $\sigma$ ahead of the rounding makes its error
-    independent from pixel to pixel (dithering); what is left in common is the mean of
-    the sawtooth error over the noise, $\sum_k \frac{q^2}{2 \pi^2 k^2} e^{-4 \pi^2 k^2
-    \sigma^2 / q^2}$: $q^2/12$ without noise, nothing from $\sigma \approx q/2$ on.
+    independent from pixel to pixel (dithering). The shared part is the mean of the
+    sawtooth error over the noise, $\sum_k \frac{q^2}{2 \pi^2 k^2} e^{-4 \pi^2 k^2
+    \sigma^2 / q^2}$: $q^2/12$ without noise, and nearly 0 from $\sigma \approx q/2$ on.
 
     ??? cite "Source"
         Widrow and Kollár, *Quantization noise*, 2008, chapter 4.
@@ -240,8 +242,8 @@ def shared_rounding_variance(step: Values, sigma: Values) -> Values:
 
 
 def arithmetic_floor(image: Values) -> Float[Array, ""]:
-    """Noise level below which residuals are rounding of the arithmetic."""
-    # A black image is known to no digit more than a dark one.
+    """Noise level below which residuals are rounding errors of the arithmetic."""
+    # At least 1e-3, so that the floor of a black image is not 0.
     largest = jnp.max(jnp.abs(image), initial=1e-3)
     return 16 * jnp.finfo(image.dtype).eps * largest
 
@@ -249,14 +251,15 @@ def arithmetic_floor(image: Values) -> Float[Array, ""]:
 def median_deviation(
     residual: Values, used: Bool[Array, "..."], least: Float[Array, ""] | None = None
 ) -> Float[Array, ""]:
-    """Standard deviation from the median of |residual|, which outliers do not reach.
+    """Standard deviation from the median of |residual|, which is robust to outliers.
 
-    By halving an interval of logarithms: to sort takes longer than a whole fit.
+    The median is found by bisection of its logarithm, since sorting would take longer
+    than a whole fit.
 
     **Arguments:**
 
     - `used`: true where a residual counts.
-    - `least`: what the result is at the least; default a millionth of the largest.
+    - `least`: lower limit of the result; default a millionth of the largest residual.
     """
     size = jnp.where(used, jnp.abs(residual), 0)
     tiny = jnp.finfo(size.dtype).tiny

@@ -1,6 +1,6 @@
-"""What can be unknown: leaves of the material, arrays of the scenes, and exposure.
+"""Parameters that can be unknown: of the material, of the scenes, and exposure.
 
-A leaf of the material goes by its name (`diffuse`), an array of the scene by its place
+A parameter of the material has its own name (`diffuse`), an array of the scene its path
 (`scene.lights[0].direction`), and `exposure` multiplies the light of each image.
 """
 
@@ -21,9 +21,10 @@ MATERIAL_PARAMETERS = ("ambient", "diffuse", "specular", "shininess", "emission"
 EXPOSURE = "exposure"
 OF_MODEL = "scene.specular_model."
 TEXTURE = ".texture"
-"""Behind a parameter's name: each texel has its own."""
+"""Suffix of a parameter's name, for a separate value in each texel."""
 CHANNELS = ("red", "green", "blue")
-# Arrays of a scene that are RGB, unit vectors, and numbers that cannot be negative.
+# Last names of a scene's arrays: RGB, unit vectors, and numbers that cannot be
+# negative.
 _COLOURS = {"intensity", "specular", "ambient", "color", "background"}
 _DIRECTIONS = {"direction", "axis"}
 _ROTATION = "rotation"
@@ -39,7 +40,7 @@ DEFAULT_BOUNDS = {
     "emission": (0.0, 1.0),
     EXPOSURE: (0.0, np.inf),
 }
-# Of arrays of a scene, by the last word of their names.
+# Bounds of angles in degrees, by the last names of a scene's arrays.
 _ANGLES = {"fov_y": (0.0, 180.0), _ROTATION: (-180.0, 180.0)}
 
 Form = Literal["plain", "logarithm", "direction", "rotation"]
@@ -47,11 +48,11 @@ Form = Literal["plain", "logarithm", "direction", "rotation"]
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
-    """One parameter that is unknown, and how its numbers are called.
+    """One unknown parameter, with the names of its numbers.
 
-    `rows` are the materials or the images that have it each to itself, `parts` the
-    numbers of a row: a colour's channels, a vector's components, or one. `box` is what
-    the specular model says of where its own may lie.
+    `rows` are the materials or images with separate values, `parts` the numbers of a
+    row: a colour's channels, a vector's components, or one. `box` has the bounds that a
+    specular model states for its parameters.
     """
 
     name: str
@@ -63,12 +64,12 @@ class Parameter:
 
     @property
     def size(self) -> int:
-        """How many numbers it has."""
+        """Number of the parameter's values."""
         return len(self.rows) * len(self.parts)
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """A name for each: `diffuse[2].red`, `scenes[1].lights[0].position.x`."""
+        """Labels of the values: `diffuse[2].red`, `scenes[1].lights[0].position.x`."""
         if self.per_image and is_of_scene(self.name):
             path = self.name.removeprefix("scene")
             names = [f"scenes{row}{path}" for row in self.rows]
@@ -78,13 +79,13 @@ class Parameter:
 
     @property
     def channels(self) -> tuple[int, ...]:
-        """The channel of each part; −1 where it is of all of them."""
+        """The channel of each part; −1 for parts that all channels share."""
         colours = {f".{name}": channel for channel, name in enumerate(CHANNELS)}
         return tuple(colours.get(part, -1) for part in self.parts)
 
     @property
     def default_bounds(self) -> tuple[float, float]:
-        """Where its numbers may lie unless something else is said."""
+        """Default lower and upper bound of the parameter's values."""
         if self.box is not None:
             return self.box
         if self.name in DEFAULT_BOUNDS:
@@ -96,12 +97,12 @@ class Parameter:
 
 
 def is_of_scene(name: str) -> bool:
-    """Whether a parameter is the scene's, not the material's."""
+    """Whether a parameter belongs to the scene, not to the material."""
     return name.startswith("scene.")
 
 
 def is_of_model(name: str) -> bool:
-    """Whether a parameter is the specular model's own: it shapes lobes."""
+    """Whether a parameter belongs to the specular model, and so shapes lobes."""
     return name.startswith(OF_MODEL)
 
 
@@ -123,11 +124,11 @@ def parameter(
 
     **Arguments:**
 
-    - `colours`: one number for each of red, green and blue, if it is a colour.
-    - `materials`: how many the surface has.
+    - `colours`: whether a colour has separate values for red, green and blue.
+    - `materials`: number of materials of the surface.
     - `per_image`: whether each image has its own.
 
-    **Raises:** `ValueError` that says what there is, if there is no such parameter.
+    **Raises:** `ValueError` for any other name; the message lists the possible ones.
     """
     several = len(scenes) > 1
     rgb = tuple(f".{channel}" for channel in CHANNELS) if colours else ("",)
@@ -172,7 +173,7 @@ def parameter(
 
 
 def _is_rotation(name: str, array: Array) -> bool:
-    """Whether an array of the scenes is a rotation: a fit sees three angles of it."""
+    """Whether an array is a rotation, for which a fit has three angles."""
     return name.endswith(f".{_ROTATION}") and array.shape == (3, 3)
 
 
@@ -181,7 +182,7 @@ def _rows(count: int) -> tuple[str, ...]:
 
 
 def _jumps(scenes: Sequence[Scene]) -> set[str]:
-    """Arrays of the scenes' lights in which light has no derivative."""
+    """Arrays of the scenes' lights in which light is not continuous."""
     return {
         f"scene.lights[{k}].{field}"
         for scene in scenes
@@ -203,7 +204,7 @@ def scene_arrays(scene: Scene) -> dict[str, Array]:
 
 
 def with_arrays(scene: Scene, arrays: Mapping[str, Any]) -> Scene:
-    """A scene with some of its arrays replaced; one may stand for a colour's three."""
+    """A scene with some arrays replaced; one number may stand for a colour's three."""
 
     def put(path: Any, old: Any) -> Any:
         new = arrays.get("scene" + jax.tree_util.keystr(path))
@@ -217,7 +218,7 @@ def with_arrays(scene: Scene, arrays: Mapping[str, Any]) -> Scene:
 
 
 def _choice(scenes: Sequence[Scene]) -> str:
-    """Names that could have been given; of large arrays none is guessed at."""
+    """Possible names of unknowns, without those of large arrays."""
     arrays = [
         name
         for name, array in scene_arrays(scenes[0]).items()

@@ -1,4 +1,4 @@
-"""From a specification and data to a problem whose residuals can be asked for."""
+"""Make a problem from a specification and data."""
 
 import dataclasses
 import functools
@@ -36,13 +36,13 @@ def make_problem(
     weights: Any = None,
     **options: Any,
 ) -> Problem:
-    """What [`fit`][] solves, for samplers and solvers of one's own.
+    """The problem that [`fit`][] solves, for your own samplers and solvers.
 
     A [`Problem`][] is a function of a vector of unknowns: `residual(y)`,
     `log_likelihood(y)`, `log_prior(y)` and `material(y)` are pure, and go through
-    `jax.jit`, `jax.vmap` and `jax.grad`. What is known about the unknowns stands in
-    `unknowns`: `y_labels`, `start`, `lower` and `upper`. An exponent is a logarithm
-    there: the number called `log_shininess` is $\\log f$.
+    `jax.jit`, `jax.vmap` and `jax.grad`. `unknowns` describes the vector: `y_labels`,
+    `start`, `lower` and `upper`. An exponent is represented by its logarithm: the
+    number called `log_shininess` is $\\log f$.
 
     **Arguments:**
 
@@ -50,13 +50,12 @@ def make_problem(
     - `noise`: standard deviation in linear light, a number or as `weights`.
     - `options`: those of a [`Specification`][].
 
-    **Raises:** `ValueError` that names the argument; `TypeError` for an option that
-    there is not.
+    **Raises:** `ValueError` that names the argument; `TypeError` for an unknown option.
     """
     if noise is None:
         raise ValueError("noise: expected a standard deviation, got None")
     untraced(
-        "make the problem outside of what JAX traces: its functions go through",
+        "make the problem outside of what JAX traces; its functions can be traced",
         scene=scene,
         image=image,
         noise=noise,
@@ -81,9 +80,9 @@ def make_problem(
 
 @dataclasses.dataclass(frozen=True)
 class FitData:
-    """What is asked, checked: unknowns, images with their geometry, and their films.
+    """The checked input of a fit: unknowns, images with their geometry, and films.
 
-    `nuisance` is what else is not known exactly.
+    `nuisance` are uncertain parameters of the scenes that are not unknowns.
     """
 
     unknowns: Unknowns
@@ -101,7 +100,7 @@ def set_up(
     weights: Any = None,
     noise: Any = None,
 ) -> FitData:
-    """What is asked next to the data, checked and in one form.
+    """Check the options and the data of a fit.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -114,10 +113,10 @@ def set_up(
         layout = make_unknowns(specification, materials, scenes)
     nuisance = make_nuisance(specification, materials, scenes)
     relit = layout.relights or (nuisance is not None and nuisance.unknowns.relights)
-    # Shadows move with the lights that throw them.
+    # Shadows move with the lights.
     shadows = any(scene.shadows for scene in scenes)
     moving = layout.moves_geometry or (shadows and layout.moves_lights)
-    # Begun here: JAX goes on with it while the images are looked at.
+    # Dispatched here: JAX computes it while the images are checked.
     seen = [_geometry(one, relit and not moving) for one in scenes]
     scene = scene if isinstance(scene, Scene) else scenes
     photographs = as_photographs(scene, image, mask, weights, noise)
@@ -133,7 +132,7 @@ def set_up(
 
 @functools.cache
 def _default_unknowns(dtype: Any, materials: int) -> Unknowns:
-    """Those of one image where nothing was said; to make them takes a while."""
+    """Cached unknowns of one image with default options; they are slow to make."""
     del dtype  # that of their numbers
     return make_unknowns(Specification(), materials)
 
@@ -145,7 +144,7 @@ class _Geometry(NamedTuple):
 
 
 def _geometry(scene: Scene, keep: bool) -> _Geometry:
-    """What the pixels see; with all of it kept, they can be lit anew."""
+    """Geometry of the pixels; with `keep` also the buffer, for changed lights."""
     if not keep:
         return _Geometry(*resolve_terms(scene), None)
     gbuffer, pixels = resolve(scene)
@@ -155,16 +154,16 @@ def _geometry(scene: Scene, keep: bool) -> _Geometry:
 def as_source(
     photograph: Observation, seen: _Geometry, film: Film, rounded: bool
 ) -> Source:
-    """A photograph and what it shows; pixels that see nothing have no weight.
+    """A photograph with its geometry; pixels that see no surface have weight 0.
 
-    **Arguments:** `rounded`: whether any of the photographs was.
+    **Arguments:** `rounded`: whether any of the photographs was rounded.
     """
     mask, weight = np.asarray(seen.mask)[..., None], photograph.weight
     weight = np.where(mask, weight, np.zeros_like(weight))
     return Source(
         photograph.scene,
         *seen,
-        # A copy, whatever becomes of the array that came.
+        # A copy, since the caller may change the array.
         jnp.array(_as_shown(photograph.image, film)),
         jnp.asarray(weight),
         rounding_steps(photograph.image, film) if rounded else None,
@@ -172,7 +171,7 @@ def as_source(
 
 
 def _as_shown(image: np.ndarray, film: Film) -> np.ndarray:
-    """What was cut off at white alone, at black as well."""
+    """An image clipped at black too, if its film clamps."""
     return np.maximum(image, 0) if film.clamp and image.min() < 0 else image
 
 
@@ -211,7 +210,7 @@ def _check_samples(sources: list[Source], unknowns: Unknowns) -> None:
 
 
 def _check_constants(unknowns: Unknowns, sources: list[Source]) -> None:
-    """Ambient and emission are one constant wherever the ambient light is the same."""
+    """Check that ambient and emission are not both unknown if they are degenerate."""
     if not {"ambient", "emission"} <= set(unknowns.names):
         return
     light = np.concatenate(

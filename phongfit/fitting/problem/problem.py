@@ -18,11 +18,11 @@ from phongfit.programs import program
 
 
 class Problem(eqx.Module):
-    """Samples, unknowns, and how much each sample's residual counts.
+    """The samples, unknowns, noise level and loss of a fit.
 
-    `scatter` is the covariance of the scores, over the roots of the diagonal of JᵀJ,
-    where it is known otherwise than from independent samples. `inherited` is what the
-    errors of the scenes themselves add to that covariance, in its own units.
+    `scatter` is the covariance of the scores, divided by the roots of the diagonal of
+    JᵀJ, if samples are not independent. `inherited` is the part that the errors of
+    uncertain scenes add to it, in the same units.
     """
 
     samples: Samples
@@ -46,7 +46,7 @@ class Problem(eqx.Module):
         return light if exposure is None else light * exposure
 
     def channels(self, entries: Float[Array, " entries"]) -> Channels:
-        """What the samples see in the scenes that the entries make."""
+        """Geometry and light of the samples in the scenes with these entries."""
         if not self.unknowns.of_scene:
             return self.samples.channels
         if not self.unknowns.relights:
@@ -62,7 +62,7 @@ class Problem(eqx.Module):
     def exposure(
         self, entries: Float[Array, " entries"]
     ) -> Float[Array, "1 samples"] | None:
-        """What the light of each sample is multiplied by; `None` if it is known."""
+        """Factor on the light of each sample; `None` if exposures are not unknown."""
         if not self.unknowns.exposed:
             return None
         return self.unknowns.exposures(entries)[self.samples.image][None]
@@ -74,9 +74,9 @@ class Problem(eqx.Module):
         return jnp.sqrt(self.noise() ** 2 + self.samples.step**2 / 12)
 
     def unclipped(self) -> Bool[Array, "3 samples"]:
-        """Samples whose residuals show the noise: neither black nor white ones.
+        """Samples whose residuals show the noise: neither black nor white.
 
-        All that are used, where too few are left.
+        All used samples, if too few of them are left.
         """
         used, target = self.samples.weight > 0, self.samples.target
         if not self.clamp:
@@ -91,8 +91,8 @@ class Problem(eqx.Module):
     def log_likelihood(self, y: Float[Array, " n"]) -> Float[Array, ""]:
         r"""$-\frac12 \sum_i \big(\rho(r_i^2) + \ln 2\pi\sigma_i^2\big)$ of the samples.
 
-        That of normal noise under the linear loss. Where samples are clipped they are
-        compared with the mean of what clipping leaves, which is a quasi-likelihood.
+        For the linear loss this is the likelihood of normal noise. Clipped samples are
+        compared with the mean after clipping, so it is a quasi-likelihood.
         """
         used = self.samples.weight > 0
         share = self.loss.root(self.residual(y)) ** 2
@@ -100,15 +100,15 @@ class Problem(eqx.Module):
         return -jnp.sum(jnp.where(used, share, 0)) / 2
 
     def log_prior(self, y: Float[Array, " n"]) -> Float[Array, ""]:
-        """Of the normal priors, up to a constant; bounds are the caller's to keep."""
+        """Logarithm of the normal priors, up to a constant; bounds are not included."""
         return -jnp.sum(self.unknowns.prior_residual(y) ** 2) / 2
 
     def material(self, y: Float[Array, " n"]) -> Material:
-        """The material that a vector of unknowns stands for."""
+        """The material of a vector of unknowns."""
         return self.unknowns.material(y)
 
     def compare(self, light: Float[Array, "3 samples"]) -> Float[Array, "3 samples"]:
-        """Residuals of any light, before the film, that a model may predict.
+        """Residuals of a predicted light before the film.
 
         The model's prediction is the mean of what the film shows.
         """
@@ -117,14 +117,14 @@ class Problem(eqx.Module):
         return jnp.where(self.samples.weight > 0, difference, 0)
 
     def costs(self, y: Float[Array, " n"]) -> Float[Array, "materials 3"]:
-        """What the samples of each material and channel cost."""
+        """Cost of the samples of each material and channel."""
         cost = self.loss.root(self.residual(y)) ** 2
         rows = jnp.arange(self.unknowns.materials, dtype=self.samples.image.dtype)
         member = self.samples.material_index()[None] == rows[:, None]
         return member.astype(cost.dtype) @ cost.T
 
     def measure(self, light: Float[Array, "3 samples"]) -> "Evaluation":
-        """The same, and all else that is to be known of each sample."""
+        """An [`Evaluation`][] of the samples for a predicted light before the film."""
         noise, deviation = self.noise(), self.deviation()
         film = unclipped_moments(light)
         if self.clamp:
@@ -143,7 +143,7 @@ class Problem(eqx.Module):
         )
 
     def group(self) -> Int[Array, " samples"]:
-        """Which material, and image where images differ, each sample belongs to."""
+        """Group of each sample: its material, and its image if unknowns differ."""
         material = self.samples.material_index()
         if not self.unknowns.differs_between_images:
             return material
@@ -151,7 +151,7 @@ class Problem(eqx.Module):
 
 
 class Evaluation(eqx.Module):
-    """What is left over at a point, sample by sample."""
+    """Residuals at a point and their derivatives, for each sample."""
 
     difference: Float[Array, "3 samples"]
     residual: Float[Array, "3 samples"]
@@ -166,16 +166,17 @@ class Evaluation(eqx.Module):
 Evaluation.__init__.__doc__ = """**Arguments:**
 
 - `difference`: model − image in linear light; 0 where a sample is left out.
-- `residual`: the same in standard deviations.
-- `slope`: of the residual in the model's light.
-- `drift`: of the prediction, in standard deviations, in the logarithm of the noise.
+- `residual`: the difference in standard deviations.
+- `slope`: derivative of the residual in the model's light.
+- `drift`: derivative of the prediction, in standard deviations, in the logarithm of the
+    noise.
 - `noise`, `deviation`: standard deviations before and after rounding.
-- `variance_share`: what clipping leaves of the noise's variance, 0 … 1.
-- `floor`: noise level at and below which all that is left over is rounding.
+- `variance_share`: variance after clipping over that of the noise, 0 … 1.
+- `floor`: noise level at and below which residuals are rounding errors.
 """
 
 
 @program()
 def evaluate(problem: Problem, y: Float[Array, " n"]) -> Evaluation:
-    """Differences between model and image, and what noise they are measured by."""
+    """Differences between model and image at a point, and their standard deviations."""
     return problem.measure(problem.light(y))

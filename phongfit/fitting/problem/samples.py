@@ -19,12 +19,12 @@ from phongfit.rendering.pixels import PixelTerms, pixel_terms, resolve, with_mod
 from phongfit.scene import Scene
 from phongfit.textures import Factors
 
-# Samples from which on a quarter more of them would be felt.
+# Number of samples from which padding by up to a quarter costs noticeable time.
 MANY = 2**14
 
 
 class View(eqx.Module):
-    """One image's scene, and where in the image its samples lie.
+    """One image's scene, and the pixels of its samples.
 
     `gbuffer` is that of the samples alone; `None` if rays must be traced again whenever
     the scene changes, or if it never does.
@@ -35,17 +35,17 @@ class View(eqx.Module):
     index: Int[Array, " n"]
 
     def lit(self, scene: Scene) -> PixelTerms:
-        """What the samples see, if the scene were another one."""
+        """Geometry and light of the samples, for another scene of the same kind."""
         if self.gbuffer is not None:
             return pixel_terms(scene, self.gbuffer)
         return resolve(scene)[1].select(self.index)
 
 
 class Channels(eqx.Module):
-    """What samples see, a channel at a time.
+    """Geometry and light of samples, with the colour channels as the first axis.
 
-    The pixels' colour axis of 3 comes first, and an axis of 1 stays in its place: an
-    innermost loop over three numbers is slow.
+    In each array a colour axis of 3 comes first and an axis of 1 is left in its place,
+    since an innermost loop over three numbers is slow.
     """
 
     pixels: PixelTerms
@@ -70,25 +70,25 @@ class Channels(eqx.Module):
         return jax.vmap(of, in_axes=axes)(self.pixels, _colour_first(shininess))
 
     def fog_light(self) -> Float[Array, "3 n"]:
-        """What fog alone adds to each sample."""
+        """Light that fog adds to each sample."""
         return jax.vmap(lambda pixels: pixels.fog_light()[:, 0], in_axes=(self._axes,))(
             self.pixels
         )
 
     def shaped_by(self, model: AbstractSpecular) -> "Channels":
-        """The same samples, with other numbers of the specular model's own."""
+        """The same samples with another specular model of the same kind."""
         return Channels(with_model(self.pixels, model))
 
     @property
     def _axes(self) -> PixelTerms:
-        """Where the channels are in each array: first, or nowhere."""
+        """The axis of the channels in each array: 0, or `None`."""
         marks = jax.tree.map(lambda leaf: False, self.pixels)
         marks = eqx.tree_at(_colours, marks, replace_fn=lambda _: True)
         return jax.tree.map(lambda mark: 0 if mark else None, marks)
 
 
 def _colours(pixels: PixelTerms) -> list[Any]:
-    """The arrays whose last axis is colour, or what stands for them in a tree."""
+    """Leaves of such a tree whose last axis is colour; leaves need not be arrays."""
     terms = [pixels.terms.ambient, pixels.terms.diffuse, pixels.terms.strength]
     haze = [] if pixels.haze is None else [pixels.haze.color]
     return [*terms, *haze, *jax.tree.leaves(pixels.factors)]
@@ -103,13 +103,13 @@ def _colour_first(leaf: Array) -> Array:
 
 
 def _planes(leaf: Float[Array, "*shape 3"]) -> Float[Array, "3 *shape"]:
-    """Channels first."""
-    # One after the other: to move an axis takes XLA twice as long.
+    """Move the last axis, the channels, to the front."""
+    # Stacked one by one: moving an axis takes XLA twice as long.
     return jnp.stack([leaf[..., k] for k in range(leaf.shape[-1])])
 
 
 def by_channel(pixels: PixelTerms) -> Channels:
-    """The same pixels, their channels apart."""
+    """Pixels with the channels as the first axis."""
     return Channels(eqx.tree_at(_colours, pixels, replace_fn=_colour_first))
 
 
@@ -124,14 +124,14 @@ class Samples(eqx.Module):
     views: tuple[View, ...]
 
     def lit(self, scenes: tuple[Scene, ...]) -> Channels:
-        """What the samples see, if the scenes were others."""
+        """Geometry and light of the samples, with other scenes in place of these."""
         pairs = zip(self.views, scenes, strict=True)
         return by_channel(join_pixels([view.lit(scene) for view, scene in pairs]))
 
     def stacked_views(self) -> View | None:
-        """The views as one, whose arrays have the images first; `None` if they differ.
+        """All views stacked along a first axis; `None` if their structures differ.
 
-        What is mapped over it compiles like one image.
+        A function that is mapped over them compiles as fast as for one image.
         """
         structures = {jax.tree.structure(view) for view in self.views}
         shapes = {tuple(map(jnp.shape, jax.tree.leaves(view))) for view in self.views}
@@ -140,30 +140,29 @@ class Samples(eqx.Module):
         return jax.tree.map(lambda *leaves: jnp.stack(leaves), *self.views)
 
     def material_index(self) -> Int[Array, " n"]:
-        """Which of several materials each sample shows."""
+        """Index of each sample's material; 0 if there is only one."""
         index = self.channels.pixels.material_index()
         return jnp.zeros_like(self.image) if index is None else index
 
 
 Samples.__init__.__doc__ = """**Arguments:**
 
-- `channels`: what the pixels see.
+- `channels`: geometry and light of the pixels.
 - `target`: measured linear light.
 - `weight`: relative inverse variance; 0 leaves a sample out.
 - `step`: width in linear light of the level that the target was rounded to; `None`
     where nothing was rounded.
-- `image`: which image a sample is of; the samples of an image come one after another.
-- `views`: the images' scenes, in their order.
+- `image`: index of a sample's image; the samples of an image are contiguous.
+- `views`: scene and pixels of each image, in order.
 """
 
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """One image as a fit takes it in: what its pixels see, and what was measured.
+    """One image of a fit: geometry and light of its pixels, and the measured values.
 
-    `mask` says where the surface is seen. `weight` has one channel where all three
-    have the same. `gbuffer` is `None` unless the pixels will be lit anew, and `step` if
-    nothing was rounded.
+    `mask` is true where the surface is seen. `weight` has one channel if all three are
+    equal. `gbuffer` is `None` unless lights may change, `step` if nothing was rounded.
     """
 
     scene: Scene
@@ -175,28 +174,28 @@ class Source:
     step: np.ndarray | None
 
     def used(self) -> np.ndarray:
-        """Values of the samples that have any weight."""
+        """Values of the samples with a weight above 0."""
         image, used = np.asarray(self.image), np.asarray(self.weight) > 0
         return image[np.broadcast_to(used, image.shape)]
 
     def count(self) -> int:
-        """How many samples have any weight."""
+        """Number of samples with a weight above 0."""
         used = np.count_nonzero(np.asarray(self.weight) > 0)
         return int(used) * (3 // self.weight.shape[-1])
 
 
 def stacked_lit(views: View, scenes: Scene) -> Channels:
-    """The same of scenes that are stacked as [`Samples.stacked_views`][] has views."""
+    """Geometry and light of stacked views, with stacked scenes in place of theirs."""
     return by_channel(end_to_end(eqx.filter_vmap(View.lit)(views, scenes)))
 
 
 def gather(sources: list[Source], used: list[np.ndarray]) -> Samples:
     """Samples of some pixels, image after image.
 
-    Each image is padded to a common size out of a coarse series, so that fits of
-    similar size share one compilation.
+    Each image is padded to a common size, one of a coarse series, so that fits of
+    similar size share one compiled program.
 
-    **Arguments:** `used`: of each image the pixels wanted, counted row by row.
+    **Arguments:** `used`: for each image the flat indices of its pixels, row by row.
     """
     size = _padded(max(len(index) for index in used), len(sources))
     index = np.arange(len(sources), dtype=np.int32)[:, None]
@@ -215,7 +214,7 @@ def gather(sources: list[Source], used: list[np.ndarray]) -> Samples:
 
 
 def _repeated(index: np.ndarray, size: int) -> Int[Array, " size"]:
-    """Padding repeats a pixel, with no weight."""
+    """Indices padded to a size, by repeating the first pixel."""
     padded = np.full(size, index[0] if len(index) else 0, np.int32)
     padded[: len(index)] = index
     return jnp.asarray(padded)
@@ -225,7 +224,7 @@ _Numbers = tuple[PixelTerms, Array, Array, Array | None]
 
 
 def _parts(source: Source, place: Array, count: int) -> tuple[Any, ...]:
-    """What [`_take`][] wants, with vertices that no pixel shows dropped."""
+    """Arguments of [`_take`][]; vertices that no pixel shows are dropped."""
     pixels, at = source.pixels, place
     if pixels.interpolation is not None:
         pixels, at = pixels.select(place), None
@@ -240,7 +239,7 @@ def _take(
     place: Array,
     count: Array,
 ) -> _Numbers:
-    """Some pixels of an image, and of their image, weight and step the rows."""
+    """Some pixels of an image, with their values, weights and rounding steps."""
     pixels = pixels if at is None else pixels.select(at)
     target, weight = (a.reshape(-1, a.shape[-1])[place] for a in numbers[:2])
     step = None if numbers[2] is None else numbers[2].reshape(-1, 3)[place]
@@ -250,7 +249,7 @@ def _take(
 
 
 def _joined(parts: list[_Numbers]) -> tuple[Channels, Array, Array, Array | None]:
-    """Images one after another, channels first."""
+    """Join the images one after another, with channels as the first axis."""
     pixels, *numbers = zip(*parts, strict=True)
     target, weight = (_planes(jnp.concatenate(one)) for one in numbers[:2])
     rounded = numbers[2][0] is not None
@@ -263,19 +262,19 @@ _join = program()(_joined)
 
 @program()
 def _gather_one(*parts: Any) -> tuple[Channels, Array, Array, Array | None]:
-    """The same for a single image, in one go."""
+    """Samples of a single image, in one compiled program."""
     return _joined([_take(*parts)])
 
 
 def seen_pixels(sources: list[Source]) -> list[np.ndarray]:
-    """Of each image the pixels with any weight, counted row by row."""
+    """For each image the flat indices of the pixels with any weight, row by row."""
     # Channel by channel: an axis of 3 is slow to reduce.
     channels = [np.moveaxis(np.asarray(s.weight) > 0, -1, 0) for s in sources]
     return [np.flatnonzero(functools.reduce(np.logical_or, c)) for c in channels]
 
 
 def join_pixels(parts: list[PixelTerms]) -> PixelTerms:
-    """What several images' samples see, one image after another."""
+    """Join the geometry and light of several images, one after another."""
     if len(parts) == 1:
         return parts[0]
     if any(part.factors is not None for part in parts):
@@ -285,7 +284,7 @@ def join_pixels(parts: list[PixelTerms]) -> PixelTerms:
 
 
 def _with_factors(part: PixelTerms) -> PixelTerms:
-    """A part that has no textures, with such that change nothing."""
+    """Add texture factors of 1 to a part without textures."""
     if part.factors is not None:
         return part
     index = None if part.interpolation is None else part.interpolation.index
@@ -295,7 +294,7 @@ def _with_factors(part: PixelTerms) -> PixelTerms:
 
 
 def end_to_end(stacked: PixelTerms) -> PixelTerms:
-    """The same of images that are alike, stacked as the first axis of every array."""
+    """Join images of the same structure, which are stacked along a first axis."""
     interpolation, model = stacked.interpolation, stacked.terms.model
     images, points = stacked.terms.diffuse.shape[:2]
     if interpolation is not None:
@@ -311,7 +310,7 @@ def end_to_end(stacked: PixelTerms) -> PixelTerms:
 
 
 def _apart(parts: list[PixelTerms]) -> list[PixelTerms]:
-    """Pixels whose interpolation counts the points of all parts, one after another."""
+    """Shift the indices of interpolations: points are counted on over all parts."""
     counted, before = [], 0
     for part in parts:
         interpolation = part.interpolation
@@ -333,8 +332,8 @@ def _concatenated(parts: list[PixelTerms]) -> PixelTerms:
 def _padded(count: int, images: int) -> int:
     """The least number ≥ `count` with three significant bits.
 
-    At least 256, of several images together. With four bits where there are many: then
-    padding costs more than compilation.
+    At least 256 for all images together. Large counts have four significant bits, since
+    there padding costs more than compilation.
     """
     digits = 3 if count < MANY else 4
     unit = max(2 ** (max(count, 1).bit_length() - digits), 64 if images == 1 else 16)

@@ -1,4 +1,4 @@
-"""What a specular model's own numbers do, read off what JAX traces of it."""
+"""How a specular model depends on its parameters, from JAX's trace of it."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -15,14 +15,14 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 def own_names(model: AbstractSpecular) -> list[str]:
-    """The model's own floats, as a fit calls them."""
+    """Names of the model's float parameters, as unknowns of a fit."""
     found = jax.tree_util.tree_leaves_with_path(eqx.filter(model, eqx.is_inexact_array))
     names = (jax.tree_util.keystr(path).removeprefix(".") for path, _ in found)
     return [OF_MODEL + name for name in names]
 
 
 def moves_cosine(model: AbstractSpecular) -> bool:
-    """Whether the model's own floats change what geometry fixes of other models."""
+    """Whether the model's parameters change its cosine or its diffuse scale."""
     own, rest = eqx.partition(model, eqx.is_inexact_array)
 
     def fixed(own: AbstractSpecular) -> Any:
@@ -39,11 +39,11 @@ def takes_exponent(model: AbstractSpecular) -> bool:
 
 
 def check_shape(unknowns: Sequence[str], model: AbstractSpecular) -> None:
-    """Nothing is looked for in an exponent that shapes no highlight.
+    """Check that an unknown exponent shapes the highlight.
 
-    **Raises:** `ValueError` that says what does.
+    **Raises:** `ValueError` that names the parameters which do, if it does not.
     """
-    # Most models have nothing of their own, and a fit is quick.
+    # Most models have no parameters, and this check would slow a fit down.
     if "shininess" not in unknowns or not jax.tree.leaves(model):
         return
     own = own_names(model)
@@ -59,7 +59,7 @@ def _vectors() -> list[jax.Array]:
 
 
 def _depends(function: Callable[[Any], Any], argument: Any) -> bool:
-    """Whether any of a function's values is made of its argument's arrays."""
+    """Whether any value of a function depends on the arrays of its argument."""
     traced = jax.make_jaxpr(function)(argument).jaxpr
     used = [one for step in traced.eqns for one in step.invars] + list(traced.outvars)
     return any(one is given for one in used for given in traced.invars)

@@ -1,4 +1,4 @@
-"""What is asked of a fit: everything but the data."""
+"""The options of a fit: everything but the data."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -21,17 +21,17 @@ DEFAULT_PER_CHANNEL = ("ambient", "diffuse", "specular")
 
 # A name, or a factor and a name.
 Tie = str | tuple[float, str]
-# By one name, or by several whose errors hang together.
+# Keys are a name, or several names of arrays with correlated errors.
 Uncertain = Mapping[Any, Any]
 
 
 @dataclasses.dataclass(frozen=True, init=False)
 class Specification:
-    """The options of [`fit`][], in one form: compared, kept, and asked for again.
+    """The options of [`fit`][] in a normal form, to be compared, stored and reused.
 
     Sequences become tuples, arrays nested tuples of numbers, a tie a factor and a name,
-    and a loss's name that loss. Whether names and numbers fit a scene is seen when they
-    meet it.
+    and a loss's name that loss. Whether names and numbers suit a scene is checked
+    later, together with the scene.
     """
 
     unknowns: tuple[str, ...]
@@ -64,7 +64,7 @@ class Specification:
         loss: str | AbstractLoss = "linear",
         max_steps: int = 200,
     ):
-        """**Arguments:** those of [`fit`][], but the data: `scene`, `image`, `mask`,
+        """**Arguments:** those of [`fit`][] except the data: `scene`, `image`, `mask`,
         `weights`, `noise`.
 
         **Raises:** `ValueError` that names the argument.
@@ -102,11 +102,11 @@ class Specification:
         others: Sequence[str] = (),
         **given: Any,
     ) -> "Specification":
-        """Of the options that a function was called with, and of what it sets itself.
+        """A specification from a function's options and values that it sets itself.
 
-        **Arguments:** `others`: further options that the function has.
+        **Arguments:** `others`: further options of the function, for the message.
 
-        **Raises:** `TypeError` that names an option that it has not.
+        **Raises:** `TypeError` that names an unknown option.
         """
         fields = (field.name for field in dataclasses.fields(cls))
         allowed = [name for name in fields if name not in given]
@@ -120,12 +120,12 @@ class Specification:
 
     @property
     def options(self) -> dict[str, Any]:
-        """All of it as keyword arguments of [`fit`][]."""
+        """All options as keyword arguments of [`fit`][]."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
 
     @property
     def uncertain_arrays(self) -> tuple[str, ...]:
-        """Arrays of the scenes that are known with an error."""
+        """Names of the scenes' arrays that are uncertain."""
         return tuple(name for key in self.uncertain for name in as_names(key))
 
     def _check_names(self) -> None:
@@ -154,18 +154,18 @@ class Specification:
 
     @property
     def asks_as_usual(self) -> bool:
-        """Whether the unknowns are the default ones, and nothing is known of them."""
+        """Whether all options but `film`, `loss` and `max_steps` are the defaults."""
         return not self.changed.keys() - {"film", "loss", "max_steps"}
 
     @property
     def changed(self) -> dict[str, Any]:
-        """What differs from the defaults."""
+        """Options that differ from the defaults."""
         given = self.options.items()
         return {name: v for name, v in given if v != getattr(_USUAL, name)}
 
 
 def as_names(key: Any) -> tuple[str, ...]:
-    """Arrays that an entry of `uncertain` is of.
+    """Names of the arrays in a key of `uncertain`.
 
     **Raises:** `ValueError` if it is neither a name nor several.
     """
@@ -182,7 +182,7 @@ def _names(argument: str, given: Sequence[Any] | None) -> tuple[Any, ...]:
 
 
 def _comparable(value: Any) -> Any:
-    """Arrays and their like as numbers, which can be compared."""
+    """Convert arrays to nested tuples of numbers, which can be compared."""
     if isinstance(value, Mapping):
         return {key: _comparable(one) for key, one in value.items()}
     if isinstance(value, (tuple, list)):

@@ -1,4 +1,4 @@
-"""What scenes say with an error, and a fit does not look for: nuisance parameters."""
+"""Nuisance parameters: uncertain arrays of the scenes that are not unknowns."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -17,17 +17,17 @@ from phongfit.scene import Scene
 
 
 class Nuisance(NamedTuple):
-    """Parameters that scenes say with an error.
+    """Uncertain parameters of the scenes that are not unknowns of a fit.
 
-    - `unknowns`: of the fit, and these behind.
-    - `covariance`: of these, in the user's units.
+    - `unknowns`: the unknowns of the fit, followed by these parameters.
+    - `covariance`: covariance of these parameters, in the user's units.
     """
 
     unknowns: Unknowns
     covariance: Float[np.ndarray, "m m"]
 
     def beside(self, problem: Problem, y: Float[Array, " n"]) -> tuple[Problem, Array]:
-        """A fit's problem and solution, with these unknown, too."""
+        """A fit's problem and solution, extended by these parameters as unknowns."""
         own, with_own = problem.unknowns, self.unknowns
         count = len(own.base)
         with_own = with_own.aimed(
@@ -40,9 +40,9 @@ class Nuisance(NamedTuple):
     def solver_covariance(
         self, y: Float[Array, " n"], size: int
     ) -> Float[np.ndarray, "k k"]:
-        """Their covariance in the solver's units.
+        """Covariance of these parameters in the solver's units.
 
-        **Arguments:** `y`: of all; `size`: how many of it are the fit's own.
+        **Arguments:** `y`: vector of all unknowns; `size`: number of the fit's own.
         """
         slope = np.asarray(in_units(self.unknowns, y)[1], float)
         back = np.linalg.pinv(slope[-len(self.covariance) :, size:])
@@ -52,7 +52,7 @@ class Nuisance(NamedTuple):
 def make_nuisance(
     asked: Specification, materials: int, scenes: Sequence[Scene]
 ) -> Nuisance | None:
-    """What is uncertain and not unknown; `None` if nothing is.
+    """The parameters that are uncertain and not unknown; `None` if there are none.
 
     **Raises:** `ValueError` that names the entry that is wrong.
     """
@@ -74,7 +74,7 @@ def make_nuisance(
         for key, given in asked.uncertain.items()
         if set(as_names(key)) <= set(names)
     ]
-    # Here, since SciPy takes long to import, and few fits have any.
+    # Imported here, since SciPy takes long to import and few fits need it.
     from scipy.linalg import block_diag
 
     return Nuisance(unknowns, np.asarray(block_diag(*blocks)))

@@ -1,8 +1,8 @@
 """The unknowns of a fit as one vector, and back.
 
 The solver sees every unknown at order 1 and inside a box: reflectances as they are, an
-exponent as its logarithm, numbers of the scene in units of what they were, a direction
-as two coordinates around a base, a rotation as three angles from where it was.
+exponent as its logarithm, numbers of the scene relative to their first values, a
+direction as two coordinates around a base, a rotation as three angles from its start.
 """
 
 import dataclasses
@@ -31,7 +31,7 @@ from phongfit.scene import Scene
 
 
 class Unknowns(eqx.Module):
-    r"""Which parameters are unknown, what holds them together, and the solver's box.
+    r"""The unknown parameters, their ties and priors, and the solver's box.
 
     The numbers of all parameters, one after the other, are the *entries*, in the user's
     units. An entry has its own number in the solver's vector y, is tied to another's or
@@ -41,30 +41,31 @@ class Unknowns(eqx.Module):
     parameters: tuple[Parameter, ...] = eqx.field(static=True)
     materials: int = eqx.field(static=True)
     images: int = eqx.field(static=True)
-    # The entry that each number of y belongs to; of a direction, its first.
+    # The entry to which each number of y belongs; for a direction, its first.
     entry_of_y: tuple[int, ...] = eqx.field(static=True)
-    # Of each entry: whose number it takes, and the index in y of its own first number.
+    # For each entry: the entry that it is tied to (or itself), and the index in y of
+    # its first number.
     source: tuple[int, ...] = eqx.field(static=True)
     y_index: tuple[int, ...] = eqx.field(static=True)
     fixed: tuple[bool, ...] = eqx.field(static=True)
     has_prior: tuple[bool, ...] = eqx.field(static=True)
-    # Whether points are lit anew where an unknown changes, or only lobes shaped anew.
+    # Whether a change of unknowns changes the lighting of points, not only lobes.
     relights: bool = eqx.field(static=True)
     known: Material
     factor: Float[Array, " entries"]
     offset: Float[Array, " entries"]
     scale: Float[Array, " entries"]
-    # The directions that unknown ones are relative to, and two unit vectors across
+    # Base directions of the unknown directions, and two unit vectors perpendicular to
     # each.
     base: Float[Array, "directions 3"]
     across: Float[Array, "directions 2 3"]
-    # Where rotations started.
+    # First values of the unknown rotations.
     turn: Float[Array, "rotations 3 3"]
     prior_mean: Float[Array, " entries"]
     prior_deviation: Float[Array, " entries"]
-    # Makes what they are off by of those that have one independent, of variance 1.
+    # Whitening matrix of the entries with a prior.
     prior_root: Float[Array, "priors priors"]
-    # What the scenes say of y; of a material nothing is known beforehand.
+    # y of the values in the scenes; parameters of the material have no first value.
     start: Float[Array, " n"]
     lower: Float[Array, " n"]
     upper: Float[Array, " n"]
@@ -76,7 +77,7 @@ class Unknowns(eqx.Module):
 
     @functools.cached_property
     def entry_labels(self) -> tuple[str, ...]:
-        """A name for every entry."""
+        """A label for every entry."""
         return tuple(
             label for parameter in self.parameters for label in parameter.labels
         )
@@ -94,7 +95,7 @@ class Unknowns(eqx.Module):
 
     @functools.cached_property
     def tied(self) -> np.ndarray:
-        """True for reported entries that follow another one."""
+        """True for reported entries that are tied to another one."""
         return ~self._own[self.reported]
 
     @functools.cached_property
@@ -104,7 +105,7 @@ class Unknowns(eqx.Module):
         edges = edges[np.array(self.y_index)]
         scale = np.asarray(self.scale, float)[:, None]
         forms = self.forms[:, None]
-        # What is no logarithm could overflow.
+        # Only logarithms are exponentiated, since other entries could overflow.
         powers = np.exp(np.where(forms == "logarithm", edges, 0))
         edges = np.where(forms == "logarithm", powers, scale * edges)
         edges = np.where(forms == "direction", [[-1.0, 1.0]], edges)
@@ -112,10 +113,10 @@ class Unknowns(eqx.Module):
         followed = edges[np.array(self.source)][self.reported]
         with np.errstate(invalid="ignore"):
             followed = followed * factor[self.reported, None]
-        # What follows another 0 times is 0.
+        # A factor of 0 gives 0 also for infinite bounds.
         followed = np.where(np.isnan(followed), 0, followed)
         edges = np.sort(offset[self.reported, None] + followed, axis=1)
-        # A logarithm of single precision gives back 1000 as 1000.00012.
+        # In single precision exp(log 1000) is 1000.00012.
         digits = 6 if self.lower.dtype == np.float32 else 14
         values, place = np.unique(edges, return_inverse=True)
         values = np.array([float(f"{x:.{digits}g}") for x in values])
@@ -123,7 +124,7 @@ class Unknowns(eqx.Module):
 
     @functools.cached_property
     def y_entry(self) -> np.ndarray:
-        """The entry that each number of y belongs to; of a direction, its first."""
+        """The entry to which each number of y belongs; for a direction, its first."""
         return np.array(self.entry_of_y)
 
     @functools.cached_property
@@ -133,12 +134,12 @@ class Unknowns(eqx.Module):
 
     @functools.cached_property
     def _own(self) -> np.ndarray:
-        """True for entries that follow no other one."""
+        """True for entries that are not tied to another one."""
         return np.arange(len(self.source)) == np.array(self.source)
 
     @functools.cached_property
     def forms(self) -> np.ndarray:
-        """How the solver sees each entry: plain, as a logarithm, or as a direction."""
+        """Form of each entry in the solver: plain, logarithm, direction, rotation."""
         return np.repeat(
             [f.form for f in self.parameters], [f.size for f in self.parameters]
         )
@@ -150,7 +151,7 @@ class Unknowns(eqx.Module):
 
     @functools.cached_property
     def entry_row(self) -> np.ndarray:
-        """The material or image, for every entry; 0 where there is one for all."""
+        """Index of the material or image, for every entry; 0 if all share the entry."""
         rows = [
             np.repeat(np.arange(len(f.rows)), len(f.parts)) for f in self.parameters
         ]
@@ -158,7 +159,7 @@ class Unknowns(eqx.Module):
 
     @functools.cached_property
     def entry_channel(self) -> np.ndarray:
-        """The channel, for every entry; −1 where it is of all."""
+        """The channel, for every entry; −1 if all channels share it."""
         return np.concatenate(
             [np.tile(f.channels, len(f.rows)) for f in self.parameters]
         )
@@ -170,7 +171,7 @@ class Unknowns(eqx.Module):
 
     @functools.cached_property
     def y_material(self) -> np.ndarray:
-        """The material that each number of y belongs to; 0 where it has none."""
+        """Index of the material to which each number of y belongs; 0 if to none."""
         rows = np.where(
             np.isin(self.entry_parameter, MATERIAL_PARAMETERS), self.entry_row, 0
         )
@@ -183,7 +184,7 @@ class Unknowns(eqx.Module):
 
     @functools.cached_property
     def y_labels(self) -> tuple[str, ...]:
-        """A name for every number of y, `log_shininess` where it is a logarithm."""
+        """A label for every number of y, such as `log_shininess` for a logarithm."""
         return tuple(
             f"log_{label}" if logarithmic else label
             for label, logarithmic in zip(
@@ -193,7 +194,7 @@ class Unknowns(eqx.Module):
 
     @functools.cached_property
     def free_labels(self) -> tuple[str, ...]:
-        """What every number of y is of; both of a direction have the direction's."""
+        """Label of the entry of every number of y; one for both of a direction."""
         labels, forms = self.entry_labels, self.forms
         return tuple(
             labels[entry].removesuffix(".x")
@@ -204,19 +205,19 @@ class Unknowns(eqx.Module):
 
     @functools.cached_property
     def logarithmic(self) -> np.ndarray:
-        """True where the solver works with a logarithm."""
+        """True for numbers of y that are logarithms."""
         return self.forms[self.y_entry] == "logarithm"
 
     @functools.cached_property
     def shapes(self) -> np.ndarray:
-        """True for numbers of y that shape highlights: exponents, and a model's own."""
+        """True for numbers of y that shape highlights: exponents, model parameters."""
         own = np.array([is_of_model(name) for name in self.y_parameter], bool)
         closed = np.isfinite(self.lower) & np.isfinite(self.upper)
         return self.logarithmic | (own & np.asarray(closed))
 
     @functools.cached_property
     def of_scene(self) -> bool:
-        """Whether anything of the scenes is unknown."""
+        """Whether any parameter of the scenes is unknown."""
         return any(is_of_scene(name) for name in self.names)
 
     @functools.cached_property
@@ -226,36 +227,36 @@ class Unknowns(eqx.Module):
 
     @functools.cached_property
     def entry_per_image(self) -> np.ndarray:
-        """True for entries of one image alone."""
+        """True for entries that belong to a single image."""
         per_image = [parameter.per_image for parameter in self.parameters]
         return np.repeat(per_image, [parameter.size for parameter in self.parameters])
 
     @functools.cached_property
     def differs_between_images(self) -> bool:
-        """Whether there are entries of one image alone."""
+        """Whether there are entries that belong to a single image."""
         return any(parameter.per_image for parameter in self.parameters)
 
     @functools.cached_property
     def moves_geometry(self) -> bool:
-        """Whether rays must be traced anew for every guess."""
+        """Whether rays must be traced again whenever unknowns change."""
         return any(moves_geometry(name) for name in self.names)
 
     @functools.cached_property
     def moves_lights(self) -> bool:
-        """Whether shadows may move."""
+        """Whether unknowns move lights, so that shadows may move."""
         places = ("position", "direction", "axis")
         return any(is_of_scene(n) and n.endswith(places) for n in self.names)
 
     @functools.cached_property
     def direction_indices(self) -> np.ndarray:
-        """Where in y the first of each direction's two numbers is."""
+        """Indices in y of the first of each direction's two numbers."""
         return np.flatnonzero(self.forms[self.y_entry] == "direction")[::2]
 
     def entries(self, y: Float[Array, " n"]) -> Float[Array, " entries"]:
         """All entries in the user's units."""
         numbers = jnp.where(self._free, y[np.array(self.y_index)], 0)
         logarithm = self.forms == "logarithm"
-        # What is no logarithm could overflow.
+        # Only logarithms are exponentiated, since other entries could overflow.
         powers = jnp.exp(jnp.where(logarithm, numbers, 0))
         own = jnp.where(logarithm, powers, self.scale * numbers)
         first = self.direction_entries
@@ -269,7 +270,7 @@ class Unknowns(eqx.Module):
 
     @functools.cached_property
     def direction_entries(self) -> np.ndarray:
-        """The first entries of all directions."""
+        """Indices of the first entry of each direction."""
         return np.flatnonzero(self.forms == "direction")[::3]
 
     def aimed(
@@ -277,11 +278,11 @@ class Unknowns(eqx.Module):
         base: Float[Array, "directions 3"],
         across: Float[Array, "directions 2 3"],
     ) -> "Unknowns":
-        """The same, with directions relative to others than where they started."""
+        """A copy with other base directions for the unknown directions."""
         return dataclasses.replace(self, base=base, across=across)
 
     def position(self, entries: np.ndarray) -> np.ndarray:
-        """The y that makes these entries, as near as the box allows."""
+        """The y of these entries, clipped to the box; directions keep their start."""
         own = entries[self.y_entry].astype(float)
         scaled = own / np.asarray(self.scale, float)[self.y_entry]
         logarithm = np.log(np.where(self.logarithmic, np.maximum(own, 1e-30), 1))
@@ -306,7 +307,7 @@ class Unknowns(eqx.Module):
         }
 
     def material(self, y: Float[Array, " n"]) -> Material:
-        """The material that the solver's vector stands for."""
+        """The material of a vector y."""
         return self.as_material(self.entries(y))
 
     def as_material(self, entries: Any) -> Material:
@@ -324,7 +325,7 @@ class Unknowns(eqx.Module):
         )
 
     def scenes(self, entries: Any, scenes: tuple[Scene, ...]) -> tuple[Scene, ...]:
-        """The scenes with what is unknown of them from the entries."""
+        """The scenes with their unknown arrays set from the entries."""
         if not self.of_scene:
             return scenes
         parts = self._scene_parts(entries)
@@ -335,7 +336,7 @@ class Unknowns(eqx.Module):
         return tuple(with_arrays(scene, of(k)) for k, scene in enumerate(scenes))
 
     def stacked_scenes(self, entries: Any, scenes: Scene, images: int) -> Scene:
-        """The same for scenes that are stacked as the first axis of their arrays."""
+        """Scenes, stacked along a first axis, with unknown arrays set from entries."""
         parts = {
             name: jnp.broadcast_to(part, (images, *part.shape[1:]))
             for name, part in self._scene_parts(entries).items()
@@ -343,7 +344,7 @@ class Unknowns(eqx.Module):
         return eqx.filter_vmap(with_arrays)(scenes, parts)
 
     def _scene_parts(self, entries: Any) -> dict[str, Array]:
-        """What is unknown of the scenes, a row for each of them or for all."""
+        """Unknown arrays of the scenes by name: a row for each scene, or for all."""
         parts = {n: p for n, p in self.parts(entries).items() if is_of_scene(n)}
         done = 0
         for parameter in self.parameters:
@@ -354,14 +355,14 @@ class Unknowns(eqx.Module):
         return parts
 
     def exposures(self, entries: Any) -> Float[Array, " images"]:
-        """What the light of each image is multiplied by."""
+        """The factor on the light of each image."""
         parts = self.parts(entries)
         if EXPOSURE not in parts:
             return jnp.ones((self.images,), entries.dtype)
         return parts[EXPOSURE].reshape(-1)
 
     def prior_residual(self, y: Float[Array, " n"]) -> Float[Array, " priors"]:
-        """How far the entries with a prior are from it, in standard deviations."""
+        """Deviations of the entries from their priors, in standard deviations."""
         wanted = np.flatnonzero(np.array(self.has_prior))
         off = self.entries(y)[wanted] - self.prior_mean[wanted]
         return jnp.matmul(self.prior_root, off, precision="highest")

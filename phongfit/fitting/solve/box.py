@@ -1,4 +1,4 @@
-"""The small problem inside every bounded least-squares step: a quadratic in a box."""
+"""Minimisation of a convex quadratic in a box, for bounded least-squares steps."""
 
 import abc
 
@@ -16,9 +16,10 @@ def minimize_in_box(
 ) -> Float[Array, " n"]:
     r"""The $p$ in $[l, u]$ that minimises $g \cdot p + \tfrac12 p^\top H p$.
 
-    A primal active-set method: solve for the free entries, walk until one meets a
-    bound, hold it there; where all is well, let go the entry that most wants to leave
-    its bound. It ends after finitely many steps, mostly as many as bounds that bind.
+    A primal active-set method: take the Newton step of the free entries up to the first
+    bound, and hold that entry there. If no bound is met, free the held entry whose
+    multiplier has the wrong sign and is largest. It ends after finitely many steps,
+    mostly as many as there are active bounds.
 
     **Arguments:**
 
@@ -43,8 +44,8 @@ def least_squares_in_box(
 ) -> Float[Array, " n"]:
     r"""The $p$ in $[l, u]$ that minimises $\|A p + r\|^2 + \|d \odot p\|^2$.
 
-    As [`minimize_in_box`][], but by orthogonal factors: $A^\top A$ is never formed, so
-    that what $A$ resolves in this precision is resolved.
+    As [`minimize_in_box`][], but by QR factors: $A^\top A$, which would lose half of
+    the digits, is not formed.
 
     **Arguments:**
 
@@ -58,7 +59,7 @@ def least_squares_in_box(
 
 
 class _AbstractQuadratic(eqx.Module):
-    """A convex quadratic, as much as an active-set method asks of it."""
+    """A convex quadratic, with the functions that an active-set method needs."""
 
     @abc.abstractmethod
     def slope(self, point: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -66,7 +67,7 @@ class _AbstractQuadratic(eqx.Module):
 
     @abc.abstractmethod
     def summands(self, point: Float[Array, " n"]) -> Float[Array, " n"]:
-        """Size of the summands of the gradient, whose rounding is its own."""
+        """Sum of absolute summands of the gradient, which determines its rounding."""
 
     @abc.abstractmethod
     def newton(
@@ -117,7 +118,7 @@ class _SquaresForm(_AbstractQuadratic):
         rows = jnp.concatenate([self.matrix * unit[None, :], below])
         left = self.matrix @ point + self.residual
         right = jnp.concatenate([left, jnp.where(free, self.damping * point, 0)])
-        # The last column of the triangle is what Q' makes of the right-hand side.
+        # The last column of the triangle is Qᵀ times the right-hand side.
         triangle = jnp.linalg.qr(jnp.column_stack([rows, right]), mode="r")
         step = jax.scipy.linalg.solve_triangular(triangle[:n, :n], triangle[:n, n])
         return -unit * step
@@ -135,23 +136,24 @@ def _active_set(
 ) -> Float[Array, " n"]:
     size = lower.size
     start = jnp.clip(jnp.zeros_like(lower), lower, upper)
-    # A multiplier this small is rounding: letting go for it would go round in circles.
+    # A multiplier this small is rounding; freeing its entry could cycle.
     small = 8 * jnp.finfo(lower.dtype).eps
 
     def step(state: _State) -> _State:
         newton = quadratic.newton(state.point, state.free)
         limit = jnp.where(newton > 0, upper, lower) - state.point
         moving = state.free & (newton != 0)
-        share = jnp.where(moving, limit / jnp.where(moving, newton, 1), jnp.inf)
-        blocking = jnp.argmin(share)
-        blocked = share[blocking] < 1
-        moved = state.point + jnp.minimum(share[blocking], 1) * newton
+        fraction = jnp.where(moving, limit / jnp.where(moving, newton, 1), jnp.inf)
+        blocking = jnp.argmin(fraction)
+        blocked = fraction[blocking] < 1
+        moved = state.point + jnp.minimum(fraction[blocking], 1) * newton
         moved = jnp.clip(moved, lower, upper)
         is_blocking = blocked & (jnp.arange(size) == blocking)
         at = jnp.where(newton > 0, upper, lower)
         moved = jnp.where(is_blocking, at, moved)
 
-        # All free entries are at their best: does a held one want to leave its bound?
+        # All free entries are optimal: does a multiplier of a held one have the wrong
+        # sign?
         slope, noise = quadratic.slope(moved), small * quadratic.summands(moved)
         inwards = jnp.where(moved <= lower, -slope, slope)
         wish = jnp.where(~state.free & (lower < upper), inwards - noise, -jnp.inf)
@@ -183,7 +185,7 @@ def _solve_free(
         factor = jax.scipy.linalg.cho_factor(scaled + ridge * identity)
         return jnp.where(free, -jax.scipy.linalg.cho_solve(factor, wanted) * scale, 0)
 
-    # Rounding can make a singular matrix indefinite: then a shorter step must do.
+    # Rounding can make a singular matrix indefinite: then a larger ridge is used.
     step = solve(8 * slope.shape[0] * float(jnp.finfo(slope.dtype).eps))
     sound = jnp.all(jnp.isfinite(step))
     return jax.lax.cond(sound, lambda: step, lambda: solve(1e-3))

@@ -1,10 +1,10 @@
-"""Edges that unknowns move: light jumps there, and the pixels at them are left out.
+"""Edges that unknowns move, where light is discontinuous: their pixels are left out.
 
-An outline, a crease of the surface, the rim of a spot's cone, the border of a cast
-shadow: as one of these moves over a pixel, its light jumps, and between jumps it says
-nothing of where the edge is.
-Derivatives know no jumps, so a pixel on the wrong side of an edge would pull on all
-that is unknown for the wrong reason.
+These are outlines, creases of the surface, rims of spots' cones, and borders of cast
+shadows. When an edge moves over a pixel, its light jumps; otherwise the light does not
+depend on the edge.
+Derivatives do not include jumps, so a pixel on the wrong side of an edge would bias all
+unknowns.
 """
 
 import dataclasses
@@ -25,8 +25,9 @@ from phongfit.geometry.surfaces import GBuffer, NormalMap
 from phongfit.programs import program
 from phongfit.scene import Scene
 
-# Pixels to either side of an edge that are left out, and of these the nearest, which
-# must be: an edge may come to rest within the strip, not beside it.
+# Width in pixels of the strip on either side of an edge that is left out, and the
+# smaller distance within which no used pixel may lie: a fitted edge may move within the
+# strip.
 REACH, NEAREST = 2, 1
 MOST_ROUNDS = 8
 # Degrees by which the normals of neighbouring pixels differ at a crease, and between
@@ -43,12 +44,10 @@ def keep_off_edges(
     noise_given: bool,
     max_steps: int,
 ) -> tuple[SearchResult, list[Source], tuple[str, ...]]:
-    """A fit again and again, until no pixel that counts lies at an edge that it moves.
+    """Fit repeatedly, until no used pixel lies at an edge that unknowns move.
 
-    **Arguments:** `seen`: of each image the pixels that the fit gathered.
-
-    **Returns:** the last fit, the images without what was left out of them, and what
-    there is to warn of.
+    **Arguments:** `seen`: for each image the pixels of the fit. **Returns:** the last
+    fit, the images with weight 0 at edges, and warnings.
     """
     unknowns = found.problem.unknowns
     scenes = tuple(source.scene for source in sources)
@@ -70,7 +69,7 @@ def keep_off_edges(
 
 
 def off_edges(unknowns: Unknowns, sources: list[Source]) -> list[Source]:
-    """Images without what a fit that ends where their scenes are leaves out of them."""
+    """Images with weight 0 at the edges of their scenes that unknowns move."""
     scenes = tuple(source.scene for source in sources)
     if not moves_edges(unknowns, scenes):
         return sources
@@ -96,7 +95,7 @@ def _words(crossed: int) -> str:
 
 
 def _count(sources: Sequence[Source], pixels: Sequence[np.ndarray]) -> int:
-    """How many of these pixels count."""
+    """Number of these pixels with a weight above 0."""
     return sum(
         int(np.count_nonzero((np.asarray(source.weight) > 0).any(axis=-1) & one))
         for source, one in zip(sources, pixels, strict=True)
@@ -104,7 +103,7 @@ def _count(sources: Sequence[Source], pixels: Sequence[np.ndarray]) -> int:
 
 
 def moves_edges(unknowns: Unknowns, scenes: Sequence[Scene]) -> bool:
-    """Whether an edge moves with what is unknown."""
+    """Whether unknowns move an edge."""
     if unknowns.moves_geometry:
         return True
     if unknowns.moves_lights and any(scene.shadows for scene in scenes):
@@ -113,10 +112,10 @@ def moves_edges(unknowns: Unknowns, scenes: Sequence[Scene]) -> bool:
 
 
 class Edges(NamedTuple):
-    """What an image shows of the edges that move.
+    """The moving edges of an image.
 
     - `seen`: pixels that see the surface; `outlined`: whether the outline is an edge.
-    - `sides`: on which side of each other edge they lie.
+    - `sides`: side of each other edge on which a pixel lies.
     - `broken`: pixels beside a crease, a jump in depth or another material, where
       these move.
     """
@@ -128,10 +127,10 @@ class Edges(NamedTuple):
 
 
 def edges_of(unknowns: Unknowns, scene: Scene) -> Edges:
-    """The edges of one image that move with what is unknown."""
+    """The edges of one image that unknowns move."""
     buffer, sides = _sides(scene, _moving_cones(unknowns, scene))
     seen, moves = np.asarray(buffer.mask), unknowns.moves_geometry
-    # The normals of a picture stay in their pixels, whatever moves.
+    # The normals of a normal map are fixed to pixels.
     breaks = moves and not isinstance(scene.surface, NormalMap)
     flat = isinstance(scene.shading, FlatShading)
     broken = _broken(buffer, flat) if breaks else np.zeros_like(seen)
@@ -139,9 +138,9 @@ def edges_of(unknowns: Unknowns, scene: Scene) -> Edges:
 
 
 def near(edges: Edges, reach: int) -> Bool[np.ndarray, "height width"]:
-    """Pixels within `reach` of an edge that moves.
+    """Pixels within `reach` of a moving edge.
 
-    Where that is the outline, pixels that see no surface are among them.
+    Near an outline this includes pixels that see no surface.
     """
     seen = edges.seen
     found = _spread(~seen, reach) if edges.outlined else np.zeros_like(seen)
@@ -151,10 +150,10 @@ def near(edges: Edges, reach: int) -> Bool[np.ndarray, "height width"]:
 
 
 def _broken(buffer: GBuffer, flat: bool) -> Bool[np.ndarray, "height width"]:
-    """Pixels whose neighbour in a row or column sees a surface that does not go on.
+    """Pixels beside a crease or a jump in depth, in their row or column.
 
-    On a smooth surface the step from one point to the next is at a right angle to the
-    mean of both normals, up to third order in its length.
+    On a smooth surface the step from one point to the next is perpendicular to the mean
+    of both normals, up to third order in its length.
 
     **Arguments:** `flat`: whether every edge between faces is a crease.
     """
@@ -179,7 +178,7 @@ def _broken(buffer: GBuffer, flat: bool) -> Bool[np.ndarray, "height width"]:
 
 
 def _moving_cones(unknowns: Unknowns, scene: Scene) -> tuple[int, ...]:
-    """Lights that end somewhere, and of which something unknown moves that edge."""
+    """Indices of lights with a sharp edge that unknowns move."""
     places = ("position", "axis", "direction")
     return tuple(
         k

@@ -1,7 +1,7 @@
-"""Guesses of a light's place from an image alone, where a fit's search can start.
+"""Guesses of a light's position or direction from an image, as starts of a search.
 
 A highlight lies where the surface mirrors its light towards the viewer, and shading
-grows towards the light. Neither needs a material or a light to begin with.
+increases towards the light. Neither needs a known material or light.
 """
 
 import re
@@ -15,28 +15,28 @@ from phongfit.fitting.problem.parameters import scene_arrays
 from phongfit.fitting.problem.samples import Source
 from phongfit.fitting.problem.unknowns import Unknowns
 
-# Compact bright spots of an image that may be highlights of a light that is unknown.
+# Number of compact bright spots of an image that may be highlights.
 SPOTS = 2
-# Share of a spot's height from which on pixels belong to it, and the radii of that
-# core within which no other spot is looked for.
+# Fraction of a spot's height above which pixels belong to it, and the radii of the spot
+# within which no other spot is sought.
 CORE, APART = 0.5, 3
-# Samples that are enough to fit a few numbers of smooth shading to.
+# Number of samples that suffices to fit smooth shading.
 ENOUGH = 2**14
 
 _PLACE = re.compile(r"scene\.lights\[(\d+)\]\.(direction|axis|position)")
 
 
 Guesses: TypeAlias = Mapping[int, Float[np.ndarray, "guesses 3"]]
-"""Of places of lights by the first entry of each, in the user's units."""
+"""Guesses of lights' positions or directions, by first entry, in the user's units."""
 
 
 class Look(NamedTuple):
-    """What an image shows of its lights.
+    """Evidence of an image about its lights.
 
-    - `excess`: how much brighter each pixel is than smooth shading, row by row; −inf
-        where it counts for nothing.
-    - `points`, `to_light`: places on the surface (world units), and the unit vector
-        from each towards a light: of `SPOTS` spots, and of the shading.
+    - `excess`: light of each pixel minus smooth shading, row by row; −inf for unused
+        pixels.
+    - `points`, `to_light`: points on the surface (world units), and the unit vector
+        from each towards a light: for `SPOTS` spots, and for the shading.
     """
 
     excess: Float[np.ndarray, " pixels"]
@@ -45,14 +45,14 @@ class Look(NamedTuple):
 
 
 def moves_lights(unknowns: Unknowns) -> bool:
-    """Whether the place of a light is unknown, and with it where highlights lie."""
+    """Whether a light's position or direction is unknown."""
     return any(_PLACE.fullmatch(name) for name in unknowns.names)
 
 
 def look(source: Source, seen: Int[np.ndarray, " n"]) -> Look:
-    """Spots and shading of an image.
+    """Evidence about lights from spots and shading of an image.
 
-    **Arguments:** `seen`: the pixels that count, row by row.
+    **Arguments:** `seen`: flat indices of the used pixels.
     """
     from scipy import ndimage
 
@@ -70,7 +70,7 @@ def look(source: Source, seen: Int[np.ndarray, " n"]) -> Look:
         basis, some = _harmonics(normal[own]), slice(None, None, len(own) // ENOUGH + 1)
         numbers = np.linalg.lstsq(basis[some], light[own][some], rcond=None)[0]
         excess[own] = light[own] - basis @ numbers
-    # What is smaller than 2 × 2 pixels is noise, or an outlier.
+    # Spots smaller than 2 × 2 pixels are noise or outliers.
     excess = excess.reshape(source.mask.shape)
     opened = ndimage.grey_opening(excess, (2, 2))
     excess = opened if np.isfinite(opened).any() else excess
@@ -85,7 +85,7 @@ def look(source: Source, seen: Int[np.ndarray, " n"]) -> Look:
 
 
 def _harmonics(normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 9"]:
-    """Harmonics up to order 2, which matte shading under any lights follows closely.
+    """Harmonics up to order 2, which approximate matte shading under any lights.
 
     ??? cite "Source"
         Ramamoorthi and Hanrahan, *An efficient representation for irradiance
@@ -121,7 +121,7 @@ def _up_the_shading(
     normal: Float[np.ndarray, "n 3"],
     to_viewer: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "3"]:
-    """The way in which light grows: of Lambert's law, where it is not in shadow."""
+    """Direction of a light by Lambert's law, from the brighter half of the pixels."""
     some = slice(None, None, len(light) // ENOUGH + 1)
     light, normal = light[some], normal[some].astype(float)
     lit = light >= np.median(light)
@@ -131,7 +131,7 @@ def _up_the_shading(
 
 
 def _unit(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
-    """The mean direction of some vectors."""
+    """Unit vector along the sum of vectors."""
     total = vectors.sum(axis=0, dtype=float)
     return total / max(np.linalg.norm(total), 1e-30)
 
@@ -139,9 +139,9 @@ def _unit(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
 def guess_places(
     unknowns: Unknowns, looks: Sequence[Look], sources: Sequence[Source]
 ) -> Guesses:
-    """Guesses of the places of lights that are unknown.
+    """Guesses of the unknown positions and directions of lights.
 
-    Of several unknown lights of an image each begins with another guess.
+    Several unknown lights of an image begin with different guesses.
     """
     found: dict[int, np.ndarray] = {}
     lights = [_PLACE.fullmatch(name) for name in unknowns.names]
@@ -151,7 +151,8 @@ def guess_places(
         for row in range(len(parameter.rows)):
             if place is None:
                 break
-            # What images share is guessed from the one whose spot is the brightest.
+            # A light that images share is guessed from the image with the brightest
+            # spot.
             k = row
             if not parameter.per_image:
                 k = int(np.argmax([one.excess.max() for one in looks]))

@@ -1,17 +1,17 @@
-r"""What a JPEG file took from its image, as far as the fitted image shows.
+r"""Correction of fits for the compression of JPEG files, by simulation.
 
-Its errors are no noise. A coefficient that rounds to 0 takes its signal with it, at
-each edge and each highlight alike; colour on a coarser grid bleeds over silhouettes;
-and all pixels of a block share the rounding of its coefficients, all blocks of one
-colour that of their mean. So the fitted image, with noise, is drawn through the file's
-own steps some dozen times. The mean of what it loses is given back to the photograph,
-which is fitted again; how the draws scatter says what the errors are.
+Errors of compression are not independent noise. A coefficient that rounds to 0 loses
+its signal, at all edges and highlights alike; colour on a coarser grid bleeds over
+silhouettes; all pixels of a block share the rounding of its coefficients, and all
+blocks of one colour that of their mean. So the fitted image, with noise, is compressed
+by the file's own steps some dozen times. The mean error is subtracted from the
+photograph, which is fitted again, and the scatter of the simulations determines the
+errors.
 
-Each draw is a little brighter or darker, and shifted by some levels: where a
-large number lies between two steps is chance, but a small one rounds to 0 all the same.
-It is the same chance for all images of a draw. They show one material, whose colour
-passes the same steps at the same brightness in each, so that what a number rounds to in
-one of them it rounds to in all.
+Each simulated image is scaled and shifted by a few levels, so that the position of a
+large coefficient between two steps is random, while a small one still rounds to 0. All
+images of one draw have the same scale and shift: they show one material, whose colours
+round alike in all of them.
 
 ??? cite "Source"
     Widrow and Kollár, *Quantization noise*, 2008, chapters 4 and 19; Gouriéroux,
@@ -37,34 +37,34 @@ from phongfit.programs import program
 from phongfit.rendering.film import Film, decode, encode
 from phongfit.rendering.jpeg import JpegCompression, compressed
 
-# Draws while the fit still moves, and at its end: a standard error of 32 draws is
-# known to 12 %.
+# Number of draws for the correction, and for the errors at the end: a standard error
+# from 32 draws is accurate to 12 %.
 FEW, MANY = 8, 32
-# Draws are up to so much brighter or darker than the fitted image.
+# Largest relative change of brightness in a draw.
 BRIGHTER = 0.15
-# Pixels around the surface that are averaged for what lies there.
+# Radius in pixels over which the surroundings of the surface are smoothed.
 AROUND = 4
-# Share of the samples that lie in blocks of the surface alone, from which on these
-# tell the noise.
+# Fraction of the samples in blocks that show only the surface, above which the noise is
+# estimated from these blocks.
 ENOUGH = 0.1
-# How often the search for the noise quadruples a variance that is too small.
+# Most times that the search for the noise quadruples a variance that is too small.
 GROWN = 6
 
 Beside = Callable[[Problem, Float[Array, " n"]], tuple[Problem, Array]]
-"""A fit's problem and solution, with more unknowns behind its own."""
+"""Extends a fit's problem and solution by further unknowns."""
 
 Drawn = Float[np.ndarray, "draws 3 rows columns"]
-"""Sums over tiles of residuals that are drawn; their squares add up to a variance."""
+"""Sums over tiles of simulated residuals; the sum of their squares is a variance."""
 
 
 class Restored(NamedTuple):
-    """A fit of photographs that have been given back what JPEG took.
+    """A fit of photographs that are corrected for JPEG compression.
 
-    - `solution`: of the fit, and its problem.
-    - `sources`: these photographs, with steps as wide as what the files rounded.
-    - `drawn`: sums over tiles of what the right model leaves: see [`find_misfit`][].
-    - `scores`: rows whose products with themselves add up to the covariance of scores,
-        those of what is beside the unknowns behind these.
+    - `solution`: the fit's solution and problem.
+    - `sources`: the corrected photographs, with rounding steps that match the errors.
+    - `drawn`: sums over tiles of the right model's residuals: see [`find_misfit`][].
+    - `scores`: rows whose outer products add up to the covariance of the scores of the
+        unknowns, followed by those of `beside`.
     """
 
     solution: SearchResult
@@ -82,14 +82,14 @@ def restore(
     side: int,
     beside: Beside | None = None,
 ) -> Restored:
-    """Fit again, what the files took from their images given back.
+    """Fit photographs again, corrected for JPEG compression.
 
     **Arguments:**
 
     - `found`: a fit of the images as they are.
-    - `sources`, `films`: the images; those that are no JPEG take part too.
-    - `side`: pixels along a tile.
-    - `beside`: what else scores are drawn of.
+    - `sources`, `films`: all images, also those that are not JPEG.
+    - `side`: pixels along the side of a tile.
+    - `beside`: adds unknowns of which scores are simulated as well.
     """
     first, problem, y, steps = found.problem, found.problem, found.y, found.steps
     plates = _plates(first, sources, films)
@@ -128,9 +128,9 @@ def foresee(
     films: tuple[Film, ...],
     beside: Beside | None = None,
 ) -> tuple[Problem, Float[np.ndarray, "rows m"]]:
-    """The problem of photographs not yet taken, with what their files will round.
+    """The problem of photographs not yet taken, with the rounding of their JPEG files.
 
-    **Arguments:** `y`: the truth; `beside`: what else scores are drawn of.
+    **Arguments:** `y`: the truth; `beside`: adds unknowns with simulated scores.
 
     **Returns:** also the `scores` of [`Restored`][].
     """
@@ -150,7 +150,7 @@ def _restored(
     step: Float[np.ndarray, "3 samples"],
     sigma: float,
 ) -> Problem:
-    """The problem with what was lost given back, and other steps and noise."""
+    """The problem with corrected targets, and other rounding steps and noise."""
     kind = first.samples.target.dtype
     samples = eqx.tree_at(
         lambda s: (s.target, s.step),
@@ -161,15 +161,14 @@ def _restored(
 
 
 class _Plate(NamedTuple):
-    """An image as its film makes it.
+    """An image, prepared for simulations of its film.
 
-    - `around`: its light, (pixels, 3), where `place` is not: what lies about the
-        surface.
-    - `place`, `columns`: the pixels that the fit uses, counted row by row, and where
-        they stand among the samples.
-    - `used`: true for the samples that count, (height, width, 3).
-    - `box`: rows and columns of the blocks that they lie in, and of those about them:
-        the others' numbers say nothing of theirs.
+    - `around`: light outside of the surface, (pixels, 3).
+    - `place`, `columns`: flat indices of the fit's pixels, and their indices among the
+        samples.
+    - `used`: true for used samples, (height, width, 3).
+    - `box`: rows and columns of the blocks of these pixels and of the adjacent blocks;
+        other blocks do not affect them.
     """
 
     film: Film
@@ -182,13 +181,13 @@ class _Plate(NamedTuple):
     def picture(
         self, samples: Float[np.ndarray, "3 samples"]
     ) -> Float[np.ndarray, "height width 3"]:
-        """Numbers of the samples, where they lie in the image; 0 elsewhere."""
+        """Values of the samples as an image; 0 elsewhere."""
         picture = np.zeros(self.around.shape, samples.dtype)
         picture[self.place] = samples[:, self.columns].T
         return np.where(self.used, picture.reshape(self.used.shape), 0)
 
     def cut(self, picture: np.ndarray) -> Shaped[np.ndarray, "height width channels"]:
-        """What lies in the image, of one that was filled up to whole blocks."""
+        """Cut an image of whole blocks to the size of this image."""
         height, width, _ = self.used.shape
         return picture[:height, :width]
 
@@ -202,7 +201,7 @@ class _Plate(NamedTuple):
         return encode(shown, self.film.encoding) * 255
 
     def brightest(self, light: Float[np.ndarray, "3 n"]) -> float:
-        """The largest of these levels."""
+        """Largest level of the box with this light on the surface."""
         around = self.around.reshape(self.used.shape)[self.box]
         most = np.clip(max(around.max(), light.max(initial=0)), 0, 1)
         return 255 * float(encode(most, self.film.encoding))
@@ -234,7 +233,7 @@ def _plates(
 
 
 def _box(used: Bool[np.ndarray, "height width 3"], film: Film) -> tuple[slice, slice]:
-    """Whole blocks around all that is used, and one more on each side."""
+    """Rows and columns of the blocks with used pixels, and one block around."""
     if film.jpeg is None or not used.any():
         return slice(None), slice(None)
     edges = []
@@ -248,10 +247,10 @@ def _surroundings(
     image: Float[np.ndarray, "height width 3"],
     used: Bool[np.ndarray, "height width 1"],
 ) -> Float[np.ndarray, "height width 3"]:
-    """What lies around the pixels that are used, the codec's ripples smoothed away.
+    """The image with its surroundings of the used pixels smoothed.
 
-    Ripples are what is left of an edge whose high frequencies the file lacks; to keep
-    them would be to believe that it never had any.
+    Ripples near an edge are a result of compression: the file lacks the edge's high
+    frequencies. They must not be part of an image that is compressed again.
     """
     outside = ~used
     share = _blurred(outside.astype(image.dtype))
@@ -261,7 +260,7 @@ def _surroundings(
 
 
 def _blurred(image: np.ndarray) -> np.ndarray:
-    """Means over a window, which falls off linearly from its middle."""
+    """Means over a triangular window."""
     ramp = np.arange(1, AROUND + 1, dtype=image.dtype)
     window = np.concatenate([ramp, [AROUND + 1], ramp[::-1]]) / (AROUND + 1) ** 2
     for axis in (0, 1):
@@ -275,7 +274,7 @@ def _blurred(image: np.ndarray) -> np.ndarray:
 def _in_blocks(
     picture: np.ndarray, down: int, across: int
 ) -> Float[np.ndarray, "rows columns channels"]:
-    """Sums over the blocks of an image, of which the last may be cut."""
+    """Sums over the blocks of an image; the last ones may be incomplete."""
     height, width, channels = picture.shape
     padded = np.pad(picture, [(0, -height % down), (0, -width % across), (0, 0)])
     blocks = padded.reshape(-(-height // down), down, -1, across, channels)
@@ -283,19 +282,19 @@ def _in_blocks(
 
 
 class _Another(NamedTuple):
-    """What levels are multiplied by, and what is added to red, green and blue."""
+    """Random scale of all levels, and shift of red, green and blue."""
 
     share: np.float32
     shift: Float[np.ndarray, "3"]
 
 
 class _Draws(NamedTuple):
-    """What images drawn through their films lose, and how that scatters.
+    """Mean error of simulated images, and its scatter.
 
-    - `lost`: its mean, in linear light.
+    - `lost`: mean error, in linear light.
     - `scatter`: covariance of the scores: see [`Problem`][].
-    - `tiles`: of each image: see [`find_misfit`][].
-    - `scores`: as of [`Restored`][].
+    - `tiles`: sums over tiles, for each image: see [`find_misfit`][].
+    - `scores`: as in [`Restored`][].
     """
 
     lost: Float[np.ndarray, "3 samples"]
@@ -305,7 +304,7 @@ class _Draws(NamedTuple):
 
 
 class _Stage:
-    """The fitted images, ready to be drawn through their films."""
+    """The fitted images, prepared for simulations of their films."""
 
     def __init__(
         self,
@@ -323,20 +322,21 @@ class _Stage:
         self.used, self.weight = weight > 0, np.where(weight > 0, weight, 1)
         self.deviation, self.floor = np.asarray(at.deviation), float(at.floor)
         self.residual = np.asarray(at.residual)
-        # How much an outlier's error still moves the solution.
+        # Derivative of a robust loss's score: near 0 for outliers.
         self.bend = np.asarray(problem.loss.score(at.residual)[1])
         self.gram = np.asarray(self.jacobian.gram(), float)
         self.inverse = np.linalg.pinv(self.gram, hermitian=True)
 
     def noise(self) -> float:
-        """The sensor's noise, with which as much is left over as was.
+        """Noise level for which simulated residuals are as large as the measured ones.
 
-        What JPEG makes of it is found by drawing: most of it may be rounded away.
+        The effect of JPEG on it is simulated, since most of the noise may be rounded
+        away.
         """
         inner = self._inner()
         wanted = self._size(self.residual, inner)
-        # About as many samples for few pixels as for many; other draws than those that
-        # were given back, which would seem to have little noise.
+        # Fewer draws for many pixels. Not the draws of the correction, whose noise
+        # would seem too small.
         count = max(1, min(FEW, 2**17 // self.light.shape[1]))
         seeds = range(FEW + MANY, FEW + MANY + count)
 
@@ -351,7 +351,7 @@ class _Stage:
         return max(float(np.sqrt(_root(excess, scale))), self.floor)
 
     def _inner(self) -> Bool[np.ndarray, "3 samples"]:
-        """Samples whose blocks show the surface alone; all, where these are few."""
+        """Samples whose blocks show only the surface; all if these are too few."""
         inner = np.zeros_like(self.used)
         for plate in self.plates:
             seen, jpeg = plate.used.max(axis=-1, keepdims=True), plate.film.jpeg
@@ -363,14 +363,14 @@ class _Stage:
         return self.used if few else inner
 
     def _size(self, residual: np.ndarray, which: np.ndarray) -> float:
-        """Mean square of what a fit leaves of such errors, in standard deviations."""
+        """Mean square of a fit's residuals to such errors, in standard deviations."""
         left = self._left(residual)
         if self.problem.loss.robust:
             return float(median_deviation(jnp.asarray(left), jnp.asarray(which))) ** 2
         return float(np.mean(left[which].astype(float) ** 2))
 
     def _left(self, residual: np.ndarray) -> Float[np.ndarray, "3 samples"]:
-        """What a fit leaves of such errors."""
+        """Residuals of a fit to such errors."""
         taken = jnp.asarray(self.inverse @ self._pull(residual), self.y.dtype)
         return residual - np.asarray(self.jacobian.change(taken))
 
@@ -383,9 +383,9 @@ class _Stage:
     def errors(
         self, sigma: float, seeds: range
     ) -> Iterator[Float[np.ndarray, "3 samples"]]:
-        """What noise and films add to what the fit predicts; 0 where nothing is used.
+        """Simulated errors of predictions by noise and film; 0 for unused samples.
 
-        No two draws have the same roundings.
+        Each draw has its own scale and shift of levels.
         """
         kind = self.light.dtype
         there = dataclasses.replace(self.problem, sigma=jnp.asarray(sigma, kind))
@@ -405,7 +405,7 @@ class _Stage:
     def wider_steps(
         self, errors: Float[np.ndarray, "draws 3 samples"], sigma: float
     ) -> Float[np.ndarray, "3 samples"]:
-        """Steps of a rounding with such errors, block by block: edges are worst."""
+        """Rounding steps that match such errors, block by block: largest at edges."""
         beyond = 12 * ((errors**2).mean(axis=0) - sigma**2 / self.weight)
         wider = self.step.copy()
         for plate in self.plates:
@@ -420,12 +420,12 @@ class _Stage:
         return wider
 
     def draw(self, side: int, beside: Beside | None = None) -> _Draws:
-        """Many draws at the problem's own noise."""
+        """Simulate `MANY` draws at the problem's noise level."""
         jacobian = self.jacobian
         if beside is not None:
             jacobian = _look(*beside(self.problem, self.y))[1].jacobian
         total, scores, tiles = np.zeros_like(self.light), [], []
-        # Other draws than those that the solution comes from.
+        # Not the draws of the correction, from which the solution was computed.
         for errors in self.errors(float(self.problem.sigma), range(FEW, FEW + MANY)):
             total += errors
             scaled = errors / self.deviation
@@ -442,11 +442,11 @@ class _Stage:
     def _doubts(
         self, lost: Float[np.ndarray, "3 samples"], jacobian: Jacobian
     ) -> Float[np.ndarray, "3 m"]:
-        """Scores of what is given back, which counts as an error.
+        """Scores of the correction itself, which counts as an uncertainty.
 
-        An encoder may round otherwise than is assumed, and what surrounds the surface
-        is estimated. By chance little may be lost in one of the channels: it is taken
-        from all of them, in turn.
+        An encoder may round in another way, and the surroundings are estimated. Each
+        channel takes the correction of each channel in turn, since it may be small in
+        one by chance.
         """
         turns = [np.roll(lost / self.deviation, k, axis=0) for k in range(3)]
         pulls = [self._pull(self.bend * one, jacobian) for one in turns]
@@ -454,9 +454,9 @@ class _Stage:
 
 
 def _apart(draws: Sequence[np.ndarray]) -> Float[np.ndarray, "draws ..."]:
-    """Vectors whose products with themselves add up to the covariance of a draw.
+    """Vectors whose outer products add up to the covariance of a draw.
 
-    About a mean that is known no better than from so many draws.
+    The uncertainty of their mean, which is estimated from the draws, is included.
     """
     each = np.array(draws, float)
     count = len(each)
@@ -464,7 +464,7 @@ def _apart(draws: Sequence[np.ndarray]) -> Float[np.ndarray, "draws ..."]:
 
 
 def _rows(draws: Sequence[np.ndarray]) -> Float[np.ndarray, "draws ..."]:
-    """The same, and the mean: it is given back, and doubted."""
+    """The vectors of [`_apart`][], and the mean as an uncertainty of itself."""
     return np.concatenate([_apart(draws), np.mean(draws, axis=0, keepdims=True)])
 
 
@@ -477,7 +477,7 @@ def _in_tiles(
 def _all_over(
     blocks: Shaped[np.ndarray, "rows columns channels"], jpeg: JpegCompression
 ) -> Shaped[np.ndarray, "height width channels"]:
-    """At each pixel the number of its block; the last blocks are whole ones."""
+    """Repeat each block's value at all of its pixels; the last blocks are complete."""
     down, across = jpeg.block
     return blocks.repeat(down, axis=0).repeat(across, axis=1)
 
@@ -490,7 +490,7 @@ def _look(problem: Problem, y: Float[Array, " n"]) -> tuple[Array, Linearization
 def _developed(
     plate: _Plate, light: Float[np.ndarray, "3 n"], another: _Another
 ) -> Float[np.ndarray, "3 n"]:
-    """Light on the surface as it is read from the file."""
+    """Light on the surface after storage in a file with the plate's film."""
     film, (share, shift) = plate.film, another
     if film.jpeg is not None:
         levels = compressed(share * plate.levels(light) + shift, film.jpeg)
@@ -506,10 +506,7 @@ def _developed(
 def _another(
     films: Sequence[Film], brightest: float, rng: np.random.Generator
 ) -> _Another:
-    """Other levels of all images, of which none passes white by it.
-
-    No more is to be cut off than was.
-    """
+    """A random scale and shift of levels, at which no further sample exceeds white."""
     known = [film.jpeg for film in films if film.jpeg is not None]
     widest = max([1.0, *(jpeg.widest for jpeg in known)])
     shift = rng.uniform(-widest, widest, 3).astype(np.float32)
@@ -520,7 +517,7 @@ def _another(
 
 
 def _root(function: Callable[[float], float], scale: float) -> float:
-    """Where a rising function of a variance is 0; 0 if it is never below."""
+    """Root of an increasing function of a variance; 0 if it is not negative at 0."""
     low, high = 0.0, scale
     below, above = function(low), function(high)
     if below >= 0:
@@ -533,7 +530,7 @@ def _root(function: Callable[[float], float], scale: float) -> float:
     if above <= 0:
         return high
     for _ in range(3):
-        # Nearly a line, so that its crossing is soon found.
+        # The function is nearly linear, so a few secant steps suffice.
         middle = low - below * (high - low) / (above - below)
         there = function(middle)
         if there < 0:

@@ -1,4 +1,4 @@
-"""From samples to the solution: a scan, a few samples, then all of them."""
+"""Search for the solution: a scan, a fit of a few samples, then of all of them."""
 
 import dataclasses
 from collections.abc import Callable
@@ -26,34 +26,36 @@ from phongfit.fitting.solve.solution import Solution, solve
 from phongfit.fitting.solve.start import choose, scan, scan_bands
 from phongfit.programs import program
 
-# A pass solves with the noise level that the pass before left over.
+# Most passes; each solves with the noise level of the previous pass's residuals.
 MOST_PASSES = 8
-# Share of the samples that may be clipped before the noise level matters to the others.
+# Fraction of clipped samples above which the solution depends on the noise level.
 CLIPPED = 1e-4
-# Of each start of a robust fit: at its own noise level, and at last at a common one.
+# Passes of each start of a robust fit: at its own noise level, the last at a common
+# one.
 ROBUST_PASSES = 3
-# Where numbers of the scenes are unknown, the cost can have several valleys.
+# Number of starts if parameters of scenes are unknown, since the cost can then have
+# several minima.
 STARTS = 16
-# From each guess of where lights are one start with a wide highlight and one with a
-# narrow one: shares of the range of log f.
+# Each guess of lights gives a start with a wide and one with a narrow highlight:
+# fractions of the range of log f.
 BANDS = (0.0, 0.5), (0.5, 1.0)
-# Ends of starts that are solved for all samples; none whose cost on a few is so many
-# times that of the best; and by how much, in the solver's units, they must differ.
+# Most ends of starts that are solved for all samples; largest ratio of their cost, on a
+# few samples, to the best; and least difference between them, in the solver's units.
 MOST_POLISHED, WORSE, DIFFERENT = 3, 2.0, 0.05
-# Directions that are moved one by one, to get out of valleys that others are not in.
+# Most directions that are moved one by one, to leave local minima.
 MOST_MOVED = 8
-# Samples above which a pass over a few of them comes first: below, it would save no
-# time, and cost that of one more program, a quarter of a first fit's.
+# Number of samples above which a pass over a few of them comes first. For fewer it
+# saves no time, and its program costs a quarter of a first fit's compilation.
 MANY = 2**14
-# Share of the residuals' size that a pass may leave to the next one to find, where
-# there is so much more noise than rounding.
+# Relative tolerance of a first pass, if the noise is `NOISY` times the rounding or
+# more.
 NEAR, NOISY = 3e-4, 1e3
 
 
 class SearchResult(eqx.Module):
-    """The solution, the problem with its final noise level, and how it ended.
+    """The solution, the problem with its final noise level, and how the search ended.
 
-    `rival` is the best other minimum that the search ended in, if there was one.
+    `rival` is the best other minimum that the search found, if there was one.
     """
 
     problem: Problem
@@ -64,9 +66,10 @@ class SearchResult(eqx.Module):
 
 
 class Rival(NamedTuple):
-    """Another minimum: its entries in the user's units, and by how much it costs more.
+    """A second minimum of the cost.
 
-    The cost is χ², at the noise level of the solution.
+    - `entries`: its entries in the user's units.
+    - `excess`: its χ² minus that of the solution, at the solution's noise level.
     """
 
     entries: Float[Array, " entries"]
@@ -74,9 +77,9 @@ class Rival(NamedTuple):
 
 
 class _SearchState(NamedTuple):
-    """Where a search stands: the noise level is that of a sample of weight 1.
+    """State of a search; the noise level is that of a sample of weight 1.
 
-    `pace` is how fast the solver's steps shrank last; 0 if that is not known.
+    `pace` has the sizes of the solver's last two steps; 0 if they are not known.
     """
 
     y: Float[Array, " n"]
@@ -87,7 +90,7 @@ class _SearchState(NamedTuple):
 
 
 def _first_state(y: Float[Array, " n"], sigma: Float[Array, ""]) -> _SearchState:
-    """Where nothing has been solved yet."""
+    """The state before the first solve."""
     return _SearchState(y, sigma, jnp.array(False), jnp.array(0), jnp.zeros(2, y.dtype))
 
 
@@ -101,19 +104,20 @@ def search(
     max_steps: int,
     guesses: Guesses | None = None,
 ) -> SearchResult:
-    """The least cost, without a starting guess of the material.
+    """Minimise the cost, without a starting guess of the material.
 
-    Nobody waits for it: one program after the other takes over what the last one found.
+    The programs are dispatched asynchronously; nothing is transferred to the host
+    between them.
 
     **Arguments:**
 
-    - `few`: of the samples, where a share is enough to begin with.
-    - `gather`: gives all of them; asked while JAX is at work on the few.
+    - `few`: some of the samples, if these are enough for a first pass.
+    - `gather`: returns all samples; called while JAX computes the first pass.
     - `guesses`: see [`guess_places`][].
     """
     first = gather() if few is None else few
     y = unknowns.start
-    # Before the noise is known the clamp is a hard one.
+    # With a tiny noise level values are clipped sharply, as the noise is unknown yet.
     level = 1.0 if noise_given else float(np.finfo(y.dtype).eps)
     sigma = jnp.asarray(level, y.dtype)
     problem = Problem(first, unknowns, sigma, loss, clamp)
@@ -127,7 +131,7 @@ def search(
         samples = gather()
         near = bool(loss.robust or several) or samples.image.size > MANY
         if near and not (loss.robust or several):
-            # One pass comes near enough; several starts have come as near.
+            # Solve once on few samples; with several starts that has been done.
             states = [_settle(problem, states[0], max_steps, noise_given, True)]
     ends = [
         _end(
@@ -149,7 +153,7 @@ def _first_look(
     several: bool,
     max_steps: int,
 ) -> _SearchState:
-    """Where all samples take over."""
+    """The state after the search on few samples."""
     if problem.loss.robust:
         return _best_valley(problem, y, noise_given, min(max_steps, 50))
     if several:
@@ -158,7 +162,7 @@ def _first_look(
 
 
 def _best_end(ends: list[SearchResult]) -> SearchResult:
-    """The end that costs least, at the smallest noise level of all, and its rival."""
+    """The end with the least cost at the smallest noise level, and its rival."""
     sigma = min((end.problem.sigma for end in ends), key=float)
     costs = [_cost(end.problem, end.y, sigma) for end in ends]
     first, second = np.argsort(np.nan_to_num(np.array(costs, float), nan=np.inf))[:2]
@@ -171,7 +175,7 @@ def _best_end(ends: list[SearchResult]) -> SearchResult:
 def _cost(
     problem: Problem, y: Float[Array, " n"], sigma: Float[Array, ""]
 ) -> Float[Array, ""]:
-    """Of samples and priors, at a noise level."""
+    """Cost of samples and priors at a noise level."""
     problem = dataclasses.replace(problem, sigma=sigma)
     return jnp.sum(problem.costs(y)) - 2 * problem.log_prior(y)
 
@@ -179,7 +183,7 @@ def _cost(
 def search_on(
     found: SearchResult, samples: Samples, noise_given: bool, max_steps: int
 ) -> SearchResult:
-    """From where a search ended, with other weights of the same samples."""
+    """Continue a search with other weights of the same samples."""
     old = found.problem
     state = _first_state(found.y, old.sigma)._replace(steps=found.steps)
     problem = Problem(samples, old.unknowns, old.sigma, old.loss, old.clamp)
@@ -197,7 +201,7 @@ def _end(
         problem, state, max_steps, noise_given, near=near
     )
     samples, unknowns = problem.samples, problem.unknowns
-    # Named by hand: to replace one field of a module takes long.
+    # Made explicitly, since `dataclasses.replace` of a module takes long.
     problem = Problem(samples, unknowns, sigma, problem.loss, problem.clamp)
     return SearchResult(problem, y, converged, steps)
 
@@ -205,9 +209,9 @@ def _end(
 def _best_of_several(
     problem: Problem, noise_given: bool, max_steps: int, guesses: Guesses
 ) -> list[tuple[Problem, Float[Array, " n"]]]:
-    """The best ends of several starts, for a noise that blurs small valleys away.
+    """The best ends of several starts, at a large noise that smooths out small minima.
 
-    **Returns:** ends in different valleys, the best one first. The unknowns of their
+    **Returns:** ends in different minima, the best one first. The unknowns of their
     problems have directions relative to where each started.
     """
     blurred = problem
@@ -215,7 +219,7 @@ def _best_of_several(
         blurred = dataclasses.replace(problem, sigma=jnp.full_like(problem.sigma, 0.05))
     unknowns, steps = problem.unknowns, min(max_steps, 50)
     ends = _ends(blurred, spread_starts(unknowns, STARTS, guesses), steps)
-    # Started together, some end right and some do not: those can still be moved.
+    # Some directions may end right and others not: these are started again.
     several = 1 < len(unknowns.base) <= MOST_MOVED
     for which in range(len(unknowns.base) if several else 0):
         start = jax.tree.map(lambda of_all: of_all[0], ends.starts)
@@ -230,9 +234,9 @@ def _best_of_several(
 
 
 class Starts(NamedTuple):
-    """Points to start from, each with directions relative to its own bases.
+    """Starting points, each with directions relative to its own bases.
 
-    `band` is where each looks for exponents: see [`scan`][].
+    `band` is the band of exponents of each: see [`scan`][].
     """
 
     y: Float[Array, "*starts n"]
@@ -242,7 +246,7 @@ class Starts(NamedTuple):
 
 
 class _Ends(NamedTuple):
-    """Where starts lead to: those with these points, what they stand for, and cost."""
+    """Ends of starts: points, their entries in the user's units, and costs."""
 
     starts: Starts
     entries: Float[Array, "*starts entries"]
@@ -250,19 +254,19 @@ class _Ends(NamedTuple):
 
 
 def _ends(problem: Problem, starts: Starts, steps: int) -> _Ends:
-    """Where each of these starts leads to, the cheapest first."""
+    """Solve from each start; the ends are sorted by cost."""
     return _sorted(jax.tree.map(np.asarray, _solved(problem, starts, steps)))
 
 
 def _sorted(ends: _Ends) -> _Ends:
-    """The same ends, the cheapest first."""
+    """Ends sorted by cost."""
     order = np.argsort(np.where(np.isfinite(ends.cost), ends.cost, np.inf))
     return jax.tree.map(lambda of_all: of_all[order], ends)
 
 
 @program("steps")
 def _solved(problem: Problem, starts: Starts, steps: int) -> _Ends:
-    """Where each of these starts leads to, in their order."""
+    """Solve from each start; the ends are in the order of the starts."""
 
     def end(start: Starts) -> _Ends:
         unknowns = problem.unknowns.aimed(start.base, start.across)
@@ -271,15 +275,15 @@ def _solved(problem: Problem, starts: Starts, steps: int) -> _Ends:
         entries = unknowns.entries(solution.y)
         return _Ends(start._replace(y=solution.y), entries, solution.cost)
 
-    # One after another: each takes its own number of steps, and compiles like one.
+    # Sequentially: each start takes its own number of steps, and compiles like one.
     return jax.lax.map(end, starts)
 
 
 def _valleys(unknowns: Unknowns, ends: _Ends) -> list[int]:
-    """The cheapest ends that are not the same minimum.
+    """Indices of the ends with the least cost that are different minima.
 
-    Strengths of reflections and lights do not count: light is linear in each of them,
-    so that they make no minima of their own.
+    Reflectances and intensities are not compared: light is linear in them, so they do
+    not cause further minima.
     """
     strength = np.array([scales_light(name) for name in unknowns.entry_parameter])
     logarithm = unknowns.forms == "logarithm"
@@ -295,7 +299,7 @@ def _valleys(unknowns: Unknowns, ends: _Ends) -> list[int]:
 
 
 def _moved(unknowns: Unknowns, start: Starts, which: int, guesses: Guesses) -> Starts:
-    """A point, and the same with one direction all over the sphere, or as guessed."""
+    """A start, and copies with one direction spread over the sphere or as guessed."""
     own = guesses.get(int(unknowns.direction_entries[which]), np.zeros((0, 3)))
     own = np.repeat(own, len(BANDS), axis=0)
     count = STARTS + len(BANDS) * max(map(len, guesses.values()), default=0)
@@ -310,7 +314,7 @@ def _moved(unknowns: Unknowns, start: Starts, which: int, guesses: Guesses) -> S
 def _starts(
     unknowns: Unknowns, y: np.ndarray, base: np.ndarray, guesses: int
 ) -> Starts:
-    """Starts of which the last ones are guesses, each with every band of exponents."""
+    """Starts; the last ones are guesses, each with every band of exponents."""
     band = np.tile([0.0, 1.0], (len(y), 1))
     if guesses:
         band[-guesses * len(BANDS) :] = np.tile(BANDS, (guesses, 1))
@@ -320,9 +324,9 @@ def _starts(
 
 
 def spread_starts(unknowns: Unknowns, count: int, guesses: Guesses) -> Starts:
-    """What the scenes say, and points around it, in the box; directions anywhere.
+    """The scenes' values, and points around them in the box; directions are anywhere.
 
-    After these `count` come guesses of where lights are.
+    After these `count` starts follow those with guesses of lights.
     """
     rng = np.random.default_rng(0)
     first = np.asarray(unknowns.start, float)
@@ -330,11 +334,11 @@ def spread_starts(unknowns: Unknowns, count: int, guesses: Guesses) -> Starts:
     low, high = (np.asarray(e, float) for e in (unknowns.lower, unknowns.upper))
     with np.errstate(invalid="ignore"):
         across = low + (high - low) * rng.random(shape)
-    # Numbers of a scene are in units of what they were; light has no upper bound.
+    # Numbers of a scene are in units of their first values; light has no upper bound.
     scaled = first * np.exp(rng.normal(size=shape))
     moved = first + rng.normal(size=shape)
     starts = np.where(np.isfinite(across), across, np.where(low == 0, scaled, moved))
-    # A camera or surface far from where it is said to be sees nothing, or is not seen.
+    # With a camera or surface far from its first position, no pixel sees the surface.
     near = [moves_geometry(kind) for kind in unknowns.y_parameter]
     starts = np.where(near, first + 0.1 * (moved - first), starts)
     stays = np.isin(unknowns.y_parameter, MATERIAL_PARAMETERS)
@@ -354,7 +358,7 @@ def spread_starts(unknowns: Unknowns, count: int, guesses: Guesses) -> Starts:
 
 
 def _guessed(unknowns: Unknowns, guesses: Guesses) -> tuple[np.ndarray, np.ndarray]:
-    """What the scenes say, with lights where they are guessed to be: y and bases."""
+    """y and bases of the scenes' values with guessed lights."""
     count = max(map(len, guesses.values()), default=0)
     base = np.repeat(np.asarray(unknowns.base, float)[None], count, axis=0)
     entries = np.asarray(unknowns.entries(unknowns.start), float)
@@ -370,13 +374,13 @@ def _guessed(unknowns: Unknowns, guesses: Guesses) -> tuple[np.ndarray, np.ndarr
 
 @program("noise_given")
 def _begin(problem: Problem, y: Float[Array, " n"], noise_given: bool) -> _SearchState:
-    """Where the scan ends, and the noise level there."""
+    """The end of the scan, and the noise level there."""
     return _look(problem, scan(problem, y), noise_given)
 
 
 @program("noise_given")
 def _look(problem: Problem, y: Float[Array, " n"], noise_given: bool) -> _SearchState:
-    """The noise level where a search begins, which outliers may be near."""
+    """The robust noise level at the start of a search."""
     if noise_given:
         return _first_state(y, problem.sigma)
     return _first_state(y, _robust_noise(problem, evaluate(problem, y)))
@@ -386,11 +390,11 @@ def _look(problem: Problem, y: Float[Array, " n"], noise_given: bool) -> _Search
 def _best_valley(
     problem: Problem, y: Float[Array, " n"], noise_given: bool, steps: int
 ) -> _SearchState:
-    """The best of the ends that starts with narrow and wide highlights lead to.
+    """The best end of starts with highlights of several widths, for robust losses.
 
-    A robust cost has several valleys: what one explanation rejects, another explains.
-    The end of each at its own noise level says little, since rejecting more makes it
-    smaller: they go on, and are compared, at the smallest of them.
+    A robust cost has several minima, which reject different samples. Costs at their own
+    noise levels are not comparable, since rejecting more samples makes the level
+    smaller. So all continue and are compared at the smallest level.
 
     ??? cite "Source"
         Yohai, *High breakdown-point and high efficiency robust estimates for
@@ -421,7 +425,7 @@ def _best_valley(
     common = dataclasses.replace(problem, sigma=common[-1])
     costs = jax.lax.map(common.costs, ends)
     if unknowns.of_scene or unknowns.exposed:
-        # What the scenes are belongs to one end as a whole.
+        # The scenes' parameters are those of one end as a whole.
         total = jnp.sum(jnp.where(jnp.isfinite(costs), costs, jnp.inf), axis=(1, 2))
         y = ends[jnp.argmin(total)]
     else:
@@ -430,7 +434,7 @@ def _best_valley(
 
 
 class _Pass(NamedTuple):
-    """Passes over the noise level: in the last it is held, and then all is done."""
+    """State of the passes over the noise level; the last pass holds it."""
 
     now: _SearchState
     passes: Int[Array, ""]
@@ -447,14 +451,14 @@ def _settle(
     once: bool = False,
     near: bool = False,
 ) -> _SearchState:
-    """Solve until the noise level that the solution rests on is what it leaves.
+    """Solve until the noise level agrees with the residuals of the solution.
 
-    Where the solution depends on that level, the last solve is for the level stated.
+    If the solution depends on the level, the last solve is at the level stated.
 
     **Arguments:**
 
-    - `once`: one solve is enough.
-    - `near`: the end is near: a first solve need not reach what the next one will.
+    - `once`: whether one solve is enough.
+    - `near`: whether the start is near the end, so that the first solve may be coarse.
     """
 
     def again(
@@ -490,7 +494,7 @@ def _settle(
 
 
 def _depends_on_noise(problem: Problem, solution: Solution) -> Bool[Array, ""]:
-    """Whether another noise level would move the solution, as it does beside priors."""
+    """Whether the solution depends on the noise level, for example by priors."""
     samples = problem.samples
     rounded, known = samples.step is not None, any(problem.unknowns.has_prior)
     if rounded or known or problem.loss.robust:
@@ -509,7 +513,7 @@ def _noise(problem: Problem, solution: Solution) -> Float[Array, ""]:
 
 
 def _robust_noise(problem: Problem, at: Evaluation) -> Float[Array, ""]:
-    """The same from the median, which outliers do not reach."""
+    """Robust standard deviation of a sample of weight 1, from the median."""
     left = at.difference * jnp.sqrt(problem.samples.weight)
     deviation = median_deviation(left, problem.unclipped(), at.floor)
     return _unrounded(problem, deviation**2, at.floor)
@@ -518,7 +522,7 @@ def _robust_noise(problem: Problem, at: Evaluation) -> Float[Array, ""]:
 def _unrounded(
     problem: Problem, variance: Float[Array, ""], floor: Float[Array, ""]
 ) -> Float[Array, ""]:
-    """The standard deviation without what rounding adds to a variance."""
+    """Standard deviation from a variance minus that of rounding."""
     samples = problem.samples
     if samples.step is not None:
         count = jnp.sum(samples.weight > 0).astype(variance.dtype)

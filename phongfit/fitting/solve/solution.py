@@ -1,4 +1,4 @@
-"""Solving the problem by sums over its samples, with a solver for least squares."""
+"""Solution of a problem by a least-squares solver, with sums over the samples."""
 
 from typing import Any
 
@@ -18,14 +18,14 @@ from phongfit.programs import program
 def few_residuals(
     y: Float[Array, " n"], problem: Problem
 ) -> tuple[Float[Array, " n+1"], ResidualSums]:
-    r"""n + 1 residuals that no Gauss-Newton method can distinguish from all of them.
+    r"""n + 1 residuals that are equivalent to all residuals for a Gauss-Newton method.
 
-    With the symmetric root $R = (J^\top J)^{1/2}$ they are $R^{-1} J^\top r$ and what
-    is left of the length of $r$; their Jacobian is $R$ and a row of zeros. So sum of
-    squares, gradient and $J^\top J$ are those of the problem, and a solver holds n + 1
+    With the symmetric root $R = (J^\top J)^{1/2}$ they are $R^{-1} J^\top r$ and the
+    rest of the length of $r$; their Jacobian is $R$ and a row of zeros. So sum of
+    squares, gradient and $J^\top J$ are those of the problem, and a solver needs n + 1
     numbers instead of a million.
 
-    **Returns:** these, and what a noise level follows from: optimistix's `aux`.
+    **Returns:** the residuals, and sums for the noise level: optimistix's `aux`.
     """
     residuals, _, residual_sums = _residuals_and_root(y, problem)
     return residuals, residual_sums
@@ -47,7 +47,7 @@ def _derivative(
     )
 
 
-# A program of its own: optimistix asks for it three times, and it is traced once.
+# A separate program, since optimistix calls it three times, and it is traced once.
 @program()
 def _residuals_and_root(
     y: Float[Array, " n"], problem: Problem
@@ -57,13 +57,13 @@ def _residuals_and_root(
     scale = jnp.sqrt(jnp.diag(total.hessian))
     scale = jnp.where(scale > 0, scale, 1)
     values, vectors = jnp.linalg.eigh(total.hessian / jnp.outer(scale, scale))
-    # Rounding can leave a direction that nothing is known of below zero.
+    # Rounding can make the eigenvalue of an undetermined direction negative.
     root = jnp.sqrt(jnp.maximum(values, 0))
     small = jnp.finfo(root.dtype).eps * jnp.max(root)
     inverse = jnp.where(root > small, 1 / jnp.where(root > small, root, 1), 0)
     head = vectors @ (inverse * (vectors.T @ (total.gradient / scale)))
     jacobian = (vectors * root[None]) @ vectors.T * scale[None]
-    # A curvature so low that the cost would fall below zero is too low.
+    # The curvature is raised where the cost would otherwise become negative.
     length = jnp.sum(head**2)
     steeper = jnp.sqrt(jnp.maximum(length / jnp.maximum(total.cost, tiny), 1))
     tail = jnp.sqrt(jnp.maximum(total.cost - length / steeper**2, 0))
@@ -73,10 +73,10 @@ def _residuals_and_root(
 
 
 def _unit(problem: Problem) -> Float[Array, ""]:
-    """What residuals are measured in, so that one tolerance serves all problems.
+    """Unit of the residuals, so that one tolerance serves all problems.
 
-    A mean over the samples, since the rounding of a sum grows with it; and no standard
-    deviation below the rounding of a prediction.
+    It makes the cost a mean over the samples, since the rounding of a sum grows with
+    their number, and is not below the rounding of a prediction.
     """
     dtype, step = problem.sigma.dtype, problem.samples.step
     used = jnp.sum(problem.samples.weight > 0)
@@ -104,7 +104,7 @@ def make_solver(
     **Arguments:**
 
     - `pace`: see [`BoundedLevenbergMarquardt`][].
-    - `coarse`: a tolerance that is enough.
+    - `coarse`: a larger tolerance that is enough.
     """
     tolerance = jnp.maximum(coarse, _tolerance(dtype))
     return BoundedLevenbergMarquardt(
@@ -118,9 +118,9 @@ def make_solver(
 
 
 class Solution(eqx.Module):
-    """Where the solver stopped, and why; what is left over there.
+    """Point at which the solver stopped, whether it converged, and sums of residuals.
 
-    `pace` is how fast its steps shrank.
+    `pace` has the sizes of its last two steps.
     """
 
     y: Float[Array, " n"]
@@ -143,7 +143,7 @@ def solve(
 
     **Arguments:**
 
-    - `pace`: of an earlier solution that was near this one.
+    - `pace`: that of an earlier solution near this one.
     - `coarse`: see [`make_solver`][].
     """
     solver = make_solver(problem, start.dtype, pace, coarse)
@@ -159,7 +159,7 @@ def solve(
     done, state = solution.result == optx.RESULTS.successful, solution.state
     cost = 2 * _unit(problem) ** 2 * state.f_info.as_min()
     steps, converged = solution.stats["num_steps"], done & jnp.isfinite(cost)
-    # The last step's end may not have been evaluated: there the linear model serves.
+    # The end of the last step may not have been evaluated: the linear model is used.
     change = state.f_info.jac.mv(solution.value - state.descent_state.y)
     saved = jnp.sum(change**2) / jnp.maximum(jnp.sum(state.f_info.residual**2), 1e-30)
     last = state.aux

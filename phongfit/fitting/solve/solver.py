@@ -1,4 +1,4 @@
-"""Bounded Levenberg-Marquardt, as an optimistix solver that stands on its own.
+"""Bounded Levenberg-Marquardt, as a solver for optimistix.
 
     solver = BoundedLevenbergMarquardt(rtol=1e-8, atol=1e-8, lower=l, upper=u)
     optx.least_squares(residuals, solver, y0)
@@ -20,7 +20,7 @@ from phongfit.fitting.solve.box import least_squares_in_box
 
 
 class _State(eqx.Module):
-    """What a step needs of the last accepted point; and the one before."""
+    """The last two accepted points, and factors of the Jacobian at the last one."""
 
     y: PyTree[Array]
     before: PyTree[Array]
@@ -34,8 +34,8 @@ class BoxDampedNewtonDescent(optx.AbstractDescent):
     Minimises $\|J p + r\|^2 + \lambda \|D p\|^2$ over all $p$ with
     $l \le y + p \le u$, where $D$ holds the largest norms that the columns of $J$ have
     had so far, and $\lambda$ is `damping` over the step size. A parameter may end
-    exactly on its bound and may leave it again. It works on a QR factor of $J$:
-    $J^\top J$ would square the condition number, which float32 cannot afford.
+    exactly on its bound and may leave it again. It works on a QR factor of $J$: $J^\top
+    J$ would square the condition number, which is too much in float32.
 
     ??? cite "Source"
         Moré, *The Levenberg-Marquardt algorithm: implementation and theory*, Numerical
@@ -68,17 +68,17 @@ class BoxDampedNewtonDescent(optx.AbstractDescent):
             ravel_pytree(tree)[0] for tree in (state.y, self.lower, self.upper)
         )
         jacobian, residual = state.triangle[:, :-1], state.triangle[:, -1]
-        # What does nothing at all here still needs a positive curvature.
+        # A parameter without influence here still needs a positive curvature.
         scale = jnp.where(state.scale > 0, state.scale, 1)
         # A GPU would otherwise multiply in reduced precision.
         with jax.default_matmul_precision("highest"):
-            still = _unfelt(jacobian, residual, upper - lower)
+            held = _unfelt(jacobian, residual, upper - lower)
             step = least_squares_in_box(
                 jacobian,
                 residual,
                 jnp.sqrt(self.damping / step_size) * scale,
-                jnp.where(still, 0, lower - y),
-                jnp.where(still, 0, upper - y),
+                jnp.where(held, 0, lower - y),
+                jnp.where(held, 0, upper - y),
             )
             meets = (step == lower - y) | (step == upper - y)
             idle = _is_rounding(jacobian, residual, y, step) & ~meets
@@ -91,9 +91,9 @@ def _unfelt(
     residual: Float[Array, " k"],
     width: Float[Array, " n"],
 ) -> Bool[Array, " n"]:
-    """Parameters that the residuals hardly feel, and that the cost would not feel.
+    """Parameters with negligible influence on residuals and cost.
 
-    They rest: their steps are arbitrary, and without an end in sight.
+    They are held fixed, since their steps are arbitrary and would not converge.
     """
     resolution = jnp.finfo(width.dtype).eps
     curvature = jnp.sum(jacobian**2, axis=0)
@@ -112,7 +112,7 @@ def _is_rounding(
 ) -> Bool[Array, ""]:
     """Whether a step changes the residuals by no more than the rounding of y does.
 
-    Such steps are noise; taken, they would go on for ever where columns are parallel.
+    Such steps are noise, and would never end if columns are parallel.
     """
     norms = jnp.linalg.norm(jacobian, axis=0)
     rounding = jnp.sum(jnp.abs(y) * norms) + jnp.linalg.norm(residual)
@@ -126,9 +126,10 @@ def _landing(
     lower: Float[Array, " n"],
     upper: Float[Array, " n"],
 ) -> Float[Array, " n"]:
-    """`step`, such that y + step rounds to the bound where it was meant to meet it.
+    """`step`, changed so that y + step rounds to the bound at which it should end.
 
-    Or to a point just inside: from far off, no step may end on a bound near 0.
+    Or to a point just inside: a step from a large y may not be able to reach a bound
+    near 0 exactly.
     """
     there = jnp.clip(y + step, lower, upper)
     there = jnp.where(step == lower - y, lower, there)
@@ -140,7 +141,7 @@ def _landing(
 
 BoxDampedNewtonDescent.__init__.__doc__ = r"""**Arguments:**
 
-- `lower`, `upper`: of the structure of the unknowns; may be infinite.
+- `lower`, `upper`: bounds, with the structure of the unknowns; may be infinite.
 - `damping`: $\lambda$ at the first step.
 """
 
@@ -150,12 +151,12 @@ class _SearchState(eqx.Module):
 
 
 class RoundingTolerantTrustRegion(optx.AbstractSearch):
-    r"""Accepts what lowers the cost, and knows by how much below the cost's rounding.
+    r"""Accepts steps that lower the cost, even by less than its rounding.
 
     Near the solution the true and the predicted decrease are both below the rounding of
     the cost. A search that compares them rejects every step there and never ends; one
-    that accepts every step there wanders about, where $J^\top J$ is far from the
-    curvature. There the decrease is taken from the slopes at both ends instead,
+    that accepts every step does not converge if $J^\top J$ is far from the curvature.
+    There the decrease is computed from the slopes at both ends instead,
     $-\tfrac12 (r_0 \cdot J_0 p + r_1 \cdot J_1 p)$, whose rounding shrinks with the
     step.
 
@@ -193,7 +194,7 @@ class RoundingTolerantTrustRegion(optx.AbstractSearch):
         unclear = jnp.abs(decrease) <= 8 * resolution * before
         by_slopes = -(slope + _slope(f_eval_info, difference)[0]) / 2
         decrease = jnp.where(unclear, by_slopes, decrease)
-        # What the slopes round, and where nothing can be said.
+        # Rounding error of the slopes, within which a decrease cannot be judged.
         rounding = 2 * resolution * jnp.sqrt(2 * before) * change
         accept = first_step | (decrease >= -rounding)
         alike = (jnp.abs(decrease) <= rounding) & (predicted <= rounding)
@@ -206,7 +207,7 @@ class RoundingTolerantTrustRegion(optx.AbstractSearch):
 
 
 def _slope(f_info: Any, difference: PyTree[Array]) -> tuple[Scalar, Scalar]:
-    """Slope of the cost along a step, and how far the residuals move, linearly."""
+    """Slope of the cost along a step, and the linear change of the residuals by it."""
     change, _ = ravel_pytree(f_info.jac.mv(difference))
     residual, _ = ravel_pytree(f_info.residual)
     return jnp.sum(residual * change), jnp.linalg.norm(change)
@@ -214,7 +215,7 @@ def _slope(f_info: Any, difference: PyTree[Array]) -> tuple[Scalar, Scalar]:
 
 RoundingTolerantTrustRegion.__init__.__doc__ = """**Arguments:**
 
-- `good`, `poor`: shares of the predicted decrease from which on the step size grows,
+- `good`, `poor`: fractions of the predicted decrease above which the step size grows,
     and below which it shrinks.
 - `grow`, `shrink`: factors on the step size; it shrinks too where a step is rejected.
 """
@@ -225,18 +226,18 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
 
     Minimises $\tfrac12 \|r(y)\|^2$ over all $y$ with $l \le y \le u$, for some tens of
     unknowns and any number of residuals. The bounds hold exactly at every point that is
-    evaluated, and may bind at the solution. A step costs a Jacobian and a QR
-    factorisation of it; one that is rejected, the derivative along one direction.
+    evaluated, and may be active at the solution. A step costs a Jacobian and a QR
+    factorisation of it; a rejected step costs the derivative along one direction.
 
     It ends with `optx.RESULTS.successful` where a step moves unknowns and residuals by
-    less than the tolerances ask for, or by less than their rounding: tolerances that
-    are too tight, in float32 too, end in the best that can be had. Otherwise it ends at
-    `max_steps`. NaN or infinite residuals are steps that are rejected.
+    less than the tolerances, or by less than their rounding: with tolerances that are
+    too tight it ends at the best possible point, also in float32. Otherwise it ends at
+    `max_steps`. Steps to NaN or infinite residuals are rejected.
 
-    Units of the unknowns do not matter, nor do columns of zeros or parallel ones. It
-    works under `jit` and `vmap`, there as long as the slowest needs. On the problems of
-    Moré, Garbow and Hillstrom, free and in boxes, it ends no higher than SciPy's
-    `least_squares`.
+    Units of the unknowns do not matter, and zero or parallel columns are allowed. It
+    works under `jit` and `vmap`; under `vmap` all problems take as long as the slowest.
+    On the problems of Moré, Garbow and Hillstrom, free and in boxes, it ends no higher
+    than SciPy's `least_squares`.
 
     !!! example
         ```python
@@ -282,13 +283,13 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
             residuals, at which an accepted step is the last.
         - `lower`, `upper`: bounds, of the structure of the unknowns; may be infinite.
             The starting point must lie between them.
-        - `norm`: of these changes.
-        - `damping`: share of the curvature that is added at first.
-        - `foresee`: end with a step after which, from how fast steps shrink, none would
-            be large enough; its end is not evaluated, which spares an evaluation.
-        - `pace`: how fast steps shrank in an earlier run that ended nearby, which
-            its `pace_at` tells: so that the first step may be the last; default
-            unknown.
+        - `norm`: norm of these changes.
+        - `damping`: fraction of the curvature that is added at first.
+        - `foresee`: whether to end with a step after which, by the rate at which steps
+            shrink, all further steps would be below tolerance. Its end is not
+            evaluated, which saves an evaluation.
+        - `pace`: sizes of the last two steps of an earlier run that ended nearby, from
+            its `pace_at`, so that the first step may be the last; default unknown.
         """
         self.rtol = rtol
         self.atol = atol
@@ -308,7 +309,7 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         state: Any,
         tags: frozenset[object],
     ) -> tuple[Bool[Array, ""], optx.RESULTS]:
-        """Also, if asked for, where the next step is the last."""
+        """Whether to end; with `foresee` also if the next step is the last."""
         del fn, y, args, options, tags
         ends = state.terminate
         return ends | self._is_last(state) if self.foresee else ends, state.result
@@ -324,7 +325,7 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         tags: frozenset[object],
         result: optx.RESULTS,
     ) -> tuple[PyTree[Array], Any, dict[str, Any]]:
-        """The last step is taken, though nothing is evaluated there."""
+        """Take the last step without an evaluation at its end."""
         del fn, args, options, tags, result
         if not self.foresee:
             return y, aux, {}
@@ -333,12 +334,12 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         return y, aux, {}
 
     def _is_last(self, state: Any) -> Bool[Array, ""]:
-        r"""Whether a further step after the next one would be too small to be taken.
+        r"""Whether all steps after the next one would be below tolerance.
 
-        Steps that shrink by a factor $\theta$ end $\theta / (1 - \theta)$ of the next
-        one beyond it. That holds near the solution alone, and for steps that damping
-        does not hold back. Of a run's first step $\theta$ is known from an earlier run,
-        and grows with the step.
+        If steps shrink by a factor $\theta$, those after the next one sum up to $\theta
+        / (1 - \theta)$ of it. This holds only near the solution, and for undamped
+        steps. For the first step of a run $\theta$ is taken from an earlier run, in
+        proportion to the step.
 
         ??? cite "Source"
             Hairer and Wanner, *Solving Ordinary Differential Equations II*, 1996,
@@ -346,29 +347,30 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         """
         previous, size, change = self._steps(state)
         then, now = self.pace
-        of = jnp.where(previous > 0, previous, then)
-        share = size / jnp.where(of > 0, of, 1)
+        last = jnp.where(previous > 0, previous, then)
+        share = size / jnp.where(last > 0, last, 1)
         usual = now / jnp.where(then > 0, then, 1) * jnp.maximum(share, 1)
         theta = jnp.where(previous > 0, share, usual)
-        near = (of > 0) & (theta < 0.1) & ~state.first_step
+        near = (last > 0) & (theta < 0.1) & ~state.first_step
         undamped = state.search_state.step_size >= 1
         beyond = theta / (1 - theta) * jnp.maximum(size, change)
         accepted = state.num_steps_since_acceptance == 0
         return near & undamped & accepted & (beyond < 1)
 
     def pace_at(self, state: Any) -> Float[Array, "2"]:
-        """Sizes of the last two steps before a state; 0 where they are not known.
+        """Sizes of the last step and of the next one, in units of the tolerance.
 
-        Not below the tolerance: what follows is rounding.
+        The next one counts as at least 1, since smaller steps are rounding. Before the
+        second step the result is `pace`, the sizes of an earlier run.
         """
         previous, size, _ = self._steps(state)
         here = jnp.stack([previous, jnp.maximum(size, 1)])
         return jnp.where(previous > 0, here, self.pace)
 
     def _steps(self, state: Any) -> tuple[Scalar, Scalar, Scalar]:
-        """Sizes of the last step and of the next, and of the residuals' change by it.
+        """Sizes of the last step, of the next one, and of its change of the residuals.
 
-        In units of what the tolerances ask for.
+        They are in units of the tolerances.
         """
         y, before = state.descent_state.y, state.descent_state.before
         step = jax.tree.map(jnp.subtract, state.y_eval, y)
@@ -377,7 +379,7 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         return previous, self._size(step, y), self._size(change, state.f_info.residual)
 
     def _size(self, change: PyTree[Array], of: PyTree[Array]) -> Scalar:
-        """A change in units of what the tolerances ask for."""
+        """A change in units of the tolerances."""
 
         def share(change: Array, of: Array) -> Array:
             return jnp.abs(change) / (self.atol + self.rtol * jnp.abs(of))

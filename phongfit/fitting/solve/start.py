@@ -1,7 +1,7 @@
-r"""A starting point without a guess: for given f the best ρ is a tiny linear problem.
+r"""A starting point without a guess: for given f the best ρ is a small linear problem.
 
-A scan over log f solves it for each candidate, in the box, and takes the best. Three
-numbers a sample (A, D and S(f)) enter only through their sums of products.
+A scan over log f solves it in the box for each candidate, and takes the best. The
+samples' A, D and S(f) enter only through their sums of products.
 """
 
 from collections.abc import Sequence
@@ -21,10 +21,11 @@ from phongfit.programs import program
 from phongfit.rendering.pixels import PixelTerms
 
 CANDIDATES = 24
-# Bands of exponents of which a robust fit tries the best.
+# Number of bands of exponents; a robust fit starts from the best of each.
 BANDS = 6
 SUBSET, ROBUST_SUBSET = 1024, 2048
-# What a robust loss is to reject may lie just there: then it must be the smaller part.
+# Fractions of the chosen samples near highlights. Outliers may lie there, which a
+# robust loss can reject only if they are the smaller part.
 NEAR, ROBUST_NEAR = 0.5, 0.25
 
 
@@ -35,19 +36,19 @@ def choose_few(
     most: int = SUBSET,
     bright: Sequence[Float[np.ndarray, " pixels"]] | None = None,
 ) -> list[np.ndarray] | None:
-    """A thousand samples or two: evenly spread ones, and the nearest to highlights.
+    """One or two thousand samples: evenly spread ones, and those nearest to highlights.
 
-    A narrow highlight covers few pixels, but only these know f.
+    A narrow highlight covers few pixels, but only these determine f.
 
     **Arguments:**
 
-    - `seen`: of each image the pixels that may be taken.
-    - `near`: share of those that are nearest to highlights.
-    - `most`: how many, in all.
-    - `bright`: of each image how likely each pixel shows a highlight, where the scenes
-        do not know their lights; default its nearness to the highlights of the scene.
+    - `seen`: for each image the pixels that may be chosen.
+    - `near`: fraction of the samples that are nearest to highlights.
+    - `most`: number of samples in all.
+    - `bright`: for each image a score of each pixel to show a highlight, if lights are
+        unknown; default the nearness to the scene's highlights.
 
-    **Returns:** of each image those taken; `None` if that were all.
+    **Returns:** for each image the chosen pixels; `None` if that would be all.
     """
     if sum(map(len, seen)) <= most:
         return None
@@ -79,7 +80,7 @@ def _few(
 
 
 def _largest(values: np.ndarray, count: int) -> np.ndarray:
-    """Places of the largest numbers, looked for among those that are large at all."""
+    """Indices of the largest numbers; a threshold from a subset preselects them."""
     few = values[::16]
     rank = min(count // 8 + 1, len(few))
     places = np.flatnonzero(values >= np.partition(few, -rank)[-rank])
@@ -90,7 +91,7 @@ def _largest(values: np.ndarray, count: int) -> np.ndarray:
 
 def _nearness(view: PixelTerms) -> np.ndarray:
     """Largest cosine from any highlight, pixel by pixel."""
-    # Of several numbers that a lobe takes the first is the cosine from its centre.
+    # If a lobe takes several numbers, the first is the cosine from its centre.
     cosine, *_ = jax.tree.leaves(view.terms.cosine)
     nearest = np.asarray(_nearest(cosine, view.terms.strength)).ravel()
     if view.interpolation is None:
@@ -113,15 +114,15 @@ def scan(
 
     Where exponents differ between channels or materials, each takes its own best.
 
-    **Arguments:** `band`: where the grid begins and ends, as shares of the range of the
-    logarithm; default 0 and 1.
+    **Arguments:** `band`: ends of the grid, as fractions of the range of the logarithm;
+    default 0 and 1.
     """
     return choose(problem.unknowns, y, *_candidates(problem, y, band))
 
 
 @program()
 def scan_bands(problem: Problem, y: Float[Array, " n"]) -> Float[Array, "bands n"]:
-    """The same, with the best of each of several bands of exponents."""
+    """As [`scan`][], with the best of each of several bands of exponents."""
     vectors, costs = _candidates(problem, y)
     bands = np.array_split(np.arange(len(vectors)), min(BANDS, len(vectors)))
     return jnp.stack(
@@ -132,7 +133,7 @@ def scan_bands(problem: Problem, y: Float[Array, " n"]) -> Float[Array, "bands n
 def _candidates(
     problem: Problem, y: Float[Array, " n"], band: Float[Array, "2"] | None = None
 ) -> tuple[Float[Array, "candidates n"], Float[Array, "candidates materials 3"]]:
-    """For each exponent of a grid the best vector, and what it costs."""
+    """The best vector for each exponent of a grid, and its costs."""
     unknowns = problem.unknowns
     entries = unknowns.entries(y)
     scene = _Lit(problem.channels(entries), problem.exposure(entries))
@@ -161,7 +162,7 @@ def choose(
     vectors: Float[Array, "candidates n"],
     costs: Float[Array, "candidates materials 3"],
 ) -> Float[Array, " n"]:
-    """`y` with the material of the vectors that cost least.
+    """`y` with the material of the vectors with the least cost.
 
     Where exponents differ between channels or materials, each takes its own best.
     """
@@ -179,12 +180,12 @@ def choose(
 
 
 def _shininess(unknowns: Unknowns, entries: Float[Array, " entries"]) -> Array:
-    """The exponent where it is known."""
+    """The known exponent."""
     return unknowns.as_material(entries).shininess
 
 
 class _Lit(eqx.Module):
-    """What the samples see, and what their light is multiplied by."""
+    """Geometry and light of the samples, and the factor on their light."""
 
     channels: Channels
     exposure: Float[Array, "1 samples"] | None
@@ -201,7 +202,7 @@ class _Lit(eqx.Module):
 def _best_reflectances(
     problem: Problem, scene: _Lit, exponent: Float[Array, "..."]
 ) -> tuple[Float[Array, " n"], Float[Array, "materials 3"]]:
-    """For one exponent: the best vector, and what each material's channels leave."""
+    """For one exponent: the best vector, and the cost of each material and channel."""
     samples, unknowns = problem.samples, problem.unknowns
     clamp, robust = problem.clamp, problem.loss.robust
     basis = scene.basis(exponent)
@@ -211,8 +212,8 @@ def _best_reflectances(
     members = material_of[None] == rows[:, None]
     select, offset = _selection(unknowns)
     white = samples.target >= 1
-    # What was clipped says only that the light is no less than white: at first it is
-    # left out, then it counts where the model falls short of white.
+    # A clipped sample only shows that the light is at least white: it is left out
+    # first, then it counts if the model is below white.
     weight = jnp.where(white & clamp, 0, samples.weight)
 
     def step(weight: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
@@ -226,7 +227,7 @@ def _best_reflectances(
             weight = weight / _absolute(light - target)
         return weight, (y, light)
 
-    # Absolute deviations, which a share of garbage hardly moves, take longer.
+    # Absolute deviations, which are robust to outliers, need more iterations.
     length = 6 if robust else 2 if clamp else 1
     _, (vectors, lights) = jax.lax.scan(step, weight, length=length)
     shown = lights[-1] + (samples.target - target)
@@ -237,17 +238,17 @@ def _best_reflectances(
 
 
 def _own(light: Float[Array, "materials 3 samples"], material_of: Array) -> Array:
-    """Of what each material would show, each sample's own."""
+    """Select the light of each sample's material from that of all materials."""
     return jnp.take_along_axis(light, material_of[None, None], axis=0)[0]
 
 
 def _absolute(difference: Array) -> Array:
-    """Absolute values, rounded off below a hundredth of white."""
+    """Absolute values, smoothed below a hundredth of white."""
     return jnp.sqrt(difference**2 + 1e-4)
 
 
 def _selection(unknowns: Unknowns) -> tuple[Array, Array]:
-    """How a vector makes reflectances (M, 3, 4): `offset + select @ y`.
+    """Linear map from a vector to reflectances (M, 3, 4): `offset + select @ y`.
 
     The columns are those of `REFLECTANCES`.
     """
@@ -310,7 +311,7 @@ def _solve(
     moment = moment - jnp.einsum("mckl,mcl->mck", gram, offset)
     hessian = jnp.einsum("mcki,mckl,mclj->ij", select, gram, select)
     gradient = -jnp.einsum("mcki,mck->i", select, moment)
-    # A ridge far below any measurement, for columns that are zero or alike.
+    # A tiny ridge, for columns that are zero or equal.
     ridge = 1e-6 * jnp.max(jnp.diag(hessian))
     ridge = jnp.where(ridge > 0, ridge, 1) * jnp.eye(len(gradient), dtype=gram.dtype)
     return minimize_in_box(hessian + ridge, gradient, unknowns.lower, unknowns.upper)

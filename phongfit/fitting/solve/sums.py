@@ -1,7 +1,7 @@
 r"""The Jacobian of a fit without its zeros, and $J^\top J$ from it.
 
-A reflectance of one material and channel moves the samples of that material and channel
-alone. So a single derivative serves all unknowns that have no sample in common: ten
+A reflectance of one material and channel affects only the samples of that material and
+channel. So one derivative serves all unknowns that have no sample in common: ten
 unknowns of an RGB image need four, and those of 24 materials need no more.
 
 ??? cite "Source"
@@ -21,12 +21,12 @@ from phongfit.fitting.problem.unknowns import Unknowns
 
 
 def colours(unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
-    """Unknowns that share a derivative, and where it belongs to which of them.
+    """Colouring of the unknowns: unknowns of one colour share a derivative.
 
     **Returns:**
 
     - (colours, n): ones for the unknowns of a colour.
-    - (groups, 3, colours, n): one where samples of that group and channel are moved by
+    - (groups, 3, colours, n): one where samples of that group and channel depend on
         this unknown of the colour.
     """
     cells = moved_samples(unknowns)
@@ -46,7 +46,7 @@ def colours(unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
 
 
 def moved_samples(unknowns: Unknowns) -> np.ndarray:
-    """(n, groups, 3): which samples each unknown moves."""
+    """Groups and channels of samples that depend on each unknown, (n, groups, 3)."""
     images = unknowns.images if unknowns.differs_between_images else 1
     size = unknowns.lower.size
     cells = np.zeros((size, unknowns.materials, images, 3), bool)
@@ -74,7 +74,7 @@ EXACT = jax.lax.Precision.HIGHEST
 
 
 class Jacobian(eqx.Module):
-    """Derivatives of the samples' residuals, a colour each."""
+    """Derivatives of the samples' residuals, one for each colour of unknowns."""
 
     local: Float[Array, "3 colours samples"]
     priors: Float[Array, "priors n"]
@@ -91,7 +91,7 @@ class Jacobian(eqx.Module):
         return self._spread(products[None, :, None])[0]
 
     def grams(self, *weights: Float[Array, "3 samples"] | None) -> Array:
-        """The same for several weights at once, (weights, n, n)."""
+        """$J^\top W J$ for several weights at once, (weights, n, n)."""
         one = jnp.ones_like(self.local[:, 0])
         each = [one if weight is None else weight for weight in weights]
         return self._spread(self._products(jnp.stack(each, axis=1), self.local))
@@ -115,7 +115,7 @@ class Jacobian(eqx.Module):
         )
 
     def members(self) -> Float[Array, "groups samples"]:
-        """One where a sample is of a group: a material's, and there an image's."""
+        """One where a sample belongs to a group: a material, or one in an image."""
         count, kind = self.local.shape[-1], self.local.dtype
         material = jnp.ones((1, count), kind) if self.member is None else self.member
         own = np.repeat(np.eye(self.images), count // self.images, axis=1)
@@ -130,7 +130,7 @@ class Jacobian(eqx.Module):
     def _spread(
         self, products: Float[Array, "groups 3 weights colours colours"]
     ) -> Float[Array, "weights n n"]:
-        """Sums of products of colours as those of the unknowns that they belong to."""
+        """Convert sums of products of colours to those of unknowns."""
         half = jnp.einsum("gcwkl,gclj->gcwkj", products, self.select, precision=EXACT)
         return jnp.einsum("gcki,gcwkj->wij", self.select, half, precision=EXACT)
 
@@ -141,8 +141,8 @@ class Jacobian(eqx.Module):
     ) -> Float[Array, "groups 3 weights colours rows"]:
         """Sums over each group's samples of colours times weights times others.
 
-        Image by image, since each has its own samples, and block by block: so what is
-        weighted stays in a processor's cache.
+        Image by image, since each has its own samples, and block by block, so that
+        weighted values stay in the processor's cache.
         """
         _, colours, count = self.local.shape
         materials = 1 if self.member is None else len(self.member)
@@ -153,7 +153,7 @@ class Jacobian(eqx.Module):
             def part(whole: Array) -> Array:
                 return jax.lax.dynamic_slice_in_dim(whole, begin, block, axis=-1)
 
-            # Side by side as rows of one matrix: further axes would be slow.
+            # As rows of one matrix, since further axes would be slow.
             left = part(weights)[:, :, None] * part(self.local)[:, None]
             left = left.reshape(3, -1, block)
             if self.member is not None:
@@ -181,18 +181,18 @@ class Jacobian(eqx.Module):
 
 
 def _block(count: int, rows: int) -> int:
-    """A power of two that divides samples into blocks: small, but not too many."""
+    """Size of a block of samples: a power of two, small but without too many blocks."""
     block = count & -count
     while block > 2048 and count < 64 * block:
         block //= 2
-    # Where there are many rows, they would fill the memory.
+    # With many rows, smaller blocks limit the memory.
     while block > 64 and rows * block > 2**20:
         block //= 2
     return block
 
 
 class Linearization(eqx.Module):
-    """Residuals at a point, of samples and priors, and how they change."""
+    """Residuals of samples and priors at a point, and their derivatives."""
 
     at: Evaluation
     priors: Float[Array, " priors"]
@@ -204,7 +204,7 @@ def linearize(problem: Problem, y: Float[Array, " n"]) -> Linearization:
     tangents, select = colours(problem.unknowns)
     kind = y.dtype
     light, push = jax.linearize(problem.light, y)
-    # The film works sample by sample: its slope serves all unknowns.
+    # The film acts on each sample alone, so one slope serves all unknowns.
     at = problem.measure(light)
     moved = jax.vmap(push, out_axes=1)(jnp.asarray(tangents, kind))
     local = moved * at.slope[:, None]
@@ -221,13 +221,14 @@ def linearize(problem: Problem, y: Float[Array, " n"]) -> Linearization:
 
 
 class ResidualSums(eqx.Module):
-    """What is left over at a point, as a noise level follows from it.
+    """Sums over the residuals at a point, for an estimate of the noise level.
 
     **Arguments:**
 
     - `squares`: weighted sum of squared differences in linear light.
-    - `share`: samples, each by what clipping leaves of its noise's variance.
-    - `floor`: noise level at and below which all of it is rounding.
+    - `share`: number of samples, each times the fraction of its variance after
+        clipping.
+    - `floor`: noise level at and below which residuals are rounding errors.
     """
 
     squares: Float[Array, ""]
@@ -236,7 +237,7 @@ class ResidualSums(eqx.Module):
 
 
 class Sums(eqx.Module):
-    """All that a Gauss-Newton method asks of a problem, at one point."""
+    """Cost, gradient and curvature for a Gauss-Newton method, at one point."""
 
     hessian: Float[Array, "n n"]
     gradient: Float[Array, " n"]
@@ -247,8 +248,8 @@ class Sums(eqx.Module):
 def sums(problem: Problem, y: Float[Array, " n"]) -> Sums:
     r"""Cost $\sum \rho(r^2)$, half its gradient, and half its curvature.
 
-    The curvature is $J^\top W J$ with $W = \psi'(r)$ where the loss bends upwards, and
-    a share of the usual weight $\psi(r)/r$ where it does not.
+    The curvature is $J^\top W J$ with $W = \psi'(r)$, but at least a tenth of the usual
+    weight $\psi(r)/r$, where the loss is not convex.
     """
     found = linearize(problem, y)
     residual, priors, jacobian = found.at.residual, found.priors, found.jacobian

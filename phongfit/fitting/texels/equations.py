@@ -1,4 +1,4 @@
-"""Normal equations of texels and of what a material shares, summed over all samples."""
+"""Normal equations of texels and of the numbers that each material shares."""
 
 from typing import NamedTuple
 
@@ -17,15 +17,15 @@ from phongfit.fitting.texels.stencil import make_stencil
 from phongfit.fitting.texels.sums import Touched
 
 Blocks = dict[tuple[int, int], np.ndarray]
-"""Sums of samples' products for each pair of fields p ≤ q that they couple."""
+"""For each pair of fields p ≤ q that samples couple: sums of products over samples."""
 
 
 class ResidualSums(NamedTuple):
-    """What the light of a state leaves of the photographs, in standard deviations.
+    """Sums of squared residuals of the photographs, in standard deviations.
 
-    `cost` is the sum of squares, `squares` that of the samples that are not clipped,
-    and `counted` how many these are. `around` is the sum of squares of the samples that
-    see a texel, where texels have exponents of their own.
+    `cost` is the sum over all samples, `squares` the sum over samples that are not
+    clipped, and `counted` their number. `around` is only there if each texel has an
+    exponent: for each texel the sum over all samples that see it.
     """
 
     cost: float
@@ -35,11 +35,17 @@ class ResidualSums(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Normal equations: of each system's texels, of the few, and of both.
+    """Normal equations of texels, of shared numbers, and of pairs of the two.
 
-    What is large has the precision of the photographs. `blocks` of exponents are of f,
-    all else is of log f: `unit` is what log f is multiplied by, field by field, where
-    there are any. A sample's f is the mean of its texels', as in a render.
+    - `blocks`, `right`: each system's matrix and right-hand side, for its texels.
+    - `mixed`: products of each system's texels (rows) with shared numbers.
+    - `dense`, `few_right`: matrix and right-hand side of the shared numbers.
+    - `unit`: None, unless texels have exponents f. `blocks` are then derivatives by f,
+        all other arrays derivatives by log f, and `unit` holds df / d log f for each
+        unknown (1 for reflectances). A sample's f is the mean over its texels, as in
+        rendering.
+
+    Large arrays have the photographs' precision.
     """
 
     blocks: list[Blocks]
@@ -52,12 +58,12 @@ class Sums(NamedTuple):
 
 
 class Compared(NamedTuple):
-    """One photograph beside a state's light, in standard deviations of its samples.
+    """One photograph compared with a state's light, in units of standard deviations.
 
-    - `parts`: basis images of its samples.
-    - `left`: what is left of it; `gain`: how the model grows with its light. Both are 0
-        where a sample does not count.
-    - `free`: samples that count and are not clipped.
+    - `parts`: basis images of the samples.
+    - `left`: residuals, photograph − model. `gain`: derivative of the model by light.
+        Both are 0 for samples of weight 0.
+    - `free`: marks samples of positive weight that are not clipped.
     """
 
     parts: Basis
@@ -69,7 +75,7 @@ class Compared(NamedTuple):
 def compare(
     job: Job, image: LitImage, state: State, touched: Touched, sigma: float
 ) -> Compared:
-    """A photograph with what the film shows of the light of `state`."""
+    """Compare a photograph with the film's response to the light of `state`."""
     parts, light = light_of(job, image, state, touched)
     deviation = sigma / np.sqrt(np.where(image.weight > 0, image.weight, 1))
     film = film_response(light, deviation, job.clamp, image.ends)
@@ -82,7 +88,7 @@ def compare(
 
 
 def costs(job: Job, state: State, sigma: float) -> Float[np.ndarray, " materials"]:
-    """Sums of squares of each material, where samples see the nearest texel alone."""
+    """Each material's sum of squares, if each sample sees only the nearest texel."""
     total = np.zeros(len(state.numbers["shininess"]))
     for image in job.images:
         left = compare(job, image, state, _nearest(image.touched), sigma).left
@@ -92,16 +98,16 @@ def costs(job: Job, state: State, sigma: float) -> Float[np.ndarray, " materials
 
 
 def sum_up(job: Job, state: State, sigma: float, nearest: bool = False) -> Sums:
-    """Of all samples, where the light of `state` is what the film shows.
+    """The normal equations over all samples, linearised at `state`.
 
-    **Arguments:** `nearest`: as if each sample saw one texel, the nearest.
+    **Arguments:** `nearest`: let each sample see only its nearest texel.
     """
     sums = _no_sums(job)
     for image in job.images:
         touched = _nearest(image.touched) if nearest else image.touched
         left = _add_image(sums, job, image, state, touched, sigma)
         sums = sums._replace(left=left)
-        # It goes before the next one is traced.
+        # Free the memory before the next image is traced.
         del image, touched
     if "shininess" not in job.names:
         return sums
@@ -113,10 +119,10 @@ def sum_up(job: Job, state: State, sigma: float, nearest: bool = False) -> Sums:
 
 
 def _no_sums(job: Job) -> Sums:
-    """Of no image yet."""
+    """Normal equations before any image is added."""
     texels, few = job.grid.texels, len(job.few)
     right = [np.zeros(len(fields) * texels) for fields in job.systems]
-    # Columns: rows of a few numbers each would be gathered for every product.
+    # In column order, so that products over texels read contiguous memory.
     mixed = [
         np.zeros((len(own), len(job.of_system(s))), job.dtype, "F")
         for s, own in enumerate(right)
@@ -136,7 +142,7 @@ def _no_sums(job: Job) -> Sums:
 def _add_image(
     sums: Sums, job: Job, image: LitImage, state: State, touched: Touched, sigma: float
 ) -> ResidualSums:
-    """Add one image's samples to arrays in their place; what is left of all so far."""
+    """Add one image's samples to the arrays of `sums`, and return the residual sums."""
     parts, left, gain, free = compare(job, image, state, touched, sigma)
     for c in range(3):
         at = parts, state, job, image, touched, c
@@ -177,10 +183,10 @@ def _add_texels(
     left: np.ndarray,
     others: dict[int, np.ndarray],
 ) -> None:
-    """Add one channel's samples to a system's sums.
+    """Add one channel's samples to the sums of one system.
 
-    **Arguments:** how light grows with fields (`columns`) and with shared numbers
-    (`others`), by their numbers.
+    **Arguments:** `columns`, `others`: derivatives of light by fields and by shared
+    numbers; keys are their indices.
     """
     texels, shared, blocks = job.grid.texels, job.of_system(system), sums.blocks[system]
     for p, column in columns.items():
@@ -206,7 +212,7 @@ def _nearest(touched: Touched) -> Touched:
 def light_of(
     job: Job, image: LitImage, state: State, touched: Touched
 ) -> tuple[Basis, np.ndarray]:
-    """Basis images, and the light that the state makes of them."""
+    """Basis images, and their sum weighted by the reflectances of `state`."""
     own = None if state.exponents is None else touched.mean(np.exp(state.exponents))
     parts = basis(image, state.numbers["shininess"], own)
     light = parts.fog.astype(float)
@@ -219,7 +225,7 @@ def light_of(
 def _share(
     name: str, state: State, job: Job, image: LitImage, touched: Touched, channel: int
 ) -> np.ndarray:
-    """A reflectance at each sample."""
+    """The reflectance called `name`, at each sample."""
     if name not in job.names:
         return state.numbers[name][image.material, channel]
     at = job.coloured.index(name) * job.grid.texels
@@ -235,9 +241,10 @@ def _growth(
     touched: Touched,
     channel: int,
 ) -> np.ndarray:
-    """How a channel's light grows with a parameter.
+    """Derivative of a channel's light by a parameter.
 
-    With log f of an exponent that all of a material share; with f of texels' own.
+    For an exponent it is by log f if a material shares one, by f if texels have their
+    own.
     """
     if name != "shininess":
         return parts.light[BASIS.index(name)][:, channel]
@@ -249,9 +256,9 @@ def _growth(
 
 
 def is_like_last(sums: Sums, system: int) -> bool:
-    """Whether a system's texels have the matrix of the system before."""
+    """Whether a system's matrix for its texels equals the previous system's."""
     own, last = sums.blocks[system], sums.blocks[system - 1]
-    # Row by row: most systems differ in the first, and the others need not be compared.
+    # Row by row, since most systems that differ do so in the first row.
     return system > 0 and all(
         np.allclose(row, other, rtol=1e-6)
         for k in own
@@ -262,9 +269,9 @@ def is_like_last(sums: Sums, system: int) -> bool:
 def make_matrix(
     job: Job, sums: Sums, system: int, damping: np.ndarray | None = None
 ) -> AbstractSystem:
-    """A system's texels' matrix with their prior, ready to be solved.
+    """The matrix of a system's texels with their prior, ready to be solved.
 
-    **Arguments:** `damping`: of each texel's exponent, relative to its information.
+    **Arguments:** `damping`: added for each texel's exponent, relative to its diagonal.
     """
     fields, known = len(job.systems[system]), RIDGE
     blocks, unit = sums.blocks[system], sums.unit
@@ -284,10 +291,10 @@ def make_matrix(
 
 
 def _smoothed(job: Job, blocks: Blocks, unit: np.ndarray | None) -> Blocks:
-    """Sums with what is expected between neighbours, which is of log f."""
+    """Sums with the smoothness prior between neighbours (for exponents, on log f)."""
     smoothed, count = {}, job.grid.texels
     for (p, q), block in blocks.items():
-        # Where each sample sees one texel, there are no sums of neighbours yet.
+        # Blocks have only their first row if each sample sees one texel.
         whole = np.zeros((job.grid.slots, count))
         if p == q:
             own = slice(p * count, (p + 1) * count)
@@ -299,7 +306,7 @@ def _smoothed(job: Job, blocks: Blocks, unit: np.ndarray | None) -> Blocks:
 
 
 def expected_differences(job: Job, texels: np.ndarray) -> np.ndarray | float:
-    """The gradient of half of what smoothness asks, field by field."""
+    """Gradient of half the smoothness term, field by field."""
     if job.smoothness is None:
         return 0.0
     apart = texels.reshape(-1, job.grid.texels)
@@ -308,7 +315,7 @@ def expected_differences(job: Job, texels: np.ndarray) -> np.ndarray | float:
 
 
 def right_sides(job: Job, sums: Sums, state: State) -> list[np.ndarray]:
-    """The systems' right-hand sides, with what is known before."""
+    """The systems' right-hand sides, with ridge and smoothness prior."""
     each = zip(sums.right, job.vectors(state), job.expected(state), strict=True)
     return [
         right + (mean - own) * RIDGE - expected_differences(job, own)
@@ -317,10 +324,10 @@ def right_sides(job: Job, sums: Sums, state: State) -> list[np.ndarray]:
 
 
 class Cost(NamedTuple):
-    """What is minimised: squares of the photographs, and of what is known before.
+    """The cost: squared residuals of the photographs and of the prior.
 
-    - `whole`: of all.
-    - `around`: of the samples that see a texel, and of itself, texel by texel.
+    - `whole`: the whole cost.
+    - `around`: for each texel, squares of the samples that see it and of its prior.
     """
 
     whole: float
@@ -328,13 +335,13 @@ class Cost(NamedTuple):
 
 
 def _around(touched: Touched, squares: np.ndarray, texels: int) -> np.ndarray:
-    """Sums of the samples that see each texel, however little of it."""
+    """For each texel the sum over all samples that see it, whatever their weights."""
     sees = (touched.weight > 0).astype(squares.dtype)
     return touched._replace(weight=sees).scattered(squares, texels)
 
 
 def cost_of(job: Job, state: State, sigma: float) -> Cost:
-    """What is minimised, as a whole and texel by texel."""
+    """The cost of a state, as a whole and for each texel."""
     whole, around = 0.0, np.zeros(job.grid.texels)
     for image in job.images:
         left = compare(job, image, state, image.touched, sigma).left
@@ -345,7 +352,7 @@ def cost_of(job: Job, state: State, sigma: float) -> Cost:
 
 
 def with_known(job: Job, state: State, whole: float, around: np.ndarray) -> Cost:
-    """Squares of the photographs, with those of what is known before."""
+    """Add the prior's squares to those of the photographs."""
     for own, mean in zip(job.vectors(state), job.expected(state), strict=True):
         known = (own - mean) ** 2 * RIDGE + own * expected_differences(job, own)
         whole += float(known.sum())

@@ -1,4 +1,4 @@
-"""What is asked of a fit of textures, and where it stands."""
+"""A fit of textures: photographs, unknowns and the state of the solver."""
 
 import dataclasses
 from typing import Any, NamedTuple
@@ -9,24 +9,25 @@ from phongfit.fitting.texels.lit import Photographs
 from phongfit.fitting.texels.sums import AbstractTexels
 
 MIDDLE, RIDGE = 0.5, 1.0
-"""Reflectance that texels start from, and the inverse variance that holds each to where
-it stands in a step: what hardly anything sees goes nowhere.
+"""Reflectance at which texels start, and the inverse variance of a prior (a ridge) that
+holds each texel to its current value in a step, so that texels which hardly any sample
+sees stay where they are.
 
-To hold them to `MIDDLE` would draw millions of them together: it moved what they share
-by more than its errors, and left residuals that are no noise. So it is done again in
-each step, from where they have come: iterated regularisation. Of a texel's log f it is
-what is known before any image, around the exponent that all share where a fit starts.
+A ridge around `MIDDLE` would pull millions of texels at once: it moved shared numbers
+by more than their errors, and left residuals that are not noise. Each step therefore
+centres the ridge anew on the current values (iterated regularisation). For a texel's
+log f the ridge is a prior with a fixed centre, the shared exponent of the start.
 """
 
 IDENTIFIED = 0.5
-"""Standard error of a texel's reflectance, or log f, from which on nothing is known."""
+"""A texel is not identified if the error of its reflectance or log f is larger."""
 
 EXPONENTS = 1.0, 1000.0
-"""Between which a highlight's is sought."""
+"""Bounds of a highlight's exponent."""
 
 
 class Few(NamedTuple):
-    """One number that all of a material shares: of one channel, or of all."""
+    """A number that a whole material shares, for one channel or (None) for all."""
 
     name: str
     material: int
@@ -34,19 +35,19 @@ class Few(NamedTuple):
 
 
 class Field(NamedTuple):
-    """A number of each texel: of one channel, or, log f, of all."""
+    """An unknown of each texel: of one channel, or (None) log f for all three."""
 
     name: str
     channel: int | None
 
 
 class State(NamedTuple):
-    """Where a fit stands.
+    """Current values of all unknowns of a fit.
 
-    - `texels`: of reflectances, (3, parameters · texels).
-    - `numbers`: of the materials. Of exponents with texels of their own these are what
-        is expected of them.
-    - `exponents`: log f of each texel, if they have their own.
+    - `texels`: reflectances, (3, parameters · texels).
+    - `numbers`: the materials' parameters. If texels have exponents of their own, the
+        entry "shininess" is the centre of their prior.
+    - `exponents`: log f of each texel, if texels have their own exponents.
     """
 
     texels: np.ndarray
@@ -54,17 +55,24 @@ class State(NamedTuple):
     exponents: np.ndarray | None = None
 
     def value(self, one: Few) -> float:
-        """A shared number as it stands; of several channels' one, the first's."""
+        """Current value of a shared number; the first channel's if three share it."""
         own = np.atleast_1d(self.numbers[one.name][one.material])
         return float(own[one.channel or 0])
 
 
 @dataclasses.dataclass
 class Job:
-    """What is asked, and of what.
+    """Photographs, unknowns and options of a fit.
 
-    **Arguments:** `smoothness`: inverse variance of what is expected between
-    neighbours.
+    **Arguments:**
+
+    - `images`: the photographs.
+    - `names`: the textured parameters.
+    - `few`: the shared unknowns.
+    - `clamp`: whether the film clips light to between 0 and 1.
+    - `smoothness`: inverse variance of differences between neighbours in the prior.
+    - `floor`: the least noise level.
+    - `lossy`: whether photographs are JPEG files.
     """
 
     images: Photographs
@@ -81,7 +89,7 @@ class Job:
 
     @property
     def dtype(self) -> np.dtype:
-        """Of the photographs."""
+        """Data type of the photographs."""
         return self.images.given[0].image.dtype
 
     @property
@@ -91,9 +99,9 @@ class Job:
 
     @property
     def systems(self) -> tuple[tuple[Field, ...], ...]:
-        """Fields that samples couple: a channel's own, or with exponents all of them.
+        """Groups of fields that samples couple: one a channel, or one with exponents.
 
-        Of fields of different colours a system has no entries.
+        A system's matrix has no entries between fields of different channels.
         """
         apart = [tuple(Field(n, c) for n in self.coloured) for c in range(3)]
         if "shininess" in self.names:
@@ -101,28 +109,28 @@ class Job:
         return tuple(apart) if self.names else ()
 
     def system_of(self, channel: int) -> int:
-        """The system that light of a channel is part of."""
+        """Index of the system to which a channel's light belongs."""
         return min(channel, len(self.systems) - 1)
 
     def of_system(self, system: int) -> list[int]:
-        """The shared numbers that a system's light depends on."""
+        """Indices of shared numbers on which a system's light depends."""
         if len(self.systems) == 1:
             return list(range(len(self.few)))
         return self.of_channel(system)
 
     def of_channel(self, channel: int) -> list[int]:
-        """The shared numbers that light of a channel depends on."""
+        """Indices of shared numbers on which a channel's light depends."""
         return [k for k, one in enumerate(self.few) if one.channel in (None, channel)]
 
     def vectors(self, state: State) -> list[np.ndarray]:
-        """The texels of each system, field by field."""
+        """Each system's unknowns of texels as one vector, field by field."""
         if "shininess" not in self.names:
             return list(state.texels) if self.names else []
         assert state.exponents is not None
         return [np.concatenate([state.texels.ravel(), state.exponents])]
 
     def at(self, vectors: list[np.ndarray], state: State) -> State:
-        """A state with other texels: of [`Job.vectors`][]."""
+        """The state with texels from `vectors`, ordered as in [`Job.vectors`][]."""
         if "shininess" not in self.names:
             return state._replace(texels=np.stack(vectors)) if vectors else state
         texels, exponents = np.split(vectors[0], [state.texels.size])
@@ -130,7 +138,7 @@ class Job:
         return state._replace(texels=texels, exponents=exponents)
 
     def bounds(self, state: State) -> tuple[Any, Any]:
-        """Between which each system's texels lie: reflectances, and log f."""
+        """Lower and upper bounds of a system's texels (reflectances and log f)."""
         if "shininess" not in self.names:
             return 0.0, 1.0
         low, high = np.log(EXPONENTS)
@@ -138,7 +146,7 @@ class Job:
         return np.repeat((0.0, low), counts), np.repeat((1.0, high), counts)
 
     def expected(self, state: State) -> list[np.ndarray]:
-        """What ridges hold to: reflectances where they are, log f to what all share.
+        """Centres of the ridges: current reflectances, and the shared log f.
 
         ??? cite "Source"
             King and Chillingworth, *Approximation of generalized inverses by iterated
@@ -151,7 +159,7 @@ class Job:
         return [np.concatenate([state.texels.ravel(), logs])]
 
     def without_exponents(self) -> "Job":
-        """The same for the exponents as they stand, for which all is linear."""
+        """This job with exponents fixed at current values, so that light is linear."""
         return dataclasses.replace(
             self,
             names=self.coloured,

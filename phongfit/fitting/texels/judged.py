@@ -1,4 +1,4 @@
-"""What a fit of textures found: errors, lack of fit, warnings."""
+"""Errors, misfit and warnings of a fit of textures."""
 
 from typing import NamedTuple
 
@@ -40,7 +40,7 @@ def judge(
     converged: bool,
     steps: int,
 ) -> TextureFit:
-    """Errors, lack of fit, warnings."""
+    """The result at the solution, with errors, misfit and warnings."""
     covariance, identified = _few_covariance(system.information)
     variances = []
     for s, (alone, moved) in enumerate(
@@ -53,7 +53,7 @@ def judge(
     freedom = system.freedom
     seen, images = np.zeros(job.grid.shape), []
     for k in range(len(job.images.given)):
-        # Of many texels a count for each image would fill the memory.
+        # Sum here, since one count an image would fill memory if there are many texels.
         one, looks = _image(job, k, state, sigma)
         seen += looks
         images.append(one)
@@ -83,7 +83,7 @@ def judge(
     shared = []
     for k, one in enumerate(job.few):
         value = state.value(one)
-        # Found as a logarithm.
+        # The covariance of an exponent is that of its logarithm.
         error = few_errors[k] * (value if one.name == "shininess" else 1)
         shared.append(Shared(_label(job, one), value, float(error)))
     return TextureFit(
@@ -125,7 +125,7 @@ def judge(
 
 
 def _few_covariance(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The inverse, and which pairs of the shared numbers are identified."""
+    """Inverse of `information`, and which pairs of shared numbers are identified."""
     diagonal = np.diag(information)
     there = diagonal > 0
     scale = np.sqrt(np.where(there, diagonal, 1))
@@ -145,13 +145,13 @@ def _unseen(
     values: dict[str, np.ndarray],
     stderr: dict[str, np.ndarray],
 ) -> Bool[np.ndarray, " k"]:
-    """Shared numbers of highlights that noise alone explains, as in [`fit`][].
+    """Marks shared numbers of highlights that noise alone explains, as in [`fit`][].
 
-    An exponent is among them where specular is 0 within its error. Exponents of texels
-    are each fitted to noise then, so that a shared specular is among them, too.
+    An exponent is marked if its specular is 0 within its error. A shared specular is
+    also marked if texels have exponents, which are then fitted to noise.
 
-    **Arguments:** `covariance`: of the shared numbers. `values`, `stderr`: of the
-    textures.
+    **Arguments:** `covariance`: covariance of the shared numbers. `values`, `stderr`:
+    textures and their errors.
     """
     unseen = np.zeros(len(job.few), bool)
     chosen = job.grid.texels // job.grid.layers if "shininess" in job.names else 0
@@ -173,7 +173,7 @@ def _unseen(
 
 
 def _any_texel(height: np.ndarray, error: np.ndarray) -> bool:
-    """Whether noise cannot explain the highest texel, or all of them together."""
+    """Whether the highest texel, or all texels together, are more than noise."""
     known = np.isfinite(error)
     if not known.any():
         return False
@@ -190,9 +190,9 @@ def _exponents_unseen(
     values: dict[str, np.ndarray],
     stderr: dict[str, np.ndarray],
 ) -> Bool[np.ndarray, "layers *places 1"]:
-    """Texels whose own exponents belong to highlights that noise alone explains.
+    """Marks texels whose exponents belong to highlights that noise alone explains.
 
-    A pixel between texels sees the highlights and the exponents of all of them.
+    A pixel between texels depends on the highlights and exponents of all of them.
     """
     if "specular" in job.names:
         with np.errstate(invalid="ignore"):
@@ -224,7 +224,7 @@ def _label(job: Job, one: Few) -> str:
 
 
 class _ImageFit(NamedTuple):
-    """Of one image: `samples` are those that count."""
+    """Residuals and misfit of one image; `samples` counts those of positive weight."""
 
     residual: np.ndarray
     tiles: Tiles
@@ -234,7 +234,7 @@ class _ImageFit(NamedTuple):
 def _image(
     job: Job, k: int, state: State, sigma: float
 ) -> tuple[_ImageFit, Float[np.ndarray, "..."]]:
-    """What is shown of one image, and how often it sees each texel."""
+    """Residuals and misfit of one image, and how many of its pixels see each texel."""
     lit, image, step = job.images.at(k), job.images.image(k), job.images.step(k)
     parts, light = light_of(job, lit, state, lit.touched)
     whole = np.zeros((4, image.size // 3, 3), image.dtype)
@@ -253,7 +253,7 @@ def _image(
     )
     tiles = _tiles(measured, light, diffuse, highlight, job.clamp, side)
     fitted = np.clip(light, 0, 1) if job.clamp else light
-    # A pixel counts as much as it looks at a texel.
+    # Each pixel counts by the texel's weight in it.
     looks = (lit.weight > 0).any(axis=1).astype(float)
     residual = np.where(weight > 0, image - fitted, 0)
     seen = lit.touched.scattered(looks, job.grid.texels).reshape(job.grid.shape)

@@ -1,4 +1,4 @@
-"""What the samples of photographs see of a textured surface, image by image."""
+"""Samples of photographs of a textured surface, with the texels that they see."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -25,19 +25,20 @@ BASIS = ("ambient", "diffuse", "specular", "emission")
 
 
 ROOM = 150_000_000
-"""Bytes of what is traced that are kept; the rest is traced again for each sum."""
+"""Bytes of traced images that are kept; other images are traced again each time."""
 
 
 LEFT = 0.01
-"""Share of a variance that is not rounding, at least."""
+"""Least share of a variance that is left after that of rounding is subtracted."""
 
 
 class LitImage(NamedTuple):
     """One photograph's samples: n pixels of three channels.
 
-    - `place`: of each pixel in the image, row by row.
+    - `place`: index of each pixel in the image, counted row by row.
+    - `touched`: texels that each pixel sees.
     - `target`, `weight`: measured light, and its relative inverse variance.
-    - `ends`: width of the levels beside black and white; 0 if nothing was rounded.
+    - `ends`: width of the first and last rounding step; 0 if nothing was rounded.
     """
 
     place: Int[np.ndarray, " n"]
@@ -50,21 +51,24 @@ class LitImage(NamedTuple):
 
     @property
     def bytes(self) -> int:
-        """How many it takes."""
+        """Memory of all arrays, in bytes."""
         return sum(getattr(one, "nbytes", 0) for one in jax.tree.leaves(self))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Photographs:
-    """Photographs, each of which is a [`LitImage`][] when it is asked for.
+    """Photographs that are turned into [`LitImage`][] objects on demand.
 
-    Some 100 bytes a pixel are not kept for many millions of pixels: beyond `room` a
-    photograph is traced again whenever its turn comes.
+    A traced image takes about 100 bytes a pixel. Images beyond `room` bytes are not
+    kept but traced again whenever they are needed.
 
     **Arguments:**
 
-    - `given`: with scenes that have the known textures only.
-    - `every`: one of so many of the pixels that see the surface.
+    - `given`: images and scenes; scenes have only the known textures.
+    - `films`: each image's film.
+    - `grid`: places of the texels on the mesh.
+    - `room`: bytes of traced images to keep.
+    - `every`: use only every n-th pixel of the surface.
     """
 
     given: tuple[Observation, ...]
@@ -78,7 +82,7 @@ class Photographs:
         return (self.at(k) for k in range(len(self.given)))
 
     def at(self, k: int) -> LitImage:
-        """One of them, from before or traced anew."""
+        """Image `k`, kept from before or traced now."""
         if k in self.kept:
             return self.kept[k]
         found = see(self.given[k], self.films[k], self.grid, self.every)
@@ -87,18 +91,18 @@ class Photographs:
         return found
 
     def image(self, k: int) -> Float[np.ndarray, "height width 3"]:
-        """One whole photograph, as its film has it."""
+        """One whole photograph, without negative values if its film clips."""
         return _exposed(self.given[k].image, self.films[k])
 
     def step(self, k: int) -> Float[np.ndarray, "height width 3"] | None:
-        """What its values were rounded to, if to anything."""
+        """Rounding steps of image `k`, or None if it was not rounded."""
         film = self.films[k]
         rounded = film.bits is not None
         return rounding_steps(self.given[k].image, film) if rounded else None
 
 
 class Basis(NamedTuple):
-    """Light for parameters of 1, and the slope of the highlight's in log f."""
+    """Light for parameters of 1, and the derivative of the highlight by log f."""
 
     light: Float[np.ndarray, "4 n 3"]
     slope: Float[np.ndarray, "n 3"]
@@ -110,7 +114,7 @@ def see(
 ) -> LitImage:
     """Trace a photograph's scene.
 
-    **Arguments:** `every`: one of so many of the pixels that see the surface.
+    **Arguments:** `every`: use only every n-th pixel of the surface.
     """
     gbuffer, pixels = resolve(photograph.scene)
     size = gbuffer.mask.shape
@@ -138,9 +142,9 @@ def _exposed(light: np.ndarray, film: Film) -> np.ndarray:
 
 
 def without(scene: Scene, names: tuple[str, ...]) -> Scene:
-    """The scene without the textures that are to be found.
+    """The scene without the textures that are unknown.
 
-    **Raises:** `ValueError` if its shading has no exponents.
+    **Raises:** `ValueError` if exponents are unknown and the shading has none.
     """
     surface = scene.surface
     if "shininess" in names:
@@ -159,7 +163,7 @@ def basis(
 ) -> Basis:
     """The basis images of an image's samples.
 
-    **Arguments:** `own`: each sample's exponent, in place of the materials'.
+    **Arguments:** `own`: each sample's exponent, instead of the materials' exponents.
     """
     pixels, dtype = image.pixels, image.target.dtype
     if own is not None:
@@ -179,13 +183,13 @@ def _basis(pixels: PixelTerms, exponents: Array) -> tuple[Array, Array, Array]:
     def at(exponents: Array) -> Array:
         return jnp.moveaxis(pixels.basis(jnp.exp(exponents)[:, None]), -1, 0)
 
-    # Each sample has one material, so that all exponents may grow at once.
+    # Each sample has one material, so one directional derivative serves all exponents.
     light, slope = jax.jvp(at, (exponents,), (jnp.ones_like(exponents),))
     return light, slope[2], pixels.fog_light()
 
 
 class FilmResponse(NamedTuple):
-    """What the film makes of light, on average, and how that grows with it."""
+    """Expected value that the film records, and its derivative by light."""
 
     mean: Float[np.ndarray, "n 3"]
     slope: Float[np.ndarray, "n 3"]
@@ -197,7 +201,7 @@ def film_response(
     clamp: bool,
     ends: tuple[float, float] = (0.0, 0.0),
 ) -> FilmResponse:
-    """Light with noise of a standard deviation, as the film shows it."""
+    """The film's response to light with noise of standard deviation `deviation`."""
     if not clamp:
         return FilmResponse(light, np.ones_like(light))
     deviation = before_rounding(light, deviation, ends)
@@ -208,11 +212,13 @@ def film_response(
 def before_rounding(
     light: np.ndarray, deviation: np.ndarray, ends: tuple[float, float]
 ) -> np.ndarray:
-    r"""The noise that, clipped, leaves the mean of what is clipped and then rounded.
+    r"""Noise level at which clipping alone gives the mean of clipping and rounding.
 
-    What is rounded to 0 from above loses $p h^2 / 24$ on average, for the density p of
-    samples at black and steps h, as in the midpoint rule; and a noise that contains
-    that of rounding, $h^2 / 12$, would gain as much. A variance has p / 2 as its slope.
+    Rounding to 0 lowers the mean by $p h^2 / 24$, as in the midpoint rule, for steps h
+    and density p of samples at black. The mean of clipped noise grows with its variance
+    at slope p / 2. Noise whose variance includes that of rounding, $h^2 / 12$, would
+    therefore raise the mean by $p h^2 / 24$. Both are corrected together by subtracting
+    $h^2 / 6$ from the variance.
     """
     if not any(ends):
         return deviation

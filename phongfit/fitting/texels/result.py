@@ -1,4 +1,4 @@
-"""What a fit of textures gives back."""
+"""Result of a fit of textures."""
 
 import dataclasses
 from typing import Any, NamedTuple
@@ -18,7 +18,7 @@ CHANNELS = ("red", "green", "blue")
 
 
 class Shared(NamedTuple):
-    """A number that all of a material shares, and its standard error."""
+    """A number that a whole material shares, and its standard error."""
 
     label: str
     value: float
@@ -26,9 +26,9 @@ class Shared(NamedTuple):
 
 
 def as_textures(job: Job, vectors: list[np.ndarray]) -> dict[str, np.ndarray]:
-    """Of each parameter its texels, (layers, rows, columns, 3); of exponents 1 number.
+    """Each parameter's texels, (layers, rows, columns, 3), or (…, 1) for exponents.
 
-    **Arguments:** `vectors`: of each system, as of [`Job.vectors`][].
+    **Arguments:** `vectors`: one for each system, ordered as in [`Job.vectors`][].
     """
     whole = np.concatenate(vectors).reshape(-1, *job.grid.shape)
     fields = [field.name for fields in job.systems for field in fields]
@@ -44,24 +44,26 @@ class TextureFit:
 
     **Arguments:**
 
-    - `values`: of each textured parameter its texels, (layers, rows, columns, 3): one
-        layer, or one for each material. Of exponents (layers, rows, columns, 1). Of
-        vertices (layers, V, 3), as all else here.
-    - `stderr`: their standard errors, infinite where the photographs do not identify a
-        texel: where no pixel sees it, or too few.
-    - `seen`: how many pixels see each texel, (layers, rows, columns).
-    - `material`: the rest, with a row for each material; 1 where there is a texture.
-    - `shared`: what was found of it: label, value, standard error.
-    - `covariance`: of `shared`, in its order; of log f for an exponent.
+    - `values`: each textured parameter's texels, (layers, rows, columns, 3), or
+        (layers, rows, columns, 1) for exponents. There is one layer, or one for each
+        material. For vertices, here and below, V replaces rows and columns.
+    - `stderr`: standard errors of `values`, infinite for texels that the photographs do
+        not identify, since no pixel or too few see them.
+    - `seen`: number of pixels that see each texel, (layers, rows, columns).
+    - `material`: parameters without texture, with a row for each material. Textured
+        parameters are 1.
+    - `shared`: unknowns among these: label, value, standard error.
+    - `covariance`: covariance of `shared`, in its order; an exponent's entries are for
+        log f.
     - `names`: the textured parameters.
-    - `noise`: standard deviation of a sample, in linear light, estimated; 1 where it
-        was given: times that.
-    - `n_samples`: samples that are not clipped.
-    - `residuals`: of each image, (height, width, 3): photograph less model.
-    - `misfit`: whether these are noise.
-    - `converged`, `steps`: of the solver.
-    - `warnings`: what is wrong, how large, what to try.
-    - `texels`: where on the mesh they are: a grid, or its vertices.
+    - `noise`: estimated standard deviation of a sample, in linear light; 1 if noise was
+        given.
+    - `n_samples`: number of samples that are not clipped.
+    - `residuals`: photograph − model for each image, (height, width, 3).
+    - `misfit`: test whether the residuals are noise.
+    - `converged`, `steps`: whether the solver converged, and its number of steps.
+    - `warnings`: problems, how large they are, and what to try.
+    - `texels`: places of texels on the mesh: a grid, or the vertices.
     """
 
     values: dict[str, np.ndarray]
@@ -81,11 +83,11 @@ class TextureFit:
     texels: AbstractTexels
 
     def scene(self, scene: Scene) -> Scene:
-        """A scene of the same mesh, with the textures that were found on it.
+        """A scene of the same mesh, with the fitted textures.
 
-        Texels that are not identified are filled: see [`TextureFit.filled`][].
+        Texels that are not identified are filled as in [`TextureFit.filled`][].
 
-        **Raises:** `ValueError` if its surface is not such a [`Mesh`][].
+        **Raises:** `ValueError` if the scene's surface is not such a [`Mesh`][].
         """
         self.texels.check(scene.surface)
         assert isinstance(scene.surface, Mesh)
@@ -94,7 +96,7 @@ class TextureFit:
         return dataclasses.replace(scene, surface=surface)
 
     def textures(self, known: tuple[Textures, ...] | None = None) -> list[Textures]:
-        """What was found, filled, beside textures that were known."""
+        """Fitted textures, filled, together with the known textures."""
         before = known or (Textures(),)
         filled = {name: self.filled(name) for name in self.names}
         layers = max(len(self.seen), len(before))
@@ -109,7 +111,7 @@ class TextureFit:
         return [of(layer) for layer in range(layers)]
 
     def filled(self, name: str) -> Float[np.ndarray, "layers *places channels"]:
-        """A texture whose texels that are not identified are the nearest that are."""
+        """A texture whose unidentified texels are the nearest identified ones."""
         known = np.isfinite(self.stderr[name])
         each = zip(self.values[name], known, strict=True)
         return np.stack([self.texels.filled(*layer) for layer in each])

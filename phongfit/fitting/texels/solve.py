@@ -1,4 +1,4 @@
-"""Sparse symmetric systems of texels: solved, and the diagonal of their inverses."""
+"""Solutions of sparse symmetric systems of texels, and their inverses' diagonals."""
 
 import abc
 import dataclasses
@@ -13,10 +13,10 @@ from scipy.sparse.linalg import LinearOperator, SuperLU, cg, splu
 from phongfit.fitting.texels.sums import AbstractTexels
 
 EXACT = 2000
-"""Unknowns up to which a matrix is inverted as a whole."""
+"""Largest number of unknowns for which a matrix is inverted as a whole."""
 
 AT_ONCE, ROOM = 16, 4_000_000
-"""Right-hand sides that are solved for together, and numbers in them, at the most."""
+"""Most right-hand sides that are solved for together, and most numbers in them."""
 
 BLOCK = 100_000
 """Rows of a matrix that are scaled at a time."""
@@ -28,18 +28,18 @@ SYMMETRIC: dict[str, Any] = {
     "diag_pivot_thresh": 0.0,
     "options": {"SymmetricMode": True},
 }
-"""Of SuperLU, for positive definite matrices."""
+"""SuperLU's options for positive definite matrices."""
 
 
 DIRECT = 150_000
-"""Unknowns up to which a matrix is factored, where steps of descent take too many."""
+"""Most unknowns for which a matrix is factored if conjugate gradients are slow."""
 
 PATIENCE = 150
-"""Steps of conjugate gradients that are tried before."""
+"""Steps of conjugate gradients that are tried before a matrix is factored."""
 
 
 class AbstractSystem(abc.ABC):
-    """A positive definite matrix, scaled to a diagonal of 1, and by what."""
+    """A positive definite matrix, scaled to a diagonal of 1, and the scale."""
 
     scale: Float[np.ndarray, " n"]
 
@@ -52,7 +52,7 @@ class AbstractSystem(abc.ABC):
     ) -> Float[np.ndarray, "n k"]:
         """The solution for k right-hand sides.
 
-        **Arguments:** `free`: the others stay 0, as if they were known.
+        **Arguments:** `free`: marks unknowns to solve for; all others are 0.
         """
 
     @abc.abstractmethod
@@ -62,10 +62,10 @@ class AbstractSystem(abc.ABC):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Preconditioned(AbstractSystem):
-    """A matrix that is solved by conjugate gradients, or by its factors.
+    """A matrix whose systems are solved by conjugate gradients or by factors.
 
-    Few steps do where photographs tell each texel apart; where they do not, factors, if
-    there is room for them.
+    Conjugate gradients take few steps if photographs determine each texel well. If they
+    take many, the matrix is factored, provided that it is small enough.
     """
 
     matrix: sparse.csr_array
@@ -73,7 +73,7 @@ class Preconditioned(AbstractSystem):
 
     @functools.cached_property
     def factor(self) -> SuperLU:
-        """Of the whole matrix."""
+        """Factors of the whole matrix."""
         return splu(sparse.csc_array(self.matrix), **SYMMETRIC)
 
     def solve(
@@ -118,27 +118,28 @@ class Preconditioned(AbstractSystem):
         if kept is None:
             return self.factor.solve(scaled)
         mask = sparse.diags_array(kept)
-        # What is known has a row of its own.
+        # Known entries get a row of the unit matrix.
         matrix = mask @ self.matrix @ mask + sparse.diags_array(1 - kept)
         return splu(sparse.csc_array(matrix), **SYMMETRIC).solve(scaled)
 
 
 def at_once(count: int) -> int:
-    """How many right-hand sides of so many numbers are solved for together."""
+    """Number of right-hand sides, of `count` numbers each, to solve for together."""
     return int(np.clip(ROOM // count, 1, AT_ONCE))
 
 
 def precondition(matrix: sparse.csr_array) -> Preconditioned:
-    """A matrix with a positive diagonal, ready to be solved: scaled in its place."""
+    """Scale a matrix with a positive diagonal in place, ready to be solved."""
     scale = 1 / np.sqrt(matrix.diagonal())
     rescale(matrix, scale)
     return Preconditioned(matrix, scale)
 
 
 def rescale(matrix: sparse.csr_array, scale: Float[np.ndarray, " n"]) -> None:
-    """Multiply rows and columns, in place."""
+    """Multiply rows and columns by `scale`, in place."""
     each = np.diff(matrix.indptr)
-    # Some rows at a time: of every entry a number more would be half a matrix.
+    # Some rows at a time: an array with a number for each entry would be half as large
+    # as the matrix.
     for start in range(0, len(scale), BLOCK):
         rows = slice(start, start + BLOCK)
         ends = matrix.indptr[[start, min(start + BLOCK, len(scale))]]
@@ -152,14 +153,15 @@ def inverse_diagonal(
     parameters: int,
     tolerance: float = 1e-2,
 ) -> Float[np.ndarray, " n"]:
-    r"""The diagonal of the inverse: exactly if small, else by probing.
+    r"""Diagonal of the inverse: exact for small systems, else estimated by probing.
 
-    Of 9 216 texels that four samples see each, its roots were 0.3 % off, root mean
-    square, and one in a thousand 2 %; with a tolerance of 1e-3 it is a third of that.
+    For 9 216 texels, each seen by four samples, standard deviations were off by 0.3 %
+    (root mean square), and by more than 2 % for one texel in a thousand. A tolerance of
+    1e-3 reduces this to a third.
 
-    Texels far apart are probed at once, with random signs $v$: what the solution $x$
-    of $N x = v$ has at each is its own variance, and what is left of the covariance
-    with the next ones.
+    Texels far apart are probed together, with random signs $v$. At each of them the
+    solution $x$ of $N x = v$ is, up to the sign, its variance plus small covariances
+    with the other probed texels.
 
     ??? cite "Source"
         Tang and Saad, *A probing method for computing the diagonal of a matrix
@@ -176,11 +178,11 @@ def inverse_diagonal(
     together = at_once(count)
     for start in range(0, parameters * kinds, together):
         probed = colour[:, None] == start + np.arange(together)
-        # Scaled, the solution's own entry is the variance over that of one alone.
+        # For the scaled matrix, the solution is the variance relative to 1 / diagonal.
         probes = np.where(probed, (sign / system.scale)[:, None], 0)
         solved = system.solve(probes, tolerance)
         found += np.where(probed, solved * (sign * system.scale)[:, None], 0).sum(
             axis=1
         )
-    # What covaries with the next ones may make it too small: alone it has no less.
+    # Covariances may make the estimate too small; 1 / diagonal is a lower bound.
     return np.maximum(found, system.scale**2)

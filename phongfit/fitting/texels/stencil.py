@@ -1,8 +1,8 @@
-"""Matrices of many texels as images: a texel and those around it, wherever it lies.
+"""Matrices of grids of texels as images, one for each offset between neighbours.
 
-A list of their entries takes six times as much memory as the sums that they are made
-of, and to read it takes most of the time of a step of conjugate gradients, of which
-there are some hundreds where photographs hardly tell texels apart.
+A sparse matrix with indices takes six times as much memory as these images, and to read
+it takes most of the time of a step of conjugate gradients. There are hundreds of steps
+if photographs determine texels poorly.
 """
 
 import dataclasses
@@ -27,9 +27,10 @@ class Stencil(AbstractSystem):
 
     **Arguments:**
 
-    - `scale`: what rows and columns are multiplied by for a diagonal of 1.
-    - `pairs`: fields p ≤ q that samples couple.
-    - `images`: for each of these one for every offset, with a border that wraps.
+    - `scale`: factors of rows and columns that make the diagonal 1.
+    - `pairs`: pairs of fields p ≤ q that samples couple.
+    - `images`: for each pair an array with an image for each offset, whose border
+        repeats the opposite edge.
     - `by`: `scale` in the units of `images`.
     """
 
@@ -49,7 +50,7 @@ class Stencil(AbstractSystem):
         by = jnp.asarray(self.by if free is None else self.by * free.reshape(shape))
         least = jnp.asarray(tolerance, dtype)
         found = np.empty(right.shape, dtype, "F")
-        # One after the other: each has its own number of steps.
+        # One column after another, since each needs its own number of steps.
         for k, column in enumerate(right.T):
             scaled = jnp.asarray((column * scale).reshape(shape), dtype)
             solved = _descend(self.images, by, scaled, least, self.pairs)
@@ -66,10 +67,10 @@ def make_stencil(
     prior: float | Float[np.ndarray, " n"],
     unit: Float[np.ndarray, " n"] | None,
 ) -> Stencil:
-    """What `AbstractTexels.matrix` makes of a grid's sums, multiplied by units.
+    """The matrix of `AbstractTexels.matrix` for a grid, multiplied by units.
 
-    **Arguments:** `blocks`, `prior`: as there; `shape`: of the grid; `unit`: of each
-    row and column, if not all are 1.
+    **Arguments:** `blocks`, `prior`: as in `AbstractTexels.matrix`. `shape`: the grid's
+    shape. `unit`: factors of rows and columns, or None if all are 1.
     """
     fields = 1 + max(q for _, q in blocks)
     dtype = jnp.result_type(float)
@@ -88,7 +89,7 @@ def make_stencil(
 
 
 def _bordered(images: np.ndarray) -> np.ndarray:
-    """With what lies beyond each edge: the other one."""
+    """Images with a border of one pixel that repeats the opposite edge."""
     border = [(0, 0)] * (images.ndim - 2) + [(1, 1)] * 2
     return np.pad(images, border, mode="wrap")
 
@@ -120,7 +121,7 @@ def _descend(
 
 
 class _Descent(NamedTuple):
-    """Where conjugate gradients stand: what is `left`, its square, and the next way."""
+    """State of conjugate gradients: solution, residual, its square, and direction."""
 
     found: Array
     left: Array
@@ -141,14 +142,14 @@ def _product(images: tuple[Array, ...], x: Array, pairs: Pairs) -> Array:
 
 
 def _image_times(image: Array, x: Array) -> Array:
-    """Of one pair of fields; both have a border."""
+    """Product for one pair of fields; both arguments have a border."""
     rows, columns = x.shape[1] - 2, x.shape[2] - 2
 
     def at(whole: Array, down: int, right: int) -> Array:
         return whole[:, 1 + down : 1 + down + rows, 1 + right : 1 + right + columns]
 
     total = at(image[0], 0, 0) * at(x, 0, 0)
-    # Each offset's own sums, and those that the neighbour before has with this texel.
+    # Add each texel's products with its neighbours at ± the offset.
     for one, (down, right) in zip(image[1:], OFFSETS[1:], strict=False):
         total += at(one, 0, 0) * at(x, down, right)
         total += at(one, -down, -right) * at(x, -down, -right)

@@ -1,7 +1,7 @@
-r"""Gauss and Newton's steps: texels eliminated, a small system for what is shared.
+r"""Gauss–Newton steps that eliminate texels, with a small system for shared numbers.
 
-The texels, which are many and hardly coupled, are eliminated by a sparse solve; what is
-left is the Schur complement of the shared numbers.
+The texels are many and hardly coupled, so a sparse solve eliminates them. The Schur
+complement for the shared numbers remains.
 
 ??? cite "Source"
     Variable projection: Golub and Pereyra, *Separable nonlinear least squares*, Inverse
@@ -31,37 +31,37 @@ from phongfit.fitting.texels.job import EXPONENTS, MIDDLE, RIDGE, Job, State
 from phongfit.fitting.texels.solve import AbstractSystem, at_once, inverse_diagonal
 
 SCAN = np.geomspace(2.0, 700.0, 11)
-"""Exponents among which a fit starts, each with the texels that suit it best."""
+"""Exponents to try at the start, each together with its best texels."""
 
 TOLERANCE = 1e-3
-"""Of the sparse solves, relative to their right-hand sides."""
+"""Tolerance of sparse solves, relative to their right-hand sides."""
 
 PROBES = 8
-"""Random vectors that the trace of a matrix is estimated from, at the most."""
+"""Most random vectors from which a matrix's trace is estimated."""
 
 LEAST = 1e-7
-"""Eigenvalue of the shared numbers' scaled information that none is identified by."""
+"""Least eigenvalue of the shared numbers' scaled information that identifies them."""
 
 
 REACH = 1.0
-"""How far a texel's log f goes in a step, at the most."""
+"""Largest change of a texel's log f in a step."""
 
 SETTLED = 0.05
-"""How far texels' log f would still go where a fit ends: of their standard deviations,
+"""A fit ends if the next change of texels' log f is smaller, in standard deviations,
 root mean square."""
 
 START = 2_000_000
-"""Pixels of photographs among which a fit starts, at the most; then one of several."""
+"""Most pixels with which a start is sought; of more pixels every n-th is used."""
 
 
 def find_start(
     job: Job, numbers: dict[str, np.ndarray], noise_given: bool
 ) -> tuple[State, float]:
-    """Where to start: the best of some exponents, each material on its own.
+    """A start: the best of some exponents, for each material.
 
-    Each sample sees the nearest texel alone, which is then solved for at once. Of many
-    photographs some of the pixels, and larger texels, do. Texels of one texture of
-    exponents start at the one that suits them all.
+    Each sample is taken to see only its nearest texel, so that texels are not coupled.
+    If there are many pixels, only some are used, with larger texels. The texels of an
+    exponent texture all start at the same exponent.
     """
     sigma = 1.0 if noise_given else 0.02
     linear, own = job.without_exponents(), "shininess" in job.names
@@ -83,7 +83,7 @@ def _at_start(job: Job, numbers: dict[str, np.ndarray]) -> State:
 
 
 def _thinned(job: Job) -> Job:
-    """Some of the pixels, and as many texels fewer."""
+    """The job with at most about `START` pixels, and texels larger in proportion."""
     whole = job.images
     every = -(-sum(one.image[..., 0].size for one in whole.given) // START)
     if every == 1:
@@ -96,7 +96,7 @@ def _thinned(job: Job) -> Job:
 def _scan(
     job: Job, numbers: dict[str, np.ndarray], sigma: float, together: bool
 ) -> np.ndarray:
-    """The exponent of each material, or of all, whose other numbers fit best."""
+    """For each material, or all `together`, the exponent with the least cost."""
     best = numbers["shininess"]
     least = np.full(len(best), np.inf)
     for f in SCAN:
@@ -109,7 +109,7 @@ def _scan(
 
 
 class Equations(NamedTuple):
-    """Of the texels right-hand sides, and which are free to move; the rest in sums."""
+    """Normal equations, with right-hand sides and marks of free texels."""
 
     sums: Sums
     right: list[np.ndarray]
@@ -117,7 +117,7 @@ class Equations(NamedTuple):
 
 
 def linearise(job: Job, state: State, sigma: float, nearest: bool = False) -> Equations:
-    """The equations of a step of Gauss and Newton's; texels at a bound stay there."""
+    """Equations of a Gauss–Newton step; texels that push past a bound are not free."""
     sums = sum_up(job, state, sigma, nearest)
     rights, (low, high) = right_sides(job, sums, state), job.bounds(state)
     free = [
@@ -128,12 +128,12 @@ def linearise(job: Job, state: State, sigma: float, nearest: bool = False) -> Eq
 
 
 class System(NamedTuple):
-    """What errors are made of.
+    """Matrices from which errors are computed.
 
-    - `alone`: variances of each system's texels, were the shared numbers known.
-    - `eliminated`: how each system's texels answer to the shared numbers.
-    - `information`: of these, the texels being eliminated.
-    - `freedom`: samples less the numbers that they determine.
+    - `alone`: variances of each system's texels if shared numbers are known.
+    - `eliminated`: change of each system's texels by shared numbers, up to the sign.
+    - `information`: information about shared numbers after texels are eliminated.
+    - `freedom`: degrees of freedom, samples − unknowns that they determine.
     """
 
     left: ResidualSums
@@ -146,10 +146,10 @@ class System(NamedTuple):
 def _matrices(
     job: Job, sums: Sums, damping: np.ndarray | None = None
 ) -> Iterator[tuple[int, AbstractSystem, bool]]:
-    """Each system's matrix, and whether it is another than the last system's.
+    """Each system's index and matrix, and whether it differs from the previous matrix.
 
-    Matrices are what is largest: the last one goes before the next is made, where who
-    takes them deletes them.
+    Matrices take most of the memory. Each is freed before the next is made, provided
+    that the caller deletes its own reference.
     """
     last: list[AbstractSystem] = []
     for s in range(len(job.systems)):
@@ -161,7 +161,7 @@ def _matrices(
 
 
 def make_system(job: Job, state: State, sigma: float) -> System:
-    """The equations where a fit ends, solved for the shared numbers alone."""
+    """Matrices for errors at the solution, with the texels eliminated."""
     sums, _, free = linearise(job, state, sigma)
     information, eliminated = sums.dense.copy(), []
     alone, taken = [], []
@@ -184,7 +184,7 @@ def make_system(job: Job, state: State, sigma: float) -> System:
 
 
 def _products(mixed: np.ndarray, solved: np.ndarray, free: np.ndarray) -> np.ndarray:
-    r"""$m^T s$ of the texels that are free, column by column."""
+    r"""$m^T s$ summed over the free texels, for each pair of columns."""
     each = [
         [float(np.sum(m * s, where=free, dtype=float)) for s in solved.T]
         for m in mixed.T
@@ -193,10 +193,11 @@ def _products(mixed: np.ndarray, solved: np.ndarray, free: np.ndarray) -> np.nda
 
 
 class Stepped(NamedTuple):
-    """A step's end; of its beginning what was `left`, and `taken` by the texels.
+    """State after a step; `left` and `taken` belong to the state before it.
 
-    - `known`: how well each texel's log f is known for itself: inverse variances.
-    - `settled`: of a step of exponents, whether there is hardly any left to take.
+    - `left`: residual sums. `taken`: number of unknowns that the texels determine.
+    - `known`: inverse variance of each texel's log f if all else is known.
+    - `settled`: for steps of exponents, whether the next step would be negligible.
     """
 
     state: State
@@ -213,9 +214,9 @@ def step(
     nearest: bool = False,
     damping: np.ndarray | None = None,
 ) -> Stepped:
-    """One step of Gauss and Newton's, within the bounds.
+    """One Gauss–Newton step within the bounds.
 
-    **Arguments:** `damping`: of each texel's exponent, relative to its information.
+    **Arguments:** `damping`: added for each texel's exponent, relative to its diagonal.
     """
     sums, right, free = linearise(job, state, sigma, nearest)
     information, few_right = sums.dense.copy(), sums.few_right.copy()
@@ -233,7 +234,7 @@ def step(
     change = _few_change(job, state, information, few_right)
     vectors = []
     for s, (own, move) in enumerate(zip(job.vectors(state), moves, strict=True)):
-        # In the photographs' precision: else a copy is made of what is large.
+        # Large arrays must have the photographs' precision, or they would be copied.
         by = change[job.of_system(s)].astype(job.dtype)
         move -= eliminated[s] @ by
         vectors.append(np.clip(own + move, *job.bounds(state)))
@@ -257,10 +258,10 @@ def step(
 def descend(
     job: Job, state: State, sigma: float, damping: np.ndarray
 ) -> tuple[Stepped, np.ndarray]:
-    """A step of texels' exponents, and of all else at what these come to.
+    """A step of texels' exponents, then of all other unknowns at the new exponents.
 
-    Light is not linear in them: a step that would cost more is not taken, and texels
-    around which light fits worse are damped, as Levenberg and Marquardt do.
+    Light is not linear in exponents. A step that would raise the cost is rejected, and
+    texels around which the cost rises are damped, as by Levenberg and Marquardt.
     """
     stepped = step(job, state, sigma, damping=damping)
     assert state.exponents is not None and stepped.state.exponents is not None
@@ -282,7 +283,7 @@ def descend(
 
 
 def _taken(job: Job, sums: Sums) -> float:
-    """A first estimate: a texel takes a sample away where it has one."""
+    """First estimate of the number of unknowns that samples determine."""
     return sum(
         float((own / (own + RIDGE)).sum(dtype=float))
         for fields in _information(job, sums)
@@ -291,7 +292,7 @@ def _taken(job: Job, sums: Sums) -> float:
 
 
 def _information(job: Job, sums: Sums) -> Iterator[list[np.ndarray]]:
-    """What the samples tell of each texel for itself: by system, field by field."""
+    """Each system's diagonal of the information about texels, field by field."""
     for blocks, fields in zip(sums.blocks, job.systems, strict=True):
         own = [blocks[p, p][0] for p in range(len(fields))]
         if sums.unit is not None:
@@ -302,7 +303,7 @@ def _information(job: Job, sums: Sums) -> Iterator[list[np.ndarray]]:
 def _few_change(
     job: Job, state: State, information: np.ndarray, right: np.ndarray
 ) -> np.ndarray:
-    """The step of the shared numbers; none for those at a bound that push outwards."""
+    """Step of the shared numbers; 0 for those that would leave a bound."""
     free = np.diag(information) > 0
     for k, one in enumerate(job.few):
         value = state.value(one)
@@ -314,7 +315,7 @@ def _few_change(
     if at.size:
         scale = np.sqrt(np.diag(information)[at])
         scaled = information[np.ix_(at, at)] / np.outer(scale, scale)
-        # What the photographs do not tell apart stays where it is.
+        # Combinations that the photographs do not determine keep their values.
         inverse = np.linalg.pinv(scaled, rcond=LEAST, hermitian=True)
         change[at] = inverse @ (right[at] / scale) / scale
     for k, one in enumerate(job.few):
@@ -326,7 +327,7 @@ def _few_change(
 def solve(
     job: Job, state: State, sigma: float, noise_given: bool, max_steps: int
 ) -> tuple[State, float, System, bool, int]:
-    """Steps until nothing changes, with the noise that is found on the way."""
+    """Take steps until nothing changes, and estimate the noise after each one."""
     damping = np.zeros(job.grid.texels)
 
     def following(state: State, damping: np.ndarray) -> tuple[Stepped, np.ndarray]:
@@ -347,14 +348,14 @@ def solve(
         state, cost, steps = moved, now, steps + 1
     if not noise_given:
         sigma = _noise(job, left, taken, sigma)
-        # Where it stands now.
+        # Residuals at the last state, as `left` belongs to the one before.
         left, freedom = _left_over(job, state, sigma)
         sigma = max(sigma * float(np.sqrt(left.squares / freedom)), job.floor)
     return state, sigma, make_system(job, state, sigma), converged, steps
 
 
 def _left_over(job: Job, state: State, sigma: float) -> tuple[ResidualSums, float]:
-    """What is left of the photographs, and the samples that determine nothing."""
+    """Residual sums and degrees of freedom at `state`."""
     sums = sum_up(job, state, sigma)
     taken = []
     for _, matrix, new in _matrices(job, sums):
@@ -364,7 +365,7 @@ def _left_over(job: Job, state: State, sigma: float) -> tuple[ResidualSums, floa
 
 
 def _moved(one: State, other: State) -> float:
-    """The largest change of a material's number, relative to it."""
+    """Largest relative change of a material's parameter."""
     return max(
         float(abs(np.log(other.numbers[name] + 1e-3) - np.log(value + 1e-3)).max())
         for name, value in one.numbers.items()
@@ -378,21 +379,21 @@ def _noise(job: Job, left: ResidualSums, taken: float, sigma: float) -> float:
 
 
 def _freedom(job: Job, left: ResidualSums, taken: float) -> float:
-    """Samples less the numbers that they determine."""
+    """Degrees of freedom, samples − unknowns that they determine; at least 1."""
     return max(left.counted - taken - len(job.few), 1.0)
 
 
 def taken_by(job: Job, matrix: AbstractSystem) -> float:
-    """How many numbers the samples determine of one system's texels.
+    """Number of one system's texels that the samples determine.
 
-    The trace of the hat matrix, by random probes.
+    It is the trace of the hat matrix, estimated with random probes.
 
     ??? cite "Source"
         Hutchinson, *A stochastic estimator of the trace of the influence matrix*,
         Commun. Stat. Simul. Comput. 19(2), 1990.
     """
     size = len(matrix.scale)
-    # The more texels, the less is left to chance.
+    # With more texels fewer probes are needed.
     shape = size, min(PROBES, at_once(size))
     probes = np.random.default_rng(1).choice([-1.0, 1.0], shape)
     prior = RIDGE * probes

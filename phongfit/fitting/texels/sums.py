@@ -1,9 +1,9 @@
-r"""Normal equations of texels: sparse, since a sample sees four that are neighbours.
+r"""Normal equations of texels, which are sparse: a sample sees four neighbours.
 
-For light $I_i = \sum_p b_{pi} \sum_k w_{ik} t_{p k} + \dots$ of a channel, with basis
-images $b_p$ and the weights $w$ of a bilinear texture, $J^T J$ couples a texel with the
-eight around it only: it is summed up as five images, whatever the number of
-photographs, and never as a matrix of all samples.
+In a channel, light is $I_i = \sum_p b_{pi} \sum_k w_{ik} t_{p k} + \dots$, with basis
+images $b_p$ and the weights $w$ of a bilinear texture. $J^T J$ then couples a texel
+only with the eight around it. It is symmetric, so five images hold it (one for the
+diagonal, four for offsets), whatever the number of photographs.
 """
 
 import abc
@@ -20,9 +20,9 @@ from phongfit.geometry.surfaces import GBuffer
 from phongfit.textures import AbstractTexture, Filter, Texture, Wrap, texels
 
 SPACING = 8
-"""Texels between those that are probed at once; further away they hardly covary."""
+"""Distance of texels that are probed together; so far apart they hardly covary."""
 
-# From a texel to the neighbours after it: itself, right, below, and both diagonals.
+# (Down, right) from a texel to itself and to the right, lower and diagonal neighbours.
 OFFSETS = ((0, 0), (0, 1), (1, 0), (1, 1), (1, -1))
 # Pairs of the four texels that a point lies between, by the offset of the second; the
 # four are upper left, upper right, lower left, lower right.
@@ -35,14 +35,14 @@ PAIRS = (
 )
 
 CORNERS = ((0, 1), (0, 2), (1, 2))
-"""Pairs of a triangle's corners: its edges."""
+"""A triangle's edges, as pairs of its corners."""
 
 
 class Links(NamedTuple):
-    """Pairs of neighbours, each once.
+    """Pairs of neighbouring texels, each pair once.
 
-    - `first`, `second`: their numbers.
-    - `slot`: the row of a block of sums where they stand, at the first.
+    - `first`, `second`: indices of the two texels.
+    - `slot`: row of a block of sums that holds the pair, in column `first`.
     """
 
     first: Int[np.ndarray, " links"]
@@ -51,23 +51,23 @@ class Links(NamedTuple):
 
 
 class AbstractTexels(abc.ABC):
-    """Where on a mesh there are numbers to be found, and which are neighbours."""
+    """Places on a mesh that each have unknowns, and which of them are neighbours."""
 
     word: ClassVar[str]
     one: ClassVar[str]
     regular: ClassVar[bool]
-    """Whether neighbours lie alike everywhere, so that sums are images."""
+    """Whether neighbours have the same offsets everywhere, so that sums are images."""
 
     layers: int
 
     @property
     @abc.abstractmethod
     def shape(self) -> tuple[int, ...]:
-        """Layers, one for each material or one in all, and the places of each."""
+        """Number of layers (one, or one for each material), and a layer's shape."""
 
     @property
     def texels(self) -> int:
-        """How many there are in all."""
+        """Number of places in all layers."""
         return math.prod(self.shape)
 
     @abc.abstractmethod
@@ -78,23 +78,24 @@ class AbstractTexels(abc.ABC):
     def touched(
         self, gbuffer: GBuffer, layer: Int[np.ndarray, " n"] | None
     ) -> "Touched":
-        """Which texels samples see.
+        """Texels that samples see, with their weights.
 
-        **Arguments:** `gbuffer`: of n pixels; `layer`: of each, if there are several.
+        **Arguments:** `gbuffer`: n pixels. `layer`: each pixel's layer, if there are
+        several.
         """
 
     @abc.abstractmethod
     def coarser(self, by: int) -> "AbstractTexels":
-        """With fewer texels along each side, where that can be."""
+        """A grid with `by` times fewer texels along a side; vertices do not change."""
 
     @property
     @abc.abstractmethod
     def slots(self) -> int:
-        """Rows of a block of sums, of which the first are the texels themselves."""
+        """Number of rows of a block of sums; the first is for the texels themselves."""
 
     @abc.abstractmethod
     def links(self) -> "Links":
-        """Pairs of neighbours."""
+        """All pairs of neighbours."""
 
     def differences(
         self, scale: Float[np.ndarray, " texels"]
@@ -115,7 +116,7 @@ class AbstractTexels(abc.ABC):
         apart = texels[first] - texels[second]
         total = np.bincount(first, apart, self.texels)
         total = total - np.bincount(second, apart, self.texels)
-        # Of no neighbours NumPy counts whole numbers.
+        # If there are no neighbours, NumPy returns whole numbers.
         return total.astype(float, copy=False)
 
     @abc.abstractmethod
@@ -129,29 +130,29 @@ class AbstractTexels(abc.ABC):
 
         **Arguments:**
 
-        - `blocks`: for p ≤ q the sums of [`Touched.add_products`][]; pairs of fields
-            that are not there have no entries.
+        - `blocks`: sums of [`Touched.add_products`][] for fields p ≤ q; entries for
+            other pairs are 0.
         - `prior`: added to the diagonal, field by field.
         """
 
     @abc.abstractmethod
     def colours(self) -> Int[np.ndarray, " texels"]:
-        """Numbers from 0 of which texels that covary have different ones."""
+        """Colours from 0, such that texels with the same colour hardly covary."""
 
     @abc.abstractmethod
     def texture(self, values: Float[np.ndarray, "*places channels"]) -> AbstractTexture:
-        """One layer's values, as a mesh has them."""
+        """One layer's values as a texture of a mesh."""
 
     @abc.abstractmethod
     def nearest(self, known: Bool[np.ndarray, "*places"]) -> tuple[np.ndarray, ...]:
-        """For each of one layer's places the indices of the nearest that is known."""
+        """For each place of a layer the indices of the nearest known place."""
 
     def filled(
         self,
         values: Float[np.ndarray, "*places channels"],
         known: Bool[np.ndarray, "*places channels"],
     ) -> Float[np.ndarray, "*places channels"]:
-        """One layer's values; those that are not known are the nearest that are."""
+        """One layer's values, with unknown ones replaced by the nearest known value."""
         values = values.copy()
         for c in range(values.shape[-1]):
             own, channel = known[..., c], values[..., c]
@@ -162,7 +163,7 @@ class AbstractTexels(abc.ABC):
 
 @dataclasses.dataclass(frozen=True)
 class Grid(AbstractTexels):
-    """Textures of one size: `layers` of them, one for each material, or one in all."""
+    """Texels of textures of one size: one texture, or one for each material."""
 
     word: ClassVar[str] = "texels"
     one: ClassVar[str] = "texel"
@@ -206,8 +207,8 @@ class Grid(AbstractTexels):
         fields: int,
         prior: float | Float[np.ndarray, " n"] = 0.0,
     ) -> sparse.csr_array:
-        # Made in its last form at once: a list of its entries would take several times
-        # as much memory.
+        # Build the final arrays directly: a list of entries would take several times as
+        # much memory.
         number, size = self.texels, fields * self.texels
         beside = [(offset, 1) for offset in OFFSETS]
         beside += [(offset, -1) for offset in OFFSETS[1:]]
@@ -238,7 +239,7 @@ class Grid(AbstractTexels):
 
     def colours(self) -> Int[np.ndarray, " texels"]:
         row, column = np.divmod(np.arange(self.texels), self.columns)
-        # Layers come one below the other.
+        # Layers are stacked one below the other.
         return row % self.rows % SPACING * SPACING + column % SPACING
 
     def texture(self, values: Float[np.ndarray, "rows columns channels"]) -> Texture:
@@ -253,7 +254,7 @@ class Grid(AbstractTexels):
         return tuple(np.array(at))
 
     def neighbour(self, offset: tuple[int, int]) -> Int[np.ndarray, " texels"]:
-        """The number of each texel's neighbour."""
+        """Index of each texel's neighbour at an offset (down, right)."""
         number = np.arange(self.texels, dtype=np.int32).reshape(self.shape)
         down, right = offset
         return np.roll(number, (-down, -right), axis=(1, 2)).ravel()
@@ -265,7 +266,7 @@ class Grid(AbstractTexels):
     def links(self) -> Links:
         number = np.arange(self.texels, dtype=np.int32).reshape(self.shape)
         pairs = []
-        # Side by side, and one above the other.
+        # Horizontal pairs, then vertical pairs.
         for axis, count, offset in ((2, self.columns, (0, 1)), (1, self.rows, (1, 0))):
             ends = count if self.wrap == "repeat" and count > 2 else count - 1
             keep = np.arange(ends)
@@ -277,10 +278,13 @@ class Grid(AbstractTexels):
 
 
 class Touched(NamedTuple):
-    """The texels that each sample sees, and their weights: (samples, 4), or 3, or 1.
+    """Texels that each sample sees, and their weights.
 
-    - `beside`: of three vertices, where in a block of sums each of their pairs stands.
-    - `slots`: rows of such a block, of which the first are the texels themselves.
+    A sample sees four texels, three vertices, or one nearest texel.
+
+    - `number`: indices of the texels. `weight`: their weights.
+    - `beside`: for vertices, the flat index in a block of sums of each pair of corners.
+    - `slots`: number of rows of such a block; the first row is for single vertices.
     """
 
     number: Int[np.ndarray, "samples corners"]
@@ -297,12 +301,12 @@ class Touched(NamedTuple):
 
     def scattered(self, values: np.ndarray, texels: int) -> np.ndarray:
         """The transpose of [`Touched.mean`][]."""
-        # All corners at once: each count makes an image anew.
+        # Count all corners together, as each `bincount` allocates an image.
         both = self.weight * values[:, None]
         return np.bincount(self.number.ravel(), both.ravel(), texels)
 
     def add_products(self, values: np.ndarray, total: np.ndarray) -> None:
-        r"""Add $\sum_i v_i w_{ik} w_{il}$ of neighbours: see [`Touched.offsets`][]."""
+        r"""Add $\sum_i v_i w_{ik} w_{il}$ to `total` for pairs of neighbours k, l."""
         if self.beside is not None:
             flat = total.reshape(-1)
             total[0] += self._replace(weight=self.weight**2).scattered(
@@ -320,12 +324,12 @@ class Touched(NamedTuple):
 
     @property
     def offsets(self) -> int:
-        """How many rows a block of sums has."""
+        """Number of rows of a block of sums."""
         return self.slots if self.number.shape[1] > 1 else 1
 
 
 def merged(touched: Touched) -> Touched:
-    """Where a texture ends two of the four are one: it gets the weight of both."""
+    """Merge weights at a texture's end, where two of a sample's texels are the same."""
     number, weight = touched.number, touched.weight
     if number.shape[1] == 1:
         return touched

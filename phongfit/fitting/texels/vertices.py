@@ -1,4 +1,4 @@
-"""Numbers at the vertices of a mesh, as unknowns: the twin of a grid of texels."""
+"""Unknowns at the vertices of a mesh, with the same interface as a grid of texels."""
 
 import dataclasses
 import functools
@@ -15,11 +15,11 @@ from phongfit.geometry.surfaces import GBuffer
 from phongfit.textures import VertexColours
 
 RINGS = 5
-"""How many edges apart vertices still covary: further away they are probed at once."""
+"""Vertices at most this many edges apart are not probed together, as they covary."""
 
 
 def as_mesh(surface: Any) -> Mesh:
-    """A scene's surface, if it is a mesh; `ValueError` else."""
+    """The scene's surface if it is a mesh; otherwise raise `ValueError`."""
     if not isinstance(surface, Mesh):
         kind = type(surface).__name__
         raise ValueError(f"scene: expected a Mesh, which has vertices, got {kind}")
@@ -27,11 +27,12 @@ def as_mesh(surface: Any) -> Mesh:
 
 
 class Edges(NamedTuple):
-    """Each edge of a mesh once, kept by one of its ends: few are kept by any.
+    """All edges of a mesh, each owned by one of its ends, so that none owns many.
 
-    - `owner`, `other`: its ends.
-    - `slot`: counts the edges of an owner, from 1; 0 is the vertex itself.
-    - `of_faces`: the number of each of a face's edges, in the order of `CORNERS`.
+    - `owner`, `other`: the ends of each edge.
+    - `slot`: number of the edge among its owner's edges, from 1; 0 is the vertex
+        itself.
+    - `of_faces`: indices of each face's edges, in the order of `CORNERS`.
     """
 
     owner: Int[np.ndarray, " edges"]
@@ -41,16 +42,16 @@ class Edges(NamedTuple):
 
 
 def find_edges(faces: Int[np.ndarray, "faces 3"], vertices: int) -> Edges:
-    """The edges of a mesh, of faces without an area only those with a length."""
+    """The edges of a mesh, without edges between a vertex and itself."""
     ends = np.sort(faces[:, CORNERS].reshape(-1, 2), axis=1).astype(np.int64)
     keys, number = np.unique(ends[:, 0] * vertices + ends[:, 1], return_inverse=True)
     low, high = keys // vertices, keys % vertices
     long = low != high
-    # What is no edge is never seen: any number does.
+    # Faces with such edges are never seen, so any index serves them.
     number = np.where(long, np.cumsum(long) - 1, 0)[number]
     low, high = low[long], high[long]
     degree = np.bincount(np.concatenate([low, high]), minlength=vertices)
-    # Kept by the end that has fewer, so that the tip of a fan keeps none.
+    # The end with fewer edges owns an edge, so that the centre of a fan owns none.
     swapped = degree[low] > degree[high]
     owner, other = np.where(swapped, high, low), np.where(swapped, low, high)
     order = np.argsort(owner, kind="stable")
@@ -61,7 +62,7 @@ def find_edges(faces: Int[np.ndarray, "faces 3"], vertices: int) -> Edges:
 
 
 class Pattern(NamedTuple):
-    """A sparse matrix's rows, and where in a block of sums each entry stands."""
+    """Sparsity pattern of a matrix, and each entry's index in a block of sums."""
 
     ends: np.ndarray
     columns: np.ndarray
@@ -71,7 +72,7 @@ class Pattern(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Vertices(AbstractTexels):
-    """A number for each vertex: `layers` of them, one for each material, or one in all.
+    """Unknowns at vertices, in `layers` layers: one, or one for each material.
 
     **Arguments:** `points`, `faces`: the mesh.
     """
@@ -90,12 +91,12 @@ class Vertices(AbstractTexels):
 
     @functools.cached_property
     def edges(self) -> Edges:
-        """The mesh's."""
+        """Edges of the mesh."""
         return find_edges(self.faces, len(self.points))
 
     @property
     def slots(self) -> int:
-        # A vertex itself, and the edges that it keeps.
+        # The vertex itself, and the edges that it owns.
         return 1 + int(self.edges.slot.max(initial=0))
 
     def check(self, surface: Any) -> None:
@@ -128,7 +129,7 @@ class Vertices(AbstractTexels):
 
     @functools.cached_property
     def pattern(self) -> Pattern:
-        """Of the matrix over all vertices: each beside those of its edges."""
+        """Pattern of the matrix over all vertices, which couples the ends of edges."""
         owner, other, slot = self.links()
         own = np.arange(self.texels)
         source = np.concatenate([own, *[slot * self.texels + owner] * 2])

@@ -1,4 +1,4 @@
-"""The way down to a solution, walked once more: how a fit converged."""
+"""Convergence of a fit: the cost at each step of the solver, computed again."""
 
 import dataclasses
 from typing import Any
@@ -21,13 +21,13 @@ MOST_STEPS = 60
 
 @dataclasses.dataclass(frozen=True)
 class Convergence:
-    """Costs along the way from the scan's start to where the solver ends.
+    """Costs at each step of the solver, from the scan's start to its end.
 
     **Arguments:**
 
     - `costs`: χ² at the start and after each step; a rejected step repeats its cost.
-    - `least`: χ² of the fit, which a single way can miss where the scene is unknown:
-        the fit has tried several.
+    - `least`: χ² of the fit. With unknowns of the scene a fit has several starts, and
+        this single run may end higher.
     """
 
     costs: np.ndarray
@@ -37,8 +37,8 @@ class Convergence:
 def trace_convergence(found: SearchResult) -> Convergence:
     """The cost step by step, on all samples, with the noise level of the fit.
 
-    The search of a fit goes several ways, on few samples first, and keeps no record:
-    that would make it slower. This goes one way.
+    The search of a fit has several stages and starts, and keeps no record, which would
+    make it slower. This is a single run from one start.
     """
     start = scan(found.problem, found.problem.unknowns.start)
     points, count = _walk(found.problem, start)
@@ -50,9 +50,9 @@ def trace_convergence(found: SearchResult) -> Convergence:
 def _walk(
     problem: Problem, start: Float[Array, " n"]
 ) -> tuple[Float[Array, "steps n"], Array]:
-    """Where the solver stood, from its start on, and how many of these are filled.
+    """Points of the solver from its start on, and the number of them.
 
-    Its first step evaluates the start.
+    The solver's first step evaluates the start.
     """
     solver = make_solver(problem, start.dtype)
     tags = frozenset[object]()

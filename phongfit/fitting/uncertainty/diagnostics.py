@@ -1,4 +1,4 @@
-"""What is known of a fit only by solving it further: profiles, and its way down."""
+"""Diagnostics that need further solves of a fit: profiles, and its convergence."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -7,21 +7,21 @@ from phongfit.fitting.uncertainty.convergence import Convergence
 from phongfit.fitting.uncertainty.profile import Profile
 
 MOST_PROFILES = 3
-# A profile goes through all samples about a hundred times; so does the way down.
+# A profile evaluates all samples about a hundred times, and so does the convergence.
 MOST_SAMPLES = 1_000_000
-# The first of these that are identified; then the others, one of each kind.
+# Parameters in the order in which they get a profile, before all others.
 _FIRST = ("shininess", "specular", "diffuse")
 
 
 @dataclasses.dataclass(frozen=True)
 class Diagnostics:
-    """What [`Fit`][]`.diagnose` gives.
+    """The result of [`Fit`][]`.diagnose`.
 
     **Arguments:**
 
     - `chosen`: labels of the unknowns that are worth a profile, the exponent first.
-    - `profiles`: of as many of these as samples allow in seconds.
-    - `convergence`: the cost step by step; `None` of too many samples.
+    - `profiles`: profiles of as many of these as can be computed in seconds.
+    - `convergence`: the cost step by step; `None` if there are too many samples.
     """
 
     chosen: tuple[str, ...]
@@ -30,12 +30,12 @@ class Diagnostics:
 
 
 def choose_profiles(labels: Sequence[str], free: Sequence[str]) -> tuple[str, ...]:
-    """Which unknowns get a profile: a few, the exponent first, one of each kind.
+    """Choose unknowns for profiles: a few, the exponent first, one of each kind.
 
     **Arguments:**
 
-    - `labels`: of what is identified.
-    - `free`: labels of the numbers that the solver finds; a direction has one twice.
+    - `labels`: labels of the identified unknowns.
+    - `free`: labels of the solver's numbers; that of a direction occurs twice.
     """
     labels = [label for label in labels if free.count(label) == 1]
     kinds = {label: label.partition(".")[0].partition("[")[0] for label in labels}

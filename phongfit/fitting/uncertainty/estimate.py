@@ -1,4 +1,4 @@
-"""From the solver's vector to numbers in the user's units, with their errors."""
+"""Estimates in the user's units with their errors, from the solver's vector."""
 
 import dataclasses
 import functools
@@ -22,15 +22,15 @@ from phongfit.fitting.uncertainty.statistics import (
     statistics,
 )
 
-# From this error of log f on, one quadratic does not say what else f may be.
+# Error of log f above which one quadratic does not describe the range of f.
 VAGUE = 0.1
-# Errors that a bound makes larger by this factor are not those of the covariance.
+# Factor above which an error that a bound makes larger has no covariance.
 MISLEADING = 1.25
 
 
 @dataclasses.dataclass(frozen=True)
 class Estimates:
-    """What is known of every reported entry, in the order of `Unknowns.labels`."""
+    """Estimates and errors of the reported entries, in the order of their labels."""
 
     values: np.ndarray
     errors: np.ndarray
@@ -46,16 +46,16 @@ class Estimates:
 
 Estimates.__init__.__doc__ = """**Arguments:**
 
-- `values`, `errors`: the larger side of the interval in which Δχ² stays below 1;
-    infinite errors for what is not identifiable.
-- `covariance`: of what is free, where what lies at a bound stays there; NaN rows for
-    entries at a bound or not identified, and for those whose error a bound or an
-    exponent that is hardly identified makes larger than that by a quarter.
-- `strain`: of what lies at a bound, by how many standard deviations the images pull it
-    beyond.
-- `free`: how many numbers were free and identified.
-- `chi_squared`: residuals, priors' too, in standard deviations, squared and summed.
-- `reasons`: why some are not identifiable, in words.
+- `values`, `errors`: estimates, and the larger side of the interval in which Δχ² stays
+    below 1; infinite for entries that are not identifiable.
+- `covariance`: covariance of the free entries, with those at a bound held there. Rows
+    are NaN for entries at a bound or not identified. They are NaN too if a bound or a
+    barely identified exponent makes an error more than a quarter larger.
+- `strain`: for entries at a bound, the number of standard deviations by which the
+    images favour values beyond it.
+- `free`: number of free and identified entries.
+- `chi_squared`: sum of squared residuals of samples and priors, in standard deviations.
+- `reasons`: warnings on entries that are not identifiable.
 - `region`: intervals at any level.
 """
 
@@ -72,8 +72,8 @@ def estimates(
     **Arguments:**
 
     - `inflation`: factor on all variances.
-    - `in_user_units`, `sums`: of [`in_units`][] and [`sandwich_sums`][] there, if at
-        hand.
+    - `in_user_units`, `sums`: results of [`in_units`][] and [`sandwich_sums`][] at y,
+        if they are known already.
     """
     unknowns = problem.unknowns
     in_user_units = in_units(unknowns, y) if in_user_units is None else in_user_units
@@ -140,7 +140,7 @@ def estimates(
 def _one_part(
     found: Statistics, unknowns: Unknowns, position: Float[np.ndarray, " n"]
 ) -> tuple[Part, ...]:
-    """One quadratic for all."""
+    """One quadratic for all unknowns."""
     everything = np.arange(len(position))
     quadratic = quadratic_about(found, unknowns, position, everything)
     return (Part(everything, (quadratic,)),)
@@ -162,9 +162,9 @@ def _vague(
     found: Statistics,
     unseen: Bool[np.ndarray, " n"],
 ) -> Bool[np.ndarray, " n"]:
-    """Exponents, and what else shapes lobes, that one quadratic does not do for."""
+    """Exponents, and other shapes of lobes, for which one quadratic is not enough."""
     exponents = unknowns.shapes
-    # Of logarithms already shares.
+    # Errors of logarithms are relative already.
     wide = VAGUE * np.where(unknowns.logarithmic, 1, np.abs(position))
     if found.unidentified[~exponents].all():
         return np.zeros(len(position), bool)
@@ -183,7 +183,7 @@ def _reasons(
     unidentified: Bool[np.ndarray, " n"],
     unseen: Bool[np.ndarray, " n"],
 ) -> list[str]:
-    """Why the Jacobian does not leave these open, but the data do."""
+    """Warnings on unknowns that the data do not identify although the Jacobian does."""
     labels = np.array(unknowns.free_labels)
     parameters, materials = unknowns.y_parameter, unknowns.y_material
     hiding = (parameters == "specular") & np.isin(materials, materials[unseen])

@@ -1,9 +1,9 @@
-"""Where an exponent is hardly identified: quadratics over all that it may be.
+"""Intervals for barely identified exponents: quadratics over the exponent's range.
 
-Without a highlight the exponent may be anything, and with it changes what the others
-may be: near f = 1 a highlight is nearly Lambert's light, at f = 1000 a few pixels see
-it. No quadratic about the solution describes that. But at a given exponent all
-reflectances are linear: so the exponent is held at points all over its bounds, the
+Without a highlight the exponent can have any value, and the other unknowns depend on
+it: near f = 1 a highlight is nearly Lambert's light, at f = 1000 only a few pixels show
+it. A quadratic about the solution does not describe this. For a given exponent light is
+linear in all reflectances. So the exponent is held at points all over its bounds, the
 others are fitted again, and about each point the cost is a quadratic.
 
 ??? cite "Source"
@@ -38,18 +38,19 @@ from phongfit.fitting.uncertainty.statistics import (
 )
 from phongfit.programs import program
 
-# Exponents between the bounds: by default they grow by 1.4 from one to the next.
+# Number of exponents between the bounds; by default their ratio is 1.5.
 GRID_POINTS = 16
 MAX_STEPS = 30
 
 
 class Doubts(NamedTuple):
-    """Which exponents are hardly identified.
+    """Barely identified exponents.
 
-    - `vague`: one quadratic does not do for them.
-    - `unseen`: their highlight is not seen: each value is as good as another, unless it
-        makes the fit much worse.
-    - `faint`: it is seen, but so faintly that chance may have chosen them.
+    - `vague`: those for which one quadratic is not enough.
+    - `unseen`: those whose highlight is not seen: all values are equally good, unless
+        the fit gets much worse.
+    - `faint`: those whose highlight is so faint that the noise may have determined the
+        exponent.
     """
 
     vague: Bool[np.ndarray, " n"]
@@ -58,7 +59,7 @@ class Doubts(NamedTuple):
 
 
 class _GridPoint(NamedTuple):
-    """The best fit for some exponents, and how much worse it is than the solution.
+    """The best fit for held exponents, and the increase of its cost.
 
     `rise` has an entry for each group of samples and each prior.
     """
@@ -77,13 +78,12 @@ def parts_over_exponents(
 ) -> tuple[Part, ...]:
     """Quadratics that cover the bounds of exponents.
 
-    **Arguments:** `y`, `found`: the solution and what is known there; `inflation` went
-    into it.
+    **Arguments:** `y`, `found`: the solution and its statistics with this `inflation`.
     """
     felt, vague = _felt_terms(problem), doubts.vague
     groups = [np.arange(len(y))]
     if np.count_nonzero(vague) > 1:
-        # What has no sample in common is held and fitted again in one go.
+        # Unknowns without a common sample are held and fitted again together.
         linked = felt.astype(int) @ felt.T.astype(int) > 0
         groups = linked_groups(linked, np.ones(len(y), bool))
     turns = max(np.count_nonzero(vague[group]) for group in groups)
@@ -119,7 +119,7 @@ def parts_over_exponents(
 
 
 def _felt_terms(problem: Problem) -> Bool[np.ndarray, "n terms"]:
-    """Which groups of samples, and which priors, each unknown moves."""
+    """Groups of samples, and priors, that depend on each unknown."""
     unknowns = problem.unknowns
     moved = moved_samples(unknowns).reshape(len(unknowns.y_entry), -1)
     with_prior = np.flatnonzero(unknowns.has_prior)
@@ -135,7 +135,7 @@ def _grid(
     inflation: float,
     turn: Bool[np.ndarray, " n"],
 ) -> list[_GridPoint]:
-    """The best fits with some exponents held, all over their bounds."""
+    """The best fits with some exponents held at points all over their bounds."""
     shares = (np.arange(GRID_POINTS) + 0.5) / GRID_POINTS
     ends, rises, sums = _fit_with_held(problem, y, turn, shares.astype(y.dtype))
     sums = in_numpy(sums)
@@ -156,7 +156,7 @@ def _fit_with_held(
     turn: Bool[np.ndarray | Array, " n"],
     shares: Float[np.ndarray | Array, " points"],
 ) -> tuple[Float[Array, "points n"], Float[Array, "points terms"], SandwichSums]:
-    """Solutions where some unknowns are held, by how much the cost rises, and sums."""
+    """Solutions with some unknowns held, the increases of the cost, and sums."""
     unknowns = problem.unknowns
     lower, upper = unknowns.lower, unknowns.upper
 
@@ -195,7 +195,7 @@ def _cells(
     felt: Bool[np.ndarray, " terms"],
     unseen: bool,
 ) -> list[Quadratic]:
-    """Quadratics about points, each as far as halfway to the next.
+    """Quadratics about points, each valid up to halfway to the next point.
 
     **Arguments:** `points`: the last is the solution.
     """
@@ -203,7 +203,7 @@ def _cells(
     lower, upper = (np.array(edge, float)[group] for edge in box)
     (own,) = np.flatnonzero(group == exponent)
     solution = points[-1]
-    # What lies near the solution is described by it.
+    # Points near the solution are left out, since its quadratic covers them.
     least = (upper[own] - lower[own]) / GRID_POINTS / 2
     here = solution.y[exponent]
     apart = [point for point in points[:-1] if abs(point.y[exponent] - here) > least]

@@ -1,9 +1,9 @@
-"""Was an image a JPEG file once? Then residuals jump between blocks of 8 × 8 pixels.
+"""Test whether an image was a JPEG file: residuals jump between blocks of 8 × 8 pixels.
 
-Each block was rounded by itself. So neighbours differ more across a block's edge than
-on both sides of it, while without such blocks each place of the eight is like another:
-changes there are compared with the changes next to them alone, so that nothing but
-their order counts. Where the blocks begin is looked for, since an image may be cropped.
+Each block was rounded separately, so neighbours differ more across a block's edge than
+on both sides of it. Without blocks all eight positions are equivalent. Each change is
+compared only with the changes next to it. All positions of the blocks' edges are
+tested, since an image may be cropped.
 """
 
 from collections.abc import Sequence
@@ -14,21 +14,21 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 SIDE = 8
-# Standard deviations, along both axes, of the largest of eight places: chance passes
-# that once in 30 000 images.
+# Standard deviations, along both axes, of the largest of eight positions; exceeded by
+# chance once in 30 000 images.
 SIGNIFICANT = 3.2
-# Comparisons at each place from which on their mean is normally distributed.
+# Number of comparisons at each position from which their mean is nearly normal.
 LEAST = 16
 
 Grid = Float[Any, "2 8 3"]
-"""Along both axes, at each place of eight: comparisons, their sum and its squares."""
+"""For both axes and eight positions: number of comparisons, sum, sum of squares."""
 
 
 def sum_at_places(
     residual: Float[Array, "height width 3"], used: Bool[Array, "height width 3"]
 ) -> Grid:
-    """How changes from pixel to pixel compare with those next to them."""
-    # Such files round differences of colour most; but grey ones have none.
+    """Sums of comparisons of changes from pixel to pixel with those next to them."""
+    # JPEG files round colour differences most; grey images have none.
     light = residual[..., 0] - 0.7 * residual[..., 2]
     seen = used[..., 0] & used[..., 2]
     return jnp.stack([_along_rows(light, seen), _along_rows(light.T, seen.T)])
@@ -42,7 +42,7 @@ def _along_rows(
         return jnp.zeros((SIDE, 3), light.dtype)
     change = (light[:, 1:] - light[:, :-1]) ** 2
     known = seen[:, 1:] & seen[:, :-1]
-    # Two rows together: a single change says little.
+    # Two rows are added, since a single change is too noisy.
     rows = height // 2 * 2
     change = change[:rows:2] + change[1:rows:2]
     known = known[:rows:2] & known[1:rows:2]
@@ -58,9 +58,9 @@ def _along_rows(
 
 
 def grid_significance(images: Sequence[Grid]) -> float:
-    """How far a place stands out along each axis, in standard deviations.
+    """Significance of block edges in standard deviations: the lesser of both axes.
 
-    Stripes may well do so along one of them: the lesser of both counts.
+    Stripes in an image may be significant along one axis.
     """
     sums = np.sum([np.asarray(one, float) for one in images], axis=0)
     if sums[..., 0].min() < LEAST:

@@ -1,4 +1,4 @@
-"""Which unknowns the data leave open, and why, in words: by rank, and by highlight."""
+"""Unknowns that the data do not identify, by rank and by highlights, with warnings."""
 
 from collections.abc import Sequence
 
@@ -16,20 +16,20 @@ from phongfit.fitting.uncertainty.sandwich import (
     unit_diagonal,
 )
 
-# A highlight counts as seen from so many standard errors on. Its exponent is the one
-# that fits best: chance reaches further than 3.
+# Standard errors above which a highlight counts as seen. More than 3, since its
+# exponent is chosen to fit best.
 SEEN = 4.0
-# Of a highlight below so many standard errors chance has chosen the exponent too.
+# Standard errors of a highlight below which noise may have determined its exponent.
 PLAIN = SEEN + 2
 
 
 def unfelt(
     bread: np.ndarray, unknowns: Unknowns, position: np.ndarray, resolution: float
 ) -> np.ndarray:
-    """Unknowns that the samples do not feel.
+    """Unknowns on which no sample depends.
 
-    A logarithm moves light by shares of what there is, which may be far less than
-    white: so it is compared with what the reflectances' own shares would move.
+    The derivative in a logarithm is relative to the light, which may be far less than
+    white. So it is compared with relative changes of the reflectances.
     """
     diagonal = np.diag(bread)
     largest = np.full(len(diagonal), max(diagonal.max(), 1e-300))
@@ -40,7 +40,7 @@ def unfelt(
     return diagonal <= threshold(resolution) * largest
 
 
-# Why nothing depends on it, and what to try.
+# Reasons why no sample depends on a parameter, and remedies.
 _SILENT = {
     "ambient": (
         "no ambient light falls on a pixel that is used",
@@ -62,7 +62,7 @@ _SILENT = {
 def find_unidentified(
     bread: np.ndarray, unknowns: Unknowns, position: np.ndarray, resolution: float
 ) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Which unknowns the Jacobian leaves open, and why, in words."""
+    """Unknowns that the Jacobian does not determine, and warnings with the reasons."""
     labels = np.array(unknowns.free_labels)
     parameters = unknowns.y_parameter
     silent = unfelt(bread, unknowns, position, resolution)
@@ -77,7 +77,7 @@ def find_unidentified(
         scaled, _ = unit_diagonal(bread[np.ix_(heard, heard)])
         values, vectors = np.linalg.eigh(scaled)
         null = vectors[:, values <= threshold(resolution)]
-        # Vectors of one null space mix: the projection says who takes part.
+        # Vectors of a null space are not unique, but the projection onto it is.
         part = null @ null.T
         mixed = np.diag(part) > 1e-4
         unidentified[heard[mixed]] = True
@@ -91,7 +91,7 @@ def find_unidentified(
 
 
 def _silent(kind: str, labels: np.ndarray) -> str:
-    """A parameter of which no sample depends on a number, or on several."""
+    """Warning on numbers of a parameter on which no sample depends."""
     if kind == "shininess":
         why = "there is no highlight: specular is 0, or no pixel sees it"
         return coded("no-highlight", f"{not_identifiable(labels)}: {why}")
@@ -106,7 +106,7 @@ def not_identifiable(labels: np.ndarray | Sequence[str]) -> str:
 
 
 def _listed(labels: np.ndarray | Sequence[str]) -> str:
-    """Names, each once."""
+    """Names without duplicates, separated by commas."""
     return ", ".join(dict.fromkeys(map(str, labels)))
 
 
@@ -128,10 +128,10 @@ def linked_groups(linked: np.ndarray, members: np.ndarray) -> list[np.ndarray]:
 def doubtful_exponents(
     unknowns: Unknowns, position: Float[np.ndarray, " n"], sandwich: Sandwich
 ) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """Exponents of highlights that are not seen, and of those that are seen faintly.
+    """Exponents of highlights that are not seen, and of those that are faint.
 
-    Of each material the colours' ρ_s are judged, each alone and all together. A
-    specular model's own numbers are taken for exponents of all materials.
+    For each material the ρ_s of its colours are tested, each alone and all together. A
+    specular model's parameters count as exponents of all materials.
 
     **Arguments:** `position`, `sandwich`: the solution, and the sums there.
     """
@@ -141,7 +141,7 @@ def doubtful_exponents(
     specular = parameters == "specular"
     if not specular.any() or not unknowns.shapes.any():
         return unseen, faint
-    # An unknown light scales a highlight, but cannot make one out of nothing.
+    # An unknown light scales a highlight, but does not create one.
     felt = ~unfelt(sandwich.inside, unknowns, position, sandwich.resolution)
     group = np.flatnonzero(np.isin(parameters, MATERIAL_PARAMETERS) & felt)
     part = sandwich.part(group)
@@ -162,7 +162,7 @@ def doubtful_exponents(
         else:
             unseen |= exponents
             hidden.append(material)
-    # What shapes the highlights of all materials is seen in any of them.
+    # Parameters that shape the highlights of all materials need one visible highlight.
     shared = unknowns.shapes & ~unknowns.logarithmic
     if len(hidden) == len(np.unique(materials[specular])):
         unseen |= shared
@@ -179,9 +179,9 @@ def stands_out(
 ) -> bool:
     """Whether one height, or all together, exceed so many standard errors.
 
-    The threshold for all together is as rare by chance as that for one.
+    The threshold for all together is exceeded by chance as rarely as that for one.
 
-    **Arguments:** `chosen`: how many other numbers were chosen to make them stand out.
+    **Arguments:** `chosen`: number of other unknowns that were fitted to maximise them.
     """
     if not len(height):
         return False
@@ -199,7 +199,7 @@ def _cannot_be_none(
     group: np.ndarray,
     colours: np.ndarray,
 ) -> bool:
-    """The same of any one, where bounds keep the others from making up for it."""
+    """Whether any ρ_s cannot be 0, with the other unknowns within their bounds."""
     here = position[group]
     lower, upper = (
         np.asarray(edge, float)[group] - here

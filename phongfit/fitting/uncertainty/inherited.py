@@ -1,17 +1,17 @@
-r"""What scenes say with an error: brought to what the images say too, and the rest.
+r"""Refinement of uncertain scene parameters by the images, and their remaining errors.
 
-A calibration knows lights as $\eta \sim N(\eta_0, \Sigma)$, which is one more
-measurement. With $\Sigma = L L^\top$ and $\eta = \eta_0 + L z$ the fit minimises its
-cost over κ and $|z|^2$ together, where κ is how much more the gradient scatters than if
-samples were independent: so much less they say. With B the curvature of half the cost
-in the unknowns, C the mixed one in them and z, and S that in z once the unknowns have
-followed, a step to the least is $-(1 + S / \kappa)^{-1}$ times the gradient, and what
-is left open about z has the covariance $(1 + S / \kappa)^{-1}$. By it the unknowns err
-$-B^{-1} C z$ more, to first order: $C \operatorname{cov}(z) C^\top$ adds to the
-covariance of the cost's gradient.
+A calibration gives parameters of lights as $\eta \sim N(\eta_0, \Sigma)$, which is one
+more measurement. With $\Sigma = L L^\top$ and $\eta = \eta_0 + L z$ the fit minimises
+cost / κ + $|z|^2$. κ is the variance of the gradient over that of independent samples,
+and so the factor by which the samples count less. Let B be the curvature of half the
+cost in the unknowns, C the mixed curvature in unknowns and z, and S the curvature in z
+with the unknowns at their best. Then a step to the minimum is $-(1 + S / \kappa)^{-1}$
+times the gradient, and $(1 + S / \kappa)^{-1}$ is the remaining covariance of z. It
+changes the unknowns by $-B^{-1} C z$ to first order, so $C \operatorname{cov}(z)
+C^\top$ is added to the covariance of the cost's gradient.
 
-Each principal axis of S has its own κ. What a JPEG file rounds alike in all images
-leaves their lamps' strengths uncertain and tells little less of where these stand.
+Each principal axis of S has its own κ. JPEG rounding that is equal in all images makes
+the strengths of lamps uncertain, but hardly their positions.
 
 ??? cite "Source"
     Lindley and Smith, *Bayes estimates for the linear model*, J. R. Stat. Soc. B 34(1),
@@ -39,18 +39,18 @@ from phongfit.programs import program
 from phongfit.rendering.pixels import PixelTerms, pixel_terms, resolve_terms
 from phongfit.scene import Scene
 
-# Steps towards the least, how often one that overshoots is halved, and the length of
-# one, in standard deviations of what was known before, that is not worth another.
+# Most steps, most halvings of a step that overshoots, and the length of a step in
+# standard deviations of the prior that ends the iteration.
 STEPS, HALVED, SMALL = 12, 6, 0.02
-# Share of the largest variance below which one is rounding.
+# Fraction of the largest variance below which a variance is rounding.
 ROUNDING = 1e-9
 
 
 class Refined(NamedTuple):
-    """A fit whose scenes were brought to what its images say of them, too.
+    """A fit with refined scenes.
 
-    - `found`, `sources`: the fit, and its images in these scenes.
-    - `moved`: z, by which the scenes differ from what was said.
+    - `found`, `sources`: the fit, and its images with the refined scenes.
+    - `moved`: z, the change of the scenes in standard deviations of the prior.
     """
 
     found: SearchResult
@@ -67,14 +67,14 @@ def refine(
     moved: Float[np.ndarray, " k"] | None = None,
     scores: Float[np.ndarray, "rows m"] | None = None,
 ) -> Refined:
-    """The least cost of images and of what was known before, together.
+    """Minimise the cost of images and of the scenes' prior together.
 
-    A step that overshoots, since the images are far from linear in it, is halved.
+    A step that overshoots, since the images are not linear in it, is halved.
 
     **Arguments:**
 
-    - `moved`: as of [`Refined`][], if the scenes were moved already.
-    - `scores`: as of [`Restored`][], where they scatter more than independent samples'.
+    - `moved`: as in [`Refined`][], if the scenes were refined already.
+    - `scores`: as in [`Restored`][], if samples are not independent.
     """
     root = _root(nuisance, found.problem, found.y)
     moved = np.zeros(root.shape[1]) if moved is None else moved
@@ -118,16 +118,16 @@ def _moved_by(
 
 
 def _is_better(there: Refined, before: Refined) -> bool:
-    """Images or what was known before are explained better."""
+    """Whether the images or the prior fit better than before."""
     problem = before.found.problem
-    # At the same noise, since less of it makes residuals larger.
+    # At the same noise level, since residuals are in units of it.
     again = dataclasses.replace(there.found.problem, sigma=problem.sigma)
     better = _cost(again, there.found.y) < _cost(problem, before.found.y)
     return bool(better or there.moved @ there.moved < before.moved @ before.moved)
 
 
 def with_samples_of(refined: SearchResult, first: SearchResult) -> SearchResult:
-    """A refined fit of the images as they were, before anything was given back."""
+    """A refined fit with samples of the original images, without JPEG correction."""
     problem, old = refined.problem, first.problem
     samples = dataclasses.replace(
         problem.samples, target=old.samples.target, step=old.samples.step
@@ -143,23 +143,23 @@ def with_inherited(
     moved: Float[np.ndarray, " k"] | None = None,
     scores: Float[np.ndarray, "rows m"] | None = None,
 ) -> Problem:
-    """The problem with the share of its scores' covariance that scenes bring.
+    """The problem with the covariance of scores that is due to uncertain scenes.
 
-    **Arguments:** `moved`, `scores`: as of [`refine`][].
+    **Arguments:** `moved`, `scores`: as in [`refine`][].
     """
     root = _root(nuisance, problem, y)
     moved = np.zeros(root.shape[1]) if moved is None else moved
     seen = _look(problem, y, nuisance, root, moved, scores)
     inherited = seen.mixed @ seen.covariance @ seen.mixed.T
     inherited = (inherited + inherited.T) / 2
-    # In double precision, where what is nearly known exactly is not lost.
+    # In double precision, which keeps tiny variances.
     return dataclasses.replace(problem, inherited=inherited)
 
 
 def _root(
     nuisance: Nuisance, problem: Problem, y: Float[Array, " n"]
 ) -> Float[np.ndarray, "m k"]:
-    """L, of the solver's numbers."""
+    """L, in the solver's units."""
     _, there = nuisance.beside(problem, y)
     covariance = nuisance.solver_covariance(there, len(y))
     values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
@@ -168,11 +168,11 @@ def _root(
 
 
 class _Seen(NamedTuple):
-    """What the images say of z at a point, over κ.
+    """Information of the images about z at a point, divided by κ.
 
-    - `pull`: of the cost alone.
+    - `pull`: gradient of the cost.
     - `mixed`: C.
-    - `covariance`: what is left open about z.
+    - `covariance`: remaining covariance of z.
     """
 
     pull: Float[np.ndarray, " k"]
@@ -189,35 +189,35 @@ def _look(
     scores: Float[np.ndarray, "rows n+m"] | None,
 ) -> _Seen:
     wider, there = _beside(problem, y, nuisance, root @ moved)
-    # What looks alike cancels, which single precision would take for knowledge.
+    # Effects of degenerate parameters cancel, which needs double precision.
     sums, count = in_numpy(sums_in_double(wider, there)), len(y)
     own, mixed = sums.bread[:count, :count], sums.bread[:count, count:] @ root
-    # What lies at a bound stays there.
+    # Unknowns at a bound are held there.
     at, box = np.asarray(y), problem.unknowns
     free = (at > np.asarray(box.lower)) & (at < np.asarray(box.upper))
     inverse = np.zeros_like(own)
     some = np.ix_(free, free)
     inverse[some] = inverse_of(own[some], float(np.finfo(y.dtype).eps))
     alone = root.T @ sums.bread[count:, count:] @ root - mixed.T @ inverse @ mixed
-    said, basis = np.linalg.eigh((alone + alone.T) / 2)
-    said = np.maximum(said, 0)
+    information, basis = np.linalg.eigh((alone + alone.T) / 2)
+    information = np.maximum(information, 0)
     pull = root.T @ sums.pull[count:] - mixed.T @ inverse @ sums.pull[:count]
     if scores is None:
         meat = sums.meat[:count, :count]
         excess = np.trace(inverse @ meat) / max(np.count_nonzero(free), 1)
     else:
-        # What a file rounds moves some of z far more than others.
+        # Rounding of files affects some components of z far more than others.
         rest = scores[:, count:] @ root - scores[:, :count] @ inverse @ mixed
-        excess = np.sum((rest @ basis) ** 2, axis=0) / np.maximum(said, 1e-30)
+        excess = np.sum((rest @ basis) ** 2, axis=0) / np.maximum(information, 1e-30)
     excess = np.maximum(excess, 1.0)
     pull = (basis / excess) @ (basis.T @ pull)
-    return _Seen(pull, mixed, (basis / (1 + said / excess)) @ basis.T)
+    return _Seen(pull, mixed, (basis / (1 + information / excess)) @ basis.T)
 
 
 def beside(nuisance: Nuisance, moved: Float[np.ndarray, " k"] | None = None) -> Beside:
-    """A fit's problem with what is uncertain behind its unknowns, where it is now.
+    """A function that adds the refined uncertain parameters to a fit's problem.
 
-    **Arguments:** `moved`: as of [`refine`][].
+    **Arguments:** `moved`: as in [`refine`][].
     """
 
     def wider(problem: Problem, y: Float[Array, " n"]) -> tuple[Problem, Array]:
@@ -245,7 +245,7 @@ def _scenes(
     step: Float[np.ndarray, " m"],
     sources: list[Source],
 ) -> tuple[Scene, ...]:
-    """The images' scenes with what is uncertain moved."""
+    """The images' scenes with changed uncertain parameters."""
     wider, there = _beside(problem, y, nuisance, step)
     entries = in_units(wider.unknowns, there)[0]
     return wider.unknowns.scenes(entries, tuple(source.scene for source in sources))
@@ -266,7 +266,7 @@ def _lit(samples: Samples, scenes: tuple[Scene, ...]) -> Channels:
 
 
 def _in_scene(source: Source, scene: Scene) -> Source:
-    """An image in another scene."""
+    """An image with another scene."""
     return dataclasses.replace(source, scene=scene, pixels=_seen_in(source, scene))
 
 
@@ -282,6 +282,6 @@ def _terms(scene: Scene, gbuffer: GBuffer) -> PixelTerms:
 
 
 def _cost(problem: Problem, y: Float[Array, " n"]) -> float:
-    """Robust residuals, in standard deviations, squared and summed."""
+    """Sum of the loss over the samples."""
     residual = evaluate(problem, y).residual
     return float(np.sum(np.asarray(problem.loss.root(residual), float) ** 2))

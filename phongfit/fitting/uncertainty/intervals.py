@@ -1,10 +1,10 @@
-r"""How far the data let a number go, all others free to follow within their bounds.
+r"""Profile intervals of a quadratic cost in a box.
 
-Near a solution the cost is a quadratic in a box. Its profile along one number, the
-least over all others in the box, is convex and made of parabolas: they are followed
-outwards, from the place where one bound begins or ceases to bind to the next, until
-$\Delta\chi^2$ has risen as far as is asked. So a number that trades against one at its
-bound is as uncertain as the trade is, on the side where the bound leaves room.
+Near a solution the cost is a quadratic in a box. Its profile along one number (the
+minimum over all others in the box) is convex and consists of parabolas. They are
+followed outwards, from one change of the active bounds to the next, until
+$\Delta\chi^2$ reaches the level. So the interval of a number that is correlated with
+one at its bound is wide on the side to which the bound leaves room.
 
 ??? cite "Source"
     Self and Liang, *Asymptotic properties of maximum likelihood estimators and
@@ -19,10 +19,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-# A direction that the data leave open is held by this many widths of its box: the box
-# decides, and matrices can be inverted.
+# Directions that the data do not determine get a standard deviation of this many widths
+# of the box: the box limits them, and matrices can be inverted.
 WIDTHS = 30.0
-# The same where there is no box, as a share of what is known of each number alone.
+# Precision of undetermined directions without a box, relative to that of each number
+# alone.
 SHARE = 1e-15
 
 
@@ -32,12 +33,12 @@ class Quadratic:
 
     **Arguments:**
 
-    - `precision`: $P$, the inverse of the covariance that all would have without
-        bounds.
-    - `slope`: $g$: 0 for what is free, and what its bound keeps from falling further.
-    - `lower`, `upper`: the box, in steps from the place.
-    - `rise`: $r$, how much worse the place is than the solution.
-    - `center`: the place, as a step from the solution.
+    - `precision`: $P$, the inverse of the covariance without bounds.
+    - `slope`: $g$: 0 for free numbers; for those at a bound, the cost would fall beyond
+        it.
+    - `lower`, `upper`: the box, in steps from the point.
+    - `rise`: $r$, $\Delta\chi^2$ of the point from the solution.
+    - `center`: the point, as a step from the solution.
     """
 
     precision: Float[np.ndarray, "n n"]
@@ -49,7 +50,7 @@ class Quadratic:
 
     @functools.cached_property
     def least(self) -> float:
-        """The least in the box."""
+        """Minimum of Δχ² in the box."""
         return self.rise + self._bottom.depth
 
     def ends(
@@ -57,9 +58,9 @@ class Quadratic:
     ) -> Float[np.ndarray, "k 2"]:
         r"""The least and largest $a \cdot (c + p)$ with $\Delta\chi^2$ up to a level.
 
-        **Arguments:** `along`: the vectors $a$, a row each.
+        **Arguments:** `along`: the vectors $a$, as rows.
 
-        **Returns:** NaN where the level is nowhere kept.
+        **Returns:** NaN if Δχ² is above the level everywhere.
         """
         if self.least > level:
             return np.full((len(along), 2), np.nan)
@@ -102,7 +103,7 @@ class Quadratic:
         return near | (self.slope != 0)
 
     def _reduced(self, near: Bool[np.ndarray, " n"]) -> "_Reduced":
-        """Where the numbers that meet no bound have followed the others."""
+        """The quadratic minimised over the numbers that meet no bound."""
         far = ~near
         coupling = self.precision[np.ix_(far, near)]
         inverse = np.zeros((0, 0))
@@ -128,7 +129,7 @@ class Quadratic:
 
     @functools.cached_property
     def _bottom(self) -> "_Bottom":
-        """The least: 0, save where a number that no bound keeps has a slope."""
+        """The minimum in the box: the point itself unless a free number has a slope."""
         inside = (self.lower < 0) & (self.upper > 0)
         steep = np.flatnonzero(inside & (self.slope != 0))
         point, depth = np.zeros_like(self.slope), 0.0
@@ -154,7 +155,7 @@ class _Bottom(NamedTuple):
 
 
 class _Walked(NamedTuple):
-    """Where walks ended; how far $a \\cdot p$ had come, and what it had cost."""
+    """Ends of walks, the values of $a \\cdot p$ there, and increases of the cost."""
 
     points: Float[np.ndarray, "walks m"]
     reached: Float[np.ndarray, " walks"]
@@ -164,9 +165,10 @@ class _Walked(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Reduced:
-    """The profile over what meets no bound: what does, and one number for the rest.
+    """The quadratic in the numbers that may meet bounds, and in one more number.
 
-    That last one stands for the rest of what is followed: of variance 1, and unbounded.
+    The last number stands for all others along the vector: it has variance 1 and no
+    bounds.
     """
 
     precision: Float[np.ndarray, "m m"]
@@ -191,13 +193,13 @@ class _Reduced:
         signs: Float[np.ndarray, " walks"],
         budget: float | None,
     ) -> _Walked:
-        """Outwards along the profile, all walks in step.
+        """Follow the profile outwards, with all walks in lock step.
 
         **Arguments:**
 
-        - `start`: the least, or the least for its own place along a single walk.
-        - `signs`: to which side each goes.
-        - `budget`: by how much the cost may rise; `None` to walk down to the least.
+        - `start`: the minimum, or for a single walk the minimum at its position.
+        - `signs`: direction of each walk.
+        - `budget`: largest increase of the cost; `None` to walk down to the minimum.
         """
         count, size = along.shape
         points = np.tile(start, (count, 1))
@@ -232,7 +234,7 @@ class _Reduced:
         along: Float[np.ndarray, "walks m"],
         signs: Float[np.ndarray, " walks"],
     ) -> "_Step":
-        """Where each walk goes on, as long as the same bounds bind."""
+        """The next step of each walk, up to a change of the active bounds."""
         free = ~held
         both = free[:, :, None] & free[:, None, :]
         root = np.sqrt(np.diag(self.precision))
@@ -244,7 +246,7 @@ class _Reduced:
         reach = np.sum(pull * answer, axis=1)
         moves = reach > 0
         inwards = np.where(points <= self.lower, signs[:, None], -signs[:, None])
-        # What is followed may lie at its bound itself, and leave it.
+        # The followed number itself may lie at its bound, and leave it.
         leaves = held & ~moves[:, None] & (inwards * along > 0)
         leaves &= (self.lower < self.upper)[None]
         waits = leaves.any(axis=1)
@@ -256,12 +258,12 @@ class _Reduced:
         steepness = np.sum(slope * direction, axis=1)
         curvature = np.where(moves, 1 / safe, 0)
 
-        # What hardly moves never gets to its bound.
+        # Numbers that hardly move never reach their bounds.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             edge = np.where(direction > 0, self.upper, self.lower)
             room = (edge - points) / direction
             room = np.where(free & (direction != 0), np.maximum(room, 0), np.inf)
-            # What keeps a number at its bound, and how fast that falls.
+            # The multiplier of a number at its bound, and its rate of decrease.
             force = slope - (signs * steepness)[:, None] * along
             falls = direction @ self.precision - (signs * curvature)[:, None] * along
             side = np.where(points <= self.lower, 1.0, -1.0)
@@ -281,6 +283,18 @@ class _Reduced:
 
 
 class _Step(NamedTuple):
+    """A straight piece of each walk.
+
+    - `held`: numbers that stay at a bound.
+    - `stuck`: walks that cannot go on.
+    - `waits`: walks on which a number leaves its bound before they go on.
+    - `direction`: change of all numbers per unit of distance.
+    - `steepness`, `curvature`: half the cost's slope along the direction, and half its
+        second derivative.
+    - `room`: distance at which each number reaches a bound.
+    - `release`: distance at which each held number leaves its bound.
+    """
+
     held: Bool[np.ndarray, "walks m"]
     stuck: Bool[np.ndarray, " walks"]
     waits: Bool[np.ndarray, " walks"]
@@ -291,7 +305,10 @@ class _Step(NamedTuple):
     release: Float[np.ndarray, "walks m"]
 
     def until(self, risen: np.ndarray, budget: float | None) -> np.ndarray:
-        """How far it is to the level, or to where it no longer falls."""
+        """Distance at which the rise becomes `budget`, or to the minimum if it is None.
+
+        **Arguments:** `risen`: rise so far.
+        """
         curvature = np.where(self.curvature > 0, self.curvature, 1)
         if budget is None:
             return np.maximum(-self.steepness / curvature, 0)

@@ -1,11 +1,11 @@
-r"""Lack of fit: residuals that add up where noise would cancel.
+r"""Test for lack of fit: sums of residuals that are too large for noise.
 
 Independent residuals $z_i$ of mean 0, summed over a cell of pixels, give $T = \sum z_i
 / \sqrt{\sum \operatorname{var} z_i}$ of variance 1. A wrong model leaves residuals of
-one sign where it is wrong: $T^2$ grows with the size of the cell, though neighbouring
-pixels hardly correlate. So $T^2$ is looked at in blocks of growing size, and along the
-two numbers that the model's shape depends on, diffuse light and highlight: its mean
-over all cells shows a misfit that is spread out, its largest value one that is not.
+one sign where it is wrong: $T^2$ grows with the size of the cell, even if the
+correlation of neighbours is small. So $T^2$ is tested in blocks of growing size, and in
+groups of pixels with equal diffuse light or equal highlight. Its mean over all cells
+shows a misfit that is spread out, its largest value one that is local.
 
 ??? cite "Source"
     Tests by grouping: Neill and Johnson, *Testing for lack of fit in regression: a
@@ -24,43 +24,44 @@ from jaxtyping import Array
 from phongfit.fitting.solve.jpeg import Drawn
 from phongfit.fitting.uncertainty.tiles import Rounding, Tiles
 
-# Standard deviations of a normal distribution from which on a misfit is no chance.
-# Some thirty tests are made; chance passes each once in 300 000 images.
+# Significance of a misfit in standard deviations of a normal distribution. Some thirty
+# tests are made; each is exceeded by chance once in 300 000 images.
 SIGNIFICANT = 4.5
-# Pixels along the smallest block that is judged; samples of the smallest cell.
+# Pixels along the side of the smallest tested block; samples of the smallest cell.
 LEAST_SIDE, LEAST_SAMPLES = 4, 8
-# Correlation of neighbours from which on they are said to be alike.
+# Correlation of neighbours above which a warning is given.
 CORRELATED = 0.1
-# Cells along diffuse light, and along the highlight.
+# Number of groups by diffuse light, and by highlight.
 BINS = 16
-# Share of a deviation that rounding may have in common before neighbours, and what is
-# lit alike, say nothing.
+# Fraction of a deviation that shared rounding may have, above which neighbours and
+# groups of equal light are not tested.
 COARSE = 0.03
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Misfit:
-    """Whether residuals are noise, and where they are not.
+    """Test of residuals for noise, and the place of the largest misfit.
 
     **Arguments:**
 
-    - `neighbour_correlation`: of residuals of adjacent pixels: 0 for noise.
-    - `channel_correlation`: of the three residuals of a pixel: 1 where one channel was
-        stored thrice.
-    - `unequal`: how significantly noise differs between channels, or with light, in
+    - `neighbour_correlation`: correlation of residuals of adjacent pixels: 0 for noise.
+    - `channel_correlation`: correlation of the three residuals of a pixel: 1 if all
+        channels are equal.
+    - `unequal`: significance of noise that differs between channels or with light, in
         standard deviations of a normal distribution.
     - `over_repeatability`: size of the residuals over that of their differences from
-        pixel to pixel, where the model cancels: near 1 for noise; NaN where residuals
+        pixel to pixel, in which the model cancels: near 1 for noise; NaN if residuals
         are rounding.
-    - `significance`: of the largest misfit found, in standard deviations of a normal
-        distribution.
-    - `inflation`: factor on all variances, at least 1: that of sums of residuals over
-        what noise would give them, or what neighbours that correlate stand for; and
-        that of all residuals over the noise that was given.
-    - `along`: where it was found: in `"blocks"`, along `"diffuse"` or `"highlight"`.
-    - `side`: pixels along the blocks that show it best.
-    - `image`, `row`, `column`: middle of the block that stands out most, in pixels.
-    - `maps`: of each image these blocks' sums in standard deviations, (rows, columns).
+    - `significance`: significance of the largest misfit, in standard deviations of a
+        normal distribution.
+    - `inflation`: factor on all variances, at least 1: from the variance of sums of
+        residuals over that of noise, or from the correlation of neighbours, and from
+        all residuals over the given noise.
+    - `along`: kind of cells with the largest misfit: `"blocks"`, `"diffuse"` or
+        `"highlight"`.
+    - `side`: pixels along the side of the blocks that show it best.
+    - `image`, `row`, `column`: middle of the block with the largest sum, in pixels.
+    - `maps`: for each image these blocks' sums in standard deviations, (rows, columns).
     """
 
     neighbour_correlation: float = 0.0
@@ -78,20 +79,20 @@ class Misfit:
 
     @property
     def significant(self) -> bool:
-        """Whether noise alone would not show this."""
+        """Whether the misfit is significant."""
         return self.significance > SIGNIFICANT
 
     @property
     def noise_differs(self) -> bool:
-        """Whether noise differs between channels or with light: no misfit says so."""
+        """Whether noise differs between channels or with light, without a misfit."""
         return bool(self.unequal > SIGNIFICANT and not self.significant)
 
 
 class _Blocks(NamedTuple):
     """Sums over blocks of one image, (…, 3, rows, columns).
 
-    `sums` are those of [`Tiles`][]: residuals, their squares, their variance, and what
-    the arithmetic rounds in common.
+    `sums` are those of [`Tiles`][]: residuals, their squares, their variance, and
+    shared rounding of the arithmetic.
     """
 
     sums: np.ndarray
@@ -100,29 +101,29 @@ class _Blocks(NamedTuple):
 
 
 class _Verdict(NamedTuple):
-    """How significant a misfit is, and the factor on variances that it stands for."""
+    """Significance of a misfit, and its factor on variances."""
 
     significance: float
     inflation: float
 
 
-# Residuals, their squares, their variance, and what of it is common: the first axis of
-# what is called cells below, whose second are the channels, and all of them together.
+# Sums over cells of pixels, (4, 4, cells). First axis: residuals, their squares, their
+# variance, and its shared part. Second axis: three channels, and all together.
 _Cells = np.ndarray
-# One where a tile (row) is lit as a group of tiles (column) is.
+# One where a tile (row) belongs to a group of tiles with equal light (column).
 _Members = np.ndarray
 
 
 def find_misfit(
     images: Sequence[Tiles], side: int, drawn: Sequence[Drawn] | None = None
 ) -> Misfit:
-    """What the residuals of all images together show.
+    """Test the residuals of all images together.
 
     **Arguments:**
 
-    - `side`: pixels along a tile.
-    - `drawn`: of each image the sums of residuals that the right model would leave,
-        drawn together, where these are not independent from pixel to pixel.
+    - `side`: pixels along the side of a tile.
+    - `drawn`: for each image simulated sums of the right model's residuals, if these
+        are not independent from pixel to pixel.
     """
     each = [None] * len(images) if drawn is None else drawn
     blocks = [_as_blocks(*one) for one in zip(images, each, strict=True)]
@@ -131,11 +132,11 @@ def find_misfit(
     _, left, expected, _ = sums.sum(axis=1)
     if not (expected > 0 and 0 < left < math.inf):
         return Misfit()
-    # How large a channel's noise is, is another question: here it is what is left over.
+    # The noise of each channel is that of its residuals.
     scale = np.where(sums[1] > 0, sums[1], left) / np.maximum(sums[2], 1e-30)
     alone = all(_rounds_alone(one) for one in blocks)
-    # Neither neighbours nor what is lit alike say anything where rounding is shared,
-    # unless it was drawn: how neighbours correlate then is not looked at.
+    # With shared rounding, neighbours and groups of equal light are not tested. If it
+    # was simulated, only the correlation of neighbours is not.
     groups = _lit_alike(images) if alone else {}
     correlation, channels, unequal, ratio = 0.0, 0.0, 0.0, math.nan
     if alone:
@@ -145,7 +146,7 @@ def find_misfit(
         channels = _compare_channels(images)
     seen = _look(blocks, groups, side, scale, channels)
     if seen.worst.significance > SIGNIFICANT and channels > 0:
-        # What a wrong model leaves is alike in all channels, and is no shared noise.
+        # A misfit correlates the channels, but is not shared noise.
         seen = _look(blocks, groups, side, scale, 0.0)
     maps = tuple(_in_deviations(one) for one in seen.cells)
     image = int(np.argmax([np.abs(one).max() for one in maps]))
@@ -167,9 +168,9 @@ def find_misfit(
 
 
 class _Seen(NamedTuple):
-    """The worst of all verdicts, what it is along, and the blocks that stand out most.
+    """The most significant verdict, its kind of cells, and the blocks to show it.
 
-    `inflation` is the largest of those verdicts that are significant.
+    `inflation` is the largest of the significant verdicts.
     """
 
     worst: _Verdict
@@ -186,13 +187,13 @@ def _look(
     scale: np.ndarray,
     channels: float,
 ) -> _Seen:
-    """At blocks of all sizes, and along the model's shapes.
+    """Test blocks of all sizes, and groups of tiles with equal light.
 
     **Arguments:**
 
-    - `groups`: which tiles are lit alike: see [`_lit_alike`][].
-    - `scale`: of each channel's variances.
-    - `channels`: how the noise of a pixel's channels correlates.
+    - `groups`: groups of tiles with equal light: see [`_lit_alike`][].
+    - `scale`: factor on each channel's variances.
+    - `channels`: correlation of the noise of a pixel's channels.
     """
     asked: list[tuple[_Cells, str, int]] = []
     levels: dict[int, list[_Cells]] = {}
@@ -218,7 +219,7 @@ def _look(
 
 
 def _as_blocks(tiles: Tiles, drawn: Drawn | None) -> _Blocks:
-    # What is drawn knows what is rounded.
+    # Simulated sums include the rounding.
     rounding = None if drawn is not None else tiles.rounding
     if rounding is not None:
         rounding = Rounding(*(np.asarray(part, float) for part in rounding))
@@ -226,7 +227,7 @@ def _as_blocks(tiles: Tiles, drawn: Drawn | None) -> _Blocks:
 
 
 def _rounds_alone(blocks: _Blocks) -> bool:
-    """Whether samples that are alike round independently."""
+    """Whether equal samples round independently."""
     common = blocks.sums[3].sum()
     if blocks.rounding is not None:
         common += blocks.rounding.deviation.sum()
@@ -234,7 +235,7 @@ def _rounds_alone(blocks: _Blocks) -> bool:
 
 
 def _compare_neighbours(images: Sequence[Tiles]) -> tuple[float, float]:
-    """Correlation of adjacent residuals, 0 where it is chance, and size over change."""
+    """Correlation of adjacent residuals (0 if chance), and their size over change."""
     products, pairs, squares, count = (
         _over_all([one.neighbours.products for one in images]),
         _over_all([one.neighbours.pairs for one in images]),
@@ -244,15 +245,16 @@ def _compare_neighbours(images: Sequence[Tiles]) -> tuple[float, float]:
     if pairs == 0 or squares == 0:
         return 0.0, math.nan
     correlation = min(max(products / pairs * count / squares, -1.0), 1.0)
-    # Of half the squared difference, the share that is not repeated.
+    # Half the squared difference of neighbours, relative to the square, is 1 −
+    # correlation.
     ratio = 1 / math.sqrt(max(1 - correlation, 1e-12))
     return correlation if abs(correlation) > 5 / math.sqrt(pairs) else 0.0, ratio
 
 
 def _compare_channels(images: Sequence[Tiles]) -> float:
-    """Correlation of the residuals of a pixel's channels, 0 where it is chance."""
+    """Correlation of the residuals of a pixel's channels; 0 if within chance."""
     squares = _over_all([one.squares for one in images])
-    # No more pairs of channels than samples.
+    # The number of independent pairs is at most that of samples.
     pairs = _over_all([one.count for one in images])
     if not squares > 0:
         return 0.0
@@ -267,7 +269,7 @@ def _over_all(parts: Sequence[np.ndarray | Array]) -> float:
 def variance_inflation(correlation: float) -> float:
     r"""Factor on variances if neighbours correlate: $(\frac{1+c}{1-c})^2$, at least 1.
 
-    Pixels that repeat one another are fewer independent ones. The factor is that of a
+    Correlated pixels count as fewer independent ones. The factor is that of a
     first-order autoregressive process along each image axis.
 
     ??? cite "Source"
@@ -287,7 +289,7 @@ def _pyramid(blocks: list[_Blocks], side: int) -> Iterator[tuple[int, list[_Bloc
 
 
 def _halved(blocks: _Blocks) -> _Blocks:
-    """Two by two as one."""
+    """Merge blocks two by two."""
     rounding = blocks.rounding
     if rounding is not None:
         rounding = Rounding(
@@ -309,20 +311,20 @@ def _merged(values: np.ndarray, two: np.ufunc, empty: float) -> np.ndarray:
 
 
 def _cells(blocks: _Blocks, scale: np.ndarray, channels: float) -> _Cells:
-    """(4, 4, cells of one image), with variances as large as they were found.
+    """Cells of one image, (4, 4, cells), with variances scaled to the residuals.
 
-    **Arguments:** `channels`: how the noise of a pixel's channels correlates.
+    **Arguments:** `channels`: correlation of the noise of a pixel's channels.
     """
     cells = blocks.sums.copy()
     cells[2] *= scale[:, None, None]
     cells[3] **= 2
     if blocks.rounding is not None:
         deviation, low, high = blocks.rounding
-        # What is lit unequally does not round alike.
+        # Samples of different levels round independently.
         levels = 1 + np.where(deviation > 0, high, 0) - np.where(deviation > 0, low, 0)
         cells[3] += deviation**2 / levels
     cells = _with_all(cells)
-    # What channels have in common their sum has thrice; no less than single ones say.
+    # With a correlation ρ of channels, the variance of their sum grows by 1 + 2ρ.
     cells[1:3, 3] *= 1 + 2 * channels
     if blocks.drawn is not None:
         cells[3] = np.maximum(cells[3], _beyond(blocks.drawn, cells[2]))
@@ -330,14 +332,14 @@ def _cells(blocks: _Blocks, scale: np.ndarray, channels: float) -> _Cells:
 
 
 def _with_all(parts: np.ndarray) -> np.ndarray:
-    """A fourth channel, (…, 4, …): all three together."""
+    """Append a fourth channel, the sum of all three: (…, 4, …)."""
     return np.concatenate([parts, parts.sum(axis=1, keepdims=True)], axis=1)
 
 
 def _beyond(drawn: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """How much more sums vary in draws than they would if samples were independent.
+    """Variance of simulated sums beyond that of independent samples.
 
-    Draws are few: a cell varies no less than the other cells of its channel do.
+    There are few draws, so a cell's variance is at least the mean one of its channel.
     """
     own = (_with_all(drawn) ** 2).sum(axis=0)
     cells = tuple(range(1, own.ndim))
@@ -360,12 +362,12 @@ def _in_deviations(cells: _Cells) -> np.ndarray:
 
 
 def _lit_alike(images: Sequence[Tiles]) -> dict[str, _Members]:
-    """Tiles of equal diffuse light, and of equal highlight."""
+    """Groups of tiles with equal diffuse light, and with equal highlight."""
     members = {}
     for name, group in (("diffuse", _equal_light), ("highlight", _equal_angle)):
         parts = [np.asarray(getattr(one, name), float).ravel() for one in images]
         bins = group(np.concatenate(parts))
-        # A product with ones counts faster than any counting.
+        # As a matrix of ones, since a matrix product is the fastest way to sum.
         members[name] = (bins[:, None] == np.arange(BINS)).astype(float)
     return members
 
@@ -373,7 +375,7 @@ def _lit_alike(images: Sequence[Tiles]) -> dict[str, _Members]:
 def _along_the_model(
     cells: Sequence[_Cells], blocks: Sequence[_Blocks], groups: Mapping[str, _Members]
 ) -> Iterator[tuple[_Cells, str, int]]:
-    """Tiles that are lit alike, taken together."""
+    """Sums over groups of tiles with equal light."""
     joined = _joined(cells)
     drawn = [one.drawn for one in blocks if one.drawn is not None]
     for name, member in groups.items():
@@ -385,10 +387,10 @@ def _along_the_model(
 
 
 def _compare_noise(blocks: Sequence[_Blocks], groups: Mapping[str, _Members]) -> float:
-    """Does noise differ between channels, or with light? In standard deviations.
+    """Significance of noise that differs between channels or with light.
 
-    Mean squares of tiles that are lit alike, by how much they differ between such
-    groups of tiles and within them: whatever the noise's distribution.
+    An analysis of variance of the mean squares of tiles, between groups of equal light
+    and within them, which does not depend on the noise's distribution.
 
     ??? cite "Source"
         Scheffé, *The Analysis of Variance*, 1959, chapter 3. F as a normal deviate:
@@ -414,7 +416,7 @@ def _compare_noise(blocks: Sequence[_Blocks], groups: Mapping[str, _Members]) ->
 
 
 def _squares_over(sums: np.ndarray) -> np.ndarray:
-    """Each cell's sum of squares, squared and over its variance; 0 if it has none."""
+    """Square of each cell's sum of squares over its variance; 0 if it has none."""
     variance = sums[2]
     varies = variance > 0
     return np.where(varies, sums[1] ** 2 / np.where(varies, variance, 1), 0)
@@ -426,13 +428,13 @@ def _equal_light(light: np.ndarray) -> np.ndarray:
 
 
 def _equal_angle(light: np.ndarray) -> np.ndarray:
-    """A highlight's logarithm falls with the square of the angle from its centre."""
+    """Groups by the logarithm of a highlight, which falls with the squared angle."""
     share = np.maximum(light / max(float(light.max()), 1e-300), 1e-30)
     return np.clip(-2 * np.log(share), 0, BINS - 1).astype(int)
 
 
 def _judge(*parts: _Cells) -> list[_Verdict]:
-    """Of each kind of cells: channel by channel, and all channels together."""
+    """Verdicts for each kind of cells, channel by channel and for all together."""
     cells = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
     starts = np.cumsum([0, *(part.shape[-1] for part in parts[:-1])])
     total, squares, variance, common = cells
@@ -441,7 +443,7 @@ def _judge(*parts: _Cells) -> list[_Verdict]:
     square = np.where(judged, total**2 / (variance + common), 0)
     # Noise that is larger in some cells than in others makes T² vary more.
     local = np.where(judged, np.maximum(squares / variance, 1), 0)
-    # All at once: there are many kinds, most of them of few cells.
+    # Computed together, since there are many kinds of few cells.
     sums = np.add.reduceat(np.stack([judged, square, local**2]), starts, axis=-1)
     highest = np.maximum.reduceat(square / np.maximum(local, 1), starts, axis=-1)
     rows = np.concatenate([sums, highest[None]]).T.tolist()
@@ -455,11 +457,11 @@ def _worst_of(channels: list[list[float]]) -> _Verdict:
 
 
 def _judge_sums(count: float, square: float, local: float, highest: float) -> _Verdict:
-    """Sums of T², and of what it varies by; and the largest of all."""
+    """Verdict from the mean of T² and from its largest value."""
     if count < 3:
         return _Verdict(0.0, 1.0)
     mean, spread = square / count, 2 * local / (9 * count**2)
     spread_out = (mean ** (1 / 3) - (1 - spread)) / math.sqrt(spread)
-    # As often as chance passes it in any of the cells.
+    # Corrected for the number of cells.
     alone = highest - 2 * math.log(count)
     return _Verdict(max(spread_out, math.sqrt(max(alone, 0))), max(mean, 1.0))

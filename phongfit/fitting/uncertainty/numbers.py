@@ -28,7 +28,7 @@ def parameter_rows(
 
 
 def number_with_error(value: float, error: float) -> str:
-    """`value` to the digit where its error begins, and one more."""
+    """`value`, rounded to the second significant digit of its error."""
     if not np.isfinite(error) or error <= 0:
         return f"{value:.5g}"
     digits = int(np.clip(1 - np.floor(np.log10(error)), 0, 9))

@@ -1,7 +1,7 @@
-"""Samples far off the model, and how far they pull a fit.
+"""Samples far from the model, and the bias that they cause.
 
-Standard errors know of noise alone. What is not of the model, such as dust or a
-passer-by, moves least squares, and every loss that goes on listening to it.
+Standard errors are due to noise alone. Objects that are not in the model, such as dust
+or a passer-by, bias least squares, and any loss that does not reject them.
 
 ??? cite "Source"
     Belsley, Kuh and Welsch, *Regression diagnostics*, 1980, chapter 2: what a fit would
@@ -22,18 +22,18 @@ from phongfit.fitting.uncertainty.rejected import gathered_at_highlights
 from phongfit.fitting.uncertainty.statistics import SandwichSums
 from phongfit.programs import program
 
-# Standard deviations: of a million samples of normal noise less than one lies beyond.
+# Standard deviations: less than one of a million samples of normal noise lies beyond.
 FAR = 5.0
-# Standard errors: an estimate that is pulled by less is still described by its error.
+# Standard errors: a smaller bias is covered by the error.
 FELT = 1.0
-# Of weights, until the least absolute deviations are near enough.
+# Iterations of the weights for least absolute deviations.
 ROUNDS = 12
-# Standard deviations of a normal sample's kurtosis: more of it is no chance.
+# Significance of the kurtosis, in its standard deviations for normal noise.
 HEAVY = 5.0
 
 
 class _Far(eqx.Module):
-    """Samples that are far off: which, how they pull, and what the others say."""
+    """Samples far from the model, their gradient, and the curvature of the others."""
 
     which: Bool[Array, "3 samples"]
     used: Int[Array, ""]
@@ -61,7 +61,7 @@ def outlier_words(
     )
     shifts = np.where(free, _shifts(far, sums, free), 0)
     most = int(np.argmax(shifts))
-    # A highlight of another shape than the model's is no outlier.
+    # A highlight of another shape than the model's is not an outlier.
     if shifts[most] < FELT or gathered_at_highlights(problem, y, far.which).any():
         return ()
     count = int(jnp.sum(far.which))
@@ -80,7 +80,7 @@ def outlier_words(
 
 
 def _shifts(far: _Far, sums: SandwichSums, free: np.ndarray) -> np.ndarray:
-    """How far each free unknown is pulled, in standard errors; 0 for the others."""
+    """Bias of each free unknown, in standard errors; 0 for the others."""
     both = np.ix_(free, free)
     bread, meat, others = (
         np.asarray(part, float)[both] for part in (sums.bread, sums.meat, far.others)
@@ -99,7 +99,7 @@ def _far(problem: Problem, y: Float[Array, " n"]) -> _Far:
     jacobian, used = found.jacobian, problem.samples.weight > 0
     left, scale = found.at.residual, jnp.ones((), y.dtype)
     if not problem.loss.robust:
-        # Least squares give in to outliers, which then hide behind one another.
+        # Least squares follow outliers, which then have small residuals.
         left = _absolute_deviations(problem, y, found)
         scale = median_deviation(left, problem.unclipped())
     far = used & (jnp.abs(left) > FAR * scale)
@@ -116,9 +116,9 @@ def _far(problem: Problem, y: Float[Array, " n"]) -> _Far:
 def _absolute_deviations(
     problem: Problem, y: Float[Array, " n"], found: Linearization
 ) -> Float[Array, "3 samples"]:
-    """Residuals as the least absolute deviations near y would leave them.
+    """Residuals of a fit by least absolute deviations, to first order about y.
 
-    To first order in y, by least squares with ever new weights.
+    By iteratively reweighted least squares.
     """
     unknowns, jacobian, priors = problem.unknowns, found.jacobian, found.jacobian.priors
     free = (unknowns.lower < y) & (y < unknowns.upper)
@@ -134,7 +134,7 @@ def _absolute_deviations(
         known = free & (jnp.diag(curvature) > 0)
         both = known[:, None] & free[None, :]
         matrix = jnp.where(both, curvature / jnp.outer(scale, scale), 0)
-        # What no sample feels stays, and what is degenerate hardly moves.
+        # Unknowns without influence are held, and degenerate ones hardly move.
         matrix = jnp.where(both | ~identity.astype(bool), matrix, 1) + 1e-5 * identity
         more = jnp.linalg.solve(matrix, jnp.where(free, pull / scale, 0)) / scale
         return step - more, None

@@ -1,4 +1,4 @@
-"""Profile likelihood: what holding an unknown costs, all others fitted again."""
+"""Profile likelihood: the cost with an unknown held, and all others fitted again."""
 
 import dataclasses
 from collections.abc import Iterable, Sequence
@@ -20,25 +20,26 @@ from phongfit.programs import program
 
 # One, two and three standard deviations of a normal distribution.
 LEVELS = (0.6827, 0.9545, 0.9973)
-# Steps of a profile in standard errors, and how far it may go without an end.
+# Step of a profile in standard errors, and the distance after which steps grow.
 STEP, FARTHEST = 0.5, 16
 # Points along each axis of a pair.
 ACROSS = 15
-# Of a profile on one side.
+# Most points of a profile on one side.
 MOST_POINTS = 60
 MAX_STEPS = 50
 
 
 @dataclasses.dataclass(frozen=True)
 class Profile:
-    """How much worse the fit is where one unknown is held.
+    """Increase of the cost with one unknown held.
 
     **Arguments:**
 
     - `label`: the unknown.
-    - `values`: where it was held, rising; user's units.
+    - `values`: values at which it was held, increasing; user's units.
     - `rise`: Δχ² there, scaled such that it is (Δ/standard error)² near the estimate.
-    - `intervals`: level → (low, high); an end that is a bound was not reached.
+    - `intervals`: level → (low, high); an end is a bound if Δχ² does not reach the
+        level.
     """
 
     label: str
@@ -56,12 +57,12 @@ class Profile:
 
 @dataclasses.dataclass(frozen=True)
 class ProfilePair:
-    """How much worse the fit is where two unknowns are held.
+    """Increase of the cost with two unknowns held.
 
     **Arguments:**
 
     - `labels`: the two.
-    - `values`: where each was held, user's units.
+    - `values`: values at which each was held, user's units.
     - `rise`: Δχ², (values of the first, values of the second).
     - `thresholds`: level → the Δχ² that bounds its region.
     """
@@ -125,7 +126,7 @@ def profile_pair(
     rise = np.zeros((ACROSS, ACROSS))
     for i, first in enumerate(grids[0]):
         y = held.best
-        # To and fro, so that each point starts from its neighbour.
+        # In alternating directions, so that each point starts from its neighbour.
         order = range(ACROSS) if i % 2 == 0 else reversed(range(ACROSS))
         for j in order:
             at = dict(zip(held.indices, (first, grids[1][j]), strict=True))
@@ -148,19 +149,19 @@ def _check_levels(levels: Sequence[float]) -> None:
 def _crossing(
     values: np.ndarray, signed: np.ndarray, level: float, bound: float
 ) -> float:
-    """Where the signed root of the rise meets a level; the bound if it never does."""
+    """Value at which the signed root of the rise meets a level, or the bound."""
     rising = np.append(True, signed[1:] > np.maximum.accumulate(signed)[:-1])
     values, signed = values[rising], signed[rising]
     if len(values) < 2 or not signed[0] <= level <= signed[-1]:
         return bound
-    # Here, since SciPy takes long to import, and few who fit ask for a profile.
+    # Imported here, since SciPy takes long to import and few fits need a profile.
     from scipy.interpolate import PchipInterpolator
 
     return float(PchipInterpolator(signed, values)(level))
 
 
 class _Held:
-    """A solved problem of which some unknowns are held, and the others fitted again."""
+    """A solved problem, to be solved again with some unknowns held."""
 
     def __init__(self, found: SearchResult, labels: Iterable[str], inflation: float):
         self.problem, self.best = found.problem, found.y
@@ -181,12 +182,13 @@ class _Held:
             for index in self.indices
             if np.isfinite(at_best.stderr[index])
         ]
-        # A sandwich covariance is not what the curvature says: nor is the profile.
+        # The profile is scaled, since the covariance differs from the inverse
+        # curvature.
         self.scale = float(np.mean(ratios)) ** 2 if ratios else 1.0
         self.least = total_cost(self.problem, self.best)
 
     def _spread(self, index: int) -> float:
-        """Standard error from the curvature of the cost alone, what is free free."""
+        """Standard error of an unknown from the curvature of the cost alone."""
         y = np.asarray(self.best)
         free = (y > self.lower) & (y < self.upper)
         curvature = np.asarray(_curvature(self.problem, self.best), float)
@@ -196,7 +198,7 @@ class _Held:
     def rise(
         self, at: dict[int, float], start: Float[Array, " n"]
     ) -> tuple[float, Float[Array, " n"]]:
-        """Δχ² where some numbers of y are held, and the y that leaves it."""
+        """Δχ² with some numbers of y held, and the y of this minimum."""
         lower, upper, y = (
             np.array(a) for a in (self.lower, self.upper, np.asarray(start))
         )
@@ -218,7 +220,7 @@ class _Held:
         points, step = [(here, 0.0)], STEP * self.errors[index]
         while points[-1][1] < 1.05 * farthest and here != edge:
             if len(points) > FARTHEST / STEP:
-                # A cost that hardly rises is left in growing steps.
+                # Far away, steps grow if the cost hardly rises.
                 step *= 2
             here = here + sign * step
             if sign * (here - edge) >= 0 or len(points) > MOST_POINTS:
@@ -230,7 +232,7 @@ class _Held:
         return points
 
     def grid(self, index: int, farthest: float, count: int) -> np.ndarray:
-        """Points of y around the estimate, in the box."""
+        """Values of one number of y around the estimate, in the box."""
         center = float(np.asarray(self.best)[index])
         reach = farthest * self.errors[index]
         low = max(center - reach, float(self.lower[index]))
@@ -238,14 +240,14 @@ class _Held:
         return np.linspace(low, high, count)
 
     def values(self, index: int, y: np.ndarray) -> np.ndarray:
-        """Numbers of one index in the user's units."""
+        """Values of one number of y in the user's units."""
         unknowns = self.problem.unknowns
         if unknowns.logarithmic[index]:
             return np.exp(y)
         return y * float(unknowns.scale[unknowns.y_entry[index]])
 
     def box(self, index: int) -> tuple[float, float]:
-        """The bounds of one index in the user's units."""
+        """The bounds of one number of y in the user's units."""
         unknowns = self.problem.unknowns
         entry = unknowns.y_entry[index]
         (row,) = np.flatnonzero(unknowns.reported == entry)

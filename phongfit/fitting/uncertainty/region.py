@@ -1,4 +1,4 @@
-"""Where the truth may lie: intervals of all reported entries, at any level."""
+"""Confidence intervals of all reported entries, at any level."""
 
 import dataclasses
 import functools
@@ -11,17 +11,17 @@ from jaxtyping import Bool, Float, Int
 from phongfit.fitting.uncertainty.intervals import Quadratic
 from phongfit.fitting.uncertainty.quantiles import two_for_one
 
-# Share of a number by which single precision may keep an end from its bound.
+# Relative distance within which an end counts as at its bound, for single precision.
 ROUNDED = 1e-6
 
 
 class Part(NamedTuple):
     """Unknowns that share no sample with others, and quadratics that cover their box.
 
-    - `places`: theirs in the solver's vector.
-    - `quadratics`: of Δχ², about several places.
-    - `searched`: whether chance has chosen one more number than the one asked for: the
-        exponent of a faint highlight.
+    - `places`: their indices in the solver's vector.
+    - `quadratics`: quadratics of Δχ² about several points.
+    - `searched`: whether an exponent of a faint highlight was fitted to noise, which
+        counts as one more number.
     """
 
     places: Int[np.ndarray, " k"]
@@ -29,7 +29,7 @@ class Part(NamedTuple):
     searched: bool = False
 
     def ends(self, along: Float[np.ndarray, "m k"], level: float) -> np.ndarray:
-        """The hull of what the quadratics allow, (m, 2), in steps from the solution."""
+        """Hull of the quadratics' intervals, (m, 2), in steps from the solution."""
         level = two_for_one(level) if self.searched else level
         least = min(quadratic.least for quadratic in self.quadratics)
         ends = [quadratic.ends(along, level + least) for quadratic in self.quadratics]
@@ -39,7 +39,7 @@ class Part(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class _AtHand:
-    """Gives the parts that it has."""
+    """A function that returns known parts."""
 
     parts: tuple[Part, ...]
 
@@ -49,16 +49,17 @@ class _AtHand:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Region:
-    """What the data allow, from the solution to wherever it is asked.
+    """The region that the data allow, at any level of Δχ².
 
     **Arguments:**
 
     - `values`: reported entries in the user's units.
     - `slope`: their derivatives in the solver's vector, (reported, n).
-    - `logarithmic`: true for entries that the solver sees as logarithms.
+    - `logarithmic`: true for entries that are logarithms in the solver.
     - `bounds`: (reported, 2).
-    - `open_ended`: true for what is not identified: its bounds are all that is left.
-    - `make`: gives the parts when they are first asked for.
+    - `open_ended`: true for entries that are not identified; their interval is the
+        bounds.
+    - `make`: returns the parts; called at their first use.
     """
 
     values: Float[np.ndarray, " reported"]
@@ -70,15 +71,15 @@ class Region:
 
     @functools.cached_property
     def parts(self) -> tuple[Part, ...]:
-        """Of the unknowns."""
+        """The parts of the unknowns, made at the first use."""
         return self.make()
 
     def evaluated(self) -> "Region":
-        """The same with its parts at hand, which no function has to make."""
+        """A copy with computed parts, which can be stored."""
         return dataclasses.replace(self, make=_AtHand(self.parts))
 
     def ends(self, level: float) -> Float[np.ndarray, "reported 2"]:
-        r"""Where $\Delta\chi^2$ has risen to a level, all other unknowns at their best.
+        r"""Ends of each interval, where the profile $\Delta\chi^2$ reaches `level`.
 
         **Returns:** lower and upper ends in the user's units, cut to the bounds.
         """
@@ -88,7 +89,7 @@ class Region:
             here = np.any(along != 0, axis=1)
             if here.any():
                 moved[here] = part.ends(along[here], level)
-        # The solution itself is always among what is allowed.
+        # The solution itself is always inside.
         moved = np.stack([np.minimum(moved[:, 0], 0), np.maximum(moved[:, 1], 0)], -1)
         values, logarithmic = self.values[:, None], self.logarithmic[:, None]
         shares = np.where(logarithmic, moved / np.where(logarithmic, values, 1), 0)

@@ -1,9 +1,9 @@
-"""Has a robust loss taken the highlight for outliers?
+"""Test whether a robust loss has rejected the highlight as outliers.
 
-To a model without its highlight, the highlight's pixels are a small cluster that is far
-too bright: what a robust loss is made to reject. On a real surface, which no model
-describes exactly, that can even cost the least. But outliers that have nothing to do
-with the model do not gather where it has its highlight.
+For a model without its highlight, the highlight's pixels are a small cluster that is
+far too bright, which a robust loss rejects. On a real surface, which no model describes
+exactly, this solution can even have the least cost. But real outliers do not gather at
+the model's highlight.
 """
 
 import dataclasses
@@ -21,18 +21,18 @@ from phongfit.fitting.uncertainty.estimate import Estimates
 from phongfit.fitting.uncertainty.identifiability import not_identifiable
 from phongfit.programs import program
 
-# Exponents of the highlights that are looked for; wider ones are no small cluster.
+# Exponents of the tested highlights; wider ones are not small clusters.
 EXPONENTS = tuple(10.0 * 2**k for k in range(9))
-# A sample is rejected where the loss accepts less of it than this share.
+# Weight of a sample below which it counts as rejected.
 ACCEPTED = 0.25
-# A cluster holds at most this share of the samples, and more marked ones than not.
+# Largest fraction of the samples in a cluster, and least fraction of marked ones in it.
 SMALL, MOST = 0.1, 0.5
-# Chance that samples which are marked anywhere make such a cluster.
+# Probability that samples marked at random form such a cluster.
 CHANCE = 1e-6
 
 
 class _Counts(eqx.Module):
-    """Samples near highlights of several widths, and in all; the marked of them."""
+    """Numbers of samples, and of marked ones, near highlights and in all."""
 
     near: Float[Array, "exponents materials 3"]
     near_marked: Float[Array, "exponents materials 3"]
@@ -43,9 +43,9 @@ class _Counts(eqx.Module):
 def rejected_highlights(
     problem: Problem, y: Float[Array, " n"]
 ) -> Int[np.ndarray, "materials 3"]:
-    """How many samples of its highlight were rejected, by material and channel.
+    """Numbers of rejected samples at highlights, by material and channel.
 
-    **Returns:** 0 where there is no such cluster; so always for least squares.
+    **Returns:** 0 without such a cluster, and so always for least squares.
     """
     if not problem.loss.robust:
         return np.zeros((problem.unknowns.materials, 3), int)
@@ -55,9 +55,9 @@ def rejected_highlights(
 def gathered_at_highlights(
     problem: Problem, y: Float[Array, " n"], marked: Bool[Array, "3 samples"]
 ) -> Int[np.ndarray, "materials 3"]:
-    """How many of the marked samples gather at a highlight, by material and channel.
+    """Numbers of marked samples that gather at a highlight, by material and channel.
 
-    **Returns:** 0 where chance may have put them there.
+    **Returns:** 0 if that may be chance.
     """
     if not {"specular", "shininess"} & set(problem.unknowns.names):
         return np.zeros((problem.unknowns.materials, 3), int)
@@ -72,7 +72,7 @@ def gathered_at_highlights(
 
 
 def _divergence(share: np.ndarray, usual: np.ndarray) -> np.ndarray:
-    r"""$D$ such that chance makes a share, or more, of n with $p \le e^{-n D}$.
+    r"""$D$ such that `share` or more of n samples are marked with $p \le e^{-n D}$.
 
     ??? cite "Source"
         Hoeffding, *Probability inequalities for sums of bounded random variables*,
@@ -104,17 +104,17 @@ def _count(
         return member @ (used & which).astype(kind).T
 
     def light(exponent: Array) -> Float[Array, "3 images samples"]:
-        # The samples of an image come one after another, equally many of each.
+        # The samples of an image are contiguous, with equal numbers for all images.
         light = jnp.where(used, channels.basis(exponent)[:, 2], 0)
         return light.reshape(3, len(samples.views), -1)
 
     whole = light(jnp.zeros((), kind))
 
     def near(exponent: Array) -> tuple[Array, Array]:
-        # Its height, whatever the light's strength.
+        # Height of the lobe, divided by the light's strength.
         lobe = jnp.where(whole > 0, light(exponent) / jnp.where(whole > 0, whole, 1), 0)
         peak = jnp.max(lobe, axis=-1, keepdims=True)
-        # An image may show none: its highest place is then a slope.
+        # An image may show no highlight: its maximum is then on a slope.
         there = (lobe > 0.5 * peak) & (peak > 0.5 * jnp.max(peak))
         there = there.reshape(used.shape)
         return count(there), count(there & marked)
@@ -127,7 +127,7 @@ def _count(
 def without_rejected(
     estimated: Estimates, unknowns: Unknowns, rejected: Int[np.ndarray, "materials 3"]
 ) -> Estimates:
-    """The same, with all that a rejected highlight alone could identify left open."""
+    """Estimates in which parameters of rejected highlights are not identified."""
     if not rejected.any():
         return estimated
     parameters, rows = unknowns.entry_parameter, unknowns.entry_row
@@ -137,7 +137,7 @@ def without_rejected(
         columns < 0, rejected[rows].any(axis=1), rejected[rows, columns] > 0
     )
     here &= np.isin(parameters, ("specular", "shininess"))
-    # A tied entry is as little identified as the one that it follows.
+    # An entry that is tied to an unidentified one is not identified either.
     here = (here | here[np.array(unknowns.source)])[unknowns.reported]
     covariance = estimated.covariance.copy()
     covariance[here, :] = covariance[:, here] = np.nan

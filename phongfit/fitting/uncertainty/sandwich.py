@@ -15,14 +15,14 @@ from phongfit.fitting.uncertainty.intervals import SHARE, WIDTHS, Quadratic
 
 
 class Sandwich(NamedTuple):
-    r"""What $B^{-1} M B^{-1}$ is made of at a point, in double precision.
+    r"""The parts of $B^{-1} M B^{-1}$ at a point, in double precision.
 
     - `bread`: $B$, the curvature of half the cost.
     - `meat`: $M$, the covariance of its gradient, widened for residuals that are not
         independent.
     - `pull`: that gradient.
     - `inside`: $J^\top J$ of the samples that are not white.
-    - `resolution`: of the numbers that the sums were made of.
+    - `resolution`: machine epsilon of the numbers that were summed.
     """
 
     bread: np.ndarray
@@ -32,7 +32,7 @@ class Sandwich(NamedTuple):
     resolution: float
 
     def part(self, chosen: np.ndarray) -> "Sandwich":
-        """That of some unknowns, the others known."""
+        """The sandwich of some unknowns, with the others held."""
         both = np.ix_(chosen, chosen)
         return Sandwich(
             self.bread[both],
@@ -43,10 +43,10 @@ class Sandwich(NamedTuple):
         )
 
     def strain(self, held: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """How hard the samples pull at what is held, in standard deviations.
+        """Scores of held unknowns in standard deviations, with the others optimal.
 
-        Others free to follow; 0 for what is not held. For a single unknown this is the
-        score test of whether it lies where it is held.
+        0 for unknowns that are not held. For a single unknown this is the score test of
+        the held value.
 
         ??? cite "Source"
             Rao, *Large sample tests of statistical hypotheses concerning several
@@ -54,7 +54,7 @@ class Sandwich(NamedTuple):
         """
         free = np.flatnonzero(~held)
         inverse = inverse_of(self.bread[np.ix_(free, free)], self.resolution)
-        # The score of what is held, less what the others take over.
+        # Scores of the held unknowns, minus the part that the others take over.
         weights = np.diag(held.astype(float))
         weights[:, free] -= weights @ self.bread[:, free] @ inverse
         variance = np.einsum("ki,ij,kj->k", weights, self.meat, weights)
@@ -62,7 +62,7 @@ class Sandwich(NamedTuple):
         return np.where(held, score / np.sqrt(np.where(variance > 0, variance, 1)), 0)
 
     def covariance(self) -> np.ndarray:
-        """Of all unknowns, as if none had a bound."""
+        """Covariance of all unknowns, without bounds."""
         inverse = inverse_of(self.bread, self.resolution)
         return inverse @ self.meat @ inverse
 
@@ -78,15 +78,15 @@ def as_quadratic(
 ) -> Quadratic:
     r"""$\Delta\chi^2$ about a point, of which a sandwich is the covariance.
 
-    Without bounds the estimates would have the covariance $V = B^{-1} M B^{-1}$; a cost
-    that is curved by $V^{-1}$ says of them what $\chi^2$ says where $M = B$.
+    Without bounds the estimates have the covariance $V = B^{-1} M B^{-1}$. A cost with
+    the curvature $V^{-1}$ is then equivalent to $\chi^2$ for $M = B$.
 
     **Arguments:**
 
-    - `sandwich`: there.
+    - `sandwich`: the sandwich at the point.
     - `lower`, `upper`: the box, in steps from the point.
-    - `steep`: true for what was held there, and is not at its best.
-    - `rise`: of $\chi^2$ there.
+    - `steep`: true for unknowns that were held there, with a slope.
+    - `rise`: increase of $\chi^2$ at the point.
     - `center`: the point, as a step from the solution; default none.
     """
     scaled, root = unit_diagonal(sandwich.bread)
@@ -94,22 +94,22 @@ def as_quadratic(
     identified = values > threshold(sandwich.resolution)
     half = vectors[:, identified] * np.sqrt(values[identified])
     dual = vectors[:, identified] / np.sqrt(values[identified])
-    # What the meat is in units of the bread: 1 where residuals are as expected.
+    # The meat in units of the bread: 1 if residuals are as expected.
     core = dual.T @ (sandwich.meat / np.outer(root, root)) @ dual
     shares, axes = np.linalg.eigh(core)
-    # Rounding may leave nothing, or less, of a direction that is hardly identified.
+    # Rounding may make eigenvalues of barely identified directions 0 or negative.
     shares = np.maximum(shares, 1e-6 * shares.max(initial=1e-30))
     half = half @ axes
     precision = (half / shares) @ half.T * np.outer(root, root)
-    # P B⁻¹ is the factor between a gradient of the cost and one of this.
+    # P B⁻¹ converts a gradient of the cost to one of this quadratic.
     slope = root * ((half / shares) @ (axes.T @ (dual.T @ (sandwich.pull / root))))
-    # Of what is free the slope is rounding; a bound holds back what would fall.
+    # The slope of free unknowns is rounding; at a bound it points beyond the bound.
     slope_held = np.where(lower >= 0, np.maximum(slope, 0), 0)
     slope_held = np.where(upper <= 0, np.minimum(slope, 0), slope_held)
     free = (lower < 0) & (upper > 0)
     kept = free & (np.zeros_like(free) if steep is None else steep)
     slope = np.where(kept, slope, np.where(free, 0, slope_held))
-    # Where the data leave a direction open, the box decides.
+    # Directions that the data do not determine are limited by the box.
     width = np.maximum(upper - lower, 1e-12)
     known = np.diag(precision)
     ridge = SHARE * known + 1 / (WIDTHS * width) ** 2 + 1e-30

@@ -1,7 +1,8 @@
-"""How fits scatter where no formula says it: photographs are drawn, and fitted.
+"""Scatter of fits by simulation, where formulas do not hold.
 
-Without a highlight the exponent may end anywhere, and with it changes what the lobe is
-mistaken for: near f = 1 it is nearly Lambert's. Errors at one exponent say too little.
+Without a highlight the exponent may end anywhere, and with it changes the part of the
+light that the lobe replaces: near f = 1 it is nearly Lambert's. Errors at one exponent
+are then too small.
 
 ??? cite "Source"
     Davies, *Hypothesis testing when a nuisance parameter is present only under the
@@ -23,7 +24,8 @@ from phongfit.fitting.solve.solution import solve
 from phongfit.fitting.solve.start import ROBUST_SUBSET, choose_few, scan
 from phongfit.programs import program
 
-# A standard deviation of so many draws is known to 4 %, save where few stray far.
+# A standard deviation from this many draws is accurate to 4 %, unless a few deviate
+# far.
 DRAWS = 400
 MAX_STEPS = 50
 
@@ -31,13 +33,13 @@ MAX_STEPS = 50
 def scatter(
     problem: Problem, sources: list[Source], y: Float[Array, " n"]
 ) -> Float[np.ndarray, "draws entries"]:
-    """Where fits of noisy photographs end, in the user's units.
+    """Results of fits to simulated photographs, in the user's units.
 
-    Of many pixels a few thousand are drawn, and stand for those left out.
+    If there are many pixels, a few thousand represent all of them.
 
     **Arguments:**
 
-    - `problem`: its unknowns, noise and film are taken; its samples are `sources`'.
+    - `problem`: with the unknowns, noise and film; its samples are those of `sources`.
     - `y`: the truth.
     """
     seen = seen_pixels(sources)
@@ -54,8 +56,8 @@ def scatter(
 
 
 def _stands_for(source: Source, seen: np.ndarray, few: np.ndarray) -> Source:
-    """A source whose weights are those of all pixels that each of a few stands for."""
-    # The first half are spread evenly, the second are all that lie near a highlight.
+    """A source in which chosen pixels have the weights of all that they represent."""
+    # The first half is spread evenly, the second is all pixels near a highlight.
     even, near = np.split(few, [len(few) // 2])
     even = np.setdiff1d(even, near)
     height, width, _ = source.weight.shape
@@ -73,7 +75,7 @@ def _ends(
     y: Float[Array, " n"],
     keys: Array,
 ) -> Float[Array, "draws entries"]:
-    """As a fit does: from the best of a scan of a few pixels to the best of all."""
+    """Fit as [`fit`][] does: a scan and a solve of a few pixels, then of all."""
     unknowns, used = problem.unknowns, problem.samples.weight > 0
     light, truth = problem.light(y), unknowns.entries(y)
     count = jnp.where(used, weight / jnp.where(used, problem.samples.weight, 1), 1)
@@ -91,12 +93,12 @@ def _ends(
         own, others, of_priors = jax.random.split(key, 3)
         own = jax.random.normal(own, light.shape, light.dtype)
         others = jax.random.normal(others, light.shape, light.dtype)
-        # A prior is a measurement too: its mean scatters about the truth.
+        # A prior is a measurement as well: its mean scatters about the truth.
         wanted = np.flatnonzero(np.array(unknowns.has_prior))
         drawn = jax.random.normal(of_priors, truth.shape, truth.dtype)[wanted]
         known = truth.at[wanted].add(jnp.linalg.pinv(unknowns.prior_root) @ drawn)
         few = photographed(own, problem.samples.weight, known)
-        # The mean over a pixel and all that it stands for.
+        # The mean noise of a pixel and of those that it represents.
         mean = (own + jnp.sqrt(count - 1) * others) / count
         all_pixels = photographed(mean, weight, known)
         first = solve(few, scan(few, y), MAX_STEPS).y

@@ -1,7 +1,7 @@
-r"""How the scores scatter, where noise is not the same everywhere, or is shared.
+r"""Covariance of the scores if noise varies over an image or is shared by samples.
 
-A fit that counts all samples alike is right on average whatever their noise is; only
-its errors must know. They follow from the covariance of the sum of scores, $\sum_i
+A fit with equal weights is unbiased for any noise, but its errors depend on it. They
+follow from the covariance of the sum of scores, $\sum_i
 J_i^\top \psi(r_i)$: here where samples of one level round alike, where the channels of
 a pixel share their noise, and where noise differs between channels or with light.
 
@@ -24,20 +24,20 @@ from phongfit.fitting.solve.sums import EXACT, linearize
 from phongfit.fitting.uncertainty.sandwich import threshold
 from phongfit.programs import program
 
-# Times a line along the light is fitted anew to squares of scores.
+# Iterations of the weighted fit of a line to squared scores.
 PASSES = 8
-# Share of the mean that it does not fall below.
+# Lower limit of the line, relative to the mean.
 LEAST = 0.02
 
 
 def with_noise_as_found(
     problem: Problem, y: Float[Array, " n"], correlation: float, unequal: bool
 ) -> Problem:
-    """The problem with the covariance of scores that its residuals speak of.
+    """The problem with a covariance of scores that is estimated from its residuals.
 
     **Arguments:**
 
-    - `correlation`: of the residuals of a pixel's channels.
+    - `correlation`: correlation of the residuals of a pixel's channels.
     - `unequal`: whether noise differs between channels, or with light.
     """
     found = _scores(problem, y, jnp.asarray(correlation, y.dtype), unequal)
@@ -49,14 +49,14 @@ def with_noise_as_found(
     scale = np.outer(root, root)
     scatter = covariance / scale
     if problem.loss.robust:
-        # What this becomes is divided by a curvature that is equally steep everywhere.
+        # The covariance is later divided by a curvature that assumes one mean slope.
         share = _quotient(plain / scale, steep / scale, float(jnp.finfo(y.dtype).eps))
         scatter = share @ scatter @ share.T
     return dataclasses.replace(problem, scatter=jnp.asarray(scatter, y.dtype))
 
 
 def _quotient(plain: np.ndarray, steep: np.ndarray, resolution: float) -> np.ndarray:
-    """One by the other, in the identified directions; 1 in others."""
+    """plain · steep⁻¹ in the identified directions; 1 in others."""
     values, vectors = np.linalg.eigh(plain)
     identified = values > threshold(resolution)
     half = vectors[:, identified] * np.sqrt(values[identified])
@@ -72,7 +72,7 @@ def _scores(
     correlation: Float[Array, ""],
     unequal: bool,
 ) -> tuple[Array, Array, Array, Array]:
-    r"""Their covariance; $J^\top J$ with slopes, and without; variance of a score."""
+    r"""Covariance of scores; $J^\top J$ with slopes and without; a score's variance."""
     found = linearize(problem, y)
     at, jacobian = found.at, found.jacobian
     used = (problem.samples.weight > 0).astype(y.dtype)
@@ -108,9 +108,9 @@ def _along_light(
     square: Float[Array, " samples"],
     share: Float[Array, " samples"],
 ) -> Float[Array, " samples"]:
-    """What squares of one channel's scores are on average, a line along the light.
+    """Mean of one channel's squared scores, as a linear function of the light.
 
-    **Arguments:** `share`: what they should be, but for this factor; 0 if not used.
+    **Arguments:** `share`: expected squares up to a factor; 0 if not used.
     """
     total = jnp.maximum(jnp.sum(share), 1)
     mean = jnp.sum(square) / total
@@ -123,7 +123,7 @@ def _along_light(
         return jnp.maximum(line[0] + line[1] * place, LEAST * mean + tiny)
 
     def fit_anew(_: Array, line: tuple[Array, Array]) -> tuple[Array, Array]:
-        # A square scatters as the square of the variance does.
+        # The variance of a square is proportional to the variance squared.
         weight = (mean / variance(line)) ** 2
         total = jnp.sum(weight * share) + tiny
         center = jnp.sum(weight * share * place) / total
@@ -137,7 +137,7 @@ def _along_light(
 
 
 def independent_variance(problem: Problem, at: Evaluation) -> Float[Array, "3 samples"]:
-    """What of each residual's variance no other sample shares."""
+    """The part of each residual's variance that is independent of other samples."""
     step = problem.samples.step
     if step is None:
         return at.variance_share
@@ -148,8 +148,8 @@ def independent_variance(problem: Problem, at: Evaluation) -> Float[Array, "3 sa
 def shared_rounding(problem: Problem, y: Float[Array, " n"]) -> np.ndarray:
     """Covariance of the sum of scores from rounding that samples share.
 
-    A region of one colour rounds as one, so samples of one channel and level are taken
-    to share the part of their rounding error that noise does not dither.
+    Equal colours round equally, so samples of one channel and level are assumed to
+    share the part of their rounding error that noise does not dither.
     """
     found, step = linearized(problem, y), problem.samples.step
     jacobian, at = found.jacobian, found.at

@@ -1,4 +1,4 @@
-"""From the Jacobian at the solution to error bars, and to what they cannot say."""
+"""Error bars from the Jacobian at the solution, and unidentified unknowns."""
 
 import dataclasses
 from typing import Any
@@ -29,7 +29,7 @@ from phongfit.fitting.uncertainty.scores import (
 )
 from phongfit.programs import program
 
-# What is left over is rounding of the arithmetic up to so many times its floor.
+# Residuals up to this many times the arithmetic floor count as rounding.
 ROUNDED = 2
 
 
@@ -37,10 +37,10 @@ ROUNDED = 2
 class Statistics:
     """Uncertainty of a solution in the solver's units.
 
-    `covariance` is that of the unknowns that are free and identifiable, those at a
-    bound held there: NaN for these, infinite variance for those that are not
-    identifiable. `spread` is the standard error that the curvature of the cost alone
-    would give. `sandwich` is what intervals are made of: see [`as_quadratic`][].
+    `covariance` is that of the free and identifiable unknowns, with those at a bound
+    held there: these have NaN, and unidentified ones infinite variance. `spread` is the
+    standard error from the curvature of the cost alone. Intervals are computed from
+    `sandwich`: see [`as_quadratic`][].
     """
 
     sandwich: Sandwich
@@ -53,12 +53,12 @@ class Statistics:
 
     @property
     def stderr(self) -> np.ndarray:
-        """Standard errors of what is free."""
+        """Standard errors of the free unknowns."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def scale(self) -> float:
-        """What the cost's own rise is to be multiplied by, as the variances say."""
+        """Factor from the increase of the cost to Δχ², from the variances."""
         ratios = (self.spread / self.stderr)[np.isfinite(self.stderr)] ** 2
         return float(np.mean(ratios)) if len(ratios) else 1.0
 
@@ -75,7 +75,7 @@ def statistics(
 
     - `problem`, `y`: the problem, and its solution.
     - `inflation`: factor on all variances for residuals that are not independent.
-    - `sums`: sums over the samples, if they are at hand.
+    - `sums`: sums over the samples, if they are known already.
     """
     found = in_numpy(sandwich_sums(problem, y) if sums is None else sums)
     sandwich = sandwich_at(problem, y, inflation, found)
@@ -115,13 +115,13 @@ def _all_white(problem: Problem) -> bool:
 def sandwich_at(
     problem: Problem, y: Float[Array, " n"], inflation: float, sums: Any
 ) -> Sandwich:
-    """The sums at a point, in double precision where single leaves them open.
+    """The sandwich at a point, with sums in double precision if single is too coarse.
 
     **Arguments:** `sums`: those of [`sandwich_sums`][], as NumPy's arrays.
     """
     resolution, found = float(np.finfo(y.dtype).eps), sums
     if found.exact:
-        # What is left over is rounding of the arithmetic, which samples share.
+        # Residuals are rounding of the arithmetic, which samples share.
         inflation = inflation * float(np.sum(np.asarray(problem.samples.weight) > 0))
     if _too_coarse(found.inside, resolution):
         found = in_numpy(sums_in_double(problem, y))
@@ -140,19 +140,19 @@ def quadratic_about(
     y: Float[np.ndarray, " n"],
     group: Int[np.ndarray, " k"],
 ) -> Quadratic:
-    """That of some unknowns about the solution, in all of their box."""
+    """The quadratic of some unknowns about the solution, in their box."""
     box = unknowns.lower, unknowns.upper
     lower, upper = (np.asarray(edge, float)[group] - y[group] for edge in box)
     return as_quadratic(found.sandwich.part(group), lower, upper)
 
 
 def in_numpy(sums: "SandwichSums") -> Any:
-    """The same sums, as NumPy's in double precision."""
+    """Sums as NumPy arrays in double precision."""
     return jax.tree.map(lambda part: np.asarray(part, float), sums)
 
 
 def _too_coarse(bread: np.ndarray, resolution: float) -> bool:
-    """Whether rounding of the sums hides if a direction is identified at all."""
+    """Whether the sums are too coarse to decide if a direction is identified."""
     if resolution < 1e-10 or not np.all(np.isfinite(bread)):
         return False
     heard = np.diag(bread) > 0
@@ -161,7 +161,7 @@ def _too_coarse(bread: np.ndarray, resolution: float) -> bool:
 
 
 def sums_in_double(problem: Problem, y: Float[Array, " n"]) -> "SandwichSums":
-    """The same derivatives, added up in double precision."""
+    """The sums at a solution, added up in double precision."""
     parts = problem, linearized(problem, y)
     with jax.enable_x64(True):
         return _sandwich_sums(*jax.tree.map(_in_double, parts))
@@ -172,7 +172,7 @@ def _in_double(leaf: Any) -> Any:
 
 
 class SandwichSums(eqx.Module):
-    """Sums over the samples that all statistics are made of."""
+    """Sums over the samples, from which all statistics are computed."""
 
     bread: Float[Array, "n n"]
     meat: Float[Array, "n n"]
@@ -183,7 +183,7 @@ class SandwichSums(eqx.Module):
     shared: Float[Array, ""]
     chi_squared: Float[Array, ""]
     spread: Float[Array, ""]
-    # Kurtosis of the residuals beyond a normal one, in its standard deviations.
+    # Excess kurtosis of the residuals, in its standard deviations.
     tails: Float[Array, ""]
     exact: Bool[Array, ""]
 
@@ -205,7 +205,7 @@ def _sandwich_sums(problem: Problem, found: Linearization) -> SandwichSums:
     score, slope = problem.loss.score(samples)
     variance, steepness = jnp.ones((), kind), jnp.ones((), kind)
     if problem.loss.robust:
-        # A loss that bends: the variance of its score, and its mean slope.
+        # A robust loss: the variance of its score, and its mean slope.
         variance = jnp.sum(jnp.where(used, score**2, 0)) / count
         steepness = jnp.sum(jnp.where(used, slope, 0)) / count
     independent, shared = independent_variance(problem, at), jnp.zeros((), kind)
@@ -216,8 +216,8 @@ def _sandwich_sums(problem: Problem, found: Linearization) -> SandwichSums:
     squares = jnp.sum(samples**2)
     kurtosis = count * jnp.sum((samples * jax.lax.rsqrt(squares)) ** 4)
     known = jacobian.priors.T @ jacobian.priors
-    # A white sample says only that the light is no less than white: what nothing else
-    # measures is not identified.
+    # A white sample only shows that the light is at least white, so it identifies
+    # nothing.
     below_white = (problem.samples.target < 1).astype(kind) if problem.clamp else None
     bread, meat, inside = jacobian.grams(None, independent, below_white)
     meat = variance * meat
@@ -240,9 +240,9 @@ def _sandwich_sums(problem: Problem, found: Linearization) -> SandwichSums:
 
 
 def _spread(problem: Problem, at: Evaluation) -> Float[Array, ""]:
-    """Residuals' size in standard deviations, outliers left to a loss that bears them.
+    """Size of the residuals in standard deviations: 1 if the noise level is right.
 
-    1 where the noise level is right.
+    For a robust loss it is a median, which ignores outliers.
     """
     used = problem.samples.weight > 0
     if problem.loss.robust:
@@ -252,6 +252,6 @@ def _spread(problem: Problem, at: Evaluation) -> Float[Array, ""]:
 
 
 def _is_exact(problem: Problem, at: Evaluation) -> Bool[Array, ""]:
-    """Whether nothing is left over but what arithmetic of this precision rounds."""
+    """Whether residuals are only rounding of the arithmetic."""
     exact = problem.sigma <= ROUNDED * at.floor
     return exact & (problem.samples.step is None)

@@ -1,4 +1,4 @@
-"""Residuals of an image, summed over square tiles: what [`find_misfit`][] looks at."""
+"""Residuals of an image, summed over square tiles, for [`find_misfit`][]."""
 
 import functools
 from collections.abc import Callable
@@ -17,12 +17,12 @@ from phongfit.fitting.problem.noise import (
 )
 from phongfit.fitting.uncertainty.grid import Grid, sum_at_places
 
-# Of smaller tiles than the largest there are no more than so many.
+# Largest side of a tile in pixels, and most tiles with smaller sides.
 LARGEST, MOST_TILES = 8, 1024
 
 
 class Measured(NamedTuple):
-    """An image and how it was measured: `weight` 1 has noise of deviation `sigma`."""
+    """An image and its noise: samples of weight 1 have the deviation `sigma`."""
 
     image: Float[Array, "height width 3"]
     weight: Float[Array, "height width channels"]
@@ -31,9 +31,9 @@ class Measured(NamedTuple):
 
 
 class Rounding(NamedTuple):
-    """What the samples of a tile round in common, (3, rows, columns) each.
+    """Rounding errors that the samples of a tile share, (3, rows, columns) each.
 
-    - `deviation`: sum of its standard deviations.
+    - `deviation`: sum of their standard deviations.
     - `low`, `high`: least and largest level that light was rounded to.
     """
 
@@ -45,8 +45,8 @@ class Rounding(NamedTuple):
 class Neighbours(NamedTuple):
     """Sums over pairs of adjacent pixels, side by side and one above the other.
 
-    Of each column and channel: `products` of residuals, and how many `pairs`. Of the
-    three channels of all pixels, taken two by two, the products in `channels`.
+    For each column and channel: `products` of residuals, and the number of `pairs`.
+    `channels` has the products of two channels, over all pixels.
     """
 
     products: Float[Any, " columns*3"]
@@ -57,13 +57,14 @@ class Neighbours(NamedTuple):
 class Tiles(NamedTuple):
     """Sums over the samples of tiles, (3, rows, columns) each.
 
-    - `total`, `squares`: of residuals in standard deviations, as the loss weighs them.
-    - `variance`: what it should be: a sample has 1, less what clipping takes.
-    - `arithmetic`: of standard deviations that the arithmetic may round in common.
-    - `count`: of samples.
+    - `total`, `squares`: residuals in standard deviations, weighted by the loss, and
+        their squares.
+    - `variance`: their expected variance: 1 for a sample, and less if it is clipped.
+    - `arithmetic`: standard deviations of shared rounding of the arithmetic.
+    - `count`: number of samples.
     - `diffuse`, `highlight`: (rows, columns), mean light for reflectances of 1.
     - `rounding`: `None` where nothing was rounded.
-    - `neighbours`, `grid`: of pixels, not of tiles.
+    - `neighbours`, `grid`: sums over pixels, not over tiles.
     """
 
     total: Float[Any, "3 rows columns"]
@@ -79,7 +80,7 @@ class Tiles(NamedTuple):
 
 
 def tile_side(height: int, width: int) -> int:
-    """Pixels along a tile: a power of two, small where the image is."""
+    """Pixels along the side of a tile: a power of two, smaller for small images."""
     side = 1
     while side < LARGEST and -(-height // side) * -(-width // side) > MOST_TILES:
         side *= 2
@@ -101,11 +102,11 @@ def sum_over_tiles(
 
     - `light`: what the model predicts, before the film.
     - `diffuse`, `highlight`: light for reflectances of 1.
-    - `side`: pixels along a tile.
+    - `side`: pixels along the side of a tile.
     """
     weight, step, sigma = measured.weight, measured.step, measured.sigma
     none = jnp.zeros_like(light)
-    # Always so: without a condition XLA would do this anew for each of the sums.
+    # The condition is always true; without it XLA computes this again for each sum.
     left = jax.lax.cond(
         ~(sigma < 0),
         lambda: _leave(measured, light, loss, clamp),
@@ -141,7 +142,7 @@ def sum_over_tiles(
 
 
 class _Scores(NamedTuple):
-    """Of each sample what [`Tiles`][] adds up, and the deviation of shared rounding."""
+    """Summands of [`Tiles`][] for each sample, and deviations of shared rounding."""
 
     used: Bool[Array, "height width 3"]
     score: Float[Array, "height width 3"]
@@ -176,12 +177,12 @@ def _leave(
 
 
 def _neighbours(residual: Array, weight: Array) -> Neighbours:
-    """Residuals (H, W, 3), 0 where not used, times those to their left and above."""
+    """Products of residuals (H, W, 3), 0 where not used, with those left and above."""
 
     height, _, kinds = weight.shape
     flat = residual.reshape(height, -1)
     products = _down(flat[1:] * flat[:-1]).at[3:].add(_shifted(flat, 3))
-    # Repeated for the channels they would take longer than all else.
+    # Not repeated for the channels, which would be the slowest part.
     used = (weight > 0).astype(residual.dtype).reshape(height, -1)
     pairs = _down(used[1:] * used[:-1]).at[kinds:].add(_shifted(used, kinds))
     # Red with green, green with blue, red with blue; the rest are of two pixels.
@@ -191,12 +192,12 @@ def _neighbours(residual: Array, weight: Array) -> Neighbours:
 
 
 def _shifted(values: Float[Array, "rows columns"], by: int) -> Float[Array, " places"]:
-    """Products with what stands so many places to the right, added up."""
+    """Sums of products of values with those `by` places to the right."""
     return _down(values[:, by:] * values[:, :-by])
 
 
 def _down(values: Float[Array, "rows columns"]) -> Float[Array, " columns"]:
-    """Sums over rows: as a product with ones XLA takes a third of the time."""
+    """Sums over rows, as a product with ones, which is three times as fast in XLA."""
     ones = jnp.ones(len(values), values.dtype)
     return jnp.matmul(ones, values, precision="highest")
 
@@ -207,12 +208,12 @@ def _fold(
     two: Callable[[Array, Array], Array],
     empty: float,
 ) -> Float[Array, "3 rows columns"]:
-    """All pixels of a tile as one; tiles that overhang are filled up with `empty`."""
+    """Combine all pixels of each tile; incomplete tiles are filled up with `empty`."""
     padding = [(0, -length % side) for length in values.shape[:2]]
     if np.any(padding):
         values = jnp.pad(values, [*padding, (0, 0)], constant_values=empty)
     height, width, channels = values.shape
-    # Row upon row: XLA's own sums along several axes take twice as long.
+    # Row by row, since XLA's sums along several axes take twice as long.
     rows = values.reshape(height // side, side, width * channels)
     folded = functools.reduce(two, [rows[:, k] for k in range(side)])
     tiles = folded.reshape(height // side, width // side, side, channels)

@@ -1,4 +1,4 @@
-"""What a fit says of its own weaknesses: what is wrong, how large, what to try."""
+"""Warnings of a fit: what is wrong, how large it is, what to try."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -16,21 +16,21 @@ from phongfit.fitting.uncertainty.misfit import CORRELATED, Misfit
 from phongfit.fitting.uncertainty.statistics import SandwichSums
 from phongfit.rendering.film import Film, encode
 
-# Samples from which a noise level is estimated well enough.
+# Number of samples that suffices to estimate a noise level.
 FEW = 50
-# Share of the samples that must not be clipped for that.
+# Least fraction of the samples that must not be clipped for this.
 FEW_SHARE = 0.1
-# Share of a standard error by which the noise level's own may move a parameter.
+# Largest change of a parameter by an error of the noise level, in standard errors.
 MOVED = 0.25
-# Standard deviations between the images and a prior, or a bound, that are no chance.
+# Standard deviations above which images contradict a prior or a bound.
 CONTRADICTION = 4.0
-# Standard deviations that tell two minima apart, standard errors that must lie between
-# them to be two, and numbers that are named.
+# Difference of two minima's costs, in standard deviations, above which one is excluded;
+# least distance between them in standard errors; most numbers in the warning.
 SEPARATE, DISTANT, NAMED = 3.0, 5.0, 3
 
 
 def misfit_words(misfit: Misfit, images: int) -> tuple[str, ...]:
-    """Residuals that are not noise."""
+    """Warning of residuals that are not noise."""
     correlation = misfit.neighbour_correlation
     if not misfit.significant and correlation <= CORRELATED:
         return ()
@@ -55,7 +55,7 @@ def misfit_words(misfit: Misfit, images: int) -> tuple[str, ...]:
 
 
 def plateau_words(plateau: Plateau | None, film: Film) -> tuple[str, ...]:
-    """Images that were cut off below the white that they are read with."""
+    """Warning of images that were cut off below white."""
     if plateau is None:
         return ()
     value = f"{plateau.value:.4g}"
@@ -73,7 +73,7 @@ def plateau_words(plateau: Plateau | None, film: Film) -> tuple[str, ...]:
 
 
 def clipped_words(sums: SandwichSums, effective: int, samples: int) -> tuple[str, ...]:
-    """Where the noise level is estimated from samples that hardly know it."""
+    """Warning of a noise level that is estimated from too few unclipped samples."""
     enough = effective >= max(FEW, FEW_SHARE * samples)
     if effective == samples or (enough and not _drifts(sums, effective)):
         return ()
@@ -87,7 +87,7 @@ def clipped_words(sums: SandwichSums, effective: int, samples: int) -> tuple[str
 
 
 def _drifts(sums: SandwichSums, effective: int) -> bool:
-    """Whether an error of the noise level moves the solution by much of its own."""
+    """Whether an error of the noise level changes the solution noticeably."""
     drift = np.asarray(sums.drift, float)
     # Mostly nothing is clipped, and a pseudo-inverse takes long.
     if not drift.any():
@@ -107,7 +107,7 @@ _SUMMED = {
 
 
 def coarse_words(films: Iterable[Film]) -> tuple[str, ...]:
-    """Images of which a JPEG file kept so little that draws do not show the errors."""
+    """Warning of JPEG files so compressed that simulated errors are too small."""
     if not any(film.jpeg is not None and film.jpeg.is_coarse for film in films):
         return ()
     return (
@@ -121,7 +121,7 @@ def coarse_words(films: Iterable[Film]) -> tuple[str, ...]:
 
 
 def grid_words(significance: float) -> tuple[str, ...]:
-    """An image that was a JPEG file, of which the fit has not been told."""
+    """Warning of an image from a JPEG file whose compression was not given."""
     if significance <= SIGNIFICANT:
         return ()
     return (
@@ -135,7 +135,7 @@ def grid_words(significance: float) -> tuple[str, ...]:
 
 
 def spread_words(spread: float) -> tuple[str, ...]:
-    """Residuals so many times as large as the noise that was given."""
+    """Warning of residuals that are larger than the given noise."""
     if spread == 1:
         return ()
     return (
@@ -148,7 +148,7 @@ def spread_words(spread: float) -> tuple[str, ...]:
 
 
 def bound_words(estimated: Estimates, unknowns: Unknowns) -> Iterator[str]:
-    """Where a bound decides, not the images."""
+    """Warnings of estimates at their bounds."""
     for k in np.flatnonzero(estimated.at_bound):
         label, (low, high) = unknowns.labels[k], unknowns.bounds[k]
         above = high - estimated.values[k] < estimated.values[k] - low
@@ -160,7 +160,7 @@ def bound_words(estimated: Estimates, unknowns: Unknowns) -> Iterator[str]:
             words += f". Without it the estimate would be {estimated.strain[k]:.2g} σ "
             words += "beyond it, so estimates that depend on it are biased"
         parameter = unknowns.entry_parameter[unknowns.reported[k]]
-        # Nothing sends back less than no light.
+        # Reflectances cannot be negative.
         if above or parameter not in REFLECTANCES:
             low, high = (low, 5 * high) if above else (low / 5, high)
             remedy = f"If it may lie beyond, try bounds={{'{label}': ({low:g}, "
@@ -171,7 +171,7 @@ def bound_words(estimated: Estimates, unknowns: Unknowns) -> Iterator[str]:
 def rival_words(
     estimated: Estimates, unknowns: Unknowns, rival: Rival | None, inflation: float
 ) -> Iterator[str]:
-    """Another minimum that the images do not exclude."""
+    """Warning of another minimum that the images do not exclude."""
     excess = 0.0 if rival is None else float(rival.excess) / inflation
     if rival is None or not excess < SEPARATE**2:
         return
@@ -195,7 +195,7 @@ def rival_words(
 def prior_words(
     estimated: Estimates, unknowns: Unknowns, inflation: float
 ) -> Iterator[str]:
-    """Priors that the images contradict."""
+    """Warnings of priors that the images contradict."""
     for k, entry in enumerate(unknowns.reported):
         if not unknowns.has_prior[entry] or unknowns.forms[entry] == "direction":
             continue
@@ -204,7 +204,7 @@ def prior_words(
             for each in (unknowns.prior_mean, unknowns.prior_deviation)
         )
         off = (estimated.values[k] - mean) / deviation
-        # The estimate leans on its prior: by so much it knows no more than that does.
+        # Fraction of the information in the estimate that comes from its prior.
         share = estimated.covariance[k, k] / inflation / deviation**2
         share = min(share, 1 - 1e-6) if np.isfinite(share) else 0.0
         conflict = abs(off) / math.sqrt(1 - share)
