@@ -30,6 +30,11 @@ class Solution(NamedTuple):
         """For residuals of variance 1; 0 for directions without information."""
         return np.linalg.pinv(self.jacobian.T @ self.jacobian)
 
+    @property
+    def hat(self) -> Float[np.ndarray, " m"]:
+        """Fraction of a degree of freedom that the unknowns take of each residual."""
+        return np.vecdot(self.jacobian @ self.covariance, self.jacobian)
+
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """A JAX function that takes and returns NumPy arrays, in double precision.

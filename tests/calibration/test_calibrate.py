@@ -224,7 +224,7 @@ def test_two_lamps_everywhere(distant, monkeypatch):
     studio, images = distant
     monkeypatch.setattr(
         "phongfit.calibration.calibrate.show_two_lamps",
-        lambda candidates, *others: [True] * len(candidates),
+        lambda candidates, chosen, lamps: np.ones(len(chosen), bool),
     )
     with pytest.raises(ValueError, match="expected one lamp in each, got two in phot"):
         calibrated(studio, images)
