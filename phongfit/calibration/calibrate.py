@@ -30,15 +30,12 @@ from phongfit.calibration.matte import (
     find_strengths,
     matte_sphere,
     overexposed,
-    room_light,
-    shaded_directions,
 )
 from phongfit.calibration.outlines import (
     SMALLEST,
     View,
     as_circle,
     dots,
-    seen,
     sphere_behind,
     unit,
 )
@@ -121,16 +118,16 @@ def calibrate(
     spheres = _placed(outlines, crops, view, warnings)
     film = photographs.film if isinstance(photographs, Developed) else Film(clamp=False)
     setup = _set_up(names, view, radius, lamps, spheres, crops, film, warnings)
-    setup, shaded = _shading(setup)
+    shaded = None if setup.matte is None else setup.matte.shaded
     mirrors = zip(crops, setup.chrome.outlines, strict=False)
     highlights = [_highlights(crop, outline) for crop, outline in mirrors]
     candidates = follow(highlights, setup.chrome, view)
     chosen = choose(candidates, (len(names), len(highlights)), lamps, shaded)
-    left_out = _without_lamp(setup, chosen, shaded)
+    left_out = _without_lamp(setup, chosen)
     left_out |= _with_two_lamps(setup, candidates, chosen, left_out)
-    estimate, kept = _solve(setup, candidates, chosen, shaded, left_out)
+    estimate, kept = _solve(setup, candidates, chosen, left_out)
     strengths = _find_strengths(setup, estimate, kept)
-    _judge(setup, estimate, kept, left_out, shaded)
+    _judge(setup, estimate, kept, left_out)
     missing = np.full((1, 2), np.nan)
     pixels = np.concatenate([candidates.pixel, missing])[chosen[kept]]
     found = _result(setup, estimate, strengths, kept, left_out, pixels)
@@ -175,7 +172,7 @@ def _outlines(
     view: View,
     warnings: list[str],
 ) -> list[tuple[Kind, Outline]]:
-    if chrome is None and matte is None:
+    if not chrome and matte is None:
         found = find_spheres(photographs, names, (view.height, view.width))
         if not found:
             raise ValueError(
@@ -297,22 +294,8 @@ def _matte_place(
     return Place(sphere.outline, float(radius), 1.0 if near else 0.0), covariance
 
 
-def _shading(
-    setup: _Setup,
-) -> tuple[_Setup, Float[np.ndarray, "photographs 3"] | None]:
-    """The room's light on the matte sphere, and lamps' directions by its shading."""
-    matte = setup.matte
-    if matte is None:
-        return setup, None
-    normals = seen(matte.points.pixel, matte.place.outline, matte.view, 1.0).normal
-    shaded = shaded_directions(matte.points, normals)
-    light, error = room_light(matte.points, normals, shaded)
-    matte = matte._replace(ambient=light, ambient_error=error)
-    return setup._replace(matte=matte), shaded
-
-
 def _highlights(crop: Crop, outline: Outline) -> list[list[Highlight]]:
-    """What may be the lamp on one sphere, by photograph; none where it is dark."""
+    """Candidates for the lamp on one sphere, by photograph; none where it is dark."""
     grey = crop.grey
     still = grey.min(axis=0) if len(grey) >= 4 else None
     glints = grey.max(axis=(1, 2))
@@ -328,13 +311,12 @@ def _highlights(crop: Crop, outline: Outline) -> list[list[Highlight]]:
 def _without_lamp(
     setup: _Setup,
     chosen: Int[np.ndarray, "photographs spheres"],
-    shaded: Float[np.ndarray, "photographs 3"] | None,
 ) -> dict[int, str]:
     """Photographs in which no lamp is seen, or only half of what places one."""
     white, shows = np.zeros(len(chosen), bool), (chosen >= 0).sum(axis=1)
-    if setup.matte is not None and shaded is not None:
+    if setup.matte is not None:
         white = overexposed(setup.matte.points)
-        shows = shows + shaded.any(axis=1)
+        shows = shows + setup.matte.shaded.any(axis=1)
     left_out: dict[int, str] = {}
     for number, count in enumerate(shows):
         if count == 0:
@@ -380,7 +362,6 @@ def _solve(
     setup: _Setup,
     candidates: Candidates,
     chosen: Int[np.ndarray, "photographs spheres"],
-    shaded: Float[np.ndarray, "photographs 3"] | None,
     left_out: dict[int, str],
 ) -> tuple[LampEstimate, list[int]]:
     """The lamps of the photographs that agree; others are added to `left_out`."""
@@ -394,7 +375,6 @@ def _solve(
             setup.lamps,
             setup.reference,
             None if setup.matte is None else setup.matte.of(kept),
-            None if shaded is None else shaded[kept],
         )
         beyond = estimate.inverse_distances <= 0
         if setup.lamps == "near" and beyond.any():
@@ -482,7 +462,7 @@ def _result(
     joint[:-5, :-5] += np.kron(np.eye(count), floor)
     scale = 0.0
     if near and setup.view.focal is not None and len(chrome.outlines):
-        # The same for all spheres, since rims of mirrors err alike.
+        # Errors of all radii are equal, since rims of mirrors look alike.
         sizes = chrome.outlines[:, 2]
         scale = float(np.mean(np.sqrt(chrome.covariances[:, 2, 2]) / sizes))
     from scipy.linalg import block_diag
@@ -559,7 +539,6 @@ def _judge(
     estimate: LampEstimate,
     kept: list[int],
     left_out: dict[int, str],
-    shaded: Float[np.ndarray, "photographs 3"] | None,
 ) -> None:
     """Add the warnings of the whole calibration."""
     outlines, near = setup.chrome.outlines, setup.lamps == "near"
@@ -583,9 +562,9 @@ def _judge(
             "Check the circles, and whether the lamps are "
             + ("distant" if near else "near"),
         )
-    if shaded is not None and len(outlines) and not near:
-        apart = np.degrees(angles(shaded[kept], estimate.directions))
-        apart = apart[shaded[kept].any(axis=1)]
+    if setup.matte is not None and len(outlines) and not near:
+        shaded = setup.matte.shaded[kept]
+        apart = np.degrees(angles(shaded, estimate.directions))[shaded.any(axis=1)]
         if len(apart) and np.median(apart) > 3:
             setup.warn(
                 "matte-disagrees",

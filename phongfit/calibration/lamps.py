@@ -40,6 +40,9 @@ AGREE = 2.5
 ROUNDS = 8
 """Maximum number of linearisations of the shading."""
 
+SCALINGS = 12
+"""Maximum number of updates of the variance components."""
+
 
 class Chrome(NamedTuple):
     """Chrome spheres as the photographs show them.
@@ -157,7 +160,7 @@ def show_two_lamps(
     chosen: Int[np.ndarray, "photographs spheres"],
     lamps: Lamps,
 ) -> Bool[np.ndarray, " photographs"]:
-    """Photographs in which the spheres agree on a second lamp, too.
+    """Photographs in which the spheres agree on a second lamp.
 
     It is about as bright as the first, and elsewhere. A highlight on the only sphere
     must be brighter, since it may be something else that is mirrored.
@@ -266,7 +269,7 @@ class LampEstimate(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """What residuals depend on besides the unknowns; entries are one lamp or highlight.
+    """Constants of the residuals; entries are one lamp, highlight or sphere.
 
     Unknowns are two turns of each lamp along `tangents` from `start`, inverse distances
     (one for each, one for all, or none), and moves of the chrome spheres' outlines and
@@ -342,7 +345,6 @@ def solve_lamps(
     lamps: Lamps,
     reference: Float[np.ndarray, "3"],
     matte: Matte | None = None,
-    shaded: Float[np.ndarray, "photographs 3"] | None = None,
 ) -> LampEstimate:
     """All lamps and the spheres' places together, by least squares.
 
@@ -357,7 +359,6 @@ def solve_lamps(
 
     - `chosen`: as of [`choose`][]; each photograph has one, or `matte`.
     - `reference`: the point, in the camera's axes, that directions are counted from.
-    - `shaded`: directions by the shading of the matte sphere.
 
     ??? cite "Source"
         Förstner, *Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten*,
@@ -371,7 +372,7 @@ def solve_lamps(
     hold = np.eye(5) if matte is None else np.linalg.cholesky(matte.covariance)
     several = len(lamp) > len(np.unique(lamp)) or matte is not None
     distances = count if lamps == "near" else int(several)
-    shaded = np.zeros((count, 3)) if shaded is None else shaded
+    shaded = np.zeros((count, 3)) if matte is None else matte.shaded
     directions, inverse = _start(lamp, candidates, shown, shaded, lamps, reference)
     problem = _Problem(
         lamp,
@@ -405,7 +406,7 @@ def solve_lamps(
             shading = shade(here, problem.start, problem.tangents, problem.about[0])
             problem = problem._replace(shading=shading)
         solution, problem = _weighted(residuals, problem, begin, upper)
-        estimate = _estimate(solution, problem, distances, matte)
+        estimate = _estimate(solution, problem, matte)
         moved = angles(problem.start, estimate.directions)
         variances = np.diag(estimate.joint)[:-5].reshape(-1, 3)
         near = moved < 0.02 * np.sqrt(variances[:, :2].sum(axis=1))
@@ -459,8 +460,8 @@ def _weighted(
     highlights, spheres = 2 * len(problem.lamp), 3 * len(problem.chrome.outlines)
     ranks = np.array([highlights, problem.shading.rank])
     groups = slice(0, highlights), slice(highlights + spheres, -5)
-    while True:
-        solution = least_squares(residuals, begin, problem, upper=upper)
+    solution = least_squares(residuals, begin, problem, upper=upper)
+    for _ in range(SCALINGS):
         squared = [np.sum(solution.residual[group] ** 2) for group in groups]
         taken = [np.sum(solution.hat[group]) for group in groups]
         # Few degrees of freedom leave them near 1: stated errors hold.
@@ -468,15 +469,18 @@ def _weighted(
         scales = np.sqrt(squared / (np.maximum(ranks - taken, 0) + 4))
         scales[1] = max(scales[1], 1.0)
         if np.allclose(problem.scales, scales, rtol=0.02):
-            return solution, problem
-        begin, problem = solution.values, problem._replace(scales=scales)
+            break
+        problem = problem._replace(scales=scales)
+        solution = least_squares(residuals, solution.values, problem, upper=upper)
+    return solution, problem
 
 
 def _estimate(
-    solution: Solution, problem: _Problem, distances: int, matte: Matte | None
+    solution: Solution, problem: _Problem, matte: Matte | None
 ) -> LampEstimate:
     at = _unpack(solution.values, problem)
     count, spheres = len(problem.start), len(problem.chrome.outlines)
+    distances = len(solution.values) - 2 * count - 3 * spheres - 5
     # From unknowns to the numbers of each lamp, and of the place.
     each, taken = np.arange(count), np.zeros((3 * count + 5, len(solution.values)))
     taken[3 * each, 2 * each] = taken[3 * each + 1, 2 * each + 1] = 1

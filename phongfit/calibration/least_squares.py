@@ -45,7 +45,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     program = jax.jit(function, compiler_options=compiler_options())
 
     def run(*args: Any) -> Any:
-        # Python's numbers would be of another type than NumPy's, and compile anew.
+        # A Python number has another type than one of NumPy: JAX would compile twice.
         args = jax.tree.map(np.asarray, args)
         with (
             jax.enable_x64(True),

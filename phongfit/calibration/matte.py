@@ -130,9 +130,10 @@ class Matte(NamedTuple):
     - `covariance`: of the numbers that move the place.
     - `view`: the camera.
     - `reference`: the point that lamps' directions are counted from.
-    - `model`: light of a lamp of strength 1, with its Jacobian: see `lit_by`.
-    - `ambient`, `ambient_error`: light of the room on it.
     - `film`: how light became the numbers of the photographs' files.
+    - `model`: light of a lamp of strength 1, with its Jacobian: see `lit_by`.
+    - `shaded`: lamps' directions by the shading, or zeros: `shaded_directions`.
+    - `ambient`, `ambient_error`: light of the room on it.
     """
 
     light: Float[np.ndarray, "count height width 3"]
@@ -142,16 +143,18 @@ class Matte(NamedTuple):
     covariance: Float[np.ndarray, "5 5"]
     view: View
     reference: Float[np.ndarray, "3"]
-    model: Callable[..., Any]
     film: Film
-    ambient: Float[np.ndarray, "3"] = np.zeros(3)
-    ambient_error: Float[np.ndarray, "3"] = np.zeros(3)
+    model: Callable[..., Any]
+    shaded: Float[np.ndarray, "count 3"]
+    ambient: Float[np.ndarray, "3"]
+    ambient_error: Float[np.ndarray, "3"]
 
     def of(self, photographs: Any) -> "Matte":
         """The sphere in some of the photographs."""
         light, white = self.points.light[photographs], self.points.white[photographs]
         points = self.points._replace(light=light, white=white)
-        return self._replace(light=self.light[photographs], points=points)
+        light, shaded = self.light[photographs], self.shaded[photographs]
+        return self._replace(light=light, points=points, shaded=shaded)
 
     def lit_by(
         self,
@@ -180,8 +183,11 @@ def matte_sphere(
 ) -> Matte:
     """A matte sphere, from its surroundings in each photograph."""
     points = points_on(light, corner, place.outline)
+    normals = seen(points.pixel, place.outline, view, 1.0).normal
+    shaded = shaded_directions(points, normals)
     model = differentiated(functools.partial(_lambertian, view))
-    return Matte(light, corner, points, place, covariance, view, reference, model, film)
+    given = light, corner, points, place, covariance, view, reference, film
+    return Matte(*given, model, shaded, *room_light(points, normals, shaded))
 
 
 def _lambertian(
@@ -254,27 +260,20 @@ def shaded_directions(
     return np.array(found)
 
 
-class RoomLight(NamedTuple):
-    """Light of the room on a sphere, by channel, and its standard deviation."""
-
-    light: Float[np.ndarray, "3"]
-    error: Float[np.ndarray, "3"]
-
-
 def room_light(
     points: Points,
     normals: Float[np.ndarray, "points 3"],
     directions: Float[np.ndarray, "lamps 3"],
-) -> RoomLight:
-    r"""Light of the room on the matte sphere: what is there on its side in shadow.
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    r"""Light of the room on the matte sphere's side in shadow, and its standard error.
 
-    The median of the photographs; 0 where none shows enough of that side. (As one more
-    unknown of a fit it could not be told from a sphere that is not quite Lambert's.)
+    The median of the photographs; 0 where none shows enough of that side. (An unknown
+    of the fit would compensate for spheres that do not follow Lambert's law.)
 
-    Nothing is darker than black: noise of standard deviation $\sigma$ makes of no light
-    at all $\sigma / \sqrt{2 \pi}$ on average. What clipping added is subtracted, and is
-    part of the error, too, as it is known to no better than its size; so is the scatter
-    of photographs, since light that comes from the lamps by way of the room differs.
+    Nothing is darker than black: clipped noise of standard deviation $\sigma$ has the
+    mean $\sigma / \sqrt{2 \pi}$ where there is no light. This bias is subtracted, and
+    added to the error, as it is uncertain by its own size. The error includes the
+    scatter of the photographs, since lamps light the room differently.
     """
     found, noise = [], []
     for light, white, direction in zip(
@@ -288,11 +287,11 @@ def room_light(
             rest = light[lit] - normals[lit] @ shade
             noise.append([robust_scale(channel) for channel in rest.T])
     if not found:
-        return RoomLight(np.zeros(3), np.zeros(3))
+        return np.zeros(3), np.zeros(3)
     shown, sigma = np.median(found, axis=0), np.median(noise, axis=0)
     light = np.array([_unclipped(*one) for one in zip(shown, sigma, strict=True)])
     scatter = [robust_scale(channel) for channel in (found - shown).T]
-    return RoomLight(light, np.hypot(shown - light, scatter))
+    return light, np.hypot(shown - light, scatter)
 
 
 def _unclipped(mean: float, sigma: float) -> float:
@@ -468,25 +467,24 @@ def rounding(
     rng, errors = np.random.default_rng(0), np.zeros((DRAWS, len(strengths), 3))
     model, models = compiled(functools.partial(_lambertian, matte.view)), []
     for lamp in lamps:
-        shade = np.zeros(disc.shape)
+        shade = np.zeros((*disc.shape, 1))
         at = pixels[disc], matte.place, matte.reference
-        shade[disc] = model(np.zeros(8), *at, *lamp)
+        shade[disc, 0] = model(np.zeros(8), *at, *lamp)
         models.append(shade)
+    known = np.flatnonzero(np.isfinite(strengths).all(axis=1))
     for draw in errors:
         widest = 1.0 if film.jpeg is None else film.jpeg.widest
         shift = rng.uniform(-widest, widest, 3).astype(np.float32)
         share = np.float32(1 - BRIGHTER * rng.uniform())
-        for number, (shade, strength) in enumerate(zip(models, strengths, strict=True)):
-            if not np.isfinite(strength).all():
-                continue
-            own = shade[..., None] * strength
-            canvas = np.where(disc[..., None], own + matte.ambient, around[number])
+        for number in known:
+            shade, strength = models[number], strengths[number]
+            own = shade * strength + matte.ambient
+            canvas = np.where(disc[..., None], own, around[number])
             read = _read_back(film, canvas, share, shift) - matte.ambient
-            for channel in range(3):
-                lit = inside & (shade > LIT) & (canvas[..., channel] < WHITE)
-                if lit.sum() > 0:
-                    found = _strength(shade[lit], read[..., channel][lit])
-                    draw[number, channel] = found - strength[channel]
+            weight = shade * (inside[..., None] & (shade > LIT) & (canvas < WHITE))
+            squares = np.maximum((weight * shade).sum(axis=(0, 1)), 1e-12)
+            draw[number] = (weight * (read - shade * strength)).sum(axis=(0, 1))
+            draw[number] /= squares
     flat = errors.reshape(DRAWS, size)
     return flat.T @ flat / DRAWS
 

@@ -216,8 +216,8 @@ class _Samples(NamedTuple):
     - `number`: M.
     - `share`: q.
     - `block`: of those whose errors are correlated.
-    - `sound`: which may be used. What is black or white is among them: its expected
-        number decides, since noise would choose among those that are.
+    - `sound`: which may be used. Black and white numbers are included: the expected
+        number decides on them, since the number itself would select by noise.
     - `room`: whether there is light of the room, a.
     """
 
@@ -445,7 +445,7 @@ def _fit(samples: _Samples) -> Response:
     rest = _errors(light, samples, weights, 0.0)
     lit = _lit(samples, weights.number - rest, weights.sigma)
     count, freedom = np.count_nonzero(lit), _freedom(samples, lit) - SPLINES
-    # A room without light has an uncertain light, too: no bound at 0 here.
+    # The light of a dark room is uncertain: no bound at 0 here.
     jacobian = residual(theta, samples, weights, -np.inf)[1][: rest.size]
     root = np.sqrt(weights.used)
     u = rest / (TUKEY * weights.sigma)
@@ -482,7 +482,7 @@ def _fit(samples: _Samples) -> Response:
         freedom = max(float(np.trace(known)), 1.0)
         return _checked(light, other, max(more, 0.0), freedom, (low, high))
 
-    # What lies flat to the last digit still rises.
+    # Rounding could make parts flat, which a response curve may not be.
     curve = np.interp(NUMBERS, GRID, light) + 1e-9 * NUMBERS
     return Response(
         ResponseCurve((curve / curve[-1]).tolist()),
@@ -533,7 +533,7 @@ def _solve(
 def _lit(samples: _Samples, expected: np.ndarray, sigma: float) -> np.ndarray:
     """Samples that count: shadows, and what is neither black nor white.
 
-    Where noise might have made a number black or white, the expected number decides.
+    The expected number decides if noise might have made the number black or white.
     """
     number, near = samples.number, min(5 * sigma, 0.1)
     dark = np.where(number < DARKEST + near, expected, number) < DARKEST
