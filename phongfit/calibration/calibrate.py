@@ -1,38 +1,43 @@
 """`calibrate`: from photographs with spheres in them to lamps, with errors."""
 
+import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from phongfit.calibration.highlights import Highlight, find_highlights
 from phongfit.calibration.lamps import (
+    Candidates,
     Chrome,
     LampEstimate,
     Lamps,
     angles,
     choose,
+    follow,
     show_two_lamps,
     solve_lamps,
 )
+from phongfit.calibration.least_squares import differentiated
 from phongfit.calibration.matte import (
     DARK,
     Matte,
     Place,
     Strengths,
     find_strengths,
+    matte_sphere,
     overexposed,
-    room_light,
-    shaded_directions,
 )
 from phongfit.calibration.outlines import (
     SMALLEST,
     View,
-    across,
     as_circle,
+    dots,
     sphere_behind,
+    unit,
 )
 from phongfit.calibration.result import CalibratedSphere, Calibration, Lamp
 from phongfit.calibration.spheres import (
@@ -52,7 +57,7 @@ from phongfit.edge import checked, shown
 from phongfit.rendering.film import Film
 
 DISAGREEING = 5.0
-"""A highlight this many standard deviations from its lamp's place is another's."""
+"""Highlights further from their lamp than this, in σ, are of something else."""
 
 BEST = np.radians(0.03)
 """No direction is stated to be better: lenses distort, no sphere is quite round."""
@@ -112,7 +117,21 @@ def calibrate(
     )
     spheres = _placed(outlines, crops, view, warnings)
     film = photographs.film if isinstance(photographs, Developed) else Film(clamp=False)
-    return _Session(names, view, radius, lamps, spheres, crops, film, warnings).run()
+    setup = _set_up(names, view, radius, lamps, spheres, crops, film, warnings)
+    shaded = None if setup.matte is None else setup.matte.shaded
+    mirrors = zip(crops, setup.chrome.outlines, strict=False)
+    highlights = [_highlights(crop, outline) for crop, outline in mirrors]
+    candidates = follow(highlights, setup.chrome, view)
+    chosen = choose(candidates, (len(names), len(highlights)), lamps, shaded)
+    left_out = _without_lamp(setup, chosen)
+    left_out |= _with_two_lamps(setup, candidates, chosen, left_out)
+    estimate, kept = _solve(setup, candidates, chosen, left_out)
+    strengths = _find_strengths(setup, estimate, kept)
+    _judge(setup, estimate, kept, left_out)
+    missing = np.full((1, 2), np.nan)
+    pixels = np.concatenate([candidates.pixel, missing])[chosen[kept]]
+    found = _result(setup, estimate, strengths, kept, left_out, pixels)
+    return replace(found, warnings=tuple(warnings))
 
 
 def _several(photographs: Any) -> Images:
@@ -153,7 +172,7 @@ def _outlines(
     view: View,
     warnings: list[str],
 ) -> list[tuple[Kind, Outline]]:
-    if chrome is None and matte is None:
+    if not chrome and matte is None:
         found = find_spheres(photographs, names, (view.height, view.width))
         if not found:
             raise ValueError(
@@ -198,391 +217,364 @@ def _placed(
     return spheres
 
 
-class _Session:
-    """One calibration, from placed spheres on."""
+class _Setup(NamedTuple):
+    """Spheres before a camera, as all stages of a calibration need them.
 
-    def __init__(
-        self,
-        names: tuple[str, ...],
-        view: View,
-        radius: float,
-        lamps: Lamps,
-        spheres: Sequence[CalibratedSphere],
-        crops: Sequence[Crop],
-        film: Film,
-        warnings: list[str],
-    ):
-        self.names, self.view, self.radius = names, view, radius
-        self.lamps: Lamps = lamps
-        self.spheres, self.warnings = spheres, warnings
-        both = list(zip(spheres, crops, strict=True))
-        chrome = [(s, crop) for s, crop in both if s.kind == "chrome"]
-        self.chrome = Chrome(
-            np.array([s.outline for s, _ in chrome]).reshape(-1, 3),
-            np.array([s.covariance for s, _ in chrome]).reshape(-1, 3, 3),
-            radius,
+    - `reference`: on the optical axis, as deep as the spheres are.
+    - `warnings`: stages add to them.
+    """
+
+    names: tuple[str, ...]
+    view: View
+    radius: float
+    lamps: Lamps
+    spheres: Sequence[CalibratedSphere]
+    chrome: Chrome
+    matte: Matte | None
+    reference: Float[np.ndarray, "3"]
+    warnings: list[str]
+
+    def warn(self, code: str, words: str, remedy: str | None = None) -> None:
+        self.warnings.append(coded(code, words, remedy))
+
+    def some_names(self, numbers: Sequence[int]) -> str:
+        """Names of some photographs, not too many."""
+        names = ", ".join(self.names[number] for number in numbers[:3])
+        return names + (" …" if len(numbers) > 3 else "")
+
+
+def _set_up(
+    names: tuple[str, ...],
+    view: View,
+    radius: float,
+    lamps: Lamps,
+    spheres: Sequence[CalibratedSphere],
+    crops: Sequence[Crop],
+    film: Film,
+    warnings: list[str],
+) -> _Setup:
+    if lamps == "near" and len(spheres) < 2:
+        raise ValueError(
+            "lamps: expected two spheres to see how far near lamps are, got one"
         )
-        self.chrome_crops = [crop for _, crop in chrome]
-        mattes = [(s, crop) for s, crop in both if s.kind == "matte"]
-        if lamps == "near" and len(both) < 2:
-            raise ValueError(
-                "lamps: expected two spheres to see how far near lamps are, got one"
+    chrome = [sphere for sphere in spheres if sphere.kind == "chrome"]
+    outlines = np.array([sphere.outline for sphere in chrome]).reshape(-1, 3)
+    spread = np.array([sphere.covariance for sphere in chrome]).reshape(-1, 3, 3)
+    given = np.array([sphere.outline for sphere in chrome or spheres])
+    depth = sphere_behind(given, view, radius)[:, 2].mean()
+    reference, matte = np.array([0, 0, depth]), None
+    if spheres[-1].kind == "matte":
+        place, covariance = _matte_place(spheres[-1], outlines, view, radius, lamps)
+        crop = crops[-1]
+        at = crop.light, crop.corner, place, covariance
+        matte = matte_sphere(*at, view, reference, film)
+    mirrors = Chrome(outlines, spread, radius)
+    known = names, view, radius, lamps, spheres
+    return _Setup(*known, mirrors, matte, reference, warnings)
+
+
+def _matte_place(
+    sphere: CalibratedSphere,
+    chrome: Float[np.ndarray, "spheres 3"],
+    view: View,
+    radius: float,
+    lamps: Lamps,
+) -> tuple[Place, Float[np.ndarray, "5 5"]]:
+    """The matte sphere's place, as deep as the others to begin with."""
+    near, other = lamps == "near", len(chrome) > 0
+    if other and view.focal is not None:
+        depths = sphere_behind(chrome, view, radius)[:, 2]
+        radius = depths.mean() / sphere_behind(sphere.outline, view, 1.0)[2]
+    elif other:
+        radius *= sphere.outline[2] / chrome[:, 2].mean()
+    covariance = np.zeros((5, 5))
+    covariance[:3, :3] = sphere.covariance
+    covariance[3, 3] = (0.3 if near and other else 0.05 if other else 1e-6) ** 2
+    covariance[4, 4] = (0.7 if near else 1e-6) ** 2
+    return Place(sphere.outline, float(radius), 1.0 if near else 0.0), covariance
+
+
+def _highlights(crop: Crop, outline: Outline) -> list[list[Highlight]]:
+    """Candidates for the lamp on one sphere, by photograph; none where it is dark."""
+    grey = crop.grey
+    still = grey.min(axis=0) if len(grey) >= 4 else None
+    glints = grey.max(axis=(1, 2))
+    dark = DARK * np.median(glints)
+    found = []
+    for image, glint in zip(grey, glints, strict=True):
+        inside = crop.within(outline)
+        ones = find_highlights(image, inside, still) if glint > dark else []
+        found.append([one._replace(pixel=one.pixel + crop.corner) for one in ones])
+    return found
+
+
+def _without_lamp(
+    setup: _Setup,
+    chosen: Int[np.ndarray, "photographs spheres"],
+) -> dict[int, str]:
+    """Photographs in which no lamp is seen, or only half of what places one."""
+    white, shows = np.zeros(len(chosen), bool), (chosen >= 0).sum(axis=1)
+    if setup.matte is not None:
+        white = overexposed(setup.matte.points)
+        shows = shows + setup.matte.shaded.any(axis=1)
+    left_out: dict[int, str] = {}
+    for number, count in enumerate(shows):
+        if count == 0:
+            left_out[number] = "no highlight is seen on a sphere, and " + (
+                "the matte one is overexposed" if white[number] else "no shading"
             )
-        centres = sphere_behind(
-            np.array([s.outline for s, _ in (chrome or mattes)]), view, radius
+        elif setup.lamps == "near" and count < 2:
+            left_out[number] = (
+                "one sphere alone shows its lamp, which near lamps need two for"
+            )
+    if len(left_out) == len(chosen):
+        raise ValueError(
+            "photographs: in none of them a lamp is seen on the spheres; "
+            + ("expose less" if white.any() else "are the circles right?")
         )
-        # On the optical axis, as deep as the spheres are.
-        self.reference = np.array([0, 0, centres[:, 2].mean()])
-        self.matte = self._matte(*mattes[0], film) if mattes else None
+    return left_out
 
-    def _matte(self, sphere: CalibratedSphere, crop: Crop, film: Film) -> Matte:
-        """The matte sphere, as deep as the others to begin with."""
-        near, other = self.lamps == "near", len(self.chrome.outlines) > 0
-        radius = self.radius
-        if other:
-            depth = sphere_behind(sphere.outline, self.view, 1.0)[2]
-            if self.view.focal is not None:
-                radius = self.reference[2] / depth
-            else:
-                radius *= sphere.outline[2] / self.chrome.outlines[:, 2].mean()
-        covariance = np.zeros((5, 5))
-        covariance[:3, :3] = sphere.covariance
-        covariance[3, 3] = (0.3 if near and other else 0.05 if other else 1e-6) ** 2
-        covariance[4, 4] = (0.7 if near else 1e-6) ** 2
-        place = Place(sphere.outline, float(radius), 1.0 if near else 0.0)
-        matte = Matte(
-            crop.light, crop.corner, place, covariance, self.view, self.reference
+
+def _with_two_lamps(
+    setup: _Setup,
+    candidates: Candidates,
+    chosen: Int[np.ndarray, "photographs spheres"],
+    left_out: dict[int, str],
+) -> dict[int, str]:
+    """Photographs under two lamps; with one sphere alone these get a warning.
+
+    **Raises:** `ValueError` if no photograph is left.
+    """
+    double = np.flatnonzero(show_two_lamps(candidates, chosen, setup.lamps)).tolist()
+    if len(double) and len(setup.chrome.outlines) < 2:
+        words = "the sphere shows two highlights that are alike"
+        setup.warn("two-highlights", f"{setup.some_names(double)}: {words}")
+        return {}
+    if len({*double, *left_out}) == len(chosen):
+        raise ValueError(
+            "photographs: expected one lamp in each, got two in "
+            f"{setup.names[double[0]]} and none that can be used"
         )
-        return matte._replace(film=film)
+    return dict.fromkeys(double, "it shows two lamps")
 
-    def run(self) -> Calibration:
-        shaded = None
-        if self.matte is not None:
-            shaded = shaded_directions(self.matte)
-            light, error = room_light(self.matte, shaded)
-            self.matte = self.matte._replace(ambient=light, ambient_error=error)
-        on_spheres = [
-            self._candidates(crop, outline)
-            for crop, outline in zip(
-                self.chrome_crops, self.chrome.outlines, strict=True
-            )
-        ]
-        candidates = [
-            [found[number] for found in on_spheres] for number in range(len(self.names))
-        ]
-        chosen = choose(candidates, self.chrome, self.view, self.lamps, shaded)
-        left_out: dict[int, str] = {}
-        self._leave_out_unseen(chosen, shaded, left_out)
-        self._leave_out_double(candidates, chosen, left_out)
-        estimate, kept = self._solve(chosen, left_out)
-        return self._result(estimate, kept, left_out, shaded, chosen)
 
-    def _candidates(self, crop: Crop, outline: Outline) -> list[list[Highlight]]:
-        """What may be the lamp on one sphere, by photograph; none where it is dark."""
-        grey = crop.grey
-        still = grey.min(axis=0) if len(grey) >= 4 else None
-        glints = grey.max(axis=(1, 2))
-        dark = DARK * np.median(glints)
-        return [
-            _shifted(find_highlights(image, crop.within(outline), still), crop.corner)
-            if glint > dark
-            else []
-            for image, glint in zip(grey, glints, strict=True)
-        ]
-
-    def _leave_out_unseen(
-        self,
-        chosen: list[list[Highlight | None]],
-        shaded: np.ndarray | None,
-        left_out: dict[int, str],
-    ) -> None:
-        """Photographs in which no lamp is seen, or only half of what places one."""
-        white = np.zeros(len(chosen), bool)
-        if self.matte is not None:
-            white = overexposed(self.matte)
-        for number, row in enumerate(chosen):
-            shows = sum(one is not None for one in row)
-            shows += int(shaded is not None and shaded[number].any())
-            if shows == 0:
-                left_out[number] = "no highlight is seen on a sphere, and " + (
-                    "the matte one is overexposed" if white[number] else "no shading"
+def _solve(
+    setup: _Setup,
+    candidates: Candidates,
+    chosen: Int[np.ndarray, "photographs spheres"],
+    left_out: dict[int, str],
+) -> tuple[LampEstimate, list[int]]:
+    """The lamps of the photographs that agree; others are added to `left_out`."""
+    while True:
+        kept = [n for n in range(len(chosen)) if n not in left_out]
+        estimate = solve_lamps(
+            candidates,
+            chosen[kept],
+            setup.chrome,
+            setup.view,
+            setup.lamps,
+            setup.reference,
+            None if setup.matte is None else setup.matte.of(kept),
+        )
+        beyond = estimate.inverse_distances <= 0
+        if setup.lamps == "near" and beyond.any():
+            if beyond.all():
+                raise ValueError(
+                    "lamps: expected near ones, got rays from the spheres that do not "
+                    "meet; are the lamps distant?"
                 )
-            elif self.lamps == "near" and shows < 2:
-                left_out[number] = (
-                    "one sphere alone shows its lamp, which near lamps need two for"
-                )
-        if len(left_out) == len(chosen):
-            raise ValueError(
-                "photographs: in none of them a lamp is seen on the spheres; "
-                + ("expose less" if white.any() else "are the circles right?")
-            )
-
-    def _leave_out_double(
-        self,
-        candidates: list[list[list[Highlight]]],
-        chosen: list[list[Highlight | None]],
-        left_out: dict[int, str],
-    ) -> None:
-        """Photographs under two lamps; one sphere alone is not enough to say so."""
-        twice = show_two_lamps(candidates, chosen, self.chrome, self.view, self.lamps)
-        double = np.flatnonzero(twice).tolist()
-        if len(self.chrome.outlines) < 2:
-            if double:
-                names = ", ".join(self.names[number] for number in double[:3])
-                self._warn(
-                    "two-highlights",
-                    f"{names}{' …' if len(double) > 3 else ''}: the sphere shows two "
-                    "highlights that are alike",
-                )
-            return
-        left_out |= {number: "it shows two lamps" for number in double}
-        if len(left_out) == len(chosen):
-            raise ValueError(
-                "photographs: expected one lamp in each, got two in "
-                f"{self.names[double[0]]} and none that can be used"
-            )
-
-    def _solve(
-        self, chosen: list[list[Highlight | None]], left_out: dict[int, str]
-    ) -> tuple[LampEstimate, list[int]]:
-        """The lamps, without photographs that disagree with all the others."""
-        while True:
-            kept = [n for n in range(len(chosen)) if n not in left_out]
-            matte = self.matte
-            if matte is not None:
-                matte = matte._replace(light=matte.light[kept])
-            estimate = solve_lamps(
-                [chosen[n] for n in kept],
-                self.chrome,
-                self.view,
-                self.lamps,
-                self.reference,
-                matte,
-            )
-            if not len(self.chrome.outlines):
+            wrong, why = beyond, "its lamp is not near: the rays do not meet"
+        else:
+            wrong = np.nanmax(estimate.residuals, axis=1, initial=0) > DISAGREEING
+            why = "its spheres disagree on where the lamp is"
+            if not wrong.any() or (~wrong).sum() < 2:
                 return estimate, kept
-            worst = np.nanmax(
-                np.where(np.isfinite(estimate.residuals), estimate.residuals, 0), axis=1
-            )
-            wrong = [n for n, far in zip(kept, worst, strict=True) if far > DISAGREEING]
-            if not wrong or len(kept) - len(wrong) < 2:
-                return estimate, kept
-            for n in wrong:
-                left_out[n] = "its spheres disagree on where the lamp is"
+        left_out |= {kept[n]: why for n in np.flatnonzero(wrong)}
 
-    def _result(
-        self,
-        estimate: LampEstimate,
-        kept: list[int],
-        left_out: dict[int, str],
-        shaded: np.ndarray | None,
-        chosen: list[list[Highlight | None]],
-    ) -> Calibration:
-        strengths = self._strengths(estimate, kept)
-        lamps, rows, used = [], [], []
-        floor = np.diag([BEST**2 / 2, BEST**2 / 2, 0])
-        joint = estimate.joint.copy()
-        joint[:-5, :-5] += np.kron(np.eye(len(kept)), floor)
-        together = strengths.slopes @ joint
-        spread = strengths.covariance + together @ strengths.slopes.T
-        errors = np.sqrt(np.diag(spread)).reshape(-1, 3)
-        for place, number in enumerate(kept):
-            direction = estimate.directions[place]
-            mine = slice(3 * place, 3 * place + 3)
-            covariance = joint[mine, mine]
-            tangent = across(direction)
-            # Of the direction, or of the place: d(u / w) = du / w − u dw / w².
-            columns = np.concatenate([tangent.T, np.zeros((3, 1))], axis=1)
-            position = None
-            if self.lamps == "near":
-                inverse = estimate.inverse_distances[place]
-                if inverse <= 0:
-                    left_out[number] = "its lamp is not near: the rays do not meet"
-                    continue
-                position = self.reference + direction / inverse
-                columns = np.concatenate(
-                    [tangent.T / inverse, -direction[:, None] / inverse**2], axis=1
-                )
-            row = np.zeros((3, len(joint)))
-            row[:, mine] = columns
-            rows.append(row)
-            used += range(3 * place, 3 * place + 3)
-            lamps.append(
-                Lamp(
-                    self.names[number],
-                    direction,
-                    position,
-                    columns @ covariance @ columns.T,
-                    float(np.degrees(np.sqrt(np.trace(covariance[:2, :2])))),
-                    strengths.intensity[place],
-                    np.where(
-                        np.isfinite(strengths.intensity[place]), errors[place], np.nan
-                    ),
-                    _pixels(chosen[number]),
-                )
-            )
-        falloff = 1.0 if estimate.place is None else estimate.place.falloff
-        self._judge(estimate, kept, left_out, shaded, falloff)
-        # Chrome spheres come first, and a matte one may follow.
-        outlines = list(estimate.outlines)
-        outlines += [] if estimate.place is None else [estimate.place.outline]
-        spheres = [
-            sphere._replace(outline=outline)
-            for sphere, outline in zip(self.spheres, outlines, strict=True)
-        ]
-        by_place = np.array(rows).reshape(-1, len(joint))
-        covariance = by_place @ joint @ by_place.T
-        if np.isfinite([lamp.intensity for lamp in lamps]).all():
-            # With strengths, and how light falls off.
-            by_falloff = np.eye(len(joint))[-1:]
-            every = np.concatenate([by_place, strengths.slopes[used], by_falloff])
-            own = np.zeros((len(every), len(every)))
-            place = len(by_place) + np.arange(len(used))
-            own[np.ix_(place, place)] = strengths.covariance[np.ix_(used, used)]
-            covariance = every @ joint @ every.T + own
-        if self.lamps == "near" and self.view.focal is not None:
-            lamps, covariance = self._of_any_scale(lamps, covariance)
-        return Calibration(
-            self.view,
-            tuple(lamps),
-            tuple(spheres),
-            self.radius,
-            self.reference,
-            falloff if self.lamps == "near" else 0.0,
-            strengths.ambient,
-            {self.names[n]: why for n, why in sorted(left_out.items())},
-            tuple(self.warnings),
-            self._view_height(spheres),
-            covariance,
-            estimate.falloff_error if self.lamps == "near" else 0.0,
-            strengths.ambient_error,
+
+def _find_strengths(
+    setup: _Setup, estimate: LampEstimate, kept: list[int]
+) -> Strengths:
+    """Strengths of the lamps, `nan` without a matte sphere."""
+    if setup.matte is None or estimate.place is None:
+        setup.warn("no-matte", "no matte sphere: how strong the lamps are is not known")
+        size = 3 * len(kept)
+        nothing, none = np.full((len(kept), 3), np.nan), np.zeros((size, size))
+        return Strengths(nothing, none, np.zeros((size, size + 5)))
+    matte = setup.matte.of(kept)._replace(place=estimate.place)
+    lamps = estimate.directions, estimate.tangents, estimate.inverse_distances
+    found = find_strengths(matte, *lamps)
+    dark = ~np.isfinite(found.intensity).all(axis=1)
+    if dark.any():
+        white = overexposed(matte.points)[dark].all()
+        setup.warn(
+            "strength-unknown",
+            f"{setup.some_names([kept[n] for n in np.flatnonzero(dark)])}: the matte "
+            f"sphere is {'overexposed' if white else 'hardly lit'}, and does not "
+            "say how strong the lamp is",
         )
+    return found
 
-    def _of_any_scale(
-        self, lamps: list[Lamp], covariance: np.ndarray
-    ) -> tuple[list[Lamp], np.ndarray]:
-        """With how far away all of it may be: as far as the spheres' size is unknown.
 
-        Everything that is as much further away from a pinhole looks the same. Rims of
-        mirrors err alike. Strengths are those at the reference point, which stays.
-        """
-        if not len(self.chrome.outlines):
-            return lamps, covariance
-        relative = np.sqrt(self.chrome.covariances[:, 2, 2])
-        relative = relative / self.chrome.outlines[:, 2]
-        scale, count = float(relative.mean()), len(lamps)
-        places = np.array([lamp.position for lamp in lamps])
-        offset = places - self.reference
-        brighter = -2 * (offset @ self.reference) / np.sum(offset**2, axis=1)
-        shares = np.array([lamp.intensity for lamp in lamps])
-        strengths = shares * brighter[:, None]
-        # They are over their mean, which is no error of theirs.
-        known = np.isfinite(strengths)
-        strengths -= shares * (strengths[known].sum() / max(known.sum(), 1))
-        moved = scale * np.concatenate([places.ravel(), strengths.ravel(), [0]])
-        moved = moved[: len(covariance)]
-        covariance = covariance + np.outer(moved, moved)
-        errors = np.hypot(
-            [lamp.intensity_error for lamp in lamps], scale * np.abs(strengths)
+def _numbers(
+    near: bool, step: Any, estimate: Any, strengths: Any, known: Any, reference: Any
+) -> Any:
+    """Positions or directions, strengths, and the fall-off, about an estimate.
+
+    A step has the numbers of `estimate.joint`, errors of strengths, and the logarithm
+    of the factor by which all is further from the camera: that looks the same to a
+    pinhole. Strengths are those at the reference point, which stays, over their mean.
+    """
+    size = strengths.slopes.shape[1]
+    joint, errors, scale = jnp.split(step, (size, 2 * size - 5))
+    own = joint[:-5].reshape(-1, 3)
+    turned = jnp.einsum("li,lij->lj", own[:, :2], estimate.tangents)
+    places = unit(estimate.directions + turned)
+    moved = strengths.slopes @ joint + errors
+    strength = strengths.intensity + moved.reshape(-1, 3)
+    if near:
+        offset = (
+            jnp.exp(scale) * places / (estimate.inverse_distances + own[:, 2])[:, None]
         )
-        blocks = [slice(3 * k, 3 * k + 3) for k in range(count)]
-        wider = [
-            replace(lamp, covariance=covariance[mine, mine], intensity_error=error)
-            for lamp, mine, error in zip(lamps, blocks, errors, strict=True)
-        ]
-        return wider, covariance
+        places = jnp.exp(scale) * reference + offset
+        nearer = dots(offset, offset) / dots(places - reference, places - reference)
+        strength = strength * nearer
+    mean = jnp.sum(strength * known) / jnp.maximum(jnp.sum(known), 1)
+    strength = strength / jnp.where(mean > 0, mean, 1)
+    return jnp.concatenate([places.ravel(), strength.ravel(), joint[-1:]])
 
-    def _view_height(self, spheres: Sequence[CalibratedSphere]) -> float | None:
-        """Of parallel rays: a pixel has the size that the spheres' radius gives it."""
-        if self.view.fov_y is not None:
-            return None
-        sizes = [s.outline[2] for s in spheres if s.kind == "chrome"]
-        sizes = sizes or [s.outline[2] for s in spheres]
-        return float(self.view.height * self.radius / np.mean(sizes))
 
-    def _strengths(self, estimate: LampEstimate, kept: list[int]) -> Strengths:
-        if self.matte is None:
-            self._warn(
-                "no-matte", "no matte sphere: how strong the lamps are is not known"
+def _result(
+    setup: _Setup,
+    estimate: LampEstimate,
+    strengths: Strengths,
+    kept: list[int],
+    left_out: dict[int, str],
+    pixels: Float[np.ndarray, "lamps spheres 2"],
+) -> Calibration:
+    """Lamps with their joint covariance, to first order."""
+    near, count, chrome = setup.lamps == "near", len(kept), setup.chrome
+    known = np.isfinite(strengths.intensity)
+    mean = strengths.intensity[known].mean() if known.any() else 1.0
+    mean = mean if mean > 0 else 1.0
+    floor = np.diag([BEST**2 / 2, BEST**2 / 2, 0])
+    joint = estimate.joint.copy()
+    joint[:-5, :-5] += np.kron(np.eye(count), floor)
+    scale = 0.0
+    if near and setup.view.focal is not None and len(chrome.outlines):
+        # Errors of all radii are equal, since rims of mirrors look alike.
+        sizes = chrome.outlines[:, 2]
+        scale = float(np.mean(np.sqrt(chrome.covariances[:, 2, 2]) / sizes))
+    from scipy.linalg import block_diag
+
+    spread = np.asarray(block_diag(joint, strengths.covariance, scale**2))
+    filled = strengths._replace(intensity=np.nan_to_num(strengths.intensity))
+    numbers = differentiated(functools.partial(_numbers, near))
+    values, slopes = numbers(
+        np.zeros(len(spread)),
+        estimate._replace(place=None),
+        filled,
+        known.astype(float),
+        setup.reference,
+    )
+    covariance = slopes @ spread @ slopes.T
+    errors = np.sqrt(np.diag(covariance))
+    places, intensity = values[:-1].reshape(2, count, 3)
+    intensity_error = errors[3 * count : -1].reshape(count, 3)
+    lamps = []
+    for number in range(count):
+        own = slice(3 * number, 3 * number + 3)
+        turns = np.trace(joint[own, own][:2, :2])
+        lamps.append(
+            Lamp(
+                setup.names[kept[number]],
+                estimate.directions[number],
+                places[number] if near else None,
+                covariance[own, own],
+                float(np.degrees(np.sqrt(turns))),
+                np.where(known[number], intensity[number], np.nan),
+                np.where(known[number], intensity_error[number], np.nan),
+                pixels[number],
             )
-            size = 3 * len(kept)
-            nothing, none = np.full((len(kept), 3), np.nan), np.zeros((size, size))
-            slopes = np.zeros((size, size + 5))
-            return Strengths(nothing, none, slopes, np.zeros(3), np.zeros(3))
-        assert estimate.place is not None
-        matte = self.matte._replace(light=self.matte.light[kept], place=estimate.place)
-        found = find_strengths(matte, estimate.directions, estimate.inverse_distances)
-        known = np.asarray(np.isfinite(found.intensity).all(axis=1))
-        if not known.all():
-            names = [
-                self.names[n] for n, one in zip(kept, known, strict=True) if not one
-            ]
-            white = overexposed(matte).all(where=~known)
-            self._warn(
-                "strength-unknown",
-                f"{', '.join(names[:3])}{' …' if len(names) > 3 else ''}: the matte "
-                f"sphere is {'overexposed' if white else 'hardly lit'}, and does not "
-                "say how strong the lamp is",
+        )
+    # Chrome spheres come first, and a matte one may follow.
+    place = estimate.place
+    outlines = [*estimate.outlines, *([] if place is None else [place.outline])]
+    spheres = tuple(
+        sphere._replace(outline=outline)
+        for sphere, outline in zip(setup.spheres, outlines, strict=True)
+    )
+    ambient, error = np.zeros(3), np.zeros(3)
+    if setup.matte is not None:
+        ambient, error = setup.matte.ambient, setup.matte.ambient_error
+    falloff = 1.0 if place is None else float(place.falloff)
+    return Calibration(
+        setup.view,
+        tuple(lamps),
+        spheres,
+        setup.radius,
+        setup.reference,
+        falloff if near else 0.0,
+        ambient / mean,
+        {setup.names[n]: why for n, why in sorted(left_out.items())},
+        (),
+        _view_height(setup, spheres),
+        covariance if known.all() else covariance[: 3 * count, : 3 * count],
+        float(errors[-1]) if near else 0.0,
+        error / mean,
+    )
+
+
+def _view_height(setup: _Setup, spheres: Sequence[CalibratedSphere]) -> float | None:
+    """Of parallel rays: a pixel has the size that the spheres' radius gives it."""
+    if setup.view.fov_y is not None:
+        return None
+    sizes = [s.outline[2] for s in spheres if s.kind == "chrome"]
+    sizes = sizes or [s.outline[2] for s in spheres]
+    return float(setup.view.height * setup.radius / np.mean(sizes))
+
+
+def _judge(
+    setup: _Setup,
+    estimate: LampEstimate,
+    kept: list[int],
+    left_out: dict[int, str],
+) -> None:
+    """Add the warnings of the whole calibration."""
+    outlines, near = setup.chrome.outlines, setup.lamps == "near"
+    for number, why in sorted(left_out.items()):
+        setup.warn("left-out", f"{setup.names[number]} is left out: {why}")
+    if len(outlines) == 1 and setup.matte is None:
+        setup.warn("one-sphere", "one sphere alone: its highlights are unchecked")
+    shown = np.isfinite(estimate.residuals).mean(axis=0)
+    for (x, y, _), share in zip(outlines, shown, strict=True):
+        if share < 0.7:
+            setup.warn(
+                "sphere-disagrees",
+                f"the highlights of the chrome sphere at {x:.0f}, {y:.0f} agree with "
+                f"the others in {share:.0%} of the photographs only",
             )
-        return found
-
-    def _judge(
-        self,
-        estimate: LampEstimate,
-        kept: list[int],
-        left_out: dict[int, str],
-        shaded: np.ndarray | None,
-        falloff: float,
-    ) -> None:
-        """Collect the warnings of the calibration."""
-        for number, why in sorted(left_out.items()):
-            self._warn("left-out", f"{self.names[number]} is left out: {why}")
-        if len(self.chrome.outlines) == 1 and self.matte is None:
-            self._warn("one-sphere", "one sphere alone: its highlights are unchecked")
-        shown = np.isfinite(estimate.residuals).mean(axis=0)
-        for sphere, share in zip(self.chrome.outlines, shown, strict=True):
-            if share < 0.7:
-                self._warn(
-                    "sphere-disagrees",
-                    f"the highlights of the chrome sphere at {sphere[0]:.0f}, "
-                    f"{sphere[1]:.0f} agree with the others in {share:.0%} of the "
-                    "photographs only",
-                )
-        if estimate.scatter > 2:
-            other = "near" if self.lamps == "distant" else "distant"
-            self._warn(
-                "spheres-disagree",
-                f"the spheres' highlights disagree by {estimate.scatter:.1f} times "
-                "their accuracy",
-                f"Check the circles, and whether the lamps are {other}",
+    if estimate.scatter > 2:
+        setup.warn(
+            "spheres-disagree",
+            f"the spheres' highlights disagree by {estimate.scatter:.1f} times "
+            "their accuracy",
+            "Check the circles, and whether the lamps are "
+            + ("distant" if near else "near"),
+        )
+    if setup.matte is not None and len(outlines) and not near:
+        shaded = setup.matte.shaded[kept]
+        apart = np.degrees(angles(shaded, estimate.directions))[shaded.any(axis=1)]
+        if len(apart) and np.median(apart) > 3:
+            setup.warn(
+                "matte-disagrees",
+                f"the matte sphere's shading is {np.median(apart):.1f}° from the "
+                "chrome spheres' highlights",
             )
-        if shaded is not None and len(self.chrome.outlines) and self.lamps == "distant":
-            apart = np.degrees(angles(shaded[kept], estimate.directions))
-            apart = apart[shaded[kept].any(axis=1)]
-            if len(apart) and np.median(apart) > 3:
-                self._warn(
-                    "matte-disagrees",
-                    f"the matte sphere's shading is {np.median(apart):.1f}° from the "
-                    "chrome spheres' highlights",
-                )
-        if self.lamps == "near" and self.matte is not None and falloff < 0.8:
-            self._warn(
-                "slow-fall-off",
-                "the lamps' light falls off more slowly than with the square of the "
-                f"distance (κ = {falloff:.2f}), as through a lens or reflector",
-            )
-
-    def _warn(self, code: str, found: str, remedy: str | None = None) -> None:
-        self.warnings.append(coded(code, found, remedy))
-
-
-def _pixels(row: Sequence[Highlight | None]) -> Float[np.ndarray, "chrome 2"]:
-    nowhere = np.full(2, np.nan)
-    found = [nowhere if one is None else one.pixel for one in row]
-    return np.array(found).reshape(-1, 2)
-
-
-def _shifted(
-    found: Sequence[Highlight], corner: Float[np.ndarray, "2"]
-) -> list[Highlight]:
-    return [one._replace(pixel=one.pixel + corner) for one in found]
+    if near and estimate.place is not None and estimate.place.falloff < 0.8:
+        setup.warn(
+            "slow-fall-off",
+            "the lamps' light falls off more slowly than with the square of the "
+            f"distance (κ = {estimate.place.falloff:.2f}), as through a lens or "
+            "reflector",
+        )

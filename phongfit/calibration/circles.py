@@ -114,25 +114,29 @@ def _placed(ring: _Ring, points: _EdgePoints, mirrors: bool = False) -> Placed:
     outline, reach = ring.outline, ring.reach
     angles, offsets, weights = points.angle, points.offset, points.weight
     away = np.stack([np.cos(angles), np.sin(angles), np.ones_like(angles)], 1)
+
+    def kernel(step: np.ndarray, width: float) -> np.ndarray:
+        """Weights of the points that are near a moved circle."""
+        return weights * np.exp(-0.5 * ((offsets - away @ step) / width) ** 2)
+
+    def moved(near: np.ndarray) -> np.ndarray:
+        """The move of the circle that weighted points agree on best."""
+        normal = away.T @ (near[:, None] * away) + 1e-9 * np.eye(3)
+        return np.linalg.solve(normal, away.T @ (near * offsets))
+
     best, highest = np.zeros(3), -np.inf
     for start in np.arange(-reach, reach + 0.1, 0.5):
-        step = np.array([0, 0, start])
+        step, near = np.array([0, 0, start]), weights
         for width in (1.5, 0.8, 0.4, 0.25, 0.25, 0.25):
-            near = weights * np.exp(-0.5 * ((offsets - away @ step) / width) ** 2)
-            normal = away.T @ (near[:, None] * away) + 1e-9 * np.eye(3)
-            step = np.linalg.solve(normal, away.T @ (near * offsets))
+            near = kernel(step, width)
+            step = moved(near)
         density = near.sum()
         if density > highest and np.abs(step).max() < 2 * reach:
             best, highest = step, density
-    if mirrors:
-        for _ in range(30):
-            rest = offsets - away @ best
-            near = weights * np.exp(-0.5 * (rest / 0.6) ** 2)
-            near *= np.where(rest > 0, OUTWARD, 1 - OUTWARD)
-            normal = away.T @ (near[:, None] * away) + 1e-9 * np.eye(3)
-            best = np.linalg.solve(normal, away.T @ (near * offsets))
-    rest = offsets - away @ best
-    near = weights * np.exp(-0.5 * (rest / 0.25) ** 2)
+    for _ in range(30 if mirrors else 0):
+        near = kernel(best, 0.6)
+        best = moved(near * np.where(offsets > away @ best, OUTWARD, 1 - OUTWARD))
+    rest, near = offsets - away @ best, kernel(best, 0.25)
     # Neighbours within the smoothing, and photographs of one edge, are one point.
     count = max(2 * np.pi * outline[2] / 3, 8)
     spread = np.sum(near * rest**2) / max(np.sum(near), 1e-9)

@@ -11,14 +11,26 @@ with a reflector or a lens, and 0 for distant lamps.
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from phongfit.calibration.outlines import Seen, View, across, seen, unit
+from phongfit.calibration.least_squares import (
+    compiled,
+    differentiated,
+    robust_scale,
+    summed_by_block,
+    tukey_weight,
+)
+from phongfit.calibration.outlines import View, seen, unit
+from phongfit.lights import AbstractLight, Illumination
+from phongfit.reflectance import lambert
 from phongfit.rendering.film import Film, decode, encode
-from phongfit.rendering.jpeg import compressed
+from phongfit.rendering.jpeg import compressed, namespace
+from phongfit.vectors import Vec3, dot, normalize
 
 LIT = 0.1
 """Smallest n·l of the pixels that are used: nearer to its edge, shade is uncertain."""
@@ -30,43 +42,82 @@ WHITE = 0.98
 """Brighter samples may have been cut off."""
 
 ENOUGH = 60
-"""Fewer pixels than this tell nothing."""
+"""Smallest number of pixels that a lamp is estimated from."""
 
 DARK = 0.03
 """A sphere this bright, of what it is in other photographs, is lit by no lamp."""
 
 MOST = 4000
-"""Pixels that are looked at: more of them err alike."""
+"""Pixels that are looked at: errors of more are correlated."""
 
 EVEN = 0.002
-"""No strength is stated to be better, as a share of it."""
-
-TUKEY = 4.7
-"""Residuals of so many standard deviations count no more (Tukey's biweight)."""
+"""Least relative error of a strength: no sphere is painted more evenly."""
 
 BLOCK = 16
-"""Neighbours up to this many pixels apart, and JPEG's blocks of colour, err alike."""
+"""Errors of pixels in such a square are correlated, as in JPEG's blocks of colour."""
+
+DRAWS = 32
+"""Number of drawn roundings of files: their covariance is known to a fifth."""
+
+SHRUNK = 96
+"""Most pixels across a sphere that is drawn: rounding of more averages out."""
+
+BRIGHTER = 0.03
+"""Each draw is up to this much brighter or darker."""
+
+
+class AnyDistanceLight(AbstractLight):
+    """A lamp at any distance from a reference point, infinity included.
+
+    Its strength is 1 at that point, and it falls off as in the module's formula.
+    """
+
+    direction: Float[Array, "3"]
+    inverse_distance: Float[Array, ""]
+    reference: Float[Array, "3"]
+    falloff: Float[Array, ""]
+
+    def illuminate(self, position: Vec3) -> Illumination:
+        # Homogeneous coordinates: in units of the distance to the reference point.
+        offset = self.inverse_distance * (self.reference - position) + self.direction
+        squared = dot(offset, offset)
+        light = jnp.full(3, 1 / (1 - self.falloff + self.falloff * squared))
+        distance = jnp.sqrt(squared) / self.inverse_distance
+        return Illumination(normalize(offset), light, light, 0 * light, distance)
 
 
 class Place(NamedTuple):
-    """How the matte sphere lies, and how light falls off on the way there.
+    """Position of the matte sphere, and the fall-off of light on the way there.
 
     - `outline`: x, y and radius in pixels.
     - `radius`: of the sphere, in the unit of the reference, which tells its depth.
-    - `falloff`: κ above, of all lamps.
+    - `falloff`: κ of the module's formula, of all lamps.
     """
 
-    outline: Float[np.ndarray, "3"]
-    radius: float
-    falloff: float
+    outline: Any
+    radius: Any
+    falloff: Any
 
-    def moved(self, step: Float[np.ndarray, "5"]) -> "Place":
+    def moved(self, step: Any) -> "Place":
         """With its outline, the logarithm of its radius and κ moved."""
-        return Place(
-            self.outline + step[:3],
-            float(self.radius * np.exp(step[3])),
-            float(np.clip(self.falloff + step[4], 0, 1.5)),
-        )
+        xp = namespace(step)
+        falloff = xp.maximum(self.falloff + step[4], 0)
+        return Place(self.outline + step[:3], self.radius * xp.exp(step[3]), falloff)
+
+
+class Points(NamedTuple):
+    """Pixels of a sphere that are looked at, and their light in each photograph.
+
+    - `block`: of pixels whose errors are correlated.
+    - `white`: what may have been cut off, and what is next to that: noise decides
+        which samples at the edge are white, and those that are not are darker than
+        they should be.
+    """
+
+    pixel: Float[np.ndarray, "points 2"]
+    block: Int[np.ndarray, " points"]
+    light: Float[np.ndarray, "count points 3"]
+    white: Bool[np.ndarray, "count points 3"]
 
 
 class Matte(NamedTuple):
@@ -74,89 +125,127 @@ class Matte(NamedTuple):
 
     - `light`: its surroundings in each photograph, linear.
     - `corner`: x and y of that part's upper left corner, pixels.
+    - `points`: those on the sphere.
     - `place`: as far as it is known.
-    - `covariance`: of what moves the place.
+    - `covariance`: of the numbers that move the place.
     - `view`: the camera.
     - `reference`: the point that lamps' directions are counted from.
-    - `ambient`, `ambient_error`: light of the room on it.
     - `film`: how light became the numbers of the photographs' files.
+    - `model`: light of a lamp of strength 1, with its Jacobian: see `lit_by`.
+    - `shaded`: lamps' directions by the shading, or zeros: `shaded_directions`.
+    - `ambient`, `ambient_error`: light of the room on it.
     """
 
     light: Float[np.ndarray, "count height width 3"]
     corner: Float[np.ndarray, "2"]
+    points: Points
     place: Place
     covariance: Float[np.ndarray, "5 5"]
     view: View
     reference: Float[np.ndarray, "3"]
-    ambient: Float[np.ndarray, "3"] = np.zeros(3)
-    ambient_error: Float[np.ndarray, "3"] = np.zeros(3)
-    film: Film = Film(clamp=False)
+    film: Film
+    model: Callable[..., Any]
+    shaded: Float[np.ndarray, "count 3"]
+    ambient: Float[np.ndarray, "3"]
+    ambient_error: Float[np.ndarray, "3"]
+
+    def of(self, photographs: Any) -> "Matte":
+        """The sphere in some of the photographs."""
+        light, white = self.points.light[photographs], self.points.white[photographs]
+        points = self.points._replace(light=light, white=white)
+        light, shaded = self.light[photographs], self.shaded[photographs]
+        return self._replace(light=light, points=points, shaded=shaded)
+
+    def lit_by(
+        self,
+        direction: Float[np.ndarray, "3"],
+        tangents: Float[np.ndarray, "2 3"],
+        inverse_distance: float,
+    ) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, "points 8"]]:
+        """Light of a lamp of strength 1, without that of the room, and its Jacobian.
+
+        By two turns along the tangents, the inverse distance, and the numbers that move
+        the sphere's place.
+        """
+        lamp = direction, tangents, inverse_distance
+        at = self.points.pixel, self.place, self.reference
+        return self.model(np.zeros(8), *at, *lamp)
 
 
-class Shading(NamedTuple):
-    """What shading says of the lamps, to first order about an estimate.
+def matte_sphere(
+    light: Float[np.ndarray, "count height width 3"],
+    corner: Float[np.ndarray, "2"],
+    place: Place,
+    covariance: Float[np.ndarray, "5 5"],
+    view: View,
+    reference: Float[np.ndarray, "3"],
+    film: Film,
+) -> Matte:
+    """A matte sphere, from its surroundings in each photograph."""
+    points = points_on(light, corner, place.outline)
+    normals = seen(points.pixel, place.outline, view, 1.0).normal
+    shaded = shaded_directions(points, normals)
+    model = differentiated(functools.partial(_lambertian, view))
+    given = light, corner, points, place, covariance, view, reference, film
+    return Matte(*given, model, shaded, *room_light(points, normals, shaded))
 
-    Of each lamp's direction along two tangents, its inverse distance, and what moves
-    the sphere's place; these last are the same for all lamps.
 
-    - `directions`, `inverse_distances`, `place`: about which it is said.
-    - `information`: inverse covariances; zeros where a photograph tells nothing.
-    - `pull`: information times the step to the best place.
+def _lambertian(
+    view: View,
+    step: Any,
+    pixel: Any,
+    place: Place,
+    reference: Any,
+    direction: Any,
+    tangents: Any,
+    inverse_distance: Any,
+) -> Any:
+    place = place.moved(step[3:])
+    turned = normalize(direction + step[:2] @ tangents)
+    inverse = inverse_distance + step[2]
+    light = AnyDistanceLight(turned, inverse, reference, place.falloff)
+    at = seen(pixel, place.outline, view, place.radius)
+    arriving = jax.vmap(light.illuminate)(at.position)
+    cosine = jax.vmap(lambert)(at.normal, arriving.to_light)
+    return arriving.intensity[:, 0] * cosine
+
+
+def points_on(
+    light: Float[np.ndarray, "count height width 3"],
+    corner: Float[np.ndarray, "2"],
+    outline: Float[np.ndarray, "3"],
+) -> Points:
+    """Some of the pixels within an outline, evenly spread.
+
+    **Arguments:** `light`, `corner`: as of [`Matte`][].
     """
-
-    directions: Float[np.ndarray, "lamps 3"]
-    inverse_distances: Float[np.ndarray, " lamps"]
-    place: Place
-    information: Float[np.ndarray, "lamps 8 8"]
-    pull: Float[np.ndarray, "lamps 8"]
-
-
-class _Points(NamedTuple):
-    """Which pixels are looked at, and the block that each lies in.
-
-    - `light`: without that of the room.
-    - `white`: what of it may have been cut off, and what is next to that: noise decides
-        which samples at the edge are white, and those that are not are darker than
-        they should be.
-    """
-
-    pixel: Float[np.ndarray, "points 2"]
-    block: np.ndarray
-    light: Float[np.ndarray, "count points 3"]
-    white: Bool[np.ndarray, "count points 3"]
-
-
-def _points(matte: Matte) -> _Points:
     from scipy import ndimage
 
-    height, width = matte.light.shape[1:3]
+    height, width = light.shape[1:3]
     rows, columns = np.mgrid[:height, :width]
-    pixels = np.stack([columns, rows], axis=-1) + 0.5 + matte.corner
-    outline = matte.place.outline
+    pixels = np.stack([columns, rows], axis=-1) + 0.5 + corner
     inside = np.linalg.norm(pixels - outline[:2], axis=-1) < WITHIN * outline[2]
     stride = max(1, round(np.sqrt(inside.sum() / MOST)))
     inside &= (rows % stride == 0) & (columns % stride == 0)
     block = (rows // BLOCK) * (width // BLOCK + 1) + columns // BLOCK
-    light = matte.light[:, inside] - matte.ambient
-    white = ndimage.maximum_filter(matte.light >= WHITE, (1, 3, 3, 1))[:, inside]
-    return _Points(pixels[inside], block[inside], light, white)
+    white = ndimage.maximum_filter(light >= WHITE, (1, 3, 3, 1))[:, inside]
+    return Points(pixels[inside], block[inside], light[:, inside], white)
 
 
-def overexposed(matte: Matte) -> Bool[np.ndarray, " count"]:
-    """In which photographs most of the sphere is white, and says little."""
-    white = _points(matte).white.any(axis=-1)
-    return white.mean(axis=1) > 0.5
+def overexposed(points: Points) -> Bool[np.ndarray, " count"]:
+    """Photographs in which most of the sphere is white."""
+    return points.white.any(axis=-1).mean(axis=1) > 0.5
 
 
-def shaded_directions(matte: Matte) -> Float[np.ndarray, "count 3"]:
+def shaded_directions(
+    points: Points, normals: Float[np.ndarray, "points 3"]
+) -> Float[np.ndarray, "count 3"]:
     """The lamp's direction in each photograph, as if it were far: no start is needed.
 
     Least squares of the light by the normal, over what is clearly lit. Zeros where
     nothing is, as in a photograph without a lamp.
     """
-    points, found = _points(matte), []
-    normals = seen(points.pixel, matte.place.outline, matte.view, 1.0).normal
-    grey = points.light.mean(axis=-1)
+    grey, found = points.light.mean(axis=-1), []
     brightness = np.percentile(grey, 98, axis=1)
     whole = np.asarray(~points.white.any(axis=-1))
     for light, bright, sound in zip(grey, brightness, whole, strict=True):
@@ -165,30 +254,66 @@ def shaded_directions(matte: Matte) -> Float[np.ndarray, "count 3"]:
             if lit.sum() < 30 or bright <= DARK * np.median(brightness):
                 direction = np.zeros(3)
                 break
-            vector = np.linalg.lstsq(normals[lit], light[lit], rcond=None)[0]
-            direction = unit(vector)
+            direction = unit(np.linalg.lstsq(normals[lit], light[lit], rcond=None)[0])
             lit = sound & (normals @ direction > 0.2) & (light > 0.1 * bright)
         found.append(direction)
     return np.array(found)
 
 
-def _model(
-    at: Seen,
-    reference: np.ndarray,
-    falloff: float,
-    direction: np.ndarray,
-    inverse: float,
-) -> Float[np.ndarray, " points"]:
-    """Light of a lamp of strength 1 on a surface, ambient light apart."""
-    offset = inverse * (reference - at.position) + direction
-    # Distances are in units of the lamp's own from the reference point.
-    squared = np.vecdot(offset, offset)
-    cosine = np.vecdot(at.normal, offset) / np.sqrt(squared)
-    return np.maximum(cosine, 0) / (1 - falloff + falloff * squared)
+def room_light(
+    points: Points,
+    normals: Float[np.ndarray, "points 3"],
+    directions: Float[np.ndarray, "lamps 3"],
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    r"""Light of the room on the matte sphere's side in shadow, and its standard error.
+
+    The median of the photographs; 0 where none shows enough of that side. (An unknown
+    of the fit would compensate for spheres that do not follow Lambert's law.)
+
+    Nothing is darker than black: clipped noise of standard deviation $\sigma$ has the
+    mean $\sigma / \sqrt{2 \pi}$ where there is no light. This bias is subtracted, and
+    added to the error, as it is uncertain by its own size. The error includes the
+    scatter of the photographs, since lamps light the room differently.
+    """
+    found, noise = [], []
+    for light, white, direction in zip(
+        points.light, points.white, directions, strict=True
+    ):
+        cosine = normals @ direction
+        dark, lit = cosine < -0.1, (cosine > 0.2) & ~white.any(axis=-1)
+        if direction.any() and min(dark.sum(), lit.sum()) >= ENOUGH:
+            found.append(np.median(light[dark], axis=0))
+            shade = np.linalg.lstsq(normals[lit], light[lit], rcond=None)[0]
+            rest = light[lit] - normals[lit] @ shade
+            noise.append([robust_scale(channel) for channel in rest.T])
+    if not found:
+        return np.zeros(3), np.zeros(3)
+    shown, sigma = np.median(found, axis=0), np.median(noise, axis=0)
+    light = np.array([_unclipped(*one) for one in zip(shown, sigma, strict=True)])
+    scatter = [robust_scale(channel) for channel in (found - shown).T]
+    return light, np.hypot(shown - light, scatter)
+
+
+def _unclipped(mean: float, sigma: float) -> float:
+    """Light of which noise and the clamp at 0 make this mean; 0 where none does."""
+    from scipy import optimize
+    from scipy.special import ndtr
+
+    def excess(light: float) -> float:
+        ratio = light / max(sigma, 1e-12)
+        density = np.exp(-(ratio**2) / 2) / np.sqrt(2 * np.pi)
+        return light * ndtr(ratio) + sigma * density - mean
+
+    if excess(0) >= 0:
+        return 0.0
+    return optimize.root_scalar(excess, bracket=(0, mean)).root
 
 
 class _Line(NamedTuple):
-    """A robust linear fit: numbers, their covariance by blocks, and weights."""
+    """A robust linear fit.
+
+    - `inflation`: of the covariance, over that of independent samples of variance 1.
+    """
 
     numbers: np.ndarray
     covariance: np.ndarray
@@ -203,213 +328,163 @@ def _line(light: np.ndarray, columns: np.ndarray, block: np.ndarray) -> _Line:
         normal = columns.T @ (weights[:, None] * columns)
         found = np.linalg.lstsq(normal, columns.T @ (weights * light), rcond=None)[0]
         rest = light - columns @ found
-        scale = max(1.4826 * np.median(np.abs(rest)), 1e-9)
-        weights = np.clip(1 - (rest / (TUKEY * scale)) ** 2, 0, None) ** 2
+        weights = tukey_weight(rest, max(robust_scale(rest), 1e-9))
     bread = np.linalg.pinv(columns.T @ (weights[:, None] * columns))
-    _, group = np.unique(block, return_inverse=True)
-    scores = np.zeros((group.max() + 1, columns.shape[1]))
-    np.add.at(scores, group, (weights * rest)[:, None] * columns)
-    # Few blocks leave less than they err: numbers were fitted to them.
+    scores = summed_by_block((weights * rest)[:, None] * columns, block)
+    # Residuals of few blocks are smaller than errors: numbers were fitted to them.
     few = len(scores) / max(len(scores) - len(found), 1)
     covariance = few * bread @ scores.T @ scores @ bread
-    # How much larger than the covariance of independent samples of variance 1.
     inflation = float(np.mean(np.diag(covariance) / np.maximum(np.diag(bread), 1e-300)))
     return _Line(found, covariance, weights, max(inflation, 1e-12))
 
 
-def _about(
-    matte: Matte, points: _Points
-) -> Callable[[np.ndarray, float, np.ndarray], np.ndarray]:
-    """A lamp's [`_model`][] by its direction, inverse distance and a step from both.
+class Shading(NamedTuple):
+    """Residuals of the shading, `root @ step - aim`, to first order in a step.
 
-    The step has two turns along `across(direction)`, a change of the inverse distance,
-    and what moves the sphere's place.
+    A step of a lamp has two turns, a change of the inverse distance, and what moves the
+    sphere's place, which is the same for all lamps. Residuals have variance 1; they are
+    0 where a photograph has no information.
+
+    - `rank`: number of residuals that have information.
     """
 
-    # The same few for all lamps.
-    @functools.cache
-    def surface(*moves: float) -> tuple[Seen, float]:
-        place = matte.place.moved(np.array(moves))
-        at = seen(points.pixel, place.outline, matte.view, place.radius)
-        return at, place.falloff
-
-    def model(direction: np.ndarray, inverse: float, step: np.ndarray) -> np.ndarray:
-        at, falloff = surface(*step[3:])
-        turned = unit(direction + step[:2] @ across(direction))
-        return _model(at, matte.reference, falloff, turned, inverse + step[2])
-
-    return model
+    root: Float[np.ndarray, "lamps 8 8"]
+    aim: Float[np.ndarray, "lamps 8"]
+    rank: int
 
 
 def shade(
     matte: Matte,
     directions: Float[np.ndarray, "lamps 3"],
+    tangents: Float[np.ndarray, "lamps 2 3"],
     inverse_distances: Float[np.ndarray, " lamps"],
 ) -> Shading:
-    """What shading says of lamps, about an estimate of them and the sphere's place."""
-    points = _points(matte)
-    information = np.zeros((len(directions), 8, 8))
-    pull = np.zeros((len(directions), 8))
-    steps = np.diag([1e-4, 1e-4, 1e-5, 1e-2, 1e-2, 1e-2, 1e-3, 1e-3])
-    about = _about(matte, points)
-    for number, light in enumerate(points.light.mean(axis=-1)):
-        at = functools.partial(about, directions[number], inverse_distances[number])
-        here = at(np.zeros(8))
-        lit = (here > LIT) & ~points.white[number].any(axis=-1)
+    """The shading of all lamps, about an estimate of them and the sphere's place."""
+    points, count = matte.points, len(directions)
+    root, aim, rank = np.zeros((count, 8, 8)), np.zeros((count, 8)), 0
+    for number, lamp in enumerate(
+        zip(directions, tangents, inverse_distances, strict=True)
+    ):
+        model, slopes = matte.lit_by(*lamp)
+        lit = (model > LIT) & ~points.white[number].any(axis=-1)
         if lit.sum() < ENOUGH:
             continue
-        slopes = [(at(s) - at(-s)) / (2 * s.sum()) for s in steps]
-        plain = here[lit, None]
-        first = _line(light[lit], plain, points.block[lit])
-        columns = np.stack(
-            [here[lit], *(first.numbers[0] * np.array(slopes)[:, lit])], 1
-        )
-        # What the lamp's own numbers leave over tells how samples err.
-        own = _line(light[lit], columns[:, :4], points.block[lit])
-        weighted = own.weights[:, None] * columns
-        normal = weighted.T @ columns / own.inflation
-        right = weighted.T @ (light[lit] - plain @ first.numbers) / own.inflation
-        # The strength is free: the rest is what it leaves.
-        taken = normal[1:, 0] / normal[0, 0]
-        information[number] = normal[1:, 1:] - np.outer(taken, normal[0, 1:])
-        pull[number] = right[1:] - taken * right[0]
-    return Shading(directions, inverse_distances, matte.place, information, pull)
+        light = (points.light[number, lit] - matte.ambient).mean(axis=-1)
+        model, block = model[lit], points.block[lit]
+        strength = _line(light, model[:, None], block).numbers[0]
+        slopes = strength * slopes[lit]
+        # The lamp's own numbers leave residuals by which samples err.
+        own = _line(light, np.column_stack([model, slopes[:, :3]]), block)
+        weight = np.sqrt(own.weights / own.inflation)
+        rows = weight[:, None] * np.column_stack([slopes, light - strength * model])
+        # The strength is free: without its part.
+        axis = weight * model / np.linalg.norm(weight * model)
+        rows -= axis[:, None] * (axis @ rows)
+        left, values, right = np.linalg.svd(rows[:, :8], full_matrices=False)
+        kept = values > 3e-5 * values.max()
+        root[number] = (kept * values)[:, None] * right
+        aim[number] = kept * (left.T @ rows[:, 8])
+        rank += int(kept.sum())
+    return Shading(root, aim, rank)
 
 
 class Strengths(NamedTuple):
-    """How strong lamps are at the reference point, and the light of the room.
+    """Strengths of lamps at the reference point, in linear light.
 
-    In units of the mean of all lamps and channels: linear light has the sphere's
-    reflectance in it, which nothing tells.
+    It contains the sphere's reflectance, which is not known.
 
-    - `intensity`: by lamp and channel; `nan` where a photograph tells nothing.
-    - `covariance`: of these, lamp by lamp; places of lamps and of the sphere are held.
-    - `slopes`: by these and by what they depend on, as [`LampEstimate`][] has it in
-        `joint`.
-    - `ambient`, `ambient_error`: by channel.
+    - `intensity`: by lamp and channel; `nan` where a photograph has no information.
+    - `covariance`: of these, lamp by lamp, with places of lamps and the sphere held.
+    - `slopes`: by these, of which [`LampEstimate`][] has the covariance in `joint`.
     """
 
     intensity: Float[np.ndarray, "lamps 3"]
     covariance: Float[np.ndarray, "lamps*3 lamps*3"]
     slopes: Float[np.ndarray, "lamps*3 lamps*3+5"]
-    ambient: Float[np.ndarray, "3"]
-    ambient_error: Float[np.ndarray, "3"]
 
 
 def find_strengths(
     matte: Matte,
     directions: Float[np.ndarray, "lamps 3"],
+    tangents: Float[np.ndarray, "lamps 2 3"],
     inverse_distances: Float[np.ndarray, " lamps"],
 ) -> Strengths:
-    """Strengths of lamps whose places are known, and how they move with these.
+    """Strengths of lamps whose places are known, and their derivatives by these.
 
     **Arguments:** as of [`LampEstimate`][].
     """
-    points, count = _points(matte), len(directions)
+    points, count = matte.points, len(directions)
     intensity, noise, by_room = (np.full((count, 3), np.nan) for _ in range(3))
     slopes = np.zeros((count, 3, 3 * count + 5))
-    small, about = 1e-4 * np.eye(8), _about(matte, points)
-    for number, direction in enumerate(directions):
-        at = functools.partial(about, direction, inverse_distances[number])
-        here = at(np.zeros(8))
-        # The same for all channels.
-        beside = [(at(step), at(-step)) for step in small]
-        moves = np.append(3 * number + np.arange(3), 3 * count + np.arange(5))
+    lamps = list(zip(directions, tangents, inverse_distances, strict=True))
+    for number, lamp in enumerate(lamps):
+        model, by_step = matte.lit_by(*lamp)
+        unknowns = np.append(3 * number + np.arange(3), 3 * count + np.arange(5))
         for channel in range(3):
-            light = points.light[number, :, channel]
-            lit = (here > LIT) & ~points.white[number, :, channel]
+            lit = (model > LIT) & ~points.white[number, :, channel]
             if lit.sum() < ENOUGH:
                 continue
-            line = _line(light[lit], here[lit, None], points.block[lit])
-            # How the strength moves with the lamp's direction and distance, and with
-            # the sphere's place.
-            slopes[number, channel, moves] = [
-                (_strength(one[lit], light[lit]) - _strength(other[lit], light[lit]))
-                / 2e-4
-                for one, other in beside
-            ]
+            shown, slope = model[lit], by_step[lit]
+            light = points.light[number, lit, channel] - matte.ambient[channel]
+            line = _line(light, shown[:, None], points.block[lit])
+            strength, squared = _strength(shown, light), shown @ shown
+            # Of the ratio of sums that least squares are.
+            by_model = light @ slope - 2 * strength * (shown @ slope)
+            slopes[number, channel, unknowns] = by_model / squared
             intensity[number, channel] = line.numbers[0]
-            by_room[number, channel] = -_strength(here[lit], np.ones(lit.sum()))
+            by_room[number, channel] = -shown.sum() / squared
             noise[number, channel] = line.covariance[0, 0]
-    mean = float(np.nanmean(intensity))
-    mean = mean if mean > 0 else 1.0
-    rounded = rounding(matte, directions, inverse_distances, intensity)
-    known = np.isfinite(intensity).ravel()
+    rounded = rounding(matte, lamps, intensity)
     own = np.diag(np.maximum(np.nan_to_num(noise.ravel()) - np.diag(rounded), 0))
-    rooms = (by_room[:, :, None] * np.diag(matte.ambient_error)).reshape(-1, 3)
-    rooms = np.nan_to_num(rooms)
-    # Nor is any sphere painted more evenly than this.
+    rooms = np.nan_to_num(by_room[:, :, None] * np.diag(matte.ambient_error))
+    rooms = rooms.reshape(-1, 3)
     paint = np.kron(np.eye(count), np.ones((3, 1))) * intensity.reshape(-1, 1)
     paint = EVEN * np.nan_to_num(paint)
-    spread = own + rounded + rooms @ rooms.T + paint @ paint.T
-    # Strengths are over their mean, so that what all share alike is no error: most of
-    # what is wrong with the room's light, or with the sphere's place.
-    share = np.nan_to_num(intensity.ravel() / mean)
-    relative = (np.eye(3 * count) - share[:, None] * known / max(known.sum(), 1)) / mean
-    return Strengths(
-        intensity / mean,
-        relative @ spread @ relative.T,
-        relative @ slopes.reshape(3 * count, -1),
-        matte.ambient / mean,
-        matte.ambient_error / mean,
-    )
-
-
-DRAWS = 32
-"""How often what files round is drawn; covariances of lamps err by a fifth."""
-
-SHRUNK = 96
-"""A sphere is drawn with up to this many pixels across: on more, more is averaged."""
-
-BRIGHTER = 0.03
-"""Each draw is up to this much brighter or darker."""
+    covariance = own + rounded + rooms @ rooms.T + paint @ paint.T
+    return Strengths(intensity, covariance, slopes.reshape(3 * count, -1))
 
 
 def rounding(
-    matte: Matte,
-    directions: Float[np.ndarray, "lamps 3"],
-    inverse_distances: Float[np.ndarray, " lamps"],
-    strengths: Float[np.ndarray, "lamps 3"],
+    matte: Matte, lamps: Any, strengths: Float[np.ndarray, "lamps 3"]
 ) -> Float[np.ndarray, "lamps*3 lamps*3"]:
-    """How strengths err by what the photographs' files round, as a covariance.
+    """Covariance of strengths by the rounding of the photographs' files.
 
-    Of one hue a sphere has few values of chroma, and all photographs round them alike:
-    that is no noise, which pixels would average. Drawn, as [`restore`][] does: the
-    model under each lamp, as its file would have it, a little brighter or darker.
+    A sphere of one hue has few values of chroma, which all photographs round alike:
+    pixels do not average that. Drawn, as [`restore`][] does: the model under each lamp,
+    rounded as its file would be, a little brighter or darker.
     """
     film, size = matte.film, 3 * len(strengths)
     if film.jpeg is None and (film.bits or 16) > 8:
         return np.zeros((size, size))
-    stride = max(1, int(np.ceil(2 * matte.place.outline[2] / SHRUNK)))
+    outline = matte.place.outline
+    stride = max(1, int(np.ceil(2 * outline[2] / SHRUNK)))
     height, width = matte.light.shape[1:3]
     rows, columns = np.mgrid[:height:stride, :width:stride]
     pixels = np.stack([columns, rows], axis=-1) + 0.5 + matte.corner
-    apart = np.linalg.norm(pixels - matte.place.outline[:2], axis=-1)
-    disc = apart < matte.place.outline[2]
-    inside = apart < WITHIN * matte.place.outline[2]
+    apart = np.linalg.norm(pixels - outline[:2], axis=-1)
+    disc, inside = apart < outline[2], apart < WITHIN * outline[2]
     around = matte.light[:, ::stride, ::stride]
     rng, errors = np.random.default_rng(0), np.zeros((DRAWS, len(strengths), 3))
-    place, models = matte.place, []
-    at = seen(pixels[disc], place.outline, matte.view, place.radius)
-    for direction, inverse in zip(directions, inverse_distances, strict=True):
-        shade = np.zeros(disc.shape)
-        shade[disc] = _model(at, matte.reference, place.falloff, direction, inverse)
+    model, models = compiled(functools.partial(_lambertian, matte.view)), []
+    for lamp in lamps:
+        shade = np.zeros((*disc.shape, 1))
+        at = pixels[disc], matte.place, matte.reference
+        shade[disc, 0] = model(np.zeros(8), *at, *lamp)
         models.append(shade)
+    known = np.flatnonzero(np.isfinite(strengths).all(axis=1))
     for draw in errors:
         widest = 1.0 if film.jpeg is None else film.jpeg.widest
         shift = rng.uniform(-widest, widest, 3).astype(np.float32)
         share = np.float32(1 - BRIGHTER * rng.uniform())
-        for number, (shade, strength) in enumerate(zip(models, strengths, strict=True)):
-            if not np.isfinite(strength).all():
-                continue
-            own = shade[..., None] * strength
-            canvas = np.where(disc[..., None], own + matte.ambient, around[number])
+        for number in known:
+            shade, strength = models[number], strengths[number]
+            own = shade * strength + matte.ambient
+            canvas = np.where(disc[..., None], own, around[number])
             read = _read_back(film, canvas, share, shift) - matte.ambient
-            for channel in range(3):
-                lit = inside & (shade > LIT) & (canvas[..., channel] < WHITE)
-                if lit.sum() > 0:
-                    found = _strength(shade[lit], read[..., channel][lit])
-                    draw[number, channel] = found - strength[channel]
+            weight = shade * (inside[..., None] & (shade > LIT) & (canvas < WHITE))
+            squares = np.maximum((weight * shade).sum(axis=(0, 1)), 1e-12)
+            draw[number] = (weight * (read - shade * strength)).sum(axis=(0, 1))
+            draw[number] /= squares
     flat = errors.reshape(DRAWS, size)
     return flat.T @ flat / DRAWS
 
@@ -417,7 +492,7 @@ def rounding(
 def _read_back(
     film: Film, light: np.ndarray, share: np.float32, shift: np.ndarray
 ) -> Float[np.ndarray, "height width 3"]:
-    """Light as it is read from a file of a little other levels."""
+    """Light as it is read from a file of slightly different levels."""
     shown = np.clip(light, 0, 1).astype(np.float32)
     levels = share * 255 * np.asarray(encode(shown, film.encoding), np.float32) + shift
     stored = np.round(levels)
@@ -428,56 +503,3 @@ def _read_back(
 
 def _strength(model: np.ndarray, light: np.ndarray) -> float:
     return float(model @ light / (model @ model))
-
-
-class RoomLight(NamedTuple):
-    """Light of the room on a sphere, by channel, and its standard deviation."""
-
-    light: Float[np.ndarray, "3"]
-    error: Float[np.ndarray, "3"]
-
-
-def room_light(matte: Matte, directions: Float[np.ndarray, "lamps 3"]) -> RoomLight:
-    r"""Light of the room on the matte sphere: what is there on its side in shadow.
-
-    The median of the photographs; 0 where none shows enough of that side. (As one more
-    number of a fit it could not be told from a sphere that is not quite Lambert's.)
-
-    Nothing is darker than black: noise of standard deviation $\sigma$ makes of no light
-    at all $\sigma / \sqrt{2 \pi}$ on average. What clipping added is taken off, and is
-    the error, too, as that is known to no better than its size; so is how photographs
-    scatter, which light that comes from the lamps by way of the room makes differ.
-    """
-    points = _points(matte._replace(ambient=np.zeros(3)))
-    normals = seen(points.pixel, matte.place.outline, matte.view, 1.0).normal
-    found, noise = [], []
-    for light, white, direction in zip(
-        points.light, points.white, directions, strict=True
-    ):
-        cosine = normals @ direction
-        dark, lit = cosine < -0.1, (cosine > 0.2) & ~white.any(axis=-1)
-        if direction.any() and min(dark.sum(), lit.sum()) >= ENOUGH:
-            found.append(np.median(light[dark], axis=0))
-            shade = np.linalg.lstsq(normals[lit], light[lit], rcond=None)[0]
-            rest = np.abs(light[lit] - normals[lit] @ shade)
-            noise.append(1.4826 * np.median(rest, axis=0))
-    if not found:
-        return RoomLight(np.zeros(3), np.zeros(3))
-    shown, sigma = np.median(found, axis=0), np.median(noise, axis=0)
-    light = _unclipped(shown, sigma)
-    scatter = 1.4826 * np.median(np.abs(found - shown), axis=0)
-    return RoomLight(light, np.hypot(shown - light, scatter))
-
-
-def _unclipped(mean: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Light of which noise and the clamp at 0 make such means; 0 where none does."""
-    from scipy.special import ndtr
-
-    low, high = np.zeros_like(mean), mean
-    for _ in range(40):
-        middle = (low + high) / 2
-        ratio = middle / np.maximum(sigma, 1e-12)
-        density = np.exp(-(ratio**2) / 2) / np.sqrt(2 * np.pi)
-        below = middle * ndtr(ratio) + sigma * density < mean
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return low

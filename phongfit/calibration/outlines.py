@@ -5,17 +5,18 @@ the viewer. Seen by a pinhole, a sphere's outline is an ellipse, a little longer
 from the image's centre; by its outline `(x, y, radius)` is meant the circle with the
 ellipse's centre and area, pixels from the upper left corner.
 
-All functions broadcast over leading axes, in NumPy and double precision: a calibration
-has few numbers, and compiling would take longer than all of it.
+Functions of vectors broadcast over leading axes, for arrays of NumPy or JAX.
 """
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from phongfit.edge import shown
+from phongfit.rendering.jpeg import namespace
 
 SMALLEST = 5.0
 """Of the radii of spheres that can be looked at, pixels."""
@@ -23,9 +24,10 @@ SMALLEST = 5.0
 SLACK = 2.0
 """A sphere that touches the edge may reach so far beyond it, as circles are given."""
 
-Vectors = Float[np.ndarray, "... 3"]
-Pixels = Float[np.ndarray, "... 2"]
-Outlines = Float[np.ndarray, "... 3"]
+# Of NumPy or JAX.
+Vectors = Any
+Pixels = Any
+Outlines = Any
 
 
 @dataclass(frozen=True)
@@ -57,13 +59,13 @@ class View:
 
 def unit(vectors: Vectors) -> Vectors:
     """Vectors of length 1; a zero vector stays zero."""
-    length = np.sqrt(dots(vectors, vectors))
-    return vectors / np.where(length > 0, length, 1)
+    xp, squared = namespace(vectors), dots(vectors, vectors)
+    return vectors / xp.sqrt(xp.where(squared > 0, squared, 1))
 
 
-def dots(a: Vectors, b: Vectors) -> Float[np.ndarray, "... 1"]:
+def dots(a: Vectors, b: Vectors) -> Any:
     """Scalar products along the last axis, which stays."""
-    return np.vecdot(a, b)[..., None]
+    return (a * b).sum(axis=-1, keepdims=True)
 
 
 def sphere_behind(outline: Outlines, view: View, radius: float) -> Vectors:
@@ -77,29 +79,38 @@ def sphere_behind(outline: Outlines, view: View, radius: float) -> Vectors:
        a = \frac{\sin α \cos α}{\cos^2 θ - \sin^2 α},\quad
        b = \frac{\sin α}{\sqrt{\cos^2 θ - \sin^2 α}},$$
 
-    which is solved for θ and α by a few steps of a contraction; then
-    $|c| = r / \sin α$.
+    which is solved for θ and α by steps of a contraction; then $|c| = r / \sin α$.
 
     For parallel rays the centre lies in the plane z = 0.
+
+    **Arguments:** `outline`: x, y and radius in pixels, (..., 3).
     """
-    across = (outline[..., :2] - view.centre) * (1, -1)
+    xp = namespace(outline)
+    across = (outline[..., :2] - view.centre) * np.array([1.0, -1.0])
     if view.focal is None:
         place = across * (radius / outline[..., 2:])
-        return np.concatenate([place, 0 * place[..., :1]], axis=-1)
+        return xp.concatenate([place, 0 * place[..., :1]], axis=-1)
     across = across / view.focal
-    distance = np.linalg.norm(across, axis=-1, keepdims=True)
-    size = outline[..., 2:] / view.focal
-    shrink = np.ones_like(distance)
-    cos2, sin2 = 1 / (1 + distance**2), np.minimum(size**2, 0.5)
-    for _ in range(20):
-        before, room = shrink, np.maximum(cos2 - sin2, 1e-6)
+    squared, size = dots(across, across), outline[..., 2:] / view.focal
+
+    def closer(_: Any, at: Any) -> Any:
+        """The next cos²θ, sin²α and shift of the axis: an error falls by sin²α."""
+        cos2, sin2, _ = at
+        room = xp.maximum(cos2 - sin2, 1e-6)
         shrink = room / cos2
-        cos2 = 1 / (1 + (distance * shrink) ** 2)
-        sin2 = np.minimum(size**2 * room**1.5 / np.sqrt(1 - sin2), 0.5)
-        if np.all(np.abs(shrink - before) < 1e-15):
-            break
-    axis = np.concatenate([across * shrink, -np.ones_like(distance)], axis=-1)
-    return unit(axis) * radius / np.sqrt(sin2)
+        cos2 = 1 / (1 + squared * shrink**2)
+        return cos2, xp.minimum(size**2 * room**1.5 / xp.sqrt(1 - sin2), 0.5), shrink
+
+    at = 1 / (1 + squared), xp.minimum(size**2, 0.5), xp.ones_like(size)
+    if xp is np:
+        for step in range(20):
+            at = closer(step, at)
+    else:
+        # Unrolled, it would take seconds to compile.
+        at = jax.lax.fori_loop(0, 20, closer, at)
+    _, sin2, shrink = at
+    axis = xp.concatenate([across * shrink, -xp.ones_like(size)], axis=-1)
+    return unit(axis) * radius / xp.sqrt(sin2)
 
 
 def stretch(outline: Float[np.ndarray, "3"], view: View) -> Float[np.ndarray, "2"]:
@@ -166,23 +177,25 @@ def seen(pixel: Pixels, outline: Outlines, view: View, radius: float) -> Seen:
     - `pixel`: image points, pixels from the upper left corner.
     - `outline`, `radius`: as of [`sphere_behind`][].
     """
-    centre = sphere_behind(outline, view, radius)
-    across = (pixel - view.centre) * (1, -1)
-    back = np.ones_like(across[..., :1])
+    xp, centre = namespace(outline), sphere_behind(outline, view, radius)
+    across = (pixel - view.centre) * np.array([1.0, -1.0])
+    back = xp.ones_like(across[..., :1])
     if view.focal is None:
         # A pixel has the size that the sphere's radius gives it.
         place = across * (radius / outline[..., 2:])
-        origin = np.concatenate([place, 0 * back], axis=-1)
-        direction = np.concatenate([0 * across, -back], axis=-1)
+        origin = xp.concatenate([place, 0 * back], axis=-1)
+        direction = xp.concatenate([0 * across, -back], axis=-1)
     else:
         origin = np.zeros(3)
-        direction = unit(np.concatenate([across / view.focal, -back], axis=-1))
+        direction = unit(xp.concatenate([across / view.focal, -back], axis=-1))
     offset = origin - centre
     nearest = offset - dots(offset, direction) * direction
     squared = radius**2 - dots(nearest, nearest)
-    normal = unit(nearest - np.sqrt(np.maximum(squared, 0)) * direction)
+    # Double where: the root has an infinite slope at the rim.
+    depth = xp.where(squared > 0, xp.sqrt(xp.where(squared > 0, squared, 1)), 0)
+    normal = unit(nearest - depth * direction)
     return Seen(
-        centre + radius * normal, normal, np.broadcast_to(-direction, normal.shape)
+        centre + radius * normal, normal, xp.broadcast_to(-direction, normal.shape)
     )
 
 
@@ -203,7 +216,7 @@ def mirrored(pixel: Pixels, outline: Outlines, view: View, radius: float) -> Ray
     return Ray(at.position, back)
 
 
-def across(direction: Vectors) -> Float[np.ndarray, "... 2 3"]:
+def across(direction: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 2 3"]:
     """Two unit vectors across each unit vector."""
     # From the axis that is farthest from it.
     axis = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]

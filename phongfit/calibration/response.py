@@ -15,8 +15,8 @@ number's error is
 
 $$r = M - g^{-1}(E q + a),$$
 
-of which E and a are found by linear least squares in light and the spline by Gauss and
-Newton's method, with Tukey's biweight against what is not matte, or moved.
+of which E and a are found by linear least squares in light and the spline by nonlinear
+ones, with Tukey's biweight against what is not matte, or moved.
 
 ??? cite "Source"
     Mitsunaga and Nayar, *Radiometric self calibration*, CVPR 1999; Debevec and Malik,
@@ -25,7 +25,8 @@ Newton's method, with Tukey's biweight against what is not matte, or moved.
     from images?*, ECCV 2002: exposures have to be known.
 """
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -34,10 +35,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from phongfit.calibration.least_squares import (
+    TUKEY,
+    differentiated,
+    least_squares,
+    robust_scale,
+    summed_by_block,
+    tukey_weight,
+)
 from phongfit.calibration.spheres import Images, looked_at
 from phongfit.codes import coded
 from phongfit.edge import checked
 from phongfit.rendering.film import ENCODINGS, NamedEncoding, decode
+from phongfit.rendering.jpeg import namespace
 from phongfit.rendering.response import ResponseCurve
 from phongfit.scene import Scene
 
@@ -48,8 +58,11 @@ SMOOTH = 1.0
 """Standard deviation of its second differences: where nothing is seen the curve goes
 on as it did. sRGB's have 0.5."""
 
-SAMPLES = 257
-"""Of the curve that is given back."""
+NUMBERS = np.linspace(0, 1, 257)
+"""Numbers at which the resulting curve is sampled."""
+
+GRID = np.linspace(0, 1, 8 * (len(NUMBERS) - 1) + 1)
+"""Numbers at which light is summed up from its slope."""
 
 DARKEST, BRIGHTEST = 0.03, 0.98
 """Numbers that should lie outside may have been cut off."""
@@ -67,17 +80,11 @@ MOST = 1500
 BLOCK = 16
 """Pixels up to this far apart, and JPEG's blocks, err together."""
 
-TUKEY = 4.7
-"""Residuals of so many standard deviations count no more."""
-
 STIFF = 1e4
 """How much smoother a curve is to be to begin with."""
 
-ROUNDS, STEPS = 10, 3
-"""How often samples are weighed anew, and most steps of the solver in between."""
-
-SMALL = 1e-6
-"""A step that changes no slope of the curve by a larger share is the last."""
+ROUNDS = 10
+"""Number of times that samples are weighed anew."""
 
 FITS = 4.0
 """An encoding that is fewer standard deviations off fits."""
@@ -200,26 +207,24 @@ def fit_response(
         samples = _of_surface(photographs, names, scenes, mask)
     else:
         samples = _of_exposures(photographs, names, _positive(exposures), mask)
-    return _Solver(samples).response()
+    return _fit(samples)
 
 
 class _Samples(NamedTuple):
-    """Numbers M with what is known of their light, E q + a.
+    """Numbers M with what is known of their light, E q + a: one row for each E.
 
     - `number`: M.
     - `share`: q.
-    - `group`: which E.
-    - `block`: of those that err together.
+    - `block`: of those whose errors are correlated.
+    - `sound`: which may be used. Black and white numbers are included: the expected
+        number decides on them, since the number itself would select by noise.
     - `room`: whether there is light of the room, a.
-
-    What is black or white is among them: which samples are used is told by what their
-    numbers should be, since noise would choose among those that are.
     """
 
-    number: Float[np.ndarray, " n"]
-    share: Float[np.ndarray, " n"]
-    group: Int[np.ndarray, " n"]
-    block: Int[np.ndarray, " n"]
+    number: Float[np.ndarray, "groups members"]
+    share: Float[np.ndarray, "groups members"]
+    block: Int[np.ndarray, "groups members"]
+    sound: Bool[np.ndarray, "groups members"]
     room: bool
 
 
@@ -292,21 +297,26 @@ def _of_surface(
         cosines[number] = np.sum(normals * np.asarray(light.to_light), axis=-1)
         strength = np.asarray(light.intensity)
         shares[number] = np.maximum(cosines[number], 0)[:, None] * strength
-    block, every = _blocks(used), np.arange(numbers.size).reshape(numbers.shape)
-    photograph, pixel, channel = np.unravel_index(every, numbers.shape)
-    good = np.broadcast_to((np.abs(cosines) > LIT)[..., None], numbers.shape)
+    block = _blocks(used)
+    block = np.arange(len(numbers))[:, None] * (block.max() + 1) + block
     lit = (cosines[..., None] > LIT) & (numbers > DARKEST) & (numbers < BRIGHTEST)
     if lit.sum() < 50 * SPLINES:
         raise ValueError(
             "photographs: too little is seen of a lit surface that is neither black "
             "nor white; is the surface where the scenes have it?"
         )
-    # A strength for each photograph and channel; a block has all channels.
+
+    def rows(values: np.ndarray) -> np.ndarray:
+        """A strength for each photograph and channel."""
+        every = np.broadcast_to(values, numbers.shape)
+        return np.moveaxis(every, 2, 1).reshape(-1, every.shape[1])
+
+    sound = np.abs(cosines) > LIT
     return _Samples(
-        numbers[good],
-        shares[good],
-        (3 * photograph + channel)[good],
-        (photograph * (block.max() + 1) + block[pixel])[good],
+        rows(numbers),
+        rows(shares),
+        rows(block[..., None]),
+        rows(sound[..., None]),
         True,
     )
 
@@ -321,24 +331,19 @@ def _of_exposures(
     used = np.ones(size, bool) if mask is None else _as_mask(mask, size)
     used = _thinned(used)
     numbers = _numbers(photographs, names, used, (size[0], size[1]))
-    block, every = _blocks(used), np.arange(numbers.size).reshape(numbers.shape)
-    photograph, pixel, channel = np.unravel_index(every, numbers.shape)
     seen = (numbers > DARKEST) & (numbers < BRIGHTEST)
-    # A pixel that one photograph alone shows says nothing.
+    # A pixel that one photograph alone shows has no information.
     several = seen.sum(axis=0) > 1
-    good = np.broadcast_to(several, numbers.shape)
-    if seen[good].sum() < 50 * SPLINES:
+    if seen[:, several].sum() < 50 * SPLINES:
         raise ValueError(
             "photographs: too few pixels are neither black nor white in two of them: "
             "bracket by one or two stops"
         )
-    return _Samples(
-        numbers[good],
-        exposures[photograph[good]],
-        np.unique((3 * pixel + channel)[good], return_inverse=True)[1],
-        block[pixel[good]],
-        False,
-    )
+    pixel, _ = np.nonzero(several)
+    number = numbers[:, several].T
+    share = np.broadcast_to(exposures, number.shape)
+    block = np.broadcast_to(_blocks(used)[pixel, None], number.shape)
+    return _Samples(number, share, block, np.ones(number.shape, bool), False)
 
 
 def _as_mask(mask: Any, size: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
@@ -349,7 +354,7 @@ def _as_mask(mask: Any, size: tuple[int, ...]) -> Bool[np.ndarray, "height width
 
 
 def _raised(number: np.ndarray, sigma: float) -> np.ndarray:
-    """By how much black, which cuts noise off, raises the mean of numbers."""
+    """Increase of the mean of numbers by the clamp at black, which cuts off noise."""
     from scipy.special import ndtr
 
     at = number / sigma
@@ -357,254 +362,219 @@ def _raised(number: np.ndarray, sigma: float) -> np.ndarray:
     return sigma * (density - at * ndtr(-at))
 
 
-class _Solver:
-    """The least-squares problem; unknowns are the spline's numbers."""
+@functools.cache
+def _basis() -> tuple[np.ndarray, np.ndarray]:
+    """The spline's basis on the grid, and rows that keep its coefficients smooth."""
+    from scipy.interpolate import BSpline
 
-    def __init__(self, samples: _Samples):
-        from scipy.interpolate import BSpline
+    knots = np.concatenate([[0] * 3, np.linspace(0, 1, SPLINES - 2), [1] * 3])
+    basis = BSpline.design_matrix(np.sqrt(GRID), knots, 3).toarray()
+    bends = np.diff(np.eye(SPLINES), 2, axis=0) / SMOOTH
+    # A common factor of the slope does not change the curve: it is held near 1.
+    return basis, np.concatenate([bends, np.ones((1, SPLINES))])
 
-        # In the order of their numbers, in which they are looked up several times
-        # faster.
-        order = np.argsort(samples.number)
-        self.samples = samples = samples._replace(
-            number=samples.number[order],
-            share=samples.share[order],
-            group=samples.group[order],
-            block=samples.block[order],
+
+class _Weights(NamedTuple):
+    """Weights of the samples, as the last curve gives them.
+
+    - `number`: numbers without the clamp's increase of their mean.
+    - `used`: by Tukey's biweight; 0 for what is black or white.
+    - `rise`: slope of the curve at the sample.
+    - `sigma`: standard deviation of numbers.
+    - `stiff`: how much smoother than in the end the curve is held.
+    """
+
+    number: Any
+    used: Any
+    rise: Any
+    sigma: Any
+    stiff: Any
+
+
+def _light(theta: Any) -> Any:
+    """Light on the grid, in arrays of JAX or NumPy."""
+    xp = namespace(theta)
+    log_slope = _basis()[0] @ theta
+    slope = xp.exp(xp.clip(log_slope - log_slope.max(), -40, 0))
+    steps = (slope[1:] + slope[:-1]) / 2 * np.diff(GRID)
+    light = xp.concatenate([xp.zeros(1), xp.cumsum(steps)])
+    return light / light[-1]
+
+
+def _errors(light: Any, samples: Any, weights: Any, least_room: Any) -> Any:
+    """Errors of numbers under a curve, whose room has at least some light.
+
+    Strengths and the light of the room are the best ones, by linear least squares.
+    Beyond black and white the curve goes on straight: corrected numbers lie there.
+    """
+    xp = namespace(light)
+    q, number, last = samples.share, weights.number, len(GRID) - 1
+    below = xp.clip(number * last, 0, last - 1).astype(int)
+    light_below, step = light[below], xp.diff(light)
+    found = light_below + (number * last - below) * step[below]
+    weight = weights.used / weights.rise**2
+
+    def sums(values: Any) -> Any:
+        return xp.sum(values, axis=1, keepdims=True)
+
+    squares = xp.maximum(sums(weight * q * q), 1e-300)
+    products, crossed = sums(weight * q * found), sums(weight * q)
+    # The room's light, once strengths follow it.
+    top = xp.sum(weight * found) - xp.sum(products * crossed / squares)
+    bottom = xp.sum(weight) - xp.sum(crossed**2 / squares)
+    some = samples.room & (bottom > 0)
+    best = xp.maximum(top / xp.where(some, bottom, 1), least_room)
+    room = xp.where(some, best, 0)
+    shown = (products - room * crossed) / squares * q + room
+    below = xp.clip(xp.searchsorted(light, shown) - 1, 0, last - 1)
+    return number - (below + (shown - light[below]) / step[below]) / last
+
+
+def _residual(theta: Any, samples: Any, weights: Any, least_room: Any) -> Any:
+    """Weighted errors of numbers, and bends of the curve."""
+    errors = _errors(_light(theta), samples, weights, least_room)
+    bends = jnp.sqrt(weights.stiff) * weights.sigma * (_basis()[1] @ theta)
+    return jnp.concatenate([jnp.ravel(jnp.sqrt(weights.used) * errors), bends])
+
+
+def _fit(samples: _Samples) -> Response:
+    """The curve that explains the samples best, and its errors."""
+    residual = differentiated(_residual)
+    theta, weights = _solve(samples, residual)
+    light, slopes = differentiated(_light)(theta)
+    rest = _errors(light, samples, weights, 0.0)
+    lit = _lit(samples, weights.number - rest, weights.sigma)
+    count, freedom = np.count_nonzero(lit), _freedom(samples, lit) - SPLINES
+    # The light of a dark room is uncertain: no bound at 0 here.
+    jacobian = residual(theta, samples, weights, -np.inf)[1][: rest.size]
+    root = np.sqrt(weights.used)
+    u = rest / (TUKEY * weights.sigma)
+    slope = np.where(lit & (np.abs(u) < 1), (1 - u**2) * (1 - 5 * u**2), 0)
+    # Huber, *Robust statistics*, 1981, section 7.6: what weights cost.
+    scores = weights.used * rest
+    variance = np.sum(scores**2) / freedom / (np.sum(slope) / count) ** 2
+    data, smooth = jacobian.T @ jacobian, _basis()[1].T @ _basis()[1]
+    held = np.linalg.inv(data + weights.stiff * weights.sigma**2 * smooth)
+    known = held @ data
+    # Neighbours err together: by how much more scores of blocks vary.
+    each = (root * rest).reshape(-1, 1) * jacobian
+    together = summed_by_block(each, samples.block.ravel())
+    bread = known @ held
+    inflation = np.trace(bread @ together.T @ together) / np.trace(
+        bread @ each.T @ each
+    )
+    variance *= np.sum(weights.used) / count * max(float(inflation), 1.0)
+    covariance = np.linalg.inv(data / variance + weights.stiff * smooth)
+
+    shown = (weights.used > 0) & (samples.share > 0)
+    low, high = np.percentile(samples.number[shown], (0.5, 99.5)).tolist()
+    # Of the curve over its light at the largest number, since scale does not matter.
+    at_high = np.interp(high, GRID, light)
+    by_high = [np.interp(high, GRID, column) for column in slopes.T]
+    slopes = (slopes - np.outer(light / at_high, by_high)) / at_high
+    slopes = slopes[:: (len(GRID) - 1) // (len(NUMBERS) - 1)]
+    best = float(np.sum(weights.used * rest**2))
+
+    def check(name: NamedEncoding) -> Check:
+        other = np.asarray(decode(GRID, name))
+        off = _errors(other, samples, weights, 0.0)
+        more = (float(np.sum(weights.used * off**2)) - best) / variance
+        freedom = max(float(np.trace(known)), 1.0)
+        return _checked(light, other, max(more, 0.0), freedom, (low, high))
+
+    # Rounding could make parts flat, which a response curve may not be.
+    curve = np.interp(NUMBERS, GRID, light) + 1e-9 * NUMBERS
+    return Response(
+        ResponseCurve((curve / curve[-1]).tolist()),
+        np.sqrt(np.einsum("ni,ij,nj->n", slopes, covariance, slopes)),
+        (low, high),
+        {name: check(name) for name in ENCODINGS},
+        _warnings(low, high, weights.sigma),
+    )
+
+
+def _solve(
+    samples: _Samples, residual: Callable[..., Any]
+) -> tuple[np.ndarray, _Weights]:
+    """The spline's coefficients, and the weights of samples that they lead to."""
+    number = samples.number
+    used = ((number > DARKEST) & (number < BRIGHTEST)).astype(float)
+    used = np.where(samples.share == 0, 1.0, used) * samples.sound
+    weights = _Weights(number, used, np.ones(number.shape), 0.01, 1.0)
+    starts = []
+    for name in ENCODINGS:
+        light = np.asarray(decode(GRID, name))
+        log_slope = np.log(np.gradient(light, GRID))
+        rest = _errors(light, samples, weights, 0.0)[used > 0]
+        near = np.linalg.lstsq(_basis()[0], log_slope, rcond=None)[0]
+        starts.append((float(np.median(np.abs(rest))), near))
+    theta = min(starts, key=lambda start: start[0])[1]
+    for step in range(ROUNDS):
+        # At first stiff: else it bends below the darkest number that is seen, where
+        # a step in light and light of the room look alike.
+        weights = weights._replace(stiff=max(STIFF / 4**step, 1.0))
+        theta = least_squares(residual, theta, samples, weights, 0.0).values
+        light = _light(theta)
+        rest = _errors(light, samples, weights, 0.0)
+        expected = weights.number - rest
+        lit = _lit(samples, expected, weights.sigma)
+        # Of shadows black may have cut half off.
+        lost = np.sqrt(np.count_nonzero(lit) / _freedom(samples, lit))
+        sigma = max(robust_scale(rest[lit & (samples.share > 0)]) * lost, 1e-5)
+        number = samples.number - _raised(expected, sigma)
+        # The first curves are too far off to identify outliers.
+        tukey = tukey_weight(number - expected, sigma) if step >= ROUNDS // 2 else 1.0
+        rise = np.interp(np.maximum(expected, DARKEST), GRID, np.gradient(light, GRID))
+        used = np.where(lit, tukey, 0.0)
+        weights = _Weights(number, used, rise, sigma, weights.stiff)
+    return theta, weights
+
+
+def _lit(samples: _Samples, expected: np.ndarray, sigma: float) -> np.ndarray:
+    """Samples that count: shadows, and what is neither black nor white.
+
+    The expected number decides if noise might have made the number black or white.
+    """
+    number, near = samples.number, min(5 * sigma, 0.1)
+    dark = np.where(number < DARKEST + near, expected, number) < DARKEST
+    bright = np.where(number > BRIGHTEST - near, expected, number) > BRIGHTEST
+    return samples.sound & (~dark & ~bright | (samples.share == 0))
+
+
+def _freedom(samples: _Samples, lit: np.ndarray) -> int:
+    """Number of samples that count less that of strengths found; at least 1."""
+    strengths = np.count_nonzero((lit & (samples.share > 0)).any(axis=1))
+    return max(int(np.count_nonzero(lit) - strengths) - samples.room, 1)
+
+
+def _checked(
+    light: np.ndarray,
+    other: np.ndarray,
+    more: float,
+    freedom: float,
+    seen: tuple[float, float],
+) -> Check:
+    """Compare an encoding's light with the curve's; `more` is its excess of χ²."""
+    from scipy import stats
+
+    chance = float(stats.chi2.sf(more, freedom))
+    # Far out the tail's probability is less than any number.
+    sigmas = stats.norm.isf(chance / 2) if chance > 1e-300 else np.sqrt(more)
+    shown = (GRID >= seen[0]) & (GRID <= seen[1])
+    one, two = other[shown], light[shown]
+    scale = one @ two / (two @ two)
+    return Check(float(sigmas), float(np.abs(one - scale * two).max()))
+
+
+def _warnings(low: float, high: float, sigma: float) -> tuple[str, ...]:
+    found = []
+    if high < 0.7 or low > 0.4:
+        words = (
+            f"only numbers from {low:.2f} to {high:.2f} are seen: beyond them the "
+            "curve is extrapolated"
         )
-        number = samples.number
-        self.grid = np.linspace(0, 1, 8 * (SAMPLES - 1) + 1)
-        inner = np.linspace(0, 1, SPLINES - 2)
-        knots = np.concatenate([[0] * 3, inner, [1] * 3])
-        self.basis = BSpline.design_matrix(np.sqrt(self.grid), knots, 3).toarray()
-        bends = np.diff(np.eye(SPLINES), 2, axis=0) / SMOOTH
-        # What they have in common does not change the curve: it is held near 0.
-        self.smooth = np.concatenate([bends, np.ones((1, SPLINES))])
-        # What the curve so far says of the samples; to begin with, they are it.
-        self.used = ((number > DARKEST) & (number < BRIGHTEST)).astype(float)
-        self.used[samples.share == 0] = 1
-        self.rise = np.ones(len(number))
-        self.sigma, self.stiff = 0.01, 1.0
-        # Numbers without what black cuts off, which raises their mean.
-        self.number = number
-
-    def curve(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Light and its slope on the grid."""
-        log_slope = self.basis @ theta
-        slope = np.exp(np.clip(log_slope - log_slope.max(), -40, 0))
-        steps = (slope[1:] + slope[:-1]) / 2 * np.diff(self.grid)
-        light = np.concatenate([[0], np.cumsum(steps)])
-        return light / light[-1], slope / light[-1]
-
-    def errors(
-        self, light: np.ndarray, least_room: float = 0.0
-    ) -> Float[np.ndarray, " n"]:
-        """Of numbers, for the light of a curve and of a room with at least this."""
-        samples, q = self.samples, self.samples.share
-        # Below black it goes on straight: corrected numbers lie there.
-        first = light[1] / self.grid[1]
-        found = np.interp(self.number, self.grid, light)
-        found = found + np.minimum(self.number, 0) * first
-        weight = self.used / self.rise**2
-
-        def sums(values: np.ndarray) -> np.ndarray:
-            return np.bincount(samples.group, values)
-
-        squares = np.maximum(sums(weight * q * q), 1e-300)
-        products, room = sums(weight * q * found), 0.0
-        if samples.room:
-            # The room's light, once strengths follow it.
-            crossed = sums(weight * q)
-            top = np.sum(weight * found) - np.sum(products * crossed / squares)
-            bottom = np.sum(weight) - np.sum(crossed**2 / squares)
-            room = max(top / bottom, least_room) if bottom > 0 else 0.0
-            products = products - room * crossed
-        told = (products / squares)[samples.group] * q + room
-        expected = np.interp(told, light, self.grid) + np.minimum(told, 0) / first
-        return self.number - expected
-
-    def response(self) -> Response:
-        """The curve that explains the samples best, and what is known of it."""
-        theta = self._solve()
-        rest = self.errors(self.curve(theta)[0])
-        # A room without light has an uncertain light, too: no bound at 0 here.
-        free = self.errors(self.curve(theta)[0], -np.inf)
-        jacobian = self._jacobian(theta, free, -np.inf)
-        lit = self._lit(self.number - rest)
-        count, freedom = np.count_nonzero(lit), self._freedom(lit) - SPLINES
-        u = rest / (TUKEY * self.sigma)
-        scores = self.used * rest
-        slope = np.where(lit & (np.abs(u) < 1), (1 - u**2) * (1 - 5 * u**2), 0)
-        # Huber, *Robust statistics*, 1981, section 7.6: what weights cost.
-        variance = np.sum(scores**2) / freedom / (np.sum(slope) / count) ** 2
-        data = jacobian.T @ (self.used[:, None] * jacobian)
-        known = np.linalg.solve(data + self._held(), data)
-        # Neighbours err together: by how much more scores of blocks vary.
-        _, block = np.unique(self.samples.block, return_inverse=True)
-        each = scores[:, None] * jacobian
-        together = np.zeros((block.max() + 1, SPLINES))
-        np.add.at(together, block, each)
-        bread = known @ np.linalg.inv(data + self._held())
-        alone = np.trace(bread @ each.T @ each)
-        inflation = float(np.trace(bread @ together.T @ together) / alone)
-        weight = np.sum(self.used) / count
-        variance = weight * variance * max(inflation, 1.0)
-        covariance = np.linalg.inv(
-            data / variance + self.stiff * self.smooth.T @ self.smooth
-        )
-        return self._result(theta, variance, covariance, float(np.trace(known)))
-
-    def _result(
-        self, theta: np.ndarray, variance: float, covariance: np.ndarray, freedom: float
-    ) -> Response:
-        light, _ = self.curve(theta)
-        numbers = np.linspace(0, 1, SAMPLES)
-        # What lies flat to the last digit still rises.
-        samples = np.interp(numbers, self.grid, light) + 1e-9 * numbers
-        samples = samples / samples[-1]
-        lit = (self.used > 0) & (self.samples.share > 0)
-        low, high = np.percentile(self.samples.number[lit], (0.5, 99.5))
-        seen = (float(low), float(high))
-
-        def shape(at: np.ndarray) -> np.ndarray:
-            """Of a curve, since how bright all light is does not matter."""
-            other = self.curve(at)[0]
-            at_high = np.interp(high, self.grid, other)
-            return np.interp(numbers, self.grid, other) / at_high
-
-        moved = [shape(theta + step) - shape(theta) for step in 1e-4 * np.eye(SPLINES)]
-        slopes = np.array(moved).T / 1e-4
-        error = np.sqrt(np.einsum("ni,ij,nj->n", slopes, covariance, slopes))
-        best = float(np.sum(self.used * self.errors(light) ** 2))
-        checks = {
-            name: self._check(name, best, variance, max(freedom, 1.0), light, seen)
-            for name in ENCODINGS
-        }
-        curve = ResponseCurve(samples.tolist())
-        return Response(curve, error, seen, checks, self._warnings(*seen))
-
-    def _solve(self) -> np.ndarray:
-        """The spline's numbers; which samples count, and how they err, on the way."""
-        theta = self._start()
-        for number in range(ROUNDS):
-            # At first stiff: else it bends below the darkest number that is seen, where
-            # a step in light and light of the room look alike.
-            self.stiff = max(STIFF / 4**number, 1.0)
-            for _ in range(STEPS):
-                before, theta = theta, self._step(theta)
-                if np.abs(theta - before).max() < SMALL:
-                    break
-            light, slope = self.curve(theta)
-            rest = self.errors(light)
-            told = self.number - rest
-            lit = self._lit(told)
-            # Of shadows black may have cut half off.
-            typical = np.median(np.abs(rest[lit & (self.samples.share > 0)]))
-            lost = np.sqrt(np.count_nonzero(lit) / self._freedom(lit))
-            self.sigma = max(1.4826 * float(typical * lost), 1e-5)
-            self.number = self.samples.number - _raised(told, self.sigma)
-            rest = self.number - told
-            tukey = np.clip(1 - (rest / (TUKEY * self.sigma)) ** 2, 0, None) ** 2
-            # At first no curve is near enough to say what is an outlier.
-            self.used = np.where(lit, tukey if number >= ROUNDS // 2 else 1.0, 0)
-            self.rise = np.interp(np.maximum(told, DARKEST), self.grid, slope)
-        return theta
-
-    def _lit(self, told: np.ndarray) -> np.ndarray:
-        """Samples that count: shadows, and what is neither black nor white."""
-        return self._inside(told) | (self.samples.share == 0)
-
-    def _freedom(self, lit: np.ndarray) -> int:
-        """Samples that count, less the strengths found from them; 1 at the least."""
-        strengths = np.unique(self.samples.group[lit & (self.samples.share > 0)])
-        return max(int(np.count_nonzero(lit)) - len(strengths) - self.samples.room, 1)
-
-    def _inside(self, told: np.ndarray) -> np.ndarray:
-        """Which samples are neither black nor white.
-
-        Where noise might have made a number so, what it should be decides.
-        """
-        number, near = self.samples.number, min(5 * self.sigma, 0.1)
-        dark = np.where(number < DARKEST + near, told, number) < DARKEST
-        bright = np.where(number > BRIGHTEST - near, told, number) > BRIGHTEST
-        return ~dark & ~bright
-
-    def _start(self) -> np.ndarray:
-        """The encoding with a name that is nearer."""
-        starts = []
-        for name in ENCODINGS:
-            light = np.asarray(decode(self.grid, name))
-            log_slope = np.log(np.gradient(light, self.grid))
-            theta = np.linalg.lstsq(self.basis, log_slope, rcond=None)[0]
-            rest = np.abs(self.errors(light)[self.used > 0])
-            starts.append((float(np.median(rest)), theta))
-        return min(starts, key=lambda start: start[0])[1]
-
-    def _jacobian(
-        self, theta: np.ndarray, here: np.ndarray, least_room: float = 0.0
-    ) -> np.ndarray:
-        """Of errors that are `here` at these numbers."""
-        step = 1e-4
-        moved = [
-            self.errors(self.curve(theta + one)[0], least_room)
-            for one in step * np.eye(SPLINES)
-        ]
-        return (np.array(moved) - here).T / step
-
-    def _held(self) -> np.ndarray:
-        return self.stiff * self.sigma**2 * self.smooth.T @ self.smooth
-
-    def _step(self, theta: np.ndarray) -> np.ndarray:
-        """A step of Gauss and Newton's, halved until it leads downwards."""
-
-        def cost(at: np.ndarray, rest: np.ndarray) -> float:
-            return float(np.sum(self.used * rest**2) + at @ self._held() @ at)
-
-        rest = self.errors(self.curve(theta)[0])
-        rows = self._jacobian(theta, rest)
-        weighted = self.used[:, None] * rows
-        right = weighted.T @ rest + self._held() @ theta
-        step = -np.linalg.solve(rows.T @ weighted + self._held(), right)
-        step = step / max(np.abs(step).max(), 1)
-        before = cost(theta, rest)
-        for _ in range(10):
-            there = theta + step
-            if cost(there, self.errors(self.curve(there)[0])) <= before:
-                return there
-            step = step / 2
-        return theta
-
-    def _check(
-        self,
-        name: NamedEncoding,
-        best: float,
-        variance: float,
-        freedom: float,
-        light: np.ndarray,
-        seen: tuple[float, float],
-    ) -> Check:
-        from scipy import stats
-
-        other = np.asarray(decode(self.grid, name))
-        rest = self.errors(other)
-        more = max((float(np.sum(self.used * rest**2)) - best) / variance, 0.0)
-        chance = float(stats.chi2.sf(more, freedom))
-        # Far out the tail's probability is less than any number.
-        sigmas = stats.norm.isf(chance / 2) if chance > 1e-300 else np.sqrt(more)
-        shown = (self.grid >= seen[0]) & (self.grid <= seen[1])
-        one, two = other[shown], light[shown]
-        scale = one @ two / (two @ two)
-        return Check(float(sigmas), float(np.abs(one - scale * two).max()))
-
-    def _warnings(self, low: float, high: float) -> tuple[str, ...]:
-        found = []
-        if high < 0.7 or low > 0.4:
-            words = (
-                f"only numbers from {low:.2f} to {high:.2f} are seen: beyond them the "
-                "curve is extrapolated"
-            )
-            found.append(coded("range-unseen", words))
-        if self.sigma > 0.02:
-            words = f"numbers are {self.sigma:.3f} from the curve (standard deviation)"
-            found.append(coded("not-one-curve", words))
-        return tuple(found)
+        found.append(coded("range-unseen", words))
+    if sigma > 0.02:
+        words = f"numbers are {sigma:.3f} from the curve (standard deviation)"
+        found.append(coded("not-one-curve", words))
+    return tuple(found)

@@ -13,7 +13,7 @@ from phongfit.calibration.circles import (
     place,
 )
 from phongfit.calibration.highlights import find_highlights
-from phongfit.calibration.matte import Matte, Place, shaded_directions
+from phongfit.calibration.matte import points_on, shaded_directions
 from phongfit.calibration.outlines import View, seen, stretch
 from phongfit.rendering.film import Film
 
@@ -195,23 +195,12 @@ def _lambertian(
     light: Float[np.ndarray, "count height width"], outline: Outline
 ) -> float:
     """Share of the light's variance on a disk that one lamp a photograph explains."""
-    rows, columns = np.mgrid[: light.shape[1], : light.shape[2]]
-    pixels = np.stack([columns, rows], -1) + 0.5
-    inside = np.hypot(*(pixels - outline[:2]).T).T < 0.9 * outline[2]
-    normals = seen(
-        pixels[inside], outline, View(light.shape[2], light.shape[1]), 1.0
-    ).normal
-    place = Place(outline, 1.0, 0.0)
-    matte = Matte(
-        np.repeat(light[..., None], 3, -1),
-        np.zeros(2),
-        place,
-        np.eye(5),
-        View(light.shape[2], light.shape[1]),
-        np.zeros(3),
-    )
+    view = View(light.shape[2], light.shape[1])
+    points = points_on(light[..., None], np.zeros(2), outline)
+    normals = seen(points.pixel, outline, view, 1.0).normal
+    directions = shaded_directions(points, normals)
     explained, total = 0.0, 1e-12
-    for one, direction in zip(light[:, inside], shaded_directions(matte), strict=True):
+    for one, direction in zip(points.light[..., 0], directions, strict=True):
         model = np.maximum(normals @ direction, 0)
         columns = np.stack([model, np.ones_like(model)], 1)
         rest = one - columns @ np.linalg.lstsq(columns, one, rcond=None)[0]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.calibration.lamps import solve_lamps
 from phongfit.calibration.spheres import find_ball
 from tests.calibration.studio import Ball, Studio, degrees, directions
 
@@ -170,6 +171,31 @@ def test_near_lamps_have_a_place():
     assert isinstance(found.lights[0], pf.PointLight)
 
 
+@pytest.mark.parametrize("every", [False, True])
+def test_lamps_that_are_not_near(distant, monkeypatch, every):
+    """Rays that do not meet: of the first lamp, which is left out, or of all."""
+    studio, images = distant
+    rounds = []
+
+    def solve(candidates, chosen, *others):
+        found = solve_lamps(candidates, chosen, *others)
+        distances = np.full(len(chosen), 0.1)
+        if not rounds:
+            distances[: None if every else 1] = -0.1
+        rounds.append(chosen)
+        return found._replace(inverse_distances=distances)
+
+    monkeypatch.setattr("phongfit.calibration.calibrate.solve_lamps", solve)
+    options = {"matte": None, "lamps": "near"}
+    if every:
+        with pytest.raises(ValueError, match="lamps: expected near ones, got rays"):
+            calibrated(studio, images[:FEW], **options)
+        return
+    found = calibrated(studio, images[:FEW], **options)
+    whys = [why for why in found.left_out.values() if "not near" in why]
+    assert len(whys) == 1 and len(rounds[1]) == len(rounds[0]) - 1
+
+
 def test_parallel_rays():
     studio = Studio(fov=None)
     images = [studio.photograph(lamp, seed=n) for n, lamp in enumerate(LAMPS[:FEW])]
@@ -224,7 +250,7 @@ def test_two_lamps_everywhere(distant, monkeypatch):
     studio, images = distant
     monkeypatch.setattr(
         "phongfit.calibration.calibrate.show_two_lamps",
-        lambda candidates, *others: [True] * len(candidates),
+        lambda candidates, chosen, lamps: np.ones(len(chosen), bool),
     )
     with pytest.raises(ValueError, match="expected one lamp in each, got two in phot"):
         calibrated(studio, images)

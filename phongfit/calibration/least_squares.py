@@ -1,0 +1,127 @@
+"""Least squares of residuals in JAX: exact Jacobians, solved by SciPy.
+
+All of it runs in double precision, whatever JAX's setting.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from phongfit.fitting.problem.losses import Tukey
+from phongfit.programs import compiler_options
+
+TUKEY = Tukey().k
+"""Residuals of this many standard deviations get no weight."""
+
+
+class Solution(NamedTuple):
+    """Unknowns at the minimum, with the residuals and their Jacobian there."""
+
+    values: Float[np.ndarray, " n"]
+    residual: Float[np.ndarray, " m"]
+    jacobian: Float[np.ndarray, "m n"]
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "n n"]:
+        """For residuals of variance 1; 0 for directions without information."""
+        return np.linalg.pinv(self.jacobian.T @ self.jacobian)
+
+    @property
+    def hat(self) -> Float[np.ndarray, " m"]:
+        """Fraction of a degree of freedom that the unknowns take of each residual."""
+        return np.vecdot(self.jacobian @ self.covariance, self.jacobian)
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A JAX function that takes and returns NumPy arrays, in double precision.
+
+    Its programs are freed together with it, so that a process which calibrates many
+    captures does not keep those of all.
+    """
+    program = jax.jit(function, compiler_options=compiler_options())
+
+    def run(*args: Any) -> Any:
+        # A Python number has another type than one of NumPy: JAX would compile twice.
+        args = jax.tree.map(np.asarray, args)
+        with (
+            jax.enable_x64(True),
+            # Functions that serve NumPy, too, follow its rules.
+            jax.numpy_rank_promotion("allow"),
+            jax.numpy_dtype_promotion("standard"),
+        ):
+            return jax.tree.map(np.array, program(*args))
+
+    return run
+
+
+def differentiated(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function's value, and its exact Jacobian by the first argument, a vector."""
+
+    def both(values: Any, *args: Any) -> Any:
+        result = function(values, *args)
+        return result, result
+
+    program = compiled(jax.jacfwd(both, has_aux=True))
+
+    def run(values: Any, *args: Any) -> Any:
+        jacobian, value = program(np.asarray(values, float), *args)
+        return value, jacobian
+
+    return run
+
+
+def least_squares(
+    residual: Callable[..., Any],
+    start: Float[np.ndarray, " n"],
+    *args: Any,
+    upper: Float[np.ndarray, " n"] | float = np.inf,
+) -> Solution:
+    """Minimise the sum of squares of a [`differentiated`][] residual.
+
+    **Arguments:**
+
+    - `residual`: called with the unknowns and `args`.
+    - `upper`: bounds of the unknowns.
+    """
+    from scipy import optimize
+
+    # SciPy asks for the Jacobian at a point after the residuals there.
+    @functools.lru_cache(maxsize=1)
+    def at(values: bytes) -> Any:
+        return residual(np.frombuffer(values), *args)
+
+    found = optimize.least_squares(
+        lambda values: at(values.tobytes())[0],
+        start,
+        lambda values: at(values.tobytes())[1],  # pyright: ignore[reportArgumentType]
+        (-np.inf, upper),
+        # MINPACK's decomposition of large Jacobians is faster, but it has no bounds.
+        "lm" if np.isinf(upper).all() else "trf",
+    )
+    return Solution(found.x, found.fun, found.jac)
+
+
+def robust_scale(residual: Float[np.ndarray, " m"]) -> float:
+    """Standard deviation of normal residuals by their median size."""
+    return 1.4826 * float(np.median(np.abs(residual)))
+
+
+def tukey_weight(
+    residual: Float[np.ndarray, " m"], sigma: float
+) -> Float[np.ndarray, " m"]:
+    """Weights of Tukey's biweight, for residuals of a standard deviation `sigma`."""
+    return np.clip(1 - (residual / (TUKEY * sigma)) ** 2, 0, None) ** 2
+
+
+def summed_by_block(
+    scores: Float[np.ndarray, "m n"], block: Int[np.ndarray, " m"]
+) -> Float[np.ndarray, "blocks n"]:
+    """Sums over samples whose errors are correlated, for a sandwich covariance."""
+    _, group = np.unique(block, return_inverse=True)
+    sums = np.zeros((group.max() + 1, scores.shape[1]))
+    np.add.at(sums, group, scores)
+    return sums
