@@ -410,6 +410,11 @@ class Texels(NamedTuple):
     values: Float[np.ndarray, "rows columns channels"]
     alpha: Float[np.ndarray, "rows columns 1"] | None
 
+    @property
+    def transparent(self) -> bool:
+        """Whether any texel is less than opaque."""
+        return self.alpha is not None and bool(np.any(self.alpha < 1))
+
 
 def read_texels(data: bytes, path: Path, encoding: NamedEncoding) -> Texels:
     """A texture from the bytes of an image file.
