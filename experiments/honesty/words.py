@@ -38,6 +38,11 @@ SUBJECTS = {
     "two-solutions": Subject.FIT,
     # A highlight thrown away is no gap in the data, but a doubt about the fit.
     "rejected-highlight": Subject.FIT,
+    "bulging-normals": Subject.FIT,
+    "broad-highlights": Subject.FIT,
+    "pixels-misplaced": Subject.FIT,
+    "materials-run-out": Subject.FIT,
+    "strengths-doubtful": Subject.FIT,
     "at-bound": Subject.BOUND,
     "not-identifiable": Subject.OPEN,
     "no-highlight": Subject.OPEN,
