@@ -39,6 +39,7 @@ class Situation:
     - `ask`: from a generator for each draw to what is said of them;
     - `free`: parameters that the data cannot identify;
     - `wide`: whether intervals may be too wide;
+    - `words`: part of a warning that each draw must come with;
     - `share`: of the draws asked for, where a draw takes long.
     """
 
@@ -47,6 +48,7 @@ class Situation:
     ask: Callable[[Draws], Answers]
     free: tuple[str, ...] = ()
     wide: bool = False
+    words: str = ""
     share: float = 1.0
 
 
