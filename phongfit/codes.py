@@ -52,6 +52,8 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "as the object has), or bound it (shininess from 15)",
         "pixels-misplaced": "Fit in more passes (passes=5), or give the scenes the "
         "object's own surface",
+        "strengths-doubtful": 'Let them be fitted (strengths="fit", or --strengths '
+        "fit), or check the lamps and the exposures",
         "materials-run-out": "Give their number (materials=1), or make ambient one of "
         "the unknowns if the room was not dark",
         "fov-doubtful": "Give the camera's angle of view (fov), or fit it (fit_fov, or "

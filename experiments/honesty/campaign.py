@@ -51,7 +51,13 @@ def examine(situation: Situation, draws: int, seed: int) -> Row:
     count = max(round(draws * situation.share), min(draws, LEAST))
     key = zlib.crc32(situation.name.encode())
     rngs = [np.random.default_rng((seed, key, draw)) for draw in range(count)]
-    verdict = judge(situation.ask(rngs), situation.kind, situation.free, situation.wide)
+    verdict = judge(
+        situation.ask(rngs),
+        situation.kind,
+        situation.free,
+        situation.wide,
+        situation.words,
+    )
     seconds = time.perf_counter() - began
     return Row(situation.name, situation.kind, own_bits(), seconds, verdict)
 

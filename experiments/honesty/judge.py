@@ -6,6 +6,7 @@
 - An estimate that is far off must come with a warning: in 99 % of such draws.
 - With a right model, at most 1 % of the draws may have a warning of doubt.
 - A parameter that the data do not identify must not have a small error.
+- Where a situation names a warning, at most 1 % of the draws may lack it.
 
 See `experiments/honesty/chance.py` for what few draws allow.
 """
@@ -69,7 +70,11 @@ class Verdict:
 
 
 def judge(
-    answers: Answers, kind: Kind, free: tuple[str, ...] = (), wide: bool = False
+    answers: Answers,
+    kind: Kind,
+    free: tuple[str, ...] = (),
+    wide: bool = False,
+    words: str = "",
 ) -> Verdict:
     """The verdict on one situation.
 
@@ -78,6 +83,7 @@ def judge(
     - `kind`: whether the model is right, doubtful or wrong in this situation.
     - `free`: parameters, or labels, that the data cannot identify.
     - `wide`: whether intervals may be too wide here.
+    - `words`: part of a warning, such as a code, that every draw must come with.
     """
     marks, labels = look(answers), answers.labels
     too_wide = kind != "wrong" and _too_wide(marks)
@@ -89,6 +95,7 @@ def judge(
         *_misleading(marks, kind),
         *(_alarms(marks, kind) if kind in RIGHT_KINDS else ()),
         *_small_errors(answers, free, ~marks.doubted),
+        *_lacking(answers, words),
         *(f"a warning of unknown kind: {x}" for x in unknown_words(answers.warnings)),
     ]
     notes = [
@@ -180,6 +187,14 @@ def _small_errors(
                 f"{name} is not identifiable, yet {count} draws have a small error"
             )
     return faults
+
+
+def _lacking(answers: Answers, words: str) -> list[str]:
+    """Draws without the warning that must come with each."""
+    lacking = sum(all(words not in one for one in said) for said in answers.warnings)
+    if not words or lacking <= MISLED * len(answers.warnings):
+        return []
+    return [f"{lacking} draws come without {words!r} in a warning"]
 
 
 def _worst(labels: tuple[str, ...], marks: Marks) -> tuple[float, str]:

@@ -38,6 +38,11 @@ SUBJECTS = {
     "two-solutions": Subject.FIT,
     # A rejected highlight casts doubt on the fit; it is not a gap in the data.
     "rejected-highlight": Subject.FIT,
+    "bulging-normals": Subject.FIT,
+    "broad-highlights": Subject.FIT,
+    "pixels-misplaced": Subject.FIT,
+    "materials-run-out": Subject.FIT,
+    "strengths-doubtful": Subject.FIT,
     "at-bound": Subject.BOUND,
     "not-identifiable": Subject.OPEN,
     "no-highlight": Subject.OPEN,

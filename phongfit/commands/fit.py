@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from tyro.conf import OmitArgPrefixes
 
-from phongfit.codes import warning_code
 from phongfit.commands.data import DataOptions, read_data, tell
 from phongfit.commands.keeping import keeping
 from phongfit.commands.loading import loading_lines
@@ -42,16 +41,10 @@ from phongfit.files.texture_fits import (
     RECORD_FILE,
     save_texture_fit,
 )
-from phongfit.fitting.encodings import (
-    encoding_words,
-    other_encoding,
-    reread,
-)
 from phongfit.fitting.fit import fit
 from phongfit.fitting.problem.specification import Specification, as_names
 from phongfit.fitting.result import Fit
 from phongfit.fitting.texture_fit import TEXTURED, fit_texture
-from phongfit.rendering.film import Film
 
 FIT_FILE = "fit.json"
 PICTURE_FILE = "comparison.png"
@@ -127,7 +120,7 @@ def main(options: Options) -> int:
         asked = _with_unknown(asked, data, options.refine_lights)
         tell(data.notes)
         with stage("fitting"):
-            found = _with_doubts(_fit(data, asked, noise), data, asked)
+            found = _fit(data, asked, noise)
         write_fit_record(folder / FIT_FILE, found, data=read, noise=noise)
         with keeping(options.out, folder) as kept:
             print(found, flush=True)
@@ -238,22 +231,6 @@ def _fit(data: Dataset, asked: Specification, noise: float | None) -> Fit:
     if len(data.images) == 1:
         return fit(data.scenes[0], data.images[0], mask=data.masks[0], **options)
     return fit(data.scenes, data.images, mask=data.masks, **options)
-
-
-def _with_doubts(found: Fit, data: Dataset, asked: Specification) -> Fit:
-    """The fit, with a warning if the other encoding explains the files better.
-
-    Only a fit whose residuals are not noise is compared with one of the other encoding.
-    """
-    codes = [warning_code(warning) for warning in found.warnings]
-    encoding = data.films[0].encoding
-    if "lack-of-fit" not in codes or not isinstance(encoding, str):
-        return found
-    images = tuple(reread(image, encoding) for image in data.images)
-    film = Film(encoding=other_encoding(encoding))
-    other = _fit(dataclasses.replace(data, images=images, film=film), asked, None)
-    doubts = encoding_words(found, other, encoding)
-    return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
 
 
 def _compare(record: FitRecord, found: Fit, read: DataRecord) -> bool:

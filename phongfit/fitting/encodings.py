@@ -1,16 +1,40 @@
 """Comparison of fits to the same files, read as linear and as sRGB."""
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
-from phongfit.codes import coded
+from phongfit.codes import coded, warning_code
 from phongfit.fitting.result import Fit
-from phongfit.rendering.film import NamedEncoding, decode, encode
+from phongfit.rendering.film import Film, NamedEncoding, decode, encode
 
 SUSPECT = 1.5
 """Ratio of the residuals from which on the encoding is doubted."""
+
+
+def with_encoding_doubts(
+    found: Fit, fit_again: Callable[[tuple[np.ndarray, ...], Film], Fit]
+) -> Fit:
+    """The fit, with a warning if the other encoding explains its photographs better.
+
+    Only a fit with lack of fit is compared, and only where the film states the encoding
+    or the image's rounding shows it.
+
+    **Arguments:** `fit_again`: from photographs and their film to the fit of them.
+    """
+    films, encoding = found.films, found.films[0].encoding
+    stated = found.specification.film is not None or films[0].bits is not None
+    if not isinstance(encoding, str) or not (stated and films[0].clamp):
+        return found
+    one_encoding = all(film.encoding == encoding for film in films)
+    if not one_encoding or "lack-of-fit" not in map(warning_code, found.warnings):
+        return found
+    images = tuple(reread(image, encoding) for image in _listed(found.photographs))
+    other = fit_again(images, Film(encoding=other_encoding(encoding)))
+    doubts = encoding_words(found, other, encoding)
+    return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
 
 
 def other_encoding(encoding: NamedEncoding) -> NamedEncoding:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Int
 
 from phongfit.checks import untraced
 from phongfit.edge import checked
+from phongfit.fitting.encodings import with_encoding_doubts
 from phongfit.fitting.problem.inputs import (
     is_number,
 )
@@ -183,6 +184,28 @@ def fit(
         loss=loss,
         max_steps=max_steps,
     )
+    data = {"mask": mask, "weights": weights, "noise": noise}
+    found = _fit_once(specification, scene, image, **data)
+
+    def fit_again(images: tuple[np.ndarray, ...], film: Film) -> Fit:
+        other = dataclasses.replace(specification, film=film)
+        same = data | {"noise": None}
+        return _fit_once(other, scene, images[0] if single else images, **same)
+
+    return with_encoding_doubts(found, fit_again)
+
+
+def _fit_once(
+    specification: Specification,
+    scene: Scene | Sequence[Scene],
+    image: Any,
+    *,
+    mask: Any,
+    weights: Any,
+    noise: Any,
+) -> Fit:
+    """The fit of checked options, whose warnings do not compare encodings."""
+    single, max_steps = isinstance(scene, Scene), specification.max_steps
     setting = set_up(
         specification, scene, image, mask=mask, weights=weights, noise=noise
     )

@@ -25,6 +25,7 @@ from phongfit.fitting.uncertainty.estimate import Estimates, estimates
 from phongfit.fitting.uncertainty.inherited import beside, with_inherited
 from phongfit.fitting.uncertainty.numbers import parameter_rows
 from phongfit.fitting.uncertainty.scatter import scatter
+from phongfit.fitting.uncertainty.warnings import coarse_words
 from phongfit.material import Material
 from phongfit.rendering.film import Film, as_films, decode
 from phongfit.rendering.render import render
@@ -164,7 +165,7 @@ def predict_errors(
         covariance=estimated.covariance,
         at_bound=estimated.at_bound,
         unidentified=estimated.unidentified,
-        warnings=estimated.reasons,
+        warnings=(*estimated.reasons, *coarse_words(films)),
         n_samples=sum(source.count() for source in sources),
     )
 

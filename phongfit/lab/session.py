@@ -56,8 +56,8 @@ class Target:
     """An image to be fitted, in linear light.
 
     `shrunk` and `brighten`: how many times a photograph was shrunk, and is brightened
-    where it is shown, as is what stands beside it, to be compared. `truth`: the
-    settings that it was made of, if it was.
+    where it is shown, as is what stands beside it, to be compared. `encoding`: of the
+    photograph's file. `truth`: the settings that it was made of, if it was.
     """
 
     image: Float[np.ndarray, "height width 3"]
@@ -65,6 +65,14 @@ class Target:
     truth: Settings | None = None
     shrunk: int = 1
     brighten: float = 1.0
+    encoding: Encoding | None = None
+
+    @property
+    def film(self) -> Film | None:
+        """The film of a shrunk photograph, since its numbers do not show it."""
+        if self.encoding is None or self.shrunk == 1 or self.image.max() > 1:
+            return None
+        return Film(encoding=self.encoding)
 
     @property
     def frame(self) -> Frame:
@@ -126,7 +134,7 @@ class Session:
         """A photograph from a file, to be the target: see [`read_photograph`][]."""
         image, shrunk = read_photograph(name, content, encoding)
         mask = np.ones(image.shape[:2], bool)
-        target = Target(image, mask, None, shrunk, brightening(image))
+        target = Target(image, mask, None, shrunk, brightening(image), encoding)
         return self._keep(target)
 
     def choose(self, request: ChosenRequest) -> dict[str, Any]:
@@ -146,7 +154,8 @@ class Session:
         image, times = shrunk(photograph.image)
         known = np.atleast_3d(photograph.mask).astype(float).min(axis=-1, keepdims=True)
         mask = shrunk(known)[0][..., 0] >= 1
-        target = Target(image, mask, None, times, brightening(image))
+        encoding = given.film.encoding
+        target = Target(image, mask, None, times, brightening(image), encoding)
         settings = settings_of(given.scenes[request.number])
         return self._keep(target) | {
             "settings": settings,
@@ -204,6 +213,7 @@ class Session:
                 target.image,
                 unknowns=unknowns,
                 mask=used,
+                film=target.film,
                 loss=options.loss,
             )
             seconds = time.perf_counter() - start

@@ -29,6 +29,8 @@ PAGE_REMEDIES: Mapping[str, str] = MappingProxyType(
         "lack-of-fit": "Look at “Target − fit”. Check the circle, the light and the "
         "encoding; raise “rim left out”, load a mask of what does not belong, or try "
         "the other “highlight”",
+        "encoding-doubtful": "Load the photograph in the other encoding, unless you "
+        "know its own",
         "jpeg-blocks": "Load the photograph as PNG or TIFF, saved without loss by the "
         "camera or from its raw file",
         "low-white": "Load a mask without these samples, or start again with "

@@ -37,7 +37,7 @@ def fit_in_passes(
     passes: int,
     output: str | os.PathLike[str] | None,
     progress: bool,
-) -> Maps:
+) -> tuple[Maps, Sequence[Scene]]:
     """Maps of normals that are sought; each pass knows the surface of the last.
 
     **Arguments:**
@@ -45,6 +45,8 @@ def fit_in_passes(
     - `once`: one pass with all chosen but scenes, images, `output` and `progress`.
     - `output`: where finished tiles of the first pass are kept; those of later ones in
         folders inside.
+
+    **Returns:** the maps, and the scenes of the last pass, where the pixels lie.
     """
     maps = once(scenes, stack, output=output, progress=progress)
     for number in range(2, passes + 1):
@@ -57,7 +59,8 @@ def fit_in_passes(
         inner = None if output is None else Path(output) / f"pass_{number}"
         scenes = on_surface(scenes, field, field.mask, offset, shadows=True)
         maps = once(scenes, stack, output=inner, progress=progress)
-    return dataclasses.replace(maps, misplacement=misplacement(maps, scenes))
+    maps = dataclasses.replace(maps, misplacement=misplacement(maps, scenes))
+    return maps, scenes
 
 
 def find_offset(

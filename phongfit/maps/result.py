@@ -85,10 +85,20 @@ class BasisMaterials:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Materials whose highlight is at a bound, or stands for matte light."""
+        """Materials whose highlight is unseen, at a bound, or stands for matte."""
         found = []
         for number, exponent in enumerate(self.shininess, 1):
-            if exponent < BROADEST:
+            if not np.isfinite(self.stderr_shininess[number - 1]):
+                words = (
+                    f"shininess of material {number} is not identifiable: its "
+                    "highlight does not stand out"
+                )
+                remedy = (
+                    'Quote no exponent, or leave the highlight out (unknowns=("diffuse"'
+                    ",)) if the object is matte"
+                )
+                found.append(coded("no-highlight", words, remedy))
+            elif exponent < BROADEST:
                 words = (
                     f"the highlight of material {number} is so broad (f = "
                     f"{exponent:.2g}) that it stands for matte light: normals and ρ_d "
@@ -213,6 +223,7 @@ class Maps:
     ambient_light: tuple[float, float, float] = (0.0, 0.0, 0.0)
     materials: BasisMaterials | None = None
     misplacement: float = 0.0
+    strength_error: float = 0.0
     strengths: Strengths | None = None
     matte: bool = False
 
@@ -377,6 +388,13 @@ class Maps:
                 "and ρ_s are wrong by more than their errors"
             )
             found.append(coded("pixels-misplaced", words))
+        elif self.strength_error:
+            words = (
+                "the lamps' strengths relative to each other differ from those of the "
+                f"scenes by up to {self.strength_error:.0%}: normals and highlights "
+                "are wrong by more than their errors"
+            )
+            found.append(coded("strengths-doubtful", words))
         return tuple(found)
 
     def _has_broad_highlight(self) -> Bool[np.ndarray, "height width"]:
@@ -420,6 +438,7 @@ class Maps:
                 version=np.array(MAPS_VERSION),
                 unknowns=np.array(self.unknowns),
                 misplacement=np.array(self.misplacement),
+                strength_error=np.array(self.strength_error),
                 matte=np.array(self.matte),
                 view=np.array(
                     json.dumps(
@@ -524,10 +543,15 @@ Maps.__init__.__doc__ = """**Arguments:**
 - `misplacement`: with near lamps and normals that were sought, by how much directions
     to the lamps are off, since pixels were taken to lie elsewhere than on the surface
     of the normals that were found: root mean square, degrees.
+- `strength_error`: where the strengths of the light are given and the images determine
+    others: the largest deviation of their ratio from its mean; 0 elsewhere.
 - `matte`: whether `materials="auto"` found no highlight: then specular and shininess
     are not among `unknowns`.
 - `strengths`: of each image's light, where they were sought: see [`Strengths`][].
 """
+
+FAULTS = ("misplacement", "strength_error")
+"""Sizes of faults of the maps as a whole, which warnings name."""
 
 PLAIN = ("noise", "samples", "flags", "normals", "normals_stderr", "depth")
 
@@ -610,9 +634,11 @@ def checked_maps(arrays: dict[str, np.ndarray]) -> Maps:
         )
     if given.ndim == 0:
         given = None if np.isnan(given) else float(given)
-    misplacement = arrays.get("misplacement", np.array(0.0))
-    if misplacement.shape != () or not misplacement >= 0:
-        raise ValueError(f"misplacement: expected an angle ≥ 0, got {misplacement}")
+    # Files before version 0.2 do not state them.
+    faults = {name: arrays.get(name, np.array(0.0)) for name in FAULTS}
+    for name, size_of_fault in faults.items():
+        if size_of_fault.shape != () or not size_of_fault >= 0:
+            raise ValueError(f"{name}: expected a number ≥ 0, got {size_of_fault}")
     shape = _checked_shape(arrays, size)
     maps: Any = {name: arrays[name] for name in MAP_PARAMETERS}
     stderr: Any = {name: arrays[f"stderr_{name}"] for name in MAP_PARAMETERS}
@@ -625,7 +651,7 @@ def checked_maps(arrays: dict[str, np.ndarray]) -> Maps:
         unknowns=tuple(unknowns.tolist()),
         noise_given=given,
         materials=_checked_materials(arrays, size),
-        misplacement=float(misplacement),
+        **{name: float(fault) for name, fault in faults.items()},
         strengths=_checked_strengths(arrays),
         matte=bool(np.all(arrays.get("matte", False))),
         **shape,

@@ -35,7 +35,7 @@ from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
 from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps, StrengthsName
 from phongfit.maps.stacks import AbstractStack, as_index, as_stack, identify_stack
 from phongfit.maps.store import TileStore, tile_store
-from phongfit.maps.strengths import find_strengths, may_be_equal
+from phongfit.maps.strengths import find_strengths, may_be_equal, strength_error
 from phongfit.material import Material
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
@@ -190,19 +190,21 @@ def fit_maps(
         passes = usual_passes(scenes) if passes is None else passes
         if strengths != "given":
             asked["bounds"] = {"diffuse": (0.0, np.inf)} | dict(bounds or {})
-        placed = {"tile_pixels": tile_pixels, "devices": devices}
-        once = functools.partial(_fit_once, **asked, **placed)
-        found = None
+        spread = {"tile_pixels": tile_pixels, "devices": devices}
+        once = functools.partial(_fit_once, **asked, **spread)
+        found, error = None, 0.0
+        job = make_job(scenes, stack, **asked)
         if strengths != "given":
-            job = make_job(scenes, stack, **asked)
             coloured = strengths == "fit_per_channel"
             found = find_strengths(once, job, per_channel=coloured)
             if strengths == "auto" and may_be_equal(found):
                 found = None
             else:
                 scenes = found.lit(scenes)
-        maps = fit_in_passes(once, scenes, stack, passes, output, progress)
-        return dataclasses.replace(maps, strengths=found)
+        maps, placed = fit_in_passes(once, scenes, stack, passes, output, progress)
+        if strengths == "given":
+            error = strength_error(maps, placed, job)
+        return dataclasses.replace(maps, strengths=found, strength_error=error)
     return _fit_once(
         scenes,
         stack,

@@ -63,6 +63,9 @@ DIRECTION = 2.0
 1°, a mirror ball and a matte one by 2°, up to 6° for single lamps. Where lamps stand
 much alike, small turns of them look like other strengths."""
 
+FEWEST = 6
+"""Images from which on given strengths are checked."""
+
 EQUAL = 5.0
 """Strengths that all are within so many standard errors of their mean may be equal."""
 
@@ -130,6 +133,30 @@ def find_strengths(
         slope = _share(change + likely, likely)
         found = found._replace(stderr=found.stderr / (1 - slope))
     return found if per_channel else Strengths(*(one[:, 0] for one in found))
+
+
+def strength_error(maps: Maps, scenes: Sequence[Scene], job: Job) -> float:
+    """Error of the strengths of light that the scenes have, from finished maps.
+
+    The strengths are solved for once, with the highlights of the maps held.
+
+    **Arguments:** `scenes`: those of the last pass, where the pixels lie.
+
+    **Returns:** the largest deviation of a factor on the strengths from their mean,
+    relative to it; 0 where all may be right, or too little is seen.
+    """
+    if len(scenes) < FEWEST or "ambient" in job.settings.names:
+        return 0.0
+    buffer = scenes[0].trace()
+    white = job.settings.cutoff
+    try:
+        stack = KeptStack(job.stack)
+        pixels, points = sample_points(scenes, stack, buffer, job.masks, white)
+    except ValueError:
+        return 0.0
+    highlight = _highlights(maps, scenes, buffer, pixels)
+    found, _ = solve(points, highlight, np.ones((len(scenes), 1)))
+    return 0.0 if may_be_equal(found) else float(np.abs(found.values - 1).max())
 
 
 def _share(following: np.ndarray, wrong: np.ndarray) -> float:

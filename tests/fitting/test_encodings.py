@@ -6,13 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+import phongfit as pf
 from phongfit.codes import warning_code
 from phongfit.fitting.encodings import encoding_words, reread
 from phongfit.rendering.film import decode, encode
+from tests.fitting.scenes import ball, photograph, truth
 from tests.helpers import near
 
 RNG = np.random.default_rng(0)
 LIGHT = np.linspace(0.02, 0.7, 30 * 20 * 3).reshape(30, 20, 3)
+NOISE_OF_FILES = 0.003
 NOISE = 0.01 * RNG.normal(size=LIGHT.shape)
 
 
@@ -52,3 +55,28 @@ def test_reread_is_its_own_inverse():
     again = reread(image, "srgb")
     assert again.dtype == np.float32 and np.all(again > image)
     near(reread(again, "linear"), image, 1e-6)
+
+
+def encodings_named(image: np.ndarray, film: pf.Film | None = None) -> list[str]:
+    """Encodings that the warnings of a fit of the usual ball recommend."""
+    warnings = pf.fit(ball(), image, film=film).warnings
+    doubts = [one for one in warnings if warning_code(one) == "encoding-doubtful"]
+    return [one.rpartition("encoding=")[2].split()[0] for one in doubts]
+
+
+@pytest.mark.parametrize("right, wrong", [("linear", "srgb"), ("srgb", "linear")])
+def test_a_fit_names_the_encoding_of_a_file(right, wrong):
+    """The rounding of 8 bits shows in which encoding the file was read."""
+    film = pf.Film(encoding=right, bits=8)
+    image = photograph(ball(), truth(), noise=NOISE_OF_FILES, film=film)
+    misread = np.asarray(decode(encode(image, right), wrong))
+    assert encodings_named(misread) == [right]
+    assert encodings_named(image) == []
+
+
+def test_a_film_states_the_encoding_where_no_rounding_shows_it():
+    image = photograph(ball(), truth(), noise=NOISE_OF_FILES, film=pf.Film())
+    misread = np.asarray(decode(image, "srgb"))
+    assert encodings_named(misread, pf.Film(encoding="srgb")) == ["linear"]
+    # Nothing states the encoding of plain arrays.
+    assert encodings_named(misread) == []

@@ -145,6 +145,9 @@ def test_a_fit_with_one_press(page):
     page.click("#take")
     shininess = page.input_value("[aria-label='exponent, as a number'] >> nth=0")
     assert 50 < float(shininess) < 70 and shininess != "60"
+    page.click("#back")
+    shininess = page.input_value("[aria-label='exponent, as a number'] >> nth=0")
+    assert shininess == "60" and page.locator("#back").is_hidden()
     page.click("#drop")
     assert page.locator("#result").is_hidden() and page.locator("#fit").is_disabled()
 

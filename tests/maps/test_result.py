@@ -61,6 +61,26 @@ def test_shared_highlights(shininess, at_bound, code):
     assert [pf.warning_code(one) for one in found] == ([] if code is None else [code])
 
 
+def test_a_shared_highlight_that_is_not_seen():
+    unseen = dataclasses.replace(basis(1, True), stderr_shininess=np.array([np.inf]))
+    (warning,) = maps(materials=unseen).warnings
+    assert pf.warning_code(warning) == "no-highlight"
+
+
+@pytest.mark.parametrize(
+    "strength_error, misplacement, code",
+    [
+        (0.2, 0.0, "strengths-doubtful"),
+        # Wrong positions look like wrong strengths.
+        (0.2, 1.6, "pixels-misplaced"),
+    ],
+)
+def test_strengths_that_the_images_contradict(strength_error, misplacement, code):
+    fields = {"strength_error": strength_error, "misplacement": misplacement}
+    (warning,) = maps(**fields).warnings
+    assert pf.warning_code(warning) == code
+
+
 @pytest.mark.parametrize("angle, warned", [(0, False), (1.4, False), (1.6, True)])
 def test_misplaced_pixels(angle, warned):
     found = maps(misplacement=float(angle)).warnings
@@ -83,5 +103,5 @@ def test_a_file_keeps_both(tmp_path):
 def test_wrong_numbers_of_a_file_are_named(tmp_path):
     path = tmp_path / "maps.npz"
     dataclasses.replace(maps(), misplacement=-1.0).save(path)
-    with pytest.raises(ValueError, match="misplacement: expected an angle"):
+    with pytest.raises(ValueError, match="misplacement: expected a number ≥ 0"):
         pf.load_maps(path)

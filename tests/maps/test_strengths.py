@@ -118,6 +118,16 @@ def test_scenes_under_light_so_strong():
     np.testing.assert_allclose(lights[0].direction, LAMPS[0], atol=1e-6)
 
 
+@pytest.mark.extended
+@pytest.mark.parametrize("true, warned", [(np.ones(10), False), (TRUE, True)])
+def test_given_strengths_that_are_wrong_are_a_warning(true, warned):
+    options: dict[str, Any] = {"unknowns": ("diffuse",), "normals": "fit"}
+    images = photographs(0.0, true)
+    maps = pf.fit_maps(scenes(), images, film=FREE, progress=False, **options)
+    codes = [pf.warning_code(one) for one in maps.warnings]
+    assert codes == ["strengths-doubtful"] * warned
+
+
 @pytest.mark.parametrize("given", [{}, {"normals": "given"}])
 def test_normals_that_are_given_are_refused(given):
     with pytest.raises(ValueError, match="strengths: expected 'given' where normals"):

@@ -1,6 +1,7 @@
 """All situations, by theme."""
 
 from experiments.honesty.situations import (
+    captures,
     derived,
     edges,
     jpeg,
@@ -22,6 +23,7 @@ THEMES = {
     "JPEG": jpeg,
     "unknowns": unknowns,
     "maps": maps,
+    "captures": captures,
     "predictions and profiles": derived,
 }
 

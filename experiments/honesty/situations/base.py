@@ -39,6 +39,7 @@ class Situation:
     - `ask`: takes a random generator for each draw, returns the answers of their fits;
     - `free`: parameters that the data cannot identify;
     - `wide`: whether intervals may be too wide;
+    - `words`: part of a warning that each draw must have;
     - `share`: fraction of the draws to run, below 1 where a draw takes long.
     """
 
@@ -47,6 +48,7 @@ class Situation:
     ask: Callable[[Draws], Answers]
     free: tuple[str, ...] = ()
     wide: bool = False
+    words: str = ""
     share: float = 1.0
 
 

@@ -51,7 +51,10 @@ def situations() -> list[Situation]:
                 origin = "its film known" if known else "of unknown origin"
                 name = f"JPEG {quality}, {sampling}, {origin}"
                 found.append(Situation(name, "doubtful", ask, wide=True))
-    return found
+    coarse = jpeg_fits(functools.partial(any_ball, size=SIZE), 30, "4:2:0", True)
+    name = "JPEG 30, 4:2:0, its film known"
+    words = "[coarse-jpeg]"
+    return [*found, Situation(name, "doubtful", coarse, wide=True, words=words)]
 
 
 def any_ball(rng: np.random.Generator, size: int) -> Subject:

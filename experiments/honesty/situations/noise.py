@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+import phongfit as pf
 from experiments.honesty.situations.base import (
     NOISE,
     Image,
@@ -39,6 +40,9 @@ def situations() -> list[Situation]:
         "8 bits": fits(usual(), film("linear", 8, 0.005)),
         "8 bits, sRGB": fits(usual(), film("srgb", 8, 0.005)),
         "8 bits, sRGB, noise given": fits(usual(), film("srgb", 8, 0.005), noise=0.005),
+        "8 bits, sRGB, two channels near black": fits(
+            usual(pf.preset("ruby")), film("srgb", 8, 0.01)
+        ),
         "16 bits": fits(usual(), film("linear", 16, 0.002)),
         "16 bits, sRGB": fits(usual(), film("srgb", 16, 0.002)),
     }

@@ -13,6 +13,7 @@ from experiments.honesty.situations.base import (
     SMALL,
     Image,
     Situation,
+    Subject,
     ball,
     changed,
     clamped,
@@ -26,6 +27,8 @@ USUAL = ("ambient", "diffuse", "specular", "shininess")
 EXPOSURES = (1.0, 0.7, 1.4)
 # Rotation of the camera about the world's axes, degrees.
 TURN = (0.6, -0.8, 2.0)
+# Standard deviation of a measured position, in radii of the ball.
+ASTRAY = 0.1
 TURN_LABELS = tuple(f"scene.camera.rotation.{axis}" for axis in "xyz")
 
 
@@ -99,6 +102,16 @@ def of_scenes() -> list[Situation]:
                 noisy(),
                 fitted=small(guess),
                 unknowns=(*USUAL, "scene.lights[0].position"),
+            ),
+        ),
+        Situation(
+            "a bulb's position uncertain",
+            "right",
+            fits(
+                misplaced,
+                noisy(0.03),
+                fitted=small(near_bulb()),
+                uncertain={"scene.lights[0].position": ASTRAY},
             ),
         ),
         Situation(
@@ -177,6 +190,16 @@ def of_scenes() -> list[Situation]:
             ),
         ),
     ]
+
+
+def near_bulb(off: Sequence[float] | np.ndarray = (0, 0, 0)) -> pf.PointLight:
+    """A bulb so near that its light falls off, in its place or beside it."""
+    return pf.PointLight(np.array((0.8, 0.9, 2.2)) + off, attenuation=(0.5, 0, 0.3))
+
+
+def misplaced(rng: np.random.Generator) -> Subject:
+    """The ball under a bulb that is not quite where it was measured."""
+    return usual(MATERIAL, small(near_bulb(ASTRAY * rng.normal(size=3))))
 
 
 def tilted(degrees: float) -> np.ndarray:

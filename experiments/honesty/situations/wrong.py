@@ -15,7 +15,6 @@ from experiments.honesty.situations.base import (
     Image,
     Situation,
     Subject,
-    Take,
     ball,
     changed,
     clamped,
@@ -27,6 +26,13 @@ from experiments.honesty.situations.base import (
 from experiments.honesty.situations.models import four_balls
 from phongfit.rendering.film import Encoding, decode, encode
 
+# Warnings that must come, not just any.
+NAMED = {
+    "sRGB read as linear": "Read it with encoding=srgb",
+    "linear read as sRGB": "Read it with encoding=linear",
+    "12 bits in 16": "[low-white]",
+}
+
 
 def situations() -> list[Situation]:
     """All situations with a wrong model."""
@@ -35,8 +41,9 @@ def situations() -> list[Situation]:
         "the same, four images": held(*four_balls(size=LARGE)),
         "a lamp of 4% left out": lamp_left_out(0.04, LARGE, 0.03),
         "a lamp of 25% left out": lamp_left_out(0.25, 48, 0.01),
-        "sRGB read as linear": fits(usual(), read_as("srgb", "linear")),
-        "linear read as sRGB": fits(usual(), read_as("linear", "srgb")),
+        "sRGB read as linear": read_as("srgb", "linear"),
+        "linear read as sRGB": read_as("linear", "srgb"),
+        "12 bits in 16": fits(usual(MATERIAL, bright()), twelve_bits),
         "gamma 2.2 read as sRGB": fits(usual(), gamma),
         "Phong for Blinn": fits(apart(), noisy(), fitted=apart(pf.Phong()).scenes),
         "lamp 2° off": fits(usual(), noisy(), fitted=ball(lamp(turned(2.0)))),
@@ -48,7 +55,10 @@ def situations() -> list[Situation]:
         "ripples": fits(usual(), rippled),
         "a black level left in": fits(usual(), clamped(black_level)),
     }
-    return [Situation(name, "wrong", ask) for name, ask in asked.items()]
+    return [
+        Situation(name, "wrong", ask, words=NAMED.get(name, ""))
+        for name, ask in asked.items()
+    ]
 
 
 def held(*scenes: pf.Scene) -> Callable[[Draws], Answers]:
@@ -77,13 +87,23 @@ def turned(degrees: float) -> tuple[float, float, float]:
     return cos * x - sin * y, sin * x + cos * y, z
 
 
-def read_as(written: Encoding, read: Encoding) -> Take:
+def read_as(written: Encoding, read: Encoding) -> Callable[[Draws], Answers]:
     """A function that stores noisy light in one encoding, and reads it in another."""
 
     def take(light: Image, rng: np.random.Generator) -> Image:
         return decode(encode(clamped(noisy())(light, rng), written), read)
 
-    return take
+    return fits(usual(), take, film=pf.Film(encoding=read))
+
+
+def bright() -> pf.Scene:
+    """The ball with a highlight past white."""
+    return ball(lamp(intensity=1.2))
+
+
+def twelve_bits(light: Image, rng: np.random.Generator) -> Image:
+    """A camera's 12 bits as they stand in a file of 16: white is 4095 of 65535."""
+    return np.round(4095 * clamped(noisy())(light, rng)) / 65535
 
 
 def gamma(light: Image, rng: np.random.Generator) -> Image:

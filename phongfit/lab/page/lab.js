@@ -8,6 +8,8 @@ let about, settings, options;
 let target = null;
 let seed = 0;
 let found = null;
+// Positions of the sliders that were set to the fit, before that.
+let before = null;
 
 // Asking the server. What is wrong comes as an Error with one line.
 
@@ -227,7 +229,20 @@ function cancelFit() {
 function forgetFit() {
   cancelFit();
   found = null;
+  keepBefore(null);
   for (const id of ["#result", "#fitted-figure", "#residual-figure"]) $(id).hidden = true;
+}
+
+/** `positions`: what “Back” will set the sliders to; null if there is nothing to undo. */
+function keepBefore(positions) {
+  before = positions;
+  $("#back").hidden = positions === null;
+}
+
+async function moveTo(positions) {
+  settings.set(positions);
+  $("#preset").value = "";
+  await draw();
 }
 
 async function fit() {
@@ -246,6 +261,7 @@ async function fit() {
     const answer = await json(post("/api/fit", request, signal));
     if (signal.aborted) return;
     found = answer;
+    keepBefore(null);
     await showFit();
     $("#state").textContent = `Fitted in ${found.seconds.toFixed(2)} s.`;
     cancelFit();
@@ -331,9 +347,14 @@ async function start() {
     document.documentElement.style.scrollPaddingTop = stays ? `${view.offsetHeight}px` : "";
   }).observe($("#view"));
   $("#take").addEventListener("click", handler(async () => {
-    settings.set(found.settings);
-    $("#preset").value = "";
-    await draw();
+    const names = Object.keys(found.settings);
+    keepBefore(before ?? Object.fromEntries(names.map((name) => [name, settings.values[name]])));
+    await moveTo(found.settings);
+  }));
+  $("#back").addEventListener("click", handler(async () => {
+    const positions = before;
+    keepBefore(null);
+    await moveTo(positions);
   }));
   $("#given").hidden = about.photographs.length === 0;
   about.photographs.forEach((name, number) =>

@@ -19,6 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from phongfit.fitting.uncertainty.identifiability import SEEN, stands_out
+
 # Rounds of the search, and the square of a step, in standard errors, that ends it.
 ROUNDS = 30
 SMALL = 1e-3
@@ -110,7 +112,7 @@ def maximize(
         shares,
         total,
         -2 * total + free * np.log(pixels),
-        _covariance(told, odds),
+        _covariance(told, odds, values),
         converged,
     )
 
@@ -135,9 +137,13 @@ def _summed(odds: np.ndarray, told: Told) -> np.ndarray:
 
 
 def _covariance(
-    told: list[Told], odds: np.ndarray
+    told: list[Told], odds: np.ndarray, values: np.ndarray
 ) -> Float[np.ndarray, "materials unknowns unknowns"]:
-    """By what pixels say, spread as it is: infinite where f is not identified."""
+    """Covariance of each material, a sandwich over the pixels.
+
+    It is infinite for an exponent that is not identified, as of a highlight that does
+    not stand out.
+    """
     count, unknowns = len(told), told[0].pull.shape[1]
     size = count * unknowns
     information = np.zeros((size, size))
@@ -170,6 +176,11 @@ def _covariance(
         ]
     )
     hidden = ~seen.reshape(count, unknowns)
+    hidden[:, 0] |= [
+        not stands_out(own[1:], block[1:, 1:], SEEN, chosen=1)
+        for own, block in zip(values, blocks, strict=True)
+    ]
     blocks[hidden] = 0
+    blocks[:, :, 0][hidden[:, 0]] = 0
     blocks[np.nonzero(hidden)[0], np.nonzero(hidden)[1], np.nonzero(hidden)[1]] = np.inf
     return blocks

@@ -85,7 +85,7 @@ def test_select(situations):
     assert [one.name for one in select(every, ("maps",))] == ["maps"]
     some = select(every, ("8 bits", "a prior 25"))
     assert [one.name for one in some] == ["8 bits", "a prior 25 σ off"]
-    assert len(select(every, ("JPEG",))) == 12
+    assert len(select(every, ("JPEG",))) == 13
     with pytest.raises(ValueError, match="only: no situation's name holds 'moon'"):
         select(every, ("moon",))
 

@@ -158,3 +158,11 @@ def test_all_refused():
     verdict = judge(warned(nothing, 100, REFUSED), "doubtful")
     assert verdict.faults == () and np.isnan(verdict.coverage)
     assert judge(warned(nothing, 100, REFUSED), "right").faults
+
+
+def test_a_warning_that_must_come():
+    answers = warned(made_up(), 80)
+    assert judge(answers, "doubtful", words="[lack-of-fit]").faults == (
+        "20 draws come without '[lack-of-fit]' in a warning",
+    )
+    assert judge(warned(made_up(), 99), "doubtful", words="not noise").faults == ()

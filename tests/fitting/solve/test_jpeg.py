@@ -140,4 +140,6 @@ def test_a_coarse_file_is_named(quality):
     """At quality 30 four of five intervals of 95 % held ρ_s, without a warning."""
     image = jpeg_photograph(0, quality, SCENE)
     fit = pf.fit(SCENE, image, film=jpeg_film(quality))
-    assert about("[coarse-jpeg]", fit) == (quality == 30)
+    foreseen = pf.predict_errors(SCENE, TRUTH, NOISE, film=jpeg_film(quality))
+    for found in (fit, foreseen):
+        assert about("[coarse-jpeg]", found) == (quality == 30)

@@ -1,0 +1,348 @@
+"""Captures: maps with unknown normals; lamps and cameras that are not known well."""
+
+import dataclasses
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+import phongfit as pf
+from data_synth.lights import spread_directions
+from experiments.honesty.answers import REFUSED, Answers, Said, gather
+from experiments.honesty.situations.base import (
+    MATERIAL,
+    UNCLAMPED,
+    Draws,
+    Situation,
+)
+from phongfit.files.captures import open_capture
+
+SIZE, LAMPS, NOISE = 24, 12, 0.004
+CAMERA = pf.OrthographicCamera(SIZE, SIZE, view_height=2.2)
+DIRECTIONS = spread_directions(LAMPS)
+SPECULAR, SHININESS = 0.3, 25.0
+# Distance of near lamps, and the camera's angle of view in degrees.
+NEAR, FOV = 3.0, 50.0
+# Standard deviation of the logarithm of strengths.
+UNEQUAL = 0.1
+# Along a side of a texture.
+TEXELS = 4
+HIGHLIGHT = ("specular.red", "specular.green", "specular.blue", "shininess")
+
+
+class Answer(NamedTuple):
+    """Estimates of one draw with their truth and standard errors; warnings."""
+
+    truth: Any
+    estimate: Any
+    error: Any
+    warnings: tuple[str, ...]
+    at_bound: Any = False
+
+
+def situations() -> list[Situation]:
+    """All of them."""
+    bounds = {"shininess": (15.0, 1000.0)}
+    # Many maps each.
+    few: Any = {"share": 0.04}
+    return [
+        Situation("normals, a shared highlight", "right", shared(), **few),
+        Situation(
+            "normals, a shared highlight of a matte ball",
+            "open",
+            shared(0.0),
+            free=("shininess",),
+            wide=True,
+            share=0.2,
+        ),
+        Situation(
+            "normals, the same, f from 15",
+            "open",
+            shared(0.0, bounds=bounds),
+            free=("shininess",),
+            wide=True,
+            share=0.2,
+        ),
+        Situation(
+            "normals, materials of a matte ball counted", "right", counted, **few
+        ),
+        Situation("normals, near lamps", "right", shared(near=True), wide=True, **few),
+        Situation(
+            "normals, near lamps in one pass",
+            "wrong",
+            shared(near=True, passes=1),
+            words="[pixels-misplaced]",
+            **few,
+        ),
+        Situation("normals, strengths fitted", "right", strengths, wide=True, **few),
+        Situation(
+            "normals, lamps of other strengths",
+            "wrong",
+            shared(unequal=True),
+            words="[strengths-doubtful]",
+            **few,
+        ),
+        Situation("an angle of view fitted", "right", angle_of_view, wide=True, **few),
+        Situation(
+            "the texture of a matte mesh",
+            "open",
+            texture,
+            free=("shininess",),
+            wide=True,
+            share=0.2,
+        ),
+        Situation(
+            "lamps behind the surface",
+            "wrong",
+            behind,
+            words="turn the sign of z",
+            **few,
+        ),
+    ]
+
+
+def each(
+    labels: tuple[str, ...], ask: Callable[[np.random.Generator], Answer]
+) -> Callable[[Draws], Answers]:
+    """Collect the answers of single draws, with intervals of ± 1.96 errors."""
+
+    def answers(draws: Draws) -> Answers:
+        said: list[Said | str] = []
+        for rng in draws:
+            try:
+                found = ask(rng)
+            except ValueError as error:
+                said.append(f"{REFUSED}{error}")
+                continue
+            truth, estimate, error, at_bound = (
+                np.broadcast_to(np.asarray(one, float), len(labels))
+                for one in (found.truth, found.estimate, found.error, found.at_bound)
+            )
+            low, high = estimate + 1.96 * error * [[-1.0], [1.0]]
+            bound = at_bound.astype(bool)
+            said.append(Said(truth, estimate, error, low, high, bound, found.warnings))
+        box = [(1.0, 1000.0) if one == "shininess" else (0.0, np.inf) for one in labels]
+        return gather(labels, np.array(box), said)
+
+    return answers
+
+
+def balls(near: bool = False) -> list[pf.Scene]:
+    """The ball under each lamp: far away, or with light that falls off as 1/r²."""
+    lights = [
+        pf.PointLight(NEAR * way, attenuation=(0, 0, 1 / NEAR**2))
+        if near
+        else pf.DirectionalLight(way)
+        for way in DIRECTIONS
+    ]
+    return [pf.Scene(pf.Sphere(), CAMERA, light) for light in lights]
+
+
+def photographs(
+    scenes: list[pf.Scene], specular: float, rng: np.random.Generator
+) -> Float[np.ndarray, "lamps height width 3"]:
+    """The ball with noise, under each lamp."""
+    ball = pf.Material(MATERIAL.diffuse, specular, SHININESS, 0.0)
+    light = [np.asarray(pf.render(one, ball, film=UNCLAMPED)) for one in scenes]
+    noise = NOISE * rng.normal(size=(len(light), *light[0].shape))
+    return np.stack(light) + noise.astype(light[0].dtype)
+
+
+def flat(scenes: list[pf.Scene]) -> list[pf.Scene]:
+    """Scenes with a plane in the ball's place, since the ball's form is unknown."""
+    steps = (np.arange(SIZE) + 0.5 - SIZE / 2) * float(CAMERA.view_height) / SIZE
+    x, y = np.meshgrid(steps, -steps)
+    places = np.stack([x, y, np.zeros_like(x)], axis=-1)
+    plane = pf.NormalMap(np.ones((SIZE, SIZE, 1)) * [0.0, 0.0, 1.0], None, places)
+    return [dataclasses.replace(one, surface=plane) for one in scenes]
+
+
+def seen(rim: float = 0.35) -> np.ndarray:
+    """Pixels of the ball without its rim, up to this cosine."""
+    buffer = pf.trace(pf.Sphere(), CAMERA)
+    return np.asarray(buffer.mask) & (np.asarray(buffer.normal)[..., 2] > rim)
+
+
+def fit_normals(scenes: list[pf.Scene], images: np.ndarray, **options: Any) -> pf.Maps:
+    """Maps of normals and materials, of which one highlight is shared."""
+    usual: dict[str, Any] = {
+        "unknowns": ("diffuse", "specular", "shininess"),
+        "materials": 1,
+    }
+    return pf.fit_maps(
+        flat(scenes),
+        images,
+        per_channel=("diffuse",),
+        normals="fit",
+        mask=seen(),
+        film=UNCLAMPED,
+        progress=False,
+        **(usual | options),
+    )
+
+
+def shared(
+    specular: float = SPECULAR,
+    near: bool = False,
+    unequal: bool = False,
+    **options: Any,
+) -> Callable[[Draws], Answers]:
+    """The highlight that all pixels share, and the root mean square of their normals.
+
+    **Arguments:** `unequal`: whether lamps are not as strong as the scenes have them.
+    """
+
+    def ask(rng: np.random.Generator) -> Answer:
+        scenes = balls(near)
+        images = photographs(scenes, specular, rng)
+        if unequal:
+            images *= factors(rng).astype(images.dtype)[:, None, None, None]
+        maps = fit_normals(scenes, images, **options)
+        found = maps.materials
+        assert found is not None
+        return Answer(
+            (specular, SHININESS, 0.0),
+            (found.specular[0, 0], found.shininess[0], angle_off(maps)),
+            (found.stderr_specular[0, 0], found.stderr_shininess[0], stated(maps)),
+            maps.warnings,
+            (found.specular[0, 0] == 0, found.at_bound[0], False),
+        )
+
+    return each(("specular", "shininess", "normals"), ask)
+
+
+def angle_off(maps: pf.Maps) -> float:
+    """Root mean square of the normals' angles to the true ones, degrees."""
+    true = np.asarray(pf.trace(pf.Sphere(), CAMERA).normal)
+    cosine = np.sum(maps.normals * true, axis=-1)[known(maps)]
+    return float(np.sqrt(np.mean(np.degrees(np.arccos(cosine.clip(-1, 1))) ** 2)))
+
+
+def stated(maps: pf.Maps) -> float:
+    """Root mean square of the normals' standard errors, degrees."""
+    return float(np.sqrt(np.mean(maps.normals_stderr[known(maps)] ** 2)))
+
+
+def known(maps: pf.Maps) -> np.ndarray:
+    """Pixels with a normal."""
+    return np.isfinite(maps.normals_stderr) & (maps.normals_stderr > 0)
+
+
+def factors(rng: np.random.Generator) -> np.ndarray:
+    """Strengths of the lamps, whose mean is 1."""
+    values = np.exp(UNEQUAL * rng.normal(size=LAMPS))
+    return values / values.mean()
+
+
+def counted(draws: Draws) -> Answers:
+    """ρ_s of the first material, or 0 where no material has a highlight."""
+
+    def ask(rng: np.random.Generator) -> Answer:
+        scenes = balls()
+        maps = fit_normals(scenes, photographs(scenes, 0.0, rng), materials="auto")
+        found = maps.materials
+        value, error = 0.0, 0.0
+        if found is not None:
+            value, error = found.specular[0, 0], found.stderr_specular[0, 0]
+        return Answer(0.0, value, error, maps.warnings)
+
+    return each(("specular",), ask)(draws)
+
+
+def strengths(draws: Draws) -> Answers:
+    """Strengths of the lamps of a matte ball, found with its normals."""
+
+    def ask(rng: np.random.Generator) -> Answer:
+        scenes, true = balls(), factors(rng)
+        images = photographs(scenes, 0.0, rng)
+        images *= true.astype(images.dtype)[:, None, None, None]
+        maps = fit_normals(
+            scenes, images, unknowns=("diffuse",), materials=None, strengths="fit"
+        )
+        found = maps.strengths
+        assert found is not None
+        return Answer(true, found.values, found.stderr, maps.warnings)
+
+    return each(tuple(f"strength[{k}]" for k in range(LAMPS)), ask)(draws)
+
+
+def angle_of_view(draws: Draws) -> Answers:
+    """The angle over which a camera sees a ball that fills its view."""
+
+    def ask(rng: np.random.Generator) -> Answer:
+        camera = pf.PerspectiveCamera(SIZE, SIZE, fov_y=FOV, position=(0, 0, 0))
+        away = 1 / np.sin(np.radians(FOV / 2))
+        ball = pf.Sphere((0.0, 0.0, -float(away)))
+        lights = [pf.DirectionalLight(way) for way in DIRECTIONS]
+        scenes = [pf.Scene(ball, camera, light) for light in lights]
+        rows, columns = np.indices((SIZE, SIZE)) - (SIZE - 1) / 2
+        found = pf.fit_fov(
+            flat(balls()),
+            photographs(scenes, SPECULAR, rng),
+            unknowns=("diffuse", "specular", "shininess"),
+            per_channel=("diffuse", "specular"),
+            mask=np.hypot(rows, columns) < 0.45 * SIZE,
+            film=UNCLAMPED,
+        )
+        return Answer(FOV, found.degrees, found.stderr, ())
+
+    return each(("fov",), ask)(draws)
+
+
+def behind(draws: Draws) -> Answers:
+    """A list of lamps with a z that points away from the camera."""
+
+    def ask(rng: np.random.Generator) -> Answer:
+        names = [f"{k}.png" for k in range(LAMPS)]
+        with tempfile.TemporaryDirectory() as folder:
+            images = photographs(balls(), SPECULAR, rng).clip(0, 1)
+            for name, image in zip(names, images, strict=True):
+                pf.write_image(Path(folder, name), image, "linear", 16)
+            pf.write_lp(Path(folder, "lamps.lp"), names, DIRECTIONS * (1, 1, -1))
+            open_capture(Path(folder), "linear")
+        return Answer(0.0, 0.0, 0.0, ())
+
+    return each(("diffuse",), ask)(draws)
+
+
+def texture(draws: Draws) -> Answers:
+    """A matte square with a texture, and the highlight that its texels would share."""
+    corners = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
+    uv = np.array([[(0, 0), (1, 0), (1, 1)], [(0, 0), (1, 1), (0, 1)]], float)
+    mesh = pf.Mesh(corners, [(0, 1, 2), (0, 2, 3)], uv=uv)
+    camera = pf.PerspectiveCamera(
+        SIZE, SIZE, fov_y=float(np.degrees(2 * np.arctan(0.2))), position=(0, 0, 5)
+    )
+    scenes = [pf.Scene(mesh, camera, pf.DirectionalLight(way)) for way in DIRECTIONS]
+    side = SIZE // TEXELS
+
+    def ask(rng: np.random.Generator) -> Answer:
+        texels = rng.uniform(0.1, 0.6, (TEXELS, TEXELS, 3))
+        plain = texels.repeat(side, axis=0).repeat(side, axis=1)
+        images = [
+            way[2] * plain + 0.01 * rng.normal(size=plain.shape) for way in DIRECTIONS
+        ]
+        found = pf.fit_texture(
+            scenes,
+            images,
+            size=(TEXELS, TEXELS),
+            textures=("diffuse",),
+            unknowns=("specular", "shininess"),
+            filter="nearest",
+            wrap="clamp",
+            film=UNCLAMPED,
+        )
+        numbers = {one.label: one for one in found.shared}
+        some = [numbers[label] for label in HIGHLIGHT]
+        return Answer(
+            (0.0, 0.0, 0.0, SHININESS),
+            [one.value for one in some],
+            [one.stderr for one in some],
+            found.warnings,
+            [one.value == 0 for one in some],
+        )
+
+    return each(HIGHLIGHT, ask)(draws)
