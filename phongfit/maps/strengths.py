@@ -187,7 +187,10 @@ def sample_points(
     taken = stack.take(pixels, order)
     light = np.ma.getdata(taken).astype(float)
     free = ~np.ma.getmaskarray(taken) & (light < white) & masks.take(pixels, order)
-    brightest = np.where(free, light, 0).max(axis=(0, 2))
+    free &= np.isfinite(light)
+    # A weight of 0 does not remove a sample that is NaN.
+    light = np.where(free, light, 0)
+    brightest = light.max(axis=(0, 2))
     enough = (free & (light > LIT * brightest[:, None])).all(axis=2).sum(axis=0) >= 3
     kept = enough & (brightest > BRIGHT * np.median(brightest))
     if not kept.any():

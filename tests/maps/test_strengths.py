@@ -81,6 +81,7 @@ def test_shadows_and_masks_are_left_out():
     wrong[:, :, :16] **= 2
     mask = np.zeros(images.shape[1:3], bool)
     mask[:, 16:] = True
+    wrong[3, 10:12, 20:24] = np.nan
     check(matte(wrong, mask), TRUE, 0.02)
 
 
