@@ -57,7 +57,7 @@ def test_a_picture(port):
         ),
         ("/api/picture", '{"settings": {"surface": "x"}}', "mesh: is no longer held"),
         ("/api/fit", '{"settings": {}, "target": "x"}', "target: is no longer held"),
-        ("/api/mesh?name=a.obj", "v 1 2\nf 1 2 3", "a.obj: cannot be read"),
+        ("/api/mesh?name=a.obj", "v 1 2\nf 1 2 3", "line 1: v: expected 3 finite"),
         ("/api/mesh", "", "name: is missing"),
         ("/api/photograph?name=a.png", "", "encoding: is missing"),
         ("/api/photograph?name=a.png&encoding=hdr", "", "got 'hdr'"),

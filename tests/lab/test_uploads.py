@@ -21,21 +21,16 @@ def _png(*shape: int) -> bytes:
 @pytest.mark.parametrize(
     "name, content, words",
     [
-        ("a.obj", b"v 1 2\nf 1 2 3\n", "a.obj: cannot be read"),
+        ("a.obj", b"v 1 2\nf 1 2 3\n", "a.obj: line 1: v: expected 3 finite numbers"),
         ("a.obj", b"", "a.obj: "),
-        ("a.obj", b"\xff\xfe\0", "a.obj: is no text in UTF-8"),
+        ("a.obj", b"\xff\xfe\0", "a.obj: it holds no triangles"),
         ("a.stl", b"solid", "a.stl: "),
         ("a.ply", b"ply\nformat", "a.ply: cannot be read"),
-        ("a.glb", b"glTF", "a.glb: does not start as a GLB file does"),
+        ("a.glb", b"glTF", "a.glb: does not start as a GLB file"),
         ("a.blend", TRIANGLE, "a.blend: its suffix is none of"),
         ("", TRIANGLE, "its suffix is none of"),
         ("../../a.obj", b"f 1 2 3", "a.obj: "),
         ("a\n\0.obj" + "b" * 300, TRIANGLE, "its suffix is none of"),
-        (
-            "a.obj",
-            b"mtllib ../secret.mtl\n" + TRIANGLE,
-            "a.obj: line 1: expected ... got '../secret",
-        ),
     ],
 )
 def test_meshes_that_cannot_be_read(name, content, words):
@@ -45,8 +40,10 @@ def test_meshes_that_cannot_be_read(name, content, words):
     assert said(words, told) and "\n" not in told and "/tmp" not in told, told
 
 
-def test_a_mesh_without_its_materials():
-    mesh = read_mesh("a.OBJ", b"mtllib a.mtl\nusemtl red\n" + TRIANGLE)
+@pytest.mark.parametrize("library", [b"a.mtl", b"../a.mtl", b"/etc/a.mtl"])
+def test_a_mesh_without_its_materials(library):
+    content = b"mtllib " + library + b"\nusemtl red\n" + TRIANGLE
+    mesh = read_mesh("a.OBJ", content)
     assert mesh.faces.shape == (1, 3) and mesh.materials == 1
 
 
