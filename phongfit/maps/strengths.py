@@ -66,6 +66,12 @@ much alike, small turns of them look like other strengths."""
 FEWEST = 6
 """Images from which on given strengths are checked."""
 
+NOTABLE = 0.1
+"""Errors of strengths below this give no warning.
+
+Shadows and interreflections look like them: on DiLiGenT's ball, whose lamps were
+calibrated by its makers, strengths seem to be off by up to 5 %."""
+
 EQUAL = 5.0
 """Strengths that all are within so many standard errors of their mean may be equal."""
 
@@ -143,7 +149,8 @@ def strength_error(maps: Maps, scenes: Sequence[Scene], job: Job) -> float:
     **Arguments:** `scenes`: those of the last pass, where the pixels lie.
 
     **Returns:** the largest deviation of a factor on the strengths from their mean,
-    relative to it; 0 where all may be right, or too little is seen.
+    relative to it; 0 where all may be right, it is below [`NOTABLE`][], or too little
+    is seen.
     """
     if len(scenes) < FEWEST or "ambient" in job.settings.names:
         return 0.0
@@ -156,7 +163,8 @@ def strength_error(maps: Maps, scenes: Sequence[Scene], job: Job) -> float:
         return 0.0
     highlight = _highlights(maps, scenes, buffer, pixels)
     found, _ = solve(points, highlight, np.ones((len(scenes), 1)))
-    return 0.0 if may_be_equal(found) else float(np.abs(found.values - 1).max())
+    error = float(np.abs(found.values - 1).max())
+    return 0.0 if may_be_equal(found) or error < NOTABLE else error
 
 
 def _share(following: np.ndarray, wrong: np.ndarray) -> float:
