@@ -55,30 +55,30 @@ from phongfit.plain import plain
 
 
 class AbstractPart(AbstractRecord):
-    """What stands in a file for one object, which is of the class `makes`."""
+    """The file's record of one object of the class `makes`."""
 
     makes: ClassVar[type]
 
     @abc.abstractmethod
     def build(self) -> Any:
-        """The object. **Raises:** `ValueError` that begins with a field's name."""
+        """Make the object. **Raises:** `ValueError` that begins with a field's name."""
 
 
 class Arguments(AbstractPart):
     """The arguments of a constructor: see [`arguments_of`][].
 
-    A record of its own may say in `given` what else they are made of.
+    A subclass may override `given` if a file's fields are not the arguments themselves.
     """
 
     def given(self) -> dict[str, Any]:
-        """What the constructor gets; what was left out is its own default."""
+        """Arguments for the constructor; omitted fields have its defaults."""
         return {name: _built(name, getattr(self, name)) for name in _kept(self.makes)}
 
     def build(self) -> Any:
         try:
             return self.makes(**self.given())
         except ValueError as error:
-            # The constructor knows the argument's name, the file may have another.
+            # The message begins with the argument's name; the file's key may differ.
             name, colon, reason = str(error).partition(":")
             raise ValueError(f"{_key(type(self), name)}{colon}{reason}") from error
 
@@ -94,10 +94,10 @@ def _built(place: str, value: Any) -> Any:
 
 
 RECORDS: dict[type, type[AbstractPart]] = {}
-"""What stands in files for the objects of a class."""
+"""Records by the class of the objects that they make."""
 
 UNSAID: dict[type, str] = {}
-"""Of a base class the kind that is meant where a file does not say one."""
+"""Default kinds, by base class, for records without a `kind`."""
 
 R = TypeVar("R", bound=Arguments)
 
@@ -109,7 +109,7 @@ def arguments_of(
     kind: str | None = None,
     required: Collection[str] = (),
 ) -> Callable[[type[R]], type[R]]:
-    """Gives a record the fields that are the arguments of a constructor.
+    """Decorate a record class: its fields become the arguments of a constructor.
 
     **Arguments:**
 
@@ -154,13 +154,13 @@ def _kept(made: type) -> dict[str, Any]:
 
 
 def _key(record: type[AbstractRecord], name: str) -> str:
-    """What files call a field."""
+    """The key of a field in files."""
     field = record.model_fields.get(name)
     return name if field is None or field.alias is None else field.alias
 
 
 def _stored(name: str, hint: Any) -> Any:
-    """What a value of an annotated type is in a file."""
+    """The type that a file's record has for an annotated type."""
     if get_origin(hint) in (Union, UnionType):
         options = (_stored(name, option) for option in get_args(hint))
         return functools.reduce(operator.or_, options)
@@ -183,7 +183,7 @@ def _is_a(hint: Any, base: type) -> bool:
 
 
 def _suffix(hint: Any) -> str | None:
-    """Of the file beside ours that an array goes into; `None` if it stands in ours."""
+    """Suffix of the separate file for an array; `None` if it is written in the JSON."""
     for option in get_args(hint) or (hint,):
         if _is_a(option, AbstractArray):
             if option.dtype is Float and option.dim_str in _NUMBERS:
@@ -207,7 +207,7 @@ def _read_mask(path: str) -> np.ndarray:
 
 
 FileBeside = Annotated[FileName, AfterValidator(_beside)]
-"""The path of a file that is named by another in its folder."""
+"""The path of a file, from its name in a JSON file of the same folder."""
 
 _Array = Annotated[FileBeside, AfterValidator(_read_array)]
 _Mask = Annotated[FileBeside, AfterValidator(_read_mask)]
@@ -222,7 +222,7 @@ _NUMBERS = {
 
 
 def kinds_of(base: type) -> dict[str, type[AbstractPart]]:
-    """Records of the classes derived from `base`, by what files call their kind."""
+    """Records of the classes derived from `base`, by their `kind` in files."""
     return {
         record.model_fields["kind"].default: record
         for made, record in RECORDS.items()
@@ -231,7 +231,7 @@ def kinds_of(base: type) -> dict[str, type[AbstractPart]]:
 
 
 def one_of(base: type) -> Callable[[Any, ValidationInfo], AbstractPart]:
-    """Reads what stands for an object of a class derived from `base`, by its `kind`."""
+    """A validator for records of classes derived from `base`, by their `kind`."""
 
     def read(data: Any, info: ValidationInfo) -> AbstractPart:
         if not isinstance(data, dict):
@@ -255,12 +255,12 @@ def one_of(base: type) -> Callable[[Any, ValidationInfo], AbstractPart]:
 def describe(
     value: Any, stem: str = "", beside: dict[str, np.ndarray] | None = None
 ) -> dict[str, Any]:
-    """What the record of an object reads.
+    """The content of an object's record, as JSON.
 
     **Arguments:**
 
-    - `stem`: how the names of files begin that arrays go into.
-    - `beside`: gets these arrays, by the names of their files.
+    - `stem`: start of the names of files for arrays.
+    - `beside`: filled with these arrays, by the names of their files.
 
     **Raises:** `ValueError` if its class, or that of a part, is not registered, or
     there is an array and no `beside`.

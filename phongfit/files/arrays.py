@@ -48,7 +48,7 @@ def unpack(data: bytes) -> dict[str, np.ndarray]:
         if len(set(names)) != len(names):
             raise ValueError("expected each array once")
         sizes = [entry.file_size for entry in entries]
-        # Each is there twice for a moment: as bytes, then as an array.
+        # Each array is in memory twice for a moment: as bytes and as an array.
         afford(len(data) + sum(sizes) + max(sizes, default=0), "arrays")
         contents = _contents(archive, entries)
         return {name: _array(one) for name, one in zip(names, contents, strict=True)}
@@ -58,11 +58,11 @@ def _contents(
     archive: zipfile.ZipFile, entries: list[zipfile.ZipInfo]
 ) -> Iterator[bytes]:
     for entry in entries:
-        # What NumPy writes; others take memory of their own.
+        # NumPy writes only these; other methods need more memory than is checked here.
         if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ValueError(f"{entry.filename}: is packed in a way of its own")
         with archive.open(entry) as file:
-            # No more than it says; one byte more shows that it holds more.
+            # Read at most the stated size; one byte more detects a wrong size.
             content = file.read(entry.file_size + 1)
         if len(content) != entry.file_size:
             raise ValueError(f"{entry.filename}: is truncated")
@@ -81,7 +81,7 @@ def _array(data: bytes) -> np.ndarray:
         raise ValueError(f"expected version 1.0 or 2.0 of .npy, got {version}")
     if dtype.hasobject:
         raise ValueError("expected numbers, got Python objects")
-    # A header may promise more numbers than the file has.
+    # The shape in the header may be larger than the file.
     size = math.prod(shape) * dtype.itemsize
     if size > len(data) - file.tell():
         raise ValueError(
@@ -93,6 +93,6 @@ def _array(data: bytes) -> np.ndarray:
 
 
 def write_array(path: Path, array: np.ndarray) -> None:
-    """Write an `.npy` file, in one piece."""
+    """Write an `.npy` file, whole or not at all."""
     with replacing(path) as temporary:
         np.save(temporary, array, allow_pickle=False)

@@ -1,14 +1,14 @@
-"""How much memory what is read may take: asked before a header is believed.
+"""Limit on the memory that one file's contents may take, checked before allocation.
 
-A file of some kilobytes can promise arrays that fill any machine. So every reader asks
-[`afford`][] for what a file says that it holds, and only then makes room for it.
+The header of a small file can state arrays that fill any machine. So every reader calls
+[`afford`][] with the stated size before it allocates memory.
 """
 
 import os
 import re
 
 MAX_MEMORY = 2**30
-"""Bytes that the contents of one file may take, unless told otherwise."""
+"""Bytes that the contents of one file may take, by default."""
 
 SWITCH = "PHONGFIT_MAX_MEMORY"
 OPTION = "--max-memory"
@@ -40,11 +40,11 @@ def most() -> int:
 
 
 def afford(size: int, what: str) -> None:
-    """Is there room for `size` bytes, as the contents of one file?
+    """Check that `size` bytes are within the limit for the contents of one file.
 
-    **Arguments:** `what`: they are for, in words that end a sentence.
+    **Arguments:** `what`: name of the contents, for the message.
 
-    **Raises:** `ValueError` that says how to make room.
+    **Raises:** `ValueError` with the setting that would allow this size.
     """
     limit = most()
     if size > limit:
@@ -56,7 +56,7 @@ def afford(size: int, what: str) -> None:
 
 
 def in_words(size: int) -> str:
-    """Bytes as people read them."""
+    """A number of bytes as text, such as `1.5 GB`."""
     for unit, name in ((2**40, "TB"), (2**30, "GB"), (2**20, "MB"), (2**10, "KB")):
         if size >= unit:
             return f"{size / unit:.3g} {name}"
@@ -64,5 +64,5 @@ def in_words(size: int) -> str:
 
 
 def _enough(size: int) -> str:
-    """A size to give, with some room."""
+    """A limit that is large enough, in whole GB, as text."""
     return f"{-(-size // 2**30) + 1}G"

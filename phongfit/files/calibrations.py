@@ -1,4 +1,4 @@
-"""`lights.json`: what a calibration found."""
+"""`lights.json`: the result of a calibration."""
 
 import os
 from pathlib import Path
@@ -133,7 +133,7 @@ class LightsRecord(AbstractRecord):
 
 
 def save_calibration(path: str | os.PathLike[str], calibration: Calibration) -> None:
-    """Write a calibration so that [`load_calibration`][] gives it back.
+    """Write a calibration to a file that [`load_calibration`][] reads.
 
     **Raises:** `OSError` that names `path`.
     """
@@ -152,6 +152,6 @@ def load_calibration(path: str | os.PathLike[str]) -> Calibration:
     record = read_record(path, LightsRecord)
     with naming(str(path)):
         found = record.build()
-        # Made here, so that what no lamp or camera can be names the file.
+        # Made here, so that errors for impossible lamps or cameras name the file.
         _ = found.lights, found.camera
         return found

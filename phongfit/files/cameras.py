@@ -1,4 +1,4 @@
-"""Cameras of photographs from the files of others, whatever the format."""
+"""Cameras of photographs, from files of COLMAP or of NeRF tools."""
 
 import os
 from pathlib import Path
@@ -13,7 +13,7 @@ TRANSFORMS = "transforms.json"
 
 @checked
 def load_cameras(path: str | os.PathLike[str]) -> dict[str, PinholeCamera]:
-    """Cameras of photographs, as COLMAP or a NeRF's tools found them.
+    """Cameras of photographs, from files of COLMAP or of NeRF tools.
 
     ```python
     cameras = phongfit.load_cameras("project")  # or "project/sparse/0"
@@ -23,15 +23,15 @@ def load_cameras(path: str | os.PathLike[str]) -> dict[str, PinholeCamera]:
     **Arguments:** `path`: the folder of a COLMAP model (text or binary), of a COLMAP
     project with one in its `sparse/0`, or of a `transforms.json`; or that file. Camera
     models are COLMAP's pinholes, `RADIAL`, `OPENCV` and fisheyes with their simpler
-    forms. Lengths are in the files' own unit, which for COLMAP is any. COLMAP's cameras
-    are of images as they lie in their files, while [`read_image`][] turns them upright:
-    remove the EXIF orientation of photographs that have one.
+    forms. Lengths are in the files' unit, which is arbitrary for COLMAP. COLMAP's
+    cameras ignore the EXIF orientation of photographs, but [`read_image`][] turns
+    images upright: remove the EXIF orientation of photographs that have one.
 
-    **Returns:** a camera for each photograph, by the name that the files give it, with
-    the folders that stand before it there.
+    **Returns:** a camera for each photograph, by its name in the files, including any
+    folders there.
 
-    **Raises:** `ValueError` that names the file: missing, broken, or of a camera model
-    that is not known.
+    **Raises:** `ValueError` that names the file: missing, broken, or of an unknown
+    camera model.
     """
     path = Path(path)
     if not path.exists():

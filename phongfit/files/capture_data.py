@@ -26,10 +26,10 @@ from phongfit.scene import Scene
 Circle = tuple[float, float, float]
 
 DIRECTION = "scene.lights[0].direction"
-"""What is unknown of lamps of which nothing is known, besides their strength."""
+"""The unknown of lamps without a calibration or list, besides their strength."""
 
 START = (0.2, 0.3, 1.0)
-"""Where a lamp is looked for first, of which nothing is known: above the camera."""
+"""Initial direction of an unknown lamp: above the camera."""
 
 
 @checked
@@ -47,34 +47,35 @@ def open_captured(
     room_light: float = 1.0,
     white: int | None = None,
 ) -> Photographs:
-    """Photographs of an object of known shape, whose lights need not be known.
+    """Photographs of an object of known shape, under known or unknown lights.
 
     **Arguments:**
 
-    - `photographs`: one photograph, or a folder of a standing camera's, one lamp each:
-        see [`open_capture`][].
-    - `encoding`: what their numbers are; JPEG is sRGB unless it says otherwise.
-    - `sphere`: the object is a ball, with this outline: x, y and radius in pixels from
-        the upper left corner.
-    - `normals`: or it has these: an .npz with `normals` (height, width, 3), and perhaps
-        `positions` and `mask`, in the camera's axes: x right, y up, z back. `"fit"`:
-        they are sought, by [`fit_maps`][]; the surface is then a plane, the lights must
-        be known, and no pixel is left out for its normal.
+    - `photographs`: one photograph, or a folder of photographs from one standing
+        camera, each under one lamp: see [`open_capture`][].
+    - `encoding`: of the files' numbers; default sRGB for JPEG files.
+    - `sphere`: outline of an object that is a ball: x, y and radius in pixels from the
+        upper left corner.
+    - `normals`: normals of any other object: an .npz with `normals` (height, width, 3),
+        and perhaps `positions` and `mask`, in the camera's axes: x right, y up, z back.
+        `"fit"`: [`fit_maps`][] will fit the normals; the surface is then a plane, the
+        lights must be known, and no pixel is left out for its normal.
     - `lights`: a calibration's lights.json, or its folder, or an .lp. Default: the .lp
         or lights.json in the folder, else the lights are unknown.
     - `fov`: the camera's angle from the lower to the upper edge, degrees; 0 for
         parallel rays. Default: that of the calibration, else, with a ball or where
-        normals are sought, what EXIF data state, else 0.
+        normals are fitted, that of the EXIF data, else 0.
     - `mask`: an image, white where pixels may be used. Default: the mask in the folder,
-        mask.png or NAME.mask.png, if there is one; `notes` says so.
+        mask.png or NAME.mask.png, if there is one; `notes` then mentions it.
     - `min_cosine`: samples with n·l up to this are left out, where a light is known.
     - `min_facing`: pixels with n·v up to this are left out: a rim's pixel averages over
         many normals.
-    - `room_light`: ambient light that stands for all that came by way of the room.
+    - `room_light`: ambient light, for all light that the room reflects.
     - `white`: the number that is white in the files: see [`read_image`][].
 
-    Where exposures differ, photographs stay as they are, and the lights of their scenes
-    are as much stronger or weaker. Those that the calibration left out are left out.
+    If exposures differ, photographs stay as they are, and the lights of their scenes
+    are multiplied by the relative exposures. Photographs that the calibration left out
+    are left out.
 
     **Raises:** `ValueError` that names the file or the argument.
     """
@@ -97,7 +98,7 @@ def open_captured(
     series = capture.series
     height, width = series.size
     if source is None and fov is None and series.fov is not None:
-        # Normals of a file have their own camera.
+        # EXIF data do not apply to normals from a file, which have their own camera.
         if sphere is not None or normals == SOUGHT:
             fov = series.fov
             told += (f"the camera sees {fov:.3g}° from bottom to top (EXIF; or fov)",)
@@ -156,10 +157,10 @@ def one_photograph(
 
     **Arguments:**
 
-    - `lights`: an .lp file, of which the photograph takes its own lamp.
-    - `white`: as of [`read_image`][].
+    - `lights`: an .lp file that lists the photograph's lamp, among others.
+    - `white`: as in [`read_image`][].
 
-    **Raises:** `ValueError` that names the file, if the list does not have it.
+    **Raises:** `ValueError` that names the file, if the list lacks the photograph.
     """
     encoding = encoding_of(path.parent, [path.name], encoding)
     listed = None
@@ -172,7 +173,7 @@ def one_photograph(
 
 
 def list_of(lights: str | os.PathLike[str] | None) -> Path | None:
-    """The path of lights, if that is an .lp."""
+    """The path of an .lp file, or `None` if `lights` is none."""
     is_list = lights is not None and Path(lights).suffix.lower() == ".lp"
     return Path(lights) if is_list and lights is not None else None
 
@@ -180,7 +181,7 @@ def list_of(lights: str | os.PathLike[str] | None) -> Path | None:
 def calibration_of(
     path: Path, lights: str | os.PathLike[str] | None
 ) -> Calibration | None:
-    """The calibration that is named, or lies in the folder, if there is one.
+    """The calibration at `lights`, or else in the photographs' folder, if any.
 
     **Raises:** `ValueError` that names the file.
     """
@@ -193,10 +194,10 @@ def calibration_of(
 def find_lamps(
     capture: Capture, calibration: Calibration | None
 ) -> tuple[list[AbstractLight], tuple[str, ...]]:
-    """A light for each photograph, and what of them is not known.
+    """A light for each photograph, and the unknown parameters of the lights.
 
-    Where exposures differ lights are as much stronger or weaker, in place of the
-    photographs: these stay as their files have them, cut off at white and rounded.
+    Differing exposures multiply the lights, not the photographs: these keep the clipped
+    and rounded values of their files.
 
     **Raises:** `ValueError` for a photograph that the calibration does not name.
     """
@@ -209,14 +210,14 @@ def find_lamps(
 def _uncertain(
     capture: Capture, calibration: Calibration | None
 ) -> dict[tuple[str, ...], np.ndarray]:
-    """How well a calibration knows its lamps, in the order of the photographs."""
+    """Covariance of a calibration's lamps, in the order of the photographs."""
     if calibration is None:
         return {}
     order = _order(capture.names, calibration)
     lamps, count = [calibration.lamps[k] for k in order], len(calibration.lamps)
     rows = (3 * np.array(order)[:, None] + np.arange(3)).ravel()
     size, eye = len(rows), np.eye(6 * count + 1)
-    # What a lamp's place, its strength and the fall-off of all are of what it knows.
+    # Rows that select places, strengths and the common fall-off from its unknowns.
     where, strength, falloff = eye[rows], eye[3 * count + rows], eye[-1:]
     parts = {"scene.lights[0].direction": where}
     if lamps[0].position is not None:
@@ -237,11 +238,10 @@ def _uncertain(
 def _attenuation(
     lamps: Sequence[Lamp], calibration: Calibration
 ) -> Float[np.ndarray, "rows columns"]:
-    """How near lamps' attenuations move with their positions, and with the fall-off.
+    """Derivatives of near lamps' attenuations by their positions and by the fall-off.
 
-    An attenuation is (1 − κ, 0, κ / d²), with one κ for all, and d from the reference
-    point, where a lamp's strength is known: the further it is, the slower its light
-    falls off.
+    An attenuation is (1 − κ, 0, κ / d²), with one κ for all lamps and the distance d
+    from the lamp to the reference point, where its strength is known.
     """
     slopes = np.zeros((3 * len(lamps), 3 * len(lamps) + 1))
     for k, lamp in enumerate(lamps):
@@ -256,7 +256,7 @@ def _attenuation(
 def lamps_of(
     names: Sequence[str], listed: LightList | None, calibration: Calibration | None
 ) -> tuple[Sequence[AbstractLight], tuple[str, ...]]:
-    """A light for each of the photographs' names, and what of them is not known.
+    """A light for each photograph's name, and the unknown parameters of the lights.
 
     **Raises:** `ValueError` for a photograph that the calibration does not name.
     """
@@ -267,7 +267,7 @@ def lamps_of(
         known = np.isfinite([calibration.lamps[k].intensity for k in order]).all()
         return [calibration.lights[k] for k in order], () if known else strength
     if listed is not None:
-        # In the photographs' own order, which is the list's.
+        # The list is already in the order of the photographs.
         vectors = listed.vectors
         return [
             DirectionalLight(vector / np.linalg.norm(vector)) for vector in vectors
@@ -279,9 +279,9 @@ def lamps_of(
 def renamed(
     calibration: Calibration, names: Sequence[str]
 ) -> tuple[Calibration, tuple[str, ...]]:
-    """A calibration by the names of other photographs under the same lamps.
+    """A calibration with the names of other photographs under the same lamps.
 
-    **Returns:** also a note of how they were matched, unless the names agree.
+    **Returns:** the calibration, and a note on the matching unless all names agree.
     """
     lamps, left_out = calibration.lamps, calibration.left_out
     listed = [*(lamp.photograph for lamp in lamps), *left_out]
@@ -303,7 +303,7 @@ def renamed(
 
 
 def _order(names: Sequence[str], calibration: Calibration) -> list[int]:
-    """Which of a calibration's lamps each photograph was taken under."""
+    """Index of the calibrated lamp of each photograph."""
     lamps = {base_name(x.photograph): k for k, x in enumerate(calibration.lamps)}
     missing = [name for name in names if name not in lamps]
     if missing:
@@ -315,14 +315,14 @@ def _order(names: Sequence[str], calibration: Calibration) -> list[int]:
 
 
 def facing(scene: Scene, least: float) -> Bool[np.ndarray, "height width"]:
-    """Pixels that see the surface, and not aslant."""
+    """Pixels that see the surface with n·v above `least`."""
     seen = scene.trace()
     cosine = np.sum(np.asarray(seen.normal) * np.asarray(seen.to_viewer), axis=-1)
     return np.asarray(seen.mask) & (cosine > least)
 
 
 def _lit(scene: Scene, least: float) -> Bool[np.ndarray, "height width"]:
-    """Pixels that the scene's light shines on, and not aslant."""
+    """Pixels whose n·l for the scene's light is above `least`."""
     seen, light = scene.trace(), scene.lights[0]
     normals = np.asarray(seen.normal)
     if isinstance(light, PointLight):
@@ -335,9 +335,9 @@ def _lit(scene: Scene, least: float) -> Bool[np.ndarray, "height width"]:
 
 
 def masked(path: Path, shape: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
-    """A mask's file, of the photographs' size.
+    """A mask from its file, which must have the photographs' size.
 
-    **Raises:** `ValueError` that names it.
+    **Raises:** `ValueError` that names the file.
     """
     mask = read_mask(path)
     if mask.shape != shape:

@@ -1,4 +1,4 @@
-"""A capture: a folder of photographs of a standing camera, one lamp each."""
+"""A capture: a folder of photographs from one standing camera, one lamp each."""
 
 import dataclasses
 import os
@@ -27,26 +27,26 @@ from phongfit.files.photographs import (
 from phongfit.rendering.film import Encoding, Film
 
 NO_LAMP = {"mask", "ambient", "dark", "flat", "ref", "reference", "normals", "normal"}
-"""Words in the names of images that are no photographs of the object under a lamp."""
+"""Words in names of images that do not show the object under a lamp."""
 
 LEAST_OF_FLAT = 0.9
-"""Share of a flat's samples that must not be saturated."""
+"""Smallest fraction of a flat's samples that must not be saturated."""
 
 
 @dataclass(frozen=True)
 class Capture(AbstractImages):
-    """Photographs of one object, read when they are asked for.
+    """Photographs of one object, each read from its file on access.
 
-    A sequence of images, linear light (height, width, 3), as [`calibrate`][] takes it:
-    in the light that the shortest exposure let in, so that no sample reaches 1 but
-    those that were cut off at white, which are 1.
+    A sequence of images, linear light (height, width, 3), as [`calibrate`][] takes it.
+    All are scaled to the shortest exposure, so that only samples that were cut off at
+    white reach 1.
 
     - `series`: the photographs as their files have them.
-    - `ambient`: light that is there without a lamp, taken from each; or None.
-    - `flat`: what each is divided by, so that vignetting and the lamp's fall-off over
-        the field are gone: a photograph of a white card, over its median; or None.
+    - `ambient`: light without a lamp, subtracted from each photograph; or None.
+    - `flat`: divisor of each photograph, which removes vignetting and the lamp's
+        fall-off over the field: a photograph of a white card, over its median; or None.
     - `lights`: the list that names the photographs, if there is one.
-    - `others`: images in the folder that are not among them.
+    - `others`: other images in the folder.
     """
 
     series: PhotoSeries
@@ -57,41 +57,41 @@ class Capture(AbstractImages):
 
     @property
     def folder(self) -> Path:
-        """That holds the photographs."""
+        """The folder of the photographs."""
         return self.series.paths[0].parent
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of their files."""
+        """Names of the photographs' files."""
         return tuple(path.name for path in self.series.paths)
 
     @property
     def mask(self) -> Path | None:
-        """The mask beside the photographs, such as mask.png, if there is just one."""
+        """Path of the mask in the folder, such as mask.png, if there is exactly one."""
         masks = [name for name in self.others if is_mask(Path(name))]
         return self.folder / masks[0] if len(masks) == 1 else None
 
     @property
     def encoding(self) -> Encoding:
-        """What their numbers are."""
+        """Encoding of the photographs' numbers."""
         return self.series.encoding
 
     @property
     def film(self) -> Film:
-        """How light became the numbers of the first file."""
+        """Film of the first photograph."""
         series = self.series
         return read_film(series.paths[0], series.encoding, white=series.white)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was assumed of exposures, in sentences."""
+        """Assumptions about exposures, in sentences."""
         return self.series.notes
 
     def __len__(self) -> int:
         return len(self.series)
 
     def without(self, names: Collection[str]) -> "Capture":
-        """What is left without some photographs; a note says which."""
+        """The capture without some photographs, and a note that lists them."""
         kept = [k for k, name in enumerate(self.names) if name not in names]
         if len(kept) in (0, len(self.names)):
             return self
@@ -106,15 +106,15 @@ class Capture(AbstractImages):
         return dataclasses.replace(self, series=series, lights=listed)
 
     def image(self, number: int) -> Float[np.ndarray, "height width 3"]:
-        """The photograph of a number; samples that were cut off at white are 1."""
+        """The image with this index; samples that were cut off at white are 1."""
         photograph = self.read(number)
         image = photograph.image
         return np.where(photograph.mask, image, np.maximum(image, 1))
 
     def read(self, number: int) -> Photograph:
-        """The photograph of a number, from 0 on, and which samples of it are known.
+        """The photograph with this index, from 0, and a mask of its known samples.
 
-        Samples that were cut off at white are not, in it or in `ambient` or `flat`.
+        False where it, `ambient` or `flat` was cut off at white.
 
         **Raises:** `ValueError` that names the file.
         """
@@ -130,7 +130,7 @@ class Capture(AbstractImages):
 
 
 def _in_light_of(series: PhotoSeries, number: int, capture: PhotoSeries) -> Photograph:
-    """A photograph in the light that a capture's shortest exposure let in."""
+    """A photograph scaled to the shortest exposure of a capture."""
     photo = series.read(number)
     known, least = photo.unsaturated, capture.relative_exposures.min()
     light = photo.common_light
@@ -147,20 +147,20 @@ def open_capture(
     flat: str | os.PathLike[str] | None = None,
     white: int | None = None,
 ) -> Capture:
-    """A folder of photographs.
+    """A capture from a folder of photographs.
 
-    They are those that an `.lp` file in it lists, in its order; else all images in
-    order of their numbers, but for what is named mask, ambient, dark, flat, ref or
-    normals. Where exposures differ they are brought to common light, `ambient` too: see
-    [`open_photographs`][]; `notes` of the capture says so.
+    The photographs are those that an `.lp` file in the folder lists, in its order; else
+    all images in order of the numbers in their names, except those named mask, ambient,
+    dark, flat, ref or normals. If exposures differ, the photographs and `ambient` are
+    scaled to a common exposure: see [`open_photographs`][]; `notes` then mentions it.
 
     **Arguments:**
 
-    - `encoding`: what the numbers are. Default: sRGB for JPEG files, as cameras write
+    - `encoding`: of the files' numbers. Default: sRGB for JPEG files, as cameras write
         them, and linear for floating-point formats; it is needed for all others.
     - `lights`: the `.lp` file; default the one in the folder.
-    - `ambient`: a photograph without a lamp, taken from each.
-    - `flat`: one of a white card in the object's place, divided out.
+    - `ambient`: a photograph without a lamp, subtracted from each.
+    - `flat`: a photograph of a white card in the object's place; divides each.
     - `white`: the number that is white in all of them: see [`read_image`][].
 
     **Raises:** `ValueError` that names the folder, the file or the argument.
@@ -182,7 +182,7 @@ def open_capture(
         )
     encoding = encoding_of(folder, names, encoding)
     paths = [folder / name for name in names]
-    # Together, so that its exposure counts next to theirs.
+    # Opened together, so that relative exposures include the ambient photograph's.
     every = open_photographs(
         [*paths, *([] if ambient is None else [ambient])], encoding, white=white
     )
@@ -199,7 +199,7 @@ def open_capture(
 
 
 def _by_number(name: str) -> list[tuple[int, int, str]]:
-    """Names in the order of the numbers in them: 2 before 10."""
+    """Sort key that orders names by the numbers in them: 2 before 10."""
     parts = re.split(r"(\d+)", name.lower())
     return [(1, int(p), "") if p.isdecimal() else (0, 0, p) for p in parts]
 
@@ -222,7 +222,7 @@ def _list_in(folder: Path, lights: str | os.PathLike[str] | None) -> LightList |
 def _matched(
     folder: Path, images: Sequence[str], listed: LightList
 ) -> tuple[list[str], str]:
-    """The photographs of a list's lamps, and how they were matched."""
+    """The photographs of a list's lamps, and a note on how they were matched."""
     candidates = list(images)
     if not {name.lower() for name in listed.base_names} & {x.lower() for x in images}:
         candidates = [name for name in images if not _is_no_photograph(name)]
@@ -245,9 +245,9 @@ def _matched(
 def encoding_of(
     folder: Path, names: Sequence[str], encoding: Encoding | None
 ) -> Encoding:
-    """What photographs' numbers are, where their formats leave no doubt.
+    """The given encoding, or the usual one of the files' formats.
 
-    **Raises:** `ValueError` that names the encoding, where they do.
+    **Raises:** `ValueError` that names `encoding`, if the formats do not determine it.
     """
     if encoding is not None:
         return encoding

@@ -1,7 +1,7 @@
-"""Light as files have it: whole numbers, and a table of what each of them stands for.
+"""Light as files store it: whole numbers, and a table with the light of each number.
 
-An image of 8 bits takes a quarter of the memory that its light takes, and is turned
-into light where that is needed, a few samples at a time.
+An image of 8 bits takes a quarter of the memory that its light takes. It is decoded
+where light is needed, a few samples at a time.
 """
 
 from typing import NamedTuple
@@ -14,12 +14,12 @@ PIECE = 2**20
 
 
 class Coded(NamedTuple):
-    """Linear light, or numbers that stand for it.
+    """Linear light, or encoded numbers with a table that decodes them.
 
-    - `numbers`: light itself, or whole numbers from 0 on; NumPy's masked array where
-        some may not be used.
-    - `table`: the light of each whole number; a row for each of the first axis of
-        `numbers` where it differs among them. `None` where they are light.
+    - `numbers`: light itself, or whole numbers ≥ 0; a NumPy masked array if some may
+        not be used.
+    - `table`: the light of each whole number, with a row for each item of the first
+        axis of `numbers` if tables differ. `None` if `numbers` is light itself.
     """
 
     numbers: Shaped[np.ndarray, "..."]
@@ -27,7 +27,7 @@ class Coded(NamedTuple):
 
     @property
     def light(self) -> Float[np.ndarray, "..."]:
-        """All of it as light; NumPy's masked array, and 0, where it may not be used."""
+        """The decoded light; a masked array, with zeros, if some may not be used."""
         if self.table is None:
             return self.numbers
         numbers = np.ma.getdata(self.numbers)
@@ -47,7 +47,7 @@ class Coded(NamedTuple):
         return np.ma.MaskedArray(light, hidden)
 
     def times(self, share: float) -> "Coded":
-        """So many times the light."""
+        """The light multiplied by a factor."""
         if self.table is None:
             return Coded(self.numbers * self.numbers.dtype.type(share))
         return Coded(self.numbers, self.table * self.table.dtype.type(share))

@@ -46,10 +46,10 @@ MODELS = {
 }
 
 PLACES = (".", "sparse/0", "sparse")
-"""Where COLMAP leaves a model in the folder of a project."""
+"""Folders of a project in which COLMAP writes a model."""
 
 CAMERA = 20_000
-"""Bytes that a camera takes in memory, about."""
+"""Approximate number of bytes that a camera takes in memory."""
 
 # Bytes of binary files: a camera's head, an image's, and a point in one.
 _CAMERA, _IMAGE, _POINT = struct.Struct("<iiQQ"), struct.Struct("<i7di"), 24
@@ -58,7 +58,7 @@ Intrinsics = dict[int, dict[str, Any]]
 
 
 class _Image(NamedTuple):
-    """Where an image was taken from, by the camera of a number."""
+    """An image's name and pose, and the number of its camera."""
 
     name: str
     quaternion: tuple[float, ...]
@@ -67,15 +67,15 @@ class _Image(NamedTuple):
 
 
 def is_colmap(folder: Path) -> bool:
-    """Whether a folder holds a model of COLMAP's."""
+    """True if a folder holds a COLMAP model."""
     return _find(folder) is not None
 
 
 def load_colmap(folder: Path) -> dict[str, PinholeCamera]:
-    """The camera of every image of a model, by the images' names, in their order.
+    """The camera of every image of a model, by image name, sorted by name.
 
-    **Arguments:** `folder`: of `cameras.bin` and `images.bin`, or of `cameras.txt` and
-    `images.txt`; or that of the project, with the model in its `sparse/0`. Points are
+    **Arguments:** `folder`: holds `cameras.bin` and `images.bin`, or `cameras.txt` and
+    `images.txt`; or is a project's folder, with the model in its `sparse/0`. Points are
     not read.
 
     **Raises:** `ValueError` that names the file: missing, broken, or of a camera model
@@ -108,7 +108,7 @@ _FILES = ("cameras", "images")
 
 
 def _find(folder: Path) -> Path | None:
-    """The model's file of cameras; as COLMAP does, binary before text."""
+    """The model's file of cameras; like COLMAP, binary before text."""
     for place in PLACES:
         for suffix in (".bin", ".txt"):
             path = folder / place / f"cameras{suffix}"
@@ -126,11 +126,11 @@ def _camera(image: _Image, known: Intrinsics) -> PinholeCamera:
 
 
 def _rotation(quaternion: tuple[float, ...]) -> np.ndarray:
-    """Of a quaternion w, x, y, z of any length but 0."""
+    """Rotation matrix of a quaternion w, x, y, z of any length except 0."""
     length = np.linalg.norm(quaternion)
     if not np.isfinite(length) or length < 1e-6:
         raise ValueError(f"expected a quaternion, got {list(quaternion)}")
-    # Here, since SciPy's transforms take long to import.
+    # Imported here, since SciPy's transforms take long to import.
     from scipy.spatial.transform import Rotation
 
     w, *across = quaternion
@@ -148,10 +148,10 @@ def _intrinsics(name: str, width: int, height: int, values: Any) -> dict[str, An
         given["fx"] = given.pop("f")
     lens = {key: given.pop(key) for key in list(given) if key[0] in "kp"}
     made: dict[str, Any] = {"width": width, "height": height, **given}
-    # A fisheye is one without coefficients, too.
+    # A fisheye differs from a pinhole even if all coefficients are 0.
     if model.distortion is FisheyeDistortion or any(lens.values()):
         made["distortion"] = model.distortion(**lens) if model.distortion else None
-    # What is wrong is told of the camera, not of its first image.
+    # Validate now, so that errors name the camera and not its first image.
     PinholeCamera(**made)
     return made
 
@@ -167,7 +167,7 @@ def _unknown(model: Any) -> ValueError:
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
-    """Lines with their numbers, without comments; empty ones may mean something."""
+    """Numbered lines without comments; empty ones are kept: an image without points."""
     text = read_text(path, None)
     with naming(str(path)):
         afford(len(text) + 200 * text.count("\n"), "lines")
@@ -212,7 +212,7 @@ _NUMBERS = frozenset("0123456789+-.eE \t")
 
 
 def _are_points(line: str) -> bool:
-    """Whether a line has three numbers for each point, as an image's line has not."""
+    """True for a line of points: three numbers each, unlike an image's line."""
     return _NUMBERS.issuperset(line) and len(line.split()) % 3 == 0
 
 
@@ -227,7 +227,7 @@ def _words(line: str, at_least: int, what: str) -> list[str]:
 
 
 class _Bytes:
-    """A binary file from its start: what is asked for must be there."""
+    """Reader of a binary file from its start; raises if the file is too short."""
 
     def __init__(self, path: Path):
         self.data, self.at = read_bytes(path), 0
@@ -244,13 +244,13 @@ class _Bytes:
             raise ValueError(f"is truncated: expected {size} more bytes, got {left}")
 
     def count(self, smallest: int) -> int:
-        """How many follow, each of that many bytes at the least."""
+        """The number of items that follow, each of at least `smallest` bytes."""
         (count,) = self.take(struct.Struct("<Q"))
         self.need(count * smallest)
         return count
 
     def text(self) -> str:
-        """Up to a zero byte."""
+        """Text up to a zero byte."""
         end = self.data.find(b"\0", self.at)
         if end < 0:
             raise ValueError("is truncated: expected the end of a name")

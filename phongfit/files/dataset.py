@@ -18,19 +18,19 @@ from phongfit.scene import Scene
 class Dataset:
     """Images of one material, as [`fit`][] takes them.
 
-    - `name`: of the folder it came from.
+    - `name`: of its folder.
     - `scenes`: one for each image; they may share surface and camera.
     - `images`: linear light, (H, W, 3).
     - `masks`: true where a sample may be used, (H, W) or, by channel, (H, W, 3).
     - `names`: the images' file names.
-    - `film`: how light became the images' numbers; a tuple, one for each image, where
-        JPEG files rounded them differently.
-    - `truth`: the material, where it is known.
-    - `unknown`: parameters of the scenes, and the exposure, that the photographs' maker
-        does not know either, and a fit should find.
-    - `notes`: what was assumed of the photographs, in sentences.
-    - `uncertain`: arrays of the scenes that were measured, or several of them
-        together, and their covariances or standard deviations, as [`fit`][] takes them.
+    - `film`: clamp, encoding and rounding of the images; a tuple, one for each image,
+        if JPEG files rounded them differently.
+    - `truth`: the true material, if it is known.
+    - `unknown`: parameters of the scenes, and perhaps the exposure, that are not known
+        and that a fit should estimate.
+    - `notes`: assumptions about the photographs, in sentences.
+    - `uncertain`: measured arrays of the scenes, or several of them together, and their
+        covariances or standard deviations, as [`fit`][] takes them.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Dataset:
 
     @property
     def films(self) -> tuple[Film, ...]:
-        """One for each image."""
+        """A film for each image."""
         film = self.film
         return (film,) * len(self.images) if isinstance(film, Film) else film
 
@@ -74,27 +74,27 @@ class Dataset:
 
 
 class Photograph(NamedTuple):
-    """Linear light of one image, as its file has it, and where it may be used."""
+    """Linear light of one image, encoded as in its file, and a mask of usable samples."""
 
     coded: Coded
     mask: Bool[np.ndarray, "height width *channel"]
 
     @property
     def image(self) -> Float[np.ndarray, "height width 3"]:
-        """Its light."""
+        """The decoded linear light."""
         return self.coded.light
 
 
 @dataclass(frozen=True)
 class Photographs:
-    """A data set of which every photograph is read when it is asked for.
+    """A data set whose photographs are read on access, one at a time.
 
-    - `read`: the photograph of a number, from 0 on; it raises `ValueError` that names
-        the file that is missing or wrong.
+    - `read`: returns the photograph with an index, from 0; raises `ValueError` that
+        names the file that is missing or wrong.
     - `name`, `scenes`, `names`, `truth`, `unknown`: as in [`Dataset`][].
-    - `film`: of all of them, as far as is known without their files.
-    - `film_of`: that of the photograph of a number, as its file tells.
-    - `notes`: what was assumed of the photographs, in sentences.
+    - `film`: of all photographs, as far as is known without reading their files.
+    - `film_of`: returns the film of the photograph with an index, from its file.
+    - `notes`: assumptions about the photographs, in sentences.
     - `uncertain`: as in [`Dataset`][].
     """
 
@@ -110,12 +110,12 @@ class Photographs:
     uncertain: Mapping[Any, np.ndarray] = dataclasses.field(default_factory=dict)
 
     def films(self) -> tuple[Film, ...]:
-        """Of each photograph, as its file tells."""
+        """The film of each photograph, from its file."""
         numbers, one = range(len(self.names)), self.film
         return tuple(self.film_of(n) if self.film_of else one for n in numbers)
 
     def load(self) -> Dataset:
-        """All of it in memory."""
+        """Read all photographs into memory."""
         read = [self.read(number) for number in range(len(self.names))]
         films = self.films()
         film = films if any(one != films[0] for one in films) else films[0]

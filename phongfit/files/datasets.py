@@ -1,4 +1,4 @@
-"""Data sets from their folders, whatever the layout."""
+"""Data sets from folders of either layout."""
 
 import os
 from pathlib import Path
@@ -48,7 +48,10 @@ def read_dataset(
     min_facing: float = -1.0,
     normals: Literal["given", "fit"] = "given",
 ) -> Dataset:
-    """The same with all images in memory; raises as [`open_dataset`][] does."""
+    """A data set from its folder, with all images in memory.
+
+    Arguments and errors are those of [`open_dataset`][].
+    """
     return open_dataset(
         folder, min_cosine=min_cosine, min_facing=min_facing, normals=normals
     ).load()

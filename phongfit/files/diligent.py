@@ -37,7 +37,7 @@ NORMALS = "Normal_gt"
 
 
 def is_diligent(folder: Path) -> bool:
-    """Whether a folder looks like one of DiLiGenT's."""
+    """True if a folder has the layout of DiLiGenT."""
     return (folder / "filenames.txt").exists()
 
 
@@ -50,19 +50,19 @@ def open_diligent(
 ) -> Photographs:
     """One object of DiLiGenT: linear photographs, each under one distant light.
 
-    They are divided by the intensities of their lights, so that each light's intensity
-    is 1, and saturated samples are masked, channel by channel.
+    Photographs are divided by the intensities of their lights, so that each light's
+    intensity is 1, and saturated samples are masked, channel by channel.
 
     **Arguments:**
 
     - `folder`: holds `filenames.txt`, the photographs in it, `light_directions.txt`,
         `light_intensities.txt`, `mask.png` and `Normal_gt.mat`.
-    - `min_cosine`: samples with n·l up to this are masked too: there light that
-        bounced from elsewhere, and the shadow's edge, outweigh the light itself.
+    - `min_cosine`: samples with n·l up to this are masked too: there light from other
+        surfaces, and the shadow's edge, outweigh the light itself.
     - `min_facing`: pixels with n_z up to this are masked too: on the rim a pixel
         averages over many normals.
-    - `normals`: `"fit"` if they are fitted too: `Normal_gt.mat` is then not read, and
-        the surface is a plane square to the camera's axis.
+    - `normals`: `"fit"` if normals are fitted too: `Normal_gt.mat` is then not read,
+        and the surface is a plane perpendicular to the camera's axis.
 
     **Raises:** `ValueError` that names the file that is missing or wrong.
     """
@@ -85,7 +85,7 @@ def open_diligent(
         image, known = _read_photograph(folder, names[number], inside_mask.shape)
         direction = directions[number]
         cosine = vectors @ (direction / np.linalg.norm(direction))
-        # Divided, 65535 is a different number in each channel, so this comes first.
+        # Mask before the division, which makes white differ between channels.
         mask = (used & known & (cosine > min_cosine))[..., None] & (image < 1)
         light = image / intensities[number].astype(image.dtype)
         return Photograph(Coded(light), mask)
@@ -97,7 +97,7 @@ def open_diligent(
             for direction in directions
         ),
         names,
-        # Nothing that is left in the masks was cut off.
+        # Masks exclude clipped samples.
         Film(clamp=False),
         read,
     )
@@ -127,7 +127,7 @@ def _check_lights(
 
 
 def _sound(intensities: np.ndarray) -> np.ndarray:
-    """Whether light can be divided by them, and squared, in single precision."""
+    """True for intensities whose quotients and squares fit in single precision."""
     return (intensities > 1e-12) & (intensities < 1e12)
 
 
@@ -150,7 +150,7 @@ def _read_surface(folder: Path, mask: Bool[np.ndarray, "height width"]) -> Norma
 def _read_photograph(
     folder: Path, name: str, size: tuple[int, ...]
 ) -> tuple[Float[np.ndarray, "height width 3"], Bool[np.ndarray, "height width"]]:
-    """Light of a photograph, and where it is known."""
+    """Light of a photograph, and a mask of usable pixels."""
     with naming(f"{folder / 'filenames.txt'}"):
         path = inside(folder, name)
     light = read_light(path, "linear")

@@ -17,7 +17,7 @@ Samples = Annotated[list[float], Field(max_length=MOST, fail_fast=True)]
 
 
 class CurveRecord(AbstractRecord):
-    """A response curve where the name of an encoding might stand."""
+    """A response curve in place of an encoding's name."""
 
     kind: Literal["response_curve"]
     light: Samples
@@ -38,18 +38,18 @@ EncodingField = Annotated[
     Any,
     PlainValidator(_as_encoding, json_schema_input_type=NamedEncoding | CurveRecord),
 ]
-"""An encoding in a JSON file of ours."""
+"""An encoding in one of phongfit's JSON files."""
 
 
 def describe_encoding(encoding: Encoding) -> str | dict[str, Any]:
-    """What stands for it in a JSON file of ours."""
+    """The value of an encoding in phongfit's JSON files."""
     if isinstance(encoding, ResponseCurve):
         return {"kind": "response_curve", "light": list(encoding.light)}
     return encoding
 
 
 class ResponseRecord(AbstractRecord):
-    """What `phongfit response` writes: a curve, and how well it is known."""
+    """The file of `phongfit response`: a curve with its standard errors."""
 
     format: Literal["phongfit response"]
     version: Literal[1]
@@ -61,7 +61,7 @@ class ResponseRecord(AbstractRecord):
 
 
 def read_response(path: Path) -> ResponseCurve:
-    """The curve of a file that `phongfit response` has written.
+    """The response curve from a file of `phongfit response`.
 
     **Raises:** `ValueError` that names the file, the field, what was expected and what
     was got.
@@ -72,7 +72,7 @@ def read_response(path: Path) -> ResponseCurve:
 
 
 def parse_encoding(word: str | None) -> Encoding | None:
-    """An encoding by its name, or by the file of a response curve; `None` is none.
+    """An encoding from its name or the file of a response curve; `None` for `None`.
 
     **Raises:** `ValueError` that names the option or the file.
     """

@@ -1,4 +1,4 @@
-"""`fit.json`: a fit with its errors, and all that is needed to repeat it."""
+"""`fit.json`: a fit with its standard errors and the settings that repeat it."""
 
 import importlib.metadata
 import math
@@ -31,7 +31,7 @@ from phongfit.scene import Scene
 
 FIT_FORMAT = "phongfit fit"
 FIT_VERSION = 2
-# What version 1 called otherwise.
+# Keys of version 1, and their names in version 2.
 _RENAMED = {"untold": "unidentified", "samples": "n_samples", "images": "n_images"}
 LossName = Literal["linear", "huber", "soft_l1", "cauchy", "tukey"]
 
@@ -41,7 +41,7 @@ def _as_tuple(value: Any) -> Any:
 
 
 Numbers = Many[float | None]
-"""Numbers, where null stands for what is not finite."""
+"""Numbers, where null is infinity or NaN."""
 
 Edges = Annotated[tuple[float | None, float | None], BeforeValidator(_as_tuple)]
 """(low, high), where null is infinity."""
@@ -60,7 +60,7 @@ Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
 
 class FitSettings(AbstractRecord):
-    """What a fit was asked for: see [`fit`][]."""
+    """Settings of a fit, as arguments of [`fit`][]."""
 
     unknowns: Many[str] = list(DEFAULT_UNKNOWNS)
     per_channel: Many[str] = list(DEFAULT_PER_CHANNEL)
@@ -76,9 +76,9 @@ class FitSettings(AbstractRecord):
 
     @classmethod
     def of(cls, specification: Specification, noise: float | None) -> "FitSettings":
-        """What stands in the file of a specification.
+        """Settings from a specification.
 
-        Its film, and what is uncertain, are the data's.
+        Without `film` and `uncertain`, which are read with the data.
 
         **Raises:** `ValueError` for a loss that has no name.
         """
@@ -96,7 +96,7 @@ class FitSettings(AbstractRecord):
         return cls.model_validate(plain(given))
 
     def specification(self) -> Specification:
-        """What was asked, but for the film, which the data know."""
+        """The specification, without the film, which is read with the data."""
         with naming("known"):
             known = None if self.known is None else self.known.build()
         bounds = {
@@ -121,7 +121,7 @@ class FitSettings(AbstractRecord):
 
 
 class DataSettings(AbstractRecord):
-    """How photographs were read: see `phongfit fit --help`."""
+    """Options with which photographs were read: see `phongfit fit --help`."""
 
     encoding: str | None = None
     min_cosine: float = 0.05
@@ -135,7 +135,7 @@ class DataSettings(AbstractRecord):
 
 
 class DataRecord(AbstractRecord):
-    """The data: its name, how it was read, and SHA-256 of every file that was."""
+    """A data set's name, its reading options, and SHA-256 of every file read."""
 
     name: str
     reading: DataSettings
@@ -143,7 +143,7 @@ class DataRecord(AbstractRecord):
 
 
 class ParametersRecord(AbstractRecord):
-    """A material of any shape, or its errors."""
+    """A material of any shape, or its standard errors."""
 
     ambient: Nested
     diffuse: Nested
@@ -153,7 +153,7 @@ class ParametersRecord(AbstractRecord):
 
 
 class FitRecord(AbstractRecord):
-    """`fit.json`."""
+    """Content of a `fit.json`."""
 
     format: Literal["phongfit fit"]
     version: Literal[2]
@@ -170,7 +170,7 @@ class FitRecord(AbstractRecord):
     tied: Many[bool]
     bounds: Many[Edges]
     covariance: Many[Numbers]
-    # Of 95 %; files that are older have none.
+    # 95 % intervals; older files have none.
     intervals: Many[Edges] | None = None
     exposure: Many[float]
     noise: float
@@ -193,7 +193,7 @@ class FitRecord(AbstractRecord):
     @model_validator(mode="before")
     @classmethod
     def _upgrade(cls, data: Any) -> Any:
-        # In place, so that errors find in it what they name.
+        # In place: messages look up values in this same object.
         if isinstance(data, dict) and data.get("version") == 1:
             for old, new in _RENAMED.items():
                 if old in data:
@@ -211,7 +211,7 @@ class FitRecord(AbstractRecord):
             return Material(**parameters)
 
     def numbers(self) -> tuple[np.ndarray, np.ndarray]:
-        """Values and errors; an error of null is infinite."""
+        """Values and standard errors; null errors become infinite."""
         return _array(self.values), np.nan_to_num(_array(self.errors), nan=np.inf)
 
     def specular(self) -> AbstractSpecular:
@@ -227,7 +227,7 @@ def _array(numbers: Any) -> np.ndarray:
 
 
 def made_with() -> dict[str, str]:
-    """Versions of what numbers rest on, and the precision."""
+    """Versions of the libraries and the platform, and the floating-point precision."""
     names = ("phongfit", "jax", "jaxlib", "equinox", "lineax", "optimistix", "numpy")
     machine = f"{platform.system()} {platform.machine()}"
     return {
@@ -241,17 +241,17 @@ def made_with() -> dict[str, str]:
 def write_fit_record(
     path: str | os.PathLike[str], fit: Fit, *, data: DataRecord, noise: float | None
 ) -> None:
-    """Write a fit, in one piece, so that it can be repeated elsewhere.
+    """Write a fit and the settings that repeat it, whole or not at all.
 
     **Arguments:**
 
-    - `data`: what it was made from.
-    - `noise`: that was given, if it was.
+    - `data`: record of the fitted data.
+    - `noise`: noise that was passed to the fit, or `None`.
 
     **Raises:** `OSError` that names the file.
     """
     numbers = fit.to_dict()
-    # The model is described below, the loss is a setting, and rows are columns here.
+    # The file has the model and the loss elsewhere, and columns instead of rows.
     for name in ("model", "loss", "parameters"):
         del numbers[name]
     scene = fit.scene if isinstance(fit.scene, Scene) else fit.scene[0]
@@ -281,7 +281,7 @@ def read_fit_record(path: str | os.PathLike[str]) -> FitRecord:
 
 
 def check_fit(record: FitRecord) -> None:
-    """Are there as many values, errors, … as labels, and is there a material?
+    """Check that a record has as many values, errors, … as labels, and a material.
 
     **Raises:** `ValueError` that names the field.
     """
@@ -301,7 +301,7 @@ def check_fit(record: FitRecord) -> None:
 
 
 def distances(record: FitRecord, fit: Fit) -> Float[np.ndarray, " n"]:
-    """How far a fit is from a recorded one, in the recorded standard errors.
+    """Distance of a fit from a recorded one, in units of the recorded standard errors.
 
     **Returns:** a number for each label: infinite where only one of the two identifies
     the value, NaN where neither does.
@@ -315,7 +315,7 @@ def distances(record: FitRecord, fit: Fit) -> Float[np.ndarray, " n"]:
         )
     values, errors = record.numbers()
     finite = np.isfinite(errors), np.isfinite(fit.errors)
-    # No finer than the numbers themselves: at a bound an error may be 0.
+    # At least the rounding of the values: at a bound a standard error may be 0.
     scale = np.maximum(errors, 1e-5 * np.abs(values) + 1e-7)
     distance = np.abs(fit.values - values) / scale
     distance = np.where(finite[0] == finite[1], distance, np.inf)

@@ -1,6 +1,6 @@
 """Image formats: from the bytes of a file to its numbers, and back.
 
-A reader raises whatever its decoder does; [`read_image`][] makes one line of it.
+A reader raises any exception of its decoder; [`read_image`][] turns it into one line.
 """
 
 import base64
@@ -26,17 +26,17 @@ from PIL import Image, ImageFile
 from phongfit.files.tags import first_directory
 from phongfit.rendering.jpeg import JpegCompression
 
-# What a decoder minds and bears is for whoever asks for logs, not for the terminal.
+# Keep the decoder's warnings off the terminal, unless logging is configured.
 logging.getLogger("imagecodecs").addHandler(logging.NullHandler())
 
 
 class Refused(Exception):
-    """The file is whole, but not what is wanted."""
+    """An intact file whose contents are not supported."""
 
 
 Room = Callable[[int, int, float], None]
-"""Asked before pixels are decoded: is there room for so many columns and rows, which
-take so many bytes a pixel while they are? [`Refused`][] if not."""
+"""Check of memory before pixels are decoded: takes columns, rows and the bytes that
+decoding needs for each pixel; raises [`Refused`][] if there is not enough."""
 
 
 PNG_START, JPEG_START = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
@@ -48,25 +48,25 @@ def _read_png(data: bytes, path: Path, room: Room) -> np.ndarray:
     if data[:8] != PNG_START:
         raise ValueError("it does not start as a PNG does")
     width, height, depth, colour = struct.unpack(">IIBB", data[16:26])
-    # Of a palette's colours a decoder makes up to four channels.
+    # A palette is decoded into up to four channels.
     channels = {0: 1, 2: 3, 3: 4, 4: 2, 6: 4}.get(colour, 4)
     room(width, height, channels * (2 if depth == 16 else 1))
     chunks = [chunk for kind, chunk in png_chunks(data) if kind in _PIXELS]
     return imagecodecs.png_decode(b"".join([data[:8], *chunks]))
 
 
-# What tells of pixels; texts and profiles may unpack to any size.
+# Chunks that hold pixels; texts and profiles may unpack to any size.
 _PIXELS = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
 
 
 def png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Each chunk's kind, and the whole of it: length, kind, content, checksum."""
+    """Each chunk's kind, and its bytes: length, kind, content, checksum."""
     at = 8
     while at + 8 <= len(data):
         (length,) = struct.unpack_from(">I", data, at)
         kind, end = data[at + 4 : at + 8], at + 12 + length
         yield kind, data[at:end]
-        # Decoders are content without the end, where a copy may have been cut off.
+        # Required here, since decoders accept files without it, such as cut-off copies.
         if kind == b"IEND" and end <= len(data):
             return
         at = end
@@ -75,9 +75,9 @@ def png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 @contextlib.contextmanager
 def opened_jpeg(data: bytes) -> Iterator[ImageFile.ImageFile]:
-    """A JPEG file, opened as nothing else: Pillow knows formats that run programs."""
+    """A JPEG file opened in Pillow, as JPEG only: other formats may run programs."""
     with warnings.catch_warnings():
-        # Of sizes, which are asked for here, and of EXIF data, which is read elsewhere.
+        # Pillow warns of sizes, which `room` checks, and of EXIF data, which is unused.
         warnings.simplefilter("ignore")
         with Image.open(io.BytesIO(data), formats=["JPEG"]) as image:
             yield image
@@ -91,19 +91,19 @@ def _read_jpeg(data: bytes, path: Path, room: Room) -> np.ndarray:
         # libjpeg holds two more bytes of each number of a progressive file.
         room(*image.size, {"L": 3, "RGB": 9}[image.mode])
         start = image.fp.tell() if image.fp else 0
-    # libjpeg makes grey of what is missing; coded numbers never contain these bytes.
+    # libjpeg fills missing data with grey; the end marker never occurs in coded data.
     if data.find(JPEG_END, start) < 0:
         raise ValueError("it is truncated")
     return imagecodecs.jpeg8_decode(data)
 
 
 def jpeg_compression(data: bytes) -> JpegCompression:
-    """What the head of a JPEG file says that it rounds."""
+    """Quantisation tables, subsampling and colour space from a JPEG file's header."""
     with opened_jpeg(data) as image:
         steps: dict = getattr(image, "quantization", {})
-        # Of each component its number, samples across and down, and its table's number.
+        # For each component: number, samples across and down, number of its table.
         layers: list[tuple[int, int, int, int]] = getattr(image, "layer", [])
-        # As the Independent JPEG Group's library takes it.
+        # The rules of the Independent JPEG Group's library.
         rgb = [layer[0] for layer in layers] == [ord(name) for name in "RGB"]
         rgb = image.info["adobe_transform"] == 0 if "adobe" in image.info else rgb
         rgb = rgb and "jfif" not in image.info
@@ -111,7 +111,7 @@ def jpeg_compression(data: bytes) -> JpegCompression:
         raise Refused("expected RGB or grey, got CMYK")
     return JpegCompression(
         tuple(np.reshape(steps[table], (8, 8)) for *_, table in layers),
-        # Of one component alone its number of samples means nothing.
+        # With a single component the sampling factors have no meaning.
         tuple((across, down) for _, across, down, _ in layers) if layers[1:] else (),
         not rgb,
     )
@@ -136,10 +136,10 @@ def _read_tiff(data: bytes, path: Path, room: Room) -> np.ndarray:
     bits = tags.whole(_BITS, 1)
     channels, planes = tags.whole(_CHANNELS, 1), tags.whole(_PLANES, 1)
     pixel = channels * -(-bits // 8)
-    # One that is cut into tiles is read tile by tile, and a tile may be the larger.
+    # Tiled pictures are read tile by tile, and a tile may exceed the picture.
     tile = tags.whole(_TILE_WIDTH) * tags.whole(_TILE_HEIGHT)
     room(width, height, pixel * (1 + tile / max(width * height, 1)))
-    # 1 and 2 are grey, where 0 is black, and RGB; there are inverted ones, palettes …
+    # 1 is grey with 0 as black, 2 is RGB; others are inverted grey, palettes, …
     photometric = tags.whole(_PHOTOMETRIC, -1)
     if photometric not in (1, 2):
         raise Refused(f"expected photometric interpretation 1 or 2, got {photometric}")
@@ -176,7 +176,7 @@ def _read_hdr(data: bytes, path: Path, room: Room) -> np.ndarray:
     if re.search(rb"^FORMAT\s*=\s*32-bit_rle_xyze", header, re.MULTILINE):
         # Its unit of light and its white depend on the program that wrote it.
         raise Refused("expected red, green and blue, got XYZ: convert it (ra_xyze -r)")
-    # A pixel is radiance times all factors that were ever applied to it.
+    # Pixels are radiance times the product of all factors in the header.
     factor = np.ones(3)
     for name, count in (("EXPOSURE", 1), ("COLORCORR", 3)):
         factor = factor * radiance_values(header, name, count).prod(axis=0)
@@ -196,7 +196,7 @@ def radiance_header(data: bytes) -> bytes:
 def radiance_values(
     header: bytes, name: str, count: int
 ) -> Float[np.ndarray, "lines {count}"]:
-    """The numbers of each line of a name in a Radiance picture's header."""
+    """Numbers of all lines with this name in a Radiance picture's header."""
     lines = re.findall(rf"^{name}\s*=(.*)$".encode(), header, re.MULTILINE)
     rows = [[float(word) for word in line.split()] for line in lines]
     if any(len(row) != count for row in rows):
@@ -222,7 +222,7 @@ def _read_exr(data: bytes, path: Path, room: Room) -> np.ndarray:
             raise Refused(f"expected channels R, G, B or Y, got {got}")
         with OpenEXR.File(os.fspath(path), separate_channels=True) as file:
             channels = {k: v.pixels for k, v in file.channels().items()}
-    # The library opens files by their names only.
+    # The library reads the file again by name, so its bytes are compared.
     if path.read_bytes() != data:
         raise Refused("changed while it was read")
     numbers = np.stack([channels[name] for name in orders[0]], axis=-1)
@@ -252,13 +252,13 @@ def _is_xyz(points: tuple[float, ...]) -> bool:
     return bool(np.allclose(points[:6], (1, 0, 0, 1, 0, 0)))
 
 
-# One at a time, since the error output is the whole process's.
+# Lock, since all threads share the process's error output.
 _silence = threading.Lock()
 
 
 @contextlib.contextmanager
 def silent_library() -> Iterator[None]:
-    """Libraries that print their complaints; they come as exceptions as well."""
+    """Silence libraries that print their errors, which they also raise."""
     with _silence:
         saved = os.dup(2)
         try:
@@ -272,7 +272,7 @@ def silent_library() -> Iterator[None]:
 
 
 Reader = Callable[[bytes, Path, Room], np.ndarray]
-"""Takes the file's bytes, its path, and whom to ask for room."""
+"""Function from a file's bytes, its path and a memory check to its numbers."""
 
 READERS: dict[str, Reader] = {
     ".png": _read_png,
@@ -298,10 +298,10 @@ _NOT_READ = {b"GIF8": "GIF", b"BM": "BMP", b"RIFF": "WebP", b"8BPS": "Photoshop"
 
 
 def format_of(data: bytes, path: Path) -> str:
-    """The suffix of an image's format, by its first bytes, whatever it is called.
+    """The suffix of an image's format, from its first bytes, not from its name.
 
-    The file's own suffix where the bytes are of no format that is read: RAW
-    photographs, many of which start as a TIFF does, and what is broken.
+    If the bytes match no readable format, the file's suffix: for RAW photographs, many
+    of which start like a TIFF, and for broken files.
 
     **Raises:** `Refused` that names another well-known format.
     """
@@ -310,7 +310,7 @@ def format_of(data: bytes, path: Path) -> str:
         if data.startswith(start) and (format != ".tif" or suffix in READERS):
             return format
     kinds = [kind for start, kind in _NOT_READ.items() if data.startswith(start)]
-    # CR3, which is RAW, is such a container too.
+    # CR3, a RAW format, starts the same way, so the suffix decides.
     kinds += ["HEIF or AVIF"] if data[4:8] == b"ftyp" and suffix in READERS else []
     if kinds:
         raise Refused(f"is a {kinds[0]} image: convert it to PNG or TIFF")
@@ -332,7 +332,7 @@ def encode_webp(numbers: np.ndarray) -> bytes:
 
 
 def data_uri(picture: bytes, kind: str = "png") -> str:
-    """A picture's file as an address that holds it."""
+    """A data URI that holds a picture's file."""
     return f"data:image/{kind};base64,{base64.b64encode(picture).decode('ascii')}"
 
 
@@ -341,7 +341,7 @@ def _write_png(path: Path, numbers: np.ndarray) -> None:
 
 
 def _write_jpeg(path: Path, numbers: np.ndarray) -> None:
-    # Without subsampling: colour is what is measured here.
+    # Without subsampling, which would blur colours between pixels.
     iio.imwrite(path, numbers, plugin="pillow", quality=95, subsampling=0)
 
 
@@ -350,7 +350,7 @@ def _write_tiff(path: Path, numbers: np.ndarray) -> None:
 
 
 def _write_hdr(path: Path, numbers: np.ndarray) -> None:
-    # Its shared exponent knows no light below 0.
+    # The format has no sign.
     path.write_bytes(imagecodecs.rgbe_encode(np.maximum(numbers, 0), header=True))
 
 
@@ -360,12 +360,12 @@ def _write_exr(path: Path, numbers: np.ndarray) -> None:
         with OpenEXR.File(header, {"RGB": numbers}) as file:
             file.write(os.fspath(path))
     except RuntimeError as error:
-        # As OpenEXR tells of a full disk, in words alone.
+        # OpenEXR reports a full disk by a message only, without an error number.
         raise OSError(errno.EIO, str(error).rpartition('". ')[2]) from error
 
 
 def _read_picture(data: bytes, path: Path, room: Room) -> np.ndarray:
-    """Colours as pictures for the screen have them: of palettes, or of four inks."""
+    """Grey, RGB or RGBA numbers of a picture, from palettes and CMYK as well."""
     del path
     known = ["BMP", "GIF", "JPEG", "TGA", "WEBP"]
     with Image.open(io.BytesIO(data), formats=known) as image:
@@ -380,7 +380,7 @@ def _read_picture(data: bytes, path: Path, room: Room) -> np.ndarray:
 TEXTURE_READERS: dict[str, Reader] = READERS | dict.fromkeys(
     (".jpg", ".jpeg", ".tga", ".bmp", ".gif", ".webp"), _read_picture
 )
-"""Readers of textures, whose files are of more formats than those of photographs."""
+"""Readers of textures, for more formats than those of photographs."""
 
 Writer = Callable[[Path, np.ndarray], None]
 

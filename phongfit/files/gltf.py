@@ -1,12 +1,12 @@
-r"""glTF 2.0: a mesh with Phong's material as a metallic-roughness viewer shows it.
+r"""glTF 2.0: a mesh with Phong's material, approximated for metallic-roughness viewers.
 
-The two models are not the same. What is kept is how wide and how bright a highlight is
-where it is seen head-on:
+The two models differ. The conversion keeps the width and the brightness of a highlight
+that is seen head-on:
 
 - roughness: Beckmann's and GGX's $\alpha$ of about the same lobe as Blinn's $\cos^f$
   is $\alpha = \sqrt{2 / (f + 2)}$, and glTF's roughness is $\sqrt\alpha$: peak and sum
-  of the facets are the same, between they differ by up to 0.16 of the peak. Of a
-  [`GGX`][] it is its own roughness, and $F_0$ its own times $\rho_s$;
+  of the facets are equal, in between they differ by up to 0.16 of the peak. A
+  [`GGX`][] keeps its roughness, and $F_0$ is that of the model times $\rho_s$;
 - `KHR_materials_specular`: the peak of GGX's lobe over a matte surface's light is
   $F_0 (f + 2) / 8$, so that $F_0 = 8 \rho_s / (f + 2)$; 4 % of it is glTF's colour 1.
   A viewer shows at most $F_0 = 1$;
@@ -37,7 +37,7 @@ from phongfit.plain import plain
 FORMAT = "glTF"
 F0_OF_WHITE = 0.04
 MAX_EXPONENT = 1e4
-"""Of what is read: a mirror, whose roughness is 0, has no other."""
+"""Largest exponent that is read: a mirror, with roughness 0, gets this one."""
 FLOAT, UNSIGNED = 5126, 5125
 VERTICES, INDICES = 34962, 34963
 CONVERSION = (
@@ -47,10 +47,10 @@ CONVERSION = (
 
 
 class Part(NamedTuple):
-    """Triangles of one material: arrays as glTF has them.
+    """Triangles of one material, as arrays for glTF.
 
-    `uv` has its origin at the top left. Without `normals` faces are flat. `colours` of
-    its vertices are linear, by the name of the attribute.
+    `uv` has its origin at the top left. Without `normals` faces are flat. `colours` are
+    linear colours of the vertices, by the name of the attribute.
     """
 
     positions: Float[np.ndarray, "vertices 3"]
@@ -61,7 +61,7 @@ class Part(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """A texture's PNG file as bytes, where a material has what names a texture."""
+    """A texture's PNG file as bytes, in place of the number of a texture."""
 
     png: bytes
     nearest: bool
@@ -80,13 +80,13 @@ def exponents(roughness: Any) -> Float[np.ndarray, "..."]:
 
 
 def specular_of(colour: Any, shininess: Any) -> Float[np.ndarray, "..."]:
-    r"""$\rho_s$ of glTF's specular colour, the inverse of [`specular_colour`][]."""
+    r"""$\rho_s$ from glTF's specular colour, the inverse of [`specular_colour`][]."""
     f = np.asarray(shininess, float)
     return np.asarray(F0_OF_WHITE * np.asarray(colour, float) * (f + 2) / 8)
 
 
 def specular_colour(specular: Any, shininess: Any) -> Float[np.ndarray, "..."]:
-    r"""glTF's specular colour: $8 \rho_s / (f + 2) / 0.04$; see above."""
+    r"""glTF's specular colour from $\rho_s$: $8 \rho_s / (f + 2) / 0.04$."""
     f = np.asarray(shininess, float)
     return np.asarray(8 * np.asarray(specular, float) / (f + 2) / F0_OF_WHITE)
 
@@ -94,10 +94,10 @@ def specular_colour(specular: Any, shininess: Any) -> Float[np.ndarray, "..."]:
 def pbr_material(name: str, material: Material, nearest: bool) -> dict[str, Any]:
     """One material of the un-normalised Blinn-Phong model, as a glTF material.
 
-    **Arguments:** `nearest`: the nearest that glTF holds, with a warning, where it
-    cannot hold the material: colours above 1, an exponent for each channel.
+    **Arguments:** `nearest`: replace values that glTF cannot hold by the nearest, with
+    a warning: colours above 1, an exponent for each channel.
 
-    **Raises:** `ValueError` that names the leaf, unless `nearest`.
+    **Raises:** `ValueError` that names the parameter, unless `nearest`.
     """
     f = exponent(material, np.inf, FORMAT, nearest)
     diffuse, emission = (
@@ -121,13 +121,13 @@ def pbr_material(name: str, material: Material, nearest: bool) -> dict[str, Any]
 def write_gltf(
     path: str | os.PathLike[str], parts: list[tuple[Part, dict[str, Any]]]
 ) -> None:
-    """Write triangles and their materials: one file that holds all, in one piece.
+    """Write triangles and their materials into a single file, whole or not at all.
 
     **Arguments:**
 
     - `path`: `.glb`, or `.gltf` with the binary part as text.
-    - `parts`: with materials of [`pbr_material`][], in which a [`Picture`][] stands for
-        each texture.
+    - `parts`: triangles, each with a material of [`pbr_material`][], in which a
+        [`Picture`][] replaces each texture.
 
     **Raises:** `ValueError` for another suffix, `OSError` that names the file.
     """
@@ -144,7 +144,7 @@ def write_gltf(
 
 
 class _File:
-    """A glTF file while it is put together: JSON, and the bytes that it points into."""
+    """A glTF file under construction: JSON, and the bytes that it refers to."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -177,7 +177,7 @@ class _File:
         self.json["meshes"][0]["primitives"].append(primitive)
 
     def _pictured(self, value: Any) -> Any:
-        """A material whose pictures are textures of this file."""
+        """A material with its pictures replaced by numbers of textures in this file."""
         if isinstance(value, Picture):
             return {"index": self._picture(value)}
         if isinstance(value, dict):
@@ -210,7 +210,7 @@ class _File:
             "type": kind,
         }
         if kind == "VEC3":
-            # Viewers find the object's size by these.
+            # Viewers compute the object's size from these.
             ends = numbers.min(axis=0), numbers.max(axis=0)
             accessor |= {"min": ends[0].astype(float), "max": ends[1].astype(float)}
         return self._add("accessors", accessor)

@@ -1,17 +1,17 @@
-r"""Materials of glTF files, as Phong's: the inverse of [`phongfit.files.gltf`][].
+r"""Phong materials from glTF files: the inverse of [`phongfit.files.gltf`][].
 
 With base colour $b$, metallic $m$, roughness $r$ and the reflectance of a dielectric
 $F = 0.04\, c$ (KHR_materials_specular's colour $c$; 0.04 is that of KHR_materials_ior):
 
-- $\rho_d = (1 - m)\, b$ and $\rho_a = b$: metals reflect the surroundings, too;
+- $\rho_d = (1 - m)\, b$ and $\rho_a = b$, since metals also reflect the surroundings;
 - $f = 2 / r^4 - 2$ and $\rho_s = ((1 - m)\, F + m\, b)\, (f + 2) / 8$.
 
 KHR_materials_pbrSpecularGlossiness has $\rho_d$ and $F$ itself, and $r = 1 - g$ for its
 glossiness $g$. Each of these numbers may have a texture; colours are sRGB-encoded in
-them. The material in the `extras` of a file that phongfit wrote is taken as it stands.
+them. If `extras` hold a material that phongfit wrote, that material is used unchanged.
 
 ??? cite "Source"
-    Khronos, *glTF 2.0*, 2021, appendix B, and the extensions that are named here;
+    Khronos, *glTF 2.0*, 2021, appendix B, and the extensions above;
     *KHR_texture_transform*: a rotation is counter-clockwise, where v runs down.
 """
 
@@ -47,9 +47,9 @@ from phongfit.textures import Texture, Textures
 NEAREST, REPEAT, CLAMP = 9728, 10497, 33071
 
 OpenImage = Callable[[int], tuple[bytes, Path]]
-"""The bytes of the image of a number, and its name.
+"""Function from an image's number to its bytes and its name.
 
-**Raises:** `ValueError` if it is missing.
+**Raises:** `ValueError` if the image is missing.
 """
 
 
@@ -70,10 +70,10 @@ class Placing(NamedTuple):
 
 
 class GltfShade(NamedTuple):
-    """A material of a file.
+    """A material of a file, with its textures.
 
     - `placing`: of its textures; `None` if it has none.
-    - `multiplied`: by the attribute of vertices, the parameters that it multiplies.
+    - `multiplied`: the parameters that each attribute of vertices multiplies.
     """
 
     name: str | None
@@ -97,9 +97,9 @@ RGB, GREEN, BLUE, ALPHA = slice(0, 3), slice(1, 2), slice(2, 3), slice(3, 4)
 
 
 class Shading:
-    """Reads the materials of a file one after the other.
+    """Reader of a file's materials, one at a time.
 
-    **Arguments:** `unused`: takes the parts of materials that are not used, as keys.
+    **Arguments:** `unused`: filled with the unused parts of materials, as keys.
     """
 
     def __init__(self, file: File, image: OpenImage, unused: dict[str, None]):
@@ -108,16 +108,16 @@ class Shading:
         self._unused = unused
         self._opened: dict[tuple[int, NamedEncoding], np.ndarray] = {}
         self._held = 0
-        # Of the material that is read.
+        # State of the material that is being read.
         self._name = ""
         self._placing: Placing | None = None
         self._leaves: dict[str, Any] = {}
         self._textures: dict[str, Texture] = {}
 
     def read(self, material: GltfMaterial) -> GltfShade:
-        """One material.
+        """Read one material.
 
-        **Raises:** `ValueError` that states what is wrong with it.
+        **Raises:** `ValueError` that describes the error.
         """
         name = material.name
         self._name = "a material" if name is None else f"material {name[:60]!r}"
@@ -198,7 +198,7 @@ class Shading:
             matte = self._mapped(lambda b, metal: b * (1 - metal), colour, metal)
             self._put("diffuse", matte, factor[:3])
         else:
-            # One texture for both, as other formats have it.
+            # One texture object for both, as with other formats.
             self._leaves["diffuse"] = self._leaves["ambient"]
             if "ambient" in self._textures:
                 self._textures["diffuse"] = self._textures["ambient"]
@@ -249,7 +249,7 @@ class Shading:
     def _open(
         self, what: str, info: TextureInfo | None, encoding: NamedEncoding
     ) -> _Map:
-        """One of the material's textures, RGBA; ones if it has none, or it is lost."""
+        """One of the material's textures, RGBA; ones if it is missing or unusable."""
         ones = _Map(np.ones(4))
         if info is None:
             return ones
@@ -296,7 +296,7 @@ class Shading:
 
 
 def _own(material: GltfMaterial) -> Material | None:
-    """The material that phongfit wrote into `extras`, if it did."""
+    """The material that phongfit wrote into `extras`, or `None`."""
     if not isinstance(material.extras, dict) or "phong" not in material.extras:
         return None
     with naming_field("extras.phong"):

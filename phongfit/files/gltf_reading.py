@@ -1,4 +1,4 @@
-"""Read glTF 2.0: triangles and materials, every number checked before it is used.
+"""Read glTF 2.0: triangles and materials, with every number checked before use.
 
 A file is JSON that points into bytes: buffers are cut into views, views hold accessors
 (arrays), and these are the attributes of primitives (triangles of one material), which
@@ -52,11 +52,11 @@ READ = (
     *("KHR_materials_", "KHR_texture_", "EXT_texture_"),
     *("KHR_lights_punctual", "KHR_mesh_quantization"),
 )
-"""Starts of the extensions that a file may require: they are read, or change colours
-alone and are listed as not used."""
+"""Prefixes of extensions that a file may require: they are read, or change only colours
+and are listed as not used."""
 
 LISTED = 20
-"""Parts of a file that are not used and are named; the others are counted."""
+"""Maximum number of unused parts that a note names; others are counted."""
 
 
 class GltfPart(NamedTuple):
@@ -78,9 +78,9 @@ def read_gltf(
 ) -> tuple[list[GltfPart], dict[int, GltfShade]]:
     """The triangles of a glTF or GLB file, and their materials by number.
 
-    **Arguments:** `note`: is given one line that lists the parts that are not used.
+    **Arguments:** `note`: called with one line that lists the parts that are not used.
 
-    **Raises:** `ValueError` that states what is wrong, and where in the file.
+    **Raises:** `ValueError` that describes the error and its place in the file.
     """
     data = read_bytes(path)
     text, binary = _chunks(data) if path.suffix.lower() == ".glb" else (data, None)
@@ -178,18 +178,18 @@ class _Reader:
         uv = self._uv(left, shade, count)
         colours = self._colours(left, shade, count)
         if shade is None or shade.shaded.textures.normal is None:
-            # Tangents are those of a normal map: phongfit finds them from the uv.
+            # Only normal maps need tangents, and phongfit computes them from the uv.
             left.pop("TANGENT", None)
         self.unused |= dict.fromkeys(f"attributes.{name[:60]}" for name in left)
         linear, shift = matrix[:3, :3], matrix[:3, 3]
         turn = np.linalg.det(linear)
         flat = normals is None or turn == 0
-        # A mesh may be in many places: all of them take memory, and more when joined.
+        # Each instance of a mesh takes memory, and more when all are joined.
         self._made += 6 * (faces.nbytes + 48 * (faces.size if flat else count))
         afford(self._made, "triangles")
         place = local @ linear.T + shift
         if turn < 0:
-            # A mirror turns the order of the corners.
+            # A reflection reverses the order of the corners.
             faces = faces[:, ::-1]
         if normals is not None and not flat:
             normals = normals @ np.linalg.inv(linear)
@@ -215,7 +215,7 @@ class _Reader:
     def _uv(
         self, left: dict[str, int], shade: GltfShade | None, count: int
     ) -> np.ndarray | None:
-        """The uv of a part's textures, transformed, or else its first ones."""
+        """The transformed uv of a part's textures; without textures, its first set."""
         placing = None if shade is None else shade.placing
         name = f"TEXCOORD_{0 if placing is None else placing.uv_set}"
         uv = self._attribute(left, name, "VEC2", count=count)
@@ -249,7 +249,7 @@ class _Reader:
     def _attribute(
         self, left: dict[str, int], name: str, *kinds: str, count: int | None = None
     ) -> np.ndarray | None:
-        """Rows of floats, taken out of the attributes that are `left`."""
+        """Rows of an attribute as floats; removes it from `left`."""
         if name not in left:
             return None
         with naming(f"attributes.{name}"):
@@ -259,7 +259,7 @@ class _Reader:
                 raise ValueError(f"expected {count}, got {len(numbers)}")
         if numbers.dtype.kind == "f" or not (normalized or name in COLOURS):
             return numbers.astype(np.float64)
-        # Section 3.6.2.2.
+        # Normalized integers: section 3.6.2.2.
         return np.maximum(numbers / np.iinfo(numbers.dtype).max, -1)
 
     def _indices(self, number: int, vertices: int) -> np.ndarray:
@@ -275,7 +275,7 @@ class _Reader:
             return corners
 
     def _array(self, number: int, *kinds: str) -> tuple[np.ndarray, bool]:
-        """The rows of an accessor of one of these kinds, and whether to scale them."""
+        """The rows of an accessor of one of these types, and its `normalized` flag."""
         with naming(f"accessors[{number}]"):
             accessor: Accessor = at(self._file.accessors, number, "number")
             if accessor.type not in kinds:
@@ -311,7 +311,7 @@ class _Reader:
     def _rows(
         self, view: int, start: int, dtype: np.dtype, shape: tuple[int, int]
     ) -> np.ndarray:
-        """Numbers where they lie in a view."""
+        """Rows of numbers in a view, without a copy."""
         data = self._view(view)
         row = shape[1] * dtype.itemsize
         stride = self._file.bufferViews[view].byteStride or row
@@ -358,7 +358,7 @@ class _Reader:
         return content, self._folder / (name if uri.startswith("data:") else uri)
 
     def _named(self, uri: str) -> bytes:
-        """The bytes that a URI holds, or those of the file that it names."""
+        """The bytes in a data URI, or of the file that a URI names."""
         if not uri.startswith("data:"):
             return read_bytes(inside(self._folder, unquote(uri)))
         head, _, coded = uri.partition(",")
@@ -375,7 +375,7 @@ _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
 def _transform(node: Node) -> np.ndarray:
-    """From a node's axes to its parent's: a matrix, or T R S."""
+    """Matrix from a node's axes to its parent's, from `matrix` or from T R S."""
     if node.matrix is not None:
         return np.array(node.matrix).reshape(4, 4).T
     matrix = np.eye(4)
@@ -388,7 +388,7 @@ def _transform(node: Node) -> np.ndarray:
 
 
 def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:
-    """Indices of triangles, counter-clockwise, from those of a list, strip or fan."""
+    """Indices of counter-clockwise triangles from a list, strip or fan."""
     if mode == TRIANGLES:
         if len(corners) % 3:
             raise ValueError(f"expected three corners a triangle, got {len(corners)}")
@@ -397,8 +397,8 @@ def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:
     first = corners[:count] if mode == STRIP else np.repeat(corners[:1], count)
     faces = np.stack([first, corners[1:-1][:count], corners[2:]], axis=-1)
     if mode == STRIP:
-        # Every second one runs the other way round.
+        # Every second triangle of a strip is clockwise.
         faces[1::2] = faces[1::2, [1, 0, 2]]
-    # Strips are joined by triangles without an area.
+    # Drop triangles without area, which join strips.
     a, b, c = faces.T
     return faces[(a != b) & (b != c) & (a != c)]

@@ -24,9 +24,9 @@ SILENT = frozenset(
     "name extras generator copyright minVersion mimeType min max target minFilter "
     "alphaCutoff camera skin weights extensionsUsed".split()
 )
-"""Keys that change nothing here, or that belong to one which is listed as not used."""
+"""Keys without effect here, or that belong to a key which is listed as not used."""
 USUAL = {"alphaMode": "OPAQUE", "doubleSided": False}
-"""Keys that change nothing if they have this value."""
+"""Values with which these keys have no effect."""
 COLOURS = {
     "COLOR_0": "diffuse",
     "_AMBIENT": "ambient",
@@ -34,14 +34,14 @@ COLOURS = {
     "_EMISSION": "emission",
     "_SHININESS": "shininess",
 }
-"""Attributes of vertices that multiply a material's numbers, in files that phongfit
-wrote. All but the first are its own, which the format allows."""
+"""Attributes of vertices that multiply a material's parameters, in files that phongfit
+wrote. All except `COLOR_0` are custom attributes, which the format allows."""
 COLOUR_0 = {"COLOR_0": ("diffuse", "ambient")}
-"""The attribute in files of others: it multiplies base colour."""
+"""The attribute in files of other programs, where it multiplies base colour."""
 
 
 class _Record(BaseModel):
-    """An object of the JSON part; other keys are kept, to be listed as not used."""
+    """An object of the JSON part; unknown keys are kept, to be listed as not used."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=False, defer_build=True)
 
@@ -77,7 +77,7 @@ class _View(_Record):
 
 
 class _Place(_Record):
-    """Start of numbers in a view; `componentType` is that of indices."""
+    """Start of numbers in a view; `componentType` is read for indices only."""
 
     bufferView: Index
     byteOffset: Count = 0
@@ -138,7 +138,7 @@ class _OfTexture(_Record):
 
 
 class TextureInfo(_Record):
-    """A texture by its number, and its set of uv; `scale` is that of a normal map."""
+    """A texture's number, and its set of uv; `scale` applies to normal maps."""
 
     index: Index
     texCoord: Index = 0
@@ -176,7 +176,7 @@ class _Specular(_Record):
 
 
 class _Ior(_Record):
-    """KHR_materials_ior; 0 is a reflectance of 1."""
+    """KHR_materials_ior; index 0 means a reflectance of 1."""
 
     ior: Annotated[float, Field(ge=0, le=1e3)] = 1.5
 
@@ -237,9 +237,9 @@ class File(_Record):
 
 
 def at(items: list[Item], number: int, what: str) -> Item:
-    """One of several, by its number in the file.
+    """An item of a list, by its number in the file.
 
-    **Raises:** `ValueError` that names `what` holds the number.
+    **Raises:** `ValueError` that names `what`, the key of the number.
     """
     if number >= len(items):
         raise ValueError(f"{what}: expected a number below {len(items)}, got {number}")

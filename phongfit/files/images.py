@@ -45,10 +45,10 @@ from phongfit.rendering.jpeg import JpegCompression
 T = TypeVar("T")
 
 SUFFIXES = (*READERS, *RAW)
-"""Of the files that images are read from."""
+"""Suffixes of files from which images are read."""
 
 Bits = Literal[8, 16, 32]
-"""A channel's size in a file; 32 is a floating-point number."""
+"""Bits of a channel in a file; 32 is floating-point."""
 
 
 @checked
@@ -62,38 +62,38 @@ def read_image(
     """An image as linear light, where 1 is the largest number of an integer format.
 
     PNG and TIFF of 8 and 16 bits, JPEG, floating-point TIFF, Radiance HDR and EXR; RAW
-    photographs with `phongfit[raw]`. Grey becomes three equal channels. The image is
-    upright, as its EXIF orientation says.
+    photographs with `phongfit[raw]`. Grey becomes three equal channels. Images are
+    turned upright by their EXIF orientation.
 
-    Colours are those of sRGB. Those of another ICC profile, such as Display P3, of
-    Adobe RGB by EXIF data, and of primaries that an EXR or Radiance file states, are
-    converted. A profile that contradicts `encoding` is refused, and so is a PNG whose
-    gAMA chunk says that it is linear where `encoding` is `"srgb"`. The other way round
-    `encoding` is believed: many programs write sRGB's gAMA into every PNG. A PNG of
-    other primaries without a profile (cHRM, cICP) is refused.
+    Colours are those of sRGB. Other colours are converted: of another ICC profile, such
+    as Display P3, of Adobe RGB by EXIF data, and of primaries that an EXR or Radiance
+    file states. A profile that contradicts `encoding` is an error, and so is a PNG with
+    a linear gAMA chunk if `encoding` is `"srgb"`. A gAMA chunk of sRGB is ignored if
+    `encoding` is `"linear"`, since many programs write it into every PNG. A PNG of
+    other primaries without a profile (cHRM, cICP) is an error.
 
     **Arguments:**
 
     - `path`: the first bytes determine the format, and the suffix if it is RAW.
-    - `encoding`: `"linear"`, `"srgb"` or a [`ResponseCurve`][]: what the numbers in the
-        file are. A fit in the wrong one is wrong, so it is never guessed.
-        Floating-point formats and RAW are linear. With a profile `"srgb"` stands for
-        any curve that the profile tells.
-    - `white`: the number in a PNG or TIFF of whole numbers that is white, and what lies
-        above it, too: 4095 for a camera's 12 bits in a file of 16. Default: the largest
-        of the format.
-    - `max_pixels`: images with more are refused before they are decoded: a small file
-        can hold an image that fills the memory. Default: what one file may take of it
-        (1 GB, or `PHONGFIT_MAX_MEMORY`), which is some 50 million pixels.
+    - `encoding`: of the numbers in the file: `"linear"`, `"srgb"` or a
+        [`ResponseCurve`][]. It is never guessed, since a wrong one makes a fit wrong.
+        Floating-point formats and RAW are linear. With a profile, `"srgb"` means the
+        profile's curve.
+    - `white`: the number that is white in a PNG or TIFF of whole numbers; larger ones
+        are white as well. For example 4095 for a camera's 12 bits in a file of 16.
+        Default: the largest number of the format.
+    - `max_pixels`: larger images are refused before they are decoded: a small file can
+        hold an image that fills the memory. Default: limited by the memory for one file
+        (1 GB, or `PHONGFIT_MAX_MEMORY`), which is enough for some 50 million pixels.
 
     **Raises:** `ValueError` that names the file: it is missing, broken, of an unknown
     format, too large, partly transparent ([`read_photograph`][] masks such pixels), of
-    colours that are not understood, of several pictures, or holds NaN or infinity. That
-    names `white`, where the format does not have that number.
+    unsupported colours, of several pictures, or holds NaN or infinity. `ValueError`
+    that names `white`, if the format lacks that number.
 
-    **Warns:** where EXIF data is broken; and where a channel is saturated in a file
-    whose profile mixes channels, so that the others are wrong: [`read_photograph`][]
-    has a mask of such pixels.
+    **Warns:** if EXIF data is broken; and if a channel is saturated in a file whose
+    profile mixes channels, so that the others are wrong: [`read_photograph`][] has a
+    mask of such pixels.
     """
     light = read_light(path, encoding, white=white, max_pixels=max_pixels, opaque=True)
     lost = np.count_nonzero(~light.usable)
@@ -108,8 +108,11 @@ def read_image(
 
 
 class Light(NamedTuple):
-    """Linear light of an image, as its file has it, where all of its channels can be
-    believed, and whether the file's format ends at white."""
+    """Linear light of an image, encoded as in its file.
+
+    - `usable`: true for opaque pixels whose channels are not mixed with saturated ones.
+    - `clamped`: true if the file's format has no numbers above white.
+    """
 
     coded: Coded
     usable: Bool[np.ndarray, "height width"]
@@ -117,7 +120,7 @@ class Light(NamedTuple):
 
     @property
     def image(self) -> Float[np.ndarray, "height width 3"]:
-        """The light."""
+        """The decoded linear light."""
         return self.coded.light
 
 
@@ -129,12 +132,12 @@ def read_light(
     max_pixels: int | None = None,
     opaque: bool = False,
 ) -> Light:
-    """As [`read_image`][], with a mask instead of a warning.
+    """Read an image like [`read_image`][], but return a mask instead of a warning.
 
     The mask is false where a saturated channel was mixed into others, and where alpha
-    is less than 1: light from behind may be mixed in there, and the light is 0.
+    is less than 1: the background may be mixed in there, and the light is set to 0.
 
-    **Arguments:** `opaque`: refuse pictures with such an alpha.
+    **Arguments:** `opaque`: raise an error if any alpha is less than 1.
     """
     path = Path(path)
     encoding = as_encoding(encoding)
@@ -163,7 +166,7 @@ def read_light(
 
 
 def _to_white(path: Path, values: np.ndarray, white: int | None) -> np.ndarray:
-    """Numbers of a file so that its white is the largest of 16 bits.
+    """Numbers of a file, scaled so that white is the largest number of 16 bits.
 
     **Raises:** `ValueError` that names the file and `white`.
     """
@@ -193,23 +196,24 @@ def _coded(values: np.ndarray, encoding: Encoding, profile: Profile | None) -> C
 def read_film(
     path: str | os.PathLike[str], encoding: Encoding, *, white: int | None = None
 ) -> Film:
-    """How light became the numbers of an image file, for [`fit`][].
+    """The film of an image file: its clamp, encoding and rounding, for [`fit`][].
 
         image = pf.read_image("ball.jpg", "srgb")
         fit = pf.fit(scene, image, film=pf.read_film("ball.jpg", "srgb"))
 
-    A JPEG file says what it rounds; turned by its EXIF orientation it is turned with
-    it. For the photograph as it lies in the file alone: one that was cropped, rotated
-    or shrunk has other blocks. Leave pixels out by a mask, and fit all of the camera's.
-    In colours other than those of sRGB its roundings are taken as if they were these;
-    of other formats they are left out, since nothing in the image is a whole level.
+    The header of a JPEG file states its quantisation, which is turned with the image by
+    the EXIF orientation. The film holds only for the whole, unchanged photograph: a
+    cropped, rotated or shrunk one has other blocks. So fit the camera's whole image,
+    and exclude pixels by a mask. Colours of another profile than sRGB are treated as
+    sRGB in a JPEG film; in other formats their rounding is left out, since the
+    conversion leaves no whole levels.
 
-    **Arguments:** as of [`read_image`][].
+    **Arguments:** as in [`read_image`][].
 
     **Raises:** `ValueError` that names the file, as [`read_image`][] does.
 
-    **Warns:** where a JPEG was turned, and its blocks begin outside of the image: they
-    are left out.
+    **Warns:** if a JPEG was turned and its blocks begin outside of the image: the
+    quantisation is then left out.
     """
     path = Path(path)
     film = Film(encoding=as_encoding(encoding))
@@ -223,13 +227,13 @@ def read_film(
     if converted or read.linear:
         return film
     bits = 8 * read.values.dtype.itemsize
-    # Of as many levels as there are up to white, or a few less: only errors go by it.
+    # Rounded down to whole bits: the number of levels affects only standard errors.
     bits = bits if white is None else int(np.log2(white + 1))
     return Film(encoding=film.encoding, bits=bits)
 
 
 def _is_jpeg(path: Path) -> bool:
-    """Whether a file starts as a JPEG does; false where there is none."""
+    """True if a file exists and starts like a JPEG."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
@@ -237,7 +241,7 @@ def _is_jpeg(path: Path) -> bool:
 
 
 def with_jpeg(film: Film, path: Path) -> Film:
-    """A film that clamps with what a file of it rounds besides, if that is a JPEG.
+    """A film with the quantisation of a file, if the file is a JPEG and `film` clamps.
 
     **Raises:** `ValueError` that names the file.
     """
@@ -266,10 +270,10 @@ def _jpeg_head(data: bytes) -> tuple[JpegCompression, tuple[int, int], Metadata]
 def _turned(
     jpeg: JpegCompression, size: tuple[int, int], orientation: int
 ) -> JpegCompression | None:
-    """What the upright image of a file was rounded by; `None` if that is no JPEG.
+    """The quantisation of the upright image, or `None` if its blocks do not fit.
 
-    Cosines are even or odd about a block's middle, so that a mirrored block is rounded
-    as it was; but blocks must begin where the image does.
+    Cosines are even or odd about a block's middle, so mirrored blocks are rounded in
+    the same way; but the first block must begin at the image's corner.
     """
     down, across, exchanged = TURNS[orientation]
     (width, height), (rows, columns) = size, jpeg.block
@@ -284,9 +288,9 @@ def read_mask(
 ) -> Bool[np.ndarray, "height width"]:
     """A mask from an image: true where it is nearer to its brightest grey than to 0.
 
-    Upright, as [`read_image`][] gives what it is a mask of.
+    Turned upright, like images of [`read_image`][].
 
-    **Arguments:** `max_pixels`: as of [`read_image`][].
+    **Arguments:** `max_pixels`: as in [`read_image`][].
 
     **Raises:** `ValueError` that names the file, as in [`read_image`][].
     """
@@ -304,17 +308,17 @@ def write_image(
     encoding: Encoding,
     bits: Bits | None = None,
 ) -> None:
-    """Write linear light to a file, in one piece.
+    """Write linear light to a file, whole or not at all.
 
     **Arguments:**
 
-    - `path`: the suffix tells the format: `.png` (8, 16 bits), `.jpg` (8), `.tif` (8,
-        16, 32), `.hdr` (32), `.exr` (32).
+    - `path`: the suffix determines the format: `.png` (8, 16 bits), `.jpg` (8), `.tif`
+        (8, 16, 32), `.hdr` (32), `.exr` (32).
     - `image`: (H, W, 3), or (H, W) for grey, linear.
-    - `encoding`: `"linear"`, `"srgb"` or a [`ResponseCurve`][]; it must be told again
-        when the file is read.
-    - `bits`: per channel; default the fewest that the format has. 8 and 16 cut off
-        what is below 0 or above 1; 32 is floating-point, linear and not cut off.
+    - `encoding`: `"linear"`, `"srgb"` or a [`ResponseCurve`][]; reading the file needs
+        this argument again.
+    - `bits`: per channel; default the fewest that the format has. 8 and 16 clip light
+        to [0, 1]; 32 is floating-point, linear and not clipped.
 
     **Raises:** `ValueError` that names the file or the argument, `OSError` if the file
     cannot be written.
@@ -331,9 +335,9 @@ def write_image(
 
 
 def check_image(path: Path, encoding: Encoding, bits: Bits | None = None) -> int:
-    """Could an image be written here, like this? Asked before what takes long.
+    """Check that an image could be written, before a long computation.
 
-    **Arguments:** as of [`write_image`][].
+    **Arguments:** as in [`write_image`][].
 
     **Returns:** bits per channel that the file will have.
 
@@ -359,7 +363,7 @@ def to_levels(
     light: Float[Any, "..."], encoding: Encoding, bits: int
 ) -> UInt[np.ndarray, "..."]:
     """Linear light, of any shape, as the whole numbers of 8 or 16 bits in a file."""
-    # In double precision: the curve of sRGB has to give all 65536 levels back.
+    # Double precision, so that all 65536 sRGB levels survive decoding and encoding.
     shown = np.clip(np.asarray(light, np.float64), 0, 1)
     levels = np.round(encode(shown, as_encoding(encoding)) * (2**bits - 1))
     return levels.astype(np.uint8 if bits == 8 else np.uint16)
@@ -368,12 +372,12 @@ def to_levels(
 def from_levels(
     levels: UInt[np.ndarray, "..."], encoding: Encoding
 ) -> Float[np.ndarray, "..."]:
-    """The whole numbers of an image file as linear light: the inverse of the above."""
+    """Linear light from the whole numbers of an image file, inverse of `to_levels`."""
     return Coded(levels, level_table(levels.dtype, encoding)).light
 
 
 def level_table(dtype: Any, encoding: Encoding) -> Float[np.ndarray, " levels"]:
-    """The light of each whole number of 8 or 16 bits: there are fewer than pixels."""
+    """The light of each whole number of 8 or 16 bits, a table shorter than an image."""
     highest = np.iinfo(dtype).max
     encoded = np.arange(highest + 1) / highest
     return decode(encoded, as_encoding(encoding)).astype(_float_type())
@@ -412,18 +416,18 @@ class Texels(NamedTuple):
 
     @property
     def transparent(self) -> bool:
-        """Whether any texel is less than opaque."""
+        """True if the alpha of any texel is below 1."""
         return self.alpha is not None and bool(np.any(self.alpha < 1))
 
 
 def read_texels(data: bytes, path: Path, encoding: NamedEncoding) -> Texels:
     """A texture from the bytes of an image file.
 
-    Whatever the file says of its colours is passed over, as renderers do: what the
-    numbers are is a matter of what the texture is for.
+    Colour profiles and gamma in the file are ignored, as in renderers: the purpose of a
+    texture determines its encoding.
 
-    **Arguments:** `path`: where the bytes come from; its suffix tells the format of
-    what is neither PNG nor JPEG.
+    **Arguments:** `path`: source of the bytes; its suffix determines the format, unless
+    the bytes are PNG or JPEG.
 
     **Raises:** `ValueError` that names `path`.
     """
@@ -454,13 +458,13 @@ def read_texels(data: bytes, path: Path, encoding: NamedEncoding) -> Texels:
 
 
 class Head(NamedTuple):
-    """What a file says of its photograph before any pixel is decoded.
+    """Metadata of a photograph's file, read without decoding pixels.
 
     - `size`: (width, height), upright.
-    - `exposure`: as the camera says.
-    - `white_balance`: what a RAW file's red and blue are multiplied by.
+    - `exposure`: as the camera recorded it.
+    - `white_balance`: factors of a RAW file's red and blue.
     - `fov`: angle of view from the lower to the upper edge, degrees, if it is stated.
-    - `turned`: whether the image in the file is not upright, by EXIF's orientation.
+    - `turned`: true if the EXIF orientation is not upright.
     """
 
     size: tuple[int, int]
@@ -471,7 +475,7 @@ class Head(NamedTuple):
 
 
 def read_head(path: Path) -> Head:
-    """What a photograph's file says of it.
+    """Metadata of a photograph's file.
 
     **Raises:** `ValueError` that names the file.
     """
@@ -492,11 +496,11 @@ def read_head(path: Path) -> Head:
 
 
 class _Sized(Exception):
-    """Width and height are known."""
+    """Carries width and height out of a reader before it decodes."""
 
 
 def _size(data: bytes, path: Path) -> tuple[int, int]:
-    """Width and height in the file: every reader asks for room before it decodes."""
+    """Width and height in the file, from the memory check of its reader."""
 
     def room(width: int, height: int, pixel: float) -> None:
         del pixel
@@ -510,11 +514,11 @@ def _size(data: bytes, path: Path) -> tuple[int, int]:
 
 
 class _Numbers(NamedTuple):
-    """What stands in a file, upright.
+    """Numbers of an image file, upright.
 
     - `values`: (H, W, channels), whole numbers or floats.
     - `usable`: (H, W).
-    - `linear`: which images these are, if they are linear by their format.
+    - `linear`: name of the kind of image, if that kind is always linear; else empty.
     """
 
     values: np.ndarray
@@ -566,7 +570,7 @@ def _check_suffix(path: Path) -> None:
 
 
 def _room(data: bytes, max_pixels: int | None) -> Room:
-    """Asks for room beside the bytes of a file, which are there already."""
+    """A memory check for decoding, in addition to the file's bytes `data`."""
 
     def ask(width: int, height: int, pixel: float) -> None:
         pixels = width * height
@@ -575,7 +579,7 @@ def _room(data: bytes, max_pixels: int | None) -> Room:
                 f"expected at most {max_pixels} pixels (max_pixels), got {width} × "
                 f"{height}; a smaller copy will do"
             )
-        # First file and numbers are there, then numbers and light.
+        # In memory at once: file and numbers, later numbers and light.
         light = 3 * pixels * _float_type().itemsize
         size = int(pixels * pixel) + max(len(data), light)
         try:
@@ -588,7 +592,7 @@ def _room(data: bytes, max_pixels: int | None) -> Room:
 
 
 def _decoded(path: Path, decode: Callable[[bytes], T]) -> T:
-    """What is made of a file's bytes; what goes wrong names the file."""
+    """Decode a file's bytes; errors name the file."""
     return _decoding(path, decode, read_bytes(path))
 
 
@@ -600,7 +604,7 @@ def _decoding(path: Path, decode: Callable[[bytes], T], data: bytes) -> T:
     except MemoryError:
         raise
     except Exception as error:
-        # Decoders raise whatever they like for what is broken, SyntaxError included.
+        # Decoders raise any exception for broken files, even SyntaxError.
         raise ValueError(
             f"{path}: is broken or no {path.suffix} image: {reason(error)}"
         ) from error
@@ -608,7 +612,7 @@ def _decoding(path: Path, decode: Callable[[bytes], T], data: bytes) -> T:
 
 @contextlib.contextmanager
 def refusing() -> Iterator[None]:
-    """What is refused is a `ValueError`."""
+    """Convert `Refused` to `ValueError`."""
     try:
         yield
     except Refused as error:
@@ -618,10 +622,10 @@ def refusing() -> Iterator[None]:
 def _without_alpha(
     path: Path, numbers: np.ndarray, remedy: str | None
 ) -> tuple[np.ndarray, Bool[np.ndarray, "height width"]]:
-    """Numbers without their alpha channel, and where it is 1; they are 0 elsewhere.
+    """Numbers without their alpha channel, and a mask of alpha 1; 0 outside the mask.
 
-    **Arguments:** `remedy`: what to do if the file must be opaque and is not; `None`
-    where it need not be.
+    **Arguments:** `remedy`: advice for the error if the file must be opaque and is not;
+    `None` if transparency is allowed.
 
     **Raises:** `ValueError` that names the file.
     """
@@ -640,5 +644,5 @@ def _without_alpha(
         raise ValueError(
             f"{path}: expected an opaque image, got a partly transparent one: {remedy}"
         )
-    # Numbers behind, which may be no numbers, are left out.
+    # Colours of transparent pixels may be NaN.
     return np.where(solid[..., None], numbers[..., :-1], 0), solid

@@ -1,4 +1,4 @@
-"""What comes from outside: read within limits, and from inside its folder only."""
+"""Input files, read within limits of size and only from inside their folder."""
 
 import contextlib
 import contextvars
@@ -15,7 +15,7 @@ from jaxtyping import Float
 from phongfit.files.budget import afford
 
 Note = Callable[[str], None]
-"""Takes what of a file is not used, in words."""
+"""Function that receives a sentence on an unused part of a file."""
 
 _checksums: contextvars.ContextVar[dict[Path, str] | None]
 _checksums = contextvars.ContextVar("checksums", default=None)
@@ -23,12 +23,12 @@ _checksums = contextvars.ContextVar("checksums", default=None)
 
 @contextlib.contextmanager
 def recording(known: dict[Path, str] | None = None) -> Iterator[dict[Path, str]]:
-    """SHA-256 of every file that the block reads, by its path, as it is filled.
+    """Collect the SHA-256 of every file that the block reads, by its path.
 
-    A file that is read again must still be what it was: an answer would rest on other
-    numbers than its record says.
+    A file that is read again must be unchanged, so that a result depends only on the
+    recorded inputs.
 
-    **Arguments:** `known`: of an earlier block, to be filled further.
+    **Arguments:** `known`: checksums of an earlier block, which are extended.
 
     **Raises:** `ValueError` that names a file that has changed.
     """
@@ -58,11 +58,11 @@ _spared = contextvars.ContextVar("spared", default=None)
 
 @contextlib.contextmanager
 def sparing(out: Path | None) -> Iterator[None]:
-    """Refuse a file, to be written in the end, that is an input of the block.
+    """Refuse an output file that is also an input of the block.
 
-    An input is what the block reads, or reads of in a record.
+    Inputs are files that the block reads, or that its records name.
 
-    **Raises:** `OSError` that names `out`, where it would be read.
+    **Raises:** `OSError` that names `out`, before it is read.
     """
     token = _spared.set(out)
     try:
@@ -72,17 +72,17 @@ def sparing(out: Path | None) -> Iterator[None]:
 
 
 def check_spared(path: Path) -> None:
-    """An input is no output, as [`sparing`][] says."""
+    """Raise `OSError` if an input is the output of [`sparing`][]."""
     out = _spared.get()
     if out is not None and out.exists() and path.exists() and path.samefile(out):
         raise OSError(f"{out}: is an input, expected another file to write to")
 
 
 def read_bytes(path: Path, limit: int | None = None) -> bytes:
-    """The whole of a file.
+    """All bytes of a file.
 
-    **Raises:** `ValueError` that names the file: it is missing, no plain file, may not
-    be read, or has more than `limit` bytes; by default than may be read at all: see
+    **Raises:** `ValueError` that names the file: it is missing, not a regular file, not
+    readable, or larger than `limit` bytes or than the general limit of
     [`phongfit.files.budget`][].
     """
     check_spared(path)
@@ -103,7 +103,7 @@ def read_bytes(path: Path, limit: int | None = None) -> bytes:
 
 
 def read_text(path: Path, limit: int | None = 2**24) -> str:
-    """The whole of a text file, in UTF-8; raises as [`read_bytes`][] does."""
+    """The text of a file in UTF-8; raises as [`read_bytes`][] does."""
     try:
         return read_bytes(path, limit).decode("utf-8")
     except UnicodeDecodeError as error:
@@ -111,10 +111,10 @@ def read_text(path: Path, limit: int | None = 2**24) -> str:
 
 
 def joined_lines(data: bytes) -> Iterator[tuple[int, str]]:
-    """Lines of a text as any program wrote it, each with its number in the file.
+    """Numbered lines of a text file with any line ends, continued lines joined.
 
-    In UTF-8 with or without a byte order mark, or else in Latin-1. A line that ends
-    with a backslash goes on in the next one.
+    The text is UTF-8 with or without a byte order mark, or else Latin-1. A line that
+    ends with a backslash continues on the next one.
     """
     try:
         text = data.decode("utf-8-sig")
@@ -141,7 +141,7 @@ def uncommented(words: list[str]) -> list[str]:
 
 
 def read_table(path: Path, columns: int) -> Float[np.ndarray, "rows columns"]:
-    """Finite numbers, `columns` in a line, between white space.
+    """A table of finite numbers, `columns` in each line, separated by white space.
 
     **Raises:** `ValueError` that names the file and the line.
     """
@@ -160,13 +160,13 @@ def read_table(path: Path, columns: int) -> Float[np.ndarray, "rows columns"]:
 def inside(folder: Path, name: str) -> Path:
     """The file called `name` in `folder`, or below it.
 
-    A data set may come from anyone: it must not name files elsewhere.
+    Data sets may come from untrusted sources, so they must not name files elsewhere.
 
     **Raises:** `ValueError` for an absolute name, one with `..`, or a symbolic link
     that leads out of the folder.
     """
     parts = PurePosixPath(name).parts
-    # A name that Windows would take elsewhere is no use on other systems either.
+    # Reject names that are absolute on Windows on all systems, for portability.
     anchored = PurePosixPath(name).anchor or PureWindowsPath(name).anchor
     if not parts or anchored or ".." in parts or "\\" in name or "\0" in name:
         raise ValueError(f"expected the name of a file in this folder, got {name!r}")
@@ -181,17 +181,17 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def beside(folder: Path, name: str) -> Path | None:
-    """The file in `folder`, or below it, that a name of another computer means.
+    """The file in `folder`, or below it, for a name that another computer wrote.
 
     The name may have quotes, backslashes, and letters of the other case. If its folders
-    are not here, the file of its last part counts.
+    do not exist here, only its last part is used.
 
     **Returns:** `None` if there is no such file.
     """
     name = name.strip(" \t\"'").replace("\\", "/")
     for given in (name, name.rpartition("/")[2]):
         for find in (inside, _in_any_case):
-            # No name of a file here, such as one that is too long.
+            # Invalid names, such as too long ones, raise these.
             with contextlib.suppress(ValueError, OSError):
                 path = find(folder, given)
                 if path.is_file():
@@ -200,7 +200,7 @@ def beside(folder: Path, name: str) -> Path | None:
 
 
 def _in_any_case(folder: Path, name: str) -> Path:
-    """As [`inside`][], whatever the case of the letters in `name`."""
+    """The path of [`inside`][], ignoring the case of letters in `name`."""
     found = folder
     for part in PurePosixPath(name).parts:
         same = (k for k in sorted(os.listdir(found)) if k.lower() == part.lower())
@@ -218,22 +218,22 @@ def naming(prefix: str) -> Iterator[None]:
 
 
 def reason(error: Exception) -> str:
-    """What a library says of a broken file, on one line that can be read."""
-    # Whose memory it is says nothing to a reader, and is other each time.
+    """A library's error message, on one readable line."""
+    # Remove memory addresses, which differ in each run.
     text = re.sub(r" ?<[^<>]* at 0x[0-9a-f]+>", "", str(error))
     return shortened(" ".join(text.split())) or type(error).__name__
 
 
 def shortened(text: str) -> str:
-    """A text, or the start of a very long one."""
+    """A text, cut to 300 characters."""
     return text if len(text) <= 300 else text[:299] + "…"
 
 
 @contextlib.contextmanager
 def naming_field(record: str) -> Iterator[None]:
-    """The same for errors that begin with the name of a field of `record`."""
+    """Put `record.` before a `ValueError` that begins with the name of a field."""
     try:
         yield
     except ValueError as error:
-        # A matrix takes several lines, a message only one.
+        # Arrays are printed on several lines; a message has one.
         raise ValueError(f"{record}.{' '.join(str(error).split())}") from error

@@ -1,4 +1,4 @@
-"""Formats that hold less than a `Material` does: an error, or the nearest they hold."""
+"""Limits of formats that cannot hold every `Material`: an error or the nearest value."""
 
 import dataclasses
 import math
@@ -22,12 +22,12 @@ from phongfit.reflectance import (
 def limited(
     name: str, value: Any, highest: float, format: str, nearest: bool
 ) -> Float[np.ndarray, "..."]:
-    """`value` if none of it is above `highest`, else the nearest that is not.
+    """`value`, clipped to `highest` with a warning, or an error.
 
     **Arguments:**
 
-    - `name`: what `value` is; `format`: what cannot hold more.
-    - `nearest`: cut off with a warning, rather than an error.
+    - `name`: name of the value; `format`: name of the format; both for the message.
+    - `nearest`: clip with a warning instead of an error.
 
     **Raises:** `ValueError` that names `name`, unless `nearest`.
     """
@@ -39,14 +39,14 @@ def limited(
 
 
 def lost(message: str, nearest: bool) -> None:
-    """Say what a format cannot hold: a warning if `nearest`, else a `ValueError`."""
+    """Report a value that a format cannot hold: warn if `nearest`, else `ValueError`."""
     if not nearest:
         raise ValueError(f"{message} (nearest=True takes the nearest that it holds)")
     warn("nearest-taken", f"{message}; the nearest is taken", stacklevel=4)
 
 
 def colour(name: str, leaf: Float[Array, "..."]) -> Float[np.ndarray, "3"]:
-    """A leaf of one material as RGB; `ValueError` for a map or several materials."""
+    """A parameter of one material as RGB; `ValueError` for a map or several materials."""
     values = np.asarray(leaf, float)
     if values.size not in (1, 3) or values.shape[:-1] not in ((), (1,)):
         raise ValueError(f"{name}: expected one material, got shape {leaf.shape}")
@@ -54,7 +54,7 @@ def colour(name: str, leaf: Float[Array, "..."]) -> Float[np.ndarray, "3"]:
 
 
 def exponent(material: Material, highest: float, format: str, nearest: bool) -> float:
-    """The one exponent of a material, for formats that know no other.
+    """The exponent of a material, for formats with one exponent for all channels.
 
     **Raises:** `ValueError` that names `shininess`, as [`limited`][] does.
     """
@@ -62,7 +62,7 @@ def exponent(material: Material, highest: float, format: str, nearest: bool) -> 
     if np.ptp(channels) > 0:
         came = ", ".join(f"{channel:g}" for channel in channels)
         lost(f"shininess: {format} holds one for all channels, got {came}", nearest)
-        # The mean of logarithms: it is ratios of exponents that are seen.
+        # Geometric mean, since ratios of exponents determine the appearance.
         channels = np.exp(np.log(np.maximum(channels, 1e-6)).mean(keepdims=True))
     return float(limited("shininess", channels[0], highest, format, nearest))
 
@@ -71,9 +71,9 @@ def as_blinn(material: Material, model: AbstractSpecular) -> Material:
     r"""A material of any model as one of the un-normalised Blinn-Phong model.
 
     Phong's exponents become Blinn's by [`blinn_from_phong`][]; normalised reflectances
-    are multiplied by what the model does: $1 / \pi$, and $(f + 2) / (2 \pi)$. Facets
-    become the exponent of [`shininess_from_roughness`][], and ρ_s what the highlight
-    shows head-on.
+    are multiplied by the model's factors: $1 / \pi$, and $(f + 2) / (2 \pi)$. Roughness
+    becomes the exponent of [`shininess_from_roughness`][], and ρ_s the height of the
+    highlight seen head-on.
 
     **Raises:** `ValueError` for another model.
     """
@@ -102,6 +102,6 @@ def as_blinn(material: Material, model: AbstractSpecular) -> Material:
 
 
 def _same_rank(*leaves: Float[Array, "..."]) -> list[Float[Array, "..."]]:
-    """Leaves with leading axes of 1, so that all have as many."""
+    """Arrays with leading axes of 1, so that all have the same rank."""
     rank = max(leaf.ndim for leaf in leaves)
     return [leaf.reshape((1,) * (rank - leaf.ndim) + leaf.shape) for leaf in leaves]

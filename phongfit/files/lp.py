@@ -1,7 +1,7 @@
-"""Lists of lights as reflectance-transformation imaging has them: `.lp`.
+"""Lists of lights for reflectance-transformation imaging: `.lp`.
 
-The first line is a count, each other one a photograph's name and a vector to its lamp:
-x right, y up, z to the camera. RTIBuilder and the controllers of domes write it.
+The first line is a count; each other line has a photograph's name and a vector to its
+lamp: x right, y up, z to the camera. RTIBuilder and the controllers of domes write it.
 
 ??? cite "Source"
     Cultural Heritage Imaging, *RTI glossary* and RTIBuilder's documentation.
@@ -24,9 +24,9 @@ from phongfit.files.outputs import replacing
 
 
 class LightList(NamedTuple):
-    """Photographs and the lamp of each.
+    """Names of photographs, and a vector to the lamp of each.
 
-    - `names`: as the file has them.
+    - `names`: as written in the file.
     - `vectors`: towards the lamps, of any length but 0.
     """
 
@@ -35,13 +35,13 @@ class LightList(NamedTuple):
 
     @property
     def base_names(self) -> tuple[str, ...]:
-        """Names without folders, which are often another machine's."""
+        """Names without folders, since folders often belong to another machine."""
         return tuple(base_name(name) for name in self.names)
 
     def only(self, names: Sequence[str]) -> "LightList":
-        """The lights of some photographs, by their base names, in that order.
+        """The lights of some photographs, by their base names, in the given order.
 
-        **Raises:** `ValueError` for a photograph that the list does not name.
+        **Raises:** `ValueError` for a photograph that the list lacks.
         """
         places, match = [], match_names(names, self.names)
         for name, place in zip(names, match.places, strict=True):
@@ -56,14 +56,14 @@ class LightList(NamedTuple):
 
 @checked
 def read_lp(path: str | os.PathLike[str]) -> LightList:
-    """A list of lights.
+    """Read a list of lights from an `.lp` file.
 
-    Names may hold spaces; decimal commas are read as points.
+    Names may contain spaces; decimal commas are read as points.
 
     A count that differs from the number of lights is a warning.
 
     **Raises:** `ValueError` that names the file and the line: no count, a vector that
-    is missing or zero, a name that comes twice.
+    is missing or zero, a repeated name.
     """
     path = Path(path)
     lines = [
@@ -91,10 +91,10 @@ def read_lp(path: str | os.PathLike[str]) -> LightList:
 
 
 def read_camera_lp(path: str | os.PathLike[str]) -> LightList:
-    """A list of lights in the axes of a standing camera, x right, y up, z towards it.
+    """A list of lights in the camera's axes: x right, y up, z towards the camera.
 
-    **Raises:** `ValueError` as [`read_lp`][] does, and where all of several lamps lie
-    behind what the camera sees: other programs let z point away from it.
+    **Raises:** `ValueError` as [`read_lp`][] does, and if all of several lamps have
+    z < 0: other programs let z point away from the camera.
     """
     listed = read_lp(path)
     if len(listed.names) > 1 and (listed.vectors[:, 2] < 0).all():
@@ -132,12 +132,12 @@ def write_lp(
     names: Sequence[str],
     vectors: Any,
 ) -> None:
-    """Write a list of lights, in one piece.
+    """Write a list of lights, whole or not at all.
 
-    **Arguments:** `vectors`: to the lamps, (lights, 3), of any length but 0.
+    **Arguments:** `vectors`: to the lamps, (lights, 3), of any length except 0.
 
-    **Raises:** `OSError` that names `path`; `ValueError` that names the argument: not
-    a finite vector other than zero for each name, or a name of several lines.
+    **Raises:** `OSError` that names `path`; `ValueError` that names the argument: a
+    name without a finite nonzero vector, or a name of several lines.
     """
     rows, wanted = as_array("vectors", vectors), (len(names), 3)
     numbers = rows.dtype.kind in "iuf" and np.isfinite(rows).all()

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 
 class Match(NamedTuple):
-    """Partners of some names in another list.
+    """Result of matching some names with another list.
 
-    - `places`: for each name the place of its partner in the other list, or `None`.
-    - `note`: how they were matched, in a sentence; empty where the names agree.
+    - `places`: for each name the index of its partner in the other list, or `None`.
+    - `note`: a sentence on the method of matching; empty if the names agree.
     """
 
     places: list[int | None]
@@ -18,15 +18,15 @@ class Match(NamedTuple):
 
 
 def base_name(name: str) -> str:
-    """A file's name without its folder, of any system."""
+    """A file's name without its folder, in POSIX or Windows notation."""
     return PureWindowsPath(PurePosixPath(name).name).name
 
 
 def match_names(names: Sequence[str], others: Sequence[str]) -> Match:
-    """Partners of photographs in a list of other names.
+    """Match the names of photographs with a list of other names.
 
-    Names are compared without folders and case. If none agrees, as with the lamps of
-    another object's photographs, the last numbers in the names are compared. If these
+    Names are compared without folders and case. If none agrees, as with a list for
+    photographs of another object, the last numbers in the names are compared. If these
     differ too, photographs are matched by order, provided that the counts agree.
     """
     wanted, there = ([base_name(name) for name in some] for some in (names, others))
@@ -45,7 +45,7 @@ def match_names(names: Sequence[str], others: Sequence[str]) -> Match:
 
 
 def _numbers(names: Sequence[str]) -> list[int] | None:
-    """The last number in each name; `None` if one is missing or comes twice."""
+    """The last number in each name; `None` if one is missing or repeated."""
     found = [re.findall(r"\d+", PurePosixPath(name).stem) for name in names]
     if not all(found):
         return None

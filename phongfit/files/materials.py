@@ -1,4 +1,4 @@
-"""A material from wherever it was named: a preset, a library, or one of our files."""
+"""Materials by name: from a preset, an `.mtl` library or a JSON file of phongfit."""
 
 import os
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ MATERIAL_FORMAT = "phongfit material"
 
 
 class MaterialFile(AbstractRecord):
-    """A material, and the model of the highlight that it is for."""
+    """The JSON file of one material and its specular model."""
 
     format: Literal["phongfit material"]
     version: Literal[1]
@@ -35,7 +35,7 @@ class MaterialFile(AbstractRecord):
 
 
 class NamedMaterial(NamedTuple):
-    """A material, what it is called, and its model of the highlight if it tells one."""
+    """A material with its name, and its specular model if the source states one."""
 
     name: str
     material: Material
@@ -50,16 +50,16 @@ FORMATS: Mapping[str, type[AbstractRecord]] = {
 
 
 def read_material(source: str) -> NamedMaterial:
-    """A material by its name or from its file.
+    """A material by its name, or from its file.
 
     **Arguments:** `source`: `preset:NAME`, an `.mtl` file of one material,
     `FILE.mtl:NAME` for one of several, or a `.json`: a fit, a truth, a material.
 
-    **Raises:** `ValueError` that says what is wrong with it.
+    **Raises:** `ValueError` that describes the error.
     """
     kind, _, name = source.partition(":")
     if kind == "preset":
-        # OpenGL's materials are for its own highlight.
+        # OpenGL's materials are defined for Blinn-Phong highlights.
         return NamedMaterial(name, preset(name), BlinnPhong())
     file, colon, name = source.rpartition(":")
     if colon and file.lower().endswith(".mtl"):
@@ -113,10 +113,10 @@ def write_material(
     material: Material,
     model: AbstractSpecular,
 ) -> None:
-    """Write one material as JSON, so that [`read_material`][] gives it back.
+    """Write one material to a JSON file that [`read_material`][] reads.
 
-    **Raises:** `ValueError` for leaves that are not () or (3,), `OSError` that names
-    the file.
+    **Raises:** `ValueError` for parameters that are not () or (3,), `OSError` that
+    names the file.
     """
     content = {
         "format": MATERIAL_FORMAT,

@@ -1,6 +1,7 @@
 """One array of numbers from a MATLAB file of version 5, as `save` writes it.
 
-SciPy's reader ends the process where the type of an array's numbers is damaged.
+SciPy's reader is not used, since a damaged type of an array's numbers makes it end the
+process.
 
 ??? cite "Source"
     The MathWorks, *MAT-File Format*, version 5 (1996).
@@ -15,17 +16,17 @@ import numpy as np
 MATRIX, COMPRESSED = 14, 15
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
 NUMBERS |= {12: "i8", 13: "u8"}
-# Of arrays that hold numbers: double, single and integers.
+# Classes of arrays that hold numbers: double, single and integers.
 NUMERIC = range(6, 16)
 COMPLEX = 0x800
-# Bytes that what stands before an array's numbers may take.
+# Largest size of an array's header, bytes.
 HEAD = 4096
 
 
 def read_matrix(data: bytes, name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """The array called `name`, which has this shape.
+    """The array called `name`, of the given shape.
 
-    **Raises:** `ValueError` if the file has none or is broken.
+    **Raises:** `ValueError` if the file lacks such an array or is broken.
     """
     if len(data) < 128 or data[126:128] not in (b"IM", b"MI"):
         raise ValueError("is no MATLAB file of version 5")
@@ -49,15 +50,15 @@ def read_matrix(data: bytes, name: str, shape: tuple[int, ...]) -> np.ndarray:
 def _elements(
     data: bytes, order: str, cut: bool = False
 ) -> Iterator[tuple[int, bytes]]:
-    """Types and bytes of a file's parts, or of an array's.
+    """Types and bytes of the elements of a file or of an array.
 
-    **Arguments:** `cut`: the last may go on beyond the data.
+    **Arguments:** `cut`: allow the last element to exceed the data.
     """
     at = 0
     while at + 8 <= len(data):
         kind, size = np.frombuffer(data, f"{order}u4", 2, at).tolist()
         if kind >> 16:
-            # Of at most 4 bytes: size and type share a word.
+            # Elements of at most 4 bytes: size and type share a word.
             kind, size, first, after = kind & 0xFFFF, kind >> 16, at + 4, at + 8
         else:
             first = at + 8
@@ -78,7 +79,7 @@ def _first(count: int, data: bytes, order: str) -> list[tuple[int, bytes]]:
 def _numbers(
     part: bytes, name: str, shape: tuple[int, ...], order: str
 ) -> np.ndarray | None:
-    """An array, if it has this name."""
+    """The numbers of an array, or `None` if it has another name."""
     (_, flags), (_, dims), (_, own) = _first(3, part, order)
     if own.decode("latin-1") != name:
         return None

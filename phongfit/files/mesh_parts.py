@@ -1,6 +1,6 @@
-"""Parts of a mesh as its file has them, and the one mesh that they become.
+"""Parts of a mesh as read from a file, and their union in one mesh.
 
-Files count v upwards, except for glTF; here it runs down.
+In files v points up, except in glTF; here it points down.
 """
 
 import dataclasses
@@ -22,8 +22,8 @@ UNNAMED = "default"
 class LoadedMesh(NamedTuple):
     """Contents of a file: `mesh`, its M materials in one `material`, and their `names`.
 
-    Where M > 1, the mesh's `material_index` counts them in this order. Textures are the
-    mesh's own, and multiply the numbers of the materials.
+    If M > 1, the mesh's `material_index` refers to this order. Textures are stored in
+    the mesh, and multiply the parameters of the materials.
     """
 
     mesh: Mesh
@@ -32,13 +32,13 @@ class LoadedMesh(NamedTuple):
 
 
 class MeshPart(NamedTuple):
-    """Triangles of one material by its name, in world coordinates.
+    """Triangles of one named material, in world coordinates.
 
     - `normals`: of the vertices; 0 where the file has none.
     - `uv`: of each corner of the faces.
     - `colours`: rows for the vertices, (V, 3), by the parameter that they multiply.
-    - `groups`: smoothing groups of the vertices, which are one where place and group
-        are the same. `None` if each vertex stands for itself.
+    - `groups`: smoothing groups of the vertices: vertices of equal place and group are
+        merged. `None` if no vertices are merged.
     """
 
     vertices: Float[np.ndarray, "vertices 3"]
@@ -52,19 +52,19 @@ class MeshPart(NamedTuple):
 
 
 def white() -> Shaded:
-    """A material whose texture or colours are the reflectances themselves."""
+    """A material with ρ_d = ρ_a = 1, so that texture or colours are the reflectances."""
     return Shaded(Material(diffuse=1.0, ambient=1.0))
 
 
 def uv_from_below(uv: Float[np.ndarray, "*corners 2"]) -> Float[np.ndarray, "..."]:
-    """uv of files that count v upwards; 0 in place of what is not finite."""
+    """uv converted from files where v points up; 0 in place of non-finite values."""
     return np.where(np.isfinite(uv), uv, 0) * [1, -1] + [0, 1]
 
 
 def linear_colours(
     colours: Float[np.ndarray, "rows 3"], note: Note
 ) -> dict[str, np.ndarray]:
-    """Colours, sRGB-encoded as most programs write them, as what they multiply."""
+    """Linear colours from sRGB-encoded ones, by the parameters that they multiply."""
     if not ((colours >= 0) & (colours <= 1)).all():
         got = f"{colours.min():g} to {colours.max():g}"
         note(f"its colours are not used: expected 0 to 1, got {got}")
@@ -74,7 +74,7 @@ def linear_colours(
 
 
 def with_face_colours(part: MeshPart, colours: dict[str, np.ndarray]) -> MeshPart:
-    """A part whose triangles have a colour each, which their own vertices take."""
+    """A part with a colour for each triangle, whose corners become separate vertices."""
     corners = part.faces.ravel()
     return part._replace(
         vertices=part.vertices[corners],
@@ -127,7 +127,7 @@ def join_parts(parts: list[MeshPart], options: dict[str, Any]) -> LoadedMesh:
 
 
 class _Vertices(NamedTuple):
-    """Vertices of the mesh, and which of them (`at`) each of the parts' vertices is."""
+    """Vertices of the mesh, and the index `at` in it of each of the parts' vertices."""
 
     places: np.ndarray
     at: np.ndarray
@@ -138,7 +138,7 @@ class _Vertices(NamedTuple):
 def _joined(
     parts: list[MeshPart], faces: np.ndarray, options: dict[str, Any]
 ) -> _Vertices:
-    """The vertices of all parts; those at one place are one, where groups allow it."""
+    """The vertices of all parts; those of equal place and group are merged."""
     places = np.concatenate([part.vertices for part in parts])
     zero = np.zeros_like
     normals = np.concatenate(
@@ -166,14 +166,14 @@ def _joined(
     kept, rows = own, own
     if groups:
         kept, rows = _unique(np.column_stack([at, *colours.values()]))
-    # The edge between two colours is no edge of the surface.
+    # A vertex split by colours keeps its smooth normal.
     split = smooth and len(kept) > len(first)
     taken = {name: values[kept] for name, values in colours.items()}
     return _Vertices(places[kept], rows, computed()[kept] if split else None, taken)
 
 
 def _unique(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First occurrences of the different rows, and the one that each row equals."""
+    """Indices of the first occurrences of unique rows, and the index for each row."""
     _, first, at = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     return first, at.ravel()
 
@@ -192,7 +192,7 @@ def _colours(parts: list[MeshPart]) -> dict[str, np.ndarray]:
 def _textures(
     parts: list[MeshPart], shades: dict[str, Shaded], colours: dict[str, np.ndarray]
 ) -> list[Textures]:
-    """Each material's textures, with the colours of the vertices of its parts."""
+    """Textures of each material, including the colours of its parts' vertices."""
     rows = {
         name: VertexColours(values[:, :1] if name == "shininess" else values)
         for name, values in colours.items()

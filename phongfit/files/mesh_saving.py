@@ -1,7 +1,8 @@
-"""Meshes with their materials and textures, written so that `load_mesh` has them back.
+"""Write meshes with their materials and textures to files that `load_mesh` reads.
 
-Pictures have 16 bits: colours sRGB-encoded, exponents and normals as they are. Colours
-of vertices are floats, in OBJ sRGB-encoded; in PLY they have 8 bits, sRGB-encoded, too.
+Textures have 16 bits: colours sRGB-encoded, exponents and normals linear. Colours of
+vertices are linear floats in glTF, sRGB-encoded floats in OBJ, and sRGB-encoded 8-bit
+numbers in PLY.
 """
 
 import dataclasses
@@ -62,26 +63,30 @@ def save_mesh(
 ) -> None:
     """Write a mesh, its materials and its textures: the inverse of [`load_mesh`][].
 
-    Of the un-normalised Blinn-Phong model. What is read again is the same to the
-    rounding of 16-bit pictures. glTF has no place for ambient light: textures of it are
-    left out, and the numbers stand in `extras`. Of vertices it has all: colours, which
-    others show, and in attributes of our own the rest. OBJ has colours of vertices that
-    multiply ρ_d and ρ_a alike. PLY has nothing but such colours: they are ρ_d. STL
-    has triangles alone. USD is for others: [`load_mesh`][] does not read it.
+    Materials are those of the un-normalised Blinn-Phong model. [`load_mesh`][] reads
+    them unchanged, up to the rounding of 16-bit textures. Formats differ:
+
+    - glTF has no ambient reflectance: its textures are left out, and its values are in
+        `extras`. Parameters at vertices are all written: `COLOR_0`, which other
+        programs show, and custom attributes.
+    - OBJ has colours of vertices, which multiply both ρ_d and ρ_a.
+    - PLY has only colours of vertices, which are ρ_d.
+    - STL has only triangles.
+    - USD is for other programs: [`load_mesh`][] does not read it.
 
     **Arguments:**
 
-    - `path`: `.obj`, which gets an `.mtl` and the pictures beside it, `.glb`, `.gltf`,
-        `.ply` or `.stl`; with `pip install 'phongfit[usd]'` also `.usda`, `.usd`,
-        `.usdc`, with pictures beside them, or `.usdz`.
+    - `path`: `.obj`, with an `.mtl` and the textures beside it, `.glb`, `.gltf`, `.ply`
+        or `.stl`; with `pip install 'phongfit[usd]'` also `.usda`, `.usd`, `.usdc`,
+        with textures beside them, or `.usdz`.
     - `material`: of all faces, or with a row for each of the mesh's materials. Textures
         of the mesh multiply it.
     - `names`: of the materials; default `material0`, `material1`, …
-    - `nearest`: write the nearest that the format holds, with a warning, where it
-        cannot hold a material.
+    - `nearest`: replace values that the format cannot hold by the nearest, with a
+        warning.
 
-    **Raises:** `ValueError` that names the argument, or what the format does not hold;
-    `OSError` that names the file.
+    **Raises:** `ValueError` that names the argument, or the part that the format cannot
+    hold; `OSError` that names the file.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -123,7 +128,7 @@ def _apart(mesh: Mesh, material: Material, names: Sequence[str] | None) -> list[
 
 
 class _Scaled(NamedTuple):
-    """A texture with no number above 1, and what it is multiplied by."""
+    """A texture scaled to a largest value of 1, and its factor."""
 
     values: np.ndarray
     factor: float
@@ -141,7 +146,7 @@ def _png(values: np.ndarray, encoding: NamedEncoding) -> bytes:
 
 
 def _multiplied(own: _Own, names: Iterable[str]) -> Material:
-    """The material with the factors of its textures."""
+    """The material, multiplied by the factors of some of its textures."""
     leaves = _leaves(own.material)
     for name in names:
         texture = getattr(own.textures, name)
@@ -158,7 +163,7 @@ def _leaves(material: Material) -> dict[str, Any]:
 
 
 def _flattened(own: _Own, nearest: bool) -> _Own:
-    """With colours of vertices that multiply ρ_d and ρ_a alike, as others have them."""
+    """A material with colours at vertices for ρ_d and ρ_a only, as OBJ and PLY have."""
     at = own.textures.at_vertices
     diffuse, ambient = at.get("diffuse"), own.textures.ambient
     alike = diffuse is not None and "ambient" in at
@@ -180,7 +185,7 @@ def _flattened(own: _Own, nearest: bool) -> _Own:
 
 
 def _rows(colours: VertexColours) -> np.ndarray:
-    """Colours of vertices, (V, 3), none above 1."""
+    """Colours of vertices, (V, 3), scaled to a largest value of 1."""
     values = _scaled(colours).values
     return np.broadcast_to(values, (len(values), 3))
 
@@ -222,7 +227,7 @@ def _obj_text(mesh: Mesh, own: list[_Own], library: str) -> str:
     points, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals())
     faces = np.asarray(mesh.faces)
     if any("diffuse" in one.textures.at_vertices for one in own):
-        # A vertex has one colour: each material has its own.
+        # A vertex has one colour, so each material gets separate vertices.
         apart = _apart_by_material(len(points), faces, own)
         points, normals = points[apart.vertex], normals[apart.vertex]
         faces = apart.faces
@@ -235,7 +240,7 @@ def _obj_text(mesh: Mesh, own: list[_Own], library: str) -> str:
     form = "f " + " ".join(["%d//%d"] * 3)
     corners = np.repeat(faces, 2, axis=1)
     if mesh.uv is not None:
-        # Its v runs up.
+        # In OBJ v points up.
         places = np.asarray(mesh.uv, float).reshape(-1, 2) * [1, -1] + [0, 1]
         text += lines("vt %.9g %.9g", places)
         form = "f " + " ".join(["%d/%d/%d"] * 3)
@@ -247,11 +252,11 @@ def _obj_text(mesh: Mesh, own: list[_Own], library: str) -> str:
 
 
 class _OneEach(NamedTuple):
-    """Vertices of which each is of one material.
+    """Vertices that each belong to one material.
 
-    - `vertex`: which one of the mesh's each is; `material`: of which material.
-    - `faces`: by these vertices.
-    - `colours`: none above 1.
+    - `vertex`: index of each in the mesh; `material`: index of its material.
+    - `faces`: indices into these vertices.
+    - `colours`: at most 1.
     """
 
     vertex: np.ndarray
@@ -277,7 +282,7 @@ def _apart_by_material(count: int, faces: np.ndarray, own: list[_Own]) -> _OneEa
 
 
 def _write_ply(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
-    """ρ_d as colours of vertices: a PLY has nothing else of a material."""
+    """Write a PLY with ρ_d as colours of vertices, the only material in this format."""
     own, diffuse = [_flattened(one, nearest) for one in own], []
     for one in own:
         material = _multiplied(one, one.textures.at_vertices)
@@ -302,7 +307,7 @@ def _write_ply(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
 
 
 def _part(mesh: Mesh, own: _Own) -> Part:
-    """One material's faces; where a vertex has several uv, it comes several times."""
+    """One material's faces, with vertices repeated for each of their uv."""
     vertex = np.asarray(mesh.faces)[own.faces].ravel()
     keys, uv = vertex[:, None], None
     if mesh.uv is not None:
@@ -352,12 +357,12 @@ def _gltf_material(own: _Own, nearest: bool) -> dict[str, Any]:
     f: Any = exponent(material, np.inf, "glTF", nearest)
     if textures.shininess is not None:
         f = f * _scaled(textures.shininess).values
-        # Green; red is not used, blue is metallic, and its factor 0.
+        # Roughness is green; red is unused; blue is metallic, with factor 0.
         values = np.repeat(roughness(f), 3, axis=-1)
         pbr |= {"roughnessFactor": 1.0}
         pbr["metallicRoughnessTexture"] = picture(textures.shininess, values, "linear")
         if textures.specular is None:
-            # glTF's colour for a ρ_s depends on f, and so is each texel's own.
+            # glTF's specular colour depends on f, so it varies with the exponent.
             same = textures.shininess.of_ones()
             textures = dataclasses.replace(textures, specular=same)
     if textures.specular is not None:
@@ -366,7 +371,7 @@ def _gltf_material(own: _Own, nearest: bool) -> dict[str, Any]:
 
 
 def _tint(made: dict[str, Any], own: _Own, f: Any, picture: Any, nearest: bool) -> None:
-    """The specular colour's texture, and its factor."""
+    """Set the texture of the specular colour, and its factor."""
     texture = own.textures.specular
     assert texture is not None
     values = np.asarray(texture.values, float) * np.asarray(

@@ -1,4 +1,4 @@
-"""Triangles as files: OBJ, beside an .mtl, PLY with colours of vertices, and STL."""
+"""Write triangles: OBJ that refers to an .mtl, PLY with colours of vertices, and STL."""
 
 import os
 from typing import Any
@@ -11,12 +11,12 @@ from phongfit.files.outputs import replacing
 
 
 def obj_text(part: Part, library: str, material: str) -> str:
-    """Wavefront's .obj of a part with normals and uv.
+    """The text of a Wavefront .obj of a part with normals and uv.
 
-    **Arguments:** `library`: the .mtl beside it; `material`: the one in it.
+    **Arguments:** `library`: name of the .mtl; `material`: name of the material in it.
     """
     assert part.normals is not None and part.uv is not None
-    # Its v runs up.
+    # In OBJ v points up.
     uv = part.uv * [1, -1] + [0, 1]
     numbers = part.faces + 1
     corners = np.repeat(numbers.reshape(-1, 3), 3, axis=1)
@@ -34,14 +34,14 @@ def obj_text(part: Part, library: str, material: str) -> str:
 
 
 def lines(form: str, rows: Any) -> list[str]:
-    """A line for each row of numbers."""
+    """Rows of numbers as lines of text, by a % format."""
     return [form % tuple(row) for row in np.asarray(rows).tolist()]
 
 
 def write_ply(
     path: str | os.PathLike[str], part: Part, colours: UInt[np.ndarray, "vertices 3"]
 ) -> None:
-    """A binary .ply of a part, with 8-bit colours of its vertices, in one piece.
+    """Write a binary .ply of a part, with 8-bit colours of its vertices.
 
     **Raises:** `OSError` that names `path`.
     """
@@ -50,7 +50,7 @@ def write_ply(
 
 
 def write_stl(path: str | os.PathLike[str], part: Part) -> None:
-    """A binary .stl of a part's triangles, which is all that it holds, in one piece.
+    """Write a binary .stl of a part's triangles.
 
     **Raises:** `OSError` that names `path`.
     """
@@ -58,7 +58,7 @@ def write_stl(path: str | os.PathLike[str], part: Part) -> None:
 
 
 def _triangles(part: Part, **more: Any) -> Any:
-    # Here, since trimesh takes long to import.
+    # Imported here, since trimesh takes long to import.
     import trimesh
 
     return trimesh.Trimesh(part.positions, part.faces, process=False, **more)

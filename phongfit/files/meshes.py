@@ -1,7 +1,7 @@
-"""Meshes on disk, of every format, with the materials that their files name.
+"""Meshes from files of every supported format, with their materials.
 
 Colours of vertices are linear in glTF, by its specification; those of other formats,
-which define no encoding, are taken to be sRGB-encoded, as most programs write them.
+which define no encoding, are read as sRGB-encoded, as most programs write them.
 """
 
 import os
@@ -29,7 +29,7 @@ from phongfit.files.ply import read_ply
 from phongfit.files.stl import read_stl
 
 MOST_NOTES = 20
-"""Warnings of what a file holds and is not used."""
+"""Maximum number of warnings on unused parts of a file."""
 
 
 @checked
@@ -37,36 +37,36 @@ def load_mesh(path: str | os.PathLike[str], **options: Any) -> LoadedMesh:
     """A triangle mesh from OBJ (with .mtl), PLY, STL, glTF, GLB or OFF.
 
     Several objects in a file become one mesh, in the file's world coordinates. Normals
-    are those of the file; where it has none, they are computed, and vertices that STL
-    or OBJ hold several times are one. An OBJ with `s` is smooth within each smoothing
-    group and flat where it is off; one without `s` is smooth everywhere. Polygons are
-    cut into triangles, concave ones too.
+    are those of the file. If it has none, they are computed, and repeated vertices of
+    STL and OBJ are merged. An OBJ with `s` is smooth within each smoothing group and
+    flat where smoothing is off; an OBJ without `s` is smooth everywhere. Polygons, also
+    concave ones, are cut into triangles.
 
-    Materials of an .mtl are read as by [`read_mtl`][]; one that is missing is the
-    default [`Material`][], with a warning, and still a material of its own. If the
-    faces name none and there is only one, it is theirs. Of glTF's, which are of another
-    model (metallic-roughness, specular-glossiness), the nearest of Phong's is taken:
-    see `phongfit.files.gltf_materials`. A material that phongfit wrote is what it was.
-    glTF's faces are flat where the file has no normals.
+    Materials of an .mtl are read as by [`read_mtl`][]. A missing one is replaced by the
+    default [`Material`][], with a warning, and remains a separate material. If the
+    faces name no material and there is only one, they get it. Materials of glTF, which
+    has other models (metallic-roughness, specular-glossiness), are converted to the
+    nearest of Phong's: see `phongfit.files.gltf_materials`. Materials that phongfit
+    wrote are read unchanged. glTF's faces are flat if the file has no normals.
 
-    An .mtl or a texture that is named with backslashes, in letters of the other case or
-    in a folder of another computer is looked for beside the file, and below it.
+    If an .mtl or a texture is named with backslashes, in letters of the other case or
+    in a folder of another computer, it is looked for beside the mesh's file and below.
 
     Textures of colours (map_Ka, map_Kd, map_Ks, map_Ke; glTF's base colour, specular
     and emission; the TextureFile of a PLY), of the exponent (map_Ns, map_Pr; glTF's
     roughness), normal maps and colours of vertices become the mesh's `textures`;
-    `mesh.with_textures(None)` is the mesh without. Colours of vertices multiply ρ_d and
-    ρ_a, where there is no texture of these; of a PLY or OFF, and of an OBJ without
-    materials, they are these. Colours of a PLY's or OFF's faces are taken where there
-    are none of vertices. They are sRGB-encoded, but linear in glTF. What a file has
-    besides that is not used (more uv, skins, other maps, transparency, unknown
-    extensions) is named in a warning, each.
+    `mesh.with_textures(None)` removes them. Colours of vertices multiply ρ_d and ρ_a,
+    unless these have textures. In a PLY or OFF, and in an OBJ without materials, they
+    are ρ_d and ρ_a. Colours of faces of a PLY or OFF are used if there are none of
+    vertices. Colours are sRGB-encoded, but linear in glTF. Each other part of a file
+    (more uv, skins, other maps, transparency, unknown extensions) is named in a
+    warning.
 
     **Arguments:**
 
-    - `path`: the suffix tells the format.
-    - `options`: of [`Mesh`][], such as `two_sided` or `crease_angle`, with which the
-        file's normals are not used.
+    - `path`: the suffix determines the format.
+    - `options`: of [`Mesh`][], such as `two_sided` or `crease_angle`, which replaces
+        the file's normals.
 
     **Returns:** `(mesh, material, names)`: see [`LoadedMesh`][].
 
@@ -89,7 +89,7 @@ def _load(path: Path, options: dict[str, Any], note: Note) -> LoadedMesh:
     if suffix not in FORMATS:
         raise ValueError(f"{path}: its suffix is none of {', '.join(FORMATS)}")
     if suffix == ".obj":
-        # Notes and errors of its .mtl name that file.
+        # Without a prefix, since notes and errors of its .mtl name that file.
         parts = read_obj(path, note)
     else:
         with naming(str(path)):
@@ -113,7 +113,7 @@ FORMATS = (".obj", *READERS)
 
 
 def _named(parts: list[GltfPart], shades: dict[int, GltfShade]) -> list[MeshPart]:
-    """Parts of a glTF file with a name of its own for each of its materials."""
+    """Parts of a glTF file, with a unique name for each material."""
     names: dict[int | None, str] = {None: UNNAMED}
     taken = {UNNAMED} if any(part.material is None for part in parts) else set()
     times: dict[str, int] = {}

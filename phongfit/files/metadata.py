@@ -1,4 +1,4 @@
-"""Orientation, colours and exposure that a photograph's file states.
+"""Orientation, colours and exposure from the metadata of a photograph's file.
 
 ??? cite "Source"
     CIPA DC-008, *Exif 2.32*, 2019; ISO 15076-1 (ICC.1), annex B; *PNG, third edition*,
@@ -26,28 +26,30 @@ from phongfit.files.profiles import SRGB_POINTS, adobe_profile, linear_profile
 from phongfit.files.tags import Directory, first_directory
 
 MAX_PROFILE = 2**23
-"""Bytes of a colour profile: those of cameras and screens have some thousands."""
+"""Largest size of a colour profile, bytes: cameras' and screens' have some thousands.
+"""
 
 _ORIENTATION, _EXIF, _PROFILE = 274, 34665, 34675
 _TIME, _F_NUMBER, _ISO = 33434, 33437, 34855
-# ISO where 16 bits do not hold it: recommended exposure index, ISO speed.
+# Tags for ISO values above 16 bits: recommended exposure index, ISO speed.
 _MORE_ISO, _FULL = (34866, 34867), 65535
 _FOCAL, _FOCAL_35MM, _WIDTH, _HEIGHT = 37386, 41989, 40962, 40963
 _DENSITY, _DENSITY_UNIT = 41486, 41488
-# Adobe RGB: as cameras state it by EXIF's rules, and as some state it.
+# Adobe RGB: the value by EXIF's rules, and the value that some cameras write.
 _COLOURS, _UNCALIBRATED, _ADOBE = 40961, 65535, 2
 _INTEROPERABILITY, _RULES = 40965, 1
 # Millimetres of the units that EXIF counts sensors' pixels by: inch, cm, mm, µm.
 _UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
 
 FILM_DIAGONAL = float(np.hypot(36, 24))
-"""Of the film that equivalent focal lengths are for, millimetres."""
+"""Diagonal of 36 × 24 mm film, to which equivalent focal lengths refer, millimetres.
+"""
 
 
 class Exposure(NamedTuple):
-    """How much light a camera let in, as it says itself; `None` where it does not.
+    """Exposure settings that the camera recorded; `None` if it did not.
 
-    - `time`: of exposure, in seconds.
+    - `time`: exposure time, seconds.
     - `f_number`: focal length over the aperture's diameter.
     - `iso`: sensitivity.
     """
@@ -57,7 +59,7 @@ class Exposure(NamedTuple):
     iso: float | None = None
 
     def only(self, fields: Collection[str]) -> "Exposure":
-        """Some of these alone."""
+        """The exposure with only some of its fields."""
         kept = {name: getattr(self, name) for name in fields}
         return Exposure(**kept)
 
@@ -68,10 +70,10 @@ class Exposure(NamedTuple):
 
 
 class Lens(NamedTuple):
-    """A camera's lens, by EXIF data; `None` where they do not state it.
+    """A camera's lens from EXIF data; `None` for values that they lack.
 
-    - `equivalent`: focal length, millimetres, that has this angle of view on film of
-        36 × 24 mm, compared by diagonals.
+    - `equivalent`: focal length, millimetres, with this angle of view over the diagonal
+        of 36 × 24 mm film.
     - `focal`: focal length in pixels of the camera's image.
     - `size`: width and height of that image, pixels.
     """
@@ -83,8 +85,8 @@ class Lens(NamedTuple):
     def fov(self, width: int, height: int) -> float | None:
         """The angle of view from the lower to the upper edge, degrees.
 
-        `None` where it is not stated, or for another size than the camera's own: a
-        crop sees less.
+        `None` if it is not stated, or if the image's size is not the camera's: a crop
+        has a smaller angle.
         """
         if self.size is not None and sorted(self.size) != sorted((width, height)):
             return None
@@ -97,14 +99,14 @@ class Lens(NamedTuple):
 
 
 class Metadata(NamedTuple):
-    """What a file says beside its pixels.
+    """Metadata of an image file.
 
     - `orientation`: 1 … 8 as in EXIF; 1 is upright.
     - `exposure`: time, aperture, sensitivity.
     - `lens`: focal length.
-    - `profile`: an ICC profile, or one of the primaries that the file states.
+    - `profile`: an ICC profile, or one that is made from the file's primaries.
     - `gamma`: of the numbers in a PNG without a profile; 1 is linear.
-    - `broken`: why EXIF data cannot be read, where it cannot.
+    - `broken`: error message, if EXIF data cannot be read.
     """
 
     orientation: int = 1
@@ -115,7 +117,7 @@ class Metadata(NamedTuple):
     lens: Lens = Lens()
 
     def upright(self, numbers: np.ndarray) -> np.ndarray:
-        """Pixels as they are to be seen, (H, W, …), of those that lie in the file."""
+        """Pixels turned upright, (H, W, …), from the order in the file."""
         down, across, exchanged = TURNS[self.orientation]
         turned = numbers[:: -1 if down else 1, :: -1 if across else 1]
         return turned.swapaxes(0, 1) if exchanged else turned
@@ -131,16 +133,16 @@ TURNS = {
     7: (True, True, True),
     8: (False, True, True),
 }
-"""Of each orientation: whether rows are to be taken from the last on, whether columns
-are, and whether rows then become columns."""
+"""Operations for each EXIF orientation: reverse rows, reverse columns, then exchange
+rows and columns."""
 
 
 def read_metadata(data: bytes, path: Path) -> Metadata:
-    """What an image file says beside its pixels; nothing of RAW photographs.
+    """Metadata of an image file; empty for RAW photographs.
 
-    **Arguments:** `path`: of the file that has these bytes.
+    **Arguments:** `path`: of the file with these bytes.
 
-    **Raises:** `Refused` for colours that are not understood.
+    **Raises:** `Refused` for unsupported colours.
     """
     format = format_of(data, path)
     if format == ".png":
@@ -164,7 +166,7 @@ def read_metadata(data: bytes, path: Path) -> Metadata:
 
 
 def _of_exif(exif: bytes | None, profile: bytes | None) -> Metadata:
-    """Orientation and exposure. 0, which some programs write, is no orientation."""
+    """Metadata from EXIF; invalid orientations, such as 0 of some programs, become 1."""
     if not exif:
         return Metadata(profile=profile)
     try:
@@ -181,7 +183,7 @@ def _of_exif(exif: bytes | None, profile: bytes | None) -> Metadata:
 
 
 def _is_adobe(exif: Directory) -> bool:
-    """Whether numbers are those of Adobe RGB, where a file has no ICC profile."""
+    """True if EXIF states Adobe RGB, for files without an ICC profile."""
     colours = exif.whole(_COLOURS)
     if colours != _UNCALIBRATED:
         return colours == _ADOBE
@@ -211,7 +213,7 @@ def _lens(exif: Directory | None) -> Lens:
     equivalent = exif.whole(_FOCAL_35MM)
     size = exif.whole(_WIDTH), exif.whole(_HEIGHT)
     return Lens(
-        # 0 stands for an unknown one.
+        # In EXIF 0 means unknown.
         float(equivalent) if equivalent > 0 else None,
         pixels,
         size if min(size) > 0 else None,
@@ -221,7 +223,7 @@ def _lens(exif: Directory | None) -> Lens:
 def _of_png(data: bytes) -> Metadata:
     found = {kind: chunk[8:-4] for kind, chunk in png_chunks(data) if kind in _TOLD}
     metadata = _of_exif(found.get(b"eXIf"), None)
-    # In this order, as the standard has it.
+    # Chunks in the order of precedence of the standard.
     if b"cICP" in found and found[b"cICP"] != _SRGB_CODES:
         raise Refused(
             "expected sRGB or an ICC profile, got other code points for its colours "
@@ -245,7 +247,7 @@ def _of_png(data: bytes) -> Metadata:
 
 
 _TOLD = (b"eXIf", b"cICP", b"iCCP", b"sRGB", b"cHRM", b"gAMA")
-# Primaries, transfer function and matrix by their numbers in ITU-T H.273; full range.
+# Code points of sRGB in ITU-T H.273: primaries, transfer function, matrix; full range.
 _SRGB_CODES = bytes([1, 13, 0, 1])
 
 
@@ -253,7 +255,7 @@ def _unpacked(chunk: bytes) -> bytes | None:
     """A profile from its chunk: name, zero, method, and packed bytes."""
     _, _, packed = chunk.partition(b"\0")
     try:
-        # No further than what is accepted: zeros pack to a thousandth.
+        # Limit the output, since zeros are compressed a thousandfold.
         profile = zlib.decompressobj().decompress(packed[1:], MAX_PROFILE + 1)
     except zlib.error as error:
         raise Refused(f"its colour profile (ICC) is broken: {error}") from None
@@ -269,5 +271,5 @@ def _as_profile(profile: bytes | None) -> bytes | None:
 
 
 def _seconds(time: float) -> str:
-    """As cameras show it."""
+    """An exposure time as cameras show it, such as `1/60 s`."""
     return f"1/{1 / time:.4g} s" if time < 0.3 else f"{time:.3g} s"
