@@ -74,7 +74,7 @@ class Dataset:
 
 
 class Photograph(NamedTuple):
-    """Linear light of one image, encoded as in its file, and a mask of usable samples."""
+    """Linear light of one image, in its file's encoding, and its mask."""
 
     coded: Coded
     mask: Bool[np.ndarray, "height width *channel"]

@@ -1,4 +1,4 @@
-"""Limits of formats that cannot hold every `Material`: an error or the nearest value."""
+"""Limits of formats that cannot hold every `Material`: error or nearest value."""
 
 import dataclasses
 import math
@@ -39,14 +39,14 @@ def limited(
 
 
 def lost(message: str, nearest: bool) -> None:
-    """Report a value that a format cannot hold: warn if `nearest`, else `ValueError`."""
+    """Report a value that a format cannot hold: warn if `nearest`, else raise."""
     if not nearest:
         raise ValueError(f"{message} (nearest=True takes the nearest that it holds)")
     warn("nearest-taken", f"{message}; the nearest is taken", stacklevel=4)
 
 
 def colour(name: str, leaf: Float[Array, "..."]) -> Float[np.ndarray, "3"]:
-    """A parameter of one material as RGB; `ValueError` for a map or several materials."""
+    """A parameter of one material as RGB; `ValueError` for several materials."""
     values = np.asarray(leaf, float)
     if values.size not in (1, 3) or values.shape[:-1] not in ((), (1,)):
         raise ValueError(f"{name}: expected one material, got shape {leaf.shape}")

@@ -52,7 +52,7 @@ class MeshPart(NamedTuple):
 
 
 def white() -> Shaded:
-    """A material with ρ_d = ρ_a = 1, so that texture or colours are the reflectances."""
+    """A material with ρ_d = ρ_a = 1: texture or colours are then the reflectances."""
     return Shaded(Material(diffuse=1.0, ambient=1.0))
 
 
@@ -74,7 +74,7 @@ def linear_colours(
 
 
 def with_face_colours(part: MeshPart, colours: dict[str, np.ndarray]) -> MeshPart:
-    """A part with a colour for each triangle, whose corners become separate vertices."""
+    """A part with a colour for each triangle, whose corners become vertices."""
     corners = part.faces.ravel()
     return part._replace(
         vertices=part.vertices[corners],

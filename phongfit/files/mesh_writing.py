@@ -1,4 +1,4 @@
-"""Write triangles: OBJ that refers to an .mtl, PLY with colours of vertices, and STL."""
+"""Write triangles: OBJ that refers to an .mtl, PLY with vertex colours, and STL."""
 
 import os
 from typing import Any

@@ -166,7 +166,7 @@ def read_metadata(data: bytes, path: Path) -> Metadata:
 
 
 def _of_exif(exif: bytes | None, profile: bytes | None) -> Metadata:
-    """Metadata from EXIF; invalid orientations, such as 0 of some programs, become 1."""
+    """Metadata from EXIF; an invalid orientation, such as 0, becomes 1."""
     if not exif:
         return Metadata(profile=profile)
     try:

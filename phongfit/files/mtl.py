@@ -28,19 +28,19 @@ from phongfit.material import Material
 MAX_NS = 1000.0
 FORMAT = ".mtl"
 MOST = 10_000
-"""Materials in a file."""
+"""Maximum number of materials in a file."""
 
 MOST_BYTES = 2**24
 FEW = 5
-"""Warnings of one sort: more say no more."""
+"""Maximum number of warnings of one kind."""
 LISTED = 20
-"""Keys that a warning names."""
+"""Maximum number of keys that a warning names."""
 
 COLOURS = {"Ka": "ambient", "Kd": "diffuse", "Ks": "specular", "Ke": "emission"}
 USUAL = {"d": "1", "Tr": "0", "Tf": "1"}
-"""Of what is opaque: keys that change nothing where they have this value."""
+"""Values with which keys of transparency have no effect."""
 SILENT = ("Ni", "sharpness")
-"""Of refraction, and of a reflection map: keys that change nothing by themselves."""
+"""Keys of refraction and reflection maps, without effect by themselves."""
 MAPS = {
     "map_ka": ("Ka", "ambient"),
     "map_kd": ("Kd", "diffuse"),
@@ -53,11 +53,11 @@ MAPS = {
     "bump": ("", "normal"),
     "map_bump": ("", "normal"),
 }
-"""The number that a texture multiplies, and its parameter, by the key in small letters.
-"""
+"""For each key of a texture, in small letters: the key of the number that it
+multiplies, and the parameter."""
 
-# Of each option of a texture: the least and the largest number of words that follow it,
-# and those words with which it changes nothing.
+# For each option of a texture: the smallest and largest number of words that follow,
+# and the words with which it has no effect.
 OPTIONS = {
     "-blendu": (1, 1, {"on"}),
     "-blendv": (1, 1, {"on"}),
@@ -76,7 +76,7 @@ OPTIONS = {
 
 
 class TextureLine(NamedTuple):
-    """A line of a `.mtl` that names a texture, by its file and with its options."""
+    """A line of a `.mtl` that names a texture's file, with its options."""
 
     number: int
     material: str | None
@@ -86,7 +86,7 @@ class TextureLine(NamedTuple):
 
     @property
     def unused(self) -> list[str]:
-        """Options that change the texture, and have no place here."""
+        """Options that would change the texture, but are not supported."""
         return [
             name
             for name, words in self.options.items()
@@ -97,9 +97,9 @@ class TextureLine(NamedTuple):
 class Library(NamedTuple):
     """Contents of a `.mtl`.
 
-    - `materials`: the numbers of each by their keys.
-    - `textures`: lines that name one.
-    - `notes`: what has no place here or is doubtful, in words.
+    - `materials`: numbers by key, for each material.
+    - `textures`: lines that name textures.
+    - `notes`: sentences on unused or doubtful contents.
     """
 
     materials: dict[str, dict[str, Any]]
@@ -111,11 +111,11 @@ class Library(NamedTuple):
 def read_mtl(path: str | os.PathLike[str]) -> dict[str, Material]:
     """The materials of a `.mtl` file by their names, in the file's order.
 
-    Ka, Kd, Ks, Ke and Ns are read; what a material leaves out is the default of
-    [`Material`][]. With `illum 0` the colour Kd is shown as it is, and with `illum 1`
-    there is no highlight. Other keys, such as those of transparency, are listed in a
-    warning. So are textures, with a warning that says whether the file is there:
-    [`load_mesh`][] reads them, with the mesh that they lie on.
+    Ka, Kd, Ks, Ke and Ns are read; missing keys have the defaults of [`Material`][].
+    With `illum 0` the colour Kd becomes emission, and with `illum 1` there is no
+    highlight. Other keys, such as those of transparency, are listed in a warning.
+    Textures are not read either: [`load_mesh`][] reads them with their mesh. Warnings
+    name the first few of them, and state if a file is missing.
 
     **Raises:** `ValueError` that names the file and the line.
     """
@@ -138,7 +138,7 @@ def read_mtl(path: str | os.PathLike[str]) -> dict[str, Material]:
 
 
 def parse_mtl(path: Path) -> Library:
-    """Contents of a `.mtl`.
+    """Read the contents of a `.mtl`.
 
     **Raises:** `ValueError` that names the file and the line.
     """
@@ -153,7 +153,7 @@ def parse_mtl(path: Path) -> Library:
             if key == "newmtl":
                 if not words:
                     raise ValueError("newmtl: expected a name")
-                # A # in it is none of a comment: "Anodized Grey #1" is one of many.
+                # A # belongs to the name, as in "Anodized Grey #1".
                 name = " ".join(words)
                 if name in found:
                     told = f"line {number}: material {name[:60]!r} goes on"
@@ -189,17 +189,17 @@ def parse_mtl(path: Path) -> Library:
 
 
 def _is_packed(line: TextureLine) -> bool:
-    """Whether a texture holds occlusion, roughness and metalness with `bsdf pbr`.
+    """True if, under `bsdf pbr`, a texture holds occlusion, roughness and metalness.
 
     ??? cite "Source"
         Munkberg et al., *Extracting triangular 3D models, materials, and lighting from
-        images*, 2022: so nvdiffrec writes it.
+        images*, 2022: nvdiffrec writes such files.
     """
     return line.key.lower() == "map_ks"
 
 
 def _doubt(key: str, value: Any) -> str:
-    """In words, why a number of a key may not be what was meant."""
+    """End of a sentence on a doubtful value of a key; empty if there is no doubt."""
     if key == "illum" and value > 2:
         return ", of mirrors and glass, is taken as 2"
     if key in ("Ka", "Kd", "Ks") and np.max(value) > 1:
@@ -210,7 +210,7 @@ def _doubt(key: str, value: Any) -> str:
 def _texture_line(
     number: int, material: str | None, key: str, words: list[str]
 ) -> TextureLine:
-    """A line with its options, which come before or after the file's name."""
+    """Parse a texture's line; options may come before or after the file's name."""
     options, file, at = {}, [], 0
     while at < len(words):
         word, at = words[at], at + 1
@@ -234,12 +234,12 @@ def _is_number(word: str) -> bool:
 
 
 def _as_numbers(words: list[str]) -> str:
-    """Words as they are listed in [`OPTIONS`][], such as 1 in place of 1.000."""
+    """Words in the notation of [`OPTIONS`][], such as 1 for 1.000."""
     return " ".join(f"{float(k):g}" if _is_number(k) else k.lower() for k in words)
 
 
 def _is_usual(key: str, words: list[str]) -> bool:
-    """Whether a key changes nothing, by itself or with these numbers."""
+    """True if a key has no effect, in general or with these numbers."""
     if key in SILENT:
         return True
     return key in USUAL and set(_as_numbers(words).split()) == {USUAL[key]}
@@ -258,7 +258,7 @@ def _numbers(key: str, words: list[str]) -> Any:
 
 
 def as_material(fields: dict[str, Any]) -> Material:
-    """The material of what stands in a `.mtl`, by its keys."""
+    """A material from the values of a `.mtl`, by key."""
     leaves = {leaf: fields[key] for key, leaf in COLOURS.items() if key in fields}
     if "Ns" in fields:
         leaves["shininess"] = fields["Ns"]
@@ -286,17 +286,17 @@ def write_mtl(
     *,
     nearest: bool = False,
 ) -> None:
-    """Write materials as a `.mtl` file, in one piece.
+    """Write materials as a `.mtl` file, whole or not at all.
 
     **Arguments:**
 
-    - `materials`: by name; several in one go through [`unstack_materials`][].
-    - `nearest`: write the nearest that `.mtl` holds, with a warning, where it cannot
-        hold a material: colours above 1 (but for Ke), an exponent above 1000, or one
-        for each channel.
+    - `materials`: by name; split stacked materials with [`unstack_materials`][].
+    - `nearest`: replace values that `.mtl` cannot hold by the nearest, with a warning:
+        colours above 1 (except Ke), an exponent above 1000, or one for each channel.
 
-    **Raises:** `ValueError` that names the material and the leaf, unless `nearest`, and
-    for a name that is empty or has line breaks; `OSError` that names the file.
+    **Raises:** `ValueError` that names the material and the parameter, unless
+    `nearest`, and for a name that is empty or has line breaks; `OSError` that names the
+    file.
     """
     blocks = [
         mtl_block(name, material, nearest) for name, material in materials.items()

@@ -1,10 +1,9 @@
-r"""Materials of `.mtl` files with their textures: those of a mesh's faces.
+r"""Materials of `.mtl` files with their textures, for the faces of a mesh.
 
 `map_Ka`, `map_Kd`, `map_Ks` and `map_Ke` are sRGB-encoded colours, `map_Ns` numbers
-from 0 to 1; each multiplies the number of its name. `norm` is a normal map, and so is
-`map_Bump` where it is coloured; a grey one holds heights, which are not read. `map_Pr`
-is roughness, of which $f = 2 / r^4 - 2$ is the exponent: see
-[`phongfit.files.gltf`][].
+from 0 to 1; each multiplies the number of its name. `norm` is a normal map, and so is a
+coloured `map_Bump`; a grey one holds heights, which are not read. `map_Pr` is roughness
+$r$, with the exponent $f = 2 / r^4 - 2$: see [`phongfit.files.gltf`][].
 
 ??? cite "Source"
     Alias|Wavefront, 1992, as in [`phongfit.files.mtl`][]; Exocortex, *Physically based
@@ -26,14 +25,14 @@ from phongfit.rendering.film import NamedEncoding
 from phongfit.textures import Texture, Textures
 
 BLUE = 0.1
-"""A normal map is so much bluer, in the mean, than grey is."""
+"""Smallest excess of mean blue over mean grey in a normal map."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Shaded:
-    """A material as a file has it: numbers, and textures that multiply them."""
+    """A material from a file: parameters, and textures that multiply them."""
 
-    # Made when asked for: its arrays start JAX, which an import must not.
+    # Made on demand: its arrays start JAX, which an import must not.
     material: Material = dataclasses.field(default_factory=Material)
     textures: Textures = dataclasses.field(default_factory=Textures)
 
@@ -70,7 +69,7 @@ def _add(
     opened: dict[tuple[Path, str], Texels | str],
     note: Note,
 ) -> None:
-    """Add the texture of one line to a material's own, and to its numbers."""
+    """Add the texture of one line to the textures `own` and the numbers `fields`."""
     key, leaf = MAPS[line.key.lower()]
     name, where = (line.material or "")[:60], f"{path}: line {line.number}"
     told = f"{where}: texture {line.file[:60]!r} of material {name!r}"
@@ -112,7 +111,7 @@ def _add(
 def _open(
     path: Path, file: str, leaf: str, opened: dict[tuple[Path, str], Texels | str]
 ) -> Texels | str:
-    """The numbers of a texture's file, or in words why there are none."""
+    """The numbers of a texture's file, or the end of a sentence on the error."""
     place = beside(path.parent, file)
     if place is None:
         return "is missing"

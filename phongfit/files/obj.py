@@ -2,7 +2,7 @@
 
 ??? cite "Source"
     Alias|Wavefront, *Object files (.obj)*, appendix B1 of the Advanced Visualizer
-    manual, 1992. Colours of vertices, `v x y z r g b`, are of no standard.
+    manual, 1992. Colours of vertices, `v x y z r g b`, are not in any standard.
 """
 
 import math
@@ -33,18 +33,18 @@ from phongfit.files.mtl_textures import Shaded, read_textured
 from phongfit.files.polygons import triangulate
 
 MEMORY = 20
-"""Memory that reading takes, in files of that size: as measured."""
+"""Memory that reading takes, as a multiple of the file's size (measured)."""
 
 
 class _Content:
-    """Numbers of an OBJ file as they stand in it, row by row.
+    """Numbers of an OBJ file, in the order of its lines.
 
     - `places`, `uv`, `normals`: 3, 2 and 3 numbers a row.
-    - `colours`: 3 numbers for each of the places; 1 where it has none.
+    - `colours`: 3 numbers for each place; 1 where it has none.
     - `corners`: 3 indices a corner, of `places`, `uv` and `normals`; −1 for none.
-    - `faces`: for each face its corners, its line, its material (−1 for none) and its
-        smoothing group (0 for none).
-    - `materials`, `groups`: their numbers by their names.
+    - `faces`: for each face its number of corners, its line, its material (−1 for none)
+        and its smoothing group (0 for none).
+    - `materials`, `groups`: numbers by name.
     - `libraries`: the words after each `mtllib`, with its line.
     """
 
@@ -60,7 +60,7 @@ class _Content:
         self._material, self._group = -1, 0
 
     def take(self, number: int, line: str) -> None:
-        """Take in the line of this number.
+        """Read one line of the file.
 
         **Raises:** `ValueError` that names the key.
         """
@@ -72,12 +72,12 @@ class _Content:
         elif key == "v":
             self._vertex(words)
         elif key == "vt":
-            # Textures of lines have one number, those of volumes a third one.
+            # One-dimensional textures have one number, volume textures three.
             self.uv.extend([*_floats(key, words, 1), 0.0][:2])
         elif key == "vn":
             self.normals.extend(_floats(key, words, 3)[:3])
         elif key == "usemtl":
-            # A # in a name is none of a comment: "Anodized Grey #1" is one of many.
+            # A # belongs to the name, as in "Anodized Grey #1".
             name = " ".join(words)
             count = len(self.materials)
             self._material = self.materials.setdefault(name, count) if name else -1
@@ -92,7 +92,7 @@ class _Content:
 
     def _vertex(self, words: list[str]) -> None:
         numbers = _floats("v", words, 3)
-        # There may be a weight before the colour, and a transparency after it.
+        # A weight may precede the colour, and a transparency follow it.
         if len(numbers) not in (3, 4, 6, 7):
             raise ValueError(f"v: expected x y z or x y z r g b, got {_shown(words)}")
         self.places.extend(numbers[:3])
@@ -124,8 +124,8 @@ def _shown(words: list[str]) -> str:
 def _corner(word: str, counts: tuple[int, int, int]) -> list[int]:
     """Indices of a corner's place, uv and normal, counted from 0; −1 for none.
 
-    **Arguments:** `counts`: of those read so far, from which negative indices count
-    back.
+    **Arguments:** `counts`: of places, uv and normals read so far; negative indices
+    count back from there.
     """
     row, parts = [-1, -1, -1], word.split("/")
     try:
@@ -146,11 +146,11 @@ def _corner(word: str, counts: tuple[int, int, int]) -> list[int]:
 def read_obj(path: Path, note: Note) -> list[MeshPart]:
     """Triangles of an OBJ file, one part for each of its materials.
 
-    Faces of smoothing group 0 (`s off`) are flat. In a file without `s` all are of one
-    group, for many scanners and programs write none.
+    Faces of smoothing group 0 (`s off`) are flat. In a file without `s` all faces are
+    smooth, since many scanners and programs never write it.
 
-    **Arguments:** `note`: takes in words what of the file, and of its materials, is not
-    used.
+    **Arguments:** `note`: called with a sentence for each unused part of the file and
+    of its materials.
 
     **Raises:** `ValueError` that names the file and the line.
     """
@@ -175,7 +175,7 @@ def read_obj(path: Path, note: Note) -> list[MeshPart]:
     if not len(cut.polygon):
         return []
     material, group = faces[cut.polygon, 2], faces[cut.polygon, 3]
-    # Each flat polygon is a group.
+    # Each flat polygon becomes a smoothing group.
     flat = (group == 0) & bool(content.groups)
     group = np.where(flat, len(content.groups) + 1 + cut.polygon, group)
     order = np.argsort(material, kind="stable")
@@ -198,7 +198,7 @@ def _fill(content: _Content, data: bytes) -> None:
 
 
 def _indices(content: _Content) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of corners and of faces, if all that they refer to is there."""
+    """Rows of corners and of faces, after a check of all indices."""
     corners = np.asarray(content.corners).reshape(-1, 3)
     faces = np.asarray(content.faces).reshape(-1, 4)
     columns = (content.places, 3), (content.uv, 2), (content.normals, 3)
@@ -215,7 +215,7 @@ def _indices(content: _Content) -> tuple[np.ndarray, np.ndarray]:
 def _materials(
     path: Path, content: _Content, unnamed: bool, note: Note
 ) -> dict[int, tuple[str, Shaded]]:
-    """Names and materials by their numbers; those of faces without a name at −1."""
+    """Names and materials by number; −1 for faces without a material."""
     found: dict[str, Shaded] = {}
     for file in _libraries(path, content, note):
         found |= read_textured(file, note)
@@ -239,18 +239,18 @@ def _materials(
 
 
 def _libraries(path: Path, content: _Content, note: Note) -> list[Path]:
-    """The .mtl files that there are, each once."""
+    """The existing .mtl files, each once."""
     found: dict[Path, None] = {}
     for name, line in content.libraries.items():
         whole = beside(path.parent, name)
-        # A name may have blanks, and there may be several names.
+        # The line is one name with blanks, or several names.
         names = [name] if whole else re.findall(r'"[^"]*"|\S+', name)
         files = [whole] if whole else [beside(path.parent, k) for k in names]
         if len(found) + len(files) > MOST:
             raise ValueError(f"{path}: line {line}: expected at most {MOST} .mtl")
         found |= dict.fromkeys(file for file in files if file is not None)
         missing = [k for k, file in zip(names, files, strict=True) if file is None]
-        # None of the parts of a name with blanks is a file.
+        # If no part is a file, the line is a single name with blanks.
         missing = [name] if len(missing) == len(names) else missing
         for one in missing:
             note(
@@ -274,7 +274,7 @@ def _part(
     """
     place, texture, normal = np.moveaxis(corners, -1, 0)
     given = np.asarray(content.normals).reshape(-1, 3)
-    # Vertices differ where their normals do, or else their groups.
+    # Vertices are split by normals, or by groups where there are no normals.
     kind = np.where(normal >= 0, normal, len(given) + groups[:, None])
     kinds = int(kind.max()) + 1
     keys, faces = np.unique(place * kinds + kind, return_inverse=True)

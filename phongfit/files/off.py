@@ -26,16 +26,16 @@ from phongfit.files.mtl_textures import Shaded
 from phongfit.files.polygons import triangulate
 
 MEMORY = 20
-"""Memory that reading takes, in files of that size: as measured."""
+"""Memory that reading takes, as a multiple of the file's size (measured)."""
 
 Lines = Iterator[tuple[int, list[str]]]
-"""Words of the lines that have some, with the lines' numbers."""
+"""Line numbers, and the words of lines that are not empty."""
 
 
 def read_off(path: Path, note: Note) -> list[MeshPart]:
     """Triangles of an OFF file, as one part.
 
-    **Arguments:** `note`: takes in words what of the file is not used.
+    **Arguments:** `note`: called with a sentence for each unused part of the file.
 
     **Raises:** `ValueError` that names the line.
     """
@@ -43,7 +43,7 @@ def read_off(path: Path, note: Note) -> list[MeshPart]:
     afford(MEMORY * len(data), "triangles")
     lines = _lines(data)
     number, words = next(lines)
-    # Some programs forget the line break after OFF.
+    # Some programs omit the line break after OFF.
     kind = re.fullmatch(r"(ST)?(C)?(N)?OFF(\d*)", words[0] if words else "")
     if kind is None or words[1:2] == ["BINARY"]:
         raise ValueError(f"line {number}: expected OFF, and text, got {words[:2]}")
@@ -83,7 +83,7 @@ def read_off(path: Path, note: Note) -> list[MeshPart]:
 
 
 def _vertices(lines: Lines, count: int, least: int) -> np.ndarray:
-    """Rows of as many numbers as the first one, but at the least so many."""
+    """Rows of numbers, all as long as the first and with at least `least` numbers."""
     numbers, width = array("d"), 0
     for _ in range(count):
         number, words = next(lines)
@@ -100,7 +100,7 @@ def _vertices(lines: Lines, count: int, least: int) -> np.ndarray:
 
 
 def _faces(lines: Lines, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices of all faces, how many each face has, and its colour or NaN."""
+    """Vertices of all faces, the number of corners and the colour (or NaN) of each."""
     corners, counts, colours = array("q"), array("q"), array("d")
     for _ in range(count):
         number, words = next(lines)
@@ -112,7 +112,7 @@ def _faces(lines: Lines, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray
             raise ValueError(f"line {number}: expected {wanted}, got {got!r}") from None
         counts.append(n)
         corners.extend(own)
-        # One number is the place in a map of colours that nobody has.
+        # One number is an index into an external colour map, which is not available.
         colours.extend(colour[:3] if len(colour) > 2 else [math.nan] * 3)
     rows = np.array(colours).reshape(-1, 3)
     return np.array(corners, np.int64), np.array(counts, np.int64), rows
@@ -127,12 +127,12 @@ def _face(words: list[str]) -> tuple[int, list[int], list[float]]:
 
 
 def _to_one(colours: np.ndarray) -> np.ndarray:
-    """Colours from 0 to 1, of files in which some count to 255."""
+    """Colours from 0 to 1; divides by 255 if any is above 1."""
     return colours / 255 if np.nanmax(colours, initial=0) > 1 else colours
 
 
 def _lines(data: bytes) -> Lines:
-    """Words of each line that has some, and at the end an empty one."""
+    """Numbered words of each nonempty line, then empty lines without end."""
     number = 0
     for number, line in joined_lines(data):
         if words := uncommented(line.split()):

@@ -1,7 +1,7 @@
-"""Materials, lights and fog as the fixed-function OpenGL 1.x takes them, both ways.
+"""Convert materials, lights and fog to parameters of OpenGL 1.x and back.
 
-Parameters are dicts from OpenGL's own names to numbers, as `glMaterialfv`, `glLightfv`
-and `glFogfv` want them. No OpenGL is needed here.
+Parameters of the fixed-function pipeline are dicts from OpenGL's names to numbers, for
+`glMaterialfv`, `glLightfv` and `glFogfv`. OpenGL itself is not needed here.
 
 ??? cite "Source"
     Segal and Akeley, *The OpenGL graphics system, version 1.5*, section 2.14.
@@ -32,12 +32,12 @@ FOG_MODES: dict[FogMode, str] = {
 
 
 def rgba(rgb: Any) -> list[float]:
-    """A colour with the alpha that OpenGL wants, as plain numbers."""
+    """A colour with alpha 1, as plain numbers."""
     return [*(float(channel) for channel in np.asarray(rgb)), 1.0]
 
 
 def check_names(record: str, parameters: Mapping[str, Any], known: set[str]) -> None:
-    """**Raises:** `ValueError` for a name that is not among the known ones."""
+    """Check that all names are known. **Raises:** `ValueError` for an unknown one."""
     for name in parameters:
         if name not in known:
             raise ValueError(f"{record}: it has no {name}; known: {sorted(known)}")
@@ -46,18 +46,18 @@ def check_names(record: str, parameters: Mapping[str, Any], known: set[str]) -> 
 def material_to_opengl(material: Material, *, nearest: bool = False) -> Parameters:
     """A material as the arguments of `glMaterialfv` and `glMaterialf`.
 
-    OpenGL's highlight is that of [`BlinnPhong`][]: an exponent that was fitted with
-    [`Phong`][] goes through [`blinn_from_phong`][] first.
+    OpenGL's highlight is that of [`BlinnPhong`][]: convert an exponent that was fitted
+    with [`Phong`][] by [`blinn_from_phong`][] first.
 
     **Arguments:**
 
-    - `material`: one; several go through [`unstack_materials`][].
-    - `nearest`: give the nearest that OpenGL holds, with a warning, where it cannot
-        hold the material: an exponent above 128, or one for each channel.
+    - `material`: a single one; split stacked materials with [`unstack_materials`][].
+    - `nearest`: replace values that OpenGL cannot hold by the nearest, with a warning:
+        an exponent above 128, or one for each channel.
 
     **Returns:** GL_AMBIENT, GL_DIFFUSE, GL_SPECULAR, GL_EMISSION: RGBA; GL_SHININESS.
 
-    **Raises:** `ValueError` that names the leaf, unless `nearest`.
+    **Raises:** `ValueError` that names the parameter, unless `nearest`.
     """
     return {
         "GL_AMBIENT": rgba(colour("ambient", material.ambient)),
@@ -69,9 +69,11 @@ def material_to_opengl(material: Material, *, nearest: bool = False) -> Paramete
 
 
 def material_from_opengl(parameters: Mapping[str, Any]) -> Material:
-    """The inverse of [`material_to_opengl`][]; what is left out is OpenGL's default.
+    """A material from OpenGL's parameters; missing ones have OpenGL's defaults.
 
-    Alpha is dropped. **Raises:** `ValueError` for a name that materials do not have.
+    The inverse of [`material_to_opengl`][]. Alpha is dropped.
+
+    **Raises:** `ValueError` for a name that materials do not have.
     """
     both = parameters.get("GL_AMBIENT_AND_DIFFUSE")
     defaults = {
@@ -95,8 +97,8 @@ def material_from_opengl(parameters: Mapping[str, Any]) -> Material:
 def light_to_opengl(light: AbstractLight, *, nearest: bool = False) -> Parameters:
     """A light as the arguments of `glLightfv` and `glLightf`.
 
-    Position and direction are in world space: they are to be set while the modelview
-    matrix is that of the camera alone.
+    Position and direction are in world space: set them while the modelview matrix holds
+    only the camera's transformation.
 
     **Arguments:**
 
@@ -104,8 +106,8 @@ def light_to_opengl(light: AbstractLight, *, nearest: bool = False) -> Parameter
     - `nearest`: as in [`material_to_opengl`][]; here for a spot's exponent above 128.
 
     **Returns:** GL_AMBIENT, GL_DIFFUSE, GL_SPECULAR, GL_POSITION (w = 0 for a
-    direction), and of the three attenuations and of GL_SPOT_DIRECTION, GL_SPOT_EXPONENT
-    and GL_SPOT_CUTOFF those that the light has.
+    direction); for point and spot lights also the three attenuations; for spot lights
+    also GL_SPOT_DIRECTION, GL_SPOT_EXPONENT and GL_SPOT_CUTOFF.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -141,7 +143,9 @@ def _floats(array: Float[Array, " n"]) -> list[float]:
 
 
 def light_from_opengl(parameters: Mapping[str, Any]) -> AbstractLight:
-    """The inverse of [`light_to_opengl`][]; what is left out is GL_LIGHT0's default.
+    """A light from OpenGL's parameters; missing ones have the defaults of GL_LIGHT0.
+
+    The inverse of [`light_to_opengl`][].
 
     **Raises:** `ValueError` for a name that lights do not have, or for a spot of
     parallel light.
@@ -190,7 +194,7 @@ def light_from_opengl(parameters: Mapping[str, Any]) -> AbstractLight:
 
 
 def fog_to_opengl(fog: Fog | None, *, nearest: bool = False) -> Parameters | None:
-    """Fog as the arguments of `glFog`; `None` where it is disabled.
+    """Fog as the arguments of `glFog`; `None` if there is no fog.
 
     **Raises:** `ValueError` for a colour above 1, unless `nearest`.
     """
@@ -207,7 +211,9 @@ def fog_to_opengl(fog: Fog | None, *, nearest: bool = False) -> Parameters | Non
 
 
 def fog_from_opengl(parameters: Mapping[str, Any] | None) -> Fog | None:
-    """The inverse of [`fog_to_opengl`][]; what is left out is OpenGL's default.
+    """Fog from OpenGL's parameters; missing ones have OpenGL's defaults.
+
+    The inverse of [`fog_to_opengl`][].
 
     **Raises:** `ValueError` for a name or a mode that fog does not have.
     """

@@ -18,14 +18,14 @@ HEAD = """/* {name}: a material of the Blinn-Phong model, by phongfit.
 
 
 def opengl_lines(name: str, material: Material, *, nearest: bool = False) -> str:
-    """A C function that sets the material of what is drawn next.
+    """The text of a C function that sets the current material.
 
     **Arguments:** `nearest`: as in [`material_to_opengl`][].
 
-    **Raises:** `ValueError` that names the leaf, unless `nearest`.
+    **Raises:** `ValueError` that names the parameter, unless `nearest`.
     """
     parameters: Parameters = material_to_opengl(material, nearest=nearest)
-    # No comment may end early, and no name may be anything but one.
+    # The name must not end the comment early, and must be a valid identifier.
     word = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "material"
     lines = [HEAD.format(name=word), f"static void set_material_{word}(void)", "{"]
     colours = {key: value for key, value in parameters.items() if key != "GL_SHININESS"}
@@ -43,7 +43,7 @@ def opengl_lines(name: str, material: Material, *, nearest: bool = False) -> str
 
 
 def _c_float(number: float) -> str:
-    # As few digits as give back the same GLfloat.
+    # The fewest digits that round to the same GLfloat.
     text = str(np.float32(number))
     return f"{text}f" if re.search("[.e]", text) else f"{text}.0f"
 
@@ -55,9 +55,9 @@ def write_opengl(
     *,
     nearest: bool = False,
 ) -> None:
-    """Write [`opengl_lines`][] to a file, in one piece.
+    """Write the C function of [`opengl_lines`][] to a file, whole or not at all.
 
-    **Raises:** `ValueError` as it does, `OSError` that names the file.
+    **Raises:** `ValueError` as [`opengl_lines`][] does, `OSError` that names the file.
     """
     text = opengl_lines(name, material, nearest=nearest)
     with replacing(path) as temporary:

@@ -1,8 +1,8 @@
-"""Outputs appear whole or not at all: made in a folder of their own, then moved.
+"""Outputs appear whole or not at all: they are made in a work folder, then moved.
 
-That folder is hidden and beside the file, or within the folder, that is made. Only one
-run at a time has it, and what a run that was killed left in it the next one clears.
-Folders on the way to an output are made, and go again if nothing comes of it.
+The work folder is hidden, beside an output file or inside an output folder. Only one
+run at a time uses it; the next run removes the remains of a killed one. Missing parent
+folders are made, and removed again if the output fails.
 """
 
 import contextlib
@@ -23,27 +23,27 @@ from phongfit.plain import plain
 LINE_WIDTH = 88
 
 WORK = ".unfinished"
-"""The name, or its end, of the folder in which an output is made."""
+"""Name, or end of the name, of the work folder."""
 
 OVERWRITE = "expected a new one, or overwrite (--overwrite), which replaces a result"
-"""What helps where an older result is in the way."""
+"""Advice of an error if an older result exists."""
 
 PATIENCE = 10.0
-"""How long a file waits for another run that writes it just now, seconds."""
+"""Time to wait for another run that is writing the same file, seconds."""
 
 
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A name to write to; what is there becomes `path` if all goes well.
+    """A temporary file to write to, which replaces `path` when the block succeeds.
 
-    Whatever ends the block early, an interrupt too, removes what was written, and a
-    file that stood at `path` before stays as it was. A link is followed. A pipe or a
-    character device, such as `/dev/stdout`, is written to.
+    If the block ends early, even by an interrupt, the temporary file is removed and an
+    older file at `path` is unchanged. Links are followed. A pipe or a character device,
+    such as `/dev/stdout`, is written to.
 
     **Arguments:** `path`: the file to make or to replace.
 
-    **Returns:** a context manager that gives the name; its last part is that of `path`,
-    since many writers choose the format by the suffix.
+    **Returns:** a context manager for the temporary path; its last part is that of
+    `path`, since many writers choose the format by the suffix.
 
     **Raises:** `OSError` that names `path`.
     """
@@ -67,34 +67,34 @@ def replacing_folder(
     path: str | os.PathLike[str],
     may_replace: Callable[[str], bool] | None = None,
 ) -> Iterator[Path]:
-    """An empty folder to fill; what is in it goes into `path` if all goes well.
+    """An empty folder to fill, whose contents move into `path` when the block succeeds.
 
-    Whatever ends the block early leaves `path` as it was. Files that came into `path`
-    while the block ran stay there.
+    If the block ends early, `path` is unchanged. Files that other programs put into
+    `path` during the block stay there.
 
     **Arguments:**
 
-    - `path`: the folder to make. One that is there must be empty.
-    - `may_replace`: tells of a name in a folder that is there whether it may be lost;
-        if all of them may, they are.
+    - `path`: the folder to make. An existing one must be empty.
+    - `may_replace`: function of a name in an existing folder, true if it may be
+        replaced; if it is true for all names, they are removed.
 
-    **Returns:** a context manager that gives the folder to fill.
+    **Returns:** a context manager for the folder to fill.
 
-    **Raises:** `OSError` that names `path`, and what is in the way: other files,
-    another run that writes there.
+    **Raises:** `OSError` that names `path` and the obstacle: other files, or another
+    run that writes there.
     """
     # A link is followed, and "." gets its name.
     path = Path(path).resolve()
     _check_folder(path)
     if path.is_dir() and not (path / WORK).exists():
-        # A look that leaves no trace; the one below is sure.
+        # Check early, before anything is created; repeated below under the lock.
         _check_replaceable(path, may_replace)
     with _made(path, path), _workplace(path / WORK, path) as work:
         new, ready, old = work / "new", work / "ready", work / "old"
         with _blaming(path, new):
             old.mkdir()
             if ready.is_dir():
-                # A run was killed while it moved what it had made.
+                # Complete the move of a run that was killed during it.
                 _place(ready, path, old)
                 ready.rmdir()
             _check_replaceable(path, may_replace)
@@ -111,10 +111,10 @@ def replacing_folder(
 
 @contextlib.contextmanager
 def replacing_files(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """An empty folder to fill; its files go beside `path` if all goes well.
+    """An empty folder to fill, whose files move beside `path` when the block succeeds.
 
-    For a file that needs others beside it. What they replace stays until all of them
-    are written.
+    For a file that needs others beside it. Older files are replaced only after all new
+    ones are written.
 
     **Raises:** `OSError` that names `path`.
     """
@@ -138,18 +138,18 @@ def replacing_files(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """Keep other runs that write into `folder` out, while the block runs.
+    """Keep other runs from writing into `folder` during the block.
 
-    **Raises:** `OSError` that names it, if there is another one.
+    **Raises:** `OSError` that names the folder, if another run is writing there.
     """
     with _workplace(folder / WORK, folder):
         yield
 
 
 def check_file(path: Path) -> None:
-    """Could a file be written here? Asked before what takes long.
+    """Check that a file can be written, before a long computation.
 
-    **Raises:** `OSError` that names `path`, and says why not.
+    **Raises:** `OSError` that names `path` and the reason.
     """
     if path.is_dir():
         raise OSError(f"{path}: is a folder, expected the name of a file")
@@ -192,7 +192,10 @@ def _check_replaceable(path: Path, may_replace: Callable[[str], bool] | None) ->
 def _check_untaken(
     path: Path, new: Path, may_replace: Callable[[str], bool] | None
 ) -> None:
-    """Nothing that came into `path` meanwhile is replaced, and nothing made is lost."""
+    """Raise if other programs put files of these names into `path` during the block.
+
+    The new files are then moved to another name.
+    """
     for name in _names(new):
         if not (path / name).exists() or (
             may_replace is not None and may_replace(name)
@@ -215,7 +218,7 @@ def _names(path: Path) -> list[str]:
 
 
 def _is_stream(path: Path) -> bool:
-    """Whether what is at `path` is to be written to, since it is no file."""
+    """True if `path` is a character device or a pipe, which cannot be replaced."""
     try:
         mode = path.stat().st_mode
     except OSError:
@@ -229,7 +232,7 @@ def _beside(path: Path) -> Path:
 
 @contextlib.contextmanager
 def _made(folder: Path, path: Path) -> Iterator[None]:
-    """A folder, and those above it; removed again if nothing was put into them."""
+    """Make a folder and its parents; remove those that are empty after the block."""
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
     with _blaming(path, folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -243,11 +246,11 @@ def _made(folder: Path, path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _workplace(work: Path, path: Path, patience: float = 0.0) -> Iterator[Path]:
-    """The folder `work`, empty, to be used by this run alone; removed afterwards.
+    """The empty folder `work`, locked for this run and removed afterwards.
 
-    All but `ready`, which holds what is still to be moved.
+    An existing `ready` is kept, since it holds files that are still to be moved.
 
-    **Raises:** `OSError` that names `path`, if another run has it.
+    **Raises:** `OSError` that names `path`, if another run holds the lock.
     """
     lock = FileLock(work / "lock", timeout=patience, poll_interval=0.02)
     while True:
@@ -256,7 +259,7 @@ def _workplace(work: Path, path: Path, patience: float = 0.0) -> Iterator[Path]:
             lock.acquire()
             break
         except FileNotFoundError:
-            # Whoever had it has just removed it.
+            # The last owner has just removed the folder.
             continue
         except Timeout:
             raise OSError(f"{path}: another run is writing there") from None
@@ -268,7 +271,7 @@ def _workplace(work: Path, path: Path, patience: float = 0.0) -> Iterator[Path]:
         with contextlib.suppress(OSError):
             (work / "ready").rmdir()
         if not (work / "ready").exists():
-            # Last, since whoever finds no lock makes another one.
+            # Remove the lock last, since other runs create one if it is missing.
             with contextlib.suppress(OSError):
                 (work / "lock").unlink()
                 work.rmdir()
@@ -276,7 +279,7 @@ def _workplace(work: Path, path: Path, patience: float = 0.0) -> Iterator[Path]:
 
 
 def _make_own(work: Path, path: Path) -> None:
-    """The folder `work`; one that is there may be cleared only if a run left it."""
+    """Make the folder `work`, or check that an existing one belongs to this user."""
     with _blaming(path, work), contextlib.suppress(FileExistsError):
         work.mkdir()
         return
@@ -297,8 +300,8 @@ def _clear(work: Path) -> None:
 
 
 def _place(ready: Path, path: Path, old: Path) -> None:
-    """Move all that is `ready` into `path`."""
-    # Records come last: who finds one finds what it speaks of.
+    """Move all files in `ready` into `path`."""
+    # Move .json files last, so that a record never refers to missing files.
     for new in sorted(ready.iterdir(), key=lambda p: (p.suffix == ".json", p.name)):
         place = path / new.name
         if place.is_dir() and not place.is_symlink():
@@ -307,7 +310,7 @@ def _place(ready: Path, path: Path, old: Path) -> None:
 
 
 def _put(temporary: Path, path: Path) -> None:
-    """What was written becomes `path`."""
+    """Replace `path` by the temporary file, or copy into it if it is a stream."""
     if _is_stream(path):
         _copy_into(temporary, path)
         return
@@ -317,14 +320,14 @@ def _put(temporary: Path, path: Path) -> None:
     try:
         os.replace(temporary, target)
     except OSError as error:
-        # A file that is mounted by itself cannot be replaced.
+        # A file that is a mount point cannot be replaced.
         if error.errno not in (errno.EBUSY, errno.EXDEV):
             raise
         _copy_into(temporary, target)
 
 
 def _copy_into(source: Path, path: Path) -> None:
-    # Without waiting for a reader who may never come.
+    # Non-blocking, since a pipe may never get a reader.
     descriptor = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
     with open(source, "rb") as read, open(descriptor, "wb") as written:
         os.set_blocking(descriptor, True)
@@ -335,27 +338,27 @@ def _copy_into(source: Path, path: Path) -> None:
 
 @contextlib.contextmanager
 def _blaming(path: Path, temporary: Path) -> Iterator[None]:
-    """A user knows `path`: errors should not speak of the temporary name."""
+    """Make errors name `path` in place of the temporary file."""
     try:
         yield
     except OSError as error:
-        # Some errors of a full disk carry no name at all.
+        # Some errors of a full disk have no file name.
         named = "" if error.filename is None else os.fspath(error.filename)
         ours = not named or str(temporary) in str(named) or str(path) == str(named)
         if error.errno is not None and ours:
             raise OSError(f"{path}: cannot be written: {error.strerror}") from error
         if str(temporary) in str(error):
-            # Of a file within a folder that is being filled.
+            # The error is of a file within the temporary folder.
             told = str(error).replace(str(temporary), str(path))
             raise OSError(told) from error
         raise
 
 
 def write_json(path: str | os.PathLike[str], data: Any) -> None:
-    """Write `data` as strict JSON, in one piece.
+    """Write `data` as strict JSON, whole or not at all.
 
-    Arrays and numbers become what [`plain`][] makes of them. Keys keep their order, and
-    short lists stay on one line.
+    Arrays and numbers are converted by [`plain`][]. Keys keep their order, and short
+    lists stay on one line.
 
     **Arguments:** `path`; `data`: mappings, sequences, arrays, numbers, text, paths.
 

@@ -1,7 +1,7 @@
-"""Values of the package's own classes as one file of arrays, and back.
+"""Store values of the package's classes in one file of arrays, and read them back.
 
-Structure is JSON, numbers are NumPy's arrays, both in one `.npz`. No code is stored and
-none is run: a class is named, and must be there when the file is read.
+The structure is JSON and numbers are NumPy arrays, both in one `.npz`. No code is
+stored or run: a class is named, and its module must be loaded when the file is read.
 """
 
 import dataclasses
@@ -27,7 +27,7 @@ def write_packed(path: Path, header: dict[str, Any], value: Any) -> None:
 
     **Arguments:**
 
-    - `header`: JSON of its own, which is read first.
+    - `header`: further JSON, which is checked first when the file is read.
     - `value`: numbers, text, arrays, sequences, dictionaries and dataclasses of these.
 
     **Raises:** `OSError` that names the file; `ValueError` that names the part of
@@ -43,12 +43,13 @@ def write_packed(path: Path, header: dict[str, Any], value: Any) -> None:
 
 
 def read_packed(path: Path, header: dict[str, Any], remedies: dict[str, str]) -> Any:
-    """The value of a file.
+    """Read the value from a file.
 
-    **Arguments:** `header`: what must stand there; `remedies`: what to do if not.
+    **Arguments:** `header`: expected entries; `remedies`: advice for entries that
+    differ.
 
     **Raises:** `ValueError` that names the file: it is missing, broken, of another
-    kind or version, or holds what this program does not know.
+    kind or version, or holds unknown classes.
     """
     data = read_bytes(path)
     with naming(str(path)):
@@ -60,7 +61,7 @@ def read_packed(path: Path, header: dict[str, Any], remedies: dict[str, str]) ->
         except (ValueError, MemoryError):
             raise
         except Exception as error:
-            # What is broken, or made by hand, fails in nearly any way.
+            # Broken or handmade files can raise nearly any exception.
             raise ValueError("is no file that Fit.save has written") from error
 
 
@@ -75,7 +76,7 @@ def _check_header(
 
 
 class _Packer:
-    """Structure as JSON; arrays aside, each once."""
+    """Packs values: structure as JSON, and each array once."""
 
     def __init__(self) -> None:
         self.arrays: dict[str, np.ndarray] = {}
@@ -97,7 +98,7 @@ class _Packer:
         names = _fields(type(value))
         if names is not None:
             if not isinstance(value, tuple):
-                # Some have a default from their class alone.
+                # Other fields are only defaults of the class.
                 names = [name for name in names if name in vars(value)]
             parts = {n: self.pack(getattr(value, n), f"{where}.{n}") for n in names}
             return {"class": _name(type(value)), "fields": parts}
@@ -111,14 +112,14 @@ class _Packer:
         )
 
     def _array(self, value: Any) -> str:
-        # The value itself is kept, so that no other one gets its identity.
+        # Keep the value alive, so that its id is not reused.
         _, name = self._known.setdefault(id(value), (value, f"a{len(self._known)}"))
         self.arrays[name] = np.asarray(value)
         return name
 
 
 class _Unpacker:
-    """Values from their structure."""
+    """Unpacks values from their structure and arrays."""
 
     def __init__(self, arrays: dict[str, np.ndarray]):
         self._arrays = arrays
@@ -165,7 +166,7 @@ class _Unpacker:
 
 
 def _fields(kind: type) -> list[str] | None:
-    """Names of the fields of a dataclass or a named tuple; `None` of other classes."""
+    """Names of the fields of a dataclass or named tuple; `None` for other classes."""
     if dataclasses.is_dataclass(kind):
         return [field.name for field in dataclasses.fields(kind)]
     names = getattr(kind, "_fields", None)
@@ -177,7 +178,7 @@ def _name(kind: type) -> str:
 
 
 def _class(name: str) -> type:
-    """A class by its name, of a module that is loaded: nothing is imported for it."""
+    """A class by its name; its module must be loaded, nothing is imported."""
     module, _, path = name.partition(":")
     found: Any = sys.modules.get(module)
     for part in path.split("."):

@@ -1,4 +1,4 @@
-"""Photographs as cameras write them: light, film and exposure, one at a time."""
+"""Photographs from cameras' files: light, film and exposure, read one at a time."""
 
 import abc
 import dataclasses
@@ -17,9 +17,9 @@ from phongfit.files.images import SUFFIXES, Head, read_film, read_head, read_lig
 from phongfit.files.metadata import Exposure
 from phongfit.rendering.film import Encoding, Film, as_encoding
 
-# Photographs whose exposures a sentence lists.
+# Maximum number of photographs whose exposures a note lists.
 LISTED = 6
-# Shares by which exposures, and white balances, may differ and still be alike.
+# Relative tolerance for equal exposures, white balances and angles of view.
 ALIKE = 1e-3
 
 
@@ -29,14 +29,14 @@ class Photo:
 
     - `path`: its file.
     - `encoding`: of its numbers.
-    - `white`: as of [`read_image`][].
-    - `coded`: its light as the file has it; 1 is white, and what is saturated is 1.
+    - `white`: as in [`read_image`][].
+    - `coded`: light in the file's encoding; white and saturated samples are 1.
     - `usable`: false where the file's alpha is less than 1, and where a saturated
-        channel was mixed into others, when colours became those of sRGB.
-    - `clamped`: whether it ends at white; floating-point images do not.
-    - `exposure`: as the camera says.
-    - `relative_exposure`: how much light the camera let in, next to the first of its
-        series; 1 for one alone.
+        channel was mixed into others in the conversion to sRGB.
+    - `clamped`: true if the format ends at white; false for floating-point images.
+    - `exposure`: as the camera recorded it.
+    - `relative_exposure`: exposure relative to the first photograph of its series; 1
+        for a single one.
     """
 
     path: Path
@@ -50,32 +50,32 @@ class Photo:
 
     @property
     def name(self) -> str:
-        """Of its file."""
+        """Name of the file."""
         return self.path.name
 
     @functools.cached_property
     def image(self) -> Float[np.ndarray, "height width 3"]:
-        """Its light."""
+        """The decoded linear light."""
         return self.coded.light
 
     @property
     def film(self) -> Film:
-        """How light became the file's numbers: see [`read_film`][]."""
+        """The film of the file: see [`read_film`][]."""
         return read_film(self.path, self.encoding, white=self.white)
 
     @property
     def unsaturated(self) -> Bool[np.ndarray, "height width 3"]:
-        """Samples that are known: not cut off at white, nor mixed with what is."""
+        """Mask of samples that are neither cut off at white nor mixed with others."""
         usable = np.broadcast_to(self.usable[..., None], self.image.shape)
         return usable & (self.image < 1) if self.clamped else usable.copy()
 
     @property
     def common_light(self) -> Float[np.ndarray, "height width 3"]:
-        """The image as the exposure of the series' first would have made it.
+        """The image scaled to the exposure of the first photograph of its series.
 
-        White is 1 / `relative_exposure` there: look for `unsaturated` samples. To keep
-        images as they are, multiply the lights of their scenes instead, and the ambient
-        light, by `relative_exposure`.
+        White is then 1 / `relative_exposure`: use `unsaturated` to find valid samples.
+        To keep images as they are, multiply the lights of their scenes instead, and the
+        ambient light, by `relative_exposure`.
         """
         return self.image / np.asarray(self.relative_exposure, self.image.dtype)
 
@@ -85,9 +85,9 @@ def read_photograph(
 ) -> Photo:
     """A photograph with its film, its exposure, and a mask.
 
-    **Arguments:** as of [`read_image`][], which says what becomes of orientation and
-    colour profiles. Pixels that are transparent, if only partly, are left out by the
-    mask.
+    **Arguments:** as in [`read_image`][], which also describes the treatment of
+    orientation and colour profiles. The mask excludes transparent pixels, also partly
+    transparent ones.
 
     **Raises:** `ValueError` that names the file.
     """
@@ -108,16 +108,16 @@ def _read(
 
 @dataclass(frozen=True)
 class PhotoSeries:
-    """Photographs of one size and one camera, read when they are asked for.
+    """Photographs of one size and one camera, each read from its file on access.
 
     - `paths`: their files.
     - `encoding`: of all of them.
     - `size`: (height, width) of each.
-    - `exposures`: as the camera says.
-    - `relative_exposures`: t · ISO / N² of each, next to that of the first. Cameras
-        state rounded numbers, 1/125 s for 1/128: they are right to some 5 %.
-    - `notes`: what was assumed, in sentences.
-    - `white`: as of [`read_image`][], of all of them.
+    - `exposures`: as the camera recorded them.
+    - `relative_exposures`: t · ISO / N² of each, relative to the first. Accurate to
+        some 5 %, since cameras record rounded numbers, 1/125 s for 1/128.
+    - `notes`: assumptions, in sentences.
+    - `white`: as in [`read_image`][], for all of them.
     - `fov`: angle of view from the lower to the upper edge, degrees, if EXIF data of
         all of them state it.
     """
@@ -135,7 +135,7 @@ class PhotoSeries:
         return len(self.paths)
 
     def only(self, numbers: Sequence[int]) -> "PhotoSeries":
-        """Some of them; the notes stay those of all."""
+        """The series of some of the photographs; notes are those of all."""
         some = list(numbers)
         return dataclasses.replace(
             self,
@@ -145,7 +145,7 @@ class PhotoSeries:
         )
 
     def read(self, number: int) -> Photo:
-        """The photograph of a number, from 0 on.
+        """The photograph with this index, from 0.
 
         **Raises:** `ValueError` that names the file.
         """
@@ -163,15 +163,15 @@ def open_photographs(
     *,
     white: int | None = None,
 ) -> PhotoSeries:
-    """Photographs of one camera that stands still, in one encoding.
+    """Photographs of one standing camera, in one encoding.
 
-    Where exposures differ, t · ISO / N² of time t and f-number N tells how much.
+    Relative exposures are t · ISO / N², of exposure time t and f-number N.
 
     **Arguments:**
 
-    - `paths`: the files, in the order they are wanted; of a folder:
+    - `paths`: the files, in the order of the series; for a folder use
         [`list_photographs`][].
-    - `white`: as of [`read_image`][].
+    - `white`: as in [`read_image`][].
 
     **Raises:** `ValueError` that names the files: one cannot be read, they differ in
     size, or in the white balance of RAW files, or some alone state an exposure.
@@ -201,7 +201,7 @@ def open_photographs(
 
 
 def _common_fov(angles: Sequence[float | None]) -> float | None:
-    """The angle of view of one camera that did not zoom; `None` where they differ."""
+    """The common angle of view; `None` if angles differ or one is missing."""
     stated = [angle for angle in angles if angle is not None]
     if len(stated) < len(angles) or max(stated) > (1 + ALIKE) * min(stated):
         return None
@@ -209,11 +209,11 @@ def _common_fov(angles: Sequence[float | None]) -> float | None:
 
 
 class AbstractImages(Sequence[np.ndarray]):
-    """Images that are read when they are asked for, one in memory at a time."""
+    """A sequence of images, each read on access, with one in memory at a time."""
 
     @abc.abstractmethod
     def image(self, number: int) -> np.ndarray:
-        """That of a number, from 0 on."""
+        """The image with this index, from 0."""
 
     @overload
     def __getitem__(self, index: int) -> np.ndarray: ...
@@ -229,10 +229,10 @@ class AbstractImages(Sequence[np.ndarray]):
 def list_photographs(
     folder: str | os.PathLike[str], at_least: int = 2
 ) -> tuple[Path, ...]:
-    """The photographs in a folder, by name; hidden files and masks are none.
+    """The photographs in a folder, sorted by name, without hidden files and masks.
 
-    **Raises:** `ValueError` that names the folder: there is none, or fewer photographs
-    than `at_least` in it.
+    **Raises:** `ValueError` that names the folder: it is missing, or holds fewer than
+    `at_least` photographs.
     """
     folder = Path(folder)
     found = sorted(path for path in images_in(folder) if not is_mask(path))
@@ -245,14 +245,14 @@ def list_photographs(
 
 
 def is_mask(path: Path) -> bool:
-    """Whether an image is a mask by its name, such as mask.png or ball.mask.png."""
+    """True if an image's name is that of a mask, such as mask.png or ball.mask.png."""
     return path.stem.lower().rpartition(".")[2] == "mask"
 
 
 def images_in(folder: Path) -> list[Path]:
-    """The images in a folder that are not hidden, in no order.
+    """The images in a folder that are not hidden, in arbitrary order.
 
-    **Raises:** `ValueError` that names the folder, if there is none.
+    **Raises:** `ValueError` that names the folder, if it is missing.
     """
     if not folder.is_dir():
         raise ValueError(f"{folder}: there is no such folder")
@@ -268,12 +268,12 @@ def images_in(folder: Path) -> list[Path]:
 def relative_exposures(
     names: Sequence[str], exposures: Sequence[Exposure]
 ) -> tuple[Float[np.ndarray, " photographs"], tuple[str, ...]]:
-    """How much light each photograph got, t · ISO / N² next to the first's.
+    """Exposures t · ISO / N² of photographs, relative to the first.
 
-    **Returns:** numbers, 1 for the first, and what was assumed, in sentences.
+    **Returns:** numbers, 1 for the first, and assumptions, in sentences.
 
-    **Raises:** `ValueError` that names two photographs, of which one states what it was
-    exposed by, the other does not, and others differ in that.
+    **Raises:** `ValueError` that names a photograph with and one without a setting
+    (time, f-number or ISO), if photographs differ in that setting.
     """
     relative, notes = np.ones(len(names)), []
     differing = []

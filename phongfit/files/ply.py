@@ -28,7 +28,7 @@ from phongfit.files.polygons import Triangles, triangulate
 from phongfit.textures import Texture, Textures
 
 MEMORY = 30
-"""Memory that reading takes, in files of that size: as measured."""
+"""Memory that reading takes, as a multiple of the file's size (measured)."""
 
 TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2"},
@@ -39,7 +39,7 @@ TYPES = {
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 WHITE = {"u1": 255.0, "u2": 65535.0, "f4": 1.0, "f8": 1.0}
-"""The number that is white, by a property's type."""
+"""The number that is white, by the type of a property."""
 
 UV = ("texture_u", "texture_v"), ("u", "v"), ("s", "t")
 PLACE, NORMAL, COLOUR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
@@ -47,7 +47,7 @@ CORNERS = "vertex_indices", "vertex_index"
 CORNER_UV = "texcoord"
 
 LISTED = 20
-"""Properties that a warning names."""
+"""Maximum number of properties that a warning names."""
 
 
 class _Property(NamedTuple):
@@ -65,7 +65,7 @@ class _Element(NamedTuple):
 
 
 class _Column(NamedTuple):
-    """Values of a property of all elements; of lists with the count of each."""
+    """Values of a property for all elements; for lists, `counts` has their lengths."""
 
     type: str
     values: np.ndarray
@@ -78,7 +78,7 @@ _Table = dict[str, _Column]
 def read_ply(path: Path, note: Note) -> list[MeshPart]:
     """Triangles of a PLY file, as one part.
 
-    **Arguments:** `note`: takes in words what of the file is not used.
+    **Arguments:** `note`: called with a sentence for each unused part of the file.
 
     **Raises:** `ValueError` that names the line of the header, or the element.
     """
@@ -110,7 +110,7 @@ def read_ply(path: Path, note: Note) -> list[MeshPart]:
 
 
 def _split(data: bytes) -> tuple[str, str, bytes]:
-    """The header's lines, the order of bytes (empty for text), and what follows."""
+    """The header's text, the byte order (empty for text), and the body."""
     end = re.search(rb"(?m)^end_header[ \t]*(\r\n|\n|\r|\Z)", data)
     if not data.startswith(b"ply") or end is None:
         raise ValueError("cannot be read: its header has no end")
@@ -142,9 +142,9 @@ def _elements(head: str) -> list[_Element]:
 
 
 class _Body:
-    """The rest of the file after its header, read piece by piece.
+    """Reader of the file's body, after its header.
 
-    **Arguments:** `order`: of bytes; empty for text.
+    **Arguments:** `order`: byte order; empty for text.
     """
 
     def __init__(self, data: bytes, order: str):
@@ -152,7 +152,7 @@ class _Body:
         self._order, self._at = order, 0
         if order == "":
             with warnings.catch_warnings():
-                # NumPy before 2.4 warns of a word that is no number.
+                # NumPy before 2.4 warns of a word that is not a number.
                 warnings.simplefilter("error", DeprecationWarning)
                 try:
                     self._data = np.fromstring(data.decode("latin-1"), sep=" ")
@@ -186,9 +186,9 @@ class _Body:
         ]
 
     def table(self, element: _Element) -> _Table:
-        """All of an element.
+        """Columns of all properties of an element, by name.
 
-        **Raises:** `ValueError` if there is less than the header states.
+        **Raises:** `ValueError` if the file is shorter than the header states.
         """
         names = [one.name for one in element.properties]
         with naming(f"element {element.name}"):
@@ -198,7 +198,7 @@ class _Body:
         return dict(zip(names, columns, strict=True))
 
     def _of_one_size(self, element: _Element) -> list[_Column]:
-        """Columns, if all lists of a property are of one length; empty otherwise."""
+        """Columns, if each property's lists all have one length; otherwise empty."""
         start, length = self._at, element.length
         widths = [len(values) for values in self._take_row(element.properties)]
         row, self._at = self._at - start, start
@@ -241,7 +241,7 @@ class _Body:
 
 
 def _rows(table: _Table, names: tuple[str, ...]) -> np.ndarray | None:
-    """Columns side by side; `None` if one of them is missing."""
+    """Columns stacked along the last axis; `None` if one of them is missing."""
     if any(name not in table or table[name].counts is not None for name in names):
         return None
     return np.stack([table[name].values.astype(float) for name in names], axis=-1)
@@ -320,7 +320,7 @@ def _picture(path: Path, head: str, has_uv: bool, note: Note) -> Textures | None
 def _coloured(
     part: MeshPart, vertex: _Table, face: _Table, cut: Triangles, note: Note
 ) -> MeshPart:
-    """A part with the colours of its vertices, or else those of its faces."""
+    """A part with the colours of its vertices, or else of its faces."""
     if any(name in vertex for name in COLOUR):
         if any(name in face for name in COLOUR):
             note("its faces' colours are not used: its vertices have colours")
@@ -334,7 +334,7 @@ def _coloured(
 
 
 def _colours(table: _Table, note: Note) -> dict[str, np.ndarray]:
-    """Colours of all vertices, or of all faces, as what they multiply."""
+    """Linear colours of all vertices or faces, by the parameters that they multiply."""
     types = {table[name].type for name in COLOUR if name in table}
     if not types:
         return {}

@@ -9,15 +9,16 @@ from jaxtyping import Bool, Float, Int
 from phongfit.files.inputs import Note
 
 SLACK = 1e-9
-"""Of a polygon's area: less than its rounding."""
+"""Tolerance for rounding, relative to a polygon's area."""
 DOUBTFUL = 1e-6
-"""Of a polygon's area: triangles that cover so much more or less are a guess."""
+"""Largest relative error of the triangles' area; beyond it the result is a guess."""
 MOST_CORNERS = 20_000
-"""Of a polygon that is not convex: time grows with their square, to some seconds."""
+"""Maximum number of corners of a polygon that is not convex: the time grows with their
+square, to some seconds."""
 
 
 class Triangles(NamedTuple):
-    """Triangles of polygons: three of all their corners, and the polygon of each."""
+    """Triangles of polygons: indices of three corners, and of the polygon of each."""
 
     corner: Int[np.ndarray, "triangles 3"]
     polygon: Int[np.ndarray, " triangles"]
@@ -29,13 +30,13 @@ def triangulate(
     counts: Int[np.ndarray, " polygons"],
     note: Note,
 ) -> Triangles:
-    """Cut polygons, convex or not, into triangles that look the same way.
+    """Cut polygons, convex or not, into triangles of the same orientation.
 
     **Arguments:**
 
     - `corners`: vertices of all polygons, one polygon after the other.
-    - `counts`: how many corners each polygon has.
-    - `note`: takes in words which polygons are left out, or cross themselves.
+    - `counts`: number of corners of each polygon.
+    - `note`: called with a sentence on polygons that are left out or cross themselves.
 
     **Raises:** `ValueError` for a vertex that does not exist, and for a polygon that
     is not convex and has more than 20 000 corners.
@@ -75,7 +76,7 @@ def triangulate(
 
 
 def _is_fan(rings: Float[np.ndarray, "polygons n 3"]) -> Bool[np.ndarray, " polygons"]:
-    """Whether each of the triangles from the first corner lies within the polygon."""
+    """True for polygons that contain all triangles of the fan from the first corner."""
     to_corner = rings[:, 1:] - rings[:, :1]
     areas = np.cross(to_corner[:, :-1], to_corner[:, 1:])
     whole = areas.sum(axis=1, keepdims=True)
@@ -84,7 +85,7 @@ def _is_fan(rings: Float[np.ndarray, "polygons n 3"]) -> Bool[np.ndarray, " poly
 
 
 def _ears(ring: Float[np.ndarray, "n 3"]) -> tuple[Int[np.ndarray, "t 3"], bool]:
-    """Triangles of one polygon, and whether they cover it exactly."""
+    """Triangles of one polygon, and true if they cover it exactly."""
     axes = _plane(ring)
     flat = ring[:, axes] - ring[0, axes]
     ears = mapbox_earcut.triangulate_float64(flat, np.array([len(flat)], np.uint32))
@@ -98,7 +99,7 @@ def _ears(ring: Float[np.ndarray, "n 3"]) -> tuple[Int[np.ndarray, "t 3"], bool]
 
 
 def _plane(ring: Float[np.ndarray, "n 3"]) -> list[int]:
-    """The two axes in whose plane a polygon is largest, in cyclic order."""
+    """The two axes, in cyclic order, onto which a polygon's projection is largest."""
     to_corner = ring - ring[0]
     normal = np.cross(to_corner[:-1], to_corner[1:]).sum(axis=0)
     across = int(np.argmax(abs(normal)))

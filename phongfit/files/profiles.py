@@ -1,6 +1,7 @@
-"""Colour profiles (ICC): what a file's numbers are, told by the file.
+"""Colour profiles (ICC): the meaning of a file's numbers, as the file states it.
 
-A profile is judged by what it does, not by its name, of which sRGB alone has dozens.
+A profile is classified by its effect on colours, not by its name, since sRGB alone has
+dozens of names.
 
 ??? cite "Source"
     ISO 15076-1 (ICC.1); Little CMS does the arithmetic, relative to the media's white,
@@ -18,8 +19,8 @@ from phongfit.files.formats import Refused
 from phongfit.rendering.film import Encoding, encode
 from phongfit.rendering.response import ResponseCurve
 
-# A profile is sRGB, or linear, where it is off by no more than a level of 8 bits; its
-# channels are mixed where one makes more of another than this.
+# A profile is sRGB, or linear, within one level of 8 bits; it mixes channels if one
+# channel adds more than MIXED to another.
 LEVEL, MIXED = 1 / 255, 0.01
 
 Numbers = UInt[np.ndarray, "height width channels"] | Float[np.ndarray, "h w c"]
@@ -29,10 +30,10 @@ class Profile(NamedTuple):
     """A colour profile that is not sRGB's.
 
     - `profile`: its bytes.
-    - `encoding`: `"linear"` if its numbers are light; else `"srgb"`, which stands for
-        any curve.
-    - `mixes`: whether its primaries are others than those of sRGB.
-    - `grey`: whether it is one of grey pictures.
+    - `encoding`: `"linear"` if its numbers are linear light; else `"srgb"`, for any
+        other curve.
+    - `mixes`: true if its primaries differ from those of sRGB.
+    - `grey`: true for a profile of grey pictures.
     """
 
     profile: bytes
@@ -43,18 +44,18 @@ class Profile(NamedTuple):
     def light(
         self, numbers: Numbers, kind: np.dtype
     ) -> Float[np.ndarray, "height width 3"]:
-        """Linear light with the primaries of sRGB, as floats of a kind; white is 1."""
+        """Linear light with the primaries of sRGB, as dtype `kind`; white is 1."""
         highest = 1 if numbers.dtype.kind == "f" else np.iinfo(numbers.dtype).max
         white = np.full((1, 1, numbers.shape[-1]), highest, numbers.dtype)
         scale = _light(self.profile, white, self.grey)
         light = np.empty((*numbers.shape[:2], 3), kind)
-        # Piece by piece, since numbers are copied on their way.
+        # In pieces, since the conversion copies numbers.
         rows = max(2**20 // max(numbers[:1].size, 1), 1)
         for start in range(0, len(numbers), rows):
             piece = slice(start, start + rows)
             light[piece] = _light(self.profile, numbers[piece], self.grey) / scale
         if numbers.dtype.kind != "f":
-            # Colours that sRGB has not are cut off, as what is too bright is.
+            # Colours outside sRGB are clipped, like those above white.
             np.clip(light, 0, 1, out=light)
             if not self.mixes:
                 light[np.broadcast_to(numbers == highest, light.shape)] = 1
@@ -62,10 +63,10 @@ class Profile(NamedTuple):
 
 
 def find_profile(profile: bytes | None, encoding: Encoding) -> Profile | None:
-    """What has to be converted; `None` for a picture without a profile, or in sRGB.
+    """The profile to convert from; `None` for a picture without profile, or in sRGB.
 
     **Raises:** `Refused` for profiles that are broken, of other colours than RGB and
-    grey, or say otherwise than `encoding` does.
+    grey, or that contradict `encoding`.
     """
     if profile is None:
         return None
@@ -77,7 +78,7 @@ def find_profile(profile: bytes | None, encoding: Encoding) -> Profile | None:
         )
     found = _judged(profile, space == "GRAY")
     if isinstance(encoding, ResponseCurve):
-        # The curve is the camera's, whatever the profile's is; colours are not.
+        # The response curve replaces the profile's curve, but not its primaries.
         if found is not None and found.mixes:
             raise Refused(
                 "expected the colours of sRGB, since its encoding is a response curve, "
@@ -98,7 +99,7 @@ def find_profile(profile: bytes | None, encoding: Encoding) -> Profile | None:
 
 
 def _judged(profile: bytes, grey: bool) -> Profile | None:
-    # Ramps of grey, and of red, green, blue alone.
+    # Ramps of grey, of red, of green and of blue.
     levels = np.arange(256, dtype=np.uint8)
     ramps = np.zeros((4, 256, 3), np.uint8)
     ramps[0] = levels[:, None]
@@ -131,7 +132,7 @@ def _light(
     channels, kind = (1, "gray") if grey else (3, "rgb")
     if numbers.shape[-1] != channels:
         numbers = np.repeat(numbers[..., :1], channels, axis=-1)
-    # Little CMS has no floats of 16 bits.
+    # Little CMS does not support 16-bit floats here.
     half = numbers.dtype == np.float16
     numbers = np.ascontiguousarray(numbers, np.float32 if half else None)
     try:
@@ -167,11 +168,11 @@ def linear_profile(points: Sequence[float]) -> bytes:
 
     **Arguments:** `points`: x and y of red, green, blue and white.
 
-    **Raises:** `Refused` for points that no three colours have.
+    **Raises:** `Refused` for invalid points, such as primaries on one line.
     """
     red, green, blue, white = np.reshape(points, (4, 2)).tolist()
     primaries = (*red, 1.0, *green, 1.0, *blue, 1.0)
-    # Their triangle has an area, and white has light.
+    # Valid primaries span a triangle, and white has y > 0.
     sound = np.isfinite(points).all() and np.abs(points).max() < 10 and white[1] > 1e-3
     if not sound or abs(np.linalg.det([[*p, 1] for p in (red, green, blue)])) < 1e-3:
         raise Refused(
@@ -189,7 +190,7 @@ def adobe_profile() -> bytes:
 
 
 def saturated(numbers: Numbers) -> Bool[np.ndarray, "height width"]:
-    """Pixels of which a channel has the largest number that its format holds."""
+    """Mask of pixels with a channel at the largest number of the format."""
     if numbers.dtype.kind == "f":
         return np.zeros(numbers.shape[:2], bool)
     return (numbers == np.iinfo(numbers.dtype).max).any(axis=-1)

@@ -1,4 +1,4 @@
-"""RAW photographs, as linear light: with rawpy, which `phongfit[raw]` brings.
+"""RAW photographs as linear light, read with rawpy, which `phongfit[raw]` installs.
 
 ??? cite "Source"
     LibRaw's documentation of its processing, https://www.libraw.org/docs
@@ -22,20 +22,20 @@ RAW = (
 )
 """Suffixes of RAW photographs."""
 
-# Bytes a pixel: the sensor's value, four colours while they are interpolated with what
-# that takes, and two pictures.
+# Bytes a pixel: the sensor's value, four colours and scratch space of their
+# interpolation, and two pictures.
 _PIXEL = 48
 
-# LibRaw's white: whatever the sensor's white level, it is rounded to 65535 or less.
+# Smallest number that is white in LibRaw's output, which may round it below 65535.
 _CUT_OFF = 65535 - 8
 
 
 class Raw(NamedTuple):
-    """A RAW photograph.
+    """Pixels of a RAW photograph, with a mask.
 
     - `numbers`: linear light with the primaries of sRGB; 65535 is white.
-    - `usable`: false where a channel of the sensor was saturated, which makes all three
-        wrong.
+    - `usable`: false where a channel of the sensor was saturated, since the conversion
+        of colours then makes all three wrong.
     """
 
     numbers: UInt16[np.ndarray, "height width 3"]
@@ -43,24 +43,24 @@ class Raw(NamedTuple):
 
 
 def read_raw(data: bytes, path: Path, room: Room) -> Raw:
-    """A RAW photograph: linear, upright, in the white balance that the camera states.
+    """Read a RAW photograph: linear, upright, in the camera's white balance.
 
-    Each channel's black level is taken off, and white is the sensor's largest value,
-    whatever the picture shows; nothing is brightened, sharpened or made less noisy.
+    Each channel's black level is subtracted, and white is the sensor's largest value,
+    independent of the picture; nothing is brightened, sharpened or denoised.
 
-    **Raises:** `Refused` where rawpy is missing, or the camera states no white balance;
-    `ValueError` for what is broken.
+    **Raises:** `Refused` if rawpy is missing, or the file states no white balance;
+    `ValueError` for broken files.
     """
     with _opened(data, path) as raw:
         room(raw.sizes.raw_width, raw.sizes.raw_height, _PIXEL)
         if raw.num_colors != 3:
             raise Refused(f"expected a sensor of 3 colours, got {raw.num_colors}")
         _white_balance(raw)
-        # What the sensor saw, which alone tells where it was saturated; then sRGB's
-        # colours, which mix its channels.
+        # Saturation shows only in the sensor's channels, before they are mixed into
+        # the colours of sRGB.
         cut_off = _developed(raw, "raw") >= _CUT_OFF
         numbers = _developed(raw, "sRGB")
-        # But for the rounding of the colours' mixture.
+        # Set exactly, since the conversion of colours rounds.
         numbers[cut_off.all(axis=-1)] = 65535
         return Raw(numbers, ~_near(np.asarray(cut_off.any(axis=-1))))
 
@@ -68,15 +68,15 @@ def read_raw(data: bytes, path: Path, room: Room) -> Raw:
 def read_raw_head(
     data: bytes, path: Path
 ) -> tuple[tuple[int, int], Exposure, tuple[float, float]]:
-    """Width and height, exposure, and what red and blue are multiplied by.
+    """Width and height, exposure, and white balance of a RAW file.
 
-    The latter relative to green, as the camera states it.
+    The white balance has the factors of red and blue relative to green.
 
-    **Raises:** as [`read_raw`][].
+    **Raises:** as [`read_raw`][] does.
     """
     with _opened(data, path) as raw:
         sizes, other = raw.sizes, raw.other
-        # As LibRaw has it, a bit of 4 exchanges rows and columns.
+        # In LibRaw's flip, the bit of value 4 exchanges rows and columns.
         size = (sizes.height, sizes.width) if sizes.flip & 4 else (
             sizes.width, sizes.height
         )  # fmt: skip
@@ -99,7 +99,7 @@ def _opened(data: bytes, path: Path) -> Iterator[Any]:
         with silent_library(), rawpy.imread(io.BytesIO(data)) as raw:
             yield raw
     except rawpy.LibRawError as error:
-        # Its messages are bytes.
+        # rawpy's messages may be bytes.
         words = (arg.decode() if isinstance(arg, bytes) else arg for arg in error.args)
         raise ValueError(" ".join(map(str, words))) from error
 
@@ -119,13 +119,14 @@ def _developed(raw: Any, colours: str) -> UInt16[np.ndarray, "height width 3"]:
 
     white = None
     if raw.raw_type == rawpy.RawType.Stack:
-        # Else LibRaw takes the black level of linear DNGs off their light alone.
+        # Otherwise LibRaw subtracts the black level of linear DNGs from light, but not
+        # from white.
         white = raw.white_level - min(raw.black_level_per_channel[: raw.num_colors])
     return raw.postprocess(
         user_sat=white,
         gamma=(1, 1),
         no_auto_bright=True,
-        # Else white depends on the brightest pixel.
+        # Otherwise white depends on the brightest pixel.
         adjust_maximum_thr=0,
         output_bps=16,
         use_camera_wb=True,
@@ -135,8 +136,8 @@ def _developed(raw: Any, colours: str) -> UInt16[np.ndarray, "height width 3"]:
 
 
 def _near(white: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """These pixels and those nearby, whose missing colours come from them."""
-    # Here, since SciPy takes long to import.
+    """Pixels up to two away from `white`, whose colours are interpolated from it."""
+    # Imported here, since SciPy takes long to import.
     import scipy.ndimage
 
     return scipy.ndimage.binary_dilation(white, np.ones((5, 5)))

@@ -1,4 +1,4 @@
-"""JSON files as records: read strictly, with errors that a person can act on."""
+"""JSON files as records: read strictly, with helpful errors."""
 
 import difflib
 from collections.abc import Mapping
@@ -20,25 +20,25 @@ from phongfit.files.inputs import naming, read_text
 from phongfit.files.strict_json import parse_json, shorten
 
 MOST = 10_000
-"""Lights, images, numbers, … in one list."""
+"""Maximum length of a list, such as of lights or images."""
 
 
 class AbstractRecord(BaseModel):
-    """An object in a JSON file; keys that it does not know are errors."""
+    """An object in a JSON file; unknown keys are errors."""
 
     model_config = ConfigDict(
         extra="forbid",
         allow_inf_nan=False,
         strict=True,
         frozen=True,
-        # A command reads one or two of all these kinds.
+        # Validators are built on demand: a command needs only a few of the classes.
         defer_build=True,
     )
 
     @model_validator(mode="before")
     @classmethod
     def _check_keys(cls, data: Any) -> Any:
-        # Before pydantic's own check, which does not say what the known keys are.
+        # Before pydantic's check, whose message does not list the known keys.
         known = [field.alias or name for name, field in cls.model_fields.items()]
         for key in data if isinstance(data, dict) else ():
             if key not in known:
@@ -49,8 +49,8 @@ class AbstractRecord(BaseModel):
 
 
 def complain(text: str) -> PydanticCustomError:
-    """What a validator raises to say what was expected, in its own words."""
-    # The text is not the template itself, since it may hold braces.
+    """A validator's error with a message of its choice."""
+    # The text is not used as the template, since it may contain braces.
     return PydanticCustomError("phongfit", "{text}", {"text": text})
 
 
@@ -90,31 +90,31 @@ Matrix = Annotated[tuple[Vector, Vector, Vector], BeforeValidator(_as_rows)]
 """Three rows of three numbers."""
 
 Colour = Annotated[tuple[float, float, float], BeforeValidator(_as_colour)]
-"""RGB; one number stands for three equal ones."""
+"""RGB, or one number for three equal ones."""
 
 Leaf = Annotated[tuple[float, ...], BeforeValidator(_as_leaf)]
-"""A leaf of a material: one number for all channels, or RGB."""
+"""A parameter of a material: one number for all channels, or RGB."""
 
 Harmonics = Annotated[list[Colour], Field(min_length=9, max_length=9)]
-"""Nine RGB, of the spherical harmonics up to order 2."""
+"""Nine RGB coefficients of the spherical harmonics up to order 2."""
 
 FileName = Annotated[str, StringConstraints(min_length=1, max_length=255)]
-"""A file in the folder of the file that names it."""
+"""Name of a file in the folder of the JSON file."""
 
 Item = TypeVar("Item")
 
 Many = Annotated[list[Item], Field(fail_fast=True, max_length=MOST)]
-"""As many as files of ours have; of wrong ones the first is told, and no other kept."""
+"""A list of limited length; validation stops at the first error."""
 
 Record = TypeVar("Record", bound=AbstractRecord)
 Model = TypeVar("Model", bound=BaseModel)
 
 
 def read_record(path: Path, kind: type[Record]) -> Record:
-    """The record that a JSON file holds.
+    """The record in a JSON file.
 
-    **Raises:** `ValueError` that names the file and, for the first thing that is wrong,
-    the field, what was expected and what was got.
+    **Raises:** `ValueError` that names the file and, for the first error, the field,
+    what was expected and what was got.
     """
     text = read_text(path)
     with naming(str(path)):
@@ -122,17 +122,17 @@ def read_record(path: Path, kind: type[Record]) -> Record:
 
 
 def parse_record(text: str, kind: type[Record], folder: Path | None = None) -> Record:
-    """The record that a JSON text holds; raises as [`read_record`][] does.
+    """The record in a JSON text; raises as [`read_record`][] does.
 
-    **Arguments:** `folder`: where the files lie that the text names.
+    **Arguments:** `folder`: of files that the text names.
     """
     return validated(parse_json(text), kind, folder)
 
 
 def validated(data: Any, kind: type[Model], folder: Path | None = None) -> Model:
-    """The record that parsed JSON holds.
+    """The record from parsed JSON.
 
-    **Raises:** `ValueError` for the first thing that is wrong, as [`read_record`][].
+    **Raises:** `ValueError` for the first error, as [`read_record`][] does.
     """
     try:
         return kind.model_validate(data, context=folder)
@@ -143,7 +143,7 @@ def validated(data: Any, kind: type[Model], folder: Path | None = None) -> Model
 def read_one_of(
     path: Path, kinds: Mapping[str, type[AbstractRecord]]
 ) -> AbstractRecord:
-    """The record that a JSON file holds, of the kind that its `format` names.
+    """The record in a JSON file, of the kind that its `format` names.
 
     **Raises:** `ValueError` as [`read_record`][] does, and for another `format`.
     """
@@ -157,7 +157,7 @@ def read_one_of(
 
 
 def _explain(error: ErrorDetails, data: Any) -> str:
-    """`lights[1].direction: expected what, got what`."""
+    """Message for an error, such as `lights[1].direction: expected …, got …`."""
     place = _locate(error["loc"], data, absent=error["type"] == "missing")
     came = error["input"]
     message = error["msg"]
@@ -175,10 +175,10 @@ def _explain(error: ErrorDetails, data: Any) -> str:
 
 
 def _locate(location: tuple[int | str, ...], data: Any, absent: bool) -> str:
-    """A place in a JSON file in the usual notation; its end may be `absent` there."""
+    """A place in a JSON file, as `lights[1].name`; its last key may be missing."""
     place = ""
     for step in location[:-1] if absent else location:
-        # Some steps are of the record alone: one number may stand for three.
+        # Skip steps that exist only in the record, as one number may replace three.
         if isinstance(data, list) and isinstance(step, int) and step < len(data):
             place, data = f"{place}[{step}]", data[step]
         elif isinstance(data, dict) and step in data:

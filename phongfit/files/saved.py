@@ -1,4 +1,4 @@
-"""A whole [`Fit`][] in one file, to be looked at and gone on from elsewhere."""
+"""Save a whole [`Fit`][] in one file, to view or continue it elsewhere."""
 
 import dataclasses
 import importlib.metadata
@@ -24,12 +24,12 @@ _REMEDIES = {
 def save_fit(path: str | os.PathLike[str], fit: Fit) -> None:
     """Write a fit with its images, geometry and statistics: see [`load_fit`][].
 
-    For numbers alone, which every program reads, there is [`Fit`][]`.to_dict`.
+    For numbers that other programs read, use [`Fit`][]`.to_dict`.
 
     **Arguments:** `path`: the file; `.npz` by custom.
 
-    **Raises:** `OSError` that names the file; `ValueError` that names what cannot be
-    saved: a function, as the one that an [`ImplicitSurface`][] of one's own has.
+    **Raises:** `OSError` that names the file; `ValueError` that names a part that
+    cannot be saved: a function, such as that of a custom [`ImplicitSurface`][].
     """
     whole = dataclasses.replace(fit, region=fit.region.evaluated())
     made_with = importlib.metadata.version("phongfit")
@@ -38,10 +38,10 @@ def save_fit(path: str | os.PathLike[str], fit: Fit) -> None:
 
 @checked
 def load_fit(path: str | os.PathLike[str]) -> Fit:
-    """The fit that [`save_fit`][] wrote: it prints, draws and predicts as it did then.
+    """Read a fit that [`save_fit`][] wrote; it prints, draws and predicts as before.
 
-    Classes of one's own, such as a light, must have been imported. The file holds no
-    code.
+    Modules of custom classes, such as a light, must have been imported. The file holds
+    no code.
 
     **Raises:** `ValueError` that names the file, what was expected and what was got:
     another version of the format, or the other floating-point precision.
@@ -53,6 +53,6 @@ def load_fit(path: str | os.PathLike[str]) -> Fit:
 
 
 def header() -> dict[str, object]:
-    """What stands at the head of a fit that this program writes."""
+    """Header of a saved fit in this version and precision."""
     precision = str(jnp.result_type(float))
     return {"format": FORMAT, "version": VERSION, "precision": precision}

@@ -1,4 +1,4 @@
-"""Scene files: `scene.json`, with the images of a data set or without."""
+"""Scene files: `scene.json`, with or without the images of a data set."""
 
 import dataclasses
 import os
@@ -37,7 +37,7 @@ SCENE_FILE = "scene.json"
 TRUTH_FILE = "truth.json"
 
 PIXEL, LIGHT = 16, 48
-"""Bytes that a render takes for each pixel of a scene: in all, and for each light."""
+"""Bytes that a render takes for each pixel, and in addition for each light."""
 
 
 @checked
@@ -52,9 +52,11 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
 
 
 def load_views(path: str | os.PathLike[str]) -> tuple[tuple[Scene, ...], Film]:
-    """A scene for each image that a scene file lists, unread; one if it lists none.
+    """A scene for each image that a scene file lists; a single one if it lists none.
 
-    **Returns:** the scenes, and how light would become the images' numbers.
+    Image files are not read.
+
+    **Returns:** the scenes, and the film of the images.
 
     **Raises:** `ValueError` as [`load_scene`][] does.
     """
@@ -75,19 +77,19 @@ def save_scene(
     cameras: Sequence[AbstractCamera] = (),
     white: int | None = None,
 ) -> None:
-    """Write a scene so that [`load_scene`][] gives it back.
+    """Write a scene to a file that [`load_scene`][] reads.
 
     **Arguments:**
 
     - `path`: a file name, or a folder that gets a `scene.json`. The arrays of a normal
         map or a mesh go into files beside it.
-    - `scene`: with all lights that are on in one of `images`.
-    - `film`: how light became the numbers of `images`; needed with them.
-    - `images`: for a data set, what was photographed.
-    - `cameras`: one for each image, where it is not the scene's.
+    - `scene`: with all lights that are on in any of `images`.
+    - `film`: clamp, encoding and rounding of `images`; needed with them.
+    - `images`: records of the photographs of a data set.
+    - `cameras`: one for each image, if they differ from the scene's.
     - `white`: the number that is white in the images' files: see [`read_image`][].
 
-    **Raises:** `ValueError` for a part that scene files do not know, `OSError` if a
+    **Raises:** `ValueError` for a part that scene files cannot hold, `OSError` if a
     file cannot be written.
     """
     path = _scene_file(path)
@@ -127,11 +129,11 @@ def save_truth(
     noise: float | None = None,
     seed: int | None = None,
 ) -> None:
-    """Write what the images of a data set were made of.
+    """Write the true material of the images of a data set.
 
     **Arguments:**
 
-    - `material`: leaves of shape () or (3,).
+    - `material`: with parameters of shape () or (3,).
     - `noise`: standard deviation in linear light, where white is 1.
     - `seed`: of the noise.
     """
@@ -178,7 +180,7 @@ def _views(path: Path, record: SceneRecord, scene: Scene) -> list[Scene]:
 
 
 def view_of(scene: Scene, entry: ImageRecord) -> Scene:
-    """The scene of one image: with its lights, and its own camera if it has one.
+    """The scene of one image, with the image's lights, and its camera if it has one.
 
     **Raises:** `ValueError` that begins with the field of the image.
     """
@@ -213,7 +215,7 @@ def build_scene(path: Path, record: SceneRecord) -> Scene:
 
 
 def check_size(scene: Scene) -> None:
-    """Is there room for a scene's image, and is its normal map as large?
+    """Check that a scene's image fits in memory, and that its normal map is as large.
 
     **Raises:** `ValueError` that names the field.
     """
@@ -256,10 +258,10 @@ def _read_entry(
 
 
 def with_lights(scene: Scene, on: Sequence[int] | None) -> Scene:
-    """The scene with some of its lights, in this order; `None` leaves all on.
+    """The scene with some of its lights, in this order; `None` keeps all.
 
-    **Raises:** `ValueError` for numbers that its lights do not have, and for more at
-    once than there is room for.
+    **Raises:** `ValueError` for repeated or unknown numbers of lights, and for more
+    lights than fit in memory.
     """
     count = len(scene.lights)
     if on is not None and (len(set(on)) != len(on) or not set(on) <= set(range(count))):

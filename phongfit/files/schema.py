@@ -1,6 +1,6 @@
-"""What may stand in our JSON files: kinds of objects, and whole files.
+"""Schema of phongfit's JSON files: kinds of objects, and whole files.
 
-To add a light, a surface, a camera, …, write a line where the others are registered.
+To add a light, a surface, a camera, …, add a line where the others are registered.
 """
 
 import inspect
@@ -64,7 +64,7 @@ TRUTH_FORMAT = "phongfit truth"
 
 
 class CameraArguments(Arguments):
-    """A camera's, which may be turned by what it looks at instead of a rotation."""
+    """Arguments of a camera, with `target` and `up` as alternatives to `rotation`."""
 
     target: Vector | None = None
     up: Vector | None = None
@@ -89,13 +89,13 @@ class MeshFile(AbstractPart):
     two_sided: bool = False
 
     def build(self) -> AbstractSurface:
-        # Here, since SciPy takes long to import.
+        # Imported here, since SciPy takes long to import.
         from phongfit.files.meshes import load_mesh
 
         return load_mesh(self.file, two_sided=self.two_sided).mesh
 
 
-# In each of them a kind has a name of its own.
+# Names of kinds are unique within each family.
 FAMILIES = (
     AbstractSurface,
     AbstractCamera,
@@ -109,7 +109,7 @@ FAMILIES = (
 
 @checked
 def register(made: type, kind: str, /, **keys: str) -> None:
-    """Let scene files know a class: [`load_scene`][] and [`save_scene`][] take it then.
+    """Register a class for scene files, for [`load_scene`][] and [`save_scene`][].
 
     ```python
     phongfit.register(Candle, "candle")
@@ -118,15 +118,15 @@ def register(made: type, kind: str, /, **keys: str) -> None:
     Fields and defaults are those of its constructor, shapes those of its annotations:
     `Float[Array, ""]` is a number, `"3"` three, `"rgb=3"` a colour (three, or one for
     all), `"3 3"` three rows, `"9 3"` nine colours. An array of another shape goes into
-    a file beside the scene's. The class keeps each argument in a field of the same
-    name, as something that its constructor would take again.
+    a file beside the scene's. The class must keep each argument in a field of the same
+    name, as a value that its constructor accepts.
 
     **Arguments:**
 
     - `made`: a light, surface, camera, distortion, texture, specular model or shading
         method. It may be registered again, as happens in a notebook.
-    - `kind`: what files call it.
-    - `keys`: what files call an argument, where that is not its name.
+    - `kind`: its name in files.
+    - `keys`: keys of arguments in files, where they differ from the arguments' names.
 
     **Raises:** `ValueError` for a kind that is taken, and for a class that files
     cannot hold.
@@ -154,7 +154,7 @@ def _full_name(made: type) -> tuple[str, str]:
 
 
 RECORDS[AbstractSurface] = MeshFile
-# Scene files are older than textures of vertices.
+# Default for older scene files, written before textures had a kind.
 UNSAID[AbstractTexture] = "image"
 register(Texture, "image")
 register(VertexColours, "vertices")
@@ -197,7 +197,7 @@ class ImageRecord(AbstractRecord):
 
 @arguments_of(Scene, {"specular_model": "specular"})
 class SceneRecord(Arguments):
-    """`scene.json`: a scene and, for a data set, the images that were taken of it."""
+    """`scene.json`: a scene and, for a data set, its images."""
 
     format: Literal["phongfit scene"]
     version: Literal[1]
@@ -208,16 +208,16 @@ class SceneRecord(Arguments):
     images: Many[ImageRecord] = []
 
     def film(self) -> Film:
-        """How light became the images' numbers."""
+        """Clamp, encoding and rounding of the images."""
         if not self.clamped:
             return Film(clamp=False)
         return Film(encoding=self.encoding or "linear", bits=self.bits)
 
 
-# Whoever leaves out a reflectance in a file has forgotten it.
+# Reflectances are required in files, since a missing one is most likely a mistake.
 @arguments_of(Material, required=("diffuse", "specular", "shininess", "ambient"))
 class MaterialRecord(Arguments):
-    """Leaves of one number for all channels, or RGB."""
+    """A material: each parameter is one number for all channels, or RGB."""
 
     def given(self) -> dict[str, Any]:
         leaves = Arguments.given(self)
@@ -228,9 +228,9 @@ class MaterialRecord(Arguments):
 
 
 def describe_material(material: Material) -> dict[str, Any]:
-    """A material as its record reads it: every leaf one number, or RGB.
+    """The content of a material's record: each parameter one number, or RGB.
 
-    **Raises:** `ValueError` for a leaf of another shape.
+    **Raises:** `ValueError` for a parameter of another shape.
     """
     described = describe(material)
     for name in described:
@@ -241,7 +241,7 @@ def describe_material(material: Material) -> dict[str, Any]:
 
 
 class TruthRecord(AbstractRecord):
-    """`truth.json`: what the images of a data set were made of."""
+    """`truth.json`: the true material and the noise of a data set's images."""
 
     format: Literal["phongfit truth"]
     version: Literal[1]

@@ -1,6 +1,6 @@
-"""What a camera sees: a ball by its circle in the image, a surface by its normals.
+"""The surface before a camera: a ball from its circle, or a surface from its normals.
 
-Or a plane, where the normals are what is sought.
+If normals are to be fitted, the surface is a plane.
 """
 
 import os
@@ -23,10 +23,11 @@ from phongfit.geometry.planes import plane_before
 from phongfit.geometry.surfaces import AbstractSurface, NormalMap, Sphere
 
 SOUGHT = "fit"
-"""In place of a file of normals: they are sought."""
+"""Value in place of a file of normals, if normals are to be fitted."""
 
 OFF = 0.03
-"""How far positions may lie from their pixels' rays, of the surface's size."""
+"""Largest mean distance of positions from their pixels' rays, relative to the
+surface's size."""
 
 
 def seen_in(
@@ -39,15 +40,15 @@ def seen_in(
 ) -> tuple[AbstractCamera, AbstractSurface]:
     """The camera of photographs, and the surface before it, in the camera's axes.
 
-    Without a calibration a ball's radius is the unit of length. Then the camera has
-    parallel rays and a ball's centre lies in the plane z = 0, or else the camera is a
-    pinhole at the origin, with `fov` degrees from the lower to the upper edge, and
-    normals without positions lie on a plane.
+    Without a calibration a ball's radius is the unit of length. The camera then has
+    parallel rays, and a ball's centre lies in the plane z = 0; or, with `fov`, the
+    camera is a pinhole at the origin, with `fov` degrees from the lower to the upper
+    edge, and normals without positions lie on a plane.
 
-    Where normals are sought, the surface is a plane square to the camera's axis:
-    through the calibration's reference point, or where the camera looks from 1 away.
+    If normals are to be fitted, the surface is a plane perpendicular to the camera's
+    axis: through the calibration's reference point, or at distance 1.
 
-    **Arguments:** one of `sphere` and `normals`, as of [`open_captured`][].
+    **Arguments:** one of `sphere` and `normals`, as in [`open_captured`][].
 
     **Raises:** `ValueError` that names the file or the argument.
     """
@@ -65,11 +66,12 @@ def seen_in(
                 f"have pixels, got {surface.mask.shape[1]} × {surface.mask.shape[0]}"
             )
         if surface.positions is None and calibration is None and camera is not None:
-            # From further away than the object is deep: each is seen on a plane.
+            # A plane is accurate if the camera is much further away than the object's
+            # depth.
             places = plane_before(camera).positions
             return camera, NormalMap(surface.normals, surface.mask, places)
         if surface.positions is None or camera is None:
-            # Of a long lens: without positions no other is known.
+            # Assume a long lens: other cameras need positions.
             return OrthographicCamera(width, height), surface
         _check_positions(str(normals), surface, camera)
         return camera, surface
@@ -79,14 +81,14 @@ def seen_in(
         return calibration.camera, _ball(calibration, circle)
     if camera is None:
         camera = OrthographicCamera(width, height, view_height=height / circle[2])
-    # Plus 0, since −0 in a scene file would puzzle whoever reads it.
+    # Adding 0 turns −0 into 0, which reads better in a scene file.
     return camera, Sphere(sphere_behind(circle, view, 1.0) + 0.0, 1.0)
 
 
 def camera_of(
     height: int, width: int, calibration: Calibration | None, fov: float | None
 ) -> AbstractCamera | None:
-    """The camera of photographs of a size, where anything tells it.
+    """The camera of photographs, from a calibration or `fov`; else `None`.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -113,21 +115,21 @@ def camera_of(
 
 
 def _check_positions(name: str, surface: NormalMap, camera: AbstractCamera) -> None:
-    """That the camera sees each position in its own pixel.
+    """Check that the camera sees positions in their pixels.
 
-    **Raises:** `ValueError` that names the file, and how far they are off.
+    **Raises:** `ValueError` that names the file, and a shift that would help, if any.
     """
     there = np.flatnonzero(np.asarray(surface.mask))
     if not len(there):
         return
-    # Some are enough.
+    # About a thousand positions are enough.
     some = there[:: max(len(there) // 1000, 1)]
     rays = camera.rays()
     origin, direction, places = (
         np.asarray(part, float).reshape(-1, 3)[some]
         for part in (rays.origin, rays.direction, surface.positions)
     )
-    # What lies across the rays; the same of all, moved so that it is least.
+    # Offsets across the rays, and offsets after the common shift that minimises them.
     beside = np.eye(3) - direction[:, :, None] * direction[:, None, :]
     across = np.einsum("kij,kj->ki", beside, places - origin)
     shift = np.linalg.lstsq(beside.sum(axis=0), -across.sum(axis=0), rcond=None)[0]
@@ -146,7 +148,7 @@ def _check_positions(name: str, surface: NormalMap, camera: AbstractCamera) -> N
 
 
 def _ball(calibration: Calibration, circle: Float[np.ndarray, "3"]) -> Sphere:
-    """The ball behind a circle, as deep as the calibration's spheres."""
+    """The ball behind a circle, at the depth of the calibration's reference point."""
     view: View = calibration.view
     if view.focal is None:
         assert calibration.view_height is not None
@@ -158,7 +160,7 @@ def _ball(calibration: Calibration, circle: Float[np.ndarray, "3"]) -> Sphere:
 
 
 def read_normals(path: Path) -> NormalMap:
-    """A surface by its normals, and its positions and mask where the file has them.
+    """A surface from a file of normals, with its positions and mask if it has them.
 
     **Raises:** `ValueError` that names the file.
     """

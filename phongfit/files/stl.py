@@ -1,4 +1,4 @@
-"""STL files: triangles alone, in text or binary.
+"""STL files: triangles without materials, in text or binary.
 
 ??? cite "Source"
     3D Systems, *StereoLithography interface specification*, 1988.
@@ -16,7 +16,7 @@ from phongfit.files.mesh_parts import UNNAMED, MeshPart
 from phongfit.files.mtl_textures import Shaded
 
 MEMORY = 16
-"""Memory that reading takes, in files of that size: as measured."""
+"""Memory that reading takes, as a multiple of the file's size (measured)."""
 
 HEAD = 84
 ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
@@ -24,11 +24,11 @@ VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 
 
 def read_stl(path: Path, note: Note) -> list[MeshPart]:
-    """Triangles of an STL file, as one part in which corners at one place are one.
+    """Triangles of an STL file, as one part whose equal corners will be merged.
 
-    **Arguments:** `note`: takes in words what of the file is not used.
+    **Arguments:** `note`: called with a sentence for each unused part of the file.
 
-    **Raises:** `ValueError` if it is broken or truncated.
+    **Raises:** `ValueError` if the file is broken or truncated.
     """
     data = read_bytes(path)
     afford(MEMORY * len(data), "triangles")

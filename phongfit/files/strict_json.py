@@ -1,4 +1,4 @@
-"""JSON from outside: parsed in linear time, without what no file of ours holds."""
+"""Untrusted JSON, parsed in linear time and within limits."""
 
 import json
 import math
@@ -7,20 +7,20 @@ from typing import Any
 from phongfit.files.budget import afford
 
 MAX_DEPTH = 100
-"""Objects and arrays in one another; ours have some ten."""
+"""Maximum nesting of objects and arrays; phongfit's files have about ten levels."""
 
 MAX_DIGITS = 400
-"""Of a whole number: more than any that floating point knows."""
+"""Maximum number of digits of a whole number: more than any finite float has."""
 
 MAX_KEYS = 100_000
-"""In one object."""
+"""Maximum number of keys in one object."""
 
 
 def parse_json(text: str | bytes) -> Any:
-    """What a JSON text holds.
+    """Parse a JSON text.
 
-    **Raises:** `ValueError` that says what is wrong: no JSON, NaN or infinity by name,
-    whole numbers too large for floating point, a key twice, nesting too deep.
+    **Raises:** `ValueError` that describes the error: invalid JSON, NaN or infinity,
+    whole numbers too large for floating point, a repeated key, too deep nesting.
     """
     afford(_memory(text), "JSON")
     try:
@@ -39,9 +39,9 @@ def parse_json(text: str | bytes) -> Any:
 
 
 def _memory(text: str | bytes) -> int:
-    """Bytes that a text takes when it is parsed, and checked: a generous estimate.
+    """Generous estimate of the bytes that a text takes when it is parsed and checked.
 
-    An object takes a thousand times what `{}` does in the text.
+    A parsed object takes up to 1000 bytes.
     """
     count = text.count if isinstance(text, str) else lambda c: text.count(c.encode())
     return 2 * len(text) + 1000 * count("{") + 100 * (count("[") + count(","))
@@ -92,7 +92,7 @@ def _check_depth(data: Any) -> None:
 
 
 def shorten(value: Any) -> str:
-    """`value` as JSON, cut to what fits into one line of a message."""
+    """`value` as JSON, cut to 60 characters for a message."""
     return _cut(json.dumps(value, ensure_ascii=False, default=repr))
 
 

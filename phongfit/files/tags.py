@@ -1,4 +1,4 @@
-"""Tags of TIFF, which EXIF and many RAW files are written in as well.
+"""Tags of TIFF, the format that also holds EXIF data and many RAW files.
 
 ??? cite "Source"
     *TIFF, revision 6.0*, Adobe, 1992, section 2; BigTIFF, Aware Systems, 2008;
@@ -9,22 +9,23 @@ import struct
 from collections.abc import Iterator
 from typing import NamedTuple
 
-# Types of whole numbers and of ratios, as struct spells them.
+# Types of whole numbers and of ratios, as codes of struct.
 _WHOLE = {1: "B", 3: "H", 4: "I", 6: "b", 8: "h", 9: "i", 16: "Q", 17: "q"}
 _RATIOS = {5: "II", 10: "ii"}
 _BYTES = (1, 2, 7)
 
 MOST = 64
-"""Pictures of a file that are looked at: a hostile one may refer to itself."""
+"""Maximum number of pictures read from a file: a hostile one may refer to itself."""
 
 
 class Directory(NamedTuple):
-    """A list of tags. Values are looked up when they are asked for.
+    """A directory of tags, whose values are read on access.
 
     - `data`: the whole file.
-    - `order`, `offset`: how struct spells its byte order and its offsets.
-    - `entries`: of each tag its type, how many values it has, and where these stand.
-    - `following`: where the next picture's list stands; 0 after the last.
+    - `order`, `offset`: codes of struct for its byte order and its offsets.
+    - `entries`: for each tag its type, its number of values, and the position of its
+        values or of a pointer to them.
+    - `following`: position of the next picture's directory; 0 after the last.
     """
 
     data: bytes
@@ -34,16 +35,16 @@ class Directory(NamedTuple):
     following: int = 0
 
     def whole(self, tag: int, default: int = 0) -> int:
-        """A whole number; of several the largest."""
+        """The largest of a tag's whole numbers, or `default` if it has none."""
         kind, count, _ = self.entries.get(tag, (0, 0, 0))
         if kind not in _WHOLE or count == 0:
             return default
-        # As many as a pixel may have channels: others are of no interest here.
+        # At most four values, one for each channel, are needed.
         several = f"{self.order}{min(count, 4)}{_WHOLE[kind]}"
         return max(struct.unpack_from(several, self.data, self._place(tag)))
 
     def ratio(self, tag: int) -> float | None:
-        """A ratio of whole numbers, such as 1/60; `None` where it states none."""
+        """A tag's ratio of whole numbers, such as 1/60; `None` if it has none."""
         kind, count, _ = self.entries.get(tag, (0, 0, 0))
         if kind not in _RATIOS or count == 0:
             return None
@@ -52,7 +53,7 @@ class Directory(NamedTuple):
         return above / below if below else None
 
     def content(self, tag: int) -> bytes | None:
-        """Bytes as they stand in the file; `None` where there are none."""
+        """A tag's bytes, as in the file; `None` if it has none."""
         kind, count, _ = self.entries.get(tag, (0, 0, 0))
         if kind not in _BYTES or count == 0:
             return None
@@ -67,7 +68,7 @@ class Directory(NamedTuple):
         return _directory(self.data, self.order, self.offset, start) if start else None
 
     def others(self) -> "Iterator[Directory]":
-        """The directories of the next pictures in the file, 64 of them at most."""
+        """The directories of the next pictures in the file, at most 64."""
         directory = self
         for _ in range(MOST):
             if not directory.following:
@@ -77,7 +78,7 @@ class Directory(NamedTuple):
             yield directory
 
     def _place(self, tag: int) -> int:
-        """Where values stand: in the entry, where they fit."""
+        """Position of a tag's values: in the entry if they fit, else elsewhere."""
         kind, count, where = self.entries[tag]
         each = struct.calcsize(self.order + (_WHOLE | _RATIOS).get(kind, "B"))
         pointer = self.order + self.offset
@@ -89,7 +90,7 @@ class Directory(NamedTuple):
 def first_directory(data: bytes) -> Directory:
     """The tags of a file's first picture.
 
-    **Raises:** `ValueError` or `struct.error` for what is no TIFF.
+    **Raises:** `ValueError` or `struct.error` if the data is not a TIFF.
     """
     if data[:4] not in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
         raise ValueError("it does not start as a TIFF does")
@@ -110,7 +111,7 @@ def _directory(data: bytes, order: str, offset: str, start: int) -> Directory:
     for at in range(start, min(start + count * size, len(data)), size):
         tag, kind, length = struct.unpack_from(head, data, at)
         if tag in entries:
-            # Readers differ in which of them they believe.
+            # An error, since readers differ in the one that they use.
             raise ValueError(f"it has tag {tag} twice")
         entries[tag] = kind, length, at + struct.calcsize(head)
     end, following = start + count * size, 0

@@ -1,11 +1,11 @@
-"""A folder of fitted textures: numbers for programs, and a mesh for everything else.
+"""A folder of fitted textures: arrays for programs, and a mesh for viewers.
 
-`textures.npz` has of each texture NAME, (layers, rows, columns, 3), of exponents 1 for
-3, its standard errors `stderr_NAME`, infinite where no photograph identifies a texel,
-and `seen`: how many pixels see each, (layers, rows, columns). Of vertices, V stands for
-rows and columns, in the order in which the scene's mesh has them. `textures.json` has
-what was asked and all other numbers. `mesh.glb` is the mesh with its material and
-textures.
+`textures.npz` has each texture NAME, (layers, rows, columns, 3), or with 1 channel for
+exponents; its standard errors `stderr_NAME`, infinite where no photograph identifies a
+texel; and `seen`, the number of pixels that see each texel, (layers, rows, columns).
+For vertices, one axis of length V replaces rows and columns, in the order of the
+scene's mesh. `textures.json` has the settings and all other numbers. `mesh.glb` is the
+mesh with its material and textures.
 """
 
 import dataclasses
@@ -41,12 +41,12 @@ def save_texture_fit(
     data: DataRecord,
     settings: dict[str, Any],
 ) -> None:
-    """Write fitted textures into a folder that is there: see above.
+    """Write fitted textures into an existing folder, in the files listed above.
 
-    Texels that are not identified are filled in `mesh.glb` alone: see
+    Texels that are not identified are filled only in `mesh.glb`: see
     [`TextureFit`][]`.filled`.
 
-    **Arguments:** `scene`: of one of the photographs; `settings`: what was asked.
+    **Arguments:** `scene`: of one of the photographs; `settings`: of the fit.
 
     **Raises:** `OSError` that names the file.
     """
@@ -55,15 +55,15 @@ def save_texture_fit(
         arrays |= {name: found.values[name], f"stderr_{name}": found.stderr[name]}
     with replacing(folder / ARRAYS_FILE) as temporary:
         np.savez_compressed(temporary, allow_pickle=False, **arrays)
-    # Of what glTF does not hold, such as ambient textures, a warning speaks.
+    # Parts that glTF cannot hold, such as ambient textures, give a warning.
     save_mesh(folder / MESH_FILE, *_as_blinn(found, scene), nearest=True)
     write_json(folder / RECORD_FILE, _record(found, scene, data, settings))
 
 
 def _as_blinn(found: TextureFit, scene: Scene) -> tuple[Mesh, Material]:
-    """The mesh and its material of the un-normalised Blinn-Phong model.
+    """The mesh and its material, converted to the un-normalised Blinn-Phong model.
 
-    What ρ_s is multiplied by depends on f, and so is each texel's own where f is.
+    The factor of ρ_s depends on f, so it differs between texels if f does.
     """
     surface, model = found.scene(scene).surface, scene.specular_model
     assert isinstance(surface, Mesh) and surface.textures is not None

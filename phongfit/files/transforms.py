@@ -1,4 +1,4 @@
-"""NeRF's `transforms.json`, as instant-ngp and nerfstudio extend it: cameras.
+"""Cameras from NeRF's `transforms.json`, with extensions of instant-ngp and nerfstudio.
 
 ??? cite "Source"
     Mildenhall et al., *NeRF*, ECCV 2020, the synthetic scenes; instant-ngp's
@@ -30,14 +30,14 @@ from phongfit.geometry.distortion import (
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "OPENCV_FISHEYE")
 FEW = 8
 DEEPEST = 64
-"""Folders of a file's name that are looked for."""
+"""Maximum number of folders in a file's name that are looked for."""
 
 Positive = Annotated[float, Field(gt=0)]
 Angle = Annotated[float, Field(gt=0, lt=math.pi)]
 
 
 class _Intrinsics(BaseModel):
-    """What may stand once for all frames, or in each."""
+    """Camera parameters, given once for all frames or in each frame."""
 
     model_config = ConfigDict(
         extra="allow", strict=True, frozen=True, allow_inf_nan=False, defer_build=True
@@ -75,8 +75,8 @@ class _Transforms(_Intrinsics):
 def load_transforms(path: Path) -> dict[str, PinholeCamera]:
     """The camera of every frame, by its `file_path`, in the file's order.
 
-    Its size, where the file does not say it, is that of the image beside it. Keys
-    that are not used are named in a warning.
+    If the file lacks the size of a frame, it is read from the frame's image. Unused
+    keys are named in a warning.
 
     **Raises:** `ValueError` that names the file and the key.
     """
@@ -117,7 +117,7 @@ def _camera(folder: Path, name: str, frame: _Frame) -> PinholeCamera:
         width,
         height,
         **_focal(frame, width, height),
-        # As in COLMAP, from which they come: from the corner of the first pixel.
+        # Measured from the corner of the first pixel, as in COLMAP, their source.
         cx=frame.cx,
         cy=frame.cy,
         distortion=_distortion(frame),
@@ -146,13 +146,12 @@ def _size(folder: Path, name: str, frame: _Frame) -> tuple[int, int]:
 
 
 def image_of(folder: Path, name: str) -> Path:
-    """The file of a frame, in the folder or below it.
+    """The image file of a frame, in the folder or below it.
 
-    Its name may lack the suffix .png, as the first NeRF's do. It may be one of another
-    machine, with folders that are not here: then the longest end of it counts that is
-    the name of a file here.
+    Its name may lack the suffix .png, as in the original NeRF data. If it has folders
+    of another machine, the longest end of the name that exists here is used.
 
-    **Raises:** `ValueError` for one outside the folder.
+    **Raises:** `ValueError` for a file outside the folder.
     """
     known = Path(name).suffix.lower() in SUFFIXES
     name = name if known else f"{name}.png"

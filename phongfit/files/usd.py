@@ -1,16 +1,16 @@
-r"""USD: meshes with UsdPreviewSurface, by Pixar's own library (`phongfit[usd]`).
+r"""USD: meshes with UsdPreviewSurface, written by Pixar's library (`phongfit[usd]`).
 
-Written is what a glTF file would hold ([`phongfit.files.gltf`][] has the formulas), in
-the specular workflow, where a surface has its $F_0$ as a colour: $8 \rho_s / (f + 2)$.
-The lobe is GGX's of the same roughness. Pictures are PNG files beside the
-file, and inside a `.usdz`; their v runs up. Colours of vertices are shown as $\rho_d$;
-what else vertices have are primvars of the names that our glTF files have, which others
-do not show. The exact material stands in the custom data of its prim, as JSON text.
+Contents are those of a glTF file ([`phongfit.files.gltf`][] has the formulas), in the
+specular workflow, where a surface has $F_0$ as a colour: $8 \rho_s / (f + 2)$. The lobe
+is GGX's of the same roughness. Textures are PNG files beside the file, or inside a
+`.usdz`; v points up. Colours of vertices are shown as $\rho_d$. Other parameters at
+vertices are primvars with the names of phongfit's glTF attributes, which other programs
+do not show. The exact material is in the custom data of its prim, as JSON text.
 
 ??? cite "Source"
     Pixar, *UsdPreviewSurface Specification*, version 2.6, 2024.
 """
-# Pixar's modules do not say what is in them.
+# Pixar's modules have no type information.
 # pyright: reportAttributeAccessIssue=false
 
 import importlib.util
@@ -30,7 +30,7 @@ from phongfit.files.outputs import replacing, replacing_files
 from phongfit.plain import plain
 
 COLOUR = "COLOR_0"
-"""Colours of vertices that multiply ρ_d: a glTF attribute's name."""
+"""Name of the glTF attribute for colours of vertices, which multiply ρ_d."""
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
@@ -41,18 +41,19 @@ def write_usd(
     *,
     nearest: bool = False,
 ) -> None:
-    """Write triangles and their materials.
+    """Write triangles and their materials as USD.
 
     **Arguments:**
 
-    - `path`: `.usda` is text, `.usd` and `.usdc` binary, `.usdz` one file with its
-        pictures in it.
-    - `parts`: with materials of [`pbr_material`][], of which pictures are textures.
-    - `nearest`: textures that are looked up by the nearest texel, of which USD knows
-        nothing, are written with a warning.
+    - `path`: `.usda` is text, `.usd` and `.usdc` binary, `.usdz` one file that includes
+        its textures.
+    - `parts`: triangles, each with a material of [`pbr_material`][], in which a
+        [`Picture`][] replaces each texture.
+    - `nearest`: write textures with the filter "nearest", which USD lacks, with a
+        warning instead of an error.
 
-    **Raises:** `ValueError` for another suffix, for what USD does not hold, or that
-    says what is to be installed; `OSError` that names the file.
+    **Raises:** `ValueError` for another suffix, for a texture that USD cannot hold, or
+    if USD is not installed; `OSError` that names the file.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -72,7 +73,7 @@ def write_usd(
     with replacing(path) as temporary, tempfile.TemporaryDirectory() as folder:
         layer = Path(folder) / f"{path.stem}.usdc"
         _write(layer, parts, nearest)
-        # Its own messages would name a folder that nobody knows.
+        # USD's messages would name the temporary folder.
         if not UsdUtils.CreateNewUsdzPackage(str(layer), str(temporary)):
             raise OSError(f"{path}: USD could not make a package of it")
 
@@ -80,12 +81,12 @@ def write_usd(
 def _write(
     path: Path, parts: Sequence[tuple[Part, dict[str, Any]]], nearest: bool
 ) -> None:
-    """One layer, and its pictures beside it."""
+    """Write one layer, and its textures beside it."""
     from pxr import Sdf, Usd, UsdGeom
 
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
-    # As glTF has it.
+    # The unit of glTF.
     UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.meters)
     root = UsdGeom.Xform.Define(stage, "/phongfit")
     stage.SetDefaultPrim(root.GetPrim())
@@ -98,7 +99,7 @@ def _write(
 
 
 class _Stage:
-    """A stage while it is put together."""
+    """A stage under construction."""
 
     def __init__(self, stage: Any, path: Path, nearest: bool):
         self._stage = stage
@@ -107,11 +108,11 @@ class _Stage:
         self._pictures = 0
 
     def add(self, number: int, part: Part, material: dict[str, Any]) -> None:
-        """A mesh, and its material."""
+        """Add a mesh and its material."""
         from pxr import UsdShade
 
         if COLOUR in part.colours:
-            # Who reads them has no factor.
+            # Shaders that read vertex colours apply no factor.
             factor = material["pbrMetallicRoughness"]["baseColorFactor"][:3]
             multiplied = part.colours[COLOUR] * np.asarray(factor, float)
             part = part._replace(colours=part.colours | {COLOUR: multiplied})
@@ -204,7 +205,7 @@ class _Stage:
     def _texture(
         self, place: str, picture: Picture, space: str, factor: Any, bias: float = 0.0
     ) -> Any:
-        """A picture's texels, times a factor and plus a bias, where st says."""
+        """A shader of a texture at uv `st`, multiplied by a factor, plus a bias."""
         from pxr import Gf, Sdf, UsdShade
 
         if picture.nearest:
@@ -232,7 +233,7 @@ class _Stage:
 
 
 def _vectors(array: np.ndarray) -> Any:
-    """Rows of two or three numbers as USD's."""
+    """Rows of two or three numbers as a USD array."""
     from pxr import Vt
 
     rows = np.ascontiguousarray(array, np.float32)

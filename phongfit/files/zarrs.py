@@ -1,6 +1,6 @@
-"""Arrays that no memory need hold: zarr's, version 3, on a disk or an object store.
+"""Arrays that may exceed memory: zarr, version 3, on a disk or an object store.
 
-With zarr and fsspec, which `phongfit[cluster]` brings.
+Needs zarr and fsspec, which `phongfit[cluster]` installs.
 """
 
 import contextlib
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     Group = zarr.Group
 
 IMAGES = "images"
-"""Of a group that holds more than the images."""
+"""Name of the images in a group that has other arrays as well."""
 
 Window = tuple[slice, ...]
 """Rows and columns."""
 
 
 def require(*names: str) -> None:
-    """Are these libraries installed?
+    """Check that libraries are installed.
 
-    **Raises:** `ValueError` that says how they would be.
+    **Raises:** `ValueError` with the command that installs them.
     """
     missing = [name for name in names if importlib.util.find_spec(name) is None]
     if missing:
@@ -43,26 +43,26 @@ def require(*names: str) -> None:
 
 
 def is_store(path: Any) -> bool:
-    """Whether a path or address is that of zarr's arrays, by its end."""
+    """True if a path or URL ends with .zarr."""
     return isinstance(path, str | os.PathLike) and os.fspath(path).rstrip("/").endswith(
         ".zarr"
     )
 
 
 def address(path: str | os.PathLike[str]) -> str:
-    """The path or the URL of a store as zarr takes it."""
-    # A path makes one slash of a URL's two.
+    """The path or URL of a store, in zarr's notation."""
+    # Restore the second slash of a URL, which pathlib removes.
     return re.sub(r"^([a-z0-9]{2,}):/(?=[^/])", r"\1://", os.fspath(path))
 
 
 def is_remote(path: str | os.PathLike[str]) -> bool:
-    """Whether an address is that of an object store."""
+    """True if an address is a URL, of an object store."""
     return "://" in address(path)
 
 
 @contextlib.contextmanager
 def _blaming(path: str, doing: str) -> Iterator[None]:
-    """Say of which store it is that zarr or a file system complains."""
+    """Make errors of zarr or a file system name the store."""
     try:
         yield
     except (MemoryError, KeyboardInterrupt):
@@ -78,10 +78,10 @@ def _blaming(path: str, doing: str) -> Iterator[None]:
 
 
 def open_array(path: str | os.PathLike[str], name: str = "") -> "Array":
-    """An array to read.
+    """Open an array to read.
 
     **Raises:** `ValueError` that names the store: it is missing, broken, has chunks
-    larger than may be read at all, or zarr is not installed.
+    above the limit of memory, or zarr is not installed.
     """
     require("zarr", "fsspec")
     import zarr
@@ -95,9 +95,9 @@ def open_array(path: str | os.PathLike[str], name: str = "") -> "Array":
 
 
 def open_group(path: str | os.PathLike[str], mode: Any = "r") -> "Group":
-    """A group, to read (`"r"`), to write to (`"r+"`), or one that is made (`"a"`).
+    """Open a group to read (`"r"`) or to write (`"r+"`), or make it if needed (`"a"`).
 
-    **Raises:** as [`open_array`][] does; `OSError` if it cannot be made.
+    **Raises:** as [`open_array`][] does; `OSError` if the group cannot be made.
     """
     require("zarr", "fsspec")
     import zarr
@@ -108,9 +108,9 @@ def open_group(path: str | os.PathLike[str], mode: Any = "r") -> "Group":
 
 
 def find_images(path: str | os.PathLike[str]) -> "Array":
-    """The images of a store: it is an array itself, or a group with `images`.
+    """The images of a store, which is an array, or a group with an array `images`.
 
-    **Raises:** `ValueError` that names the store, and what is wrong with it.
+    **Raises:** `ValueError` that names the store and the error.
     """
     require("zarr", "fsspec")
     import zarr
@@ -123,9 +123,9 @@ def find_images(path: str | os.PathLike[str]) -> "Array":
 
 
 def check_images(array: "Array", path: str) -> None:
-    """Are these images?
+    """Check that an array has the shape and the type of images.
 
-    **Raises:** `ValueError` that says what was expected.
+    **Raises:** `ValueError` that names the expected shape or types.
     """
     if array.ndim != 4 or array.shape[-1] != 3 or 0 in array.shape:
         raise ValueError(
@@ -139,9 +139,9 @@ def check_images(array: "Array", path: str) -> None:
 
 
 def place_of(array: "Array") -> str:
-    """Where other processes find an array: its path or URL.
+    """Path or URL of an array, for other processes.
 
-    **Raises:** `ValueError` for one that is in this process's memory.
+    **Raises:** `ValueError` for an array in this process's memory.
     """
     from zarr.storage import FsspecStore, LocalStore
 
@@ -159,7 +159,7 @@ def place_of(array: "Array") -> str:
 
 
 def store_of(array: "Array") -> str:
-    """The path or URL of the store that an array is in, whole.
+    """The path or URL of the whole store that contains an array.
 
     **Raises:** as [`place_of`][] does.
     """
@@ -167,9 +167,9 @@ def store_of(array: "Array") -> str:
 
 
 def fingerprint(array: "Array") -> str:
-    """Of an array, by the names, sizes and times or tags of its chunks.
+    """Checksum of the names, sizes and times or tags of an array's chunks.
 
-    Without reading them: there may be petabytes.
+    Chunks are not read, since they may be petabytes.
     """
     import fsspec
 
@@ -195,8 +195,8 @@ def read_window(
     **Arguments:**
 
     - `window`: rows and columns.
-    - `size`: of what is given back, pixels.
-    - `first`: axes before those of rows and columns.
+    - `size`: of the result, pixels.
+    - `first`: number of axes before those of rows and columns.
 
     **Raises:** `OSError` or `ValueError` that names the store.
     """
@@ -213,7 +213,7 @@ def read_window(
 
 
 def write_window(array: "Array", window: Window, values: np.ndarray) -> None:
-    """Write a rectangle, of which chunks are whole.
+    """Write a rectangle of whole chunks.
 
     **Raises:** `OSError` that names the store.
     """
@@ -230,14 +230,14 @@ def make_array(
     fill: Any = 0,
     compressed: bool = True,
 ) -> "Array":
-    """An array in a group, which takes the place of one that is there.
+    """Make an array in a group, replacing an existing one.
 
     **Raises:** `OSError` that names the store.
     """
     from zarr.codecs import BloscCodec
 
-    # It puts the high bytes of numbers together, of which noise changes few: maps take
-    # about as much room as by zstd alone, in a quarter of the time.
+    # Blosc groups the high bytes of numbers, which noise hardly changes: maps take
+    # about as much space as with zstd alone, in a quarter of the time.
     compressor = BloscCodec(cname="lz4", clevel=1) if compressed else None
     with _blaming(str(group.store_path), "written"):
         return group.create_array(
@@ -248,7 +248,7 @@ def make_array(
             fill_value=fill,
             compressors=compressor,
             overwrite=True,
-            # Whatever a chunk holds, its file shows that it was written.
+            # Write chunks of fill values too: a file marks its chunk as written.
             config={"write_empty_chunks": True},
         )
 
@@ -256,16 +256,16 @@ def make_array(
 def keep_array(
     group: "Group", name: str, array: np.ndarray, chunk: tuple[int, int]
 ) -> None:
-    """An array of rows and columns, written as a whole."""
+    """Make an array of rows and columns in a group, and write its values."""
     chunks = (*chunk, *array.shape[2:])
     made = make_array(group, name, array.shape, array.dtype, chunks)
     write_window(made, (slice(None), slice(None)), array)
 
 
 def writable(group: "Group", name: str) -> "Array":
-    """An array of a group, whose chunks are written whatever they hold.
+    """An array of a group, opened so that chunks of fill values are written too.
 
-    **Raises:** `ValueError` that names the store, if it has no such array.
+    **Raises:** `ValueError` that names the store, if it lacks the array.
     """
     import zarr
 
@@ -279,7 +279,7 @@ def writable(group: "Group", name: str) -> "Array":
 def holds(
     group: "Group", name: str, shape: Sequence[int], dtype: Any, chunks: Sequence[int]
 ) -> bool:
-    """Whether a group has such an array, which can be read."""
+    """True if a group has a readable array of this shape, type and chunks."""
     try:
         found = writable(group, name)
     except ValueError:
@@ -298,7 +298,7 @@ def attributes(node: "Array | Group") -> dict[str, Any]:
 
 
 def write_attributes(group: "Group", values: dict[str, Any]) -> None:
-    """Attributes of a group, besides those that it has.
+    """Add attributes to a group.
 
     **Raises:** `OSError` that names the store.
     """
@@ -307,7 +307,7 @@ def write_attributes(group: "Group", values: dict[str, Any]) -> None:
 
 
 def erase(path: str | os.PathLike[str]) -> None:
-    """Remove a store and all that is in it.
+    """Remove a store and all its contents.
 
     **Raises:** `OSError` that names the store.
     """
