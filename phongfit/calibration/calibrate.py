@@ -1,4 +1,4 @@
-"""`calibrate`: from photographs with spheres in them to lamps, with errors."""
+"""`calibrate`: lamps and their covariance from photographs of spheres."""
 
 import functools
 from collections.abc import Iterator, Sequence
@@ -57,10 +57,11 @@ from phongfit.edge import checked, shown
 from phongfit.rendering.film import Film
 
 DISAGREEING = 5.0
-"""Highlights further from their lamp than this, in σ, are of something else."""
+"""Photographs with a highlight further than this from the prediction, in σ, are left
+out."""
 
 BEST = np.radians(0.03)
-"""No direction is stated to be better: lenses distort, no sphere is quite round."""
+"""Smallest error of a direction, radians: lenses distort and spheres are imperfect."""
 
 
 @checked
@@ -74,11 +75,11 @@ def calibrate(
     lamps: Lamps = "distant",
     names: Sequence[str] | None = None,
 ) -> Calibration:
-    """Find the lamps of photographs of a standing camera, one lamp each.
+    """Estimate the lamps of photographs from a standing camera, one lamp each.
 
-    A chrome sphere shows where each lamp is, a matte one where and how strong. All
-    highlights and all shading are explained together, by least squares; errors follow
-    from how well the spheres agree.
+    A chrome sphere shows the place of each lamp, a matte one its place and strength.
+    All highlights and all shading are fitted together, by least squares; the agreement
+    of the spheres determines the standard errors.
 
         found = pf.calibrate(images, chrome=[(179, 565, 88), (781, 565, 88)],
                              matte=(179, 155, 81), fov=14)
@@ -86,15 +87,15 @@ def calibrate(
 
     **Arguments:**
 
-    - `photographs`: linear light, (height, width, 3), all of one size. Any sequence:
-        one that reads each file when it is asked for needs little memory. Of a
-        [`Capture`][] it is known what its files round, and strengths' errors have it.
+    - `photographs`: linear light, (height, width, 3), all of one size. Any sequence;
+        one that reads each file on access needs little memory. For a [`Capture`][] the
+        errors of strengths include the rounding of its files.
     - `chrome`: circles (x, y, radius) of the outlines of chrome spheres of one size, in
-        pixels from the upper left corner. Where an outline is seen they are moved onto
-        it. Default: spheres are looked for, matte ones too.
-    - `matte`: the same of a matte, grey or white sphere.
-    - `sphere_radius`: of the chrome spheres, or of the matte one where there is no
-        other; the unit of all lengths.
+        pixels from the upper left corner. They are moved onto visible outlines.
+        Default, without `matte` as well: chrome and matte spheres are searched for.
+    - `matte`: circle of a matte, grey or white sphere.
+    - `sphere_radius`: of the chrome spheres, or of the matte one if it is the only
+        sphere; determines the unit of all lengths.
     - `fov`: the camera's angle from the photographs' lower to their upper edge,
         degrees; default parallel rays (a long lens, far away).
     - `lamps`: `"distant"` or `"near"`; near ones need two chrome spheres, or a chrome
@@ -103,7 +104,7 @@ def calibrate(
 
     **Returns:** a [`Calibration`][].
 
-    **Raises:** `ValueError` that names the argument, or what is not seen.
+    **Raises:** `ValueError` that names the argument, or what is missing in photographs.
     """
     photographs = _several(photographs)
     names = _names(photographs, names)
@@ -135,7 +136,7 @@ def calibrate(
 
 
 def _several(photographs: Any) -> Images:
-    """A sequence, of which nothing is asked for yet."""
+    """The photographs as a sequence, not yet read."""
     if isinstance(photographs, Iterator | np.ndarray):
         photographs = list(photographs)
     if isinstance(photographs, Sequence) and not isinstance(photographs, str | bytes):
@@ -218,10 +219,10 @@ def _placed(
 
 
 class _Setup(NamedTuple):
-    """Spheres before a camera, as all stages of a calibration need them.
+    """Spheres and camera, for all stages of a calibration.
 
-    - `reference`: on the optical axis, as deep as the spheres are.
-    - `warnings`: stages add to them.
+    - `reference`: point on the optical axis, at the mean depth of the spheres.
+    - `warnings`: filled by the stages.
     """
 
     names: tuple[str, ...]
@@ -238,7 +239,7 @@ class _Setup(NamedTuple):
         self.warnings.append(coded(code, words, remedy))
 
     def some_names(self, numbers: Sequence[int]) -> str:
-        """Names of some photographs, not too many."""
+        """Names of the first three photographs, in words."""
         names = ", ".join(self.names[number] for number in numbers[:3])
         return names + (" …" if len(numbers) > 3 else "")
 
@@ -280,7 +281,7 @@ def _matte_place(
     radius: float,
     lamps: Lamps,
 ) -> tuple[Place, Float[np.ndarray, "5 5"]]:
-    """The matte sphere's place, as deep as the others to begin with."""
+    """Initial place of the matte sphere, at the others' depth, and its covariance."""
     near, other = lamps == "near", len(chrome) > 0
     if other and view.focal is not None:
         depths = sphere_behind(chrome, view, radius)[:, 2]
@@ -295,7 +296,7 @@ def _matte_place(
 
 
 def _highlights(crop: Crop, outline: Outline) -> list[list[Highlight]]:
-    """Candidates for the lamp on one sphere, by photograph; none where it is dark."""
+    """Candidates for the lamp on one sphere, by photograph; none if it is dark."""
     grey = crop.grey
     still = grey.min(axis=0) if len(grey) >= 4 else None
     glints = grey.max(axis=(1, 2))
@@ -312,7 +313,7 @@ def _without_lamp(
     setup: _Setup,
     chosen: Int[np.ndarray, "photographs spheres"],
 ) -> dict[int, str]:
-    """Photographs in which no lamp is seen, or only half of what places one."""
+    """Photographs without a visible lamp, or with too few spheres for a near lamp."""
     white, shows = np.zeros(len(chosen), bool), (chosen >= 0).sum(axis=1)
     if setup.matte is not None:
         white = overexposed(setup.matte.points)
@@ -341,9 +342,9 @@ def _with_two_lamps(
     chosen: Int[np.ndarray, "photographs spheres"],
     left_out: dict[int, str],
 ) -> dict[int, str]:
-    """Photographs under two lamps; with one sphere alone these get a warning.
+    """Photographs under two lamps; with a single sphere only a warning.
 
-    **Raises:** `ValueError` if no photograph is left.
+    **Raises:** `ValueError` if no photograph remains.
     """
     double = np.flatnonzero(show_two_lamps(candidates, chosen, setup.lamps)).tolist()
     if len(double) and len(setup.chrome.outlines) < 2:
@@ -364,7 +365,7 @@ def _solve(
     chosen: Int[np.ndarray, "photographs spheres"],
     left_out: dict[int, str],
 ) -> tuple[LampEstimate, list[int]]:
-    """The lamps of the photographs that agree; others are added to `left_out`."""
+    """Estimate the lamps of consistent photographs; others are added to `left_out`."""
     while True:
         kept = [n for n in range(len(chosen)) if n not in left_out]
         estimate = solve_lamps(
@@ -419,11 +420,11 @@ def _find_strengths(
 def _numbers(
     near: bool, step: Any, estimate: Any, strengths: Any, known: Any, reference: Any
 ) -> Any:
-    """Positions or directions, strengths, and the fall-off, about an estimate.
+    """Positions or directions, strengths, and the fall-off, near an estimate.
 
     A step has the numbers of `estimate.joint`, errors of strengths, and the logarithm
-    of the factor by which all is further from the camera: that looks the same to a
-    pinhole. Strengths are those at the reference point, which stays, over their mean.
+    of a factor on all distances from the camera, which a pinhole's image does not
+    determine. Strengths are those at the fixed reference point, over their mean.
     """
     size = strengths.slopes.shape[1]
     joint, errors, scale = jnp.split(step, (size, 2 * size - 5))
@@ -462,7 +463,7 @@ def _result(
     joint[:-5, :-5] += np.kron(np.eye(count), floor)
     scale = 0.0
     if near and setup.view.focal is not None and len(chrome.outlines):
-        # Errors of all radii are equal, since rims of mirrors look alike.
+        # Errors of radii are common to all spheres, since their rims look alike.
         sizes = chrome.outlines[:, 2]
         scale = float(np.mean(np.sqrt(chrome.covariances[:, 2, 2]) / sizes))
     from scipy.linalg import block_diag
@@ -526,7 +527,7 @@ def _result(
 
 
 def _view_height(setup: _Setup, spheres: Sequence[CalibratedSphere]) -> float | None:
-    """Of parallel rays: a pixel has the size that the spheres' radius gives it."""
+    """Height of the view for parallel rays, from the spheres' radius in pixels."""
     if setup.view.fov_y is not None:
         return None
     sizes = [s.outline[2] for s in spheres if s.kind == "chrome"]

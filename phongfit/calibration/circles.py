@@ -1,4 +1,4 @@
-"""Outlines of spheres in an edge map: found, and placed to a fraction of a pixel."""
+"""Find outlines of spheres in an edge map, to a fraction of a pixel."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,44 +9,44 @@ from jaxtyping import Float
 from phongfit.calibration.edges import CLEAR, Edges, find_edges, gradient
 
 FOUND = 0.85
-"""Share of a circle's arc on which there must be an edge."""
+"""Smallest fraction of a circle's arc on which there must be an edge."""
 
 SECTORS = 48
-"""An arc is looked at in so many pieces."""
+"""Number of pieces of an arc."""
 
 SEEN_OF_BALL = 0.45
-"""Share of a ball's arc on which an edge must be seen: its shadowed side, before a dark
-background, shows none."""
+"""Smallest fraction of a ball's arc with a visible edge: its shadowed side, before a
+dark background, has none."""
 
 LARGE = 0.04
-"""Smallest radius of a ball, as a share of the photograph's shorter side."""
+"""Smallest radius of a ball, as a fraction of the photograph's shorter side."""
 
 CLEARLY = 0.1
-"""An edge is seen on a piece if it passes there on this share of its radii, in the mean
-of the photographs."""
+"""A piece has a visible edge if the edge passes on this fraction of its radii, in the
+mean of the photographs."""
 
 MARKED = 0.25
-"""An edge that is seen in this share of the photographs, at its half weight or more."""
+"""Smallest weight of an edge point."""
 
 
 FINE = 0.7
-"""Standard deviation of the smoothing where an outline is placed, pixels."""
+"""Standard deviation of the smoothing when an outline is placed, pixels."""
 
 
 OUTWARD = 0.75
-"""Weight of a mirror's edges that lie farther out against those farther in.
+"""Weight of a mirror's edges outside the circle; those inside have 1 − OUTWARD.
 
-Next to its rim a mirror shows what lies right beside it, so that an edge is seen where
-the two differ: at the rim or, mostly, a little within.
+Near its rim a mirror reflects its immediate surroundings, so an edge is visible only
+where the two differ: at the rim or, mostly, slightly inside.
 """
 
 
 class Placed(NamedTuple):
-    """A circle on an edge map.
+    """A circle fitted to an edge map.
 
     - `outline`: x, y and radius in pixels from the upper left corner.
     - `covariance`: of these three, pixels².
-    - `coverage`: share of the arc on which there is an edge.
+    - `coverage`: fraction of the arc on which there is an edge.
     """
 
     outline: Float[np.ndarray, "3"]
@@ -55,7 +55,7 @@ class Placed(NamedTuple):
 
 
 class _Ring(NamedTuple):
-    """Where edges are looked for: along radii, up to `reach` pixels from an outline.
+    """Search points for edges: along radii, up to `reach` pixels from an outline.
 
     - `away`: unit vectors along the radii.
     - `offsets`: steps along each, pixels from the outline.
@@ -70,11 +70,11 @@ class _Ring(NamedTuple):
 
 
 class _EdgePoints(NamedTuple):
-    """Possible places of an outline, in so many `photographs`.
+    """Possible places of an outline, from a number of `photographs`.
 
     - `angle`: of the radius.
     - `offset`: pixels outward from the ring's outline.
-    - `weight`: in [0, 1), as of [`Edges`][].
+    - `weight`: in [0, 1), as the strength of [`Edges`][].
     """
 
     angle: Float[np.ndarray, " points"]
@@ -93,16 +93,16 @@ def place(
     """Move a circle onto the edge that most photographs show all along it.
 
     Along each radius of each photograph the gradient's local maxima are possible places
-    of the outline. The circle is put where most of them agree: what a chrome sphere
-    mirrors moves with the lamp, or crosses few radii. It is the maximum of a kernel
-    density, whose kernel is narrowed step by step.
+    of the outline. The circle is placed where most of them agree, since mirror images
+    in a chrome sphere move with the lamp, or cross few radii. It is the maximum of a
+    kernel density, whose kernel is narrowed step by step.
 
     **Arguments:**
 
     - `photographs`: grey linear light.
-    - `outline`: where it is to within `reach` pixels.
+    - `outline`: initial circle, within `reach` pixels of the outline.
     - `stretch`: of an ellipse's longer axis: see `stretch` of `outlines`.
-    - `mirrors`: whether it is a chrome sphere.
+    - `mirrors`: true for a chrome sphere.
     """
     stretch = np.zeros(2) if stretch is None else np.asarray(stretch)
     ring = _ring(np.asarray(outline, float), stretch, reach)
@@ -110,17 +110,17 @@ def place(
 
 
 def _placed(ring: _Ring, points: _EdgePoints, mirrors: bool = False) -> Placed:
-    """The circle where most of these points agree."""
+    """The circle on which most points agree."""
     outline, reach = ring.outline, ring.reach
     angles, offsets, weights = points.angle, points.offset, points.weight
     away = np.stack([np.cos(angles), np.sin(angles), np.ones_like(angles)], 1)
 
     def kernel(step: np.ndarray, width: float) -> np.ndarray:
-        """Weights of the points that are near a moved circle."""
+        """Weights of points by their distance from a moved circle."""
         return weights * np.exp(-0.5 * ((offsets - away @ step) / width) ** 2)
 
     def moved(near: np.ndarray) -> np.ndarray:
-        """The move of the circle that weighted points agree on best."""
+        """The move of the circle to the least squares fit of weighted points."""
         normal = away.T @ (near[:, None] * away) + 1e-9 * np.eye(3)
         return np.linalg.solve(normal, away.T @ (near * offsets))
 
@@ -137,7 +137,7 @@ def _placed(ring: _Ring, points: _EdgePoints, mirrors: bool = False) -> Placed:
         near = kernel(best, 0.6)
         best = moved(near * np.where(offsets > away @ best, OUTWARD, 1 - OUTWARD))
     rest, near = offsets - away @ best, kernel(best, 0.25)
-    # Neighbours within the smoothing, and photographs of one edge, are one point.
+    # Points within the smoothing, and photographs of one edge, are not independent.
     count = max(2 * np.pi * outline[2] / 3, 8)
     spread = np.sum(near * rest**2) / max(np.sum(near), 1e-9)
     normal = away.T @ (near[:, None] * away) / max(np.sum(near), 1e-9) * count
@@ -154,7 +154,7 @@ def _ring(outline: np.ndarray, stretch: np.ndarray, reach: float) -> _Ring:
     count = int(np.clip(2 * np.pi * outline[2], 48, 1000))
     angles = np.arange(count) * (2 * np.pi / count)
     away = np.stack([np.cos(angles), np.sin(angles)], 1)
-    # To first order an ellipse of the same area: longer by half the stretch along it.
+    # To first order an ellipse of equal area: half the stretch longer along its axis.
     size = np.hypot(*stretch)
     along = (away @ (stretch / size)) ** 2 if size > 0 else np.full(count, 0.5)
     radius = outline[2] * (1 + size * (along - 0.5))
@@ -168,7 +168,7 @@ def _ring(outline: np.ndarray, stretch: np.ndarray, reach: float) -> _Ring:
 def _edge_points(
     photographs: Float[np.ndarray, "count height width"], rings: Sequence[_Ring]
 ) -> list[_EdgePoints]:
-    """Those of each ring; a photograph's gradient is that of all of them."""
+    """Edge points of each ring; each photograph's gradient is computed once."""
     found: list[list[np.ndarray]] = [[] for _ in rings]
     for light in photographs:
         slopes = gradient(np.sqrt(np.maximum(light, 0)), FINE)
@@ -186,10 +186,10 @@ def _edge_points(
 def _along(
     ring: _Ring, slopes: tuple[np.ndarray, np.ndarray], noise: float
 ) -> Float[np.ndarray, "3 points"]:
-    """A photograph's: angle, offset, weight."""
+    """Angle, offset and weight of a photograph's edge points along one ring."""
     from scipy import ndimage
 
-    # Across the outline: an edge that runs along a radius is not its own.
+    # Only the radial gradient, since edges along a radius are not the outline's.
     towards = [ndimage.map_coordinates(part, ring.where, order=1) for part in slopes]
     radial = towards[0] * ring.away[:, :1] + towards[1] * ring.away[:, 1:]
     height = radial**2 / (radial**2 + CLEAR**2 * noise)
@@ -204,11 +204,11 @@ def _along(
 def find_circles(
     photographs: Float[np.ndarray, "count height width"],
 ) -> list[Placed]:
-    """Outlines of round things, the clearest first.
+    """Outlines of round objects, the clearest first.
 
-    Every edge votes for the centres that lie across it (Hough's transform with the
-    gradient's direction), over all radii. Of circles within one another the outermost
-    is kept: a chrome sphere mirrors its surroundings as circles.
+    Every edge votes for centres along its gradient (Hough's transform with the
+    gradient's direction), over all radii. Of nested circles the outermost is kept,
+    since a chrome sphere mirrors its surroundings as circles.
 
     ??? cite "Source"
         Kimme, Ballard and Sklansky, *Finding circles by an array of accumulators*,
@@ -220,7 +220,7 @@ def find_circles(
     outermost: list[Placed] = []
     for placed in found:
         x, y, radius = placed.outline
-        # Nor do outlines of two spheres cross.
+        # This also drops circles that cross a larger one, unlike outlines of spheres.
         if all(
             np.hypot(x - other.outline[0], y - other.outline[1]) > other.outline[2]
             for other in outermost
@@ -232,10 +232,10 @@ def find_circles(
 def find_largest_arc(
     photographs: Float[np.ndarray, "count height width"],
 ) -> Placed | None:
-    """The circle whose visible arc is longest: the ball that a photograph is of.
+    """The circle with the longest visible arc, for a photograph of one ball.
 
-    Half of the arc is enough, where [`find_circles`][] needs nearly all of it: a ball
-    under one lamp has a dark side.
+    About half of the arc is enough, since a ball under one lamp has a dark side;
+    [`find_circles`][] needs nearly all of it.
 
     **Arguments:** `photographs`: grey linear light.
 
@@ -251,7 +251,7 @@ def find_largest_arc(
 
 
 def _candidates(photographs: Float[np.ndarray, "count height width"]) -> list[Placed]:
-    """Circles within the photographs that many edges vote for, moved onto the edges."""
+    """Circles within the photographs with many votes, moved onto the edges."""
     edges = find_edges(photographs)
     height, width = edges.strength.shape
     shrink = max(1, round(max(height, width) / 480))
@@ -264,13 +264,13 @@ def _candidates(photographs: Float[np.ndarray, "count height width"]) -> list[Pl
 
 
 def _vote(edges: Edges, shrink: int) -> list[np.ndarray]:
-    """Circles that many edges vote for: (x, y, radius) in pixels."""
+    """Circles with the most votes of edges: (x, y, radius) in pixels."""
     from scipy import ndimage
 
     height, width = (n // shrink for n in edges.strength.shape)
     strength = edges.strength[: height * shrink, : width * shrink]
     peaks = ndimage.maximum_filter(strength, 3)
-    # Ridges alone, lest broad edges vote many times.
+    # Only ridges vote, since broad edges would vote many times.
     ridge = (strength == peaks) | _is_ridge(edges)[: height * shrink, : width * shrink]
     rows, columns = np.nonzero(ridge & (strength > MARKED))
     across = edges.direction[rows, columns]
@@ -287,7 +287,7 @@ def _vote(edges: Edges, shrink: int) -> list[np.ndarray]:
             counts = np.bincount(place, minlength=height * width) * weight
             votes[number] += counts.reshape(height, width)
         votes[number] /= 2 * np.pi * radius
-    # Votes scatter with the gradient's direction.
+    # Smoothed, since errors of the gradient's direction scatter the votes.
     votes = ndimage.gaussian_filter(votes, (0.7, 1.5, 1.5), truncate=3)
     votes *= 2 * np.pi * 1.5**2
     best = (votes == ndimage.maximum_filter(votes, 5)) & (votes > 0.3)
@@ -298,7 +298,7 @@ def _vote(edges: Edges, shrink: int) -> list[np.ndarray]:
 
 
 def _is_ridge(edges: Edges) -> np.ndarray:
-    """Where the edge map is highest across the edge."""
+    """Mask of local maxima of the edge map across the edge."""
     from scipy import ndimage
 
     height, width = edges.strength.shape

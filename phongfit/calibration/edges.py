@@ -1,4 +1,4 @@
-"""Edges that stand still while the lamp moves: the outlines of things."""
+"""Edges at the same place under all lamps: the outlines of objects."""
 
 from typing import NamedTuple
 
@@ -9,14 +9,14 @@ SMOOTHING = 1.2
 """Standard deviation of the smoothing before the gradient, pixels."""
 
 CLEAR = 6.0
-"""A gradient this many times the noise counts by half, and none by more than 1."""
+"""A gradient of this many times the noise has weight 1/2; weights are below 1."""
 
 
 class Edges(NamedTuple):
     """An edge map.
 
-    - `strength`: in [0, 1): the share of the photographs in which an edge passes here.
-        Shadows move with the lamp and stay small; outlines stay.
+    - `strength`: in [0, 1): the fraction of photographs with an edge at this pixel.
+        Low for shadows, which move with the lamp; high for outlines.
     - `direction`: unit vectors (x, y) across the edge.
     """
 
@@ -27,7 +27,7 @@ class Edges(NamedTuple):
 def gradient(
     image: Float[np.ndarray, "height width"], width: float
 ) -> tuple[Float[np.ndarray, "height width"], Float[np.ndarray, "height width"]]:
-    """Derivatives to the right and down, after smoothing by so many pixels."""
+    """Derivatives to the right and down, after smoothing by `width` pixels."""
     from scipy.ndimage import gaussian_filter1d
 
     across = gaussian_filter1d(gaussian_filter1d(image, width, 0), width, 1, 1)
@@ -36,11 +36,11 @@ def gradient(
 
 
 def find_edges(photographs: Float[np.ndarray, "count height width"]) -> Edges:
-    """Standing edges of photographs of one camera.
+    """Edges that are common to photographs of one camera.
 
-    The gradient is that of the square root of light, of which noise from counting has
-    the same size everywhere. With m its size in units of noise, m² / (m² + CLEAR²)
-    counts: a faint outline that is always there weighs as much as a bright one.
+    The gradient is that of the square root of light, whose photon noise is uniform.
+    With m its size in units of noise, the weight is m² / (m² + CLEAR²): a faint outline
+    in all photographs weighs as much as a bright one.
 
     **Arguments:** `photographs`: grey linear light; each under another lamp.
     """
@@ -50,13 +50,13 @@ def find_edges(photographs: Float[np.ndarray, "count height width"]) -> Edges:
         image = np.sqrt(np.maximum(light, 0))
         across, down = gradient(image, SMOOTHING)
         squared = across**2 + down**2
-        # In pure noise the median of a gradient's size is 1.18 σ of its components, and
-        # most of a photograph is smooth.
+        # In pure noise the median of a gradient's size is 1.18 σ of its components;
+        # this holds, since most of a photograph is smooth.
         noise = max(np.median(squared) / 1.18**2, 1e-8)
         strength += squared / (squared + CLEAR**2 * noise)
         share = 1 / (squared + CLEAR**2 * noise)
         tensor += np.stack([across**2, across * down, down**2], -1) * share[..., None]
-    # The main axis of the gradients, which may point either way.
+    # The principal axis of the gradients, whose sign is arbitrary.
     angle = 0.5 * np.arctan2(2 * tensor[..., 1], tensor[..., 0] - tensor[..., 2])
     direction = np.stack([np.cos(angle), np.sin(angle)], -1)
     return Edges(strength / len(photographs), direction)

@@ -1,4 +1,4 @@
-"""A lamp's highlight in a chrome sphere: where it may be, how well that is known."""
+"""Candidates for a lamp's highlight in a chrome sphere, with their errors."""
 
 from typing import NamedTuple
 
@@ -6,35 +6,38 @@ import numpy as np
 from jaxtyping import Float
 
 WIDEST = 0.15
-"""What is wider, as a share of the sphere's radius, is a window or a wall, no lamp."""
+"""Largest width of a lamp, as a fraction of the sphere's radius: windows and walls are
+wider."""
 
 FINE, COARSE = 0.02, 0.06
-"""A lamp stands out between these widths, as shares of the radius: dust and sparkles on
-the sphere are smaller, mirrored things larger."""
+"""Widths between which a lamp stands out, as fractions of the radius: dust and sparkles
+on the sphere are smaller, mirrored objects larger."""
 
 KEPT = 6
-"""Candidates that are kept, the best first."""
+"""Maximum number of candidates."""
 
 FAINTEST = 0.1
-"""Candidates stand out at least this much, of the one that does so most."""
+"""Smallest score of a candidate, relative to the best one."""
 
 INSIDE = 0.97
-"""Share of the radius up to which highlights are looked for: the rim mirrors a lot."""
+"""Fraction of the radius within which highlights are searched for: the rim mirrors most
+of the surroundings."""
 
 CORE = (0.5, 0.35, 0.2)
-"""Thresholds for a highlight's core, of its brightest pixel, until it is large."""
+"""Thresholds for a highlight's core, relative to its brightest pixel; tried until the
+core is large enough."""
 
 LARGE_ENOUGH = 4
-"""Pixels of a core, for its centroid to be one of more than noise."""
+"""Smallest number of pixels of a core, so that noise does not dominate its centroid."""
 
 
 class Highlight(NamedTuple):
-    """A blob that may be the lamp.
+    """A bright spot that may be the lamp.
 
     - `pixel`: its centroid, pixels from the upper left corner.
     - `error`: standard deviation of the centroid along each axis, pixels.
     - `size`: radius of the disk of its area, pixels.
-    - `score`: in (0, 1]: how far it stands out, of the one that does so most.
+    - `score`: in (0, 1]: contrast relative to the clearest spot.
     """
 
     pixel: Float[np.ndarray, "2"]
@@ -50,14 +53,14 @@ def find_highlights(
 ) -> list[Highlight]:
     """Bright spots within a sphere's outline, the likeliest lamp first.
 
-    Spots are where a difference of two Gaussians is largest, once what is wide has been
-    taken away; each is measured by the centroid of its core.
+    Spots are maxima of a difference of two Gaussians, after wide features have been
+    subtracted; each is measured by the centroid of its core.
 
     **Arguments:**
 
     - `image`: grey linear light.
     - `outline`: x, y and radius of the sphere, pixels.
-    - `still`: what the sphere shows in every photograph, and is no lamp that moves.
+    - `still`: light that the sphere shows in every photograph, which is subtracted.
     """
     from scipy import ndimage
 
@@ -106,7 +109,7 @@ def _measure(
     fine: float,
     score: float,
 ) -> Highlight:
-    """The core of the spot that stands out at a pixel."""
+    """Measure the core of the spot at a pixel."""
     from scipy import ndimage
 
     away = np.hypot(columns - columns[here], rows - rows[here])
@@ -115,17 +118,17 @@ def _measure(
     for level in CORE:
         labels = np.zeros(light.shape, np.int32)
         ndimage.label(light >= level * brightest, np.ones((3, 3)), labels)
-        # The piece that is nearest to where the spot stands out.
+        # The piece nearest to the maximum.
         nearest = np.where(labels > 0, away, np.inf)
         core = labels == labels.flat[np.argmin(nearest)]
         if core.sum() >= LARGE_ENOUGH:
             break
-    # One pixel more all round: what the rim's pixels are covered by counts.
+    # Grown by one pixel, to include pixels that the spot covers partly.
     grown = np.zeros(core.shape, bool)
     ndimage.binary_dilation(core, np.ones((3, 3)), output=grown)
     weight = light[grown] / light[grown].sum()
     pixel = np.array([np.sum(weight * columns[grown]), np.sum(weight * rows[grown])])
     size = float(np.sqrt(core.sum() / np.pi))
-    # The rim's pixels move a centroid this much; and glare is not centred on the lamp.
+    # Errors of the centroid by pixels at the rim, and by glare off the lamp's centre.
     error = float(np.hypot(0.15 / np.sqrt(size), 0.05 * size))
     return Highlight(pixel, error, size, score)

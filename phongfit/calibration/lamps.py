@@ -1,4 +1,4 @@
-"""Lamps from their highlights in chrome spheres: chosen, and solved for all at once."""
+"""Lamps from their highlights in chrome spheres, by a joint least squares fit."""
 
 import functools
 import itertools
@@ -28,11 +28,11 @@ MISSED = 12.0
 """χ² penalty for a sphere without a highlight."""
 
 COMPARABLE, ALIKE = 0.6, 0.8
-"""Least score of a second lamp's highlight over the first's: where spheres agree on it,
-and where there is one sphere alone."""
+"""Smallest score of a second lamp's highlight relative to the first's: with several
+spheres that agree on it, and with a single sphere."""
 
 APART = np.radians(5.0)
-"""Highlights nearer to a lamp than this are its frame, or its glare."""
+"""Highlights nearer to a lamp than this belong to it (its frame or glare), radians."""
 
 AGREE = 2.5
 """Spheres agree on a lamp up to this many standard deviations."""
@@ -45,11 +45,11 @@ SCALINGS = 12
 
 
 class Chrome(NamedTuple):
-    """Chrome spheres as the photographs show them.
+    """Outlines of the chrome spheres in the photographs, and their common radius.
 
     - `outlines`: x, y and radius in pixels, one row a sphere.
-    - `covariances`: of these.
-    - `radius`: of all of them, in the unit that lamps' places will have.
+    - `covariances`: of the outlines.
+    - `radius`: of all spheres, in the unit of the lamps' positions.
     """
 
     outlines: Float[np.ndarray, "spheres 3"]
@@ -58,12 +58,12 @@ class Chrome(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Highlights of all photographs and spheres, followed back towards their lamps.
+    """Highlights of all photographs and spheres, with rays towards their lamps.
 
     - `photograph`, `sphere`: by number.
-    - `pixel`, `error`, `score`: as of [`Highlight`][].
+    - `pixel`, `error`, `score`: as in [`Highlight`][].
     - `position`, `direction`: ray from the sphere's surface.
-    - `tangent`: two unit vectors across it, which the others are along:
+    - `tangent`: two unit vectors perpendicular to it; the next two are in this basis.
     - `by_pixel`: derivatives of the direction.
     - `covariance`: of the direction, radians².
     """
@@ -118,15 +118,15 @@ def choose(
     lamps: Lamps,
     shaded: Float[np.ndarray, "count 3"] | None = None,
 ) -> Int[np.ndarray, "photographs spheres"]:
-    """For each photograph, the highlights on the spheres that are one lamp.
+    """For each photograph, the highlights on the spheres that belong to its lamp.
 
-    Of all combinations the one is taken whose rays agree best and whose highlights look
-    most like lamps. A sphere may show none, where its highlight is hidden.
+    The chosen combination has the best agreement of rays and the highest scores of
+    highlights. A sphere may have none, since its highlight may be hidden.
 
     **Arguments:**
 
     - `size`: numbers of photographs and spheres.
-    - `shaded`: the lamp's direction by the shading of a matte sphere, or zeros.
+    - `shaded`: the lamp's direction from the shading of a matte sphere, or zeros.
 
     **Returns:** numbers of candidates; −1 for none.
     """
@@ -162,8 +162,8 @@ def show_two_lamps(
 ) -> Bool[np.ndarray, " photographs"]:
     """Photographs in which the spheres agree on a second lamp.
 
-    It is about as bright as the first, and elsewhere. A highlight on the only sphere
-    must be brighter, since it may be something else that is mirrored.
+    The second lamp is about as bright as the first, and elsewhere. With a single sphere
+    its highlight must be brighter, since it may be the image of another object.
     """
     return np.array(
         [_second(candidates, number, row, lamps) for number, row in enumerate(chosen)]
@@ -193,7 +193,7 @@ def _second(
 def _disagreement(
     picks: np.ndarray, candidates: Candidates, lamps: Lamps, hint: np.ndarray | None
 ) -> float:
-    """χ² of some candidates as highlights of one lamp; −1 for none."""
+    """χ² of some candidates as highlights of one lamp; −1 marks a missing one."""
     shown = picks[picks >= 0]
     cost = MISSED * (len(picks) - len(shown))
     if not len(shown):
@@ -201,7 +201,7 @@ def _disagreement(
     cost -= 4 * float(np.sum(np.log(candidates.score[shown])))
     cost += _scatter(shown, candidates, lamps)
     if hint is not None:
-        # Near lamps shade a sphere as if they stood elsewhere.
+        # For near lamps the direction from shading is biased.
         error = 0.1 if lamps == "distant" else 0.6
         towards = unit(_towards(shown, candidates, lamps).mean(axis=0))
         cost += float((angles(hint, towards) / error) ** 2)
@@ -210,7 +210,7 @@ def _disagreement(
 
 def _scatter(picks: np.ndarray, candidates: Candidates, lamps: Lamps) -> float:
     """χ² of the rays of some candidates as rays of one lamp."""
-    # Spheres and their surroundings are never better than half a degree.
+    # Real spheres are not accurate to better than half a degree.
     spread = np.trace(candidates.covariance[picks], axis1=1, axis2=2) / 2
     variances = np.radians(0.5) ** 2 + spread
     apart = angles(candidates.direction[picks], _towards(picks, candidates, lamps))
@@ -218,7 +218,7 @@ def _scatter(picks: np.ndarray, candidates: Candidates, lamps: Lamps) -> float:
 
 
 def _towards(picks: np.ndarray, candidates: Candidates, lamps: Lamps) -> np.ndarray:
-    """Unit vectors from each ray's origin to the lamp that the rays agree on best."""
+    """Unit vectors from each ray's origin to the lamp that fits all rays best."""
     origins, directions = candidates.position[picks], candidates.direction[picks]
     if lamps == "distant" or len(picks) == 1:
         return np.broadcast_to(unit(directions.mean(axis=0)), directions.shape)
@@ -228,7 +228,7 @@ def _towards(picks: np.ndarray, candidates: Candidates, lamps: Lamps) -> np.ndar
 def nearest_point(
     origins: Float[np.ndarray, "count 3"], directions: Float[np.ndarray, "count 3"]
 ) -> Float[np.ndarray, "3"]:
-    """The point that lies nearest to several lines, by least squares."""
+    """The point nearest to several lines, by least squares."""
     beside = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     right = np.einsum("sij,sj->i", beside, origins)
     return np.linalg.lstsq(beside.sum(axis=0), right, rcond=None)[0]
@@ -237,25 +237,25 @@ def nearest_point(
 def angles(
     a: Float[np.ndarray, "... 3"], b: Float[np.ndarray, "... 3"]
 ) -> Float[np.ndarray, "..."]:
-    """Between unit vectors, radians, exact for small ones too."""
+    """Angles between unit vectors, radians, accurate for small angles as well."""
     return np.asarray(2 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=-1) / 2, 0, 1)))
 
 
 class LampEstimate(NamedTuple):
-    """Lamps as directions from one place, and how far they are.
+    """Lamps as directions and distances from a reference point, with covariance.
 
     - `directions`: unit vectors from the reference point to each lamp.
-    - `tangents`: two unit vectors across each.
-    - `inverse_distances`: 1 / distance from there; 0 for parallel rays.
+    - `tangents`: two unit vectors perpendicular to each.
+    - `inverse_distances`: 1 / distance from the reference point; 0 for parallel rays.
     - `joint`: covariance of the turns of each direction along its tangents, in radians,
         and of its inverse distance, lamp by lamp, and of the numbers that move the
-        matte sphere's place: errors of a sphere are common to all lamps.
-    - `residuals`: distance of each highlight from where its lamp would show it, in
-        standard deviations; `nan` where a sphere shows none.
-    - `scatter`: root mean square distance of highlights from there, over their stated
-        errors; 1 where nothing determines it.
-    - `outlines`: of the spheres, as all highlights together would have them.
-    - `place`: of the matte sphere, likewise.
+        matte sphere's place, since errors of a sphere are common to all lamps.
+    - `residuals`: distance of each highlight from its prediction, in standard
+        deviations; `nan` for missing highlights.
+    - `scatter`: root mean square distance of highlights from their predictions, over
+        their stated errors; 1 if nothing determines it.
+    - `outlines`: of the spheres, refined by all highlights.
+    - `place`: of the matte sphere, refined by all photographs.
     """
 
     directions: Float[np.ndarray, "lamps 3"]
@@ -269,7 +269,7 @@ class LampEstimate(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """Constants of the residuals; entries are one lamp, highlight or sphere.
+    """Constants of the residuals, by lamp, highlight or sphere.
 
     Unknowns are two turns of each lamp along `tangents` from `start`, inverse distances
     (one for each, one for all, or none), and moves of the chrome spheres' outlines and
@@ -278,7 +278,7 @@ class _Problem(NamedTuple):
     - `lamp`, `sphere`: of each highlight.
     - `to_pixels`: from differences of directions to those of highlights, in σ.
     - `whiten`, `hold`: from moves of outlines and of the place to residuals.
-    - `shading`, about inverse distances and moves of the place.
+    - `shading`: linearised at `about`, inverse distances and moves of the place.
     - `scales`: factors of the errors of highlights and of shading.
     """
 
@@ -315,7 +315,7 @@ def _unpack(values: Any, problem: _Problem) -> _Unknowns:
 
 
 def _residuals(view: View, values: Any, problem: _Problem) -> Any:
-    """Of highlights, of outlines, of shading and of the matte sphere's place."""
+    """Residuals of highlights, outlines, shading and the matte sphere's place."""
     at = _unpack(values, problem)
     outlines = (problem.chrome.outlines + at.moves)[problem.sphere]
     ray = mirrored(problem.pixel, outlines, view, problem.chrome.radius)
@@ -346,19 +346,19 @@ def solve_lamps(
     reference: Float[np.ndarray, "3"],
     matte: Matte | None = None,
 ) -> LampEstimate:
-    """All lamps and the spheres' places together, by least squares.
+    """Fit all lamps and the spheres' places jointly, by least squares.
 
-    A highlight's residual is its distance, in pixels, from where its lamp would show
-    it; outlines are held by their own errors. Distant lamps are all equally far (a
-    dome, or the end of the room), and how far is one unknown more. Errors of centroids
-    and of the shading of the matte sphere follow from how well spheres agree, where
-    there are several: variance components, each the sum of its squares over the degrees
-    of freedom that the solution leaves it.
+    A highlight's residual is its distance, in pixels, from the predicted highlight;
+    outlines have priors with their own errors. Distant lamps are all at one distance (a
+    dome, or the end of the room), which is a further unknown. With several spheres,
+    their agreement determines the errors of centroids and of the matte sphere's
+    shading: variance components, each the sum of squares of its residuals over their
+    degrees of freedom.
 
     **Arguments:**
 
-    - `chosen`: as of [`choose`][]; each photograph has one, or `matte`.
-    - `reference`: the point, in the camera's axes, that directions are counted from.
+    - `chosen`: as from [`choose`][]; each photograph has a highlight, or `matte`.
+    - `reference`: origin of the directions, in the camera's axes.
 
     ??? cite "Source"
         Förstner, *Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten*,
@@ -393,13 +393,13 @@ def solve_lamps(
     begin[2 * count : 2 * count + distances] = inverse[:distances]
     upper = np.full(len(begin), np.inf)
     if matte is not None and lamps == "near":
-        # No lamp's light falls off faster than a bulb's.
+        # Light falls off at most with the square of the distance.
         upper[-1] = 1 - matte.place.falloff
     residuals = differentiated(functools.partial(_residuals, view))
     estimate = None
     for number in range(1 if matte is None else ROUNDS):
         place = problem.about[1]
-        # Highlights alone give the estimate about which shading is linearised first.
+        # The first estimate uses highlights only; shading is linearised there.
         looked = number > 0 or not len(lamp)
         if matte is not None and looked:
             here = matte._replace(place=matte.place.moved(place))
@@ -430,7 +430,7 @@ def _start(
     lamps: Lamps,
     reference: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Directions from the reference and inverse distances to begin with.
+    """Initial directions from the reference point, and initial inverse distances.
 
     **Arguments:** `shown`: numbers of the highlights, each of a `lamp`.
     """
@@ -444,7 +444,7 @@ def _start(
             if offset @ directions[number] > 0:
                 directions[number] = unit(offset)
                 inverse[number] = 1 / np.linalg.norm(offset)
-    # A lamp that one ray leads to is as far as the others, to begin with.
+    # Lamps with a single ray start at the median distance of the others.
     some = inverse > 0
     inverse[~some] = np.median(inverse[some]) if some.any() else 0
     return directions, inverse
@@ -456,7 +456,7 @@ def _weighted(
     begin: np.ndarray,
     upper: np.ndarray,
 ) -> tuple[Solution, _Problem]:
-    """The solution, with the variance components that follow from it."""
+    """The solution, iterated with the variance components of its residuals."""
     highlights, spheres = 2 * len(problem.lamp), 3 * len(problem.chrome.outlines)
     ranks = np.array([highlights, problem.shading.rank])
     groups = slice(0, highlights), slice(highlights + spheres, -5)
@@ -464,7 +464,7 @@ def _weighted(
     for _ in range(SCALINGS):
         squared = [np.sum(solution.residual[group] ** 2) for group in groups]
         taken = [np.sum(solution.hat[group]) for group in groups]
-        # Few degrees of freedom leave them near 1: stated errors hold.
+        # The prior keeps factors near 1 if there are few degrees of freedom.
         squared = np.array(squared) * problem.scales**2 + 4
         scales = np.sqrt(squared / (np.maximum(ranks - taken, 0) + 4))
         scales[1] = max(scales[1], 1.0)
@@ -481,7 +481,7 @@ def _estimate(
     at = _unpack(solution.values, problem)
     count, spheres = len(problem.start), len(problem.chrome.outlines)
     distances = len(solution.values) - 2 * count - 3 * spheres - 5
-    # From unknowns to the numbers of each lamp, and of the place.
+    # Matrix from unknowns to the numbers of each lamp, and of the place.
     each, taken = np.arange(count), np.zeros((3 * count + 5, len(solution.values)))
     taken[3 * each, 2 * each] = taken[3 * each + 1, 2 * each + 1] = 1
     if distances:

@@ -1,6 +1,6 @@
 """Least squares of residuals in JAX: exact Jacobians, solved by SciPy.
 
-All of it runs in double precision, whatever JAX's setting.
+All computations are in double precision, independent of JAX's setting.
 """
 
 import functools
@@ -15,7 +15,7 @@ from phongfit.fitting.problem.losses import Tukey
 from phongfit.programs import compiler_options
 
 TUKEY = Tukey().k
-"""Residuals of this many standard deviations get no weight."""
+"""Residuals from this many standard deviations on have weight 0."""
 
 
 class Solution(NamedTuple):
@@ -27,29 +27,29 @@ class Solution(NamedTuple):
 
     @property
     def covariance(self) -> Float[np.ndarray, "n n"]:
-        """For residuals of variance 1; 0 for directions without information."""
+        """Covariance for residuals of variance 1; 0 for directions without data."""
         return np.linalg.pinv(self.jacobian.T @ self.jacobian)
 
     @property
     def hat(self) -> Float[np.ndarray, " m"]:
-        """Fraction of a degree of freedom that the unknowns take of each residual."""
+        """Leverage of each residual: degrees of freedom that the unknowns use."""
         return np.vecdot(self.jacobian @ self.covariance, self.jacobian)
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """A JAX function that takes and returns NumPy arrays, in double precision.
 
-    Its programs are freed together with it, so that a process which calibrates many
-    captures does not keep those of all.
+    Its compiled programs are freed together with it, so that a process which calibrates
+    many captures does not accumulate them.
     """
     program = jax.jit(function, compiler_options=compiler_options())
 
     def run(*args: Any) -> Any:
-        # A Python number has another type than one of NumPy: JAX would compile twice.
+        # Python and NumPy numbers have different types: JAX would compile twice.
         args = jax.tree.map(np.asarray, args)
         with (
             jax.enable_x64(True),
-            # Functions that serve NumPy, too, follow its rules.
+            # Functions that also run in NumPy need NumPy's promotion rules.
             jax.numpy_rank_promotion("allow"),
             jax.numpy_dtype_promotion("standard"),
         ):
@@ -59,7 +59,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def differentiated(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function's value, and its exact Jacobian by the first argument, a vector."""
+    """A function that also returns its Jacobian by its first argument, a vector."""
 
     def both(values: Any, *args: Any) -> Any:
         result = function(values, *args)
@@ -89,7 +89,7 @@ def least_squares(
     """
     from scipy import optimize
 
-    # SciPy asks for the Jacobian at a point after the residuals there.
+    # SciPy needs the Jacobian at a point right after the residuals there.
     @functools.lru_cache(maxsize=1)
     def at(values: bytes) -> Any:
         return residual(np.frombuffer(values), *args)
@@ -99,21 +99,21 @@ def least_squares(
         start,
         lambda values: at(values.tobytes())[1],  # pyright: ignore[reportArgumentType]
         (-np.inf, upper),
-        # MINPACK's decomposition of large Jacobians is faster, but it has no bounds.
+        # MINPACK decomposes large Jacobians faster, but does not support bounds.
         "lm" if np.isinf(upper).all() else "trf",
     )
     return Solution(found.x, found.fun, found.jac)
 
 
 def robust_scale(residual: Float[np.ndarray, " m"]) -> float:
-    """Standard deviation of normal residuals by their median size."""
+    """Robust standard deviation of residuals, from their median absolute value."""
     return 1.4826 * float(np.median(np.abs(residual)))
 
 
 def tukey_weight(
     residual: Float[np.ndarray, " m"], sigma: float
 ) -> Float[np.ndarray, " m"]:
-    """Weights of Tukey's biweight, for residuals of a standard deviation `sigma`."""
+    """Weights of Tukey's biweight, for residuals with standard deviation `sigma`."""
     return np.clip(1 - (residual / (TUKEY * sigma)) ** 2, 0, None) ** 2
 
 

@@ -1,12 +1,12 @@
-"""A matte sphere: by its shading, where each lamp is, and how strong.
+"""A matte sphere, whose shading determines the place and strength of each lamp.
 
-Its light is Lambert's, and that of the room beside: at a point P with normal n,
+Its light is Lambertian, plus light of the room: at a point P with normal n,
 
 $$I = E \\, \\frac{\\max(n \\cdot l, 0)}{1 - κ + κ (d / d_0)^2} + a,$$
 
-where l and d lead from P to the lamp and $d_0$ to the lamp from the reference point, so
-that E is the lamp's strength there. The fall-off κ is 1 for a bulb, less for a lamp
-with a reflector or a lens, and 0 for distant lamps.
+where l is the direction and d the distance from P to the lamp, and $d_0$ the distance
+from the reference point, so that E is the lamp's strength there. The fall-off κ is 1
+for a bulb, less for a lamp with a reflector or a lens, and 0 for distant lamps.
 """
 
 import functools
@@ -33,37 +33,38 @@ from phongfit.rendering.jpeg import compressed, namespace
 from phongfit.vectors import Vec3, dot, normalize
 
 LIT = 0.1
-"""Smallest n·l of the pixels that are used: nearer to its edge, shade is uncertain."""
+"""Smallest n·l of the pixels that are used: near n·l = 0 shading is uncertain."""
 
 WITHIN = 0.94
-"""Share of the outline's radius within which pixels are used."""
+"""Fraction of the outline's radius within which pixels are used."""
 
 WHITE = 0.98
-"""Brighter samples may have been cut off."""
+"""Samples from this value on may have been cut off."""
 
 ENOUGH = 60
-"""Smallest number of pixels that a lamp is estimated from."""
+"""Smallest number of pixels for the estimate of a lamp."""
 
 DARK = 0.03
-"""A sphere this bright, of what it is in other photographs, is lit by no lamp."""
+"""A sphere is unlit below this brightness relative to its median over photographs."""
 
 MOST = 4000
-"""Pixels that are looked at: errors of more are correlated."""
+"""Approximate number of pixels used: errors of more would be correlated."""
 
 EVEN = 0.002
-"""Least relative error of a strength: no sphere is painted more evenly."""
+"""Smallest relative error of a strength, from unevenness of the sphere's paint."""
 
 BLOCK = 16
-"""Errors of pixels in such a square are correlated, as in JPEG's blocks of colour."""
+"""Side of squares in which errors of pixels are correlated, as in JPEG's chroma blocks.
+"""
 
 DRAWS = 32
-"""Number of drawn roundings of files: their covariance is known to a fifth."""
+"""Number of simulated roundings of files, for a covariance with about 20 % error."""
 
 SHRUNK = 96
-"""Most pixels across a sphere that is drawn: rounding of more averages out."""
+"""Maximum diameter of a simulated sphere, pixels: rounding of more averages out."""
 
 BRIGHTER = 0.03
-"""Each draw is up to this much brighter or darker."""
+"""Each simulation is darker by up to this fraction."""
 
 
 class AnyDistanceLight(AbstractLight):
@@ -78,7 +79,7 @@ class AnyDistanceLight(AbstractLight):
     falloff: Float[Array, ""]
 
     def illuminate(self, position: Vec3) -> Illumination:
-        # Homogeneous coordinates: in units of the distance to the reference point.
+        # Scaled by the inverse distance to the reference point, so that it is finite.
         offset = self.inverse_distance * (self.reference - position) + self.direction
         squared = dot(offset, offset)
         light = jnp.full(3, 1 / (1 - self.falloff + self.falloff * squared))
@@ -87,11 +88,11 @@ class AnyDistanceLight(AbstractLight):
 
 
 class Place(NamedTuple):
-    """Position of the matte sphere, and the fall-off of light on the way there.
+    """Position of the matte sphere, and the fall-off of the lamps' light.
 
     - `outline`: x, y and radius in pixels.
-    - `radius`: of the sphere, in the unit of the reference, which tells its depth.
-    - `falloff`: κ of the module's formula, of all lamps.
+    - `radius`: of the sphere, in the unit of the reference; determines its depth.
+    - `falloff`: κ of the module's formula, common to all lamps.
     """
 
     outline: Any
@@ -99,19 +100,18 @@ class Place(NamedTuple):
     falloff: Any
 
     def moved(self, step: Any) -> "Place":
-        """With its outline, the logarithm of its radius and κ moved."""
+        """The place after a step of its outline, of log radius and of κ."""
         xp = namespace(step)
         falloff = xp.maximum(self.falloff + step[4], 0)
         return Place(self.outline + step[:3], self.radius * xp.exp(step[3]), falloff)
 
 
 class Points(NamedTuple):
-    """Pixels of a sphere that are looked at, and their light in each photograph.
+    """Pixels of a sphere, and their light in each photograph.
 
-    - `block`: of pixels whose errors are correlated.
-    - `white`: what may have been cut off, and what is next to that: noise decides
-        which samples at the edge are white, and those that are not are darker than
-        they should be.
+    - `block`: number of the block of pixels with correlated errors.
+    - `white`: samples that may have been cut off, and their neighbours: near a clipped
+        area noise selects the samples below white, which are then biased.
     """
 
     pixel: Float[np.ndarray, "points 2"]
@@ -123,17 +123,17 @@ class Points(NamedTuple):
 class Matte(NamedTuple):
     """A matte sphere in the photographs.
 
-    - `light`: its surroundings in each photograph, linear.
-    - `corner`: x and y of that part's upper left corner, pixels.
-    - `points`: those on the sphere.
-    - `place`: as far as it is known.
+    - `light`: the sphere and its surroundings in each photograph, linear.
+    - `corner`: x and y of the upper left corner of `light`, pixels.
+    - `points`: pixels on the sphere.
+    - `place`: initial or refined place of the sphere.
     - `covariance`: of the numbers that move the place.
     - `view`: the camera.
-    - `reference`: the point that lamps' directions are counted from.
-    - `film`: how light became the numbers of the photographs' files.
+    - `reference`: origin of the lamps' directions.
+    - `film`: clamp, encoding and rounding of the photographs' files.
     - `model`: light of a lamp of strength 1, with its Jacobian: see `lit_by`.
-    - `shaded`: lamps' directions by the shading, or zeros: `shaded_directions`.
-    - `ambient`, `ambient_error`: light of the room on it.
+    - `shaded`: lamps' directions from the shading, or zeros: `shaded_directions`.
+    - `ambient`, `ambient_error`: light of the room on the sphere.
     """
 
     light: Float[np.ndarray, "count height width 3"]
@@ -164,8 +164,8 @@ class Matte(NamedTuple):
     ) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, "points 8"]]:
         """Light of a lamp of strength 1, without that of the room, and its Jacobian.
 
-        By two turns along the tangents, the inverse distance, and the numbers that move
-        the sphere's place.
+        The Jacobian is by two turns along the tangents, the inverse distance, and the
+        numbers that move the sphere's place.
         """
         lamp = direction, tangents, inverse_distance
         at = self.points.pixel, self.place, self.reference
@@ -215,9 +215,9 @@ def points_on(
     corner: Float[np.ndarray, "2"],
     outline: Float[np.ndarray, "3"],
 ) -> Points:
-    """Some of the pixels within an outline, evenly spread.
+    """An even sample of the pixels within an outline.
 
-    **Arguments:** `light`, `corner`: as of [`Matte`][].
+    **Arguments:** `light`, `corner`: as in [`Matte`][].
     """
     from scipy import ndimage
 
@@ -233,17 +233,17 @@ def points_on(
 
 
 def overexposed(points: Points) -> Bool[np.ndarray, " count"]:
-    """Photographs in which most of the sphere is white."""
+    """Mask of photographs in which most of the sphere is white."""
     return points.white.any(axis=-1).mean(axis=1) > 0.5
 
 
 def shaded_directions(
     points: Points, normals: Float[np.ndarray, "points 3"]
 ) -> Float[np.ndarray, "count 3"]:
-    """The lamp's direction in each photograph, as if it were far: no start is needed.
+    """The lamp's direction in each photograph, for a distant lamp, without a start.
 
-    Least squares of the light by the normal, over what is clearly lit. Zeros where
-    nothing is, as in a photograph without a lamp.
+    Least squares of the light by the normal, over clearly lit pixels. Zeros if there
+    are too few of these, as in a photograph without a lamp.
     """
     grey, found = points.light.mean(axis=-1), []
     brightness = np.percentile(grey, 98, axis=1)
@@ -267,11 +267,11 @@ def room_light(
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     r"""Light of the room on the matte sphere's side in shadow, and its standard error.
 
-    The median of the photographs; 0 where none shows enough of that side. (An unknown
-    of the fit would compensate for spheres that do not follow Lambert's law.)
+    The median of the photographs; 0 if none shows enough of that side. (As an unknown
+    of the fit it would compensate for spheres that do not follow Lambert's law.)
 
-    Nothing is darker than black: clipped noise of standard deviation $\sigma$ has the
-    mean $\sigma / \sqrt{2 \pi}$ where there is no light. This bias is subtracted, and
+    Values below black are clipped: noise of standard deviation $\sigma$ without light
+    then has the mean $\sigma / \sqrt{2 \pi}$. This bias is subtracted, and
     added to the error, as it is uncertain by its own size. The error includes the
     scatter of the photographs, since lamps light the room differently.
     """
@@ -295,7 +295,7 @@ def room_light(
 
 
 def _unclipped(mean: float, sigma: float) -> float:
-    """Light of which noise and the clamp at 0 make this mean; 0 where none does."""
+    """Light that gives this mean after noise and the clamp at 0; 0 if none does."""
     from scipy import optimize
     from scipy.special import ndtr
 
@@ -310,9 +310,9 @@ def _unclipped(mean: float, sigma: float) -> float:
 
 
 class _Line(NamedTuple):
-    """A robust linear fit.
+    """Result of a robust linear fit.
 
-    - `inflation`: of the covariance, over that of independent samples of variance 1.
+    - `inflation`: ratio of the covariance to that of independent samples of variance 1.
     """
 
     numbers: np.ndarray
@@ -331,7 +331,7 @@ def _line(light: np.ndarray, columns: np.ndarray, block: np.ndarray) -> _Line:
         weights = tukey_weight(rest, max(robust_scale(rest), 1e-9))
     bread = np.linalg.pinv(columns.T @ (weights[:, None] * columns))
     scores = summed_by_block((weights * rest)[:, None] * columns, block)
-    # Residuals of few blocks are smaller than errors: numbers were fitted to them.
+    # Correction for few blocks: fitted residuals are smaller than errors.
     few = len(scores) / max(len(scores) - len(found), 1)
     covariance = few * bread @ scores.T @ scores @ bread
     inflation = float(np.mean(np.diag(covariance) / np.maximum(np.diag(bread), 1e-300)))
@@ -341,11 +341,11 @@ def _line(light: np.ndarray, columns: np.ndarray, block: np.ndarray) -> _Line:
 class Shading(NamedTuple):
     """Residuals of the shading, `root @ step - aim`, to first order in a step.
 
-    A step of a lamp has two turns, a change of the inverse distance, and what moves the
-    sphere's place, which is the same for all lamps. Residuals have variance 1; they are
-    0 where a photograph has no information.
+    A step of a lamp has two turns, a change of the inverse distance, and the move of
+    the sphere's place, which is common to all lamps. Residuals have variance 1; they
+    are 0 for a photograph without information.
 
-    - `rank`: number of residuals that have information.
+    - `rank`: number of residuals with information.
     """
 
     root: Float[np.ndarray, "lamps 8 8"]
@@ -359,7 +359,7 @@ def shade(
     tangents: Float[np.ndarray, "lamps 2 3"],
     inverse_distances: Float[np.ndarray, " lamps"],
 ) -> Shading:
-    """The shading of all lamps, about an estimate of them and the sphere's place."""
+    """Linearise the shading of all lamps at an estimate of them and of the place."""
     points, count = matte.points, len(directions)
     root, aim, rank = np.zeros((count, 8, 8)), np.zeros((count, 8)), 0
     for number, lamp in enumerate(
@@ -373,11 +373,11 @@ def shade(
         model, block = model[lit], points.block[lit]
         strength = _line(light, model[:, None], block).numbers[0]
         slopes = strength * slopes[lit]
-        # The lamp's own numbers leave residuals by which samples err.
+        # Estimate errors from residuals of a fit of this lamp's numbers alone.
         own = _line(light, np.column_stack([model, slopes[:, :3]]), block)
         weight = np.sqrt(own.weights / own.inflation)
         rows = weight[:, None] * np.column_stack([slopes, light - strength * model])
-        # The strength is free: without its part.
+        # Project out the strength, which is a free unknown.
         axis = weight * model / np.linalg.norm(weight * model)
         rows -= axis[:, None] * (axis @ rows)
         left, values, right = np.linalg.svd(rows[:, :8], full_matrices=False)
@@ -391,11 +391,12 @@ def shade(
 class Strengths(NamedTuple):
     """Strengths of lamps at the reference point, in linear light.
 
-    It contains the sphere's reflectance, which is not known.
+    Strengths include the sphere's unknown reflectance as a factor.
 
     - `intensity`: by lamp and channel; `nan` where a photograph has no information.
-    - `covariance`: of these, lamp by lamp, with places of lamps and the sphere held.
-    - `slopes`: by these, of which [`LampEstimate`][] has the covariance in `joint`.
+    - `covariance`: of intensities, lamp by lamp, with fixed places of lamps and sphere.
+    - `slopes`: derivatives by these places, in the order of `joint` of
+        [`LampEstimate`][].
     """
 
     intensity: Float[np.ndarray, "lamps 3"]
@@ -409,9 +410,9 @@ def find_strengths(
     tangents: Float[np.ndarray, "lamps 2 3"],
     inverse_distances: Float[np.ndarray, " lamps"],
 ) -> Strengths:
-    """Strengths of lamps whose places are known, and their derivatives by these.
+    """Strengths of lamps at given places, and their derivatives by the places.
 
-    **Arguments:** as of [`LampEstimate`][].
+    **Arguments:** as in [`LampEstimate`][].
     """
     points, count = matte.points, len(directions)
     intensity, noise, by_room = (np.full((count, 3), np.nan) for _ in range(3))
@@ -428,7 +429,7 @@ def find_strengths(
             light = points.light[number, lit, channel] - matte.ambient[channel]
             line = _line(light, shown[:, None], points.block[lit])
             strength, squared = _strength(shown, light), shown @ shown
-            # Of the ratio of sums that least squares are.
+            # Derivative of the ratio of sums in the least squares solution.
             by_model = light @ slope - 2 * strength * (shown @ slope)
             slopes[number, channel, unknowns] = by_model / squared
             intensity[number, channel] = line.numbers[0]
@@ -447,11 +448,12 @@ def find_strengths(
 def rounding(
     matte: Matte, lamps: Any, strengths: Float[np.ndarray, "lamps 3"]
 ) -> Float[np.ndarray, "lamps*3 lamps*3"]:
-    """Covariance of strengths by the rounding of the photographs' files.
+    """Covariance of strengths due to the rounding of the photographs' files.
 
-    A sphere of one hue has few values of chroma, which all photographs round alike:
-    pixels do not average that. Drawn, as [`restore`][] does: the model under each lamp,
-    rounded as its file would be, a little brighter or darker.
+    A sphere of one hue has few values of chroma, which all photographs round in the
+    same way, so averaging over pixels does not reduce the error. It is simulated, as
+    [`restore`][] does: the model under each lamp, at slightly different brightness, is
+    rounded like its file.
     """
     film, size = matte.film, 3 * len(strengths)
     if film.jpeg is None and (film.bits or 16) > 8:
@@ -492,7 +494,7 @@ def rounding(
 def _read_back(
     film: Film, light: np.ndarray, share: np.float32, shift: np.ndarray
 ) -> Float[np.ndarray, "height width 3"]:
-    """Light as it is read from a file of slightly different levels."""
+    """Light after a round trip through a file with slightly different levels."""
     shown = np.clip(light, 0, 1).astype(np.float32)
     levels = share * 255 * np.asarray(encode(shown, film.encoding), np.float32) + shift
     stored = np.round(levels)

@@ -1,9 +1,9 @@
 """Spheres by their outlines: from a circle in an image to a sphere before the camera.
 
-The calibrating camera stands at the origin of its own axes: x right, y up, z back to
-the viewer. Seen by a pinhole, a sphere's outline is an ellipse, a little longer away
-from the image's centre; by its outline `(x, y, radius)` is meant the circle with the
-ellipse's centre and area, pixels from the upper left corner.
+Coordinates are those of the calibrating camera, which stands at the origin: x right, y
+up, z back to the viewer. Seen by a pinhole, a sphere's outline is an ellipse, slightly
+elongated away from the image's centre; its outline `(x, y, radius)` is the circle with
+the ellipse's centre and area, pixels from the upper left corner.
 
 Functions of vectors broadcast over leading axes, for arrays of NumPy or JAX.
 """
@@ -19,12 +19,12 @@ from phongfit.edge import shown
 from phongfit.rendering.jpeg import namespace
 
 SMALLEST = 5.0
-"""Of the radii of spheres that can be looked at, pixels."""
+"""Smallest radius of a sphere, pixels."""
 
 SLACK = 2.0
-"""A sphere that touches the edge may reach so far beyond it, as circles are given."""
+"""Tolerance of given circles: a sphere may extend this far beyond the image, pixels."""
 
-# Of NumPy or JAX.
+# Arrays of NumPy or JAX.
 Vectors = Any
 Pixels = Any
 Outlines = Any
@@ -32,7 +32,7 @@ Outlines = Any
 
 @dataclass(frozen=True)
 class View:
-    """A camera by what calibration needs of it.
+    """The camera of a calibration: its size and its angle of view.
 
     - `width`, `height`: of the photographs, pixels; the principal point is in the
         middle.
@@ -106,7 +106,7 @@ def sphere_behind(outline: Outlines, view: View, radius: float) -> Vectors:
         for step in range(20):
             at = closer(step, at)
     else:
-        # Unrolled, it would take seconds to compile.
+        # An unrolled loop would take seconds to compile.
         at = jax.lax.fori_loop(0, 20, closer, at)
     _, sin2, shrink = at
     axis = xp.concatenate([across * shrink, -xp.ones_like(size)], axis=-1)
@@ -114,9 +114,9 @@ def sphere_behind(outline: Outlines, view: View, radius: float) -> Vectors:
 
 
 def stretch(outline: Float[np.ndarray, "3"], view: View) -> Float[np.ndarray, "2"]:
-    """How much longer than wide an outline is, as a vector along its longer axis.
+    """Elongation of an outline: a vector along its longer axis.
 
-    In pixels' axes (x right, y down): 0 for a circle, of length a / b − 1 else.
+    In pixels' axes (x right, y down), of length a / b − 1; 0 for a circle.
     """
     if view.focal is None:
         return np.zeros(2)
@@ -132,7 +132,7 @@ def stretch(outline: Float[np.ndarray, "3"], view: View) -> Float[np.ndarray, "2
 def as_circle(
     name: str, value: Any, view: View, *, least: float = 0.0
 ) -> Float[np.ndarray, "3"]:
-    """A circle that was given: x, y and radius in pixels, wholly in the photograph.
+    """A given circle, checked: x, y and radius in pixels, wholly in the photograph.
 
     **Arguments:** `least`: the smallest radius that is accepted.
 
@@ -162,7 +162,10 @@ def as_circle(
 
 
 class Seen(NamedTuple):
-    """Points of a sphere that pixels see; past the outline, the rim's nearest."""
+    """Points of a sphere that pixels see; outside the outline, nearest points of the rim.
+
+    Unit vectors `normal` and `to_viewer` belong to each point.
+    """
 
     position: Vectors
     normal: Vectors
@@ -170,18 +173,18 @@ class Seen(NamedTuple):
 
 
 def seen(pixel: Pixels, outline: Outlines, view: View, radius: float) -> Seen:
-    """What image points see of the sphere behind an outline.
+    """The points that pixels see on the sphere behind an outline.
 
     **Arguments:**
 
     - `pixel`: image points, pixels from the upper left corner.
-    - `outline`, `radius`: as of [`sphere_behind`][].
+    - `outline`, `radius`: as in [`sphere_behind`][].
     """
     xp, centre = namespace(outline), sphere_behind(outline, view, radius)
     across = (pixel - view.centre) * np.array([1.0, -1.0])
     back = xp.ones_like(across[..., :1])
     if view.focal is None:
-        # A pixel has the size that the sphere's radius gives it.
+        # The sphere's radius in pixels determines the size of a pixel.
         place = across * (radius / outline[..., 2:])
         origin = xp.concatenate([place, 0 * back], axis=-1)
         direction = xp.concatenate([0 * across, -back], axis=-1)
@@ -200,16 +203,16 @@ def seen(pixel: Pixels, outline: Outlines, view: View, radius: float) -> Seen:
 
 
 class Ray(NamedTuple):
-    """From a sphere's surface to what is mirrored there, along unit vectors."""
+    """A ray from a sphere's surface to the mirrored object, with a unit direction."""
 
     position: Vectors
     direction: Vectors
 
 
 def mirrored(pixel: Pixels, outline: Outlines, view: View, radius: float) -> Ray:
-    r"""Where what pixels see in a chrome sphere lies: $s = 2 (n \cdot v) n - v$.
+    r"""The rays that a chrome sphere mirrors into pixels: $s = 2 (n \cdot v) n - v$.
 
-    **Arguments:** as of [`seen`][].
+    **Arguments:** as in [`seen`][].
     """
     at = seen(pixel, outline, view, radius)
     back = 2 * dots(at.normal, at.to_viewer) * at.normal - at.to_viewer
@@ -217,8 +220,8 @@ def mirrored(pixel: Pixels, outline: Outlines, view: View, radius: float) -> Ray
 
 
 def across(direction: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 2 3"]:
-    """Two unit vectors across each unit vector."""
-    # From the axis that is farthest from it.
+    """Two unit vectors perpendicular to each unit vector and to each other."""
+    # Constructed from the coordinate axis that is most nearly perpendicular.
     axis = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
     first = unit(np.cross(axis, direction))
     return np.stack([first, np.cross(direction, first)], axis=-2)

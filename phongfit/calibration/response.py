@@ -1,22 +1,22 @@
-r"""`fit_response`: a camera's response curve, where it is neither linear nor sRGB's.
+r"""`fit_response`: estimate a camera's response curve, if it is not linear or sRGB.
 
-The light $g(M)$ that a number M stands for is a rising curve from 0 to 1. Its slope is
-the exponential of a cubic spline in $\sqrt M$, so that it rises wherever it is, and is
-smooth: gamma curves bend most where numbers are small. Two kinds of photographs tell
-it:
+The light $g(M)$ of a number M is a rising curve from 0 to 1. Its slope is the
+exponential of a cubic spline in $\sqrt M$, so that it always rises and is smooth, with
+most freedom at small numbers, where gamma curves bend most. Two kinds of photographs
+determine it:
 
 - a matte surface of known shape under known lamps, whose light is $E \max(n \cdot l, 0)
   + a$ with an unknown strength E of each lamp and light a of the room;
 - the same view at several exposures e, whose light is $e L$ with an unknown L in each
   pixel.
 
-Either way light is $E q + a$, with q known and E the same for a group of samples, and a
-number's error is
+In both cases light is $E q + a$, with q known and E common to a group of samples, and a
+number's residual is
 
-$$r = M - g^{-1}(E q + a),$$
+$$r = M - g^{-1}(E q + a).$$
 
-of which E and a are found by linear least squares in light and the spline by nonlinear
-ones, with Tukey's biweight against what is not matte, or moved.
+E and a are estimated by linear least squares in light, and the spline by nonlinear
+least squares, with Tukey's biweight against parts that are not matte, or moved.
 
 ??? cite "Source"
     Mitsunaga and Nayar, *Radiometric self calibration*, CVPR 1999; Debevec and Malik,
@@ -52,53 +52,53 @@ from phongfit.rendering.response import ResponseCurve
 from phongfit.scene import Scene
 
 SPLINES = 9
-"""Numbers that the logarithm of the slope is made of."""
+"""Number of spline coefficients of the logarithm of the slope."""
 
 SMOOTH = 1.0
-"""Standard deviation of its second differences: where nothing is seen the curve goes
-on as it did. sRGB's have 0.5."""
+"""Prior standard deviation of the coefficients' second differences, which extrapolates
+the curve where there are no data. For sRGB it is 0.5."""
 
 NUMBERS = np.linspace(0, 1, 257)
 """Numbers at which the resulting curve is sampled."""
 
 GRID = np.linspace(0, 1, 8 * (len(NUMBERS) - 1) + 1)
-"""Numbers at which light is summed up from its slope."""
+"""Numbers at which the slope is integrated to light."""
 
 DARKEST, BRIGHTEST = 0.03, 0.98
-"""Numbers that should lie outside may have been cut off."""
+"""Numbers expected outside this range may have been cut off."""
 
 LIT = 0.1
-"""Smallest n·l that is used, and of the side in shadow the largest −n·l: nearer to its
-edge, shade is uncertain."""
+"""Smallest |n·l| that is used, on the lit and the shadowed side: near n·l = 0 shading
+is uncertain."""
 
 FACING = 0.3
-"""Smallest n·v that is used, since a rim's pixels hold many normals."""
+"""Smallest n·v that is used, since pixels at the rim average over many normals."""
 
 MOST = 1500
-"""Pixels that are looked at: more of them err alike."""
+"""Approximate number of pixels used: errors of more would be correlated."""
 
 BLOCK = 16
-"""Pixels up to this far apart, and JPEG's blocks, err together."""
+"""Side of squares in which errors of pixels are correlated, as in blocks of JPEG."""
 
 STIFF = 1e4
-"""How much smoother a curve is to be to begin with."""
+"""Initial factor on the weight of the curve's smoothness."""
 
 ROUNDS = 10
-"""Number of times that samples are weighed anew."""
+"""Number of updates of the samples' weights."""
 
 FITS = 4.0
-"""An encoding that is fewer standard deviations off fits."""
+"""An encoding fits if it is off by fewer standard deviations than this."""
 
 LEVEL = 1 / 255
-"""So does one that is off by no more than a level of 8 bits."""
+"""An encoding also fits if it is off by less than this, one level of 8 bits."""
 
 
 class Check(NamedTuple):
-    """Whether an encoding explains the photographs.
+    """Comparison of a named encoding with the fitted curve.
 
-    - `sigmas`: by how many standard deviations it explains them worse than the curve.
-    - `off`: largest difference of its light from the curve's, as a share of white,
-        over the numbers that were seen.
+    - `sigmas`: number of standard deviations by which it fits worse than the curve.
+    - `off`: largest difference of its light from the curve's, as a fraction of white,
+        over the range of numbers in the photographs.
     """
 
     sigmas: float
@@ -106,7 +106,7 @@ class Check(NamedTuple):
 
     @property
     def fits(self) -> bool:
-        """Whether there is no reason to prefer the curve."""
+        """True if the data do not prefer the curve over the encoding."""
         return self.sigmas < FITS or self.off < LEVEL
 
     def __str__(self) -> str:
@@ -117,15 +117,15 @@ class Check(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """What [`fit_response`][] found.
+    """Result of [`fit_response`][].
 
-    - `curve`: to be given wherever an encoding is asked for.
-    - `error`: standard errors of its samples over the light of the largest number that
-        was seen, since how bright all light is does not matter.
-    - `seen`: smallest and largest number that the photographs show; beyond them the
-        curve only goes on smoothly.
-    - `checks`: of the encodings that have a name.
-    - `warnings`: what to know before it is trusted.
+    - `curve`: the response curve, for use as an encoding.
+    - `error`: standard errors of its samples relative to the light of the largest
+        number in the photographs, since the scale of light is arbitrary.
+    - `seen`: smallest and largest number in the photographs; beyond them the curve is
+        extrapolated smoothly.
+    - `checks`: comparisons with the named encodings.
+    - `warnings`: problems that affect the result.
     """
 
     curve: ResponseCurve
@@ -136,7 +136,7 @@ class Response:
 
     @property
     def encoding(self) -> Any:
-        """The one with a name that fits best, if any does; else the curve."""
+        """The named encoding that fits best, if any fits; else the curve."""
         fitting = [name for name, check in self.checks.items() if check.fits]
         if not fitting:
             return self.curve
@@ -167,7 +167,7 @@ def fit_response(
     mask: Bool[np.ndarray, "height width"] | None = None,
     names: Sequence[str] | None = None,
 ) -> Response:
-    """The camera's response, from a matte surface or from several exposures.
+    """Estimate the camera's response from a matte surface or from several exposures.
 
         stored = pf.ResponseCurve((0.0, 1.0))  # numbers as they stand in the file
         images = [pf.read_image(path, stored) for path in paths]
@@ -178,16 +178,16 @@ def fit_response(
 
     - `photographs`: their numbers, (height, width, 3) in [0, 1], all of one size, of a
         camera that stands still.
-    - `scenes`: of a matte surface, one for each photograph, with its lamp; how strong
-        lamps are does not matter.
-    - `exposures`: or how much light each photograph got, next to the others. As good as
-        the curve is to be: of exposures that are all wrong by a power the curve is.
-    - `mask`: which pixels may be used.
+    - `scenes`: of a matte surface, one for each photograph, with its lamp; the lamps'
+        strengths are not used.
+    - `exposures`: alternatively, the relative exposure of each photograph. The curve is
+        only as accurate as these: a power law in their errors passes into the curve.
+    - `mask`: true for pixels that may be used.
     - `names`: of the photographs, for messages.
 
     **Returns:** a [`Response`][].
 
-    **Raises:** `ValueError` that names the argument, or says that too little is seen.
+    **Raises:** `ValueError` that names the argument, or if there are too few samples.
     """
     count = len(photographs)
     if (scenes is None) == (exposures is None):
@@ -211,14 +211,15 @@ def fit_response(
 
 
 class _Samples(NamedTuple):
-    """Numbers M with what is known of their light, E q + a: one row for each E.
+    """Numbers M and the known part q of their light E q + a: one row for each E.
 
     - `number`: M.
     - `share`: q.
-    - `block`: of those whose errors are correlated.
-    - `sound`: which may be used. Black and white numbers are included: the expected
-        number decides on them, since the number itself would select by noise.
-    - `room`: whether there is light of the room, a.
+    - `block`: number of the block of samples with correlated errors.
+    - `sound`: true for samples that may be used. Black and white numbers are included:
+        they are excluded later by the expected number, since selection by the number
+        itself would be biased by noise.
+    - `room`: true if there is light of the room, a.
     """
 
     number: Float[np.ndarray, "groups members"]
@@ -241,7 +242,7 @@ def _positive(exposures: Any) -> Float[np.ndarray, " n"]:
 
 
 def _thinned(mask: Bool[np.ndarray, "height width"]) -> np.ndarray:
-    """Some of the pixels, evenly."""
+    """An even sample of the pixels in a mask."""
     stride = max(1, round(np.sqrt(mask.sum() / MOST)))
     kept = np.zeros_like(mask)
     kept[stride // 2 :: stride, stride // 2 :: stride] = True
@@ -307,7 +308,7 @@ def _of_surface(
         )
 
     def rows(values: np.ndarray) -> np.ndarray:
-        """A strength for each photograph and channel."""
+        """Values as rows, one for each photograph and channel."""
         every = np.broadcast_to(values, numbers.shape)
         return np.moveaxis(every, 2, 1).reshape(-1, every.shape[1])
 
@@ -332,7 +333,7 @@ def _of_exposures(
     used = _thinned(used)
     numbers = _numbers(photographs, names, used, (size[0], size[1]))
     seen = (numbers > DARKEST) & (numbers < BRIGHTEST)
-    # A pixel that one photograph alone shows has no information.
+    # A pixel that is usable in a single photograph has no information.
     several = seen.sum(axis=0) > 1
     if seen[:, several].sum() < 50 * SPLINES:
         raise ValueError(
@@ -354,7 +355,7 @@ def _as_mask(mask: Any, size: tuple[int, ...]) -> Bool[np.ndarray, "height width
 
 
 def _raised(number: np.ndarray, sigma: float) -> np.ndarray:
-    """Increase of the mean of numbers by the clamp at black, which cuts off noise."""
+    """Increase of the mean of noisy numbers by the clamp at black."""
     from scipy.special import ndtr
 
     at = number / sigma
@@ -364,24 +365,24 @@ def _raised(number: np.ndarray, sigma: float) -> np.ndarray:
 
 @functools.cache
 def _basis() -> tuple[np.ndarray, np.ndarray]:
-    """The spline's basis on the grid, and rows that keep its coefficients smooth."""
+    """The spline's basis on the grid, and rows of its smoothness prior."""
     from scipy.interpolate import BSpline
 
     knots = np.concatenate([[0] * 3, np.linspace(0, 1, SPLINES - 2), [1] * 3])
     basis = BSpline.design_matrix(np.sqrt(GRID), knots, 3).toarray()
     bends = np.diff(np.eye(SPLINES), 2, axis=0) / SMOOTH
-    # A common factor of the slope does not change the curve: it is held near 1.
+    # The last row fixes a common factor of the slope, which does not affect the curve.
     return basis, np.concatenate([bends, np.ones((1, SPLINES))])
 
 
 class _Weights(NamedTuple):
-    """Weights of the samples, as the last curve gives them.
+    """Weights of the samples, from the latest curve.
 
     - `number`: numbers without the clamp's increase of their mean.
-    - `used`: by Tukey's biweight; 0 for what is black or white.
+    - `used`: weights of Tukey's biweight; 0 for black and white samples.
     - `rise`: slope of the curve at the sample.
     - `sigma`: standard deviation of numbers.
-    - `stiff`: how much smoother than in the end the curve is held.
+    - `stiff`: factor on the weight of smoothness; 1 in the end.
     """
 
     number: Any
@@ -402,10 +403,10 @@ def _light(theta: Any) -> Any:
 
 
 def _errors(light: Any, samples: Any, weights: Any, least_room: Any) -> Any:
-    """Errors of numbers under a curve, whose room has at least some light.
+    """Residuals of numbers for a curve, with room light of at least `least_room`.
 
-    Strengths and the light of the room are the best ones, by linear least squares.
-    Beyond black and white the curve goes on straight: corrected numbers lie there.
+    Strengths and the light of the room are estimated by linear least squares. Beyond
+    black and white the curve is extrapolated linearly, for corrected numbers there.
     """
     xp = namespace(light)
     q, number, last = samples.share, weights.number, len(GRID) - 1
@@ -419,7 +420,7 @@ def _errors(light: Any, samples: Any, weights: Any, least_room: Any) -> Any:
 
     squares = xp.maximum(sums(weight * q * q), 1e-300)
     products, crossed = sums(weight * q * found), sums(weight * q)
-    # The room's light, once strengths follow it.
+    # The room's light, with strengths eliminated.
     top = xp.sum(weight * found) - xp.sum(products * crossed / squares)
     bottom = xp.sum(weight) - xp.sum(crossed**2 / squares)
     some = samples.room & (bottom > 0)
@@ -431,32 +432,32 @@ def _errors(light: Any, samples: Any, weights: Any, least_room: Any) -> Any:
 
 
 def _residual(theta: Any, samples: Any, weights: Any, least_room: Any) -> Any:
-    """Weighted errors of numbers, and bends of the curve."""
+    """Weighted residuals of numbers, and of the smoothness prior."""
     errors = _errors(_light(theta), samples, weights, least_room)
     bends = jnp.sqrt(weights.stiff) * weights.sigma * (_basis()[1] @ theta)
     return jnp.concatenate([jnp.ravel(jnp.sqrt(weights.used) * errors), bends])
 
 
 def _fit(samples: _Samples) -> Response:
-    """The curve that explains the samples best, and its errors."""
+    """The best curve for the samples, and its standard errors."""
     residual = differentiated(_residual)
     theta, weights = _solve(samples, residual)
     light, slopes = differentiated(_light)(theta)
     rest = _errors(light, samples, weights, 0.0)
     lit = _lit(samples, weights.number - rest, weights.sigma)
     count, freedom = np.count_nonzero(lit), _freedom(samples, lit) - SPLINES
-    # The light of a dark room is uncertain: no bound at 0 here.
+    # No bound at 0 here, since the light of a dark room is uncertain.
     jacobian = residual(theta, samples, weights, -np.inf)[1][: rest.size]
     root = np.sqrt(weights.used)
     u = rest / (TUKEY * weights.sigma)
     slope = np.where(lit & (np.abs(u) < 1), (1 - u**2) * (1 - 5 * u**2), 0)
-    # Huber, *Robust statistics*, 1981, section 7.6: what weights cost.
+    # Loss of efficiency by weights: Huber, *Robust statistics*, 1981, section 7.6.
     scores = weights.used * rest
     variance = np.sum(scores**2) / freedom / (np.sum(slope) / count) ** 2
     data, smooth = jacobian.T @ jacobian, _basis()[1].T @ _basis()[1]
     held = np.linalg.inv(data + weights.stiff * weights.sigma**2 * smooth)
     known = held @ data
-    # Neighbours err together: by how much more scores of blocks vary.
+    # Inflation by correlated errors: excess variance of the sums of blocks.
     each = (root * rest).reshape(-1, 1) * jacobian
     together = summed_by_block(each, samples.block.ravel())
     bread = known @ held
@@ -468,7 +469,8 @@ def _fit(samples: _Samples) -> Response:
 
     shown = (weights.used > 0) & (samples.share > 0)
     low, high = np.percentile(samples.number[shown], (0.5, 99.5)).tolist()
-    # Of the curve over its light at the largest number, since scale does not matter.
+    # Derivatives of the curve relative to its light at the largest number, since the
+    # scale of light is arbitrary.
     at_high = np.interp(high, GRID, light)
     by_high = [np.interp(high, GRID, column) for column in slopes.T]
     slopes = (slopes - np.outer(light / at_high, by_high)) / at_high
@@ -482,7 +484,7 @@ def _fit(samples: _Samples) -> Response:
         freedom = max(float(np.trace(known)), 1.0)
         return _checked(light, other, max(more, 0.0), freedom, (low, high))
 
-    # Rounding could make parts flat, which a response curve may not be.
+    # Ensure a rise everywhere: rounding could make parts flat.
     curve = np.interp(NUMBERS, GRID, light) + 1e-9 * NUMBERS
     return Response(
         ResponseCurve((curve / curve[-1]).tolist()),
@@ -496,7 +498,7 @@ def _fit(samples: _Samples) -> Response:
 def _solve(
     samples: _Samples, residual: Callable[..., Any]
 ) -> tuple[np.ndarray, _Weights]:
-    """The spline's coefficients, and the weights of samples that they lead to."""
+    """The spline's coefficients, and the final weights of samples."""
     number = samples.number
     used = ((number > DARKEST) & (number < BRIGHTEST)).astype(float)
     used = np.where(samples.share == 0, 1.0, used) * samples.sound
@@ -510,15 +512,15 @@ def _solve(
         starts.append((float(np.median(np.abs(rest))), near))
     theta = min(starts, key=lambda start: start[0])[1]
     for step in range(ROUNDS):
-        # At first stiff: else it bends below the darkest number that is seen, where
-        # a step in light and light of the room look alike.
+        # Stiff at first: otherwise the curve bends below the darkest number, where a
+        # step in light is degenerate with light of the room.
         weights = weights._replace(stiff=max(STIFF / 4**step, 1.0))
         theta = least_squares(residual, theta, samples, weights, 0.0).values
         light = _light(theta)
         rest = _errors(light, samples, weights, 0.0)
         expected = weights.number - rest
         lit = _lit(samples, expected, weights.sigma)
-        # Of shadows black may have cut half off.
+        # Shadows are excluded, since the clamp at black may cut off half of them.
         lost = np.sqrt(np.count_nonzero(lit) / _freedom(samples, lit))
         sigma = max(robust_scale(rest[lit & (samples.share > 0)]) * lost, 1e-5)
         number = samples.number - _raised(expected, sigma)
@@ -531,9 +533,9 @@ def _solve(
 
 
 def _lit(samples: _Samples, expected: np.ndarray, sigma: float) -> np.ndarray:
-    """Samples that count: shadows, and what is neither black nor white.
+    """Mask of samples in use: shadows, and numbers that are neither black nor white.
 
-    The expected number decides if noise might have made the number black or white.
+    Near these limits the expected number decides, since the number has noise.
     """
     number, near = samples.number, min(5 * sigma, 0.1)
     dark = np.where(number < DARKEST + near, expected, number) < DARKEST
@@ -542,7 +544,7 @@ def _lit(samples: _Samples, expected: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def _freedom(samples: _Samples, lit: np.ndarray) -> int:
-    """Number of samples that count less that of strengths found; at least 1."""
+    """Degrees of freedom: samples in use minus strengths and room light; at least 1."""
     strengths = np.count_nonzero((lit & (samples.share > 0)).any(axis=1))
     return max(int(np.count_nonzero(lit) - strengths) - samples.room, 1)
 
@@ -558,7 +560,7 @@ def _checked(
     from scipy import stats
 
     chance = float(stats.chi2.sf(more, freedom))
-    # Far out the tail's probability is less than any number.
+    # Approximation where the tail's probability underflows.
     sigmas = stats.norm.isf(chance / 2) if chance > 1e-300 else np.sqrt(more)
     shown = (GRID >= seen[0]) & (GRID <= seen[1])
     one, two = other[shown], light[shown]

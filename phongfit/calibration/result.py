@@ -1,4 +1,4 @@
-"""What a calibration found."""
+"""Result of a calibration: lamps, spheres and camera."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -40,8 +40,8 @@ class Lamp:
     - `covariance`: of the position, or else of the direction.
     - `direction_error`: root mean square angle of the direction's error, degrees.
     - `intensity`, `intensity_error`: its strength at the reference point, RGB, relative
-        to the mean of all lamps and channels; `nan` where nothing tells it.
-    - `highlights`: in pixels, on each chrome sphere; `nan` where it shows none.
+        to the mean of all lamps and channels; `nan` if it is not determined.
+    - `highlights`: in pixels, on each chrome sphere; `nan` for missing ones.
     """
 
     photograph: str
@@ -63,20 +63,20 @@ class Calibration:
 
     - `view`: the camera by its size and angle.
     - `lamps`: one for each photograph that is not left out.
-    - `spheres`: their outlines, as all photographs together have them.
-    - `sphere_radius`: of the chrome spheres, the unit of all lengths.
-    - `reference`: the point that directions are counted from, and strengths hold at.
+    - `spheres`: their outlines, refined by all photographs.
+    - `sphere_radius`: of the chrome spheres; determines the unit of all lengths.
+    - `reference`: origin of the directions, and the point at which strengths are given.
     - `falloff`: κ of near lamps' light, 1 / (1 − κ + κ (d / d₀)²), where d₀ is the
         lamp's distance from the reference point; 1 for a bulb.
-    - `ambient`: light that is there without a lamp, RGB, in the unit of intensities.
-        It is taken from the matte sphere's light; a fit finds that of its own object.
-    - `left_out`: photographs that are not used, and why.
-    - `warnings`: what to know before this is trusted.
-    - `view_height`: with parallel rays, height of what is seen, in spheres' unit.
-    - `covariance`: of all lamps' positions or directions, lamp by lamp, and, where
-        strengths are known, of these and of the fall-off behind them; `None` where only
-        that of each is known.
-    - `falloff_error`, `ambient_error`: standard deviations of these.
+    - `ambient`: light without a lamp, RGB, in the unit of intensities. It has been
+        subtracted from the matte sphere's light; a fit estimates that of its object.
+    - `left_out`: reasons for photographs that are not used, by name.
+    - `warnings`: problems that affect the result.
+    - `view_height`: with parallel rays, height of the view in the spheres' unit.
+    - `covariance`: of all lamps' positions or directions, lamp by lamp, and, if
+        strengths are known, of strengths and then of the fall-off; `None` if only the
+        covariance of each lamp is known.
+    - `falloff_error`, `ambient_error`: standard errors of fall-off and ambient light.
     """
 
     view: View
@@ -97,7 +97,7 @@ class Calibration:
     def joint(self) -> Float[np.ndarray, "numbers numbers"]:
         """Covariance of positions or directions, of strengths, and of the fall-off.
 
-        Lamp by lamp in each of the first two; `nan` for strengths that are not known.
+        The first two are ordered lamp by lamp; `nan` for unknown strengths.
         """
         from scipy.linalg import block_diag
 
@@ -124,7 +124,7 @@ class Calibration:
 
     @property
     def lights(self) -> tuple[AbstractLight, ...]:
-        """One for each lamp, of strength 1 where none is known."""
+        """A light for each lamp, of strength 1 where it is unknown."""
         return tuple(self._light(lamp) for lamp in self.lamps)
 
     def _light(self, lamp: Lamp) -> AbstractLight:
@@ -138,7 +138,7 @@ class Calibration:
         )
 
     def centre(self, sphere: CalibratedSphere) -> Float[np.ndarray, "3"]:
-        """Of a chrome sphere, in the camera's axes."""
+        """Centre of a chrome sphere, in the camera's axes."""
         return sphere_behind(sphere.outline, self.view, self.sphere_radius)
 
     def __str__(self) -> str:
@@ -171,7 +171,7 @@ class Calibration:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """All numbers, as `json.dumps` takes them; what is not known is left out."""
+        """All numbers, in types for `json.dumps`, without unknown strengths' errors."""
         lamps = []
         for lamp, light in zip(self.lamps, self.lights, strict=True):
             known = bool(np.isfinite(lamp.intensity).all())

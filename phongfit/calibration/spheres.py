@@ -1,4 +1,4 @@
-"""Spheres in photographs: looked for, told apart, cut out with their surroundings."""
+"""Spheres in photographs: find, classify and crop them."""
 
 from collections.abc import Iterator, Sequence
 from typing import Literal, NamedTuple, Protocol, runtime_checkable
@@ -22,22 +22,22 @@ Outline = Float[np.ndarray, "3"]
 Images = Sequence[Float[np.ndarray, "height width 3"]]
 
 SEARCHED = 1000
-"""Photographs are shrunk to this many pixels, of their longer side, to look at."""
+"""Largest longer side of photographs in the search, pixels; larger ones are shrunk."""
 
 SEEN = 0.85
-"""Share of the arc that must be seen for a circle to be moved onto it."""
+"""Smallest visible fraction of the arc for which a circle is moved onto it."""
 
 NOT_SEEN = 0.5
-"""Error of a circle that is taken as given, pixels."""
+"""Error of a circle that is used as given, pixels."""
 
 NOT_ROUND = {"chrome": (0.06, 0.06, 0.15), "matte": (0.06, 0.06, 0.08)}
-"""Error that no sphere's circle is better than, pixels: x, y and radius. At its rim a
-mirror shows what is behind it, so that its edge is hardly one."""
+"""Smallest errors of a sphere's circle, pixels: x, y and radius. Those of a mirror's
+radius are larger, since its rim mirrors the background and has little contrast."""
 
 
 @runtime_checkable
 class Developed(Protocol):
-    """Photographs of which it is known how light became the numbers of their files."""
+    """Photographs with a known film."""
 
     @property
     def film(self) -> Film: ...
@@ -55,20 +55,20 @@ class Crop(NamedTuple):
 
     @property
     def grey(self) -> Float[np.ndarray, "count height width"]:
-        """The channels' mean."""
+        """The mean of the channels."""
         return self.light.mean(axis=-1)
 
     def within(self, outline: Outline) -> Outline:
-        """An outline as the crop has it."""
+        """An outline in the coordinates of the crop."""
         return outline - np.append(self.corner, 0)
 
 
 def looked_at(
     photographs: Images, names: Sequence[str]
 ) -> Iterator[Float[np.ndarray, "height width 3"]]:
-    """The photographs one by one.
+    """The photographs one by one, after a check of their shapes.
 
-    **Raises:** `ValueError` that names one of another size than the first.
+    **Raises:** `ValueError` that names a photograph of another size than the first.
     """
     first: tuple[int, ...] = ()
     for image, name in zip(photographs, names, strict=True):
@@ -90,7 +90,7 @@ def cut_out(
     outlines: Sequence[Outline],
     size: tuple[int, int],
 ) -> list[Crop]:
-    """Spheres with their surroundings; each photograph is looked at once.
+    """Crops of spheres with their surroundings; each photograph is read once.
 
     **Arguments:** `size`: height and width of the photographs.
     """
@@ -113,7 +113,7 @@ def cut_out(
 
 
 def place_sphere(crop: Crop, outline: Outline, kind: Kind, view: View) -> Placed:
-    """A sphere's outline moved onto what is seen of it; as given where little is."""
+    """Move a sphere's outline onto its edge, or keep it if too little is visible."""
     placed = place(
         crop.grey,
         crop.within(outline),
@@ -130,12 +130,12 @@ def place_sphere(crop: Crop, outline: Outline, kind: Kind, view: View) -> Placed
 def find_spheres(
     photographs: Images, names: Sequence[str], size: tuple[int, int]
 ) -> list[tuple[Kind, Outline]]:
-    """Spheres that nobody pointed out: round outlines with what spheres show inside.
+    """Search for spheres: round outlines whose inside looks like a sphere.
 
-    Matte is what Lambert's law explains, chrome what shows one compact highlight in
-    nearly every photograph, where another lamp puts it elsewhere.
+    A sphere is matte if Lambert's law explains its light, and chrome if it shows a
+    compact highlight in nearly every photograph, which moves with the lamp.
 
-    **Arguments:** `size`: as of [`cut_out`][].
+    **Arguments:** `size`: as in [`cut_out`][].
     """
     shrink = max(1, -(-max(size) // SEARCHED))
     images = looked_at(photographs, names)
@@ -154,9 +154,9 @@ def find_spheres(
 
 
 def find_ball(photographs: Images, names: Sequence[str]) -> Outline | None:
-    """The outline of the ball that photographs of one camera are of.
+    """The outline of the ball in photographs from one camera.
 
-    Its kind is not judged, and its dark side need not be seen.
+    Its kind is not determined, and its dark side need not be visible.
 
     **Returns:** x, y and radius in pixels from the upper left corner; `None` if no
     circle is clear enough.
@@ -170,7 +170,7 @@ def find_ball(photographs: Images, names: Sequence[str]) -> Outline | None:
 
 
 def _shrunk(image: np.ndarray, shrink: int) -> np.ndarray:
-    """Grey, and of so many pixels each way one."""
+    """A grey image, averaged over blocks of `shrink` × `shrink` pixels."""
     height, width = (n // shrink for n in image.shape[:2])
     grey = image.mean(axis=-1)[: height * shrink, : width * shrink]
     return grey.reshape(height, shrink, width, shrink).mean(axis=(1, 3))
@@ -182,7 +182,7 @@ def _kind(
     if _lambertian(light, outline) > 0.9:
         return "matte"
     still = light.min(axis=0)
-    # The likeliest of each; small against the sphere, and not always in place.
+    # The likeliest highlight of each; it must be small and move between photographs.
     best = [find_highlights(one, outline, still)[:1] for one in light]
     small = [h for found in best for h in found if h.size < 0.15 * outline[2]]
     if len(small) < 0.7 * len(light):
@@ -194,7 +194,7 @@ def _kind(
 def _lambertian(
     light: Float[np.ndarray, "count height width"], outline: Outline
 ) -> float:
-    """Share of the light's variance on a disk that one lamp a photograph explains."""
+    """Fraction of the variance on a disk that Lambert's law with one lamp explains."""
     view = View(light.shape[2], light.shape[1])
     points = points_on(light[..., None], np.zeros(2), outline)
     normals = seen(points.pixel, outline, view, 1.0).normal

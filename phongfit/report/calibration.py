@@ -1,4 +1,4 @@
-"""The picture of a calibration: what was found in the photographs, and the lamps."""
+"""The picture of a calibration: spheres and highlights in the photographs, and lamps."""
 
 from collections.abc import Iterable
 
@@ -23,13 +23,13 @@ from phongfit.report.style import (
 )
 
 WIDEST = 1200
-"""Pixels of the longer side of what is shown, at most."""
+"""Largest longer side of the image, pixels."""
 
 
 def brightest(
     photographs: Iterable[Float[np.ndarray, "height width 3"]],
 ) -> Float[np.ndarray, "height width 3"]:
-    """Of each pixel its greatest light in any photograph, small enough to be shown."""
+    """The maximum of photographs at each pixel, subsampled for display."""
     most = None
     for image in photographs:
         step = max(1, -(-max(image.shape[:2]) // WIDEST))
@@ -43,9 +43,9 @@ def brightest(
 def calibration_figure(
     calibration: Calibration, image: Float[np.ndarray, "height width 3"]
 ) -> Picture:
-    """Spheres and highlights on the photographs, and the lamps about the object.
+    """A figure of spheres and highlights on the photographs, and of the lamps.
 
-    **Arguments:** `image`: linear light, as of [`brightest`][].
+    **Arguments:** `image`: linear light, as from [`brightest`][].
     """
     with styled():
         figure = picture(11, 4.7)
@@ -84,7 +84,7 @@ def _draw_spheres(axes: Axes, calibration: Calibration, image: np.ndarray) -> No
 
 
 def _draw_lamps(axes: Axes, calibration: Calibration) -> None:
-    """Directions as the camera sees them: it is in the middle, its sides at the rim."""
+    """Draw directions of lamps, projected along the camera's axis."""
     for angle in (30, 60, 90):
         radius = np.sin(np.radians(angle))
         axes.add_patch(Circle((0, 0), radius, fill=False, ec=PALE, lw=0.6))

@@ -1,4 +1,4 @@
-"""Templates, and what they all share: pictures inside the page, rows of numbers."""
+"""HTML templates, with pictures as data URIs and rows of numbers."""
 
 import functools
 import math
@@ -24,7 +24,7 @@ DPI = 160
 def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("phongfit.report"),
-        # Names of files and titles come from outside.
+        # Escape names of files and titles, which are not trusted.
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -35,12 +35,12 @@ def _environment() -> jinja2.Environment:
 
 
 def fill(template: str, **values: Any) -> str:
-    """A template, filled; what is put in is text, never markup."""
+    """A filled template; values are escaped as text."""
     return _environment().get_template(template).render(**values)
 
 
 def linked(warning: str) -> Markup:
-    """A warning whose code leads to its paragraph in the documentation."""
+    """A warning whose code links to its paragraph in the documentation."""
     code = warning_code(warning)
     if code is None:
         return escape(warning)
@@ -51,12 +51,12 @@ def linked(warning: str) -> Markup:
 
 
 def source(figure: Figure, dpi: float = DPI) -> str:
-    """A figure as a data URI: the page needs no other file."""
+    """A figure as a data URI, embedded in the page."""
     return data_uri(png(figure, dpi))
 
 
 def parameters(fit: Fit) -> list[dict[str, Any]]:
-    """The table's rows: label, value, error, percent, unit, and what to note."""
+    """Rows of the table of unknowns: label, value, error, percent, unit, and note."""
     words = lopsided(fit)
     return [_row(fit, k, words.get(k, "")) for k in range(len(fit.labels))]
 
@@ -74,7 +74,7 @@ def _row(fit: Fit, k: int, words: str) -> dict[str, Any]:
 def row(
     label: str, value: float, error: float, notes: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """One row of the table; an error that is not finite says "not identifiable"."""
+    """One row of the table; an infinite error is shown as "not identifiable"."""
     known = np.isfinite(error)
     shown = {
         "label": label,
@@ -84,7 +84,7 @@ def row(
     if not known:
         return shown | {"error": "∞", "percent": "", "note": "not identifiable"}
     percent = 100 * error / abs(value) if value else math.inf
-    # Above 100 the error says that nothing is known, and 3.1e+02 would say it badly.
+    # Above 100 % the exact number is not informative.
     words = f"{percent:.2g} %" if percent < 99.5 else "> 99 %" if value else "–"
     return shown | {
         "error": f"{error:.2g}",

@@ -1,4 +1,4 @@
-"""Pictures of maps: each with its scale, and beside it that of its errors."""
+"""Figures of maps, with scales and standard errors."""
 
 import itertools
 
@@ -27,16 +27,16 @@ PALETTE = (ORANGE, SKY, GREEN, VERMILION, BLUE, "#cc79a7", "#f0e442", BLACK)
 
 
 def draw_parameter(maps: Maps, name: str) -> Figure:
-    """A map as it looks, its numbers with their scale, and its standard errors."""
+    """A figure of a map: its colours, its numbers with a scale, its standard errors."""
     values = np.asarray(getattr(maps, name), float)
     errors = np.asarray(getattr(maps.stderr, name), float)
     return draw_numbers(name, values, errors, ~maps.flagged(Flag.OUTSIDE))
 
 
 def draw_flags(maps: Maps) -> Figure:
-    """Which pixels are not identified, or only with care: a colour for each reason.
+    """A figure of the pixels' flags: unidentified or doubtful, a colour for each reason.
 
-    Where there are several, that which fewest pixels have.
+    A pixel with several flags has the colour of its rarest flag.
     """
     inside = ~maps.flagged(Flag.OUTSIDE)
     raised = {f: maps.flagged(f) & inside for f in Flag if f != Flag.OUTSIDE}

@@ -1,4 +1,4 @@
-"""How a fit, a material and a scene look in a notebook."""
+"""HTML of a fit, a material and a scene for notebooks."""
 
 import dataclasses
 import io
@@ -29,7 +29,7 @@ SWATCH, PIXELS, FINER = 144, 240, 2
 
 
 def of_fit(fit: Fit) -> str:
-    """Table, warnings and a small picture."""
+    """HTML of a fit: table, warnings and a small picture."""
     figure = plot(fit, most=1)
     return fill(
         "fit.html",
@@ -45,7 +45,7 @@ def of_fit(fit: Fit) -> str:
 
 
 def of_material(material: Material) -> str:
-    """What a ball of it looks like under one light, and its numbers."""
+    """HTML of a material: a rendered ball, or maps, and its numbers."""
     numbers = {name: np.asarray(getattr(material, name)) for name in SHOWN}
     if max(leaf.ndim for leaf in numbers.values()) > 2:
         maps = {name: leaf for name, leaf in numbers.items() if leaf.ndim > 2}
@@ -80,7 +80,7 @@ def of_material(material: Material) -> str:
 
 
 def of_scene(scene: Scene) -> str:
-    """Its shape as the camera sees it, and the lights one by one."""
+    """HTML of a scene: a picture of its shape, its settings and its lights."""
     camera, surface = scene.camera, scene.surface
     facts = {
         "surface": _surface_words(surface),
@@ -122,7 +122,7 @@ def _png(rgba: np.ndarray) -> str:
 
 
 def _over_nothing(image: Any, mask: Any, times: int) -> np.ndarray:
-    """An image with nothing, whatever the page's colour, where there is no surface.
+    """An RGBA image that is transparent where there is no surface.
 
     A pixel is the mean of `times` × `times` finer ones, so that outlines are smooth.
     """
@@ -145,7 +145,7 @@ def _ball(material: Material) -> str:
         ambient=0.3,
     )
     gbuffer = scene.trace()
-    # What was made in another precision is shown all the same.
+    # Convert a material that was made in another precision.
     floats = jnp.result_type(float)
     material = jax.tree.map(lambda leaf: jnp.asarray(leaf, floats), material)
     image = render(scene, material, gbuffer=gbuffer)
@@ -155,13 +155,13 @@ def _ball(material: Material) -> str:
 def _map(leaf: np.ndarray) -> str:
     step = -(-max(leaf.shape[:2]) // PIXELS)
     small = np.broadcast_to(leaf, (*leaf.shape[:2], 3))[::step, ::step]
-    # Exponents have no natural white.
+    # Exponents above 1 are scaled to a maximum of 1.
     top = max(float(np.nanmax(small)), 1e-9)
     return _png(displayed(small / max(top, 1.0)))
 
 
 def _shape(scene: Scene) -> str:
-    """The surface lit from the camera: its geometry, whatever the lights."""
+    """A picture of the surface lit from the camera, independent of the lights."""
     camera = scene.camera
     step = -(-max(camera.height, camera.width) // PIXELS)
     if step == 1 and not isinstance(scene.surface, NormalMap):
@@ -182,7 +182,7 @@ def _surface_words(surface: AbstractSurface) -> str:
 
 
 def _light_words(light: AbstractLight) -> dict[str, str]:
-    """Kind, place or direction, and colour, as far as a light has these."""
+    """Kind, position or direction, and intensity of a light, as far as it has these."""
     parts = vars(light)
     where = [
         f"{name} {_vector(np.asarray(parts[name]))}"

@@ -1,4 +1,4 @@
-"""The report: one HTML page of a fit that needs no other file and no network."""
+"""The report: a self-contained HTML page of a fit, which needs no network."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -42,19 +42,19 @@ def write_page(
     loading: str = "",
     diagnostics: Diagnostics | None = None,
 ) -> None:
-    """Write a report of a fit: a page that stands alone, whole or not at all.
+    """Write a report of a fit: a self-contained page, whole or not at all.
 
     **Arguments:**
 
     - `path`: the HTML file.
     - `title`: its headline.
     - `names`: of the photographs; default their numbers.
-    - `assumptions`: name and value of what else was assumed, such as the encoding of
-        the files; shown before what the fit itself knows.
+    - `assumptions`: names and values of further assumptions, such as the encoding of
+        the files; shown before those that the fit contains.
     - `command`: the command line that repeats the fit, if there was one.
-    - `loading`: lines of Python that make what `fit` takes: scene, image, mask.
-    - `diagnostics`: what [`Fit`][]`.diagnose` found: profiles, and the course of the
-        convergence; without it the page has none.
+    - `loading`: lines of Python that make the arguments of `fit`: scene, image, mask.
+    - `diagnostics`: result of [`Fit`][]`.diagnose`: profiles, and the course of the
+        convergence; without it the page has neither.
 
     **Raises:** `OSError` that names `path`; `ValueError` if there are names, but not
     one for each image.
@@ -134,5 +134,5 @@ def _sections(warned: bool) -> list[tuple[str, str]]:
 
 
 def full_stop(words: str) -> str:
-    """A warning as a sentence; its code may be its end."""
+    """A warning as a sentence; without a full stop after a code."""
     return words if words.endswith((".", "]")) else f"{words}."

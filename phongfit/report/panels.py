@@ -1,4 +1,4 @@
-"""The pictures of the page, each with a text for those who do not see it."""
+"""The pictures of the page, each with an alternative text."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -31,7 +31,7 @@ def _drawn(
     caption: str = "",
     size: tuple[float, float] = (4.4, 3.1),
 ) -> Panel:
-    """One picture of the page: small, so that its labels can be read on a phone."""
+    """Draw one picture of the page, small enough for readable labels on a phone."""
     figure = picture(*size)
     draw(figure.subplots())
     return {"source": source(figure), "alt": alt, "caption": caption}
@@ -52,7 +52,7 @@ def shown(fit: Fit, k: int) -> FittedImage:
 
 
 def trio(image: FittedImage, name: str, factor: float) -> Panel:
-    """Photograph, fit and residual of an image, as much brighter as `factor` says."""
+    """Photograph, fit and residual of an image, brightened by `factor`."""
     photograph, fitted, residual = image
     of = f" of {name}" if name else ""
 
@@ -86,7 +86,7 @@ def _size(image: np.ndarray) -> tuple[float, float]:
 
 
 def _image(image: np.ndarray, alt: str, caption: str) -> Panel:
-    """An image up to the edge of its picture."""
+    """An image without margins."""
     figure = picture(*_size(image), layout=None)
     axes = figure.add_axes((0, 0, 1, 1))
     axes.imshow(displayed(image))
@@ -95,7 +95,7 @@ def _image(image: np.ndarray, alt: str, caption: str) -> Panel:
 
 
 def about_pictures(factor: float, images: int, of: int) -> str:
-    """How the pictures of some images of many are to be read."""
+    """Explanation of the pictures, for some images of many."""
     words = ["Photograph and fit as a screen shows them (sRGB)"]
     if factor > 1:
         words.append(f", {factor:.2g} times brighter than they are")
@@ -107,7 +107,7 @@ def about_pictures(factor: float, images: int, of: int) -> str:
 
 
 def profiles(fit: Fit, found: Diagnostics | None) -> tuple[list[Panel], str]:
-    """The profiles that there are, and a word on the others."""
+    """Pictures of the available profiles, and a sentence on the others."""
     if found is None:
         return [], "Profiles were not asked for."
     wanted, labels = found.chosen, [one.label for one in found.profiles]
@@ -139,7 +139,7 @@ def profiles(fit: Fit, found: Diagnostics | None) -> tuple[list[Panel], str]:
 
 
 def correlations(fit: Fit) -> tuple[Panel | None, str]:
-    """The matrix, if there is one, and its strongest entry in words."""
+    """A picture of the correlations, if there are any, and a sentence on the strongest."""
     entries = shown_unknowns(fit)
     if len(entries) < 2:
         return None, "Here fewer than two unknowns are identified, so there are none."
@@ -161,7 +161,7 @@ def correlations(fit: Fit) -> tuple[Panel | None, str]:
 
 
 def residuals(fit: Fit) -> list[Panel]:
-    """Are they noise?"""
+    """Pictures of the residuals: histogram, against light, and sums over blocks."""
     return [
         _drawn(
             lambda axes: draw_histogram(axes, fit),
@@ -181,7 +181,7 @@ def residuals(fit: Fit) -> list[Panel]:
 
 
 def convergence(fit: Fit, found: Diagnostics | None) -> tuple[Panel | None, str]:
-    """How the solver ended and, if that is known, the cost step by step."""
+    """A picture of the cost step by step, if available, and the solver's end in words."""
     end = f"The fit took {fit.steps} steps: {fit.reason}."
     if found is None:
         return None, end

@@ -1,4 +1,4 @@
-"""Pictures: an image, and photograph, fit and residual side by side."""
+"""Figures of an image, and of photograph, fit and residual side by side."""
 
 import dataclasses
 import os
@@ -31,9 +31,9 @@ class Row:
 
 
 def displayed(image: Any) -> np.ndarray:
-    """Linear light as a screen wants it: clamped to [0, 1] and sRGB-encoded.
+    """Linear light encoded for a screen: clamped to [0, 1] and sRGB-encoded.
 
-    What is no number, as outside of a mask, is black.
+    NaN, as outside of a mask, becomes black.
     """
     known = np.nan_to_num(np.asarray(image), nan=0.0)
     return np.asarray(encode(np.clip(known, 0, 1), "srgb"))
@@ -41,13 +41,13 @@ def displayed(image: Any) -> np.ndarray:
 
 @checked
 def show(image: Any, *, title: Title = "", brighten: float = 1.0) -> Figure:
-    """An image in linear light, as a screen shows it, as a matplotlib figure.
+    """A matplotlib figure of an image in linear light, encoded for the screen.
 
     **Arguments:**
 
     - `image`: (height, width, 3), where white is 1; (height, width) is a map of
         numbers, shown with a scale.
-    - `title`: above it.
+    - `title`: above the image.
     - `brighten`: factor on the light that is shown, for dark photographs.
 
     **Raises:** `ValueError` that names the argument.
@@ -62,7 +62,7 @@ def show(image: Any, *, title: Title = "", brighten: float = 1.0) -> Figure:
         )
     height, width = pixels.shape[:2]
     with styled():
-        # As wide as it is, but neither a thread nor a page.
+        # Width by the image's shape, within limits.
         figure = picture(float(np.clip(4 * width / max(height, 1), 2, 8)), 4)
         axes = figure.subplots()
         if pixels.ndim == 3:
@@ -76,14 +76,14 @@ def show(image: Any, *, title: Title = "", brighten: float = 1.0) -> Figure:
 
 
 def signed(residual: Any) -> np.ndarray:
-    """One number a pixel: the channel that is furthest off, with its sign."""
+    """For each pixel, the residual of the channel with the largest one, with its sign."""
     residual = np.asarray(residual)
     furthest = np.argmax(np.abs(residual), axis=-1)[..., None]
     return np.take_along_axis(residual, furthest, axis=-1)[..., 0]
 
 
 def draw_residual(axes: Axes, residual: Any, *, below: bool = False) -> None:
-    """A residual (H, W, 3) with its scale, in linear light, beside it or `below`."""
+    """Draw a residual (H, W, 3) in linear light, with its scale beside or `below` it."""
     values = signed(residual)
     scale = max(float(np.quantile(np.abs(values), 0.995)), 1e-6)
     shown = axes.imshow(values, cmap=SIGNED, vmin=-scale, vmax=scale)
@@ -93,7 +93,7 @@ def draw_residual(axes: Axes, residual: Any, *, below: bool = False) -> None:
     bar = figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.03, **place)
     bar.ax.tick_params(labelsize=7)
     bar.locator = MaxNLocator(4 if below else 8, symmetric=True)
-    # Without a power of ten that all share, which would lie over the words below.
+    # Without a common power of ten, which would overlap the label below.
     bar.formatter = StrMethodFormatter("{x:g}")
     bar.ax.grid(False)
     if below:
@@ -107,14 +107,14 @@ def comparison(
     brighten: float = 1.0,
     blocks: int = 1,
 ) -> Figure:
-    """A row for each image: target, fit, and a map of the residual with its scale.
+    """A figure with a row for each image: target, fit, and residual with its scale.
 
     **Arguments:**
 
-    - `rows`: what to show.
+    - `rows`: the images and their fits.
     - `names`: of the first two columns; the third is their difference.
     - `brighten`: factor on the light that is shown, for dark photographs.
-    - `blocks`: how many rows stand side by side.
+    - `blocks`: number of rows side by side.
     """
     lines = -(-len(rows) // blocks)
     with styled():
@@ -127,7 +127,7 @@ def comparison(
             line[0].imshow(displayed(brighten * np.asarray(row.target)))
             line[1].imshow(displayed(brighten * np.asarray(row.fitted)))
             draw_residual(line[2], row.residual)
-            # The name of a file is no formula, and may hold what no font shows.
+            # A file's name may contain $ or characters that the font lacks.
             line[0].set_title(readable(row.title), fontsize=9, parse_math=False)
             for axis in line:
                 quiet(axis)

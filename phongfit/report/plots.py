@@ -1,4 +1,4 @@
-"""Figures of a fit: what `fit.plot()` and its kin return."""
+"""Figures of a fit, for `fit.plot()` and similar methods."""
 
 from collections.abc import Iterable, Sequence
 
@@ -19,7 +19,7 @@ MOST_UNKNOWNS = 24
 
 
 def chosen(count: int, most: int = MOST_IMAGES) -> list[int]:
-    """Which of many images are shown: the first, the last and some between."""
+    """Indices of at most `most` images to show, evenly spaced from first to last."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)).tolist()
 
 
@@ -46,12 +46,12 @@ def names_of(fit: Fit, names: Sequence[Title]) -> list[str]:
 
 
 def plot(fit: Fit, names: Sequence[Title] = (), most: int = MOST_IMAGES) -> Figure:
-    """Photograph, fit and residual of some images, the residual with its scale.
+    """A figure of photograph, fit and residual of some images.
 
     **Arguments:**
 
     - `names`: of the images, shown above them; default their numbers.
-    - `most`: how many images, spread evenly over all.
+    - `most`: maximum number of images, spread evenly over all.
 
     **Raises:** `ValueError` if there are names, but not one for each image.
     """
@@ -70,10 +70,10 @@ def plot(fit: Fit, names: Sequence[Title] = (), most: int = MOST_IMAGES) -> Figu
 
 
 def plot_residuals(fit: Fit) -> Figure:
-    """Are the residuals noise? Histogram, course with light, images, sums over blocks.
+    """A figure of the residuals: histogram, mean by light, images, sums over blocks.
 
     In standard deviations of each sample; the images in linear light. Pure noise
-    follows the dashed lines, and neither images nor sums show anything of the object.
+    follows the dashed lines, and the object is then invisible in images and sums.
     """
     images = chosen(fit.n_images)
     left = as_tuple(fit.residuals)
@@ -101,7 +101,7 @@ def plot_residuals(fit: Fit) -> Figure:
 
 
 def shown_unknowns(fit: Fit) -> list[int]:
-    """Entries that have correlations; of many, those with the largest."""
+    """Indices of the unknowns with correlations; if many, those with the largest."""
     known = np.isfinite(np.diag(fit.covariance))
     free = np.flatnonzero(fit.identified & known & ~fit.tied)
     if len(free) <= MOST_UNKNOWNS:
@@ -113,7 +113,7 @@ def shown_unknowns(fit: Fit) -> list[int]:
 
 
 def draw_correlations(axes: Axes, fit: Fit) -> None:
-    """The matrix of correlations, with its numbers where there is room."""
+    """Draw the matrix of correlations, with numbers for at most 12 unknowns."""
     entries = shown_unknowns(fit)
     labels = [fit.labels[k] for k in entries]
     matrix = fit.correlation[np.ix_(entries, entries)]
@@ -143,10 +143,10 @@ def draw_correlations(axes: Axes, fit: Fit) -> None:
 
 
 def plot_correlations(fit: Fit) -> Figure:
-    """Which unknowns the image hardly separates: near ±1, only a mixture is known.
+    """A figure of the correlations: pairs near ±1 are determined only in combination.
 
-    Unknowns at a bound, or not identified, have no correlations and are left out; of
-    many unknowns those with the largest are shown.
+    Unknowns at a bound, or not identified, have no correlations and are left out. If
+    there are many, those with the largest correlations are shown.
     """
     side = 2.6 + 0.33 * max(len(shown_unknowns(fit)), 3)
     with styled():
@@ -156,7 +156,7 @@ def plot_correlations(fit: Fit) -> Figure:
 
 
 def draw_convergence(axes: Axes, convergence: Convergence) -> None:
-    """How far above the least cost each step stands."""
+    """Draw the excess of each step's cost over the least cost."""
     least = min(convergence.least, float(np.nanmin(convergence.costs)))
     above = np.maximum(convergence.costs - least, 1e-3)
     axes.semilogy(range(len(above)), above, "o-", color=ACCENT, markersize=4)

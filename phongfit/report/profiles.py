@@ -1,4 +1,4 @@
-"""Profiles drawn: how much worse a fit is where an unknown, or two, are held."""
+"""Figures of profiles: Δχ² of a fit against one fixed unknown, or two."""
 
 from collections.abc import Sequence
 
@@ -16,15 +16,15 @@ from phongfit.report.style import ACCENT, INK, PALE, picture, styled
 from phongfit.report.words import unit
 
 SHADE = 0.13
-"""Opacity of an interval; narrower ones lie on wider ones."""
+"""Opacity of an interval; narrower ones are drawn over wider ones."""
 
 DIFFER = 0.3
-"""Largest difference of a profile's interval and a standard error that needs no words,
-as a share of the error on that side."""
+"""Smallest difference of a profile's interval and a standard error that is reported, as
+a fraction of the error on that side."""
 
 
 def draw_profile(axes: Axes, fit: Fit, found: Profile) -> None:
-    """Δχ² against one unknown: its intervals, and the parabola of its error."""
+    """Draw Δχ² against one unknown, its intervals, and the parabola of its error."""
     value, error = fit[found.label][:2]
     fine = np.linspace(found.values[0], found.values[-1], 200)
     best = int(np.argmin(found.rise))
@@ -46,7 +46,7 @@ def draw_profile(axes: Axes, fit: Fit, found: Profile) -> None:
     axes.set_ylabel("Δχ²: how much worse the fit is")
     lines, words = axes.get_legend_handles_labels()
     shades, chances = _shades(list(found.intervals))
-    # Above the axes: inside, chances whose intervals end together would overlap.
+    # The legend is above the axes: labels inside would overlap.
     axes.legend(
         [*lines, *shades],
         [*words, *chances],
@@ -58,7 +58,7 @@ def draw_profile(axes: Axes, fit: Fit, found: Profile) -> None:
 
 
 def _shades(levels: Sequence[float]) -> tuple[list[Patch], list[str]]:
-    """Patches of the intervals' shades, which lie on one another, and their chances."""
+    """Patches for the legend, with the opacity of overlaid intervals, and labels."""
     layers = range(len(levels), 0, -1)
     opacity = [1 - (1 - SHADE) ** count for count in layers]
     shades = [Patch(color=ACCENT, alpha=alpha, linewidth=0) for alpha in opacity]
@@ -66,14 +66,14 @@ def _shades(levels: Sequence[float]) -> tuple[list[Patch], list[str]]:
 
 
 def difference_words(fit: Fit, found: Profile) -> str:
-    """Which to quote where the profile's intervals and the standard error differ.
+    """Advice to quote the profile's interval or the standard error, if they differ.
 
-    A skewed or wide profile is quoted, since the standard error is of a parabola. One
-    that is narrower on both sides is not: errors contain what no profile does, such as
-    what other specular models or exponents would give.
+    A skewed or wide profile is quoted, since the standard error assumes a parabola. A
+    profile that is narrower on both sides is not: standard errors contain
+    contributions that no profile has, such as those of other specular models.
 
-    **Returns:** a sentence on the lowest chance at which the two differ by more than
-    `DIFFER`; `""` where there is none.
+    **Returns:** a sentence on the lowest level at which the two differ by more than
+    `DIFFER`; `""` if there is none.
     """
     value, error = (float(number) for number in fit[found.label][:2])
     if not np.isfinite(error) or error <= 0:
@@ -112,11 +112,11 @@ def _draw_pair(axes: Axes, found: ProfilePair) -> None:
 
 
 def plot_profile(fit: Fit, name: str, other: str | None = None) -> Figure:
-    """The profile of one unknown with its intervals, or the regions of a pair.
+    """A figure of the profile of one unknown with its intervals, or of a pair's regions.
 
-    The unknown is held at values around its estimate and all others are fitted again:
-    see [`Fit`][]`.profile`. Where the curve leaves the dashed parabola, the standard
-    error does not say all.
+    The unknown is fixed at values around its estimate and all others are fitted again:
+    see [`Fit`][]`.profile`. If the curve differs from the dashed parabola, the standard
+    error is a poor description of the uncertainty.
 
     **Raises:** `ValueError` for a name that was not free.
     """

@@ -1,4 +1,4 @@
-"""The call that repeats a fit: what was asked, written out."""
+"""The call that repeats a fit, as Python text."""
 
 import dataclasses
 from typing import Any
@@ -15,7 +15,7 @@ from phongfit.rendering.response import ResponseCurve
 
 
 def names(fit: Fit) -> list[str]:
-    """What the call takes from the caller, by the names that it has there."""
+    """Names of the variables that the call uses: scene, image and other arrays."""
     plural = _plural(fit)
     return [f"scene{plural}", f"image{plural}", *_arrays(fit).values()]
 
@@ -25,10 +25,10 @@ def _plural(fit: Fit) -> str:
 
 
 def _arrays(fit: Fit) -> dict[str, str]:
-    """Arguments that came as arrays, and the name that each has in the call."""
+    """Arguments that were arrays, with the name of each variable in the call."""
     arrays = list(fit.arrays)
     if "weights" in arrays and fit.noise_given and "noise" not in arrays:
-        # The samples know what the two make together.
+        # Samples keep only the combination of weights and noise.
         arrays.append("noise")
     if _is_table(fit):
         arrays.append("film")
@@ -39,7 +39,7 @@ def _arrays(fit: Fit) -> dict[str, str]:
 
 
 def _is_table(fit: Fit) -> bool:
-    """Whether the film is made of a file's tables, which are no part of a call."""
+    """True if the film has tables from a file, which cannot be written in a call."""
     return any(
         film.jpeg is not None or isinstance(film.encoding, ResponseCurve)
         for film in fit.films
@@ -49,7 +49,7 @@ def _is_table(fit: Fit) -> bool:
 def call(fit: Fit) -> str:
     """`pf.fit(scene, image, ...)` with all settings that are not the defaults.
 
-    Scenes, images and other arrays are the caller's: see [`names`][].
+    Scenes, images and other arrays are variables of the caller: see [`names`][].
     """
     arrays, changed = _arrays(fit), fit.specification.changed
     asked = {name: _written(v) for name, v in changed.items() if name not in arrays}
@@ -62,7 +62,7 @@ def call(fit: Fit) -> str:
 
 
 def _written(value: Any) -> str:
-    """As Python writes it, in the fewest digits of its own precision."""
+    """A value as Python text, with the fewest digits of its precision."""
     match value:
         case AbstractLoss() if value in LOSSES.values():
             return repr(next(name for name in LOSSES if LOSSES[name] == value))
@@ -78,7 +78,7 @@ def _written(value: Any) -> str:
 
 
 def _made(value: eqx.Module, usual: eqx.Module | None = None) -> str:
-    """The call that makes it, of arguments that differ from the usual ones."""
+    """The constructor's call for a value, without arguments equal to those of `usual`."""
     fields = {
         f.name: _numbers(getattr(value, f.name)) for f in dataclasses.fields(value)
     }
@@ -87,7 +87,7 @@ def _made(value: eqx.Module, usual: eqx.Module | None = None) -> str:
         for name, number in fields.items()
         if usual is None or number != _numbers(getattr(usual, name))
     )
-    # A class of the caller's own stands under its own name.
+    # Classes of other packages have no prefix.
     ours = type(value).__module__.partition(".")[0] == __name__.partition(".")[0]
     return f"{'pf.' if ours else ''}{type(value).__name__}({inside})"
 

@@ -1,4 +1,4 @@
-"""What a fit leaves over: is it noise?"""
+"""Plots of a fit's residuals, for comparison with pure noise."""
 
 import numpy as np
 import scipy.stats
@@ -10,17 +10,17 @@ from phongfit.fitting.result import Fit
 from phongfit.report.style import CHANNELS, INK, PALE, SIGNED, quiet
 
 WIDEST = 5.0
-"""Where histograms end, in standard deviations."""
+"""Limits of histograms, in standard deviations."""
 BANDS = 16
-"""Of light, each with as many samples."""
+"""Number of bands of light, with equally many samples each."""
 
 
 def residuals(
     fit: Fit,
 ) -> list[tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]:
-    """Of each channel the light of the fit, and photograph − fit in σ.
+    """For each channel the light of the fit, and photograph − fit in units of σ.
 
-    σ is that of each sample: noise and rounding, by its weight.
+    σ is that of each sample, from noise, rounding and its weight.
     """
     problem = fit.solution.problem
     found = evaluate(problem, fit.solution.y)
@@ -34,7 +34,7 @@ def residuals(
 
 
 def draw_histogram(axes: Axes, fit: Fit) -> None:
-    """How often each residual occurs, beside the normal curve of pure noise."""
+    """Draw a histogram of the residuals, with the normal curve of pure noise."""
     found = residuals(fit)
     edges = np.linspace(-WIDEST, WIDEST, 81)
     for (_, values), (name, colour) in zip(found, CHANNELS.items(), strict=True):
@@ -55,17 +55,17 @@ def draw_histogram(axes: Axes, fit: Fit) -> None:
 
 
 def draw_against_level(axes: Axes, fit: Fit) -> None:
-    """Residuals against the light of the fit: mean and spread in each of some bands."""
+    """Draw mean and spread of the residuals in bands of the light of the fit."""
     for (light, values), (name, colour) in zip(
         residuals(fit), CHANNELS.items(), strict=True
     ):
         if not light.size:
             continue
-        # One band is left where all of the light is alike.
+        # Uniform light gives a single band.
         edges = np.unique(np.quantile(light, np.linspace(0, 1, BANDS + 1)))[1:-1]
         band, bands = np.searchsorted(edges, light, "right"), len(edges) + 1
         count = np.bincount(band, minlength=bands)
-        # A handful of samples has no spread to speak of.
+        # The spread of very few samples is meaningless.
         full = count >= max(0.01 * light.size, 10)
         many = np.maximum(count, 1)
         at, mean, square = (
@@ -82,14 +82,14 @@ def draw_against_level(axes: Axes, fit: Fit) -> None:
     axes.set_xlabel("light of the fit (linear, white = 1)")
     axes.set_ylabel("(photograph − fit) / σ")
     axes.set_title("mean (solid), ± spread (dotted)")
-    # Room above the spread, which is near 1 where all is well.
+    # Make room for the legend above the spread.
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.2 * (high - low))
     axes.legend(loc="upper center", ncols=3)
 
 
 def draw_blocks(axes: Axes, fit: Fit, image: int) -> None:
-    """Residuals of one image summed over blocks: where they add up, no noise is."""
+    """Draw residuals of one image summed over blocks: large sums are not noise."""
     quiet(axes)
     misfit = fit.misfit
     if not misfit.maps:
@@ -97,7 +97,7 @@ def draw_blocks(axes: Axes, fit: Fit, image: int) -> None:
         axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)
         return
     found = misfit.maps[image]
-    # Noise alone stays pale.
+    # Scale of at least WIDEST, so that pure noise is pale.
     most = max(WIDEST, *(float(np.abs(one).max()) for one in misfit.maps))
     shown = axes.imshow(found, cmap=SIGNED, vmin=-most, vmax=most)
     axes.set_title(f"sums of {misfit.side} × {misfit.side} pixels")

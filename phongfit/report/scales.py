@@ -1,4 +1,4 @@
-"""Pictures of numbers, one a place: as they look, with their scale, their errors."""
+"""Figures of parameters by pixel or texel: colours, scales and standard errors."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ TITLES = {
     "shininess": "exponent f",
 }
 UNIDENTIFIED = "0.85"
-"""Grey where there is nothing to be shown."""
+"""Grey level of unidentified places."""
 
 
 def draw_numbers(
@@ -29,13 +29,13 @@ def draw_numbers(
     inside: np.ndarray,
     places: str = "pixels",
 ) -> Figure:
-    """A parameter as it looks, its numbers with their scale, and its standard errors.
+    """A figure of a parameter: its colours, numbers with a scale, and standard errors.
 
-    Numbers are means over the channels, errors root mean squares. Places that cannot
-    tell are grey, as are those outside: what number they have is chance.
+    Numbers are means over the channels, errors root mean squares. Unidentified places
+    and those outside are grey, since their values are arbitrary.
 
-    **Arguments:** `values` and `errors`, (H, W, 1 or 3); `inside`, (H, W); what is
-    there, in a word.
+    **Arguments:** `values` and `errors`, (H, W, 1 or 3); `inside`, (H, W); `places`,
+    the plural name of a place.
     """
     identified = inside & np.isfinite(errors).all(axis=-1)
     with np.errstate(invalid="ignore"):
@@ -65,7 +65,7 @@ def _draw_colours(
     axes: Axes, values: np.ndarray, errors: np.ndarray, identified: np.ndarray
 ) -> None:
     factor = 1.0
-    # What is 0 but for noise is black, and stays so.
+    # Do not brighten a parameter that is 0 within its noise.
     seen = identified & (values > 3 * errors).any(axis=-1)
     if seen.sum() > 0.02 * identified.sum():
         brightest = float(np.quantile(values[seen], 0.995))
@@ -83,9 +83,9 @@ def draw_scale(
     title: str,
     logarithmic: bool = False,
 ) -> None:
-    """Numbers with their scale, where they are identified.
+    """Draw numbers with their scale.
 
-    **Arguments:** `identified`: elsewhere is grey.
+    **Arguments:** `identified`: mask; places outside are grey.
     """
     quiet(axes)
     axes.set_title(title)
@@ -111,7 +111,7 @@ def draw_scale(
 
 
 def _plain_ticks(axis: Axis, few: bool) -> None:
-    """20 rather than 2 × 10¹, in the letters of all other numbers."""
+    """Format ticks as 20 instead of 2 × 10¹."""
     between = LogLocator(subs=(2, 5)) if few else NullLocator()
     axis.set_minor_locator(between)
     axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))

@@ -1,4 +1,4 @@
-"""One look for all pictures: colours that all eyes tell apart, labels that can be read.
+"""Common style of all figures: colours for colour-blind readers, readable labels.
 
 ??? cite "Source"
     Okabe and Ito, *Color universal design*, 2008: the colours.
@@ -15,7 +15,7 @@ BLACK, ORANGE, SKY, GREEN = "#000000", "#e69f00", "#56b4e9", "#009e73"
 BLUE, VERMILION = "#0072b2", "#d55e00"
 ACCENT = BLUE
 CHANNELS = {"red": VERMILION, "green": GREEN, "blue": BLUE}
-# Blue and red beside white: signs stay apart where red and green do not.
+# Diverging blue and red, which colour-blind readers can distinguish.
 SIGNED = "RdBu_r"
 
 STYLE: Any = {
@@ -51,7 +51,7 @@ STYLE: Any = {
 
 
 class Picture(Figure):
-    """A figure that notebooks show by itself: there is no need of pyplot."""
+    """A figure that notebooks display without pyplot."""
 
     def _repr_png_(self) -> bytes:
         return png(self, 110)
@@ -62,13 +62,13 @@ def picture(
 ) -> Picture:
     """An empty figure, `width` × `height` inches, to be filled inside [`styled`][].
 
-    **Arguments:** `layout`: `None` where axes are put in their place by hand.
+    **Arguments:** `layout`: `None` if axes are placed by hand.
     """
     return Picture(figsize=(width, height), layout=layout)
 
 
 def styled() -> Any:
-    """A context in which figures get the style; nothing is left of it afterwards."""
+    """A context that applies the style to figures, and then restores settings."""
     return matplotlib.rc_context(STYLE)
 
 
@@ -80,7 +80,7 @@ def png(figure: Figure, dpi: float) -> bytes:
 
 
 def quiet(axes: Any) -> None:
-    """Take frame, ticks and grid from axes that hold a picture."""
+    """Remove frame, ticks and grid from axes of a picture."""
     axes.set_xticks([])
     axes.set_yticks([])
     axes.grid(False)

@@ -1,4 +1,4 @@
-"""Fitted textures in pictures, and the page about them."""
+"""Figures and the HTML report of fitted textures."""
 
 import os
 from typing import NamedTuple
@@ -27,10 +27,10 @@ from phongfit.scene import Scene
 
 
 def draw_texture(found: TextureFit, name: str, scene: Scene) -> Figure:
-    """A texture as it looks, its numbers with their scale, and its standard errors.
+    """A figure of a texture: its colours, numbers with a scale, and standard errors.
 
-    Grey is what is not identified. Textures of several materials stand one below the
-    other; numbers of vertices are shown as the camera of `scene` sees them.
+    Unidentified texels are grey. Textures of several materials are stacked vertically;
+    numbers at vertices are shown from the camera of `scene`.
     """
     values, inside = _laid_out(found, found.values[name], scene)
     errors, _ = _laid_out(found, found.stderr[name], scene)
@@ -39,7 +39,7 @@ def draw_texture(found: TextureFit, name: str, scene: Scene) -> Figure:
 
 
 def draw_seen(found: TextureFit, scene: Scene) -> Figure:
-    """How many pixels see each texel; grey is what none does."""
+    """A figure of the number of pixels that see each texel; unseen ones are grey."""
     seen, inside = _laid_out(found, found.seen[..., None], scene)
     seen = seen[..., 0]
     height, width = seen.shape
@@ -56,9 +56,9 @@ def draw_seen(found: TextureFit, scene: Scene) -> Figure:
 def _laid_out(
     found: TextureFit, layers: np.ndarray, scene: Scene
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of texels or vertices as a picture, and where there are any in it."""
+    """Numbers of texels or vertices as a picture, and a mask of valid pixels."""
     if not isinstance(found.texels, Vertices):
-        # Layers one below the other.
+        # Stack layers vertically.
         whole = layers.reshape(-1, *layers.shape[2:])
         return whole, np.ones(whole.shape[:2], bool)
     assert isinstance(scene.surface, Mesh)
@@ -69,13 +69,13 @@ def _laid_out(
     if place.material_index is not None and len(layers) > 1:
         layer = np.asarray(place.material_index)
     rows = layers[layer[..., None], corners]
-    # Of what is not identified errors are infinite, or no number.
+    # Errors may be infinite, and infinity times weight 0 is NaN.
     with np.errstate(invalid="ignore"):
         return (weights[..., None] * rows).sum(axis=-2), np.asarray(buffer.mask)
 
 
 def draw_photographs(found: TextureFit, data: Dataset) -> Figure:
-    """Photograph, fit and residual of some of the photographs."""
+    """A figure of photograph, fit and residual of some of the photographs."""
     images, factor = _some(found, data)
     brighter = f"  (shown {factor:.2g} × brighter)" if factor > 1 else ""
     rows = [Row(*one.shown, f"{one.name}{brighter}") for one in images]
@@ -88,7 +88,7 @@ class _Named(NamedTuple):
 
 
 def _some(found: TextureFit, data: Dataset) -> tuple[list[_Named], float]:
-    """Some of the photographs with their fits, and how much brighter to show them."""
+    """Some of the photographs with their fits, and a common factor for display."""
     images = []
     for k in chosen(len(data.images)):
         fitted = np.asarray(render(found.scene(data.scenes[k]), found.material))
@@ -100,9 +100,10 @@ def _some(found: TextureFit, data: Dataset) -> tuple[list[_Named], float]:
 def write_page(
     path: str | os.PathLike[str], found: TextureFit, data: Dataset, *, command: str
 ) -> None:
-    """Write a report of fitted textures: a page that stands alone.
+    """Write a report of fitted textures: a self-contained page.
 
-    **Arguments:** `data`: what they were fitted to; `command`: what repeats the fit.
+    **Arguments:** `data`: the fitted photographs; `command`: command line that repeats
+    the fit.
 
     **Raises:** `OSError` that names `path`.
     """

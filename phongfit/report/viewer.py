@@ -1,10 +1,10 @@
-"""One page that shows maps under a lamp that the pointer moves: WebGL 2, no network.
+"""A page that shows maps under a lamp at the pointer: WebGL 2, no network.
 
-Maps travel as lossless WebP pictures: 8 bits for each of diffuse, specular and ambient
-with a range of its own, as sRGB spaces them; exponents by their logarithm; normals in
-octahedral coordinates of 12 bits; heights of 16. A height for parallel rays, and the
-inverse of the depth for a pinhole, are both linear along what is a line in the
-picture, so that one march of a shadow's ray serves for both.
+Maps are stored as lossless WebP pictures: diffuse, specular and ambient in 8 bits,
+each scaled to its range and sRGB-encoded; logarithms of exponents; normals in
+octahedral coordinates of 12 bits; heights in 16 bits. Height for parallel rays, and
+inverse depth for a pinhole, are linear along lines in the picture, so the same ray
+marching of shadows serves both.
 
 ??? cite "Source"
     Cigolle et al., *A survey of efficient representations for independent unit
@@ -32,7 +32,7 @@ from phongfit.report.html import fill
 NORMAL_LEVELS = 2**12 - 1
 HEIGHT_LEVELS = 2**16 - 1
 EXTREMES = (1e-3, 1e6)
-"""Exponents that are told apart; those beyond are as good as these."""
+"""Range of exponents, to which others are clipped without a visible difference."""
 
 
 @checked
@@ -45,17 +45,17 @@ def write_view(
 ) -> None:
     """Write a page on which the pointer moves a lamp over the object.
 
-    It is one file that needs no other and no network. What it draws is what
+    The page is a single file and needs no network. It shows the light that
     [`Maps`][]`.relight` gives for a distant light of strength 1, sRGB-encoded.
 
     **Arguments:**
 
     - `path`: the file, `.html` by custom.
     - `surface`: the height, if it is known; default that of `maps`.
-    - `title`: the page's.
+    - `title`: of the page.
 
-    **Raises:** `ValueError` that names what is missing, or a specular model that the
-    page does not know; `OSError` that names `path`.
+    **Raises:** `ValueError` that names missing data, or a specular model that the page
+    does not support; `OSError` that names `path`.
     """
     surface = maps.height() if surface is None else surface
     model, content = _model(maps.specular_model), _packed(maps, surface)
@@ -64,7 +64,7 @@ def write_view(
         "view.html",
         title=title,
         warnings=surface.warnings,
-        # Within a script, where only this would end it.
+        # Escaped, since "</" could end the script element.
         data=json.dumps(data).replace("</", "<\\/"),
     )
     with replacing(path) as temporary:
@@ -122,7 +122,7 @@ def _packed(maps: Maps, surface: HeightField) -> dict[str, Any]:
 def _relief(
     surface: HeightField, inside: np.ndarray
 ) -> tuple[np.ndarray, list[float], dict[str, Any]]:
-    """What shadows are marched in, in pixels: two bytes and the mask; range; camera."""
+    """Relief for ray marching of shadows, in pixels: two bytes and mask; range; camera."""
     camera = surface.camera
     rays, axes = camera.rays(), np.asarray(camera.rotation, float)
     direction = np.asarray(rays.direction, float) @ axes
@@ -141,12 +141,12 @@ def _relief(
         values = values / np.nanmax(values)
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     spread = max(high - low, 1e-9)
-    # Outside of what is shown surfaces throw shadows all the same.
+    # Parts of the surface outside the shown pixels still cast shadows.
     shares = np.where(surface.mask, (values - low) / spread, 0)
     levels = np.round(shares * HEIGHT_LEVELS).astype(int)
     mask = 255 * inside + 128 * (surface.mask & ~inside)
     relief = np.stack([levels // 256, levels % 256, mask], axis=-1)
-    # Of texel (x, y): on the plane of the picture, or 1 before a pinhole.
+    # Position of texel (x, y): on the plane of the picture, or at depth 1.
     unit = pixel if parallel else 1.0
     view = {
         "parallel": parallel,
@@ -161,7 +161,7 @@ def octahedral(
 ) -> UInt[np.ndarray, "height width 3"]:
     """Unit vectors as two numbers of 12 bits, in three bytes.
 
-    High bytes of both, then their low halves; a zero vector is the camera's axis.
+    The high 8 bits of both, then their low 4 bits; a zero vector becomes +z.
     """
     size = np.abs(normals).sum(axis=-1, keepdims=True)
     unit = np.where(size > 0, normals, [0, 0, 1]) / np.where(size > 0, size, 1)
@@ -174,5 +174,5 @@ def octahedral(
 
 
 def _picture(levels: Any) -> str:
-    """A lossless picture of bytes, as a data URI."""
+    """A data URI of a lossless picture, from numbers 0 to 255."""
     return data_uri(encode_webp(np.round(levels)), "webp")

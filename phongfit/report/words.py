@@ -1,4 +1,4 @@
-"""A fit in plain words: what its numbers are, and what was assumed."""
+"""A fit in plain words: summary, units and assumptions."""
 
 import importlib.metadata
 import platform
@@ -34,7 +34,7 @@ _UNITS = {
     "density": "per world unit",
     "attenuation": "per world unit and its square",
 }
-# What a model's switches mean, off and on.
+# Descriptions of a model's switches, off and on.
 _SWITCHES = {
     "gate": (
         "a highlight even where the light is behind",
@@ -49,7 +49,7 @@ _REFLECTANCE, _LENGTH = "reflectance, 0 … 1", "world units"
 
 
 def unit(label: str) -> str:
-    """What a number is measured in, from its label."""
+    """The unit of an unknown, from its label."""
     parameter = label.partition("[")[0].partition(".")[0]
     if parameter in REFLECTANCES:
         return "light, white = 1" if parameter == "emission" else _REFLECTANCE
@@ -65,12 +65,12 @@ def unit(label: str) -> str:
 
 
 def as_tuple(images: Images) -> tuple[np.ndarray, ...]:
-    """Images of a fit, as a tuple even where one was given."""
+    """Images of a fit as a tuple, even if there is only one."""
     return images if isinstance(images, tuple) else (images,)
 
 
 def summary(fit: Fit) -> list[str]:
-    """What came out, in a few sentences."""
+    """The result of a fit in a few sentences."""
     sentences = [_what(fit), _how_it_ended(fit), _residual_words(fit)]
     known = [name for name in _MATERIAL if _identified_parameter(fit, name)]
     if known:
@@ -89,7 +89,7 @@ def summary(fit: Fit) -> list[str]:
 
 
 def listed(words: Sequence[str], most: int = 6) -> str:
-    """Words with commas; of many the first, and how many more there are."""
+    """Words with commas; if many, the first ones and the number of the others."""
     shown = list(words[:most])
     if len(words) > most:
         return f"{', '.join(shown)} and {len(words) - most} more"
@@ -142,7 +142,7 @@ def _parameter_words(fit: Fit, name: str) -> str:
 
 
 def assumptions(fit: Fit) -> dict[str, str]:
-    """What the numbers rest on, as name and value."""
+    """Assumptions of a fit, as names and values."""
     scene = fit.scene[0] if isinstance(fit.scene, tuple) else fit.scene
     unknowns = fit.solution.problem.unknowns
     model = settings(scene.specular_model)
@@ -166,7 +166,7 @@ def assumptions(fit: Fit) -> dict[str, str]:
 
 
 def settings(module: Any) -> str:
-    """The class of a model, its switches and its own numbers, in words."""
+    """The class of a model, its switches and its numbers, in words."""
     words = []
     for name, value in vars(module).items():
         if isinstance(value, bool):
@@ -179,7 +179,7 @@ def settings(module: Any) -> str:
 
 
 def bounds_words(fit: Fit) -> str:
-    """Bounds of the unknowns; those that are the same are named once."""
+    """Bounds of the unknowns in words, with equal bounds grouped."""
     unknowns = fit.solution.problem.unknowns
     parameters = unknowns.entry_parameter[unknowns.reported]
     groups: dict[tuple[float, float], list[str]] = {}
@@ -196,7 +196,7 @@ def bounds_words(fit: Fit) -> str:
 
 
 def known_words(fit: Fit) -> str:
-    """What was held, tied or had a prior."""
+    """Constraints in words: unknowns that were held, tied or had a prior."""
     unknowns = fit.solution.problem.unknowns
     labels = unknowns.entry_labels
     groups = (
@@ -214,14 +214,14 @@ def known_words(fit: Fit) -> str:
 
 
 def _uncertain(fit: Fit) -> tuple[list[str], list[bool]]:
-    """What the scenes say with an error, and no unknown is."""
+    """Arrays of the scenes with a given covariance that are not among the unknowns."""
     asked = fit.specification
     names = [n for n in asked.uncertain_arrays if n not in asked.unknowns]
     return names, [True] * len(names)
 
 
 def versions() -> str:
-    """What computed it."""
+    """Versions of the libraries and the device, in words."""
     names = ("phongfit", "jax", "optimistix", "numpy")
     found = [f"{name} {importlib.metadata.version(name)}" for name in names]
     device = jax.devices()[0].platform
