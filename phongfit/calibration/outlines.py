@@ -162,7 +162,7 @@ def as_circle(
 
 
 class Seen(NamedTuple):
-    """Points of a sphere that pixels see; outside the outline, nearest points of the rim.
+    """Points of a sphere that pixels see; outside the outline, those of the rim.
 
     Unit vectors `normal` and `to_viewer` belong to each point.
     """

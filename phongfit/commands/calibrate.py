@@ -133,7 +133,7 @@ def _calibrate(capture: Capture, options: Options) -> Calibration:
 
 
 def _threes(given: tuple[tuple[float, ...], ...]) -> list[tuple[float, ...]]:
-    """Circles, whether each has an option of its own or several share one."""
+    """Circles as triples, from repeated options or several in one option."""
     found = []
     for numbers in given:
         if len(numbers) % 3 or not numbers:
@@ -145,7 +145,7 @@ def _threes(given: tuple[tuple[float, ...], ...]) -> list[tuple[float, ...]]:
 
 
 def _draw(path: Path, found: Calibration, capture: Capture) -> None:
-    # Here, since matplotlib takes long to import.
+    # Imported here, since matplotlib takes long to import.
     from phongfit.report.calibration import brightest, calibration_figure
     from phongfit.report.style import png
 

@@ -1,4 +1,4 @@
-"""What is wrong with a command's options, in one line made of the parser's boxes."""
+"""One-line messages on wrong options, from the parser's boxed output."""
 
 import difflib
 import re
@@ -13,27 +13,27 @@ OPENINGS = (
     "invalid choice",
     "Error parsing",
 )
-"""How the parser's complaints begin."""
+"""Beginnings of the parser's error messages."""
 
 KINDS = {"FLOAT": "a number", "INT": "a whole number", "int()": "a whole number"}
-"""The parser's words for what a value may be, and a reader's."""
+"""The parser's names of types, and plain words for them."""
 
 
 def in_one_line(box: str, options: Collection[str]) -> str:
-    """A complaint of tyro's, without frame, and without the help that it repeats.
+    """An error message of tyro, without frame and without repeated help.
 
     **Arguments:**
 
-    - `box`: what it wrote.
-    - `options`: all that there are, such as `--noise`: for one that is misspelt.
+    - `box`: tyro's output.
+    - `options`: all known options, such as `--noise`, to suggest a correct spelling.
     """
     parts = list(_parts(box))
-    # Without lines to draw a frame with, the title is a part of its own.
+    # If frames are drawn with dashes, the title is a separate part.
     opening = (k for k, part in enumerate(parts) if part[0].startswith(OPENINGS))
     parts = parts[next(opening, 0) :]
     words = " ".join(parts[0]) if parts else ""
     for part in parts:
-        # What nobody knows comes before what is missing, since it may be the same.
+        # Unknown options come first: a missing option may just be misspelt.
         if part[0].startswith("Unrecognized options:"):
             return _unknown(" ".join(part).partition(":")[2], options)
     if words.startswith("Missing from"):
@@ -48,11 +48,11 @@ def in_one_line(box: str, options: Collection[str]) -> str:
 
 
 def _parts(box: str) -> Iterator[list[str]]:
-    """The lines between a box's rules, without its frame."""
+    """Groups of lines between a box's horizontal rules, without its frame."""
     part: list[str] = []
     for line in re.sub(r"\x1b\[[0-9;]*m", "", box).splitlines():
         text = line.strip().strip("│|").strip()
-        # Frames are of dashes where a terminal has no lines.
+        # Terminals without line-drawing characters get frames of dashes.
         if text.startswith(("╭", "╰")) or text.endswith(("───", "---")):
             if part:
                 yield part
@@ -74,8 +74,8 @@ def _unknown(words: str, options: Collection[str]) -> str:
 
 
 def _missing(parts: list[list[str]]) -> str:
-    """Names alone: the help says the rest."""
-    # Of arguments without a name the metavar is shown, in capitals; all else is help.
+    """A message with the names of missing options, without their help."""
+    # Positional arguments appear as a metavar in capitals; other lines are help.
     names = []
     for line in parts[0][1:]:
         if line.startswith("-"):
@@ -104,5 +104,5 @@ def _value(words: str, parts: list[list[str]]) -> str:
 
 
 def _quoted(words: str) -> str:
-    """The option's long name, of what stands in quotation marks."""
+    """The long name of the option in quotation marks."""
     return words.split("'")[1].rpartition("/")[2]

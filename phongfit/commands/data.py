@@ -96,7 +96,7 @@ class DataOptions:
     room_light: Annotated[float, arg(metavar="X")] = 1.0
 
     def settings(self) -> DataSettings:
-        """How data are read, as records have it."""
+        """Settings of reading, for records."""
         return DataSettings(
             encoding=self.encoding,
             min_cosine=self.min_cosine,
@@ -110,7 +110,7 @@ class DataOptions:
         )
 
     def like(self, reading: DataSettings) -> "DataOptions":
-        """The same photographs, read as a record has it."""
+        """Options with the same photographs and the settings of reading of a record."""
         given = reading.model_dump()
         for name in ("normals", "lights"):
             given[name] = None if given[name] is None else Path(given[name])
@@ -118,17 +118,17 @@ class DataOptions:
 
     @property
     def sought(self) -> bool:
-        """Whether normals are sought."""
+        """True if normals are to be fitted."""
         return self.normals is not None and str(self.normals) == SOUGHT
 
     @property
     def known_fov(self) -> float | None:
-        """The angle of view that is given."""
+        """The given angle of view; 0 if it is to be fitted."""
         return 0.0 if self.fov == "fit" else self.fov
 
 
 def read_data(options: DataOptions) -> tuple[Dataset, DataRecord]:
-    """The photographs, and a record of what was read, and how.
+    """The photographs in memory, and a record of the files and settings.
 
     **Raises:** `ValueError` that names the file or the option.
     """
@@ -144,14 +144,14 @@ def read_data(options: DataOptions) -> tuple[Dataset, DataRecord]:
 
 
 def stack_data(options: DataOptions) -> tuple[DatasetStack, DataRecord]:
-    """The same, with a photograph in memory while it is looked at only."""
+    """The photographs as a stack that holds one in memory at a time, and a record."""
     return _recorded(options, DatasetStack)
 
 
 def _recorded(
     options: DataOptions, make: Callable[[Photographs], T]
 ) -> tuple[T, DataRecord]:
-    """What is made of the photographs, which reads them all, and a record of them."""
+    """The result of `make`, which must read all photographs, and a record of files."""
     with recording() as checksums:
         if options.sought and _is_dataset(options.dataset):
             photographs = _open_sought(options)
@@ -168,7 +168,7 @@ def _recorded(
     inputs = {
         readable(str(p.relative_to(home)) if p.is_relative_to(home) else p.name): digest
         for p, digest in sorted(files.items())
-        # What the images were made of is no input of a fit.
+        # The true material is not an input of a fit.
         if p.name != TRUTH_FILE
     }
     name = readable(photographs.name)
@@ -176,7 +176,7 @@ def _recorded(
 
 
 def tell(notes: Sequence[str]) -> None:
-    """Say what was assumed of photographs."""
+    """Print assumptions about photographs."""
     for note in notes:
         print(f"assumed: {note}", flush=True)
 
@@ -203,7 +203,7 @@ def _open_captured(options: DataOptions) -> Photographs:
 
 
 def _open_sought(options: DataOptions) -> Photographs:
-    """A data set whose normals are left aside: none says what is lit or aslant."""
+    """A data set whose normals are ignored, also for its masks."""
     for name in ("scene", "sphere", "lights", "fov", "mask", "encoding", "white"):
         if getattr(options, name) is not None:
             raise ValueError(
@@ -235,11 +235,11 @@ def _is_dataset(folder: Path) -> bool:
 
 
 def in_a_room(data: Photographs, light: float) -> Photographs:
-    """Photographs of DiLiGenT with ambient light that their layout does not know."""
+    """Photographs of DiLiGenT with ambient light, which their layout does not state."""
 
     def read(number: int) -> Photograph:
         coded, mask = data.read(number)
-        # Where one channel is saturated, its neighbours are blurred by it.
+        # Leave out all channels of a pixel with a saturated one, which affects others.
         return Photograph(coded, np.asarray(mask.all(axis=-1)))
 
     room = (dataclasses.replace(scene, ambient=light) for scene in data.scenes)
@@ -282,7 +282,7 @@ def _read_single(options: DataOptions) -> Photographs:
     if film.clamp:
         film = with_jpeg(Film(encoding=encoding), path)
         if film.jpeg is None:
-            # Numbers alone do not show that a curve, or another white, rounded them.
+            # Levels of a response curve or of another white are not detectable.
             curved = isinstance(encoding, ResponseCurve)
             stated = curved or white is not None
             film = find_film([image])
@@ -293,7 +293,7 @@ def _read_single(options: DataOptions) -> Photographs:
 
 
 def _scene_of(path: Path, file: Path, record: SceneRecord) -> Scene:
-    """The scene of an image; with its own lights, if the scene file lists it."""
+    """The scene of an image, with the image's lights if the scene file lists it."""
     scene = build_scene(file, record)
     for entry in record.images:
         if (file.parent / entry.file).resolve() == path.resolve():

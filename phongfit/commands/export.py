@@ -120,7 +120,7 @@ def main(options: Options) -> int:
         with sparing(options.out):
             written = _export(options, to)
     except ValueError as error:
-        # The library speaks of its argument, a user here knows an option.
+        # Name the command's option in place of the library's argument.
         words = str(error).replace("nearest=True", "--nearest")
         raise ValueError(words) from error
     print(f"{options.out}: {written}")
@@ -128,7 +128,7 @@ def main(options: Options) -> int:
 
 
 def _target(options: Options) -> Target:
-    """The format that is asked for, or that the file's name speaks of."""
+    """The format from `--to`, or else from the file's suffix."""
     to = options.to or BY_SUFFIX.get(options.out.suffix.lower())
     if to is None:
         raise ValueError(
@@ -139,7 +139,7 @@ def _target(options: Options) -> Target:
 
 
 def _export(options: Options, to: Target) -> str:
-    """Write the file; what was written, in words."""
+    """Write the file and return a description of its contents."""
     folder = Path(options.fit)
     mesh = _mesh_in(folder)
     if mesh is not None:
@@ -163,7 +163,7 @@ def _export(options: Options, to: Target) -> str:
 
 
 def _mesh_in(source: Path) -> Path | None:
-    """The mesh of that name, or of the fit of textures in that folder."""
+    """Path of a mesh, given directly or by the folder of a fit of textures."""
     if source.is_file() and source.suffix.lower() in MESHES:
         return source
     fitted = source / MESH_FILE
@@ -171,8 +171,8 @@ def _mesh_in(source: Path) -> Path | None:
 
 
 def _export_mesh(mesh: Path, options: Options, to: Target) -> str:
-    """A mesh with its materials and textures, in another format."""
-    # Here, since SciPy takes long to import.
+    """Convert a mesh with its materials and textures to another format."""
+    # Imported here, since SciPy takes long to import.
     from phongfit.files.meshes import load_mesh
 
     for name in ("scene", "surface", "distance"):
@@ -198,7 +198,7 @@ def _check_maps(folder: Path, options: Options, to: Target) -> None:
 
 
 class Job(NamedTuple):
-    """What is to be written where: materials by name, as given, and as Blinn's."""
+    """Materials to write, as given and converted to Blinn's, with names and options."""
 
     names: list[str]
     given: list[Material]
@@ -234,7 +234,7 @@ def _write_mtl(job: Job) -> None:
 
 
 def _single(job: Job) -> str:
-    """The name of the only material, for formats that hold no more."""
+    """The name of the only material, for formats that hold a single one."""
     if len(job.given) != 1:
         raise ValueError(
             f"to: expected one material for {job.to}, got {len(job.given)}; "
@@ -261,7 +261,7 @@ def _write_usd(job: Job) -> None:
 
 
 def _on_surface(job: Job) -> list[tuple[Part, dict[str, Any]]]:
-    """The scene's surface, or a sphere, in parts, each with its material."""
+    """Parts of the scene's surface, or of a sphere, each with its material."""
     scene = job.options.scene
     surface = Sphere() if scene is None else load_scene(scene).surface
     parts = surface_parts(surface)
@@ -301,7 +301,7 @@ def surface_parts(surface: AbstractSurface) -> list[Part]:
     index = np.zeros(len(faces), int)
     if mesh.material_index is not None:
         index = np.asarray(mesh.material_index)
-    # Sorted once, however many materials there are.
+    # One sort for all materials is faster than a mask for each.
     order = np.argsort(index, kind="stable")
     ends = np.searchsorted(index[order], np.arange(mesh.materials + 1))
     return [

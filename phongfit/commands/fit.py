@@ -133,7 +133,7 @@ def main(options: Options) -> int:
 
 
 def _fit_textures(options: Options, given: dict[str, Any]) -> int:
-    """The same with texels among the unknowns."""
+    """Fit with texels among the unknowns."""
     for name in ("like", "refine_lights"):
         if getattr(options, name):
             raise ValueError(f"{name}: expected none with textures")
@@ -175,7 +175,7 @@ def _words(options: Options) -> list[str]:
 def _asked(
     options: Options, record: FitRecord | None
 ) -> tuple[Specification, float | None, DataOptions]:
-    """What is asked for: by options, or by the fit that is to be repeated."""
+    """Specification, noise and data, from options or from a fit to repeat."""
     if record is None:
         asked = specification_of(options.unknown, options.fitting)
         return asked, options.fitting.noise, options.data
@@ -191,10 +191,10 @@ def _asked(
 
 
 def _with_unknown(asked: Specification, data: Dataset, refine: bool) -> Specification:
-    """With what the photographs' maker does not know, or not well: lights, strengths.
+    """A specification that includes unknown or uncertain lights and strengths.
 
-    Strengths are those of the first lamp's unless one is held elsewhere: brighter lamps
-    and darker materials look the same.
+    Strengths are relative to the first lamp's unless another one is fixed, since
+    brighter lamps and darker materials are degenerate.
     """
     fixed = dict(asked.fixed)
     if "exposure" in data.unknown and not any("exposure" in name for name in fixed):
@@ -225,7 +225,7 @@ def _with_unknown(asked: Specification, data: Dataset, refine: bool) -> Specific
 
 
 def _fit(data: Dataset, asked: Specification, noise: float | None) -> Fit:
-    # A single image stands alone, so that its residual is one image too.
+    # A single image is not passed as a tuple, so that its residual is one image too.
     options: dict[str, Any] = dataclasses.replace(asked, film=data.film).options
     options["noise"] = noise
     if len(data.images) == 1:
@@ -234,7 +234,7 @@ def _fit(data: Dataset, asked: Specification, noise: float | None) -> Fit:
 
 
 def _compare(record: FitRecord, found: Fit, read: DataRecord) -> bool:
-    """Say whether a repeated fit agrees; true if it does, or if the data are others."""
+    """Compare a repeated fit and print the result; true if it agrees or data differ."""
     then, now = record.data.inputs, read.inputs
     if sorted(then.values()) != sorted(now.values()):
         changed = sorted(
@@ -258,8 +258,8 @@ def _compare(record: FitRecord, found: Fit, read: DataRecord) -> bool:
 
 
 def _draw(folder: Path, found: Fit, data: Dataset, options: Options) -> None:
-    """The picture and the report."""
-    # Here, since drawing takes long to import, and the table comes first.
+    """Write the picture and the report."""
+    # Imported here, since drawing takes long to import, and the table comes first.
     from phongfit.report.page import write_page
     from phongfit.report.repeat import names as names_in_call
 

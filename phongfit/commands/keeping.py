@@ -1,4 +1,4 @@
-"""What was computed is kept, whatever becomes of its pictures."""
+"""Keep computed results even if drawing their pictures fails."""
 
 import contextlib
 from collections.abc import Iterator
@@ -6,16 +6,16 @@ from pathlib import Path
 
 
 class Kept:
-    """What an output folder got, and what went wrong when pictures were drawn."""
+    """Names of the files in an output folder, and the error of drawing, if any."""
 
     def __init__(self, out: Path):
-        """**Arguments:** `out`: the folder, as the user calls it."""
+        """**Arguments:** `out`: the folder, as given by the user."""
         self._out = out
         self.names: list[str] = []
         self.failure: BaseException | None = None
 
     def tell(self) -> None:
-        """Print what is in the folder; then raise what went wrong, if anything did."""
+        """Print the names of the files; then raise the error of the block, if any."""
         with contextlib.suppress(BrokenPipeError):
             print(f"\n{self._out}: {', '.join(self.names)}", flush=True)
         if self.failure is not None:
@@ -24,12 +24,11 @@ class Kept:
 
 @contextlib.contextmanager
 def keeping(out: Path, folder: Path) -> Iterator[Kept]:
-    """Put off what goes wrong in the block, an interrupt too.
+    """Defer errors of the block, including interrupts, to [`Kept.tell`][].
 
-    What was written to `folder` before can so become `out`; then comes
-    [`Kept.tell`][].
+    So the files that were written to `folder` before can become `out` first.
 
-    **Arguments:** `out`, as the user calls it; `folder`, which is to become it.
+    **Arguments:** `out`, as given by the user; `folder`, which will become it.
     """
     kept = Kept(out)
     try:

@@ -1,4 +1,4 @@
-"""Lines of Python that read what a command fitted, by public names only."""
+"""Lines of Python that read the data of a command's fit, with public names only."""
 
 from collections.abc import Collection
 from pathlib import Path
@@ -13,15 +13,15 @@ from phongfit.rendering.film import ENCODINGS
 
 
 def loading_lines(options: DataOptions, names: Collection[str]) -> str:
-    """Python that makes what a report's call of `fit` takes.
+    """Python that makes the arguments for `fit` in a report.
 
     **Arguments:**
 
-    - `options`: how the command read its photographs.
-    - `names`: what the call takes, such as `scene`, `image` and `mask`.
+    - `options`: the command's options of reading.
+    - `names`: variables to define, such as `scene`, `image` and `mask`.
 
-    **Returns:** `""` where it takes more than a few lines: of a scene file in which
-    each image has a camera, unless it is a data set's.
+    **Returns:** the lines, or `""` if there would be too many: for a scene file in
+    which each image has a camera, unless it is a data set's.
     """
     if options.sphere is not None or options.normals is not None:
         lines = _of_capture(options)
@@ -54,7 +54,7 @@ def _of_dataset(options: DataOptions) -> list[str]:
     if (options.dataset / SCENE_FILE).exists() or not is_diligent(options.dataset):
         return [f"data = pf.read_dataset({folder})"]
     given = {name: getattr(options, name) for name in ("min_cosine", "min_facing")}
-    # A folder in DiLiGenT's layout does not state the ambient light of its room.
+    # DiLiGenT's layout does not state the ambient light.
     return [
         "import dataclasses",
         "",
@@ -71,7 +71,7 @@ def _of_dataset(options: DataOptions) -> list[str]:
 
 
 def _of_image(options: DataOptions, names: Collection[str]) -> list[str]:
-    """One image with a scene file."""
+    """Lines that read one image with a scene file."""
     path, file = options.dataset, options.scene
     assert file is not None
     record = read_record(file, SceneRecord)
@@ -121,14 +121,14 @@ def _of_image(options: DataOptions, names: Collection[str]) -> list[str]:
 
 
 def _encoding(word: str | None) -> tuple[str, list[str]]:
-    """An encoding as an argument, and the lines that must stand before it."""
+    """An encoding as an argument, and lines that must precede the call."""
     if word is None or word in ENCODINGS:
         return "" if word is None else repr(word), []
     return _curve(Path(word), '["light"]')
 
 
 def _curve(file: Path, place: str) -> tuple[str, list[str]]:
-    """A response curve from a JSON file."""
+    """A response curve as an argument, and lines that read it from a JSON file."""
     return "curve", [
         "import json",
         "from pathlib import Path",

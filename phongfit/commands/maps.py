@@ -55,7 +55,7 @@ OURS = {
     *(f"stderr_{name}.tif" for name in MAP_PARAMETERS),
 }
 SHARED = ("ambient", "diffuse")
-"""What each pixel still identifies where the highlight is one for all of them."""
+"""Unknowns of each pixel if all pixels share one highlight."""
 EQUAL_STRENGTHS = (
     "assumed: the lamps are equally strong, since the photographs do not tell apart "
     "whether they differ or stand a little elsewhere (--strengths fit fits them)"
@@ -204,9 +204,9 @@ def main(options: Options) -> int:
 def _with_fitted_fov(
     stack: DatasetStack, read: DataRecord, given: dict[str, Any]
 ) -> tuple[DatasetStack, DataRecord]:
-    """The photographs seen over the angle of view that explains them best.
+    """The photographs with a camera of the fitted angle of view.
 
-    It stays parallel rays where no angle is determined.
+    The camera keeps parallel rays if the data do not determine the angle.
     """
     scenes = stack.photographs.scenes
     found = fit_fov(scenes, stack, **_fov_arguments(stack, given))
@@ -221,7 +221,7 @@ def _with_fitted_fov(
 
 
 def _fov_warning(stack: DatasetStack, given: dict[str, Any]) -> str | None:
-    """A warning where another angle of view would leave less noise."""
+    """A warning if another angle of view would give smaller residuals."""
     scenes = stack.photographs.scenes
     other = check_fov(scenes, stack, **_fov_arguments(stack, given))
     if not other.improves:
@@ -241,7 +241,7 @@ def _fov_arguments(stack: DatasetStack, given: dict[str, Any]) -> dict[str, Any]
 
 
 def _assumes_parallel_rays(options: Options, stack: DatasetStack) -> bool:
-    """Whether nothing states the camera of a shining object under distant lamps."""
+    """True if parallel rays are a default, normals are fitted and lamps are distant."""
     scene = stack.photographs.scenes[0]
     return (
         options.data.sought
@@ -252,7 +252,7 @@ def _assumes_parallel_rays(options: Options, stack: DatasetStack) -> bool:
 
 
 def _fit_tiles(options: Options, stack: DatasetStack, given: dict[str, Any]) -> Maps:
-    """All pixels; what was fitted before stays as it was."""
+    """Fit all pixels, reusing finished tiles."""
     return fit_maps(
         stack.photographs.scenes,
         stack,
@@ -272,7 +272,7 @@ def save(
     read: DataRecord,
     given: dict[str, Any],
 ) -> None:
-    """All but the pictures."""
+    """Write all files except pictures."""
     save_folder(
         folder,
         found,
@@ -284,7 +284,7 @@ def save(
 
 
 def replaceable(options: Options) -> Callable[[str], bool]:
-    """Which names in OUT may go: tiles of an unfinished run, or all that is ours."""
+    """A function of names in OUT: true for unfinished tiles, and older maps' files."""
 
     def may_replace(name: str) -> bool:
         return name == TILES or (options.overwrite and name in OURS)
@@ -317,19 +317,19 @@ def arguments(options: Options) -> dict[str, Any]:
 
 
 def _lacks_strengths(options: Options, stack: DatasetStack) -> bool:
-    """Whether the lights are a calibration without strengths."""
+    """True if normals are fitted and the lights are a calibration without strengths."""
     lights = options.data.lights
     calibrated = lights is not None and lights.suffix != ".lp"
     return options.data.sought and calibrated and EXPOSURE in stack.photographs.unknown
 
 
 def _number(words: str | None) -> int | str | None:
-    """How many materials; [`fit_maps`][] says what is wrong with other words."""
+    """The number of materials; other words are left to [`fit_maps`][] to check."""
     return int(words) if words is not None and words.isdecimal() else words
 
 
 def _shared(photographs: Photographs, given: dict[str, Any]) -> Material:
-    """One material for all pixels, whose highlight each of them is given."""
+    """Fit one material to all pixels, for the highlight that they share."""
     with stage("fitting one material"):
         data = photographs.load()
         options = given | {"mask": data.masks, "film": data.film}
@@ -348,8 +348,8 @@ def _settings(given: dict[str, Any]) -> MapSettings:
 
 
 def draw(folder: Path, found: Maps) -> None:
-    """The pictures."""
-    # Here, since drawing takes long to import.
+    """Write the pictures."""
+    # Imported here, since drawing takes long to import.
     from phongfit.report.maps import draw_flags, draw_parameter
 
     for name in found.unknowns:

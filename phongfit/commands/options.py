@@ -1,4 +1,4 @@
-"""Options that commands share: unknowns, and what is known of them."""
+"""Options that commands share: unknowns, constraints and priors."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ Value = TypeVar("Value")
 
 
 def optional(metavar: str) -> Any:
-    """An option whose help says itself what its default is."""
+    """An option whose help text describes its default."""
     return arg(metavar=metavar, help_behavior_hint="")
 
 
@@ -105,7 +105,7 @@ class FitOptions:
 
 
 def specification_of(unknowns: UnknownOptions, options: FitOptions) -> Specification:
-    """What is asked of a fit; its film is the data's.
+    """The specification of a fit, without the film, which is read with the data.
 
     **Raises:** `ValueError` that names the option.
     """

@@ -1,4 +1,4 @@
-"""A word on what takes long: how long it has taken so far."""
+"""Progress of long computations: their elapsed time."""
 
 import contextlib
 import sys
@@ -7,12 +7,12 @@ import time
 from collections.abc import Iterator
 
 EVERY = 30.0
-"""Seconds between two lines, where there is no terminal that could show a clock."""
+"""Seconds between two lines, if the output is not a terminal."""
 
 
 @contextlib.contextmanager
 def stage(doing: str) -> Iterator[None]:
-    """Show what the block is doing, and for how long; a line now and then in a log."""
+    """Show the block's name and elapsed time; in a log, as a line now and then."""
     if not sys.stderr.isatty() or not sys.stdout.isatty():
         with _lines(doing):
             yield

@@ -121,9 +121,9 @@ def main(options: Options) -> int:
 
 
 def _photographs(folder: Path, data: DataRecord) -> tuple[Sequence[Scene], Any]:
-    """What maps were fitted to, read as it was then: scenes and images.
+    """Scenes and images to which maps were fitted, read with the recorded settings.
 
-    **Raises:** `ValueError` that names the file, or what is not of these maps.
+    **Raises:** `ValueError` that names a file, such as one that the maps do not record.
     """
     if is_store(folder):
         raise ValueError(f"photographs: expected a folder, got a zarr array: {folder}")
@@ -141,9 +141,9 @@ def _photographs(folder: Path, data: DataRecord) -> tuple[Sequence[Scene], Any]:
 
 
 def read_lights(path: Path, maps: Maps) -> tuple[list[str], list[AbstractLight]]:
-    """Names and lights of a list. Those of an .lp are in the camera's axes.
+    """Names and lights from lights.json or from an .lp in the camera's axes.
 
-    **Raises:** `ValueError` that names the file, or what is missing.
+    **Raises:** `ValueError` that names the file, or the missing camera of the maps.
     """
     if path.suffix.lower() != ".lp":
         calibration = load_calibration(path)
@@ -156,9 +156,9 @@ def read_lights(path: Path, maps: Maps) -> tuple[list[str], list[AbstractLight]]
 
 
 def picture_names(listed: Sequence[str]) -> list[str]:
-    """Base names, with another suffix where ours cannot be written.
+    """File names of the pictures, with a new suffix where 8 bits cannot be written.
 
-    **Raises:** `ValueError` if two would have the same.
+    **Raises:** `ValueError` if two names would be equal.
     """
     names = []
     for name in map(base_name, listed):

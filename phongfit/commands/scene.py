@@ -222,7 +222,7 @@ def _make(options: Options) -> _Made:
 
 
 def _make_views(options: Options) -> _Made:
-    """Of photographs that other tools found the cameras of."""
+    """Scene and images of photographs whose cameras other tools have determined."""
     folder, cameras = options.photograph, options.cameras
     if folder is None or cameras is None or options.mesh is None:
         raise ValueError(
@@ -264,7 +264,7 @@ def _make_views(options: Options) -> _Made:
 def _own_lights(
     options: Options, photographs: Sequence[str]
 ) -> tuple[list[AbstractLight], list[str]]:
-    """One for each of some photographs from several places, by their names."""
+    """A light for each of some photographs from several places, by their names."""
     file = list_of(options.lights)
     if file is None:
         raise ValueError(
@@ -283,7 +283,7 @@ def _own_lights(
 
 
 def _film(capture: Capture) -> Film:
-    """How light became the photographs' numbers; what JPEG lost, each says itself."""
+    """The film of the photographs, without JPEG, which each file states for itself."""
     film = capture.film
     return Film(film.clamp, film.encoding, film.bits)
 
@@ -321,7 +321,7 @@ def _size(options: Options, capture: Capture | None) -> tuple[int, int]:
 def _seen(
     options: Options, height: int, width: int
 ) -> tuple[AbstractCamera, AbstractSurface]:
-    """Camera and surface, by the one option that gives a surface."""
+    """Camera and surface, from the single option that gives a surface."""
     names = ("sphere", "mesh", "normals")
     given = [name for name in names if getattr(options, name) is not None]
     if len(given) != 1:
@@ -345,7 +345,7 @@ def _seen(
 
 
 def _calibrated(options: Options) -> Calibration | None:
-    """The calibration that tells the lights, and then the camera too."""
+    """The calibration that has the lights, and therefore the camera, or `None`."""
     if options.lights is not None:
         return None if list_of(options.lights) else load_calibration(options.lights)
     path = options.photograph
@@ -353,7 +353,7 @@ def _calibrated(options: Options) -> Calibration | None:
 
 
 def _read_mesh(path: Path) -> Mesh:
-    # Here, since SciPy takes long to import.
+    # Imported here, since SciPy takes long to import.
     from phongfit.files.meshes import load_mesh
 
     return load_mesh(path).mesh
@@ -362,12 +362,12 @@ def _read_mesh(path: Path) -> Mesh:
 def _towards(
     options: Options, mesh: Mesh, height: int, width: int
 ) -> tuple[AbstractCamera, AbstractSurface]:
-    """A camera that looks at a mesh, from where all of it is seen."""
+    """A camera that looks at a mesh, by default from where all of it is visible."""
     vertices = np.asarray(mesh.vertices)
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     radius = float(np.linalg.norm(vertices - middle, axis=-1).max())
     target = middle if options.target is None else np.array(options.target)
-    # Of the narrower side, whichever it is.
+    # The narrower side of the picture must contain the mesh.
     aspect = min(width / height, 1)
     size = {"width": width, "height": height}
     if options.camera == "perspective" or options.fov is not None:
@@ -384,7 +384,7 @@ def _towards(
 
 
 def _given_lights(options: Options) -> tuple[list[AbstractLight], list[str]]:
-    """The lights of a scene that lists no photographs, all of them on."""
+    """The lights of a scene without listed photographs, and notes; all are on."""
     intensity = _colour("intensity", options.intensity)
     made: list[AbstractLight] = []
     with_name = (("light", DirectionalLight), ("point_light", PointLight))
@@ -424,7 +424,7 @@ def _given_lights(options: Options) -> tuple[list[AbstractLight], list[str]]:
 def _lights_of(
     options: Options, capture: Capture
 ) -> tuple[list[AbstractLight], list[str]]:
-    """One for each photograph of a folder."""
+    """A light for each photograph of a folder, and notes."""
     if options.light or options.point_light:
         raise ValueError(
             "light: expected --lights for a folder, a file that gives each photograph "

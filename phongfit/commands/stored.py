@@ -51,11 +51,11 @@ if TYPE_CHECKING:
 
 
 PIXEL = 110
-"""Bytes that the maps of a pixel take in memory."""
+"""Bytes of memory for the maps of a pixel."""
 
 
 class _Input(NamedTuple):
-    """What is fitted, and arguments of [`fit_stored_maps`][] that go with it."""
+    """Data to fit, with further arguments of [`fit_stored_maps`][]."""
 
     scenes: tuple[Scene, ...]
     stack: AbstractStack
@@ -110,7 +110,7 @@ def main(options: "Options") -> int:
         return 0
     _, height, width = read.stack.shape
     with naming("out"):
-        # Before what takes long: a store would not need it.
+        # Checked before the fit; a zarr store would not need this memory.
         afford(PIXEL * height * width, f"a folder of maps of {height} × {width} pixels")
     if not options.overwrite and (out / RECORD_FILE).exists():
         raise OSError(f"{out}: there are maps in it; {OVERWRITE}")
@@ -130,7 +130,7 @@ def main(options: "Options") -> int:
 def _fit(
     options: "Options", read: _Input, given: dict[str, Any], output: str
 ) -> StoredMaps:
-    """The maps in a store, by this process or by workers."""
+    """Fit maps into a store, in this process or by Dask workers."""
     with contextlib.ExitStack() as place:
         client = None
         if options.dask is not None:
@@ -153,9 +153,9 @@ def _fit(
 
 
 def _erase(output: str, images: str | None) -> None:
-    """Make room for other maps, where there are older ones; nothing else is touched.
+    """Remove older maps, and nothing else.
 
-    **Raises:** `OSError` that names what is no store of maps.
+    **Raises:** `OSError` that names an existing store that has no maps.
     """
     if not is_remote(output):
         check_place(output, images)
@@ -180,7 +180,7 @@ def _read_photographs(options: DataOptions) -> _Input:
 
 
 def _read(options: DataOptions) -> _Input:
-    """The images, and what lies beside them.
+    """The images of a store, with scenes and lights from files beside it.
 
     **Raises:** `ValueError` that names the file or the option.
     """
@@ -209,7 +209,7 @@ def _read(options: DataOptions) -> _Input:
 def _scenes(
     options: DataOptions, stack: ZarrStack
 ) -> tuple[tuple[Scene, ...], dict[str, Any]]:
-    """Those of the scene file that is named, or beside the images."""
+    """Scenes from the given scene file, or the one beside the images."""
     file = options.scene or options.dataset.parent / SCENE_FILE
     if options.scene is None and not file.exists():
         raise ValueError(
@@ -227,7 +227,7 @@ def _scenes(
 def _captured(
     options: DataOptions, stack: ZarrStack
 ) -> tuple[tuple[Scene, ...], dict[str, Any]]:
-    """A known shape, or normals that are sought, under lights of a list."""
+    """Scenes of a known shape, or with normals to fit, under given lights."""
     if options.scene is not None:
         raise ValueError("scene: expected it, or sphere or normals, got both")
     if options.sphere is not None and options.normals is not None:
@@ -264,7 +264,7 @@ def _captured(
     camera = camera_of(height, width, source, options.known_fov)
     camera = camera or OrthographicCamera(width, height)
     surface: AbstractSurface = NormalMap(UP)
-    # A plane that parallel rays meet need not be known pixel by pixel.
+    # With parallel rays and distant lamps a single normal describes the plane.
     if not sought or near or not isinstance(camera, OrthographicCamera):
         camera, surface = seen_in(
             height,
@@ -278,7 +278,7 @@ def _captured(
         Scene(surface, camera, light, ambient=options.room_light) for light in lamps
     )
     if unknown:
-        # As an .lp is: of each lamp its direction alone.
+        # An .lp has only the lamps' directions.
         print("assumed: all lamps are of one strength", flush=True)
     more: dict[str, Any] = {}
     if not sought:
@@ -292,4 +292,4 @@ def _captured(
 
 
 UP = np.array([[[0.0, 0.0, 1.0]]])
-"""The normals of a plane that the camera looks at."""
+"""Normals of a plane that faces the camera, as a single pixel."""

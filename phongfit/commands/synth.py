@@ -1,4 +1,4 @@
-"""`phongfit synth`: the data sets of `data_synth`, where that is installed."""
+"""`phongfit synth`: data sets of `data_synth`, if that is installed."""
 
 import importlib.util
 from collections.abc import Callable
@@ -14,7 +14,7 @@ def absent() -> int:
 
 
 def command() -> Callable[..., int]:
-    """What makes the data set; phongfit itself does without it."""
+    """The function that makes data sets, from the optional package `data_synth`."""
     if importlib.util.find_spec(PACKAGE) is None:
         return absent
     from data_synth.__main__ import main

@@ -1,4 +1,4 @@
-"""What `phongfit fit` does where unknowns are textures: options, pictures, report."""
+"""Fits of textures by `phongfit fit`: options, pictures, report."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -43,14 +43,14 @@ class TextureOptions:
 
 
 def textures_among(unknowns: Sequence[str]) -> tuple[str, ...]:
-    """Parameters whose textures are unknown."""
+    """Parameters whose textures are among the unknowns."""
     return tuple(n.removesuffix(TEXTURE) for n in unknowns if n.endswith(TEXTURE))
 
 
 def arguments_for(
     unknown: UnknownOptions, fitting: FitOptions, texture: TextureOptions
 ) -> dict[str, Any]:
-    """Keyword arguments of [`fit_texture`][], but for the data.
+    """Keyword arguments of [`fit_texture`][], without the data.
 
     **Raises:** `ValueError` that names the option.
     """
@@ -94,14 +94,14 @@ def arguments_for(
 
 
 def as_settings(given: dict[str, Any]) -> dict[str, Any]:
-    """What was asked, as a record has it."""
+    """Settings of a fit of textures, for its record."""
     known = given["known"]
     return given | {"known": None if known is None else describe_material(known)}
 
 
 def draw(folder: Path, found: TextureFit, data: Dataset, command: str) -> None:
-    """A picture of each texture and of the photographs, and the report of both."""
-    # Here, since drawing takes long to import.
+    """Write pictures of the textures and of the photographs, and the report."""
+    # Imported here, since drawing takes long to import.
     from phongfit.report.textures import draw_photographs, draw_texture, write_page
 
     for name in found.names:

@@ -1,4 +1,4 @@
-"""Photographs from several places, and the camera of each: a data set of views."""
+"""A data set of views: photographs from several places, each with its camera."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ LISTED = 4
 
 
 class Views(NamedTuple):
-    """What a data set of photographs from several places lists."""
+    """Images, cameras, film and notes of a data set from several places."""
 
     images: list[ImageRecord]
     cameras: list[PinholeCamera]
@@ -28,13 +28,13 @@ class Views(NamedTuple):
 def find_views(
     folder: Path, cameras: Path, encoding: Encoding | None, white: int | None = None
 ) -> Views:
-    """The photographs in a folder that files of others tell the cameras of.
+    """The photographs in a folder whose cameras other tools have determined.
 
     **Arguments:**
 
-    - `cameras`: as of [`load_cameras`][]. Photographs are found by the names in it,
-        below the folder, or in it without the folders that stand before them.
-    - `white`: as of [`read_image`][].
+    - `cameras`: as in [`load_cameras`][]. Photographs are found by the names there,
+        below the folder, or by the end of these names.
+    - `white`: as in [`read_image`][].
 
     **Raises:** `ValueError` that names the file or the option.
     """
@@ -102,12 +102,12 @@ def _exposed(relative: Sequence[float]) -> list[str]:
 
 
 def _photograph(folder: Path, name: str) -> str | None:
-    """The photograph of that name, as a name in the folder."""
+    """The path of a photograph relative to the folder, or `None` if it is missing."""
     try:
         path = image_of(folder, name)
         return path.relative_to(folder).as_posix() if path.is_file() else None
     except (OSError, ValueError):
-        # No name of a file in this folder.
+        # The name is not valid in this folder.
         return None
 
 

@@ -1,4 +1,4 @@
-"""What was loaded into the page, kept until newer things need the room."""
+"""A bounded cache of objects that were loaded into the page."""
 
 import secrets
 import threading
@@ -9,24 +9,25 @@ T = TypeVar("T")
 
 
 class Cache(Generic[T]):
-    """A few things, each under a name that nobody can guess.
+    """A cache of a few objects, each under an unguessable token.
 
-    The one used longest ago makes room for a new one, so memory stays bounded however
-    many pages are open.
+    The least recently used one is dropped for a new one, so that memory stays bounded
+    for any number of open pages.
     """
 
     def __init__(self, name: str, size: int = 8):
-        """**Arguments:** `name` of what it holds, for messages; `size`: how many."""
+        """**Arguments:** `name` of the kind of objects, for messages; `size`: maximum
+        number of objects."""
         self._name = name
         self._size = size
         self._held: OrderedDict[str, T] = OrderedDict()
-        # Requests are answered by several threads.
+        # Several threads answer requests.
         self._lock = threading.Lock()
 
     def put(self, thing: T) -> str:
         """Keep `thing`.
 
-        **Returns:** the name to ask for it by.
+        **Returns:** the token for `get`.
         """
         token = secrets.token_urlsafe(16)
         with self._lock:
@@ -36,9 +37,9 @@ class Cache(Generic[T]):
         return token
 
     def get(self, token: str) -> T:
-        """What was put there.
+        """The object with this token.
 
-        **Raises:** `ValueError` if it is no longer there, or never was.
+        **Raises:** `ValueError` if it has been dropped, or never existed.
         """
         with self._lock:
             if token not in self._held:

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 MAX_RESOLUTION = 1024
 
 PATIENCE = 3.0
-"""How long work that goes on is waited for in the end, seconds."""
+"""Time to wait for unfinished work at the end, seconds."""
 
 
 def _optional(metavar: str) -> Any:
-    """An option whose help says itself what its default is."""
+    """An option whose help text describes its default."""
     return arg(metavar=metavar, help_behavior_hint="")
 
 
@@ -98,7 +98,7 @@ def lab(options: Options) -> None:
 
 
 def leave_work_behind() -> None:
-    """End the process at once if a thread still works: nobody waits for its answer."""
+    """End the process after a short wait, even if threads are still working."""
     others = [one for one in threading.enumerate() if not one.daemon]
     others.remove(threading.main_thread())
     end = time.monotonic() + PATIENCE
@@ -124,9 +124,9 @@ def _check_installed() -> None:
 
 @contextlib.contextmanager
 def listening(host: str, port: int) -> Iterator[socket.socket]:
-    """A socket that listens at `host` and `port`, and nowhere else; closed in the end.
+    """A socket that listens only at `host` and `port`; closed after the block.
 
-    **Raises:** `ValueError` that says why it cannot.
+    **Raises:** `ValueError` with the reason of a failure.
     """
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -138,14 +138,14 @@ def listening(host: str, port: int) -> Iterator[socket.socket]:
             "that is free)"
         ) from error
     with listener:
-        # Connections inherit it. Else the kernel holds a picture back for 40 ms, until
-        # the browser has acknowledged what came before it.
+        # Connections inherit this option. Without it the kernel delays a picture by up
+        # to 40 ms, until the browser has acknowledged earlier data.
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         yield listener
 
 
 def _serve(listener: socket.socket, options: Options) -> None:
-    # Put off, since they take long to import and may not be there.
+    # Imported here, since they take long to import and may not be installed.
     import uvicorn
 
     from phongfit.lab.given import open_given
@@ -162,7 +162,7 @@ def _serve(listener: socket.socket, options: Options) -> None:
         for note in given.notes:
             print(f"assumed: {note}", flush=True)
     session = Session(options.resolution, given)
-    # The first picture is there when the page is.
+    # Compile for the first picture before the page is announced.
     session.picture(PictureRequest(settings=Settings()))
     url = _url(listener, options.host)
     try:
@@ -171,12 +171,12 @@ def _serve(listener: socket.socket, options: Options) -> None:
             server = uvicorn.Server(configuration(session, options.host))
             server.run(sockets=[listener])
     except KeyboardInterrupt:
-        # The usual way to end it, and no error.
+        # Ctrl-C is the usual way to stop the server.
         print("stopped", flush=True)
 
 
 def configuration(session: "Session", host: str) -> "uvicorn.Config":
-    """How the page is served."""
+    """Configuration of the page's server."""
     import uvicorn
 
     from phongfit.lab.intake import MAX_CONNECTIONS, Hurried
@@ -200,13 +200,13 @@ def _announce(url: str, only_here: bool, browser: bool) -> None:
         words = coded("open-to-others", "other machines can reach it")
         print(f"warning: {words}", file=sys.stderr)
     if browser:
-        # On its own, since a browser in the terminal would not return.
+        # In a thread, since a browser in the terminal would block.
         threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
 
 @contextlib.contextmanager
 def _warming_up(session: "Session") -> Iterator[None]:
-    """Compile beside the block, and no longer than it."""
+    """Compile in a thread during the block, and stop with it."""
     stop = threading.Event()
     thread = threading.Thread(target=session.warm_up, args=(stop,))
     thread.start()
@@ -214,7 +214,7 @@ def _warming_up(session: "Session") -> Iterator[None]:
         yield
     finally:
         stop.set()
-        # A program that is just compiled takes seconds more.
+        # The current compilation may take some more seconds.
         thread.join(PATIENCE)
 
 

@@ -1,4 +1,4 @@
-"""Photographs that the command was given, as targets: a capture or a data set."""
+"""Photographs given to the command, as targets: a capture or a data set."""
 
 import dataclasses
 from collections.abc import Callable
@@ -40,7 +40,7 @@ PLAIN = (".png", ".bmp", ".tif", ".tiff")
 """Formats whose files may hold 8 bits without a statement of their encoding."""
 
 SEARCHED = 8
-"""Most photographs of a folder in which the circle is looked for."""
+"""Maximum number of photographs of a folder in which the circle is searched for."""
 
 
 def open_given(
@@ -50,10 +50,10 @@ def open_given(
     encoding: str | None = None,
     white: int | None = None,
 ) -> Photographs:
-    """A ball's photographs, one or a folder of them, or a data set of a ball.
+    """Photographs of a ball, one or a folder of them, or a data set of a ball.
 
-    The circle of the ball is looked for unless `sphere` states it. What was assumed is
-    in the `notes`.
+    The circle of the ball is searched for unless `sphere` states it. The `notes` list
+    assumptions.
 
     **Raises:** `ValueError` that names the file or the option.
     """
@@ -81,7 +81,7 @@ def _open_ball(
     encoding: str | None,
     white: int | None,
 ) -> Photographs:
-    """Photographs of a ball, whose circle and lamps need not be known."""
+    """Photographs of a ball, with known or unknown circle and lamps."""
     known, notes = _encoding_of(path, encoding)
     capture = None
     if sphere is None:
@@ -129,10 +129,10 @@ def _find_circle(path: Path, capture: Capture) -> tuple[float, float, float]:
 
 
 def _reader(capture: Capture) -> Callable[[int], Photograph]:
-    """Photographs in which no pixel is left out for its place on the ball.
+    """A reader of photographs with masks that do not depend on the ball's circle.
 
-    The circle is a guess that the page's sliders correct, so that a mask made of it
-    could leave out pixels of the ball.
+    The circle is an estimate that the page's sliders correct, so a mask made from it
+    could exclude pixels of the ball.
     """
     used = np.ones(capture.series.size, bool)
     if capture.mask is not None:
@@ -161,12 +161,13 @@ def _encoding_of(
 
 
 def settings_of(scene: Scene) -> dict[str, Any]:
-    """Where the sliders stand for a scene: its ball, its lamp, its ambient light.
+    """Settings of the sliders for a scene: its ball, its lamp, its ambient light.
 
-    Rays are taken as parallel, and the light is the one that the ball's centre sees: a
-    lamp that has a place is near, unless it is further away than the slider goes.
+    Rays are treated as parallel, and direction and intensity of the light are those at
+    the ball's centre. A lamp with a position is near, unless it is beyond the slider's
+    range.
 
-    **Raises:** `ValueError` that says what the sliders cannot show.
+    **Raises:** `ValueError` that names a part that the sliders cannot show.
     """
     surface, camera = scene.surface, scene.camera
     if not isinstance(surface, Sphere):
@@ -182,7 +183,7 @@ def settings_of(scene: Scene) -> dict[str, Any]:
     light = scene.lights[0].illuminate(surface.center)
     axes = camera.rotation
     if isinstance(camera, PerspectiveCamera | PinholeCamera):
-        # A ball beside the axis is seen from the side, by nearly parallel rays.
+        # Axes of the nearly parallel rays to a ball off the optical axis.
         axes = look_at(camera.position, surface.center, camera.rotation[:, 1])
     azimuth, elevation, _ = angles(np.asarray(axes).T @ np.asarray(light.to_light))
     near = _near(scene.lights[0], surface)
@@ -199,15 +200,15 @@ def settings_of(scene: Scene) -> dict[str, Any]:
         "radius": 100 * radius / camera.height,
         **near,
     }
-    # The page gives back what it was given: let it fail here.
+    # The page sends these settings back, so validate them now.
     Settings.model_validate(found)
     return found
 
 
 def _near(light: AbstractLight, ball: Sphere) -> dict[str, float]:
-    """Of a lamp that has a place, how far away it is; nothing if it is far.
+    """Distance and fall-off of a near lamp; empty for a far one.
 
-    The fall-off is the one that changes as fast with the distance, at the ball.
+    The fall-off has the same derivative by distance at the ball as the attenuation.
     """
     if not isinstance(light, PointLight):
         return {}
@@ -242,7 +243,7 @@ def _outline(ball: Sphere, camera: AbstractCamera) -> tuple[float, float, float]
 
 
 def _focal(camera: PerspectiveCamera | PinholeCamera) -> float:
-    """Pixels from the pinhole to the image."""
+    """Focal length in pixels."""
     if isinstance(camera, PinholeCamera):
         return float(np.asarray(camera.fy))
     half = np.radians(float(np.asarray(camera.fov_y))) / 2

@@ -1,4 +1,4 @@
-"""Requests from elsewhere are refused: for other names, and from other sites."""
+"""Refuse requests for other host names and from other sites."""
 
 import ipaddress
 import socket
@@ -9,7 +9,7 @@ from starlette.datastructures import Headers
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-# The page needs nothing but what this server sends.
+# The page loads only content of this server.
 POLICY = {
     "content-security-policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
@@ -25,16 +25,16 @@ POLICY = {
 
 
 class Guard:
-    """Middleware: lets requests of our own page through, and nothing else.
+    """Middleware that accepts only requests of the server's own page.
 
     A page of another site could send requests to this machine through the user's
-    browser. Browsers tell in `Origin` and `Sec-Fetch-Site` where a request comes from.
-    A site could also give its own name this machine's address, and would then be
-    of the same origin; but the `Host` that the browser sends is still its name.
+    browser; the headers `Origin` and `Sec-Fetch-Site` state the source of a request. A
+    site could also map its own name to this machine's address, which makes it the same
+    origin; but `Host` then contains that name.
     """
 
     def __init__(self, app: ASGIApp, host: str):
-        """**Arguments:** `host`: what the server listens at."""
+        """**Arguments:** `host`: address at which the server listens."""
         self.app = app
         self.names = known_names(host)
         self.local = is_loopback(host)
@@ -58,7 +58,7 @@ class Guard:
             await answer(scope, receive, send_with_policy)
 
     def refusal(self, headers: Mapping[str, str]) -> str | None:
-        """Why a request with these headers is refused; `None` if it is not."""
+        """The reason to refuse a request with these headers, or `None`."""
         host = headers.get("host", "")
         if not self._is_ours(_hostname(f"//{host}")):
             return f"host: {host!r} is not a name of this server"
@@ -70,7 +70,7 @@ class Guard:
         return None
 
     def _is_ours(self, name: str) -> bool:
-        # No site can have a bare address for its name.
+        # A site's name cannot be an IP address.
         return name in self.names or (not self.local and _is_address(name))
 
 
@@ -83,7 +83,7 @@ def known_names(host: str) -> frozenset[str]:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether `host` is reached from this machine only."""
+    """True if `host` can be reached only from this machine."""
     if host == "localhost":
         return True
     return _is_address(host) and ipaddress.ip_address(host).is_loopback

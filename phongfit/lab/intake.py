@@ -1,4 +1,4 @@
-"""Requests are taken in within limits of size and time, and worked on in turn."""
+"""Receive requests within limits of size and time, and schedule their work."""
 
 import asyncio
 from collections.abc import Callable
@@ -13,33 +13,33 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 T = TypeVar("T")
 
 MAX_WORDS = 2**16
-"""Records with more bytes are refused: settings have a few hundred."""
+"""Maximum number of bytes of a record: settings have a few hundred."""
 
 MAX_AT_ONCE = 4
-"""How many files are received at a time; others wait."""
+"""Maximum number of files received at a time; others wait."""
 
 MAX_CONNECTIONS = 64
-"""Further ones are told that the server is busy."""
+"""Maximum number of connections; others get the answer that the server is busy."""
 
 HEAD_SECONDS = 10
-"""A request whose head takes longer is given up."""
+"""Time limit for the head of a request, seconds."""
 
 PAUSE_SECONDS = 10
-"""So is one whose body stops for longer,"""
+"""Time limit for a pause in the body of a request, seconds."""
 
 BODY_SECONDS = 60
-"""or takes longer in all."""
+"""Time limit for the whole body of a request, seconds."""
 
 
 class TooLarge(ValueError):
-    """A request has more bytes than are taken in."""
+    """A request has more bytes than the limit."""
 
 
 class Intake:
-    """Receives bodies, and has work done away from the event loop.
+    """Receives bodies of requests, and runs their work outside the event loop.
 
-    Light work, a picture, is done in a few threads; heavy work, a fit or a file, one
-    after the other: so memory has a ceiling, however many requests there are.
+    Light work, such as a picture, runs in a few threads; heavy work, a fit or a file,
+    runs one at a time, so that memory is bounded for any number of requests.
     """
 
     def __init__(self) -> None:
@@ -55,13 +55,13 @@ class Intake:
         return (await _body(request, MAX_WORDS)).decode(errors="replace")
 
     async def file(self, request: Request, limit: int, work: Callable[[bytes], T]) -> T:
-        """What `work` makes of a file of at most `limit` bytes; raises as `words`."""
+        """Apply `work` to a file of at most `limit` bytes; raises as `words` does."""
         async with self._receiving:
             content = await _body(request, limit)
             return await self.do(lambda: work(content), heavy=True)
 
     async def do(self, work: Callable[[], T], *, heavy: bool) -> T:
-        """What `work` gives. It is not waited for when the server ends."""
+        """Run `work` in a thread, which is abandoned when the server ends."""
         limiter = self._heavy if heavy else self._light
         try:
             return await anyio.to_thread.run_sync(
@@ -73,7 +73,7 @@ class Intake:
 
 async def _body(request: Request, limit: int) -> bytes:
     length = request.headers.get("content-length", "0")
-    # Refused before it is sent.
+    # Refuse a large body before it is sent.
     _check_size(int(length) if length.isdecimal() else 0, limit)
     pieces, size = [], 0
     stream = request.stream()
@@ -94,9 +94,9 @@ def _check_size(size: int, limit: int) -> None:
 
 
 class Hurried(H11Protocol):
-    """Connections that are closed if a request is begun and not ended, or never begun.
+    """Connections that are closed if no complete head of a request arrives in time.
 
-    The server's own protocol waits for the head of a request for ever.
+    The base class waits for the head of a request without limit.
     """
 
     _deadline: asyncio.TimerHandle | None = None
@@ -114,9 +114,9 @@ class Hurried(H11Protocol):
         super().connection_lost(exc)
 
     def send_400_response(self, msg: str) -> None:
-        """What came is no request; if it was the body of one, that has no answer now.
+        """Answer an invalid request; within a body, cancel the request's own answer.
 
-        The server's own protocol lets both answer, and fails with the second.
+        The base class sends both answers, and fails with the second.
         """
         cycle, begun = self.cycle, False
         if cycle is not None:

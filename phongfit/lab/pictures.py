@@ -1,4 +1,4 @@
-"""Pictures as the page shows them."""
+"""Pictures for the page: PNG files and outlines."""
 
 from typing import Any
 
@@ -8,10 +8,10 @@ from jaxtyping import Bool, Float
 from phongfit.files.formats import encode_png
 from phongfit.files.images import to_levels
 
-# The brightest hundredth of a photograph is shown at this share of white.
+# Display level of a photograph's 99 % quantile, as a fraction of white.
 SHOWN = 0.8
 MOST_BRIGHTENED = 64.0
-# Of an outline's steps, in pixels.
+# Standard deviation of an outline's smoothing, pixels.
 SMOOTHED = 0.8
 
 
@@ -30,11 +30,11 @@ def brightening(image: Float[np.ndarray, "*pixels 3"]) -> float:
 
 
 def outline_path(mask: Bool[np.ndarray, "height width"]) -> str:
-    """The border of a mask as an SVG path in pixels, open where the frame cuts it off.
+    """The border of a mask as an SVG path in pixels, open at the edges of the frame.
 
-    Steps from pixel to pixel are smoothed away: it is for the eye.
+    Steps between pixels are smoothed for display.
     """
-    # Put off, since they take long to import.
+    # Imported here, since they take long to import.
     from contourpy import contour_generator
     from scipy.ndimage import gaussian_filter
 
@@ -53,15 +53,15 @@ def residual_png(
     residual: Float[np.ndarray, "height width 3"],
     used: Bool[np.ndarray, "height width"],
 ) -> tuple[bytes, float]:
-    """A map of what a fit leaves: red where the target is brighter, blue where darker.
+    """A map of the residual: red where the target is brighter, blue where darker.
 
-    One number a pixel: the channel that is furthest off, with its sign. Grey where a
-    pixel is not used.
+    Each pixel has the largest residual of its channels, with its sign. Unused pixels
+    are grey.
 
-    **Returns:** a PNG file, and the residual that the ends of the scale stand for,
-    beyond which lie 0.5 % of the used pixels.
+    **Returns:** a PNG file, and the residual at the ends of the scale, which 0.5 % of
+    the used pixels exceed.
     """
-    # Put off, since it takes long to import.
+    # Imported here, since it takes long to import.
     from matplotlib import colormaps
 
     from phongfit.report.pictures import signed

@@ -1,4 +1,4 @@
-"""A fit in the page's words: a table of plain text, warnings, and the material."""
+"""A fit as data for the page: a table of plain text, warnings, and the material."""
 
 import dataclasses
 from typing import Any
@@ -17,13 +17,13 @@ OF_MATERIAL = ("diffuse", "specular", "ambient", "shininess")
 
 
 def fit_response(fit: Fit, truth: Settings | None) -> dict[str, Any]:
-    """What the page shows of a fit, but the pictures.
+    """Data of a fit for the page, without pictures.
 
-    **Arguments:** `truth`: the settings that the target was made of, if it was.
+    **Arguments:** `truth`: the settings of a synthetic target, else `None`.
 
-    **Returns:** plain text and numbers: `rows` of the table; `head`, how the fit went;
-    `warnings`; `text`, the fit's own table; `settings`, for the sliders, without what
-    not identifiable.
+    **Returns:** plain text and numbers: `rows` of the table; `head`, a summary of the
+    solution; `warnings`; `text`, the printed fit; `settings`, for the sliders, without
+    unidentified parameters.
     """
     known = {} if truth is None else true_numbers(truth)
     words = tuple(map(in_page_words, fit.warnings))
@@ -56,7 +56,7 @@ def _light_found(fit: Fit) -> dict[str, float]:
 
 
 def true_numbers(settings: Settings) -> dict[str, float]:
-    """What a fit of a target made of these settings should find, label by label."""
+    """True values of a target made from these settings, by label."""
     numbers = {"shininess": settings.shininess}
     for name in REFLECTANCES:
         for channel, value in zip(CHANNELS, getattr(settings, name, ()), strict=False):
@@ -69,7 +69,7 @@ def true_numbers(settings: Settings) -> dict[str, float]:
 
 
 def differences(assumed: Settings, truth: Settings) -> list[str]:
-    """Titles of what a fit assumes otherwise than its target was made."""
+    """Titles of settings in which a fit's assumptions differ from its target."""
     return [
         str(Settings.model_fields[name].title)
         for name in matters(assumed)

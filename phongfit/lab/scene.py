@@ -1,4 +1,4 @@
-"""From the sliders to a scene and a material."""
+"""Scene and material from the settings of the sliders."""
 
 from typing import Any, NamedTuple
 
@@ -19,14 +19,14 @@ from phongfit.material import Material
 from phongfit.reflectance import BlinnPhong, Phong
 from phongfit.scene import Scene
 
-# A sphere of radius 1 fills ten elevenths of the picture.
+# Height of the view: a sphere of radius 1 fills 10/11 of the picture.
 VIEW_HEIGHT = 2.2
-# The image plane's distance, past everything within the sphere.
+# Distance of the image plane from the origin, outside the sphere of radius 1.
 AWAY = 5.0
 
 
 class Frame(NamedTuple):
-    """A picture's size in pixels; `free` where the sliders say what it shows."""
+    """A picture's size in pixels; `free` if the sliders set origin and scale."""
 
     height: int
     width: int
@@ -34,7 +34,7 @@ class Frame(NamedTuple):
 
 
 def make_material(settings: Settings) -> Material:
-    """The material that the sliders show."""
+    """The material from the settings."""
     return Material(
         diffuse=settings.diffuse,
         specular=settings.specular,
@@ -44,7 +44,7 @@ def make_material(settings: Settings) -> Material:
 
 
 def make_scene(settings: Settings, surface: AbstractSurface, frame: Frame) -> Scene:
-    """The scene that the sliders show: one light at most, and its ambient light."""
+    """The scene from the settings: at most one light, and ambient light."""
     return Scene(
         surface,
         make_camera(settings, frame),
@@ -56,15 +56,16 @@ def make_scene(settings: Settings, surface: AbstractSurface, frame: Frame) -> Sc
 
 
 def make_shading(settings: Settings) -> AbstractShading:
-    """The shading method by its name."""
+    """The shading method, from its name in the settings."""
     kinds = {"flat": FlatShading, "gouraud": GouraudShading, "phong": PhongShading}
     return kinds[settings.shading]()
 
 
 def make_lights(settings: Settings) -> tuple[AbstractLight, ...]:
-    """The light of the chosen kind; none where there is ambient light only.
+    """The light of the chosen kind, or none for ambient light only.
 
-    A spot light shines at the origin. Intensities are those there, however far away.
+    A spot light points at the origin. Intensities are those at the origin, independent
+    of the distance.
     """
     towards = _direction(settings.azimuth, settings.elevation)
     position = settings.distance * towards
@@ -85,15 +86,15 @@ def make_lights(settings: Settings) -> tuple[AbstractLight, ...]:
 def make_camera(settings: Settings, frame: Frame) -> AbstractCamera:
     """A camera with parallel rays that looks at the origin.
 
-    In a free frame the origin and a length of 1 are where the sliders say: that is how
-    the surface is laid over a photograph.
+    In a free frame the sliders set the origin and the unit of length in the picture, to
+    align the surface with a photograph.
     """
     height, width, free = frame
     view, x, y = VIEW_HEIGHT, 0.5, 0.5
     if free:
         view = 100 / settings.radius
         x, y = settings.centre_x / 100, settings.centre_y / 100
-    # A sphere looks the same from everywhere, and its light keeps its place.
+    # For a sphere the view is fixed, so that the light stays in place.
     still = settings.surface == SPHERE
     turn, tilt = (0, 0) if still else (settings.turn, settings.tilt)
     position = AWAY * _direction(turn, tilt)
@@ -123,11 +124,11 @@ def angles(vector: Any) -> tuple[float, float, float]:
 
 
 def fitted_into_view(mesh: Mesh) -> Mesh:
-    """The same shape, moved and scaled into the sphere of radius 1, of one material.
+    """A mesh moved and scaled into the sphere of radius 1, with one material.
 
-    It is seen from both sides, since files do not agree on which is which.
+    It is two-sided, since files differ in the orientation of faces.
 
-    **Raises:** `ValueError` if it has no size.
+    **Raises:** `ValueError` if all vertices are at one point.
     """
     vertices = np.asarray(mesh.vertices, float)
     used = vertices[np.asarray(mesh.faces).ravel()]

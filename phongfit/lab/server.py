@@ -1,4 +1,4 @@
-"""The page's server: which address is answered by what."""
+"""The page's server: routes, and conversion of errors."""
 
 import functools
 from collections.abc import Awaitable, Callable
@@ -38,11 +38,11 @@ Record = TypeVar("Record", bound=AbstractRecord)
 
 
 def make_app(session: Session, host: str = "127.0.0.1") -> Starlette:
-    """The page and what it asks for.
+    """The application that serves the page and answers its requests.
 
-    What is wrong with a request is reported in one line: `{"error": …}`, status 400.
+    An invalid request gets a one-line message: `{"error": …}`, status 400.
 
-    **Arguments:** `host`: what the server listens at.
+    **Arguments:** `host`: address at which the server listens.
     """
     intake = Intake()
     given = () if session.given is None else session.given.names
@@ -109,7 +109,7 @@ def _asked(
     *,
     heavy: bool = False,
 ) -> Endpoint:
-    """What `work` answers to a record in JSON."""
+    """An endpoint that applies `work` to a record in JSON."""
 
     async def answer(request: Request) -> Response:
         text = await intake.words(request)
@@ -120,7 +120,7 @@ def _asked(
 
 
 def _uploaded(intake: Intake, work: Callable[[Request, bytes], Any]) -> Endpoint:
-    """What `work` answers to a file."""
+    """An endpoint that applies `work` to an uploaded file."""
 
     async def answer(request: Request) -> Response:
         call = functools.partial(work, request)
@@ -141,19 +141,19 @@ def _query(request: Request, name: str) -> str:
 
 
 def _tell(request: Request, error: Exception, status: int = 400) -> Response:
-    """The user's input is at fault."""
+    """The answer to invalid input."""
     del request
     return JSONResponse({"error": " ".join(str(error).split())}, status_code=status)
 
 
 def _left(request: Request, error: Exception) -> Response:
-    """Who asked has gone: nobody hears the answer."""
+    """The answer to a disconnected client, which is never sent."""
     del request, error
     return Response(status_code=400)
 
 
 def _fault(request: Request, error: Exception) -> Response:
-    """We are at fault: the server prints a traceback, the page stays alive."""
+    """The answer after an internal error, whose traceback the server prints."""
     del request
     words = f"the server failed ({type(error).__name__}); its terminal says more"
     return JSONResponse({"error": words}, status_code=500)

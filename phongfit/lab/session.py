@@ -1,4 +1,4 @@
-"""What the page asks for, done: pictures, targets and fits."""
+"""Answers to the page's requests: pictures, targets and fits."""
 
 import dataclasses
 import functools
@@ -41,11 +41,11 @@ from phongfit.lab.uploads import (
 from phongfit.rendering.film import Encoding, Film
 from phongfit.rendering.render import render
 
-# Rows and columns of a pixel that is shown; targets and fits have one of each.
+# Shown pixels are averages of FINER × FINER rendered ones; targets and fits have one.
 FINER = 2
-# Of photographs: a pixel of the rim averages over many normals.
+# Default smallest n·v for photographs: pixels at the rim average over many normals.
 RIM = 0.15
-# What of the settings the geometry depends on.
+# Settings that determine the geometry.
 GEOMETRY = ("surface", "shading", "turn", "tilt", "centre_x", "centre_y", "radius")
 # The sphere as triangles, for the shading methods that need them.
 COLUMNS, ROWS = 48, 24
@@ -55,9 +55,9 @@ COLUMNS, ROWS = 48, 24
 class Target:
     """An image to be fitted, in linear light.
 
-    `shrunk` and `brighten`: how many times a photograph was shrunk, and is brightened
-    where it is shown, as is what stands beside it, to be compared. `encoding`: of the
-    photograph's file. `truth`: the settings that it was made of, if it was.
+    `shrunk`: factor by which a photograph was shrunk. `brighten`: factor for the
+    display of the photograph and of pictures beside it. `encoding`: of the photograph's
+    file. `truth`: settings of a synthetic target.
     """
 
     image: Float[np.ndarray, "height width 3"]
@@ -69,14 +69,14 @@ class Target:
 
     @property
     def film(self) -> Film | None:
-        """The film of a shrunk photograph, since its numbers do not show it."""
+        """The film of a shrunk photograph, whose averaged numbers do not reveal it."""
         if self.encoding is None or self.shrunk == 1 or self.image.max() > 1:
             return None
         return Film(encoding=self.encoding)
 
     @property
     def frame(self) -> Frame:
-        """Of pictures that stand beside it."""
+        """Frame of pictures that are shown beside the target."""
         height, width, _ = self.image.shape
         return Frame(height, width, free=self.truth is None)
 
@@ -84,28 +84,28 @@ class Target:
 class Session:
     """Answers requests of the page, from any thread.
 
-    Geometry is resolved once and kept; a slider of the material or the light costs one
-    evaluation of what is compiled already.
+    Geometry is computed once and cached; a change of material or light costs one
+    evaluation of a compiled program.
     """
 
     def __init__(self, resolution: int = 256, given: Photographs | None = None):
         """**Arguments:**
 
         - `resolution`: width and height of pictures, pixels.
-        - `given`: photographs of a ball that the page has a menu of.
+        - `given`: photographs of a ball, for the page's menu.
         """
         self.given = given
         self.frame = Frame(resolution, resolution)
         self._meshes: Cache[Mesh] = Cache("mesh")
         self._targets: Cache[Target] = Cache("target")
         self._geometry = functools.lru_cache(maxsize=8)(self._trace)
-        # A fit keeps all cores busy: the next one waits.
+        # One fit at a time, since it uses all cores.
         self._fitting = threading.Lock()
 
     def picture(self, request: PictureRequest) -> bytes:
-        """A PNG file: what the sliders show, in the frame of the target if it has one.
+        """A PNG file of the settings, in the frame of the target if there is one.
 
-        **Raises:** `ValueError` if the mesh or the target is no longer held.
+        **Raises:** `ValueError` if the mesh or the target is no longer in the cache.
         """
         if request.target is None:
             return png(self._smooth(request.settings, self.frame))
@@ -113,7 +113,7 @@ class Session:
         return png(self._smooth(request.settings, target.frame, target.brighten))
 
     def outline(self, request: PictureRequest) -> dict[str, str]:
-        """Where the surface ends in the target's frame: see [`outline_path`][].
+        """The outline of the surface in the target's frame: see [`outline_path`][].
 
         **Raises:** as [`picture`][phongfit.lab.session.Session.picture] does.
         """
@@ -124,27 +124,27 @@ class Session:
         return {"path": outline_path(np.asarray(gbuffer.mask))}
 
     def add_mesh(self, name: str, content: bytes) -> dict[str, Any]:
-        """A mesh from a file, to be the surface: see [`read_mesh`][]."""
+        """Add a mesh from a file as a surface: see [`read_mesh`][]."""
         mesh = read_mesh(name, content)
         return {"surface": self._meshes.put(mesh), "faces": len(mesh.faces)}
 
     def add_photograph(
         self, name: str, content: bytes, encoding: Encoding
     ) -> dict[str, Any]:
-        """A photograph from a file, to be the target: see [`read_photograph`][]."""
+        """Add a photograph from a file as a target: see [`read_photograph`][]."""
         image, shrunk = read_photograph(name, content, encoding)
         mask = np.ones(image.shape[:2], bool)
         target = Target(image, mask, None, shrunk, brightening(image), encoding)
         return self._keep(target)
 
     def choose(self, request: ChosenRequest) -> dict[str, Any]:
-        """One of the given photographs as the target, and what is known of its scene.
+        """Make one of the given photographs the target, with settings for its scene.
 
-        **Returns:** the target with `settings` of the sliders; `options` of a fit, of
-        which the light's direction is unknown where nothing states it; and `notes`,
-        sentences on what was assumed.
+        **Returns:** the target with `settings` of the sliders; `options` of a fit, with
+        the light's direction unknown unless it was given; and `notes`, sentences on
+        assumptions.
 
-        **Raises:** `ValueError` if there is none of this number, or its file has gone.
+        **Raises:** `ValueError` for an invalid number, or if the file is missing.
         """
         given = self.given
         count = 0 if given is None else len(given.names)
@@ -164,10 +164,10 @@ class Session:
         }
 
     def add_mask(self, token: str, name: str, content: bytes) -> dict[str, Any]:
-        """The pixels of a photograph that show the surface.
+        """Add a mask of the surface to a photograph.
 
-        **Returns:** the target with its mask, and the circle that touches the mask's
-        borders, in the units of the settings.
+        **Returns:** the target with its mask, and a circle fitted to the mask's extent,
+        in the units of the settings.
 
         **Raises:** `ValueError` if the file cannot be read or is of another size.
         """
@@ -189,7 +189,7 @@ class Session:
         return self._keep(masked) | circle
 
     def make_target(self, request: TargetRequest) -> dict[str, Any]:
-        """A target of the present settings: noise is added, then it is clamped."""
+        """Make a target from the settings, with added noise, clamped to [0, 1]."""
         light = self._render(request.settings, self.frame, Film(clamp=False))
         noise = np.random.default_rng(request.seed).normal(0, 1, light.shape)
         image = np.clip(light + request.noise * noise, 0, 1).astype(light.dtype)
@@ -197,9 +197,9 @@ class Session:
         return self._keep(Target(image, mask, request.settings))
 
     def fit(self, request: FitRequest) -> dict[str, Any]:
-        """The material that explains the target, under the settings' light and model.
+        """Fit the material to the target, under the settings' light and model.
 
-        **Raises:** `ValueError` that says what is missing.
+        **Raises:** `ValueError` that names the missing mesh, target or light.
         """
         settings, options = request.settings, request.options
         target = self._targets.get(request.target)
@@ -228,9 +228,9 @@ class Session:
         }
 
     def warm_up(self, stop: threading.Event) -> None:
-        """Compile what the first presses will need, the likeliest first.
+        """Compile programs for the first requests, the likeliest first.
 
-        **Arguments:** `stop`: ends it early.
+        **Arguments:** `stop`: event that ends the compilation early.
         """
         kinds = ("directional", "point", "spot", "none")
         looks = [
@@ -239,7 +239,7 @@ class Session:
             for model in ("blinn-phong", "phong")
             for kind in kinds
         ]
-        # The fit comes after the kinds of light, which take a moment each.
+        # The fit follows after the kinds of light, which compile quickly.
         for k, look in enumerate(looks):
             if stop.is_set():
                 return
@@ -272,11 +272,11 @@ class Session:
     def _smooth(
         self, settings: Settings, frame: Frame, brighten: float = 1.0
     ) -> np.ndarray:
-        """A picture for the eye, with smooth outlines: the mean over finer pixels."""
+        """A picture with smooth outlines: the mean over finer pixels."""
         height, width, _ = frame
         fine = frame._replace(height=FINER * height, width=FINER * width)
         light = self._render(settings, fine, Film(clamp=False))
-        # Nothing is whiter than white: an outline that is would be jagged again.
+        # Clamp before averaging: otherwise bright outlines would be jagged.
         light = np.minimum(brighten * light, 1)
         return light.reshape(height, FINER, width, FINER, 3).mean(axis=(1, 3))
 
@@ -295,7 +295,7 @@ class Session:
 
 
 def _geometry_of(settings: Settings) -> tuple[Any, ...]:
-    """What the geometry depends on, in the order of `GEOMETRY`."""
+    """Values of the settings that determine the geometry, as ordered in `GEOMETRY`."""
     return tuple(getattr(settings, name) for name in GEOMETRY)
 
 

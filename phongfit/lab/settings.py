@@ -1,6 +1,6 @@
-"""What the page's sliders say: names, units and limits stand here, and only here.
+"""Settings of the page's sliders: their names, units and limits.
 
-The page is built from these fields, and the server checks what comes back by them.
+The page is built from these fields, and the server validates requests by them.
 """
 
 from typing import Annotated, Any, Literal
@@ -12,12 +12,13 @@ from phongfit.presets import OPENGL_MATERIALS
 
 SPHERE = "sphere"
 NEAREST, FURTHEST = 1.2, 100
-"""Of near lamps, in radii of the ball: from the last, light is parallel to 0.6°."""
+"""Range of distances of near lamps, in radii of the ball; at the largest distance light
+is parallel to within 0.6°."""
 
 Group = Literal["material", "light", "model", "view", "frame", "fit"]
 Share = Annotated[float, Field(ge=0, le=1)]
 Strength = Annotated[float, Field(ge=0, le=10)]
-# JSON has no tuples: what comes is a list.
+# Not strict, since JSON has lists instead of tuples.
 Shares = Annotated[tuple[Share, Share, Share], Strict(False)]
 Strengths = Annotated[tuple[Strength, Strength, Strength], Strict(False)]
 
@@ -30,15 +31,15 @@ def _slider(
     highest: float | None = None,
     **more: Any,
 ) -> Any:
-    """A field, and what the page wants to know of it.
+    """A field with the properties of its control on the page.
 
     **Arguments:**
 
-    - `group`: where it stands; `title`: how it is called.
-    - `lowest`, `highest`: limits of a number; those of a colour are its type's.
-    - `more`: `symbol`; `unit`; `step` of the slider; `scale`, where "log" has equal
-        ratios at equal distances; `words`: what choices are called; `only`: values of
-        other settings without which this one does nothing.
+    - `group`: section of the page; `title`: label of the control.
+    - `lowest`, `highest`: limits of a number; the type of a colour has its limits.
+    - `more`: `symbol`; `unit`; `step` of the slider; `scale`, "log" for a logarithmic
+        one; `words`: labels of choices; `only`: values of other settings that this
+        setting requires to have an effect.
     """
     return Field(
         default,
@@ -55,7 +56,7 @@ SPOT_LIGHT = {"light": ["spot"]}
 
 
 class Settings(AbstractRecord):
-    """One position of all the sliders.
+    """Values of all sliders.
 
     The surface fits into a sphere of radius 1 around the origin; lengths are in that
     unit. Angles are in degrees: 0, 0 is straight from the front, along +z.
@@ -138,7 +139,7 @@ class Settings(AbstractRecord):
 
 
 def matters(settings: Settings) -> list[str]:
-    """Names of the settings that do something to the picture of a made target."""
+    """Names of the settings that affect the picture of a synthetic target."""
 
     def does(name: str) -> bool:
         about: Any = Settings.model_fields[name].json_schema_extra or {}
@@ -153,7 +154,7 @@ def matters(settings: Settings) -> list[str]:
 
 
 class FitOptions(AbstractRecord):
-    """How a target is fitted."""
+    """Options of a fit of a target."""
 
     loss: Literal["linear", "huber", "soft_l1", "cauchy", "tukey"] = _slider(
         "fit",
@@ -174,14 +175,14 @@ class FitOptions(AbstractRecord):
 
 
 class PictureRequest(AbstractRecord):
-    """Asks for the picture of the present settings, in the target's frame."""
+    """Request for a picture of the settings, in the target's frame."""
 
     settings: Settings
     target: str | None = Field(default=None, max_length=64)
 
 
 class TargetRequest(AbstractRecord):
-    """Asks for a target made of the present settings.
+    """Request for a target made from the settings.
 
     `noise` is a standard deviation in linear light where white is 1.
     """
@@ -192,13 +193,13 @@ class TargetRequest(AbstractRecord):
 
 
 class ChosenRequest(AbstractRecord):
-    """Asks for one of the photographs that the command was given, as the target."""
+    """Request for one of the photographs given to the command, as the target."""
 
     number: int = Field(ge=0)
 
 
 class FitRequest(AbstractRecord):
-    """Asks for a fit of a target under the light and model of the settings."""
+    """Request for a fit of a target under the light and model of the settings."""
 
     settings: Settings
     target: str = Field(max_length=64)
@@ -206,7 +207,7 @@ class FitRequest(AbstractRecord):
 
 
 def describe_settings() -> dict[str, Any]:
-    """All that the page is built from: fields, their limits and words, and presets."""
+    """Data from which the page is built: fields with limits and words, and presets."""
     names = ("ambient", "diffuse", "specular", "shininess")
     return {
         "settings": Settings.model_json_schema()["properties"],

@@ -1,4 +1,4 @@
-"""Files that come through the page: read as those on disk are, within limits."""
+"""Files uploaded through the page, read like files on disk, within limits."""
 
 import math
 import tempfile
@@ -18,16 +18,16 @@ from phongfit.lab.scene import fitted_into_view
 from phongfit.rendering.film import Encoding
 
 MAX_BYTES = 2**26
-"""Larger files are refused."""
+"""Maximum size of a file, bytes."""
 
 MAX_PIXELS = 2**24
-"""Larger photographs are refused: a page should not fill the memory."""
+"""Maximum number of pixels of a photograph, to protect the memory."""
 
 MAX_FACES = 500_000
-"""Meshes of more faces are refused."""
+"""Maximum number of faces of a mesh."""
 
 MAX_SIDE = 768
-"""Larger photographs are shrunk: a slider has to be answered at once."""
+"""Largest side of a photograph, pixels; larger ones are shrunk, for fast sliders."""
 
 T = TypeVar("T")
 
@@ -35,14 +35,15 @@ T = TypeVar("T")
 def read_mesh(name: str, content: bytes) -> Mesh:
     """A mesh of one material, in the sphere of radius 1: see [`load_mesh`][].
 
-    **Arguments:** `name` of the file, whose suffix tells the format; its `content`.
+    **Arguments:** `name` of the file, whose suffix determines the format; its
+    `content`.
 
     **Raises:** `ValueError` that names the file.
     """
 
     def read(path: Path) -> Mesh:
         with warnings.catch_warnings():
-            # Materials that are missing: the sliders' one is used for all faces.
+            # No warnings of missing materials, since the sliders' material is used.
             warnings.simplefilter("ignore")
             mesh = load_mesh(path).mesh
         with naming(str(path)):
@@ -60,8 +61,8 @@ def read_photograph(
 ) -> tuple[Float[np.ndarray, "height width 3"], int]:
     """An image as linear light: see [`read_image`][].
 
-    **Returns:** the image, its longer side at most `MAX_SIDE`, and how many times it
-    was shrunk for that.
+    **Returns:** the image, its longer side at most `MAX_SIDE`, and the factor by which
+    it was shrunk.
 
     **Raises:** `ValueError` that names the file.
     """
@@ -92,20 +93,20 @@ def read_photograph_mask(
 def shrunk(
     image: Float[np.ndarray, "height width channels"],
 ) -> tuple[Float[np.ndarray, "h w channels"], int]:
-    """An image with its longer side at most `MAX_SIDE`, and how many times that is."""
+    """An image shrunk to a longer side of at most `MAX_SIDE`, and the factor."""
     times = math.ceil(max(image.shape) / MAX_SIDE)
     return _shrink(image, times), times
 
 
 def _shrink(image: np.ndarray, times: int) -> np.ndarray:
-    """Means of blocks: light is what adds up."""
+    """Means over blocks, of linear light."""
     height, width = (side // times for side in image.shape[:2])
     cut = image[: height * times, : width * times]
     return cut.reshape(height, times, width, times, -1).mean(axis=(1, 3))
 
 
 def _read(name: str, content: bytes, read: Callable[[Path], T]) -> T:
-    """What `read` makes of a file with this content, alone in a folder of its own."""
+    """Apply `read` to a temporary file with this content, in a separate folder."""
     shown = _plain(name)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "upload" + Path(shown).suffix[:16])
@@ -118,5 +119,5 @@ def _read(name: str, content: bytes, read: Callable[[Path], T]) -> T:
 
 
 def _plain(name: str) -> str:
-    """A file's name, fit for a message."""
+    """A file's name, shortened and printable, for messages."""
     return "".join(c for c in Path(name).name if c.isprintable())[-80:] or "file"

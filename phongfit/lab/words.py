@@ -1,4 +1,4 @@
-"""Warnings of a fit in the page's words: remedies name its controls."""
+"""Warnings of a fit with remedies that name controls of the page."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -39,7 +39,7 @@ PAGE_REMEDIES: Mapping[str, str] = MappingProxyType(
         "outliers": "Load a mask without them, or choose the loss “Cauchy” or “Tukey”",
     }
 )
-"""What to try on the page, by the code of a warning that its fits can give."""
+"""Remedies on the page, by the codes of warnings that its fits can give."""
 
 
 def in_page_words(warning: str) -> str:
@@ -48,7 +48,7 @@ def in_page_words(warning: str) -> str:
     if code is None or code not in PAGE_REMEDIES:
         return warning
     sentences = warning.removesuffix(f" [{code}]")
-    # A remedy is one sentence, without a full stop within, and stands last.
+    # The remedy is the last sentence, and has no full stop inside.
     found = sentences.removesuffix(f". {REMEDIES[code]}")
     if found == sentences:
         found = sentences.rpartition(". ")[0]

@@ -1,4 +1,4 @@
-"""The picture of a calibration: spheres and highlights in the photographs, and lamps."""
+"""The picture of a calibration: spheres, highlights and lamps."""
 
 from collections.abc import Iterable
 

@@ -34,7 +34,7 @@ def draw_parameter(maps: Maps, name: str) -> Figure:
 
 
 def draw_flags(maps: Maps) -> Figure:
-    """A figure of the pixels' flags: unidentified or doubtful, a colour for each reason.
+    """A figure of the pixels' flags, a colour for each reason.
 
     A pixel with several flags has the colour of its rarest flag.
     """

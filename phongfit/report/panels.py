@@ -139,7 +139,7 @@ def profiles(fit: Fit, found: Diagnostics | None) -> tuple[list[Panel], str]:
 
 
 def correlations(fit: Fit) -> tuple[Panel | None, str]:
-    """A picture of the correlations, if there are any, and a sentence on the strongest."""
+    """A picture of the correlations, if there are any, and the strongest in words."""
     entries = shown_unknowns(fit)
     if len(entries) < 2:
         return None, "Here fewer than two unknowns are identified, so there are none."
@@ -181,7 +181,7 @@ def residuals(fit: Fit) -> list[Panel]:
 
 
 def convergence(fit: Fit, found: Diagnostics | None) -> tuple[Panel | None, str]:
-    """A picture of the cost step by step, if available, and the solver's end in words."""
+    """A picture of the cost by step, if available, and the solver's end in words."""
     end = f"The fit took {fit.steps} steps: {fit.reason}."
     if found is None:
         return None, end

@@ -76,14 +76,14 @@ def show(image: Any, *, title: Title = "", brighten: float = 1.0) -> Figure:
 
 
 def signed(residual: Any) -> np.ndarray:
-    """For each pixel, the residual of the channel with the largest one, with its sign."""
+    """For each pixel the largest residual of its channels, with its sign."""
     residual = np.asarray(residual)
     furthest = np.argmax(np.abs(residual), axis=-1)[..., None]
     return np.take_along_axis(residual, furthest, axis=-1)[..., 0]
 
 
 def draw_residual(axes: Axes, residual: Any, *, below: bool = False) -> None:
-    """Draw a residual (H, W, 3) in linear light, with its scale beside or `below` it."""
+    """Draw a residual (H, W, 3) in linear light, with its scale beside or `below`."""
     values = signed(residual)
     scale = max(float(np.quantile(np.abs(values), 0.995)), 1e-6)
     shown = axes.imshow(values, cmap=SIGNED, vmin=-scale, vmax=scale)

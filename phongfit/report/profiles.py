@@ -112,7 +112,7 @@ def _draw_pair(axes: Axes, found: ProfilePair) -> None:
 
 
 def plot_profile(fit: Fit, name: str, other: str | None = None) -> Figure:
-    """A figure of the profile of one unknown with its intervals, or of a pair's regions.
+    """A figure of the profile of one unknown with its intervals, or of a pair.
 
     The unknown is fixed at values around its estimate and all others are fitted again:
     see [`Fit`][]`.profile`. If the curve differs from the dashed parabola, the standard

@@ -78,7 +78,7 @@ def _written(value: Any) -> str:
 
 
 def _made(value: eqx.Module, usual: eqx.Module | None = None) -> str:
-    """The constructor's call for a value, without arguments equal to those of `usual`."""
+    """The constructor's call for a value, with arguments that differ from `usual`."""
     fields = {
         f.name: _numbers(getattr(value, f.name)) for f in dataclasses.fields(value)
     }

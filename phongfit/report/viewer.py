@@ -122,7 +122,7 @@ def _packed(maps: Maps, surface: HeightField) -> dict[str, Any]:
 def _relief(
     surface: HeightField, inside: np.ndarray
 ) -> tuple[np.ndarray, list[float], dict[str, Any]]:
-    """Relief for ray marching of shadows, in pixels: two bytes and mask; range; camera."""
+    """Relief for ray marching of shadows: two bytes and mask, range, and camera."""
     camera = surface.camera
     rays, axes = camera.rays(), np.asarray(camera.rotation, float)
     direction = np.asarray(rays.direction, float) @ axes
