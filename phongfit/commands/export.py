@@ -46,7 +46,7 @@ BY_SUFFIX: dict[str, Target] = {
 }
 
 MESHES = (".obj", ".ply", ".glb", ".gltf")
-"""Files of meshes that know materials."""
+"""Suffixes of meshes with materials."""
 
 
 @dataclass(frozen=True)

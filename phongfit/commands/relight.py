@@ -29,7 +29,7 @@ from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
 OTHER = ".png"
-"""What a picture is written as whose name tells no format that we write."""
+"""Suffix of a picture whose name has no suffix that can be written."""
 
 
 @dataclass(frozen=True)

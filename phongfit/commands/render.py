@@ -19,7 +19,7 @@ from phongfit.rendering.film import Film
 from phongfit.rendering.render import render
 
 FLOATS = (".hdr", ".exr")
-"""Formats that hold light as it is: linear, and above white."""
+"""Formats that hold linear light, also above white."""
 
 
 @dataclass(frozen=True)

@@ -43,10 +43,10 @@ Triple = tuple[float, float, float]
 Triples = UseAppendAction[tuple[Triple, ...]]
 
 FOV = 30.0
-"""Angle of view that a mesh is looked at with, where none is given, degrees."""
+"""Default angle of view for a mesh, degrees."""
 
 ROOM = 1.1
-"""A mesh is looked at with so much room around the ball that it fits into."""
+"""Factor on the radius of a mesh's bounding ball, for a margin in the picture."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from phongfit.fitting.texels.result import TextureFit
 from phongfit.fitting.texture_fit import TEXTURED
 
 FITTED = ("unknowns", "per_channel")
-"""Of [`UnknownOptions`][], what textures have a use for."""
+"""Options of [`UnknownOptions`][] that apply to textures."""
 
 
 @dataclass(frozen=True)

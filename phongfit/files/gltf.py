@@ -11,7 +11,7 @@ that is seen head-on:
   $F_0 (f + 2) / 8$, so that $F_0 = 8 \rho_s / (f + 2)$; 4 % of it is glTF's colour 1.
   A viewer shows at most $F_0 = 1$;
 - base colour is $\rho_d$, metallic is 0, emission is emission. Ambient has no place:
-  viewers light by an environment. The exact material stands in the file's `extras`.
+  viewers light by an environment. The exact material is in the file's `extras`.
 
 ??? cite "Source"
     Karis, *Specular BRDF reference*, 2013 (α and f); Khronos, *glTF 2.0*, 2021, section

@@ -30,7 +30,7 @@ from phongfit.geometry.distortion import (
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "OPENCV_FISHEYE")
 FEW = 8
 DEEPEST = 64
-"""Maximum number of folders in a file's name that are looked for."""
+"""Maximum number of parts at the end of a file's name that are tried."""
 
 Positive = Annotated[float, Field(gt=0)]
 Angle = Annotated[float, Field(gt=0, lt=math.pi)]

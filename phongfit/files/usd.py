@@ -48,7 +48,7 @@ def write_usd(
     - `path`: `.usda` is text, `.usd` and `.usdc` binary, `.usdz` one file that includes
         its textures.
     - `parts`: triangles, each with a material of [`pbr_material`][], in which a
-        [`Picture`][] replaces each texture.
+        `Picture` replaces each texture.
     - `nearest`: write textures with the filter "nearest", which USD lacks, with a
         warning instead of an error.
 
