@@ -57,7 +57,8 @@ class Target:
 
     `shrunk` and `brighten`: how many times a photograph was shrunk, and is brightened
     where it is shown, as is what stands beside it, to be compared. `encoding`: of the
-    photograph's file. `truth`: the settings that it was made of, if it was.
+    photograph's file, `None` if that does not clamp light. `truth`: the settings that
+    it was made of, if it was.
     """
 
     image: Float[np.ndarray, "height width 3"]
@@ -70,7 +71,7 @@ class Target:
     @property
     def film(self) -> Film | None:
         """The film of a shrunk photograph, since its numbers do not show it."""
-        if self.encoding is None or self.shrunk == 1 or self.image.max() > 1:
+        if self.encoding is None or self.shrunk == 1:
             return None
         return Film(encoding=self.encoding)
 
@@ -132,9 +133,10 @@ class Session:
         self, name: str, content: bytes, encoding: Encoding
     ) -> dict[str, Any]:
         """A photograph from a file, to be the target: see [`read_photograph`][]."""
-        image, shrunk = read_photograph(name, content, encoding)
+        image, shrunk, clamps = read_photograph(name, content, encoding)
         mask = np.ones(image.shape[:2], bool)
-        target = Target(image, mask, None, shrunk, brightening(image), encoding)
+        of_file = encoding if clamps else None
+        target = Target(image, mask, None, shrunk, brightening(image), of_file)
         return self._keep(target)
 
     def choose(self, request: ChosenRequest) -> dict[str, Any]:
@@ -154,7 +156,7 @@ class Session:
         image, times = shrunk(photograph.image)
         known = np.atleast_3d(photograph.mask).astype(float).min(axis=-1, keepdims=True)
         mask = shrunk(known)[0][..., 0] >= 1
-        encoding = given.film.encoding
+        encoding = given.film.encoding if given.film.clamp else None
         target = Target(image, mask, None, times, brightening(image), encoding)
         settings = settings_of(given.scenes[request.number])
         return self._keep(target) | {

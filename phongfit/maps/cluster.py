@@ -94,7 +94,8 @@ def fit_stored_maps(
     - `options`: those of [`fit_maps`][]: `unknowns`, `per_channel`, `known`, `bounds`,
         `mask`, `noise`, `film`, `loss`, `normals`, `start` and `min_cosine`.
 
-    **Returns:** [`StoredMaps`][].
+    **Returns:** [`StoredMaps`][]. They have no warnings of the maps as a whole, such as
+    those of misplaced pixels or of the lamps' strengths.
 
     **Raises:** `ValueError` that names the argument, or the store that is missing or
     broken; `OSError` if the output cannot be written, another run writes there, or the

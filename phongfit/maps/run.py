@@ -30,7 +30,7 @@ from phongfit.maps.normals.block import fit_normals
 from phongfit.maps.passes import fit_in_passes, usual_passes
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.samples import Tile
-from phongfit.maps.pixel.settings import MAP_PARAMETERS
+from phongfit.maps.pixel.settings import MAP_PARAMETERS, MapSettings
 from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
 from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps, StrengthsName
 from phongfit.maps.stacks import AbstractStack, as_index, as_stack, identify_stack
@@ -193,8 +193,8 @@ def fit_maps(
         spread = {"tile_pixels": tile_pixels, "devices": devices}
         once = functools.partial(_fit_once, **asked, **spread)
         found, error = None, 0.0
-        job = make_job(scenes, stack, **asked)
         if strengths != "given":
+            job = make_job(scenes, stack, **asked)
             coloured = strengths == "fit_per_channel"
             found = find_strengths(once, job, per_channel=coloured)
             if strengths == "auto" and may_be_equal(found):
@@ -203,7 +203,7 @@ def fit_maps(
                 scenes = found.lit(scenes)
         maps, placed = fit_in_passes(once, scenes, stack, passes, output, progress)
         if strengths == "given":
-            error = strength_error(maps, placed, job)
+            error = strength_error(maps, placed, make_job(scenes, stack, **asked))
         return dataclasses.replace(maps, strengths=found, strength_error=error)
     return _fit_once(
         scenes,
@@ -286,6 +286,7 @@ def fit_job(
             return jax.tree.map(np.asarray, run(part.padded(), among))
 
         maps = _Canvas(job.geometry.mask.shape, shared)
+        maps.paint(pixels[:0], _no_pixels(settings, outside.noise.dtype))
         for k, tile in bar(ahead(read, len(tiles)), len(tiles), progress):
             if isinstance(tile, dict):
                 arrays = tile
@@ -417,6 +418,22 @@ _FITS = {"given": fit_tile, "sought": fit_normals, "shared": fit_shared}
 
 _EMPTY = {"noise": np.nan, "normals_stderr": np.inf, "flags": int(Flag.OUTSIDE)}
 """Values of pixels that are not fitted; errors are infinite, and all else is 0."""
+
+
+def _no_pixels(settings: MapSettings, dtype: Any) -> dict[str, np.ndarray]:
+    """The arrays of a tile without pixels."""
+    widths = dict.fromkeys(MAP_PARAMETERS, 3)
+    widths["shininess"] = 1 if settings.shared else 3
+    arrays: dict[str, Any] = {
+        name: np.zeros((0, width), dtype) for name, width in widths.items()
+    }
+    arrays |= {f"stderr_{name}": values for name, values in arrays.items()}
+    arrays["noise"] = np.zeros(0, dtype)
+    arrays["samples"], arrays["flags"] = np.zeros(0, np.int32), np.zeros(0, np.uint16)
+    if settings.normals == "fit":
+        arrays["normals"] = np.zeros((0, 3), dtype)
+        arrays["normals_stderr"] = np.zeros(0, dtype)
+    return arrays
 
 
 class _Canvas:

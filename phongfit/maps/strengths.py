@@ -159,12 +159,14 @@ def strength_error(maps: Maps, scenes: Sequence[Scene], job: Job) -> float:
     try:
         stack = KeptStack(job.stack)
         pixels, points = sample_points(scenes, stack, buffer, job.masks, white)
+        highlight = _highlights(maps, scenes, buffer, pixels)
+        found, _ = solve(points, highlight, np.ones((len(scenes), 1)))
     except ValueError:
+        # Too dark for strengths, or their equations are singular.
         return 0.0
-    highlight = _highlights(maps, scenes, buffer, pixels)
-    found, _ = solve(points, highlight, np.ones((len(scenes), 1)))
     error = float(np.abs(found.values - 1).max())
-    return 0.0 if may_be_equal(found) or error < NOTABLE else error
+    notable = np.isfinite(error) and error >= NOTABLE and not may_be_equal(found)
+    return error if notable else 0.0
 
 
 def _share(following: np.ndarray, wrong: np.ndarray) -> float:
