@@ -232,8 +232,11 @@ def _is_jpeg(path: Path) -> bool:
     """Whether a file starts as a JPEG does; false where there is none."""
     if not path.is_file():
         return False
-    with path.open("rb") as file:
-        return file.read(len(JPEG_START)) == JPEG_START
+    try:
+        with path.open("rb") as file:
+            return file.read(len(JPEG_START)) == JPEG_START
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def with_jpeg(film: Film, path: Path) -> Film:
